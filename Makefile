@@ -1,0 +1,56 @@
+python := .venv/bin/python
+node_modules := tests/node/node_modules
+protoc = $(python) -m grpc_tools.protoc --proto_path=proto $(wildcard proto/carla_recap/v1/*.proto)
+generated := src/carla_recap/v1
+
+.PHONY: help venv test lint types proto check-proto wheel check bench demo clean
+
+help: ## List the targets
+	@awk -F ':.*## ' '/^[a-z-]+:.*## / { printf "  %-12s %s\n", $$1, $$2 }' $(MAKEFILE_LIST)
+
+venv: .venv/stamp ## Make .venv with everything a developer needs
+
+test: venv $(node_modules) ## Run the whole test suite
+	$(python) -m pytest -n 2
+
+lint: venv ## Check style and format
+	$(python) -m ruff check
+	$(python) -m ruff format --check
+
+types: venv ## Check types
+	$(python) -m mypy
+
+proto: venv ## Regenerate the Python of the schemas
+	rm -f $(generated)/*_pb2.py $(generated)/*_pb2.pyi
+	$(protoc) --python_out=src --pyi_out=src
+
+check-proto: venv ## Check that the Python of the schemas is up to date
+	@rm -rf build/proto && mkdir -p build/proto
+	$(protoc) --python_out=build/proto --pyi_out=build/proto
+	@diff -r -x __init__.py -x __pycache__ build/proto/carla_recap/v1 $(generated) || \
+		{ echo "$(generated) is not what proto/ generates: run 'make proto' and commit the result" >&2; exit 1; }
+
+wheel: venv ## Build the wheel and try it in an empty environment
+	PYTHON=$(python) tools/check-wheel
+
+check: lint types check-proto wheel ## Everything but the tests
+
+bench: venv ## Measure the speed and the sizes that the README claims
+	$(python) -m benchmarks
+
+demo: venv ## Convert and query the sample recording
+	PATH="$(CURDIR)/.venv/bin:$$PATH" samples/demo.sh
+
+clean: ## Remove whatever the other targets made
+	rm -rf .venv build dist $(node_modules) .pytest_cache .mypy_cache .ruff_cache .hypothesis
+	find src tests benchmarks -name __pycache__ -prune -exec rm -rf {} +
+
+.venv/stamp: pyproject.toml
+	test -x $(python) || python3 -m venv .venv
+	$(python) -m pip install --quiet --editable '.[dev]'
+	touch $@
+
+$(node_modules): tests/node/package-lock.json
+	@if command -v npm >/dev/null; \
+		then npm ci --prefix tests/node --ignore-scripts --no-audit --no-fund && touch $@; \
+		else echo 'no npm here: the tests with the independent MCAP reader will be skipped'; fi

@@ -1,0 +1,60 @@
+"""What can go wrong, as exceptions: every message is one line that names the file, the place and what was expected.
+
+RecapError
+├── FormatError            a file contradicts its format, at a known place
+│   └── NotARecording      a file is no recording at all
+├── RecordError            records that cannot be written (too many, wrong shape, unknown name)
+└── MissingExtra           an optional dependency is not installed
+RecapWarning               something was left out, and the rest is used
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+
+class RecapError(Exception):
+    """Base of all errors of this package."""
+
+
+class FormatError(RecapError):
+    """A file contradicts its format.
+
+    Args:
+        path: The file.
+        offset: Where in the file, in bytes; None where the fault has no single place.
+        message: What was found and what was expected.
+    """
+
+    def __init__(self, path: Path | str, offset: int | None, message: str) -> None:
+        place = f"{path}" if offset is None else f"{path}: byte {offset}"
+        super().__init__(f"{place}: {message}")
+        self.path = Path(path)
+        self.offset = offset
+
+
+class NotARecording(FormatError):
+    """A file is neither a CARLA log nor an MCAP recording of this package."""
+
+    def __init__(self, path: Path | str, message: str) -> None:
+        super().__init__(path, None, message)
+
+
+class RecordError(RecapError):
+    """Records cannot be written as given."""
+
+
+class MissingExtra(RecapError):
+    """An optional dependency is not installed.
+
+    Args:
+        what: The thing that needs it.
+        extra: The extra of this package that brings it.
+    """
+
+    def __init__(self, what: str, extra: str) -> None:
+        super().__init__(f"{what} needs an optional dependency: pip install 'carla-recap[{extra}]'")
+
+
+class RecapWarning(UserWarning):
+    """Part of a file was left out; the message says how much, and why."""

@@ -1,0 +1,69 @@
+"""A file that appears under its name only when it is complete."""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+from typing import TYPE_CHECKING, Self
+
+from carla_recap.errors import RecapError
+
+if TYPE_CHECKING:
+    from types import TracebackType
+
+
+class AtomicFile:
+    """Base of the writers: writes beside the destination, and moves there on `close`.
+
+    A crash leaves the file beside the destination, where `recover` finds what it holds.
+
+    Args:
+        path: The destination.
+
+    Raises:
+        RecapError: The place cannot be written to.
+    """
+
+    def __init__(self, path: Path | str) -> None:
+        self.path = Path(path)
+        self._partial = self.path.with_name(f".{self.path.name}.{os.getpid()}.partial")
+        try:
+            if self.path.is_dir():
+                raise IsADirectoryError(21, "is a directory")
+            self._file = self._partial.open("xb", buffering=1 << 20)
+        except OSError as error:
+            raise RecapError(f"{self.path}: cannot be written: {error.strerror}") from None
+
+    def close(self) -> None:
+        """Finish the file, and put it under its name."""
+        if self._file.closed:
+            return
+        try:
+            self._finish()
+            self._file.close()
+            self._partial.replace(self.path)
+        except OSError as error:
+            self.abort()
+            raise RecapError(f"{self.path}: cannot be written: {error.strerror}") from None
+        except BaseException:
+            self.abort()
+            raise
+
+    def abort(self) -> None:
+        """Give the file up, and remove what was written."""
+        self._file.close()
+        self._partial.unlink(missing_ok=True)
+
+    def _finish(self) -> None:
+        """Write what comes last."""
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        if kind is None:
+            self.close()
+        else:
+            self.abort()

@@ -1,0 +1,84 @@
+"""What every format offers: a reader and a writer of frames."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Collection, Iterator
+from pathlib import Path
+from types import TracebackType
+from typing import Protocol, Self
+
+from carla_recap.frame import Extent, Frame, Header
+
+PIECE = 1 << 20
+"""Bytes that no schema describes travel in pieces of this size."""
+
+
+class Reader(Protocol):
+    """An open recording."""
+
+    path: Path
+    header: Header
+
+    def frames(
+        self,
+        types: Collection[str] | None = None,
+        *,
+        sparse: bool = False,
+        start: float = -math.inf,
+        stop: float = math.inf,
+    ) -> Iterator[Frame]:
+        """Stream the frames.
+
+        Args:
+            types: Names of record types: frames hold the packets of these alone, and no empty ones. None: all packets.
+            sparse: Leave out frames that hold no packet of `types`.
+            start: First elapsed time, in seconds.
+            stop: Elapsed time, in seconds, at which to stop (exclusive).
+
+        Raises:
+            FormatError: The file contradicts its format.
+        """
+        ...
+
+    def frame_at(self, elapsed: float) -> Frame | None:
+        """The last frame that begins at or before a time in seconds; None where there is none."""
+        ...
+
+    def extent(self) -> Extent:
+        """How far the recording goes."""
+        ...
+
+    def tail(self) -> Iterator[bytes]:
+        """The bytes behind the last complete packet, in pieces."""
+        ...
+
+    def close(self) -> None:
+        """Let go of the file."""
+        ...
+
+
+class Writer(Protocol):
+    """A recording being written; complete after `close`, removed after `abort`."""
+
+    def write(self, frame: Frame) -> None:
+        """Add a frame."""
+        ...
+
+    def write_tail(self, piece: bytes) -> None:
+        """Add bytes behind the last complete packet."""
+        ...
+
+    def close(self) -> None:
+        """Finish the file, and put it under its name."""
+        ...
+
+    def abort(self) -> None:
+        """Give the file up."""
+        ...
+
+    def __enter__(self) -> Self: ...
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None: ...

@@ -1,0 +1,135 @@
+"""What a recording consists of: a header, and frames, each with its packets in file order."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Final
+
+import numpy as np
+
+from carla_recap.payload import Buffer, pack, unpack
+from carla_recap.records import UE4, UE5, Records, RecordType, Table
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+
+LAST_FRAME_DURATION: Final = -1.0
+"""What CARLA leaves as the duration of a recording's last frame."""
+
+
+@dataclass(frozen=True)
+class Header:
+    """The header of a recording.
+
+    Attributes:
+        map_name: The map, such as Town01; a path in some builds.
+        date: When the recording began, in Unix seconds.
+        version: The version of CARLA's format: 1, or 2 where attribute types count from 1.
+        wide: Whether lengths are in double precision, as UE5 builds (0.10) write them.
+        shifted: Whether doors, wheels and bikers have the packet ids 21, 22, 23, as some development builds write them.
+        raw: CARLA's header as read, where the fields above cannot give it back.
+    """
+
+    map_name: str
+    date: int
+    version: int = 1
+    wide: bool = False
+    shifted: bool = False
+    raw: bytes | None = None
+
+    @property
+    def table(self) -> Table:
+        """The record types as this recording's build writes them."""
+        return UE5 if self.wide else UE4
+
+
+@dataclass(frozen=True)
+class Extent:
+    """How far a recording goes: the number of frames, the id of the last one, and its elapsed seconds."""
+
+    frames: int = 0
+    last_id: int = 0
+    duration: float = 0.0
+
+
+class Packet:
+    """One packet: records of a type, or bytes of an unknown one. Never changes.
+
+    Records are parsed from the payload, and the payload is packed from records, when first asked for.
+
+    Args:
+        id: The packet id, as of CARLA 0.9.16.
+        type: The row of the table; None for an unknown id.
+        payload: The bytes, for a packet that was read; None for one that is made from records.
+        records: The records, where they are known already.
+    """
+
+    __slots__ = ("_payload", "_records", "id", "type")
+
+    def __init__(
+        self, id: int, type: RecordType | None, payload: Buffer | None = None, records: Records | None = None
+    ) -> None:
+        self.id = id
+        self.type = type
+        self._payload = payload
+        self._records = records
+
+    @property
+    def payload(self) -> Buffer:
+        """The bytes behind the packet header."""
+        if self._payload is None:
+            assert self.type is not None
+            assert self._records is not None
+            self._payload = pack(self.type, self._records)
+        return self._payload
+
+    @property
+    def records(self) -> Records:
+        """The records; none for an unknown packet."""
+        if self._records is None:
+            if self.type is None or self.type.opaque:
+                return []
+            self._records = unpack(self.type, self.payload)[0]
+        return self._records
+
+
+class Frame:
+    """A frame: `frame["transforms"]` gives all its records of a type, `frame.packets` everything in file order.
+
+    Attributes:
+        index: The position in the recording, from 0.
+        id: CARLA's frame number, from 1 in a recording of CARLA's; 0 for packets before the first frame.
+        elapsed: Seconds since the recording began.
+        duration: Seconds until the next frame; -1 for the last one of a recording.
+        packets: The packets; an empty one is there because CARLA writes it so.
+    """
+
+    __slots__ = ("duration", "elapsed", "id", "index", "packets")
+
+    def __init__(self, index: int, id: int, elapsed: float, duration: float, packets: list[Packet]) -> None:
+        self.index = index
+        self.id = id
+        self.elapsed = elapsed
+        self.duration = duration
+        self.packets = packets
+
+    def __repr__(self) -> str:
+        held = ", ".join(f"{name}: {len(records)}" for name, records in self.items())
+        return f"Frame({self.id} at {self.elapsed:g} s; {held})"
+
+    def __getitem__(self, name: str) -> Records:
+        """The records of a type: a structured array, or a list of objects; empty where the frame has none."""
+        found = [p.records for p in self.packets if p.type is not None and p.type.name == name]
+        if len(found) == 1:
+            return found[0]
+        if not found:
+            type = UE4.named(name)
+            return np.empty(0, type.dtype) if type.fixed else []
+        if isinstance(found[0], np.ndarray):
+            return np.concatenate([array for array in found if isinstance(array, np.ndarray)])
+        return [record for records in found for record in records]
+
+    def items(self) -> Iterator[tuple[str, Records]]:
+        """Name and records of every type that has any, in file order of the first."""
+        names = dict.fromkeys(p.type.name for p in self.packets if p.type is not None and p.type.id > 1)
+        return ((name, records) for name in names if len(records := self[name]))

@@ -1,0 +1,452 @@
+"""The table of record types: everything that a recording can hold, one row each.
+
+The `.log` codec, the MCAP codec, the reports and the exporters all read this table; none of them lists the types again.
+A new packet is one row here and one message in `proto/`.
+
+Numbers are CARLA's own: centimetres, degrees, seconds, in Unreal's left-handed axes (x forward, y right, z up), unless a
+field's comment in `proto/` says otherwise.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, field
+from enum import Enum, IntEnum
+from typing import Any, Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from carla_recap.errors import RecordError
+
+# Field kinds. A kind is a numpy type code, or one of these:
+REAL: Final = "real"  # a length, angle or speed: float32 in UE4 builds (0.9), float64 in UE5 builds (0.10)
+FLAG: Final = "flag"  # a byte that should be 0 or 1
+TEXT: Final = "text"  # u16 byte count, then UTF-8; invalid bytes become lone surrogates (PEP 383), so nothing is lost
+
+NO_ACTOR: Final = 0xFFFFFFFF
+"""The id that stands for something that is no actor: a building, a barrier (since CARLA 0.9.13)."""
+
+
+class ActorKind(IntEnum):
+    """The actor type of a spawn, as CARLA 0.9.12 and later number it."""
+
+    OTHER = 0
+    VEHICLE = 1
+    WALKER = 2
+    TRAFFIC_LIGHT = 3
+    TRAFFIC_SIGN = 4
+    SENSOR = 5
+    INVALID = 6
+
+
+class Group(Enum):
+    """Which chunks of an MCAP file a record goes to."""
+
+    STATE = "state"  # in every frame
+    EVENTS = "events"  # when something happens
+
+
+class Framing(Enum):
+    """How the records of a packet are counted."""
+
+    MARKER = "marker"  # no payload
+    SINGLE = "single"  # one record, no count
+    LIST = "list"  # u16 count, then the records
+    GROUPED = "grouped"  # u16 count of actors, each: u32 id, u32 count, records without the id
+
+
+@dataclass(slots=True)
+class Attribute:
+    """One attribute of a spawned actor. `type`: 0 bool, 1 int, 2 float, 3 string, 4 colour (one more in file version 2)."""
+
+    type: int
+    key: str
+    value: str
+
+
+@dataclass(slots=True)
+class Spawn:
+    """An actor appears. Position in cm, angles in degrees, left-handed; `kind` as in `ActorKind`."""
+
+    id: int
+    kind: int
+    x: float
+    y: float
+    z: float
+    roll: float
+    pitch: float
+    yaw: float
+    uid: int
+    type_id: str
+    attributes: list[Attribute] = field(default_factory=list)
+
+    def attribute(self, key: str) -> str | None:
+        """The value of an attribute, None where there is none."""
+        return next((a.value for a in self.attributes if a.key == key), None)
+
+
+@dataclass(slots=True)
+class Physics:
+    """The physics control of a vehicle. Centre of mass in m; curves, gears and wheels are structured arrays."""
+
+    id: int
+    max_rpm: float
+    moi: float
+    damping_rate_full_throttle: float
+    damping_rate_zero_throttle_clutch_engaged: float
+    damping_rate_zero_throttle_clutch_disengaged: float
+    use_gear_auto_box: int
+    clutch_strength: float
+    final_ratio: float
+    mass: float
+    drag_coefficient: float
+    center_of_mass_x: float
+    center_of_mass_y: float
+    center_of_mass_z: float
+    torque_curve: NDArray[np.void]
+    forward_gears: NDArray[np.void]
+    steering_curve: NDArray[np.void]
+    wheels: NDArray[np.void]
+
+
+@dataclass(slots=True)
+class Bone:
+    """A bone of a walker, relative to its parent bone: cm, degrees, left-handed."""
+
+    name: str
+    x: float
+    y: float
+    z: float
+    roll: float
+    pitch: float
+    yaw: float
+
+
+@dataclass(slots=True)
+class Bones:
+    """The skeleton of a walker."""
+
+    id: int
+    bones: list[Bone] = field(default_factory=list)
+
+
+@dataclass(frozen=True)
+class Many:
+    """A counted array inside a record.
+
+    `layouts` are alternatives: the one that consumes the packet to its last byte is taken.
+    """
+
+    count: str
+    layouts: tuple[Layout, ...]
+
+
+@dataclass(frozen=True)
+class Layout:
+    """The fields of a record, in CARLA's order; packed, little-endian. Field k has protobuf field number k.
+
+    Args:
+        fields: Name → kind, or `Many`.
+        make: The class of a record whose size varies; None where the size is fixed, and records are array rows.
+    """
+
+    fields: dict[str, str | Many]
+    make: type | None = None
+
+    def dtype(self, wide: bool) -> np.dtype[np.void]:
+        """The numpy type of a fixed-size record. `wide`: REAL is float64."""
+        real = "f8" if wide else "f4"
+        codes = {REAL: real, FLAG: "u1"}
+        return np.dtype([(name, "<" + codes.get(str(kind), str(kind))) for name, kind in self.fields.items()])
+
+    @property
+    def has_reals(self) -> bool:
+        """Whether UE4 and UE5 builds write this record differently."""
+        return any(
+            kind == REAL or (isinstance(kind, Many) and any(layout.has_reals for layout in kind.layouts))
+            for kind in self.fields.values()
+        )
+
+
+def _fixed(**fields: str) -> Layout:
+    return Layout(dict(fields))
+
+
+_POSE = {"x": REAL, "y": REAL, "z": REAL, "roll": REAL, "pitch": REAL, "yaw": REAL}
+_BOX = {"x": REAL, "y": REAL, "z": REAL, "extent_x": REAL, "extent_y": REAL, "extent_z": REAL}
+_CURVE = Many("u4", (_fixed(x="f4", y="f4"),))
+
+_SPAWN = Layout(
+    {
+        "id": "u4",
+        "kind": "u1",
+        **_POSE,
+        "uid": "u4",
+        "type_id": TEXT,
+        "attributes": Many("u2", (Layout({"type": "u1", "key": TEXT, "value": TEXT}, Attribute),)),
+    },
+    Spawn,
+)
+
+_WHEEL_END = {"position_x": "f4", "position_y": "f4", "position_z": "f4"}
+_WHEEL_START = {
+    "tire_friction": "f4",
+    "damping_rate": "f4",
+    "max_steer_angle": "f4",
+    "radius": "f4",
+    "max_brake_torque": "f4",
+    "max_handbrake_torque": "f4",
+}
+_STIFFNESS = {"lat_stiff_max_load": "f4", "lat_stiff_value": "f4", "long_stiff_value": "f4"}
+
+_PHYSICS = Layout(
+    {
+        "id": "u4",
+        "max_rpm": "f4",
+        "moi": "f4",
+        "damping_rate_full_throttle": "f4",
+        "damping_rate_zero_throttle_clutch_engaged": "f4",
+        "damping_rate_zero_throttle_clutch_disengaged": "f4",
+        "use_gear_auto_box": FLAG,
+        "clutch_strength": "f4",
+        "final_ratio": "f4",
+        "mass": "f4",
+        "drag_coefficient": "f4",
+        "center_of_mass_x": "f4",
+        "center_of_mass_y": "f4",
+        "center_of_mass_z": "f4",
+        "torque_curve": _CURVE,
+        "forward_gears": Many("u4", (_fixed(ratio="f4", down_ratio="f4", up_ratio="f4"),)),
+        "steering_curve": _CURVE,
+        # 48 bytes a wheel since 0.9.12, 36 before.
+        "wheels": Many("u4", (_fixed(**_WHEEL_START, **_STIFFNESS, **_WHEEL_END), _fixed(**_WHEEL_START, **_WHEEL_END))),
+    },
+    Physics,
+)
+
+_BONES = Layout({"id": "u4", "bones": Many("u2", (Layout({"name": TEXT, **_POSE}, Bone),))}, Bones)
+
+_WEATHER = _fixed(
+    cloudiness="f4",
+    precipitation="f4",
+    precipitation_deposits="f4",
+    wind_intensity="f4",
+    sun_azimuth_angle="f4",
+    sun_altitude_angle="f4",
+    fog_density="f4",
+    fog_distance="f4",
+    fog_falloff="f4",
+    wetness="f4",
+    scattering_intensity="f4",
+    mie_scattering_scale="f4",
+    rayleigh_scattering_scale="f4",
+    dust_storm="f4",
+)
+
+
+@dataclass(frozen=True, eq=False)
+class RecordType:
+    """A row of the table.
+
+    Attributes:
+        name: How Python calls it: `frame["transforms"]`.
+        id: CARLA's packet id, as of 0.9.16.
+        topic: The MCAP topic.
+        message: The protobuf message of `carla_recap.v1` that holds one packet.
+        items: The message's repeated field that holds the records; for `SINGLE`, the field that holds the value.
+        layout: The fields of one record.
+        framing: How the packet counts its records.
+        group: The chunk group in MCAP.
+        wide: Whether this row describes UE5's double-precision layout.
+        opaque: Kept as raw bytes, never parsed.
+    """
+
+    name: str
+    id: int
+    topic: str
+    message: str
+    items: str
+    layout: Layout
+    framing: Framing = Framing.LIST
+    group: Group = Group.STATE
+    wide: bool = False
+    opaque: bool = False
+    dtype: np.dtype[np.void] = field(init=False)
+
+    def __post_init__(self) -> None:
+        dtype = np.dtype([]) if self.layout.make else self.layout.dtype(self.wide)
+        object.__setattr__(self, "dtype", dtype)
+
+    @property
+    def fixed(self) -> bool:
+        """Whether every record has the same size, so that records are the rows of a structured array."""
+        return self.layout.make is None and not self.opaque
+
+    @property
+    def message_name(self) -> str:
+        """The full protobuf name; types with lengths have a twin in double precision."""
+        return f"carla_recap.v1.{self.message}" + ("Double" if self.wide and self.layout.has_reals else "")
+
+    def records(self, values: Records | Mapping[str, Any] | Iterable[Any]) -> Records:
+        """Records of this type from what a person has at hand.
+
+        Args:
+            values: A structured array of `dtype`; columns by name (missing ones are zero); rows as tuples; or, where the
+                size varies, objects such as `Spawn`.
+
+        Raises:
+            RecordError: The values do not fit; the message names the field.
+        """
+        try:
+            if not self.fixed:
+                return list(values)
+            if isinstance(values, Mapping):
+                return self._from_columns(values)
+            if isinstance(values, np.ndarray):
+                if values.dtype.names is None:
+                    raise RecordError(f"{self.name}: a structured array is expected, with the fields {self.dtype.names}")
+                return np.atleast_1d(values).astype(self.dtype, copy=False)
+            return np.array([tuple(row) for row in values], dtype=self.dtype)
+        except (TypeError, ValueError, OverflowError) as error:
+            raise RecordError(f"{self.name}: {error}; the fields are {', '.join(self.layout.fields)}") from None
+
+    def _from_columns(self, columns: Mapping[str, Any]) -> NDArray[np.void]:
+        unknown = set(columns) - set(self.layout.fields)
+        if unknown:
+            raise RecordError(f"{self.name} has no field {min(unknown)!r}; the fields are {', '.join(self.layout.fields)}")
+        shape = np.broadcast_shapes(*(np.shape(column) for column in columns.values()), (1,))
+        array = np.zeros(shape, dtype=self.dtype)
+        for name, column in columns.items():
+            array[name] = column
+        return array
+
+
+Records = NDArray[np.void] | list[Any]
+"""The records of one type: a structured array, or a list of objects where the size varies."""
+
+
+def _row(name: str, id: int, topic: str, message: str, items: str, layout: Layout, **rest: Any) -> RecordType:
+    return RecordType(name, id, topic, message, items, layout, **rest)
+
+
+_EVENTS = {"group": Group.EVENTS}
+_SINGLE = {"framing": Framing.SINGLE}
+
+_ROWS: Final = (
+    _row("frame", 0, "/frames", "Frame", "", _fixed(id="u8", duration="f8", elapsed="f8"), **_SINGLE),
+    _row("frame_end", 1, "", "", "", _fixed(), framing=Framing.MARKER),
+    _row("spawned", 2, "/actors/spawned", "Spawned", "actors", _SPAWN, **_EVENTS),
+    _row("destroyed", 3, "/actors/destroyed", "Destroyed", "actors", _fixed(id="u4"), **_EVENTS),
+    _row("parented", 4, "/actors/parented", "Parented", "actors", _fixed(id="u4", parent="u4"), **_EVENTS),
+    _row(
+        "collisions",
+        5,
+        "/collisions",
+        "Collisions",
+        "collisions",
+        _fixed(id="u4", actor1="u4", actor2="u4", hero1=FLAG, hero2=FLAG),
+        **_EVENTS,
+    ),
+    _row("transforms", 6, "/actors/transforms", "Transforms", "actors", Layout({"id": "u4", **_POSE})),
+    _row(
+        "light_states",
+        7,
+        "/traffic_lights/states",
+        "TrafficLightStates",
+        "lights",
+        _fixed(id="u4", frozen=FLAG, elapsed="f4", state="i1"),
+    ),
+    _row(
+        "vehicle_controls",
+        8,
+        "/vehicles/controls",
+        "VehicleControls",
+        "vehicles",
+        _fixed(id="u4", steer="f4", throttle="f4", brake="f4", hand_brake=FLAG, gear="i4"),
+    ),
+    _row("walker_controls", 9, "/walkers/controls", "WalkerControls", "walkers", _fixed(id="u4", speed="f4")),
+    _row("vehicle_lights", 10, "/vehicles/lights", "VehicleLights", "vehicles", _fixed(id="u4", flags="u4")),
+    _row(
+        "scene_lights",
+        11,
+        "/scene/lights",
+        "SceneLights",
+        "lights",
+        _fixed(id="i4", intensity="f4", red="f4", green="f4", blue="f4", alpha="f4", on=FLAG, group="u1"),
+        **_EVENTS,
+    ),
+    _row(
+        "velocities",
+        12,
+        "/actors/velocities",
+        "Velocities",
+        "actors",
+        _fixed(id="u4", x=REAL, y=REAL, z=REAL, angular_x=REAL, angular_y=REAL, angular_z=REAL),
+    ),
+    _row("bounding_boxes", 13, "/actors/bounding_boxes", "BoundingBoxes", "actors", Layout({"id": "u4", **_BOX}), **_EVENTS),
+    _row("platform_time", 14, "/clock/platform", "PlatformTime", "seconds", _fixed(seconds="f8"), **_SINGLE),
+    _row("physics", 15, "/vehicles/physics", "VehiclePhysics", "vehicles", _PHYSICS, **_EVENTS),
+    _row(
+        "light_times",
+        16,
+        "/traffic_lights/times",
+        "TrafficLightTimes",
+        "lights",
+        _fixed(id="u4", green="f4", yellow="f4", red="f4"),
+        **_EVENTS,
+    ),
+    _row("trigger_volumes", 17, "/actors/trigger_volumes", "TriggerVolumes", "actors", Layout({"id": "u4", **_BOX}), **_EVENTS),
+    _row("frame_counter", 18, "/clock/frame_counter", "FrameCounter", "count", _fixed(count="u8"), **_SINGLE),
+    _row("walker_bones", 19, "/walkers/bones", "WalkerBones", "walkers", _BONES),
+    _row("visual_time", 20, "/clock/visual", "VisualTime", "seconds", _fixed(seconds="f8"), **_SINGLE),
+    _row(
+        "wheels",
+        21,
+        "/vehicles/wheels",
+        "VehicleWheels",
+        "wheels",
+        _fixed(id="u4", location="u1", steer="f4", rotation="f4"),
+        framing=Framing.GROUPED,
+    ),
+    _row("bikers", 22, "/vehicles/bikers", "Bikers", "bikers", _fixed(id="u4", speed="f4", engine_rpm_ratio="f4")),
+    _row("doors", 23, "/vehicles/doors", "VehicleDoors", "doors", _fixed(id="u4", door="u1", open=FLAG), **_EVENTS),
+    _row("weather", 24, "/weather", "Weather", "weather", _WEATHER, **_EVENTS),
+)
+
+
+class Table(Sequence[RecordType]):
+    """All record types, as one family of builds writes them; `table[packet_id]`, `table.named("transforms")`."""
+
+    def __init__(self, wide: bool) -> None:
+        def resolve(row: RecordType) -> RecordType:
+            settings = {name: getattr(row, name) for name in row.__dataclass_fields__ if name != "dtype"}
+            # UE5 writes another, larger physics record with memory images inside.
+            return RecordType(**{**settings, "wide": wide, "opaque": wide and row.name == "physics"})
+
+        self.wide = wide
+        self._rows = tuple(resolve(row) for row in _ROWS)
+        self._named = {row.name: row for row in self._rows}
+
+    def __len__(self) -> int:
+        return len(self._rows)
+
+    def __getitem__(self, index: Any) -> Any:
+        return self._rows[index]
+
+    def named(self, name: str) -> RecordType:
+        """The row of a name.
+
+        Raises:
+            RecordError: There is none.
+        """
+        try:
+            return self._named[name]
+        except KeyError:
+            raise RecordError(f"no record type {name!r}; there are {', '.join(self._named)}") from None
+
+
+UE4: Final = Table(wide=False)
+UE5: Final = Table(wide=True)
+FRAME_START: Final = 0
+FRAME_END: Final = 1
