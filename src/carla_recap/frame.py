@@ -2,16 +2,19 @@
 
 from __future__ import annotations
 
+import warnings
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
-from carla_recap.payload import Buffer, pack, unpack
+from carla_recap.errors import FormatError, RecapWarning
+from carla_recap.payload import Buffer, PayloadError, pack, unpack
 from carla_recap.records import UE4, UE5, Records, RecordType, Table
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
+    from pathlib import Path
 
 LAST_FRAME_DURATION: Final = -1.0
 """What CARLA leaves as the duration of a recording's last frame."""
@@ -62,17 +65,24 @@ class Packet:
         type: The row of the table; None for an unknown id.
         payload: The bytes, for a packet that was read; None for one that is made from records.
         records: The records, where they are known already.
+        place: The file it was read from, and where the payload begins there in bytes, if anywhere.
     """
 
-    __slots__ = ("_payload", "_records", "id", "type")
+    __slots__ = ("_payload", "_place", "_records", "id", "type")
 
     def __init__(
-        self, id: int, type: RecordType | None, payload: Buffer | None = None, records: Records | None = None
+        self,
+        id: int,
+        type: RecordType | None,
+        payload: Buffer | None = None,
+        records: Records | None = None,
+        place: tuple[Path, int | None] | None = None,
     ) -> None:
         self.id = id
         self.type = type
         self._payload = payload
         self._records = records
+        self._place = place
 
     @property
     def payload(self) -> Buffer:
@@ -85,12 +95,34 @@ class Packet:
 
     @property
     def records(self) -> Records:
-        """The records; none for an unknown packet."""
+        """The records; none for an unknown packet.
+
+        Raises:
+            FormatError: The payload contradicts the type's layout.
+        """
         if self._records is None:
             if self.type is None or self.type.opaque:
                 return []
-            self._records = unpack(self.type, self.payload)[0]
+            try:
+                self._records, extra = unpack(self.type, self.payload)
+            except PayloadError as error:
+                raise self.error(error) from None
+            if extra:
+                self.warn_of(extra)
         return self._records
+
+    def error(self, error: PayloadError) -> FormatError:
+        """A fault of the payload, with the place where it lies."""
+        path, at = self._place or ("a packet", None)
+        return FormatError(path, None if at is None else at + error.at, str(error))
+
+    def warn_of(self, extra: int) -> None:
+        """Warn of bytes behind the records."""
+        path, at = self._place or ("a packet", None)
+        name = self.type.name if self.type else self.id
+        place = path if at is None else f"{path}: byte {at}"
+        message = f"{place}: {name} has {extra} bytes more than its records need; they are kept as they are"
+        warnings.warn(message, RecapWarning, stacklevel=3)
 
 
 class Frame:

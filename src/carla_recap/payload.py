@@ -10,20 +10,18 @@ from collections.abc import Callable
 from typing import Any, Final
 
 import numpy as np
-from numpy.typing import NDArray
 
 from carla_recap.errors import RecordError
 from carla_recap.records import FLAG, REAL, TEXT, Framing, Layout, Many, Records, RecordType
 
 Buffer = bytes | memoryview
 U16: Final = struct.Struct("<H")
-GROUP: Final = struct.Struct("<II")  # actor id, count of its rows
 
 MAX_COUNT: Final = 0xFFFF
 EMPTY_LIST: Final = b"\0\0"
 
-OBJECTS_LIMIT: Final = 32 << 20
-"""The largest packet of variable-size records that is parsed, in bytes: parsed records take some 50 times that memory."""
+OBJECTS_LIMIT: Final = 8 << 20
+"""The largest packet of variable-size records that is parsed, in bytes: parsed records take up to 50 times that memory."""
 
 _STRUCT_CODES: Final = {"u1": "B", "i1": "b", "u2": "H", "u4": "I", "i4": "i", "u8": "Q", "f4": "f", "f8": "d", FLAG: "B"}
 
@@ -47,12 +45,12 @@ def check(type: RecordType, payload: Buffer) -> int:
     Raises:
         PayloadError: The payload is too short for what it announces.
     """
-    if not type.fixed or type.framing is Framing.GROUPED:
+    if not type.fixed:
         return unpack(type, payload)[1]
     if type.framing is Framing.MARKER:
         return len(payload)
     count, start = _count(type, payload)
-    return _need(type, payload, start, count * type.dtype.itemsize, f"{count} records")
+    return need(type, payload, start, count * type.dtype.itemsize, f"{count} records")
 
 
 def unpack(type: RecordType, payload: Buffer) -> tuple[Records, int]:
@@ -63,12 +61,10 @@ def unpack(type: RecordType, payload: Buffer) -> tuple[Records, int]:
     """
     if type.framing is Framing.MARKER or type.opaque:
         return np.empty(0, type.dtype), 0 if type.opaque else len(payload)
-    if type.framing is Framing.GROUPED:
-        return _unpack_groups(type, payload)
     count, start = _count(type, payload)
     if not type.fixed:
         return _unpack_objects(type, payload, count)
-    rest = _need(type, payload, start, count * type.dtype.itemsize, f"{count} records")
+    rest = need(type, payload, start, count * type.dtype.itemsize, f"{count} records")
     return np.frombuffer(payload, type.dtype, count, start), rest
 
 
@@ -83,8 +79,6 @@ def pack(type: RecordType, records: Records) -> bytes:
     if isinstance(records, np.ndarray):
         if type.framing is Framing.SINGLE:
             return records.tobytes()
-        if type.framing is Framing.GROUPED:
-            return _pack_groups(type, records)
         return _pack_count(type, len(records)) + records.tobytes()
     steps = _compile(type.layout, type.wide)
     parts = [_pack_count(type, len(records))]
@@ -99,11 +93,16 @@ def pack(type: RecordType, records: Records) -> bytes:
 def _count(type: RecordType, payload: Buffer) -> tuple[int, int]:
     if type.framing is Framing.SINGLE:
         return 1, 0
-    _need(type, payload, 0, 2, "a count of 2 bytes")
+    need(type, payload, 0, 2, "a count of 2 bytes")
     return U16.unpack_from(payload)[0], 2
 
 
-def _need(type: RecordType, payload: Buffer, at: int, size: int, what: str) -> int:
+def need(type: RecordType, payload: Buffer, at: int, size: int, what: str) -> int:
+    """The number of bytes behind a part of a payload.
+
+    Raises:
+        PayloadError: The part is not all there.
+    """
     rest = len(payload) - at - size
     if rest < 0:
         raise PayloadError(at, f"{type.name}: {what} need {at + size} bytes, the packet has {len(payload)}")
@@ -115,8 +114,6 @@ def _pack_count(type: RecordType, count: int) -> bytes:
         raise RecordError(f"{type.name}: {count} records, but a packet counts at most {MAX_COUNT}")
     return U16.pack(count)
 
-
-# --- records of varying size -------------------------------------------------------------------------------------------
 
 Step = struct.Struct | str | tuple[struct.Struct, Many, list[tuple[list[Any], Callable[..., Any] | np.dtype[np.void]]]]
 _compiled: dict[tuple[int, bool], list[tuple[tuple[str, ...], Step]]] = {}
@@ -196,7 +193,7 @@ def _read_object(
                 at += step.size
             elif isinstance(step, str):
                 end = at + 2 + U16.unpack_from(data, at)[0]
-                _need(type, data, end, 0, f"{names[0]}")
+                need(type, data, end, 0, f"{names[0]}")
                 values.append(data[at + 2 : end].decode("utf-8", "surrogateescape"))
                 at = end
             else:
@@ -205,7 +202,7 @@ def _read_object(
                 at += counter.size
                 inner, make = items[min(choice, len(items) - 1)]
                 if isinstance(make, np.dtype):
-                    _need(type, data, at, many * make.itemsize, f"{many} {names[0]}")
+                    need(type, data, at, many * make.itemsize, f"{many} {names[0]}")
                     values.append(np.frombuffer(data, make, many, at))
                     at += many * make.itemsize
                 else:
@@ -236,76 +233,3 @@ def _pack_object(steps: list[tuple[tuple[str, ...], Step]], record: Any, parts: 
             else:
                 for item in value:
                     _pack_object(items[0][0], item, parts)
-
-
-# --- grouped records: rows of an actor behind its id and their count ---------------------------------------------------
-
-
-class _Shape:
-    """Where things lie in a grouped payload; actors keep their wheels, so that it seldom changes."""
-
-    def __init__(self, counts: NDArray[np.uint32], row_size: int) -> None:
-        self.counts = counts
-        rows = int(counts.sum())
-        before = np.concatenate(([0], np.cumsum(counts, dtype=np.int64)[:-1])) if len(counts) else np.empty(0, np.int64)
-        heads = 2 + GROUP.size * np.arange(len(counts)) + row_size * before
-        self.size = 2 + GROUP.size * len(counts) + row_size * rows
-        self.heads = heads[:, None] + np.arange(GROUP.size)
-        within = np.arange(rows) - np.repeat(before, counts)
-        starts = np.repeat(heads + GROUP.size, counts) + row_size * within
-        self.rows = starts[:, None] + np.arange(row_size)
-
-
-_shapes: dict[str, _Shape] = {}
-
-
-def _row_dtype(type: RecordType) -> np.dtype[np.void]:
-    return np.dtype([(name, type.dtype[name]) for name in type.dtype.names or () if name != "id"])
-
-
-def _unpack_groups(type: RecordType, payload: Buffer) -> tuple[Records, int]:
-    count, at = _count(type, payload)
-    row = _row_dtype(type)
-    data = np.frombuffer(payload, np.uint8)
-    shape = _shapes.get(type.name)
-    heads = None
-    if shape is not None and shape.size == len(data) and len(shape.counts) == count:
-        heads = data[shape.heads].view("<u4")
-        if not np.array_equal(heads[:, 1], shape.counts):
-            heads = None
-    if shape is None or heads is None:
-        counts = np.empty(count, np.uint32)
-        for index in range(count):
-            _need(type, payload, at, GROUP.size, "an actor")
-            _, rows = GROUP.unpack_from(payload, at)
-            at += GROUP.size
-            _need(type, payload, at, rows * row.itemsize, f"{rows} rows of an actor")
-            at += rows * row.itemsize
-            counts[index] = rows
-        shape = _shapes[type.name] = _Shape(counts, row.itemsize)
-        heads = data[shape.heads].view("<u4")
-    records = np.empty(len(shape.rows), type.dtype)
-    records["id"] = np.repeat(heads[:, 0], shape.counts)
-    rows_of = data[shape.rows].view(row)[:, 0]
-    for name in row.names or ():
-        records[name] = rows_of[name]
-    return records, len(data) - shape.size
-
-
-def _pack_groups(type: RecordType, records: NDArray[np.void]) -> bytes:
-    row = _row_dtype(type)
-    ids = records["id"]
-    first = np.flatnonzero(np.concatenate(([True], ids[1:] != ids[:-1]))) if len(ids) else np.empty(0, np.int64)
-    counts = np.diff(np.append(first, len(ids))).astype(np.uint32)
-    shape = _shapes.get(type.name)
-    if shape is None or not np.array_equal(shape.counts, counts):
-        shape = _shapes[type.name] = _Shape(counts, row.itemsize)
-    out = np.empty(shape.size, np.uint8)
-    out[:2] = np.frombuffer(_pack_count(type, len(counts)), np.uint8)
-    heads = np.stack((ids[first].astype("<u4"), counts.astype("<u4")), axis=1)
-    out[shape.heads] = heads.view(np.uint8)
-    rows = np.empty(len(records), row)
-    for name in row.names or ():
-        rows[name] = records[name]
-    out[shape.rows] = rows.view(np.uint8).reshape(len(rows), row.itemsize)
-    return out.tobytes()

@@ -53,7 +53,6 @@ class Framing(Enum):
     MARKER = "marker"  # no payload
     SINGLE = "single"  # one record, no count
     LIST = "list"  # u16 count, then the records
-    GROUPED = "grouped"  # u16 count of actors, each: u32 id, u32 count, records without the id
 
 
 @dataclass(slots=True)
@@ -131,11 +130,19 @@ class Bones:
     bones: list[Bone] = field(default_factory=list)
 
 
+@dataclass(slots=True)
+class WheelSet:
+    """How the wheels of a vehicle stand: rows of location, steer (degrees), rotation (degrees)."""
+
+    id: int
+    wheels: NDArray[np.void]
+
+
 @dataclass(frozen=True)
 class Many:
     """A counted array inside a record.
 
-    `layouts` are alternatives: the one that consumes the packet to its last byte is taken.
+    `layouts` are alternatives, the first with all fields: the one that consumes the packet to its last byte is taken.
     """
 
     count: str
@@ -226,6 +233,11 @@ _PHYSICS = Layout(
 )
 
 _BONES = Layout({"id": "u4", "bones": Many("u2", (Layout({"name": TEXT, **_POSE}, Bone),))}, Bones)
+
+_WHEELS = Layout(
+    {"id": "u4", "wheels": Many("u4", (_fixed(location="u1", steer="f4", rotation="f4"),))},
+    WheelSet,
+)
 
 _WEATHER = _fixed(
     cloudiness="f4",
@@ -400,15 +412,7 @@ _ROWS: Final = (
     _row("frame_counter", 18, "/clock/frame_counter", "FrameCounter", "count", _fixed(count="u8"), **_SINGLE),
     _row("walker_bones", 19, "/walkers/bones", "WalkerBones", "walkers", _BONES),
     _row("visual_time", 20, "/clock/visual", "VisualTime", "seconds", _fixed(seconds="f8"), **_SINGLE),
-    _row(
-        "wheels",
-        21,
-        "/vehicles/wheels",
-        "VehicleWheels",
-        "wheels",
-        _fixed(id="u4", location="u1", steer="f4", rotation="f4"),
-        framing=Framing.GROUPED,
-    ),
+    _row("wheels", 21, "/vehicles/wheels", "VehicleWheels", "vehicles", _WHEELS),
     _row("bikers", 22, "/vehicles/bikers", "Bikers", "bikers", _fixed(id="u4", speed="f4", engine_rpm_ratio="f4")),
     _row("doors", 23, "/vehicles/doors", "VehicleDoors", "doors", _fixed(id="u4", door="u1", open=FLAG), **_EVENTS),
     _row("weather", 24, "/weather", "Weather", "weather", _WEATHER, **_EVENTS),

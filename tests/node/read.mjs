@@ -1,4 +1,4 @@
-// Reads an MCAP file with the libraries that Foxglove itself uses, checks that it is consistent, and prints it as JSON.
+// Reads an MCAP file with the libraries that Foxglove itself uses, checks it, and prints what it holds as JSON.
 // usage: node read.mjs FILE.mcap
 
 import { open } from "node:fs/promises";
@@ -39,7 +39,7 @@ async function* pieces(readable) {
   yield [offset, await readable.read(offset, magic)];
 }
 
-/** A chunk in the linear pass: first its messages are added, then its message indexes, then it is finished. */
+/** A chunk in the linear pass: its messages are added, then its message indexes, then it is finished. */
 class ChunkCheck {
   messages = new Map();
   indexed = new Map();
@@ -128,7 +128,7 @@ async function linearPass(readable, indexed, decompressHandlers) {
   }
   chunk?.finish();
   check(reader.done(), "the file has no end");
-  if (indexed.dataSectionCrc) equal(crc32Final(dataCrc), indexed.dataSectionCrc, "DataEnd, CRC of the data section");
+  if (indexed.dataSectionCrc) equal(crc32Final(dataCrc), indexed.dataSectionCrc, "DataEnd.dataSectionCrc");
   return counts;
 }
 
@@ -147,7 +147,8 @@ async function indexedPass(reader) {
   for (const { id, topic, schemaId } of reader.channelsById.values()) {
     const schema = reader.schemasById.get(schemaId);
     check(schema, `topic ${topic}: schema ${schemaId} is missing in the summary`);
-    channels.set(id, { topic, type: messageType(schema), schema: schema.name, count: 0, first: null, last: null });
+    const type = messageType(schema);
+    channels.set(id, { topic, type, schema: schema.name, count: 0, first: null, last: null });
   }
   let logTime = 0n;
   for await (const message of reader.readMessages({ validateCrcs: true })) {
@@ -155,7 +156,7 @@ async function indexedPass(reader) {
     check(channel, `channel ${message.channelId} is missing in the summary`);
     check(message.logTime >= logTime, `topic ${channel.topic}: log time ${message.logTime} after ${logTime}`);
     logTime = message.logTime;
-    channel.last = channel.type.decode(message.data);
+    channel.last = channel.type.decode(Uint8Array.from(message.data)); // a copy: the reader reuses its buffer
     channel.first ??= channel.last;
     channel.count += 1;
   }

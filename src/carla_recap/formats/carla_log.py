@@ -24,7 +24,7 @@ from carla_recap.errors import FormatError, NotARecording, RecapError, RecapWarn
 from carla_recap.formats.atomic import AtomicFile
 from carla_recap.formats.base import PIECE
 from carla_recap.frame import Extent, Frame, Header, Packet
-from carla_recap.payload import EMPTY_LIST, U16, Buffer, PayloadError, check, unpack
+from carla_recap.payload import EMPTY_LIST, U16, Buffer, PayloadError, check
 from carla_recap.records import FRAME_END, FRAME_START, UE4, UE5, Framing, RecordType
 
 MAGIC: Final = b"CARLA_RECORDER"
@@ -270,23 +270,18 @@ class LogReader:
             return self._empty[id]
         payload = view[at : at + length]
         if type is None or type.opaque:
-            return Packet(self._plain_id(id), type, payload)
+            return Packet(self._plain_id(id), type, payload, place=(self.path, at))
         if type.framing is Framing.MARKER:
             return self._frame_end
-        records = None
-        try:
-            if type.fixed and type.framing is not Framing.GROUPED:
+        packet = Packet(type.id, type, payload, place=(self.path, at))
+        if type.fixed:
+            try:
                 extra = check(type, payload)
-            else:
-                records, extra = unpack(type, payload)
-        except PayloadError as error:
-            raise FormatError(self.path, at + error.at, str(error)) from None
-        if extra:
-            self._warn(
-                f"{type.name} {length}",
-                f"byte {at}: {type.name} has {extra} bytes more than its records need; they are kept as they are",
-            )
-        return Packet(type.id, type, payload, records)
+            except PayloadError as error:
+                raise packet.error(error) from None
+            if extra:
+                packet.warn_of(extra)
+        return packet
 
     def _only_zeros(self, at: int) -> bool:
         """Whether nothing but zeros follows, as a machine that crashed leaves them."""

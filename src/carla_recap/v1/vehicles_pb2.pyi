@@ -88,28 +88,34 @@ class VehicleLights(_message.Message):
     def __init__(self, frame: _Optional[int] = ..., elapsed: _Optional[float] = ..., vehicles: _Optional[_Iterable[_Union[VehicleLight, _Mapping]]] = ..., raw: _Optional[bytes] = ...) -> None: ...
 
 class WheelPose(_message.Message):
-    __slots__ = ("id", "location", "steer", "rotation")
-    ID_FIELD_NUMBER: _ClassVar[int]
+    __slots__ = ("location", "steer", "rotation")
     LOCATION_FIELD_NUMBER: _ClassVar[int]
     STEER_FIELD_NUMBER: _ClassVar[int]
     ROTATION_FIELD_NUMBER: _ClassVar[int]
-    id: int
     location: WheelLocation
     steer: float
     rotation: float
-    def __init__(self, id: _Optional[int] = ..., location: _Optional[_Union[WheelLocation, str]] = ..., steer: _Optional[float] = ..., rotation: _Optional[float] = ...) -> None: ...
+    def __init__(self, location: _Optional[_Union[WheelLocation, str]] = ..., steer: _Optional[float] = ..., rotation: _Optional[float] = ...) -> None: ...
+
+class WheelSet(_message.Message):
+    __slots__ = ("id", "wheels")
+    ID_FIELD_NUMBER: _ClassVar[int]
+    WHEELS_FIELD_NUMBER: _ClassVar[int]
+    id: int
+    wheels: _containers.RepeatedCompositeFieldContainer[WheelPose]
+    def __init__(self, id: _Optional[int] = ..., wheels: _Optional[_Iterable[_Union[WheelPose, _Mapping]]] = ...) -> None: ...
 
 class VehicleWheels(_message.Message):
-    __slots__ = ("frame", "elapsed", "wheels", "raw")
+    __slots__ = ("frame", "elapsed", "vehicles", "raw")
     FRAME_FIELD_NUMBER: _ClassVar[int]
     ELAPSED_FIELD_NUMBER: _ClassVar[int]
-    WHEELS_FIELD_NUMBER: _ClassVar[int]
+    VEHICLES_FIELD_NUMBER: _ClassVar[int]
     RAW_FIELD_NUMBER: _ClassVar[int]
     frame: int
     elapsed: float
-    wheels: _containers.RepeatedCompositeFieldContainer[WheelPose]
+    vehicles: _containers.RepeatedCompositeFieldContainer[WheelSet]
     raw: bytes
-    def __init__(self, frame: _Optional[int] = ..., elapsed: _Optional[float] = ..., wheels: _Optional[_Iterable[_Union[WheelPose, _Mapping]]] = ..., raw: _Optional[bytes] = ...) -> None: ...
+    def __init__(self, frame: _Optional[int] = ..., elapsed: _Optional[float] = ..., vehicles: _Optional[_Iterable[_Union[WheelSet, _Mapping]]] = ..., raw: _Optional[bytes] = ...) -> None: ...
 
 class Biker(_message.Message):
     __slots__ = ("id", "speed", "engine_rpm_ratio")

@@ -1,0 +1,338 @@
+"""Writes recordings as MCAP: state and events in chunks of their own, compressed while the next frames are taken in.
+
+Schemas and channels stand at the beginning, outside all chunks, and again in the summary: a damaged chunk costs only itself.
+"""
+
+from __future__ import annotations
+
+import os
+import struct
+import zlib
+from array import array
+from collections import Counter, deque
+from collections.abc import Callable, Iterator
+from concurrent.futures import Future, ThreadPoolExecutor
+from functools import cache
+from itertools import groupby
+from importlib.metadata import version
+from pathlib import Path
+from typing import Final
+
+import zstandard
+from mcap import records
+from mcap.data_stream import RecordBuilder
+from mcap.opcode import Opcode
+
+from carla_recap.errors import RecapError
+from carla_recap.formats.atomic import AtomicFile
+from carla_recap.formats.mcap import wire
+from carla_recap.formats.mcap.container import (
+    CHUNK,
+    EMPTY,
+    EXTENT_METADATA,
+    FILLED,
+    FOOTER,
+    FRAME_TOPIC,
+    HEADER_METADATA,
+    MAGIC,
+    MESSAGE,
+    MESSAGE_FIELDS,
+    MESSAGE_INDEX,
+    RAW,
+    RAW_TOPIC,
+    RECORD,
+    TAIL_TOPIC,
+    U64,
+    SECOND,
+    LogClock,
+    channel_specs,
+    header_metadata,
+)
+from carla_recap.frame import Extent, Frame, Header, Packet
+from carla_recap.payload import EMPTY_LIST, OBJECTS_LIMIT, PayloadError
+from carla_recap.records import FRAME_END, FRAME_START, Group
+
+CHUNK_SIZE: Final = 1 << 20
+CHUNK_SECONDS: Final = 5
+LEVEL: Final = 3
+_QUEUE: Final = 4  # chunks that wait to be compressed
+
+ADDITIONAL: Final = frozenset({12, 13, 14, 15, 16, 17, 19})
+"""Packets that CARLA records with additional data alone."""
+
+
+class _Chunk:
+    """A chunk being filled."""
+
+    def __init__(self) -> None:
+        self.data = bytearray()
+        self.index: dict[int, array[int]] = {}
+        self.start = self.end = 0
+
+    def add(self, channel: int, sequence: int, log_time: int, publish_time: int, data: bytes) -> None:
+        if not self.data:
+            self.start = log_time
+        self.end = log_time
+        entries = self.index.get(channel)
+        if entries is None:
+            entries = self.index[channel] = array("Q")
+        entries.append(log_time)
+        entries.append(len(self.data))
+        self.data += MESSAGE.pack(
+            Opcode.MESSAGE, MESSAGE_FIELDS + len(data), channel, sequence, log_time, publish_time
+        )
+        self.data += data
+
+
+class McapWriter(AtomicFile):
+    """Writes a recording.
+
+    Args:
+        path: The destination.
+        header: The header.
+        live: Put every chunk on the disk when it is cut, so that a crash loses no more than 5 s of recording.
+
+    Raises:
+        RecapError: The place cannot be written to.
+    """
+
+    def __init__(self, path: Path | str, header: Header, *, live: bool = False) -> None:
+        super().__init__(path)
+        self._live = live
+        self._specs = channel_specs(header.table)
+        by_topic = {spec.topic: id for id, spec in enumerate(self._specs, 1)}
+        self._frame_channel, self._raw_channel, self._tail_channel = (
+            by_topic[topic] for topic in (FRAME_TOPIC, RAW_TOPIC, TAIL_TOPIC)
+        )
+        self._channel_of = {spec.type.id: id for id, spec in enumerate(self._specs, 1) if spec.type}
+        self._chunks = {group: _Chunk() for group in Group}
+        self._clock = LogClock(header)
+        self._sequence = -1
+        self._cut_at = 0
+        self._extent = Extent()
+        self._heroes: dict[int, None] = {}
+        self._additional = False
+        self._pool = ThreadPoolExecutor(1, "carla-recap-writer")
+        self._pending: deque[Future[None]] = deque()
+        # These belong to the pool's thread, which compresses and writes.
+        self._position = self._crc = 0
+        self._counts: Counter[int] = Counter()
+        self._chunk_index: list[records.ChunkIndex] = []
+        self._metadata_index: list[records.MetadataIndex] = []
+        self._compressor = zstandard.ZstdCompressor(level=LEVEL)
+        self._submit(self._write_start, header)
+
+    def write(self, frame: Frame) -> None:
+        """Add a frame.
+
+        Raises:
+            RecapError: The disk is full, or broken.
+            FormatError: A packet contradicts its layout.
+        """
+        self._sequence += 1
+        log_time, publish_time = self._clock.times(frame.elapsed)
+        if log_time >= self._cut_at:
+            for group in Group:
+                self._cut(group)
+            self._cut_at = log_time + CHUNK_SECONDS * SECOND
+        if frame.packets and frame.packets[0].id == FRAME_START:
+            self._extent = Extent(self._extent.frames + 1, frame.id, frame.elapsed)
+        head = wire.head(frame.id, frame.elapsed)
+        ids, kinds = bytearray(), bytearray()
+        messages: list[tuple[Group, int, bytes]] = []
+        for packet in frame.packets:
+            kind = self._encode(packet, head, messages)
+            ids.append(packet.id)
+            kinds.append(kind)
+        spine = head + wire.frame_body(frame.duration, bytes(ids), bytes(kinds))
+        self._chunks[Group.STATE].add(self._frame_channel, self._sequence, log_time, publish_time, spine)
+        for group, channel, data in messages:
+            self._chunks[group].add(channel, self._sequence, log_time, publish_time, data)
+        for group, chunk in self._chunks.items():
+            if len(chunk.data) >= CHUNK_SIZE:
+                self._cut(group)
+
+    def write_tail(self, piece: bytes) -> None:
+        """Add bytes behind the last complete packet."""
+        time = self._clock.last
+        self._chunks[Group.STATE].add(self._tail_channel, max(self._sequence, 0), time, time, wire.tail(piece))
+        self._cut(Group.STATE)
+
+    def abort(self) -> None:
+        """Give the file up, and remove what was written."""
+        self._pool.shutdown(cancel_futures=True)
+        super().abort()
+
+    # --- frames to messages --------------------------------------------------------------------------------------------
+
+    def _encode(self, packet: Packet, head: bytes, messages: list[tuple[Group, int, bytes]]) -> int:
+        """Append a packet's messages; returns what the frame is to say of it."""
+        type, id = packet.type, packet.id
+        if id <= FRAME_END:
+            return EMPTY
+        payload = packet.payload
+        if payload is EMPTY_LIST or (type is not None and payload == EMPTY_LIST):
+            return EMPTY
+        self._additional = self._additional or id in ADDITIONAL
+        if type is None or type.opaque or len(payload) > OBJECTS_LIMIT:
+            for data in wire.raw_pieces(head, id, payload):
+                messages.append((Group.STATE, self._raw_channel, data))
+            return RAW
+        try:
+            body = wire.encode(type, payload)
+        except PayloadError as error:
+            raise packet.error(error) from None
+        messages.append((type.group, self._channel_of[id], head + body))
+        if type.name == "spawned":
+            self._heroes |= {actor.id: None for actor in packet.records if actor.attribute("role_name") == "hero"}
+        return FILLED
+
+    # --- the file ------------------------------------------------------------------------------------------------------
+
+    def _cut(self, group: Group) -> None:
+        chunk = self._chunks[group]
+        if chunk.data:
+            self._chunks[group] = _Chunk()
+            self._submit(self._write_chunk, chunk)
+
+    def _submit(self, work: Callable[..., None], *arguments: object) -> None:
+        self._pending.append(self._pool.submit(work, *arguments))
+        while len(self._pending) > _QUEUE:
+            self._settle()
+
+    def _settle(self) -> None:
+        try:
+            self._pending.popleft().result()
+        except OSError as error:
+            raise RecapError(f"{self.path}: cannot be written: {error.strerror}") from None
+
+    def _finish(self) -> None:
+        for group in Group:
+            self._cut(group)
+        self._submit(self._write_end)
+        while self._pending:
+            self._settle()
+        self._pool.shutdown()
+
+    # What follows runs in the thread that compresses and writes.
+
+    def _emit(self, data: bytes | bytearray) -> None:
+        self._file.write(data)
+        self._crc = zlib.crc32(data, self._crc)
+        self._position += len(data)
+
+    def _write_start(self, header: Header) -> None:
+        self._emit(MAGIC)
+        self._crc = zlib.crc32(MAGIC)
+        library = f"carla-recap/{version('carla-recap')}"
+        self._emit(_packed(records.Header(profile="", library=library), *self._schemas_and_channels()))
+        self._write_metadata(HEADER_METADATA, header_metadata(header))
+        if self._live:
+            self._sync()
+
+    def _schemas_and_channels(self) -> Iterator[records.McapRecord]:
+        for id, spec in enumerate(self._specs, 1):
+            yield records.Schema(id=id, data=_schema(spec.message), encoding="protobuf", name=spec.message)
+        for id, spec in enumerate(self._specs, 1):
+            yield records.Channel(id=id, topic=spec.topic, message_encoding="protobuf", metadata={}, schema_id=id)
+
+    def _write_chunk(self, chunk: _Chunk) -> None:
+        compressed = self._compressor.compress(chunk.data)
+        compression = b"zstd"
+        content = CHUNK.size + len(compression) + U64.size + len(compressed)
+        at = self._position
+        self._emit(
+            RECORD.pack(Opcode.CHUNK, content)
+            + CHUNK.pack(chunk.start, chunk.end, len(chunk.data), zlib.crc32(chunk.data), len(compression))
+            + compression
+            + U64.pack(len(compressed))
+            + compressed
+        )
+        size = self._position - at
+        offsets = {}
+        for channel, entries in chunk.index.items():
+            offsets[channel] = self._position
+            data = entries.tobytes()
+            self._counts[channel] += len(entries) // 2
+            self._emit(RECORD.pack(Opcode.MESSAGE_INDEX, MESSAGE_INDEX.size + len(data)) + MESSAGE_INDEX.pack(channel, len(data)) + data)
+        self._chunk_index.append(
+            records.ChunkIndex(
+                chunk_length=size,
+                chunk_start_offset=at,
+                compression=compression.decode(),
+                compressed_size=len(compressed),
+                message_end_time=chunk.end,
+                message_index_length=self._position - at - size,
+                message_index_offsets=offsets,
+                message_start_time=chunk.start,
+                uncompressed_size=len(chunk.data),
+            )
+        )
+        if self._live:
+            self._sync()
+
+    def _write_metadata(self, name: str, values: dict[str, str]) -> None:
+        at = self._position
+        self._emit(_packed(records.Metadata(name=name, metadata=values)))
+        self._metadata_index.append(records.MetadataIndex(length=self._position - at, name=name, offset=at))
+
+    def _write_end(self) -> None:
+        self._write_metadata(EXTENT_METADATA, self._extent_metadata())
+        self._emit(_packed(records.DataEnd(data_section_crc=self._crc)))
+        statistics = records.Statistics(
+            attachment_count=0,
+            channel_count=len(self._specs),
+            channel_message_counts=dict(self._counts),
+            chunk_count=len(self._chunk_index),
+            message_count=sum(self._counts.values()),
+            message_end_time=max((chunk.message_end_time for chunk in self._chunk_index), default=0),
+            message_start_time=min((chunk.message_start_time for chunk in self._chunk_index), default=0),
+            metadata_count=len(self._metadata_index),
+            schema_count=len(self._specs),
+        )
+        groups = (self._schemas_and_channels(), [statistics], self._metadata_index, self._chunk_index)
+        self._file.write(_summary(self._position, [record for group in groups for record in group]))
+
+    def _extent_metadata(self) -> dict[str, str]:
+        return {
+            "frames": str(self._extent.frames),
+            "last_frame": str(self._extent.last_id),
+            "duration": repr(self._extent.duration),
+            "hero_ids": ",".join(map(str, self._heroes)),
+            "additional_data": str(int(self._additional)),
+        }
+
+    def _sync(self) -> None:
+        self._file.flush()
+        os.fdatasync(self._file.fileno())
+
+
+@cache
+def _schema(message: str) -> bytes:
+    """A message's schema: the descriptors of all files that it needs."""
+    from mcap_protobuf.schema import build_file_descriptor_set  # noqa: PLC0415
+
+    return build_file_descriptor_set(wire.message_class(message)).SerializeToString()
+
+
+def _packed(*items: records.McapRecord) -> bytes:
+    builder = RecordBuilder()
+    for item in items:
+        item.write(builder)
+    return builder.end()
+
+
+def _summary(start: int, items: list[records.McapRecord]) -> bytes:
+    """The summary section, where records of a kind stand together, and the footer."""
+    data = bytearray()
+    offsets = []
+    for _, group in groupby(items, type):
+        packed = _packed(*group)
+        offsets.append(
+            records.SummaryOffset(group_opcode=packed[0], group_start=start + len(data), group_length=len(packed))
+        )
+        data += packed
+    offset_start = start + len(data)
+    data += _packed(*offsets)
+    data += RECORD.pack(Opcode.FOOTER, FOOTER.size) + FOOTER.pack(start, offset_start, 0)[:-4]
+    return bytes(data) + struct.pack("<I", zlib.crc32(data)) + MAGIC

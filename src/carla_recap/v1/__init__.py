@@ -1,0 +1,1 @@
+"""The protobuf messages of `proto/carla_recap/v1`, generated."""
