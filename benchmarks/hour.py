@@ -1,9 +1,9 @@
 """A synthetic hour of traffic as a CARLA log: 150 actors that have a pose, 20 frames a second, 72,000 frames.
 
-It has the packets of CARLA 0.9.13 in CARLA's order, empty ones included, as with additional data but without
-velocities. The low bits of whatever moves are as good as random: zstd leaves 0.8 of a moving car's poses, as it
-does with the car of a real recording. What stands repeats its pose bit for bit, as CARLA does once a body sleeps.
-More than half of the actors move at any time.
+It has the packets of CARLA 0.9.13 in CARLA's order, empty ones included, as with additional data but
+without velocities. The low bits of whatever moves are as good as random: zstd leaves 0.8 of a moving car's
+poses, as with the car of a real recording. What stands repeats its pose bit for bit, as CARLA does once a
+body sleeps. More than half of the actors move at any time.
 """
 
 from __future__ import annotations
@@ -50,9 +50,20 @@ BUMP: Final = 8 * RATE  # every so many frames something bumps into something, f
 BUMP_LENGTH: Final = 16
 
 ORDER: Final = (
-    ("frame", "spawned", "destroyed", "parented", "collisions", "transforms", "light_states")
-    + ("vehicle_controls", "walker_controls", "vehicle_lights")
-    + ("bounding_boxes", "trigger_volumes", "platform_time", "frame_end")
+    "frame",
+    "spawned",
+    "destroyed",
+    "parented",
+    "collisions",
+    "transforms",
+    "light_states",
+    "vehicle_controls",
+    "walker_controls",
+    "vehicle_lights",
+    "bounding_boxes",
+    "trigger_volumes",
+    "platform_time",
+    "frame_end",
 )
 ONLY_WITH_RECORDS: Final = {"trigger_volumes"}
 

@@ -47,10 +47,15 @@ def check(type: RecordType, payload: Buffer) -> int:
     """
     if not type.fixed:
         return unpack(type, payload)[1]
+    size = type.dtype.itemsize
+    if type.framing is Framing.LIST and len(payload) > 1:
+        extra = len(payload) - U16.size - (payload[0] | payload[1] << 8) * size
+        if extra >= 0:
+            return extra
     if type.framing is Framing.MARKER:
         return len(payload)
     count, start = _count(type, payload)
-    return need(type, payload, start, count * type.dtype.itemsize, f"{count} records")
+    return need(type, payload, start, count * size, f"{count} records")
 
 
 def unpack(type: RecordType, payload: Buffer) -> tuple[Records, int]:

@@ -1,1 +1,64 @@
-"""The file formats of recordings, each a reader and a writer of frames."""
+"""The file formats of recordings, each a reader and a writer of frames; found by content to read, by suffix to write."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from carla_recap.errors import NotARecording, RecapError
+
+if TYPE_CHECKING:
+    from carla_recap.formats.base import Reader, Writer
+    from carla_recap.frame import Header
+
+SUFFIXES = (".log", ".mcap")
+
+
+def open_reader(path: Path | str) -> Reader:
+    """Open a recording of either format.
+
+    Raises:
+        NotARecording: The content is of neither.
+        FormatError: The content is damaged.
+        RecapError: The file cannot be read.
+    """
+    # Each format is imported when it is needed, for a command on a small file should not wait.
+    from carla_recap.formats.carla_log import LogReader, is_log  # noqa: PLC0415
+
+    try:
+        with Path(path).open("rb") as file:
+            start = file.read(64)
+    except OSError as error:
+        raise RecapError(f"{path}: {error.strerror}") from None
+    if is_log(start):
+        return LogReader(path)
+    if start.startswith(b"\x89MCAP"):
+        from carla_recap.formats.mcap.reader import McapReader  # noqa: PLC0415
+
+        return McapReader(path)
+    if not start:
+        raise NotARecording(path, "is empty; a CARLA log or an MCAP recording was expected")
+    raise NotARecording(path, "is not a recording (neither CARLA's log nor MCAP)")
+
+
+def create_writer(path: Path | str, header: Header, *, live: bool = False) -> Writer:
+    """Begin a recording in the format of a path's suffix.
+
+    Args:
+        path: The destination, ending in .log or .mcap.
+        header: The header.
+        live: Put the data on the disk as it comes, so that a crash costs little (MCAP).
+
+    Raises:
+        RecapError: The suffix is of no format, or the place cannot be written to.
+    """
+    suffix = Path(path).suffix.lower()
+    if suffix == ".log":
+        from carla_recap.formats.carla_log import LogWriter  # noqa: PLC0415
+
+        return LogWriter(path, header)
+    if suffix == ".mcap":
+        from carla_recap.formats.mcap.writer import McapWriter  # noqa: PLC0415
+
+        return McapWriter(path, header, live=live)
+    raise RecapError(f"{path}: unknown format {suffix!r}; the suffix must be one of {', '.join(SUFFIXES)}")

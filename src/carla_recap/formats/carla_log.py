@@ -265,15 +265,14 @@ class LogReader:
 
     def _packet(self, id: int, at: int, length: int) -> Packet:
         type = self._types[id]
-        view = self._view
-        if length == 2 and not view[at] and not view[at + 1] and type is not None and type.framing is not Framing.SINGLE:
-            return self._empty[id]
-        payload = view[at : at + length]
+        payload = self._view[at : at + length]
         if type is None or type.opaque:
-            return Packet(self._plain_id(id), type, payload, place=(self.path, at))
+            return Packet(self._plain_id(id), type, payload, None, (self.path, at))
+        if length == 2 and type.framing is not Framing.SINGLE and payload == EMPTY_LIST:
+            return self._empty[id]
         if type.framing is Framing.MARKER:
             return self._frame_end
-        packet = Packet(type.id, type, payload, place=(self.path, at))
+        packet = Packet(type.id, type, payload, None, (self.path, at))
         if type.fixed:
             try:
                 extra = check(type, payload)

@@ -61,22 +61,23 @@ class ChannelSpec:
     """A channel that every recording has: its id is its place in `channel_specs`, from 1."""
 
     topic: str
+    module: str
     message: str
-    type: RecordType | None
+    type: RecordType | None = None
 
 
 def channel_specs(table: Table) -> list[ChannelSpec]:
     """The channels of a recording."""
     specs = [
-        ChannelSpec(type.topic, type.message_name, type)
+        ChannelSpec(type.topic, type.name, type.message_name, type)
         for type in table
         if type.topic and not type.opaque and type.topic != FRAME_TOPIC
     ]
     return [
-        ChannelSpec(FRAME_TOPIC, FRAME_MESSAGE, None),
+        ChannelSpec(FRAME_TOPIC, "frame", FRAME_MESSAGE),
         *specs,
-        ChannelSpec(RAW_TOPIC, RAW_MESSAGE, None),
-        ChannelSpec(TAIL_TOPIC, TAIL_MESSAGE, None),
+        ChannelSpec(RAW_TOPIC, "raw_packet", RAW_MESSAGE),
+        ChannelSpec(TAIL_TOPIC, "tail", TAIL_MESSAGE),
     ]
 
 

@@ -1,8 +1,9 @@
 """A packet's payload ↔ its protobuf message, without an object in between.
 
 Both are the same numbers in another setting: all numbers have a fixed size in the schemas, so a message is its payload's
-bytes, moved, between bytes that only depend on the packet's *structure*: counts and texts. Where the structure is known,
-a packet of any size is one gather. A message that does not look as this module writes it is parsed by protobuf.
+bytes, moved, between bytes that depend only on the packet's *structure*: counts and texts. Where records have one size the
+packets of a whole chunk are moved column by column; where it varies, the last structure is remembered, and a packet is one
+gather. A message that does not look as this module writes it is parsed by protobuf.
 
 A payload that no message can give back byte for byte (a flag of 2, broken UTF-8, surplus bytes) goes along in the message's
 field `raw`.
@@ -15,6 +16,7 @@ from array import array
 from dataclasses import dataclass
 from functools import cache
 from importlib import import_module
+from itertools import accumulate, pairwise
 from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
@@ -25,7 +27,7 @@ from carla_recap.payload import MAX_COUNT, OBJECTS_LIMIT, U16, Buffer, PayloadEr
 from carla_recap.records import FLAG, REAL, TEXT, Framing, Group, Layout, Many, Records, RecordType
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator
+    from collections.abc import Iterator, Sequence
 
     from google.protobuf.message import Message
     from numpy.typing import NDArray
@@ -39,8 +41,7 @@ _VARINT, _FIXED64, _LEN, _FIXED32 = 0, 1, 2, 5
 _WIRE_TYPES: Final = {"u4": _FIXED32, "i4": _FIXED32, "f4": _FIXED32, "u8": _FIXED64, "f8": _FIXED64}
 _LEAF: Final = 256  # in an index: below, the byte itself; from here on, a place in the source
 _POOL: Final = bytes(range(_LEAF))
-_UNIFORM_STEP: Final = 256
-_MODULES: Final = ("recording", "actors", "collisions", "vehicles", "walkers", "environment", "double")
+_HEAD: Final = np.dtype([("frame_tag", "u1"), ("frame", "<u8"), ("elapsed_tag", "u1"), ("elapsed", "<f8")])
 
 
 class WireError(ValueError):
@@ -57,9 +58,28 @@ def frame_body(duration: float, ids: bytes, kinds: bytes) -> bytes:
     return FRAME_BODY.pack(0x19, duration) + b"\x22" + _varint(len(ids)) + ids + b"\x2a" + _varint(len(kinds)) + kinds
 
 
-def raw_pieces(head: bytes, id: int, payload: Buffer) -> Iterator[bytes]:
-    """`RawPacket` messages of a packet that has no message of its own."""
-    start = head + b"\x18" + _varint(id) + b"\x21" + len(payload).to_bytes(8, "little")
+def read_frame(data: Buffer) -> tuple[int, float, float, bytes, bytes] | None:
+    """Frame id, elapsed, duration, packet ids and kinds of a `Frame` that `frame_body` wrote; None for any other."""
+    count = len(data) - HEAD.size - FRAME_BODY.size
+    lengths = HEAD.size + FRAME_BODY.size
+    if count < 4 or read_head(data) is None:
+        return None
+    size = data[lengths + 1]
+    middle = lengths + 2 + size
+    if (
+        size > 0x7F
+        or count != 2 * size + 4
+        or (data[HEAD.size], data[lengths], data[middle], data[middle + 1]) != (0x19, 0x22, 0x2A, size)
+    ):
+        return None
+    _, frame, _, elapsed = HEAD.unpack_from(data)
+    (_, duration) = FRAME_BODY.unpack_from(data, HEAD.size)
+    return frame, elapsed, duration, bytes(data[lengths + 2 : middle]), bytes(data[middle + 2 :])
+
+
+def raw_bodies(id: int, payload: Buffer) -> Iterator[bytes]:
+    """Bodies of `RawPacket` messages of a packet that has no message of its own."""
+    start = b"\x18" + _varint(id) + b"\x21" + len(payload).to_bytes(8, "little")
     for at in range(0, max(len(payload), 1), PIECE):
         piece = payload[at : at + PIECE]
         yield start + b"\x2a" + _varint(len(piece)) + bytes(piece)
@@ -78,19 +98,41 @@ def read_head(data: Buffer) -> tuple[int, float] | None:
     return (frame, elapsed) if (tag1, tag2) == (FRAME_TAG, ELAPSED_TAG) else None
 
 
+def expected_size(type: RecordType, payload: Buffer) -> int | None:
+    """The size of a body, where it is known without encoding: records of one size, and not a byte besides."""
+    if not type.fixed:
+        return None
+    uniform = _uniforms.get(type) or _uniform(type)
+    if uniform.single:
+        return uniform.stride if len(payload) == uniform.size else None
+    count = payload[0] | payload[1] << 8 if len(payload) > 1 else 0
+    return count * uniform.stride if len(payload) == U16.size + count * uniform.size else None
+
+
 def encode(type: RecordType, payload: Buffer) -> bytes:
     """The body of a message, to go behind its head.
 
     Raises:
         PayloadError: The payload contradicts the type's layout.
     """
-    codec = _uniform(type) if type.fixed else _remembered(type)
-    body = codec.encode(payload) if codec else None
+    if type.fixed:
+        return bytes(encode_many(type, [payload])[0])
+    shape = _shapes.get(type)
+    body = shape.encode(payload) if shape else None
     if body is None:
         body, shape = _weave(type, payload)
-        if shape and not type.fixed and type.group is Group.STATE:
+        if shape and type.group is Group.STATE:
             _shapes[type] = shape
     return body
+
+
+def encode_many(type: RecordType, payloads: Sequence[Buffer]) -> Sequence[Buffer]:
+    """The bodies of messages of a type whose records have one size, all at once.
+
+    Raises:
+        PayloadError: A payload contradicts the type's layout.
+    """
+    return _uniform(type).encode(payloads) or [_weave(type, payload)[0] for payload in payloads]
 
 
 def decode(type: RecordType, data: Buffer) -> bytes:
@@ -99,9 +141,21 @@ def decode(type: RecordType, data: Buffer) -> bytes:
     Raises:
         WireError: The message contradicts its schema.
     """
-    codec = _uniform(type) if type.fixed else _remembered(type)
-    payload = codec.decode(data) if codec else None
+    if type.fixed:
+        found = decode_many(type, [data])
+        payload = found.payload(0) if found else None
+    else:
+        shape = _shapes.get(type)
+        payload = shape.decode(data) if shape else None
     return _decode_any(type, data) if payload is None else payload
+
+
+def decode_many(type: RecordType, messages: Sequence[Buffer]) -> Payloads | None:
+    """The payloads of messages of a type whose records have one size, all at once.
+
+    None where a message does not look as this module writes it: each is to be decoded by itself.
+    """
+    return _uniform(type).decode(messages)
 
 
 def decode_records(type: RecordType, data: Buffer) -> Records | None:
@@ -110,34 +164,30 @@ def decode_records(type: RecordType, data: Buffer) -> Records | None:
     Raises:
         WireError: The message contradicts its schema.
     """
-    message = parse(type.message_name, data)
+    message = parse(type.name, type.message_name, data)
     if message.HasField("raw"):
         return None
     return _records(type, message)
 
 
 @cache
-def message_class(name: str) -> type[Message]:
-    """The generated class of a message, by its full name."""
-    short = name.rpartition(".")[2]
-    for module in _MODULES:
-        found = getattr(import_module(f"carla_recap.v1.{module}_pb2"), short, None)
-        if found is not None:
-            return found  # type: ignore[no-any-return]
-    raise KeyError(name)
+def message_class(module: str, name: str) -> type[Message]:
+    """The generated class of a message. `module`: its file in `proto/carla_recap/v1`, named as the record type."""
+    found: type[Message] = getattr(import_module(f"carla_recap.v1.{module}_pb2"), name.rpartition(".")[2])
+    return found
 
 
-def parse(name: str, data: Buffer) -> Any:
-    """A message, parsed by protobuf.
+def parse(module: str, name: str, data: Buffer) -> Any:
+    """A message, parsed by protobuf; see `message_class`.
 
     Raises:
-        WireError: It is none of that name.
+        WireError: It is none of that name, or too large to parse.
     """
     from google.protobuf.message import DecodeError  # noqa: PLC0415
 
     if len(data) > OBJECTS_LIMIT:
         raise WireError(f"a {name} of at most {OBJECTS_LIMIT} bytes was expected, this has {len(data)}")
-    message = message_class(name)()
+    message = message_class(module, name)()
     try:
         message.ParseFromString(bytes(data))
     except DecodeError as error:
@@ -148,66 +198,103 @@ def parse(name: str, data: Buffer) -> Any:
 # --- one structure: what the numbers are set in ------------------------------------------------------------------------
 
 
+class Payloads:
+    """Payloads of packets of one type, decoded together.
+
+    Args:
+        counts: Whether each payload begins with its number of records.
+        records: The records of all of them, one after the other.
+        ends: Where the records of each end.
+    """
+
+    def __init__(self, records: NDArray[np.void], ends: list[int], *, counts: bool) -> None:
+        self._records = records
+        self._bytes = memoryview(records.view(np.uint8)) if len(records) else memoryview(b"")
+        self._size = records.dtype.itemsize
+        self._ends = ends
+        self._counts = counts
+
+    def records(self, place: int) -> NDArray[np.void]:
+        """The records of one payload."""
+        return self._records[self._ends[place - 1] if place else 0 : self._ends[place]]
+
+    def payload(self, place: int) -> bytes:
+        """The bytes of one payload."""
+        start, end = self._ends[place - 1] if place else 0, self._ends[place]
+        data = self._bytes[start * self._size : end * self._size]
+        return U16.pack(end - start) + data if self._counts else bytes(data)
+
+
 class _Uniform:
-    """Packets of records of one fixed size, any number of them."""
+    """Packets of records of one size: between the numbers of a record stand always the same bytes.
+
+    Attributes:
+        single: Whether a payload is one record, without a count.
+        size, stride: Bytes of a record in a payload, and in a message.
+    """
 
     def __init__(self, type: RecordType) -> None:
         self._type = type
-        self._single = type.framing is Framing.SINGLE
-        self._size = type.dtype.itemsize
-        self._payload_start = 0 if self._single else U16.size
-        weaver = _Weaver(type, bytes(U16.size + self._size))
-        weaver.record(type.layout, self._payload_start)
-        self._stride = len(weaver.index)
-        self._index = np.array(weaver.index, np.intp)
-        self._mask = np.frombuffer(weaver.mask, np.uint8)
-        self._checked = bool(((self._mask > 0) & (self._index >= _LEAF)).any())
-        self._grow(1)
-
-    def _grow(self, count: int) -> None:
-        self._capacity = count
-        step = np.arange(count)[:, None]
-        leaf = self._index >= _LEAF
-        to_wire = self._index + np.where(leaf, step * self._size, 0)
-        back = np.empty((count, self._size), np.intp)
-        back[:, self._index[leaf] - _LEAF - self._payload_start] = (
-            _LEAF + HEAD.size + np.flatnonzero(leaf) + step * self._stride
+        self.single = type.framing is Framing.SINGLE
+        self.size = type.dtype.itemsize
+        weaver = _Weaver(type, bytes(type.dtype.itemsize))
+        weaver.record(type.layout, 0)
+        index, mask = np.array(weaver.index), np.frombuffer(weaver.mask, np.uint8)
+        self.stride = len(index)
+        fields = type.dtype.fields or {}
+        offsets = {name: int(np.flatnonzero(index == _LEAF + offset)[0]) for name, (_, offset) in fields.items()}
+        self._wire = np.dtype(
+            {
+                "names": list(fields),
+                "formats": [dtype for dtype, *_ in fields.values()],
+                "offsets": list(offsets.values()),
+                "itemsize": self.stride,
+            }
         )
-        self._to_wire, self._to_payload = to_wire.ravel(), back.ravel()
-        self._constant = np.tile(np.where(leaf, 0, self._index).astype(np.uint8), count)
-        self._strict = np.tile(self._mask, count)
-        self._small = np.tile(np.where(leaf, self._mask, 0).astype(np.uint8), count)
+        self._set = np.flatnonzero(mask == 0xFF)
+        self._setting = index[self._set].astype(np.uint8)
+        self._blank = np.where(mask == 0xFF, index, 0).astype(np.uint8).view(np.void(self.stride).dtype)
+        # The bits that a one-byte number must leave alone, or it would not fit a varint of one byte.
+        self._loose = {
+            name: mask[offset] for name, offset in offsets.items() if mask[offset]
+        }
 
-    def encode(self, payload: Buffer) -> bytes | None:
-        if self._single:
-            count = 1
-        elif len(payload) < U16.size:
+    def encode(self, payloads: Sequence[Buffer]) -> list[memoryview] | None:
+        sizes = [expected_size(self._type, payload) for payload in payloads]
+        if None in sizes:
             return None
-        else:
-            count = U16.unpack_from(payload)[0]
-        if len(payload) != self._payload_start + count * self._size:
+        start = 0 if self.single else U16.size
+        records = np.frombuffer(b"".join([memoryview(payload)[start:] for payload in payloads]), self._type.dtype)
+        if any((records[name].view(np.uint8) & loose).any() for name, loose in self._loose.items()):
             return None
-        if count > self._capacity:
-            self._grow(-(-count // _UNIFORM_STEP) * _UNIFORM_STEP)
-        source = np.frombuffer(_POOL + payload, np.uint8)
-        end = count * self._stride
-        wire = source[self._to_wire[:end]]
-        if self._checked and (wire & self._small[:end]).any():
-            return None
-        return wire.tobytes()
+        rows = np.empty(len(records), self._blank.dtype)
+        rows[:] = self._blank
+        wire = rows.view(self._wire)
+        for name in self._wire.names or ():
+            wire[name] = records[name]
+        data = memoryview(rows.view(np.uint8)) if len(rows) else memoryview(b"")
+        ends = [0, *accumulate(size or 0 for size in sizes)]
+        return [data[at:end] for at, end in pairwise(ends)]
 
-    def decode(self, data: Buffer) -> bytes | None:
-        count, rest = divmod(len(data) - HEAD.size, self._stride)
-        if rest or count < 0 or count > 0xFFFF or read_head(data) is None or (self._single and count != 1):
+    def decode(self, messages: Sequence[Buffer]) -> Payloads | None:
+        sizes = [len(message) - HEAD.size for message in messages]
+        if any(size < 0 or size % self.stride or size > MAX_COUNT * self.stride for size in sizes):
             return None
-        if count > self._capacity:
-            self._grow(-(-count // _UNIFORM_STEP) * _UNIFORM_STEP)
-        source = np.frombuffer(_POOL + data, np.uint8)
-        end = count * self._stride
-        if ((source[_LEAF + HEAD.size :] ^ self._constant[:end]) & self._strict[:end]).any():
+        if self.single and any(size != self.stride for size in sizes):
             return None
-        payload = source[self._to_payload[: count * self._size]].tobytes()
-        return payload if self._single else U16.pack(count) + payload
+        heads = np.frombuffer(b"".join([message[: HEAD.size] for message in messages]), _HEAD)
+        if (heads["frame_tag"] != FRAME_TAG).any() or (heads["elapsed_tag"] != ELAPSED_TAG).any():
+            return None
+        wire = np.frombuffer(b"".join([message[HEAD.size :] for message in messages]), self._wire)
+        if (wire.view(np.uint8).reshape(-1, self.stride)[:, self._set] != self._setting).any():
+            return None
+        if any((wire[name].view(np.uint8) & loose).any() for name, loose in self._loose.items()):
+            return None
+        records = np.empty(len(wire), self._type.dtype)
+        for name in self._wire.names or ():
+            records[name] = wire[name]
+        ends = list(accumulate(size // self.stride for size in sizes))
+        return Payloads(records, ends, counts=not self.single)
 
 
 @dataclass(frozen=True)
@@ -253,10 +340,6 @@ def _uniform(type: RecordType) -> _Uniform:
     if found is None:
         found = _uniforms[type] = _Uniform(type)
     return found
-
-
-def _remembered(type: RecordType) -> _Shape | None:
-    return _shapes.get(type) if type.group is Group.STATE else None
 
 
 # --- any structure -----------------------------------------------------------------------------------------------------
@@ -413,7 +496,7 @@ def _woven(type: RecordType, data: bytes) -> tuple[_Weaver, int]:
 
 
 def _decode_any(type: RecordType, data: Buffer) -> bytes:
-    message = parse(type.message_name, data)
+    message = parse(type.name, type.message_name, data)
     if message.HasField("raw"):
         return bytes(message.raw)
     try:

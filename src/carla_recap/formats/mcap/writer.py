@@ -1,6 +1,7 @@
 """Writes recordings as MCAP: state and events in chunks of their own, compressed while the next frames are taken in.
 
-Schemas and channels stand at the beginning, outside all chunks, and again in the summary: a damaged chunk costs only itself.
+Schemas and channels stand outside all chunks, before the first that needs them, and again in the summary: a damaged chunk
+costs only itself.
 """
 
 from __future__ import annotations
@@ -10,7 +11,7 @@ import struct
 import zlib
 from array import array
 from collections import Counter, deque
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from concurrent.futures import Future, ThreadPoolExecutor
 from functools import cache
 from itertools import groupby
@@ -49,8 +50,8 @@ from carla_recap.formats.mcap.container import (
     header_metadata,
 )
 from carla_recap.frame import Extent, Frame, Header, Packet
-from carla_recap.payload import EMPTY_LIST, OBJECTS_LIMIT, PayloadError
-from carla_recap.records import FRAME_END, FRAME_START, Group
+from carla_recap.payload import EMPTY_LIST, OBJECTS_LIMIT, Buffer, PayloadError
+from carla_recap.records import FRAME_END, FRAME_START, Group, RecordType
 
 CHUNK_SIZE: Final = 1 << 20
 CHUNK_SECONDS: Final = 5
@@ -62,26 +63,57 @@ ADDITIONAL: Final = frozenset({12, 13, 14, 15, 16, 17, 19})
 
 
 class _Chunk:
-    """A chunk being filled."""
+    """A chunk being filled: messages, some of them with bodies that are encoded together at the end.
+
+    Attributes:
+        size: About how many bytes it will have.
+        start, end: First and last log time.
+    """
 
     def __init__(self) -> None:
-        self.data = bytearray()
-        self.index: dict[int, array[int]] = {}
+        self.size = 0
         self.start = self.end = 0
+        self._messages: list[tuple[int, int, int, int, bytes, bytes]] = []
+        self._waiting: dict[RecordType, tuple[list[int], list[Buffer]]] = {}
 
-    def add(self, channel: int, sequence: int, log_time: int, publish_time: int, data: bytes) -> None:
-        if not self.data:
-            self.start = log_time
-        self.end = log_time
-        entries = self.index.get(channel)
-        if entries is None:
-            entries = self.index[channel] = array("Q")
-        entries.append(log_time)
-        entries.append(len(self.data))
-        self.data += MESSAGE.pack(
-            Opcode.MESSAGE, MESSAGE_FIELDS + len(data), channel, sequence, log_time, publish_time
-        )
-        self.data += data
+    def add(self, channel: int, sequence: int, times: tuple[int, int], head: bytes, body: bytes, size: int = 0) -> None:
+        """Add a message. `size`: of the body, if it is to come."""
+        if not self._messages:
+            self.start = times[0]
+        self.end = times[0]
+        self.size += MESSAGE.size + len(head) + (size or len(body))
+        self._messages.append((channel, sequence, *times, head, body))
+
+    def add_later(
+        self, type: RecordType, payload: Buffer, channel: int, sequence: int, times: tuple[int, int], head: bytes, size: int
+    ) -> None:
+        """Add a message whose body is encoded at the end, together with its like."""
+        waiting = self._waiting.get(type)
+        if waiting is None:
+            waiting = self._waiting[type] = ([], [])
+        waiting[0].append(len(self._messages))
+        waiting[1].append(payload)
+        self.add(channel, sequence, times, head, b"", size)
+
+    def seal(self) -> tuple[bytes, dict[int, array[int]]]:
+        """The records, and by channel the log time and offset of each message."""
+        bodies: dict[int, Buffer] = {}
+        for type, (places, payloads) in self._waiting.items():
+            bodies.update(zip(places, wire.encode_many(type, payloads), strict=True))
+        parts: list[Buffer] = []
+        index: dict[int, array[int]] = {}
+        at = 0
+        for place, (channel, sequence, log_time, publish_time, head, given) in enumerate(self._messages):
+            body = bodies.get(place, given)
+            length = MESSAGE_FIELDS + len(head) + len(body)
+            entries = index.get(channel)
+            if entries is None:
+                entries = index[channel] = array("Q")
+            entries.append(log_time)
+            entries.append(at)
+            parts += (MESSAGE.pack(Opcode.MESSAGE, length, channel, sequence, log_time, publish_time), head, body)
+            at += RECORD.size + length
+        return b"".join(parts), index
 
 
 class McapWriter(AtomicFile):
@@ -117,6 +149,8 @@ class McapWriter(AtomicFile):
         # These belong to the pool's thread, which compresses and writes.
         self._position = self._crc = 0
         self._counts: Counter[int] = Counter()
+        self._schemas: list[records.Schema] = []
+        self._channels: list[records.Channel] = []
         self._chunk_index: list[records.ChunkIndex] = []
         self._metadata_index: list[records.MetadataIndex] = []
         self._compressor = zstandard.ZstdCompressor(level=LEVEL)
@@ -130,32 +164,26 @@ class McapWriter(AtomicFile):
             FormatError: A packet contradicts its layout.
         """
         self._sequence += 1
-        log_time, publish_time = self._clock.times(frame.elapsed)
-        if log_time >= self._cut_at:
+        times = self._clock.times(frame.elapsed)
+        if times[0] >= self._cut_at:
             for group in Group:
                 self._cut(group)
-            self._cut_at = log_time + CHUNK_SECONDS * SECOND
+            self._cut_at = times[0] + CHUNK_SECONDS * SECOND
         if frame.packets and frame.packets[0].id == FRAME_START:
             self._extent = Extent(self._extent.frames + 1, frame.id, frame.elapsed)
         head = wire.head(frame.id, frame.elapsed)
-        ids, kinds = bytearray(), bytearray()
-        messages: list[tuple[Group, int, bytes]] = []
-        for packet in frame.packets:
-            kind = self._encode(packet, head, messages)
-            ids.append(packet.id)
-            kinds.append(kind)
-        spine = head + wire.frame_body(frame.duration, bytes(ids), bytes(kinds))
-        self._chunks[Group.STATE].add(self._frame_channel, self._sequence, log_time, publish_time, spine)
-        for group, channel, data in messages:
-            self._chunks[group].add(channel, self._sequence, log_time, publish_time, data)
+        ids = bytes([packet.id for packet in frame.packets])
+        kinds = bytes([self._add(packet, head, times) for packet in frame.packets])
+        spine = wire.frame_body(frame.duration, ids, kinds)
+        self._chunks[Group.STATE].add(self._frame_channel, self._sequence, times, head, spine)
         for group, chunk in self._chunks.items():
-            if len(chunk.data) >= CHUNK_SIZE:
+            if chunk.size >= CHUNK_SIZE:
                 self._cut(group)
 
     def write_tail(self, piece: bytes) -> None:
         """Add bytes behind the last complete packet."""
         time = self._clock.last
-        self._chunks[Group.STATE].add(self._tail_channel, max(self._sequence, 0), time, time, wire.tail(piece))
+        self._chunks[Group.STATE].add(self._tail_channel, max(self._sequence, 0), (time, time), b"", wire.tail(piece))
         self._cut(Group.STATE)
 
     def abort(self) -> None:
@@ -165,8 +193,8 @@ class McapWriter(AtomicFile):
 
     # --- frames to messages --------------------------------------------------------------------------------------------
 
-    def _encode(self, packet: Packet, head: bytes, messages: list[tuple[Group, int, bytes]]) -> int:
-        """Append a packet's messages; returns what the frame is to say of it."""
+    def _add(self, packet: Packet, head: bytes, times: tuple[int, int]) -> int:
+        """Add a packet's messages; returns what the frame is to say of it."""
         type, id = packet.type, packet.id
         if id <= FRAME_END:
             return EMPTY
@@ -175,14 +203,18 @@ class McapWriter(AtomicFile):
             return EMPTY
         self._additional = self._additional or id in ADDITIONAL
         if type is None or type.opaque or len(payload) > OBJECTS_LIMIT:
-            for data in wire.raw_pieces(head, id, payload):
-                messages.append((Group.STATE, self._raw_channel, data))
+            for body in wire.raw_bodies(id, payload):
+                self._chunks[Group.STATE].add(self._raw_channel, self._sequence, times, head, body)
             return RAW
+        chunk, channel = self._chunks[type.group], self._channel_of[id]
+        size = wire.expected_size(type, payload)
+        if size is not None:
+            chunk.add_later(type, payload, channel, self._sequence, times, head, size)
+            return FILLED
         try:
-            body = wire.encode(type, payload)
+            chunk.add(channel, self._sequence, times, head, wire.encode(type, payload))
         except PayloadError as error:
             raise packet.error(error) from None
-        messages.append((type.group, self._channel_of[id], head + body))
         if type.name == "spawned":
             self._heroes |= {actor.id: None for actor in packet.records if actor.attribute("role_name") == "hero"}
         return FILLED
@@ -191,7 +223,7 @@ class McapWriter(AtomicFile):
 
     def _cut(self, group: Group) -> None:
         chunk = self._chunks[group]
-        if chunk.data:
+        if chunk.size:
             self._chunks[group] = _Chunk()
             self._submit(self._write_chunk, chunk)
 
@@ -225,36 +257,48 @@ class McapWriter(AtomicFile):
         self._emit(MAGIC)
         self._crc = zlib.crc32(MAGIC)
         library = f"carla-recap/{version('carla-recap')}"
-        self._emit(_packed(records.Header(profile="", library=library), *self._schemas_and_channels()))
+        self._emit(_packed(records.Header(profile="", library=library)))
         self._write_metadata(HEADER_METADATA, header_metadata(header))
         if self._live:
             self._sync()
 
-    def _schemas_and_channels(self) -> Iterator[records.McapRecord]:
-        for id, spec in enumerate(self._specs, 1):
-            yield records.Schema(id=id, data=_schema(spec.message), encoding="protobuf", name=spec.message)
-        for id, spec in enumerate(self._specs, 1):
-            yield records.Channel(id=id, topic=spec.topic, message_encoding="protobuf", metadata={}, schema_id=id)
+    def _declare(self, channel: int) -> None:
+        spec = self._specs[channel - 1]
+        data = _schema(spec.module, spec.message)
+        schema = records.Schema(id=channel, data=data, encoding="protobuf", name=spec.message)
+        self._schemas.append(schema)
+        self._channels.append(
+            records.Channel(id=channel, topic=spec.topic, message_encoding="protobuf", metadata={}, schema_id=channel)
+        )
+        self._emit(_packed(schema, self._channels[-1]))
 
     def _write_chunk(self, chunk: _Chunk) -> None:
-        compressed = self._compressor.compress(chunk.data)
+        data, index = chunk.seal()
+        for channel in index:
+            if channel not in self._counts:
+                self._declare(channel)
+        compressed = self._compressor.compress(data)
         compression = b"zstd"
         content = CHUNK.size + len(compression) + U64.size + len(compressed)
         at = self._position
         self._emit(
             RECORD.pack(Opcode.CHUNK, content)
-            + CHUNK.pack(chunk.start, chunk.end, len(chunk.data), zlib.crc32(chunk.data), len(compression))
+            + CHUNK.pack(chunk.start, chunk.end, len(data), zlib.crc32(data), len(compression))
             + compression
             + U64.pack(len(compressed))
             + compressed
         )
         size = self._position - at
         offsets = {}
-        for channel, entries in chunk.index.items():
+        for channel, entries in index.items():
             offsets[channel] = self._position
-            data = entries.tobytes()
+            packed = entries.tobytes()
             self._counts[channel] += len(entries) // 2
-            self._emit(RECORD.pack(Opcode.MESSAGE_INDEX, MESSAGE_INDEX.size + len(data)) + MESSAGE_INDEX.pack(channel, len(data)) + data)
+            self._emit(
+                RECORD.pack(Opcode.MESSAGE_INDEX, MESSAGE_INDEX.size + len(packed))
+                + MESSAGE_INDEX.pack(channel, len(packed))
+                + packed
+            )
         self._chunk_index.append(
             records.ChunkIndex(
                 chunk_length=size,
@@ -265,7 +309,7 @@ class McapWriter(AtomicFile):
                 message_index_length=self._position - at - size,
                 message_index_offsets=offsets,
                 message_start_time=chunk.start,
-                uncompressed_size=len(chunk.data),
+                uncompressed_size=len(data),
             )
         )
         if self._live:
@@ -281,16 +325,16 @@ class McapWriter(AtomicFile):
         self._emit(_packed(records.DataEnd(data_section_crc=self._crc)))
         statistics = records.Statistics(
             attachment_count=0,
-            channel_count=len(self._specs),
+            channel_count=len(self._channels),
             channel_message_counts=dict(self._counts),
             chunk_count=len(self._chunk_index),
             message_count=sum(self._counts.values()),
             message_end_time=max((chunk.message_end_time for chunk in self._chunk_index), default=0),
             message_start_time=min((chunk.message_start_time for chunk in self._chunk_index), default=0),
             metadata_count=len(self._metadata_index),
-            schema_count=len(self._specs),
+            schema_count=len(self._schemas),
         )
-        groups = (self._schemas_and_channels(), [statistics], self._metadata_index, self._chunk_index)
+        groups = (self._schemas, self._channels, [statistics], self._metadata_index, self._chunk_index)
         self._file.write(_summary(self._position, [record for group in groups for record in group]))
 
     def _extent_metadata(self) -> dict[str, str]:
@@ -308,11 +352,11 @@ class McapWriter(AtomicFile):
 
 
 @cache
-def _schema(message: str) -> bytes:
+def _schema(module: str, message: str) -> bytes:
     """A message's schema: the descriptors of all files that it needs."""
     from mcap_protobuf.schema import build_file_descriptor_set  # noqa: PLC0415
 
-    return build_file_descriptor_set(wire.message_class(message)).SerializeToString()
+    return build_file_descriptor_set(wire.message_class(module, message)).SerializeToString()
 
 
 def _packed(*items: records.McapRecord) -> bytes:

@@ -1,0 +1,62 @@
+"""From one format to another, without losing a bit."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from carla_recap.errors import RecapError
+from carla_recap.formats import create_writer, open_reader
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Iterable
+
+    from carla_recap.frame import Extent, Frame
+
+
+def convert(
+    source: Path | str,
+    destination: Path | str,
+    *,
+    force: bool = False,
+    progress: Callable[[Iterable[Frame]], Iterable[Frame]] = iter,
+) -> Extent:
+    """Write a recording in another format; `.log` → `.mcap` → `.log` gives back the same bytes.
+
+    Args:
+        source: A recording of any format.
+        destination: Where to write; the suffix says the format. It appears when it is complete.
+        force: Overwrite what is there.
+        progress: Wraps the stream of frames, to watch it.
+
+    Returns:
+        How far the recording goes.
+
+    Raises:
+        RecapError: The source is damaged, or the destination cannot be written.
+    """
+    check_destination(source, destination, force=force)
+    reader = open_reader(source)
+    try:
+        with create_writer(destination, reader.header) as writer:
+            for frame in progress(reader.frames()):
+                writer.write(frame)
+            for piece in reader.tail():
+                writer.write_tail(piece)
+        return reader.extent()
+    finally:
+        reader.close()
+
+
+def check_destination(source: Path | str, destination: Path | str, *, force: bool) -> None:
+    """Refuse to write over the source, or over anything without `force`.
+
+    Raises:
+        RecapError: That would happen.
+    """
+    target = Path(destination)
+    if target.exists():
+        if Path(source).exists() and target.samefile(source):
+            raise RecapError(f"{destination}: is the source itself")
+        if not force:
+            raise RecapError(f"{destination}: exists already; --force overwrites it")

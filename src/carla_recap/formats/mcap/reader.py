@@ -1,0 +1,554 @@
+"""Reads recordings from MCAP by the index: a query touches the chunks that hold its channels, and nothing else.
+
+Every chunk's checksum is checked, and no chunk is larger in memory than `CHUNK_LIMIT`.
+"""
+
+from __future__ import annotations
+
+import math
+import warnings
+import zlib
+from collections import deque
+from collections.abc import Callable, Collection, Iterable, Iterator
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any, Final
+
+from mcap import records
+from mcap.opcode import Opcode
+
+from carla_recap.errors import FormatError, NotARecording, RecapWarning
+from carla_recap.formats.mcap import wire
+from carla_recap.formats.mcap.container import (
+    CHUNK_INDEX,
+    CHUNK_LIMIT,
+    CHUNK_OFFSETS,
+    EMPTY,
+    EXTENT_METADATA,
+    FILLED,
+    FOOTER,
+    FRAME_MESSAGE,
+    FRAME_TOPIC,
+    HEADER_METADATA,
+    MAGIC,
+    MESSAGE,
+    MESSAGE_FIELDS,
+    RAW_MESSAGE,
+    RAW_TOPIC,
+    RECORD,
+    SUMMARY_LIMIT,
+    TAIL_MESSAGE,
+    TAIL_TOPIC,
+    ChannelSpec,
+    LogClock,
+    Source,
+    channel_specs,
+    open_chunk,
+    parse_extent,
+    parse_header,
+    parse_record,
+    split_records,
+)
+from carla_recap.frame import Extent, Frame, Header, Packet
+from carla_recap.payload import EMPTY_LIST, Buffer
+from carla_recap.records import FRAME_END, FRAME_START, Records, RecordType
+
+PENDING_LIMIT: Final = 256 << 20
+"""How many bytes of chunks that overlap in time are held at once; ours overlap by 5 s of recording."""
+
+Found = tuple["Batch", int]  # a message: its batch, and its place there
+Gathered = dict[int, deque[Found]]  # channel → messages of one frame
+
+
+@dataclass(frozen=True)
+class Chunk:
+    """A chunk as the index describes it. Times in ns; `channels` are those that it holds, empty where unknown."""
+
+    start: int
+    end: int
+    offset: int
+    length: int
+    channels: frozenset[int]
+
+
+@dataclass
+class Summary:
+    """What stands behind the data of an MCAP file."""
+
+    schemas: dict[int, records.Schema] = field(default_factory=dict)
+    channels: dict[int, records.Channel] = field(default_factory=dict)
+    chunks: list[Chunk] = field(default_factory=list)
+    metadata: dict[str, records.MetadataIndex] = field(default_factory=dict)
+
+
+class Batch:
+    """The messages of a channel in a chunk; those whose records have one size are decoded together."""
+
+    __slots__ = ("_decoded", "_payloads", "messages", "path", "type")
+
+    def __init__(self, type: RecordType | None, path: Path) -> None:
+        self.type = type
+        self.path = path
+        self.messages: list[memoryview] = []
+        self._payloads: wire.Payloads | None = None
+        self._decoded = False
+
+    @property
+    def payloads(self) -> wire.Payloads | None:
+        """All payloads; None where each message is to be decoded by itself."""
+        if not self._decoded:
+            self._decoded = True
+            if self.type is not None and self.type.fixed:
+                self._payloads = wire.decode_many(self.type, self.messages)
+        return self._payloads
+
+
+class MessagePacket(Packet):
+    """A packet that came as a message, decoded when asked for."""
+
+    __slots__ = ("_batch", "_index")
+
+    def __init__(self, type: RecordType, batch: Batch, index: int) -> None:
+        self.id = type.id
+        self.type = type
+        self._batch = batch
+        self._index = index
+        self._payload = self._records = None
+        self._place = (batch.path, None)
+
+    @property
+    def payload(self) -> Buffer:
+        """The bytes behind the packet header.
+
+        Raises:
+            FormatError: The message contradicts its schema.
+        """
+        if self._payload is None:
+            payloads = self._batch.payloads
+            if payloads is not None:
+                return payloads.payload(self._index)
+            assert self.type
+            try:
+                self._payload = wire.decode(self.type, self._batch.messages[self._index])
+            except wire.WireError as error:
+                raise self._broken(error) from None
+        return self._payload
+
+    @property
+    def records(self) -> Records:
+        """The records.
+
+        Raises:
+            FormatError: The message contradicts its schema.
+        """
+        if self._records is None:
+            payloads = self._batch.payloads
+            if payloads is not None:
+                return payloads.records(self._index)
+            assert self.type
+            try:
+                if not self.type.fixed:
+                    self._records = wire.decode_records(self.type, self._batch.messages[self._index])
+            except wire.WireError as error:
+                raise self._broken(error) from None
+        return super().records
+
+    def _broken(self, error: wire.WireError) -> FormatError:
+        head = wire.read_head(self._batch.messages[self._index])
+        name = self.type.topic if self.type else ""
+        return FormatError(self._batch.path, None, f"{name} of frame {head[0]}: {error}" if head else f"{name}: {error}")
+
+
+class McapReader:
+    """Reads a recording from MCAP.
+
+    Args:
+        path: The file.
+
+    Raises:
+        NotARecording: It is no MCAP file, or none with a recording.
+        FormatError: It is damaged, or was never finished.
+    """
+
+    def __init__(self, path: Path | str) -> None:
+        self.path = Path(path)
+        self._source = Source(path)
+        self._warned: set[str] = set()
+        self._summary = _read_summary(self._source)
+        self.header = self._read_header()
+        self._extent = self._read_extent()
+        self._channels = _match(self._summary, channel_specs(self.header.table))
+        self._types = {id: spec.type for id, spec in self._channels.items() if spec.type}
+        self._by_topic = {spec.topic: id for id, spec in self._channels.items()}
+        self._plans: dict[tuple[bytes, bytes], list[Packet | int]] = {}
+
+    @property
+    def bytes_read(self) -> int:
+        """How much of the file was read so far."""
+        return self._source.bytes_read
+
+    @property
+    def metadata(self) -> dict[str, str]:
+        """What the file says of the recording as a whole, beyond the header; empty where it does not."""
+        return self._read_metadata(EXTENT_METADATA) or {}
+
+    def close(self) -> None:
+        """Let go of the file."""
+        self._source.close()
+
+    def frames(
+        self,
+        types: Collection[str] | None = None,
+        *,
+        sparse: bool = False,
+        start: float = -math.inf,
+        stop: float = math.inf,
+    ) -> Iterator[Frame]:
+        """Stream the frames; see `Reader.frames`. With `sparse`, durations are unknown (NaN)."""
+        wanted = self._wanted(types, spine=not sparse)
+        chunks = self._chunks(wanted, start, stop)
+        for index, gathered in self._gather(chunks, wanted, ahead=not sparse):
+            frame = self._frame(index, gathered, whole=types is None)
+            if stop < math.inf and frame.elapsed >= stop:
+                return
+            if start == -math.inf or frame.elapsed >= start:
+                yield frame
+
+    def frame_at(self, elapsed: float) -> Frame | None:
+        """The last frame that begins at or before a time; see `Reader.frame_at`."""
+        found = None
+        spine = self._wanted((), spine=True)
+        time = LogClock(self.header).at(elapsed)
+        chunks = self._chunks(spine, -math.inf, math.inf)
+        if time is not None:
+            earlier = [chunk for chunk in chunks if chunk.start <= time]
+            chunks = earlier[-1:] if all(a.end < b.start for a, b in zip(chunks, chunks[1:], strict=False)) else earlier
+        for index, gathered in self._gather(chunks, spine, ahead=False):
+            frame = self._frame(index, gathered, whole=False)
+            if frame.elapsed <= elapsed:
+                found = frame
+        if found is None:
+            return None
+        return next(f for f in self.frames(start=found.elapsed) if f.index == found.index)
+
+    def extent(self) -> Extent:
+        """How far the recording goes."""
+        if self._extent is None:
+            extent = Extent()
+            for frame in self.frames(()):
+                extent = Extent(extent.frames + 1, frame.id, frame.elapsed)
+            self._extent = extent
+        return self._extent
+
+    def tail(self) -> Iterator[bytes]:
+        """The bytes behind the last complete packet, in pieces."""
+        channel = self._by_topic.get(TAIL_TOPIC)
+        if channel is None:
+            return
+        chunks = self._chunks({channel}, -math.inf, math.inf)
+        for _, gathered in self._gather(chunks, {channel}, ahead=False):
+            for batch, index in gathered[channel]:
+                yield bytes(self._parse("tail", TAIL_MESSAGE, batch.messages[index]).data)
+
+    # --- what the file says of itself ----------------------------------------------------------------------------------
+
+    def _read_metadata(self, name: str) -> dict[str, str] | None:
+        index = self._summary.metadata.get(name)
+        if index is None:
+            return None
+        content = self._source.record(index.offset, Opcode.METADATA, f"the metadata {name}")
+        try:
+            return dict(parse_record(records.Metadata, content).metadata)
+        except ValueError as error:
+            raise FormatError(self.path, index.offset, str(error)) from None
+
+    def _read_header(self) -> Header:
+        metadata = self._read_metadata(HEADER_METADATA)
+        if metadata is None:
+            raise NotARecording(self.path, f"holds no recording (MCAP metadata {HEADER_METADATA!r} is missing)")
+        try:
+            return parse_header(metadata)
+        except (KeyError, ValueError) as error:
+            raise FormatError(self.path, None, f"broken MCAP metadata {HEADER_METADATA!r}: {error}") from None
+
+    def _read_extent(self) -> Extent | None:
+        metadata = self._read_metadata(EXTENT_METADATA)
+        try:
+            return parse_extent(metadata) if metadata else None
+        except (KeyError, ValueError) as error:
+            raise FormatError(self.path, None, f"broken MCAP metadata {EXTENT_METADATA!r}: {error}") from None
+
+    # --- chunks to messages --------------------------------------------------------------------------------------------
+
+    def _wanted(self, types: Iterable[str] | None, *, spine: bool) -> set[int]:
+        """The channels to read."""
+        if types is None:
+            tail = self._by_topic.get(TAIL_TOPIC)
+            return {id for id in self._channels if id != tail}
+        names = {self.header.table.named(name).name for name in types}
+        wanted = {id for id, type in self._types.items() if type.name in names}
+        if spine:
+            wanted |= {id for id, spec in self._channels.items() if spec.topic == FRAME_TOPIC}
+        return wanted
+
+    def _chunks(self, wanted: set[int], start: float, stop: float) -> list[Chunk]:
+        """The chunks that hold wanted channels within a time, in order of time."""
+        clock = LogClock(self.header)
+        first = clock.at(start) if start > -math.inf else None
+        last = clock.at(stop) if stop < math.inf else None
+        return [
+            chunk
+            for chunk in self._summary.chunks
+            if (not chunk.channels or not wanted.isdisjoint(chunk.channels))
+            and (first is None or chunk.end >= first)
+            and (last is None or chunk.start <= last)
+        ]
+
+    def _opened(self, chunks: list[Chunk], *, ahead: bool) -> Iterator[bytes]:
+        """The records of some chunks; `ahead`: the next one is unpacked while this one is used."""
+        if not ahead or len(chunks) < 2:
+            yield from map(self._open, chunks)
+            return
+        with ThreadPoolExecutor(1, "carla-recap-reader") as pool:
+            coming = pool.submit(self._open, chunks[0])
+            for chunk in chunks[1:]:
+                opened = coming.result()
+                coming = pool.submit(self._open, chunk)
+                yield opened
+            yield coming.result()
+
+    def _open(self, chunk: Chunk) -> bytes:
+        content = self._source.record(chunk.offset, Opcode.CHUNK, "a chunk")
+        try:
+            return open_chunk(content)[2]
+        except ValueError as error:
+            raise FormatError(
+                self.path, chunk.offset, f"damaged chunk: {error}; 'carla-recap recover' saves the rest"
+            ) from None
+
+    def _batches(self, chunk: Chunk, data: bytes, wanted: set[int], pending: dict[int, tuple[int, Gathered]]) -> None:
+        """Sort the wanted messages of a chunk by frame."""
+        view, at, size, head = memoryview(data), 0, len(data), MESSAGE.unpack_from
+        last = size - MESSAGE.size
+        batches = {channel: Batch(self._types.get(channel), self.path) for channel in wanted}
+        while at <= last:
+            opcode, length, channel, sequence, log_time, _ = head(data, at)
+            end = at + 9 + length
+            if end > size:
+                break
+            if opcode == 5 and channel in wanted:
+                if length < MESSAGE_FIELDS:
+                    break
+                batch = batches[channel]
+                entry = pending.get(sequence)
+                if entry is None:
+                    entry = pending[sequence] = (log_time, {})
+                messages = batch.messages
+                queue = entry[1].get(channel)
+                if queue is None:
+                    entry[1][channel] = deque(((batch, len(messages)),))
+                else:
+                    queue.append((batch, len(messages)))
+                messages.append(view[at + 31 : end])
+            at = end
+        while at < size:  # a schema or channel can be shorter than a message
+            if at + RECORD.size > size or (end := at + RECORD.size + RECORD.unpack_from(data, at)[1]) > size:
+                raise FormatError(self.path, chunk.offset, f"damaged chunk: no whole record at byte {at} of its content")
+            at = end
+
+    def _gather(self, chunks: list[Chunk], wanted: set[int], *, ahead: bool) -> Iterator[tuple[int, Gathered]]:
+        """The messages of each frame, in order of frames; chunks may overlap in time."""
+        pending: dict[int, tuple[int, Gathered]] = {}
+        held = 0
+        for place, (chunk, data) in enumerate(zip(chunks, self._opened(chunks, ahead=ahead), strict=True), 1):
+            held += len(data)
+            if held > PENDING_LIMIT:
+                raise FormatError(self.path, chunk.offset, f"more than {PENDING_LIMIT} bytes of chunks overlap in time")
+            self._batches(chunk, data, wanted, pending)
+            horizon = chunks[place].start if place < len(chunks) else None
+            ready = sorted(s for s, (time, _) in pending.items() if horizon is None or time < horizon)
+            for sequence in ready:
+                yield sequence, pending.pop(sequence)[1]
+            if not pending:
+                held = 0
+
+    # --- messages to frames --------------------------------------------------------------------------------------------
+
+    def _frame(self, index: int, gathered: Gathered, *, whole: bool) -> Frame:
+        spine = gathered.pop(self._by_topic.get(FRAME_TOPIC, -1), None)
+        if spine is None:
+            return self._headless(index, gathered)
+        id, elapsed, duration, ids, kinds = self._read_spine(_message(spine[0]))
+        packets: list[Packet] = []
+        for step in self._plan(ids, kinds):
+            if isinstance(step, Packet):
+                if whole:
+                    packets.append(step)
+            elif step >= 0:
+                queue = gathered.get(step)
+                if queue:
+                    packets.append(MessagePacket(self._types[step], *queue.popleft()))
+                elif whole:
+                    self._warn_lost(id)
+            elif whole:
+                raw = self._raw_packet(gathered)
+                if raw is None:
+                    self._warn_lost(id)
+                else:
+                    packets.append(raw)
+        return Frame(index, id, elapsed, duration, packets)
+
+    def _headless(self, index: int, gathered: Gathered) -> Frame:
+        """A frame without its own message: left out by a sparse read, or lost."""
+        packets: list[Packet] = []
+        head: tuple[int, float] | None = None
+        for channel, queue in gathered.items():
+            type = self._types.get(channel)
+            first = _message(queue[0])
+            head = head or wire.read_head(first) or self._slow_head(channel, first)
+            if type is not None:
+                packets += [MessagePacket(type, *found) for found in queue]
+        id, elapsed = head or (0, 0.0)
+        return Frame(index, id, elapsed, math.nan, packets)
+
+    def _plan(self, ids: bytes, kinds: bytes) -> list[Packet | int]:
+        """How to put a frame together: ready-made packets, channels to take the next message from, -1 for a raw one."""
+        plan = self._plans.get((ids, kinds))
+        if plan is None:
+            if len(self._plans) > 4096:
+                self._plans.clear()
+            plan = self._plans[ids, kinds] = [
+                self._step(id, kind) for id, kind in zip(ids, kinds, strict=False)
+            ]
+        return plan
+
+    def _step(self, id: int, kind: int) -> Packet | int:
+        table = self.header.table
+        type: RecordType | None = table[id] if id < len(table) else None
+        if kind == EMPTY or id in (FRAME_START, FRAME_END):
+            return Packet(id, type, b"" if id in (FRAME_START, FRAME_END) else EMPTY_LIST)
+        if kind == FILLED and type is not None:
+            return self._by_topic.get(type.topic, 1 << 16)
+        return -1
+
+    def _raw_packet(self, gathered: Gathered) -> Packet | None:
+        queue = gathered.get(self._by_topic.get(RAW_TOPIC, -1))
+        if not queue:
+            return None
+        message = self._parse("raw_packet", RAW_MESSAGE, _message(queue.popleft()))
+        pieces = [message.data]
+        missing = message.size - len(message.data)
+        while missing > 0 and queue:
+            pieces.append(self._parse("raw_packet", RAW_MESSAGE, _message(queue.popleft())).data)
+            missing -= len(pieces[-1])
+        table = self.header.table
+        type = table[message.id] if message.id < len(table) else None
+        return Packet(message.id, type, b"".join(pieces), place=(self.path, None))
+
+    def _read_spine(self, data: memoryview) -> tuple[int, float, float, bytes, bytes]:
+        """Id, elapsed, duration, packet ids and kinds of a `Frame`."""
+        fast = wire.read_frame(data)
+        if fast is not None:
+            return fast
+        message = self._parse("frame", FRAME_MESSAGE, data)
+        return message.frame, message.elapsed, message.duration, message.packets, message.filled
+
+    def _slow_head(self, channel: int, data: memoryview) -> tuple[int, float]:
+        spec = self._channels[channel]
+        message = self._parse(spec.module, spec.message, data)
+        return message.frame, message.elapsed
+
+    def _parse(self, module: str, name: str, data: memoryview) -> Any:
+        try:
+            return wire.parse(module, name, data)
+        except wire.WireError as error:
+            raise FormatError(self.path, None, str(error)) from None
+
+    def _warn_lost(self, frame: int) -> None:
+        if "lost" not in self._warned:
+            self._warned.add("lost")
+            warnings.warn(
+                f"{self.path}: messages of frame {frame}, and maybe of others, are missing", RecapWarning, stacklevel=2
+            )
+
+
+def _message(found: Found) -> memoryview:
+    batch, index = found
+    return batch.messages[index]
+
+
+def _match(summary: Summary, specs: list[ChannelSpec]) -> dict[int, ChannelSpec]:
+    """The file's channels that are ours, by id."""
+    known = {(spec.topic, spec.message): spec for spec in specs}
+    found: dict[int, ChannelSpec] = {}
+    for id, channel in summary.channels.items():
+        schema = summary.schemas.get(channel.schema_id)
+        spec = known.pop((channel.topic, schema.name), None) if schema else None
+        if spec is not None and channel.message_encoding == "protobuf":
+            found[id] = spec
+    return found
+
+
+def _read_summary(source: Source) -> Summary:
+    """The summary of a finished file.
+
+    Raises:
+        NotARecording: It is no MCAP file.
+        FormatError: It is damaged, or was never finished.
+    """
+    path, size = source.path, source.size
+    if size < len(MAGIC) or source.read(0, len(MAGIC), "the magic") != MAGIC:
+        raise NotARecording(path, "is no MCAP file (the magic is missing)")
+    unfinished = "the file has no valid end: it is damaged, or its writer died; 'carla-recap recover' saves what it holds"
+    tail = RECORD.size + FOOTER.size + len(MAGIC)
+    if size < tail + len(MAGIC):
+        raise FormatError(path, size, unfinished)
+    end = source.read(size - tail, tail, "the footer")
+    opcode, length = RECORD.unpack_from(end)
+    if not end.endswith(MAGIC) or opcode != Opcode.FOOTER or length != FOOTER.size:
+        raise FormatError(path, size - tail, unfinished)
+    start, _, crc = FOOTER.unpack_from(end, RECORD.size)
+    if start == 0:
+        raise FormatError(path, size - tail, "the file has no summary; 'carla-recap recover' makes one")
+    length = size - tail - start
+    if not len(MAGIC) <= start <= size - tail or length > SUMMARY_LIMIT:
+        raise FormatError(path, size - tail, f"the summary is said to begin at byte {start}, which cannot be")
+    data = source.read(start, length, "the summary")
+    if crc and zlib.crc32(end[: RECORD.size + 16], zlib.crc32(data)) != crc:
+        raise FormatError(path, start, "the summary is damaged (its checksum does not match); 'carla-recap recover' makes a new one")
+    summary = Summary()
+    try:
+        for opcode, at, until in split_records(data):
+            _take(summary, opcode, memoryview(data)[at:until])
+    except ValueError as error:
+        raise FormatError(path, start, f"the summary is damaged: {error}; 'carla-recap recover' makes a new one") from None
+    summary.chunks.sort(key=lambda chunk: (chunk.start, chunk.offset))
+    offsets = {chunk.offset for chunk in summary.chunks}
+    if len(offsets) < len(summary.chunks):
+        raise FormatError(path, start, "the summary names a chunk twice")
+    return summary
+
+
+def _take(summary: Summary, opcode: int, data: memoryview) -> None:
+    if opcode == Opcode.CHUNK_INDEX:
+        summary.chunks.append(_chunk_index(data))
+    elif opcode == Opcode.SCHEMA:
+        schema = parse_record(records.Schema, data)
+        summary.schemas[schema.id] = schema
+    elif opcode == Opcode.CHANNEL:
+        channel = parse_record(records.Channel, data)
+        summary.channels[channel.id] = channel
+    elif opcode == Opcode.METADATA_INDEX:
+        index = parse_record(records.MetadataIndex, data)
+        summary.metadata[index.name] = index
+
+
+def _chunk_index(data: memoryview) -> Chunk:
+    if len(data) < CHUNK_INDEX.size:
+        raise ValueError("a chunk index of less than its fixed fields")
+    start, end, offset, length, size = CHUNK_INDEX.unpack_from(data)
+    offsets = data[CHUNK_INDEX.size : CHUNK_INDEX.size + size]
+    if len(offsets) != size or size % CHUNK_OFFSETS.size or length > CHUNK_LIMIT:
+        raise ValueError("a chunk index that does not fit")
+    return Chunk(start, end, offset, length, frozenset(channel for channel, _ in CHUNK_OFFSETS.iter_unpack(offsets)))

@@ -1,0 +1,66 @@
+"""What the answers of all queries have in common."""
+
+from __future__ import annotations
+
+import re
+from typing import TYPE_CHECKING, Final, TypeVar
+
+from carla_recap.tables import Rows
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable
+
+    from carla_recap.formats.base import Reader
+
+T = TypeVar("T")
+
+
+class Answer(Rows[T]):
+    """The rows that answer a query, and the recording's head and extent.
+
+    Args:
+        rows: The rows.
+        source: The recording; it has been read to its end.
+        compat: Whether the answer is CARLA's, slips included.
+    """
+
+    def __init__(self, rows: Iterable[T], source: Reader, *, compat: bool) -> None:
+        super().__init__(rows)
+        self.header = source.header
+        self.extent = source.extent()
+        self.compat = compat
+
+
+def readable(text: str) -> str:
+    """A recorded text as CARLA shows it: up to the first NUL, with `?` in place of what is not UTF-8.
+
+    That is a `?` for each wrong byte, but only one for a sequence of five or six bytes, as UTF-8 had them once, and one
+    for a sequence that the end of the text cuts off.
+    """
+    text = text.partition("\0")[0]
+    if text.isascii() or not _SUSPECT.search(text):
+        return text
+    return _UTF8.sub(lambda match: match[1] or b"?", text.encode("utf-8", "surrogateescape")).decode()
+
+
+_SUSPECT: Final = re.compile(r"[\udc80-\udcff\ufffe\uffff]")
+_UTF8: Final = re.compile(
+    rb"""(
+        [\x00-\x7f]
+        | [\xc2-\xdf] [\x80-\xbf]
+        | \xe0 [\xa0-\xbf] [\x80-\xbf]
+        | [\xe1-\xec\xee] [\x80-\xbf]{2}
+        | \xed [\x80-\x9f] [\x80-\xbf]
+        | \xef (?! \xbf [\xbe\xbf]) [\x80-\xbf]{2}
+        | \xf0 [\x90-\xbf] [\x80-\xbf]{2}
+        | [\xf1-\xf3] [\x80-\xbf]{3}
+        | \xf4 [\x80-\x8f] [\x80-\xbf]{2}
+    )
+    | [\xf8-\xfb] (?: [\x80-\xbf]{4} | .{0,3} \Z )
+    | [\xfc-\xff] (?: [\x80-\xbf]{5} | .{0,4} \Z )
+    | [\xe0-\xef] .? \Z
+    | [\xf0-\xf7] .{0,2} \Z
+    | .
+    """,
+    re.DOTALL | re.VERBOSE,
+)

@@ -1,0 +1,122 @@
+"""Who hit whom, and when."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Final
+
+from carla_recap.errors import RecapError
+from carla_recap.queries.answer import Answer, readable
+from carla_recap.queries.roster import Roster
+from carla_recap.records import NO_ACTOR
+
+if TYPE_CHECKING:
+    from carla_recap.formats.base import Reader
+
+LETTERS: Final = {"v": "vehicle", "w": "walker", "t": "traffic light", "o": "other", "h": "hero", "a": "any"}
+"""What a side of a collision can be asked to be."""
+
+_KINDS: Final = "ovwt"  # by ActorKind; signs and sensors are others
+_KINDS_OF_CARLA: Final = "ovwtha"  # CARLA takes the letters for hero and any into its list of kinds
+_TYPES: Final = ("spawned", "destroyed", "collisions")
+
+_Actor = tuple[int, str]  # kind and type id
+_UNKNOWN: Final[_Actor] = (0, "")
+
+
+@dataclass(frozen=True, slots=True)
+class CollisionRow:
+    """A collision that begins; while it goes on in the following frames, no further row tells of it.
+
+    Attributes:
+        elapsed: Seconds since the recording began.
+        frame: CARLA's frame number.
+        letter1: What the first actor is: `v` vehicle, `w` walker, `t` traffic light, `o` anything else.
+        id1: Its id; 4294967295 for what is no actor: a building, a barrier.
+        type_id1: Its blueprint, such as `vehicle.audi.tt`; empty for an unknown actor.
+        hero1: Whether it is the hero.
+        letter2: What the second actor is.
+        id2: Its id.
+        type_id2: Its blueprint.
+        hero2: Whether it is the hero.
+    """
+
+    elapsed: float
+    frame: int
+    letter1: str
+    id1: int
+    type_id1: str
+    hero1: bool
+    letter2: str
+    id2: int
+    type_id2: str
+    hero2: bool
+
+
+class Collisions(Answer[CollisionRow]):
+    """The collisions of a recording."""
+
+    row_type = CollisionRow
+
+
+def collisions(source: Reader, type1: str = "a", type2: str = "a", *, compat: bool = False) -> Collisions:
+    """The collisions between two kinds of actors.
+
+    Each ordered pair of actors gives a row in the first frame of its contact. CARLA's recorder lists the actor that has
+    the collision sensor first.
+
+    Args:
+        source: The recording.
+        type1: What the first actor must be: a letter of `LETTERS`.
+        type2: What the second actor must be.
+        compat: Answer as CARLA 0.9.16 does, with its slips.
+
+    Raises:
+        RecapError: There is no such letter.
+        FormatError: The file contradicts its format.
+    """
+    if not compat:
+        _check(type1)
+        _check(type2)
+    kinds = _KINDS_OF_CARLA if compat else _KINDS
+    roster = Roster[_Actor](compat=compat)
+    rows: list[CollisionRow] = []
+    touching: set[tuple[int, int]] = set()
+    index = -2
+
+    def look_up(id: int) -> tuple[str, str]:
+        kind, type_id = roster.actors.get(id, _UNKNOWN)
+        return kinds[kind] if kind < len(kinds) and id != NO_ACTOR else "o", type_id
+
+    for frame in source.frames(_TYPES, sparse=True):
+        before = touching if frame.index == index + 1 else set()
+        index, touching = frame.index, set()
+        for packet in frame.packets:
+            assert packet.type is not None
+            if packet.type.name == "spawned":
+                for spawn in packet.records:
+                    roster.spawn(spawn.id, (spawn.kind, readable(spawn.type_id)))
+            elif packet.type.name == "destroyed":
+                for (id,) in packet.records.tolist():  # type: ignore[union-attr]
+                    roster.destroy(id)
+            else:
+                for _, id1, id2, hero1, hero2 in packet.records.tolist():  # type: ignore[union-attr]
+                    letter1, type_id1 = look_up(id1)
+                    letter2, type_id2 = look_up(id2)
+                    if not (_passes(type1, letter1, hero1) and _passes(type2, letter2, hero2)):
+                        continue
+                    touching.add((id1, id2))
+                    if (id1, id2) not in before:
+                        sides = (letter1, id1, type_id1, bool(hero1), letter2, id2, type_id2, bool(hero2))
+                        rows.append(CollisionRow(frame.elapsed, frame.id, *sides))
+    return Collisions(rows, source, compat=compat)
+
+
+def _passes(wanted: str, letter: str, hero: int) -> bool:
+    return wanted in ("a", letter) or (wanted == "h" and hero != 0)
+
+
+def _check(wanted: str) -> None:
+    if wanted not in LETTERS:
+        known = ", ".join(f"{letter} ({meaning})" for letter, meaning in LETTERS.items())
+        raise RecapError(f"{wanted!r} is no type of a collision's actor; there are {known}")

@@ -1,0 +1,123 @@
+"""What happened in a recording: its events, or every record."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any, Final
+
+import numpy as np
+
+from carla_recap.queries.answer import readable
+from carla_recap.records import FLAG, FRAME_END, FRAME_START, TEXT, Layout, Many
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+
+    from carla_recap.formats.base import Reader
+    from carla_recap.frame import Extent, Frame, Header, Packet
+
+EVENTS: Final = ("spawned", "destroyed", "parented", "collisions")
+"""The record types that tell of events."""
+
+
+@dataclass(frozen=True, slots=True)
+class InfoRow:
+    """A record, and when it was recorded.
+
+    Attributes:
+        elapsed: Seconds since the recording began.
+        frame: CARLA's frame number.
+        type: The record type's name, such as `spawned`.
+        record: The record's fields by name, as numbers, texts, booleans, or lists of such records. Units as in `records`.
+    """
+
+    elapsed: float
+    frame: int
+    type: str
+    record: dict[str, Any]
+
+
+class Info:
+    """The records of a recording, read anew at each iteration, so that they never fill the memory.
+
+    Args:
+        source: The recording.
+        all: Whether every record is wanted, or only the events.
+        compat: Whether the text is to be CARLA's, slips included.
+    """
+
+    row_type = InfoRow
+
+    def __init__(self, source: Reader, *, all: bool = False, compat: bool = False) -> None:
+        self.source = source
+        self.all = all
+        self.compat = compat
+
+    @property
+    def header(self) -> Header:
+        """The recording's header."""
+        return self.source.header
+
+    @property
+    def extent(self) -> Extent:
+        """How far the recording goes; at hand after an iteration."""
+        return self.source.extent()
+
+    def frames(self) -> Iterator[Frame]:
+        """The frames that hold what is wanted, with packets that hold other things too if everything is."""
+        return self.source.frames() if self.all else self.source.frames(EVENTS, sparse=True)
+
+    def __iter__(self) -> Iterator[InfoRow]:
+        for frame in self.frames():
+            for packet in frame.packets:
+                if packet.type is None or packet.id == FRAME_END:
+                    continue
+                for record in _records(frame, packet):
+                    yield InfoRow(frame.elapsed, frame.id, packet.type.name, record)
+
+
+def info(source: Reader, *, all: bool = False, compat: bool = False) -> Info:
+    """The events of a recording: spawns, destructions, parentings, collisions.
+
+    Args:
+        source: The recording.
+        all: Take every record instead.
+        compat: Let the text report be as CARLA 0.9.16 prints it, with its slips.
+    """
+    return Info(source, all=all, compat=compat)
+
+
+def _records(frame: Frame, packet: Packet) -> Iterator[dict[str, Any]]:
+    if packet.id == FRAME_START:
+        yield {"id": frame.id, "duration": frame.duration, "elapsed": frame.elapsed}
+        return
+    assert packet.type is not None
+    layout = packet.type.layout
+    if not isinstance(packet.records, np.ndarray):
+        for record in packet.records:
+            yield {name: _plain(kind, getattr(record, name)) for name, kind in layout.fields.items()}
+        return
+    names = tuple(layout.fields)
+    columns = [_column(layout.fields[name], packet.records[name]) for name in names]
+    for row in zip(*columns, strict=True):
+        yield dict(zip(names, row, strict=True))
+
+
+def _column(kind: str | Many, values: Any) -> list[Any]:
+    return (values != 0).tolist() if kind == FLAG else values.tolist()  # type: ignore[no-any-return]
+
+
+def _plain(kind: str | Many, value: Any) -> Any:
+    """A field of a record as plain Python."""
+    if isinstance(kind, Many):
+        return _items(kind.layouts[0], value)
+    if kind == TEXT:
+        return readable(value)
+    return bool(value) if kind == FLAG else value
+
+
+def _items(layout: Layout, values: Any) -> list[dict[str, Any]]:
+    if isinstance(values, np.ndarray):
+        names = values.dtype.names or ()
+        return [dict(zip(names, row, strict=True)) for row in values.tolist()]
+    return [{name: _plain(kind, getattr(value, name)) for name, kind in layout.fields.items()} for value in values]

@@ -1,0 +1,130 @@
+"""CARLA's text of the answers, as its query functions print it."""
+
+from __future__ import annotations
+
+import math
+import time
+from typing import TYPE_CHECKING, Final
+
+import numpy as np
+
+from carla_recap.frame import Packet
+from carla_recap.queries.answer import readable
+from carla_recap.queries.collisions import Collisions
+from carla_recap.queries.info import EVENTS, Info
+from carla_recap.queries.lines import number, packet_lines
+from carla_recap.records import FRAME_END, FRAME_START
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+
+    from carla_recap.frame import Frame, Header
+    from carla_recap.queries.blocked import Blocked
+
+_NAME_WIDTH: Final = 35
+
+
+def text(answer: Info | Collisions | Blocked) -> Iterator[str]:
+    """CARLA's text of an answer, in pieces."""
+    yield _preamble(answer.header)
+    if isinstance(answer, Info):
+        yield from _info(answer)
+    elif isinstance(answer, Collisions):
+        yield from _collisions(answer)
+    else:
+        yield from _blocked(answer)
+    # In CARLA, a collision's row leaves the stream without decimals.
+    rounded = answer.compat and isinstance(answer, Collisions) and len(answer) > 0
+    duration = (_whole if rounded else number)(answer.extent.duration)
+    yield f"\nFrames: {answer.extent.last_id}\nDuration: {duration} seconds\n"
+
+
+def _preamble(header: Header) -> str:
+    return f"Version: {header.version}\nMap: {readable(header.map_name)}\nDate: {_date(header.date)}\n\n"
+
+
+def _date(seconds: int) -> str:
+    """A date in local time, as in the C locale; the number itself where no calendar reaches."""
+    try:
+        return time.strftime("%m/%d/%y %H:%M:%S", time.localtime(seconds))
+    except (OverflowError, ValueError, OSError):
+        return str(seconds)
+
+
+def _whole(value: float) -> str:
+    """A number without decimals, the even one of two equally near."""
+    return "-nan" if number(value) == "-nan" else f"{value:.0f}"
+
+
+def _padded(name: str) -> str:
+    """A name of at least a column's width; CARLA counts bytes."""
+    return name + " " * (_NAME_WIDTH - len(name.encode()))
+
+
+def _collisions(answer: Collisions) -> Iterator[str]:
+    yield f"{'Time':>8} {'Types':>6} {'Id':>6} {'Actor 1':<35} {'Id':>6} {'Actor 2':<35}\n"
+    for row in answer:
+        yield (
+            f"{_whole(row.elapsed):>8}   {row.letter1} {row.letter2} "
+            f" {row.id1:>6} {_padded(row.type_id1)} {row.id2:>6} {_padded(row.type_id2)}\n"
+        )
+
+
+def _blocked(answer: Blocked) -> Iterator[str]:
+    yield f"{'Time':>8} {'Id':>6} {'Actor':<35} {'Duration':>10}\n"
+    for row in answer:
+        yield f"{_whole(row.start):>8} {row.id:>6} {_padded(row.type_id)} {_whole(row.duration):>10}\n"
+
+
+def _info(answer: Info) -> Iterator[str]:
+    lines = packet_lines(answer.compat)
+    frame = None
+    for frame in answer.frames():
+        parts = []
+        headed = False
+        for packet in frame.packets:
+            if packet.type is None:
+                continue
+            if packet.id == FRAME_START:
+                parts.append(_frame_line(frame.id, frame.elapsed))
+                headed = True
+            elif packet.type.name in lines:
+                if not headed and packet.type.name in EVENTS and len(packet.records):
+                    parts.append(_frame_line(frame.id, frame.elapsed))
+                    headed = True
+                parts.append(lines[packet.type.name](packet))
+        yield "".join(parts)
+    if answer.compat:
+        yield _once_more(answer, frame)
+
+
+def _frame_line(id: int, elapsed: float) -> str:
+    return f"Frame {id} at {number(elapsed)} seconds\n"
+
+
+def _once_more(answer: Info, last: Frame | None) -> str:
+    """What CARLA prints at the end of a file that does not end with a frame's end.
+
+    It takes the last packet for read once more, with the values that it holds already: as many copies of its last record
+    as it has records. In a file without packets, that is the start of a frame 0. Of a file that was cut short, nothing is
+    to be had this way but a wrong answer: then nothing is printed.
+    """
+    source, extent = answer.source, answer.extent
+    if next(source.tail(), None) is not None:
+        return ""
+    if last is None:
+        return _frame_line(0, 0.0) if answer.all else ""
+    if not answer.all:
+        if (last.id, last.elapsed) != (extent.last_id, extent.duration):
+            return ""
+        last = source.frame_at(math.inf) or last
+    ids = [packet.id for packet in last.packets]
+    packet = last.packets[-1]
+    if ids[0] == FRAME_START and (FRAME_END not in ids or ids[-1] == FRAME_END):
+        return ""
+    shown = packet.type is not None and (answer.all or packet.type.name in EVENTS)
+    lines = packet_lines(compat=True).get(packet.type.name) if packet.type and shown else None
+    if lines is None or not isinstance(packet.records, np.ndarray):
+        return ""
+    again = np.repeat(packet.records[-1:], len(packet.records))
+    return lines(Packet(packet.id, packet.type, records=again))
