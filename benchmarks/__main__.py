@@ -5,6 +5,7 @@ from __future__ import annotations
 import argparse
 import multiprocessing
 import sys
+import traceback
 from concurrent.futures import ProcessPoolExecutor
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -32,6 +33,7 @@ def main() -> None:
     tell("making the recording")
     in_new_process(cached, options.frames)
     show("what", "measured", "ratio", "must reach", "ok?")
+    crashed = False
     for row in ROWS:
         if options.only and row.__name__ not in options.only:
             continue
@@ -41,8 +43,14 @@ def main() -> None:
         except ImportError:
             show(row.__name__, "not available")
             continue
+        except Exception:
+            show(row.__name__, "crashed")
+            traceback.print_exc()
+            crashed = True
+            continue
         for line in lines:
             show(line.what, line.measured, line.ratio, line.goal, "ok" if line.ok else "MISSED")
+    sys.exit(crashed)
 
 
 def in_new_process(work: Callable[..., Any], *arguments: Any) -> Any:

@@ -33,7 +33,7 @@ if TYPE_CHECKING:
 
     Query = Callable[[Reader], Collisions | Blocked | Info]
 
-CONVERT: Final = "import sys; from carla_recap.convert import convert; convert(*sys.argv[1:], force=True)"
+CONVERT: Final = "import sys; from carla_recap.conversion import convert; convert(*sys.argv[1:], force=True)"
 NUMBER: Final = re.compile(r"(?<!\w)-?(?:\d+(?:\.\d+)?(?:e[+-]\d+)?|nan|inf)\b")
 SMALL: Final = 10 * RATE  # frames of a small recording
 

@@ -1,0 +1,84 @@
+"""Recordings of the driving simulator CARLA, without the simulator: read, convert, query, write.
+
+import carla_recap
+
+with carla_recap.open_recording("crash.log") as recording:
+    print(recording.info)
+    print(recording.collisions())
+"""
+
+from __future__ import annotations
+
+from importlib import import_module
+from importlib.metadata import version
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from carla_recap.author import Recorder, create_recording
+    from carla_recap.conversion import convert
+    from carla_recap.errors import (
+        FormatError,
+        MissingExtra,
+        NotARecording,
+        RecapError,
+        RecapWarning,
+        RecordError,
+    )
+    from carla_recap.frame import Frame
+    from carla_recap.queries.blocked import BlockedRow
+    from carla_recap.queries.collisions import CollisionRow
+    from carla_recap.records import ActorKind, Attribute, Spawn
+    from carla_recap.recording import Actor, Recording, Trajectory, open_recording
+    from carla_recap.recovery import Recovery, recover
+
+__version__ = version("carla-recap")
+
+__all__ = [
+    "Actor",
+    "ActorKind",
+    "Attribute",
+    "BlockedRow",
+    "CollisionRow",
+    "FormatError",
+    "Frame",
+    "MissingExtra",
+    "NotARecording",
+    "RecapError",
+    "RecapWarning",
+    "RecordError",
+    "Recorder",
+    "Recording",
+    "Recovery",
+    "Spawn",
+    "Trajectory",
+    "convert",
+    "create_recording",
+    "open_recording",
+    "recover",
+]
+
+# Names are imported when they are asked for: the command line should not wait for numpy to print its help.
+_HOMES = {
+    "author": ("Recorder", "create_recording"),
+    "conversion": ("convert",),
+    "errors": ("FormatError", "MissingExtra", "NotARecording", "RecapError", "RecapWarning", "RecordError"),
+    "frame": ("Frame",),
+    "queries.blocked": ("BlockedRow",),
+    "queries.collisions": ("CollisionRow",),
+    "records": ("ActorKind", "Attribute", "Spawn"),
+    "recording": ("Actor", "Recording", "Trajectory", "open_recording"),
+    "recovery": ("Recovery", "recover"),
+}
+_HOME_OF = {name: home for home, names in _HOMES.items() for name in names}
+
+
+def __getattr__(name: str) -> Any:
+    if name not in _HOME_OF:
+        raise AttributeError(f"module 'carla_recap' has no attribute {name!r}")
+    found = getattr(import_module(f"carla_recap.{_HOME_OF[name]}"), name)
+    globals()[name] = found
+    return found
+
+
+def __dir__() -> list[str]:
+    return sorted([*globals(), *__all__])

@@ -133,17 +133,28 @@ class Frame:
         id: CARLA's frame number, from 1 in a recording of CARLA's; 0 for packets before the first frame.
         elapsed: Seconds since the recording began.
         duration: Seconds until the next frame; -1 for the last one of a recording.
-        packets: The packets; an empty one is there because CARLA writes it so.
+        packets: The packets behind the one that starts the frame; empty ones, too, as CARLA writes them.
+        preamble: Whether these are packets before the first frame starts.
     """
 
-    __slots__ = ("duration", "elapsed", "id", "index", "packets")
+    __slots__ = ("duration", "elapsed", "id", "index", "packets", "preamble")
 
-    def __init__(self, index: int, id: int, elapsed: float, duration: float, packets: list[Packet]) -> None:
+    def __init__(
+        self,
+        index: int,
+        id: int,
+        elapsed: float,
+        duration: float,
+        packets: list[Packet],
+        *,
+        preamble: bool = False,
+    ) -> None:
         self.index = index
         self.id = id
         self.elapsed = elapsed
         self.duration = duration
         self.packets = packets
+        self.preamble = preamble
 
     def __repr__(self) -> str:
         held = ", ".join(f"{name}: {len(records)}" for name, records in self.items())

@@ -6,7 +6,6 @@ The size of a packet's header and its id are the `.log` codec's business; here i
 from __future__ import annotations
 
 import struct
-from collections.abc import Callable
 from typing import Any, Final
 
 import numpy as np
@@ -23,7 +22,17 @@ EMPTY_LIST: Final = b"\0\0"
 OBJECTS_LIMIT: Final = 8 << 20
 """The largest packet of variable-size records that is parsed, in bytes: parsed records take up to 50 times that memory."""
 
-_STRUCT_CODES: Final = {"u1": "B", "i1": "b", "u2": "H", "u4": "I", "i4": "i", "u8": "Q", "f4": "f", "f8": "d", FLAG: "B"}
+_STRUCT_CODES: Final = {
+    "u1": "B",
+    "i1": "b",
+    "u2": "H",
+    "u4": "I",
+    "i4": "i",
+    "u8": "Q",
+    "f4": "f",
+    "f8": "d",
+    FLAG: "B",
+}
 
 
 class PayloadError(ValueError):
@@ -120,7 +129,8 @@ def _pack_count(type: RecordType, count: int) -> bytes:
     return U16.pack(count)
 
 
-Step = struct.Struct | str | tuple[struct.Struct, Many, list[tuple[list[Any], Callable[..., Any] | np.dtype[np.void]]]]
+Item = tuple[list[Any], Any]  # steps and class of an object, or no steps and a dtype
+Step = struct.Struct | str | tuple[struct.Struct, Many, list[Item]]
 _compiled: dict[tuple[int, bool], list[tuple[tuple[str, ...], Step]]] = {}
 
 
@@ -134,14 +144,17 @@ def _compile(layout: Layout, wide: bool) -> list[tuple[tuple[str, ...], Step]]:
 
     def end_run() -> None:
         if run:
-            steps.append((tuple(name for name, _ in run), struct.Struct("<" + "".join(code for _, code in run))))
+            steps.append(
+                (tuple(name for name, _ in run), struct.Struct("<" + "".join(code for _, code in run)))
+            )
             run.clear()
 
     for name, kind in layout.fields.items():
         if isinstance(kind, Many):
             end_run()
-            items = [
-                (_compile(item, wide), item.make) if item.make else ([], item.dtype(wide)) for item in kind.layouts
+            items: list[Item] = [
+                (_compile(item, wide), item.make) if item.make else ([], item.dtype(wide))
+                for item in kind.layouts
             ]
             steps.append(((name,), (struct.Struct("<" + _STRUCT_CODES[kind.count]), kind, items)))
         elif kind == TEXT:
@@ -156,7 +169,9 @@ def _compile(layout: Layout, wide: bool) -> list[tuple[tuple[str, ...], Step]]:
 
 def _unpack_objects(type: RecordType, payload: Buffer, count: int) -> tuple[Records, int]:
     if len(payload) > OBJECTS_LIMIT:
-        raise PayloadError(0, f"{type.name}: a packet of at most {OBJECTS_LIMIT} bytes, this has {len(payload)}")
+        raise PayloadError(
+            0, f"{type.name}: a packet of at most {OBJECTS_LIMIT} bytes, this has {len(payload)}"
+        )
     data = bytes(payload)
     choices = max(len(kind.layouts) if isinstance(kind, Many) else 1 for kind in type.layout.fields.values())
     results: list[tuple[Records, int]] = []

@@ -22,7 +22,9 @@ from carla_recap.errors import RecordError
 # Field kinds. A kind is a numpy type code, or one of these:
 REAL: Final = "real"  # a length, angle or speed: float32 in UE4 builds (0.9), float64 in UE5 builds (0.10)
 FLAG: Final = "flag"  # a byte that should be 0 or 1
-TEXT: Final = "text"  # u16 byte count, then UTF-8; invalid bytes become lone surrogates (PEP 383), so nothing is lost
+TEXT: Final = (
+    "text"  # u16 byte count, then UTF-8; invalid bytes become lone surrogates (PEP 383), so nothing is lost
+)
 
 NO_ACTOR: Final = 0xFFFFFFFF
 """The id that stands for something that is no actor: a building, a barrier (since CARLA 0.9.13)."""
@@ -227,7 +229,9 @@ _PHYSICS = Layout(
         "forward_gears": Many("u4", (_fixed(ratio="f4", down_ratio="f4", up_ratio="f4"),)),
         "steering_curve": _CURVE,
         # 48 bytes a wheel since 0.9.12, 36 before.
-        "wheels": Many("u4", (_fixed(**_WHEEL_START, **_STIFFNESS, **_WHEEL_END), _fixed(**_WHEEL_START, **_WHEEL_END))),
+        "wheels": Many(
+            "u4", (_fixed(**_WHEEL_START, **_STIFFNESS, **_WHEEL_END), _fixed(**_WHEEL_START, **_WHEEL_END))
+        ),
     },
     Physics,
 )
@@ -270,6 +274,8 @@ class RecordType:
         layout: The fields of one record.
         framing: How the packet counts its records.
         group: The chunk group in MCAP.
+        always: CARLA writes the packet in every frame, empty or not.
+        additional: CARLA writes the packet only when it records additional data.
         wide: Whether this row describes UE5's double-precision layout.
         opaque: Kept as raw bytes, never parsed.
     """
@@ -282,6 +288,8 @@ class RecordType:
     layout: Layout
     framing: Framing = Framing.LIST
     group: Group = Group.STATE
+    always: bool = False
+    additional: bool = False
     wide: bool = False
     opaque: bool = False
     dtype: np.dtype[np.void] = field(init=False)
@@ -317,16 +325,22 @@ class RecordType:
                 return self._from_columns(values)
             if isinstance(values, np.ndarray):
                 if values.dtype.names is None:
-                    raise RecordError(f"{self.name}: a structured array is expected, with the fields {self.dtype.names}")
+                    raise RecordError(
+                        f"{self.name}: a structured array is expected, with the fields {self.dtype.names}"
+                    )
                 return np.atleast_1d(values).astype(self.dtype, copy=False)
             return np.array([tuple(row) for row in values], dtype=self.dtype)
         except (TypeError, ValueError, OverflowError) as error:
-            raise RecordError(f"{self.name}: {error}; the fields are {', '.join(self.layout.fields)}") from None
+            raise RecordError(
+                f"{self.name}: {error}; the fields are {', '.join(self.layout.fields)}"
+            ) from None
 
     def _from_columns(self, columns: Mapping[str, Any]) -> NDArray[np.void]:
         unknown = set(columns) - set(self.layout.fields)
         if unknown:
-            raise RecordError(f"{self.name} has no field {min(unknown)!r}; the fields are {', '.join(self.layout.fields)}")
+            raise RecordError(
+                f"{self.name} has no field {min(unknown)!r}; the fields are {', '.join(self.layout.fields)}"
+            )
         shape = np.broadcast_shapes(*(np.shape(column) for column in columns.values()), (1,))
         array = np.zeros(shape, dtype=self.dtype)
         for name, column in columns.items():
@@ -338,85 +352,71 @@ Records = NDArray[np.void] | list[Any]
 """The records of one type: a structured array, or a list of objects where the size varies."""
 
 
-def _row(name: str, id: int, topic: str, message: str, items: str, layout: Layout, **rest: Any) -> RecordType:
-    return RecordType(name, id, topic, message, items, layout, **rest)
-
-
-_EVENTS = {"group": Group.EVENTS}
-_SINGLE = {"framing": Framing.SINGLE}
-
-_ROWS: Final = (
-    _row("frame", 0, "/frames", "Frame", "", _fixed(id="u8", duration="f8", elapsed="f8"), **_SINGLE),
-    _row("frame_end", 1, "", "", "", _fixed(), framing=Framing.MARKER),
-    _row("spawned", 2, "/actors/spawned", "Spawned", "actors", _SPAWN, **_EVENTS),
-    _row("destroyed", 3, "/actors/destroyed", "Destroyed", "actors", _fixed(id="u4"), **_EVENTS),
-    _row("parented", 4, "/actors/parented", "Parented", "actors", _fixed(id="u4", parent="u4"), **_EVENTS),
-    _row(
-        "collisions",
-        5,
-        "/collisions",
-        "Collisions",
-        "collisions",
-        _fixed(id="u4", actor1="u4", actor2="u4", hero1=FLAG, hero2=FLAG),
-        **_EVENTS,
-    ),
-    _row("transforms", 6, "/actors/transforms", "Transforms", "actors", Layout({"id": "u4", **_POSE})),
-    _row(
-        "light_states",
-        7,
-        "/traffic_lights/states",
-        "TrafficLightStates",
-        "lights",
-        _fixed(id="u4", frozen=FLAG, elapsed="f4", state="i1"),
-    ),
-    _row(
-        "vehicle_controls",
-        8,
-        "/vehicles/controls",
-        "VehicleControls",
-        "vehicles",
-        _fixed(id="u4", steer="f4", throttle="f4", brake="f4", hand_brake=FLAG, gear="i4"),
-    ),
-    _row("walker_controls", 9, "/walkers/controls", "WalkerControls", "walkers", _fixed(id="u4", speed="f4")),
-    _row("vehicle_lights", 10, "/vehicles/lights", "VehicleLights", "vehicles", _fixed(id="u4", flags="u4")),
-    _row(
-        "scene_lights",
-        11,
-        "/scene/lights",
-        "SceneLights",
-        "lights",
-        _fixed(id="i4", intensity="f4", red="f4", green="f4", blue="f4", alpha="f4", on=FLAG, group="u1"),
-        **_EVENTS,
-    ),
-    _row(
-        "velocities",
-        12,
-        "/actors/velocities",
-        "Velocities",
-        "actors",
-        _fixed(id="u4", x=REAL, y=REAL, z=REAL, angular_x=REAL, angular_y=REAL, angular_z=REAL),
-    ),
-    _row("bounding_boxes", 13, "/actors/bounding_boxes", "BoundingBoxes", "actors", Layout({"id": "u4", **_BOX}), **_EVENTS),
-    _row("platform_time", 14, "/clock/platform", "PlatformTime", "seconds", _fixed(seconds="f8"), **_SINGLE),
-    _row("physics", 15, "/vehicles/physics", "VehiclePhysics", "vehicles", _PHYSICS, **_EVENTS),
-    _row(
-        "light_times",
-        16,
-        "/traffic_lights/times",
-        "TrafficLightTimes",
-        "lights",
-        _fixed(id="u4", green="f4", yellow="f4", red="f4"),
-        **_EVENTS,
-    ),
-    _row("trigger_volumes", 17, "/actors/trigger_volumes", "TriggerVolumes", "actors", Layout({"id": "u4", **_BOX}), **_EVENTS),
-    _row("frame_counter", 18, "/clock/frame_counter", "FrameCounter", "count", _fixed(count="u8"), **_SINGLE),
-    _row("walker_bones", 19, "/walkers/bones", "WalkerBones", "walkers", _BONES),
-    _row("visual_time", 20, "/clock/visual", "VisualTime", "seconds", _fixed(seconds="f8"), **_SINGLE),
-    _row("wheels", 21, "/vehicles/wheels", "VehicleWheels", "vehicles", _WHEELS),
-    _row("bikers", 22, "/vehicles/bikers", "Bikers", "bikers", _fixed(id="u4", speed="f4", engine_rpm_ratio="f4")),
-    _row("doors", 23, "/vehicles/doors", "VehicleDoors", "doors", _fixed(id="u4", door="u1", open=FLAG), **_EVENTS),
-    _row("weather", 24, "/weather", "Weather", "weather", _WEATHER, **_EVENTS),
+_CONTROL = _fixed(id="u4", steer="f4", throttle="f4", brake="f4", hand_brake=FLAG, gear="i4")
+_COLLISION = _fixed(id="u4", actor1="u4", actor2="u4", hero1=FLAG, hero2=FLAG)
+_SCENE_LIGHT = _fixed(
+    id="i4", intensity="f4", red="f4", green="f4", blue="f4", alpha="f4", on=FLAG, group="u1"
 )
+_VELOCITY = _fixed(id="u4", x=REAL, y=REAL, z=REAL, angular_x=REAL, angular_y=REAL, angular_z=REAL)
+_LIGHT_STATE = _fixed(id="u4", frozen=FLAG, elapsed="f4", state="i1")
+_LIGHT_TIME = _fixed(id="u4", green="f4", yellow="f4", red="f4")
+_TRANSFORM = Layout({"id": "u4", **_POSE})
+_VOLUME = Layout({"id": "u4", **_BOX})
+_FRAME = _fixed(id="u8", duration="f8", elapsed="f8")
+_SECONDS = _fixed(seconds="f8")
+
+_LIST, _SINGLE = Framing.LIST, Framing.SINGLE
+_STATE, _EVENTS = Group.STATE, Group.EVENTS
+_E, _N = {"always": True}, {"always": False}
+_AE, _AN = {"always": True, "additional": True}, {"additional": True}
+
+
+def _row(
+    id: int,
+    name: str,
+    topic: str,
+    message: str,
+    items: str,
+    layout: Layout,
+    framing: Framing,
+    group: Group,
+    presence: Any,
+) -> RecordType:
+    return RecordType(name, id, topic, message, items, layout, framing, group, **presence)
+
+
+# fmt: off
+_ROWS: Final = (
+    _row(0, "frame", "/frames", "Frame", "", _FRAME, _SINGLE, _STATE, _E),
+    _row(1, "frame_end", "", "", "", _fixed(), Framing.MARKER, _STATE, _E),
+    _row(2, "spawned", "/actors/spawned", "Spawned", "actors", _SPAWN, _LIST, _EVENTS, _E),
+    _row(3, "destroyed", "/actors/destroyed", "Destroyed", "actors", _fixed(id="u4"), _LIST, _EVENTS, _E),
+    _row(4, "parented", "/actors/parented", "Parented", "actors", _fixed(id="u4", parent="u4"), _LIST, _EVENTS, _E),
+    _row(5, "collisions", "/collisions", "Collisions", "collisions", _COLLISION, _LIST, _EVENTS, _E),
+    _row(6, "transforms", "/actors/transforms", "Transforms", "actors", _TRANSFORM, _LIST, _STATE, _E),
+    _row(7, "light_states", "/traffic_lights/states", "TrafficLightStates", "lights", _LIGHT_STATE, _LIST, _STATE, _E),
+    _row(8, "vehicle_controls", "/vehicles/controls", "VehicleControls", "vehicles", _CONTROL, _LIST, _STATE, _E),
+    _row(9, "walker_controls", "/walkers/controls", "WalkerControls", "walkers", _fixed(id="u4", speed="f4"), _LIST, _STATE, _E),
+    _row(10, "vehicle_lights", "/vehicles/lights", "VehicleLights", "vehicles", _fixed(id="u4", flags="u4"), _LIST, _STATE, _E),
+    _row(11, "scene_lights", "/scene/lights", "SceneLights", "lights", _SCENE_LIGHT, _LIST, _EVENTS, _N),
+    _row(12, "velocities", "/actors/velocities", "Velocities", "actors", _VELOCITY, _LIST, _STATE, _AN),
+    _row(13, "bounding_boxes", "/actors/bounding_boxes", "BoundingBoxes", "actors", _VOLUME, _LIST, _EVENTS, _AE),
+    _row(14, "platform_time", "/clock/platform", "PlatformTime", "seconds", _SECONDS, _SINGLE, _STATE, _AN),
+    _row(15, "physics", "/vehicles/physics", "VehiclePhysics", "vehicles", _PHYSICS, _LIST, _EVENTS, _AN),
+    _row(16, "light_times", "/traffic_lights/times", "TrafficLightTimes", "lights", _LIGHT_TIME, _LIST, _EVENTS, _AN),
+    _row(17, "trigger_volumes", "/actors/trigger_volumes", "TriggerVolumes", "actors", _VOLUME, _LIST, _EVENTS, _AN),
+    _row(18, "frame_counter", "/clock/frame_counter", "FrameCounter", "count", _fixed(count="u8"), _SINGLE, _STATE, _N),
+    _row(19, "walker_bones", "/walkers/bones", "WalkerBones", "walkers", _BONES, _LIST, _STATE, _AE),
+    _row(20, "visual_time", "/clock/visual", "VisualTime", "seconds", _SECONDS, _SINGLE, _STATE, _N),
+    _row(21, "wheels", "/vehicles/wheels", "VehicleWheels", "vehicles", _WHEELS, _LIST, _STATE, _E),
+    _row(22, "bikers", "/vehicles/bikers", "Bikers", "bikers", _fixed(id="u4", speed="f4", engine_rpm_ratio="f4"), _LIST, _STATE, _E),
+    _row(23, "doors", "/vehicles/doors", "VehicleDoors", "doors", _fixed(id="u4", door="u1", open=FLAG), _LIST, _EVENTS, _E),
+    _row(24, "weather", "/weather", "Weather", "weather", _WEATHER, _LIST, _EVENTS, _N),
+)
+# fmt: on
+
+ORDER: Final = (20, 2, 3, 4, 5, 23, 6, 7, 8, 9, 10, 11, 21, 22, 24, 12, 13, 17, 14, 15, 16, 19, 18)
+"""The order in which CARLA 0.9.16 writes the packets of a frame, between its start and its end."""
 
 
 class Table(Sequence[RecordType]):

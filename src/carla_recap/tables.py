@@ -1,4 +1,4 @@
-"""Answers as tables: a list of dataclass rows that becomes a pandas DataFrame or an Arrow table."""
+"""Answers as tables: rows or columns that become a pandas DataFrame or an Arrow table."""
 
 from __future__ import annotations
 
@@ -15,18 +15,18 @@ if TYPE_CHECKING:
 
 T = TypeVar("T")
 
+_INT64_MAX = 2**63 - 1
 
-class Rows(list[T]):
-    """A list of rows, all of one dataclass.
 
-    Attributes:
-        row_type: The dataclass, so that an empty list has columns too; None: that of the first row.
-    """
+class _Tabular:
+    """Whatever has columns."""
 
-    row_type: ClassVar[type[Any] | None] = None
+    def _columns(self) -> list[tuple[str, bool, Any]]:
+        """Name of each column, whether it is text, and its values."""
+        raise NotImplementedError
 
     def to_pandas(self) -> pd.DataFrame:
-        """The rows as a pandas DataFrame, one column per field.
+        """A pandas DataFrame, one column per field.
 
         Raises:
             MissingExtra: pandas is not installed.
@@ -35,14 +35,15 @@ class Rows(list[T]):
             import pandas as pd
         except ImportError:
             raise MissingExtra("to_pandas()", "pandas") from None
-        columns = {
-            name: pd.Series(values, dtype="str" if kind is str else None, name=name)
-            for name, kind, values in self._columns()
-        }
-        return pd.DataFrame(columns)
+        return pd.DataFrame(
+            {
+                name: pd.Series(values, dtype="str" if text else None, name=name)
+                for name, text, values in self._columns()
+            }
+        )
 
     def to_arrow(self) -> pa.Table:
-        """The rows as an Arrow table, one column per field.
+        """An Arrow table, one column per field.
 
         Raises:
             MissingExtra: pyarrow is not installed.
@@ -52,23 +53,40 @@ class Rows(list[T]):
         except ImportError:
             raise MissingExtra("to_arrow()", "arrow") from None
         return pa.table(
-            {name: pa.array(values, pa.string() if kind is str else None) for name, kind, values in self._columns()}
+            {name: pa.array(values, pa.string() if text else None) for name, text, values in self._columns()}
         )
 
-    def _columns(self) -> list[tuple[str, Any, Any]]:
-        """Name, type and values of each field."""
-        row_type = self.row_type or (type(self[0]) if self else None)
+
+class Columns(_Tabular):
+    """Base of a dataclass whose fields are arrays of one length."""
+
+    def _columns(self) -> list[tuple[str, bool, Any]]:
+        names = [field.name for field in fields(self)]  # type: ignore[arg-type]
+        return [(name, False, getattr(self, name)) for name in names]
+
+
+class Rows(list[T], _Tabular):
+    """A list of rows, all of one dataclass.
+
+    Attributes:
+        row_type: The dataclass, so that an empty list has columns too; None: that of the first row.
+    """
+
+    row_type: ClassVar[type[Any] | None] = None
+
+    def _columns(self) -> list[tuple[str, bool, Any]]:
+        row_type: Any = self.row_type or (type(self[0]) if self else None)
         if row_type is None:
             return []
         kinds = get_type_hints(row_type)
         names = [field.name for field in fields(row_type)]
-        return [(name, kinds[name], _column(kinds[name], [getattr(row, name) for row in self])) for name in names]
+        return [
+            (name, kinds[name] is str, _column(kinds[name], [getattr(row, name) for row in self]))
+            for name in names
+        ]
 
 
 def _column(kind: Any, values: list[Any]) -> Any:
     if kind is int:
         return np.array(values, np.uint64 if any(value > _INT64_MAX for value in values) else np.int64)
     return np.array(values, kind) if kind in (float, bool) else values
-
-
-_INT64_MAX = 2**63 - 1

@@ -25,7 +25,7 @@ from carla_recap.formats.atomic import AtomicFile
 from carla_recap.formats.base import PIECE
 from carla_recap.frame import Extent, Frame, Header, Packet
 from carla_recap.payload import EMPTY_LIST, U16, Buffer, PayloadError, check
-from carla_recap.records import FRAME_END, FRAME_START, UE4, UE5, Framing, RecordType
+from carla_recap.records import FRAME_START, UE4, UE5, Framing, RecordType
 
 MAGIC: Final = b"CARLA_RECORDER"
 PACKET: Final = struct.Struct("<BI")  # id, size of the payload
@@ -36,7 +36,9 @@ SHIFT: Final = {21: 23, 22: 21, 23: 22}
 """Packet ids of the development builds that put the doors first, and what they are in all others."""
 UNSHIFT: Final = {plain: shifted for shifted, plain in SHIFT.items()}
 
+_SNIFFED_FRAMES: Final = 3  # builds that have the shifted packets write them in every frame
 _SNIFFED_PACKETS: Final = 20_000
+_PACKETS_IN_A_FRAME: Final = 256
 _FORGET: Final = 16 << 20  # mapped pages are given back every so many bytes
 
 Place = tuple[int, int, int]  # packet id as in the file, offset and size of the payload
@@ -60,14 +62,20 @@ class LogReader:
 
     Args:
         path: The file.
+        salvage: Leave out what contradicts the format, and go on with the next frame that looks whole.
+
+    Attributes:
+        lost_bytes: What salvage had to leave out so far.
 
     Raises:
         NotARecording: It is no CARLA log.
         FormatError: It contradicts the format.
     """
 
-    def __init__(self, path: Path | str) -> None:
+    def __init__(self, path: Path | str, *, salvage: bool = False) -> None:
         self.path = Path(path)
+        self.lost_bytes = 0
+        self._salvage = salvage
         try:
             with self.path.open("rb") as file:
                 if not stat.S_ISREG(os.fstat(file.fileno()).st_mode):
@@ -88,9 +96,14 @@ class LogReader:
         self._types: list[RecordType | None] = [None] * 256
         for type in header.table:
             self._types[UNSHIFT.get(type.id, type.id) if header.shifted else type.id] = type
-        self._empty = [Packet(self._plain_id(id), type, EMPTY_LIST) for id, type in enumerate(self._types)]
-        self._frame_start = Packet(FRAME_START, self._types[FRAME_START], b"")
-        self._frame_end = Packet(FRAME_END, self._types[FRAME_END], b"")
+        # Packets without records, which are in every frame; by id and payload.
+        self._ready = {
+            (id, payload): Packet(type.id, type, payload)
+            for id, type in enumerate(self._types)
+            if type is not None
+            for payload in (b"" if type.framing is Framing.MARKER else EMPTY_LIST,)
+            if type.framing is not Framing.SINGLE
+        }
 
     def close(self) -> None:
         """Let go of the file; it is unmapped when the last array that came from it is gone."""
@@ -117,7 +130,7 @@ class LogReader:
         if first is None:
             return
         for found in self._walk(wanted, ignored_size, sparse, *first):
-            frame = self._frame(*found, whole=types is None)
+            frame = self._frame(*found)
             if stop < math.inf and frame.elapsed >= stop:
                 return
             if start == -math.inf or frame.elapsed >= start:
@@ -133,7 +146,7 @@ class LogReader:
         wanted = [True] * 256
         wanted[FRAME_START] = False
         walk = self._walk(wanted, -1, False, index, self._indexed().offsets[index])
-        return self._frame(*next(walk), whole=True)
+        return self._frame(*next(walk))
 
     def extent(self) -> Extent:
         """How far the recording goes."""
@@ -162,7 +175,9 @@ class LogReader:
             name, end = self._read_text(at + DATE.size)
         except (struct.error, IndexError):
             if not is_log(bytes(view[:64])):
-                raise NotARecording(self.path, "is not a CARLA log (the magic CARLA_RECORDER is missing)") from None
+                raise NotARecording(
+                    self.path, "is not a CARLA log (the magic CARLA_RECORDER is missing)"
+                ) from None
             raise FormatError(self.path, len(view), "the file ends inside the header") from None
         plain = Header(name.decode("utf-8", "surrogateescape"), date, version)
         raw = bytes(view[:end])
@@ -184,8 +199,10 @@ class LogReader:
         spawns: memoryview | None = None
         after = False
         view, size = self._view, len(self._view)
+        frames = 0
         for _ in range(_SNIFFED_PACKETS):
-            if at + PACKET.size > size or (wide is not None and shifted is not None):
+            sized = wide is not None or spawns is not None
+            if at + PACKET.size > size or (sized and (shifted is not None or frames > _SNIFFED_FRAMES)):
                 break
             id, length = PACKET.unpack_from(view, at)
             payload = view[at + PACKET.size : at + PACKET.size + length]
@@ -194,10 +211,13 @@ class LogReader:
             at += PACKET.size + length
             if id == FRAME_START:
                 after = False
+                frames += 1
             elif 6 <= id <= 11:
                 after = True
             if wide is None and id in (6, 12, 13, 17):
-                wide = next((table.wide for table in (UE4, UE5) if length > 2 and _fits(table[id], payload)), None)
+                wide = next(
+                    (table.wide for table in (UE4, UE5) if length > 2 and _fits(table[id], payload)), None
+                )
             elif id == 2 and spawns is None and length > 2:
                 spawns = payload
             elif shifted is None and id in SHIFT:
@@ -218,7 +238,12 @@ class LogReader:
 
         Packets before the first frame make a frame of their own, with offset -1.
         """
-        view, last_head, size, head = self._view, len(self._view) - PACKET.size, len(self._view), PACKET.unpack_from
+        view, last_head, size, head = (
+            self._view,
+            len(self._view) - PACKET.size,
+            len(self._view),
+            PACKET.unpack_from,
+        )
         begun = self._preamble and at == self._start
         number -= not begun
         frame_at = -1
@@ -228,6 +253,9 @@ class LogReader:
             id, length = head(view, at)
             end = at + 5 + length
             if end > size:
+                if self._salvage and (whole := self._next_frame(at + 1)) is not None:
+                    at = self._lose(at, whole)
+                    continue
                 break
             if wanted[id] and length != ignored_size:
                 places.append((id, at + 5, length))
@@ -235,6 +263,10 @@ class LogReader:
                 if length != (0 if id else 24):
                     if self._only_zeros(at):
                         break
+                    if self._salvage:
+                        whole = self._next_frame(at + 1)
+                        at = self._lose(at, size if whole is None else whole)
+                        continue
                     name, expected = ("FrameEnd", 0) if id else ("FrameStart", START.size)
                     raise FormatError(self.path, at, f"{name} of {length} bytes, {expected} were expected")
                 if not id:
@@ -252,35 +284,55 @@ class LogReader:
         if places or (begun and not sparse):
             yield number, frame_at, places
 
-    def _frame(self, number: int, frame_at: int, places: list[Place], *, whole: bool) -> Frame:
+    def _frame(self, number: int, frame_at: int, places: list[Place]) -> Frame:
+        view, types, path = self._view, self._types, self.path
         id, duration, elapsed = 0, 0.0, 0.0
         packets = []
         if frame_at >= 0:
-            id, duration, elapsed = START.unpack_from(self._view, frame_at + PACKET.size)
-            if whole:
-                packets.append(self._frame_start)
-        for place in places:
-            packets.append(self._packet(*place))  # noqa: PERF401 - faster than a comprehension of one or two
-        return Frame(number, id, elapsed, duration, packets)
+            id, duration, elapsed = START.unpack_from(view, frame_at + PACKET.size)
+        for code, at, length in places:
+            payload = view[at : at + length]
+            if length < 3 and (empty := self._ready.get((code, bytes(payload)))):
+                packets.append(empty)
+            else:
+                packets.append(Packet(self._plain_id(code), types[code], payload, None, (path, at)))
+        if self._salvage:
+            sound = [packet for packet in packets if self._is_sound(packet)]
+            self.lost_bytes += sum(len(packet.payload) for packet in packets) - sum(
+                len(p.payload) for p in sound
+            )
+            packets = sound
+        return Frame(number, id, elapsed, duration, packets, preamble=frame_at < 0)
 
-    def _packet(self, id: int, at: int, length: int) -> Packet:
-        type = self._types[id]
-        payload = self._view[at : at + length]
-        if type is None or type.opaque:
-            return Packet(self._plain_id(id), type, payload, None, (self.path, at))
-        if length == 2 and type.framing is not Framing.SINGLE and payload == EMPTY_LIST:
-            return self._empty[id]
-        if type.framing is Framing.MARKER:
-            return self._frame_end
-        packet = Packet(type.id, type, payload, None, (self.path, at))
-        if type.fixed:
-            try:
-                extra = check(type, payload)
-            except PayloadError as error:
-                raise packet.error(error) from None
-            if extra:
-                packet.warn_of(extra)
-        return packet
+    def _lose(self, at: int, until: int) -> int:
+        self.lost_bytes += until - at
+        return until
+
+    def _next_frame(self, at: int) -> int | None:
+        """Where the next frame begins that looks whole."""
+        while (at := self._map.find(_START_HEAD, at)) >= 0:
+            if self._looks_whole(at):
+                return at
+            at += 1
+        return None
+
+    def _looks_whole(self, at: int) -> bool:
+        at += PACKET.size + START.size
+        for _ in range(_PACKETS_IN_A_FRAME):
+            if at + PACKET.size > len(self._view):
+                return False
+            id, length = PACKET.unpack_from(self._view, at)
+            if id < 2:
+                return bool(length == (0 if id else START.size))
+            at += PACKET.size + length
+        return False
+
+    def _is_sound(self, packet: Packet) -> bool:
+        """Whether a packet holds what its type announces."""
+        try:
+            return packet.type is None or packet.type.opaque or check(packet.type, packet.payload) == 0
+        except PayloadError:
+            return False
 
     def _only_zeros(self, at: int) -> bool:
         """Whether nothing but zeros follows, as a machine that crashed leaves them."""
@@ -295,7 +347,10 @@ class LogReader:
             self._extent = Extent(number + 1 - self._preamble, id, elapsed)
         if at < len(self._view):
             dropped = len(self._view) - at
-            self._warn("tail", f"byte {at}: the recording was cut short; the last {dropped} bytes are no complete packet")
+            self._warn(
+                "tail",
+                f"byte {at}: the recording was cut short; the last {dropped} bytes are no complete packet",
+            )
 
     def _warn(self, key: str, message: str) -> None:
         if key not in self._warned:
@@ -356,9 +411,18 @@ def pack_header(header: Header) -> bytes:
         return header.raw
     name = header.map_name.encode("utf-8", "surrogateescape")
     if len(name) > 0xFFFF or not 0 <= header.version <= 0xFFFF:
-        raise RecordError(f"a header of version {header.version} with a map name of {len(name)} bytes cannot be written")
+        raise RecordError(
+            f"a header of version {header.version} with a map name of {len(name)} bytes cannot be written"
+        )
     return b"".join(
-        (U16.pack(header.version), U16.pack(len(MAGIC)), MAGIC, DATE.pack(header.date), U16.pack(len(name)), name)
+        (
+            U16.pack(header.version),
+            U16.pack(len(MAGIC)),
+            MAGIC,
+            DATE.pack(header.date),
+            U16.pack(len(name)),
+            name,
+        )
     )
 
 
@@ -382,13 +446,11 @@ class LogWriter(AtomicFile):
     def write(self, frame: Frame) -> None:
         """Add a frame."""
         parts: list[Buffer] = []
+        if not frame.preamble:
+            parts += (_START_HEAD, START.pack(frame.id, frame.duration, frame.elapsed))
         for packet in frame.packets:
-            id = packet.id
-            if id == FRAME_START:
-                parts += (_START_HEAD, START.pack(frame.id, frame.duration, frame.elapsed))
-                continue
             payload = packet.payload
-            parts += (PACKET.pack(self._shift.get(id, id), len(payload)), payload)
+            parts += (PACKET.pack(self._shift.get(packet.id, packet.id), len(payload)), payload)
         self._file.write(b"".join(parts))
 
     def write_tail(self, piece: bytes) -> None:

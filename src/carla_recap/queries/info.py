@@ -8,13 +8,13 @@ from typing import TYPE_CHECKING, Any, Final
 import numpy as np
 
 from carla_recap.queries.answer import readable
-from carla_recap.records import FLAG, FRAME_END, FRAME_START, TEXT, Layout, Many
+from carla_recap.records import FLAG, TEXT, Framing, Layout, Many, Records
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
     from carla_recap.formats.base import Reader
-    from carla_recap.frame import Extent, Frame, Header, Packet
+    from carla_recap.frame import Extent, Frame, Header
 
 EVENTS: Final = ("spawned", "destroyed", "parented", "collisions")
 """The record types that tell of events."""
@@ -69,11 +69,13 @@ class Info:
 
     def __iter__(self) -> Iterator[InfoRow]:
         for frame in self.frames():
+            if self.all and not frame.preamble:
+                start = {"id": frame.id, "duration": frame.duration, "elapsed": frame.elapsed}
+                yield InfoRow(frame.elapsed, frame.id, "frame", start)
             for packet in frame.packets:
-                if packet.type is None or packet.id == FRAME_END:
-                    continue
-                for record in _records(frame, packet):
-                    yield InfoRow(frame.elapsed, frame.id, packet.type.name, record)
+                if packet.type is not None and packet.type.framing is not Framing.MARKER:
+                    for record in _records(packet.type.layout, packet.records):
+                        yield InfoRow(frame.elapsed, frame.id, packet.type.name, record)
 
 
 def info(source: Reader, *, all: bool = False, compat: bool = False) -> Info:
@@ -87,20 +89,19 @@ def info(source: Reader, *, all: bool = False, compat: bool = False) -> Info:
     return Info(source, all=all, compat=compat)
 
 
-def _records(frame: Frame, packet: Packet) -> Iterator[dict[str, Any]]:
-    if packet.id == FRAME_START:
-        yield {"id": frame.id, "duration": frame.duration, "elapsed": frame.elapsed}
-        return
-    assert packet.type is not None
-    layout = packet.type.layout
-    if not isinstance(packet.records, np.ndarray):
-        for record in packet.records:
-            yield {name: _plain(kind, getattr(record, name)) for name, kind in layout.fields.items()}
-        return
+def _records(layout: Layout, records: Records) -> Iterator[dict[str, Any]]:
     names = tuple(layout.fields)
-    columns = [_column(layout.fields[name], packet.records[name]) for name in names]
-    for row in zip(*columns, strict=True):
-        yield dict(zip(names, row, strict=True))
+    if isinstance(records, np.ndarray):
+        columns = [_column(layout.fields[name], records[name]) for name in names]
+        for row in zip(*columns, strict=True):
+            yield dict(zip(names, row, strict=True))
+    else:
+        for record in records:
+            yield _object(layout, record)
+
+
+def _object(layout: Layout, record: Any) -> dict[str, Any]:
+    return {name: _plain(kind, getattr(record, name)) for name, kind in layout.fields.items()}
 
 
 def _column(kind: str | Many, values: Any) -> list[Any]:
@@ -120,4 +121,4 @@ def _items(layout: Layout, values: Any) -> list[dict[str, Any]]:
     if isinstance(values, np.ndarray):
         names = values.dtype.names or ()
         return [dict(zip(names, row, strict=True)) for row in values.tolist()]
-    return [{name: _plain(kind, getattr(value, name)) for name, kind in layout.fields.items()} for value in values]
+    return [_object(layout, value) for value in values]

@@ -39,14 +39,21 @@ class _Lines:
     """
 
     def __init__(
-        self, type: str, heading: str | None, line: str, words: Mapping[str, Callable[[int], str]] | None = None
+        self,
+        type: str,
+        heading: str | None,
+        line: str,
+        words: Mapping[str, Callable[[int], str]] | None = None,
     ) -> None:
         dtype = UE4.named(type).dtype
         self._heading = heading
         self._fields = _FIELD.findall(line)
         self._words = words or {}
         self._reals = {field for field in self._fields if dtype[field].kind == "f"}
-        codes = {field: "%s" if field in self._words else "%.6g" if field in self._reals else "%d" for field in self._fields}
+        codes = {
+            field: "%s" if field in self._words else "%.6g" if field in self._reals else "%d"
+            for field in self._fields
+        }
         self._line = _FIELD.sub(lambda match: codes[match[1]], line)
         self._line_of_texts = _FIELD.sub("%s", line)
 
@@ -139,7 +146,9 @@ def _spawned(packet: Packet) -> str:
 def _spawn(spawn: Spawn) -> str:
     place = f"({number(spawn.x)}, {number(spawn.y)}, {number(spawn.z)})"
     lines = [f" Create {spawn.id}: {readable(spawn.type_id)} ({spawn.kind}) at {place}\n"]
-    lines += [f"  {readable(attribute.key)} = {readable(attribute.value)}\n" for attribute in spawn.attributes]
+    lines += [
+        f"  {readable(attribute.key)} = {readable(attribute.value)}\n" for attribute in spawn.attributes
+    ]
     return "".join(lines)
 
 
@@ -160,8 +169,12 @@ def _physics_control(physics: Physics) -> str:
         "max_rpm": number(physics.max_rpm),
         "MOI": number(physics.moi),
         "damping_rate_full_throttle": number(physics.damping_rate_full_throttle),
-        "damping_rate_zero_throttle_clutch_engaged": number(physics.damping_rate_zero_throttle_clutch_engaged),
-        "damping_rate_zero_throttle_clutch_disengaged": number(physics.damping_rate_zero_throttle_clutch_disengaged),
+        "damping_rate_zero_throttle_clutch_engaged": number(
+            physics.damping_rate_zero_throttle_clutch_engaged
+        ),
+        "damping_rate_zero_throttle_clutch_disengaged": number(
+            physics.damping_rate_zero_throttle_clutch_disengaged
+        ),
         "use_gear_auto_box": "true" if physics.use_gear_auto_box else "false",
         "gear_switch_time": number(_GEAR_SWITCH_TIME),
         "clutch_strength": number(physics.clutch_strength),
@@ -172,7 +185,9 @@ def _physics_control(physics: Physics) -> str:
     }
     lines = [f"  Id: {physics.id}\n", *(f"   {name} = {value}\n" for name, value in values.items())]
     for name, curve in (("torque_curve", physics.torque_curve), ("steering_curve", physics.steering_curve)):
-        lines.append(f"   {name} ={''.join(f' ({number(x)}, {number(y)})' for x, y in _sorted_points(curve))}\n")
+        lines.append(
+            f"   {name} ={''.join(f' ({number(x)}, {number(y)})' for x, y in _sorted_points(curve))}\n"
+        )
     lines.append("   forward_gears:\n")
     for index, gear in enumerate(physics.forward_gears):
         ratio, down, up = (number(gear[name].item()) for name in ("ratio", "down_ratio", "up_ratio"))
@@ -245,7 +260,9 @@ _PRINTERS: Final[Mapping[str, Printer]] = {
     ),
     "walker_controls": _Lines("walker_controls", "Walker animations", "  Id: {id} speed: {speed}\n"),
     "doors": _Lines(*_DOOR_LINES, {"door": _door}),
-    "vehicle_lights": _Lines("vehicle_lights", "Vehicle light animations", "  Id: {id} {flags}\n", {"flags": _lights}),
+    "vehicle_lights": _Lines(
+        "vehicle_lights", "Vehicle light animations", "  Id: {id} {flags}\n", {"flags": _lights}
+    ),
     "scene_lights": _Lines(
         "scene_lights",
         "Scene light changes",

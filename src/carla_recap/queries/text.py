@@ -13,7 +13,7 @@ from carla_recap.queries.answer import readable
 from carla_recap.queries.collisions import Collisions
 from carla_recap.queries.info import EVENTS, Info
 from carla_recap.queries.lines import number, packet_lines
-from carla_recap.records import FRAME_END, FRAME_START
+from carla_recap.records import FRAME_END
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -81,18 +81,16 @@ def _info(answer: Info) -> Iterator[str]:
     frame = None
     for frame in answer.frames():
         parts = []
-        headed = False
+        headed = answer.all and not frame.preamble
+        if headed:
+            parts.append(_frame_line(frame.id, frame.elapsed))
         for packet in frame.packets:
-            if packet.type is None:
+            if packet.type is None or packet.type.name not in lines:
                 continue
-            if packet.id == FRAME_START:
+            if not headed and packet.type.name in EVENTS and len(packet.records):
                 parts.append(_frame_line(frame.id, frame.elapsed))
                 headed = True
-            elif packet.type.name in lines:
-                if not headed and packet.type.name in EVENTS and len(packet.records):
-                    parts.append(_frame_line(frame.id, frame.elapsed))
-                    headed = True
-                parts.append(lines[packet.type.name](packet))
+            parts.append(lines[packet.type.name](packet))
         yield "".join(parts)
     if answer.compat:
         yield _once_more(answer, frame)
@@ -105,23 +103,23 @@ def _frame_line(id: int, elapsed: float) -> str:
 def _once_more(answer: Info, last: Frame | None) -> str:
     """What CARLA prints at the end of a file that does not end with a frame's end.
 
-    It takes the last packet for read once more, with the values that it holds already: as many copies of its last record
-    as it has records. In a file without packets, that is the start of a frame 0. Of a file that was cut short, nothing is
-    to be had this way but a wrong answer: then nothing is printed.
+    It takes the last packet for read once more, with the values that it holds already: as many copies of its last
+    record as it has records. In a file without packets, that is the start of a frame 0. Of a file that was cut short,
+    nothing is to be had this way but a wrong answer: then nothing is printed.
     """
     source, extent = answer.source, answer.extent
     if next(source.tail(), None) is not None:
         return ""
     if last is None:
-        return _frame_line(0, 0.0) if answer.all else ""
+        return _frame_line(0, 0.0) if answer.all and not extent.frames else ""
     if not answer.all:
         if (last.id, last.elapsed) != (extent.last_id, extent.duration):
             return ""
         last = source.frame_at(math.inf) or last
     ids = [packet.id for packet in last.packets]
-    packet = last.packets[-1]
-    if ids[0] == FRAME_START and (FRAME_END not in ids or ids[-1] == FRAME_END):
+    if not ids or ids[-1] == FRAME_END or not (last.preamble or FRAME_END in ids):
         return ""
+    packet = last.packets[-1]
     shown = packet.type is not None and (answer.all or packet.type.name in EVENTS)
     lines = packet_lines(compat=True).get(packet.type.name) if packet.type and shown else None
     if lines is None or not isinstance(packet.records, np.ndarray):

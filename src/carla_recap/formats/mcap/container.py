@@ -1,4 +1,4 @@
-"""What writer, reader and recovery share of the MCAP container: layouts, names, and reading a file within bounds.
+"""How a recording lies in an MCAP file, for writer, reader and recovery: layouts, channels, metadata, times.
 
 Specification: https://mcap.dev/spec
 """
@@ -6,20 +6,10 @@ Specification: https://mcap.dev/spec
 from __future__ import annotations
 
 import struct
-import zlib
-from collections.abc import Iterator
 from dataclasses import dataclass
-from io import BytesIO
-from pathlib import Path
-from typing import Any, Final
+from typing import Final
 
-import lz4.frame
-import zstandard
-from mcap.data_stream import ReadDataStream
-from mcap.exceptions import McapError
-from mcap.opcode import Opcode
-
-from carla_recap.errors import FormatError, RecapError, RecordError
+from carla_recap.errors import RecordError
 from carla_recap.formats.carla_log import pack_header
 from carla_recap.frame import Extent, Header
 from carla_recap.records import RecordType, Table
@@ -29,18 +19,15 @@ RECORD: Final = struct.Struct("<BQ")  # opcode, length
 MESSAGE: Final = struct.Struct("<BQHIQQ")  # opcode, length, channel, sequence, log time, publish time
 MESSAGE_FIELDS: Final = MESSAGE.size - RECORD.size
 CHUNK: Final = struct.Struct("<QQQII")  # start, end, uncompressed size, CRC, length of the compression's name
-CHUNK_INDEX: Final = struct.Struct("<QQQQI")  # start, end, offset, length, bytes of the map of message indexes
+CHUNK_INDEX: Final = struct.Struct(
+    "<QQQQI"
+)  # start, end, offset, length, bytes of the map of message indexes
 CHUNK_OFFSETS: Final = struct.Struct("<HQ")  # channel, offset of its message index
 MESSAGE_INDEX: Final = struct.Struct("<HI")  # channel, bytes of the entries: log time and offset, u64 each
 FOOTER: Final = struct.Struct("<QQI")  # start of the summary, start of its offsets, CRC
 U64: Final = struct.Struct("<Q")
 SECOND: Final = 1_000_000_000
 MAX_TIME: Final = (1 << 64) - 1
-
-CHUNK_LIMIT: Final = 64 << 20
-"""The largest chunk that is read, in bytes, compressed or not; ours are about 1 MiB."""
-SUMMARY_LIMIT: Final = 256 << 20
-"""The largest summary that is read, in bytes."""
 
 FRAME_TOPIC: Final = "/frames"
 RAW_TOPIC: Final = "/carla/raw"
@@ -135,7 +122,11 @@ def parse_header(metadata: dict[str, str]) -> Header:
         name = raw[2 + 2 + int.from_bytes(raw[2:4], "little") + 8 + 2 :].decode("utf-8", "surrogateescape")
     header = Header(name, date, version, wide, shifted)
     try:
-        return header if raw is None or pack_header(header) == raw else Header(name, date, version, wide, shifted, raw)
+        return (
+            header
+            if raw is None or pack_header(header) == raw
+            else Header(name, date, version, wide, shifted, raw)
+        )
     except RecordError as error:
         raise ValueError(str(error)) from None
 
@@ -147,135 +138,3 @@ def parse_extent(metadata: dict[str, str]) -> Extent:
         ValueError: They do not say.
     """
     return Extent(int(metadata["frames"]), int(metadata["last_frame"]), float(metadata["duration"]))
-
-
-class Source:
-    """A file read in places, each of them checked against its size.
-
-    Attributes:
-        bytes_read: How much was read so far.
-    """
-
-    def __init__(self, path: Path | str) -> None:
-        self.path = Path(path)
-        try:
-            self._file = self.path.open("rb", buffering=0)
-            self.size = self._file.seek(0, 2)
-        except OSError as error:
-            raise RecapError(f"{path}: {error.strerror}") from None
-        self.bytes_read = 0
-
-    def read(self, at: int, size: int, what: str) -> bytes:
-        """Bytes of the file.
-
-        Raises:
-            FormatError: They lie outside; `what` says what they should be.
-        """
-        if at < 0 or size < 0 or at + size > self.size:
-            raise FormatError(self.path, at, f"{what} of {size} bytes does not fit in the file of {self.size}")
-        try:
-            self._file.seek(at)
-            data = self._file.read(size)
-        except OSError as error:
-            raise RecapError(f"{self.path}: {error.strerror}") from None
-        self.bytes_read += len(data)
-        if len(data) < size:
-            raise FormatError(self.path, at + len(data), f"the file ends inside {what}")
-        return data
-
-    def record(self, at: int, opcode: Opcode, what: str, limit: int = CHUNK_LIMIT) -> bytes:
-        """The content of the record at a place.
-
-        Raises:
-            FormatError: There is none of that kind, or it is too large.
-        """
-        found, size = RECORD.unpack(self.read(at, RECORD.size, what))
-        if found != opcode or size > limit:
-            raise FormatError(self.path, at, f"{what} was expected, found a record of kind {found} with {size} bytes")
-        return self.read(at + RECORD.size, size, what)
-
-    def close(self) -> None:
-        """Let go of the file."""
-        self._file.close()
-
-
-def split_records(data: bytes | memoryview) -> Iterator[tuple[int, int, int]]:
-    """Opcode, start and end of each record in a run of whole records.
-
-    Raises:
-        ValueError: The last one is not whole.
-    """
-    at, size = 0, len(data)
-    while at < size:
-        if at + RECORD.size > size:
-            raise ValueError(f"{size - at} bytes are left behind the last record")
-        opcode, length = RECORD.unpack_from(data, at)
-        start = at + RECORD.size
-        at = start + length
-        if at > size:
-            raise ValueError(f"a record of {length} bytes goes beyond the {size} that there are")
-        yield opcode, start, at
-
-
-def parse_record(kind: Any, data: bytes | memoryview) -> Any:
-    """A record's content as the `mcap` package's object of that kind.
-
-    Raises:
-        ValueError: The content is broken.
-    """
-    try:
-        return kind.read(ReadDataStream(BytesIO(data)))
-    except (McapError, UnicodeDecodeError, struct.error, OverflowError, MemoryError, KeyError, TypeError) as error:
-        raise ValueError(f"broken {kind.__name__} record ({type(error).__name__})") from None
-
-
-_zstd: Final = zstandard.ZstdDecompressor()
-
-
-def decompress(compression: str, data: bytes | memoryview, size: int) -> bytes:
-    """A chunk's records, never more than the chunk says.
-
-    Raises:
-        ValueError: They are not of the size that the chunk says, or damaged.
-    """
-    if size > CHUNK_LIMIT:
-        raise ValueError(f"a chunk of {size} bytes, at most {CHUNK_LIMIT} are read")
-    try:
-        if compression == "":
-            records = bytes(data)
-        elif compression == "zstd":
-            if zstandard.frame_content_size(data) not in (-1, size):
-                raise ValueError("the compressed data announce another size than the chunk")
-            records = _zstd.decompress(data, max_output_size=size) if size else b""
-        elif compression == "lz4":
-            records = bytes(lz4.frame.LZ4FrameDecompressor().decompress(data, max_length=size + 1))
-        else:
-            raise ValueError(f"unknown compression {compression!r:.40}")
-    except (zstandard.ZstdError, RuntimeError, MemoryError) as error:
-        raise ValueError(f"damaged data ({error})") from None
-    if len(records) != size:
-        raise ValueError(f"{len(records)} bytes after decompression, {size} were expected")
-    return records
-
-
-def open_chunk(content: bytes) -> tuple[int, int, bytes]:
-    """First and last log time, and the records, of a chunk record's content.
-
-    Raises:
-        ValueError: It is damaged.
-    """
-    if len(content) < CHUNK.size:
-        raise ValueError("a chunk of less than its fixed fields")
-    start, end, size, crc, name_size = CHUNK.unpack_from(content)
-    at = CHUNK.size + name_size
-    if at + U64.size > len(content) or name_size > 16:
-        raise ValueError("a chunk with a broken compression name")
-    compression = content[CHUNK.size : at].decode("ascii", "replace")
-    (stored,) = U64.unpack_from(content, at)
-    data = memoryview(content)[at + U64.size :]
-    if stored != len(data):
-        raise ValueError(f"{len(data)} bytes of records, the chunk says {stored}")
-    records = decompress(compression, data, size)
-    if crc and zlib.crc32(records) != crc:
-        raise ValueError("the checksum does not match")
-    return start, end, records

@@ -7,11 +7,9 @@ from __future__ import annotations
 
 import math
 import warnings
-import zlib
 from collections import deque
-from collections.abc import Callable, Collection, Iterable, Iterator
+from collections.abc import Collection, Iterable, Iterator
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Final
 
@@ -21,35 +19,26 @@ from mcap.opcode import Opcode
 from carla_recap.errors import FormatError, NotARecording, RecapWarning
 from carla_recap.formats.mcap import wire
 from carla_recap.formats.mcap.container import (
-    CHUNK_INDEX,
-    CHUNK_LIMIT,
-    CHUNK_OFFSETS,
     EMPTY,
     EXTENT_METADATA,
     FILLED,
-    FOOTER,
     FRAME_MESSAGE,
     FRAME_TOPIC,
     HEADER_METADATA,
-    MAGIC,
     MESSAGE,
     MESSAGE_FIELDS,
     RAW_MESSAGE,
     RAW_TOPIC,
     RECORD,
-    SUMMARY_LIMIT,
     TAIL_MESSAGE,
     TAIL_TOPIC,
     ChannelSpec,
     LogClock,
-    Source,
     channel_specs,
-    open_chunk,
     parse_extent,
     parse_header,
-    parse_record,
-    split_records,
 )
+from carla_recap.formats.mcap.source import Chunk, Source, Summary, open_chunk, parse_record, read_summary
 from carla_recap.frame import Extent, Frame, Header, Packet
 from carla_recap.payload import EMPTY_LIST, Buffer
 from carla_recap.records import FRAME_END, FRAME_START, Records, RecordType
@@ -57,29 +46,15 @@ from carla_recap.records import FRAME_END, FRAME_START, Records, RecordType
 PENDING_LIMIT: Final = 256 << 20
 """How many bytes of chunks that overlap in time are held at once; ours overlap by 5 s of recording."""
 
+_PLANS: Final = 4096  # ways to put a frame together that are remembered
+_NO_CHANNEL: Final = -1
+
+BLOCK_SIZE: Final = 256 << 10
+"""Chunks that are smaller than this, in bytes, are taken several at a time."""
+
 Found = tuple["Batch", int]  # a message: its batch, and its place there
 Gathered = dict[int, deque[Found]]  # channel → messages of one frame
-
-
-@dataclass(frozen=True)
-class Chunk:
-    """A chunk as the index describes it. Times in ns; `channels` are those that it holds, empty where unknown."""
-
-    start: int
-    end: int
-    offset: int
-    length: int
-    channels: frozenset[int]
-
-
-@dataclass
-class Summary:
-    """What stands behind the data of an MCAP file."""
-
-    schemas: dict[int, records.Schema] = field(default_factory=dict)
-    channels: dict[int, records.Channel] = field(default_factory=dict)
-    chunks: list[Chunk] = field(default_factory=list)
-    metadata: dict[str, records.MetadataIndex] = field(default_factory=dict)
+Pending = dict[int, tuple[int, Gathered]]  # index of a frame → its log time and messages
 
 
 class Batch:
@@ -157,7 +132,9 @@ class MessagePacket(Packet):
     def _broken(self, error: wire.WireError) -> FormatError:
         head = wire.read_head(self._batch.messages[self._index])
         name = self.type.topic if self.type else ""
-        return FormatError(self._batch.path, None, f"{name} of frame {head[0]}: {error}" if head else f"{name}: {error}")
+        return FormatError(
+            self._batch.path, None, f"{name} of frame {head[0]}: {error}" if head else f"{name}: {error}"
+        )
 
 
 class McapReader:
@@ -165,23 +142,26 @@ class McapReader:
 
     Args:
         path: The file.
+        summary: What the file holds, where that is known better than by the file itself.
 
     Raises:
         NotARecording: It is no MCAP file, or none with a recording.
         FormatError: It is damaged, or was never finished.
     """
 
-    def __init__(self, path: Path | str) -> None:
+    def __init__(self, path: Path | str, *, summary: Summary | None = None) -> None:
         self.path = Path(path)
         self._source = Source(path)
         self._warned: set[str] = set()
-        self._summary = _read_summary(self._source)
+        self._summary = summary or read_summary(self._source)
         self.header = self._read_header()
         self._extent = self._read_extent()
         self._channels = _match(self._summary, channel_specs(self.header.table))
         self._types = {id: spec.type for id, spec in self._channels.items() if spec.type}
         self._by_topic = {spec.topic: id for id, spec in self._channels.items()}
-        self._plans: dict[tuple[bytes, bytes], list[Packet | int]] = {}
+        self._frame_channel = self._by_topic.get(FRAME_TOPIC, _NO_CHANNEL)
+        self._raw_channel = self._by_topic.get(RAW_TOPIC, _NO_CHANNEL)
+        self._plans: dict[tuple[bytes, bytes], list[Any]] = {}
 
     @property
     def bytes_read(self) -> int:
@@ -220,10 +200,14 @@ class McapReader:
         found = None
         spine = self._wanted((), spine=True)
         time = LogClock(self.header).at(elapsed)
-        chunks = self._chunks(spine, -math.inf, math.inf)
+        chunks = self._chunks(spine)
         if time is not None:
             earlier = [chunk for chunk in chunks if chunk.start <= time]
-            chunks = earlier[-1:] if all(a.end < b.start for a, b in zip(chunks, chunks[1:], strict=False)) else earlier
+            chunks = (
+                earlier[-1:]
+                if all(a.end < b.start for a, b in zip(chunks, chunks[1:], strict=False))
+                else earlier
+            )
         for index, gathered in self._gather(chunks, spine, ahead=False):
             frame = self._frame(index, gathered, whole=False)
             if frame.elapsed <= elapsed:
@@ -237,7 +221,8 @@ class McapReader:
         if self._extent is None:
             extent = Extent()
             for frame in self.frames(()):
-                extent = Extent(extent.frames + 1, frame.id, frame.elapsed)
+                if not frame.preamble:
+                    extent = Extent(extent.frames + 1, frame.id, frame.elapsed)
             self._extent = extent
         return self._extent
 
@@ -246,7 +231,7 @@ class McapReader:
         channel = self._by_topic.get(TAIL_TOPIC)
         if channel is None:
             return
-        chunks = self._chunks({channel}, -math.inf, math.inf)
+        chunks = self._chunks({channel})
         for _, gathered in self._gather(chunks, {channel}, ahead=False):
             for batch, index in gathered[channel]:
                 yield bytes(self._parse("tail", TAIL_MESSAGE, batch.messages[index]).data)
@@ -266,7 +251,9 @@ class McapReader:
     def _read_header(self) -> Header:
         metadata = self._read_metadata(HEADER_METADATA)
         if metadata is None:
-            raise NotARecording(self.path, f"holds no recording (MCAP metadata {HEADER_METADATA!r} is missing)")
+            raise NotARecording(
+                self.path, f"holds no recording (MCAP metadata {HEADER_METADATA!r} is missing)"
+            )
         try:
             return parse_header(metadata)
         except (KeyError, ValueError) as error:
@@ -289,21 +276,23 @@ class McapReader:
         names = {self.header.table.named(name).name for name in types}
         wanted = {id for id, type in self._types.items() if type.name in names}
         if spine:
-            wanted |= {id for id, spec in self._channels.items() if spec.topic == FRAME_TOPIC}
+            wanted |= {self._frame_channel} & self._channels.keys()
         return wanted
 
-    def _chunks(self, wanted: set[int], start: float, stop: float) -> list[Chunk]:
+    def _chunks(self, wanted: set[int], start: float = -math.inf, stop: float = math.inf) -> list[Chunk]:
         """The chunks that hold wanted channels within a time, in order of time."""
         clock = LogClock(self.header)
         first = clock.at(start) if start > -math.inf else None
         last = clock.at(stop) if stop < math.inf else None
-        return [
-            chunk
-            for chunk in self._summary.chunks
-            if (not chunk.channels or not wanted.isdisjoint(chunk.channels))
-            and (first is None or chunk.end >= first)
-            and (last is None or chunk.start <= last)
-        ]
+        chunks = [c for c in self._summary.chunks if not c.channels or not wanted.isdisjoint(c.channels)]
+        if first is None and last is None:
+            return chunks
+        hit = [c for c in chunks if (first is None or c.end >= first) and (last is None or c.start <= last)]
+        if not hit:
+            return []
+        # Every frame that begins in one of these is whole in those that overlap them.
+        from_time, until = hit[0].start, max(c.end for c in hit)
+        return [c for c in chunks if c.end >= from_time and c.start <= until]
 
     def _opened(self, chunks: list[Chunk], *, ahead: bool) -> Iterator[bytes]:
         """The records of some chunks; `ahead`: the next one is unpacked while this one is used."""
@@ -327,45 +316,67 @@ class McapReader:
                 self.path, chunk.offset, f"damaged chunk: {error}; 'carla-recap recover' saves the rest"
             ) from None
 
-    def _batches(self, chunk: Chunk, data: bytes, wanted: set[int], pending: dict[int, tuple[int, Gathered]]) -> None:
-        """Sort the wanted messages of a chunk by frame."""
+    def _blocks(self, chunks: list[Chunk], *, ahead: bool) -> Iterator[list[tuple[Chunk, bytes]]]:
+        """Chunks with their records; small ones several at a time."""
+        block: list[tuple[Chunk, bytes]] = []
+        size = 0
+        for chunk, data in zip(chunks, self._opened(chunks, ahead=ahead), strict=True):
+            block.append((chunk, data))
+            size += len(data)
+            if size >= BLOCK_SIZE:
+                yield block
+                block, size = [], 0
+        if block:
+            yield block
+
+    def _sort(self, chunk: Chunk, data: bytes, batches: dict[int, Batch], pending: Pending) -> None:
+        """Sort the messages of a chunk that go to some channel's batch by frame."""
         view, at, size, head = memoryview(data), 0, len(data), MESSAGE.unpack_from
         last = size - MESSAGE.size
-        batches = {channel: Batch(self._types.get(channel), self.path) for channel in wanted}
         while at <= last:
             opcode, length, channel, sequence, log_time, _ = head(data, at)
             end = at + 9 + length
             if end > size:
                 break
-            if opcode == 5 and channel in wanted:
+            if opcode == 5 and channel in batches:
                 if length < MESSAGE_FIELDS:
                     break
                 batch = batches[channel]
-                entry = pending.get(sequence)
-                if entry is None:
-                    entry = pending[sequence] = (log_time, {})
                 messages = batch.messages
-                queue = entry[1].get(channel)
-                if queue is None:
-                    entry[1][channel] = deque(((batch, len(messages)),))
-                else:
-                    queue.append((batch, len(messages)))
+                found = (batch, len(messages))
                 messages.append(view[at + 31 : end])
+                if sequence in pending:
+                    gathered = pending[sequence][1]
+                    if channel in gathered:
+                        gathered[channel].append(found)
+                    else:
+                        gathered[channel] = deque((found,))
+                else:
+                    pending[sequence] = (log_time, {channel: deque((found,))})
             at = end
         while at < size:  # a schema or channel can be shorter than a message
             if at + RECORD.size > size or (end := at + RECORD.size + RECORD.unpack_from(data, at)[1]) > size:
-                raise FormatError(self.path, chunk.offset, f"damaged chunk: no whole record at byte {at} of its content")
+                raise FormatError(
+                    self.path, chunk.offset, f"damaged chunk: no whole record at byte {at} of its content"
+                )
             at = end
 
-    def _gather(self, chunks: list[Chunk], wanted: set[int], *, ahead: bool) -> Iterator[tuple[int, Gathered]]:
+    def _gather(
+        self, chunks: list[Chunk], wanted: set[int], *, ahead: bool
+    ) -> Iterator[tuple[int, Gathered]]:
         """The messages of each frame, in order of frames; chunks may overlap in time."""
-        pending: dict[int, tuple[int, Gathered]] = {}
-        held = 0
-        for place, (chunk, data) in enumerate(zip(chunks, self._opened(chunks, ahead=ahead), strict=True), 1):
-            held += len(data)
-            if held > PENDING_LIMIT:
-                raise FormatError(self.path, chunk.offset, f"more than {PENDING_LIMIT} bytes of chunks overlap in time")
-            self._batches(chunk, data, wanted, pending)
+        pending: Pending = {}
+        held = place = 0
+        for block in self._blocks(chunks, ahead=ahead):
+            batches = {channel: Batch(self._types.get(channel), self.path) for channel in wanted}
+            for chunk, data in block:
+                held += len(data)
+                if held > PENDING_LIMIT:
+                    raise FormatError(
+                        self.path, chunk.offset, f"more than {PENDING_LIMIT} bytes of chunks overlap in time"
+                    )
+                self._sort(chunk, data, batches, pending)
+            place += len(block)
             horizon = chunks[place].start if place < len(chunks) else None
             ready = sorted(s for s, (time, _) in pending.items() if horizon is None or time < horizon)
             for sequence in ready:
@@ -376,28 +387,27 @@ class McapReader:
     # --- messages to frames --------------------------------------------------------------------------------------------
 
     def _frame(self, index: int, gathered: Gathered, *, whole: bool) -> Frame:
-        spine = gathered.pop(self._by_topic.get(FRAME_TOPIC, -1), None)
+        spine = gathered.pop(self._frame_channel, None)
         if spine is None:
             return self._headless(index, gathered)
         id, elapsed, duration, ids, kinds = self._read_spine(_message(spine[0]))
         packets: list[Packet] = []
+        lost = False
         for step in self._plan(ids, kinds):
-            if isinstance(step, Packet):
+            if step.__class__ is not int:
                 if whole:
                     packets.append(step)
-            elif step >= 0:
-                queue = gathered.get(step)
-                if queue:
-                    packets.append(MessagePacket(self._types[step], *queue.popleft()))
-                elif whole:
-                    self._warn_lost(id)
-            elif whole:
-                raw = self._raw_packet(gathered)
-                if raw is None:
-                    self._warn_lost(id)
-                else:
-                    packets.append(raw)
-        return Frame(index, id, elapsed, duration, packets)
+                continue
+            queue = gathered.get(step)
+            if not queue:
+                lost = whole
+            elif step == self._raw_channel:
+                packets.append(self._raw_packet(queue))
+            else:
+                packets.append(MessagePacket(self._types[step], *queue.popleft()))
+        if lost:
+            self._warn_lost(id)
+        return Frame(index, id, elapsed, duration, packets, preamble=not ids.startswith(b"\0"))
 
     def _headless(self, index: int, gathered: Gathered) -> Frame:
         """A frame without its own message: left out by a sparse read, or lost."""
@@ -412,30 +422,26 @@ class McapReader:
         id, elapsed = head or (0, 0.0)
         return Frame(index, id, elapsed, math.nan, packets)
 
-    def _plan(self, ids: bytes, kinds: bytes) -> list[Packet | int]:
-        """How to put a frame together: ready-made packets, channels to take the next message from, -1 for a raw one."""
+    def _plan(self, ids: bytes, kinds: bytes) -> list[Any]:
+        """How to put a frame together: ready-made packets, and channels to take the next message from."""
         plan = self._plans.get((ids, kinds))
         if plan is None:
-            if len(self._plans) > 4096:
+            if len(self._plans) > _PLANS:
                 self._plans.clear()
-            plan = self._plans[ids, kinds] = [
-                self._step(id, kind) for id, kind in zip(ids, kinds, strict=False)
-            ]
+            steps = [self._step(id, kind) for id, kind in zip(ids, kinds, strict=False) if id != FRAME_START]
+            plan = self._plans[ids, kinds] = steps
         return plan
 
     def _step(self, id: int, kind: int) -> Packet | int:
         table = self.header.table
         type: RecordType | None = table[id] if id < len(table) else None
-        if kind == EMPTY or id in (FRAME_START, FRAME_END):
-            return Packet(id, type, b"" if id in (FRAME_START, FRAME_END) else EMPTY_LIST)
+        if kind == EMPTY:
+            return Packet(id, type, b"" if id == FRAME_END else EMPTY_LIST)
         if kind == FILLED and type is not None:
-            return self._by_topic.get(type.topic, 1 << 16)
-        return -1
+            return self._by_topic.get(type.topic, _NO_CHANNEL)
+        return self._raw_channel
 
-    def _raw_packet(self, gathered: Gathered) -> Packet | None:
-        queue = gathered.get(self._by_topic.get(RAW_TOPIC, -1))
-        if not queue:
-            return None
+    def _raw_packet(self, queue: deque[Found]) -> Packet:
         message = self._parse("raw_packet", RAW_MESSAGE, _message(queue.popleft()))
         pieces = [message.data]
         missing = message.size - len(message.data)
@@ -469,7 +475,9 @@ class McapReader:
         if "lost" not in self._warned:
             self._warned.add("lost")
             warnings.warn(
-                f"{self.path}: messages of frame {frame}, and maybe of others, are missing", RecapWarning, stacklevel=2
+                f"{self.path}: messages of frame {frame}, and maybe of others, are missing",
+                RecapWarning,
+                stacklevel=2,
             )
 
 
@@ -488,67 +496,3 @@ def _match(summary: Summary, specs: list[ChannelSpec]) -> dict[int, ChannelSpec]
         if spec is not None and channel.message_encoding == "protobuf":
             found[id] = spec
     return found
-
-
-def _read_summary(source: Source) -> Summary:
-    """The summary of a finished file.
-
-    Raises:
-        NotARecording: It is no MCAP file.
-        FormatError: It is damaged, or was never finished.
-    """
-    path, size = source.path, source.size
-    if size < len(MAGIC) or source.read(0, len(MAGIC), "the magic") != MAGIC:
-        raise NotARecording(path, "is no MCAP file (the magic is missing)")
-    unfinished = "the file has no valid end: it is damaged, or its writer died; 'carla-recap recover' saves what it holds"
-    tail = RECORD.size + FOOTER.size + len(MAGIC)
-    if size < tail + len(MAGIC):
-        raise FormatError(path, size, unfinished)
-    end = source.read(size - tail, tail, "the footer")
-    opcode, length = RECORD.unpack_from(end)
-    if not end.endswith(MAGIC) or opcode != Opcode.FOOTER or length != FOOTER.size:
-        raise FormatError(path, size - tail, unfinished)
-    start, _, crc = FOOTER.unpack_from(end, RECORD.size)
-    if start == 0:
-        raise FormatError(path, size - tail, "the file has no summary; 'carla-recap recover' makes one")
-    length = size - tail - start
-    if not len(MAGIC) <= start <= size - tail or length > SUMMARY_LIMIT:
-        raise FormatError(path, size - tail, f"the summary is said to begin at byte {start}, which cannot be")
-    data = source.read(start, length, "the summary")
-    if crc and zlib.crc32(end[: RECORD.size + 16], zlib.crc32(data)) != crc:
-        raise FormatError(path, start, "the summary is damaged (its checksum does not match); 'carla-recap recover' makes a new one")
-    summary = Summary()
-    try:
-        for opcode, at, until in split_records(data):
-            _take(summary, opcode, memoryview(data)[at:until])
-    except ValueError as error:
-        raise FormatError(path, start, f"the summary is damaged: {error}; 'carla-recap recover' makes a new one") from None
-    summary.chunks.sort(key=lambda chunk: (chunk.start, chunk.offset))
-    offsets = {chunk.offset for chunk in summary.chunks}
-    if len(offsets) < len(summary.chunks):
-        raise FormatError(path, start, "the summary names a chunk twice")
-    return summary
-
-
-def _take(summary: Summary, opcode: int, data: memoryview) -> None:
-    if opcode == Opcode.CHUNK_INDEX:
-        summary.chunks.append(_chunk_index(data))
-    elif opcode == Opcode.SCHEMA:
-        schema = parse_record(records.Schema, data)
-        summary.schemas[schema.id] = schema
-    elif opcode == Opcode.CHANNEL:
-        channel = parse_record(records.Channel, data)
-        summary.channels[channel.id] = channel
-    elif opcode == Opcode.METADATA_INDEX:
-        index = parse_record(records.MetadataIndex, data)
-        summary.metadata[index.name] = index
-
-
-def _chunk_index(data: memoryview) -> Chunk:
-    if len(data) < CHUNK_INDEX.size:
-        raise ValueError("a chunk index of less than its fixed fields")
-    start, end, offset, length, size = CHUNK_INDEX.unpack_from(data)
-    offsets = data[CHUNK_INDEX.size : CHUNK_INDEX.size + size]
-    if len(offsets) != size or size % CHUNK_OFFSETS.size or length > CHUNK_LIMIT:
-        raise ValueError("a chunk index that does not fit")
-    return Chunk(start, end, offset, length, frozenset(channel for channel, _ in CHUNK_OFFSETS.iter_unpack(offsets)))

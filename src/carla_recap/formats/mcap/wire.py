@@ -27,7 +27,7 @@ from carla_recap.payload import MAX_COUNT, OBJECTS_LIMIT, U16, Buffer, PayloadEr
 from carla_recap.records import FLAG, REAL, TEXT, Framing, Group, Layout, Many, Records, RecordType
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator, Sequence
+    from collections.abc import Iterator, Mapping, Sequence
 
     from google.protobuf.message import Message
     from numpy.typing import NDArray
@@ -55,7 +55,15 @@ def head(frame: int, elapsed: float) -> bytes:
 
 def frame_body(duration: float, ids: bytes, kinds: bytes) -> bytes:
     """The body of a `Frame`: its duration, and the id and kind of each packet."""
-    return FRAME_BODY.pack(0x19, duration) + b"\x22" + _varint(len(ids)) + ids + b"\x2a" + _varint(len(kinds)) + kinds
+    return (
+        FRAME_BODY.pack(0x19, duration)
+        + b"\x22"
+        + _varint(len(ids))
+        + ids
+        + b"\x2a"
+        + _varint(len(kinds))
+        + kinds
+    )
 
 
 def read_frame(data: Buffer) -> tuple[int, float, float, bytes, bytes] | None:
@@ -209,7 +217,7 @@ class Payloads:
 
     def __init__(self, records: NDArray[np.void], ends: list[int], *, counts: bool) -> None:
         self._records = records
-        self._bytes = memoryview(records.view(np.uint8)) if len(records) else memoryview(b"")
+        self._bytes = records.view(np.uint8).data if len(records) else memoryview(b"")
         self._size = records.dtype.itemsize
         self._ends = ends
         self._counts = counts
@@ -241,8 +249,10 @@ class _Uniform:
         weaver.record(type.layout, 0)
         index, mask = np.array(weaver.index), np.frombuffer(weaver.mask, np.uint8)
         self.stride = len(index)
-        fields = type.dtype.fields or {}
-        offsets = {name: int(np.flatnonzero(index == _LEAF + offset)[0]) for name, (_, offset) in fields.items()}
+        fields: Mapping[str, Any] = type.dtype.fields or {}
+        offsets = {
+            name: int(np.flatnonzero(index == _LEAF + place)[0]) for name, (_, place, *_) in fields.items()
+        }
         self._wire = np.dtype(
             {
                 "names": list(fields),
@@ -255,16 +265,16 @@ class _Uniform:
         self._setting = index[self._set].astype(np.uint8)
         self._blank = np.where(mask == 0xFF, index, 0).astype(np.uint8).view(np.void(self.stride).dtype)
         # The bits that a one-byte number must leave alone, or it would not fit a varint of one byte.
-        self._loose = {
-            name: mask[offset] for name, offset in offsets.items() if mask[offset]
-        }
+        self._loose = {name: mask[offset] for name, offset in offsets.items() if mask[offset]}
 
     def encode(self, payloads: Sequence[Buffer]) -> list[memoryview] | None:
         sizes = [expected_size(self._type, payload) for payload in payloads]
         if None in sizes:
             return None
         start = 0 if self.single else U16.size
-        records = np.frombuffer(b"".join([memoryview(payload)[start:] for payload in payloads]), self._type.dtype)
+        records = np.frombuffer(
+            b"".join([memoryview(payload)[start:] for payload in payloads]), self._type.dtype
+        )
         if any((records[name].view(np.uint8) & loose).any() for name, loose in self._loose.items()):
             return None
         rows = np.empty(len(records), self._blank.dtype)
@@ -272,7 +282,7 @@ class _Uniform:
         wire = rows.view(self._wire)
         for name in self._wire.names or ():
             wire[name] = records[name]
-        data = memoryview(rows.view(np.uint8)) if len(rows) else memoryview(b"")
+        data = rows.view(np.uint8).data if len(rows) else memoryview(b"")
         ends = [0, *accumulate(size or 0 for size in sizes)]
         return [data[at:end] for at, end in pairwise(ends)]
 
@@ -364,7 +374,9 @@ class _Weaver:
     def packet(self, choice: int) -> int:
         """Weave the whole packet; returns where its records end. `choice`: which of alternative layouts to take."""
         if len(self._payload) > OBJECTS_LIMIT and not self._type.fixed:
-            raise PayloadError(0, f"{self._type.name}: at most {OBJECTS_LIMIT} bytes, this has {len(self._payload)}")
+            raise PayloadError(
+                0, f"{self._type.name}: at most {OBJECTS_LIMIT} bytes, this has {len(self._payload)}"
+            )
         if self._type.framing is Framing.SINGLE:
             return self.record(self._type.layout, 0, choice)
         need(self._type, self._payload, 0, U16.size, "a count")
@@ -414,7 +426,7 @@ class _Weaver:
 
     def _text(self, number: int, name: str, at: int) -> int:
         need(self._type, self._payload, at, U16.size, name)
-        (size,) = U16.unpack_from(self._payload, at)
+        size: int = U16.unpack_from(self._payload, at)[0]
         at += U16.size
         need(self._type, self._payload, at, size, name)
         text = self._payload[at : at + size]
@@ -473,7 +485,10 @@ def _weave(type: RecordType, payload: Buffer) -> tuple[bytes, _Shape | None]:
 
 
 def _woven(type: RecordType, data: bytes) -> tuple[_Weaver, int]:
-    choices = max((len(kind.layouts) if isinstance(kind, Many) else 1 for kind in type.layout.fields.values()), default=1)
+    choices = max(
+        (len(kind.layouts) if isinstance(kind, Many) else 1 for kind in type.layout.fields.values()),
+        default=1,
+    )
     found: tuple[_Weaver, int] | None = None
     failure: PayloadError | None = None
     for choice in range(choices):
@@ -557,7 +572,8 @@ def _present(many: Many, items: Any) -> Layout:
     if not items:
         return many.layouts[0]
     return next(
-        (layout for layout in many.layouts if all(items[0].HasField(name) for name in layout.fields)), many.layouts[0]
+        (layout for layout in many.layouts if all(items[0].HasField(name) for name in layout.fields)),
+        many.layouts[0],
     )
 
 

@@ -11,11 +11,11 @@ import struct
 import zlib
 from array import array
 from collections import Counter, deque
-from collections.abc import Callable
 from concurrent.futures import Future, ThreadPoolExecutor
+from dataclasses import dataclass
 from functools import cache
-from itertools import groupby
 from importlib.metadata import version
+from itertools import groupby
 from pathlib import Path
 from typing import Final
 
@@ -42,24 +42,22 @@ from carla_recap.formats.mcap.container import (
     RAW,
     RAW_TOPIC,
     RECORD,
+    SECOND,
     TAIL_TOPIC,
     U64,
-    SECOND,
     LogClock,
     channel_specs,
     header_metadata,
 )
 from carla_recap.frame import Extent, Frame, Header, Packet
-from carla_recap.payload import EMPTY_LIST, OBJECTS_LIMIT, Buffer, PayloadError
+from carla_recap.payload import EMPTY_LIST, OBJECTS_LIMIT, Buffer, PayloadError, check
 from carla_recap.records import FRAME_END, FRAME_START, Group, RecordType
 
 CHUNK_SIZE: Final = 1 << 20
 CHUNK_SECONDS: Final = 5
 LEVEL: Final = 3
-_QUEUE: Final = 4  # chunks that wait to be compressed
-
-ADDITIONAL: Final = frozenset({12, 13, 14, 15, 16, 17, 19})
-"""Packets that CARLA records with additional data alone."""
+_WORKERS: Final = 2
+_QUEUE: Final = 4  # chunks that are being compressed, or wait for it
 
 
 class _Chunk:
@@ -68,52 +66,68 @@ class _Chunk:
     Attributes:
         size: About how many bytes it will have.
         start, end: First and last log time.
+        messages: Channel, sequence, log and publish time, head and body of each.
+        waiting: Messages whose bodies are to come, by type: their places, and their payloads.
     """
 
     def __init__(self) -> None:
         self.size = 0
         self.start = self.end = 0
-        self._messages: list[tuple[int, int, int, int, bytes, bytes]] = []
-        self._waiting: dict[RecordType, tuple[list[int], list[Buffer]]] = {}
+        self.messages: list[tuple[int, int, int, int, bytes, bytes]] = []
+        self.waiting: dict[RecordType, tuple[list[int], list[Buffer]]] = {}
 
-    def add(self, channel: int, sequence: int, times: tuple[int, int], head: bytes, body: bytes, size: int = 0) -> None:
-        """Add a message. `size`: of the body, if it is to come."""
-        if not self._messages:
+    def add(self, channel: int, sequence: int, times: tuple[int, int], head: bytes, body: bytes) -> None:
+        """Add a message."""
+        if not self.messages:
             self.start = times[0]
         self.end = times[0]
-        self.size += MESSAGE.size + len(head) + (size or len(body))
-        self._messages.append((channel, sequence, *times, head, body))
+        self.size += MESSAGE.size + len(head) + len(body)
+        self.messages.append((channel, sequence, *times, head, body))
 
-    def add_later(
-        self, type: RecordType, payload: Buffer, channel: int, sequence: int, times: tuple[int, int], head: bytes, size: int
-    ) -> None:
-        """Add a message whose body is encoded at the end, together with its like."""
-        waiting = self._waiting.get(type)
+    def wait_for(self, type: RecordType, payload: Buffer, size: int) -> None:
+        """Let the body of the latest message, of some size, come with its like."""
+        waiting = self.waiting.get(type)
         if waiting is None:
-            waiting = self._waiting[type] = ([], [])
-        waiting[0].append(len(self._messages))
+            waiting = self.waiting[type] = ([], [])
+        waiting[0].append(len(self.messages) - 1)
         waiting[1].append(payload)
-        self.add(channel, sequence, times, head, b"", size)
+        self.size += size
 
     def seal(self) -> tuple[bytes, dict[int, array[int]]]:
         """The records, and by channel the log time and offset of each message."""
         bodies: dict[int, Buffer] = {}
-        for type, (places, payloads) in self._waiting.items():
+        for type, (places, payloads) in self.waiting.items():
             bodies.update(zip(places, wire.encode_many(type, payloads), strict=True))
         parts: list[Buffer] = []
         index: dict[int, array[int]] = {}
-        at = 0
-        for place, (channel, sequence, log_time, publish_time, head, given) in enumerate(self._messages):
-            body = bodies.get(place, given)
-            length = MESSAGE_FIELDS + len(head) + len(body)
+        at, pack = 0, MESSAGE.pack
+        for place, (channel, sequence, log_time, publish_time, head, body) in enumerate(self.messages):
+            data = bodies.get(place, body)
+            length = MESSAGE_FIELDS + len(head) + len(data)
             entries = index.get(channel)
             if entries is None:
                 entries = index[channel] = array("Q")
             entries.append(log_time)
             entries.append(at)
-            parts += (MESSAGE.pack(Opcode.MESSAGE, length, channel, sequence, log_time, publish_time), head, body)
+            parts += (pack(Opcode.MESSAGE, length, channel, sequence, log_time, publish_time), head, data)
             at += RECORD.size + length
         return b"".join(parts), index
+
+
+@dataclass(frozen=True)
+class _Sealed:
+    """A chunk on its way to the file."""
+
+    start: int
+    end: int
+    size: int
+    index: dict[int, array[int]]
+    compressed: Future[tuple[bytes, int]]
+
+
+def _compress(data: bytes) -> tuple[bytes, int]:
+    """A chunk's records, compressed, and their checksum."""
+    return zstandard.ZstdCompressor(level=LEVEL).compress(data), zlib.crc32(data)
 
 
 class McapWriter(AtomicFile):
@@ -144,17 +158,15 @@ class McapWriter(AtomicFile):
         self._extent = Extent()
         self._heroes: dict[int, None] = {}
         self._additional = False
-        self._pool = ThreadPoolExecutor(1, "carla-recap-writer")
-        self._pending: deque[Future[None]] = deque()
-        # These belong to the pool's thread, which compresses and writes.
+        self._pool = ThreadPoolExecutor(_WORKERS, "carla-recap-compress")
+        self._sealed: deque[_Sealed] = deque()
         self._position = self._crc = 0
         self._counts: Counter[int] = Counter()
         self._schemas: list[records.Schema] = []
         self._channels: list[records.Channel] = []
         self._chunk_index: list[records.ChunkIndex] = []
         self._metadata_index: list[records.MetadataIndex] = []
-        self._compressor = zstandard.ZstdCompressor(level=LEVEL)
-        self._submit(self._write_start, header)
+        self._write_start(header)
 
     def write(self, frame: Frame) -> None:
         """Add a frame.
@@ -169,11 +181,12 @@ class McapWriter(AtomicFile):
             for group in Group:
                 self._cut(group)
             self._cut_at = times[0] + CHUNK_SECONDS * SECOND
-        if frame.packets and frame.packets[0].id == FRAME_START:
+        if not frame.preamble:
             self._extent = Extent(self._extent.frames + 1, frame.id, frame.elapsed)
         head = wire.head(frame.id, frame.elapsed)
-        ids = bytes([packet.id for packet in frame.packets])
-        kinds = bytes([self._add(packet, head, times) for packet in frame.packets])
+        start = b"" if frame.preamble else bytes((FRAME_START,))
+        ids = start + bytes([packet.id for packet in frame.packets])
+        kinds = start + bytes([self._add(packet, head, times) for packet in frame.packets])
         spine = wire.frame_body(frame.duration, ids, kinds)
         self._chunks[Group.STATE].add(self._frame_channel, self._sequence, times, head, spine)
         for group, chunk in self._chunks.items():
@@ -183,7 +196,9 @@ class McapWriter(AtomicFile):
     def write_tail(self, piece: bytes) -> None:
         """Add bytes behind the last complete packet."""
         time = self._clock.last
-        self._chunks[Group.STATE].add(self._tail_channel, max(self._sequence, 0), (time, time), b"", wire.tail(piece))
+        self._chunks[Group.STATE].add(
+            self._tail_channel, max(self._sequence, 0), (time, time), b"", wire.tail(piece)
+        )
         self._cut(Group.STATE)
 
     def abort(self) -> None:
@@ -196,12 +211,12 @@ class McapWriter(AtomicFile):
     def _add(self, packet: Packet, head: bytes, times: tuple[int, int]) -> int:
         """Add a packet's messages; returns what the frame is to say of it."""
         type, id = packet.type, packet.id
-        if id <= FRAME_END:
+        if id == FRAME_END and not packet.payload:
             return EMPTY
         payload = packet.payload
+        self._additional = self._additional or (type is not None and type.additional)
         if payload is EMPTY_LIST or (type is not None and payload == EMPTY_LIST):
             return EMPTY
-        self._additional = self._additional or id in ADDITIONAL
         if type is None or type.opaque or len(payload) > OBJECTS_LIMIT:
             for body in wire.raw_bodies(id, payload):
                 self._chunks[Group.STATE].add(self._raw_channel, self._sequence, times, head, body)
@@ -209,46 +224,51 @@ class McapWriter(AtomicFile):
         chunk, channel = self._chunks[type.group], self._channel_of[id]
         size = wire.expected_size(type, payload)
         if size is not None:
-            chunk.add_later(type, payload, channel, self._sequence, times, head, size)
+            chunk.add(channel, self._sequence, times, head, b"")
+            chunk.wait_for(type, payload, size)
             return FILLED
         try:
             chunk.add(channel, self._sequence, times, head, wire.encode(type, payload))
+            if type.fixed:
+                packet.warn_of(check(type, payload))
         except PayloadError as error:
             raise packet.error(error) from None
         if type.name == "spawned":
-            self._heroes |= {actor.id: None for actor in packet.records if actor.attribute("role_name") == "hero"}
+            self._heroes |= {
+                actor.id: None for actor in packet.records if actor.attribute("role_name") == "hero"
+            }
         return FILLED
 
     # --- the file ------------------------------------------------------------------------------------------------------
 
     def _cut(self, group: Group) -> None:
+        """Send a group's chunk off to be compressed; chunks that are ready go to the file."""
         chunk = self._chunks[group]
-        if chunk.size:
-            self._chunks[group] = _Chunk()
-            self._submit(self._write_chunk, chunk)
+        if not chunk.messages:
+            return
+        self._chunks[group] = _Chunk()
+        data, index = chunk.seal()
+        self._sealed.append(
+            _Sealed(chunk.start, chunk.end, len(data), index, self._pool.submit(_compress, data))
+        )
+        self._settle(_QUEUE)
 
-    def _submit(self, work: Callable[..., None], *arguments: object) -> None:
-        self._pending.append(self._pool.submit(work, *arguments))
-        while len(self._pending) > _QUEUE:
-            self._settle()
-
-    def _settle(self) -> None:
+    def _settle(self, allowed: int) -> None:
+        """Write chunks until no more than so many are on their way."""
         try:
-            self._pending.popleft().result()
+            while len(self._sealed) > allowed:
+                self._write_chunk(self._sealed.popleft())
         except OSError as error:
             raise RecapError(f"{self.path}: cannot be written: {error.strerror}") from None
 
     def _finish(self) -> None:
         for group in Group:
             self._cut(group)
-        self._submit(self._write_end)
-        while self._pending:
-            self._settle()
+        self._settle(0)
         self._pool.shutdown()
+        self._write_end()
 
-    # What follows runs in the thread that compresses and writes.
-
-    def _emit(self, data: bytes | bytearray) -> None:
+    def _emit(self, data: bytes) -> None:
         self._file.write(data)
         self._crc = zlib.crc32(data, self._crc)
         self._position += len(data)
@@ -268,29 +288,29 @@ class McapWriter(AtomicFile):
         schema = records.Schema(id=channel, data=data, encoding="protobuf", name=spec.message)
         self._schemas.append(schema)
         self._channels.append(
-            records.Channel(id=channel, topic=spec.topic, message_encoding="protobuf", metadata={}, schema_id=channel)
+            records.Channel(
+                id=channel, topic=spec.topic, message_encoding="protobuf", metadata={}, schema_id=channel
+            )
         )
         self._emit(_packed(schema, self._channels[-1]))
 
-    def _write_chunk(self, chunk: _Chunk) -> None:
-        data, index = chunk.seal()
-        for channel in index:
+    def _write_chunk(self, chunk: _Sealed) -> None:
+        for channel in chunk.index:
             if channel not in self._counts:
                 self._declare(channel)
-        compressed = self._compressor.compress(data)
+        compressed, crc = chunk.compressed.result()
         compression = b"zstd"
-        content = CHUNK.size + len(compression) + U64.size + len(compressed)
         at = self._position
         self._emit(
-            RECORD.pack(Opcode.CHUNK, content)
-            + CHUNK.pack(chunk.start, chunk.end, len(data), zlib.crc32(data), len(compression))
+            RECORD.pack(Opcode.CHUNK, CHUNK.size + len(compression) + U64.size + len(compressed))
+            + CHUNK.pack(chunk.start, chunk.end, chunk.size, crc, len(compression))
             + compression
             + U64.pack(len(compressed))
-            + compressed
         )
+        self._emit(compressed)
         size = self._position - at
         offsets = {}
-        for channel, entries in index.items():
+        for channel, entries in chunk.index.items():
             offsets[channel] = self._position
             packed = entries.tobytes()
             self._counts[channel] += len(entries) // 2
@@ -309,7 +329,7 @@ class McapWriter(AtomicFile):
                 message_index_length=self._position - at - size,
                 message_index_offsets=offsets,
                 message_start_time=chunk.start,
-                uncompressed_size=len(data),
+                uncompressed_size=chunk.size,
             )
         )
         if self._live:
@@ -363,7 +383,7 @@ def _packed(*items: records.McapRecord) -> bytes:
     builder = RecordBuilder()
     for item in items:
         item.write(builder)
-    return builder.end()
+    return bytes(builder.end())  # type: ignore[no-untyped-call]
 
 
 def _summary(start: int, items: list[records.McapRecord]) -> bytes:
@@ -373,7 +393,9 @@ def _summary(start: int, items: list[records.McapRecord]) -> bytes:
     for _, group in groupby(items, type):
         packed = _packed(*group)
         offsets.append(
-            records.SummaryOffset(group_opcode=packed[0], group_start=start + len(data), group_length=len(packed))
+            records.SummaryOffset(
+                group_opcode=packed[0], group_start=start + len(data), group_length=len(packed)
+            )
         )
         data += packed
     offset_start = start + len(data)

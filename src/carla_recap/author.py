@@ -1,0 +1,114 @@
+"""Recordings of one's own: frames from trajectories, logs of other simulators, or tests."""
+
+from __future__ import annotations
+
+import time
+from typing import TYPE_CHECKING, Any, Self
+
+from carla_recap.errors import RecordError
+from carla_recap.formats import create_writer
+from carla_recap.frame import LAST_FRAME_DURATION, Extent, Frame, Header, Packet
+from carla_recap.records import FRAME_END, ORDER, Framing
+
+if TYPE_CHECKING:
+    from pathlib import Path
+    from types import TracebackType
+
+
+class Recorder:
+    """A recording being written; see `create_recording`. Complete when it is closed, removed when its block fails.
+
+    Attributes:
+        extent: How far it goes so far.
+    """
+
+    def __init__(self, path: Path | str, header: Header, *, additional_data: bool, live: bool) -> None:
+        self._table = header.table
+        self._writer = create_writer(path, header, live=live)
+        self._additional = additional_data
+        self._latest: Frame | None = None
+        self._end = Packet(FRAME_END, self._table[FRAME_END], b"")
+        self.extent = Extent()
+
+    def add_frame(self, elapsed: float, **records: Any) -> None:
+        """Add a frame.
+
+        Args:
+            elapsed: Seconds since the recording began; more than the frame before.
+            records: Records by type, in CARLA's units: `transforms=`, `spawned=`, `collisions=` … Each a structured array,
+                columns by name, rows, or objects such as `Spawn`. A clock (`platform_time=`) is a number.
+
+        Raises:
+            RecordError: They do not fit their type, or time does not go on.
+            RecapError: The file cannot be written.
+        """
+        if self._latest is not None and not elapsed > self._latest.elapsed:
+            raise RecordError(f"a frame at {elapsed:g} s cannot follow one at {self._latest.elapsed:g} s")
+        number = self.extent.frames + 1
+        frame = Frame(number - 1, number, elapsed, LAST_FRAME_DURATION, self._packets(records))
+        if self._latest is not None:
+            self._latest.duration = elapsed - self._latest.elapsed
+            self._writer.write(self._latest)
+        self._latest = frame
+        self.extent = Extent(number, number, elapsed)
+
+    def close(self) -> None:
+        """Finish the recording, and put it under its name."""
+        if self._latest is not None:
+            self._writer.write(self._latest)
+            self._latest = None
+        self._writer.close()
+
+    def abort(self) -> None:
+        """Give the recording up."""
+        self._writer.abort()
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        if kind is None:
+            self.close()
+        else:
+            self.abort()
+
+    def _packets(self, given: dict[str, Any]) -> list[Packet]:
+        records = {self._table.named(name).id: values for name, values in given.items()}
+        if min(records, default=FRAME_END + 1) <= FRAME_END:
+            raise RecordError("a frame's start and end are not given as records")
+        packets = []
+        for id in ORDER:
+            type = self._table[id]
+            if id in records:
+                values = [(records[id],)] if type.framing is Framing.SINGLE else records[id]
+                packet = Packet(id, type, records=type.records(values))
+                packets.append(Packet(id, type, packet.payload))
+            elif type.always and (self._additional or not type.additional):
+                packets.append(Packet(id, type, records=type.records([])))
+        return [*packets, self._end]
+
+
+def create_recording(
+    path: Path | str,
+    *,
+    map_name: str,
+    date: float | None = None,
+    additional_data: bool = False,
+    live: bool = False,
+) -> Recorder:
+    """Begin a recording of one's own.
+
+    Args:
+        path: The destination; the suffix, .mcap or .log, says the format.
+        map_name: The map.
+        date: When it begins, in Unix seconds; now, by default.
+        additional_data: Write the packets of CARLA's additional data in every frame, empty ones too, as CARLA does.
+        live: Put the data on the disk as it comes, so that a crash costs 5 s at the most (MCAP).
+
+    Raises:
+        RecapError: The suffix is of no format, or the place cannot be written to.
+    """
+    header = Header(map_name, int(time.time() if date is None else date))
+    return Recorder(path, header, additional_data=additional_data, live=live)

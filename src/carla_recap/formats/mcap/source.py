@@ -1,0 +1,271 @@
+"""Reads an MCAP file within bounds: places of it, chunks, and its summary.
+
+No chunk takes more memory than `CHUNK_LIMIT`, whatever it claims; every checksum is checked.
+"""
+
+from __future__ import annotations
+
+import struct
+import zlib
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+from io import BytesIO
+from pathlib import Path
+from typing import Any, Final, NamedTuple
+
+import lz4.frame
+import zstandard
+from mcap import records
+from mcap.data_stream import ReadDataStream
+from mcap.exceptions import McapError
+from mcap.opcode import Opcode
+
+from carla_recap.errors import FormatError, NotARecording, RecapError
+from carla_recap.formats.mcap.container import (
+    CHUNK,
+    CHUNK_INDEX,
+    CHUNK_OFFSETS,
+    FOOTER,
+    MAGIC,
+    RECORD,
+    U64,
+)
+
+CHUNK_LIMIT: Final = 64 << 20
+"""The largest chunk that is read, in bytes, compressed or not; ours are about 1 MiB."""
+SUMMARY_LIMIT: Final = 256 << 20
+"""The largest summary that is read, in bytes."""
+
+
+class Source:
+    """A file read in places, each of them checked against its size.
+
+    Attributes:
+        bytes_read: How much was read so far.
+    """
+
+    def __init__(self, path: Path | str) -> None:
+        self.path = Path(path)
+        try:
+            self._file = self.path.open("rb", buffering=0)
+            self.size = self._file.seek(0, 2)
+        except OSError as error:
+            raise RecapError(f"{path}: {error.strerror}") from None
+        self.bytes_read = 0
+
+    def read(self, at: int, size: int, what: str) -> bytes:
+        """Bytes of the file.
+
+        Raises:
+            FormatError: They lie outside; `what` says what they should be.
+        """
+        if at < 0 or size < 0 or at + size > self.size:
+            raise FormatError(
+                self.path, at, f"{what} of {size} bytes does not fit in the file of {self.size}"
+            )
+        try:
+            self._file.seek(at)
+            data = self._file.read(size)
+        except OSError as error:
+            raise RecapError(f"{self.path}: {error.strerror}") from None
+        self.bytes_read += len(data)
+        if len(data) < size:
+            raise FormatError(self.path, at + len(data), f"the file ends inside {what}")
+        return data
+
+    def record(self, at: int, opcode: Opcode, what: str, limit: int = CHUNK_LIMIT) -> bytes:
+        """The content of the record at a place.
+
+        Raises:
+            FormatError: There is none of that kind, or it is too large.
+        """
+        found, size = RECORD.unpack(self.read(at, RECORD.size, what))
+        if found != opcode or size > limit:
+            raise FormatError(
+                self.path, at, f"{what} was expected, found a record of kind {found} with {size} bytes"
+            )
+        return self.read(at + RECORD.size, size, what)
+
+    def close(self) -> None:
+        """Let go of the file."""
+        self._file.close()
+
+
+def split_records(data: bytes | memoryview) -> Iterator[tuple[int, int, int]]:
+    """Opcode, start and end of each record in a run of whole records.
+
+    Raises:
+        ValueError: The last one is not whole.
+    """
+    at, size = 0, len(data)
+    while at < size:
+        if at + RECORD.size > size:
+            raise ValueError(f"{size - at} bytes are left behind the last record")
+        opcode, length = RECORD.unpack_from(data, at)
+        start = at + RECORD.size
+        at = start + length
+        if at > size:
+            raise ValueError(f"a record of {length} bytes goes beyond the {size} that there are")
+        yield opcode, start, at
+
+
+def parse_record(kind: Any, data: bytes | memoryview) -> Any:
+    """A record's content as the `mcap` package's object of that kind.
+
+    Raises:
+        ValueError: The content is broken.
+    """
+    try:
+        return kind.read(ReadDataStream(BytesIO(data)))
+    except (
+        McapError,
+        UnicodeDecodeError,
+        struct.error,
+        OverflowError,
+        MemoryError,
+        KeyError,
+        TypeError,
+    ) as error:
+        raise ValueError(f"broken {kind.__name__} record ({type(error).__name__})") from None
+
+
+def decompress(compression: str, data: bytes | memoryview, size: int) -> bytes:
+    """A chunk's records, never more than the chunk says.
+
+    Raises:
+        ValueError: They are not of the size that the chunk says, or damaged.
+    """
+    if size > CHUNK_LIMIT:
+        raise ValueError(f"a chunk of {size} bytes, at most {CHUNK_LIMIT} are read")
+    try:
+        if compression == "":
+            records = bytes(data)
+        elif compression == "zstd":
+            if zstandard.frame_content_size(data) not in (-1, size):
+                raise ValueError("the compressed data announce another size than the chunk")
+            records = zstandard.ZstdDecompressor().decompress(data, max_output_size=size) if size else b""
+        elif compression == "lz4":
+            records = bytes(lz4.frame.LZ4FrameDecompressor().decompress(data, max_length=size + 1))
+        else:
+            raise ValueError(f"unknown compression {compression!r:.40}")
+    except (zstandard.ZstdError, RuntimeError, MemoryError) as error:
+        raise ValueError(f"damaged data ({error})") from None
+    if len(records) != size:
+        raise ValueError(f"{len(records)} bytes after decompression, {size} were expected")
+    return records
+
+
+def open_chunk(content: bytes) -> tuple[int, int, bytes]:
+    """First and last log time, and the records, of a chunk record's content.
+
+    Raises:
+        ValueError: It is damaged.
+    """
+    if len(content) < CHUNK.size:
+        raise ValueError("a chunk of less than its fixed fields")
+    start, end, size, crc, name_size = CHUNK.unpack_from(content)
+    at = CHUNK.size + name_size
+    if at + U64.size > len(content) or name_size > 16:
+        raise ValueError("a chunk with a broken compression name")
+    compression = content[CHUNK.size : at].decode("ascii", "replace")
+    (stored,) = U64.unpack_from(content, at)
+    data = memoryview(content)[at + U64.size :]
+    if stored != len(data):
+        raise ValueError(f"{len(data)} bytes of records, the chunk says {stored}")
+    records = decompress(compression, data, size)
+    if crc and zlib.crc32(records) != crc:
+        raise ValueError("the checksum does not match")
+    return start, end, records
+
+
+class Chunk(NamedTuple):
+    """A chunk as the index describes it. Times in ns; `channels` are those that it holds, empty where unknown."""
+
+    start: int
+    end: int
+    offset: int
+    length: int
+    channels: frozenset[int]
+
+
+@dataclass
+class Summary:
+    """What an MCAP file says of its content. `finished`: its data section ends properly."""
+
+    schemas: dict[int, records.Schema] = field(default_factory=dict)
+    channels: dict[int, records.Channel] = field(default_factory=dict)
+    chunks: list[Chunk] = field(default_factory=list)
+    metadata: dict[str, records.MetadataIndex] = field(default_factory=dict)
+    finished: bool = False
+
+
+def read_summary(source: Source) -> Summary:
+    """The summary of a finished file.
+
+    Raises:
+        NotARecording: It is no MCAP file.
+        FormatError: It is damaged, or was never finished.
+    """
+    path, size = source.path, source.size
+    if size < len(MAGIC) or source.read(0, len(MAGIC), "the magic") != MAGIC:
+        raise NotARecording(path, "is no MCAP file (the magic is missing)")
+    unfinished = "the file has no valid end: it is damaged, or its writer died; 'carla-recap recover' saves what it holds"
+    tail = RECORD.size + FOOTER.size + len(MAGIC)
+    if size < tail + len(MAGIC):
+        raise FormatError(path, size, unfinished)
+    end = source.read(size - tail, tail, "the footer")
+    opcode, length = RECORD.unpack_from(end)
+    if not end.endswith(MAGIC) or opcode != Opcode.FOOTER or length != FOOTER.size:
+        raise FormatError(path, size - tail, unfinished)
+    start, _, crc = FOOTER.unpack_from(end, RECORD.size)
+    if start == 0:
+        raise FormatError(path, size - tail, "the file has no summary; 'carla-recap recover' makes one")
+    length = size - tail - start
+    if not len(MAGIC) <= start <= size - tail or length > SUMMARY_LIMIT:
+        raise FormatError(path, size - tail, f"the summary is said to begin at byte {start}, which cannot be")
+    data = source.read(start, length, "the summary")
+    if crc and zlib.crc32(end[: RECORD.size + 16], zlib.crc32(data)) != crc:
+        raise FormatError(
+            path,
+            start,
+            "the summary is damaged (its checksum does not match); 'carla-recap recover' makes a new one",
+        )
+    summary = Summary()
+    try:
+        for opcode, at, until in split_records(data):
+            _take(summary, opcode, memoryview(data)[at:until])
+    except ValueError as error:
+        raise FormatError(
+            path, start, f"the summary is damaged: {error}; 'carla-recap recover' makes a new one"
+        ) from None
+    summary.chunks.sort(key=lambda chunk: (chunk.start, chunk.offset))
+    offsets = {chunk.offset for chunk in summary.chunks}
+    if len(offsets) < len(summary.chunks):
+        raise FormatError(path, start, "the summary names a chunk twice")
+    return summary
+
+
+def _take(summary: Summary, opcode: int, data: memoryview) -> None:
+    if opcode == Opcode.CHUNK_INDEX:
+        summary.chunks.append(_chunk_index(data))
+    elif opcode == Opcode.SCHEMA:
+        schema = parse_record(records.Schema, data)
+        summary.schemas[schema.id] = schema
+    elif opcode == Opcode.CHANNEL:
+        channel = parse_record(records.Channel, data)
+        summary.channels[channel.id] = channel
+    elif opcode == Opcode.METADATA_INDEX:
+        index = parse_record(records.MetadataIndex, data)
+        summary.metadata[index.name] = index
+
+
+def _chunk_index(data: memoryview) -> Chunk:
+    if len(data) < CHUNK_INDEX.size:
+        raise ValueError("a chunk index of less than its fixed fields")
+    start, end, offset, length, size = CHUNK_INDEX.unpack_from(data)
+    offsets = data[CHUNK_INDEX.size : CHUNK_INDEX.size + size]
+    if len(offsets) != size or size % CHUNK_OFFSETS.size or length > CHUNK_LIMIT:
+        raise ValueError("a chunk index that does not fit")
+    return Chunk(
+        start, end, offset, length, frozenset([channel for channel, _ in CHUNK_OFFSETS.iter_unpack(offsets)])
+    )

@@ -1,0 +1,93 @@
+"""Rebuilds a recording that is damaged, or whose writer died, from all that is whole in it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from carla_recap.conversion import check_destination
+from carla_recap.errors import RecapError
+from carla_recap.formats import create_writer
+from carla_recap.formats.carla_log import LogReader, is_log
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Iterable
+
+    from carla_recap.formats.base import Reader
+    from carla_recap.frame import Frame
+
+
+@dataclass(frozen=True)
+class Recovery:
+    """What a recovery brought, and what it could not.
+
+    Attributes:
+        frames: Frames that were saved.
+        lost_frames: Frames that are known to be missing between them.
+        lost_bytes: Bytes of the source that belong to nothing whole.
+        duration: Elapsed seconds of the last frame that was saved.
+        finished: Whether the source had a proper end.
+    """
+
+    frames: int
+    lost_frames: int
+    lost_bytes: int
+    duration: float
+    finished: bool
+
+
+def recover(
+    source: Path | str,
+    destination: Path | str,
+    *,
+    force: bool = False,
+    progress: Callable[[Iterable[Frame]], Iterable[Frame]] = iter,
+) -> Recovery:
+    """Write what is whole in a recording to a new one.
+
+    Args:
+        source: The damaged file, MCAP or log.
+        destination: Where to write; the suffix says the format.
+        force: Overwrite what is there.
+        progress: Wraps the stream of frames, to watch it.
+
+    Raises:
+        RecapError: Nothing can be saved, or the destination cannot be written.
+    """
+    check_destination(source, destination, force=force)
+    reader, finished, lost_bytes = _open(source)
+    frames, last, duration = 0, -1, 0.0
+    try:
+        with create_writer(destination, reader.header) as writer:
+            for frame in progress(reader.frames()):
+                writer.write(frame)
+                frames += 1
+                last, duration = frame.index, frame.elapsed
+        if isinstance(reader, LogReader):
+            lost_bytes += reader.lost_bytes
+    finally:
+        reader.close()
+    return Recovery(frames, last + 1 - frames, lost_bytes, duration, finished)
+
+
+def _open(source: Path | str) -> tuple[Reader, bool, int]:
+    try:
+        with Path(source).open("rb") as file:
+            start = file.read(64)
+    except OSError as error:
+        raise RecapError(f"{source}: {error.strerror}") from None
+    if is_log(start):
+        return LogReader(source, salvage=True), True, 0
+    from carla_recap.formats.mcap.reader import McapReader  # noqa: PLC0415
+    from carla_recap.formats.mcap.salvage import salvage  # noqa: PLC0415
+    from carla_recap.formats.mcap.source import Source  # noqa: PLC0415
+
+    raw = Source(source)
+    try:
+        summary, damage = salvage(raw)
+    finally:
+        raw.close()
+    if not summary.chunks:
+        raise RecapError(f"{source}: nothing can be saved: no whole chunk of an MCAP recording was found")
+    return McapReader(source, summary=summary), damage.finished, damage.bytes
