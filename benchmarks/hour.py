@@ -44,13 +44,12 @@ FIRST_WALKER: Final = HERO + VEHICLES
 LIGHTS: Final = 36
 GREEN, YELLOW, RED = 10, 3, 2  # seconds, as in CARLA's towns
 
-TURNOVER: Final = 12 * RATE  # every so many frames an actor goes and another one comes
+TURNOVER: Final = 20 * RATE  # every so many frames an actor goes and another one comes
 REFIT: Final = 60 * RATE  # every so many frames the hero gets a new collision sensor
-BUMP: Final = 8 * RATE  # every so many frames something bumps into something, for up to BUMP_LENGTH frames
-BUMP_LENGTH: Final = 16
+BUMP: Final = 30 * RATE  # every so many frames something bumps into something, for up to BUMP_LENGTH frames
+BUMP_LENGTH: Final = 12
 
 ORDER: Final = (
-    "frame",
     "spawned",
     "destroyed",
     "parented",

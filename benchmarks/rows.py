@@ -181,7 +181,7 @@ def run(*command: str | Path) -> Run:
 
 def convert(source: Path, target: Path) -> Run:
     """Convert a recording in a process of its own; to remove what is in its place does not count."""
-    if not importlib.util.find_spec("carla_recap.convert"):
+    if not importlib.util.find_spec("carla_recap.conversion"):
         raise ImportError("carla_recap.convert")
     target.unlink(missing_ok=True)
     return run(sys.executable, "-c", CONVERT, source, target)

@@ -11,7 +11,10 @@ from carla_recap.formats import create_writer, open_reader
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable
 
+    from carla_recap.formats.base import Reader
     from carla_recap.frame import Extent, Frame
+
+    Progress = Callable[[Iterable[Frame], Reader], Iterable[Frame]]
 
 
 def convert(
@@ -19,7 +22,7 @@ def convert(
     destination: Path | str,
     *,
     force: bool = False,
-    progress: Callable[[Iterable[Frame]], Iterable[Frame]] = iter,
+    progress: Progress | None = None,
 ) -> Extent:
     """Write a recording in another format; `.log` → `.mcap` → `.log` gives back the same bytes.
 
@@ -27,7 +30,7 @@ def convert(
         source: A recording of any format.
         destination: Where to write; the suffix says the format. It appears when it is complete.
         force: Overwrite what is there.
-        progress: Wraps the stream of frames, to watch it.
+        progress: Is given the stream of frames and their reader, and passes the frames on.
 
     Returns:
         How far the recording goes.
@@ -39,7 +42,8 @@ def convert(
     reader = open_reader(source)
     try:
         with create_writer(destination, reader.header) as writer:
-            for frame in progress(reader.frames()):
+            frames: Iterable[Frame] = reader.frames()
+            for frame in progress(frames, reader) if progress else frames:
                 writer.write(frame)
             for piece in reader.tail():
                 writer.write_tail(piece)

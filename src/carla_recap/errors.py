@@ -27,10 +27,14 @@ class FormatError(RecapError):
     """
 
     def __init__(self, path: Path | str, offset: int | None, message: str) -> None:
-        place = f"{path}" if offset is None else f"{path}: byte {offset}"
-        super().__init__(f"{place}: {message}")
+        super().__init__(path, offset, message)
         self.path = Path(path)
         self.offset = offset
+        self.message = message
+
+    def __str__(self) -> str:
+        place = f"{self.path}" if self.offset is None else f"{self.path}: byte {self.offset}"
+        return f"{place}: {self.message}"
 
 
 class NotARecording(FormatError):
@@ -38,6 +42,7 @@ class NotARecording(FormatError):
 
     def __init__(self, path: Path | str, message: str) -> None:
         super().__init__(path, None, message)
+        self.args = (path, message)
 
 
 class RecordError(RecapError):
@@ -53,7 +58,12 @@ class MissingExtra(RecapError):
     """
 
     def __init__(self, what: str, extra: str) -> None:
-        super().__init__(f"{what} needs an optional dependency: pip install 'carla-recap[{extra}]'")
+        super().__init__(what, extra)
+        self.what = what
+        self.extra = extra
+
+    def __str__(self) -> str:
+        return f"{self.what} needs an optional dependency: pip install 'carla-recap[{self.extra}]'"
 
 
 class RecapWarning(UserWarning):

@@ -12,8 +12,9 @@ from carla_recap.formats import create_writer
 from carla_recap.formats.carla_log import LogReader, is_log
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterable
+    from collections.abc import Iterable
 
+    from carla_recap.conversion import Progress
     from carla_recap.formats.base import Reader
     from carla_recap.frame import Frame
 
@@ -36,13 +37,20 @@ class Recovery:
     duration: float
     finished: bool
 
+    def __str__(self) -> str:
+        saved = f"{self.frames} frames saved, up to {self.duration:g} s"
+        lost = [f"{count} {what} lost" for count, what in ((self.lost_frames, "frames"), (self.lost_bytes, "bytes")) if count]
+        if not self.finished:
+            lost.append("it was never finished, or its end is damaged")
+        return "; ".join([saved, *lost or ["nothing lost"]])
+
 
 def recover(
     source: Path | str,
     destination: Path | str,
     *,
     force: bool = False,
-    progress: Callable[[Iterable[Frame]], Iterable[Frame]] = iter,
+    progress: Progress | None = None,
 ) -> Recovery:
     """Write what is whole in a recording to a new one.
 
@@ -50,7 +58,7 @@ def recover(
         source: The damaged file, MCAP or log.
         destination: Where to write; the suffix says the format.
         force: Overwrite what is there.
-        progress: Wraps the stream of frames, to watch it.
+        progress: As in `convert`.
 
     Raises:
         RecapError: Nothing can be saved, or the destination cannot be written.
@@ -60,7 +68,8 @@ def recover(
     frames, last, duration = 0, -1, 0.0
     try:
         with create_writer(destination, reader.header) as writer:
-            for frame in progress(reader.frames()):
+            stream: Iterable[Frame] = reader.frames()
+            for frame in progress(stream, reader) if progress else stream:
                 writer.write(frame)
                 frames += 1
                 last, duration = frame.index, frame.elapsed

@@ -1,4 +1,4 @@
-"""How CARLA's info text prints the records of each type: one row per type, with its heading and its line."""
+"""How CARLA's info text prints each type of record: a table of templates, one row per type."""
 
 from __future__ import annotations
 
@@ -12,71 +12,56 @@ import numpy as np
 
 from carla_recap.payload import U16
 from carla_recap.queries.answer import readable
-from carla_recap.records import UE4
+from carla_recap.records import REAL, TEXT, UE4, Layout, Many, Records
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from carla_recap.frame import Packet
-    from carla_recap.records import Bones, Physics, Spawn
-
-Printer = Callable[["Packet"], str]
 
 
 def number(value: float) -> str:
-    """A number with six digits, as C++ prints it: with the sign of a NaN too."""
+    """A number with six digits as C++ prints it, the sign of a NaN included."""
     return "-nan" if math.isnan(value) and math.copysign(1.0, value) < 0 else f"{value:.6g}"
 
 
-class _Lines:
-    """Prints the records of a type that is fixed in size.
+class _Template:
+    """Prints records, each in the same way.
 
     Args:
-        type: The record type's name.
-        heading: What comes before the number of records; None for no heading.
-        line: A record's line, with the fields in braces.
-        words: For some fields, what to print for a number.
+        layout: The fields of the records.
+        line: What to print of a record, with fields in braces; `{index}` is its place among the others.
+        words: For some fields, what to print for a value.
     """
 
-    def __init__(
-        self,
-        type: str,
-        heading: str | None,
-        line: str,
-        words: Mapping[str, Callable[[int], str]] | None = None,
-    ) -> None:
-        dtype = UE4.named(type).dtype
-        self._heading = heading
+    def __init__(self, layout: Layout, line: str, **words: Callable[[Any], str]) -> None:
         self._fields = _FIELD.findall(line)
-        self._words = words or {}
-        self._reals = {field for field in self._fields if dtype[field].kind == "f"}
-        codes = {
-            field: "%s" if field in self._words else "%.6g" if field in self._reals else "%d"
-            for field in self._fields
-        }
-        self._line = _FIELD.sub(lambda match: codes[match[1]], line)
+        kinds = {"index": "u4", **layout.fields}
+        texts = {field: readable for field in self._fields if kinds[field] == TEXT}
+        self._words: Mapping[str, Callable[[Any], str]] = {**texts, **words}
+        self._reals = {field for field in self._fields if kinds[field] in (REAL, "f4", "f8")}
+        self._line = _FIELD.sub(lambda match: "%.6g" if match[1] in self._reals else "%s", line)
         self._line_of_texts = _FIELD.sub("%s", line)
 
-    def __call__(self, packet: Packet) -> str:
-        records = packet.records
-        assert isinstance(records, np.ndarray)
-        heading = "" if self._heading is None else f" {self._heading}: {len(records)}\n"
-        if not len(records):
-            return heading
+    def text(self, records: Records) -> str:
+        """The text of some records."""
         columns = [self._column(field, records) for field in self._fields]
         text = "".join(map(self._line.__mod__, zip(*columns, strict=True)))
-        if "nan" in text:
-            text = self._with_signs(columns)
-        return heading + text
+        return self._text_with_signs(columns) if "nan" in text else text
 
-    def _column(self, field: str, records: NDArray[np.void]) -> list[Any]:
-        column: list[Any] = records[field].tolist()
+    def _column(self, field: str, records: Records) -> list[Any]:
+        if field == "index":
+            return list(range(len(records)))
+        if isinstance(records, np.ndarray):
+            column: list[Any] = records[field].tolist()
+        else:
+            column = [getattr(record, field) for record in records]
         return list(map(self._words[field], column)) if field in self._words else column
 
-    def _with_signs(self, columns: list[list[Any]]) -> str:
-        """The lines of records with a NaN among them, whose sign Python would not print."""
+    def _text_with_signs(self, columns: list[list[Any]]) -> str:
+        """The text of records with a NaN among them, whose sign Python does not print."""
         texts = [
-            map(number, column) if field in self._reals else column
+            list(map(number, column)) if field in self._reals else column
             for field, column in zip(self._fields, columns, strict=True)
         ]
         return "".join(map(self._line_of_texts.__mod__, zip(*texts, strict=True)))
@@ -85,7 +70,35 @@ class _Lines:
 _FIELD: Final = re.compile(r"\{(\w+)\}")
 
 
-# --- words for numbers -------------------------------------------------------------------------------------------------
+class PacketLines:
+    """Prints the packets of a type.
+
+    Args:
+        template: Prints the records.
+        heading: What comes first, before the number of records; None for nothing.
+        end: What comes last.
+    """
+
+    def __init__(self, template: _Template, heading: str | None, end: str = "") -> None:
+        self._template = template
+        self._heading = heading
+        self._end = end
+
+    def __call__(self, packet: Packet) -> str:
+        """The text of a packet."""
+        text = self._template.text(packet.records)
+        if self._heading is None:
+            return text
+        return f" {self._heading}: {_count(packet)}\n{text}{self._end}"
+
+
+def _count(packet: Packet) -> int:
+    if packet.type is None or not packet.type.opaque:
+        return len(packet.records)
+    return int(U16.unpack_from(packet.payload)[0]) if len(packet.payload) >= U16.size else 0
+
+
+# --- words for numbers -----------------------------------------------------------------------------------
 
 _LIGHTS: Final = {  # in CARLA's order
     "Position": 1 << 0,
@@ -102,20 +115,6 @@ _LIGHTS: Final = {  # in CARLA's order
 }
 _ALL_LIGHTS: Final = sum(_LIGHTS.values())
 _DOORS: Final = ("Front Left", "Front Right", "Rear Left", "Rear Right", "Hood", "Trunk", "All")
-
-
-def _hero(flag: int) -> str:
-    return " (hero) " if flag else ""
-
-
-def _true(flag: int) -> str:
-    return "True" if flag else "False"
-
-
-def _light_state(state: int) -> str:
-    """One character, as many after 0 as the state says; CARLA's text can hold ASCII alone."""
-    code = (ord("0") + state) & 0xFF
-    return chr(code) if code < 0x80 else "?"
 
 
 def _lights(flags: int) -> str:
@@ -136,161 +135,159 @@ def _door_of_carla(door: int) -> str:
     return _door(door) if door < len(_DOORS) else ""
 
 
-# --- records whose size varies -----------------------------------------------------------------------------------------
+def _light_state(state: int) -> str:
+    """One character, as far behind `0` as the state says; `?` for what is not ASCII."""
+    code = (ord("0") + state) & 0xFF
+    return chr(code) if code < 0x80 else "?"
 
 
-def _spawned(packet: Packet) -> str:
-    return "".join(map(_spawn, packet.records))
+def _hero(flag: int) -> str:
+    return " (hero) " if flag else ""
 
 
-def _spawn(spawn: Spawn) -> str:
-    place = f"({number(spawn.x)}, {number(spawn.y)}, {number(spawn.z)})"
-    lines = [f" Create {spawn.id}: {readable(spawn.type_id)} ({spawn.kind}) at {place}\n"]
-    lines += [
-        f"  {readable(attribute.key)} = {readable(attribute.value)}\n" for attribute in spawn.attributes
-    ]
-    return "".join(lines)
+def _true(flag: int) -> str:
+    return "true" if flag else "false"
 
 
-_GEAR_SWITCH_TIME: Final = 0.5  # not recorded: CARLA prints its default
+def _capital_true(flag: int) -> str:
+    return "True" if flag else "False"
 
 
-def _physics(packet: Packet) -> str:
-    if packet.type and packet.type.opaque:
-        count = U16.unpack_from(packet.payload)[0] if len(packet.payload) >= U16.size else 0
-    else:
-        count = len(packet.records)
-    return f" Physics Control events: {count}\n" + "".join(map(_physics_control, packet.records))
+# --- records inside records ------------------------------------------------------------------------------
 
 
-def _physics_control(physics: Physics) -> str:
-    center = (physics.center_of_mass_x, physics.center_of_mass_y, physics.center_of_mass_z)
-    values = {
-        "max_rpm": number(physics.max_rpm),
-        "MOI": number(physics.moi),
-        "damping_rate_full_throttle": number(physics.damping_rate_full_throttle),
-        "damping_rate_zero_throttle_clutch_engaged": number(
-            physics.damping_rate_zero_throttle_clutch_engaged
-        ),
-        "damping_rate_zero_throttle_clutch_disengaged": number(
-            physics.damping_rate_zero_throttle_clutch_disengaged
-        ),
-        "use_gear_auto_box": "true" if physics.use_gear_auto_box else "false",
-        "gear_switch_time": number(_GEAR_SWITCH_TIME),
-        "clutch_strength": number(physics.clutch_strength),
-        "final_ratio": number(physics.final_ratio),
-        "mass": number(physics.mass),
-        "drag_coefficient": number(physics.drag_coefficient),
-        "center_of_mass": f"({', '.join(map(number, center))})",
-    }
-    lines = [f"  Id: {physics.id}\n", *(f"   {name} = {value}\n" for name, value in values.items())]
-    for name, curve in (("torque_curve", physics.torque_curve), ("steering_curve", physics.steering_curve)):
-        lines.append(
-            f"   {name} ={''.join(f' ({number(x)}, {number(y)})' for x, y in _sorted_points(curve))}\n"
-        )
-    lines.append("   forward_gears:\n")
-    for index, gear in enumerate(physics.forward_gears):
-        ratio, down, up = (number(gear[name].item()) for name in ("ratio", "down_ratio", "up_ratio"))
-        lines.append(f"    gear {index}: ratio {ratio} down_ratio {down} up_ratio {up}\n")
-    lines.append("   wheels:\n")
-    for index, wheel in enumerate(physics.wheels):
-        shown = "".join(f" {name} {number(wheel[field].item())}" for name, field in _WHEEL.items())
-        position = ", ".join(number(wheel[f"position_{axis}"].item()) for axis in "xyz")
-        lines.append(f"    wheel {index}:{shown} position ({position})\n")
-    return "".join(lines)
+def _inside(type: str, field: str) -> Layout:
+    many = UE4.named(type).layout.fields[field]
+    assert isinstance(many, Many)
+    return many.layouts[0]
 
 
-_WHEEL: Final = {
-    "tire_friction": "tire_friction",
-    "damping_rate": "damping_rate",
-    "max_steer_angle": "max_steer_angle",
-    "radius": "radius",
-    "max_brake_torque": "max_brake_torque",
-    "max_handbrake_torque": "max_handbrake_torque",
-}
+_ATTRIBUTE: Final = _Template(_inside("spawned", "attributes"), "  {key} = {value}\n")
+_BONE: Final = _Template(
+    _inside("walker_bones", "bones"),
+    '     Bone: "{name}" relative: Loc({x}, {y}, {z}) Rot({roll}, {pitch}, {yaw})\n',
+)
+_GEAR: Final = _Template(
+    _inside("physics", "forward_gears"),
+    "    gear {index}: ratio {ratio} down_ratio {down_ratio} up_ratio {up_ratio}\n",
+)
+_WHEEL: Final = _Template(
+    _inside("physics", "wheels"),
+    "    wheel {index}: tire_friction {tire_friction} damping_rate {damping_rate} "
+    "max_steer_angle {max_steer_angle} radius {radius} max_brake_torque {max_brake_torque} "
+    "max_handbrake_torque {max_handbrake_torque} position ({position_x}, {position_y}, {position_z})\n",
+)
+_POINT: Final = _Template(_inside("physics", "torque_curve"), " ({x}, {y})")
 
 
-def _sorted_points(curve: NDArray[np.void]) -> list[tuple[float, float]]:
-    """The points of a curve by their first number; of equal ones, the later recorded comes first."""
-    backwards = curve[::-1]
-    return backwards[np.argsort(backwards["x"], kind="stable")].tolist()  # type: ignore[no-any-return]
+def _curve(points: NDArray[np.void]) -> str:
+    """The points by their first number; of equal ones, the later recorded comes first."""
+    backwards = points[::-1]
+    return _POINT.text(backwards[np.argsort(backwards["x"], kind="stable")])
 
 
-def _walker_bones(packet: Packet) -> str:
-    return f" Walkers Bones: {len(packet.records)}\n" + "".join(map(_bones, packet.records)) + "\n"
+# --- the table -------------------------------------------------------------------------------------------
 
 
-def _bones(walker: Bones) -> str:
-    lines = [f"  Id: {walker.id}\n"]
-    for bone in walker.bones:
-        location = f"Loc({number(bone.x)}, {number(bone.y)}, {number(bone.z)})"
-        rotation = f"Rot({number(bone.roll)}, {number(bone.pitch)}, {number(bone.yaw)})"
-        lines.append(f'     Bone: "{readable(bone.name)}" relative: {location} {rotation}\n')
-    return "".join(lines)
+def _row(
+    type: str, heading: str | None, line: str, end: str = "", **words: Callable[[Any], str]
+) -> dict[str, PacketLines]:
+    return {type: PacketLines(_Template(UE4.named(type).layout, line, **words), heading, end)}
 
-
-# --- the rows ----------------------------------------------------------------------------------------------------------
 
 _BOX: Final = "  Id: {id} origin: ({x}, {y}, {z}) extension: ({extent_x}, {extent_y}, {extent_z})\n"
-_DOOR_LINES: Final = ("doors", "Vehicle door animations", "  Id: {id}\n  Doors opened: {door}")
+_DOORS_ROW: Final = ("doors", "Vehicle door animations", "  Id: {id}\n  Doors opened: {door}")
 
-_PRINTERS: Final[Mapping[str, Printer]] = {
-    "spawned": _spawned,
-    "destroyed": _Lines("destroyed", None, " Destroy {id}\n"),
-    "parented": _Lines("parented", None, " Parenting {id} with {parent} (parent)\n"),
-    "collisions": _Lines(
+# The gear switch time is not recorded: CARLA prints its default.
+_PHYSICS: Final = """\
+  Id: {id}
+   max_rpm = {max_rpm}
+   MOI = {moi}
+   damping_rate_full_throttle = {damping_rate_full_throttle}
+   damping_rate_zero_throttle_clutch_engaged = {damping_rate_zero_throttle_clutch_engaged}
+   damping_rate_zero_throttle_clutch_disengaged = {damping_rate_zero_throttle_clutch_disengaged}
+   use_gear_auto_box = {use_gear_auto_box}
+   gear_switch_time = 0.5
+   clutch_strength = {clutch_strength}
+   final_ratio = {final_ratio}
+   mass = {mass}
+   drag_coefficient = {drag_coefficient}
+   center_of_mass = ({center_of_mass_x}, {center_of_mass_y}, {center_of_mass_z})
+   torque_curve ={torque_curve}
+   steering_curve ={steering_curve}
+   forward_gears:
+{forward_gears}   wheels:
+{wheels}"""
+
+_LINES: Final[Mapping[str, PacketLines]] = {
+    **_row(
+        "spawned",
+        None,
+        " Create {id}: {type_id} ({kind}) at ({x}, {y}, {z})\n{attributes}",
+        attributes=_ATTRIBUTE.text,
+    ),
+    **_row("destroyed", None, " Destroy {id}\n"),
+    **_row("parented", None, " Parenting {id} with {parent} (parent)\n"),
+    **_row(
         "collisions",
         None,
         " Collision id {id} between {actor1}{hero1} with {actor2}{hero2}\n",
-        {"hero1": _hero, "hero2": _hero},
+        hero1=_hero,
+        hero2=_hero,
     ),
-    "transforms": _Lines(
+    **_row(
         "transforms", "Positions", "  Id: {id} Location: ({x}, {y}, {z}) Rotation: ({roll}, {pitch}, {yaw})\n"
     ),
-    "light_states": _Lines(
+    **_row(
         "light_states",
         "State traffic lights",
         "  Id: {id} state: {state} frozen: {frozen} elapsedTime: {elapsed}\n",
-        {"state": _light_state},
+        state=_light_state,
     ),
-    "vehicle_controls": _Lines(
+    **_row(
         "vehicle_controls",
         "Vehicle animations",
-        "  Id: {id} Steering: {steer} Throttle: {throttle} Brake: {brake} Handbrake: {hand_brake} Gear: {gear}\n",
+        "  Id: {id} Steering: {steer} Throttle: {throttle} Brake: {brake} Handbrake: {hand_brake} "
+        "Gear: {gear}\n",
     ),
-    "walker_controls": _Lines("walker_controls", "Walker animations", "  Id: {id} speed: {speed}\n"),
-    "doors": _Lines(*_DOOR_LINES, {"door": _door}),
-    "vehicle_lights": _Lines(
-        "vehicle_lights", "Vehicle light animations", "  Id: {id} {flags}\n", {"flags": _lights}
-    ),
-    "scene_lights": _Lines(
+    **_row("walker_controls", "Walker animations", "  Id: {id} speed: {speed}\n"),
+    **_row(*_DOORS_ROW, door=_door),
+    **_row("vehicle_lights", "Vehicle light animations", "  Id: {id} {flags}\n", flags=_lights),
+    **_row(
         "scene_lights",
         "Scene light changes",
         "  Id: {id} enabled: {on} intensity: {intensity} RGB_color: ({red}, {green}, {blue})\n",
-        {"on": _true},
+        on=_capital_true,
     ),
-    "velocities": _Lines(
+    **_row(
         "velocities",
         "Dynamic actors",
-        "  Id: {id} linear_velocity: ({x}, {y}, {z}) angular_velocity: ({angular_x}, {angular_y}, {angular_z})\n",
+        "  Id: {id} linear_velocity: ({x}, {y}, {z}) "
+        "angular_velocity: ({angular_x}, {angular_y}, {angular_z})\n",
     ),
-    "bounding_boxes": _Lines("bounding_boxes", "Actor bounding boxes", _BOX),
-    "trigger_volumes": _Lines("trigger_volumes", "Actor trigger volumes", _BOX),
-    "platform_time": _Lines("platform_time", None, " Current platform time: {seconds}\n"),
-    "physics": _physics,
-    "light_times": _Lines(
+    **_row("bounding_boxes", "Actor bounding boxes", _BOX),
+    **_row("trigger_volumes", "Actor trigger volumes", _BOX),
+    **_row("platform_time", None, " Current platform time: {seconds}\n"),
+    **_row(
+        "physics",
+        "Physics Control events",
+        _PHYSICS,
+        use_gear_auto_box=_true,
+        torque_curve=_curve,
+        steering_curve=_curve,
+        forward_gears=_GEAR.text,
+        wheels=_WHEEL.text,
+    ),
+    **_row(
         "light_times",
         "Traffic Light time events",
         "  Id: {id} green_time: {green} yellow_time: {yellow} red_time: {red}\n",
     ),
-    "walker_bones": _walker_bones,
+    **_row("walker_bones", "Walkers Bones", "  Id: {id}\n{bones}", end="\n", bones=_BONE.text),
 }
-_PRINTERS_OF_CARLA: Final[Mapping[str, Printer]] = {
-    **_PRINTERS,
-    "doors": _Lines(*_DOOR_LINES, {"door": _door_of_carla}),
-}
+_LINES_OF_CARLA: Final[Mapping[str, PacketLines]] = {**_LINES, **_row(*_DOORS_ROW, door=_door_of_carla)}
 
 
-def packet_lines(compat: bool) -> Mapping[str, Printer]:
-    """For each record type that is shown, what prints a packet of it."""
-    return _PRINTERS_OF_CARLA if compat else _PRINTERS
+def packet_lines(*, compat: bool) -> Mapping[str, PacketLines]:
+    """What prints the packets of each record type that CARLA shows."""
+    return _LINES_OF_CARLA if compat else _LINES

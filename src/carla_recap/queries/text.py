@@ -40,10 +40,10 @@ def text(answer: Info | Collisions | Blocked) -> Iterator[str]:
 
 
 def _preamble(header: Header) -> str:
-    return f"Version: {header.version}\nMap: {readable(header.map_name)}\nDate: {_date(header.date)}\n\n"
+    return f"Version: {header.version}\nMap: {readable(header.map_name)}\nDate: {local_date(header.date)}\n\n"
 
 
-def _date(seconds: int) -> str:
+def local_date(seconds: int) -> str:
     """A date in local time, as in the C locale; the number itself where no calendar reaches."""
     try:
         return time.strftime("%m/%d/%y %H:%M:%S", time.localtime(seconds))
@@ -77,7 +77,7 @@ def _blocked(answer: Blocked) -> Iterator[str]:
 
 
 def _info(answer: Info) -> Iterator[str]:
-    lines = packet_lines(answer.compat)
+    lines = packet_lines(compat=answer.compat)
     frame = None
     for frame in answer.frames():
         parts = []

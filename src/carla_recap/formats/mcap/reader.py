@@ -54,6 +54,7 @@ BLOCK_SIZE: Final = 256 << 10
 
 Found = tuple["Batch", int]  # a message: its batch, and its place there
 Gathered = dict[int, deque[Found]]  # channel → messages of one frame
+Plans = dict[bytes, tuple[bool, list[Any]]]  # how to put frames together, by what they say of their packets
 Pending = dict[int, tuple[int, Gathered]]  # index of a frame → its log time and messages
 
 
@@ -161,7 +162,6 @@ class McapReader:
         self._by_topic = {spec.topic: id for id, spec in self._channels.items()}
         self._frame_channel = self._by_topic.get(FRAME_TOPIC, _NO_CHANNEL)
         self._raw_channel = self._by_topic.get(RAW_TOPIC, _NO_CHANNEL)
-        self._plans: dict[tuple[bytes, bytes], list[Any]] = {}
 
     @property
     def bytes_read(self) -> int:
@@ -188,8 +188,9 @@ class McapReader:
         """Stream the frames; see `Reader.frames`. With `sparse`, durations are unknown (NaN)."""
         wanted = self._wanted(types, spine=not sparse)
         chunks = self._chunks(wanted, start, stop)
+        plans: Plans = {}
         for index, gathered in self._gather(chunks, wanted, ahead=not sparse):
-            frame = self._frame(index, gathered, whole=types is None)
+            frame = self._frame(index, gathered, wanted, plans, whole=types is None)
             if stop < math.inf and frame.elapsed >= stop:
                 return
             if start == -math.inf or frame.elapsed >= start:
@@ -198,6 +199,7 @@ class McapReader:
     def frame_at(self, elapsed: float) -> Frame | None:
         """The last frame that begins at or before a time; see `Reader.frame_at`."""
         found = None
+        plans: Plans = {}
         spine = self._wanted((), spine=True)
         time = LogClock(self.header).at(elapsed)
         chunks = self._chunks(spine)
@@ -209,7 +211,7 @@ class McapReader:
                 else earlier
             )
         for index, gathered in self._gather(chunks, spine, ahead=False):
-            frame = self._frame(index, gathered, whole=False)
+            frame = self._frame(index, gathered, spine, plans, whole=False)
             if frame.elapsed <= elapsed:
                 found = frame
         if found is None:
@@ -386,51 +388,72 @@ class McapReader:
 
     # --- messages to frames --------------------------------------------------------------------------------------------
 
-    def _frame(self, index: int, gathered: Gathered, *, whole: bool) -> Frame:
+    def _frame(self, index: int, gathered: Gathered, wanted: set[int], plans: Plans, *, whole: bool) -> Frame:
         spine = gathered.pop(self._frame_channel, None)
         if spine is None:
             return self._headless(index, gathered)
-        id, elapsed, duration, ids, kinds = self._read_spine(_message(spine[0]))
+        id, elapsed, duration, preamble, plan = self._read_spine(
+            _message(spine[0]), wanted, plans, whole=whole
+        )
         packets: list[Packet] = []
         lost = False
-        for step in self._plan(ids, kinds):
+        for step in plan:
             if step.__class__ is not int:
-                if whole:
-                    packets.append(step)
+                packets.append(step)
                 continue
             queue = gathered.get(step)
             if not queue:
-                lost = whole
+                lost = True
             elif step == self._raw_channel:
                 packets.append(self._raw_packet(queue))
             else:
                 packets.append(MessagePacket(self._types[step], *queue.popleft()))
         if lost:
             self._warn_lost(id)
-        return Frame(index, id, elapsed, duration, packets, preamble=not ids.startswith(b"\0"))
+        return Frame(index, id, elapsed, duration, packets, preamble=preamble)
 
     def _headless(self, index: int, gathered: Gathered) -> Frame:
         """A frame without its own message: left out by a sparse read, or lost."""
-        packets: list[Packet] = []
-        head: tuple[int, float] | None = None
-        for channel, queue in gathered.items():
-            type = self._types.get(channel)
-            first = _message(queue[0])
-            head = head or wire.read_head(first) or self._slow_head(channel, first)
-            if type is not None:
-                packets += [MessagePacket(type, *found) for found in queue]
-        id, elapsed = head or (0, 0.0)
+        types = self._types
+        packets: list[Packet] = [
+            MessagePacket(types[channel], batch, place)
+            for channel, queue in gathered.items()
+            if channel in types
+            for batch, place in queue
+        ]
+        channel, queue = next(iter(gathered.items()))
+        first = _message(queue[0])
+        id, elapsed = wire.read_head(first) or self._slow_head(channel, first)
         return Frame(index, id, elapsed, math.nan, packets)
 
-    def _plan(self, ids: bytes, kinds: bytes) -> list[Any]:
-        """How to put a frame together: ready-made packets, and channels to take the next message from."""
-        plan = self._plans.get((ids, kinds))
+    def _read_spine(
+        self, data: memoryview, wanted: set[int], plans: Plans, *, whole: bool
+    ) -> tuple[int, float, float, bool, list[Any]]:
+        """Id, elapsed and duration of a `Frame`; whether it is a preamble; and the plan to put it together."""
+        fast = wire.read_frame(data)
+        if fast is None:
+            message = self._parse("frame", FRAME_MESSAGE, data)
+            id, elapsed, duration = message.frame, message.elapsed, message.duration
+            rest = wire.frame_packets(message.packets, message.filled)
+        else:
+            id, elapsed, duration, rest = fast
+        plan = plans.get(rest)
         if plan is None:
-            if len(self._plans) > _PLANS:
-                self._plans.clear()
-            steps = [self._step(id, kind) for id, kind in zip(ids, kinds, strict=False) if id != FRAME_START]
-            plan = self._plans[ids, kinds] = steps
-        return plan
+            if len(plans) > _PLANS:
+                plans.clear()
+            plan = plans[rest] = self._plan(rest, wanted, whole=whole)
+        return id, elapsed, duration, *plan
+
+    def _plan(self, rest: bytes, wanted: set[int], *, whole: bool) -> tuple[bool, list[Any]]:
+        """Whether packets are a preamble; and for each of them that is wanted, itself, or the channel to take it from."""
+        try:
+            message = wire.parse("frame", FRAME_MESSAGE, rest)
+        except wire.WireError as error:
+            raise FormatError(self.path, None, str(error)) from None
+        ids, kinds = message.packets, message.filled
+        steps = [self._step(id, kind) for id, kind in zip(ids, kinds, strict=False) if id != FRAME_START]
+        kept = [step for step in steps if whole or (isinstance(step, int) and step in wanted)]
+        return not ids.startswith(bytes((FRAME_START,))), kept
 
     def _step(self, id: int, kind: int) -> Packet | int:
         table = self.header.table
@@ -451,14 +474,6 @@ class McapReader:
         table = self.header.table
         type = table[message.id] if message.id < len(table) else None
         return Packet(message.id, type, b"".join(pieces), place=(self.path, None))
-
-    def _read_spine(self, data: memoryview) -> tuple[int, float, float, bytes, bytes]:
-        """Id, elapsed, duration, packet ids and kinds of a `Frame`."""
-        fast = wire.read_frame(data)
-        if fast is not None:
-            return fast
-        message = self._parse("frame", FRAME_MESSAGE, data)
-        return message.frame, message.elapsed, message.duration, message.packets, message.filled
 
     def _slow_head(self, channel: int, data: memoryview) -> tuple[int, float]:
         spec = self._channels[channel]

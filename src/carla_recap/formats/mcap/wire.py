@@ -34,7 +34,7 @@ if TYPE_CHECKING:
 
 HEAD: Final = struct.Struct("<BQBd")  # fields 1 and 2 of every message: frame, elapsed
 FRAME_BODY: Final = struct.Struct("<Bd")  # field 3: duration
-FRAME_TAG, ELAPSED_TAG, RAW_TAG = 0x09, 0x11, 0x22
+FRAME_TAG, ELAPSED_TAG, DURATION_TAG, RAW_TAG = 0x09, 0x11, 0x19, 0x22
 ITEMS: Final = 3  # the field that holds the records
 
 _VARINT, _FIXED64, _LEN, _FIXED32 = 0, 1, 2, 5
@@ -55,34 +55,23 @@ def head(frame: int, elapsed: float) -> bytes:
 
 def frame_body(duration: float, ids: bytes, kinds: bytes) -> bytes:
     """The body of a `Frame`: its duration, and the id and kind of each packet."""
-    return (
-        FRAME_BODY.pack(0x19, duration)
-        + b"\x22"
-        + _varint(len(ids))
-        + ids
-        + b"\x2a"
-        + _varint(len(kinds))
-        + kinds
-    )
+    return FRAME_BODY.pack(DURATION_TAG, duration) + frame_packets(ids, kinds)
 
 
-def read_frame(data: Buffer) -> tuple[int, float, float, bytes, bytes] | None:
-    """Frame id, elapsed, duration, packet ids and kinds of a `Frame` that `frame_body` wrote; None for any other."""
-    count = len(data) - HEAD.size - FRAME_BODY.size
-    lengths = HEAD.size + FRAME_BODY.size
-    if count < 4 or read_head(data) is None:
+def frame_packets(ids: bytes, kinds: bytes) -> bytes:
+    """The part of a `Frame` that seldom changes: the id and kind of each packet."""
+    return b"\x22" + _varint(len(ids)) + ids + b"\x2a" + _varint(len(kinds)) + kinds
+
+
+def read_frame(data: Buffer) -> tuple[int, float, float, bytes] | None:
+    """Frame id, elapsed, duration, and what `frame_packets` wrote; None where they are not in this order."""
+    if len(data) < HEAD.size + FRAME_BODY.size:
         return None
-    size = data[lengths + 1]
-    middle = lengths + 2 + size
-    if (
-        size > 0x7F
-        or count != 2 * size + 4
-        or (data[HEAD.size], data[lengths], data[middle], data[middle + 1]) != (0x19, 0x22, 0x2A, size)
-    ):
+    tag1, frame, tag2, elapsed = HEAD.unpack_from(data)
+    tag3, duration = FRAME_BODY.unpack_from(data, HEAD.size)
+    if tag1 != FRAME_TAG or tag2 != ELAPSED_TAG or tag3 != DURATION_TAG:
         return None
-    _, frame, _, elapsed = HEAD.unpack_from(data)
-    (_, duration) = FRAME_BODY.unpack_from(data, HEAD.size)
-    return frame, elapsed, duration, bytes(data[lengths + 2 : middle]), bytes(data[middle + 2 :])
+    return frame, elapsed, duration, bytes(data[HEAD.size + FRAME_BODY.size :])
 
 
 def raw_bodies(id: int, payload: Buffer) -> Iterator[bytes]:
@@ -261,8 +250,9 @@ class _Uniform:
                 "itemsize": self.stride,
             }
         )
-        self._set = np.flatnonzero(mask == 0xFF)
-        self._setting = index[self._set].astype(np.uint8)
+        self._setting = [
+            (int(place), index[place].astype(np.uint8)) for place in np.flatnonzero(mask == 0xFF)
+        ]
         self._blank = np.where(mask == 0xFF, index, 0).astype(np.uint8).view(np.void(self.stride).dtype)
         # The bits that a one-byte number must leave alone, or it would not fit a varint of one byte.
         self._loose = {name: mask[offset] for name, offset in offsets.items() if mask[offset]}
@@ -296,7 +286,8 @@ class _Uniform:
         if (heads["frame_tag"] != FRAME_TAG).any() or (heads["elapsed_tag"] != ELAPSED_TAG).any():
             return None
         wire = np.frombuffer(b"".join([message[HEAD.size :] for message in messages]), self._wire)
-        if (wire.view(np.uint8).reshape(-1, self.stride)[:, self._set] != self._setting).any():
+        columns = wire.view(np.uint8).reshape(-1, self.stride)
+        if any((columns[:, place] != value).any() for place, value in self._setting):
             return None
         if any((wire[name].view(np.uint8) & loose).any() for name, loose in self._loose.items()):
             return None

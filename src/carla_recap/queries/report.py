@@ -1,0 +1,171 @@
+"""An answer for whoever asked: CARLA's text, JSON, or a table for a terminal."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, fields
+from itertools import islice
+from json import JSONEncoder
+from typing import TYPE_CHECKING, Any, Final
+
+from carla_recap.queries.answer import readable
+from carla_recap.queries.blocked import Blocked, BlockedRow
+from carla_recap.queries.collisions import CollisionRow, Collisions
+from carla_recap.queries.info import Info, InfoRow
+from carla_recap.queries.text import local_date, number, text
+from carla_recap.records import NO_ACTOR
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Iterable, Iterator
+
+    from rich.console import Console
+
+    AnyAnswer = Info | Collisions | Blocked
+
+__all__ = ["json", "table", "text"]
+
+
+# --- JSON ------------------------------------------------------------------------------------------------
+
+
+def json(answer: AnyAnswer) -> Iterator[str]:
+    """An answer as one JSON object, in pieces; `rows` are the objects of its lines, units as in the row's class.
+
+    What is not finite becomes null.
+    """
+    header = {
+        "version": answer.header.version,
+        "map": readable(answer.header.map_name),
+        "date": answer.header.date,
+    }
+    yield _encoded(header)[:-1] + ', "rows": ['
+    names = [field.name for field in fields(answer.row_type)]
+    separator = "\n"
+    for row in answer:
+        yield separator + _encoded({name: getattr(row, name) for name in names})
+        separator = ",\n"
+    extent = answer.extent
+    footer = {"frames": extent.frames, "last_frame": extent.last_id, "duration": extent.duration}
+    yield "\n], " + _encoded(footer)[1:] + "\n"
+
+
+_STRICT: Final = JSONEncoder(allow_nan=False)
+
+
+def _encoded(value: dict[str, Any]) -> str:
+    try:
+        return _STRICT.encode(value)
+    except ValueError:
+        return _STRICT.encode(_finite(value))
+
+
+def _finite(value: Any) -> Any:
+    if isinstance(value, float):
+        return value if math.isfinite(value) else None
+    if isinstance(value, dict):
+        return {key: _finite(item) for key, item in value.items()}
+    return [_finite(item) for item in value] if isinstance(value, list) else value
+
+
+# --- tables ----------------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True)
+class _Column:
+    heading: str
+    cell: Callable[[Any], str]
+    width: int | None = None  # where a table comes in pages, which must look like one
+    is_number: bool = False
+
+
+def table(answer: AnyAnswer, console: Console | None = None) -> None:
+    """Print an answer as a table; whatever could control the terminal is shown as an escape sequence.
+
+    Args:
+        answer: The answer.
+        console: Where to; the standard output if None.
+    """
+    from rich.console import Console
+    from rich.text import Text
+
+    console = console or Console()
+    header = answer.header
+    console.print(Text(f"{_visible(header.map_name)}, {local_date(header.date)}, version {header.version}"))
+    count = 0
+    rows = iter(answer)
+    while page := list(islice(rows, _PAGE if isinstance(answer, Info) else None)):
+        _print_page(console, _COLUMNS[answer.row_type], page, headed=not count)
+        count += len(page)
+    extent = answer.extent
+    things = "row" if count == 1 else "rows"
+    console.print(Text(f"{count} {things}; {extent.frames} frames, {number(extent.duration)} seconds"))
+
+
+_PAGE: Final = 500
+
+
+def _print_page(console: Console, columns: Iterable[_Column], rows: list[Any], *, headed: bool) -> None:
+    from rich import box
+    from rich.table import Table
+    from rich.text import Text
+
+    page = Table(box=box.SIMPLE_HEAD if headed else None, show_header=headed, pad_edge=headed)
+    for column in columns:
+        justify: Any = "right" if column.is_number else "left"
+        page.add_column(column.heading, justify=justify, width=column.width, overflow="fold")
+    for row in rows:
+        page.add_row(*(Text(_visible(column.cell(row))) for column in columns))
+    console.print(page)
+
+
+def _visible(text: str) -> str:
+    """A text without anything that a terminal would act on."""
+    if text.isprintable():
+        return text
+    return "".join(c if c.isprintable() else c.encode("unicode_escape").decode() for c in text)
+
+
+def _seconds(value: float) -> str:
+    return f"{value:.2f}" if abs(value) < 1e9 else number(value)
+
+
+def _actor(id: int, type_id: str, hero: bool = False) -> str:
+    name = type_id or ("no actor" if id == NO_ACTOR else "unknown")
+    return f"{name} (hero)" if hero else name
+
+
+def _details(record: dict[str, Any]) -> str:
+    return " ".join(f"{name}={_brief(value)}" for name, value in record.items())
+
+
+def _brief(value: Any) -> str:
+    if isinstance(value, float):
+        return number(value)
+    if isinstance(value, dict):
+        return f"{value['key']}={value['value']}" if "key" in value else _details(value)
+    return f"[{', '.join(map(_brief, value))}]" if isinstance(value, list) else str(value)
+
+
+_COLUMNS: Final[dict[type, tuple[_Column, ...]]] = {
+    InfoRow: (
+        _Column("Time", lambda row: _seconds(row.elapsed), 10, is_number=True),
+        _Column("Frame", lambda row: str(row.frame), 8, is_number=True),
+        _Column("Record", lambda row: row.type, 16),
+        _Column("Details", lambda row: _details(row.record)),
+    ),
+    CollisionRow: (
+        _Column("Time", lambda row: _seconds(row.elapsed), is_number=True),
+        _Column("Frame", lambda row: str(row.frame), is_number=True),
+        _Column("Id", lambda row: str(row.id1), is_number=True),
+        _Column("Actor 1", lambda row: _actor(row.id1, row.type_id1, row.hero1)),
+        _Column("Id", lambda row: str(row.id2), is_number=True),
+        _Column("Actor 2", lambda row: _actor(row.id2, row.type_id2, row.hero2)),
+    ),
+    BlockedRow: (
+        _Column("Start", lambda row: _seconds(row.start), is_number=True),
+        _Column("Duration", lambda row: _seconds(row.duration), is_number=True),
+        _Column("Id", lambda row: str(row.id), is_number=True),
+        _Column("Actor", lambda row: _actor(row.id, row.type_id)),
+        _Column("Place (cm)", lambda row: ", ".join(map(number, (row.x, row.y, row.z)))),
+    ),
+}

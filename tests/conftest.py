@@ -1,0 +1,43 @@
+"""Settings of the whole suite, and the recordings that several modules ask for."""
+
+from __future__ import annotations
+
+import os
+from datetime import timedelta
+from typing import TYPE_CHECKING
+
+import pytest
+from hypothesis import HealthCheck, settings
+
+from tests.samples import save, small_log
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+# The same examples in every run; HYPOTHESIS_PROFILE=search looks for new ones, and longer.
+_CALM = {
+    "deadline": timedelta(seconds=20),
+    "suppress_health_check": [
+        HealthCheck.function_scoped_fixture,  # tests overwrite what is in their directory
+        HealthCheck.too_slow,
+        HealthCheck.data_too_large,
+    ],
+}
+settings.register_profile("suite", max_examples=60, derandomize=True, database=None, **_CALM)
+settings.register_profile("search", max_examples=1500, **_CALM)
+settings.load_profile(os.environ.get("HYPOTHESIS_PROFILE", "suite"))
+
+
+@pytest.fixture
+def small(tmp_path: Path) -> Path:
+    """The small log, on the disk."""
+    return save(tmp_path / "small.log", small_log())
+
+
+@pytest.fixture
+def small_mcap(small: Path) -> Path:
+    """The small log as MCAP."""
+    from carla_recap import convert
+
+    convert(small, small.with_suffix(".mcap"))
+    return small.with_suffix(".mcap")

@@ -1,0 +1,241 @@
+"""Recordings to test with, and what is in them: CARLA's own, and small ones packed by hand."""
+
+from __future__ import annotations
+
+import math
+import signal
+import struct
+import warnings
+from contextlib import contextmanager
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import pytest
+
+from carla_recap.errors import RecapError, RecapWarning
+from carla_recap.formats import create_writer, open_reader
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable, Iterator
+
+    from carla_recap.frame import Frame, Header
+
+CARLA_LOGS = Path(__file__).parents[2] / "shared" / "data" / "carla-logs"
+DATE = 1_637_671_165
+
+
+def carla_log(name: str) -> Path:
+    """A recording of CARLA's; skips the test where there is none."""
+    path = CARLA_LOGS / name
+    if not path.exists():
+        pytest.skip(f"{path} is not here: it is data that is not part of the repository")
+    return path
+
+
+# --- a log, packed by hand as the format's description has it ----------------------------------------------------------
+
+
+def text(value: str | bytes) -> bytes:
+    data = value.encode() if isinstance(value, str) else value
+    return struct.pack("<H", len(data)) + data
+
+
+def log_header(map_name: str | bytes = "Town01", date: int = DATE, version: int = 1) -> bytes:
+    return struct.pack("<H", version) + text("CARLA_RECORDER") + struct.pack("<q", date) + text(map_name)
+
+
+def packet(id: int, payload: bytes = b"") -> bytes:
+    return struct.pack("<BI", id, len(payload)) + payload
+
+
+def listed(*records: bytes) -> bytes:
+    return struct.pack("<H", len(records)) + b"".join(records)
+
+
+def start(frame: int, elapsed: float, duration: float = -1.0) -> bytes:
+    return packet(0, struct.pack("<Qdd", frame, duration, elapsed))
+
+
+def transform(id: int, x: float = 0, y: float = 0, z: float = 0, yaw: float = 0) -> bytes:
+    return struct.pack("<I6f", id, x, y, z, 0, 0, yaw)
+
+
+def spawn(id: int, kind: int, blueprint: str | bytes, **attributes: str) -> bytes:
+    pairs = [bytes((3,)) + text(key) + text(value) for key, value in attributes.items()]
+    place = struct.pack("<IB6fI", id, kind, 100, 200, 50, 0, 0, 90, 7)
+    return place + text(blueprint) + listed(*pairs)
+
+
+def collision(sequence: int, actor1: int, actor2: int, hero1: int = 0, hero2: int = 0) -> bytes:
+    return struct.pack("<IIIBB", sequence, actor1, actor2, hero1, hero2)
+
+
+END = packet(1)
+
+
+def small_log() -> bytes:
+    """Four frames, a second apart, with records of every type and a packet of a fork's own."""
+    wheels = struct.pack("<I", 2) + b"".join(struct.pack("<Bff", n, 1.5, 90) for n in range(2))
+    bones = listed(text("crl_root") + struct.pack("<6f", *range(6)), text("crl_hips") + struct.pack("<6f", *range(6)))
+    curve = struct.pack("<I4f", 2, 0, 400, 5000, 500)
+    gears = struct.pack("<I3f", 1, 4, 0.5, 0.65)
+    physics = struct.pack("<I5fB7f", 7, 5000, 1, 0.2, 2, 0.4, 1, 10, 4, 1800, 0.3, 0.5, 0, -0.2)
+    physics += curve + gears + curve + struct.pack("<I12f", 1, *range(12))
+    weather = struct.pack("<14f", *range(14))
+    hero = spawn(7, 1, "vehicle.tesla.model3", role_name="hero", color="255,0,0")
+    packets = [
+        (20, struct.pack("<d", 0.5)),
+        (2, listed(hero, spawn(8, 2, "walker.pedestrian.0001"), spawn(9, 3, "traffic.traffic_light"))),
+        (3, listed()),
+        (4, listed(struct.pack("<II", 9, 7))),
+        (5, listed(collision(1, 7, 8, 1, 0))),
+        (23, listed(struct.pack("<IBB", 7, 0, 1))),
+        (6, listed(transform(7, 100, 200, 50, 90), transform(8, 300, -200, 90))),
+        (7, listed(struct.pack("<IBfb", 9, 0, 3.5, 2))),
+        (8, listed(struct.pack("<IfffBi", 7, -0.5, 1, 0, 0, 3))),
+        (9, listed(struct.pack("<If", 8, 140))),
+        (10, listed(struct.pack("<II", 7, 9))),
+        (11, listed(struct.pack("<i5fBB", -3, 10, 1, 0.5, 0.25, 1, 1, 2))),
+        (21, listed(struct.pack("<I", 7) + wheels)),
+        (22, listed(struct.pack("<Iff", 8, 500, 0.5))),
+        (24, listed(weather)),
+        (12, listed(struct.pack("<I6f", 7, 10, 1, 0, 0, 0, 45))),
+        (13, listed(struct.pack("<I6f", 7, 0, 0, 75, 240, 100, 75))),
+        (17, listed(struct.pack("<I6f", 9, 0, 0, 75, 240, 100, 75))),
+        (14, struct.pack("<d", 123.25)),
+        (15, listed(physics)),
+        (16, listed(struct.pack("<I3f", 9, 10, 3, 2))),
+        (19, listed(struct.pack("<I", 8) + bones)),
+        (18, struct.pack("<Q", 77)),
+        (201, b"a fork's own"),
+    ]
+    first = [start(1, 0.0, 1.0), *(packet(id, payload) for id, payload in packets), END]
+    quiet = [
+        part
+        for n in range(2, 5)
+        for part in (
+            start(n, n - 1.0, 1.0 if n < 4 else -1.0),
+            packet(2, listed()),
+            packet(3, listed(struct.pack("<I", 8)) if n == 4 else listed()),
+            packet(5, listed(collision(n, 7, 0xFFFFFFFF, 1, 0)) if n == 3 else listed()),
+            packet(6, listed(transform(7, 100 * n, 200, 50, 90))),
+            END,
+        )
+    ]
+    return b"".join([log_header(), *first, *quiet])
+
+
+# --- recordings on the disk --------------------------------------------------------------------------------------------
+
+
+def write(path: Path, header: Header, frames: Iterable[Frame]) -> Path:
+    with create_writer(path, header) as writer:
+        for frame in frames:
+            writer.write(frame)
+    return path
+
+
+def save(path: Path, data: bytes) -> Path:
+    path.write_bytes(data)
+    return path
+
+
+@contextmanager
+def warnings_ignored() -> Iterator[None]:
+    """Let a recording be cut, or hold surplus bytes: that is what the test is about."""
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", RecapWarning)
+        yield
+
+
+@contextmanager
+def time_limit(seconds: float) -> Iterator[None]:
+    """Fail instead of hanging."""
+
+    def give_up(*_: object) -> None:
+        raise TimeoutError(f"not done after {seconds} s")
+
+    before = signal.signal(signal.SIGALRM, give_up)
+    signal.setitimer(signal.ITIMER_REAL, seconds)
+    try:
+        yield
+    finally:
+        signal.setitimer(signal.ITIMER_REAL, 0)
+        signal.signal(signal.SIGALRM, before)
+
+
+# --- what a recording holds, in a form that can be compared ------------------------------------------------------------
+
+
+def double(value: float) -> bytes:
+    """The bits of a number, so that NaN is itself."""
+    return struct.pack("<d", value)
+
+
+def image(frame: Frame) -> tuple[Any, ...]:
+    """All of a frame, as bytes."""
+    packets = [(packet.id, bytes(packet.payload)) for packet in frame.packets]
+    return frame.index, frame.id, double(frame.elapsed), double(frame.duration), frame.preamble, packets
+
+
+def images(path: Path) -> list[tuple[Any, ...]]:
+    """All frames of a recording; see `image`."""
+    reader = open_reader(path)
+    try:
+        return [image(frame) for frame in reader.frames()]
+    finally:
+        reader.close()
+
+
+def plain(value: Any) -> Any:
+    """Records as plain tuples and numbers, where every NaN is equal."""
+    if isinstance(value, np.ndarray):
+        return [plain(row) for row in value.tolist()]
+    if isinstance(value, (list, tuple)):
+        return [plain(item) for item in value]
+    if isinstance(value, float):
+        return "nan" if math.isnan(value) else value
+    if hasattr(value, "__dataclass_fields__"):
+        return [plain(getattr(value, name)) for name in value.__dataclass_fields__]
+    return value
+
+
+def explore(path: Path) -> list[str]:
+    """Ask a recording, sound or not, everything there is to ask.
+
+    Returns: the answers, in words; an error is an answer if it is one of ours.
+    """
+    answers = []
+
+    def ask(question: Any) -> None:
+        try:
+            answers.append(repr(question()))
+        except RecapError as error:
+            assert "\n" not in str(error)
+            answers.append(f"{type(error).__name__}: {error}")
+
+    import carla_recap
+
+    try:
+        recording = carla_recap.open_recording(path)
+    except RecapError as error:
+        return [f"{type(error).__name__}: {error}"]
+    with recording:
+        ask(lambda: recording.header)
+        ask(lambda: [image(frame) for frame in recording])
+        ask(lambda: [plain(packet.records) for frame in recording for packet in frame.packets])
+        ask(lambda: recording.info)
+        ask(lambda: recording.actors)
+        ask(lambda: recording.reader.extent())
+        ask(lambda: [image(frame) for frame in recording.frames(1.0, 2.5)])
+        for time in (-1.0, 0.0, 1.5, 1e300):
+            ask(lambda time=time: image(recording.frame_at(time)))
+        for id in (7, 9):
+            ask(lambda id=id: recording.trajectory(id))
+            ask(lambda id=id: recording.controls(id))
+            ask(lambda id=id: recording.light_states(id))
+        ask(lambda: b"".join(recording.reader.tail()))
+        ask(recording.collisions)
+        ask(recording.blocked)
+    return answers

@@ -1,0 +1,183 @@
+"""Any recording that the format allows, for tests with hypothesis."""
+
+from __future__ import annotations
+
+import math
+import struct
+from typing import TYPE_CHECKING
+
+from hypothesis import strategies as st
+
+from carla_recap.formats.carla_log import pack_header
+from carla_recap.frame import Frame, Header, Packet
+from carla_recap.records import UE4, UE5, Framing
+from tests.samples import listed, text
+
+if TYPE_CHECKING:
+    from hypothesis.strategies import SearchStrategy
+
+    from carla_recap.records import RecordType, Table
+
+# A cut or surplus byte here and there, but mostly sound packets.
+surplus = st.one_of(st.just(b""), st.just(b""), st.binary(max_size=3))
+texts = st.one_of(
+    st.text(max_size=8).map(str.encode),
+    st.binary(max_size=8),
+    st.sampled_from([b"", b"\0", b"role_name", b"\xff\xfe", b"\xed\xa0\x80"]),
+)
+real64 = st.one_of(
+    st.floats(0, 20), st.floats(), st.binary(min_size=8, max_size=8).map(lambda data: struct.unpack("<d", data)[0])
+)
+
+
+def reals(table: Table, count: int) -> SearchStrategy[bytes]:
+    size = count * (8 if table.wide else 4)
+    return st.binary(min_size=size, max_size=size)
+
+
+def sized(count: int) -> SearchStrategy[bytes]:
+    return st.binary(min_size=count, max_size=count)
+
+
+def counted(code: str, item: SearchStrategy[bytes], most: int) -> SearchStrategy[bytes]:
+    return st.lists(item, max_size=most).map(lambda items: struct.pack(code, len(items)) + b"".join(items))
+
+
+flags = st.one_of(st.sampled_from([b"\0", b"\1"]), sized(1))
+lists = st.lists
+
+
+def joined(*parts: SearchStrategy[bytes]) -> SearchStrategy[bytes]:
+    return st.tuples(*parts).map(b"".join)
+
+
+def spawn_records(table: Table) -> SearchStrategy[bytes]:
+    attribute = joined(sized(1), texts.map(text), texts.map(text))
+    return joined(sized(5), reals(table, 6), sized(4), texts.map(text), counted("<H", attribute, 3))
+
+
+def bone_records(table: Table) -> SearchStrategy[bytes]:
+    return joined(sized(4), counted("<H", joined(texts.map(text), reals(table, 6)), 3))
+
+
+def wheel_records() -> SearchStrategy[bytes]:
+    location = st.one_of(st.sampled_from([b"\0", b"\3"]), sized(1))
+    return joined(sized(4), counted("<I", joined(location, sized(8)), 6))
+
+
+def physics_packets() -> SearchStrategy[list[bytes]]:
+    """Both layouts of wheels; one packet has one of them."""
+
+    def of(wheel: int) -> SearchStrategy[bytes]:
+        curve = counted("<I", sized(8), 2)
+        return joined(
+            sized(24), flags, sized(28), curve, counted("<I", sized(12), 2), curve, counted("<I", sized(wheel), 4)
+        )
+
+    return st.one_of(st.lists(of(48), max_size=2), st.lists(of(36), max_size=2))
+
+
+def fixed_records(type: RecordType) -> SearchStrategy[bytes]:
+    """Any bytes; half of the time with small ones, of which flags and states are made."""
+    size = type.dtype.itemsize
+    return st.one_of(st.lists(st.integers(0, 1), min_size=size, max_size=size).map(bytes), sized(size))
+
+
+def payloads(type: RecordType, table: Table, extra: SearchStrategy[bytes] = surplus) -> SearchStrategy[bytes]:
+    """Payloads of a type, some with bytes behind the records."""
+    if type.opaque:
+        return st.binary(max_size=40)
+    if type.framing is Framing.SINGLE:
+        body = fixed_records(type)
+    elif type.fixed:
+        body = st.lists(fixed_records(type), max_size=3).map(lambda records: listed(*records))
+    elif type.name == "physics":
+        body = physics_packets().map(lambda records: listed(*records))
+    else:
+        record = {
+            "spawned": spawn_records(table),
+            "walker_bones": bone_records(table),
+            "wheels": wheel_records(),
+        }[type.name]
+        body = st.lists(record, max_size=3).map(lambda records: listed(*records))
+    return joined(body, extra)
+
+
+def known_types(table: Table) -> list[RecordType]:
+    """The record types that a packet can have behind a frame's start."""
+    return [type for type in table if type.id > 1]
+
+
+def packets(table: Table, extra: SearchStrategy[bytes] = surplus) -> SearchStrategy[Packet]:
+    known = st.sampled_from(known_types(table)).flatmap(
+        lambda type: payloads(type, table, extra).map(lambda payload: Packet(type.id, type, payload))
+    )
+    empty = st.sampled_from([type for type in known_types(table) if type.framing is Framing.LIST]).map(
+        lambda type: Packet(type.id, type, b"\0\0")
+    )
+    unknown = st.tuples(st.integers(len(table), 255), st.binary(max_size=20)).map(
+        lambda found: Packet(found[0], None, found[1])
+    )
+    end = st.just(Packet(1, table[1], b""))
+    return st.one_of(known, known, empty, unknown, end)
+
+
+def frame_lists(table: Table, first: list[Packet], elapsed: SearchStrategy[float] = real64) -> SearchStrategy[list[Frame]]:
+    """Frames; the very first packets are given, so that the dialect can be told from them."""
+
+    def build(parts: list[tuple[int, float, float, list[Packet]]], preamble: list[Packet] | None) -> list[Frame]:
+        frames = [] if preamble is None else [Frame(0, 0, 0.0, 0.0, first + preamble, preamble=True)]
+        for id, at, duration, found in parts:
+            frames.append(Frame(len(frames), id, at, duration, found if frames else first + found))
+        return frames
+
+    # A frame is what lies between two starts.
+    body = st.tuples(st.integers(0, (1 << 64) - 1), elapsed, real64, st.lists(packets(table), max_size=6))
+    preamble = st.one_of(st.none(), st.none(), st.lists(packets(table), max_size=3))
+    if not first:
+        preamble = st.none()
+    return st.builds(build, st.lists(body, max_size=5), preamble)
+
+
+def headers(*, wide: bool = False, shifted: bool = False) -> SearchStrategy[Header]:
+    """Headers with any name, date and version; some with a magic in small letters."""
+
+    def build(name: bytes, date: int, version: int, small: bool) -> Header:
+        header = Header(name.decode("utf-8", "surrogateescape"), date, version, wide, shifted)
+        if not small:
+            return header
+        raw = pack_header(header).replace(b"CARLA_RECORDER", b"carla_recorder", 1)
+        return Header(header.map_name, date, version, wide, shifted, raw)
+
+    dates = st.one_of(st.integers(0, 2_000_000_000), st.integers(-(1 << 63), (1 << 63) - 1))
+    return st.builds(build, texts, dates, st.integers(0, 0xFFFF), st.booleans())
+
+
+def signature(*, wide: bool, shifted: bool) -> list[Packet]:
+    """Packets that tell the dialect without doubt: a door, which fits no other type, and a transform."""
+    table = UE5 if wide else UE4
+    door, transforms = table.named("doors"), table.named("transforms")
+    return [
+        Packet(door.id, door, listed(bytes(6))),
+        Packet(transforms.id, transforms, listed(bytes(transforms.dtype.itemsize))),
+    ]
+
+
+@st.composite
+def recordings(draw: st.DrawFn) -> tuple[Header, list[Frame]]:
+    """A header and frames, in any dialect."""
+    wide, shifted = draw(st.sampled_from([(False, False), (False, False), (True, False), (False, True), (True, True)]))
+    header = draw(headers(wide=wide, shifted=shifted))
+    frames = draw(frame_lists(header.table, signature(wide=wide, shifted=shifted)))
+    if not frames:
+        # Nothing tells the dialect of a recording without a packet.
+        header = Header(header.map_name, header.date, header.version, raw=header.raw)
+    return header, frames
+
+
+def clocks(*, jumps: bool) -> SearchStrategy[list[float]]:
+    """Elapsed seconds of frames: they grow, or they do as they like."""
+    if jumps:
+        return st.lists(st.one_of(st.floats(-20, 60), st.sampled_from([0.0, 5.0, math.nan, math.inf])), max_size=20)
+    steps = st.lists(st.one_of(st.floats(0.01, 0.1), st.floats(1, 8)), max_size=20)
+    return steps.map(lambda found: [sum(found[:count]) for count in range(len(found))])
