@@ -3,24 +3,43 @@
 set -euo pipefail
 cd "$(dirname "$0")/.."
 
+say() {
+    printf '\n# %s\n' "$*"
+}
+
 run() {
-    printf '\n$ %s\n' "$*"
+    printf '$ %s\n' "$*"
     "$@"
 }
 
 log=samples/crossing.log
 out=build/demo
+mcap=$out/crossing.mcap
 mkdir -p "$out"
 rm -f "$out"/crossing.*
 
-run carla-recap convert "$log" "$out/crossing.mcap"
-run carla-recap convert "$out/crossing.mcap" "$out/crossing.log"
+say 'From a CARLA log to MCAP and back: not a byte is lost.'
+run carla-recap convert "$log" "$mcap"
+run carla-recap convert "$mcap" "$out/crossing.log"
 run cmp "$log" "$out/crossing.log"
 
-run carla-recap info "$out/crossing.mcap"
-run carla-recap actors "$out/crossing.mcap"
-run carla-recap collisions "$out/crossing.mcap"
-run carla-recap blocked "$out/crossing.mcap"
+say 'What happened?'
+run carla-recap info "$mcap" --text
 
-printf '\nThe recording as MCAP, and as a CARLA log again, byte for byte the same:\n'
-ls -l "$out/crossing.mcap" "$out/crossing.log"
+say 'Who was there?'
+run carla-recap actors "$mcap"
+
+say 'Who collided with whom? A cyclist with a pedestrian, and the hero with the car that waits at the red light.'
+run carla-recap collisions "$mcap"
+
+say 'Who stood still for 30 s or more? A van that broke down; and props, which CARLA counts too.'
+run carla-recap blocked "$mcap"
+
+cat <<END
+
+# The files are $mcap and $out/crossing.log. Try next:
+carla-recap collisions $mcap --types hv   # only the hero's, with vehicles
+carla-recap blocked $mcap --min-time 5    # who waited, too
+carla-recap info $mcap --all              # every record of every frame
+carla-recap convert YOUR.log YOUR.mcap                      # a recording of yours
+END

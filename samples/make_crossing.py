@@ -1,16 +1,17 @@
-"""Author `crossing.log`, 54 seconds at a crossing with traffic lights: `python samples/make_crossing.py [DESTINATION]`.
+"""Author `crossing.log`, 53 seconds at a crossing: `python samples/make_crossing.py [DESTINATION]`.
 
-Everything is made up: no simulator had a part in it. Each actor follows a polyline, rounded at its corners, at speeds
-that are given for a few moments and go straight between them. Collisions are not staged: they are recorded where the
-boxes of two actors overlap. The scene is in metres and seconds, in CARLA's axes (x forward, y right) with the crossing
-at the origin, a point being the complex number x + y j; records are in CARLA's units. A second run gives the same bytes.
+Everything is made up; no simulator had a part in it. Each actor follows a polyline, rounded at its corners,
+with speeds that are given for a few moments and change evenly between them. Collisions are not staged: they
+are recorded while the boxes of two actors overlap. The scene is in metres and seconds, in CARLA's axes
+(x forward, y right) with the crossing at the origin, a point being the complex number x + y j; the records
+are in CARLA's units.
 """
 
 from __future__ import annotations
 
 import sys
 from dataclasses import dataclass
-from functools import cached_property
+from itertools import count, permutations
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
@@ -19,45 +20,62 @@ import numpy as np
 from carla_recap import ActorKind, Attribute, Spawn, create_recording
 
 if TYPE_CHECKING:
+    from collections.abc import Iterator
+
     from numpy.typing import NDArray
 
-    Reals = NDArray[np.float64]
     Points = NDArray[np.complex128]
 
-DATE: Final = 1_767_261_600  # 2026-01-01 10:00 UTC
+DATE: Final = 1_767_261_600  # 2026-01-01 10:00:00 UTC
 RATE: Final = 10  # frames per second
-FRAMES: Final = 54 * RATE + 1
-END: Final = 60.0  # later than the last frame: whoever has a speed then stays
-FINE: Final = 100  # steps per second in which speeds add up to ways
+FRAMES: Final = 53 * RATE + 1
+STAYS: Final = 60.0  # later than the last frame
+FINE: Final = 10  # steps per frame in which speeds add up to distances
 
-BLUEPRINTS: Final = {  # index in the blueprint library, half extents
-    "vehicle.tesla.model3": (31, (2.396, 1.082, 0.744)),
-    "vehicle.audi.a2": (8, (1.853, 0.895, 0.777)),
-    "vehicle.mercedes.sprinter": (22, (2.958, 0.994, 1.280)),
-    "vehicle.nissan.micra": (26, (1.817, 0.923, 0.751)),
-    "vehicle.toyota.prius": (33, (2.257, 1.003, 0.762)),
-    "vehicle.bh.crossbike": (11, (0.744, 0.430, 0.893)),
-    "walker.pedestrian.0004": (74, (0.188, 0.188, 0.930)),
-    "walker.pedestrian.0015": (85, (0.188, 0.188, 0.930)),
-    "static.prop.busstop": (131, (1.905, 0.965, 1.360)),
-    "static.prop.barrel": (118, (0.283, 0.283, 0.447)),
-    "sensor.other.collision": (160, (0.0, 0.0, 0.0)),
+BLUEPRINTS: Final = {  # place in the blueprint library; half of length, width and height
+    "vehicle.audi.a2": (8, 1.853, 0.895, 0.777),
+    "vehicle.bh.crossbike": (11, 0.744, 0.430, 0.893),
+    "vehicle.mercedes.sprinter": (22, 2.958, 0.994, 1.280),
+    "vehicle.nissan.micra": (26, 1.817, 0.923, 0.751),
+    "vehicle.tesla.model3": (31, 2.396, 1.082, 0.744),
+    "vehicle.toyota.prius": (33, 2.257, 1.003, 0.762),
+    "walker.pedestrian.0004": (74, 0.188, 0.188, 0.930),
+    "walker.pedestrian.0015": (85, 0.188, 0.188, 0.930),
+    "static.prop.barrel": (118, 0.283, 0.283, 0.447),
+    "static.prop.busstop": (131, 1.905, 0.965, 1.360),
+    "sensor.other.collision": (160, 0.0, 0.0, 0.0),
 }
-RED, YELLOW, GREEN = range(3)
-GREEN_TIME, YELLOW_TIME, RED_TIME = 10, 3, 17
+KINDS: Final = {
+    "vehicle": ActorKind.VEHICLE,
+    "walker": ActorKind.WALKER,
+    "traffic": ActorKind.TRAFFIC_LIGHT,
+    "sensor": ActorKind.SENSOR,
+}
+STRING: Final = 3  # type of an attribute
 POSITION, LOW_BEAM, BRAKE, RIGHT, LEFT = 1 << 0, 1 << 1, 1 << 3, 1 << 4, 1 << 5  # vehicle lights
-HAZARD: Final = RIGHT | LEFT
-BOOL, INT, STRING = 0, 1, 3  # types of attributes
+GREEN, YELLOW, RED = 10, 3, 17  # seconds of a traffic light
 
-SPECTATOR: Final = 1
+LANE: Final = 1.75  # from the middle of the road to that of a lane
 PROPS: Final = {10: ("static.prop.busstop", -24 + 6.5j, -90.0), 11: ("static.prop.barrel", 33 - 4.2j, 0.0)}
-SIGNALS: Final = {20: (1 + 0j, 2), 21: (-1 + 0j, 2), 22: (1j, 17), 23: (-1j, 17)}  # for whom; when it goes green
-HERO, LEAD, VAN, TURNING, STRAIGHT, BICYCLE, WALKER_WEST, WALKER_SOUTH = 100, 101, 102, 103, 104, 105, 110, 111
-SENSORS: Final = {200: (HERO, 0.5), 201: (BICYCLE, 10.0)}  # parent; when it is attached
+SIGNALS: Final = {20: (1, 2), 21: (-1, 2), 22: (1j, 17), 23: (-1j, 17)}  # for whom, by direction; first green
+CYCLE: Final = [  # frame by frame, from green on: seconds in the state, state
+    (tick / RATE, state) for state, time in ((2, GREEN), (1, YELLOW), (0, RED)) for tick in range(time * RATE)
+]
+
+
+def poses(place: Any, yaw: Any, height: float = 0.0, pitch: float = 0.0) -> NDArray[np.float64]:
+    """Locations and rotations as CARLA has them; angles in degrees."""
+    yaw = 180 - (180 - yaw) % 360
+    return exact(100 * np.real(place), 100 * np.imag(place), 100 * height, 0, pitch, yaw)
+
+
+def exact(*columns: Any) -> NDArray[np.float64]:
+    """Columns as rows, so rounded that no machine's arithmetic shows."""
+    return np.round(np.stack(np.broadcast_arrays(*columns), axis=-1), 3) + 0.0
 
 
 def rounded(reach: float, *corners: complex) -> Points:
-    """A polyline whose corners are Bézier curves that begin and end at a distance from the corner."""
+    """A polyline, its corners replaced by curves that begin and end at a distance from the corner."""
     steps = np.linspace(0, 1, 100)
     pieces = [np.array(corners[:1])]
     for before, corner, after in zip(corners, corners[1:], corners[2:], strict=False):
@@ -67,176 +85,165 @@ def rounded(reach: float, *corners: complex) -> Points:
     return np.concatenate([*pieces, corners[-1:]])
 
 
-@dataclass(frozen=True)
+@dataclass(eq=False)
 class Mover:
-    """Somebody who moves, from the first moment of `speeds` to the last one; values per frame of the whole recording.
-
-    Attributes:
-        id: The actor.
-        type_id: Its blueprint.
-        path: Where it goes.
-        speeds: Pairs of a moment and the speed then.
-        role_name: Its role.
-        blinks: Since when it blinks, and which lights.
-    """
+    """Someone on the move; its arrays have a row for each frame of the recording."""
 
     id: int
     type_id: str
     path: Points
-    speeds: tuple[tuple[float, float], ...]
+    speeds: tuple[tuple[float, float], ...]  # (moment, speed); it exists from the first moment until the last
     role_name: str = "autopilot"
-    blinks: tuple[float, int] = (END, 0)
+    blinks: tuple[float, int] = (STAYS, 0)  # since when, which lights
+    sensor: int | None = None  # that reports collisions; attached half a second after it has appeared
 
-    @property
-    def kind(self) -> ActorKind:
-        """Vehicle or walker."""
-        return ActorKind.VEHICLE if self.type_id.startswith("vehicle.") else ActorKind.WALKER
+    def __post_init__(self) -> None:
+        self.begin, self.end = self.speeds[0][0], self.speeds[-1][0]
+        _, length, width, height = BLUEPRINTS[self.type_id]
+        moments, speeds = np.transpose(self.speeds)
+        fine = np.interp(np.arange((FRAMES - 1) * FINE + 1) / (RATE * FINE), moments, speeds, left=0)
+        way = np.append(0, np.cumsum(fine[1:] + fine[:-1]) / (2 * RATE * FINE))[::FINE]
+        speed = fine[::FINE]
+        milestones = np.cumsum(np.abs(np.diff(self.path, prepend=self.path[0])))
+        place, back, front = (np.interp(way + shift, milestones, self.path) for shift in (0, -0.5, 0.5))
+        yaw = np.unwrap(np.angle(front - back))
+        turn = np.gradient(yaw) * RATE
+        ahead = np.exp(1j * yaw)
+        corners = length * np.array([1, 1, -1, -1]) + width * np.array([-1j, 1j, 1j, -1j])
 
-    @property
-    def half(self) -> tuple[float, float, float]:
-        """The half extents of its box."""
-        return BLUEPRINTS[self.type_id][1]
+        effort = np.diff(speed, append=speed[-1]) * RATE + 0.04 * speed  # acceleration and drag
+        passive = (effort == 0) | (effort > 4)  # standing, or pushed: no engine gives that much
+        brake = np.where(effort < 0, np.minimum(-effort / 8, 1), 0.4 * passive)
+        throttle = np.where(brake > 0, 0, effort / 4)
+        steer = np.arctan(1.2 * length * turn / np.maximum(speed, 1)) / np.deg2rad(70)
+        gear = 1 + np.searchsorted((4.5, 8.5, 12.0), speed)
+        blinking = np.arange(FRAMES) >= self.blinks[0] * RATE
 
-    def is_there(self, time: float) -> bool:
-        """Whether it exists."""
-        return self.speeds[0][0] <= time < self.speeds[-1][0]
-
-    @cached_property
-    def speed(self) -> Reals:
-        """Its speed."""
-        return self._fine_speed[::FINE // RATE]
-
-    @cached_property
-    def place(self) -> Points:
-        """Where it is."""
-        return self._along(self._way)
-
-    @cached_property
-    def heading(self) -> Reals:
-        """Where it looks, in radians: along the path, from half a metre behind to half a metre ahead."""
-        return np.unwrap(np.angle(self._along(self._way + 0.5) - self._along(self._way - 0.5)))
-
-    @cached_property
-    def turn_rate(self) -> Reals:
-        """How fast it turns, in radians per second."""
-        return np.gradient(self.heading) * RATE
-
-    @cached_property
-    def acceleration(self) -> Reals:
-        """Change of speed until the next frame."""
-        return np.diff(self.speed, append=self.speed[-1]) * RATE
-
-    @cached_property
-    def box(self) -> Points:
-        """The corners of its box, four per frame."""
-        x, y, _ = self.half
-        corners = np.array([x + y * 1j, x - y * 1j, -x - y * 1j, -x + y * 1j])
-        return self.place[:, None] + np.exp(1j * self.heading)[:, None] * corners
-
-    @cached_property
-    def _fine_speed(self) -> Reals:
-        times, speeds = np.transpose(self.speeds)
-        return np.interp(np.arange((FRAMES - 1) * FINE // RATE + 1) / FINE, times, speeds, left=0.0)
-
-    @cached_property
-    def _way(self) -> Reals:
-        steps = (self._fine_speed[1:] + self._fine_speed[:-1]) / 2 / FINE
-        return np.concatenate([[0.0], np.cumsum(steps)])[::FINE // RATE]
-
-    def _along(self, way: Reals) -> Points:
-        lengths = np.concatenate([[0.0], np.cumsum(np.abs(np.diff(self.path)))])
-        return np.interp(way, lengths, self.path)
-
-    def spawn(self, frame: int) -> Spawn:
-        """Its appearance."""
-        wheels = 2 if self.id == BICYCLE else 4
-        more = [Attribute(INT, "number_of_wheels", str(wheels))] if self.kind is ActorKind.VEHICLE else []
-        attributes = [*more, Attribute(STRING, "role_name", self.role_name)]
-        return spawn(self.id, self.kind, self.type_id, self.transform(frame), attributes)
-
-    def transform(self, frame: int) -> tuple[float, ...]:
-        """Its place and angles in CARLA's units; a vehicle's place is on the ground, a walker's in the middle."""
-        height = self.half[2] if self.kind is ActorKind.WALKER else 0.0
-        return pose(self.place[frame], height, np.rad2deg(self.heading[frame]))
-
-    def velocity(self, frame: int) -> tuple[float, ...]:
-        """Its velocity in m/s, and how it turns in degrees per second."""
-        velocity = self.speed[frame] * np.exp(1j * self.heading[frame])
-        return (*exact(velocity.real, velocity.imag, 0, 0, 0, np.rad2deg(self.turn_rate[frame])),)
-
-    def control(self, frame: int) -> tuple[float, ...]:
-        """What its driver does: steer, throttle, brake, hand brake, gear."""
-        speed, acceleration = self.speed[frame], self.acceleration[frame]
-        curvature = self.turn_rate[frame] / max(speed, 1.0)
-        steer = np.arctan(1.2 * self.half[0] * curvature) / np.deg2rad(70)
-        pull = acceleration + 0.04 * speed  # against the drag, too
-        pushed = acceleration > 4  # by another car: no engine does that
-        if pushed or acceleration < -0.3 or (speed == 0 and acceleration == 0):
-            throttle, brake = 0.0, 0.5 if acceleration >= 0 else -acceleration / 8
-        else:
-            throttle, brake = max(pull, 0.0) / 5, 0.0
-        parked = speed == 0 and frame / RATE >= self.blinks[0]
-        gear = 1 + np.searchsorted((4.5, 8.5, 12.5), speed)
-        return (*exact(steer, min(throttle, 1.0), min(brake, 1.0)), parked, gear)
-
-    def lights(self, frame: int) -> int:
-        """Which lights are on."""
-        if self.id == BICYCLE:
-            return 0
-        since, blinker = self.blinks
-        brake = BRAKE if self.control(frame)[2] > 0 else 0
-        return POSITION | LOW_BEAM | brake | (blinker if frame / RATE >= since else 0)
+        self.place, self.yaw, self.speed = place, yaw, speed
+        self.box = place[:, None] + ahead[:, None] * corners
+        # A vehicle's origin is on the ground, a walker's in the middle of the body.
+        self.poses = poses(place, np.rad2deg(yaw), height if self.type_id.startswith("walker.") else 0)
+        self.velocities = exact(speed * ahead.real, speed * ahead.imag, 0, 0, 0, np.rad2deg(turn))
+        self.controls = exact(steer, throttle, brake, blinking & (speed == 0), gear)
+        self.lights = POSITION | LOW_BEAM | BRAKE * (brake > 0) | self.blinks[1] * blinking
 
 
-CAST: Final = (
-    # Turns into the main road, comes up too fast, brakes late, and runs into the car that waits at the red light.
-    Mover(
-        HERO, "vehicle.tesla.model3", rounded(10, -150 + 60j, -150 + 1.75j, 60 + 1.75j),
-        ((0, 0), (1, 0), (5, 8), (7.5, 8), (9.5, 4.5), (13, 4.5), (18, 13), (23.4, 13), (24.6, 3.4), (24.7, 1.9), (25.4, 0), (END, 0)),
-        "hero", (26, HAZARD),
-    ),
-    Mover(
-        LEAD, "vehicle.audi.a2", rounded(10, -162.45 + 1.75j, 60 + 1.75j),
-        ((0, 10), (13, 10), (17, 0), (24.6, 0), (24.7, 2.2), (25.5, 0), (END, 0)), blinks=(26.5, HAZARD),
-    ),
-    # Breaks down before the crossing.
-    Mover(
-        VAN, "vehicle.mercedes.sprinter", rounded(10, 142 - 1.75j, -60 - 1.75j),
-        ((0, 10), (6, 10), (14, 0), (END, 0)), blinks=(7, HAZARD),
-    ),
-    # Cross traffic.
-    Mover(
-        STRAIGHT, "vehicle.nissan.micra", rounded(10, 1.75 + 93.4j, 1.75 - 90j),
-        ((0, 9), (7, 9), (11, 0), (17.8, 0), (22.3, 10), (27, 10)),
-    ),
-    Mover(
-        TURNING, "vehicle.toyota.prius", rounded(8, -1.75 - 60.9j, -1.75 - 1.75j, -60 - 1.75j),
-        ((30, 0), (34, 8), (36, 8), (40, 0), (47.8, 0), (49.8, 4), (52.8, 4), (END, 14)), blinks=(36, RIGHT),
-    ),
-    # A cyclist who has green, and a pedestrian who has not.
-    Mover(
-        BICYCLE, "vehicle.bh.crossbike", rounded(2, -2.9 - 45j, -2.9 + 60j),
-        ((10, 0), (13, 5.5), (19.8, 5.5), (20.8, 1), (21, 0), (26, 0), (29, 5), (36, 5)),
-    ),
-    Mover(
-        WALKER_SOUTH, "walker.pedestrian.0004", rounded(1, -5.5 + 25j, -5.5 + 6.5j, 5.5 + 6.5j, 5.5 + 30j),
-        ((3, 0), (3.5, 1.4), (20.9, 1.4), (21.3, 0.6), (23, 0.6), (23.5, 1.4), (40, 1.4)),
-    ),
-    Mover(
-        WALKER_WEST, "walker.pedestrian.0015", rounded(1, -28 + 5j, -6.5 + 5j, -6.5 - 5j, -40 - 5j),
-        ((1, 0), (1.5, 1.3), (38, 1.3)),
-    ),
-)  # fmt: skip
-MOVERS: Final = {mover.id: mover for mover in CAST}
-BOXES: Final = {mover.id: mover.box for mover in CAST}
+# fmt: off
+# Turns into the main road, is fast, brakes late, and runs into the car that waits at the red light.
+HERO: Final = Mover(
+    100, "vehicle.tesla.model3", rounded(10, -150 + 60.235j, -150 + LANE * 1j, 60 + LANE * 1j),
+    ((0, 0), (1, 0), (5, 8), (7.5, 8), (9.5, 4.5), (13, 4.5), (18, 13), (23.4, 13), (24.6, 3.4), (24.7, 1.8),
+     (25.4, 0), (STAYS, 0)), role_name="hero", blinks=(26, LEFT | RIGHT), sensor=120)
+WAITING: Final = Mover(
+    101, "vehicle.audi.a2", rounded(10, -162.45 + LANE * 1j, 60 + LANE * 1j),
+    ((0, 10), (13, 10), (17, 0), (24.6, 0), (24.7, 2.2), (25.6, 0), (STAYS, 0)), blinks=(26.5, LEFT | RIGHT))
+# Breaks down before the crossing.
+VAN: Final = Mover(
+    102, "vehicle.mercedes.sprinter", rounded(10, 142 - LANE * 1j, -60 - LANE * 1j),
+    ((0, 10), (6, 10), (14, 0), (STAYS, 0)), blinks=(7, LEFT | RIGHT))
+# Cross traffic waits for green; then one goes straight on, the other one turns right.
+NORTHBOUND: Final = Mover(
+    103, "vehicle.nissan.micra", rounded(10, LANE + 93.4j, LANE - 90j),
+    ((0, 9), (7, 9), (11, 0), (17.8, 0), (22.3, 10), (27, 10)))
+SOUTHBOUND: Final = Mover(
+    104, "vehicle.toyota.prius", rounded(8, -LANE - 60.9j, -LANE - LANE * 1j, -60 - LANE * 1j),
+    ((30, 0), (34, 8), (36, 8), (40, 0), (47.8, 0), (49.8, 4), (52.8, 4), (STAYS, 14)), blinks=(36, RIGHT))
+# The cyclist has green; the first pedestrian, who crosses all the same, has not.
+CYCLIST: Final = Mover(
+    105, "vehicle.bh.crossbike", rounded(2, -2.9 - 43.4j, -2.9 + 60j),
+    ((10, 0), (13, 5.5), (19.8, 5.5), (20.8, 1), (21, 0), (26, 0), (29, 5), (36, 5)), sensor=121)
+PEDESTRIANS: Final = (
+    Mover(110, "walker.pedestrian.0004", rounded(1, -5.5 + 25j, -5.5 + 6.5j, 5.5 + 6.5j, 5.5 + 30j),
+          ((6, 0), (6.5, 1.4), (20.9, 1.4), (21.3, 0.9), (23, 0.9), (23.5, 1.4), (40, 1.4)), "pedestrian"),
+    Mover(111, "walker.pedestrian.0015", rounded(1, -28 + 5j, -6.5 + 5j, -6.5 - 5j, -40 - 5j),
+          ((1, 0), (1.5, 1.3), (38, 1.3)), "pedestrian"),
+)
+# fmt: on
+# The spectator follows the hero.
+CAMERA: Final = poses(HERO.place - 10 * np.exp(1j * HERO.yaw), np.rad2deg(HERO.yaw), 5, -25)
+VEHICLES: Final = (HERO, WAITING, VAN, NORTHBOUND, SOUTHBOUND, CYCLIST)
+MOVERS: Final = VEHICLES + PEDESTRIANS
 
 
-def exact(*values: float) -> list[float]:
-    """Numbers rounded, so that no machine's arithmetic shows."""
-    return [round(float(value), 4) + 0.0 for value in values]
+def everyone(frame: int) -> Iterator[Spawn]:
+    """All who are there, each as it would appear in this frame."""
+
+    def spawn(id: int, type_id: str, pose: NDArray[np.float64], role_name: str = "") -> Spawn:
+        kind = KINDS.get(type_id.partition(".")[0], ActorKind.OTHER)
+        attributes = [Attribute(STRING, "role_name", role_name)] if role_name else []
+        x, y, z, roll, pitch, yaw = pose.tolist()
+        uid = int(BLUEPRINTS[type_id][0]) if type_id in BLUEPRINTS else 0
+        return Spawn(id, kind, x, y, z, roll, pitch, yaw, uid, type_id, attributes)
+
+    yield spawn(1, "spectator", CAMERA[frame])
+    for id, (type_id, place, yaw) in PROPS.items():
+        yield spawn(id, type_id, poses(place, yaw))
+    for id, (way, _) in SIGNALS.items():
+        yield spawn(id, "traffic.traffic_light", poses(way * (-9 + 4.5j), np.angle(-way, deg=True)))
+    for mover in MOVERS:
+        if mover.begin <= frame / RATE < mover.end:
+            yield spawn(mover.id, mover.type_id, mover.poses[frame], mover.role_name)
+            if mover.sensor and frame / RATE >= mover.begin + 0.5:
+                yield spawn(mover.sensor, "sensor.other.collision", poses(0, 0))
 
 
-def pose(place: complex, height: float, yaw: float, pitch: float = 0.0) -> tuple[float, ...]:
-    """A transform in CARLA's units, from metres and degrees."""
-    place *= 100
-    return (*exact(place.real, place.imag, 100 * height, 0, pitch, (yaw + 180) % 360 - 180),)
+def overlap(a: Points, b: Points) -> bool:
+    """Whether two boxes do: no line along a side of one has them on its two sides."""
+    for side in (a[1] - a[0], a[2] - a[1], b[1] - b[0], b[2] - b[1]):
+        x, y = (a * side.conjugate()).real, (b * side.conjugate()).real
+        if x.max() <= y.min() or y.max() <= x.min():
+            return False
+    return True
+
+
+def box(actor: Spawn) -> tuple[float, ...]:
+    """The bounding box, in cm, around an origin that is on the ground, or in the middle of a walker."""
+    _, length, width, height = BLUEPRINTS[actor.type_id]
+    middle = 0 if actor.kind == ActorKind.WALKER else height
+    return (actor.id, 0, 0, *exact(100 * middle, 100 * length, 100 * width, 100 * height))
+
+
+def make(path: Path) -> None:
+    """Write the recording."""
+    numbers = count()
+    there: dict[int, Spawn] = {}
+    with create_recording(path, map_name="Crossing", date=DATE, additional_data=True) as recording:
+        for frame in range(FRAMES):
+            before, there = there, {actor.id: actor for actor in everyone(frame)}
+            new = {id: actor for id, actor in there.items() if id not in before}
+            movers = [mover for mover in MOVERS if mover.id in there]
+            vehicles = [mover for mover in VEHICLES if mover.id in there]
+            records: dict[str, Any] = {
+                "visual_time": frame / RATE,
+                "spawned": new.values(),
+                "destroyed": [(id,) for id in before if id not in there],
+                "parented": [(m.sensor, m.id) for m in movers if m.sensor in new],
+                "collisions": [
+                    (next(numbers), a.id, b.id, a is HERO, b is HERO)
+                    for a, b in permutations(movers, 2)
+                    if a.sensor in there and overlap(a.box[frame], b.box[frame])
+                ],
+                "transforms": [
+                    (a.id, a.x, a.y, a.z, a.roll, a.pitch, a.yaw)
+                    for a in there.values()
+                    if a.kind in (ActorKind.OTHER, ActorKind.VEHICLE, ActorKind.WALKER)
+                ],
+                "light_states": [
+                    (id, False, *CYCLE[(frame - green * RATE) % len(CYCLE)])
+                    for id, (_, green) in SIGNALS.items()
+                ],
+                "vehicle_controls": [(m.id, *m.controls[frame]) for m in vehicles],
+                "walker_controls": [(m.id, 100 * m.speed[frame]) for m in movers if m not in VEHICLES],
+                "vehicle_lights": [(m.id, m.lights[frame]) for m in vehicles if m is not CYCLIST],
+                "bikers": [(m.id, 100 * m.speed[frame], 0) for m in movers if m is CYCLIST],
+                "velocities": [(m.id, *m.velocities[frame]) for m in movers],
+                "bounding_boxes": [box(a) for a in new.values() if a.type_id in BLUEPRINTS],
+                "platform_time": 1.25 * frame / RATE,
+            }
+            if frame == 0:
+                records["light_times"] = [(id, GREEN, YELLOW, RED) for id in SIGNALS]
+            recording.add_frame(frame / RATE, **records)
+
+
+if __name__ == "__main__":
+    make(Path(sys.argv[1]) if len(sys.argv) > 1 else Path(__file__).with_name("crossing.log"))

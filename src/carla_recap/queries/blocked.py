@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from array import array
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, Final
 
@@ -18,6 +19,8 @@ if TYPE_CHECKING:
     from carla_recap.frame import Frame
     from carla_recap.records import Spawn
 
+_LOOK_AHEAD: Final = 1.0  # seconds
+_TRUE: Final = b"\1"  # in an array of booleans
 _TYPES: Final = ("spawned", "destroyed", "transforms")
 
 
@@ -55,8 +58,8 @@ def blocked(
 ) -> Blocked:
     """The actors that stood still.
 
-    An actor stands still while it stays within a distance of the place where it last moved to. Everything with a
-    recorded transform counts: vehicles, walkers, props, the spectator.
+    An actor stands still while it stays within a distance of the place where it last moved to. Everything
+    that has a recorded transform counts: vehicles, walkers, props, the spectator.
 
     Args:
         source: The recording.
@@ -70,34 +73,31 @@ def blocked(
     real = source.header.table.named("transforms").dtype["x"]
     with np.errstate(all="ignore"):
         watch = _Watch(min_time, _square_of_reach(min_distance, real), compat=compat)
-        for frame in source.frames(_TYPES, sparse=True):
+        for frame in source.frames(_TYPES):
             watch.frame(frame)
         return Blocked(watch.finish(), source, compat=compat)
 
 
 @dataclass(slots=True)
 class _Actor:
+    """An actor: the place where it last moved to, and its stretch, of duration 0 where there is none."""
+
     id: int
     type_id: str
-    slot: int  # its column of the state
+    place: tuple[float, ...] = (0.0, 0.0, 0.0)
+    start: float = 0.0
+    duration: float = 0.0
 
-    def row(self, state: NDArray[np.float64]) -> BlockedRow:
-        x, y, z, start, duration = state[:, self.slot].tolist()
-        return BlockedRow(start, duration, self.id, self.type_id, x, y, z)
-
-
-# The rows of the state: the place where an actor last moved to, and its stretch, of duration 0 where there is none.
-_PLACE: Final = slice(0, 3)
-_START: Final = 3
-_DURATION: Final = 4
-_STATE_ROWS: Final = 5
+    def row(self) -> BlockedRow:
+        x, y, z = self.place
+        return BlockedRow(self.start, self.duration, self.id, self.type_id, x, y, z)
 
 
 class _Watch:
     """Follows the actors through the frames.
 
-    The state of each actor is a column of one array. The actors of a transforms packet are taken out of it as a
-    `_Group`, which is kept for as long as the packets list the same ids.
+    The actors of a transforms packet are taken together as a `_Group`, which is kept for as long as the packets list the
+    same ids.
 
     Args:
         min_time: The shortest stretch to tell of, in seconds.
@@ -110,8 +110,6 @@ class _Watch:
         self._square_of_reach = square_of_reach
         self._compat = compat
         self._roster = Roster[_Actor](compat=compat)
-        self._state = np.zeros((_STATE_ROWS, 64))
-        self._free = list(range(64))
         self._rows: list[BlockedRow] = []
         self._group: _Group | None = None
         self._rounds: tuple[bytes, list[NDArray[np.intp]]] = (b"", [])  # of the ids of the last packet
@@ -126,7 +124,7 @@ class _Watch:
             self._put_back()
             if packet.type.name == "spawned":
                 for spawn in packet.records:
-                    self._spawn(spawn)
+                    self._roster.spawn(spawn.id, _Actor(spawn.id, readable(spawn.type_id)))
             else:
                 for (id,) in packet.records.tolist():  # type: ignore[union-attr]
                     self._destroy(id)
@@ -134,36 +132,16 @@ class _Watch:
     def finish(self) -> list[BlockedRow]:
         """All stretches that are long enough."""
         self._put_back()
-        left = [actor.row(self._state) for actor in self._roster.actors.values() if self._is_long(actor)]
+        left = [actor.row() for actor in self._roster.actors.values() if actor.duration >= self._min_time]
         if self._compat:
             # CARLA goes through a hash table, whose latest entry comes first.
             return sorted(self._rows + left[::-1], key=lambda row: -row.duration)
         return sorted(self._rows + left, key=lambda row: (-row.duration, row.start, row.id))
 
-    def _is_long(self, actor: _Actor) -> bool:
-        return bool(self._state[_DURATION, actor.slot] >= self._min_time)
-
-    def _spawn(self, spawn: Spawn) -> None:
-        known = self._roster.actors.get(spawn.id)
-        if known:
-            self._free.append(known.slot)
-        self._roster.spawn(spawn.id, self._new(spawn.id, readable(spawn.type_id)))
-
     def _destroy(self, id: int) -> None:
         actor = self._roster.destroy(id)
-        if actor:
-            if self._is_long(actor) and not self._compat:
-                self._rows.append(actor.row(self._state))
-            self._free.append(actor.slot)
-
-    def _new(self, id: int, type_id: str) -> _Actor:
-        if not self._free:
-            count = self._state.shape[1]
-            self._state = np.concatenate((self._state, np.zeros_like(self._state)), axis=1)
-            self._free = list(range(count, 2 * count))
-        slot = self._free.pop()
-        self._state[:, slot] = 0.0
-        return _Actor(id, type_id, slot)
+        if actor and actor.duration >= self._min_time and not self._compat:
+            self._rows.append(actor.row())
 
     def _move(self, frame: Frame, records: NDArray[np.void]) -> None:
         length = frame.duration if self._compat or frame.duration > 0.0 else 0.0
@@ -195,63 +173,55 @@ class _Watch:
 
     def _take_out(self, key: bytes, ids: NDArray[np.uint32]) -> _Group:
         self._put_back()
-        actors = []
-        for id in ids.tolist():
-            actor = self._roster.actors.get(id)
-            if actor is None:
-                actor = self._roster.actors[id] = self._new(id, "")
-            actors.append(actor)
-        self._group = _Group(key, actors, self._state, self._min_time, self._square_of_reach)
+        known = self._roster.actors
+        actors = [known.get(id) or known.setdefault(id, _Actor(id, "")) for id in ids.tolist()]
+        self._group = _Group(key, actors, self._min_time, self._square_of_reach)
         return self._group
 
     def _put_back(self) -> None:
         if self._group:
-            self._group.put_back(self._state)
+            self._group.put_back()
             self._group = None
 
 
 class _Group:
-    """The actors that a transforms packet lists, all different.
+    """The actors that a transforms packet lists, all different, through packets that list the same.
+
+    What an actor that stands has stood so far follows from when it last moved, and is summed up only when it is asked for.
 
     Args:
         key: Their ids, as bytes.
         actors: The actors.
-        state: The state of all actors, from which theirs is copied; here, the durations of those that do not stand are
-            without meaning.
         min_time: The shortest stretch to tell of, in seconds.
         square_of_reach: See `_square_of_reach`.
     """
 
     def __init__(
-        self,
-        key: bytes,
-        actors: list[_Actor],
-        state: NDArray[np.float64],
-        min_time: float,
-        square_of_reach: np.floating[Any],
+        self, key: bytes, actors: list[_Actor], min_time: float, square_of_reach: np.floating[Any]
     ) -> None:
         self.key = key
         self._actors = actors
-        self._slots = np.array([actor.slot for actor in actors], np.intp)
-        self._state = state[:, self._slots]
-        self._place = self._state[_PLACE].astype(square_of_reach.dtype)
-        self._start = self._state[_START]
-        self._duration = self._state[_DURATION]
-        self._stood = self._duration != 0.0
-        self._careful = bool((self._duration < 0.0).any())
         self._min_time = min_time
+        self._places = np.array([actor.place for actor in actors], square_of_reach.dtype).T.copy()
+        self._elapsed, self._lengths = array("d"), array("d")  # of the packets so far
+        self._first_odd: int | None = None  # the first packet whose length is not above 0
+        self._moved_at = np.full(len(actors), -1)  # the packet in which each last moved
+        # A clock that only goes forward: no stretch is longer than the time on it since the actor moved.
+        self._clock = 0.0
+        self._clocks = array("d")  # after each packet
+        # Who may have stood for long, until the clock shows a time.
+        self._suspects = np.zeros(len(actors), np.bool_)
+        self._suspects_until = -1.0
         # Results go to arrays that are there already: that halves the time that numpy takes for so few actors.
-        self._square_of_reach = np.full_like(self._place[0], square_of_reach)
-        self._now = np.empty_like(self._place)
-        self._squares = np.empty_like(self._place)
-        self._x2, self._y2, self._z2 = self._squares
-        self._still, self._flags = np.empty((2, len(actors)), np.bool_)
+        self._square_of_reach = np.full(len(actors), square_of_reach)
+        self._now, self._squares = np.empty((2, *self._places.shape), square_of_reach.dtype)
+        self._moves, self._ends = np.empty((2, len(actors)), np.bool_)
 
-    def put_back(self, state: NDArray[np.float64]) -> None:
-        """Copy the actors' state back into that of all actors."""
-        self._state[_PLACE] = self._place
-        self._duration[~self._stood] = 0.0
-        state[:, self._slots] = self._state
+    def put_back(self) -> None:
+        """Bring the actors up to date."""
+        for number, (actor, place) in enumerate(zip(self._actors, self._places.T.tolist(), strict=True)):
+            self._update(number)
+            actor.place = tuple(place)
 
     def move(self, records: NDArray[np.void], elapsed: float, length: float) -> list[tuple[int, BlockedRow]]:
         """Take in where the actors are in a frame.
@@ -264,44 +234,67 @@ class _Group:
         Returns:
             The stretches that ended and are long enough, each with its record's number.
         """
-        now, square, duration = self._now, self._x2, self._duration
-        still, stood, flags = self._still, self._stood, self._flags
+        now, squares, moves, ends = self._now, self._squares, self._moves, self._ends
         now[0] = records["x"]
         now[1] = records["y"]
         now[2] = records["z"]
-        np.subtract(now, self._place, out=self._squares)
-        np.multiply(self._squares, self._squares, out=self._squares)
-        np.add(square, self._y2, out=square)
-        np.add(square, self._z2, out=square)
-        np.less(square, self._square_of_reach, out=still)
-        ended = []
-        changed = np.not_equal(still, stood, out=flags).nonzero()[0]
-        if len(changed):
-            stops = still[changed]
-            begins = changed[stops]
-            self._start[begins] = elapsed
-            duration[begins] = 0.0
-            ended = self._rows(changed[~stops])
-        moves = np.logical_not(still, out=flags)
-        if self._min_time <= 0.0:
-            duration[~stood] = 0.0
-            ended = self._rows(moves.nonzero()[0])
-        np.copyto(self._place, now, where=moves)
-        duration += length
-        # A stretch whose duration is back at 0 begins anew; with lengths above 0, there is none.
-        self._careful = self._careful or not length > 0.0
-        if self._careful:
-            still &= duration != 0.0
-        self._still, self._stood = stood, still
+        np.subtract(now, self._places, out=squares)
+        np.multiply(squares, squares, out=squares)
+        square = squares[0]
+        np.add(square, squares[1], out=square)
+        np.add(square, squares[2], out=square)
+        np.less(square, self._square_of_reach, out=moves)
+        np.logical_not(moves, out=moves)  # so that what is not a number moves
+        if not self._clock < self._suspects_until:
+            self._suspect()
+        np.logical_and(moves, self._suspects, out=ends)
+        ended = self._end(ends.nonzero()[0].tolist()) if _TRUE in ends.tobytes() else []
+        number = len(self._lengths)
+        np.putmask(self._moved_at, moves, number)
+        np.copyto(self._places, now, where=moves)
+        if length > 0.0:
+            self._clock += length
+        elif self._first_odd is None:
+            self._first_odd = number
+        self._elapsed.append(elapsed)
+        self._lengths.append(length)
+        self._clocks.append(self._clock)
         return ended
 
-    def _rows(self, ends: NDArray[np.intp]) -> list[tuple[int, BlockedRow]]:
+    def _suspect(self) -> None:
+        """Find who may have stood long enough before the clock has gone on for the time to look ahead."""
+        self._suspects_until = self._clock + _LOOK_AHEAD
+        before = [-max(actor.duration, 0.0) for actor in self._actors]
+        origins = np.where(self._moved_at < 0, before, np.append(self._clocks, 0.0)[self._moved_at])
+        self._suspects = ~(self._suspects_until - origins < self._min_time)
+
+    def _end(self, numbers: list[int]) -> list[tuple[int, BlockedRow]]:
+        """The stretches of some actors that move, where they are long enough."""
         rows = []
-        for number in ends[self._duration[ends] >= self._min_time].tolist():
-            actor, place = self._actors[number], self._place[:, number].tolist()
-            start, duration = self._start[number].item(), self._duration[number].item()
-            rows.append((number, BlockedRow(start, duration, actor.id, actor.type_id, *place)))
+        for number in numbers:
+            actor = self._actors[number]
+            self._update(number)
+            if actor.duration >= self._min_time:
+                actor.place = tuple(self._places[:, number].tolist())
+                rows.append((number, actor.row()))
+            self._suspects[number] = self._min_time <= _LOOK_AHEAD
         return rows
+
+    def _update(self, number: int) -> None:
+        """Sum up what an actor has stood, packet by packet, as CARLA does: the sum depends on the order."""
+        actor, first = self._actors[number], int(self._moved_at[number]) + 1
+        if first:
+            actor.duration = 0.0
+        at = len(self._lengths) if self._first_odd is None else max(self._first_odd, first)
+        if at > first:
+            if actor.duration == 0.0:
+                actor.start = self._elapsed[first]
+            lengths = np.frombuffer(self._lengths)[first:at]
+            actor.duration = np.add.accumulate(np.append(actor.duration, lengths))[-1].item()
+        for place in range(at, len(self._lengths)):
+            if actor.duration == 0.0:
+                actor.start = self._elapsed[place]
+            actor.duration += self._lengths[place]
 
 
 def _rounds(ids: NDArray[np.uint32]) -> list[NDArray[np.intp]]:
@@ -317,8 +310,8 @@ def _rounds(ids: NDArray[np.uint32]) -> list[NDArray[np.intp]]:
 def _square_of_reach(distance: float, real: np.dtype[Any]) -> np.floating[Any]:
     """The smallest square whose root is not below a distance.
 
-    To compare squares with it is as good, to the last bit, as to compare roots with the distance, in the precision of the
-    file's lengths, which is that of CARLA's arithmetic.
+    To compare squares with it is as good, to the last bit, as to compare their roots with the distance, in
+    the precision of the file's lengths, which is that of CARLA's arithmetic.
     """
     zero, infinity = real.type(0.0), real.type(math.inf)
     square = np.square(real.type(max(distance, 0.0)))
