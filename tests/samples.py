@@ -33,7 +33,7 @@ def carla_log(name: str) -> Path:
     return path
 
 
-# --- a log, packed by hand as the format's description has it ----------------------------------------------------------
+# --- a log, packed by hand as the format's description has it ------------------------------------------
 
 
 def text(value: str | bytes) -> bytes:
@@ -77,7 +77,9 @@ END = packet(1)
 def small_log() -> bytes:
     """Four frames, a second apart, with records of every type and a packet of a fork's own."""
     wheels = struct.pack("<I", 2) + b"".join(struct.pack("<Bff", n, 1.5, 90) for n in range(2))
-    bones = listed(text("crl_root") + struct.pack("<6f", *range(6)), text("crl_hips") + struct.pack("<6f", *range(6)))
+    bones = listed(
+        text("crl_root") + struct.pack("<6f", *range(6)), text("crl_hips") + struct.pack("<6f", *range(6))
+    )
     curve = struct.pack("<I4f", 2, 0, 400, 5000, 500)
     gears = struct.pack("<I3f", 1, 4, 0.5, 0.65)
     physics = struct.pack("<I5fB7f", 7, 5000, 1, 0.2, 2, 0.4, 1, 10, 4, 1800, 0.3, 0.5, 0, -0.2)
@@ -126,7 +128,7 @@ def small_log() -> bytes:
     return b"".join([log_header(), *first, *quiet])
 
 
-# --- recordings on the disk --------------------------------------------------------------------------------------------
+# --- recordings on the disk ----------------------------------------------------------------------------
 
 
 def write(path: Path, header: Header, frames: Iterable[Frame]) -> Path:
@@ -139,6 +141,11 @@ def write(path: Path, header: Header, frames: Iterable[Frame]) -> Path:
 def save(path: Path, data: bytes) -> Path:
     path.write_bytes(data)
     return path
+
+
+def names_in(directory: Path) -> list[str]:
+    """The names of everything in a directory, hidden things too."""
+    return sorted(path.name for path in directory.iterdir())
 
 
 @contextmanager
@@ -165,7 +172,7 @@ def time_limit(seconds: float) -> Iterator[None]:
         signal.signal(signal.SIGALRM, before)
 
 
-# --- what a recording holds, in a form that can be compared ------------------------------------------------------------
+# --- what a recording holds, in a form that can be compared --------------------------------------------
 
 
 def double(value: float) -> bytes:
@@ -179,13 +186,26 @@ def image(frame: Frame) -> tuple[Any, ...]:
     return frame.index, frame.id, double(frame.elapsed), double(frame.duration), frame.preamble, packets
 
 
-def images(path: Path) -> list[tuple[Any, ...]]:
-    """All frames of a recording; see `image`."""
+@contextmanager
+def reading(path: Path) -> Iterator[Any]:
+    """A recording's reader, while it is open."""
     reader = open_reader(path)
     try:
-        return [image(frame) for frame in reader.frames()]
+        yield reader
     finally:
         reader.close()
+
+
+def images(path: Path) -> list[tuple[Any, ...]]:
+    """All frames of a recording; see `image`."""
+    with reading(path) as reader:
+        return [image(frame) for frame in reader.frames()]
+
+
+def all_records(path: Path) -> list[Any]:
+    """The records of every packet of a recording; see `plain`."""
+    with reading(path) as reader:
+        return [plain(packet.records) for frame in reader.frames() for packet in frame.packets]
 
 
 def plain(value: Any) -> Any:
@@ -212,7 +232,6 @@ def explore(path: Path) -> list[str]:
         try:
             answers.append(repr(question()))
         except RecapError as error:
-            assert "\n" not in str(error)
             answers.append(f"{type(error).__name__}: {error}")
 
     import carla_recap

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import struct
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from hypothesis import strategies as st
 
@@ -26,7 +26,9 @@ texts = st.one_of(
     st.sampled_from([b"", b"\0", b"role_name", b"\xff\xfe", b"\xed\xa0\x80"]),
 )
 real64 = st.one_of(
-    st.floats(0, 20), st.floats(), st.binary(min_size=8, max_size=8).map(lambda data: struct.unpack("<d", data)[0])
+    st.floats(0, 20),
+    st.floats(),
+    st.binary(min_size=8, max_size=8).map(lambda data: struct.unpack("<d", data)[0]),
 )
 
 
@@ -71,7 +73,13 @@ def physics_packets() -> SearchStrategy[list[bytes]]:
     def of(wheel: int) -> SearchStrategy[bytes]:
         curve = counted("<I", sized(8), 2)
         return joined(
-            sized(24), flags, sized(28), curve, counted("<I", sized(12), 2), curve, counted("<I", sized(wheel), 4)
+            sized(24),
+            flags,
+            sized(28),
+            curve,
+            counted("<I", sized(12), 2),
+            curve,
+            counted("<I", sized(wheel), 4),
         )
 
     return st.one_of(st.lists(of(48), max_size=2), st.lists(of(36), max_size=2))
@@ -122,10 +130,14 @@ def packets(table: Table, extra: SearchStrategy[bytes] = surplus) -> SearchStrat
     return st.one_of(known, known, empty, unknown, end)
 
 
-def frame_lists(table: Table, first: list[Packet], elapsed: SearchStrategy[float] = real64) -> SearchStrategy[list[Frame]]:
+def frame_lists(
+    table: Table, first: list[Packet], elapsed: SearchStrategy[float] = real64
+) -> SearchStrategy[list[Frame]]:
     """Frames; the very first packets are given, so that the dialect can be told from them."""
 
-    def build(parts: list[tuple[int, float, float, list[Packet]]], preamble: list[Packet] | None) -> list[Frame]:
+    def build(
+        parts: list[tuple[int, float, float, list[Packet]]], preamble: list[Packet] | None
+    ) -> list[Frame]:
         frames = [] if preamble is None else [Frame(0, 0, 0.0, 0.0, first + preamble, preamble=True)]
         for id, at, duration, found in parts:
             frames.append(Frame(len(frames), id, at, duration, found if frames else first + found))
@@ -166,7 +178,9 @@ def signature(*, wide: bool, shifted: bool) -> list[Packet]:
 @st.composite
 def recordings(draw: st.DrawFn) -> tuple[Header, list[Frame]]:
     """A header and frames, in any dialect."""
-    wide, shifted = draw(st.sampled_from([(False, False), (False, False), (True, False), (False, True), (True, True)]))
+    wide, shifted = draw(
+        st.sampled_from([(False, False), (False, False), (True, False), (False, True), (True, True)])
+    )
     header = draw(headers(wide=wide, shifted=shifted))
     frames = draw(frame_lists(header.table, signature(wide=wide, shifted=shifted)))
     if not frames:
@@ -178,6 +192,40 @@ def recordings(draw: st.DrawFn) -> tuple[Header, list[Frame]]:
 def clocks(*, jumps: bool) -> SearchStrategy[list[float]]:
     """Elapsed seconds of frames: they grow, or they do as they like."""
     if jumps:
-        return st.lists(st.one_of(st.floats(-20, 60), st.sampled_from([0.0, 5.0, math.nan, math.inf])), max_size=20)
+        return st.lists(
+            st.one_of(st.floats(-20, 60), st.sampled_from([0.0, 5.0, math.nan, math.inf])), max_size=20
+        )
     steps = st.lists(st.one_of(st.floats(0.01, 0.1), st.floats(1, 8)), max_size=20)
     return steps.map(lambda found: [sum(found[:count]) for count in range(len(found))])
+
+
+def mutations(size: int) -> SearchStrategy[list[tuple[str, int, Any]]]:
+    """Ways to damage some bytes: places, and what happens there."""
+    at = st.integers(0, size)
+    return st.lists(
+        st.one_of(
+            st.tuples(st.just("set"), at, st.binary(min_size=1, max_size=8)),
+            st.tuples(st.just("insert"), at, st.binary(min_size=1, max_size=30)),
+            st.tuples(st.just("delete"), at, st.integers(1, 60)),
+            st.tuples(st.just("cut"), at, st.none()),
+            st.tuples(st.just("splice"), at, st.integers(0, size)),
+        ),
+        min_size=1,
+        max_size=3,
+    )
+
+
+def damaged(data: bytes, changes: list[tuple[str, int, Any]]) -> bytes:
+    """Bytes after some mutations; see `mutations`."""
+    for what, at, value in changes:
+        if what == "set":
+            data = data[:at] + value + data[at + len(value) :]
+        elif what == "insert":
+            data = data[:at] + value + data[at:]
+        elif what == "delete":
+            data = data[:at] + data[at + value :]
+        elif what == "cut":
+            data = data[:at]
+        else:
+            data = data[:at] + data[value:]
+    return data

@@ -25,10 +25,11 @@ if TYPE_CHECKING:
         RecordError,
     )
     from carla_recap.frame import Frame
+    from carla_recap.queries.actors import Actor
     from carla_recap.queries.blocked import BlockedRow
     from carla_recap.queries.collisions import CollisionRow
+    from carla_recap.recording import Recording, Trajectory, open_recording
     from carla_recap.records import ActorKind, Attribute, Spawn
-    from carla_recap.recording import Actor, Recording, Trajectory, open_recording
     from carla_recap.recovery import Recovery, recover
 
 __version__ = version("carla-recap")
@@ -63,10 +64,11 @@ _HOMES = {
     "conversion": ("convert",),
     "errors": ("FormatError", "MissingExtra", "NotARecording", "RecapError", "RecapWarning", "RecordError"),
     "frame": ("Frame",),
+    "queries.actors": ("Actor",),
     "queries.blocked": ("BlockedRow",),
     "queries.collisions": ("CollisionRow",),
     "records": ("ActorKind", "Attribute", "Spawn"),
-    "recording": ("Actor", "Recording", "Trajectory", "open_recording"),
+    "recording": ("Recording", "Trajectory", "open_recording"),
     "recovery": ("Recovery", "recover"),
 }
 _HOME_OF = {name: home for home, names in _HOMES.items() for name in names}

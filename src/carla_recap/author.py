@@ -54,10 +54,14 @@ class Recorder:
 
     def close(self) -> None:
         """Finish the recording, and put it under its name."""
-        if self._latest is not None:
-            self._writer.write(self._latest)
-            self._latest = None
-        self._writer.close()
+        try:
+            if self._latest is not None:
+                self._writer.write(self._latest)
+                self._latest = None
+            self._writer.close()
+        except BaseException:
+            self._writer.abort()
+            raise
 
     def abort(self) -> None:
         """Give the recording up."""
@@ -108,7 +112,11 @@ def create_recording(
         live: Put the data on the disk as it comes, so that a crash costs 5 s at the most (MCAP).
 
     Raises:
+        RecordError: The date or the name of the map cannot be written.
         RecapError: The suffix is of no format, or the place cannot be written to.
     """
-    header = Header(map_name, int(time.time() if date is None else date))
+    try:
+        header = Header(map_name, int(time.time() if date is None else date))
+    except (ValueError, OverflowError):
+        raise RecordError(f"{path}: a date of {date} cannot be written") from None
     return Recorder(path, header, additional_data=additional_data, live=live)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from datetime import UTC, datetime
 from difflib import get_close_matches
 from functools import cached_property
@@ -14,11 +14,11 @@ import numpy as np
 
 from carla_recap.errors import RecapError
 from carla_recap.formats import open_reader
-from carla_recap.records import ActorKind, Spawn
-from carla_recap.tables import Columns, Rows
+from carla_recap.queries.actors import CM, Actor, actors
+from carla_recap.tables import Columns
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator
+    from collections.abc import Iterator
     from types import TracebackType
 
     from numpy.typing import NDArray
@@ -31,8 +31,6 @@ if TYPE_CHECKING:
 Axes = Literal["right-handed", "carla"]
 """Right-handed: x forward, y left, z up, as in ROS, Rerun and Foxglove. CARLA's own: y right, and yaw and pitch turn the
 other way."""
-
-CM = 0.01  # m
 
 
 @dataclass(frozen=True)
@@ -54,85 +52,6 @@ class RecordingInfo:
     frames: int
     duration: float
     additional_data: bool
-
-
-@dataclass(frozen=True)
-class BoundingBox:
-    """The box of an actor, in its own axes, right-handed (x forward, y left, z up): centre and half extents in m."""
-
-    x: float
-    y: float
-    z: float
-    extent_x: float
-    extent_y: float
-    extent_z: float
-
-
-@dataclass
-class Actor:
-    """An actor of a recording.
-
-    Attributes:
-        id: The actor id; where a recording gives it out again, the latest actor has it.
-        type_id: The blueprint, such as vehicle.tesla.model3.
-        kind: `ActorKind`, or the plain number where it is none.
-        role_name: The attribute role_name, "" without one.
-        spawned_at: Elapsed seconds at which it appeared.
-        destroyed_at: Elapsed seconds at which it disappeared; None: it stayed.
-        parent: The actor that it is attached to, if any.
-        attributes: All attributes, as text.
-        bounding_box: Its box, where a sane one is recorded.
-    """
-
-    id: int
-    type_id: str
-    kind: int
-    role_name: str
-    spawned_at: float
-    destroyed_at: float | None = None
-    parent: int | None = None
-    attributes: dict[str, str] = field(default_factory=dict)
-    bounding_box: BoundingBox | None = None
-
-    @property
-    def is_hero(self) -> bool:
-        """Whether its role_name is hero."""
-        return self.role_name == "hero"
-
-    @property
-    def kind_name(self) -> str:
-        """The kind in words, such as vehicle."""
-        return ActorKind(self.kind).name.lower() if self.kind in set(ActorKind) else str(self.kind)
-
-
-class Actors(dict[int, Actor]):
-    """The actors of a recording, by id, in order of appearance; as a table, a row for each."""
-
-    def table(self) -> Rows[ActorRow]:
-        """The actors as rows."""
-        return ActorRows(
-            ActorRow(a.id, a.type_id, a.kind_name, a.role_name, a.spawned_at, a.destroyed_at, a.parent)
-            for a in self.values()
-        )
-
-
-@dataclass(frozen=True)
-class ActorRow:
-    """An actor as a row; see `Actor`."""
-
-    id: int
-    type_id: str
-    kind: str
-    role_name: str
-    spawned_at: float
-    destroyed_at: float | None
-    parent: int | None
-
-
-class ActorRows(Rows[ActorRow]):
-    """Actors as rows."""
-
-    row_type = ActorRow
 
 
 @dataclass(frozen=True)
@@ -265,14 +184,12 @@ class Recording:
         )
 
     @cached_property
-    def actors(self) -> Actors:
-        """Who was there, by id; read from the events alone."""
-        actors = Actors()
-        for frame in self._reader.frames(("spawned", "destroyed", "parented", "bounding_boxes"), sparse=True):
-            for packet in frame.packets:
-                if packet.type is not None:
-                    _ACTOR_EVENTS[packet.type.name](actors, packet.records, frame.elapsed)
-        return actors
+    def actors(self) -> dict[int, Actor]:
+        """Who was there, by id, in order of appearance; of several that had an id, the latest.
+
+        On MCAP, read from the events alone. `carla_recap.queries.actors(recording.reader)` is the same as a table.
+        """
+        return {actor.id: actor for actor in actors(self._reader)}
 
     def frames(self, start: float = -math.inf, stop: float = math.inf) -> Iterator[Frame]:
         """Stream the frames.
@@ -396,46 +313,6 @@ def open_recording(path: Path | str) -> Recording:
         RecapError: It cannot be read.
     """
     return Recording(open_reader(path))
-
-
-def _add_spawned(actors: Actors, spawns: list[Spawn], elapsed: float) -> None:
-    for spawn in spawns:
-        attributes = {attribute.key: attribute.value for attribute in spawn.attributes}
-        actors[spawn.id] = Actor(
-            spawn.id,
-            spawn.type_id,
-            spawn.kind,
-            attributes.get("role_name", ""),
-            elapsed,
-            attributes=attributes,
-        )
-
-
-def _add_destroyed(actors: Actors, records: NDArray[np.void], elapsed: float) -> None:
-    for id in records["id"].tolist():
-        if id in actors:
-            actors[id].destroyed_at = elapsed
-
-
-def _add_parented(actors: Actors, records: NDArray[np.void], elapsed: float) -> None:
-    for id, parent in records.tolist():
-        if id in actors:
-            actors[id].parent = parent
-
-
-def _add_boxes(actors: Actors, records: NDArray[np.void], elapsed: float) -> None:
-    for id, *sizes in records.tolist():
-        if id in actors and all(map(math.isfinite, sizes)) and min(sizes[3:]) > 0:
-            x, y, z, *extent = (size * CM for size in sizes)
-            actors[id].bounding_box = BoundingBox(x, -y, z, *extent)
-
-
-_ACTOR_EVENTS: dict[str, Callable[..., None]] = {
-    "spawned": _add_spawned,
-    "destroyed": _add_destroyed,
-    "parented": _add_parented,
-    "bounding_boxes": _add_boxes,
-}
 
 
 def _slope(values: NDArray[np.float64], times: NDArray[np.float64]) -> NDArray[np.float64]:

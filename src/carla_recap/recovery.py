@@ -39,10 +39,11 @@ class Recovery:
 
     def __str__(self) -> str:
         saved = f"{self.frames} frames saved, up to {self.duration:g} s"
-        lost = [f"{count} {what} lost" for count, what in ((self.lost_frames, "frames"), (self.lost_bytes, "bytes")) if count]
+        counts = ((self.lost_frames, "frames"), (self.lost_bytes, "bytes"))
+        lost = [f"{count} {what} lost" for count, what in counts if count]
         if not self.finished:
             lost.append("it was never finished, or its end is damaged")
-        return "; ".join([saved, *lost or ["nothing lost"]])
+        return "; ".join([saved, *(lost or ["nothing lost"])])
 
 
 def recover(
@@ -74,7 +75,9 @@ def recover(
                 frames += 1
                 last, duration = frame.index, frame.elapsed
         if isinstance(reader, LogReader):
-            lost_bytes += reader.lost_bytes
+            cut = sum(map(len, reader.tail()))
+            finished = not cut
+            lost_bytes += reader.lost_bytes + cut
     finally:
         reader.close()
     return Recovery(frames, last + 1 - frames, lost_bytes, duration, finished)

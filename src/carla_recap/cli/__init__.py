@@ -112,11 +112,11 @@ def blocked(
 @_text
 def actors(file: str, form: str | None) -> None:
     """Who was there, and when."""
-    from carla_recap.cli.report import show_actors
-    from carla_recap.recording import open_recording
+    from carla_recap.cli.report import show
+    from carla_recap.formats import open_reader
+    from carla_recap.queries import actors as query
 
-    with open_recording(file) as recording:
-        show_actors(recording, form)
+    show(query(open_reader(file)), form)
 
 
 @cli.command()

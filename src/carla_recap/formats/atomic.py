@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+from contextlib import suppress
 from pathlib import Path
 from typing import TYPE_CHECKING, Self
 
@@ -10,6 +11,8 @@ from carla_recap.errors import RecapError
 
 if TYPE_CHECKING:
     from types import TracebackType
+
+    from carla_recap.payload import Buffer
 
 
 class AtomicFile:
@@ -32,7 +35,7 @@ class AtomicFile:
                 raise IsADirectoryError(21, "is a directory")
             self._file = self._partial.open("xb", buffering=1 << 20)
         except OSError as error:
-            raise RecapError(f"{self.path}: cannot be written: {error.strerror}") from None
+            raise self._unwritable(error) from None
 
     def close(self) -> None:
         """Finish the file, and put it under its name."""
@@ -44,15 +47,30 @@ class AtomicFile:
             self._partial.replace(self.path)
         except OSError as error:
             self.abort()
-            raise RecapError(f"{self.path}: cannot be written: {error.strerror}") from None
+            raise self._unwritable(error) from None
         except BaseException:
             self.abort()
             raise
 
     def abort(self) -> None:
         """Give the file up, and remove what was written."""
-        self._file.close()
+        with suppress(OSError):  # what waits in memory may not fit on the disk either
+            self._file.close()
         self._partial.unlink(missing_ok=True)
+
+    def _put(self, data: Buffer) -> None:
+        """Add bytes.
+
+        Raises:
+            RecapError: The disk is full, or broken.
+        """
+        try:
+            self._file.write(data)
+        except OSError as error:
+            raise self._unwritable(error) from None
+
+    def _unwritable(self, error: OSError) -> RecapError:
+        return RecapError(f"{self.path}: cannot be written: {error.strerror}")
 
     def _finish(self) -> None:
         """Write what comes last."""

@@ -125,6 +125,7 @@ class LogReader:
         else:
             names = {self.header.table.named(name).name for name in types}
             wanted = [type is not None and type.name in names for type in self._types]
+            wanted[FRAME_START] = False
             ignored_size = len(EMPTY_LIST)
         first = (0, self._start) if start == -math.inf else self._first_at(start)
         if first is None:
@@ -409,21 +410,23 @@ def pack_header(header: Header) -> bytes:
     """A header's bytes."""
     if header.raw is not None:
         return header.raw
-    name = header.map_name.encode("utf-8", "surrogateescape")
-    if len(name) > 0xFFFF or not 0 <= header.version <= 0xFFFF:
+    try:
+        name = header.map_name.encode("utf-8", "surrogateescape")
+        return b"".join(
+            (
+                U16.pack(header.version),
+                U16.pack(len(MAGIC)),
+                MAGIC,
+                DATE.pack(header.date),
+                U16.pack(len(name)),
+                name,
+            )
+        )
+    except (struct.error, UnicodeEncodeError) as error:
         raise RecordError(
-            f"a header of version {header.version} with a map name of {len(name)} bytes cannot be written"
-        )
-    return b"".join(
-        (
-            U16.pack(header.version),
-            U16.pack(len(MAGIC)),
-            MAGIC,
-            DATE.pack(header.date),
-            U16.pack(len(name)),
-            name,
-        )
-    )
+            f"a header of version {header.version}, date {header.date} and map {header.map_name!r:.40} "
+            f"cannot be written: {error}"
+        ) from None
 
 
 class LogWriter(AtomicFile):
@@ -441,7 +444,7 @@ class LogWriter(AtomicFile):
         start = pack_header(header)
         super().__init__(path)
         self._shift = UNSHIFT if header.shifted else {}
-        self._file.write(start)
+        self._put(start)
 
     def write(self, frame: Frame) -> None:
         """Add a frame."""
@@ -451,11 +454,11 @@ class LogWriter(AtomicFile):
         for packet in frame.packets:
             payload = packet.payload
             parts += (PACKET.pack(self._shift.get(packet.id, packet.id), len(payload)), payload)
-        self._file.write(b"".join(parts))
+        self._put(b"".join(parts))
 
     def write_tail(self, piece: bytes) -> None:
         """Add bytes behind the last complete packet."""
-        self._file.write(piece)
+        self._put(piece)
 
 
 _START_HEAD: Final = PACKET.pack(FRAME_START, START.size)

@@ -34,8 +34,8 @@ class Answer(Rows[T]):
 def readable(text: str) -> str:
     """A recorded text as CARLA shows it: up to the first NUL, with `?` in place of what is not UTF-8.
 
-    That is a `?` for each wrong byte, but only one for a sequence of five or six bytes, as UTF-8 had them once, and one
-    for a sequence that the end of the text cuts off.
+    That is a `?` for each wrong byte, but only one for a sequence of five or six bytes, as UTF-8 had them
+    once, and one where the text ends more than a byte short of a sequence's length.
     """
     text = text.partition("\0")[0]
     if text.isascii() or not _SUSPECT.search(text):
@@ -56,10 +56,9 @@ _UTF8: Final = re.compile(
         | [\xf1-\xf3] [\x80-\xbf]{3}
         | \xf4 [\x80-\x8f] [\x80-\xbf]{2}
     )
-    | [\xf8-\xfb] (?: [\x80-\xbf]{4} | .{0,3} \Z )
-    | [\xfc-\xff] (?: [\x80-\xbf]{5} | .{0,4} \Z )
-    | [\xe0-\xef] .? \Z
-    | [\xf0-\xf7] .{0,2} \Z
+    | [\xf0-\xf7] .? \Z
+    | [\xf8-\xfb] (?: [\x80-\xbf]{4} | .{0,2} \Z )
+    | [\xfc-\xff] (?: [\x80-\xbf]{5} | .{0,3} \Z )
     | .
     """,
     re.DOTALL | re.VERBOSE,

@@ -17,7 +17,6 @@ if TYPE_CHECKING:
 
     from carla_recap.formats.base import Reader
     from carla_recap.frame import Frame
-    from carla_recap.records import Spawn
 
 _LOOK_AHEAD: Final = 1.0  # seconds
 _TRUE: Final = b"\1"  # in an array of booleans
@@ -119,7 +118,7 @@ class _Watch:
         for packet in frame.packets:
             assert packet.type is not None
             if packet.type.name == "transforms":
-                self._move(frame, packet.records)
+                self._move(frame, packet.records)  # type: ignore[arg-type]
                 continue
             self._put_back()
             if packet.type.name == "spawned":

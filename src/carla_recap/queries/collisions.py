@@ -62,8 +62,8 @@ class Collisions(Answer[CollisionRow]):
 def collisions(source: Reader, type1: str = "a", type2: str = "a", *, compat: bool = False) -> Collisions:
     """The collisions between two kinds of actors.
 
-    Each ordered pair of actors gives a row in the first frame of its contact. CARLA's recorder lists the actor that has
-    the collision sensor first.
+    Each ordered pair of actors gives a row in the first frame of its contact. First comes the actor that has
+    the collision sensor.
 
     Args:
         source: The recording.

@@ -28,7 +28,8 @@ class InfoRow:
         elapsed: Seconds since the recording began.
         frame: CARLA's frame number.
         type: The record type's name, such as `spawned`.
-        record: The record's fields by name, as numbers, texts, booleans, or lists of such records. Units as in `records`.
+        record: The record's fields by name: numbers, texts, booleans, lists of such records; units as in
+            `records`.
     """
 
     elapsed: float

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Callable, Mapping
 from functools import cache
 from typing import TYPE_CHECKING, Any, Final
 
@@ -15,6 +14,8 @@ from carla_recap.queries.answer import readable
 from carla_recap.records import REAL, TEXT, UE4, Layout, Many, Records
 
 if TYPE_CHECKING:
+    from collections.abc import Callable, Mapping
+
     from numpy.typing import NDArray
 
     from carla_recap.frame import Packet
@@ -191,8 +192,8 @@ def _curve(points: NDArray[np.void]) -> str:
 
 def _row(
     type: str, heading: str | None, line: str, end: str = "", **words: Callable[[Any], str]
-) -> dict[str, PacketLines]:
-    return {type: PacketLines(_Template(UE4.named(type).layout, line, **words), heading, end)}
+) -> tuple[str, PacketLines]:
+    return type, PacketLines(_Template(UE4.named(type).layout, line, **words), heading, end)
 
 
 _BOX: Final = "  Id: {id} origin: ({x}, {y}, {z}) extension: ({extent_x}, {extent_y}, {extent_z})\n"
@@ -219,56 +220,56 @@ _PHYSICS: Final = """\
 {forward_gears}   wheels:
 {wheels}"""
 
-_LINES: Final[Mapping[str, PacketLines]] = {
-    **_row(
+_ROWS: Final = (
+    _row(
         "spawned",
         None,
         " Create {id}: {type_id} ({kind}) at ({x}, {y}, {z})\n{attributes}",
         attributes=_ATTRIBUTE.text,
     ),
-    **_row("destroyed", None, " Destroy {id}\n"),
-    **_row("parented", None, " Parenting {id} with {parent} (parent)\n"),
-    **_row(
+    _row("destroyed", None, " Destroy {id}\n"),
+    _row("parented", None, " Parenting {id} with {parent} (parent)\n"),
+    _row(
         "collisions",
         None,
         " Collision id {id} between {actor1}{hero1} with {actor2}{hero2}\n",
         hero1=_hero,
         hero2=_hero,
     ),
-    **_row(
+    _row(
         "transforms", "Positions", "  Id: {id} Location: ({x}, {y}, {z}) Rotation: ({roll}, {pitch}, {yaw})\n"
     ),
-    **_row(
+    _row(
         "light_states",
         "State traffic lights",
         "  Id: {id} state: {state} frozen: {frozen} elapsedTime: {elapsed}\n",
         state=_light_state,
     ),
-    **_row(
+    _row(
         "vehicle_controls",
         "Vehicle animations",
         "  Id: {id} Steering: {steer} Throttle: {throttle} Brake: {brake} Handbrake: {hand_brake} "
         "Gear: {gear}\n",
     ),
-    **_row("walker_controls", "Walker animations", "  Id: {id} speed: {speed}\n"),
-    **_row(*_DOORS_ROW, door=_door),
-    **_row("vehicle_lights", "Vehicle light animations", "  Id: {id} {flags}\n", flags=_lights),
-    **_row(
+    _row("walker_controls", "Walker animations", "  Id: {id} speed: {speed}\n"),
+    _row(*_DOORS_ROW, door=_door),
+    _row("vehicle_lights", "Vehicle light animations", "  Id: {id} {flags}\n", flags=_lights),
+    _row(
         "scene_lights",
         "Scene light changes",
         "  Id: {id} enabled: {on} intensity: {intensity} RGB_color: ({red}, {green}, {blue})\n",
         on=_capital_true,
     ),
-    **_row(
+    _row(
         "velocities",
         "Dynamic actors",
         "  Id: {id} linear_velocity: ({x}, {y}, {z}) "
         "angular_velocity: ({angular_x}, {angular_y}, {angular_z})\n",
     ),
-    **_row("bounding_boxes", "Actor bounding boxes", _BOX),
-    **_row("trigger_volumes", "Actor trigger volumes", _BOX),
-    **_row("platform_time", None, " Current platform time: {seconds}\n"),
-    **_row(
+    _row("bounding_boxes", "Actor bounding boxes", _BOX),
+    _row("trigger_volumes", "Actor trigger volumes", _BOX),
+    _row("platform_time", None, " Current platform time: {seconds}\n"),
+    _row(
         "physics",
         "Physics Control events",
         _PHYSICS,
@@ -278,14 +279,15 @@ _LINES: Final[Mapping[str, PacketLines]] = {
         forward_gears=_GEAR.text,
         wheels=_WHEEL.text,
     ),
-    **_row(
+    _row(
         "light_times",
         "Traffic Light time events",
         "  Id: {id} green_time: {green} yellow_time: {yellow} red_time: {red}\n",
     ),
-    **_row("walker_bones", "Walkers Bones", "  Id: {id}\n{bones}", end="\n", bones=_BONE.text),
-}
-_LINES_OF_CARLA: Final[Mapping[str, PacketLines]] = {**_LINES, **_row(*_DOORS_ROW, door=_door_of_carla)}
+    _row("walker_bones", "Walkers Bones", "  Id: {id}\n{bones}", end="\n", bones=_BONE.text),
+)
+_LINES: Final = dict(_ROWS)
+_LINES_OF_CARLA: Final = dict((*_ROWS, _row(*_DOORS_ROW, door=_door_of_carla)))
 
 
 def packet_lines(*, compat: bool) -> Mapping[str, PacketLines]:

@@ -3,16 +3,18 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, fields
+from dataclasses import asdict, dataclass, fields
 from itertools import islice
 from json import JSONEncoder
 from typing import TYPE_CHECKING, Any, Final
 
+from carla_recap.queries.actors import Actor, Actors
 from carla_recap.queries.answer import readable
 from carla_recap.queries.blocked import Blocked, BlockedRow
 from carla_recap.queries.collisions import CollisionRow, Collisions
 from carla_recap.queries.info import Info, InfoRow
-from carla_recap.queries.text import local_date, number, text
+from carla_recap.queries.lines import number
+from carla_recap.queries.text import local_date, text
 from carla_recap.records import NO_ACTOR
 
 if TYPE_CHECKING:
@@ -20,7 +22,7 @@ if TYPE_CHECKING:
 
     from rich.console import Console
 
-    AnyAnswer = Info | Collisions | Blocked
+    AnyAnswer = Actors | Info | Collisions | Blocked
 
 __all__ = ["json", "table", "text"]
 
@@ -29,7 +31,7 @@ __all__ = ["json", "table", "text"]
 
 
 def json(answer: AnyAnswer) -> Iterator[str]:
-    """An answer as one JSON object, in pieces; `rows` are the objects of its lines, units as in the row's class.
+    """An answer as one JSON object, in pieces: its `rows` have the fields and units of the row's class.
 
     What is not finite becomes null.
     """
@@ -49,7 +51,7 @@ def json(answer: AnyAnswer) -> Iterator[str]:
     yield "\n], " + _encoded(footer)[1:] + "\n"
 
 
-_STRICT: Final = JSONEncoder(allow_nan=False)
+_STRICT: Final = JSONEncoder(allow_nan=False, default=asdict)
 
 
 def _encoded(value: dict[str, Any]) -> str:
@@ -109,7 +111,7 @@ def _print_page(console: Console, columns: Iterable[_Column], rows: list[Any], *
     from rich.table import Table
     from rich.text import Text
 
-    page = Table(box=box.SIMPLE_HEAD if headed else None, show_header=headed, pad_edge=headed)
+    page = Table(box=box.SIMPLE_HEAD, show_edge=False, show_header=headed)
     for column in columns:
         justify: Any = "right" if column.is_number else "left"
         page.add_column(column.heading, justify=justify, width=column.width, overflow="fold")
@@ -160,6 +162,17 @@ _COLUMNS: Final[dict[type, tuple[_Column, ...]]] = {
         _Column("Actor 1", lambda row: _actor(row.id1, row.type_id1, row.hero1)),
         _Column("Id", lambda row: str(row.id2), is_number=True),
         _Column("Actor 2", lambda row: _actor(row.id2, row.type_id2, row.hero2)),
+    ),
+    Actor: (
+        _Column("Id", lambda row: str(row.id), is_number=True),
+        _Column("Kind", lambda row: row.kind),
+        _Column("Actor", lambda row: row.type_id),
+        _Column("Role", lambda row: row.role_name),
+        _Column("From", lambda row: _seconds(row.spawned_at), is_number=True),
+        _Column(
+            "To", lambda row: "" if row.destroyed_at is None else _seconds(row.destroyed_at), is_number=True
+        ),
+        _Column("Parent", lambda row: "" if row.parent is None else str(row.parent), is_number=True),
     ),
     BlockedRow: (
         _Column("Start", lambda row: _seconds(row.start), is_number=True),

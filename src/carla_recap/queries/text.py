@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 
 from carla_recap.frame import Packet
+from carla_recap.queries.actors import Actors
 from carla_recap.queries.answer import readable
 from carla_recap.queries.collisions import Collisions
 from carla_recap.queries.info import EVENTS, Info
@@ -24,13 +25,15 @@ if TYPE_CHECKING:
 _NAME_WIDTH: Final = 35
 
 
-def text(answer: Info | Collisions | Blocked) -> Iterator[str]:
-    """CARLA's text of an answer, in pieces."""
+def text(answer: Actors | Info | Collisions | Blocked) -> Iterator[str]:
+    """CARLA's text of an answer, in pieces; for actors, of which CARLA has none, a list in the same manner."""
     yield _preamble(answer.header)
     if isinstance(answer, Info):
         yield from _info(answer)
     elif isinstance(answer, Collisions):
         yield from _collisions(answer)
+    elif isinstance(answer, Actors):
+        yield from _actors(answer)
     else:
         yield from _blocked(answer)
     # In CARLA, a collision's row leaves the stream without decimals.
@@ -76,6 +79,15 @@ def _blocked(answer: Blocked) -> Iterator[str]:
         yield f"{_whole(row.start):>8} {row.id:>6} {_padded(row.type_id)} {_whole(row.duration):>10}\n"
 
 
+def _actors(answer: Actors) -> Iterator[str]:
+    yield f"{'Id':>8} {'Kind':<13} {'Actor':<35} {'Role':<20} {'From':>8} {'To':>8} {'Parent':>8}\n"
+    for row in answer:
+        until = "" if row.destroyed_at is None else number(row.destroyed_at)
+        parent = "" if row.parent is None else row.parent
+        name, role = _padded(row.type_id), f"{row.role_name:<20}"
+        yield f"{row.id:>8} {row.kind:<13} {name} {role} {number(row.spawned_at):>8} {until:>8} {parent:>8}\n"
+
+
 def _info(answer: Info) -> Iterator[str]:
     lines = packet_lines(compat=answer.compat)
     frame = None
@@ -103,9 +115,9 @@ def _frame_line(id: int, elapsed: float) -> str:
 def _once_more(answer: Info, last: Frame | None) -> str:
     """What CARLA prints at the end of a file that does not end with a frame's end.
 
-    It takes the last packet for read once more, with the values that it holds already: as many copies of its last
-    record as it has records. In a file without packets, that is the start of a frame 0. Of a file that was cut short,
-    nothing is to be had this way but a wrong answer: then nothing is printed.
+    It takes the last packet for read once more, with the values that it holds already: as many copies of its
+    last record as it has records. In a file without packets, that is the start of a frame 0. Of a file that
+    was cut short, nothing is to be had this way but a wrong answer: then nothing is printed.
     """
     source, extent = answer.source, answer.extent
     if next(source.tail(), None) is not None:
@@ -116,13 +128,12 @@ def _once_more(answer: Info, last: Frame | None) -> str:
         if (last.id, last.elapsed) != (extent.last_id, extent.duration):
             return ""
         last = source.frame_at(math.inf) or last
-    ids = [packet.id for packet in last.packets]
-    if not ids or ids[-1] == FRAME_END or not (last.preamble or FRAME_END in ids):
+    was_cut = not last.preamble and all(packet.id != FRAME_END for packet in last.packets)
+    packet = last.packets[-1] if last.packets else None
+    if was_cut or packet is None or packet.type is None or not isinstance(packet.records, np.ndarray):
         return ""
-    packet = last.packets[-1]
-    shown = packet.type is not None and (answer.all or packet.type.name in EVENTS)
-    lines = packet_lines(compat=True).get(packet.type.name) if packet.type and shown else None
-    if lines is None or not isinstance(packet.records, np.ndarray):
+    lines = packet_lines(compat=True).get(packet.type.name)
+    if lines is None or not (answer.all or packet.type.name in EVENTS):
         return ""
     again = np.repeat(packet.records[-1:], len(packet.records))
     return lines(Packet(packet.id, packet.type, records=again))

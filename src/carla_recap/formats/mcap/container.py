@@ -6,6 +6,7 @@ Specification: https://mcap.dev/spec
 from __future__ import annotations
 
 import struct
+import zlib
 from dataclasses import dataclass
 from typing import Final
 
@@ -41,6 +42,7 @@ EMPTY, FILLED, RAW = 0, 1, 2
 
 HEADER_METADATA: Final = "carla_recap.header"
 EXTENT_METADATA: Final = "carla_recap.extent"
+CHECKSUM: Final = "checksum"
 
 
 @dataclass(frozen=True)
@@ -75,11 +77,13 @@ class LogClock:
 
     Attributes:
         last: The latest log time.
+        steady: Whether each log time is its frame's own so far: the recording's clock never stood still nor jumped.
     """
 
     def __init__(self, header: Header) -> None:
         self._base = max(0, header.date) * SECOND
         self.last = self._base - 1
+        self.steady = True
 
     def at(self, elapsed: float) -> int | None:
         """The time of some elapsed seconds, None where there is no such time."""
@@ -90,12 +94,42 @@ class LogClock:
     def times(self, elapsed: float) -> tuple[int, int]:
         """Log time and publish time of the next frame."""
         time = self.at(elapsed)
-        self.last = min(self.last + 1 if time is None else max(self.last + 1, time), MAX_TIME)
-        return self.last, self.last if time is None else time
+        if time is None or time <= self.last:
+            self.steady = False
+            return self.next(), self.last if time is None else time
+        self.last = time
+        return time, time
+
+    def next(self) -> int:
+        """The log time of whatever comes behind the latest frame."""
+        self.last = min(self.last + 1, MAX_TIME)
+        return self.last
+
+
+def checked(values: dict[str, str]) -> dict[str, str]:
+    """Metadata with a checksum of themselves: MCAP has none for those that are read by index."""
+    return values | {CHECKSUM: _checksum(values)}
+
+
+def unchecked(values: dict[str, str]) -> dict[str, str]:
+    """Metadata without the checksum that they came with.
+
+    Raises:
+        ValueError: It does not match.
+    """
+    plain = {key: value for key, value in values.items() if key != CHECKSUM}
+    if values.get(CHECKSUM) != _checksum(plain):
+        raise ValueError("the checksum does not match")
+    return plain
+
+
+def _checksum(values: dict[str, str]) -> str:
+    return f"{zlib.crc32(repr(sorted(values.items())).encode()):08x}"
 
 
 def header_metadata(header: Header) -> dict[str, str]:
     """A header as MCAP metadata."""
+    raw = pack_header(header)  # and the check that it can be written
     plain = {
         "map": header.map_name.encode("utf-8", "surrogateescape").decode("utf-8", "replace"),
         "date": str(header.date),
@@ -103,7 +137,7 @@ def header_metadata(header: Header) -> dict[str, str]:
         "double_precision": str(int(header.wide)),
         "shifted_packet_ids": str(int(header.shifted)),
     }
-    return plain if header == parse_header(plain) else plain | {"carla_header": pack_header(header).hex()}
+    return plain if header == parse_header(plain) else plain | {"carla_header": raw.hex()}
 
 
 def parse_header(metadata: dict[str, str]) -> Header:

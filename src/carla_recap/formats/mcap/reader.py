@@ -37,6 +37,7 @@ from carla_recap.formats.mcap.container import (
     channel_specs,
     parse_extent,
     parse_header,
+    unchecked,
 )
 from carla_recap.formats.mcap.source import Chunk, Source, Summary, open_chunk, parse_record, read_summary
 from carla_recap.frame import Extent, Frame, Header, Packet
@@ -154,9 +155,14 @@ class McapReader:
         self.path = Path(path)
         self._source = Source(path)
         self._warned: set[str] = set()
-        self._summary = summary or read_summary(self._source)
-        self.header = self._read_header()
-        self._extent = self._read_extent()
+        try:
+            self._summary = summary or read_summary(self._source)
+            self.header = self._read_header()
+            self._extent = self._read_extent()
+            self._steady = self.metadata.get("steady_clock") == "1"
+        except BaseException:
+            self._source.close()
+            raise
         self._channels = _match(self._summary, channel_specs(self.header.table))
         self._types = {id: spec.type for id, spec in self._channels.items() if spec.type}
         self._by_topic = {spec.topic: id for id, spec in self._channels.items()}
@@ -203,20 +209,22 @@ class McapReader:
         spine = self._wanted((), spine=True)
         time = LogClock(self.header).at(elapsed)
         chunks = self._chunks(spine)
-        if time is not None:
-            earlier = [chunk for chunk in chunks if chunk.start <= time]
-            chunks = (
-                earlier[-1:]
-                if all(a.end < b.start for a, b in zip(chunks, chunks[1:], strict=False))
-                else earlier
-            )
+        if time is not None and self._steady:
+            apart = all(a.end < b.start for a, b in zip(chunks, chunks[1:], strict=False))
+            chunks = [chunk for chunk in chunks if chunk.start <= time]
+            if apart:
+                # Of a chunk that begins at that very nanosecond, the frame may still come later.
+                chunks = chunks[max(sum(chunk.start < time for chunk in chunks) - 1, 0) :]
         for index, gathered in self._gather(chunks, spine, ahead=False):
             frame = self._frame(index, gathered, spine, plans, whole=False)
             if frame.elapsed <= elapsed:
                 found = frame
         if found is None:
             return None
-        return next(f for f in self.frames(start=found.elapsed) if f.index == found.index)
+        for frame in self.frames(start=found.elapsed):
+            if frame.index == found.index:
+                return frame
+        raise FormatError(self.path, None, f"frame {found.id} is in no chunk of its time: the index is wrong")
 
     def extent(self) -> Extent:
         """How far the recording goes."""
@@ -246,9 +254,9 @@ class McapReader:
             return None
         content = self._source.record(index.offset, Opcode.METADATA, f"the metadata {name}")
         try:
-            return dict(parse_record(records.Metadata, content).metadata)
+            return unchecked(dict(parse_record(records.Metadata, content).metadata))
         except ValueError as error:
-            raise FormatError(self.path, index.offset, str(error)) from None
+            raise FormatError(self.path, index.offset, f"broken MCAP metadata {name!r}: {error}") from None
 
     def _read_header(self) -> Header:
         metadata = self._read_metadata(HEADER_METADATA)
@@ -284,8 +292,8 @@ class McapReader:
     def _chunks(self, wanted: set[int], start: float = -math.inf, stop: float = math.inf) -> list[Chunk]:
         """The chunks that hold wanted channels within a time, in order of time."""
         clock = LogClock(self.header)
-        first = clock.at(start) if start > -math.inf else None
-        last = clock.at(stop) if stop < math.inf else None
+        first = clock.at(start) if start > -math.inf and self._steady else None
+        last = clock.at(stop) if stop < math.inf and self._steady else None
         chunks = [c for c in self._summary.chunks if not c.channels or not wanted.isdisjoint(c.channels)]
         if first is None and last is None:
             return chunks
@@ -368,23 +376,29 @@ class McapReader:
     ) -> Iterator[tuple[int, Gathered]]:
         """The messages of each frame, in order of frames; chunks may overlap in time."""
         pending: Pending = {}
-        held = place = 0
+        held: list[
+            tuple[int, int]
+        ] = []  # of each block that is in use: the time of its last frame, and its bytes
+        place = 0
         for block in self._blocks(chunks, ahead=ahead):
             batches = {channel: Batch(self._types.get(channel), self.path) for channel in wanted}
             for chunk, data in block:
-                held += len(data)
-                if held > PENDING_LIMIT:
-                    raise FormatError(
-                        self.path, chunk.offset, f"more than {PENDING_LIMIT} bytes of chunks overlap in time"
-                    )
                 self._sort(chunk, data, batches, pending)
+            held.append(
+                (max((time for time, _ in pending.values()), default=0), sum(len(d) for _, d in block))
+            )
+            if sum(size for _, size in held) > PENDING_LIMIT:
+                raise FormatError(
+                    self.path,
+                    block[-1][0].offset,
+                    f"more than {PENDING_LIMIT} bytes of chunks overlap in time",
+                )
             place += len(block)
             horizon = chunks[place].start if place < len(chunks) else None
             ready = sorted(s for s, (time, _) in pending.items() if horizon is None or time < horizon)
             for sequence in ready:
                 yield sequence, pending.pop(sequence)[1]
-            if not pending:
-                held = 0
+            held = [(last, size) for last, size in held if horizon is not None and last >= horizon]
 
     # --- messages to frames --------------------------------------------------------------------------------------------
 

@@ -63,8 +63,9 @@ def salvage(source: Source) -> tuple[Summary, Damage]:
         at = end
         if summary.finished:
             break
-    summary.schemas = own.schemas | summary.schemas
-    summary.channels = own.channels | summary.channels
+    # Those of the file's own summary are known good by its checksum.
+    summary.schemas |= own.schemas
+    summary.channels |= own.channels
     for name, index in own.metadata.items():
         summary.metadata.setdefault(name, index)
     summary.chunks.sort(key=lambda chunk: (chunk.start, chunk.offset))

@@ -196,6 +196,7 @@ class Summary:
     channels: dict[int, records.Channel] = field(default_factory=dict)
     chunks: list[Chunk] = field(default_factory=list)
     metadata: dict[str, records.MetadataIndex] = field(default_factory=dict)
+    statistics: records.Statistics | None = None
     finished: bool = False
 
 
@@ -242,6 +243,17 @@ def read_summary(source: Source) -> Summary:
     offsets = {chunk.offset for chunk in summary.chunks}
     if len(offsets) < len(summary.chunks):
         raise FormatError(path, start, "the summary names a chunk twice")
+    stated = summary.statistics
+    if stated and stated.chunk_count != len(offsets):
+        raise FormatError(
+            path,
+            start,
+            f"the summary names {len(offsets)} of {stated.chunk_count} chunks; 'carla-recap recover' makes a new one",
+        )
+    if stated and stated.message_count and not offsets:
+        raise FormatError(
+            path, start, f"{stated.message_count} messages lie outside chunks, where none are read"
+        )
     return summary
 
 
@@ -257,6 +269,8 @@ def _take(summary: Summary, opcode: int, data: memoryview) -> None:
     elif opcode == Opcode.METADATA_INDEX:
         index = parse_record(records.MetadataIndex, data)
         summary.metadata[index.name] = index
+    elif opcode == Opcode.STATISTICS:
+        summary.statistics = parse_record(records.Statistics, data)
 
 
 def _chunk_index(data: memoryview) -> Chunk:

@@ -24,7 +24,6 @@ from mcap import records
 from mcap.data_stream import RecordBuilder
 from mcap.opcode import Opcode
 
-from carla_recap.errors import RecapError
 from carla_recap.formats.atomic import AtomicFile
 from carla_recap.formats.mcap import wire
 from carla_recap.formats.mcap.container import (
@@ -47,6 +46,7 @@ from carla_recap.formats.mcap.container import (
     U64,
     LogClock,
     channel_specs,
+    checked,
     header_metadata,
 )
 from carla_recap.frame import Extent, Frame, Header, Packet
@@ -55,6 +55,8 @@ from carla_recap.records import FRAME_END, FRAME_START, Group, RecordType
 
 CHUNK_SIZE: Final = 1 << 20
 CHUNK_SECONDS: Final = 5
+FRAME_SIZE: Final = 16 << 20
+"""So many bytes of one frame are a chunk: what is much larger could not be read."""
 LEVEL: Final = 3
 _WORKERS: Final = 2
 _QUEUE: Final = 4  # chunks that are being compressed, or wait for it
@@ -143,6 +145,7 @@ class McapWriter(AtomicFile):
     """
 
     def __init__(self, path: Path | str, header: Header, *, live: bool = False) -> None:
+        metadata = header_metadata(header)
         super().__init__(path)
         self._live = live
         self._specs = channel_specs(header.table)
@@ -166,7 +169,11 @@ class McapWriter(AtomicFile):
         self._channels: list[records.Channel] = []
         self._chunk_index: list[records.ChunkIndex] = []
         self._metadata_index: list[records.MetadataIndex] = []
-        self._write_start(header)
+        try:
+            self._write_start(metadata)
+        except BaseException:
+            self.abort()
+            raise
 
     def write(self, frame: Frame) -> None:
         """Add a frame.
@@ -195,10 +202,9 @@ class McapWriter(AtomicFile):
 
     def write_tail(self, piece: bytes) -> None:
         """Add bytes behind the last complete packet."""
-        time = self._clock.last
-        self._chunks[Group.STATE].add(
-            self._tail_channel, max(self._sequence, 0), (time, time), b"", wire.tail(piece)
-        )
+        time = self._clock.next()
+        self._sequence += 1
+        self._chunks[Group.STATE].add(self._tail_channel, self._sequence, (time, time), b"", wire.tail(piece))
         self._cut(Group.STATE)
 
     def abort(self) -> None:
@@ -218,26 +224,41 @@ class McapWriter(AtomicFile):
         if payload is EMPTY_LIST or (type is not None and payload == EMPTY_LIST):
             return EMPTY
         if type is None or type.opaque or len(payload) > OBJECTS_LIMIT:
-            for body in wire.raw_bodies(id, payload):
-                self._chunks[Group.STATE].add(self._raw_channel, self._sequence, times, head, body)
-            return RAW
+            return self._add_raw(packet, head, times)
         chunk, channel = self._chunks[type.group], self._channel_of[id]
         size = wire.expected_size(type, payload)
         if size is not None:
             chunk.add(channel, self._sequence, times, head, b"")
             chunk.wait_for(type, payload, size)
+            self._cut_within_frame(type.group)
             return FILLED
         try:
-            chunk.add(channel, self._sequence, times, head, wire.encode(type, payload))
             if type.fixed:
                 packet.warn_of(check(type, payload))
+            body = wire.encode(type, payload)
         except PayloadError as error:
             raise packet.error(error) from None
+        if len(head) + len(body) > OBJECTS_LIMIT:
+            return self._add_raw(packet, head, times)
+        chunk.add(channel, self._sequence, times, head, body)
+        self._cut_within_frame(type.group)
         if type.name == "spawned":
             self._heroes |= {
                 actor.id: None for actor in packet.records if actor.attribute("role_name") == "hero"
             }
         return FILLED
+
+    def _add_raw(self, packet: Packet, head: bytes, times: tuple[int, int]) -> int:
+        """Add a packet in pieces, as the bytes that it is."""
+        for body in wire.raw_bodies(packet.id, packet.payload):
+            self._chunks[Group.STATE].add(self._raw_channel, self._sequence, times, head, body)
+            self._cut_within_frame(Group.STATE)
+        return RAW
+
+    def _cut_within_frame(self, group: Group) -> None:
+        """Cut a group's chunk, should a single frame make it too large to be read."""
+        if self._chunks[group].size >= FRAME_SIZE:
+            self._cut(group)
 
     # --- the file ------------------------------------------------------------------------------------------------------
 
@@ -255,11 +276,8 @@ class McapWriter(AtomicFile):
 
     def _settle(self, allowed: int) -> None:
         """Write chunks until no more than so many are on their way."""
-        try:
-            while len(self._sealed) > allowed:
-                self._write_chunk(self._sealed.popleft())
-        except OSError as error:
-            raise RecapError(f"{self.path}: cannot be written: {error.strerror}") from None
+        while len(self._sealed) > allowed:
+            self._write_chunk(self._sealed.popleft())
 
     def _finish(self) -> None:
         for group in Group:
@@ -269,16 +287,16 @@ class McapWriter(AtomicFile):
         self._write_end()
 
     def _emit(self, data: bytes) -> None:
-        self._file.write(data)
+        self._put(data)
         self._crc = zlib.crc32(data, self._crc)
         self._position += len(data)
 
-    def _write_start(self, header: Header) -> None:
+    def _write_start(self, metadata: dict[str, str]) -> None:
         self._emit(MAGIC)
         self._crc = zlib.crc32(MAGIC)
         library = f"carla-recap/{version('carla-recap')}"
         self._emit(_packed(records.Header(profile="", library=library)))
-        self._write_metadata(HEADER_METADATA, header_metadata(header))
+        self._write_metadata(HEADER_METADATA, metadata)
         if self._live:
             self._sync()
 
@@ -337,7 +355,7 @@ class McapWriter(AtomicFile):
 
     def _write_metadata(self, name: str, values: dict[str, str]) -> None:
         at = self._position
-        self._emit(_packed(records.Metadata(name=name, metadata=values)))
+        self._emit(_packed(records.Metadata(name=name, metadata=checked(values))))
         self._metadata_index.append(records.MetadataIndex(length=self._position - at, name=name, offset=at))
 
     def _write_end(self) -> None:
@@ -355,7 +373,7 @@ class McapWriter(AtomicFile):
             schema_count=len(self._schemas),
         )
         groups = (self._schemas, self._channels, [statistics], self._metadata_index, self._chunk_index)
-        self._file.write(_summary(self._position, [record for group in groups for record in group]))
+        self._put(_summary(self._position, [record for group in groups for record in group]))
 
     def _extent_metadata(self) -> dict[str, str]:
         return {
@@ -364,11 +382,15 @@ class McapWriter(AtomicFile):
             "duration": repr(self._extent.duration),
             "hero_ids": ",".join(map(str, self._heroes)),
             "additional_data": str(int(self._additional)),
+            "steady_clock": str(int(self._clock.steady)),
         }
 
     def _sync(self) -> None:
-        self._file.flush()
-        os.fdatasync(self._file.fileno())
+        try:
+            self._file.flush()
+            os.fdatasync(self._file.fileno())
+        except OSError as error:
+            raise self._unwritable(error) from None
 
 
 @cache

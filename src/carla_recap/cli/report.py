@@ -1,0 +1,38 @@
+"""How a command answers: a table on a terminal, CARLA's text in a pipe, JSON when asked."""
+
+from __future__ import annotations
+
+import sys
+from typing import TYPE_CHECKING, Any
+
+from carla_recap.queries.report import json, table, text
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable
+
+TOO_MANY = 1
+
+
+def show(answer: Any, form: str | None, max_rows: int | None = None) -> None:
+    """Print an answer; ends the program with exit code 1 if it has more rows than allowed.
+
+    Args:
+        answer: The answer of a query.
+        form: "json", "text", or None: a table on a terminal, else text.
+        max_rows: How many rows are allowed.
+    """
+    if form is None:
+        form = "text" if getattr(answer, "compat", False) or not sys.stdout.isatty() else "table"
+    if form == "table":
+        table(answer)
+    else:
+        _print(json(answer) if form == "json" else text(answer))
+    if max_rows is not None and len(answer) > max_rows:
+        sys.exit(TOO_MANY)
+
+
+def _print(pieces: Iterable[str]) -> None:
+    out = sys.stdout.buffer
+    for piece in pieces:
+        out.write(piece.encode("utf-8", "surrogateescape"))
+    out.flush()

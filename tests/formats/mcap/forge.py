@@ -1,0 +1,152 @@
+"""Takes MCAP files apart and puts them together again, in ways that no honest writer would."""
+
+from __future__ import annotations
+
+import struct
+import zlib
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import lz4.frame
+import zstandard
+from mcap import records
+from mcap.data_stream import RecordBuilder
+from mcap.opcode import Opcode
+from mcap.reader import make_reader
+from mcap.stream_reader import StreamReader
+from mcap.writer import CompressionType, Writer
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable
+
+MAGIC = b"\x89MCAP0\r\n"
+FOOTER_SIZE = 9 + 20 + len(MAGIC)
+
+
+def read_records(path: Path) -> list[Any]:
+    """Every record of a file, chunks as they are."""
+    with path.open("rb") as file:
+        return list(StreamReader(file, emit_chunks=True, validate_crcs=True).records)
+
+
+def data_records(path: Path) -> list[Any]:
+    """The records before the summary."""
+    found = read_records(path)
+    return found[: next(n for n, record in enumerate(found) if isinstance(record, records.DataEnd))]
+
+
+def chunk_records(chunk: records.Chunk) -> bytes:
+    """What is in a chunk."""
+    if chunk.compression == "zstd":
+        return zstandard.ZstdDecompressor().decompress(chunk.data, chunk.uncompressed_size)
+    assert chunk.compression == ""
+    return chunk.data
+
+
+def seal(data: bytes, compression: str = "zstd", **changes: Any) -> records.Chunk:
+    """A chunk of some records; `changes` are lies about it."""
+    pack = {"zstd": zstandard.compress, "lz4": lz4.frame.compress}.get(compression, bytes)
+    fields = {
+        "compression": compression,
+        "data": pack(data),
+        "message_start_time": 0,
+        "message_end_time": (1 << 63) - 1,
+        "uncompressed_crc": zlib.crc32(data),
+        "uncompressed_size": len(data),
+    }
+    return records.Chunk(**fields | changes)
+
+
+def resealed(chunk: records.Chunk, compression: str, **changes: Any) -> records.Chunk:
+    """A chunk with the same records and times in another compression."""
+    times = {"message_start_time": chunk.message_start_time, "message_end_time": chunk.message_end_time}
+    return seal(chunk_records(chunk), compression, **times | changes)
+
+
+def packed(*items: records.McapRecord) -> bytes:
+    builder = RecordBuilder()
+    for item in items:
+        item.write(builder)
+    return bytes(builder.end())
+
+
+@dataclass
+class Forge:
+    """A file in the making.
+
+    Args:
+        parts: Header, metadata, schemas, channels and chunks, in order; message indexes are left out.
+        crc: Whether the summary has a checksum.
+    """
+
+    parts: list[Any]
+    crc: bool = True
+    indexes: list[records.ChunkIndex] = field(default_factory=list)
+
+    def write(self, path: Path, *, summary: Iterable[Any] | None = None, **footer: int) -> Path:
+        """Write it; `summary` stands in for the records of the summary."""
+        data, described = bytearray(MAGIC), []
+        self.indexes = []
+        for part in self.parts:
+            if isinstance(part, records.MessageIndex):
+                continue
+            at = len(data)
+            data += packed(part)
+            if isinstance(part, records.Chunk):
+                self.indexes.append(_index(part, at, len(data) - at))
+            elif isinstance(part, records.Metadata):
+                described.append(records.MetadataIndex(offset=at, length=len(data) - at, name=part.name))
+            elif isinstance(part, (records.Schema, records.Channel)):
+                described.append(part)
+        data += packed(records.DataEnd(data_section_crc=0))
+        start = len(data)
+        data += packed(*(described + self.indexes if summary is None else summary))
+        fields = {"summary_start": start, "summary_offset_start": 0, "summary_crc": 0} | footer
+        tail = packed(records.Footer(**fields))
+        if self.crc and "summary_crc" not in footer:
+            tail = tail[:-4] + struct.pack("<I", zlib.crc32(bytes(data[start:]) + tail[:-4]))
+        path.write_bytes(bytes(data) + tail + MAGIC)
+        return path
+
+
+def _index(chunk: records.Chunk, at: int, size: int) -> records.ChunkIndex:
+    return records.ChunkIndex(
+        chunk_start_offset=at,
+        chunk_length=size,
+        compression=chunk.compression,
+        compressed_size=len(chunk.data),
+        message_start_time=chunk.message_start_time,
+        message_end_time=chunk.message_end_time,
+        message_index_length=0,
+        message_index_offsets={},
+        uncompressed_size=chunk.uncompressed_size,
+    )
+
+
+def rewrite(source: Path, destination: Path, **options: Any) -> Path:
+    """A recording as another program would write it: one stream of chunks, messages in order of log time."""
+    options = {"compression": CompressionType.ZSTD} | options
+    with source.open("rb") as old, destination.open("wb") as new:
+        reader, writer = make_reader(old, validate_crcs=True), Writer(new, **options)
+        writer.start("", "another program")
+        summary = reader.get_summary()
+        assert summary
+        ids = {}
+        for channel in sorted(summary.channels.values(), key=lambda channel: channel.topic):
+            schema = summary.schemas[channel.schema_id]
+            schema_id = writer.register_schema(schema.name, schema.encoding, schema.data)
+            ids[channel.id] = writer.register_channel(channel.topic, channel.message_encoding, schema_id)
+        for _, channel, message in reader.iter_messages(log_time_order=True):
+            writer.add_message(
+                ids[channel.id], message.log_time, message.data, message.publish_time, message.sequence
+            )
+        for metadata in reader.iter_metadata():
+            writer.add_metadata(metadata.name, metadata.metadata)
+        writer.finish()
+    return destination
+
+
+def message(channel: int, sequence: int, time: int, data: bytes) -> bytes:
+    """A message record."""
+    return struct.pack("<BQHIQQ", Opcode.MESSAGE, 22 + len(data), channel, sequence, time, time) + data

@@ -1,0 +1,554 @@
+"""Reading MCAP: files of other writers, files that lie, and files with a flipped bit."""
+
+from __future__ import annotations
+
+import struct
+import tracemalloc
+import warnings
+
+import pytest
+import zstandard
+from hypothesis import given
+from hypothesis import strategies as st
+from mcap import records
+from mcap.writer import CompressionType, IndexType, Writer
+
+from carla_recap import FormatError, NotARecording, RecapError, RecapWarning, convert, open_recording
+from carla_recap.formats.mcap import reader as reader_module
+from carla_recap.formats.mcap.source import CHUNK_LIMIT
+from carla_recap.frame import Frame, Header, Packet
+from carla_recap.records import UE4
+from tests import strategies
+from tests.formats.mcap import forge
+from tests.formats.mcap.forge import Forge, chunk_records, data_records, resealed, rewrite, seal
+from tests.samples import (
+    carla_log,
+    explore,
+    image,
+    images,
+    listed,
+    reading,
+    save,
+    small_log,
+    time_limit,
+    transform,
+    warnings_ignored,
+    write,
+)
+
+
+def chunks_of(parts):
+    return [part for part in parts if isinstance(part, records.Chunk)]
+
+
+def with_chunks(path, change):
+    """A file whose chunks went through a function."""
+    parts = data_records(path)
+    return Forge([change(part) if isinstance(part, records.Chunk) else part for part in parts]).write(path)
+
+
+def drive(seconds=30.0, rate=20.0, size=10):
+    """Frames of a drive: transforms in each, a collision now and then."""
+    transforms, collisions, end = UE4.named("transforms"), UE4.named("collisions"), UE4[1]
+    for n in range(int(seconds * rate)):
+        poses = listed(*(transform(id, n, id) for id in range(size)))
+        packets = [Packet(6, transforms, poses), Packet(1, end, b"")]
+        if n % 7 == 0:
+            packets.insert(0, Packet(5, collisions, listed(struct.pack("<IIIBB", n, 1, 2, 0, 0))))
+        yield Frame(n, n + 1, n / rate, 1 / rate, packets)
+
+
+@pytest.fixture
+def driven(tmp_path):
+    """A drive of half a minute."""
+    return write(tmp_path / "drive.mcap", Header("Town01", 1_600_000_000), drive())
+
+
+# --- what other programs write ---------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("compression", ["", "lz4", "zstd"])
+def test_chunks_of_any_compression_are_read(small_mcap, compression):
+    before = images(small_mcap)
+    with_chunks(small_mcap, lambda chunk: resealed(chunk, compression))
+    assert images(small_mcap) == before
+
+
+@pytest.mark.parametrize("compression", list(CompressionType))
+@pytest.mark.parametrize("chunk_size", [1, 2000, 1 << 20])
+def test_messages_rewritten_by_another_program_read_equal(small_mcap, tmp_path, compression, chunk_size):
+    other = rewrite(small_mcap, tmp_path / "other.mcap", compression=compression, chunk_size=chunk_size)
+    assert explore(other)[1:] == [a.replace("small.mcap", "other.mcap") for a in explore(small_mcap)[1:]]
+
+
+@pytest.mark.parametrize("chunk_size", [300, 5000, 1 << 20])
+def test_a_drive_rewritten_by_another_program_reads_equal(driven, tmp_path, chunk_size):
+    other = rewrite(driven, tmp_path / "other.mcap", chunk_size=chunk_size)
+    assert images(other) == images(driven)
+    with reading(driven) as ours, reading(other) as theirs:
+        for time in (0.0, 4.99, 5.0, 17.321, 29.95, 1e9):
+            assert image(ours.frame_at(time)) == image(theirs.frame_at(time))
+        for types in (("collisions",), ("transforms",), ("collisions", "transforms")):
+            expected = [image(f) for f in ours.frames(types, sparse=False, start=3.0, stop=21.0)]
+            assert [image(f) for f in theirs.frames(types, sparse=False, start=3.0, stop=21.0)] == expected
+
+
+@given(strategies.recordings(), st.sampled_from([50, 400, 1 << 20]))
+def test_any_recording_rewritten_by_another_program_reads_equal(tmp_path, recording, chunk_size):
+    with warnings_ignored():
+        ours = write(tmp_path / "ours.mcap", *recording)
+        other = rewrite(ours, tmp_path / "other.mcap", chunk_size=chunk_size)
+        assert images(other) == images(ours)
+
+
+def test_a_log_of_carla_rewritten_by_another_program_comes_back(tmp_path):
+    log = carla_log("carla-0.9.10-lane-center.log")
+    convert(log, tmp_path / "ours.mcap")
+    other = rewrite(tmp_path / "ours.mcap", tmp_path / "other.mcap", chunk_size=100_000)
+    convert(other, tmp_path / "back.log")
+    assert (tmp_path / "back.log").read_bytes() == log.read_bytes()
+
+
+def test_chunks_without_message_indexes_are_read(small_mcap, tmp_path):
+    before = images(small_mcap)
+    other = rewrite(small_mcap, tmp_path / "other.mcap", index_types=IndexType.ALL & ~IndexType.MESSAGE)
+    assert images(other) == before
+
+
+def test_chunks_out_of_order_are_read(driven):
+    before = images(driven)
+    parts = data_records(driven)
+    first, *rest = chunks_of(parts)
+    others = [part for part in parts if not isinstance(part, records.Chunk)]
+    Forge([*others, *reversed(rest), first]).write(driven)
+    assert images(driven) == before
+
+
+def test_schemas_and_channels_within_chunks_are_passed_over(small_mcap):
+    before = images(small_mcap)
+    parts = data_records(small_mcap)
+    inside = forge.packed(
+        *[part for part in parts if isinstance(part, (records.Schema, records.Channel))],
+        records.Channel(id=900, schema_id=0, topic="", message_encoding="", metadata={}),
+    )
+
+    def stuffed(chunk):
+        times = {
+            "message_start_time": chunk.message_start_time,
+            "message_end_time": chunk.message_end_time,
+        }
+        return seal(inside + chunk_records(chunk) + inside, **times)
+
+    with_chunks(small_mcap, stuffed)
+    assert images(small_mcap) == before
+
+
+def test_channels_of_others_are_passed_over(small_mcap, tmp_path):
+    before = images(small_mcap)
+    parts = data_records(small_mcap)
+    schema = records.Schema(id=500, name="other.Thing", encoding="protobuf", data=b"")
+    own = next(part for part in parts if isinstance(part, records.Channel))
+    others = [
+        records.Channel(id=500, schema_id=500, topic="/camera", message_encoding="protobuf", metadata={}),
+        records.Channel(id=501, schema_id=0, topic=own.topic, message_encoding="json", metadata={}),
+        records.Channel(
+            id=502, schema_id=own.schema_id, topic="/copy", message_encoding="protobuf", metadata={}
+        ),
+    ]
+    noise = seal(b"".join(forge.message(channel.id, 0, 1, b"noise") for channel in others))
+    Forge([*parts, schema, *others, noise]).write(tmp_path / "more.mcap")
+    assert images(tmp_path / "more.mcap") == before
+
+
+def test_a_foreign_file_is_no_recording(tmp_path):
+    path = tmp_path / "foreign.mcap"
+    with path.open("wb") as file:
+        writer = Writer(file)
+        writer.start()
+        schema = writer.register_schema("a", "protobuf", b"")
+        writer.add_message(writer.register_channel("/a", "protobuf", schema), 1, b"", 1)
+        writer.add_metadata("other", {"a": "b"})
+        writer.finish()
+    with pytest.raises(NotARecording, match=r"foreign\.mcap: holds no recording \(MCAP metadata"):
+        open_recording(path)
+
+
+@pytest.mark.parametrize(
+    "changes",
+    [
+        {"date": "yesterday"},
+        {"date": str(1 << 63)},
+        {"version": "-1"},
+        {"version": "65536"},
+        {"carla_header": "xyz"},
+        {"carla_header": ""},
+        {"carla_header": "0100"},
+        {"map": None},
+        {"double_precision": None},
+        {"checksum": None},
+        {"checksum": "00000000"},
+    ],
+    ids=str,
+)
+@pytest.mark.parametrize("sealed", [True, False], ids=["sealed", "torn"])
+def test_a_broken_header_is_an_error_or_a_header(small_mcap, changes, sealed):
+    from carla_recap.formats.mcap.container import checked, unchecked
+
+    parts = data_records(small_mcap)
+    for part in parts:
+        if isinstance(part, records.Metadata) and part.name == "carla_recap.header":
+            changed = unchecked(part.metadata) | {k: v for k, v in changes.items() if k != "checksum"}
+            changed = {key: value for key, value in changed.items() if value is not None}
+            if not sealed or "checksum" in changes:
+                part.metadata = changed | {k: v for k, v in changes.items() if v and k == "checksum"}
+            else:
+                part.metadata = checked(changed)
+    Forge(parts).write(small_mcap)
+    try:
+        open_recording(small_mcap).close()
+    except FormatError as error:
+        assert "carla_recap.header" in str(error)  # noqa: PT017
+    else:
+        assert sealed
+        assert "carla_header" in changes
+
+
+def test_a_header_of_another_kind_of_lengths_is_seen(small_mcap):
+    """A recording in single precision whose channels are in double: none of its own are left."""
+    parts = data_records(small_mcap)
+    from carla_recap.formats.mcap.container import checked, unchecked
+
+    for part in parts:
+        if isinstance(part, records.Metadata) and part.name == "carla_recap.header":
+            part.metadata = checked(unchecked(part.metadata) | {"double_precision": "1"})
+    Forge(parts).write(small_mcap)
+    with (
+        pytest.warns(
+            RecapWarning, match=r"small\.mcap: messages of frame 1, and maybe of others, are missing"
+        ),
+        reading(small_mcap) as reader,
+    ):
+        list(reader.frames())
+
+
+# --- files that lie --------------------------------------------------------------------------------------
+
+
+def bomb(size, *, announced):
+    """So many zeros, compressed; whether their number is announced."""
+    packer = zstandard.ZstdCompressor(write_content_size=announced).compressobj(size if announced else -1)
+    piece = bytes(1 << 20)
+    parts = [packer.compress(piece) for _ in range(size >> 20)]
+    return b"".join(parts) + packer.flush()
+
+
+@pytest.mark.parametrize("claimed", [0, 100, CHUNK_LIMIT, CHUNK_LIMIT + 1, 1 << 40])
+@pytest.mark.parametrize("announced", [True, False])
+def test_a_bomb_is_an_error_and_takes_no_memory(small_mcap, claimed, announced):
+    data = bomb(256 << 20, announced=announced)
+    with_chunks(small_mcap, lambda _: seal(b"", data=data, uncompressed_size=claimed))
+    tracemalloc.start()
+    try:
+        with pytest.raises(FormatError, match="damaged chunk"):
+            images(small_mcap)
+        assert tracemalloc.get_traced_memory()[1] < 1.5 * CHUNK_LIMIT
+    finally:
+        tracemalloc.stop()
+
+
+def test_a_chunk_larger_than_the_limit_is_not_read(small_mcap, monkeypatch):
+    monkeypatch.setattr("carla_recap.formats.mcap.source.CHUNK_LIMIT", 100)
+    with pytest.raises(FormatError, match=r"a chunk of \d+ bytes, at most 100 are read"):
+        images(small_mcap)
+
+
+@pytest.mark.parametrize(
+    ("changes", "reason"),
+    [
+        ({"uncompressed_size": 5}, "announce another size than the chunk"),
+        ({"uncompressed_crc": 1}, "the checksum does not match"),
+        ({"data": b""}, "damaged"),
+        ({"data": b"\x28\xb5\x2f\xfd"}, "damaged"),
+        ({"compression": "gzip"}, "unknown compression 'gzip'"),
+        ({"compression": "lz4"}, "damaged data"),
+        ({"compression": ""}, "bytes after decompression"),
+        ({"compression": "x" * 17}, "broken compression name"),
+        ({"compression": "\n"}, r"unknown compression '\\n'"),
+    ],
+    ids=str,
+)
+def test_a_chunk_that_lies_is_an_error(small_mcap, changes, reason):
+    offset = None
+
+    def lie(chunk):
+        return resealed(chunk, "zstd", **changes)
+
+    forged = Forge([lie(p) if isinstance(p, records.Chunk) else p for p in data_records(small_mcap)])
+    forged.write(small_mcap)
+    offset = forged.indexes[0].chunk_start_offset
+    with pytest.raises(FormatError, match=reason) as caught:
+        images(small_mcap)
+    assert f"{small_mcap}: byte {offset}: damaged chunk" in str(caught.value)
+    assert "\n" not in str(caught.value)
+
+
+@pytest.mark.parametrize(
+    "junk",
+    [
+        b"\5",
+        b"\5" + bytes(8),
+        struct.pack("<BQ", 5, 1 << 40) + bytes(40),
+        struct.pack("<BQ", 4, 3) + b"abcd",
+        struct.pack("<BQ", 5, 4) + bytes(4),
+    ],
+    ids=["a byte", "a head", "a length", "a byte more", "a short message"],
+)
+def test_a_chunk_without_whole_records_is_an_error(small_mcap, junk):
+    def stuffed(chunk):
+        times = {"message_start_time": chunk.message_start_time, "message_end_time": chunk.message_end_time}
+        return seal(junk + chunk_records(chunk) if len(junk) == 13 else chunk_records(chunk) + junk, **times)
+
+    with_chunks(small_mcap, stuffed)
+    with pytest.raises(FormatError, match="damaged chunk: "):
+        images(small_mcap)
+
+
+def tampered(path, change):
+    """A file with a chunk index that tells something else."""
+    forged = Forge(data_records(path))
+    forged.write(path)
+    described = [
+        record
+        for record in forge.read_records(path)[len(forged.parts) + 1 :]
+        if isinstance(record, (records.Schema, records.Channel, records.MetadataIndex))
+    ]
+    return forged.write(path, summary=[*described, *change(forged.indexes)])
+
+
+def test_a_chunk_that_is_named_twice_is_an_error(small_mcap):
+    tampered(small_mcap, lambda indexes: [*indexes, indexes[0]])
+    with pytest.raises(FormatError, match="the summary names a chunk twice"):
+        open_recording(small_mcap)
+
+
+@pytest.mark.parametrize("offset", [0, 8, 100, 1 << 30, (1 << 64) - 1])
+def test_a_chunk_index_that_points_elsewhere_is_an_error(small_mcap, offset):
+    def elsewhere(indexes):
+        indexes[0].chunk_start_offset = offset
+        return indexes
+
+    tampered(small_mcap, elsewhere)
+    with pytest.raises(FormatError, match="a chunk"):
+        images(small_mcap)
+
+
+def test_a_chunk_index_with_other_times_is_an_error_or_an_answer(driven):
+    def elsewhen(indexes):
+        for index in indexes:
+            index.message_start_time, index.message_end_time = 5, 9
+        return indexes
+
+    tampered(driven, elsewhen)
+    for question in (lambda r: r.frame_at(12.0), lambda r: list(r.frames(3.0, 9.0)), lambda r: r.info):
+        with open_recording(driven) as recording:
+            try:
+                question(recording)
+            except RecapError as error:
+                assert "index" in str(error)  # noqa: PT017
+
+
+def test_statistics_that_name_more_chunks_are_an_error(small_mcap):
+    stated = next(r for r in forge.read_records(small_mcap) if isinstance(r, records.Statistics))
+    tampered(small_mcap, lambda indexes: [stated, *indexes[1:]])
+    with pytest.raises(FormatError, match=r"names 1 of 2 chunks; 'carla-recap recover' makes a new one"):
+        open_recording(small_mcap)
+
+
+def test_messages_outside_chunks_are_an_error(small_mcap, tmp_path):
+    other = rewrite(small_mcap, tmp_path / "other.mcap", use_chunking=False)
+    with pytest.raises(FormatError, match=r"\d+ messages lie outside chunks"):
+        open_recording(other)
+
+
+@pytest.mark.parametrize("start", [1, 7, 1 << 20, (1 << 64) - 1])
+def test_a_summary_that_begins_elsewhere_is_an_error(small_mcap, start):
+    Forge(data_records(small_mcap)).write(small_mcap, summary_start=start)
+    with pytest.raises(FormatError, match=rf"the summary is said to begin at byte {start}, which cannot be"):
+        open_recording(small_mcap)
+
+
+def test_a_summary_that_begins_within_something_is_an_error(small_mcap):
+    size = small_mcap.stat().st_size
+    Forge(data_records(small_mcap)).write(small_mcap, summary_start=size // 3)
+    with pytest.raises(FormatError, match="the summary is damaged"):
+        open_recording(small_mcap)
+
+
+def test_a_file_without_a_summary_says_what_to_do(small_mcap):
+    Forge(data_records(small_mcap)).write(small_mcap, summary_start=0)
+    with pytest.raises(FormatError, match="has no summary; 'carla-recap recover' makes one"):
+        open_recording(small_mcap)
+
+
+@pytest.mark.parametrize("kept", [20, 0.5, -1, -37])
+def test_a_file_without_an_end_says_what_to_do(small_mcap, kept):
+    data = small_mcap.read_bytes()
+    save(small_mcap, data[: int(len(data) * kept) if kept == 0.5 else kept])
+    with pytest.raises(FormatError, match="has no valid end.*'carla-recap recover' saves what it holds"):
+        open_recording(small_mcap)
+
+
+def test_the_magic_alone_is_an_error(tmp_path):
+    with pytest.raises(FormatError, match="has no valid end"):
+        open_recording(save(tmp_path / "magic.mcap", forge.MAGIC))
+
+
+def test_a_summary_without_its_checksum_is_read(small_mcap):
+    before = images(small_mcap)
+    Forge(data_records(small_mcap), crc=False).write(small_mcap)
+    assert images(small_mcap) == before
+
+
+def test_a_summary_with_a_wrong_checksum_is_an_error(small_mcap):
+    Forge(data_records(small_mcap)).write(small_mcap, summary_crc=1)
+    with pytest.raises(FormatError, match="its checksum does not match"):
+        open_recording(small_mcap)
+
+
+# --- chunks that overlap in time -------------------------------------------------------------------------
+
+
+def overlapping(path):
+    """All messages at random in chunks that each claim the whole time."""
+    parts = data_records(path)
+    rest = [part for part in parts if not isinstance(part, (records.Chunk, records.Metadata))]
+    metadata = [part for part in parts if isinstance(part, records.Metadata)]
+    chunks = [resealed(chunk, "zstd", message_start_time=0) for chunk in chunks_of(parts)]
+    return Forge([*rest, *reversed(chunks), *metadata]).write(path)
+
+
+def test_chunks_that_all_overlap_are_read(driven):
+    before = images(driven)
+    overlapping(driven)
+    assert images(driven) == before
+
+
+def test_chunks_that_all_overlap_are_not_held_without_bound(driven, monkeypatch):
+    monkeypatch.setattr(reader_module, "PENDING_LIMIT", 100_000)
+    overlapping(driven)
+    with pytest.raises(FormatError, match="more than 100000 bytes of chunks overlap in time"):
+        images(driven)
+
+
+def test_a_long_recording_is_not_taken_for_one_that_overlaps(tmp_path, monkeypatch):
+    monkeypatch.setattr(reader_module, "PENDING_LIMIT", 4 << 20)
+    path = write(tmp_path / "long.mcap", Header("Town01", 1_600_000_000), drive(60, 20, 600))
+    assert sum(chunk.uncompressed_size for chunk in chunks_of(data_records(path))) > 20 << 20
+    with reading(path) as reader:
+        assert sum(1 for _ in reader.frames()) == 1200
+
+
+# --- damage ----------------------------------------------------------------------------------------------
+
+
+@pytest.fixture
+def plain_mcap(tmp_path):
+    """A file of few channels, so that a change seldom hits a schema."""
+    return write(tmp_path / "plain.mcap", Header("Town01", 1_600_000_000), drive(0.3, 20, 2))
+
+
+def frames_of(path):
+    """The frames and the header, or None where there is an error or a warning."""
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        try:
+            with reading(path) as reader:
+                return reader.header, reader.extent(), [image(frame) for frame in reader.frames()]
+        except (RecapError, RecapWarning):
+            return None
+
+
+@pytest.mark.parametrize("bit", range(8))
+def test_a_flipped_bit_never_changes_the_answer(plain_mcap, bit):
+    data, before = bytearray(plain_mcap.read_bytes()), frames_of(plain_mcap)
+    assert before
+    noticed = 0
+    for at in range(bit, len(data), 8):
+        data[at] ^= 1 << bit
+        plain_mcap.write_bytes(data)
+        after = frames_of(plain_mcap)
+        assert after in (None, before), f"bit {bit} of byte {at}"
+        noticed += after is None
+        data[at] ^= 1 << bit
+    assert noticed > len(data) / 8 / 4
+
+
+@given(data=st.data())
+def test_any_damage_ends_in_an_answer_or_in_an_error_of_ours(tmp_path, data):
+    path, source = tmp_path / "small.mcap", tmp_path / "small.log"
+    if not path.exists():
+        convert(save(source, small_log()), path)
+        (tmp_path / "kept").write_bytes(path.read_bytes())
+    whole = (tmp_path / "kept").read_bytes()
+    save(tmp_path / "damaged.mcap", strategies.damaged(whole, data.draw(strategies.mutations(len(whole)))))
+    with warnings_ignored(), time_limit(10):
+        answers = explore(tmp_path / "damaged.mcap")
+    assert not [text for text in answers if "\n" in text and "Error: " in text]
+
+
+def test_a_damaged_chunk_is_named_with_its_place(small_mcap):
+    data = bytearray(small_mcap.read_bytes())
+    at = data.index(b"zstd") + 30
+    data[at] ^= 0xFF
+    save(small_mcap, bytes(data))
+    with pytest.raises(
+        FormatError, match=r"small\.mcap: byte \d+: damaged chunk: .*'carla-recap recover' saves"
+    ) as e:
+        images(small_mcap)
+    assert e.value.offset is not None
+    assert data[e.value.offset] == 6  # a chunk
+
+
+# --- by the index ----------------------------------------------------------------------------------------
+
+
+def test_a_query_of_events_reads_event_chunks_alone(driven):
+    with reading(driven) as reader:
+        at_rest = reader.bytes_read
+        found = list(reader.frames(("collisions",), sparse=True))
+        read = reader.bytes_read - at_rest
+    assert len(found) == 86
+    parts = chunks_of(data_records(driven))
+    collisions = [len(chunk.data) for chunk in parts if chunk.uncompressed_size < 20_000]
+    assert read <= sum(collisions) + 100 * len(collisions)
+    assert read < sum(len(chunk.data) for chunk in parts) / 10
+
+
+def test_a_frame_is_found_by_few_bytes(driven):
+    with reading(driven) as reader:
+        at_rest = reader.bytes_read
+        assert reader.frame_at(17.0).elapsed == 17.0
+        assert reader.bytes_read - at_rest < driven.stat().st_size / 2
+
+
+def test_the_extent_is_known_without_reading(driven):
+    with reading(driven) as reader:
+        at_rest = reader.bytes_read
+        assert (reader.extent().frames, reader.extent().duration) == (600, 29.95)
+        assert reader.bytes_read == at_rest
+
+
+def test_frames_of_some_types_hold_these_alone(small_mcap):
+    with reading(small_mcap) as reader:
+        found = [[p.type.name for p in frame.packets] for frame in reader.frames(("collisions", "destroyed"))]
+        assert found == [["collisions"], [], ["collisions"], ["destroyed"]]
+        sparse = [f.index for f in reader.frames(("collisions", "destroyed"), sparse=True)]
+        assert sparse == [0, 2, 3]
+
+
+def test_an_unknown_type_is_an_error(small_mcap):
+    with (
+        reading(small_mcap) as reader,
+        pytest.raises(RecapError, match="no record type 'wings'; there are frame, "),
+    ):
+        list(reader.frames(("wings",)))

@@ -1,0 +1,352 @@
+"""The wire format: what is written is protobuf's own, and what protobuf may write can be read."""
+
+from __future__ import annotations
+
+import struct
+import warnings
+from dataclasses import fields
+
+import numpy as np
+import pytest
+from google.protobuf.descriptor import FieldDescriptor as Field
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from carla_recap.errors import RecapWarning
+from carla_recap.formats.mcap import wire
+from carla_recap.formats.mcap.container import FRAME_MESSAGE, RAW_MESSAGE, TAIL_MESSAGE
+from carla_recap.payload import MAX_COUNT, PayloadError, unpack
+from carla_recap.records import FLAG, REAL, TEXT, UE4, UE5, Framing, Layout, Many
+from tests import strategies
+from tests.samples import listed, plain
+
+TYPES = [
+    type
+    for table in (UE4, UE5)
+    for type in table
+    if type.id > 1 and not type.opaque and (not type.wide or type.layout.has_reals)
+]
+few = settings(max_examples=settings.default.max_examples // 6)  # of each type
+every_type = pytest.mark.parametrize("type", TYPES, ids=lambda t: t.name + "_wide" * t.wide)
+
+# Kind of a field in the table → types that it may have in a schema.
+KINDS = {
+    "u1": {Field.TYPE_UINT32, Field.TYPE_ENUM},
+    "i1": {Field.TYPE_INT32, Field.TYPE_ENUM},
+    "u4": {Field.TYPE_FIXED32},
+    "i4": {Field.TYPE_SFIXED32},
+    "u8": {Field.TYPE_FIXED64},
+    "f4": {Field.TYPE_FLOAT},
+    "f8": {Field.TYPE_DOUBLE},
+    FLAG: {Field.TYPE_BOOL},
+    TEXT: {Field.TYPE_STRING},
+}
+
+
+def head_fields(descriptor):
+    return [(f.name, f.number, f.type) for f in descriptor.fields if f.number < wire.ITEMS]
+
+
+def payload_of(type, data):
+    """Any payload of a type; its bytes may be of the kind that no message gives back."""
+    return data.draw(strategies.payloads(type, UE5 if type.wide else UE4))
+
+
+def sound_payload_of(type, data):
+    """A payload that a message gives back: flags and states within their range, and texts of UTF-8."""
+    payload = data.draw(strategies.payloads(type, UE5 if type.wide else UE4, st.just(b"")))
+    if type.fixed:
+        return repaired(type, payload)
+    return listed() if message_of(type, payload).HasField("raw") else payload
+
+
+def repaired(type, payload):
+    """A payload of records of one size, with every small number made to fit."""
+    start = 0 if type.framing is Framing.SINGLE else 2
+    rows = np.frombuffer(payload, type.dtype, -1 if start == 0 else payload[0], start).copy()
+    for name, kind in type.layout.fields.items():
+        if kind in (FLAG, "u1", "i1"):
+            rows[name] = rows[name].view(np.uint8) & 1
+    return bytes(payload[:start]) + rows.tobytes()
+
+
+def encoded(type, payload, frame=3, elapsed=1.5):
+    return wire.head(frame, elapsed) + wire.encode(type, payload)
+
+
+def message_of(type, payload):
+    return wire.message_class(type.name, type.message_name).FromString(encoded(type, payload))
+
+
+# --- the schemas agree with the table --------------------------------------------------------------------
+
+
+def check_layout(layout: Layout, descriptor, wide: bool, first: int = 1) -> None:
+    for number, (name, kind) in enumerate(layout.fields.items(), first):
+        field = descriptor.fields_by_name[name]
+        assert field.number == number, f"{descriptor.full_name}.{name}"
+        if isinstance(kind, Many):
+            assert field.is_repeated
+            check_layout(kind.layouts[0], field.message_type, wide)
+            for other in kind.layouts[1:]:
+                assert set(other.fields) <= set(kind.layouts[0].fields)
+            continue
+        code = ("f8" if wide else "f4") if kind == REAL else kind
+        assert field.type in KINDS[code], f"{descriptor.full_name}.{name}"
+        assert field.has_presence, f"{descriptor.full_name}.{name} is not optional"
+
+
+@every_type
+def test_a_schema_has_the_fields_of_its_layout(type):
+    descriptor = wire.message_class(type.name, type.message_name).DESCRIPTOR
+    assert descriptor.full_name == type.message_name
+    assert head_fields(descriptor) == [("frame", 1, Field.TYPE_FIXED64), ("elapsed", 2, Field.TYPE_DOUBLE)]
+    raw = descriptor.fields_by_name["raw"]
+    assert (raw.number, raw.type) == (4, Field.TYPE_BYTES)
+    assert [f.number for f in descriptor.fields] == [1, 2, 3, 4]
+    if type.framing is Framing.SINGLE:
+        assert list(type.layout.fields) == [type.items]
+        check_layout(type.layout, descriptor, type.wide, first=wire.ITEMS)
+    else:
+        items = descriptor.fields_by_name[type.items]
+        assert items.number == wire.ITEMS
+        assert items.is_repeated
+        check_layout(type.layout, items.message_type, type.wide)
+        assert len(items.message_type.fields) == len(type.layout.fields)
+
+
+def layouts_with_a_class(layout):
+    if layout.make:
+        yield layout
+    for kind in layout.fields.values():
+        if isinstance(kind, Many):
+            for inner in kind.layouts:
+                yield from layouts_with_a_class(inner)
+
+
+@pytest.mark.parametrize(
+    "layout",
+    {layout.make: layout for type in UE4 for layout in layouts_with_a_class(type.layout)}.values(),
+    ids=lambda layout: layout.make.__name__,
+)
+def test_a_record_class_has_the_fields_of_its_layout(layout):
+    assert [field.name for field in fields(layout.make)] == list(layout.fields)
+
+
+# --- what is written -------------------------------------------------------------------------------------
+
+
+@every_type
+@few
+@given(data=st.data())
+def test_a_message_is_what_protobuf_writes(type, data):
+    payload = payload_of(type, data)
+    message = message_of(type, payload)
+    assert (message.frame, message.elapsed) == (3, 1.5)
+    if not message.HasField("raw"):
+        assert message.SerializeToString() == encoded(type, payload)
+    else:
+        assert message.raw == payload
+
+
+@every_type
+@few
+@given(data=st.data())
+def test_a_message_holds_the_records(type, data):
+    payload = sound_payload_of(type, data)
+    message = message_of(type, payload)
+    assert not message.HasField("raw")
+    if type.framing is Framing.SINGLE:
+        (value,) = plain(unpack(type, payload)[0])[0]
+        assert plain(getattr(message, type.items)) == value
+        return
+    records = plain(unpack(type, payload)[0])
+    assert len(getattr(message, type.items)) == len(records)
+    for item, record in zip(getattr(message, type.items), records, strict=True):
+        for name, value in zip(type.layout.fields, record, strict=True):
+            if not isinstance(value, list):
+                assert plain(getattr(item, name)) == value
+
+
+@every_type
+@few
+@given(data=st.data())
+def test_a_payload_comes_back(type, data):
+    payload = payload_of(type, data)
+    message = encoded(type, payload)
+    assert wire.decode(type, message) == payload
+    wire._shapes.clear()  # as another process would find it
+    assert wire.decode(type, message) == payload
+
+
+@every_type
+@few
+@given(data=st.data())
+def test_many_are_encoded_and_decoded_as_each_is(type, data):
+    if not type.fixed:
+        return
+    payloads = [sound_payload_of(type, data) for _ in range(data.draw(st.integers(0, 4)))]
+    bodies = [bytes(body) for body in wire.encode_many(type, payloads)]
+    assert bodies == [wire.encode(type, payload) for payload in payloads]
+    assert [len(body) for body in bodies] == [wire.expected_size(type, payload) for payload in payloads]
+    together = wire.decode_many(type, [wire.head(1, 0.0) + body for body in bodies])
+    assert together is not None
+    for place, payload in enumerate(payloads):
+        assert together.payload(place) == payload
+        assert plain(together.records(place)) == plain(unpack(type, payload)[0])
+
+
+def test_a_full_packet_comes_back():
+    type = UE4.named("transforms")
+    payload = struct.pack("<H", MAX_COUNT) + np.random.default_rng(1).bytes(MAX_COUNT * 28)
+    assert wire.decode(type, encoded(type, payload)) == payload
+
+
+@every_type
+def test_a_payload_that_ends_too_early_is_refused(type):
+    short = bytes(3) if type.framing is Framing.SINGLE else b"\2\0\1"
+    with pytest.raises(PayloadError, match=type.name):
+        wire.encode(type, short)
+
+
+@given(st.integers(0, 2**64 - 1), st.floats(), st.floats(), st.binary(max_size=300), st.data())
+def test_a_frame_is_what_protobuf_writes(frame, elapsed, duration, ids, data):
+    kinds = data.draw(st.binary(min_size=len(ids), max_size=len(ids)))
+    written = wire.head(frame, elapsed) + wire.frame_body(duration, ids, kinds)
+    message = wire.parse("frame", FRAME_MESSAGE, written)
+    assert message.SerializeToString() == written
+    assert plain([message.frame, message.elapsed, message.duration]) == plain([frame, elapsed, duration])
+    assert (message.packets, message.filled) == (ids, kinds)
+    assert plain(wire.read_frame(written)) == plain(
+        (frame, elapsed, duration, wire.frame_packets(ids, kinds))
+    )
+
+
+@given(st.binary(max_size=80).filter(lambda data: data[:1] != b"\x09"))
+def test_what_is_no_frame_is_left_to_protobuf(data):
+    assert wire.read_frame(data) is None
+
+
+@given(st.integers(0, 255), st.integers(0, 40))
+def test_raw_pieces_are_what_protobuf_writes(id, size):
+    payload = bytes(range(size))
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(wire, "PIECE", 16)
+        bodies = list(wire.raw_bodies(id, payload))
+    messages = [wire.parse("raw_packet", RAW_MESSAGE, wire.head(1, 2.0) + body) for body in bodies]
+    assert [m.SerializeToString() for m in messages] == [wire.head(1, 2.0) + body for body in bodies]
+    assert b"".join(m.data for m in messages) == payload
+    assert {(m.id, m.size) for m in messages} == {(id, size)}
+
+
+@given(st.binary(max_size=300))
+def test_a_tail_is_what_protobuf_writes(data):
+    message = wire.parse("tail", TAIL_MESSAGE, wire.tail(data))
+    assert message.data == data
+    assert message.SerializeToString() == wire.tail(data)
+
+
+# --- what others may write -------------------------------------------------------------------------------
+
+
+def reversed_fields(message) -> bytes:
+    """A message with its fields in reverse order, all the way down; that is valid protobuf."""
+    parts = []
+    for field, value in reversed(message.ListFields()):
+        for item in list(value) if field.is_repeated else [value]:
+            only = type(message)()
+            if field.message_type:
+                data = reversed_fields(item)
+                parts.append(wire._tag(field.number, 2) + wire._varint(len(data)) + data)
+                continue
+            setattr(only, field.name, item)
+            parts.append(only.SerializeToString())
+    return b"".join(parts)
+
+
+def without_nan(payload):
+    """Whether a payload has no byte of which a NaN could be made: Python's floats lose some of its bits."""
+    return not {0x7F, 0xFF, 0x80} & set(payload)
+
+
+@every_type
+@few
+@given(data=st.data())
+def test_fields_may_come_in_any_order_and_new_ones_too(type, data):
+    payload = sound_payload_of(type, data)
+    if not without_nan(payload):
+        payload = bytes(len(payload)) if type.framing is Framing.SINGLE else listed()
+    unknown = wire._tag(99, 2) + b"\3new"
+    assert wire.decode(type, reversed_fields(message_of(type, payload))) == payload
+    assert wire.decode(type, encoded(type, payload) + unknown) == payload
+
+
+@every_type
+def test_missing_fields_are_zero(type):
+    message = wire.message_class(type.name, type.message_name)(frame=1, elapsed=0.0)
+    if type.framing is Framing.SINGLE:
+        assert wire.decode(type, message.SerializeToString()) == bytes(8)
+        return
+    getattr(message, type.items).add()
+    records, extra = unpack(type, wire.decode(type, message.SerializeToString()))
+    assert (len(records), extra) == (1, 0)
+    values = plain(records)[0]
+    assert not any(value for value in values)
+
+
+@every_type
+def test_an_empty_message_is_an_empty_packet(type):
+    expected = bytes(8) if type.framing is Framing.SINGLE else listed()
+    assert wire.decode(type, b"") == expected
+
+
+@every_type
+@few
+@given(data=st.data())
+def test_a_broken_message_is_an_error_or_a_packet(type, data):
+    message = bytearray(encoded(type, payload_of(type, data)))
+    for _ in range(data.draw(st.integers(1, 3))):
+        at = data.draw(st.integers(0, len(message) - 1))
+        message[at] = data.draw(st.integers(0, 255))
+    cut = bytes(message[: data.draw(st.integers(0, len(message)))])
+    try:
+        payload = wire.decode(type, cut)
+    except wire.WireError:
+        return
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", RecapWarning)
+        assert isinstance(payload, bytes)
+
+
+def test_more_records_than_a_packet_counts_are_refused():
+    type = UE4.named("destroyed")
+    one = wire.encode(type, listed(bytes(4)))
+    with pytest.raises(wire.WireError, match="65536 records, a packet counts at most 65535"):
+        wire.decode(type, wire.head(1, 0.0) + one * (MAX_COUNT + 1))
+
+
+def test_a_number_beyond_its_field_is_refused():
+    type = UE4.named("doors")
+    message = message_of(type, listed(bytes(6)))
+    message.doors[0].door = 300
+    with pytest.raises(wire.WireError, match="doors"):
+        wire.decode(type, message.SerializeToString())
+
+
+def test_a_huge_message_is_not_parsed():
+    with pytest.raises(wire.WireError, match="at most 8388608 bytes"):
+        wire.parse("tail", TAIL_MESSAGE, bytes(9 << 20))
+
+
+@pytest.mark.parametrize("count", [0, 4])
+@pytest.mark.parametrize("wheel", [36, 48])
+def test_both_layouts_of_wheels_are_told_by_the_fields_that_are_there(wheel, count):
+    type = UE4.named("physics")
+    curve = struct.pack("<I", 0)
+    wheels = struct.pack("<I", count) + struct.pack("<f", 1.5) * (wheel // 4 * count)
+    payload = listed(bytes(53) + curve * 3 + wheels)
+    message = message_of(type, payload)
+    stiff = [w.HasField("lat_stiff_value") for w in message.vehicles[0].wheels]
+    assert stiff == [wheel == 48] * count
+    assert wire.decode(type, encoded(type, payload)) == payload
+    assert wire.decode(type, reversed_fields(message)) == payload

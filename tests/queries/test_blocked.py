@@ -1,0 +1,231 @@
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from carla_recap.frame import Header
+from carla_recap.queries import BlockedRow, blocked
+from carla_recap.queries.blocked import _square_of_reach
+from carla_recap.queries.report import text
+from carla_recap.records import Spawn
+
+if TYPE_CHECKING:
+    from carla_recap.formats.base import Reader
+    from tests.queries.conftest import Make
+
+
+def spawn(id: int, type_id: str = "vehicle.a") -> Spawn:
+    return Spawn(id, 1, 0, 0, 0, 0, 0, 0, 0, type_id)
+
+
+def at(*places: tuple[int, float]) -> dict[str, Any]:
+    """Transforms: ids and x in cm."""
+    return {"transforms": [(id, x, 0, 0, 0, 0, 0) for id, x in places]}
+
+
+def test_rows(make: Make) -> None:
+    reader = make(
+        {"spawned": [spawn(1)], **at((1, 500))}, at((1, 505)), at((1, 509)), at((1, 800)), at((1, 900))
+    )
+    assert blocked(reader, 1, 10) == [BlockedRow(0.5, 1.0, 1, "vehicle.a", 500.0, 0.0, 0.0)]
+    assert blocked(reader, 1.1, 10) == []
+    assert blocked(reader, 1, 9) == []
+
+
+@pytest.mark.parametrize("compat", [False, True])
+def test_the_distance_is_from_where_it_last_moved_to(make: Make, compat: bool) -> None:
+    creeping = [at((1, 100 + 4 * step)) for step in range(10)]
+    (row, *rest) = blocked(make(*creeping, durations=[1.0] * 10), 1, 10, compat=compat)
+    assert (row.start, row.duration) == (1, 2)
+    assert [row.duration for row in rest] == [2, 2]
+
+
+@pytest.mark.parametrize(("compat", "duration"), [(False, 1.0), (True, 0.0)])
+def test_the_last_frame(make: Make, compat: bool, duration: float) -> None:
+    reader = make(at((1, 5)), at((1, 5)), at((1, 5)))
+    (row,) = blocked(reader, 0, 10, compat=compat)
+    assert (row.start, row.duration, row.x) == (0.0, duration, 0.0)
+
+
+def test_no_frame_subtracts(make: Make) -> None:
+    reader = make(at((1, 5)), at((1, 5)), at((1, 5)), durations=[2.0, -5.0, 1.0])
+    assert [row.duration for row in blocked(reader, 0)] == [3.0]
+    assert [row.duration for row in blocked(reader, -9, compat=True)] == [-2.0]
+
+
+def test_a_destroyed_actor_has_stood_until_then(make: Make) -> None:
+    cast = {"spawned": [spawn(1), spawn(2, "walker.b"), spawn(3, "static.c")]}
+    standing = at((1, 1), (2, 2), (3, 3))
+    reader = make([cast, standing], standing, [{"destroyed": [(1,)]}, at((2, 2), (3, 3))], {})
+    rows = blocked(reader, 1)
+    assert [(row.id, row.type_id, row.duration) for row in rows] == [
+        (2, "walker.b", 1.5),
+        (3, "static.c", 1.5),
+        (1, "vehicle.a", 1.0),
+    ]
+    # CARLA forgets the actor that was spawned last, and never says of a forgotten one that it stood.
+    rows = blocked(reader, 0.5, compat=True)
+    assert [(row.id, row.type_id, row.duration) for row in rows] == [
+        (2, "walker.b", 1.5),
+        (1, "vehicle.a", 1.0),
+        (3, "", 0.5),
+    ]
+
+
+def test_a_destroyed_actor_that_moved_is_not_told_of(make: Make) -> None:
+    reader = make({"spawned": [spawn(1)], **at((1, 100))}, at((1, 200)), {"destroyed": [(1,)]})
+    assert blocked(reader, 0.1) == []
+
+
+def test_a_spawn_begins_anew(make: Make) -> None:
+    reader = make(at((1, 1)), at((1, 1)), [{"spawned": [spawn(1)]}, at((1, 1))], at((1, 1)), {})
+    (row,) = blocked(reader, 0.5)
+    assert (row.start, row.duration, row.type_id) == (1.0, 1.0, "vehicle.a")
+
+
+def test_ties(make: Make) -> None:
+    """By start, then id; in CARLA, stretches that ended first, then the latest-added actor first."""
+    cast = {"spawned": [spawn(id) for id in (5, 1, 9, 4)]}
+    reader = make(
+        [cast, at((9, 1), (1, 1), (5, 1))],
+        at((9, 100), (1, 100), (5, 1)),
+        at((4, 1), (5, 100)),
+        at((9, 100), (1, 100), (4, 1), (5, 100)),
+        {},
+    )
+    right = [(row.start, row.duration, row.id) for row in blocked(reader, 0.5)]
+    assert right == [
+        (0.0, 1.0, 5),
+        (1.0, 1.0, 4),
+        (0.0, 0.5, 1),
+        (0.0, 0.5, 9),
+        (1.5, 0.5, 1),
+        (1.5, 0.5, 5),
+        (1.5, 0.5, 9),
+    ]
+    carla = [(row.start, row.id) for row in blocked(reader, 0.5, compat=True)]
+    assert carla == [(0.0, 5), (1.0, 4), (0.0, 9), (0.0, 1), (1.5, 9), (1.5, 1), (1.5, 5)]
+
+
+@pytest.mark.parametrize("compat", [False, True])
+def test_the_footer_keeps_its_decimals(make: Make, compat: bool) -> None:
+    printed = "".join(text(blocked(make(at((1, 1)), {}), 0.5, compat=compat)))
+    assert len(printed.splitlines()) == 9
+    assert printed.endswith("\n\nFrames: 2\nDuration: 0.5 seconds\n")
+
+
+def test_double_precision(make: Make) -> None:
+    """Lengths in double precision are compared so: 1e9 cm and a few are no place in single precision."""
+    wide = Header("Town10HD", 0, wide=True)
+    far = [at((1, 1e9)), at((1, 1e9 + 12)), at((1, 1e9 + 24)), {}]
+    assert blocked(make(*far, header=wide), 0.5) == []
+    assert blocked(make(*far), 0.5) != []
+
+
+# --- against the definition, word for word ---------------------------------------------------------------
+
+
+@dataclass
+class Actor:
+    type_id: str = ""
+    place: list[Any] = field(default_factory=lambda: [np.float32(0)] * 3)
+    start: float = 0.0
+    duration: float = 0.0
+
+
+def by_definition(
+    reader: Reader, min_time: float, min_distance: float, *, compat: bool
+) -> list[tuple[float, float, int, str]]:
+    actors: dict[int, Actor] = {}
+    rows: list[tuple[float, float, int, str]] = []
+    newest = -1
+
+    def tell(id: int, actor: Actor) -> None:
+        if actor.duration >= min_time:
+            rows.append((actor.start, actor.duration, id, actor.type_id))
+
+    for frame in reader.frames():
+        length = frame.duration if compat else max(frame.duration, 0.0)
+        for packet in frame.packets:
+            name = packet.type.name if packet.type else ""
+            if name == "spawned":
+                for spawned in packet.records:
+                    actors[spawned.id] = Actor(spawned.type_id)
+                    newest = spawned.id
+            elif name == "destroyed":
+                for (id,) in packet.records.tolist():
+                    gone = actors.pop(newest if compat else id, None)
+                    if gone and not compat:
+                        tell(id, gone)
+            elif name == "transforms":
+                for record in packet.records:
+                    id = int(record["id"])
+                    actor = actors.setdefault(id, Actor())
+                    place = [record[axis] for axis in "xyz"]
+                    dx, dy, dz = (new - old for new, old in zip(place, actor.place, strict=True))
+                    if float(np.sqrt(dx * dx + dy * dy + dz * dz)) < min_distance:
+                        if actor.duration == 0:
+                            actor.start = frame.elapsed
+                        actor.duration += length
+                    else:
+                        tell(id, actor)
+                        actor.duration = 0.0
+                        actor.place = place
+    left = list(actors.items())
+    for id, actor in reversed(left) if compat else left:
+        tell(id, actor)
+    return sorted(rows, key=lambda row: -row[1] if compat else (-row[1], row[0], row[2]))
+
+
+ids = st.integers(1, 5)
+lengths = st.sampled_from([0.0, 3.0, 5.0, 9.999999, 10.0, 10.000001, 20.0, 26.0, 1e30, math.nan, math.inf])
+place = st.tuples(ids, lengths, lengths, st.just(0.0), st.just(0), st.just(0), st.just(0))
+packets = st.one_of(
+    st.builds(lambda rows: {"transforms": rows}, st.lists(place, min_size=1, max_size=6)),
+    st.builds(lambda rows: {"transforms": rows}, st.lists(place, min_size=1, max_size=6)),
+    st.builds(
+        lambda rows: {"transforms": rows}, st.permutations([(id, 3, 0, 0, 0, 0, 0) for id in range(1, 6)])
+    ),
+    st.builds(
+        lambda chosen: {"spawned": [spawn(id, f"x{id}") for id in chosen]},
+        st.lists(ids, min_size=1, max_size=2),
+    ),
+    st.builds(lambda chosen: {"destroyed": [(id,) for id in chosen]}, st.lists(ids, min_size=1, max_size=2)),
+)
+frames = st.lists(st.lists(packets, max_size=4), min_size=1, max_size=12)
+lasting = st.sampled_from([0.5, 0.5, 0.1, 1.0, 0.0, -1.0, 30.0])
+
+
+@pytest.mark.parametrize("compat", [False, True])
+@given(
+    frames=frames,
+    data=st.data(),
+    min_time=st.sampled_from([0.5, 0.1, 1.0, 0.0, -0.5]),
+    min_distance=st.sampled_from([10.0, 0.3, 5.0, 0.0, 1e30, math.inf]),
+)
+def test_by_definition(
+    make: Make, compat: bool, frames: Any, data: st.DataObject, min_time: float, min_distance: float
+) -> None:
+    durations = data.draw(st.lists(lasting, min_size=len(frames), max_size=len(frames)))
+    reader = make(*frames, durations=durations)
+    rows = blocked(reader, min_time, min_distance, compat=compat)
+    with np.errstate(all="ignore"):
+        wanted = by_definition(reader, min_time, min_distance, compat=compat)
+    assert [(row.start, row.duration, row.id, row.type_id) for row in rows] == wanted
+
+
+@pytest.mark.parametrize(("real", "width"), [("f4", 32), ("f8", 64)])
+@given(data=st.data())
+def test_squares_compare_as_distances_do(real: str, width: Any, data: st.DataObject) -> None:
+    distance = data.draw(st.floats(-1, allow_nan=False))
+    with np.errstate(all="ignore"):
+        limit = _square_of_reach(distance, np.dtype(real))
+    near = [limit, np.nextafter(limit, limit.dtype.type(0)), np.nextafter(limit, limit.dtype.type(np.inf))]
+    for square in [*near, np.dtype(real).type(data.draw(st.floats(0, width=width)))]:
+        assert (square < limit) == (float(np.sqrt(square)) < distance)

@@ -1,0 +1,181 @@
+from __future__ import annotations
+
+from itertools import islice
+from typing import TYPE_CHECKING, Any, cast
+
+import pytest
+
+from carla_recap.frame import Extent, Frame, Header, Packet
+from carla_recap.queries import InfoRow, info
+from carla_recap.queries.report import text
+from carla_recap.records import UE4, Attribute, Bone, Bones, Spawn
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+
+    from carla_recap.formats.base import Reader
+    from tests.queries.conftest import Make
+
+HEAD = "Version: 1\nMap: Town01\nDate: 09/13/20 12:26:40\n\n"
+HERO = Spawn(7, 1, 1.5, -2, 3, 0, 0, 90, 26, "vehicle.audi.tt", [Attribute(3, "role_name", "hero")])
+EVENTS: dict[str, Any] = {
+    "spawned": [HERO],
+    "destroyed": [(8,)],
+    "parented": [(9, 7)],
+    "collisions": [(4, 7, 8, 1, 0)],
+}
+
+
+def printed(reader: Reader, **options: bool) -> str:
+    return "".join(text(info(reader, **options)))
+
+
+def test_events(make: Make) -> None:
+    reader = make({"transforms": [(7, 1, 2, 3, 0, 0, 0)]}, EVENTS, {})
+    assert printed(reader) == (
+        HEAD + "Frame 2 at 0.5 seconds\n"
+        " Create 7: vehicle.audi.tt (1) at (1.5, -2, 3)\n"
+        "  role_name = hero\n"
+        " Destroy 8\n"
+        " Parenting 9 with 7 (parent)\n"
+        " Collision id 4 between 7 (hero)  with 8\n"
+        "\nFrames: 3\nDuration: 1 seconds\n"
+    )
+    assert list(info(reader)) == [
+        InfoRow(
+            0.5,
+            2,
+            "spawned",
+            {
+                "id": 7,
+                "kind": 1,
+                "x": 1.5,
+                "y": -2.0,
+                "z": 3.0,
+                "roll": 0.0,
+                "pitch": 0.0,
+                "yaw": 90.0,
+                "uid": 26,
+                "type_id": "vehicle.audi.tt",
+                "attributes": [{"type": 3, "key": "role_name", "value": "hero"}],
+            },
+        ),
+        InfoRow(0.5, 2, "destroyed", {"id": 8}),
+        InfoRow(0.5, 2, "parented", {"id": 9, "parent": 7}),
+        InfoRow(0.5, 2, "collisions", {"id": 4, "actor1": 7, "actor2": 8, "hero1": True, "hero2": False}),
+    ]
+
+
+def test_every_record(make: Make) -> None:
+    reader = make({"transforms": [(7, 1, 2, 3, 0.1, 0, -0.0)], "visual_time": [(0.25,)]}, {"destroyed": []})
+    assert printed(reader, all=True) == (
+        HEAD + "Frame 1 at 0 seconds\n"
+        " Positions: 1\n"
+        "  Id: 7 Location: (1, 2, 3) Rotation: (0.1, 0, -0)\n"
+        "Frame 2 at 0.5 seconds\n"
+        "\nFrames: 2\nDuration: 0.5 seconds\n"
+    )
+    assert [(row.frame, row.type) for row in info(reader, all=True)] == [
+        (1, "frame"),
+        (1, "transforms"),
+        (1, "visual_time"),
+        (2, "frame"),
+    ]
+
+
+def test_an_unknown_door_ends_its_line(make: Make) -> None:
+    reader = make({"doors": [(1, 7, 1), (2, 6, 0)]})
+    assert "  Id: 1\n  Doors opened: \n  Id: 2\n  Doors opened:  All \n\nFrames" in printed(reader, all=True)
+    carla = printed(reader, all=True, compat=True)
+    assert "  Id: 1\n  Doors opened:   Id: 2\n  Doors opened:  All \n\nFrames" in carla
+
+
+def test_nan_keeps_its_sign(make: Make) -> None:
+    nan, inf = float("nan"), float("inf")
+    reader = make({"walker_controls": [(1, nan), (2, -nan), (3, 1e-7), (4, -inf)]})
+    lines = printed(reader, all=True).splitlines()
+    assert [line.rpartition(" ")[2] for line in lines if "speed" in line] == ["nan", "-nan", "1e-07", "-inf"]
+
+
+def test_nan_in_a_name_is_none(make: Make) -> None:
+    bones = [Bones(1, [Bone("banana", 0.5, 0, 0, 0, 0, 0), Bone("%s", 0, 0, 0, 0, 0, float("nan"))])]
+    shown = printed(make({"walker_bones": bones}), all=True)
+    assert ' Walkers Bones: 1\n  Id: 1\n     Bone: "banana" relative: Loc(0.5, 0, 0) Rot(0, 0, 0)\n' in shown
+    assert '     Bone: "%s" relative: Loc(0, 0, 0) Rot(0, 0, nan)\n\n\nFrames' in shown
+
+
+@pytest.mark.parametrize(
+    ("state", "shown"), [(0, "0"), (4, "4"), (-1, "/"), (78, "~"), (79, "\x7f"), (80, "?"), (-49, "?")]
+)
+def test_light_states_are_one_character(make: Make, state: int, shown: str) -> None:
+    reader = make({"light_states": [(1, 0, 0, state)]})
+    assert f"  Id: 1 state: {shown} frozen: 0 " in printed(reader, all=True)
+
+
+@pytest.mark.parametrize(("payload", "count"), [(b"\2\0" + bytes(600), 2), (b"\1", 0)])
+def test_physics_of_newer_builds_is_a_heading(make: Make, payload: bytes, count: int) -> None:
+    pose = {"transforms": [(1, 0, 0, 0, 0, 0, 0)]}  # what tells a log of such a build
+    reader = make({**pose, "physics": payload}, header=Header("Town10HD", 0, wide=True))
+    assert f" Physics Control events: {count}\n\nFrames" in printed(reader, all=True)
+    assert [row.type for row in info(reader, all=True)] == ["frame", "transforms"]
+
+
+def test_double_precision(make: Make) -> None:
+    reader = make({"transforms": [(1, 0.1, 1e7, 0, 0, 0, 0)]}, header=Header("Town10HD", 0, wide=True))
+    assert "  Id: 1 Location: (0.1, 1e+07, 0) Rotation: (0, 0, 0)\n" in printed(reader, all=True)
+
+
+@pytest.mark.parametrize(
+    ("date", "shown"),
+    [
+        (0, "01/01/70 00:00:00"),
+        (-1, "12/31/69 23:59:59"),
+        (2**63 - 1, "9223372036854775807"),
+        (-(2**63),) * 2,
+    ],
+)
+def test_dates(make: Make, date: int, shown: str) -> None:
+    assert f"\nDate: {shown}\n" in printed(make({}, header=Header("Town01", date)))
+
+
+@pytest.mark.parametrize("compat", [False, True])
+def test_before_the_first_frame(make: Make, compat: bool) -> None:
+    reader = make({"transforms": [(7, 1, 2, 3, 0, 0, 0)], "destroyed": [(8,)]}, {}, preamble=True)
+    assert printed(reader, compat=compat).startswith(HEAD + "Frame 0 at 0 seconds\n Destroy 8\n\nFrames: 1\n")
+    assert printed(reader, compat=compat, all=True).startswith(
+        HEAD + " Positions: 1\n  Id: 7 Location: (1, 2, 3) Rotation: (0, 0, 0)\n"
+        "Frame 0 at 0 seconds\n Destroy 8\nFrame 1 at 0 seconds\n"
+    )
+
+
+def test_a_recording_of_nothing(make: Make) -> None:
+    reader = make()
+    for everything in (False, True):
+        assert printed(reader, all=everything) == HEAD + "\nFrames: 0\nDuration: 0 seconds\n"
+    assert printed(reader, all=True, compat=True) == (
+        HEAD + "Frame 0 at 0 seconds\n\nFrames: 0\nDuration: 0 seconds\n"
+    )
+
+
+class Endless:
+    """A recording that never ends."""
+
+    header = Header("Town01", 0)
+
+    def frames(self, types: Any = None, *, sparse: bool = False) -> Iterator[Frame]:
+        type = UE4.named("destroyed")
+        index = 0
+        while True:
+            packet = Packet(type.id, type, None, type.records([(index,)]))
+            yield Frame(index, index + 1, index / 20, 1 / 20, [packet])
+            index += 1
+
+    def extent(self) -> Extent:
+        raise AssertionError("the recording has not been read to its end")
+
+
+@pytest.mark.parametrize("everything", [False, True])
+def test_nothing_waits_for_the_end(everything: bool) -> None:
+    endless = info(cast("Reader", Endless()), all=everything)
+    assert " Destroy 90\n" in "".join(islice(text(endless), 100))
+    assert len(list(islice(endless, 100))) == 100
