@@ -10,10 +10,11 @@ with carla_recap.open_recording("crash.log") as recording:
 from __future__ import annotations
 
 from importlib import import_module
-from importlib.metadata import version
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
+    __version__: str
+
     from carla_recap.author import Recorder, create_recording
     from carla_recap.conversion import convert
     from carla_recap.errors import (
@@ -31,8 +32,6 @@ if TYPE_CHECKING:
     from carla_recap.recording import Recording, Trajectory, open_recording
     from carla_recap.records import ActorKind, Attribute, Spawn
     from carla_recap.recovery import Recovery, recover
-
-__version__ = version("carla-recap")
 
 __all__ = [
     "Actor",
@@ -75,6 +74,8 @@ _HOME_OF = {name: home for home, names in _HOMES.items() for name in names}
 
 
 def __getattr__(name: str) -> Any:
+    if name == "__version__":
+        return import_module("importlib.metadata").version("carla-recap")
     if name not in _HOME_OF:
         raise AttributeError(f"module 'carla_recap' has no attribute {name!r}")
     found = getattr(import_module(f"carla_recap.{_HOME_OF[name]}"), name)

@@ -8,7 +8,6 @@ from __future__ import annotations
 import signal
 import sys
 import warnings
-from importlib.metadata import version
 from typing import TYPE_CHECKING, Any
 
 import click
@@ -45,7 +44,7 @@ def _report(command: Callable[..., Any]) -> Callable[..., Any]:
 
 
 @click.group(context_settings={"help_option_names": ["-h", "--help"]})
-@click.version_option(version("carla-recap"), prog_name="carla-recap")
+@click.version_option(package_name="carla-recap", prog_name="carla-recap")
 def cli() -> None:
     """Recordings of the driving simulator CARLA, without the simulator.
 

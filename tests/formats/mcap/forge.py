@@ -5,7 +5,6 @@ from __future__ import annotations
 import struct
 import zlib
 from dataclasses import dataclass, field
-from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import lz4.frame
@@ -19,6 +18,7 @@ from mcap.writer import CompressionType, Writer
 
 if TYPE_CHECKING:
     from collections.abc import Iterable
+    from pathlib import Path
 
 MAGIC = b"\x89MCAP0\r\n"
 FOOTER_SIZE = 9 + 20 + len(MAGIC)
@@ -44,24 +44,24 @@ def chunk_records(chunk: records.Chunk) -> bytes:
     return chunk.data
 
 
-def seal(data: bytes, compression: str = "zstd", **changes: Any) -> records.Chunk:
+def seal(content: bytes, packer: str = "zstd", **changes: Any) -> records.Chunk:
     """A chunk of some records; `changes` are lies about it."""
-    pack = {"zstd": zstandard.compress, "lz4": lz4.frame.compress}.get(compression, bytes)
+    pack = {"zstd": zstandard.compress, "lz4": lz4.frame.compress}.get(packer, bytes)
     fields = {
-        "compression": compression,
-        "data": pack(data),
+        "compression": packer,
+        "data": pack(content),
         "message_start_time": 0,
         "message_end_time": (1 << 63) - 1,
-        "uncompressed_crc": zlib.crc32(data),
-        "uncompressed_size": len(data),
+        "uncompressed_crc": zlib.crc32(content),
+        "uncompressed_size": len(content),
     }
     return records.Chunk(**fields | changes)
 
 
-def resealed(chunk: records.Chunk, compression: str, **changes: Any) -> records.Chunk:
+def resealed(chunk: records.Chunk, packer: str, **changes: Any) -> records.Chunk:
     """A chunk with the same records and times in another compression."""
     times = {"message_start_time": chunk.message_start_time, "message_end_time": chunk.message_end_time}
-    return seal(chunk_records(chunk), compression, **times | changes)
+    return seal(chunk_records(chunk), packer, **times | changes)
 
 
 def packed(*items: records.McapRecord) -> bytes:
@@ -78,16 +78,18 @@ class Forge:
     Args:
         parts: Header, metadata, schemas, channels and chunks, in order; message indexes are left out.
         crc: Whether the summary has a checksum.
+        described, indexes: What the summary says, once it is written.
     """
 
     parts: list[Any]
     crc: bool = True
+    described: list[Any] = field(default_factory=list)
     indexes: list[records.ChunkIndex] = field(default_factory=list)
 
     def write(self, path: Path, *, summary: Iterable[Any] | None = None, **footer: int) -> Path:
         """Write it; `summary` stands in for the records of the summary."""
-        data, described = bytearray(MAGIC), []
-        self.indexes = []
+        data = bytearray(MAGIC)
+        self.described, self.indexes = [], []
         for part in self.parts:
             if isinstance(part, records.MessageIndex):
                 continue
@@ -96,12 +98,12 @@ class Forge:
             if isinstance(part, records.Chunk):
                 self.indexes.append(_index(part, at, len(data) - at))
             elif isinstance(part, records.Metadata):
-                described.append(records.MetadataIndex(offset=at, length=len(data) - at, name=part.name))
+                self.described.append(records.MetadataIndex(offset=at, length=len(data) - at, name=part.name))
             elif isinstance(part, (records.Schema, records.Channel)):
-                described.append(part)
+                self.described.append(part)
         data += packed(records.DataEnd(data_section_crc=0))
         start = len(data)
-        data += packed(*(described + self.indexes if summary is None else summary))
+        data += packed(*(self.described + self.indexes if summary is None else summary))
         fields = {"summary_start": start, "summary_offset_start": 0, "summary_crc": 0} | footer
         tail = packed(records.Footer(**fields))
         if self.crc and "summary_crc" not in footer:

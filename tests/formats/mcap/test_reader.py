@@ -257,8 +257,9 @@ def test_a_bomb_is_an_error_and_takes_no_memory(small_mcap, claimed, announced):
 
 
 def test_a_chunk_larger_than_the_limit_is_not_read(small_mcap, monkeypatch):
-    monkeypatch.setattr("carla_recap.formats.mcap.source.CHUNK_LIMIT", 100)
-    with pytest.raises(FormatError, match=r"a chunk of \d+ bytes, at most 100 are read"):
+    monkeypatch.setattr("carla_recap.formats.mcap.source.CHUNK_LIMIT", 2000)
+    with_chunks(small_mcap, lambda _: seal(bytes(3000)))
+    with pytest.raises(FormatError, match=r"a chunk of \d+ bytes, at most 2000 are read"):
         images(small_mcap)
 
 
@@ -317,12 +318,7 @@ def tampered(path, change):
     """A file with a chunk index that tells something else."""
     forged = Forge(data_records(path))
     forged.write(path)
-    described = [
-        record
-        for record in forge.read_records(path)[len(forged.parts) + 1 :]
-        if isinstance(record, (records.Schema, records.Channel, records.MetadataIndex))
-    ]
-    return forged.write(path, summary=[*described, *change(forged.indexes)])
+    return forged.write(path, summary=[*forged.described, *change(forged.indexes)])
 
 
 def test_a_chunk_that_is_named_twice_is_an_error(small_mcap):
@@ -349,12 +345,12 @@ def test_a_chunk_index_with_other_times_is_an_error_or_an_answer(driven):
         return indexes
 
     tampered(driven, elsewhen)
-    for question in (lambda r: r.frame_at(12.0), lambda r: list(r.frames(3.0, 9.0)), lambda r: r.info):
+    for time in (0.0, 12.0):
         with open_recording(driven) as recording:
             try:
-                question(recording)
+                assert recording.frame_at(time).elapsed == time
             except RecapError as error:
-                assert "index" in str(error)  # noqa: PT017
+                assert "index" in str(error) or "no frame" in str(error)  # noqa: PT017
 
 
 def test_statistics_that_name_more_chunks_are_an_error(small_mcap):
@@ -394,7 +390,7 @@ def test_a_file_without_a_summary_says_what_to_do(small_mcap):
 def test_a_file_without_an_end_says_what_to_do(small_mcap, kept):
     data = small_mcap.read_bytes()
     save(small_mcap, data[: int(len(data) * kept) if kept == 0.5 else kept])
-    with pytest.raises(FormatError, match="has no valid end.*'carla-recap recover' saves what it holds"):
+    with pytest.raises(FormatError, match=r"has no valid end.*'carla-recap recover' saves what it holds"):
         open_recording(small_mcap)
 
 

@@ -196,7 +196,7 @@ class McapReader:
         chunks = self._chunks(wanted, start, stop)
         plans: Plans = {}
         for index, gathered in self._gather(chunks, wanted, ahead=not sparse):
-            frame = self._frame(index, gathered, wanted, plans, whole=types is None)
+            frame = self._frame(index, gathered, wanted, plans, whole=types is None, within=(start, stop))
             if stop < math.inf and frame.elapsed >= stop:
                 return
             if start == -math.inf or frame.elapsed >= start:
@@ -365,11 +365,12 @@ class McapReader:
                     pending[sequence] = (log_time, {channel: deque((found,))})
             at = end
         while at < size:  # a schema or channel can be shorter than a message
-            if at + RECORD.size > size or (end := at + RECORD.size + RECORD.unpack_from(data, at)[1]) > size:
+            opcode, length = RECORD.unpack_from(data, at) if at + RECORD.size <= size else (0, size)
+            if at + RECORD.size + length > size or opcode == Opcode.MESSAGE:
                 raise FormatError(
                     self.path, chunk.offset, f"damaged chunk: no whole record at byte {at} of its content"
                 )
-            at = end
+            at += RECORD.size + length
 
     def _gather(
         self, chunks: list[Chunk], wanted: set[int], *, ahead: bool
@@ -402,7 +403,17 @@ class McapReader:
 
     # --- messages to frames --------------------------------------------------------------------------------------------
 
-    def _frame(self, index: int, gathered: Gathered, wanted: set[int], plans: Plans, *, whole: bool) -> Frame:
+    def _frame(
+        self,
+        index: int,
+        gathered: Gathered,
+        wanted: set[int],
+        plans: Plans,
+        *,
+        whole: bool,
+        within: tuple[float, float] = (-math.inf, math.inf),
+    ) -> Frame:
+        """A frame of the messages that were gathered; `within` some time, they are expected to be all there."""
         spine = gathered.pop(self._frame_channel, None)
         if spine is None:
             return self._headless(index, gathered)
@@ -422,7 +433,7 @@ class McapReader:
                 packets.append(self._raw_packet(queue))
             else:
                 packets.append(MessagePacket(self._types[step], *queue.popleft()))
-        if lost:
+        if lost and not (elapsed < within[0] or elapsed >= within[1] < math.inf):
             self._warn_lost(id)
         return Frame(index, id, elapsed, duration, packets, preamble=preamble)
 
