@@ -25,7 +25,7 @@ from carla_recap.formats.atomic import AtomicFile
 from carla_recap.formats.base import PIECE
 from carla_recap.frame import Extent, Frame, Header, Packet
 from carla_recap.payload import EMPTY_LIST, U16, Buffer, PayloadError, check
-from carla_recap.records import FRAME_START, UE4, UE5, Framing, RecordType
+from carla_recap.records import FRAME_END, FRAME_START, UE4, UE5, Framing, RecordType
 
 MAGIC: Final = b"CARLA_RECORDER"
 PACKET: Final = struct.Struct("<BI")  # id, size of the payload
@@ -120,12 +120,10 @@ class LogReader:
         """Stream the frames; see `Reader.frames`."""
         if types is None:
             wanted = [True] * 256
-            wanted[FRAME_START] = False
             ignored_size = -1
         else:
             names = {self.header.table.named(name).name for name in types}
             wanted = [type is not None and type.name in names for type in self._types]
-            wanted[FRAME_START] = False
             ignored_size = len(EMPTY_LIST)
         first = (0, self._start) if start == -math.inf else self._first_at(start)
         if first is None:
@@ -145,7 +143,6 @@ class LogReader:
             return None
         index = int(earlier[-1])
         wanted = [True] * 256
-        wanted[FRAME_START] = False
         walk = self._walk(wanted, -1, False, index, self._indexed().offsets[index])
         return self._frame(*next(walk))
 
@@ -258,28 +255,31 @@ class LogReader:
                     at = self._lose(at, whole)
                     continue
                 break
-            if wanted[id] and length != ignored_size:
-                places.append((id, at + 5, length))
-            elif id < 2:
-                if length != (0 if id else 24):
-                    if self._only_zeros(at):
-                        break
-                    if self._salvage:
-                        whole = self._next_frame(at + 1)
-                        at = self._lose(at, size if whole is None else whole)
-                        continue
-                    name, expected = ("FrameEnd", 0) if id else ("FrameStart", START.size)
-                    raise FormatError(self.path, at, f"{name} of {length} bytes, {expected} were expected")
-                if not id:
-                    if places or (begun and not sparse):
-                        yield number, frame_at, places
-                        places = []
-                    begun = True
-                    number += 1
-                    frame_at = at
-                    if at > forget_at:
-                        self._forget(forget_at - _FORGET)
-                        forget_at = at + _FORGET
+            if id > FRAME_END:
+                if wanted[id] and length != ignored_size:
+                    places.append((id, at + 5, length))
+            elif length != (0 if id else 24):
+                if self._only_zeros(at):
+                    break
+                if self._salvage:
+                    whole = self._next_frame(at + 1)
+                    at = self._lose(at, size if whole is None else whole)
+                    continue
+                name, expected = ("FrameEnd", 0) if id else ("FrameStart", START.size)
+                raise FormatError(self.path, at, f"{name} of {length} bytes, {expected} were expected")
+            elif id:
+                if wanted[FRAME_END]:
+                    places.append((id, end, 0))
+            else:
+                if places or (begun and not sparse):
+                    yield number, frame_at, places
+                    places = []
+                begun = True
+                number += 1
+                frame_at = at
+                if at > forget_at:
+                    self._forget(forget_at - _FORGET)
+                    forget_at = at + _FORGET
             at = end
         self._note_end(at, number, frame_at)
         if places or (begun and not sparse):

@@ -223,7 +223,7 @@ class McapWriter(AtomicFile):
         self._additional = self._additional or (type is not None and type.additional)
         if payload is EMPTY_LIST or (type is not None and payload == EMPTY_LIST):
             return EMPTY
-        if type is None or type.opaque or len(payload) > OBJECTS_LIMIT:
+        if type is None or type.opaque or not type.topic or len(payload) > OBJECTS_LIMIT:
             return self._add_raw(packet, head, times)
         chunk, channel = self._chunks[type.group], self._channel_of[id]
         size = wire.expected_size(type, payload)

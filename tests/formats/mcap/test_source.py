@@ -1,0 +1,178 @@
+"""Reading places of a file, and records, within bounds."""
+
+from __future__ import annotations
+
+import struct
+import warnings
+
+import lz4.frame
+import pytest
+import zstandard
+from hypothesis import given
+from hypothesis import strategies as st
+from mcap import records
+from mcap.opcode import Opcode
+
+from carla_recap import FormatError, NotARecording, RecapError
+from carla_recap.formats.mcap.source import (
+    CHUNK_LIMIT,
+    Source,
+    decompress,
+    open_chunk,
+    parse_record,
+    read_summary,
+    split_records,
+)
+from tests import strategies
+from tests.formats.mcap.forge import packed, seal
+from tests.samples import save, time_limit
+
+CONTENT = bytes(range(256)) * 5
+
+
+@pytest.fixture
+def source(tmp_path):
+    """A file of ten bytes."""
+    opened = Source(save(tmp_path / "ten", b"0123456789"))
+    yield opened
+    opened.close()
+
+
+def test_places_are_read_and_counted(source):
+    assert (source.size, source.read(2, 3, "it"), source.read(10, 0, "nothing")) == (10, b"234", b"")
+    assert source.bytes_read == 3
+
+
+@pytest.mark.parametrize(("at", "size"), [(8, 3), (11, 0), (-1, 2), (0, -1), (1 << 63, 1), (0, 1 << 63)])
+def test_a_place_outside_is_an_error(source, at, size):
+    message = rf"ten: byte {at}: it of {size} bytes does not fit in the file of 10"
+    with pytest.raises(FormatError, match=message):
+        source.read(at, size, "it")
+
+
+def test_a_record_of_another_kind_is_an_error(tmp_path):
+    source = Source(save(tmp_path / "one", packed(records.DataEnd(data_section_crc=7))))
+    assert source.record(0, Opcode.DATA_END, "the end") == struct.pack("<I", 7)
+    with pytest.raises(FormatError, match="a chunk was expected, found a record of kind 15 with 4 bytes"):
+        source.record(0, Opcode.CHUNK, "a chunk")
+    with pytest.raises(FormatError, match="the end was expected"):
+        source.record(0, Opcode.DATA_END, "the end", limit=3)
+    source.close()
+
+
+@pytest.mark.parametrize("name", ["missing", "."])
+def test_what_cannot_be_opened_is_an_error(tmp_path, name):
+    with pytest.raises(RecapError, match=r"No such file|[Ii]s a directory"):
+        Source(tmp_path / name)
+
+
+@given(st.lists(st.tuples(st.integers(0, 255), st.binary(max_size=20)), max_size=4))
+def test_records_are_split(found):
+    data = b"".join(struct.pack("<BQ", opcode, len(content)) + content for opcode, content in found)
+    assert [(opcode, data[at:end]) for opcode, at, end in split_records(data)] == found
+
+
+@pytest.mark.parametrize("rest", [b"\5", b"\5" + bytes(7), struct.pack("<BQ", 5, 1), b"\5" + b"\xff" * 8])
+def test_a_record_that_is_not_whole_is_an_error(rest):
+    with pytest.raises(ValueError, match=r"left behind the last record|goes beyond"):
+        list(split_records(struct.pack("<BQ", 5, 1) + b"a" + rest))
+
+
+KINDS = (
+    records.Schema,
+    records.Channel,
+    records.Metadata,
+    records.MetadataIndex,
+    records.Statistics,
+)
+
+
+@pytest.mark.parametrize("kind", KINDS)
+@given(data=st.binary(max_size=60))
+def test_any_bytes_are_a_record_or_an_error(kind, data):
+    try:
+        assert isinstance(parse_record(kind, data), kind)
+    except ValueError as error:
+        assert "\n" not in str(error)  # noqa: PT017
+
+
+@pytest.mark.parametrize("compression", ["", "zstd", "lz4"])
+def test_chunks_are_decompressed(compression):
+    chunk = packed(seal(CONTENT, compression, message_start_time=3, message_end_time=9))
+    assert open_chunk(chunk[9:]) == (3, 9, CONTENT)
+
+
+@pytest.mark.parametrize("compression", ["", "zstd", "lz4"])
+@pytest.mark.parametrize("size", [0, 1, len(CONTENT) - 1, len(CONTENT) + 1, CHUNK_LIMIT])
+def test_another_size_than_announced_is_an_error(compression, size):
+    data = bytes(seal(CONTENT, compression).data)
+    if size == 0 and compression == "zstd":
+        data = zstandard.ZstdCompressor(write_content_size=True).compress(CONTENT)
+    with pytest.raises(ValueError, match=r"bytes after decompression|another size|damaged"):
+        decompress(compression, data, size)
+
+
+def test_more_than_the_limit_is_an_error_before_anything_is_unpacked():
+    with pytest.raises(
+        ValueError, match=f"a chunk of {CHUNK_LIMIT + 1} bytes, at most {CHUNK_LIMIT} are read"
+    ):
+        decompress("zstd", b"", CHUNK_LIMIT + 1)
+
+
+def test_an_lz4_bomb_is_unpacked_no_further_than_announced():
+    data = lz4.frame.compress(bytes(100 << 20))
+    with pytest.raises(ValueError, match="1001 bytes after decompression, 1000 were expected"):
+        decompress("lz4", data, 1000)
+
+
+@pytest.mark.parametrize("compression", ["zstd", "lz4"])
+@given(data=st.data())
+def test_damaged_chunks_are_errors_or_unchanged(compression, data):
+    whole = packed(seal(CONTENT, compression))[9:]
+    damaged = strategies.damaged(whole, data.draw(strategies.mutations(len(whole))))
+    try:
+        assert open_chunk(damaged)[2] in (CONTENT, b"")
+    except ValueError as error:
+        assert "\n" not in str(error)  # noqa: PT017
+
+
+@pytest.mark.parametrize("data", [b"", b"\x89MCAP", b"\x89MCAP1\r\n" + bytes(60)])
+def test_what_has_no_magic_is_no_mcap(tmp_path, data):
+    source = Source(save(tmp_path / "x.mcap", data))
+    with pytest.raises(NotARecording, match="is no MCAP file"):
+        read_summary(source)
+    source.close()
+
+
+@given(data=st.data())
+def test_any_summary_is_read_or_an_error(tmp_path, data):
+    """The file ends in a footer without a checksum, so that damage gets through to where records are read."""
+    items = [
+        records.Schema(id=1, name="a", encoding="protobuf", data=b"abc"),
+        records.Channel(id=1, schema_id=1, topic="/a", message_encoding="protobuf", metadata={"a": "b"}),
+        records.MetadataIndex(offset=8, length=20, name="m"),
+        records.ChunkIndex(
+            chunk_start_offset=8,
+            chunk_length=20,
+            compression="zstd",
+            compressed_size=9,
+            message_start_time=1,
+            message_end_time=2,
+            message_index_length=0,
+            message_index_offsets={1: 5},
+            uncompressed_size=9,
+        ),
+    ]
+    summary = packed(*items)
+    summary = strategies.damaged(summary, data.draw(strategies.mutations(len(summary))))
+    footer = packed(records.Footer(summary_start=8, summary_offset_start=0, summary_crc=0))
+    magic = b"\x89MCAP0\r\n"
+    source = Source(save(tmp_path / "x.mcap", magic + summary + footer + magic))
+    with time_limit(5), warnings.catch_warnings():
+        warnings.simplefilter("error")
+        try:
+            read_summary(source)
+        except FormatError as error:
+            assert "\n" not in str(error)  # noqa: PT017
+        finally:
+            source.close()
