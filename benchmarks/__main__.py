@@ -16,6 +16,7 @@ from benchmarks.rows import ROWS, Subject, measure
 if TYPE_CHECKING:
     from collections.abc import Callable
 
+REAL = Path("../shared/data/carla-logs/carla-0.9.13-lane-center.log")
 WIDTHS = (46, 18, 18, 18, 8)
 
 
@@ -28,7 +29,13 @@ def main() -> None:
     parser.add_argument(
         "--only", action="append", choices=names, metavar="NAME", help=f"one of {', '.join(names)}"
     )
-    parser.add_argument("--real", type=Path, metavar="LOG", help="a real recording, for its size as MCAP")
+    parser.add_argument(
+        "--real",
+        type=Path,
+        default=REAL if REAL.exists() else None,
+        metavar="LOG",
+        help="a real recording, for its size as MCAP (default: %(default)s)",
+    )
     options = parser.parse_args()
     tell("making the recording")
     in_new_process(cached, options.frames)
@@ -40,9 +47,6 @@ def main() -> None:
         tell(row.__name__)
         try:
             lines = in_new_process(measure, row, Subject(options.frames, options.real))
-        except ImportError:
-            show(row.__name__, "not available")
-            continue
         except Exception:
             show(row.__name__, "crashed")
             traceback.print_exc()

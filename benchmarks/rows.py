@@ -6,7 +6,6 @@ What depends on the machine is put in relation to something measured in the same
 from __future__ import annotations
 
 import filecmp
-import importlib.util
 import mmap
 import os
 import re
@@ -136,9 +135,6 @@ def info_all(subject: Subject) -> Iterator[Line]:
 def start(subject: Subject) -> Iterator[Line]:
     small = cut(subject.log, SMALL)
     command = Path(sys.executable).with_name("carla-recap")
-    cli = importlib.util.find_spec("carla_recap.cli")
-    if cli is None or cli.origin is None:
-        raise ImportError("carla_recap.cli")
     bare, aid, query = medians(
         lambda: run(sys.executable, "-c", "pass"),
         lambda: run(command, "--help"),
@@ -181,8 +177,6 @@ def run(*command: str | Path) -> Run:
 
 def convert(source: Path, target: Path) -> Run:
     """Convert a recording in a process of its own; to remove what is in its place does not count."""
-    if not importlib.util.find_spec("carla_recap.conversion"):
-        raise ImportError("carla_recap.convert")
     target.unlink(missing_ok=True)
     return run(sys.executable, "-c", CONVERT, source, target)
 

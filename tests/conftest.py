@@ -9,7 +9,8 @@ from typing import TYPE_CHECKING
 import pytest
 from hypothesis import HealthCheck, settings
 
-from tests.samples import save, small_log
+from carla_recap.frame import Header
+from tests.samples import drive, save, small_log, write
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -41,3 +42,9 @@ def small_mcap(small: Path) -> Path:
 
     convert(small, small.with_suffix(".mcap"))
     return small.with_suffix(".mcap")
+
+
+@pytest.fixture
+def driven(tmp_path):
+    """A drive of half a minute."""
+    return write(tmp_path / "drive.mcap", Header("Town01", 1_600_000_000), drive())

@@ -15,11 +15,13 @@ import pytest
 
 from carla_recap.errors import RecapError, RecapWarning
 from carla_recap.formats import create_writer, open_reader
+from carla_recap.frame import Frame, Packet
+from carla_recap.records import UE4
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator
 
-    from carla_recap.frame import Frame, Header
+    from carla_recap.frame import Header
 
 CARLA_LOGS = Path(__file__).parents[2] / "shared" / "data" / "carla-logs"
 DATE = 1_637_671_165
@@ -126,6 +128,17 @@ def small_log() -> bytes:
         )
     ]
     return b"".join([log_header(), *first, *quiet])
+
+
+def drive(seconds: float = 30.0, rate: float = 20.0, size: int = 10) -> Iterator[Frame]:
+    """Frames of a drive: transforms in each, a collision now and then."""
+    transforms, collisions, end = UE4.named("transforms"), UE4.named("collisions"), UE4[1]
+    for n in range(int(seconds * rate)):
+        poses = listed(*(transform(id, n, id) for id in range(size)))
+        packets = [Packet(6, transforms, poses), Packet(1, end, b"")]
+        if n % 7 == 0:
+            packets.insert(0, Packet(5, collisions, listed(collision(n, 1, 2))))
+        yield Frame(n, n + 1, n / rate, 1 / rate, packets)
 
 
 # --- recordings on the disk ----------------------------------------------------------------------------

@@ -16,22 +16,20 @@ from mcap.writer import CompressionType, IndexType, Writer
 from carla_recap import FormatError, NotARecording, RecapError, RecapWarning, convert, open_recording
 from carla_recap.formats.mcap import reader as reader_module
 from carla_recap.formats.mcap.source import CHUNK_LIMIT
-from carla_recap.frame import Frame, Header, Packet
-from carla_recap.records import UE4
+from carla_recap.frame import Header
 from tests import strategies
 from tests.formats.mcap import forge
 from tests.formats.mcap.forge import Forge, chunk_records, data_records, resealed, rewrite, seal
 from tests.samples import (
     carla_log,
+    drive,
     explore,
     image,
     images,
-    listed,
     reading,
     save,
     small_log,
     time_limit,
-    transform,
     warnings_ignored,
     write,
 )
@@ -45,23 +43,6 @@ def with_chunks(path, change):
     """A file whose chunks went through a function."""
     parts = data_records(path)
     return Forge([change(part) if isinstance(part, records.Chunk) else part for part in parts]).write(path)
-
-
-def drive(seconds=30.0, rate=20.0, size=10):
-    """Frames of a drive: transforms in each, a collision now and then."""
-    transforms, collisions, end = UE4.named("transforms"), UE4.named("collisions"), UE4[1]
-    for n in range(int(seconds * rate)):
-        poses = listed(*(transform(id, n, id) for id in range(size)))
-        packets = [Packet(6, transforms, poses), Packet(1, end, b"")]
-        if n % 7 == 0:
-            packets.insert(0, Packet(5, collisions, listed(struct.pack("<IIIBB", n, 1, 2, 0, 0))))
-        yield Frame(n, n + 1, n / rate, 1 / rate, packets)
-
-
-@pytest.fixture
-def driven(tmp_path):
-    """A drive of half a minute."""
-    return write(tmp_path / "drive.mcap", Header("Town01", 1_600_000_000), drive())
 
 
 # --- what other programs write ---------------------------------------------------------------------------

@@ -1,0 +1,159 @@
+"""What other programs read in our files: the plain `mcap` package, and the libraries of Foxglove."""
+
+from __future__ import annotations
+
+import json
+import shutil
+import subprocess
+from collections import Counter
+from pathlib import Path
+
+import numpy as np
+import pytest
+from google.protobuf import descriptor_pb2
+from mcap.reader import make_reader
+from mcap_protobuf.decoder import DecoderFactory
+
+from carla_recap import convert
+from carla_recap.frame import Header
+from carla_recap.records import Framing
+from tests.samples import carla_log, drive, plain, reading, save, small_log, warnings_ignored, write
+
+NODE = Path(__file__).parents[2] / "node"
+
+LOGS = (
+    "all_packets",
+    "all_packets_dev2024",
+    "carla-0.9.10-lane-center",
+    "events",
+    "no_frames",
+    "header_only",
+)
+
+
+@pytest.fixture(params=["small", "drive", "wide", *LOGS])
+def recording(request, tmp_path):
+    """Recordings of all kinds as MCAP."""
+    path = tmp_path / f"{request.param}.mcap"
+    if request.param == "small":
+        convert(save(tmp_path / "small.log", small_log()), path)
+    elif request.param in ("drive", "wide"):
+        header = Header("Town01", 1_600_000_000, wide=request.param == "wide")
+        frames = [] if header.wide else drive(12, 20, 20)
+        write(path, header, frames or widened(header))
+    else:
+        with warnings_ignored():
+            convert(carla_log(f"{request.param}.log"), path)
+    return path
+
+
+def widened(header):
+    """Frames in double precision, made of numbers."""
+    from carla_recap.frame import Frame, Packet
+
+    for n in range(3):
+        names = ("transforms", "velocities", "bounding_boxes", "trigger_volumes")
+        types = [header.table.named(name) for name in names]
+        rows = [type.records([(id, *np.arange(6) + n / 3) for id in range(4)]) for type in types]
+        packets = [Packet(type.id, type, records=records) for type, records in zip(types, rows, strict=True)]
+        yield Frame(n, n + 1, n / 2, 0.5, packets)
+
+
+def decoded(path):
+    """Topic, MCAP message and protobuf message of all messages, as anyone reads them."""
+    with path.open("rb") as file:
+        reader = make_reader(file, validate_crcs=True, decoder_factories=[DecoderFactory()])
+        for found in reader.iter_decoded_messages():
+            yield found.channel.topic, found.message, found.decoded_message
+
+
+def test_every_message_decodes_with_the_plain_package(recording):
+    counts = Counter(topic for topic, _, message in decoded(recording) if message is not None)
+    with recording.open("rb") as file:
+        summary = make_reader(file, validate_crcs=True).get_summary()
+    assert summary
+    stated = summary.statistics.channel_message_counts
+    assert counts == {channel.topic: stated[id] for id, channel in summary.channels.items()}
+    expected = Counter()
+    with reading(recording) as reader:
+        for frame in reader.frames():
+            expected["/frames"] += 1
+            for packet in frame.packets:
+                known = packet.type is not None and not packet.type.opaque
+                if packet.id != 1 and bytes(packet.payload) != b"\0\0":
+                    expected[packet.type.topic if known else "/carla/raw"] += 1
+    assert counts == expected
+
+
+def test_the_values_are_those_of_the_records(recording):
+    by_frame = {}
+    for topic, message, content in decoded(recording):
+        by_frame.setdefault((message.sequence, topic), []).append(content)
+    with reading(recording) as reader:
+        for frame in reader.frames():
+            (spine,) = by_frame.get((frame.index, "/frames"), [None])
+            assert plain([spine.frame, spine.elapsed, spine.duration]) == plain(
+                [frame.id, frame.elapsed, frame.duration]
+            )
+            ids = bytes(packet.id for packet in frame.packets)
+            assert spine.packets == (ids if frame.preamble else b"\0" + ids)
+            check_packets(frame, {t: m for (n, t), m in by_frame.items() if n == frame.index})
+
+
+def check_packets(frame, found):
+    for packet in frame.packets:
+        type = packet.type
+        if type is None or type.opaque or not type.topic or not len(packet.records):
+            continue
+        content = found[type.topic].pop(0)
+        assert (content.frame, content.elapsed) == (frame.id, frame.elapsed)
+        if type.framing is Framing.SINGLE:
+            assert plain(getattr(content, type.items)) == plain(packet.records)[0][0]
+            continue
+        items = getattr(content, type.items)
+        for item, record in zip(items, plain(packet.records), strict=True):
+            for name, value in zip(type.layout.fields, record, strict=True):
+                if not isinstance(value, list) and not content.HasField("raw"):
+                    assert plain(getattr(item, name)) == value
+
+
+def test_schemas_describe_themselves(recording):
+    with recording.open("rb") as file:
+        summary = make_reader(file).get_summary()
+    assert summary
+    for channel in summary.channels.values():
+        schema = summary.schemas[channel.schema_id]
+        assert (schema.encoding, channel.message_encoding) == ("protobuf", "protobuf")
+        files = descriptor_pb2.FileDescriptorSet.FromString(schema.data).file
+        names = {f"{file.package}.{message.name}" for file in files for message in file.message_type}
+        assert schema.name in names
+
+
+# --- an independent reader -------------------------------------------------------------------------------
+
+
+@pytest.fixture(scope="module")
+def node():
+    """Node.js; skips where the reader's libraries are not there."""
+    found = shutil.which("node")
+    if found is None:
+        pytest.skip("there is no node here")
+    if not (NODE / "node_modules").is_dir():
+        pytest.skip("tests/node/node_modules is missing: 'make test' installs it where npm is")
+    return found
+
+
+def test_the_libraries_of_foxglove_read_the_same(recording, node):
+    run = subprocess.run(
+        [node, NODE / "read.mjs", recording], capture_output=True, text=True, timeout=60, check=False
+    )
+    assert run.returncode == 0, run.stderr
+    found = json.loads(run.stdout)
+    counts = Counter(topic for topic, *_ in decoded(recording))
+    assert {topic: held["count"] for topic, held in found["topics"].items()} == counts
+    with reading(recording) as reader:
+        assert {entry["name"] for entry in found["metadata"]} == {"carla_recap.header", "carla_recap.extent"}
+        extents = [e["metadata"] for e in found["metadata"] if e["name"] == "carla_recap.extent"]
+        assert [int(extent["frames"]) for extent in extents] == [reader.extent().frames]
+        last = [frame.id for frame in reader.frames()][-1:]
+    assert [int(found["topics"]["/frames"]["last"]["frame"])] == last if last else not found["topics"]

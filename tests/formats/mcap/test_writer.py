@@ -1,0 +1,266 @@
+"""How recordings lie in MCAP: chunks, times, channels, and what is left of a file that is given up."""
+
+from __future__ import annotations
+
+import math
+import os
+import struct
+
+import pytest
+from mcap import records
+
+from carla_recap import RecapError, RecordError, convert, recover
+from carla_recap.formats import create_writer
+from carla_recap.formats.mcap.writer import CHUNK_SECONDS, CHUNK_SIZE, FRAME_SIZE
+from carla_recap.frame import Frame, Header, Packet
+from carla_recap.records import UE4, Group
+from tests.formats.mcap.forge import chunk_records, data_records, read_records
+from tests.samples import DATE, carla_log, drive, images, listed, names_in, save, write
+
+SECOND = 1_000_000_000
+HEADER = Header("Town01", 1_600_000_000)
+LARGEST_MESSAGE = 20_000
+
+
+@pytest.fixture(params=["driven", "dense", "carla", "small_mcap"])
+def recording(request, tmp_path):
+    """Recordings of many kinds: long, dense, real, and one with everything."""
+    if request.param == "dense":
+        return write(tmp_path / "dense.mcap", HEADER, drive(12, 20, 500))
+    if request.param == "carla":
+        convert(carla_log("carla-0.9.13-lane-center.log"), tmp_path / "real.mcap")
+        return tmp_path / "real.mcap"
+    return request.getfixturevalue(request.param)
+
+
+def messages_in(chunk):
+    """Channel, sequence, log time, publish time and data of each message of a chunk."""
+    data, at = chunk_records(chunk), 0
+    while at < len(data):
+        opcode, length, *fields = struct.unpack_from("<BQHIQQ", data, at)
+        assert opcode == 5
+        yield *fields, data[at + 31 : at + 9 + length]
+        at += 9 + length
+
+
+def of_kind(found, kind):
+    return [record for record in found if isinstance(record, kind)]
+
+
+def chunks_of(path):
+    return of_kind(data_records(path), records.Chunk)
+
+
+def topics_of(path):
+    return {channel.id: channel.topic for channel in of_kind(data_records(path), records.Channel)}
+
+
+def frames_in(path):
+    """Sequence, log time and publish time of every message of a frame."""
+    topics = topics_of(path)
+    every = [message for chunk in chunks_of(path) for message in messages_in(chunk)]
+    return [tuple(message[1:4]) for message in every if topics[message[0]] == "/frames"]
+
+
+# --- chunks ----------------------------------------------------------------------------------------------
+
+
+def test_state_and_events_never_share_a_chunk(recording):
+    groups = {type.topic: type.group for type in UE4} | {"/carla/raw": Group.STATE, "/frames": Group.STATE}
+    topics = topics_of(recording)
+    for chunk in chunks_of(recording):
+        assert len({groups[topics[channel]] for channel, *_ in messages_in(chunk)}) == 1
+
+
+def test_chunks_are_short_and_small(recording):
+    for chunk in chunks_of(recording):
+        assert chunk.message_end_time - chunk.message_start_time <= CHUNK_SECONDS * SECOND
+        assert chunk.uncompressed_size <= CHUNK_SIZE + LARGEST_MESSAGE
+        assert chunk.compression == "zstd"
+
+
+def test_a_chunk_says_what_it_holds(recording):
+    found = data_records(recording)
+    for n, record in enumerate(found):
+        if not isinstance(record, records.Chunk):
+            continue
+        times = [time for _, _, time, _, _ in messages_in(record)]
+        assert (record.message_start_time, record.message_end_time) == (times[0], times[-1])
+        assert times == sorted(times)
+        indexed = {}
+        while isinstance(found[n + 1], records.MessageIndex):
+            n += 1
+            indexed[found[n].channel_id] = [time for time, _ in found[n].records]
+        by_channel = {}
+        for channel, _, time, *_ in messages_in(record):
+            by_channel.setdefault(channel, []).append(time)
+        assert indexed == by_channel
+
+
+def test_schemas_and_channels_stand_before_the_first_chunk_that_needs_them(recording):
+    known = set()
+    for record in data_records(recording):
+        if isinstance(record, records.Channel):
+            known.add(record.id)
+        elif isinstance(record, records.Chunk):
+            assert {channel for channel, *_ in messages_in(record)} <= known
+
+
+def test_schemas_and_channels_stand_in_the_summary_too(recording):
+    before = data_records(recording)
+    after = read_records(recording)[len(before) :]
+    for kind in (records.Schema, records.Channel):
+        assert of_kind(after, kind) == of_kind(before, kind)
+        assert len({record.id for record in of_kind(before, kind)}) == len(of_kind(before, kind)) > 0
+
+
+def test_only_channels_that_are_used_are_declared(driven):
+    assert sorted(topics_of(driven).values()) == ["/actors/transforms", "/collisions", "/frames"]
+
+
+def test_a_frame_that_is_too_large_for_a_chunk_is_cut(tmp_path):
+    packets = [Packet(150, None, os.urandom(1 << 20)) for _ in range(20)]
+    frame = Frame(0, 1, 0.0, -1.0, packets)
+    path = write(tmp_path / "large.mcap", HEADER, [frame])
+    assert max(chunk.uncompressed_size for chunk in chunks_of(path)) < FRAME_SIZE + (2 << 20)
+    assert len(images(path)[0][-1]) == 20
+
+
+# --- times -----------------------------------------------------------------------------------------------
+
+
+def test_log_time_is_date_and_elapsed_and_sequence_is_the_index(recording):
+    from carla_recap import open_recording
+
+    with open_recording(recording) as opened:
+        base = opened.header.date * SECOND
+        expected = [(f.index, base + round(f.elapsed * SECOND)) for f in opened]
+    found = frames_in(recording)
+    assert [(sequence, log) for sequence, log, _ in found] == expected
+    assert [publish for *_, publish in found] == [log for _, log, _ in found]
+
+
+def test_every_message_of_a_frame_has_its_time(small_mcap):
+    every = {message[1:4] for chunk in chunks_of(small_mcap) for message in messages_in(chunk)}
+    assert every == {(n, (DATE + n) * SECOND, (DATE + n) * SECOND) for n in range(4)}
+
+
+@pytest.mark.parametrize(
+    ("elapsed", "published"),
+    [(3.0, 3.0), (7.0, 7.0), (-2.0, -2.0), (math.nan, None), (math.inf, None), (1e300, None)],
+)
+def test_log_times_grow_where_a_clock_does_not(tmp_path, elapsed, published):
+    frames = [Frame(n, n, time, 0.0, []) for n, time in enumerate((0.0, 7.0, elapsed, elapsed, 1.0))]
+    path = write(tmp_path / "jump.mcap", HEADER, frames)
+    found = frames_in(path)
+    times = [log for _, log, _ in found]
+    assert all(later > sooner for sooner, later in zip(times, times[1:], strict=False))
+    assert found[2][2] == times[2] if published is None else (HEADER.date + published) * SECOND
+
+
+@pytest.mark.parametrize("date", [-(1 << 63), -1, 0, (1 << 63) - 1])
+def test_any_date_has_times(tmp_path, date):
+    frames = [Frame(n, n, float(n), 0.0, []) for n in range(3)]
+    path = write(tmp_path / "date.mcap", Header("Town01", date), frames)
+    assert len(images(path)) == 3
+
+
+# --- what the file says of itself ------------------------------------------------------------------------
+
+
+def metadata_of(path):
+    return {record.name: record.metadata for record in of_kind(data_records(path), records.Metadata)}
+
+
+def test_metadata_tell_of_header_and_extent(small_mcap):
+    metadata = metadata_of(small_mcap)
+    header = {"map": "Town01", "date": str(DATE), "version": "1"}
+    assert header.items() <= metadata["carla_recap.header"].items()
+    extent = {"frames": "4", "last_frame": "4", "duration": "3.0", "hero_ids": "7", "additional_data": "1"}
+    assert extent.items() <= metadata["carla_recap.extent"].items()
+
+
+def test_metadata_of_a_name_that_is_no_text_are_text(tmp_path):
+    path = write(tmp_path / "odd.mcap", Header("Town\udcff", 5), [])
+    assert metadata_of(path)["carla_recap.header"]["map"] == "Town\ufffd"
+
+
+def test_statistics_and_footer_are_right(recording):
+    found = read_records(recording)
+    (statistics,) = of_kind(found, records.Statistics)
+    messages = [message for chunk in chunks_of(recording) for message in messages_in(chunk)]
+    assert statistics.message_count == len(messages) == sum(statistics.channel_message_counts.values())
+    assert statistics.chunk_count == len(chunks_of(recording))
+    assert statistics.message_start_time == min(message[2] for message in messages)
+    assert statistics.message_end_time == max(message[2] for message in messages)
+    assert statistics.metadata_count == 2
+    assert (statistics.schema_count, statistics.channel_count) == (len(topics_of(recording)),) * 2
+    assert found[0].library.startswith("carla-recap/")
+    assert found[0].profile == ""
+    (footer,) = of_kind(found, records.Footer)
+    assert footer.summary_crc != 0
+    assert of_kind(found, records.DataEnd)[0].data_section_crc != 0
+
+
+# --- files that are given up, and files that cannot be ---------------------------------------------------
+
+
+@pytest.mark.parametrize("suffix", [".mcap", ".log"])
+def test_a_file_appears_only_when_it_is_complete(tmp_path, suffix):
+    path = tmp_path / f"late{suffix}"
+    with create_writer(path, HEADER) as writer:
+        for frame in drive(1):
+            writer.write(frame)
+        assert not path.exists()
+    assert names_in(tmp_path) == [path.name]
+
+
+@pytest.mark.parametrize("suffix", [".mcap", ".log"])
+@pytest.mark.parametrize("error", [RuntimeError, KeyboardInterrupt])
+def test_nothing_is_left_of_a_file_that_is_given_up(tmp_path, suffix, error):
+    def interrupted():
+        with create_writer(tmp_path / f"never{suffix}", HEADER) as writer:
+            for frame in drive(20):
+                writer.write(frame)
+            raise error
+
+    with pytest.raises(error):
+        interrupted()
+    assert names_in(tmp_path) == []
+
+
+@pytest.mark.parametrize("suffix", [".mcap", ".log"])
+@pytest.mark.parametrize(
+    "header",
+    [
+        Header("Town01", 1 << 63),
+        Header("Town01", 0, version=1 << 16),
+        Header("Town01", 0, version=-1),
+        Header("x" * 70_000, 0),
+        Header("\ud800", 0),
+    ],
+    ids=lambda header: repr(header)[:40],
+)
+def test_a_header_that_no_log_can_have_is_refused(tmp_path, suffix, header):
+    with pytest.raises(RecordError, match="cannot be written"):
+        create_writer(tmp_path / f"never{suffix}", header)
+    assert names_in(tmp_path) == []
+
+
+def test_a_packet_that_contradicts_its_type_is_refused(tmp_path):
+    frame = Frame(0, 1, 0.0, -1.0, [Packet(2, UE4[2], listed(b"short"))])
+    with pytest.raises(RecapError, match="a packet: spawned"):
+        write(tmp_path / "never.mcap", HEADER, [frame])
+    assert names_in(tmp_path) == []
+
+
+def test_a_live_file_can_be_recovered_while_it_is_written(tmp_path):
+    with create_writer(tmp_path / "live.mcap", HEADER, live=True) as writer:
+        for frame in drive(12):
+            writer.write(frame)
+        (partial,) = tmp_path.iterdir()
+        save(tmp_path / "crashed.mcap", partial.read_bytes())
+    recovery = recover(tmp_path / "crashed.mcap", tmp_path / "saved.mcap")
+    assert not recovery.finished
+    assert recovery.duration > 12 - 2 * CHUNK_SECONDS
+    assert images(tmp_path / "saved.mcap") == images(tmp_path / "live.mcap")[: recovery.frames]
