@@ -76,19 +76,21 @@ def collision(sequence: int, actor1: int, actor2: int, hero1: int = 0, hero2: in
 END = packet(1)
 
 
-def small_log() -> bytes:
-    """Four frames, a second apart, with records of every type and a packet of a fork's own."""
+def bone(name: str, *pose: float) -> bytes:
+    return text(name) + struct.pack("<6f", *pose)
+
+
+def packet_payloads() -> list[tuple[int, bytes]]:
+    """Packets of every type, with records in all but one, in CARLA's order; and one of a fork."""
     wheels = struct.pack("<I", 2) + b"".join(struct.pack("<Bff", n, 1.5, 90) for n in range(2))
-    bones = listed(
-        text("crl_root") + struct.pack("<6f", *range(6)), text("crl_hips") + struct.pack("<6f", *range(6))
-    )
+    bones = listed(bone("crl_root", *range(6)), bone("crl_hips", *range(6)))
     curve = struct.pack("<I4f", 2, 0, 400, 5000, 500)
     gears = struct.pack("<I3f", 1, 4, 0.5, 0.65)
     physics = struct.pack("<I5fB7f", 7, 5000, 1, 0.2, 2, 0.4, 1, 10, 4, 1800, 0.3, 0.5, 0, -0.2)
     physics += curve + gears + curve + struct.pack("<I12f", 1, *range(12))
     weather = struct.pack("<14f", *range(14))
     hero = spawn(7, 1, "vehicle.tesla.model3", role_name="hero", color="255,0,0")
-    packets = [
+    return [
         (20, struct.pack("<d", 0.5)),
         (2, listed(hero, spawn(8, 2, "walker.pedestrian.0001"), spawn(9, 3, "traffic.traffic_light"))),
         (3, listed()),
@@ -114,7 +116,11 @@ def small_log() -> bytes:
         (18, struct.pack("<Q", 77)),
         (201, b"a fork's own"),
     ]
-    first = [start(1, 0.0, 1.0), *(packet(id, payload) for id, payload in packets), END]
+
+
+def small_log() -> bytes:
+    """Four frames, a second apart; the first one has records of every type."""
+    first = [start(1, 0.0, 1.0), *(packet(id, payload) for id, payload in packet_payloads()), END]
     quiet = [
         part
         for n in range(2, 5)

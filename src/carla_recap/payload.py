@@ -9,6 +9,7 @@ import struct
 from typing import Any, Final
 
 import numpy as np
+from numpy.typing import NDArray
 
 from carla_recap.errors import RecordError
 from carla_recap.records import FLAG, REAL, TEXT, Framing, Layout, Many, Records, RecordType
@@ -99,7 +100,7 @@ def pack(type: RecordType, records: Records) -> bytes:
     for record in records:
         try:
             _pack_object(steps, record, parts)
-        except (struct.error, TypeError, AttributeError, UnicodeEncodeError) as error:
+        except (struct.error, TypeError, AttributeError, ValueError, OverflowError) as error:
             raise RecordError(f"{type.name}: {error} in {record!r:.200}") from None
     return b"".join(parts)
 
@@ -213,7 +214,7 @@ def _read_object(
                 at += step.size
             elif isinstance(step, str):
                 end = at + 2 + U16.unpack_from(data, at)[0]
-                need(type, data, end, 0, f"{names[0]}")
+                need(type, data, at + 2, end - at - 2, names[0])
                 values.append(data[at + 2 : end].decode("utf-8", "surrogateescape"))
                 at = end
             else:
@@ -236,6 +237,13 @@ def _read_object(
     return values, at
 
 
+def _rows(values: Any, dtypes: list[np.dtype[np.void]]) -> NDArray[np.void]:
+    """A counted array in one of the types that it may have, or rows to make it of."""
+    if isinstance(values, np.ndarray) and values.dtype in dtypes:
+        return values
+    return np.array([tuple(row) for row in values], dtypes[0])
+
+
 def _pack_object(steps: list[tuple[tuple[str, ...], Step]], record: Any, parts: list[bytes]) -> None:
     for names, step in steps:
         if isinstance(step, struct.Struct):
@@ -249,7 +257,7 @@ def _pack_object(steps: list[tuple[tuple[str, ...], Step]], record: Any, parts: 
             counter, _, items = step
             parts.append(counter.pack(len(value)))
             if isinstance(items[0][1], np.dtype):
-                parts.append(value.tobytes())
+                parts.append(_rows(value, [dtype for _, dtype in items]).tobytes())
             else:
                 for item in value:
                     _pack_object(items[0][0], item, parts)

@@ -227,7 +227,7 @@ class Recording:
             RecapError: There is no such actor.
         """
         times, poses = self._rows(actor_id, "transforms")
-        velocity_times, velocities = self._rows(actor_id, "velocities")
+        velocity_times, velocities = self._rows(actor_id, "velocities", known=bool(len(times)))
         position = {axis: poses[axis].astype(np.float64) * CM for axis in "xyz"}
         slopes = {axis: _slope(position[axis], times) for axis in "xyz"}
         recorded = np.isin(times, velocity_times)
@@ -281,7 +281,9 @@ class Recording:
 
         return blocked(self._reader, min_time, min_distance, compat=compat)
 
-    def _rows(self, actor_id: int, name: str) -> tuple[NDArray[np.float64], NDArray[np.void]]:
+    def _rows(
+        self, actor_id: int, name: str, *, known: bool = False
+    ) -> tuple[NDArray[np.float64], NDArray[np.void]]:
         """Elapsed seconds and record of an actor in each frame that has one; the last, where a frame has several."""
         times: list[float] = []
         rows: list[NDArray[np.void]] = []
@@ -293,7 +295,8 @@ class Recording:
                 times.append(frame.elapsed)
                 rows.append(records[found[-1] :][:1])
         if not rows:
-            self._check_actor(actor_id)
+            if not known:
+                self._check_actor(actor_id)
             return np.empty(0), np.empty(0, self.header.table.named(name).dtype)
         return np.array(times), np.concatenate(rows)
 

@@ -89,6 +89,25 @@ def test_a_spawn_begins_anew(make: Make) -> None:
     assert (row.start, row.duration, row.type_id) == (1.0, 1.0, "vehicle.a")
 
 
+@pytest.mark.parametrize(("drive", "stand"), [(19, 66), (56, 62), (3, 30)])
+def test_a_stretch_of_just_the_time(make: Make, drive: int, stand: int) -> None:
+    """It is summed up frame by frame; the difference of two times would be rounded otherwise."""
+    frames = [at((1, 100.0 * (frame + 1))) for frame in range(drive)]
+    frames += [frames[-1]] * (stand - 1) + [at((1, 0.0))]
+    length = sum([0.1] * (stand - 1))
+    reader = make(*frames, durations=[0.1] * len(frames))
+    assert [row.duration for row in blocked(reader, length)] == [length]
+    assert blocked(reader, math.nextafter(length, math.inf)) == []
+
+
+def test_a_duration_that_comes_back_to_0(make: Make) -> None:
+    """Then CARLA begins the stretch anew."""
+    both = at((1, 1), (2, 1))
+    reader = make(at((1, 1)), {}, both, both, {}, durations=[-1.0, 3.0, 1.0, 1.0, 1.0])
+    rows = blocked(reader, 0.5, compat=True)
+    assert [(row.id, row.start, row.duration) for row in rows] == [(2, 2.0, 2.0), (1, 3.0, 1.0)]
+
+
 def test_ties(make: Make) -> None:
     """By start, then id; in CARLA, stretches that ended first, then the latest-added actor first."""
     cast = {"spawned": [spawn(id) for id in (5, 1, 9, 4)]}

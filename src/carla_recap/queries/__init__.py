@@ -1,4 +1,4 @@
-"""CARLA's three queries over any recording, and who was there: typed rows, which `report` turns into text, JSON or a table."""
+"""CARLA's three queries over any recording, and who was there: typed rows, which `report` shows."""
 
 from carla_recap.queries.actors import Actor, Actors, BoundingBox, actors
 from carla_recap.queries.blocked import Blocked, BlockedRow, blocked

@@ -19,6 +19,7 @@ if TYPE_CHECKING:
     from carla_recap.frame import Frame
 
 _LOOK_AHEAD: Final = 1.0  # seconds
+_ROUNDING: Final = 1e-6  # more than sums of the lengths of frames ever differ by, as a share
 _TRUE: Final = b"\1"  # in an array of booleans
 _TYPES: Final = ("spawned", "destroyed", "transforms")
 
@@ -95,8 +96,8 @@ class _Actor:
 class _Watch:
     """Follows the actors through the frames.
 
-    The actors of a transforms packet are taken together as a `_Group`, which is kept for as long as the packets list the
-    same ids.
+    The actors of a transforms packet are taken together as a `_Group`, which is kept for as long as the
+    packets list the same ids.
 
     Args:
         min_time: The shortest stretch to tell of, in seconds.
@@ -159,7 +160,7 @@ class _Watch:
             self._rows += [row for _, row in ended]
 
     def _move_repeated(self, elapsed: float, length: float, records: NDArray[np.void]) -> None:
-        """Take in a packet that lists actors repeatedly: the first record of each, then the second ones, and so on."""
+        """Take in a packet that lists actors repeatedly: the first record of each, then the second."""
         ended = []
         for places in self._rounds[1]:
             part = records[places]
@@ -186,7 +187,8 @@ class _Watch:
 class _Group:
     """The actors that a transforms packet lists, all different, through packets that list the same.
 
-    What an actor that stands has stood so far follows from when it last moved, and is summed up only when it is asked for.
+    What an actor that stands has stood so far follows from when it last moved, and is summed up only when it
+    is asked for.
 
     Args:
         key: Their ids, as bytes.
@@ -203,7 +205,8 @@ class _Group:
         self._min_time = min_time
         self._places = np.array([actor.place for actor in actors], square_of_reach.dtype).T.copy()
         self._elapsed, self._lengths = array("d"), array("d")  # of the packets so far
-        self._first_odd: int | None = None  # the first packet whose length is not above 0
+        # The first packet from which on a stretch's duration may come back to 0.
+        self._first_odd = 0 if any(actor.duration < 0.0 for actor in actors) else None
         self._moved_at = np.full(len(actors), -1)  # the packet in which each last moved
         # A clock that only goes forward: no stretch is longer than the time on it since the actor moved.
         self._clock = 0.0
@@ -211,7 +214,7 @@ class _Group:
         # Who may have stood for long, until the clock shows a time.
         self._suspects = np.zeros(len(actors), np.bool_)
         self._suspects_until = -1.0
-        # Results go to arrays that are there already: that halves the time that numpy takes for so few actors.
+        # Results go to arrays that are there already: numpy takes half the time then, for so few actors.
         self._square_of_reach = np.full(len(actors), square_of_reach)
         self._now, self._squares = np.empty((2, *self._places.shape), square_of_reach.dtype)
         self._moves, self._ends = np.empty((2, len(actors)), np.bool_)
@@ -265,7 +268,9 @@ class _Group:
         self._suspects_until = self._clock + _LOOK_AHEAD
         before = [-max(actor.duration, 0.0) for actor in self._actors]
         origins = np.where(self._moved_at < 0, before, np.append(self._clocks, 0.0)[self._moved_at])
-        self._suspects = ~(self._suspects_until - origins < self._min_time)
+        # The clock has other roundings than the sum of a stretch, which decides in the end.
+        margin = _ROUNDING * (1.0 + self._suspects_until)
+        self._suspects = ~(self._suspects_until - origins < self._min_time - margin)
 
     def _end(self, numbers: list[int]) -> list[tuple[int, BlockedRow]]:
         """The stretches of some actors that move, where they are long enough."""
@@ -276,7 +281,7 @@ class _Group:
             if actor.duration >= self._min_time:
                 actor.place = tuple(self._places[:, number].tolist())
                 rows.append((number, actor.row()))
-            self._suspects[number] = self._min_time <= _LOOK_AHEAD
+            self._suspects[number] = self._min_time <= 2.0 * _LOOK_AHEAD
         return rows
 
     def _update(self, number: int) -> None:

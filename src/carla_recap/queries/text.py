@@ -26,7 +26,7 @@ _NAME_WIDTH: Final = 35
 
 
 def text(answer: Actors | Info | Collisions | Blocked) -> Iterator[str]:
-    """CARLA's text of an answer, in pieces; for actors, of which CARLA has none, a list in the same manner."""
+    """CARLA's text of an answer, in pieces; of actors, for which CARLA has none, a list in its manner."""
     yield _preamble(answer.header)
     if isinstance(answer, Info):
         yield from _info(answer)

@@ -56,7 +56,7 @@ def test_a_file_without_an_end_has_all_its_chunks(driven):
     assert damage.bytes == 100
 
 
-@pytest.mark.parametrize("place", [0, 1, 5, 9, 40, 60, 200])
+@pytest.mark.parametrize("place", [0, 1, 5, 40, 60, 200])
 def test_a_chunk_that_is_hit_is_lost_and_no_other(driven, place):
     data = bytearray(driven.read_bytes())
     whole = offsets_of(data)
@@ -66,6 +66,16 @@ def test_a_chunk_that_is_hit_is_lost_and_no_other(driven, place):
     assert sorted(chunk.offset for chunk in summary.chunks) == whole[:3] + whole[4:]
     assert damage.bytes > 0
     assert damage.finished
+
+
+@pytest.mark.parametrize("place", [9, 16, 17, 24])
+def test_the_times_of_a_chunk_are_those_of_its_messages(driven, place):
+    own = salvaged(driven)[0].chunks
+    data = bytearray(driven.read_bytes())
+    data[offsets_of(data)[3] + place] ^= 0xFF
+    save(driven, bytes(data))
+    summary, damage = salvaged(driven)
+    assert (summary.chunks, damage.chunks) == (own, 0)
 
 
 def test_bytes_in_between_cost_nothing_but_themselves(driven):

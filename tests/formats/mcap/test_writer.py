@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 import os
 import struct
+from itertools import pairwise
 
 import pytest
 from mcap import records
@@ -154,7 +155,7 @@ def test_log_times_grow_where_a_clock_does_not(tmp_path, elapsed, published):
     path = write(tmp_path / "jump.mcap", HEADER, frames)
     found = frames_in(path)
     times = [log for _, log, _ in found]
-    assert all(later > sooner for sooner, later in zip(times, times[1:], strict=False))
+    assert all(later > sooner for sooner, later in pairwise(times))
     assert found[2][2] == times[2] if published is None else (HEADER.date + published) * SECOND
 
 
@@ -178,6 +179,16 @@ def test_metadata_tell_of_header_and_extent(small_mcap):
     assert header.items() <= metadata["carla_recap.header"].items()
     extent = {"frames": "4", "last_frame": "4", "duration": "3.0", "hero_ids": "7", "additional_data": "1"}
     assert extent.items() <= metadata["carla_recap.extent"].items()
+
+
+def test_a_clock_that_only_grows_is_known_as_such(recording):
+    assert metadata_of(recording)["carla_recap.extent"]["steady_clock"] == "1"
+
+
+def test_a_clock_that_jumps_is_known_as_such(tmp_path):
+    frames = [Frame(n, n, time, 0.0, []) for n, time in enumerate((0.0, 7.0, 3.0))]
+    path = write(tmp_path / "jump.mcap", HEADER, frames)
+    assert metadata_of(path)["carla_recap.extent"]["steady_clock"] == "0"
 
 
 def test_metadata_of_a_name_that_is_no_text_are_text(tmp_path):

@@ -84,8 +84,7 @@ def _take(source: Source, at: int, summary: Summary, damage: Damage) -> int | No
     content = source.read(at + RECORD.size, length, "a record")
     try:
         if opcode == Opcode.CHUNK:
-            start, last, data = open_chunk(content)
-            summary.chunks.append(Chunk(start, last, at, end - at, _channels(data)))
+            summary.chunks.append(_described(open_chunk(content)[2], at, end - at))
         elif opcode == Opcode.SCHEMA:
             schema = parse_record(records.Schema, content)
             summary.schemas[schema.id] = schema
@@ -116,15 +115,16 @@ def _is_record(source: Source, at: int) -> bool:
     return bool(Opcode.HEADER <= opcode <= Opcode.DATA_END and at + RECORD.size + length <= source.size)
 
 
-def _channels(data: bytes) -> frozenset[int]:
-    """The channels of the messages in a chunk."""
-    found, at = set(), 0
+def _described(data: bytes, offset: int, size: int) -> Chunk:
+    """A chunk as its messages have it: what it says of its times is under no checksum."""
+    channels, times, at = set(), [], 0
     while at + MESSAGE.size <= len(data):
-        opcode, length, channel, *_ = MESSAGE.unpack_from(data, at)
+        opcode, length, channel, _, log_time, _ = MESSAGE.unpack_from(data, at)
         if opcode == Opcode.MESSAGE:
-            found.add(channel)
+            channels.add(channel)
+            times.append(log_time)
         at += RECORD.size + length
-    return frozenset(found)
+    return Chunk(min(times, default=0), max(times, default=0), offset, size, frozenset(channels))
 
 
 def _next_chunk(source: Source, at: int) -> int:

@@ -272,7 +272,7 @@ class McapWriter(AtomicFile):
         self._sealed.append(
             _Sealed(chunk.start, chunk.end, len(data), index, self._pool.submit(_compress, data))
         )
-        self._settle(_QUEUE)
+        self._settle(0 if self._live else _QUEUE)
 
     def _settle(self, allowed: int) -> None:
         """Write chunks until no more than so many are on their way."""

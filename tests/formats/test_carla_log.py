@@ -1,0 +1,445 @@
+"""CARLA's log: dialects, what is cut, what is broken, and finding frames."""
+
+from __future__ import annotations
+
+import os
+import struct
+
+import pytest
+from hypothesis import example, given
+from hypothesis import strategies as st
+
+from carla_recap import (
+    FormatError,
+    NotARecording,
+    RecapError,
+    RecapWarning,
+    convert,
+    open_recording,
+)
+from carla_recap.formats import create_writer, open_reader
+from carla_recap.formats.carla_log import LogReader
+from carla_recap.frame import Frame, Header
+from tests import strategies
+from tests.samples import (
+    DATE,
+    END,
+    collision,
+    double,
+    drive,
+    explore,
+    image,
+    images,
+    listed,
+    log_header,
+    packet,
+    reading,
+    save,
+    small_log,
+    start,
+    text,
+    time_limit,
+    transform,
+    warnings_ignored,
+    write,
+)
+
+
+def header_of(path):
+    with reading(path) as reader:
+        return reader.header
+
+
+# --- the header ------------------------------------------------------------------------------------------
+
+
+def test_the_start_of_a_real_log_is_read(tmp_path):
+    """As the description of the format has it, byte by byte."""
+    data = bytes.fromhex("01000E00") + b"CARLA_RECORDER" + bytes.fromhex("F0F59C61000000000600") + b"Town01"
+    assert header_of(save(tmp_path / "real.log", data)) == Header("Town01", 1_637_676_528)
+
+
+@given(strategies.headers())
+def test_any_header_comes_back(tmp_path, header):
+    path = write(tmp_path / "any.log", header, [])
+    assert header_of(path) == header
+    again = write(tmp_path / "again.log", header_of(path), [])
+    assert again.read_bytes() == path.read_bytes()
+
+
+def test_the_case_of_the_magic_does_not_matter(tmp_path):
+    data = log_header().replace(b"CARLA_RECORDER", b"Carla_Recorder")
+    path = save(tmp_path / "case.log", data)
+    assert header_of(path).raw == data
+    assert write(tmp_path / "again.log", header_of(path), []).read_bytes() == data
+
+
+def test_a_header_alone_is_a_recording_without_frames(tmp_path):
+    path = save(tmp_path / "header.log", log_header())
+    assert images(path) == []
+    with open_recording(path) as recording:
+        assert (recording.info.frames, recording.info.duration) == (0, 0.0)
+        assert recording.actors == {}
+        with pytest.raises(RecapError, match="no frame at 0 s"):
+            recording.frame_at(0)
+
+
+@pytest.mark.parametrize("length", [18, 19, 25, 26, 27, 28, 33])
+def test_a_file_that_ends_inside_the_header_is_an_error(tmp_path, length):
+    path = save(tmp_path / "cut.log", log_header()[:length])
+    with pytest.raises(FormatError, match=rf"cut\.log: byte {length}: the file ends inside the header"):
+        open_reader(path)
+
+
+@pytest.mark.parametrize(
+    "data", [b"\1", b"\1\0\x0e\0CARLA", b"PK\3\4" + bytes(100), b"\1\0\5\0CARLA_RECORDER"]
+)
+def test_what_is_no_log_is_no_recording(tmp_path, data):
+    with pytest.raises(NotARecording, match=r"x\.log: is not a recording \(neither CARLA's log nor MCAP\)"):
+        open_reader(save(tmp_path / "x.log", data))
+    with pytest.raises(NotARecording, match="is not a CARLA log"):
+        LogReader(tmp_path / "x.log")
+
+
+def test_an_empty_file_is_no_recording(tmp_path):
+    with pytest.raises(
+        NotARecording, match=r"x\.log: is empty; a CARLA log or an MCAP recording was expected"
+    ):
+        open_reader(save(tmp_path / "x.log", b""))
+
+
+def test_a_directory_is_no_recording(tmp_path):
+    with pytest.raises(RecapError, match=r"[Ii]s a directory") as caught:
+        open_reader(tmp_path)
+    assert str(tmp_path) in str(caught.value)
+
+
+def test_a_missing_file_is_an_error(tmp_path):
+    with pytest.raises(RecapError, match=r"missing\.log: No such file or directory"):
+        open_reader(tmp_path / "missing.log")
+
+
+def test_a_file_that_may_not_be_read_is_an_error(small):
+    small.chmod(0)
+    if os.access(small, os.R_OK):
+        pytest.skip("this user may read everything")
+    with pytest.raises(RecapError, match="Permission denied"):
+        open_reader(small)
+
+
+# --- dialects --------------------------------------------------------------------------------------------
+
+DOORS = struct.pack("<IBB", 7, 2, 1)
+WHEELS = struct.pack("<IIBff", 7, 1, 0, 1.5, 90)
+BIKERS = struct.pack("<Iff", 7, 500, 0.5)
+
+
+@pytest.mark.parametrize(
+    ("packets", "shifted"),
+    [
+        ([(23, listed()), (6, listed()), (21, listed()), (22, listed())], False),
+        ([(21, listed()), (6, listed()), (22, listed()), (23, listed())], True),
+        ([(23, listed(DOORS))], False),
+        ([(21, listed(DOORS))], True),
+        ([(6, listed()), (21, listed(WHEELS))], False),
+        ([(6, listed()), (22, listed(WHEELS))], True),
+        ([(6, listed()), (22, listed(BIKERS))], False),
+        ([(6, listed()), (23, listed(BIKERS))], True),
+        ([(6, listed())], False),
+        ([], False),
+    ],
+)
+def test_shifted_ids_are_told_by_content_and_place(tmp_path, packets, shifted):
+    body = start(1, 0.0) + b"".join(packet(*each) for each in packets) + END
+    path = save(tmp_path / "ids.log", log_header() + body)
+    assert header_of(path).shifted == shifted
+    with reading(path) as reader:
+        types = [p.type.name for frame in reader.frames() for p in frame.packets]
+        found = {p.id: list(p.records) for frame in reader.frames() for p in frame.packets if len(p.records)}
+    plain = {21: "wheels", 22: "bikers", 23: "doors"}
+    moved = {21: "doors", 22: "wheels", 23: "bikers"}
+    names = (moved if shifted else plain) | {6: "transforms", 1: "frame_end"}
+    assert types == [names[id] for id, _ in [*packets, (1, b"")]]
+    assert all(id in (21, 22, 23) for id in found)
+
+
+WIDE = struct.pack("<I6d", 7, 1, 2, 3, 4, 5, 6)
+
+
+def wide_spawn(attributes=0):
+    place = struct.pack("<IB6dI", 7, 1, 100, 200, 50, 0, 0, 90, 7)
+    return place + text("vehicle.a") + listed(*[b"\3" + text("role_name") + text("hero")] * attributes)
+
+
+@pytest.mark.parametrize(
+    ("packets", "wide"),
+    [
+        ([(6, listed(WIDE))], True),
+        ([(6, listed(WIDE, WIDE))], True),
+        ([(6, listed(transform(7)))], False),
+        ([(6, listed(*[transform(7)] * 13))], False),
+        ([(6, listed()), (12, listed(WIDE))], True),
+        ([(13, listed(WIDE))], True),
+        ([(17, listed(WIDE))], True),
+        ([(2, listed(wide_spawn(1)))], True),
+        ([(2, listed(wide_spawn())), (6, listed())], True),
+        ([(6, listed())], False),
+    ],
+)
+def test_double_precision_is_told_by_sizes(tmp_path, packets, wide):
+    path = save(tmp_path / "wide.log", log_header() + start(1, 0.0) + b"".join(packet(*p) for p in packets))
+    assert header_of(path).wide == wide
+
+
+def test_physics_of_ue5_are_kept_as_they_are(tmp_path):
+    body = packet(6, listed(WIDE)) + packet(15, b"\1\0" + bytes(range(200))) + END
+    path = save(tmp_path / "ue5.log", log_header() + start(1, 0.0) + body)
+    with open_recording(path) as recording:
+        frame = next(iter(recording))
+        assert frame["transforms"]["yaw"].tolist() == [6.0]
+        assert len(frame["physics"]) == 0
+    convert(path, tmp_path / "ue5.mcap")
+    convert(tmp_path / "ue5.mcap", tmp_path / "back.log")
+    assert (tmp_path / "back.log").read_bytes() == path.read_bytes()
+
+
+# --- cut and broken --------------------------------------------------------------------------------------
+
+
+def test_every_cut_of_a_log_is_read_up_to_the_last_whole_packet(tmp_path):
+    data = small_log()
+    whole = images(save(tmp_path / "whole.log", data))
+    ends = packet_ends(data)
+    path = tmp_path / "cut.log"
+    for length in range(len(log_header()), len(data), 3):
+        save(path, data[:length])
+        kept = max(end for end in ends if end <= length)
+        if kept == length:
+            found = images(path)
+        else:
+            dropped = length - kept
+            message = (
+                f"byte {kept}: the recording was cut short; the last {dropped} bytes are no complete packet"
+            )
+            with pytest.warns(RecapWarning, match=message):
+                found = images(path)
+        assert found[:-1] == whole[: max(len(found) - 1, 0)]
+        if found and length > len(log_header()) + 29:
+            count = len(found[-1][-1])
+            assert found[-1][-1] == whole[len(found) - 1][-1][:count]
+
+
+def packet_ends(data):
+    at = len(log_header())
+    ends = [at]
+    while at < len(data):
+        at += 5 + struct.unpack_from("<BI", data, at)[1]
+        ends.append(at)
+    return ends
+
+
+@pytest.mark.parametrize("zeros", [1, 4, 5, 100, 3 << 20])
+def test_zeros_at_the_end_are_left_out(tmp_path, zeros):
+    path = save(tmp_path / "zeros.log", small_log() + bytes(zeros))
+    with pytest.warns(RecapWarning, match=f"the last {zeros} bytes are no complete packet"):
+        assert len(images(path)) == 4
+
+
+@pytest.mark.parametrize(
+    ("broken", "message"),
+    [
+        (packet(0, bytes(16)), "FrameStart of 16 bytes, 24 were expected"),
+        (packet(0, bytes(25)), "FrameStart of 25 bytes, 24 were expected"),
+        (packet(1, b"x"), "FrameEnd of 1 bytes, 0 were expected"),
+    ],
+)
+def test_a_frame_of_the_wrong_size_is_an_error_at_its_place(tmp_path, broken, message):
+    path = save(tmp_path / "broken.log", small_log() + broken + END)
+    with pytest.raises(FormatError, match=message) as caught:
+        images(path)
+    assert caught.value.offset == len(small_log())
+    assert str(caught.value).startswith(f"{path}: byte {len(small_log())}: ")
+
+
+@pytest.mark.parametrize(
+    ("payload", "message", "at"),
+    [
+        (b"", "a count of 2 bytes need 2 bytes, the packet has 0", 0),
+        (b"\1", "a count of 2 bytes need 2 bytes, the packet has 1", 0),
+        (b"\3\0" + bytes(4), "3 records need 44 bytes, the packet has 6", 2),
+    ],
+)
+def test_a_list_longer_than_its_packet_is_an_error_at_its_place(tmp_path, payload, message, at):
+    before = log_header() + start(1, 0.0)
+    path = save(tmp_path / "short.log", before + packet(5, payload) + END)
+    with reading(path) as reader:
+        (frame,) = reader.frames()
+        with pytest.raises(FormatError, match=f"collisions: {message}") as caught:
+            frame["collisions"]
+    assert caught.value.offset == len(before) + 5 + at
+
+
+def test_a_spawn_that_ends_within_a_text_is_an_error_at_its_place(tmp_path):
+    before = log_header() + start(1, 0.0)
+    torn = listed(struct.pack("<IB6fI", 7, 1, 0, 0, 0, 0, 0, 0, 1) + b"\xff\0vehicle")
+    path = save(tmp_path / "torn.log", before + packet(2, torn) + END)
+    with (
+        open_recording(path) as recording,
+        pytest.raises(FormatError, match="spawned: type_id need") as caught,
+    ):
+        _ = recording.actors
+    assert len(before) < caught.value.offset <= len(before) + 5 + 2 + 33 + 2 + 255
+
+
+def test_a_count_that_cannot_be_is_an_error_and_takes_no_memory(tmp_path):
+    wheels = listed(struct.pack("<II", 7, 0xFFFFFFFF))
+    path = save(
+        tmp_path / "many.log", log_header() + start(1, 0.0) + packet(6, listed()) + packet(21, wheels)
+    )
+    with reading(path) as reader, time_limit(5):
+        (frame,) = reader.frames()
+        with pytest.raises(FormatError, match="wheels"):
+            frame["wheels"]
+
+
+def test_surplus_bytes_are_warned_of(tmp_path):
+    path = save(
+        tmp_path / "more.log", log_header() + start(1, 0.0) + packet(3, listed(bytes(4)) + b"abc") + END
+    )
+    with reading(path) as reader:
+        (frame,) = reader.frames()
+        with pytest.warns(RecapWarning, match=r"byte 68: destroyed has 3 bytes more than its records need"):
+            assert frame["destroyed"]["id"].tolist() == [0]
+
+
+@given(data=st.data())
+def test_any_damage_ends_in_an_answer_or_in_an_error_of_ours(tmp_path, data):
+    whole = small_log()
+    damaged = strategies.damaged(whole, data.draw(strategies.mutations(len(whole))))
+    path = save(tmp_path / "damaged.log", damaged)
+    with warnings_ignored(), time_limit(10):
+        answers = explore(path)
+        assert not [answer for answer in answers if "Error: " in answer and "\n" in answer]
+        try:
+            convert(path, tmp_path / "there.mcap", force=True)
+            convert(tmp_path / "there.mcap", tmp_path / "back.log", force=True)
+        except RecapError as error:
+            assert "\n" not in str(error)  # noqa: PT017
+        else:
+            assert (tmp_path / "back.log").read_bytes() == damaged
+
+
+@given(st.binary(max_size=120))
+@example(b"\0\x18\0\0\0" + bytes(24) + b"\6\2\0\0\0")
+def test_any_bytes_behind_a_header_are_an_answer_or_an_error_of_ours(tmp_path, data):
+    with warnings_ignored(), time_limit(10):
+        explore(save(tmp_path / "any.log", log_header() + data))
+
+
+# --- frames ----------------------------------------------------------------------------------------------
+
+
+def test_frames_are_read_as_they_are(small):
+    with reading(small) as reader:
+        frames = list(reader.frames())
+        assert [(f.index, f.id, f.elapsed, f.duration) for f in frames] == [
+            (0, 1, 0.0, 1.0),
+            (1, 2, 1.0, 1.0),
+            (2, 3, 2.0, 1.0),
+            (3, 4, 3.0, -1.0),
+        ]
+        assert (reader.extent().frames, reader.extent().last_id, reader.extent().duration) == (4, 4, 3.0)
+
+
+def test_packets_before_the_first_frame_are_a_frame_of_their_own(tmp_path):
+    data = log_header() + packet(150, b"early") + small_log()[len(log_header()) :]
+    path = save(tmp_path / "early.log", data)
+    with reading(path) as reader:
+        frames = list(reader.frames())
+        assert [f.preamble for f in frames] == [True, False, False, False, False]
+        assert [f.index for f in frames] == [0, 1, 2, 3, 4]
+        assert image(frames[0])[1:] == (0, double(0), double(0), True, [(150, b"early")])
+        assert reader.extent().frames == 4
+    assert write(tmp_path / "again.log", header_of(path), frames).read_bytes() == data
+
+
+@pytest.mark.parametrize(
+    ("start", "stop", "ids"),
+    [
+        (-1.0, 99.0, [1, 2, 3, 4]),
+        (1.0, 3.0, [2, 3]),
+        (0.5, 2.5, [2, 3]),
+        (3.0, 9.0, [4]),
+        (3.5, 9.0, []),
+        (2.0, 2.0, []),
+        (2.0, 1.0, []),
+        (float("-inf"), 1.0, [1]),
+    ],
+)
+def test_frames_within_a_time(small, small_mcap, start, stop, ids):
+    for path in (small, small_mcap):
+        with reading(path) as reader:
+            assert [frame.id for frame in reader.frames(start=start, stop=stop)] == ids
+
+
+@pytest.mark.parametrize(
+    ("elapsed", "id"), [(0.0, 1), (0.99, 1), (1.0, 2), (2.5, 3), (3.0, 4), (1e9, 4), (float("inf"), 4)]
+)
+def test_a_frame_at_a_time(small, small_mcap, elapsed, id):
+    for path in (small, small_mcap):
+        with reading(path) as reader:
+            assert reader.frame_at(elapsed).id == id
+
+
+@pytest.mark.parametrize("elapsed", [-0.001, float("nan"), float("-inf")])
+def test_before_the_first_frame_there_is_none(small, small_mcap, elapsed):
+    for path in (small, small_mcap):
+        with reading(path) as reader:
+            assert reader.frame_at(elapsed) is None
+
+
+@pytest.mark.parametrize("suffix", [".log", ".mcap"])
+def test_frames_of_some_types_are_the_same_in_both_formats(small, small_mcap, suffix):
+    with reading(small.with_suffix(suffix)) as reader:
+        for types in (("frame",), ("frame_end",), ()):
+            assert [f.id for f in reader.frames(types)] == [1, 2, 3, 4]
+        wanted = ("collisions", "spawned")
+        found = [[p.type.name for p in frame.packets] for frame in reader.frames(wanted)]
+        assert found == [["spawned", "collisions"], [], ["collisions"], []]
+        assert [frame.id for frame in reader.frames(wanted, sparse=True)] == [1, 3]
+        assert [f.id for f in reader.frames(wanted, sparse=True, start=1.0)] == [3]
+        assert [f.id for f in reader.frames(wanted, sparse=True, stop=2.0)] == [1]
+
+
+def test_reading_again_gives_the_same(small):
+    with reading(small) as reader:
+        assert [image(f) for f in reader.frames()] == [image(f) for f in reader.frames()]
+
+
+def test_records_outlive_their_reader(small):
+    with reading(small) as reader:
+        transforms = next(reader.frames())["transforms"]
+    assert transforms["id"].tolist() == [7, 8]
+
+
+def test_a_log_that_grows_large_is_read_in_bounded_memory(tmp_path, monkeypatch):
+    monkeypatch.setattr("carla_recap.formats.carla_log._FORGET", 1 << 16)
+    path = write(tmp_path / "long.log", Header("Town01", DATE), drive(60, 20, 20))
+    with reading(path) as reader:
+        assert sum(len(frame["transforms"]) for frame in reader.frames()) == 60 * 20 * 20
+
+
+# --- writing ---------------------------------------------------------------------------------------------
+
+
+def test_a_log_is_written_as_the_format_has_it(tmp_path):
+    expected = log_header() + start(1, 0.5, -1.0) + packet(5, listed(collision(1, 2, 3))) + END
+    path = save(tmp_path / "by_hand.log", expected)
+    with reading(path) as reader:
+        assert write(tmp_path / "ours.log", reader.header, reader.frames()).read_bytes() == expected
+
+
+def test_the_latest_suffix_says_the_format(tmp_path):
+    with create_writer(tmp_path / "a.mcap.LOG", Header("Town01", DATE)) as writer:
+        writer.write(Frame(0, 1, 0.0, -1.0, []))
+    assert (tmp_path / "a.mcap.LOG").read_bytes() == log_header() + start(1, 0.0)

@@ -1,0 +1,75 @@
+"""The names that the package offers, and what importing it costs."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+from importlib.metadata import version
+
+import pytest
+
+import carla_recap
+
+NAMES = [
+    "Actor",
+    "ActorKind",
+    "Attribute",
+    "BlockedRow",
+    "CollisionRow",
+    "FormatError",
+    "Frame",
+    "MissingExtra",
+    "NotARecording",
+    "RecapError",
+    "RecapWarning",
+    "RecordError",
+    "Recorder",
+    "Recording",
+    "Recovery",
+    "Spawn",
+    "Trajectory",
+    "convert",
+    "create_recording",
+    "open_recording",
+    "recover",
+]
+
+
+def test_these_names_are_public():
+    assert carla_recap.__all__ == NAMES
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_a_public_name_is_there_and_documented(name):
+    assert name in dir(carla_recap)
+    found = getattr(carla_recap, name)
+    assert found.__name__ == name
+    assert found.__doc__
+
+
+def test_every_name_can_be_imported_at_once():
+    found = {}
+    exec("from carla_recap import *", found)
+    assert set(NAMES) <= set(found)
+
+
+def test_another_name_is_not_there():
+    with pytest.raises(AttributeError, match="module 'carla_recap' has no attribute 'wings'"):
+        carla_recap.wings  # noqa: B018
+
+
+def test_the_version_is_that_of_the_package():
+    assert carla_recap.__version__ == version("carla-recap")
+
+
+@pytest.mark.parametrize("heavy", ["numpy", "mcap", "google.protobuf", "pandas", "zstandard"])
+def test_importing_the_package_imports_nothing_heavy(heavy):
+    code = f"import sys, carla_recap; sys.exit({heavy!r} in sys.modules)"
+    assert subprocess.run([sys.executable, "-c", code], check=False, timeout=60).returncode == 0
+
+
+def test_errors_have_one_base():
+    for name in ("FormatError", "NotARecording", "RecordError", "MissingExtra"):
+        assert issubclass(getattr(carla_recap, name), carla_recap.RecapError)
+    assert issubclass(carla_recap.NotARecording, carla_recap.FormatError)
+    assert issubclass(carla_recap.RecapWarning, UserWarning)

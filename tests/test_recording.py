@@ -1,0 +1,332 @@
+"""Recordings as Python sees them: actors, trajectories, controls, lights; the same in both formats."""
+
+from __future__ import annotations
+
+import sys
+from datetime import UTC, datetime
+
+import numpy as np
+import pytest
+
+from carla_recap import (
+    ActorKind,
+    Attribute,
+    MissingExtra,
+    RecapError,
+    Spawn,
+    convert,
+    create_recording,
+    open_recording,
+)
+from tests.samples import DATE, carla_log, image, log_header, save
+
+HERO, CAMERA, WALKER, LIGHT, PROP = 100, 101, 200, 300, 400
+STEP = 0.5
+
+
+def spawn(id, kind, type_id, **attributes):
+    return Spawn(
+        id, kind, 100.0, 200.0, 50.0, 1.0, 2.0, 90.0, 5, type_id,
+        [Attribute(3, key, value) for key, value in attributes.items()],
+    )  # fmt: skip
+
+
+def record(path):
+    """A hero drives 20 frames along x; a walker leaves, a prop never moves, a light turns."""
+    with create_recording(path, map_name="Town10HD", date=DATE, additional_data=True) as recorder:
+        for n in range(20):
+            records = {
+                "transforms": {
+                    "id": [HERO, PROP, HERO] if n == 3 else [HERO, PROP],
+                    "x": [100.0 * n, 7, 1e6][:2] if n != 3 else [0, 7, 300],
+                    "y": 10.0 * n,
+                    "z": 5.0,
+                    "roll": 3.0,
+                    "pitch": 4.0,
+                    "yaw": 5.0,
+                },
+                "vehicle_controls": {
+                    "id": HERO,
+                    "steer": n / 20,
+                    "throttle": 1.0,
+                    "hand_brake": n % 2,
+                    "gear": -1,
+                },
+                "light_states": {
+                    "id": LIGHT,
+                    "state": 2 if n >= 10 else 0,
+                    "elapsed": n * STEP,
+                    "frozen": n == 4,
+                },
+            }
+            if n < 10:
+                records["velocities"] = {"id": HERO, "x": 11.0, "y": 12.0, "z": 13.0}
+            if n == 0:
+                records["spawned"] = [
+                    spawn(HERO, ActorKind.VEHICLE, "vehicle.tesla.model3", role_name="hero", color="1,2,3"),
+                    spawn(LIGHT, ActorKind.TRAFFIC_LIGHT, "traffic.traffic_light"),
+                    spawn(PROP, ActorKind.OTHER, "static.prop", role_name="prop"),
+                ]
+                box = {"x": 1.0, "y": 2.0, "z": 75.0, "extent_x": 240.0, "extent_y": 100.0, "extent_z": 75.0}
+                records["bounding_boxes"] = {
+                    "id": [HERO, LIGHT, 999],
+                    **{name: [value, np.nan, value] for name, value in box.items()},
+                }
+            if n == 2:
+                records["spawned"] = [
+                    spawn(CAMERA, ActorKind.SENSOR, "sensor.camera.rgb"),
+                    spawn(WALKER, 42, "walker.pedestrian.0001"),
+                ]
+                records["parented"] = [(CAMERA, HERO), (998, 999)]
+            if n == 6:
+                records["destroyed"] = [(WALKER,), (999,)]
+            recorder.add_frame(n * STEP, **records)
+
+
+@pytest.fixture(scope="module", params=[".log", ".mcap"])
+def recording(request, tmp_path_factory):
+    """The same recording in both formats."""
+    path = tmp_path_factory.mktemp("recording") / f"drive{request.param}"
+    record(path)
+    with open_recording(path) as opened:
+        yield opened
+
+
+# --- what it is ------------------------------------------------------------------------------------------
+
+
+def test_info(recording):
+    info = recording.info
+    assert (info.map_name, info.version, info.frames, info.duration) == ("Town10HD", 1, 20, 9.5)
+    assert info.date == datetime(2021, 11, 23, 12, 39, 25, tzinfo=UTC)
+    assert info.additional_data
+    assert repr(recording) == f"Recording({str(recording.path)!r})"
+
+
+def test_a_date_out_of_range_is_none(tmp_path):
+    with open_recording(save(tmp_path / "far.log", log_header(date=(1 << 62)))) as recording:
+        assert recording.info.date is None
+        assert not recording.info.additional_data
+
+
+@pytest.mark.parametrize(
+    ("name", "map_name", "frames", "duration"),
+    [
+        ("carla-0.9.13-lane-center", "Town01", 432, 12.528204976581037),
+        ("carla-0.9.10-lane-center", "Town01", 461, 15.880943656899035),
+    ],
+)
+def test_info_of_carlas_own(name, map_name, frames, duration):
+    with open_recording(carla_log(f"{name}.log")) as recording:
+        info = recording.info
+        assert (info.map_name, info.frames, info.duration) == (map_name, frames, duration)
+        assert info.additional_data
+
+
+# --- who was there ---------------------------------------------------------------------------------------
+
+
+def test_actors_are_in_order_of_appearance(recording):
+    assert list(recording.actors) == [HERO, LIGHT, PROP, CAMERA, WALKER]
+    assert [actor.spawned_at for actor in recording.actors.values()] == [0.0, 0.0, 0.0, 1.0, 1.0]
+
+
+def test_an_actor_has_its_attributes(recording):
+    hero = recording.actors[HERO]
+    assert (hero.type_id, hero.kind) == ("vehicle.tesla.model3", "vehicle")
+    assert (hero.role_name, hero.is_hero) == ("hero", True)
+    assert hero.attributes == {"role_name": "hero", "color": "1,2,3"}
+    prop = recording.actors[PROP]
+    assert (prop.role_name, prop.is_hero) == ("prop", False)
+    assert recording.actors[LIGHT].role_name == ""
+
+
+def test_a_kind_that_is_none_is_a_number(recording):
+    assert recording.actors[WALKER].kind == "42"
+
+
+def test_actors_go(recording):
+    gone = {actor.id: actor.destroyed_at for actor in recording.actors.values() if actor.destroyed_at}
+    assert gone == {WALKER: 3.0}
+
+
+def test_actors_have_parents(recording):
+    parents = {actor.id: actor.parent for actor in recording.actors.values() if actor.parent is not None}
+    assert parents == {CAMERA: HERO}
+
+
+def test_boxes_are_in_metres_and_right_handed(recording):
+    box = recording.actors[HERO].bounding_box
+    found = (box.x, box.y, box.z, box.extent_x, box.extent_y, box.extent_z)
+    assert found == pytest.approx((0.01, -0.02, 0.75, 2.4, 1.0, 0.75))
+
+
+def test_boxes_without_a_size_are_left_out(recording):
+    assert recording.actors[LIGHT].bounding_box is None
+    assert recording.actors[PROP].bounding_box is None
+
+
+def test_an_id_that_is_given_out_again_is_the_latest_actor(tmp_path):
+    with create_recording(tmp_path / "again.log", map_name="T") as recorder:
+        recorder.add_frame(0.0, spawned=[spawn(1, 1, "vehicle.a")])
+        recorder.add_frame(1.0, destroyed=[(1,)])
+        recorder.add_frame(2.0, spawned=[spawn(1, 2, "walker.b")])
+    with open_recording(tmp_path / "again.log") as recording:
+        actor = recording.actors[1]
+        assert (actor.type_id, actor.spawned_at, actor.destroyed_at) == ("walker.b", 2.0, None)
+
+
+# --- where they went -------------------------------------------------------------------------------------
+
+
+def test_a_trajectory_is_in_metres_and_right_handed(recording):
+    path = recording.trajectory(HERO)
+    n = np.arange(20)
+    assert len(path) == 20
+    assert path.time.tolist() == (n * STEP).tolist()
+    assert path.x == pytest.approx(n * 1.0)
+    assert path.y == pytest.approx(n * -0.1)
+    assert path.z == pytest.approx(np.full(20, 0.05))
+    for angle, value in (("roll", 3.0), ("pitch", -4.0), ("yaw", -5.0)):
+        assert getattr(path, angle).tolist() == [value] * 20
+
+
+def test_a_trajectory_in_the_axes_of_carla(recording):
+    path, other = recording.trajectory(HERO, axes="carla"), recording.trajectory(HERO)
+    for name in ("x", "z", "roll", "vx", "vz"):
+        assert getattr(path, name).tolist() == getattr(other, name).tolist()
+    for name in ("y", "pitch", "yaw", "vy"):
+        assert getattr(path, name).tolist() == (-getattr(other, name)).tolist()
+
+
+def test_velocities_are_recorded_or_derived(recording):
+    path = recording.trajectory(HERO)
+    assert path.velocity_recorded.tolist() == [True] * 10 + [False] * 10
+    assert (path.vx[:10].tolist(), path.vy[:10].tolist()) == ([11.0] * 10, [-12.0] * 10)
+    assert path.vz[:10].tolist() == [13.0] * 10
+    assert path.vx[10:] == pytest.approx(np.full(10, 2.0))
+    assert path.vy[10:] == pytest.approx(np.full(10, -0.2))
+    assert path.speed[0] == pytest.approx((11**2 + 12**2 + 13**2) ** 0.5)
+
+
+def test_who_stands_has_no_speed(recording):
+    path = recording.trajectory(PROP)
+    assert path.x == pytest.approx(np.full(20, 0.07))
+    assert path.vx == pytest.approx(np.zeros(20), abs=1e-9)
+
+
+def test_an_actor_without_transforms_has_an_empty_trajectory(recording):
+    path = recording.trajectory(CAMERA)
+    assert (len(path), path.speed.tolist(), path.velocity_recorded.dtype) == (0, [], np.bool_)
+
+
+def test_a_trajectory_of_one_sample_has_no_speed(tmp_path):
+    with create_recording(tmp_path / "one.log", map_name="T") as recorder:
+        recorder.add_frame(0.0, transforms={"id": 1, "x": 100})
+    with open_recording(tmp_path / "one.log") as recording:
+        assert recording.trajectory(1).vx.tolist() == [0.0]
+
+
+def test_a_trajectory_is_what_the_log_has():
+    with open_recording(carla_log("carla-0.9.13-lane-center.log")) as recording:
+        hero = next(actor.id for actor in recording.actors.values() if actor.is_hero)
+        path = recording.trajectory(hero)
+        rows = [row for frame in recording for row in frame["transforms"] if row["id"] == hero]
+        speeds = [row for frame in recording for row in frame["velocities"] if row["id"] == hero]
+    assert path.x.tolist() == [float(row["x"]) * 0.01 for row in rows]
+    assert path.y.tolist() == [float(row["y"]) * -0.01 for row in rows]
+    assert path.yaw.tolist() == [-float(row["yaw"]) for row in rows]
+    assert path.vx[path.velocity_recorded].tolist() == [float(row["x"]) for row in speeds]
+    derived = np.gradient(path.x, path.time)
+    assert np.abs(derived - path.vx)[5:-5].max() < 1.0
+
+
+@pytest.mark.parametrize("question", ["trajectory", "controls", "light_states"])
+def test_an_unknown_actor_is_an_error_that_lists_near_ids(recording, question):
+    with pytest.raises(RecapError, match=r"drive\.\w+: no actor 102; near ids are 10[01], 10[01], [24]00"):
+        getattr(recording, question)(102)
+
+
+def test_an_unknown_actor_of_an_empty_recording(tmp_path):
+    with (
+        open_recording(save(tmp_path / "x.log", log_header())) as recording,
+        pytest.raises(RecapError, match="no actor 7; near ids are none"),
+    ):
+        recording.trajectory(7)
+
+
+# --- what they did ---------------------------------------------------------------------------------------
+
+
+def test_controls(recording):
+    controls = recording.controls(HERO)
+    assert controls.time.tolist() == [n * STEP for n in range(20)]
+    assert controls.steer == pytest.approx(np.arange(20) / 20)
+    assert controls.throttle.tolist() == [1.0] * 20
+    assert controls.hand_brake.tolist() == [n % 2 == 1 for n in range(20)]
+    assert controls.gear.tolist() == [-1] * 20
+    assert len(recording.controls(PROP).time) == 0
+
+
+def test_light_states(recording):
+    states = recording.light_states(LIGHT)
+    assert states.state.tolist() == [0] * 10 + [2] * 10
+    assert states.elapsed == pytest.approx(np.arange(20) * STEP)
+    assert np.flatnonzero(states.frozen).tolist() == [4]
+
+
+# --- frames ----------------------------------------------------------------------------------------------
+
+
+def test_frames_within_a_time(recording):
+    assert [frame.elapsed for frame in recording.frames(1.0, 2.5)] == [1.0, 1.5, 2.0]
+    assert len(list(recording.frames())) == len(list(recording)) == 20
+
+
+def test_a_frame_at_a_time_is_whole(recording):
+    every = [image(frame) for frame in recording]
+    for time, index in ((0.0, 0), (0.49, 0), (4.99, 9), (5.0, 10), (9.5, 19), (1e6, 19)):
+        assert image(recording.frame_at(time)) == every[index]
+
+
+def test_before_the_first_frame_is_an_error(recording):
+    with pytest.raises(RecapError, match=r"drive\.\w+: no frame at -1 s; the recording ends at 9\.5 s"):
+        recording.frame_at(-1)
+
+
+# --- as tables -------------------------------------------------------------------------------------------
+
+
+def test_answers_become_data_frames(recording):
+    path = recording.trajectory(HERO).to_pandas()
+    assert list(path.columns[:4]) == ["time", "x", "y", "z"]
+    assert path["velocity_recorded"].sum() == 10
+    assert recording.controls(HERO).to_pandas()["gear"].dtype == np.int32
+
+
+def test_answers_become_arrow_tables(recording):
+    table = recording.light_states(LIGHT).to_arrow()
+    assert table.column_names == ["time", "state", "elapsed", "frozen"]
+    assert table.num_rows == 20
+
+
+@pytest.mark.parametrize(
+    ("method", "package", "extra"), [("to_pandas", "pandas", "pandas"), ("to_arrow", "pyarrow", "arrow")]
+)
+def test_without_the_extra_it_is_named(recording, monkeypatch, method, package, extra):
+    monkeypatch.setitem(sys.modules, package, None)
+    with pytest.raises(MissingExtra, match=rf"pip install 'carla-recap\[{extra}\]'"):
+        getattr(recording.trajectory(HERO), method)()
+
+
+def test_both_formats_answer_alike(tmp_path):
+    log, mcap = carla_log("carla-0.9.10-lane-center.log"), tmp_path / "there.mcap"
+    convert(log, mcap)
+    with open_recording(log) as one, open_recording(mcap) as other:
+        assert one.info == other.info
+        assert one.actors == other.actors
+        for id in list(one.actors)[::20]:
+            for method in ("trajectory", "controls", "light_states"):
+                a, b = getattr(one, method)(id), getattr(other, method)(id)
+                for name in a.__dataclass_fields__:
+                    np.testing.assert_array_equal(getattr(a, name), getattr(b, name))
