@@ -23,12 +23,8 @@ WIDTHS = (46, 18, 18, 18, 8)
 def main() -> None:
     names = [row.__name__ for row in ROWS]
     parser = argparse.ArgumentParser(prog="python -m benchmarks", description=__doc__)
-    parser.add_argument(
-        "--frames", type=int, default=FRAMES, help="frames of the recording (default: %(default)s)"
-    )
-    parser.add_argument(
-        "--only", action="append", choices=names, metavar="NAME", help=f"one of {', '.join(names)}"
-    )
+    parser.add_argument("--frames", type=int, default=FRAMES, help="frames of the recording (default: %(default)s)")
+    parser.add_argument("--only", action="append", choices=names, metavar="NAME", help=f"one of {', '.join(names)}")
     parser.add_argument(
         "--real",
         type=Path,
@@ -72,9 +68,7 @@ def tell(what: str) -> None:
 def show(*cells: str) -> None:
     if sys.stderr.isatty():
         print("\r\033[K", end="", file=sys.stderr, flush=True)
-    print(
-        "  ".join(cell.ljust(width) for cell, width in zip(cells, WIDTHS, strict=False)).rstrip(), flush=True
-    )
+    print("  ".join(cell.ljust(width) for cell, width in zip(cells, WIDTHS, strict=False)).rstrip(), flush=True)
 
 
 if __name__ == "__main__":

@@ -115,9 +115,7 @@ def blocked(subject: Subject) -> Iterator[Line]:
     for name, path in subject.both():
         seconds = min(timed(partial(ask, blocked, path)) for _ in range(3))
         each = seconds / subject.frames * 1e6
-        yield Line(
-            f"blocked, {name}", f"{seconds:.2f} s", f"{each:.1f} µs/frame", "≤ 30 µs/frame", each <= 30
-        )
+        yield Line(f"blocked, {name}", f"{seconds:.2f} s", f"{each:.1f} µs/frame", "≤ 30 µs/frame", each <= 30)
 
 
 def info_all(subject: Subject) -> Iterator[Line]:
@@ -262,9 +260,7 @@ def _query(name: str, query: Query, subject: Subject) -> Iterator[Line]:
     reader = LogReader(subject.log)
     begin = len(pack_header(reader.header))
     reader.close()
-    rounds = [
-        (timed(lambda: ask(query, subject.log)), timed(lambda: hop(subject.log, begin))) for _ in range(3)
-    ]
+    rounds = [(timed(lambda: ask(query, subject.log)), timed(lambda: hop(subject.log, begin))) for _ in range(3)]
     seconds, bare = map(min, zip(*rounds, strict=True))
     ratio = seconds / bare
     yield Line(f"{name}, .log", f"{seconds * 1e3:.0f} ms", f"{ratio:.2f} x bare loop", "≤ 2 x", ratio <= 2)

@@ -229,8 +229,7 @@ def make(path: Path) -> None:
                     if a.kind in (ActorKind.OTHER, ActorKind.VEHICLE, ActorKind.WALKER)
                 ],
                 "light_states": [
-                    (id, False, *CYCLE[(frame - green * RATE) % len(CYCLE)])
-                    for id, (_, green) in SIGNALS.items()
+                    (id, False, *CYCLE[(frame - green * RATE) % len(CYCLE)]) for id, (_, green) in SIGNALS.items()
                 ],
                 "vehicle_controls": [(m.id, *m.controls[frame]) for m in vehicles],
                 "walker_controls": [(m.id, 100 * m.speed[frame]) for m in movers if m not in VEHICLES],

@@ -130,14 +130,10 @@ def packets(table: Table, extra: SearchStrategy[bytes] = surplus) -> SearchStrat
     return st.one_of(known, known, empty, unknown, end)
 
 
-def frame_lists(
-    table: Table, first: list[Packet], elapsed: SearchStrategy[float] = real64
-) -> SearchStrategy[list[Frame]]:
+def frame_lists(table: Table, first: list[Packet], elapsed: SearchStrategy[float] = real64) -> SearchStrategy[list[Frame]]:
     """Frames; the very first packets are given, so that the dialect can be told from them."""
 
-    def build(
-        parts: list[tuple[int, float, float, list[Packet]]], preamble: list[Packet] | None
-    ) -> list[Frame]:
+    def build(parts: list[tuple[int, float, float, list[Packet]]], preamble: list[Packet] | None) -> list[Frame]:
         frames = [] if preamble is None else [Frame(0, 0, 0.0, 0.0, first + preamble, preamble=True)]
         for id, at, duration, found in parts:
             frames.append(Frame(len(frames), id, at, duration, found if frames else first + found))
@@ -178,9 +174,7 @@ def signature(*, wide: bool, shifted: bool) -> list[Packet]:
 @st.composite
 def recordings(draw: st.DrawFn) -> tuple[Header, list[Frame]]:
     """A header and frames, in any dialect."""
-    wide, shifted = draw(
-        st.sampled_from([(False, False), (False, False), (True, False), (False, True), (True, True)])
-    )
+    wide, shifted = draw(st.sampled_from([(False, False), (False, False), (True, False), (False, True), (True, True)]))
     header = draw(headers(wide=wide, shifted=shifted))
     frames = draw(frame_lists(header.table, signature(wide=wide, shifted=shifted)))
     if not frames:
@@ -192,9 +186,7 @@ def recordings(draw: st.DrawFn) -> tuple[Header, list[Frame]]:
 def clocks(*, jumps: bool) -> SearchStrategy[list[float]]:
     """Elapsed seconds of frames: they grow, or they do as they like."""
     if jumps:
-        return st.lists(
-            st.one_of(st.floats(-20, 60), st.sampled_from([0.0, 5.0, math.nan, math.inf])), max_size=20
-        )
+        return st.lists(st.one_of(st.floats(-20, 60), st.sampled_from([0.0, 5.0, math.nan, math.inf])), max_size=20)
     steps = st.lists(st.one_of(st.floats(0.01, 0.1), st.floats(1, 8)), max_size=20)
     return steps.map(lambda found: [sum(found[:count]) for count in range(len(found))])
 

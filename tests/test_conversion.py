@@ -168,9 +168,7 @@ def test_a_tail_of_megabytes_comes_back(frames, tmp_path):
 
 def test_a_packet_of_megabytes_that_nobody_knows_comes_back(tmp_path):
     blob = os.urandom(1_500_000) + bytes(1_500_000)
-    log = save(
-        tmp_path / "blob.log", log_header() + start(1, 0.0) + packet(150, blob) + packet(150, b"") + END
-    )
+    log = save(tmp_path / "blob.log", log_header() + start(1, 0.0) + packet(150, blob) + packet(150, b"") + END)
     assert there_and_back(log) == log.read_bytes()
 
 
@@ -194,9 +192,7 @@ def test_packets_that_grow_beyond_what_is_parsed_come_back(tmp_path, monkeypatch
 
 
 def test_surplus_bytes_are_kept_and_told_of(tmp_path):
-    log = save(
-        tmp_path / "more.log", log_header() + start(1, 0.0) + packet(3, listed(bytes(4)) + b"more") + END
-    )
+    log = save(tmp_path / "more.log", log_header() + start(1, 0.0) + packet(3, listed(bytes(4)) + b"more") + END)
     with pytest.warns(RecapWarning, match="destroyed has 4 bytes more than its records need"):
         convert(log, tmp_path / "more.mcap")
     with warnings_ignored():
@@ -332,9 +328,7 @@ def found_at(recording: Recording, elapsed: float) -> object:
 @given(data=st.data())
 def test_both_formats_find_the_same_frames_by_time(tmp_path, jumps, data):
     times = data.draw(strategies.clocks(jumps=jumps))
-    asks = data.draw(
-        st.lists(st.one_of(st.floats(-30, 70), st.sampled_from([*times, 0.0])), min_size=1, max_size=4)
-    )
+    asks = data.draw(st.lists(st.one_of(st.floats(-30, 70), st.sampled_from([*times, 0.0])), min_size=1, max_size=4))
     with both(tmp_path, times) as (log, mcap):
         for at in asks:
             assert found_at(log, at) == found_at(mcap, at)

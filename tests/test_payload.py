@@ -102,9 +102,7 @@ def test_both_layouts_of_wheels_are_told_by_size(size, count):
     assert pack(physics, [record]) == payload
 
 
-@pytest.mark.parametrize(
-    "raw", [b"", b"\0", b"a\0b", b"\xff", b"\xed\xa0\x80", "Straße".encode(), b"x" * 0xFFFF]
-)
+@pytest.mark.parametrize("raw", [b"", b"\0", b"a\0b", b"\xff", b"\xed\xa0\x80", "Straße".encode(), b"x" * 0xFFFF])
 def test_any_text_comes_back(raw):
     payload = listed(bytes(33) + text(raw) + listed())
     records, _ = unpack(UE4.named("spawned"), payload)
@@ -133,16 +131,12 @@ def test_more_records_than_a_packet_counts_are_refused(name):
         if count == MAX_COUNT:
             assert pack(type, records)[:2] == b"\xff\xff"
         else:
-            with pytest.raises(
-                RecordError, match=f"{name}: 65536 records, but a packet counts at most 65535"
-            ):
+            with pytest.raises(RecordError, match=f"{name}: 65536 records, but a packet counts at most 65535"):
                 pack(type, records)
 
 
 def a_spawn(**changes):
-    fields = {"id": 1, "kind": 1, "uid": 0, "type_id": "a"} | dict.fromkeys(
-        ("x", "y", "z", "roll", "pitch", "yaw"), 0.0
-    )
+    fields = {"id": 1, "kind": 1, "uid": 0, "type_id": "a"} | dict.fromkeys(("x", "y", "z", "roll", "pitch", "yaw"), 0.0)
     return Spawn(**fields | changes)
 
 

@@ -148,18 +148,14 @@ def test_records_are_made_of_what_there_is(values):
     assert records.tolist() == [(1, 5.0, 0, 0, 0, 0, 0.0), (2, 5.0, 0, 0, 0, 0, 90.0)]
 
 
-@pytest.mark.parametrize(
-    "values", [[], np.empty(0, TRANSFORMS.dtype), {"id": []}], ids=["rows", "array", "columns"]
-)
+@pytest.mark.parametrize("values", [[], np.empty(0, TRANSFORMS.dtype), {"id": []}], ids=["rows", "array", "columns"])
 def test_nothing_makes_no_records(values):
     assert len(TRANSFORMS.records(values)) == 0
 
 
 def test_one_record_is_a_record():
     assert TRANSFORMS.records({"id": 7}).tolist() == [(7, 0, 0, 0, 0, 0, 0)]
-    assert TRANSFORMS.records(np.array((7, 0, 0, 0, 0, 0, 0), TRANSFORMS.dtype)).tolist() == [
-        (7, 0, 0, 0, 0, 0, 0)
-    ]
+    assert TRANSFORMS.records(np.array((7, 0, 0, 0, 0, 0, 0), TRANSFORMS.dtype)).tolist() == [(7, 0, 0, 0, 0, 0, 0)]
 
 
 @pytest.mark.parametrize(

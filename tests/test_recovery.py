@@ -92,9 +92,7 @@ def test_a_lost_chunk_of_events_is_told_of(driven, tmp_path):
     at, size = min(chunk_places(data), key=lambda place: place[1])
     data[at + size - 1] ^= 0xFF
     save(driven, bytes(data))
-    with pytest.warns(
-        RecapWarning, match=r"drive\.mcap: messages of frame \d+, and maybe of others, are missing"
-    ):
+    with pytest.warns(RecapWarning, match=r"drive\.mcap: messages of frame \d+, and maybe of others, are missing"):
         recovery = recover(driven, tmp_path / "saved.mcap")
     assert (recovery.frames, recovery.lost_frames) == (600, 0)
 

@@ -6,13 +6,15 @@ The size of a packet's header and its id are the `.log` codec's business; here i
 from __future__ import annotations
 
 import struct
-from typing import Any, Final
+from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
-from numpy.typing import NDArray
 
 from carla_recap.errors import RecordError
 from carla_recap.records import FLAG, REAL, TEXT, Framing, Layout, Many, Records, RecordType
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
 
 Buffer = bytes | memoryview
 U16: Final = struct.Struct("<H")
@@ -145,17 +147,14 @@ def _compile(layout: Layout, wide: bool) -> list[tuple[tuple[str, ...], Step]]:
 
     def end_run() -> None:
         if run:
-            steps.append(
-                (tuple(name for name, _ in run), struct.Struct("<" + "".join(code for _, code in run)))
-            )
+            steps.append((tuple(name for name, _ in run), struct.Struct("<" + "".join(code for _, code in run))))
             run.clear()
 
     for name, kind in layout.fields.items():
         if isinstance(kind, Many):
             end_run()
             items: list[Item] = [
-                (_compile(item, wide), item.make) if item.make else ([], item.dtype(wide))
-                for item in kind.layouts
+                (_compile(item, wide), item.make) if item.make else ([], item.dtype(wide)) for item in kind.layouts
             ]
             steps.append(((name,), (struct.Struct("<" + _STRUCT_CODES[kind.count]), kind, items)))
         elif kind == TEXT:
@@ -170,9 +169,7 @@ def _compile(layout: Layout, wide: bool) -> list[tuple[tuple[str, ...], Step]]:
 
 def _unpack_objects(type: RecordType, payload: Buffer, count: int) -> tuple[Records, int]:
     if len(payload) > OBJECTS_LIMIT:
-        raise PayloadError(
-            0, f"{type.name}: a packet of at most {OBJECTS_LIMIT} bytes, this has {len(payload)}"
-        )
+        raise PayloadError(0, f"{type.name}: a packet of at most {OBJECTS_LIMIT} bytes, this has {len(payload)}")
     data = bytes(payload)
     choices = max(len(kind.layouts) if isinstance(kind, Many) else 1 for kind in type.layout.fields.values())
     results: list[tuple[Records, int]] = []

@@ -7,7 +7,6 @@ from dataclasses import dataclass
 from datetime import UTC, datetime
 from difflib import get_close_matches
 from functools import cached_property
-from pathlib import Path
 from typing import TYPE_CHECKING, Literal, Self
 
 import numpy as np
@@ -19,6 +18,7 @@ from carla_recap.tables import Columns
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
+    from pathlib import Path
     from types import TracebackType
 
     from numpy.typing import NDArray
@@ -137,9 +137,7 @@ class Recording:
     def __enter__(self) -> Self:
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None) -> None:
         self.close()
 
     def __iter__(self) -> Iterator[Frame]:
@@ -172,16 +170,12 @@ class Recording:
         """What the recording is."""
         header, extent = self.header, self._reader.extent()
         first = next(self._reader.frames(), None)
-        additional = first is not None and any(
-            p.type is not None and p.type.additional for p in first.packets
-        )
+        additional = first is not None and any(p.type is not None and p.type.additional for p in first.packets)
         try:
             date = datetime.fromtimestamp(header.date, UTC)
         except (OverflowError, OSError, ValueError):
             date = None
-        return RecordingInfo(
-            header.map_name, date, header.version, extent.frames, extent.duration, additional
-        )
+        return RecordingInfo(header.map_name, date, header.version, extent.frames, extent.duration, additional)
 
     @cached_property
     def actors(self) -> dict[int, Actor]:
@@ -211,9 +205,7 @@ class Recording:
         """
         frame = self._reader.frame_at(elapsed)
         if frame is None:
-            raise RecapError(
-                f"{self.path}: no frame at {elapsed:g} s; the recording ends at {self.info.duration:g} s"
-            )
+            raise RecapError(f"{self.path}: no frame at {elapsed:g} s; the recording ends at {self.info.duration:g} s")
         return frame
 
     def trajectory(self, actor_id: int, *, axes: Axes = "right-handed") -> Trajectory:
@@ -256,9 +248,7 @@ class Recording:
             RecapError: There is no such actor.
         """
         times, rows = self._rows(actor_id, "vehicle_controls")
-        return Controls(
-            times, rows["steer"], rows["throttle"], rows["brake"], rows["hand_brake"] != 0, rows["gear"]
-        )
+        return Controls(times, rows["steer"], rows["throttle"], rows["brake"], rows["hand_brake"] != 0, rows["gear"])
 
     def light_states(self, actor_id: int) -> LightStates:
         """What a traffic light showed.
@@ -271,19 +261,17 @@ class Recording:
 
     def collisions(self, type1: str = "a", type2: str = "a", *, compat: bool = False) -> Collisions:
         """Who collided with whom; see `carla_recap.queries.collisions`."""
-        from carla_recap.queries import collisions  # noqa: PLC0415
+        from carla_recap.queries import collisions
 
         return collisions(self._reader, type1, type2, compat=compat)
 
     def blocked(self, min_time: float = 30.0, min_distance: float = 10.0, *, compat: bool = False) -> Blocked:
         """Who stood still for long; see `carla_recap.queries.blocked`. Seconds and centimetres."""
-        from carla_recap.queries import blocked  # noqa: PLC0415
+        from carla_recap.queries import blocked
 
         return blocked(self._reader, min_time, min_distance, compat=compat)
 
-    def _rows(
-        self, actor_id: int, name: str, *, known: bool = False
-    ) -> tuple[NDArray[np.float64], NDArray[np.void]]:
+    def _rows(self, actor_id: int, name: str, *, known: bool = False) -> tuple[NDArray[np.float64], NDArray[np.void]]:
         """Elapsed seconds and record of an actor in each frame that has one; the last, where a frame has several."""
         times: list[float] = []
         rows: list[NDArray[np.void]] = []

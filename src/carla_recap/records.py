@@ -22,9 +22,7 @@ from carla_recap.errors import RecordError
 # Field kinds. A kind is a numpy type code, or one of these:
 REAL: Final = "real"  # a length, angle or speed: float32 in UE4 builds (0.9), float64 in UE5 builds (0.10)
 FLAG: Final = "flag"  # a byte that should be 0 or 1
-TEXT: Final = (
-    "text"  # u16 byte count, then UTF-8; invalid bytes become lone surrogates (PEP 383), so nothing is lost
-)
+TEXT: Final = "text"  # u16 byte count, then UTF-8; invalid bytes become lone surrogates (PEP 383), so nothing is lost
 
 NO_ACTOR: Final = 0xFFFFFFFF
 """The id that stands for something that is no actor: a building, a barrier (since CARLA 0.9.13)."""
@@ -229,9 +227,7 @@ _PHYSICS = Layout(
         "forward_gears": Many("u4", (_fixed(ratio="f4", down_ratio="f4", up_ratio="f4"),)),
         "steering_curve": _CURVE,
         # 48 bytes a wheel since 0.9.12, 36 before.
-        "wheels": Many(
-            "u4", (_fixed(**_WHEEL_START, **_STIFFNESS, **_WHEEL_END), _fixed(**_WHEEL_START, **_WHEEL_END))
-        ),
+        "wheels": Many("u4", (_fixed(**_WHEEL_START, **_STIFFNESS, **_WHEEL_END), _fixed(**_WHEEL_START, **_WHEEL_END))),
     },
     Physics,
 )
@@ -325,22 +321,16 @@ class RecordType:
                 return self._from_columns(values)
             if isinstance(values, np.ndarray):
                 if values.dtype.names is None:
-                    raise RecordError(
-                        f"{self.name}: a structured array is expected, with the fields {self.dtype.names}"
-                    )
+                    raise RecordError(f"{self.name}: a structured array is expected, with the fields {self.dtype.names}")
                 return np.atleast_1d(values).astype(self.dtype, copy=False)
             return np.array([tuple(row) for row in values], dtype=self.dtype)
         except (TypeError, ValueError, OverflowError) as error:
-            raise RecordError(
-                f"{self.name}: {error}; the fields are {', '.join(self.layout.fields)}"
-            ) from None
+            raise RecordError(f"{self.name}: {error}; the fields are {', '.join(self.layout.fields)}") from None
 
     def _from_columns(self, columns: Mapping[str, Any]) -> NDArray[np.void]:
         unknown = set(columns) - set(self.layout.fields)
         if unknown:
-            raise RecordError(
-                f"{self.name} has no field {min(unknown)!r}; the fields are {', '.join(self.layout.fields)}"
-            )
+            raise RecordError(f"{self.name} has no field {min(unknown)!r}; the fields are {', '.join(self.layout.fields)}")
         shape = np.broadcast_shapes(*(np.shape(column) for column in columns.values()), (1,))
         array = np.zeros(shape, dtype=self.dtype)
         for name, column in columns.items():
@@ -354,11 +344,12 @@ Records = NDArray[np.void] | list[Any]
 
 _CONTROL = _fixed(id="u4", steer="f4", throttle="f4", brake="f4", hand_brake=FLAG, gear="i4")
 _COLLISION = _fixed(id="u4", actor1="u4", actor2="u4", hero1=FLAG, hero2=FLAG)
-_SCENE_LIGHT = _fixed(
-    id="i4", intensity="f4", red="f4", green="f4", blue="f4", alpha="f4", on=FLAG, group="u1"
-)
+_SCENE_LIGHT = _fixed(id="i4", intensity="f4", red="f4", green="f4", blue="f4", alpha="f4", on=FLAG, group="u1")
 _VELOCITY = _fixed(id="u4", x=REAL, y=REAL, z=REAL, angular_x=REAL, angular_y=REAL, angular_z=REAL)
 _LIGHT_STATE = _fixed(id="u4", frozen=FLAG, elapsed="f4", state="i1")
+_WALKER_CONTROL = _fixed(id="u4", speed="f4")
+_VEHICLE_LIGHT = _fixed(id="u4", flags="u4")
+_BIKER = _fixed(id="u4", speed="f4", engine_rpm_ratio="f4")
 _LIGHT_TIME = _fixed(id="u4", green="f4", yellow="f4", red="f4")
 _TRANSFORM = Layout({"id": "u4", **_POSE})
 _VOLUME = Layout({"id": "u4", **_BOX})
@@ -396,8 +387,8 @@ _ROWS: Final = (
     _row(6, "transforms", "/actors/transforms", "Transforms", "actors", _TRANSFORM, _LIST, _STATE, _E),
     _row(7, "light_states", "/traffic_lights/states", "TrafficLightStates", "lights", _LIGHT_STATE, _LIST, _STATE, _E),
     _row(8, "vehicle_controls", "/vehicles/controls", "VehicleControls", "vehicles", _CONTROL, _LIST, _STATE, _E),
-    _row(9, "walker_controls", "/walkers/controls", "WalkerControls", "walkers", _fixed(id="u4", speed="f4"), _LIST, _STATE, _E),
-    _row(10, "vehicle_lights", "/vehicles/lights", "VehicleLights", "vehicles", _fixed(id="u4", flags="u4"), _LIST, _STATE, _E),
+    _row(9, "walker_controls", "/walkers/controls", "WalkerControls", "walkers", _WALKER_CONTROL, _LIST, _STATE, _E),
+    _row(10, "vehicle_lights", "/vehicles/lights", "VehicleLights", "vehicles", _VEHICLE_LIGHT, _LIST, _STATE, _E),
     _row(11, "scene_lights", "/scene/lights", "SceneLights", "lights", _SCENE_LIGHT, _LIST, _EVENTS, _N),
     _row(12, "velocities", "/actors/velocities", "Velocities", "actors", _VELOCITY, _LIST, _STATE, _AN),
     _row(13, "bounding_boxes", "/actors/bounding_boxes", "BoundingBoxes", "actors", _VOLUME, _LIST, _EVENTS, _AE),
@@ -409,7 +400,7 @@ _ROWS: Final = (
     _row(19, "walker_bones", "/walkers/bones", "WalkerBones", "walkers", _BONES, _LIST, _STATE, _AE),
     _row(20, "visual_time", "/clock/visual", "VisualTime", "seconds", _SECONDS, _SINGLE, _STATE, _N),
     _row(21, "wheels", "/vehicles/wheels", "VehicleWheels", "vehicles", _WHEELS, _LIST, _STATE, _E),
-    _row(22, "bikers", "/vehicles/bikers", "Bikers", "bikers", _fixed(id="u4", speed="f4", engine_rpm_ratio="f4"), _LIST, _STATE, _E),
+    _row(22, "bikers", "/vehicles/bikers", "Bikers", "bikers", _BIKER, _LIST, _STATE, _E),
     _row(23, "doors", "/vehicles/doors", "VehicleDoors", "doors", _fixed(id="u4", door="u1", open=FLAG), _LIST, _EVENTS, _E),
     _row(24, "weather", "/weather", "Weather", "weather", _WEATHER, _LIST, _EVENTS, _N),
 )

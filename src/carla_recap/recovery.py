@@ -91,9 +91,9 @@ def _open(source: Path | str) -> tuple[Reader, bool, int]:
         raise RecapError(f"{source}: {error.strerror}") from None
     if is_log(start):
         return LogReader(source, salvage=True), True, 0
-    from carla_recap.formats.mcap.reader import McapReader  # noqa: PLC0415
-    from carla_recap.formats.mcap.salvage import salvage  # noqa: PLC0415
-    from carla_recap.formats.mcap.source import Source  # noqa: PLC0415
+    from carla_recap.formats.mcap.reader import McapReader
+    from carla_recap.formats.mcap.salvage import salvage
+    from carla_recap.formats.mcap.source import Source
 
     raw = Source(source)
     try:

@@ -36,10 +36,7 @@ class _Tabular:
         except ImportError:
             raise MissingExtra("to_pandas()", "pandas") from None
         return pd.DataFrame(
-            {
-                name: pd.Series(values, dtype="str" if text else None, name=name)
-                for name, text, values in self._columns()
-            }
+            {name: pd.Series(values, dtype="str" if text else None, name=name) for name, text, values in self._columns()}
         )
 
     def to_arrow(self) -> pa.Table:
@@ -52,9 +49,7 @@ class _Tabular:
             import pyarrow as pa
         except ImportError:
             raise MissingExtra("to_arrow()", "arrow") from None
-        return pa.table(
-            {name: pa.array(values, pa.string() if text else None) for name, text, values in self._columns()}
-        )
+        return pa.table({name: pa.array(values, pa.string() if text else None) for name, text, values in self._columns()})
 
 
 class Columns(_Tabular):
@@ -80,10 +75,7 @@ class Rows(list[T], _Tabular):
             return []
         kinds = get_type_hints(row_type)
         names = [field.name for field in fields(row_type)]
-        return [
-            (name, kinds[name] is str, _column(kinds[name], [getattr(row, name) for row in self]))
-            for name in names
-        ]
+        return [(name, kinds[name] is str, _column(kinds[name], [getattr(row, name) for row in self])) for name in names]
 
 
 def _column(kind: Any, values: list[Any]) -> Any:

@@ -91,9 +91,7 @@ def test_a_file_that_ends_inside_the_header_is_an_error(tmp_path, length):
         open_reader(path)
 
 
-@pytest.mark.parametrize(
-    "data", [b"\1", b"\1\0\x0e\0CARLA", b"PK\3\4" + bytes(100), b"\1\0\5\0CARLA_RECORDER"]
-)
+@pytest.mark.parametrize("data", [b"\1", b"\1\0\x0e\0CARLA", b"PK\3\4" + bytes(100), b"\1\0\5\0CARLA_RECORDER"])
 def test_what_is_no_log_is_no_recording(tmp_path, data):
     with pytest.raises(NotARecording, match=r"x\.log: is not a recording \(neither CARLA's log nor MCAP\)"):
         open_reader(save(tmp_path / "x.log", data))
@@ -102,9 +100,7 @@ def test_what_is_no_log_is_no_recording(tmp_path, data):
 
 
 def test_an_empty_file_is_no_recording(tmp_path):
-    with pytest.raises(
-        NotARecording, match=r"x\.log: is empty; a CARLA log or an MCAP recording was expected"
-    ):
+    with pytest.raises(NotARecording, match=r"x\.log: is empty; a CARLA log or an MCAP recording was expected"):
         open_reader(save(tmp_path / "x.log", b""))
 
 
@@ -218,9 +214,7 @@ def test_every_cut_of_a_log_is_read_up_to_the_last_whole_packet(tmp_path):
             found = images(path)
         else:
             dropped = length - kept
-            message = (
-                f"byte {kept}: the recording was cut short; the last {dropped} bytes are no complete packet"
-            )
+            message = f"byte {kept}: the recording was cut short; the last {dropped} bytes are no complete packet"
             with pytest.warns(RecapWarning, match=message):
                 found = images(path)
         assert found[:-1] == whole[: max(len(found) - 1, 0)]
@@ -293,9 +287,7 @@ def test_a_spawn_that_ends_within_a_text_is_an_error_at_its_place(tmp_path):
 
 def test_a_count_that_cannot_be_is_an_error_and_takes_no_memory(tmp_path):
     wheels = listed(struct.pack("<II", 7, 0xFFFFFFFF))
-    path = save(
-        tmp_path / "many.log", log_header() + start(1, 0.0) + packet(6, listed()) + packet(21, wheels)
-    )
+    path = save(tmp_path / "many.log", log_header() + start(1, 0.0) + packet(6, listed()) + packet(21, wheels))
     with reading(path) as reader, time_limit(5):
         (frame,) = reader.frames()
         with pytest.raises(FormatError, match="wheels"):
@@ -303,9 +295,7 @@ def test_a_count_that_cannot_be_is_an_error_and_takes_no_memory(tmp_path):
 
 
 def test_surplus_bytes_are_warned_of(tmp_path):
-    path = save(
-        tmp_path / "more.log", log_header() + start(1, 0.0) + packet(3, listed(bytes(4)) + b"abc") + END
-    )
+    path = save(tmp_path / "more.log", log_header() + start(1, 0.0) + packet(3, listed(bytes(4)) + b"abc") + END)
     with reading(path) as reader:
         (frame,) = reader.frames()
         with pytest.warns(RecapWarning, match=r"byte 68: destroyed has 3 bytes more than its records need"):
@@ -382,9 +372,7 @@ def test_frames_within_a_time(small, small_mcap, start, stop, ids):
             assert [frame.id for frame in reader.frames(start=start, stop=stop)] == ids
 
 
-@pytest.mark.parametrize(
-    ("elapsed", "id"), [(0.0, 1), (0.99, 1), (1.0, 2), (2.5, 3), (3.0, 4), (1e9, 4), (float("inf"), 4)]
-)
+@pytest.mark.parametrize(("elapsed", "id"), [(0.0, 1), (0.99, 1), (1.0, 2), (2.5, 3), (3.0, 4), (1e9, 4), (float("inf"), 4)])
 def test_a_frame_at_a_time(small, small_mcap, elapsed, id):
     for path in (small, small_mcap):
         with reading(path) as reader:

@@ -30,9 +30,7 @@ def at(*places: tuple[int, float]) -> dict[str, Any]:
 
 
 def test_rows(make: Make) -> None:
-    reader = make(
-        {"spawned": [spawn(1)], **at((1, 500))}, at((1, 505)), at((1, 509)), at((1, 800)), at((1, 900))
-    )
+    reader = make({"spawned": [spawn(1)], **at((1, 500))}, at((1, 505)), at((1, 509)), at((1, 800)), at((1, 900)))
     assert blocked(reader, 1, 10) == [BlockedRow(0.5, 1.0, 1, "vehicle.a", 500.0, 0.0, 0.0)]
     assert blocked(reader, 1.1, 10) == []
     assert blocked(reader, 1, 9) == []
@@ -208,9 +206,7 @@ place = st.tuples(ids, lengths, lengths, st.just(0.0), st.just(0), st.just(0), s
 packets = st.one_of(
     st.builds(lambda rows: {"transforms": rows}, st.lists(place, min_size=1, max_size=6)),
     st.builds(lambda rows: {"transforms": rows}, st.lists(place, min_size=1, max_size=6)),
-    st.builds(
-        lambda rows: {"transforms": rows}, st.permutations([(id, 3, 0, 0, 0, 0, 0) for id in range(1, 6)])
-    ),
+    st.builds(lambda rows: {"transforms": rows}, st.permutations([(id, 3, 0, 0, 0, 0, 0) for id in range(1, 6)])),
     st.builds(
         lambda chosen: {"spawned": [spawn(id, f"x{id}") for id in chosen]},
         st.lists(ids, min_size=1, max_size=2),

@@ -104,9 +104,7 @@ def test_nan_in_a_name_is_none(make: Make) -> None:
     assert '     Bone: "%s" relative: Loc(0, 0, 0) Rot(0, 0, nan)\n\n\nFrames' in shown
 
 
-@pytest.mark.parametrize(
-    ("state", "shown"), [(0, "0"), (4, "4"), (-1, "/"), (78, "~"), (79, "\x7f"), (80, "?"), (-49, "?")]
-)
+@pytest.mark.parametrize(("state", "shown"), [(0, "0"), (4, "4"), (-1, "/"), (78, "~"), (79, "\x7f"), (80, "?"), (-49, "?")])
 def test_light_states_are_one_character(make: Make, state: int, shown: str) -> None:
     reader = make({"light_states": [(1, 0, 0, state)]})
     assert f"  Id: 1 state: {shown} frozen: 0 " in printed(reader, all=True)
@@ -152,9 +150,7 @@ def test_a_recording_of_nothing(make: Make) -> None:
     reader = make()
     for everything in (False, True):
         assert printed(reader, all=everything) == HEAD + "\nFrames: 0\nDuration: 0 seconds\n"
-    assert printed(reader, all=True, compat=True) == (
-        HEAD + "Frame 0 at 0 seconds\n\nFrames: 0\nDuration: 0 seconds\n"
-    )
+    assert printed(reader, all=True, compat=True) == (HEAD + "Frame 0 at 0 seconds\n\nFrames: 0\nDuration: 0 seconds\n")
 
 
 class Endless:

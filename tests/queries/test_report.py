@@ -49,9 +49,7 @@ def printed(answer: Any, width: int = 200) -> str:
 
 
 def test_json(make: Make) -> None:
-    answer = collisions(
-        make({"spawned": [spawn(1, "vehicle.été")]}, {"collisions": [(0, 1, NO_ACTOR, 1, 0)]})
-    )
+    answer = collisions(make({"spawned": [spawn(1, "vehicle.été")]}, {"collisions": [(0, 1, NO_ACTOR, 1, 0)]}))
     assert parsed(answer) == {
         "version": 1,
         "map": "Town01",
@@ -70,9 +68,7 @@ def test_json_of_nothing(make: Make) -> None:
 
 
 def test_what_is_not_finite_is_null(make: Make) -> None:
-    reader = make(
-        {"spawned": [spawn(1, "a")], "transforms": [(1, 1, 1, 1, float("inf"), NAN, 1)]}, durations=[NAN]
-    )
+    reader = make({"spawned": [spawn(1, "a")], "transforms": [(1, 1, 1, 1, float("inf"), NAN, 1)]}, durations=[NAN])
     frame, born, pose = (row["record"] for row in parsed(info(reader, all=True))["rows"])
     assert frame == {"id": 1, "duration": None, "elapsed": 0.0}
     assert (born["x"], born["y"]) == (None, 0.0)
@@ -85,9 +81,7 @@ def test_json_has_a_line_per_row(make: Make) -> None:
 
 
 def test_json_of_texts_that_are_none(make: Make) -> None:
-    reader = make(
-        {"spawned": [spawn(1, "a\udce9b\0c", Attribute(3, "k\udcff", "\x1b"))]}, header=Header("\udcff", 0)
-    )
+    reader = make({"spawned": [spawn(1, "a\udce9b\0c", Attribute(3, "k\udcff", "\x1b"))]}, header=Header("\udcff", 0))
     answer = parsed(info(reader))
     record = answer["rows"][0]["record"]
     assert (answer["map"], record["type_id"]) == ("?", "a?b")
@@ -98,9 +92,7 @@ def test_json_of_texts_that_are_none(make: Make) -> None:
 
 
 def test_table_of_collisions(make: Make) -> None:
-    reader = make(
-        {"spawned": [spawn(1, "vehicle.a")]}, {"collisions": [(0, 1, NO_ACTOR, 1, 0), (0, 1, 9, 0, 0)]}
-    )
+    reader = make({"spawned": [spawn(1, "vehicle.a")]}, {"collisions": [(0, 1, NO_ACTOR, 1, 0), (0, 1, 9, 0, 0)]})
     lines = [" ".join(line.split()) for line in printed(collisions(reader)).splitlines()]
     assert lines[0] == "Town01, 09/13/20 12:26:40, version 1"
     assert "Time Frame Id Actor 1 Id Actor 2" in lines
@@ -117,9 +109,7 @@ def test_table_of_blocked(make: Make) -> None:
 
 
 def test_table_of_info(make: Make) -> None:
-    reader = make(
-        {"spawned": [spawn(1, "vehicle.a", Attribute(3, "role_name", "hero"))], "destroyed": [(2,)]}
-    )
+    reader = make({"spawned": [spawn(1, "vehicle.a", Attribute(3, "role_name", "hero"))], "destroyed": [(2,)]})
     shown = printed(info(reader))
     assert "type_id=vehicle.a attributes=[role_name=hero]" in shown
     assert re.search(r"0\.00 +1 +destroyed +id=2", shown)
@@ -149,9 +139,7 @@ def test_a_table_controls_no_terminal(make: Make) -> None:
 
 
 def test_a_table_of_wild_numbers(make: Make) -> None:
-    reader = make(
-        {"collisions": [(0, 1, 1, 0, 0)]}, {"collisions": [(0, 2, 2, 0, 0)]}, durations=[1e300, float("inf")]
-    )
+    reader = make({"collisions": [(0, 1, 1, 0, 0)]}, {"collisions": [(0, 2, 2, 0, 0)]}, durations=[1e300, float("inf")])
     assert "1e+300" in printed(collisions(reader))
 
 

@@ -87,16 +87,10 @@ def collisions(file: str, types: str, form: str | None, compat: bool, max_rows: 
 
 @cli.command()
 @_report
-@click.option(
-    "--min-time", default=30.0, show_default=True, metavar="S", help="Shortest stop to report, in seconds."
-)
-@click.option(
-    "--min-distance", default=10.0, show_default=True, metavar="CM", help="What counts as moving, in cm."
-)
+@click.option("--min-time", default=30.0, show_default=True, metavar="S", help="Shortest stop to report, in seconds.")
+@click.option("--min-distance", default=10.0, show_default=True, metavar="CM", help="What counts as moving, in cm.")
 @_max_rows
-def blocked(
-    file: str, min_time: float, min_distance: float, form: str | None, compat: bool, max_rows: int | None
-) -> None:
+def blocked(file: str, min_time: float, min_distance: float, form: str | None, compat: bool, max_rows: int | None) -> None:
     """Who stood still for long."""
     from carla_recap.cli.report import show
     from carla_recap.formats import open_reader

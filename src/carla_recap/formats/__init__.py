@@ -23,7 +23,7 @@ def open_reader(path: Path | str) -> Reader:
         RecapError: The file cannot be read.
     """
     # Each format is imported when it is needed, for a command on a small file should not wait.
-    from carla_recap.formats.carla_log import LogReader, is_log  # noqa: PLC0415
+    from carla_recap.formats.carla_log import LogReader, is_log
 
     try:
         with Path(path).open("rb") as file:
@@ -33,7 +33,7 @@ def open_reader(path: Path | str) -> Reader:
     if is_log(start):
         return LogReader(path)
     if start.startswith(b"\x89MCAP"):
-        from carla_recap.formats.mcap.reader import McapReader  # noqa: PLC0415
+        from carla_recap.formats.mcap.reader import McapReader
 
         return McapReader(path)
     if not start:
@@ -54,11 +54,11 @@ def create_writer(path: Path | str, header: Header, *, live: bool = False) -> Wr
     """
     suffix = Path(path).suffix.lower()
     if suffix == ".log":
-        from carla_recap.formats.carla_log import LogWriter  # noqa: PLC0415
+        from carla_recap.formats.carla_log import LogWriter
 
         return LogWriter(path, header)
     if suffix == ".mcap":
-        from carla_recap.formats.mcap.writer import McapWriter  # noqa: PLC0415
+        from carla_recap.formats.mcap.writer import McapWriter
 
         return McapWriter(path, header, live=live)
     raise RecapError(f"{path}: unknown format {suffix!r}; the suffix must be one of {', '.join(SUFFIXES)}")

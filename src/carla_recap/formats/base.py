@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Collection, Iterator
-from pathlib import Path
-from types import TracebackType
-from typing import Protocol, Self
+from typing import TYPE_CHECKING, Protocol, Self
 
-from carla_recap.frame import Extent, Frame, Header
+if TYPE_CHECKING:
+    from collections.abc import Collection, Iterator
+    from pathlib import Path
+    from types import TracebackType
+
+    from carla_recap.frame import Extent, Frame, Header
 
 PIECE = 1 << 20
 """Bytes that no schema describes travel in pieces of this size."""

@@ -13,10 +13,9 @@ import stat
 import struct
 import warnings
 from array import array
-from collections.abc import Collection, Iterator
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Final
+from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
@@ -26,6 +25,9 @@ from carla_recap.formats.base import PIECE
 from carla_recap.frame import Extent, Frame, Header, Packet
 from carla_recap.payload import EMPTY_LIST, U16, Buffer, PayloadError, check
 from carla_recap.records import FRAME_END, FRAME_START, UE4, UE5, Framing, RecordType
+
+if TYPE_CHECKING:
+    from collections.abc import Collection, Iterator
 
 MAGIC: Final = b"CARLA_RECORDER"
 PACKET: Final = struct.Struct("<BI")  # id, size of the payload
@@ -173,16 +175,12 @@ class LogReader:
             name, end = self._read_text(at + DATE.size)
         except (struct.error, IndexError):
             if not is_log(bytes(view[:64])):
-                raise NotARecording(
-                    self.path, "is not a CARLA log (the magic CARLA_RECORDER is missing)"
-                ) from None
+                raise NotARecording(self.path, "is not a CARLA log (the magic CARLA_RECORDER is missing)") from None
             raise FormatError(self.path, len(view), "the file ends inside the header") from None
         plain = Header(name.decode("utf-8", "surrogateescape"), date, version)
         raw = bytes(view[:end])
         wide, shifted = self._sniff(end)
-        return Header(
-            plain.map_name, date, version, wide, shifted, None if raw == pack_header(plain) else raw
-        ), end
+        return Header(plain.map_name, date, version, wide, shifted, None if raw == pack_header(plain) else raw), end
 
     def _read_text(self, at: int) -> tuple[bytes, int]:
         end = at + 2 + U16.unpack_from(self._view, at)[0]
@@ -213,9 +211,7 @@ class LogReader:
             elif 6 <= id <= 11:
                 after = True
             if wide is None and id in (6, 12, 13, 17):
-                wide = next(
-                    (table.wide for table in (UE4, UE5) if length > 2 and _fits(table[id], payload)), None
-                )
+                wide = next((table.wide for table in (UE4, UE5) if length > 2 and _fits(table[id], payload)), None)
             elif id == 2 and spawns is None and length > 2:
                 spawns = payload
             elif shifted is None and id in SHIFT:
@@ -299,9 +295,7 @@ class LogReader:
                 packets.append(Packet(self._plain_id(code), types[code], payload, None, (path, at)))
         if self._salvage:
             sound = [packet for packet in packets if self._is_sound(packet)]
-            self.lost_bytes += sum(len(packet.payload) for packet in packets) - sum(
-                len(p.payload) for p in sound
-            )
+            self.lost_bytes += sum(len(packet.payload) for packet in packets) - sum(len(p.payload) for p in sound)
             packets = sound
         return Frame(number, id, elapsed, duration, packets, preamble=frame_at < 0)
 

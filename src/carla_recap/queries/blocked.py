@@ -53,9 +53,7 @@ class Blocked(Answer[BlockedRow]):
     row_type = BlockedRow
 
 
-def blocked(
-    source: Reader, min_time: float = 30.0, min_distance: float = 10.0, *, compat: bool = False
-) -> Blocked:
+def blocked(source: Reader, min_time: float = 30.0, min_distance: float = 10.0, *, compat: bool = False) -> Blocked:
     """The actors that stood still.
 
     An actor stands still while it stays within a distance of the place where it last moved to. Everything
@@ -197,9 +195,7 @@ class _Group:
         square_of_reach: See `_square_of_reach`.
     """
 
-    def __init__(
-        self, key: bytes, actors: list[_Actor], min_time: float, square_of_reach: np.floating[Any]
-    ) -> None:
+    def __init__(self, key: bytes, actors: list[_Actor], min_time: float, square_of_reach: np.floating[Any]) -> None:
         self.key = key
         self._actors = actors
         self._min_time = min_time

@@ -190,9 +190,7 @@ def _curve(points: NDArray[np.void]) -> str:
 # --- the table -------------------------------------------------------------------------------------------
 
 
-def _row(
-    type: str, heading: str | None, line: str, end: str = "", **words: Callable[[Any], str]
-) -> tuple[str, PacketLines]:
+def _row(type: str, heading: str | None, line: str, end: str = "", **words: Callable[[Any], str]) -> tuple[str, PacketLines]:
     return type, PacketLines(_Template(UE4.named(type).layout, line, **words), heading, end)
 
 
@@ -236,9 +234,7 @@ _ROWS: Final = (
         hero1=_hero,
         hero2=_hero,
     ),
-    _row(
-        "transforms", "Positions", "  Id: {id} Location: ({x}, {y}, {z}) Rotation: ({roll}, {pitch}, {yaw})\n"
-    ),
+    _row("transforms", "Positions", "  Id: {id} Location: ({x}, {y}, {z}) Rotation: ({roll}, {pitch}, {yaw})\n"),
     _row(
         "light_states",
         "State traffic lights",
@@ -248,8 +244,7 @@ _ROWS: Final = (
     _row(
         "vehicle_controls",
         "Vehicle animations",
-        "  Id: {id} Steering: {steer} Throttle: {throttle} Brake: {brake} Handbrake: {hand_brake} "
-        "Gear: {gear}\n",
+        "  Id: {id} Steering: {steer} Throttle: {throttle} Brake: {brake} Handbrake: {hand_brake} Gear: {gear}\n",
     ),
     _row("walker_controls", "Walker animations", "  Id: {id} speed: {speed}\n"),
     _row(*_DOORS_ROW, door=_door),
@@ -263,8 +258,7 @@ _ROWS: Final = (
     _row(
         "velocities",
         "Dynamic actors",
-        "  Id: {id} linear_velocity: ({x}, {y}, {z}) "
-        "angular_velocity: ({angular_x}, {angular_y}, {angular_z})\n",
+        "  Id: {id} linear_velocity: ({x}, {y}, {z}) angular_velocity: ({angular_x}, {angular_y}, {angular_z})\n",
     ),
     _row("bounding_boxes", "Actor bounding boxes", _BOX),
     _row("trigger_volumes", "Actor trigger volumes", _BOX),

@@ -169,9 +169,7 @@ _COLUMNS: Final[dict[type, tuple[_Column, ...]]] = {
         _Column("Actor", lambda row: row.type_id),
         _Column("Role", lambda row: row.role_name),
         _Column("From", lambda row: _seconds(row.spawned_at), is_number=True),
-        _Column(
-            "To", lambda row: "" if row.destroyed_at is None else _seconds(row.destroyed_at), is_number=True
-        ),
+        _Column("To", lambda row: "" if row.destroyed_at is None else _seconds(row.destroyed_at), is_number=True),
         _Column("Parent", lambda row: "" if row.parent is None else str(row.parent), is_number=True),
     ),
     BlockedRow: (

@@ -140,9 +140,7 @@ def rewrite(source: Path, destination: Path, **options: Any) -> Path:
             schema_id = writer.register_schema(schema.name, schema.encoding, schema.data)
             ids[channel.id] = writer.register_channel(channel.topic, channel.message_encoding, schema_id)
         for _, channel, message in reader.iter_messages(log_time_order=True):
-            writer.add_message(
-                ids[channel.id], message.log_time, message.data, message.publish_time, message.sequence
-            )
+            writer.add_message(ids[channel.id], message.log_time, message.data, message.publish_time, message.sequence)
         for metadata in reader.iter_metadata():
             writer.add_metadata(metadata.name, metadata.metadata)
         writer.finish()

@@ -92,9 +92,7 @@ def test_the_values_are_those_of_the_records(recording):
     with reading(recording) as reader:
         for frame in reader.frames():
             (spine,) = by_frame.get((frame.index, "/frames"), [None])
-            assert plain([spine.frame, spine.elapsed, spine.duration]) == plain(
-                [frame.id, frame.elapsed, frame.duration]
-            )
+            assert plain([spine.frame, spine.elapsed, spine.duration]) == plain([frame.id, frame.elapsed, frame.duration])
             ids = bytes(packet.id for packet in frame.packets)
             assert spine.packets == (ids if frame.preamble else b"\0" + ids)
             check_packets(frame, {t: m for (n, t), m in by_frame.items() if n == frame.index})
@@ -144,9 +142,7 @@ def node():
 
 
 def test_the_libraries_of_foxglove_read_the_same(recording, node):
-    run = subprocess.run(
-        [node, NODE / "read.mjs", recording], capture_output=True, text=True, timeout=60, check=False
-    )
+    run = subprocess.run([node, NODE / "read.mjs", recording], capture_output=True, text=True, timeout=60, check=False)
     assert run.returncode == 0, run.stderr
     found = json.loads(run.stdout)
     counts = Counter(topic for topic, *_ in decoded(recording))

@@ -132,9 +132,7 @@ def test_channels_of_others_are_passed_over(small_mcap, tmp_path):
     others = [
         records.Channel(id=500, schema_id=500, topic="/camera", message_encoding="protobuf", metadata={}),
         records.Channel(id=501, schema_id=0, topic=own.topic, message_encoding="json", metadata={}),
-        records.Channel(
-            id=502, schema_id=own.schema_id, topic="/copy", message_encoding="protobuf", metadata={}
-        ),
+        records.Channel(id=502, schema_id=own.schema_id, topic="/copy", message_encoding="protobuf", metadata={}),
     ]
     noise = seal(b"".join(forge.message(channel.id, 0, 1, b"noise") for channel in others))
     Forge([*parts, schema, *others, noise]).write(tmp_path / "more.mcap")
@@ -204,9 +202,7 @@ def test_a_header_of_another_kind_of_lengths_is_seen(small_mcap):
             part.metadata = checked(unchecked(part.metadata) | {"double_precision": "1"})
     Forge(parts).write(small_mcap)
     with (
-        pytest.warns(
-            RecapWarning, match=r"small\.mcap: messages of frame 1, and maybe of others, are missing"
-        ),
+        pytest.warns(RecapWarning, match=r"small\.mcap: messages of frame 1, and maybe of others, are missing"),
         reading(small_mcap) as reader,
     ):
         list(reader.frames())
@@ -478,9 +474,7 @@ def test_a_damaged_chunk_is_named_with_its_place(small_mcap):
     at = data.index(b"zstd") + 30
     data[at] ^= 0xFF
     save(small_mcap, bytes(data))
-    with pytest.raises(
-        FormatError, match=r"small\.mcap: byte \d+: damaged chunk: .*'carla-recap recover' saves"
-    ) as e:
+    with pytest.raises(FormatError, match=r"small\.mcap: byte \d+: damaged chunk: .*'carla-recap recover' saves") as e:
         images(small_mcap)
     assert e.value.offset is not None
     assert data[e.value.offset] == 6  # a chunk

@@ -113,9 +113,7 @@ def test_another_size_than_announced_is_an_error(compression, size):
 
 
 def test_more_than_the_limit_is_an_error_before_anything_is_unpacked():
-    with pytest.raises(
-        ValueError, match=f"a chunk of {CHUNK_LIMIT + 1} bytes, at most {CHUNK_LIMIT} are read"
-    ):
+    with pytest.raises(ValueError, match=f"a chunk of {CHUNK_LIMIT + 1} bytes, at most {CHUNK_LIMIT} are read"):
         decompress("zstd", b"", CHUNK_LIMIT + 1)
 
 

@@ -217,9 +217,7 @@ def test_a_frame_is_what_protobuf_writes(frame, elapsed, duration, ids, data):
     assert message.SerializeToString() == written
     assert plain([message.frame, message.elapsed, message.duration]) == plain([frame, elapsed, duration])
     assert (message.packets, message.filled) == (ids, kinds)
-    assert plain(wire.read_frame(written)) == plain(
-        (frame, elapsed, duration, wire.frame_packets(ids, kinds))
-    )
+    assert plain(wire.read_frame(written)) == plain((frame, elapsed, duration, wire.frame_packets(ids, kinds)))
 
 
 @given(st.binary(max_size=80).filter(lambda data: data[:1] != b"\x09"))

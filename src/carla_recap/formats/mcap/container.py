@@ -8,21 +8,21 @@ from __future__ import annotations
 import struct
 import zlib
 from dataclasses import dataclass
-from typing import Final
+from typing import TYPE_CHECKING, Final
 
 from carla_recap.errors import RecordError
 from carla_recap.formats.carla_log import pack_header
 from carla_recap.frame import Extent, Header
-from carla_recap.records import RecordType, Table
+
+if TYPE_CHECKING:
+    from carla_recap.records import RecordType, Table
 
 MAGIC: Final = b"\x89MCAP0\r\n"
 RECORD: Final = struct.Struct("<BQ")  # opcode, length
 MESSAGE: Final = struct.Struct("<BQHIQQ")  # opcode, length, channel, sequence, log time, publish time
 MESSAGE_FIELDS: Final = MESSAGE.size - RECORD.size
 CHUNK: Final = struct.Struct("<QQQII")  # start, end, uncompressed size, CRC, length of the compression's name
-CHUNK_INDEX: Final = struct.Struct(
-    "<QQQQI"
-)  # start, end, offset, length, bytes of the map of message indexes
+CHUNK_INDEX: Final = struct.Struct("<QQQQI")  # start, end, offset, length, bytes of the map of message indexes
 CHUNK_OFFSETS: Final = struct.Struct("<HQ")  # channel, offset of its message index
 MESSAGE_INDEX: Final = struct.Struct("<HI")  # channel, bytes of the entries: log time and offset, u64 each
 FOOTER: Final = struct.Struct("<QQI")  # start of the summary, start of its offsets, CRC
@@ -156,11 +156,7 @@ def parse_header(metadata: dict[str, str]) -> Header:
         name = raw[2 + 2 + int.from_bytes(raw[2:4], "little") + 8 + 2 :].decode("utf-8", "surrogateescape")
     header = Header(name, date, version, wide, shifted)
     try:
-        return (
-            header
-            if raw is None or pack_header(header) == raw
-            else Header(name, date, version, wide, shifted, raw)
-        )
+        return header if raw is None or pack_header(header) == raw else Header(name, date, version, wide, shifted, raw)
     except RecordError as error:
         raise ValueError(str(error)) from None
 

@@ -5,13 +5,13 @@ Every chunk's checksum is checked, and no chunk is larger in memory than `CHUNK_
 
 from __future__ import annotations
 
+import itertools
 import math
 import warnings
 from collections import deque
-from collections.abc import Collection, Iterable, Iterator
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
-from typing import Any, Final
+from typing import TYPE_CHECKING, Any, Final
 
 from mcap import records
 from mcap.opcode import Opcode
@@ -43,6 +43,9 @@ from carla_recap.formats.mcap.source import Chunk, Source, Summary, open_chunk, 
 from carla_recap.frame import Extent, Frame, Header, Packet
 from carla_recap.payload import EMPTY_LIST, Buffer
 from carla_recap.records import FRAME_END, FRAME_START, Records, RecordType
+
+if TYPE_CHECKING:
+    from collections.abc import Collection, Iterable, Iterator
 
 PENDING_LIMIT: Final = 256 << 20
 """How many bytes of chunks that overlap in time are held at once; ours overlap by 5 s of recording."""
@@ -134,9 +137,7 @@ class MessagePacket(Packet):
     def _broken(self, error: wire.WireError) -> FormatError:
         head = wire.read_head(self._batch.messages[self._index])
         name = self.type.topic if self.type else ""
-        return FormatError(
-            self._batch.path, None, f"{name} of frame {head[0]}: {error}" if head else f"{name}: {error}"
-        )
+        return FormatError(self._batch.path, None, f"{name} of frame {head[0]}: {error}" if head else f"{name}: {error}")
 
 
 class McapReader:
@@ -210,7 +211,7 @@ class McapReader:
         time = LogClock(self.header).at(elapsed)
         chunks = self._chunks(spine)
         if time is not None and self._steady:
-            apart = all(a.end < b.start for a, b in zip(chunks, chunks[1:], strict=False))
+            apart = all(a.end < b.start for a, b in itertools.pairwise(chunks))
             chunks = [chunk for chunk in chunks if chunk.start <= time]
             if apart:
                 # Of a chunk that begins at that very nanosecond, the frame may still come later.
@@ -261,9 +262,7 @@ class McapReader:
     def _read_header(self) -> Header:
         metadata = self._read_metadata(HEADER_METADATA)
         if metadata is None:
-            raise NotARecording(
-                self.path, f"holds no recording (MCAP metadata {HEADER_METADATA!r} is missing)"
-            )
+            raise NotARecording(self.path, f"holds no recording (MCAP metadata {HEADER_METADATA!r} is missing)")
         try:
             return parse_header(metadata)
         except (KeyError, ValueError) as error:
@@ -367,27 +366,19 @@ class McapReader:
         while at < size:  # a schema or channel can be shorter than a message
             opcode, length = RECORD.unpack_from(data, at) if at + RECORD.size <= size else (0, size)
             if at + RECORD.size + length > size or opcode == Opcode.MESSAGE:
-                raise FormatError(
-                    self.path, chunk.offset, f"damaged chunk: no whole record at byte {at} of its content"
-                )
+                raise FormatError(self.path, chunk.offset, f"damaged chunk: no whole record at byte {at} of its content")
             at += RECORD.size + length
 
-    def _gather(
-        self, chunks: list[Chunk], wanted: set[int], *, ahead: bool
-    ) -> Iterator[tuple[int, Gathered]]:
+    def _gather(self, chunks: list[Chunk], wanted: set[int], *, ahead: bool) -> Iterator[tuple[int, Gathered]]:
         """The messages of each frame, in order of frames; chunks may overlap in time."""
         pending: Pending = {}
-        held: list[
-            tuple[int, int]
-        ] = []  # of each block that is in use: the time of its last frame, and its bytes
+        held: list[tuple[int, int]] = []  # of each block that is in use: the time of its last frame, and its bytes
         place = 0
         for block in self._blocks(chunks, ahead=ahead):
             batches = {channel: Batch(self._types.get(channel), self.path) for channel in wanted}
             for chunk, data in block:
                 self._sort(chunk, data, batches, pending)
-            held.append(
-                (max((time for time, _ in pending.values()), default=0), sum(len(d) for _, d in block))
-            )
+            held.append((max((time for time, _ in pending.values()), default=0), sum(len(d) for _, d in block)))
             if sum(size for _, size in held) > PENDING_LIMIT:
                 raise FormatError(
                     self.path,
@@ -417,9 +408,7 @@ class McapReader:
         spine = gathered.pop(self._frame_channel, None)
         if spine is None:
             return self._headless(index, gathered)
-        id, elapsed, duration, preamble, plan = self._read_spine(
-            _message(spine[0]), wanted, plans, whole=whole
-        )
+        id, elapsed, duration, preamble, plan = self._read_spine(_message(spine[0]), wanted, plans, whole=whole)
         packets: list[Packet] = []
         lost = False
         for step in plan:

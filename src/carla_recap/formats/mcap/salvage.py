@@ -93,9 +93,7 @@ def _take(source: Source, at: int, summary: Summary, damage: Damage) -> int | No
             summary.channels[channel.id] = channel
         elif opcode == Opcode.METADATA:
             metadata = parse_record(records.Metadata, content)
-            summary.metadata[metadata.name] = records.MetadataIndex(
-                offset=at, length=end - at, name=metadata.name
-            )
+            summary.metadata[metadata.name] = records.MetadataIndex(offset=at, length=end - at, name=metadata.name)
         elif opcode == Opcode.DATA_END:
             summary.finished = True
     except ValueError:

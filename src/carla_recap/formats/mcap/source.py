@@ -7,11 +7,10 @@ from __future__ import annotations
 
 import struct
 import zlib
-from collections.abc import Iterator
 from dataclasses import dataclass, field
 from io import BytesIO
 from pathlib import Path
-from typing import Any, Final, NamedTuple
+from typing import TYPE_CHECKING, Any, Final, NamedTuple
 
 import lz4.frame
 import zstandard
@@ -30,6 +29,9 @@ from carla_recap.formats.mcap.container import (
     RECORD,
     U64,
 )
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
 
 CHUNK_LIMIT: Final = 64 << 20
 """The largest chunk that is read, in bytes, compressed or not; ours are about 1 MiB."""
@@ -60,9 +62,7 @@ class Source:
             FormatError: They lie outside; `what` says what they should be.
         """
         if at < 0 or size < 0 or at + size > self.size:
-            raise FormatError(
-                self.path, at, f"{what} of {size} bytes does not fit in the file of {self.size}"
-            )
+            raise FormatError(self.path, at, f"{what} of {size} bytes does not fit in the file of {self.size}")
         try:
             self._file.seek(at)
             data = self._file.read(size)
@@ -81,9 +81,7 @@ class Source:
         """
         found, size = RECORD.unpack(self.read(at, RECORD.size, what))
         if found != opcode or size > limit:
-            raise FormatError(
-                self.path, at, f"{what} was expected, found a record of kind {found} with {size} bytes"
-            )
+            raise FormatError(self.path, at, f"{what} was expected, found a record of kind {found} with {size} bytes")
         return self.read(at + RECORD.size, size, what)
 
     def close(self) -> None:
@@ -236,9 +234,7 @@ def read_summary(source: Source) -> Summary:
         for opcode, at, until in split_records(data):
             _take(summary, opcode, memoryview(data)[at:until])
     except ValueError as error:
-        raise FormatError(
-            path, start, f"the summary is damaged: {error}; 'carla-recap recover' makes a new one"
-        ) from None
+        raise FormatError(path, start, f"the summary is damaged: {error}; 'carla-recap recover' makes a new one") from None
     summary.chunks.sort(key=lambda chunk: (chunk.start, chunk.offset))
     offsets = {chunk.offset for chunk in summary.chunks}
     if len(offsets) < len(summary.chunks):
@@ -251,9 +247,7 @@ def read_summary(source: Source) -> Summary:
             f"the summary names {len(offsets)} of {stated.chunk_count} chunks; 'carla-recap recover' makes a new one",
         )
     if stated and stated.message_count and not offsets:
-        raise FormatError(
-            path, start, f"{stated.message_count} messages lie outside chunks, where none are read"
-        )
+        raise FormatError(path, start, f"{stated.message_count} messages lie outside chunks, where none are read")
     return summary
 
 
@@ -280,6 +274,4 @@ def _chunk_index(data: memoryview) -> Chunk:
     offsets = data[CHUNK_INDEX.size : CHUNK_INDEX.size + size]
     if len(offsets) != size or size % CHUNK_OFFSETS.size or length > CHUNK_LIMIT:
         raise ValueError("a chunk index that does not fit")
-    return Chunk(
-        start, end, offset, length, frozenset([channel for channel, _ in CHUNK_OFFSETS.iter_unpack(offsets)])
-    )
+    return Chunk(start, end, offset, length, frozenset([channel for channel, _ in CHUNK_OFFSETS.iter_unpack(offsets)]))

@@ -180,7 +180,7 @@ def parse(module: str, name: str, data: Buffer) -> Any:
     Raises:
         WireError: It is none of that name, or too large to parse.
     """
-    from google.protobuf.message import DecodeError  # noqa: PLC0415
+    from google.protobuf.message import DecodeError
 
     if len(data) > OBJECTS_LIMIT:
         raise WireError(f"a {name} of at most {OBJECTS_LIMIT} bytes was expected, this has {len(data)}")
@@ -239,9 +239,7 @@ class _Uniform:
         index, mask = np.array(weaver.index), np.frombuffer(weaver.mask, np.uint8)
         self.stride = len(index)
         fields: Mapping[str, Any] = type.dtype.fields or {}
-        offsets = {
-            name: int(np.flatnonzero(index == _LEAF + place)[0]) for name, (_, place, *_) in fields.items()
-        }
+        offsets = {name: int(np.flatnonzero(index == _LEAF + place)[0]) for name, (_, place, *_) in fields.items()}
         self._wire = np.dtype(
             {
                 "names": list(fields),
@@ -250,9 +248,7 @@ class _Uniform:
                 "itemsize": self.stride,
             }
         )
-        self._setting = [
-            (int(place), index[place].astype(np.uint8)) for place in np.flatnonzero(mask == 0xFF)
-        ]
+        self._setting = [(int(place), index[place].astype(np.uint8)) for place in np.flatnonzero(mask == 0xFF)]
         self._blank = np.where(mask == 0xFF, index, 0).astype(np.uint8).view(np.void(self.stride).dtype)
         # The bits that a one-byte number must leave alone, or it would not fit a varint of one byte.
         self._loose = {name: mask[offset] for name, offset in offsets.items() if mask[offset]}
@@ -262,9 +258,7 @@ class _Uniform:
         if None in sizes:
             return None
         start = 0 if self.single else U16.size
-        records = np.frombuffer(
-            b"".join([memoryview(payload)[start:] for payload in payloads]), self._type.dtype
-        )
+        records = np.frombuffer(b"".join([memoryview(payload)[start:] for payload in payloads]), self._type.dtype)
         if any((records[name].view(np.uint8) & loose).any() for name, loose in self._loose.items()):
             return None
         rows = np.empty(len(records), self._blank.dtype)
@@ -365,9 +359,7 @@ class _Weaver:
     def packet(self, choice: int) -> int:
         """Weave the whole packet; returns where its records end. `choice`: which of alternative layouts to take."""
         if len(self._payload) > OBJECTS_LIMIT and not self._type.fixed:
-            raise PayloadError(
-                0, f"{self._type.name}: at most {OBJECTS_LIMIT} bytes, this has {len(self._payload)}"
-            )
+            raise PayloadError(0, f"{self._type.name}: at most {OBJECTS_LIMIT} bytes, this has {len(self._payload)}")
         if self._type.framing is Framing.SINGLE:
             return self.record(self._type.layout, 0, choice)
         need(self._type, self._payload, 0, U16.size, "a count")

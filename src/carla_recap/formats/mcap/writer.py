@@ -16,8 +16,7 @@ from dataclasses import dataclass
 from functools import cache
 from importlib.metadata import version
 from itertools import groupby
-from pathlib import Path
-from typing import Final
+from typing import TYPE_CHECKING, Final
 
 import zstandard
 from mcap import records
@@ -52,6 +51,9 @@ from carla_recap.formats.mcap.container import (
 from carla_recap.frame import Extent, Frame, Header, Packet
 from carla_recap.payload import EMPTY_LIST, OBJECTS_LIMIT, Buffer, PayloadError, check
 from carla_recap.records import FRAME_END, FRAME_START, Group, RecordType
+
+if TYPE_CHECKING:
+    from pathlib import Path
 
 CHUNK_SIZE: Final = 1 << 20
 CHUNK_SECONDS: Final = 5
@@ -243,9 +245,7 @@ class McapWriter(AtomicFile):
         chunk.add(channel, self._sequence, times, head, body)
         self._cut_within_frame(type.group)
         if type.name == "spawned":
-            self._heroes |= {
-                actor.id: None for actor in packet.records if actor.attribute("role_name") == "hero"
-            }
+            self._heroes |= {actor.id: None for actor in packet.records if actor.attribute("role_name") == "hero"}
         return FILLED
 
     def _add_raw(self, packet: Packet, head: bytes, times: tuple[int, int]) -> int:
@@ -269,9 +269,7 @@ class McapWriter(AtomicFile):
             return
         self._chunks[group] = _Chunk()
         data, index = chunk.seal()
-        self._sealed.append(
-            _Sealed(chunk.start, chunk.end, len(data), index, self._pool.submit(_compress, data))
-        )
+        self._sealed.append(_Sealed(chunk.start, chunk.end, len(data), index, self._pool.submit(_compress, data)))
         self._settle(0 if self._live else _QUEUE)
 
     def _settle(self, allowed: int) -> None:
@@ -306,9 +304,7 @@ class McapWriter(AtomicFile):
         schema = records.Schema(id=channel, data=data, encoding="protobuf", name=spec.message)
         self._schemas.append(schema)
         self._channels.append(
-            records.Channel(
-                id=channel, topic=spec.topic, message_encoding="protobuf", metadata={}, schema_id=channel
-            )
+            records.Channel(id=channel, topic=spec.topic, message_encoding="protobuf", metadata={}, schema_id=channel)
         )
         self._emit(_packed(schema, self._channels[-1]))
 
@@ -396,7 +392,7 @@ class McapWriter(AtomicFile):
 @cache
 def _schema(module: str, message: str) -> bytes:
     """A message's schema: the descriptors of all files that it needs."""
-    from mcap_protobuf.schema import build_file_descriptor_set  # noqa: PLC0415
+    from mcap_protobuf.schema import build_file_descriptor_set
 
     return build_file_descriptor_set(wire.message_class(module, message)).SerializeToString()
 
@@ -415,9 +411,7 @@ def _summary(start: int, items: list[records.McapRecord]) -> bytes:
     for _, group in groupby(items, type):
         packed = _packed(*group)
         offsets.append(
-            records.SummaryOffset(
-                group_opcode=packed[0], group_start=start + len(data), group_length=len(packed)
-            )
+            records.SummaryOffset(group_opcode=packed[0], group_start=start + len(data), group_length=len(packed))
         )
         data += packed
     offset_start = start + len(data)
