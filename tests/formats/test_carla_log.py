@@ -302,6 +302,14 @@ def test_surplus_bytes_are_warned_of(tmp_path):
             assert frame["destroyed"]["id"].tolist() == [0]
 
 
+@pytest.mark.parametrize("id", [id for id in range(2, 25) if id not in (14, 18, 20)])
+def test_surplus_bytes_behind_no_records_do_not_matter(tmp_path, id):
+    more = save(tmp_path / "more.log", log_header() + start(1, 0.0) + packet(id, listed() + b"abc") + END)
+    with warnings_ignored(), open_recording(more) as recording:
+        assert (list(recording.collisions()), list(recording.blocked()), recording.actors) == ([], [], {})
+        assert all(len(p.records) == 0 for frame in recording for p in frame.packets)
+
+
 @given(data=st.data())
 def test_any_damage_ends_in_an_answer_or_in_an_error_of_ours(tmp_path, data):
     whole = small_log()

@@ -181,7 +181,8 @@ def by_definition(
                     if gone and not compat:
                         tell(id, gone)
             elif name == "transforms":
-                for record in packet.records:
+                latest = {int(record["id"]): record for record in packet.records}
+                for record in packet.records if compat else latest.values():
                     id = int(record["id"])
                     actor = actors.setdefault(id, Actor())
                     place = [record[axis] for axis in "xyz"]

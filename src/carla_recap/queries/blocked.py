@@ -142,14 +142,16 @@ class _Watch:
             self._rows.append(actor.row())
 
     def _move(self, frame: Frame, records: NDArray[np.void]) -> None:
+        if not len(records):
+            return
         length = frame.duration if self._compat or frame.duration > 0.0 else 0.0
         ids = records["id"]
         key = ids.tobytes()
         group = self._group
         if group is None or group.key != key:
             if key != self._rounds[0]:
-                self._rounds = key, _rounds(ids)
-            if len(self._rounds[1]) > 1:
+                self._rounds = key, _rounds(ids) if self._compat else [_latest(ids)]
+            if len(self._rounds[1][0]) < len(ids):
                 self._move_repeated(frame.elapsed, length, records)
                 return
             group = self._take_out(key, ids)
@@ -158,7 +160,10 @@ class _Watch:
             self._rows += [row for _, row in ended]
 
     def _move_repeated(self, elapsed: float, length: float, records: NDArray[np.void]) -> None:
-        """Take in a packet that lists actors repeatedly: the first record of each, then the second."""
+        """Take in a packet that lists actors repeatedly, as some builds do.
+
+        The last record of each counts; in CARLA's queries, the first one does, then the second.
+        """
         ended = []
         for places in self._rounds[1]:
             part = records[places]
@@ -305,6 +310,12 @@ def _rounds(ids: NDArray[np.uint32]) -> list[NDArray[np.intp]]:
     number = np.empty_like(ranks)
     number[order] = ranks - np.maximum.accumulate(np.where(first, ranks, 0))
     return np.split(np.argsort(number, kind="stable"), np.cumsum(np.bincount(number))[:-1])
+
+
+def _latest(ids: NDArray[np.uint32]) -> NDArray[np.intp]:
+    """The places of the last record of each id."""
+    _, behind = np.unique(ids[::-1], return_index=True)
+    return np.sort(len(ids) - 1 - behind)
 
 
 def _square_of_reach(distance: float, real: np.dtype[Any]) -> np.floating[Any]:

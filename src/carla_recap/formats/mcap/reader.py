@@ -57,7 +57,7 @@ BLOCK_SIZE: Final = 256 << 10
 """Chunks that are smaller than this, in bytes, are taken several at a time."""
 
 Found = tuple["Batch", int]  # a message: its batch, and its place there
-Gathered = dict[int, deque[Found]]  # channel → messages of one frame
+Gathered = list[Found]  # the messages of one frame, in file order
 Plans = dict[bytes, tuple[bool, list[Any]]]  # how to put frames together, by what they say of their packets
 Pending = dict[int, tuple[int, Gathered]]  # index of a frame → its log time and messages
 
@@ -65,9 +65,10 @@ Pending = dict[int, tuple[int, Gathered]]  # index of a frame → its log time a
 class Batch:
     """The messages of a channel in a chunk; those whose records have one size are decoded together."""
 
-    __slots__ = ("_decoded", "_payloads", "messages", "path", "type")
+    __slots__ = ("_decoded", "_payloads", "channel", "messages", "path", "type")
 
-    def __init__(self, type: RecordType | None, path: Path) -> None:
+    def __init__(self, channel: int, type: RecordType | None, path: Path) -> None:
+        self.channel = channel
         self.type = type
         self.path = path
         self.messages: list[memoryview] = []
@@ -197,7 +198,10 @@ class McapReader:
         chunks = self._chunks(wanted, start, stop)
         plans: Plans = {}
         for index, gathered in self._gather(chunks, wanted, ahead=not sparse):
-            frame = self._frame(index, gathered, wanted, plans, whole=types is None, within=(start, stop))
+            if sparse:
+                frame = self._headless(index, gathered)
+            else:
+                frame = self._frame(index, gathered, wanted, plans, whole=types is None, within=(start, stop))
             if stop < math.inf and frame.elapsed >= stop:
                 return
             if start == -math.inf or frame.elapsed >= start:
@@ -244,7 +248,7 @@ class McapReader:
             return
         chunks = self._chunks({channel})
         for _, gathered in self._gather(chunks, {channel}, ahead=False):
-            for batch, index in gathered[channel]:
+            for batch, index in gathered:
                 yield bytes(self._parse("tail", TAIL_MESSAGE, batch.messages[index]).data)
 
     # --- what the file says of itself ----------------------------------------------------------------------------------
@@ -351,17 +355,12 @@ class McapReader:
                 if length < MESSAGE_FIELDS:
                     break
                 batch = batches[channel]
-                messages = batch.messages
-                found = (batch, len(messages))
-                messages.append(view[at + 31 : end])
+                found = (batch, len(batch.messages))
+                batch.messages.append(view[at + 31 : end])
                 if sequence in pending:
-                    gathered = pending[sequence][1]
-                    if channel in gathered:
-                        gathered[channel].append(found)
-                    else:
-                        gathered[channel] = deque((found,))
+                    pending[sequence][1].append(found)
                 else:
-                    pending[sequence] = (log_time, {channel: deque((found,))})
+                    pending[sequence] = (log_time, [found])
             at = end
         while at < size:  # a schema or channel can be shorter than a message
             opcode, length = RECORD.unpack_from(data, at) if at + RECORD.size <= size else (0, size)
@@ -375,7 +374,7 @@ class McapReader:
         held: list[tuple[int, int]] = []  # of each block that is in use: the time of its last frame, and its bytes
         place = 0
         for block in self._blocks(chunks, ahead=ahead):
-            batches = {channel: Batch(self._types.get(channel), self.path) for channel in wanted}
+            batches = {channel: Batch(channel, self._types.get(channel), self.path) for channel in wanted}
             for chunk, data in block:
                 self._sort(chunk, data, batches, pending)
             held.append((max((time for time, _ in pending.values()), default=0), sum(len(d) for _, d in block)))
@@ -405,17 +404,24 @@ class McapReader:
         within: tuple[float, float] = (-math.inf, math.inf),
     ) -> Frame:
         """A frame of the messages that were gathered; `within` some time, they are expected to be all there."""
-        spine = gathered.pop(self._frame_channel, None)
-        if spine is None:
+        queues: dict[int, deque[Found]] = {}
+        for found in gathered:
+            channel = found[0].channel
+            if channel in queues:
+                queues[channel].append(found)
+            else:
+                queues[channel] = deque((found,))
+        if self._frame_channel not in queues:
             return self._headless(index, gathered)
-        id, elapsed, duration, preamble, plan = self._read_spine(_message(spine[0]), wanted, plans, whole=whole)
+        spine = _message(queues[self._frame_channel][0])
+        id, elapsed, duration, preamble, plan = self._read_spine(spine, wanted, plans, whole=whole)
         packets: list[Packet] = []
         lost = False
         for step in plan:
             if step.__class__ is not int:
                 packets.append(step)
                 continue
-            queue = gathered.get(step)
+            queue = queues.get(step)
             if not queue:
                 lost = True
             elif step == self._raw_channel:
@@ -428,16 +434,11 @@ class McapReader:
 
     def _headless(self, index: int, gathered: Gathered) -> Frame:
         """A frame without its own message: left out by a sparse read, or lost."""
-        types = self._types
         packets: list[Packet] = [
-            MessagePacket(types[channel], batch, place)
-            for channel, queue in gathered.items()
-            if channel in types
-            for batch, place in queue
+            MessagePacket(batch.type, batch, place) for batch, place in gathered if batch.type is not None
         ]
-        channel, queue = next(iter(gathered.items()))
-        first = _message(queue[0])
-        id, elapsed = wire.read_head(first) or self._slow_head(channel, first)
+        first = _message(gathered[0])
+        id, elapsed = wire.read_head(first) or self._slow_head(gathered[0][0].channel, first)
         return Frame(index, id, elapsed, math.nan, packets)
 
     def _read_spine(
