@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 from datetime import UTC, datetime
-from difflib import get_close_matches
 from functools import cached_property
 from typing import TYPE_CHECKING, Literal, Self
 
@@ -291,8 +290,8 @@ class Recording:
     def _check_actor(self, actor_id: int) -> None:
         if actor_id in self.actors:
             return
-        near = get_close_matches(str(actor_id), map(str, self.actors), 3, 0.0) or ["none"]
-        raise RecapError(f"{self.path}: no actor {actor_id}; near ids are {', '.join(near)}")
+        near = sorted(self.actors, key=lambda id: abs(id - actor_id))[:3]
+        raise RecapError(f"{self.path}: no actor {actor_id}; near ids are {', '.join(map(str, near)) or 'none'}")
 
 
 def open_recording(path: Path | str) -> Recording:
