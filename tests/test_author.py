@@ -11,7 +11,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from carla_recap import Attribute, RecapError, RecordError, Spawn, create_recording, open_recording, recover
+from carla_recap import Attribute, RecapError, RecordError, Spawn, attributes, create_recording, open_recording, recover
 from carla_recap.records import ORDER, UE4
 from tests.samples import images, names_in, save, warnings_ignored
 
@@ -104,7 +104,7 @@ def test_a_recording_begins_now(tmp_path):
         ({"wings": []}, "no record type 'wings'"),
         ({"frame": []}, "a frame's start and end are not given as records"),
         ({"frame_end": []}, "a frame's start and end are not given as records"),
-        ({"transforms": {"wing": 1}}, "transforms has no field 'wing'"),
+        ({"transforms": {"wing": 1}}, "transforms: there is no field 'wing'"),
         ({"transforms": np.zeros(65_536, UE4[6].dtype)}, "65536 records, but a packet counts at most 65535"),
         ({"spawned": [(1, 2)]}, "spawned: "),
         ({"platform_time": "noon"}, "platform_time: "),
@@ -123,12 +123,45 @@ def test_records_that_do_not_fit_are_refused_and_the_rest_is_kept(tmp_path, suff
         assert [(f.id, f.elapsed, f.duration) for f in recording] == [(1, 0.0, 1.0), (2, 1.0, -1.0)]
 
 
-@pytest.mark.parametrize("elapsed", [1.0, 0.5, -1.0, math.nan])
+@pytest.mark.parametrize("elapsed", [1.0, 0.5])
 def test_time_must_go_on(tmp_path, elapsed):
     with create_recording(tmp_path / "own.log", map_name="T") as recorder:
         recorder.add_frame(1.0)
         with pytest.raises(RecordError, match=r"a frame at .* s cannot follow one at 1 s"):
             recorder.add_frame(elapsed)
+
+
+@pytest.mark.parametrize("elapsed", [-1.0, math.nan, math.inf, "0"])
+def test_time_is_a_number_of_seconds(tmp_path, elapsed):
+    with (
+        create_recording(tmp_path / "own.log", map_name="T") as recorder,
+        pytest.raises(RecordError, match="elapsed seconds of 0 or more"),
+    ):
+        recorder.add_frame(elapsed)
+
+
+@both_formats
+def test_a_closed_recording_takes_no_more(tmp_path, suffix):
+    recorder = create_recording(tmp_path / f"own{suffix}", map_name="T")
+    recorder.add_frame(0.0)
+    recorder.close()
+    recorder.close()
+    with pytest.raises(RecordError, match="the recording is closed"):
+        recorder.add_frame(1.0)
+
+
+@both_formats
+def test_a_recording_can_be_written_again_frame_by_frame(tmp_path, suffix):
+    path = tmp_path / f"own{suffix}"
+    spawn = Spawn(7, type_id="vehicle.a", attributes=attributes(role_name="hero", wheels=4, electric=True))
+    with create_recording(path, map_name="T", date=0) as recorder:
+        recorder.add_frame(0.0, spawned=[spawn], transforms=[{"id": 7, "x": 3}], platform_time=1.5, destroyed=[9])
+        recorder.add_frame(0.5, transforms=[(7, 1, 2, 3, 4, 5, 6)])
+    again = tmp_path / f"again{suffix}"
+    with open_recording(path) as recording, create_recording(again, map_name="T", date=0) as recorder:
+        for frame in recording:
+            recorder.add_frame(frame.elapsed, **dict(frame.items()))
+    assert again.read_bytes() == path.read_bytes()
 
 
 @both_formats

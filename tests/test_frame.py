@@ -120,3 +120,18 @@ def test_errors_travel_between_processes(error):
 def test_arrays_of_a_frame_are_structured(frame):
     assert isinstance(frame["transforms"], np.ndarray)
     assert frame["transforms"].dtype.names == ("id", "x", "y", "z", "roll", "pitch", "yaw")
+
+
+def test_records_can_be_replaced():
+    ends, transforms, spawns = UE4[1], UE4.named("transforms"), UE4.named("spawned")
+    packets = [
+        Packet(2, spawns, records=[]),
+        Packet(6, transforms, records=transforms.records([(7, 0, 0, 0, 0, 0, 0)])),
+        Packet(1, ends, b""),
+    ]
+    frame = Frame(3, 4, 1.5, 0.5, packets)
+    other = frame.replace(transforms={"id": [8], "x": [2.0]}, collisions=[(1, 7, 8, 0, 0)])
+    assert [packet.id for packet in other.packets] == [2, 5, 6, 1]
+    assert other["transforms"]["id"].tolist() == [8]
+    assert (other.index, other.id, other.elapsed, other.duration) == (3, 4, 1.5, 0.5)
+    assert frame["transforms"]["id"].tolist() == [7]

@@ -290,7 +290,7 @@ def test_a_frame_at_a_time_is_whole(recording):
 
 
 def test_before_the_first_frame_is_an_error(recording):
-    with pytest.raises(RecapError, match=r"drive\.\w+: no frame at -1 s; the recording ends at 9\.5 s"):
+    with pytest.raises(RecapError, match=r"drive\.\w+: no frame at -1 s; it has 20, up to 9\.5 s"):
         recording.frame_at(-1)
 
 
@@ -330,3 +330,26 @@ def test_both_formats_answer_alike(tmp_path):
                 a, b = getattr(one, method)(id), getattr(other, method)(id)
                 for name in a.__dataclass_fields__:
                     np.testing.assert_array_equal(getattr(a, name), getattr(b, name))
+
+
+def test_a_closed_recording_says_so(recording):
+    recording = open_recording(recording.path)
+    recording.close()
+    recording.close()
+    with pytest.raises(RecapError, match="the recording is closed"):
+        recording.frames()
+
+
+def test_unknown_axes_are_an_error(recording):
+    with pytest.raises(RecapError, match="axes must be one of right-handed, carla"):
+        recording.trajectory(7, axes="ros")  # type: ignore[arg-type]
+
+
+def test_heroes_are_the_actors_with_that_role(recording):
+    assert recording.heroes == [actor for actor in recording.actors.values() if actor.role_name == "hero"]
+    assert recording.heroes
+
+
+def test_actors_are_a_table(recording):
+    assert recording.actors.to_pandas()["id"].tolist() == list(recording.actors)
+    assert recording.actors.to_arrow()["type_id"].to_pylist() == [a.type_id for a in recording.actors.values()]

@@ -163,7 +163,7 @@ def test_one_record_is_a_record():
     [
         (
             {"id": 1, "wings": 2},
-            "transforms has no field 'wings'; the fields are id, x, y, z, roll, pitch, yaw",
+            "transforms: there is no field 'wings'; the fields are id, x, y, z, roll, pitch, yaw",
         ),
         ({"id": -1}, "transforms: .*the fields are id"),
         ({"id": 1 << 32}, "transforms: .*the fields are id"),
@@ -172,7 +172,7 @@ def test_one_record_is_a_record():
         ([(1, 2)], "transforms: .*the fields are id"),
         ([1], "transforms: .*the fields are id"),
         (5, "transforms: .*the fields are id"),
-        (np.zeros(3), "transforms: a structured array is expected, with the fields"),
+        (np.zeros(3), "transforms: rows of 7 numbers were expected"),
         (np.zeros(3, "u4,f4"), "transforms: .*the fields are id"),
     ],
     ids=str,
@@ -185,6 +185,8 @@ def test_what_makes_no_records_is_an_error(values, reason):
 
 def test_objects_are_taken_as_they_are():
     spawns = UE4.named("spawned")
-    assert spawns.records(iter([1, 2])) == [1, 2]
-    with pytest.raises(RecordError, match="spawned"):
-        spawns.records(5)
+    one, two = Spawn(1), Spawn(2)
+    assert spawns.records(iter([one, two])) == [one, two]
+    for wrong in (5, [5], [{"id": 1}]):
+        with pytest.raises(RecordError, match="spawned"):
+            spawns.records(wrong)

@@ -25,12 +25,14 @@ if TYPE_CHECKING:
         RecapWarning,
         RecordError,
     )
-    from carla_recap.frame import Frame
+    from carla_recap.formats import create_writer
+    from carla_recap.frame import Frame, Header
     from carla_recap.queries.actors import Actor
     from carla_recap.queries.blocked import BlockedRow
     from carla_recap.queries.collisions import CollisionRow
-    from carla_recap.recording import Recording, Trajectory, open_recording
-    from carla_recap.records import ActorKind, Attribute, Spawn
+    from carla_recap.queries.info import InfoRow
+    from carla_recap.recording import Controls, LightStates, Recording, RecordingInfo, Trajectory, open_recording
+    from carla_recap.records import ActorKind, Attribute, Spawn, attributes
     from carla_recap.recovery import Recovery, recover
 
 __all__ = [
@@ -39,8 +41,12 @@ __all__ = [
     "Attribute",
     "BlockedRow",
     "CollisionRow",
+    "Controls",
     "FormatError",
     "Frame",
+    "Header",
+    "InfoRow",
+    "LightStates",
     "MissingExtra",
     "NotARecording",
     "RecapError",
@@ -48,11 +54,14 @@ __all__ = [
     "RecordError",
     "Recorder",
     "Recording",
+    "RecordingInfo",
     "Recovery",
     "Spawn",
     "Trajectory",
+    "attributes",
     "convert",
     "create_recording",
+    "create_writer",
     "open_recording",
     "recover",
 ]
@@ -62,12 +71,14 @@ _HOMES = {
     "author": ("Recorder", "create_recording"),
     "conversion": ("convert",),
     "errors": ("FormatError", "MissingExtra", "NotARecording", "RecapError", "RecapWarning", "RecordError"),
-    "frame": ("Frame",),
+    "frame": ("Frame", "Header"),
     "queries.actors": ("Actor",),
     "queries.blocked": ("BlockedRow",),
     "queries.collisions": ("CollisionRow",),
-    "records": ("ActorKind", "Attribute", "Spawn"),
-    "recording": ("Recording", "Trajectory", "open_recording"),
+    "formats": ("create_writer",),
+    "queries.info": ("InfoRow",),
+    "records": ("ActorKind", "Attribute", "Spawn", "attributes"),
+    "recording": ("Controls", "LightStates", "Recording", "RecordingInfo", "Trajectory", "open_recording"),
     "recovery": ("Recovery", "recover"),
 }
 _HOME_OF = {name: home for home, names in _HOMES.items() for name in names}
@@ -84,4 +95,4 @@ def __getattr__(name: str) -> Any:
 
 
 def __dir__() -> list[str]:
-    return sorted([*globals(), *__all__])
+    return sorted({*globals(), *__all__, "__version__"})

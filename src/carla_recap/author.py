@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
+import math
 import time
+from datetime import datetime
 from typing import TYPE_CHECKING, Any, Self
 
 from carla_recap.errors import RecordError
 from carla_recap.formats import create_writer
 from carla_recap.frame import LAST_FRAME_DURATION, Extent, Frame, Header, Packet
-from carla_recap.records import FRAME_END, ORDER, Framing
+from carla_recap.records import FRAME_END, ORDER
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -27,6 +29,7 @@ class Recorder:
         self._writer = create_writer(path, header, live=live)
         self._additional = additional_data
         self._latest: Frame | None = None
+        self._closed = False
         self._end = Packet(FRAME_END, self._table[FRAME_END], b"")
         self.extent = Extent()
 
@@ -36,12 +39,17 @@ class Recorder:
         Args:
             elapsed: Seconds since the recording began; more than the frame before.
             records: Records by type, in CARLA's units: `transforms=`, `spawned=`, `collisions=` … Each a structured array,
-                columns by name, rows, or objects such as `Spawn`. A clock (`platform_time=`) is a number.
+                columns by name, rows, or objects such as `Spawn`; a clock (`platform_time=`) is a number. Whatever
+                `frame[...]` gives will do.
 
         Raises:
             RecordError: They do not fit their type, or time does not go on.
             RecapError: The file cannot be written.
         """
+        if self._closed:
+            raise RecordError("the recording is closed")
+        if not isinstance(elapsed, int | float) or not 0 <= elapsed < math.inf:
+            raise RecordError(f"elapsed seconds of 0 or more were expected, found {elapsed!r}")
         if self._latest is not None and not elapsed > self._latest.elapsed:
             raise RecordError(f"a frame at {elapsed:g} s cannot follow one at {self._latest.elapsed:g} s")
         number = self.extent.frames + 1
@@ -54,6 +62,7 @@ class Recorder:
 
     def close(self) -> None:
         """Finish the recording, and put it under its name."""
+        self._closed = True
         try:
             if self._latest is not None:
                 self._writer.write(self._latest)
@@ -65,6 +74,7 @@ class Recorder:
 
     def abort(self) -> None:
         """Give the recording up."""
+        self._closed = True
         self._writer.abort()
 
     def __enter__(self) -> Self:
@@ -84,8 +94,7 @@ class Recorder:
         for id in ORDER:
             type = self._table[id]
             if id in records:
-                values = [(records[id],)] if type.framing is Framing.SINGLE else records[id]
-                packet = Packet(id, type, records=type.records(values))
+                packet = Packet(id, type, records=type.records(records[id]))
                 packets.append(Packet(id, type, packet.payload))
             elif type.always and (self._additional or not type.additional):
                 packets.append(Packet(id, type, records=type.records([])))
@@ -96,7 +105,7 @@ def create_recording(
     path: Path | str,
     *,
     map_name: str,
-    date: float | None = None,
+    date: datetime | float | None = None,
     additional_data: bool = False,
     live: bool = False,
 ) -> Recorder:
@@ -105,16 +114,23 @@ def create_recording(
     Args:
         path: The destination; the suffix, .mcap or .log, says the format.
         map_name: The map.
-        date: When it begins, in Unix seconds; now, by default.
+        date: When it begins, as a time or in Unix seconds; now, by default.
         additional_data: Write the packets of CARLA's additional data in every frame, empty ones too, as CARLA does.
-        live: Put the data on the disk as it comes, so that a crash costs 5 s at the most (MCAP).
+        live: Put the data on the disk as it comes, so that a crash costs 5 s at the most (MCAP). What a crash leaves is a
+            hidden file beside the destination, which `recover` takes.
+
+    An existing file is replaced when the recording is closed.
 
     Raises:
         RecordError: The date or the name of the map cannot be written.
         RecapError: The suffix is of no format, or the place cannot be written to.
     """
+    if not isinstance(map_name, str):
+        raise RecordError(f"{path}: the name of a map was expected, found {map_name!r}")
+    if isinstance(date, datetime):
+        date = date.timestamp()
     try:
         header = Header(map_name, int(time.time() if date is None else date))
-    except (ValueError, OverflowError):
+    except (ValueError, OverflowError, TypeError):
         raise RecordError(f"{path}: a date of {date} cannot be written") from None
     return Recorder(path, header, additional_data=additional_data, live=live)

@@ -4,17 +4,19 @@ from __future__ import annotations
 
 import warnings
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Final
+from typing import TYPE_CHECKING, Any, Final, Literal, overload
 
 import numpy as np
 
 from carla_recap.errors import FormatError, RecapWarning
 from carla_recap.payload import Buffer, PayloadError, pack, unpack
-from carla_recap.records import UE4, UE5, Records, RecordType, Table
+from carla_recap.records import FRAME_END, ORDER, UE4, UE5, Bones, Physics, Records, RecordType, Spawn, Table, WheelSet
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
     from pathlib import Path
+
+    from numpy.typing import NDArray
 
 LAST_FRAME_DURATION: Final = -1.0
 """What CARLA leaves as the duration of a recording's last frame."""
@@ -160,8 +162,25 @@ class Frame:
         held = ", ".join(f"{name}: {len(records)}" for name, records in self.items())
         return f"Frame({self.id} at {self.elapsed:g} s; {held})"
 
+    @overload
+    def __getitem__(self, name: Literal["spawned"]) -> list[Spawn]: ...  # type: ignore[overload-overlap]
+    @overload
+    def __getitem__(self, name: Literal["physics"]) -> list[Physics]: ...  # type: ignore[overload-overlap]
+    @overload
+    def __getitem__(self, name: Literal["walker_bones"]) -> list[Bones]: ...  # type: ignore[overload-overlap]
+    @overload
+    def __getitem__(self, name: Literal["wheels"]) -> list[WheelSet]: ...  # type: ignore[overload-overlap]
+    @overload
+    def __getitem__(self, name: str) -> NDArray[np.void]: ...
     def __getitem__(self, name: str) -> Records:
-        """The records of a type: a structured array, or a list of objects; empty where the frame has none."""
+        """The records of a type, in CARLA's units: a structured array, or a list of objects; empty where there are none.
+
+        They are views of what was read: copy an array to change it, and `replace` it.
+
+        Raises:
+            RecordError: There is no such type.
+            FormatError: The packet contradicts its layout.
+        """
         found = [p.records for p in self.packets if p.type is not None and p.type.name == name]
         if len(found) == 1:
             return found[0]
@@ -171,6 +190,30 @@ class Frame:
         if isinstance(found[0], np.ndarray):
             return np.concatenate([array for array in found if isinstance(array, np.ndarray)])
         return [record for records in found for record in records]
+
+    def replace(self, **records: Any) -> Frame:
+        """This frame with other records of some types; see `RecordType.records` for what they may be.
+
+        Raises:
+            RecordError: They do not fit their type.
+        """
+        table = UE5 if any(p.type is not None and p.type.wide for p in self.packets) else UE4
+        new: dict[int, Packet] = {}
+        for name, values in records.items():
+            type = table.named(name)
+            new[type.id] = Packet(type.id, type, records=type.records(values))
+        packets: list[Packet] = []
+        placed: set[int] = set()
+        for packet in self.packets:
+            if packet.id not in placed:
+                packets.append(new.get(packet.id, packet))
+            if packet.id in new:
+                placed.add(packet.id)
+        for added in (packet for id, packet in new.items() if id not in placed):
+            behind = (*ORDER[ORDER.index(added.id) + 1 :], FRAME_END)
+            places = [place for place, packet in enumerate(packets) if packet.id in behind]
+            packets.insert(places[0] if places else len(packets), added)
+        return Frame(self.index, self.id, self.elapsed, self.duration, packets, preamble=self.preamble)
 
     def items(self) -> Iterator[tuple[str, Records]]:
         """Name and records of every type that has any, in file order of the first."""

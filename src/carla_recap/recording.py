@@ -6,14 +6,14 @@ import math
 from dataclasses import dataclass
 from datetime import UTC, datetime
 from functools import cached_property
-from typing import TYPE_CHECKING, Literal, Self
+from typing import TYPE_CHECKING, Any, Literal, Self, get_args
 
 import numpy as np
 
 from carla_recap.errors import RecapError
 from carla_recap.formats import open_reader
 from carla_recap.queries.actors import CM, Actor, actors
-from carla_recap.tables import Columns
+from carla_recap.tables import Columns, Rows, Tabular
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -57,11 +57,13 @@ class RecordingInfo:
 class Trajectory(Columns):
     """Where an actor went; arrays of one length, a value per frame in which it has a transform.
 
+    World axes are right-handed (x forward, y left, z up) unless CARLA's own (y right) were asked for.
+
     Attributes:
         time: Elapsed seconds.
         x, y, z: Position in m.
-        roll, pitch, yaw: Rotation in degrees.
-        vx, vy, vz: Velocity in m/s.
+        roll, pitch, yaw: Rotation about x, y, z in degrees; right-handed, a positive yaw turns left.
+        vx, vy, vz: Velocity along the world's axes in m/s.
         velocity_recorded: Whether the velocity was recorded; elsewhere it is the slope of the positions around.
     """
 
@@ -123,6 +125,19 @@ class LightStates(Columns):
     frozen: NDArray[np.bool_]
 
 
+class ActorRows(Rows[Actor]):
+    """Actors as rows."""
+
+    row_type = Actor
+
+
+class ActorsById(dict[int, Actor], Tabular):
+    """Actors by id; as a table, a row for each."""
+
+    def _columns(self) -> list[tuple[str, bool, Any]]:
+        return ActorRows(self.values())._columns()
+
+
 class Recording:
     """A recording, open for reading; also a context manager, and iterable over its frames.
 
@@ -132,6 +147,7 @@ class Recording:
 
     def __init__(self, reader: Reader) -> None:
         self._reader = reader
+        self._closed = False
 
     def __enter__(self) -> Self:
         return self
@@ -157,18 +173,26 @@ class Recording:
 
     @property
     def reader(self) -> Reader:
-        """The reader of the file's format."""
+        """The reader of the file's format.
+
+        Raises:
+            RecapError: The recording is closed.
+        """
+        if self._closed:
+            raise RecapError(f"{self.path}: the recording is closed")
         return self._reader
 
     def close(self) -> None:
-        """Let go of the file."""
-        self._reader.close()
+        """Let go of the file; twice is harmless."""
+        if not self._closed:
+            self._closed = True
+            self._reader.close()
 
     @cached_property
     def info(self) -> RecordingInfo:
         """What the recording is."""
-        header, extent = self.header, self._reader.extent()
-        first = next(self._reader.frames(), None)
+        header, extent = self.header, self.reader.extent()
+        first = next(self.reader.frames(), None)
         additional = first is not None and any(p.type is not None and p.type.additional for p in first.packets)
         try:
             date = datetime.fromtimestamp(header.date, UTC)
@@ -177,12 +201,17 @@ class Recording:
         return RecordingInfo(header.map_name, date, header.version, extent.frames, extent.duration, additional)
 
     @cached_property
-    def actors(self) -> dict[int, Actor]:
+    def actors(self) -> ActorsById:
         """Who was there, by id, in order of appearance; of several that had an id, the latest.
 
-        On MCAP, read from the events alone. `carla_recap.queries.actors(recording.reader)` is the same as a table.
+        On MCAP, read from the events alone.
         """
-        return {actor.id: actor for actor in actors(self._reader)}
+        return ActorsById((actor.id, actor) for actor in actors(self.reader))
+
+    @property
+    def heroes(self) -> list[Actor]:
+        """The actors whose role_name is hero."""
+        return [actor for actor in self.actors.values() if actor.is_hero]
 
     def frames(self, start: float = -math.inf, stop: float = math.inf) -> Iterator[Frame]:
         """Stream the frames.
@@ -194,7 +223,7 @@ class Recording:
         Raises:
             FormatError: The file contradicts its format.
         """
-        return self._reader.frames(start=start, stop=stop)
+        return self.reader.frames(start=start, stop=stop)
 
     def frame_at(self, elapsed: float) -> Frame:
         """The last frame that begins at or before a time in seconds; found by index.
@@ -202,9 +231,11 @@ class Recording:
         Raises:
             RecapError: The recording has none.
         """
-        frame = self._reader.frame_at(elapsed)
+        frame = self.reader.frame_at(elapsed)
         if frame is None:
-            raise RecapError(f"{self.path}: no frame at {elapsed:g} s; the recording ends at {self.info.duration:g} s")
+            raise RecapError(
+                f"{self.path}: no frame at {elapsed:g} s; it has {self.info.frames}, up to {self.info.duration:g} s"
+            )
         return frame
 
     def trajectory(self, actor_id: int, *, axes: Axes = "right-handed") -> Trajectory:
@@ -212,11 +243,16 @@ class Recording:
 
         Args:
             actor_id: The actor.
-            axes: See `Axes`.
+            axes: "right-handed", x forward, y left, z up, as in ROS, Rerun and Foxglove; or "carla", CARLA's own, with y to
+                the right, and pitch and yaw turning the other way.
+
+        Where a recording gives an id out again, the trajectory is of all actors that had it.
 
         Raises:
             RecapError: There is no such actor.
         """
+        if axes not in get_args(Axes):
+            raise RecapError(f"axes must be one of {', '.join(get_args(Axes))}, not {axes!r}")
         times, poses = self._rows(actor_id, "transforms")
         velocity_times, velocities = self._rows(actor_id, "velocities", known=bool(len(times)))
         position = {axis: poses[axis].astype(np.float64) * CM for axis in "xyz"}
@@ -262,19 +298,19 @@ class Recording:
         """Who collided with whom; see `carla_recap.queries.collisions`."""
         from carla_recap.queries import collisions
 
-        return collisions(self._reader, type1, type2, compat=compat)
+        return collisions(self.reader, type1, type2, compat=compat)
 
     def blocked(self, min_time: float = 30.0, min_distance: float = 10.0, *, compat: bool = False) -> Blocked:
         """Who stood still for long; see `carla_recap.queries.blocked`. Seconds and centimetres."""
         from carla_recap.queries import blocked
 
-        return blocked(self._reader, min_time, min_distance, compat=compat)
+        return blocked(self.reader, min_time, min_distance, compat=compat)
 
     def _rows(self, actor_id: int, name: str, *, known: bool = False) -> tuple[NDArray[np.float64], NDArray[np.void]]:
         """Elapsed seconds and record of an actor in each frame that has one; the last, where a frame has several."""
         times: list[float] = []
         rows: list[NDArray[np.void]] = []
-        for frame in self._reader.frames((name,)):
+        for frame in self.reader.frames((name,)):
             records = frame[name]
             assert isinstance(records, np.ndarray)
             found = np.flatnonzero(records["id"] == actor_id)

@@ -64,20 +64,40 @@ class Attribute:
     value: str
 
 
+def attributes(**values: str | bool | int | float) -> list[Attribute]:
+    """Attributes from Python values: `attributes(role_name="hero", number_of_wheels=4)`."""
+    return [Attribute(_type_code(value), key, _as_text(value)) for key, value in values.items()]
+
+
+def _type_code(value: str | bool | int | float) -> int:
+    return next(code for code, kind in enumerate((bool, int, float, str)) if isinstance(value, kind))
+
+
+def _as_text(value: str | bool | int | float) -> str:
+    return str(value).lower() if isinstance(value, bool) else str(value)
+
+
 @dataclass(slots=True)
 class Spawn:
-    """An actor appears. Position in cm, angles in degrees, left-handed; `kind` as in `ActorKind`."""
+    """An actor appears. Position in cm, angles in degrees, left-handed.
+
+    Attributes:
+        kind: What it is, as in `ActorKind`.
+        uid: Index in the build's list of blueprints; 0 where it has none.
+        type_id: The blueprint, such as vehicle.tesla.model3.
+        attributes: Its attributes; `attributes(role_name="hero")` makes them.
+    """
 
     id: int
-    kind: int
-    x: float
-    y: float
-    z: float
-    roll: float
-    pitch: float
-    yaw: float
-    uid: int
-    type_id: str
+    kind: int = ActorKind.OTHER
+    x: float = 0.0
+    y: float = 0.0
+    z: float = 0.0
+    roll: float = 0.0
+    pitch: float = 0.0
+    yaw: float = 0.0
+    uid: int = 0
+    type_id: str = ""
     attributes: list[Attribute] = field(default_factory=list)
 
     def attribute(self, key: str) -> str | None:
@@ -304,38 +324,62 @@ class RecordType:
         """The full protobuf name; types with lengths have a twin in double precision."""
         return f"carla_recap.v1.{self.message}" + ("Double" if self.wide and self.layout.has_reals else "")
 
-    def records(self, values: Records | Mapping[str, Any] | Iterable[Any]) -> Records:
+    def records(self, values: Any) -> Records:
         """Records of this type from what a person has at hand.
 
         Args:
-            values: A structured array of `dtype`; columns by name (missing ones are zero); rows as tuples; or, where the
-                size varies, objects such as `Spawn`.
+            values: A structured array of `dtype`; columns by name (a single value stands for all rows, a missing field is
+                zero); rows, each a tuple, a mapping, or, of a type with one field, a number; where the size varies, objects
+                such as `Spawn`; for a clock, its number.
 
         Raises:
-            RecordError: The values do not fit; the message names the field.
+            RecordError: The values do not fit; the message names the type and its fields.
         """
         try:
             if not self.fixed:
-                return list(values)
+                return self._objects(values)
+            if isinstance(values, np.ndarray) and values.dtype.names:
+                return np.atleast_1d(values).astype(self.dtype, copy=False)
             if isinstance(values, Mapping):
                 return self._from_columns(values)
-            if isinstance(values, np.ndarray):
-                if values.dtype.names is None:
-                    raise RecordError(f"{self.name}: a structured array is expected, with the fields {self.dtype.names}")
-                return np.atleast_1d(values).astype(self.dtype, copy=False)
-            return np.array([tuple(row) for row in values], dtype=self.dtype)
+            if np.ndim(values) == 0 and self.framing is Framing.SINGLE:
+                values = [values]
+            rows = [row if isinstance(row, Mapping) else self._row(row) for row in values]
+            if not rows:
+                return np.empty(0, self.dtype)
+            names = dict.fromkeys(name for row in rows for name in row)
+            return self._from_columns({name: [row.get(name, 0) for row in rows] for name in names})
         except (TypeError, ValueError, OverflowError) as error:
             raise RecordError(f"{self.name}: {error}; the fields are {', '.join(self.layout.fields)}") from None
+
+    def _objects(self, values: Iterable[Any]) -> list[Any]:
+        objects = list(values)
+        make = self.layout.make
+        for item in objects:
+            if make is None or not isinstance(item, make):
+                raise TypeError(f"a {make.__name__ if make else 'packet'} was expected, found {item!r:.60}")
+        return objects
+
+    def _row(self, row: Any) -> dict[str, Any]:
+        values = tuple(row) if np.ndim(row) or isinstance(row, np.void) else (row,)
+        if len(values) != len(self.layout.fields):
+            raise ValueError(f"rows of {len(self.layout.fields)} numbers were expected, found {row!r:.60}")
+        return dict(zip(self.layout.fields, values, strict=True))
 
     def _from_columns(self, columns: Mapping[str, Any]) -> NDArray[np.void]:
         unknown = set(columns) - set(self.layout.fields)
         if unknown:
-            raise RecordError(f"{self.name} has no field {min(unknown)!r}; the fields are {', '.join(self.layout.fields)}")
-        shape = np.broadcast_shapes(*(np.shape(column) for column in columns.values()), (1,))
-        array = np.zeros(shape, dtype=self.dtype)
-        for name, column in columns.items():
-            array[name] = column
-        return array
+            raise ValueError(f"there is no field {min(unknown)!r}")
+        arrays = {name: np.asarray(column) for name, column in columns.items()}
+        lengths = {len(array) for array in arrays.values() if array.ndim}
+        if len(lengths) > 1 or any(array.ndim > 1 for array in arrays.values()):
+            raise ValueError(f"columns of one length were expected, found {sorted(lengths)}")
+        records = np.zeros(lengths.pop() if lengths else 1, dtype=self.dtype)
+        for name, array in arrays.items():
+            records[name] = array
+            if records[name].dtype.kind in "iu" and (records[name] != array).any():
+                raise ValueError(f"{name} must be whole numbers within {records[name].dtype}")
+        return records
 
 
 Records = NDArray[np.void] | list[Any]

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import fields
+from dataclasses import asdict, fields, is_dataclass
 from typing import TYPE_CHECKING, Any, ClassVar, TypeVar, get_type_hints
 
 import numpy as np
@@ -18,7 +18,7 @@ T = TypeVar("T")
 _INT64_MAX = 2**63 - 1
 
 
-class _Tabular:
+class Tabular:
     """Whatever has columns."""
 
     def _columns(self) -> list[tuple[str, bool, Any]]:
@@ -52,7 +52,7 @@ class _Tabular:
         return pa.table({name: pa.array(values, pa.string() if text else None) for name, text, values in self._columns()})
 
 
-class Columns(_Tabular):
+class Columns(Tabular):
     """Base of a dataclass whose fields are arrays of one length."""
 
     def _columns(self) -> list[tuple[str, bool, Any]]:
@@ -60,7 +60,7 @@ class Columns(_Tabular):
         return [(name, False, getattr(self, name)) for name in names]
 
 
-class Rows(list[T], _Tabular):
+class Rows(list[T], Tabular):
     """A list of rows, all of one dataclass.
 
     Attributes:
@@ -81,4 +81,6 @@ class Rows(list[T], _Tabular):
 def _column(kind: Any, values: list[Any]) -> Any:
     if kind is int:
         return np.array(values, np.uint64 if any(value > _INT64_MAX for value in values) else np.int64)
-    return np.array(values, kind) if kind in (float, bool) else values
+    if kind in (float, bool):
+        return np.array(values, kind)
+    return [asdict(value) if is_dataclass(value) and not isinstance(value, type) else value for value in values]

@@ -5,6 +5,7 @@ Exit codes: 0; 1 if an assertion fails (`--max-rows`); 2 for bad input, with one
 
 from __future__ import annotations
 
+import math
 import signal
 import sys
 import warnings
@@ -19,6 +20,18 @@ if TYPE_CHECKING:
     from types import FrameType
 
 BAD_INPUT = 2
+INTERRUPTED = 130
+
+
+class _Number(click.FloatRange):
+    """A number of 0 or more."""
+
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Any:
+        number = super().convert(value, param, ctx)
+        return self.fail(f"{value} is not a number.", param, ctx) if math.isnan(number) else number
+
+
+NUMBER = _Number(min=0)
 
 _recording = click.argument("file", type=click.Path(), metavar="FILE")
 _force = click.option("--force", is_flag=True, help="Overwrite DST.")
@@ -81,14 +94,14 @@ def collisions(file: str, types: str, form: str | None, compat: bool, max_rows: 
     from carla_recap.queries import collisions as query
 
     if len(types) != 2:
-        raise click.BadParameter(f"{types!r} are not two letters, such as hv", param_hint="--types")
+        raise click.BadParameter(f"{types!r} are not two letters, such as hv.", param_hint="--types")
     show(query(open_reader(file), *types, compat=compat), form, max_rows)
 
 
 @cli.command()
 @_report
-@click.option("--min-time", default=30.0, show_default=True, metavar="S", help="Shortest stop to report, in seconds.")
-@click.option("--min-distance", default=10.0, show_default=True, metavar="CM", help="What counts as moving, in cm.")
+@click.option("--min-time", type=NUMBER, default=30, show_default=True, metavar="S", help="Shortest stop to report, in s.")
+@click.option("--min-distance", type=NUMBER, default=10, show_default=True, metavar="CM", help="What counts as moving.")
 @_max_rows
 def blocked(file: str, min_time: float, min_distance: float, form: str | None, compat: bool, max_rows: int | None) -> None:
     """Who stood still for long."""
@@ -149,9 +162,16 @@ def main() -> None:
         signal.signal(signal.SIGPIPE, signal.SIG_DFL)
     signal.signal(signal.SIGTERM, _stop)
     try:
-        cli()
+        sys.exit(cli(standalone_mode=False))
     except RecapError as error:
         _fail(str(error))
+    except click.exceptions.NoArgsIsHelpError as error:
+        error.show()
+        sys.exit(BAD_INPUT)
+    except click.UsageError as error:
+        _fail(error.format_message() + (f" Try '{error.ctx.command_path} --help'." if error.ctx else ""))
+    except click.Abort:
+        sys.exit(INTERRUPTED)
     except OSError as error:
         _fail(f"{error.filename or 'output'}: {error.strerror}")
     except MemoryError:

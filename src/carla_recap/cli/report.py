@@ -5,6 +5,8 @@ from __future__ import annotations
 import sys
 from typing import TYPE_CHECKING, Any
 
+import click
+
 from carla_recap.queries.report import json, table, text
 
 if TYPE_CHECKING:
@@ -21,6 +23,8 @@ def show(answer: Any, form: str | None, max_rows: int | None = None) -> None:
         form: "json", "text", or None: a table on a terminal, else text.
         max_rows: How many rows are allowed.
     """
+    if form == "json" and getattr(answer, "compat", False):
+        raise click.UsageError("--compat is about CARLA's text: it does not go with --json.")
     if form is None:
         form = "text" if getattr(answer, "compat", False) or not sys.stdout.isatty() else "table"
     if form == "table":
@@ -28,6 +32,7 @@ def show(answer: Any, form: str | None, max_rows: int | None = None) -> None:
     else:
         _print(json(answer) if form == "json" else text(answer))
     if max_rows is not None and len(answer) > max_rows:
+        click.echo(f"carla-recap: {len(answer)} rows, at most {max_rows} were allowed", err=True)
         sys.exit(TOO_MANY)
 
 

@@ -1,0 +1,148 @@
+"""The pages of the documentation: they name what there is, and what they show works."""
+
+from __future__ import annotations
+
+import os
+import re
+import subprocess
+import sys
+from importlib import import_module
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import pytest
+
+from carla_recap import MissingExtra
+from carla_recap.records import UE4, Framing, Group, Layout, Many
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+
+ROOT = Path(__file__).parents[1]
+PAGES = [ROOT / "README.md", *sorted((ROOT / "docs").glob("*.md"))]
+FORMAT = (ROOT / "docs" / "format.md").read_text("utf-8")
+RECORDS = (ROOT / "docs" / "records.md").read_text("utf-8")
+ENUMS = {
+    "spawned": "ActorKind",
+    "wheels": "WheelLocation",
+    "doors": "DoorLocation",
+    "light_states": "TrafficLightColor",
+    "scene_lights": "SceneLightGroup",
+}
+
+every_type = pytest.mark.parametrize("type", UE4, ids=lambda type: type.name)
+
+
+def section(name: str) -> str:
+    """The section of docs/records.md that has a record type in its heading."""
+    (found,) = re.findall(rf"^### [^\n]*`{name}`.*?(?=^##|\Z)", RECORDS, re.DOTALL | re.MULTILINE)
+    return found
+
+
+def field_names(layout: Layout) -> Iterator[str]:
+    for name, kind in layout.fields.items():
+        yield name
+        if isinstance(kind, Many):
+            yield from field_names(kind.layouts[0])
+
+
+def blocks(page: Path, language: str) -> list[str]:
+    return re.findall(rf"^```{language}\n(.*?)^```$", page.read_text("utf-8"), re.DOTALL | re.MULTILINE)
+
+
+# --- what there is ---------------------------------------------------------------------------------------
+
+
+@every_type
+def test_a_record_type_has_its_section(type):
+    words = section(type.name)
+    missing = [name for name in field_names(type.layout) if f"`{name}`" not in words]
+    assert not missing
+    assert f"`{type.topic}`" in words or not type.topic
+    assert ("additional data" in words) == type.additional
+    if type.layout.make:
+        assert f"a list of `{type.layout.make.__name__}`" in words
+    elif type.framing is Framing.LIST:
+        assert "; an array." in words
+
+
+@pytest.mark.parametrize(("name", "enum"), ENUMS.items(), ids=ENUMS)
+def test_an_enumeration_is_told(name, enum):
+    values = getattr(import_module(f"carla_recap.v1.{name}_pb2"), enum).DESCRIPTOR.values
+    prefix = re.sub("(?<=[a-z])(?=[A-Z])", "_", enum).upper() + "_"
+    for value in values:
+        assert f"{value.number} {value.name.removeprefix(prefix).replace('_', ' ').lower()}" in section(name)
+
+
+def test_the_fields_of_records_are_told_of_nothing_else():
+    headings = set(re.findall(r"`(\w+)`", " ".join(re.findall("^### .*$", RECORDS, re.MULTILINE))))
+    assert headings == {type.name for type in UE4}
+
+
+@every_type
+def test_the_topic_of_a_record_type_is_told(type):
+    if type.topic:
+        group = "state" if type.group is Group.STATE else "events"
+        assert f"| `{type.topic}` | `{type.message}` | {type.id} | {group} |" in FORMAT
+
+
+# --- what works ------------------------------------------------------------------------------------------
+
+
+@pytest.fixture
+def desk(tmp_path, monkeypatch):
+    """A place to try things, with the samples at hand."""
+    (tmp_path / "samples").symlink_to(ROOT / "samples")
+    monkeypatch.chdir(tmp_path)
+    return tmp_path
+
+
+def snippets() -> list[object]:
+    return [
+        pytest.param(code, id=f"{page.name}-{number}")
+        for page in PAGES
+        for number, code in enumerate(blocks(page, "python"), 1)
+    ]
+
+
+@pytest.mark.parametrize("code", snippets())
+def test_a_snippet_runs(desk, code):
+    try:
+        exec(compile(code, "snippet", "exec"), {"__name__": "snippet"})
+    except MissingExtra as error:
+        pytest.skip(str(error))
+
+
+@pytest.mark.parametrize(
+    "page", [page for page in PAGES if "$ carla-recap" in page.read_text("utf-8")], ids=lambda p: p.name
+)
+def test_commands_answer_as_shown(desk, page):
+    """All commands of a page on samples, or on what another one made of them, in a row."""
+    for command, shown in commands(page):
+        if "samples/" in command or any((desk / word).exists() for word in command.split()):
+            answer = run(command)
+            assert not shown or lines(answer) == lines(shown), command
+
+
+def commands(page: Path) -> list[tuple[str, str]]:
+    """The calls of the command, and what is shown as their answer."""
+    return re.findall(r"^\$ (carla-recap .*)\n((?:(?!\$ ).*\n)*)", "".join(blocks(page, "console")), re.MULTILINE)
+
+
+def run(command: str) -> str:
+    path = f"{Path(sys.executable).parent}{os.pathsep}{os.environ['PATH']}"
+    environment = {**os.environ, "PATH": path, "TZ": "UTC"}
+    done = subprocess.run(
+        command, shell=True, env=environment, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, timeout=60, check=False
+    )
+    assert done.returncode in (0, 1), command
+    return done.stdout.decode()
+
+
+def lines(text: str) -> list[str]:
+    return [line.rstrip() for line in text.splitlines()]
+
+
+def test_the_readme_shows_something():
+    assert blocks(PAGES[0], "python")
+    assert any("samples/" in command for command, _ in commands(PAGES[0]))
