@@ -17,6 +17,7 @@ from dataclasses import dataclass
 from functools import cache
 from importlib import import_module
 from itertools import accumulate, pairwise
+from operator import attrgetter
 from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
@@ -534,20 +535,30 @@ def _rows(items: Any, dtype: np.dtype[np.void]) -> NDArray[np.void]:
 
 
 def _object(layout: Layout, message: Any, wide: bool) -> Any:
-    values = []
-    for name, kind in layout.fields.items():
-        value = getattr(message, name)
-        if isinstance(kind, Many):
-            inner = kind.layouts[0]
-            if inner.make:
-                value = [_object(inner, item, wide) for item in value]
-            else:
-                value = _rows(value, _present(kind, value).dtype(wide))
-        elif kind == FLAG:
-            value = int(value)
-        values.append(value)
+    fields, special = _getter(id(layout)) or _make_getter(layout)
+    values = list(fields(message))
+    for place, kind in special:
+        value = values[place]
+        if not isinstance(kind, Many):
+            values[place] = int(value)
+        elif kind.layouts[0].make:
+            values[place] = [_object(kind.layouts[0], item, wide) for item in value]
+        else:
+            values[place] = _rows(value, _present(kind, value).dtype(wide))
     assert layout.make
     return layout.make(*values)
+
+
+Getter = tuple[Any, list[tuple[int, str | Many]]]  # attrgetter of all fields, and those that want more
+_getters: dict[int, Getter] = {}
+_getter = _getters.get
+
+
+def _make_getter(layout: Layout) -> Getter:
+    """What takes all fields from a message at once, and which of them are to be made into something else."""
+    special = [(place, kind) for place, kind in enumerate(layout.fields.values()) if isinstance(kind, Many) or kind == FLAG]
+    getter = _getters[id(layout)] = (attrgetter(*layout.fields), special)
+    return getter
 
 
 def _present(many: Many, items: Any) -> Layout:
