@@ -1,0 +1,113 @@
+"""The camera that follows an actor, as CARLA's replay has it, but with a level horizon and a calm heading.
+
+Poses are arrays as in `carla_recap.replay.pose`: x, y, z in cm, roll, pitch, yaw in degrees, left-handed.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import TYPE_CHECKING, Final
+
+import numpy as np
+
+from carla_recap.replay.pose import LOCATION, YAW, wrap
+
+if TYPE_CHECKING:
+    from numpy.typing import ArrayLike, NDArray
+
+    Floats = NDArray[np.float64]
+
+CHASE_BACK: Final = 1000.0  # cm
+CHASE_UP: Final = 500.0  # cm
+CHASE_PITCH: Final = -25.0  # degrees
+TOP_UP: Final = 4000.0  # cm
+TOP_PITCH: Final = -90.0  # degrees
+CALM: Final = 0.5  # s
+
+
+def level(poses: Floats, heading: ArrayLike | None = None) -> Floats:
+    """Poses without roll and pitch: the axes in which a following camera stands still.
+
+    Args:
+        poses: Those of the actor.
+        heading: The yaw to look along, in degrees, instead of the actor's own; see `calm_headings`.
+    """
+    levelled = np.zeros_like(poses)
+    levelled[..., LOCATION] = poses[..., LOCATION]
+    levelled[..., YAW] = poses[..., YAW] if heading is None else heading
+    return levelled
+
+
+def chase(
+    poses: Floats,
+    heading: ArrayLike | None = None,
+    *,
+    back: float = CHASE_BACK,
+    up: float = CHASE_UP,
+    pitch: float = CHASE_PITCH,
+) -> Floats:
+    """The poses of a camera behind and above an actor, looking down at it.
+
+    Args:
+        poses: Those of the actor.
+        heading: The yaw to look along, in degrees; None: the actor's own.
+        back: How far behind, in cm.
+        up: How far above, in cm.
+        pitch: Where the camera looks, in degrees; downwards is negative.
+    """
+    camera = level(poses, heading)
+    yaw = np.radians(camera[..., YAW])
+    camera[..., 0] -= back * np.cos(yaw)
+    camera[..., 1] -= back * np.sin(yaw)
+    camera[..., 2] += up
+    camera[..., 4] = pitch
+    return camera
+
+
+def top(poses: Floats, heading: ArrayLike | None = None, *, up: float = TOP_UP) -> Floats:
+    """The poses of a camera straight above an actor, looking down.
+
+    Args:
+        poses: Those of the actor.
+        heading: The yaw that is upwards in the picture, in degrees; None: the actor's own.
+        up: How far above, in cm.
+    """
+    camera = level(poses, heading)
+    camera[..., 2] += up
+    camera[..., 4] = TOP_PITCH
+    return camera
+
+
+def calm_heading(yaw: float, previous: float | None, delta: float, seconds: float = CALM) -> float:
+    """The heading of a camera that turns after an actor without haste.
+
+    Args:
+        yaw: The actor's, in degrees.
+        previous: What this function gave last; None at the beginning, and after the actor has jumped.
+        delta: Seconds since then.
+        seconds: After so many seconds, two thirds of a turn are done.
+    """
+    if previous is None or not math.isfinite(previous):
+        return yaw
+    share = -math.expm1(-max(delta, 0.0) / seconds) if seconds > 0 else 1.0
+    return math.remainder(previous + share * math.remainder(yaw - previous, 360), 360)
+
+
+def calm_headings(times: Floats, yaws: Floats, seconds: float = CALM) -> Floats:
+    """`calm_heading` for a whole drive, without jumps from 180 to -180 degrees.
+
+    Args:
+        times: In seconds, ascending.
+        yaws: The actor's yaw at these times, in degrees.
+        seconds: See `calm_heading`.
+    """
+    if not len(yaws):
+        return np.zeros(0)
+    unwrapped = np.concatenate(([0.0], np.cumsum(wrap(np.diff(yaws))))) + yaws[0]
+    shares = -np.expm1(-np.diff(times) / seconds) if seconds > 0 else np.ones(len(yaws) - 1)
+    heading = float(unwrapped[0])
+    headings = [heading]
+    for target, share in zip(unwrapped[1:].tolist(), shares.tolist(), strict=True):
+        heading += share * (target - heading)
+        headings.append(heading)
+    return np.array(headings)

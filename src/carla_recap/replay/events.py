@@ -1,0 +1,117 @@
+"""What happens in a recording, as a replay tells of it; and an actor that is there."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from carla_recap.queries.answer import readable
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+    from carla_recap.queries.actors import BoundingBox
+    from carla_recap.records import Spawn
+
+
+@dataclass(frozen=True, slots=True)
+class Present:
+    """An actor that is there.
+
+    Attributes:
+        spawn: How it was spawned: blueprint, attributes, pose (cm, degrees, left-handed).
+        since: Elapsed seconds at which it appeared.
+        parent: The actor that it is attached to, if any.
+        attached: Whether it was spawned upon its parent: the pose of its spawn is in the parent's axes.
+        box: Its box in m, right-handed, where a sane one was recorded.
+    """
+
+    spawn: Spawn
+    since: float
+    parent: int | None = None
+    attached: bool = False
+    box: BoundingBox | None = None
+
+    @property
+    def id(self) -> int:
+        """The actor id."""
+        return self.spawn.id
+
+    @property
+    def kind(self) -> int:
+        """What it is; see `carla_recap.ActorKind`."""
+        return self.spawn.kind
+
+    @property
+    def type_id(self) -> str:
+        """The blueprint, such as vehicle.tesla.model3."""
+        return readable(self.spawn.type_id)
+
+    @property
+    def role_name(self) -> str:
+        """The attribute role_name, "" without one."""
+        return readable(self.spawn.attribute("role_name") or "")
+
+    @property
+    def is_hero(self) -> bool:
+        """Whether its role_name is hero."""
+        return self.role_name == "hero"
+
+    @property
+    def spawn_pose(self) -> NDArray[np.float64]:
+        """x, y, z in cm and roll, pitch, yaw in degrees, left-handed.
+
+        In the world, or where it is `attached`, in the parent's axes.
+        """
+        spawn = self.spawn
+        return np.array((spawn.x, spawn.y, spawn.z, spawn.roll, spawn.pitch, spawn.yaw))
+
+
+@dataclass(frozen=True, slots=True)
+class Event:
+    """Something happened, at some elapsed seconds."""
+
+    elapsed: float
+
+
+@dataclass(frozen=True, slots=True)
+class Spawned(Event):
+    """An actor appeared. `actor`: as it was at the end of that frame."""
+
+    actor: Present
+
+
+@dataclass(frozen=True, slots=True)
+class Destroyed(Event):
+    """An actor disappeared."""
+
+    id: int
+
+
+@dataclass(frozen=True, slots=True)
+class Parented(Event):
+    """An actor was attached to another one."""
+
+    id: int
+    parent: int
+
+
+@dataclass(frozen=True, slots=True)
+class Collided(Event):
+    """Two actors touched; recorded in each frame of the contact.
+
+    Attributes:
+        number: CARLA's number of the collision.
+        actor1: The one with the sensor.
+        actor2: What it touched; 4294967295 for what is no actor.
+        hero1: Whether the first one is the hero.
+        hero2: Whether the second one is.
+    """
+
+    number: int
+    actor1: int
+    actor2: int
+    hero1: bool
+    hero2: bool

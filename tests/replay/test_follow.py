@@ -1,0 +1,122 @@
+"""Whom the camera follows."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+import pytest
+
+from carla_recap import RecapError
+from carla_recap.records import NO_ACTOR
+from carla_recap.replay import Player, choose_followed
+from tests.replay.scripts import pose, spawn
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+    from tests.replay.conftest import Record
+
+CAST = [
+    spawn(10, "spectator"),
+    spawn(11),
+    spawn(12),
+    spawn(13, "walker.pedestrian.0001"),
+    spawn(14, role_name="hero"),
+    spawn(15, "static.prop.box"),
+]
+NO_HERO = [actor for actor in CAST if actor.id != 14]
+
+
+def frames(cast: list[Any], where: Callable[[int, int], float], count: int = 5) -> list[dict[str, Any]]:
+    """`where`: x of an actor in a frame."""
+    poses = [{"transforms": [pose(actor.id, where(actor.id, n)) for actor in cast]} for n in range(count)]
+    return [{"spawned": cast, **poses[0]}, *poses[1:]]
+
+
+def speeds(**speeds: float) -> Callable[[int, int], float]:
+    return lambda id, n: speeds.get(f"id{id}", 0) * n
+
+
+def test_who_is_named(record: Record) -> None:
+    recording = record({"spawned": CAST})
+    assert Player(recording, follow=12).followed == 12
+    assert Player(recording, follow="hero").followed == 14
+
+
+def test_nobody_of_that_id(record: Record) -> None:
+    recording = record({"spawned": CAST})
+    with pytest.raises(RecapError, match="no actor 16 to follow; near ids are 15, 14, 13"):
+        Player(recording, follow=16)
+    with pytest.raises(RecapError, match="near ids are none"):
+        Player(record({}), follow=1)
+    with pytest.raises(RecapError, match="found 'ego'"):
+        Player(recording, follow="ego")
+
+
+def test_no_hero(record: Record) -> None:
+    with pytest.raises(RecapError, match="no hero to follow"):
+        Player(record({"spawned": NO_HERO}), follow="hero")
+
+
+def test_an_ignored_hero_cannot_be_followed(record: Record) -> None:
+    recording = record({"spawned": CAST})
+    for follow in ("hero", 14):
+        with pytest.raises(RecapError, match="followed and ignored"):
+            Player(recording, follow=follow, ignore_hero=True)
+
+
+def test_the_hero_first(record: Record) -> None:
+    recording = record({"spawned": CAST, "collisions": [(0, 12, 11, 0, 0)]})
+    assert choose_followed(recording.reader) == 14
+    assert Player(recording).followed == 14
+
+
+def test_then_who_collides_first(record: Record) -> None:
+    recording = record(
+        {"spawned": NO_HERO, "collisions": [(0, NO_ACTOR, 15, 0, 0)]},
+        {"collisions": [(1, NO_ACTOR, 12, 0, 0)]},
+        {"collisions": [(2, 11, 12, 0, 0)]},
+    )
+    assert Player(recording).followed == 12
+    assert Player(recording, start=2).followed == 11, "in what is played"
+
+
+def test_then_who_drives_farthest(record: Record) -> None:
+    recording = record(*frames(NO_HERO, speeds(id10=900, id11=100, id12=200, id13=300, id15=400)))
+    assert Player(recording).followed == 12
+    assert Player(recording, ignore_hero=True).followed == 12
+
+
+def test_a_way_is_not_a_distance(record: Record) -> None:
+    """Round and round is farther than a bit ahead."""
+    recording = record(*frames(NO_HERO, lambda id, n: n * 30 if id == 11 else n % 2 * 100 if id == 12 else 0))
+    assert Player(recording).followed == 12
+
+
+def test_a_jump_is_no_way(record: Record) -> None:
+    recording = record(*frames(NO_HERO, lambda id, n: n * 30 if id == 11 else (n > 2) * 1e6 if id == 12 else 0))
+    assert Player(recording).followed == 11
+
+
+def test_without_vehicles_a_walker(record: Record) -> None:
+    cast = [actor for actor in NO_HERO if not actor.type_id.startswith("vehicle")]
+    assert Player(record(*frames(cast, speeds(id13=1, id15=9)))).followed == 13
+
+
+def test_nobody(record: Record) -> None:
+    recording = record(*frames([CAST[0], CAST[-1]], speeds(id10=5)))
+    assert Player(recording).followed is None
+    assert Player(record({})).followed is None
+
+
+def test_actors_that_come_and_go(record: Record) -> None:
+    recording = record(
+        {"spawned": [spawn(1)], "transforms": [pose(1)]},
+        {"spawned": [spawn(2)], "transforms": [pose(1, 100), pose(2)]},
+        {"spawned": [spawn(3)], "transforms": [pose(2, 150), pose(1, 200), pose(3)]},
+        {"destroyed": [(1,)], "transforms": [pose(2, 300), pose(3, 180)]},
+        {"transforms": [pose(2, 450), pose(3, 360)]},
+    )
+    assert choose_followed(recording.reader) == 2
+    assert choose_followed(recording.reader, stop=2) == 1
+    assert choose_followed(recording.reader, start=2) == 3

@@ -1,0 +1,332 @@
+"""Time: where a replay begins, how it goes on, and what lies between two frames."""
+
+from __future__ import annotations
+
+import gc
+import math
+from typing import TYPE_CHECKING
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from carla_recap import RecapError, open_recording
+from carla_recap.frame import Frame
+from carla_recap.replay import Player
+from tests.replay.scripts import pose, spawn, velocity, write, x_of
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+    from carla_recap import Recording
+    from carla_recap.replay import Scene
+    from tests.replay.conftest import Record
+
+FRAMES = 11
+
+
+@pytest.fixture
+def drive(record: Record) -> Recording:
+    """10 s; actor 1 drives 1 m/s along x, a frame each second."""
+    return record(*({"spawned": [spawn(1)] if n == 0 else [], "transforms": [pose(1, 100 * n)]} for n in range(FRAMES)))
+
+
+def ticks(player: Player, *deltas: float) -> list[Scene]:
+    scenes = [player.tick(delta) for delta in deltas]
+    assert all(scene is not None for scene in scenes)
+    return [scene for scene in scenes if scene is not None]
+
+
+# --- between frames ------------------------------------------------------------------------------------------
+
+
+def test_between_the_frame_at_the_time_and_the_next(drive: Recording) -> None:
+    scenes = ticks(Player(drive), 0.0, 0.25, 0.75, 1.5)
+    assert [x_of(scene) for scene in scenes] == [0, 25, 100, 250]
+    assert [scene.time for scene in scenes] == [0, 0.25, 1, 2.5]
+    assert [scene.frame_id for scene in scenes] == [1, 1, 2, 3]
+
+
+def test_a_reader_will_do(drive: Recording) -> None:
+    assert x_of(Player(drive.reader).at(1.5)) == 150
+
+
+@pytest.mark.parametrize("axis", ["roll", "pitch", "yaw"])
+@pytest.mark.parametrize(
+    ("before", "after", "middle"),
+    [(170, -170, 180), (-170, 170, 180), (179, -178, -179.5), (10, 50, 30), (-100, 100, 180), (350, 10, 0)],
+)
+def test_angles_turn_the_short_way(record: Record, axis: str, before: float, after: float, middle: float) -> None:
+    recording = record({"transforms": [pose(1, **{axis: before})]}, {"transforms": [pose(1, **{axis: after})]})
+    player = Player(recording)
+    column = ["roll", "pitch", "yaw"].index(axis) + 3
+    (turned,) = player.at(0.5).poses[:, column]
+    assert math.remainder(turned - middle, 360) == pytest.approx(0, abs=1e-4)
+    assert -180 <= turned <= 180
+    assert player.at(0.0).poses[0, column] == before, "as recorded"
+    assert player.at(1.0).poses[0, column] == after, "as recorded"
+
+
+@given(
+    st.lists(
+        st.tuples(*[st.floats(-100, 100, width=32)] * 3, *[st.floats(-180, 180, width=32)] * 3), min_size=2, max_size=6
+    ),
+    st.lists(st.floats(0, 1), max_size=8),
+)
+def test_as_the_trajectory_has_it(
+    tmp_path_factory: pytest.TempPathFactory, path: list[tuple[float, ...]], parts: list[float]
+) -> None:
+    file = tmp_path_factory.mktemp("drive") / "drive.log"
+    write(file, [{"transforms": [(7, *place)]} for place in path], tick=0.25)
+    with open_recording(file) as recording:
+        times = np.arange(len(path)) * 0.25
+        player = Player(recording)
+        for part in parts:
+            time = part * player.total
+            place = player.at(time).poses[0]
+            for column in range(6):
+                values = np.array([np.float32(row[column]) for row in path], np.float64)
+                if column >= 3:
+                    values = np.unwrap(values, period=360)
+                off = place[column] - np.interp(time, times, values)
+                ways = [off] if column < 3 else [math.remainder(off, 360)]
+                if column >= 3 and np.isclose(np.abs(np.diff(values)), 180, atol=1e-3).any():
+                    continue  # either way round is the shortest
+                assert ways == pytest.approx([0], abs=1e-6)
+
+
+def test_fast_is_not_interpolated(drive: Recording) -> None:
+    player = Player(drive, time_factor=2.0)
+    assert [x_of(scene) for scene in ticks(player, 0.25, 0.5, 0.25)] == [0, 100, 200]
+    assert x_of(Player(drive, time_factor=1.9).tick(0.25)) == 47.5
+
+
+def test_not_smooth(drive: Recording) -> None:
+    player = Player(drive, smooth=False)
+    assert x_of(player.tick(0.75)) == 0
+    player.smooth = True
+    assert x_of(player.tick(0.0)) == 75
+
+
+def test_the_last_frame_holds(drive: Recording) -> None:
+    player = Player(drive)
+    last = player.at(10.0)
+    assert (x_of(last), last.frame_id, player.finished) == (1000, FRAMES, True)
+    assert player.tick(1.0) is None
+
+
+def test_the_first_frame_is_shown_before_its_time(record: Record) -> None:
+    recording = record({"transforms": [pose(1, 100)]}, {"transforms": [pose(1, 200)]}, times=[5.0, 6.0])
+    player = Player(recording)
+    assert [x_of(scene) for scene in ticks(player, 0.0, 3.0, 2.5)] == [100, 100, 150]
+
+
+def test_who_comes_and_goes_is_not_interpolated(record: Record) -> None:
+    recording = record(
+        {"transforms": [pose(1, 0), pose(2, 0)]},
+        {"transforms": [pose(2, 100), pose(3, 100)]},
+        {"transforms": [pose(3, 200), pose(2, 200)]},
+    )
+    scenes = [Player(recording).at(time) for time in (0.5, 1.5)]
+    assert [dict(zip(s.ids.tolist(), s.poses[:, 0].tolist(), strict=True)) for s in scenes] == [
+        {1: 0, 2: 50},
+        {2: 150, 3: 150},
+    ]
+
+
+def test_of_several_records_the_last_counts(record: Record) -> None:
+    recording = record(
+        {
+            "transforms": [pose(2, 1), pose(1, 5), pose(2, 100)],
+            "vehicle_controls": [(2, 0, 0.1, 0, 0, 1), (2, 0, 0.5, 0, 0, 1)],
+        },
+        {"transforms": [pose(2, 1), pose(1, 5), pose(2, 200)]},
+    )
+    scene = Player(recording).at(0.5)
+    assert scene.ids.tolist() == [1, 2]
+    assert scene.poses[:, 0].tolist() == [5, 150]
+    assert scene.vehicle_controls["throttle"].tolist() == [0.5]
+
+
+# --- jumps ---------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("tick", "way", "speeds", "jumps"),
+    [
+        (0.05, 499, None, False),
+        (0.05, 501, None, True),
+        (0.5, 3_000, None, False),  # 60 m/s
+        (0.5, 6_000, None, True),
+        (1.0, 600, (0.0, 0.0), True),
+        (1.0, 499, (0.0, 0.0), False),
+        (1.0, 600, (0.0, 3.0), False),
+        (1.0, 3_100, (10.0, 10.0), True),
+        (1.0, 2_900, (10.0, 10.0), False),
+    ],
+)
+def test_jumps(record: Record, tick: float, way: float, speeds: tuple[float, float] | None, jumps: bool) -> None:
+    frames = [{"transforms": [pose(8), pose(9, x)]} for x in (0, way)]
+    if speeds:
+        for frame, speed in zip(frames, speeds, strict=True):
+            frame["velocities"] = [velocity(9, speed)]
+    scene = Player(record(*frames, tick=tick)).at(tick / 2)
+    assert scene.poses[1, 0] == pytest.approx(0 if jumps else way / 2)
+
+
+def test_a_replaced_actor_jumps(record: Record) -> None:
+    recording = record(
+        {"spawned": [spawn(1)], "transforms": [pose(1, 0)]},
+        {"spawned": [spawn(1)], "transforms": [pose(1, 100)]},
+        {"transforms": [pose(1, 200)]},
+    )
+    assert [x_of(scene) for scene in ticks(Player(recording), 0.5, 1.0)] == [0, 150]
+
+
+@pytest.mark.parametrize("odd", [math.nan, math.inf, 3e38])
+@pytest.mark.parametrize("field", ["x", "yaw"])
+def test_what_is_not_a_place_is_not_interpolated(record: Record, field: str, odd: float) -> None:
+    recording = record(
+        {"transforms": [pose(1, 0), pose(2, 0)]},
+        {"transforms": [pose(1, **{field: odd}), pose(2, 100)]},
+        {"transforms": [pose(1, 200), pose(2, 200)]},
+    )
+    player = Player(recording)
+    assert player.at(0.5).poses[:, 0].tolist() == [0, 50]
+    assert player.at(1.5).poses[1, 0] == 150
+
+
+# --- start, duration, factor ---------------------------------------------------------------------------------
+
+
+def test_start_and_duration(drive: Recording) -> None:
+    player = Player(drive, start=2.5, duration=1.0)
+    assert (player.start, player.stop, player.total) == (2.5, 3.5, 10)
+    assert [x_of(scene) for scene in player.scenes(rate=2)] == [250, 300, 350]
+    assert player.finished
+    assert player.tick(1.0) is None
+
+
+def test_all_of_it(drive: Recording) -> None:
+    player = Player(drive)
+    assert (player.start, player.stop) == (0, 10)
+
+
+@pytest.mark.parametrize(("start", "expected"), [(-2.5, 7.5), (-10, 0), (-99, 0), (10, 10), (10.00001, 10)])
+def test_start_from_the_end(drive: Recording, start: float, expected: float) -> None:
+    player = Player(drive, start=start, duration=99)
+    assert (player.start, player.stop) == (expected, 10)
+    scenes = list(player.scenes())
+    assert x_of(scenes[-1]) == 1000
+    assert len({scene.time for scene in scenes}) == len(scenes)
+
+
+@pytest.mark.parametrize("start", [10.1, 1e300, math.inf, math.nan])
+def test_start_outside(drive: Recording, start: float) -> None:
+    with pytest.raises(RecapError, match=r"nothing at .* s; the recording ends at 10 s"):
+        Player(drive, start=start)
+    with pytest.raises(RecapError, match="nothing at"):
+        Player(drive).at(start)
+
+
+@pytest.mark.parametrize("duration", [-1, math.inf, math.nan])
+def test_a_duration_that_is_none(drive: Recording, duration: float) -> None:
+    with pytest.raises(RecapError, match="duration"):
+        Player(drive, duration=duration)
+
+
+@pytest.mark.parametrize("factor", [-1, math.inf, math.nan])
+def test_a_factor_that_is_none(drive: Recording, factor: float) -> None:
+    with pytest.raises(RecapError, match="time factor"):
+        Player(drive, time_factor=factor)
+
+
+@pytest.mark.parametrize("delta", [-0.1, math.inf, math.nan])
+def test_time_goes_forward(drive: Recording, delta: float) -> None:
+    with pytest.raises(RecapError, match="tick"):
+        Player(drive).tick(delta)
+
+
+@pytest.mark.parametrize("rate", [0, -1, math.inf, math.nan])
+def test_a_rate_that_is_none(drive: Recording, rate: float) -> None:
+    with pytest.raises(RecapError, match="scenes per second"):
+        next(Player(drive).scenes(rate))
+
+
+def test_the_factor_changes_while_playing(drive: Recording) -> None:
+    player = Player(drive)
+    ticks(player, 1.0)
+    player.time_factor = 0.5
+    assert x_of(player.tick(1.0)) == 150
+    player.time_factor = 0
+    assert x_of(player.tick(1.0)) == 150
+    player.time_factor = 3
+    assert player.tick(1.0).time == 4.5
+    assert player.time == 4.5
+
+
+def test_no_frames(record: Record) -> None:
+    with pytest.raises(RecapError, match="no frames"):
+        Player(record())
+
+
+def test_one_frame(record: Record) -> None:
+    (scene,) = Player(record({"transforms": [pose(1, 7)]})).scenes()
+    assert (scene.time, x_of(scene)) == (0, 7)
+
+
+# --- scenes, and leaps ---------------------------------------------------------------------------------------
+
+
+def test_a_scene_for_each_frame(drive: Recording) -> None:
+    scenes = list(Player(drive).scenes())
+    assert [scene.frame_id for scene in scenes] == list(range(1, FRAMES + 1))
+    assert [x_of(scene) for scene in scenes] == [100 * n for n in range(FRAMES)]
+
+
+def test_frames_from_the_middle(drive: Recording) -> None:
+    assert [scene.time for scene in Player(drive, start=1.5, duration=2).scenes()] == [1.5, 2, 3, 3.5]
+
+
+@pytest.mark.parametrize("rate", [3, 10, 30, 60])
+def test_scenes_at_a_rate(drive: Recording, rate: int) -> None:
+    times = [scene.time for scene in Player(drive).scenes(rate)]
+    assert times == pytest.approx(np.arange(10 * rate + 1) / rate)
+    assert times[-1] == 10
+
+
+def test_the_rate_is_of_ticks(drive: Recording) -> None:
+    assert [scene.time for scene in Player(drive, time_factor=4).scenes(1)] == [0, 4, 8, 10]
+
+
+def test_leaps(drive: Recording) -> None:
+    player = Player(drive)
+    assert [x_of(player.at(time)) for time in (9.5, 0.5, 0.25, 4.75, 4.0, -1.0)] == [950, 50, 25, 475, 400, 900]
+    assert x_of(player.tick(0.5)) == 950, "ticks go on from there"
+
+
+def test_a_leap_back_from_the_end_plays_on(drive: Recording) -> None:
+    player = Player(drive, duration=2)
+    assert len(list(player.scenes(1))) == 3
+    assert player.tick(1) is None
+    player.at(player.start)
+    assert not player.finished
+    assert len(list(player.scenes(1))) == 3
+
+
+def test_old_frames_are_let_go(tmp_path: Path) -> None:
+    with open_recording(write(tmp_path / "long.log", [{"transforms": [pose(1, n)]} for n in range(200)])) as recording:
+        gc.collect()
+        before = sum(isinstance(thing, Frame) for thing in gc.get_objects())
+        for scene in Player(recording).scenes():
+            if scene.frame_id == 150:
+                gc.collect()
+                held = sum(isinstance(thing, Frame) for thing in gc.get_objects()) - before
+        assert held <= 4
+
+
+def test_poses_are_not_to_be_written(drive: Recording) -> None:
+    for time in (0.0, 0.5):
+        with pytest.raises(ValueError, match="read-only"):
+            Player(drive).at(time).poses[0, 0] = 1

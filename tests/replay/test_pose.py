@@ -1,0 +1,89 @@
+"""Poses: turns, axes, and actors upon actors."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from hypothesis.extra.numpy import arrays
+
+from carla_recap.replay import quaternions, right_handed, right_handed_velocities
+from carla_recap.replay.pose import attach, change, left_handed, rotations, wrap
+
+ANGLES = st.floats(-720, 720)
+POSES = arrays(np.float64, (6,), elements=st.floats(-180, 180, allow_subnormal=False).map(lambda value: round(value, 3)))
+
+
+@given(ANGLES, ANGLES)
+def test_the_shortest_turn(before: float, after: float) -> None:
+    turn = wrap(np.array(after - before))
+    assert -180 <= turn <= 180
+    assert np.cos(np.radians(before + turn)) == pytest.approx(np.cos(np.radians(after)), abs=1e-9)
+    assert np.sin(np.radians(before + turn)) == pytest.approx(np.sin(np.radians(after)), abs=1e-9)
+
+
+def test_change_leaves_locations_alone() -> None:
+    before, after = np.array([[0.0, 0, 0, 170, -170, 0]]), np.array([[500.0, -400, 300, -170, 170, 90]])
+    assert change(before, after).tolist() == [[500, -400, 300, 20, -20, 90]]
+
+
+def test_right_handed() -> None:
+    assert right_handed(np.array([100.0, 200, 300, 1, 2, 3])).tolist() == [1, -2, 3, 1, -2, -3]
+    assert right_handed_velocities(np.array([[1.0, 2, 3, 4, 5, 6]])).tolist() == [[1, -2, 3, 4, -5, -6]]
+
+
+@given(POSES)
+def test_there_and_back(place: np.ndarray) -> None:
+    assert left_handed(right_handed(place)) == pytest.approx(place)
+
+
+def test_axes_point_where_unreal_points_them() -> None:
+    """Yaw 90 looks along Unreal's y, which is right, so -y; pitch 90 looks up; roll 90 puts the left side up."""
+    forward, left, up = np.eye(3)
+    for carla, columns in (
+        ((0, 0, 90), (-left, forward, up)),
+        ((0, 90, 0), (up, left, -forward)),
+        ((90, 0, 0), (forward, up, -left)),
+    ):
+        matrix = rotations(right_handed(np.array([0, 0, 0, *carla], float)))
+        assert pytest.approx(np.array(columns), abs=1e-12) == matrix.T
+
+
+@given(POSES)
+def test_quaternions_turn_as_matrices_do(place: np.ndarray) -> None:
+    x, y, z, w = quaternions(place)
+    expected = [
+        [1 - 2 * (y * y + z * z), 2 * (x * y - z * w), 2 * (x * z + y * w)],
+        [2 * (x * y + z * w), 1 - 2 * (x * x + z * z), 2 * (y * z - x * w)],
+        [2 * (x * z - y * w), 2 * (y * z + x * w), 1 - 2 * (x * x + y * y)],
+    ]
+    assert rotations(place) == pytest.approx(np.array(expected), abs=1e-12)
+
+
+def test_many_at_once() -> None:
+    many = np.arange(24.0).reshape(2, 2, 6)
+    assert quaternions(many).shape == (2, 2, 4)
+    assert rotations(many)[1, 0] == pytest.approx(rotations(many[1, 0]))
+    assert attach(many, many)[0, 1] == pytest.approx(attach(many[0, 1], many[0, 1]))
+
+
+def test_attached() -> None:
+    """A camera 2 m ahead of a car and 1 m to its right, looking right; the car looks along y."""
+    car = np.array([1000.0, 2000, 0, 0, 0, 90])
+    assert attach(car, np.array([200.0, 100, 50, 0, 0, 90])) == pytest.approx([900, 2200, 50, 0, 0, 180])
+    assert attach(car, np.array([0.0, 0, 0, 0, 30, 0])) == pytest.approx([1000, 2000, 0, 0, 30, 90])
+
+
+def test_attached_on_a_slope() -> None:
+    """Pitch 90 is nose up: what is ahead is above."""
+    car = np.array([0.0, 0, 0, 0, 90, 0])
+    assert attach(car, np.array([100.0, 0, 0, 0, 0, 0]))[:3] == pytest.approx([0, 0, 100])
+    assert attach(car, np.zeros(6)) == pytest.approx([0, 0, 0, 0, 90, 0])
+
+
+@given(POSES, POSES)
+def test_attached_turns_with_its_parent(parent: np.ndarray, relative: np.ndarray) -> None:
+    world = rotations(right_handed(attach(parent, relative)))
+    expected = rotations(right_handed(parent)) @ rotations(right_handed(relative))
+    assert world == pytest.approx(expected, abs=1e-5)

@@ -1,0 +1,128 @@
+"""CARLA's own recordings, and the sample of a crossing, replayed."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import pytest
+
+from carla_recap import convert, open_recording
+from carla_recap.formats import create_writer
+from carla_recap.frame import Frame, Header, Packet
+from carla_recap.replay import Player, chase
+from tests.replay.scripts import pose, spawn, state, velocity, x_of
+from tests.samples import carla_log
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+
+    from carla_recap import Recording
+
+CROSSING = Path(__file__).parents[2] / "samples" / "crossing.log"
+NAMES = ("carla-0.9.10-lane-center", "carla-0.9.13-lane-center", "crossing")
+
+
+@pytest.fixture(params=NAMES)
+def recording(request: pytest.FixtureRequest, tmp_path: Path, suffix: str) -> Iterator[Recording]:
+    log = CROSSING if request.param == "crossing" else carla_log(f"{request.param}.log")
+    path = log
+    if suffix == ".mcap":
+        path = tmp_path / "real.mcap"
+        convert(log, path)
+    with open_recording(path) as opened:
+        yield opened
+
+
+def test_the_hero_goes_where_it_went(recording: Recording) -> None:
+    player = Player(recording)
+    hero = player.followed
+    assert hero is not None
+    assert recording.actors[hero].is_hero
+    way = recording.trajectory(hero, axes="carla")
+    seen = 0
+    for scene in player.scenes(rate=17):
+        if not way.time[0] <= scene.time <= way.time[-1]:
+            continue
+        place = scene.pose_of(hero)
+        assert place is not None
+        expected = [np.interp(scene.time, way.time, column) * 100 for column in (way.x, way.y, way.z)]
+        assert place[:3] == pytest.approx(expected, abs=1e-3)
+        yaw = np.interp(scene.time, way.time, np.unwrap(way.yaw, period=360))
+        assert abs(np.exp(1j * np.radians(place[5])) - np.exp(1j * np.radians(yaw))) < 1e-6
+        seen += 1
+    assert seen > 100
+
+
+def test_starting_in_the_middle(recording: Recording) -> None:
+    player = Player(recording)
+    times = np.linspace(0, player.total, 8)
+    for scene in player.scenes(rate=3):
+        near = times[np.abs(times - scene.time).argmin()]
+        if abs(near - scene.time) < 0.17:
+            started = Player(recording, start=scene.time).tick(0)
+            assert started is not None
+            assert repr(state(started)) == repr(state(scene))  # NaN is NaN
+
+
+def test_lights_and_actors_have_a_place(recording: Recording) -> None:
+    scene = Player(recording).at(-1.0)
+    lights = scene.light_states["id"].tolist()
+    assert lights
+    for id in [*lights, *scene.actors]:
+        place = scene.pose_of(id)
+        parent = scene.actors[id].parent
+        assert (place is not None) == (parent is None or parent in scene.actors)
+
+
+def test_the_camera_is_behind_the_car(recording: Recording) -> None:
+    player = Player(recording)
+    assert player.followed is not None
+    place = player.at(recording.actors[player.followed].spawned_at + 1.0).pose_of(player.followed)
+    assert place is not None
+    camera = chase(place)
+    ahead = np.array([np.cos(np.radians(place[5])), np.sin(np.radians(place[5]))])
+    assert (place[:2] - camera[:2]) @ ahead == pytest.approx(1000)
+    assert camera[2] - place[2] == pytest.approx(500)
+
+
+def build(path: Path, header: Header, frames: list[dict[str, Any]], *, preamble: bool = False) -> Path:
+    """A recording as only some builds write it."""
+    with create_writer(path, header) as writer:
+        for place, frame in enumerate(frames):
+            table = header.table
+            packets = [
+                Packet(table.named(name).id, table.named(name), None, table.named(name).records(rows))
+                for name, rows in frame.items()
+            ]
+            before = preamble and place == 0
+            elapsed = 0.0 if before else place - preamble
+            writer.write(
+                Frame(
+                    place, 0 if before else place + 1 - preamble, elapsed, 0.0 if before else 1.0, packets, preamble=before
+                )
+            )
+    return path
+
+
+def test_double_precision(tmp_path: Path, suffix: str) -> None:
+    far = 1e9 + 0.001
+    frames = [
+        {"spawned": [spawn(1)], "transforms": [pose(1, far), pose(2)], "velocities": [velocity(1, 9)]},
+        {"transforms": [pose(1, far + 1000), pose(2, 100)]},
+        {},
+    ]
+    with open_recording(build(tmp_path / f"ue5{suffix}", Header("Town10", 0, wide=True), frames)) as recording:
+        scene = Player(recording).at(0.5)
+        assert scene.poses[:, 0].tolist() == [far + 500, 50]
+        assert scene.velocities["x"].tolist() == [9]
+        assert Player(recording).at(2.0).ids.tolist() == []
+
+
+def test_packets_before_the_first_frame(tmp_path: Path, suffix: str) -> None:
+    frames = [{"spawned": [spawn(1)]}, {"transforms": [pose(1)]}, {"transforms": [pose(1, 100)]}]
+    with open_recording(build(tmp_path / f"early{suffix}", Header("Town01", 0), frames, preamble=True)) as recording:
+        scenes = list(Player(recording).scenes(rate=2))
+        assert [x_of(scene) for scene in scenes] == [0, 50, 100]
+        assert [event.actor.id for scene in scenes for event in scene.spawned] == [1]
