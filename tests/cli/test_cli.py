@@ -1,0 +1,583 @@
+"""The installed command, as a shell and a terminal see it."""
+
+from __future__ import annotations
+
+import gzip
+import json
+import os
+import pty
+import re
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, NoReturn
+
+import pytest
+
+from carla_recap import Attribute, Spawn, __version__, convert, create_recording
+from carla_recap.formats.carla_log import LogReader
+from carla_recap.queries import actors, blocked, collisions, info
+from carla_recap.queries.report import text
+from tests.samples import CARLA_LOGS, carla_log, images, log_header, names_in, packet, reading, save, start, time_limit
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+COMMAND = Path(sys.executable).with_name("carla-recap")
+CROSSING = Path(__file__).parents[2] / "samples" / "crossing.log"
+COMMANDS = ("info", "collisions", "blocked", "actors", "convert", "recover")
+EVIL = "\x1b]0;evil\x07\x1b[31m\x9b2J"
+TIMEOUT = 60
+
+ENVIRONMENT = {
+    **{name: value for name, value in os.environ.items() if not name.startswith(("COLUMNS", "FORCE_", "NO_COLOR", "TTY_"))},
+    "TZ": "UTC",
+    "TERM": "xterm",
+    "COLUMNS": "120",
+}
+
+Done = subprocess.CompletedProcess[bytes]
+
+
+@pytest.fixture(autouse=True)
+def utc(monkeypatch):
+    """Dates are printed in local time; here, as in the command."""
+    with monkeypatch.context() as patch:
+        patch.setenv("TZ", "UTC")
+        time.tzset()
+        yield
+    time.tzset()
+
+
+@pytest.fixture(scope="module")
+def crossing_mcap(tmp_path_factory) -> Path:
+    path = tmp_path_factory.mktemp("cli") / "crossing.mcap"
+    convert(CROSSING, path)
+    return path
+
+
+@pytest.fixture(params=[".log", ".mcap"])
+def crossing(request, crossing_mcap) -> Path:
+    """The sample, in each format."""
+    return CROSSING if request.param == ".log" else crossing_mcap
+
+
+@pytest.fixture
+def evil(tmp_path) -> Path:
+    """A recording whose texts would steer a terminal, and with numbers that are not finite."""
+    path = tmp_path / "evil.mcap"
+    nan = float("nan")
+    with create_recording(path, map_name=EVIL, date=0) as recorder:
+        one = Spawn(1, 1, nan, 0, 0, 0, 0, 0, 0, EVIL, [Attribute(3, "role_name", EVIL)])
+        recorder.add_frame(0.0, spawned=[one], transforms={"id": [1], "x": [nan], "y": [float("-inf")]})
+        recorder.add_frame(40.0, collisions=[(0, 1, 1, 0, 0)])
+        recorder.add_frame(41.0)
+    return path
+
+
+# --- how it is called --------------------------------------------------------------------------------------
+
+
+def run(*arguments: object, **options: Any) -> Done:
+    """Run the command, with its output in pipes."""
+    command = [COMMAND, *map(os.fspath, map(_as_path, arguments))]
+    return subprocess.run(
+        command, capture_output=True, env=ENVIRONMENT, stdin=subprocess.DEVNULL, timeout=TIMEOUT, check=False, **options
+    )
+
+
+def answer(*arguments: object) -> str:
+    """What a command that succeeds prints, and says nothing besides."""
+    done = run(*arguments)
+    assert (done.returncode, done.stderr) == (0, b"")
+    return done.stdout.decode()
+
+
+def error(*arguments: object, code: int = 2, **options: Any) -> str:
+    """The one line with which a command fails."""
+    done = run(*arguments, **options)
+    assert done.returncode == code
+    assert done.stdout == b""
+    return the_line(done.stderr)
+
+
+def the_line(stderr: bytes) -> str:
+    """What stands in the one line on stderr, behind the command's name; it can be shown anywhere."""
+    (line,) = stderr.decode().splitlines()
+    assert line.isprintable()
+    assert line.startswith("carla-recap: ")
+    return line.removeprefix("carla-recap: ")
+
+
+def on_terminal(*arguments: object, stream: str = "stdout") -> tuple[int, str, bytes]:
+    """Run the command with one stream on a terminal.
+
+    Returns: The exit code, what the terminal got, and what the other stream got.
+    """
+    ours, theirs = pty.openpty()
+    streams = {"stdout": subprocess.PIPE, "stderr": subprocess.PIPE, stream: theirs}
+    command = [COMMAND, *map(os.fspath, map(_as_path, arguments))]
+    with subprocess.Popen(command, env=ENVIRONMENT, stdin=subprocess.DEVNULL, **streams) as process:
+        os.close(theirs)
+        shown = read_terminal(ours)
+        other = (process.stderr or process.stdout).read()
+        code = process.wait(TIMEOUT)
+    os.close(ours)
+    return code, shown, other
+
+
+def read_terminal(terminal: int) -> str:
+    pieces = []
+    with time_limit(TIMEOUT):
+        while True:
+            try:
+                piece = os.read(terminal, 1 << 16)
+            except OSError:  # Linux's way to say that the other side has hung up
+                piece = b""
+            if not piece:
+                return b"".join(pieces).decode().replace("\r\n", "\n")
+            pieces.append(piece)
+
+
+def _as_path(argument: object) -> str | os.PathLike[str]:
+    return argument if isinstance(argument, os.PathLike) else str(argument)
+
+
+def strict(document: str) -> Any:
+    """What JSON says, by the letter of its standard."""
+
+    def refuse(constant: str) -> NoReturn:
+        raise AssertionError(constant)
+
+    return json.loads(document, parse_constant=refuse)
+
+
+def text_of(query: Callable[..., Any], path: Path, *arguments: Any, **options: Any) -> str:
+    """The Python API's answer, in CARLA's text."""
+    with reading(path) as reader:
+        return "".join(text(query(reader, *arguments, **options)))
+
+
+# --- answers in a pipe -------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("arguments", "query", "options"),
+    [
+        (["info"], info, {}),
+        (["info", "--all"], info, {"all": True}),
+        (["info", "--all", "--compat"], info, {"all": True, "compat": True}),
+        (["collisions"], collisions, {}),
+        (["collisions", "--types", "hv"], collisions, {"type1": "h", "type2": "v"}),
+        (["collisions", "--compat"], collisions, {"compat": True}),
+        (["blocked"], blocked, {}),
+        (["blocked", "--min-time", "5", "--min-distance", "50"], blocked, {"min_time": 5.0, "min_distance": 50.0}),
+        (["blocked", "--min-time", "0"], blocked, {"min_time": 0.0}),
+        (["actors"], actors, {}),
+    ],
+    ids=lambda value: " ".join(value) if isinstance(value, list) else "",
+)
+def test_a_pipe_gets_the_text(crossing, arguments, query, options):
+    command, *rest = arguments
+    assert answer(command, crossing, *rest) == text_of(query, crossing, **options)
+
+
+def test_text_is_bytes_of_utf8(tmp_path):
+    path = tmp_path / "été.log"
+    with create_recording(path, map_name="Zürich 🚗") as recorder:
+        recorder.add_frame(0.0)
+    assert "Map: Zürich 🚗\n" in answer("info", path)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "expected"),
+    [
+        (["collisions"], "collisions_a_a.txt"),
+        (["collisions", "--types", "vw"], "collisions_v_w.txt"),
+        (["blocked"], "blocked_30_10.txt"),
+        (["blocked", "--min-time", "0.5"], "blocked_0.5_10.txt"),
+        (["info"], "info.txt"),
+        (["info", "--all"], "info_all.txt.gz"),
+    ],
+    ids=lambda value: " ".join(value) if isinstance(value, list) else "",
+)
+def test_compat_is_what_carla_prints(arguments, expected):
+    name = "carla-0.9.13-lane-center"
+    data = (carla_log(f"{name}.log").parent / "expected" / f"{name}.{expected}").read_bytes()
+    wanted = gzip.decompress(data) if expected.endswith(".gz") else data
+    command, *rest = arguments
+    done = run(command, CARLA_LOGS / f"{name}.log", "--compat", *rest)
+    assert (done.returncode, done.stderr) == (0, b"")
+    assert done.stdout.splitlines() == wanted.splitlines()
+
+
+# --- JSON --------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("command", [["info"], ["info", "--all"], ["collisions"], ["blocked"], ["actors"]], ids=" ".join)
+def test_json(crossing, command):
+    document = strict(answer(command[0], crossing, "--json", *command[1:]))
+    assert list(document) == ["version", "map", "date", "rows", "frames", "last_frame", "duration"]
+    assert (document["map"], document["frames"], document["duration"]) == ("Crossing", 531, 53.0)
+    assert document["rows"]
+
+
+def test_json_of_what_is_not_finite(evil):
+    rows = strict(answer("info", evil, "--all", "--json"))["rows"]
+    (pose,) = (row["record"] for row in rows if row["type"] == "transforms")
+    assert (pose["x"], pose["y"], pose["z"]) == (None, None, 0.0)
+
+
+def test_json_wins_over_compat(crossing):
+    assert strict(answer("blocked", CROSSING, "--json", "--compat"))["rows"]
+
+
+# --- on a terminal -----------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("command", "words"),
+    [
+        (["info"], ["Time", "Frame", "Record", "Details", "collisions"]),
+        (["collisions"], ["Actor 1", "Actor 2", "vehicle.tesla.model3 (hero)", "2 rows; 531 frames, 53 seconds"]),
+        (["blocked"], ["Start", "Duration", "vehicle.mercedes.sprinter", "3 rows; 531 frames, 53 seconds"]),
+        (["actors"], ["Kind", "Role", "walker.pedestrian.0004", "hero"]),
+    ],
+    ids=lambda value: value[0] if len(value) == 1 else "",
+)
+def test_a_terminal_gets_a_table(command, words):
+    code, shown, errors = on_terminal(*command, CROSSING)
+    assert (code, errors) == (0, b"")
+    assert "Crossing, 01/01/26 10:00:00, version 1" in shown
+    assert not [word for word in words if word not in shown]
+    assert "\nFrames: " not in shown
+
+
+@pytest.mark.parametrize("form", ["--text", "--json", "--compat"])
+def test_a_terminal_gets_another_form_when_asked(form):
+    code, shown, errors = on_terminal("collisions", CROSSING, form)
+    assert (code, errors) == (0, b"")
+    assert shown == answer("collisions", CROSSING, form)
+
+
+@pytest.mark.parametrize("command", [["info", "--all"], ["collisions"], ["blocked"], ["actors"]], ids=" ".join)
+def test_a_recording_steers_no_terminal(evil, command):
+    code, shown, errors = on_terminal(command[0], evil, *command[1:])
+    assert (code, errors) == (0, b"")
+    assert "\\x1b]0;evil\\x07" in shown
+    assert not re.search("\x1b\\]|\x07|\x9b|\x1b\\[31m(?!m)", shown)
+
+
+def test_a_terminal_sees_how_far_a_conversion_is(tmp_path):
+    code, shown, output = on_terminal("convert", CROSSING, tmp_path / "c.mcap", stream="stderr")
+    assert (code, output) == (0, b"")
+    assert "converting crossing.log" in shown
+    assert shown.endswith(f"{tmp_path / 'c.mcap'}: 531 frames, 53 s\n")
+    assert shown.count("\x1b[?25l") == shown.count("\x1b[?25h") > 0  # the cursor is back
+
+
+def test_a_file_name_steers_no_terminal(tmp_path):
+    source, destination = tmp_path / f"[bold]{EVIL}.log", tmp_path / f"{EVIL}.mcap"
+    source.symlink_to(CROSSING)
+    code, shown, _ = on_terminal("convert", source, destination, stream="stderr")
+    assert code == 0
+    assert "[bold]" in shown
+    assert not re.search("\x1b\\]|\x07|\x9b|\x1b\\[31m", shown)
+
+
+# --- --max-rows --------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(("command", "rows"), [("collisions", 2), ("blocked", 3)])
+@pytest.mark.parametrize("form", [[], ["--json"]], ids=["text", "json"])
+def test_max_rows(command, rows, form):
+    assert answer(command, CROSSING, "--max-rows", rows, *form) == answer(command, CROSSING, *form)
+    done = run(command, CROSSING, "--max-rows", rows - 1, *form)
+    assert done.returncode == 1
+    assert done.stdout.decode() == answer(command, CROSSING, *form)
+    assert str(rows) in the_line(done.stderr)
+
+
+# --- bad input ---------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("command", ["info", "collisions", "blocked", "actors", "convert", "recover"])
+def test_no_recording(tmp_path, command):
+    rest = [tmp_path / "new.mcap"] if command in ("convert", "recover") else []
+    text_file = save(tmp_path / "text.log", b"once upon a time\n")
+    assert error(command, text_file, *rest).startswith(f"{text_file}: ")
+    assert names_in(tmp_path) == ["text.log"]
+
+
+@pytest.mark.parametrize("command", [["info"], ["convert", "new.mcap"], ["recover", "new.mcap"]], ids=lambda c: c[0])
+@pytest.mark.parametrize("name", ["missing.log", "empty.log", "directory", "foreign.mcap"])
+def test_no_recording_at_all(tmp_path, command, name):
+    from mcap.writer import Writer
+
+    save(tmp_path / "empty.log", b"")
+    (tmp_path / "directory").mkdir()
+    with (tmp_path / "foreign.mcap").open("wb") as file:
+        writer = Writer(file)
+        writer.start("ros2", "another program")
+        channel = writer.register_channel("/tf", "json", 0)
+        writer.add_message(channel, 1, b"{}", 1)
+        writer.finish()
+    before = names_in(tmp_path)
+    assert error(command[0], name, *command[1:], cwd=tmp_path).startswith(f"{name}: ")
+    assert names_in(tmp_path) == before
+
+
+def damaged(path: Path, whole: Path) -> Path:
+    data = bytearray(whole.read_bytes())
+    middle = len(data) // 2
+    data[middle : middle + 100] = bytes(100)
+    return save(path, bytes(data))
+
+
+@pytest.mark.parametrize("command", [["info", "--all"], ["info", "--all", "--json"], ["convert", "new.log"]], ids=" ".join)
+def test_a_damaged_mcap(tmp_path, crossing_mcap, command):
+    damaged(tmp_path / "damaged.mcap", crossing_mcap)
+    done = run(command[0], "damaged.mcap", *command[1:], cwd=tmp_path)
+    assert done.returncode == 2
+    assert the_line(done.stderr).startswith("damaged.mcap: byte ")
+    assert names_in(tmp_path) == ["damaged.mcap"]
+
+
+def test_a_damaged_log(tmp_path):
+    path = save(tmp_path / "damaged.log", log_header() + start(1, 0.0) + packet(2, b"\x01\x00none") + packet(1))
+    assert error("collisions", path).startswith(f"{path}: byte ")
+
+
+@pytest.mark.parametrize(
+    "arguments",
+    [
+        ["--bogus"],
+        ["nonsense"],
+        ["info"],
+        ["info", CROSSING, "more"],
+        ["info", CROSSING, "--bogus"],
+        ["info", CROSSING, "--max-rows", "1"],
+        ["actors", CROSSING, "--compat"],
+        ["convert", CROSSING],
+        ["collisions", CROSSING, "--types"],
+        ["collisions", CROSSING, "--types", ""],
+        ["collisions", CROSSING, "--types", "v"],
+        ["collisions", CROSSING, "--types", "vwx"],
+        ["collisions", CROSSING, "--types", "vx"],
+        ["collisions", CROSSING, "--types", EVIL[:2]],
+        ["collisions", CROSSING, "--max-rows", "-1"],
+        ["collisions", CROSSING, "--max-rows", "many"],
+        ["blocked", CROSSING, "--min-time", "soon"],
+        ["blocked", CROSSING, "--min-time", "nan"],
+        ["blocked", CROSSING, "--min-time", "-1"],
+        ["blocked", CROSSING, "--min-distance", "nan"],
+        ["blocked", CROSSING, "--min-distance", "-1"],
+        [f"--{EVIL}"],
+        [f"{EVIL}\n"],
+    ],
+    ids=lambda value: re.sub(r"\W+", "-", " ".join(getattr(word, "name", word) for word in value)),
+)
+def test_what_the_command_does_not_know(arguments):
+    error(*arguments)
+
+
+@pytest.mark.parametrize("name", [f"{EVIL}.log", "two\nlines.log", "\u202egol.log", "\udcff.log"])
+def test_an_error_steers_no_terminal(tmp_path, name):
+    assert "No such file" in error("info", name, cwd=tmp_path)
+    assert "unknown format" in error("convert", CROSSING, f"a.{name}.x{name}", cwd=tmp_path)
+
+
+# --- destinations ------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("command", ["convert", "recover"])
+def test_a_destination_is_not_overwritten_unasked(tmp_path, command):
+    there = save(tmp_path / "there.mcap", b"precious")
+    assert error(command, CROSSING, there).startswith(f"{there}: exists already")
+    assert there.read_bytes() == b"precious"
+    assert run(command, CROSSING, there, "--force").returncode == 0
+    assert len(images(there)) == 531
+    assert names_in(tmp_path) == ["there.mcap"]
+
+
+@pytest.mark.parametrize("command", ["convert", "recover"])
+def test_a_source_is_not_overwritten(tmp_path, command):
+    source = save(tmp_path / "source.log", CROSSING.read_bytes())
+    (tmp_path / "link.log").symlink_to(source)
+    for destination in (source, tmp_path / "link.log"):
+        assert "is the source itself" in error(command, source, destination, "--force")
+    assert source.read_bytes() == CROSSING.read_bytes()
+
+
+@pytest.mark.parametrize("command", ["convert", "recover"])
+@pytest.mark.parametrize(
+    ("destination", "words"),
+    [
+        ("new.xyz", "unknown format '.xyz'"),
+        ("new", "unknown format"),
+        ("nowhere/new.mcap", "No such"),
+        ("dir.log", "directory"),
+    ],
+)
+def test_a_destination_that_cannot_be(tmp_path, command, destination, words):
+    (tmp_path / "dir.log").mkdir()
+    line = error(command, CROSSING, destination, "--force", cwd=tmp_path)
+    assert line.startswith(f"{destination}: ")
+    assert words in line
+    assert names_in(tmp_path) == ["dir.log"]
+
+
+def test_a_conversion_that_fails_leaves_the_old_file(tmp_path, crossing_mcap):
+    source = damaged(tmp_path / "damaged.mcap", crossing_mcap)
+    there = save(tmp_path / "there.log", b"precious")
+    assert error("convert", source, there, "--force").startswith(f"{source}: byte ")
+    assert there.read_bytes() == b"precious"
+    assert names_in(tmp_path) == ["damaged.mcap", "there.log"]
+
+
+# --- conversion and recovery -------------------------------------------------------------------------------
+
+
+def test_there_and_back(tmp_path):
+    for source, destination in ((CROSSING, "c.mcap"), ("c.mcap", "back.log")):
+        done = run("convert", source, destination, cwd=tmp_path)
+        assert (done.returncode, done.stdout) == (0, b"")
+        assert done.stderr.decode() == f"{destination}: 531 frames, 53 s\n"
+    assert (tmp_path / "back.log").read_bytes() == CROSSING.read_bytes()
+
+
+@pytest.mark.parametrize("suffix", [".log", ".mcap"])
+def test_recovery(tmp_path, crossing_mcap, suffix):
+    whole = CROSSING if suffix == ".log" else crossing_mcap
+    half = save(tmp_path / f"half{suffix}", whole.read_bytes()[: whole.stat().st_size // 2])
+    done = run("recover", half, tmp_path / "saved.mcap")
+    assert (done.returncode, done.stdout) == (0, b"")
+    line = done.stderr.decode().splitlines()[-1]
+    frames = len(images(tmp_path / "saved.mcap"))
+    assert line.startswith(f"{tmp_path / 'saved.mcap'}: {frames} frames saved, up to ")
+    assert "its end is damaged" in line
+    assert 100 < frames < 531
+
+
+@pytest.mark.parametrize("command", ["info", "collisions", "blocked", "actors"])
+def test_a_cut_log_is_a_warning(tmp_path, command):
+    cut = save(tmp_path / "cut.log", CROSSING.read_bytes()[:-10])
+    done = run(command, cut)
+    assert (done.returncode, done.stdout[:11]) == (0, b"Version: 1\n")
+    assert the_line(done.stderr).startswith(f"warning: {cut}: byte ")
+
+
+def test_a_cut_log_converts_with_a_warning(tmp_path):
+    cut = save(tmp_path / f"cut{EVIL}.log", CROSSING.read_bytes()[:-10])
+    done = run("convert", cut, tmp_path / "cut.mcap")
+    warning, summary = done.stderr.splitlines(keepends=True)
+    assert done.returncode == 0
+    assert "the recording was cut short" in the_line(warning)
+    assert summary.decode() == f"{tmp_path / 'cut.mcap'}: 531 frames, 53 s\n"
+    assert run("convert", tmp_path / "cut.mcap", tmp_path / "back.log").returncode == 0
+    assert (tmp_path / "back.log").read_bytes() == cut.read_bytes()
+
+
+# --- stopped, or left alone --------------------------------------------------------------------------------
+
+
+@pytest.fixture(scope="module")
+def long_log(tmp_path_factory) -> Path:
+    """A log that takes a second or so to convert."""
+    data = CROSSING.read_bytes()
+    reader = LogReader(CROSSING)
+    begin = reader._start
+    reader.close()
+    return save(tmp_path_factory.mktemp("cli") / "long.log", data[:begin] + data[begin:] * 40)
+
+
+@pytest.mark.parametrize("command", ["convert", "recover"])
+@pytest.mark.parametrize(("number", "code"), [(signal.SIGTERM, 143), (signal.SIGINT, 130)], ids=["term", "int"])
+@pytest.mark.parametrize("delay", [0.0, 0.1])
+def test_a_conversion_that_is_stopped_leaves_nothing(tmp_path, long_log, command, number, code, delay):
+    there = save(tmp_path / "there.mcap", b"precious")
+    arguments = [COMMAND, command, long_log, there, "--force"]
+    with subprocess.Popen(arguments, env=ENVIRONMENT, stdout=subprocess.PIPE, stderr=subprocess.PIPE) as process:
+        with time_limit(TIMEOUT):
+            while len(names_in(tmp_path)) < 2:  # until it writes
+                assert process.poll() is None
+                time.sleep(0.001)
+        time.sleep(delay)
+        process.send_signal(number)
+        output, errors = process.communicate(timeout=TIMEOUT)
+    assert process.returncode == code
+    assert output == b""
+    assert b"Traceback" not in errors
+    assert errors.count(b"\n") <= 1
+    assert names_in(tmp_path) == ["there.mcap"]
+    assert there.read_bytes() == b"precious"
+
+
+@pytest.mark.parametrize("arguments", [["info", "--all"], ["info", "--all", "--json"]], ids=" ".join)
+def test_a_reader_that_has_seen_enough(arguments):
+    command = [COMMAND, arguments[0], CROSSING, *arguments[1:]]
+    with subprocess.Popen(command, env=ENVIRONMENT, stdout=subprocess.PIPE, stderr=subprocess.PIPE) as process:
+        assert process.stdout.readline()
+        process.stdout.close()
+        assert process.stderr.read() == b""
+        assert process.wait(TIMEOUT) in (0, -signal.SIGPIPE)
+
+
+@pytest.mark.skipif(not Path("/dev/full").exists(), reason="there is no /dev/full here")
+@pytest.mark.parametrize("arguments", [["info"], ["actors", "--json"]], ids=" ".join)
+def test_an_output_that_is_full(arguments):
+    with Path("/dev/full").open("wb") as full:
+        command = [COMMAND, arguments[0], CROSSING, *arguments[1:]]
+        done = subprocess.run(command, env=ENVIRONMENT, stdout=full, stderr=subprocess.PIPE, timeout=TIMEOUT, check=False)
+    assert done.returncode == 2
+    assert the_line(done.stderr) == "output: No space left on device"
+
+
+# --- help, version, start ----------------------------------------------------------------------------------
+
+
+def test_help():
+    for option in ("--help", "-h"):
+        shown = answer(option)
+        assert [name for name in COMMANDS if f"\n  {name} " in shown] == list(COMMANDS)
+
+
+def test_help_without_a_command():
+    done = run()
+    assert done.returncode in (0, 2)
+    assert (done.stdout + done.stderr).startswith(b"Usage: carla-recap ")
+
+
+@pytest.mark.parametrize("command", COMMANDS)
+def test_help_of_a_command(command):
+    shown = answer(command, "--help")
+    assert shown.startswith(f"Usage: carla-recap {command} ")
+    assert "--help" in shown
+
+
+def test_version():
+    assert answer("--version").split()[0] == "carla-recap"
+    assert answer("--version").rstrip().endswith(__version__)
+    command = [sys.executable, "-m", "carla_recap.cli", "--version"]
+    assert subprocess.check_output(command, timeout=TIMEOUT).decode() == answer("--version")
+
+
+def imported(*arguments: object) -> set[str]:
+    """The packages that a command imports."""
+    command = [sys.executable, "-X", "importtime", COMMAND, *map(os.fspath, map(_as_path, arguments))]
+    done = subprocess.run(command, env=ENVIRONMENT, capture_output=True, timeout=TIMEOUT, check=True)
+    modules = re.findall(r"\| +([\w.]+)$", done.stderr.decode(), re.MULTILINE)
+    assert "carla_recap.cli" in modules
+    return {module.partition(".")[0] for module in modules}
+
+
+def test_help_imports_nothing_heavy():
+    heavy = {"google", "mcap", "numpy", "pandas", "pyarrow", "rich", "zstandard"}
+    for arguments in (["--help"], ["info", "--help"], ["--version"]):
+        assert not imported(*arguments) & heavy
+
+
+def test_a_query_of_a_log_imports_what_it_needs():
+    assert not imported("collisions", CROSSING) & {"google", "mcap", "pandas", "pyarrow", "rich", "zstandard"}
