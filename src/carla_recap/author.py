@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import time
 from datetime import datetime
-from typing import TYPE_CHECKING, Any, Self
+from typing import TYPE_CHECKING, Any, Self, SupportsFloat
 
 from carla_recap.errors import RecordError
 from carla_recap.formats import create_writer
@@ -48,7 +48,7 @@ class Recorder:
         """
         if self._closed:
             raise RecordError("the recording is closed")
-        if not isinstance(elapsed, int | float) or not 0 <= elapsed < math.inf:
+        if not isinstance(elapsed, SupportsFloat) or not 0 <= (elapsed := float(elapsed)) < math.inf:
             raise RecordError(f"elapsed seconds of 0 or more were expected, found {elapsed!r}")
         if self._latest is not None and not elapsed > self._latest.elapsed:
             raise RecordError(f"a frame at {elapsed:g} s cannot follow one at {self._latest.elapsed:g} s")

@@ -59,8 +59,11 @@ def check_destination(source: Path | str, destination: Path | str, *, force: boo
         RecapError: That would happen.
     """
     target = Path(destination)
-    if target.exists():
-        if Path(source).exists() and target.samefile(source):
-            raise RecapError(f"{destination}: is the source itself")
-        if not force:
-            raise RecapError(f"{destination}: exists already; --force overwrites it")
+    try:
+        exists, same = target.exists(), target.exists() and Path(source).exists() and target.samefile(source)
+    except (OSError, ValueError) as error:
+        raise RecapError(f"{str(destination)[:200]}: cannot be written: {error}") from None
+    if same:
+        raise RecapError(f"{destination}: is the source itself")
+    if exists and not force:
+        raise RecapError(f"{destination}: exists already; --force overwrites it")

@@ -339,7 +339,9 @@ class RecordType:
             if not self.fixed:
                 return self._objects(values)
             if isinstance(values, np.ndarray) and values.dtype.names:
-                return np.atleast_1d(values).astype(self.dtype, copy=False)
+                if values.dtype == self.dtype:
+                    return np.atleast_1d(values)
+                return self._from_columns({name: np.atleast_1d(values[name]) for name in values.dtype.names})
             if isinstance(values, Mapping):
                 return self._from_columns(values)
             if np.ndim(values) == 0 and self.framing is Framing.SINGLE:

@@ -3,16 +3,16 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from pathlib import Path
 from typing import TYPE_CHECKING
 
 from carla_recap.conversion import check_destination
 from carla_recap.errors import RecapError
-from carla_recap.formats import create_writer
+from carla_recap.formats import create_writer, read_start
 from carla_recap.formats.carla_log import LogReader, is_log
 
 if TYPE_CHECKING:
     from collections.abc import Iterable
+    from pathlib import Path
 
     from carla_recap.conversion import Progress
     from carla_recap.formats.base import Reader
@@ -29,6 +29,7 @@ class Recovery:
         lost_bytes: Bytes of the source that belong to nothing whole.
         duration: Elapsed seconds of the last frame that was saved.
         finished: Whether the source had a proper end.
+        headless: Whether its header was lost, so that the map is unknown.
     """
 
     frames: int
@@ -36,6 +37,7 @@ class Recovery:
     lost_bytes: int
     duration: float
     finished: bool
+    headless: bool = False
 
     def __str__(self) -> str:
         saved = f"{self.frames} frames saved, up to {self.duration:g} s"
@@ -43,6 +45,8 @@ class Recovery:
         lost = [f"{count} {what} lost" for count, what in counts if count]
         if not self.finished:
             lost.append("it was never finished, or its end is damaged")
+        if self.headless:
+            lost.append("its header is lost: the map is unknown")
         return "; ".join([saved, *(lost or ["nothing lost"])])
 
 
@@ -65,7 +69,7 @@ def recover(
         RecapError: Nothing can be saved, or the destination cannot be written.
     """
     check_destination(source, destination, force=force)
-    reader, finished, lost_bytes = _open(source)
+    reader, finished, lost_bytes, headless = _open(source)
     frames, last, duration = 0, -1, 0.0
     try:
         with create_writer(destination, reader.header) as writer:
@@ -78,21 +82,24 @@ def recover(
             cut = sum(map(len, reader.tail()))
             finished = not cut
             lost_bytes += reader.lost_bytes + cut
+        expected = max(last + 1, _stated_frames(reader))
     finally:
         reader.close()
-    return Recovery(frames, last + 1 - frames, lost_bytes, duration, finished)
+    return Recovery(frames, expected - frames, lost_bytes, duration, finished, headless)
 
 
-def _open(source: Path | str) -> tuple[Reader, bool, int]:
-    try:
-        with Path(source).open("rb") as file:
-            start = file.read(64)
-    except OSError as error:
-        raise RecapError(f"{source}: {error.strerror}") from None
-    if is_log(start):
-        return LogReader(source, salvage=True), True, 0
+def _stated_frames(reader: Reader) -> int:
+    """How many frames a file says that it has; 0 if it does not."""
+    return int(getattr(reader, "metadata", {}).get("frames", 0))
+
+
+def _open(source: Path | str) -> tuple[Reader, bool, int, bool]:
+    """The reader of what is whole, whether the file has an end, its lost bytes, and whether its header is lost."""
+    if is_log(read_start(source)):
+        return LogReader(source, salvage=True), True, 0, False
+    from carla_recap.formats.mcap.container import HEADER_METADATA
     from carla_recap.formats.mcap.reader import McapReader
-    from carla_recap.formats.mcap.salvage import salvage
+    from carla_recap.formats.mcap.salvage import guess_header, salvage
     from carla_recap.formats.mcap.source import Source
 
     raw = Source(source)
@@ -102,4 +109,6 @@ def _open(source: Path | str) -> tuple[Reader, bool, int]:
         raw.close()
     if not summary.chunks:
         raise RecapError(f"{source}: nothing can be saved: no whole chunk of an MCAP recording was found")
-    return McapReader(source, summary=summary), damage.finished, damage.bytes
+    headless = HEADER_METADATA not in summary.metadata
+    header = guess_header(summary) if headless else None
+    return McapReader(source, summary=summary, header=header), damage.finished, damage.bytes, headless

@@ -15,6 +15,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, NoReturn
 
 import pytest
+from mcap.reader import make_reader
+from mcap.writer import Writer
 
 from carla_recap import Attribute, Spawn, __version__, convert, create_recording
 from carla_recap.formats.carla_log import LogReader
@@ -56,12 +58,6 @@ def crossing_mcap(tmp_path_factory) -> Path:
     path = tmp_path_factory.mktemp("cli") / "crossing.mcap"
     convert(CROSSING, path)
     return path
-
-
-@pytest.fixture(params=[".log", ".mcap"])
-def crossing(request, crossing_mcap) -> Path:
-    """The sample, in each format."""
-    return CROSSING if request.param == ".log" else crossing_mcap
 
 
 @pytest.fixture
@@ -179,9 +175,14 @@ def text_of(query: Callable[..., Any], path: Path, *arguments: Any, **options: A
     ],
     ids=lambda value: " ".join(value) if isinstance(value, list) else "",
 )
-def test_a_pipe_gets_the_text(crossing, arguments, query, options):
+def test_a_pipe_gets_the_text(arguments, query, options):
     command, *rest = arguments
-    assert answer(command, crossing, *rest) == text_of(query, crossing, **options)
+    assert answer(command, CROSSING, *rest) == text_of(query, CROSSING, **options)
+
+
+@pytest.mark.parametrize("command", ["info", "collisions", "blocked", "actors"])
+def test_the_format_makes_no_difference(crossing_mcap, command):
+    assert answer(command, crossing_mcap) == answer(command, CROSSING)
 
 
 def test_text_is_bytes_of_utf8(tmp_path):
@@ -217,8 +218,8 @@ def test_compat_is_what_carla_prints(arguments, expected):
 
 
 @pytest.mark.parametrize("command", [["info"], ["info", "--all"], ["collisions"], ["blocked"], ["actors"]], ids=" ".join)
-def test_json(crossing, command):
-    document = strict(answer(command[0], crossing, "--json", *command[1:]))
+def test_json(command):
+    document = strict(answer(command[0], CROSSING, "--json", *command[1:]))
     assert list(document) == ["version", "map", "date", "rows", "frames", "last_frame", "duration"]
     assert (document["map"], document["frames"], document["duration"]) == ("Crossing", 531, 53.0)
     assert document["rows"]
@@ -228,10 +229,6 @@ def test_json_of_what_is_not_finite(evil):
     rows = strict(answer("info", evil, "--all", "--json"))["rows"]
     (pose,) = (row["record"] for row in rows if row["type"] == "transforms")
     assert (pose["x"], pose["y"], pose["z"]) == (None, None, 0.0)
-
-
-def test_json_wins_over_compat(crossing):
-    assert strict(answer("blocked", CROSSING, "--json", "--compat"))["rows"]
 
 
 # --- on a terminal -----------------------------------------------------------------------------------------
@@ -290,14 +287,17 @@ def test_a_file_name_steers_no_terminal(tmp_path):
 # --- --max-rows --------------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize(("command", "rows"), [("collisions", 2), ("blocked", 3)])
-@pytest.mark.parametrize("form", [[], ["--json"]], ids=["text", "json"])
-def test_max_rows(command, rows, form):
-    assert answer(command, CROSSING, "--max-rows", rows, *form) == answer(command, CROSSING, *form)
-    done = run(command, CROSSING, "--max-rows", rows - 1, *form)
-    assert done.returncode == 1
-    assert done.stdout.decode() == answer(command, CROSSING, *form)
-    assert str(rows) in the_line(done.stderr)
+@pytest.mark.parametrize(("command", "rows"), [(["collisions"], 2), (["collisions", "--json"], 2), (["blocked"], 3)])
+def test_max_rows(command, rows):
+    command = [command[0], CROSSING, *command[1:], "--max-rows"]
+    whole = answer(*command, rows)
+    done = run(*command, rows - 1)
+    assert (done.returncode, done.stdout.decode()) == (1, whole)
+    assert the_line(done.stderr) == f"{rows} rows, at most {rows - 1} were allowed"
+
+
+def test_no_rows_at_all():
+    answer("collisions", CROSSING, "--types", "tt", "--max-rows", 0)
 
 
 # --- bad input ---------------------------------------------------------------------------------------------
@@ -314,8 +314,6 @@ def test_no_recording(tmp_path, command):
 @pytest.mark.parametrize("command", [["info"], ["convert", "new.mcap"], ["recover", "new.mcap"]], ids=lambda c: c[0])
 @pytest.mark.parametrize("name", ["missing.log", "empty.log", "directory", "foreign.mcap"])
 def test_no_recording_at_all(tmp_path, command, name):
-    from mcap.writer import Writer
-
     save(tmp_path / "empty.log", b"")
     (tmp_path / "directory").mkdir()
     with (tmp_path / "foreign.mcap").open("wb") as file:
@@ -330,8 +328,11 @@ def test_no_recording_at_all(tmp_path, command, name):
 
 
 def damaged(path: Path, whole: Path) -> Path:
+    """An MCAP file with a hole in its largest chunk."""
     data = bytearray(whole.read_bytes())
-    middle = len(data) // 2
+    with whole.open("rb") as file:
+        chunk = max(make_reader(file).get_summary().chunk_indexes, key=lambda chunk: chunk.chunk_length)
+    middle = chunk.chunk_start_offset + chunk.chunk_length // 2
     data[middle : middle + 100] = bytes(100)
     return save(path, bytes(data))
 
@@ -359,6 +360,7 @@ def test_a_damaged_log(tmp_path):
         ["info", CROSSING, "more"],
         ["info", CROSSING, "--bogus"],
         ["info", CROSSING, "--max-rows", "1"],
+        ["info", CROSSING, "--compat", "--json"],
         ["actors", CROSSING, "--compat"],
         ["convert", CROSSING],
         ["collisions", CROSSING, "--types"],
@@ -386,7 +388,7 @@ def test_what_the_command_does_not_know(arguments):
 @pytest.mark.parametrize("name", [f"{EVIL}.log", "two\nlines.log", "\u202egol.log", "\udcff.log"])
 def test_an_error_steers_no_terminal(tmp_path, name):
     assert "No such file" in error("info", name, cwd=tmp_path)
-    assert "unknown format" in error("convert", CROSSING, f"a.{name}.x{name}", cwd=tmp_path)
+    assert "unknown format" in error("convert", CROSSING, f"new.x{name.removesuffix('.log')}", cwd=tmp_path)
 
 
 # --- destinations ------------------------------------------------------------------------------------------
@@ -558,8 +560,7 @@ def test_help_of_a_command(command):
 
 
 def test_version():
-    assert answer("--version").split()[0] == "carla-recap"
-    assert answer("--version").rstrip().endswith(__version__)
+    assert answer("--version") == f"carla-recap, version {__version__}\n"
     command = [sys.executable, "-m", "carla_recap.cli", "--version"]
     assert subprocess.check_output(command, timeout=TIMEOUT).decode() == answer("--version")
 

@@ -156,6 +156,8 @@ def recover(source: str, destination: str, force: bool) -> None:
 
 def main() -> None:
     """Run the command line."""
+    if sys.stdout is None or sys.stderr is None:
+        sys.exit(BAD_INPUT)  # nobody would see an answer
     warnings.simplefilter("always", RecapWarning)
     warnings.showwarning = _print_warning
     if hasattr(signal, "SIGPIPE"):

@@ -17,7 +17,7 @@ def watch(what: str) -> Progress:
     """Watches a stream of frames go by; `what` is being done to them."""
 
     def progress(frames: Iterable[Frame], reader: Reader) -> Iterable[Frame]:
-        return _bar(frames, f"{what} {reader.path.name}", reader.extent().frames) if sys.stderr.isatty() else frames
+        return _bar(frames, what, reader.extent().frames) if sys.stderr.isatty() else frames
 
     return progress
 

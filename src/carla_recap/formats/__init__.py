@@ -25,11 +25,7 @@ def open_reader(path: Path | str) -> Reader:
     # Each format is imported when it is needed, for a command on a small file should not wait.
     from carla_recap.formats.carla_log import LogReader, is_log
 
-    try:
-        with Path(path).open("rb") as file:
-            start = file.read(64)
-    except OSError as error:
-        raise RecapError(f"{path}: {error.strerror}") from None
+    start = read_start(path)
     if is_log(start):
         return LogReader(path)
     if start.startswith(b"\x89MCAP"):
@@ -39,6 +35,24 @@ def open_reader(path: Path | str) -> Reader:
     if not start:
         raise NotARecording(path, "is empty; a CARLA log or an MCAP recording was expected")
     raise NotARecording(path, "is not a recording (neither CARLA's log nor MCAP)")
+
+
+def read_start(path: Path | str) -> bytes:
+    """The first bytes of a file, by which its format is known.
+
+    Raises:
+        NotARecording: It is no regular file.
+        RecapError: It cannot be read.
+    """
+    try:
+        if not Path(path).is_dir() and Path(path).exists() and not Path(path).is_file():
+            raise NotARecording(path, "is not a regular file")
+        with Path(path).open("rb") as file:
+            return file.read(64)
+    except OSError as error:
+        raise RecapError(f"{path}: {error.strerror}") from None
+    except ValueError as error:
+        raise RecapError(f"{path!r}: {error}") from None
 
 
 def create_writer(path: Path | str, header: Header, *, live: bool = False) -> Writer:

@@ -29,7 +29,7 @@ class AtomicFile:
 
     def __init__(self, path: Path | str) -> None:
         self.path = Path(path)
-        self._partial = self.path.with_name(f".{self.path.name}.{os.getpid()}.partial")
+        self._partial = self.path.with_name(f".{self.path.name[:200]}.{os.urandom(4).hex()}.partial")
         try:
             if self.path.is_dir():
                 raise IsADirectoryError(21, "is a directory")

@@ -29,6 +29,7 @@ FOOTER: Final = struct.Struct("<QQI")  # start of the summary, start of its offs
 U64: Final = struct.Struct("<Q")
 SECOND: Final = 1_000_000_000
 MAX_TIME: Final = (1 << 64) - 1
+LATEST: Final = 1 << 63  # the latest beginning of a recording, so that its times do not overflow
 
 FRAME_TOPIC: Final = "/frames"
 RAW_TOPIC: Final = "/carla/raw"
@@ -81,7 +82,7 @@ class LogClock:
     """
 
     def __init__(self, header: Header) -> None:
-        self._base = max(0, header.date) * SECOND
+        self._base = min(max(0, header.date) * SECOND, LATEST)
         self.last = self._base - 1
         self.steady = True
 

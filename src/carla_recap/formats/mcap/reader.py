@@ -147,19 +147,20 @@ class McapReader:
     Args:
         path: The file.
         summary: What the file holds, where that is known better than by the file itself.
+        header: Its header, where the file has none.
 
     Raises:
         NotARecording: It is no MCAP file, or none with a recording.
         FormatError: It is damaged, or was never finished.
     """
 
-    def __init__(self, path: Path | str, *, summary: Summary | None = None) -> None:
+    def __init__(self, path: Path | str, *, summary: Summary | None = None, header: Header | None = None) -> None:
         self.path = Path(path)
         self._source = Source(path)
         self._warned: set[str] = set()
         try:
             self._summary = summary or read_summary(self._source)
-            self.header = self._read_header()
+            self.header = header or self._read_header()
             self._extent = self._read_extent()
             self._steady = self.metadata.get("steady_clock") == "1"
         except BaseException:

@@ -10,6 +10,7 @@ import zlib
 from dataclasses import dataclass, field
 from io import BytesIO
 from pathlib import Path
+from threading import Lock
 from typing import TYPE_CHECKING, Any, Final, NamedTuple
 
 import lz4.frame
@@ -54,6 +55,7 @@ class Source:
         except OSError as error:
             raise RecapError(f"{path}: {error.strerror}") from None
         self.bytes_read = 0
+        self._lock = Lock()
 
     def read(self, at: int, size: int, what: str) -> bytes:
         """Bytes of the file.
@@ -64,11 +66,12 @@ class Source:
         if at < 0 or size < 0 or at + size > self.size:
             raise FormatError(self.path, at, f"{what} of {size} bytes does not fit in the file of {self.size}")
         try:
-            self._file.seek(at)
-            data = self._file.read(size)
+            with self._lock:  # the next chunk may be read by another thread
+                self._file.seek(at)
+                data = self._file.read(size)
+                self.bytes_read += len(data)
         except OSError as error:
             raise RecapError(f"{self.path}: {error.strerror}") from None
-        self.bytes_read += len(data)
         if len(data) < size:
             raise FormatError(self.path, at + len(data), f"the file ends inside {what}")
         return data

@@ -57,6 +57,7 @@ if TYPE_CHECKING:
 
 CHUNK_SIZE: Final = 1 << 20
 CHUNK_SECONDS: Final = 5
+CHUNK_FRAMES: Final = 5_000  # of recordings whose clock stands still
 FRAME_SIZE: Final = 16 << 20
 """So many bytes of one frame are a chunk: what is much larger could not be read."""
 LEVEL: Final = 3
@@ -159,7 +160,7 @@ class McapWriter(AtomicFile):
         self._chunks = {group: _Chunk() for group in Group}
         self._clock = LogClock(header)
         self._sequence = -1
-        self._cut_at = 0
+        self._cut_at = self._cut_at_frame = 0
         self._extent = Extent()
         self._heroes: dict[int, None] = {}
         self._additional = False
@@ -186,10 +187,11 @@ class McapWriter(AtomicFile):
         """
         self._sequence += 1
         times = self._clock.times(frame.elapsed)
-        if times[0] >= self._cut_at:
+        if times[0] >= self._cut_at or self._sequence >= self._cut_at_frame:
             for group in Group:
                 self._cut(group)
             self._cut_at = times[0] + CHUNK_SECONDS * SECOND
+            self._cut_at_frame = self._sequence + CHUNK_FRAMES
         if not frame.preamble:
             self._extent = Extent(self._extent.frames + 1, frame.id, frame.elapsed)
         head = wire.head(frame.id, frame.elapsed)
@@ -375,7 +377,7 @@ class McapWriter(AtomicFile):
         return {
             "frames": str(self._extent.frames),
             "last_frame": str(self._extent.last_id),
-            "duration": repr(self._extent.duration),
+            "duration": repr(float(self._extent.duration)),
             "hero_ids": ",".join(map(str, self._heroes)),
             "additional_data": str(int(self._additional)),
             "steady_clock": str(int(self._clock.steady)),
