@@ -109,6 +109,8 @@ def _open(source: Path | str) -> tuple[Reader, bool, int, bool]:
         raw.close()
     if not summary.chunks:
         raise RecapError(f"{source}: nothing can be saved: no whole chunk of an MCAP recording was found")
+    if not any(schema.name.startswith("carla_recap.v1.") for schema in summary.schemas.values()):
+        raise RecapError(f"{source}: nothing can be saved: it holds no recording")
     headless = HEADER_METADATA not in summary.metadata
     header = guess_header(summary) if headless else None
     return McapReader(source, summary=summary, header=header), damage.finished, damage.bytes, headless

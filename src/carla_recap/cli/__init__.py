@@ -138,7 +138,7 @@ def convert(source: str, destination: str, force: bool) -> None:
     from carla_recap.conversion import convert as run
 
     extent = run(source, destination, force=force, progress=watch("converting"))
-    click.echo(f"{destination}: {extent.frames} frames, {extent.duration:g} s", err=True)
+    _say(f"{destination}: {extent.frames} frames, {extent.duration:g} s")
 
 
 @cli.command()
@@ -151,7 +151,7 @@ def recover(source: str, destination: str, force: bool) -> None:
     from carla_recap.recovery import recover as run
 
     result = run(source, destination, force=force, progress=watch("recovering"))
-    click.echo(f"{destination}: {result}", err=True)
+    _say(f"{destination}: {result}")
 
 
 def main() -> None:
@@ -181,15 +181,18 @@ def main() -> None:
 
 
 def _fail(message: str) -> None:
-    # A name from a stranger's file must not steer the terminal, nor break the line.
-    line = "".join(c if c.isprintable() else repr(c)[1:-1] for c in message)
-    click.echo(f"carla-recap: {line}".encode("utf-8", "surrogateescape"), err=True)
+    _say(f"carla-recap: {message}")
     sys.exit(BAD_INPUT)
 
 
 def _print_warning(message: Warning | str, *_: object, **__: object) -> None:
-    line = "".join(c if c.isprintable() else repr(c)[1:-1] for c in str(message))
-    click.echo(f"carla-recap: warning: {line}".encode("utf-8", "surrogateescape"), err=True)
+    _say(f"carla-recap: warning: {message}")
+
+
+def _say(message: str) -> None:
+    """Print a line on stderr; a name from a stranger's file must not steer the terminal, nor break the line."""
+    line = "".join(c if c.isprintable() else repr(c)[1:-1] for c in message)
+    click.echo(line.encode("utf-8", "surrogateescape"), err=True)
 
 
 def _stop(number: int, _: FrameType | None) -> None:

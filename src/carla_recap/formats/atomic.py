@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Self
 from carla_recap.errors import RecapError
 
 if TYPE_CHECKING:
+    from collections.abc import Callable
     from types import TracebackType
 
     from carla_recap.payload import Buffer
@@ -30,12 +31,20 @@ class AtomicFile:
     def __init__(self, path: Path | str) -> None:
         self.path = Path(path)
         self._partial = self.path.with_name(f".{self.path.name[:200]}.{os.urandom(4).hex()}.partial")
+
+    def _begin(self, write: Callable[[], None]) -> None:
+        """Open the file, and let what comes first be written; whatever interrupts that leaves nothing behind."""
         try:
             if self.path.is_dir():
                 raise IsADirectoryError(21, "is a directory")
             self._file = self._partial.open("xb", buffering=1 << 20)
+            write()
         except OSError as error:
+            self.abort()
             raise self._unwritable(error) from None
+        except BaseException:
+            self.abort()
+            raise
 
     def close(self) -> None:
         """Finish the file, and put it under its name."""
@@ -55,8 +64,10 @@ class AtomicFile:
     def abort(self) -> None:
         """Give the file up, and remove what was written."""
         with suppress(OSError):  # what waits in memory may not fit on the disk either
-            self._file.close()
-        self._partial.unlink(missing_ok=True)
+            if hasattr(self, "_file"):
+                self._file.close()
+        with suppress(OSError):
+            self._partial.unlink()
 
     def _put(self, data: Buffer) -> None:
         """Add bytes.

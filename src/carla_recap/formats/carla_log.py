@@ -40,6 +40,8 @@ UNSHIFT: Final = {plain: shifted for shifted, plain in SHIFT.items()}
 
 _SNIFFED_FRAMES: Final = 3  # builds that have the shifted packets write them in every frame
 _SNIFFED_PACKETS: Final = 20_000
+PACKETS_LIMIT: Final = 200_000
+"""The most packets of a frame; CARLA writes some twenty."""
 _PACKETS_IN_A_FRAME: Final = 256
 _FORGET: Final = 16 << 20  # mapped pages are given back every so many bytes
 
@@ -203,7 +205,11 @@ class LogReader:
             id, length = PACKET.unpack_from(view, at)
             payload = view[at + PACKET.size : at + PACKET.size + length]
             if len(payload) < length or (id == FRAME_START and length != START.size):
-                break
+                whole = self._next_frame(at + 1) if self._salvage else None
+                if whole is None:
+                    break
+                at = whole
+                continue
             at += PACKET.size + length
             if id == FRAME_START:
                 after = False
@@ -251,9 +257,14 @@ class LogReader:
                     at = self._lose(at, whole)
                     continue
                 break
+            if self._salvage and id > FRAME_END and (whole := self._frame_inside(id, at, end)) is not None:
+                at = self._lose(at, whole)
+                continue
             if id > FRAME_END:
                 if wanted[id] and length != ignored_size:
                     places.append((id, at + 5, length))
+                    if len(places) > PACKETS_LIMIT:
+                        raise FormatError(self.path, at, f"more than {PACKETS_LIMIT} packets in a frame")
             elif length != (0 if id else 24):
                 if self._only_zeros(at):
                     break
@@ -310,6 +321,14 @@ class LogReader:
                 return at
             at += 1
         return None
+
+    def _frame_inside(self, id: int, at: int, end: int) -> int | None:
+        """Where a frame begins inside a packet that is not sound, or of unknown kind: its size is what is broken."""
+        packet = Packet(id, self._types[id], self._view[at + PACKET.size : end])
+        if packet.type is not None and not packet.type.opaque and self._is_sound(packet):
+            return None
+        inside = self._next_frame(at + 1)
+        return inside if inside is not None and inside < end else None
 
     def _looks_whole(self, at: int) -> bool:
         at += PACKET.size + START.size
@@ -438,7 +457,7 @@ class LogWriter(AtomicFile):
         start = pack_header(header)
         super().__init__(path)
         self._shift = UNSHIFT if header.shifted else {}
-        self._put(start)
+        self._begin(lambda: self._put(start))
 
     def write(self, frame: Frame) -> None:
         """Add a frame."""

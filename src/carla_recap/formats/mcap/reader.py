@@ -11,7 +11,7 @@ import warnings
 from collections import deque
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Final
+from typing import TYPE_CHECKING, Any, Final, NamedTuple
 
 from mcap import records
 from mcap.opcode import Opcode
@@ -47,6 +47,8 @@ from carla_recap.records import FRAME_END, FRAME_START, Records, RecordType
 if TYPE_CHECKING:
     from collections.abc import Collection, Iterable, Iterator
 
+MESSAGES_LIMIT: Final = 500_000
+"""How many messages are held at once, in frames that are not complete yet; ours are some hundreds."""
 PENDING_LIMIT: Final = 256 << 20
 """How many bytes of chunks that overlap in time are held at once; ours overlap by 5 s of recording."""
 
@@ -60,6 +62,14 @@ Found = tuple["Batch", int]  # a message: its batch, and its place there
 Gathered = list[Found]  # the messages of one frame, in file order
 Plans = dict[bytes, tuple[bool, list[Any]]]  # how to put frames together, by what they say of their packets
 Pending = dict[int, tuple[int, Gathered]]  # index of a frame → its log time and messages
+
+
+class _Held(NamedTuple):
+    """Chunks of which some frames are not complete yet: the log time of the last frame, bytes, messages."""
+
+    last: int
+    size: int
+    messages: int
 
 
 class Batch:
@@ -323,6 +333,8 @@ class McapReader:
 
     def _open(self, chunk: Chunk) -> bytes:
         content = self._source.record(chunk.offset, Opcode.CHUNK, "a chunk")
+        if RECORD.size + len(content) != chunk.length:
+            raise FormatError(self.path, chunk.offset, f"a chunk of {chunk.length} bytes was expected")
         try:
             return open_chunk(content)[2]
         except ValueError as error:
@@ -357,6 +369,8 @@ class McapReader:
                     break
                 batch = batches[channel]
                 found = (batch, len(batch.messages))
+                if found[1] > MESSAGES_LIMIT:
+                    raise self._too_much(chunk)
                 batch.messages.append(view[at + 31 : end])
                 if sequence in pending:
                     pending[sequence][1].append(found)
@@ -372,25 +386,36 @@ class McapReader:
     def _gather(self, chunks: list[Chunk], wanted: set[int], *, ahead: bool) -> Iterator[tuple[int, Gathered]]:
         """The messages of each frame, in order of frames; chunks may overlap in time."""
         pending: Pending = {}
-        held: list[tuple[int, int]] = []  # of each block that is in use: the time of its last frame, and its bytes
+        held: list[_Held] = []
+        # A message takes 16 bytes in the index alone: whatever has many more of them than bytes was made to cost time.
+        allowance = 2 * MESSAGES_LIMIT + self._source.size // 4
         place = 0
         for block in self._blocks(chunks, ahead=ahead):
             batches = {channel: Batch(channel, self._types.get(channel), self.path) for channel in wanted}
             for chunk, data in block:
                 self._sort(chunk, data, batches, pending)
-            held.append((max((time for time, _ in pending.values()), default=0), sum(len(d) for _, d in block)))
-            if sum(size for _, size in held) > PENDING_LIMIT:
-                raise FormatError(
-                    self.path,
-                    block[-1][0].offset,
-                    f"more than {PENDING_LIMIT} bytes of chunks overlap in time",
+            held.append(
+                _Held(
+                    max((time for time, _ in pending.values()), default=0),
+                    sum(len(data) for _, data in block),
+                    sum(len(batch.messages) for batch in batches.values()),
                 )
+            )
+            allowance -= held[-1].messages
+            if allowance < 0:
+                raise FormatError(self.path, block[-1][0].offset, "more messages than a file of this size can mean")
+            if sum(h.size for h in held) > PENDING_LIMIT or sum(h.messages for h in held) > MESSAGES_LIMIT:
+                raise self._too_much(block[-1][0])
             place += len(block)
             horizon = chunks[place].start if place < len(chunks) else None
             ready = sorted(s for s, (time, _) in pending.items() if horizon is None or time < horizon)
             for sequence in ready:
                 yield sequence, pending.pop(sequence)[1]
-            held = [(last, size) for last, size in held if horizon is not None and last >= horizon]
+            held = [h for h in held if horizon is not None and h.last >= horizon]
+
+    def _too_much(self, chunk: Chunk) -> FormatError:
+        limits = f"{PENDING_LIMIT} bytes or {MESSAGES_LIMIT} messages"
+        return FormatError(self.path, chunk.offset, f"more than {limits} of chunks overlap in time")
 
     # --- messages to frames --------------------------------------------------------------------------------------------
 

@@ -9,6 +9,7 @@ import struct
 import zlib
 from dataclasses import dataclass, field
 from io import BytesIO
+from itertools import pairwise
 from pathlib import Path
 from threading import Lock
 from typing import TYPE_CHECKING, Any, Final, NamedTuple
@@ -242,6 +243,9 @@ def read_summary(source: Source) -> Summary:
     offsets = {chunk.offset for chunk in summary.chunks}
     if len(offsets) < len(summary.chunks):
         raise FormatError(path, start, "the summary names a chunk twice")
+    placed = sorted((chunk.offset, chunk.offset + chunk.length) for chunk in summary.chunks)
+    if any(end > after for (_, end), (after, _) in pairwise(placed)):
+        raise FormatError(path, start, "the summary names chunks that lie in one another")
     stated = summary.statistics
     if stated and stated.chunk_count != len(offsets):
         raise FormatError(

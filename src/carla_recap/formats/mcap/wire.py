@@ -541,6 +541,8 @@ def _object(layout: Layout, message: Any, wide: bool) -> Any:
         value = values[place]
         if not isinstance(kind, Many):
             values[place] = int(value)
+        elif len(value) > MAX_COUNT:
+            raise WireError(f"{len(value)} items in a record, at most {MAX_COUNT} were expected")
         elif kind.layouts[0].make:
             values[place] = [_object(kind.layouts[0], item, wide) for item in value]
         else:

@@ -172,11 +172,7 @@ class McapWriter(AtomicFile):
         self._channels: list[records.Channel] = []
         self._chunk_index: list[records.ChunkIndex] = []
         self._metadata_index: list[records.MetadataIndex] = []
-        try:
-            self._write_start(metadata)
-        except BaseException:
-            self.abort()
-            raise
+        self._begin(lambda: self._write_start(metadata))
 
     def write(self, frame: Frame) -> None:
         """Add a frame.
