@@ -11,7 +11,7 @@ from dataclasses import dataclass, field
 from io import BytesIO
 from itertools import pairwise
 from pathlib import Path
-from threading import Lock
+from threading import Lock, local
 from typing import TYPE_CHECKING, Any, Final, NamedTuple
 
 import lz4.frame
@@ -131,6 +131,17 @@ def parse_record(kind: Any, data: bytes | memoryview) -> Any:
         raise ValueError(f"broken {kind.__name__} record ({type(error).__name__})") from None
 
 
+_of_thread: Final = local()
+
+
+def _decompressor() -> zstandard.ZstdDecompressor:
+    """This thread's decompressor: to make one takes longer than to unpack a small chunk."""
+    if not hasattr(_of_thread, "decompressor"):
+        _of_thread.decompressor = zstandard.ZstdDecompressor()
+    found: zstandard.ZstdDecompressor = _of_thread.decompressor
+    return found
+
+
 def decompress(compression: str, data: bytes | memoryview, size: int) -> bytes:
     """A chunk's records, never more than the chunk says.
 
@@ -145,7 +156,7 @@ def decompress(compression: str, data: bytes | memoryview, size: int) -> bytes:
         elif compression == "zstd":
             if zstandard.frame_content_size(data) not in (-1, size):
                 raise ValueError("the compressed data announce another size than the chunk")
-            records = zstandard.ZstdDecompressor().decompress(data, max_output_size=size) if size else b""
+            records = _decompressor().decompress(data, max_output_size=size) if size else b""
         elif compression == "lz4":
             records = bytes(lz4.frame.LZ4FrameDecompressor().decompress(data, max_length=size + 1))
         else:
