@@ -348,3 +348,10 @@ def test_both_layouts_of_wheels_are_told_by_the_fields_that_are_there(wheel, cou
     assert stiff == [wheel == 48] * count
     assert wire.decode(type, encoded(type, payload)) == payload
     assert wire.decode(type, reversed_fields(message)) == payload
+
+
+def test_a_message_of_records_without_content_is_an_error():
+    spawned = UE4.named("spawned")
+    message = wire.head(1, 0.0) + b"\x1a\x00" * 1000
+    with pytest.raises(wire.WireError, match="1000 records in 2018 bytes, most of them without an id"):
+        wire.decode_records(spawned, message)

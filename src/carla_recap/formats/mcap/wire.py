@@ -41,6 +41,7 @@ ITEMS: Final = 3  # the field that holds the records
 _VARINT, _FIXED64, _LEN, _FIXED32 = 0, 1, 2, 5
 _WIRE_TYPES: Final = {"u4": _FIXED32, "i4": _FIXED32, "f4": _FIXED32, "u8": _FIXED64, "f8": _FIXED64}
 _LEAF: Final = 256  # in an index: below, the byte itself; from here on, a place in the source
+_LEAST: Final = 7  # bytes of a record with nothing but an id
 _POOL: Final = bytes(range(_LEAF))
 _HEAD: Final = np.dtype([("frame_tag", "u1"), ("frame", "<u8"), ("elapsed_tag", "u1"), ("elapsed", "<f8")])
 
@@ -165,7 +166,7 @@ def decode_records(type: RecordType, data: Buffer) -> Records | None:
     message = parse(type.name, type.message_name, data)
     if message.HasField("raw"):
         return None
-    return _records(type, message)
+    return _records(type, message, len(data))
 
 
 @cache
@@ -499,7 +500,7 @@ def _decode_any(type: RecordType, data: Buffer) -> bytes:
     if message.HasField("raw"):
         return bytes(message.raw)
     try:
-        payload = pack(type, _records(type, message))
+        payload = pack(type, _records(type, message, len(data)))
     except RecordError as error:
         raise WireError(str(error)) from None
     if type.fixed:
@@ -515,11 +516,13 @@ def _decode_any(type: RecordType, data: Buffer) -> bytes:
     return payload if exact is None else exact
 
 
-def _records(type: RecordType, message: Any) -> Records:
+def _records(type: RecordType, message: Any, size: int) -> Records:
     try:
         if type.framing is Framing.SINGLE:
             return np.array([(getattr(message, type.items),)], type.dtype)
         items = getattr(message, type.items)
+        if not type.fixed and _LEAST * len(items) > size:
+            raise WireError(f"{type.name}: {len(items)} records in {size} bytes, most of them without an id")
         if len(items) > MAX_COUNT:
             raise WireError(f"{type.name}: {len(items)} records, a packet counts at most {MAX_COUNT}")
         if type.fixed:
