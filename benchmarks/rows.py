@@ -112,8 +112,10 @@ def info(subject: Subject) -> Iterator[Line]:
 def blocked(subject: Subject) -> Iterator[Line]:
     from carla_recap.queries.blocked import blocked
 
-    for name, path in subject.both():
-        seconds = min(timed(partial(ask, blocked, path)) for _ in range(3))
+    asked = [(name, path, blocked) for name, path in subject.both()]
+    asked.append(("by 9 cm, .mcap", subject.mcap, partial(blocked, min_distance=9.0)))  # which is not summed up
+    for name, path, query in asked:
+        seconds = min(timed(partial(ask, query, path)) for _ in range(3))
         each = seconds / subject.frames * 1e6
         yield Line(f"blocked, {name}", f"{seconds:.2f} s", f"{each:.1f} µs/frame", "≤ 30 µs/frame", each <= 30)
 

@@ -11,7 +11,6 @@ from hypothesis import strategies as st
 
 from carla_recap.frame import Header
 from carla_recap.queries import BlockedRow, blocked
-from carla_recap.queries.blocked import _square_of_reach
 from carla_recap.queries.report import text
 from carla_recap.records import Spawn
 
@@ -234,14 +233,3 @@ def test_by_definition(
     with np.errstate(all="ignore"):
         wanted = by_definition(reader, min_time, min_distance, compat=compat)
     assert [(row.start, row.duration, row.id, row.type_id) for row in rows] == wanted
-
-
-@pytest.mark.parametrize(("real", "width"), [("f4", 32), ("f8", 64)])
-@given(data=st.data())
-def test_squares_compare_as_distances_do(real: str, width: Any, data: st.DataObject) -> None:
-    distance = data.draw(st.floats(-1, allow_nan=False))
-    with np.errstate(all="ignore"):
-        limit = _square_of_reach(distance, np.dtype(real))
-    near = [limit, np.nextafter(limit, limit.dtype.type(0)), np.nextafter(limit, limit.dtype.type(np.inf))]
-    for square in [*near, np.dtype(real).type(data.draw(st.floats(0, width=width)))]:
-        assert (square < limit) == (float(np.sqrt(square)) < distance)

@@ -7,15 +7,15 @@ from dataclasses import asdict
 from itertools import islice
 from typing import TYPE_CHECKING, Any, NoReturn
 
-import pytest
 from rich.console import Console
 
 from carla_recap.frame import Header
 from carla_recap.queries import blocked, collisions, info, report
-from carla_recap.queries.answer import readable
 from carla_recap.records import NO_ACTOR, Attribute, Spawn
 
 if TYPE_CHECKING:
+    import pytest
+
     from tests.queries.conftest import Make
 
 NAN = float("nan")
@@ -141,36 +141,6 @@ def test_a_table_controls_no_terminal(make: Make) -> None:
 def test_a_table_of_wild_numbers(make: Make) -> None:
     reader = make({"collisions": [(0, 1, 1, 0, 0)]}, {"collisions": [(0, 2, 2, 0, 0)]}, durations=[1e300, float("inf")])
     assert "1e+300" in printed(collisions(reader))
-
-
-# --- texts that CARLA's own decoder would refuse ---------------------------------------------------------
-
-
-@pytest.mark.parametrize(
-    ("raw", "shown"),
-    [
-        (b"plain", "plain"),
-        ("été 🚗".encode(), "été 🚗"),
-        (b"cut\0off", "cut"),
-        (b"\xe9t\xe9.", "?t?."),
-        (b"\xed\xa0\x80.", "???."),  # a surrogate
-        (b"\xe2\x82.", "??."),
-        (b"\xc0\xaf.", "??."),  # longer than need be
-        (b"\xf8\x88\x80\x80\x80.", "?."),  # once, five bytes were allowed
-        (b"\xfc\x84\x80\x80\x80\x80.", "?."),
-        (b"\xef\xbf\xbe.", "???."),  # no character
-        (b"\xf4\x90\x80\x80.", "????."),  # beyond the last one
-        (b"\xff\xfe", "?"),  # cut off by the end
-        (b"\xc3", "?"),
-        (b"\xff\xc3\xa9", "?"),
-        (b"\xf0\x9f", "?"),
-        (b"\xf0\x9f\x9a", "???"),
-        (b"\xe2\x82", "??"),
-        (b"\xc3\xa9\xe9", "é?"),
-    ],
-)
-def test_readable(raw: bytes, shown: str) -> None:
-    assert readable(raw.decode("utf-8", "surrogateescape")) == shown
 
 
 def test_pieces_come_one_by_one(make: Make) -> None:

@@ -11,6 +11,7 @@ if TYPE_CHECKING:
     from types import TracebackType
 
     from carla_recap.frame import Extent, Frame, Header
+    from carla_recap.standing import BlockedRow
 
 PIECE = 1 << 20
 """Bytes that no schema describes travel in pieces of this size."""
@@ -49,6 +50,18 @@ class Reader(Protocol):
 
     def extent(self) -> Extent:
         """How far the recording goes."""
+        ...
+
+    def stretches(self, min_time: float, min_distance: float) -> list[BlockedRow] | None:
+        """The stretches in which actors stood still, in no order; None where only the frames tell.
+
+        Args:
+            min_time: The shortest stretch to tell of, in seconds.
+            min_distance: The distance at which an actor has moved, in cm.
+
+        Raises:
+            FormatError: The file contradicts its format.
+        """
         ...
 
     def tail(self) -> Iterator[bytes]:

@@ -158,6 +158,9 @@ class LogReader:
         assert self._extent
         return self._extent
 
+    def stretches(self, min_time: float, min_distance: float) -> None:
+        """None: only the frames of a log tell who stood still."""
+
     def tail(self) -> Iterator[bytes]:
         """The bytes behind the last complete packet, in pieces."""
         self.extent()

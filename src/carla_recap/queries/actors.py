@@ -6,8 +6,9 @@ import math
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any, Final
 
-from carla_recap.queries.answer import Answer, readable
+from carla_recap.queries.answer import Answer
 from carla_recap.records import ActorKind, Spawn
+from carla_recap.texts import readable
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable

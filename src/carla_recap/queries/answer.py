@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-import re
-from typing import TYPE_CHECKING, Final, TypeVar
+from typing import TYPE_CHECKING, TypeVar
 
 from carla_recap.tables import Rows
 
@@ -29,37 +28,3 @@ class Answer(Rows[T]):
         self.header = source.header
         self.extent = source.extent()
         self.compat = compat
-
-
-def readable(text: str) -> str:
-    """A recorded text as CARLA shows it: up to the first NUL, with `?` in place of what is not UTF-8.
-
-    That is a `?` for each wrong byte, but only one for a sequence of five or six bytes, as UTF-8 had them
-    once, and one where the text ends more than a byte short of a sequence's length.
-    """
-    text = text.partition("\0")[0]
-    if text.isascii() or not _SUSPECT.search(text):
-        return text
-    return _UTF8.sub(lambda match: match[1] or b"?", text.encode("utf-8", "surrogateescape")).decode()
-
-
-_SUSPECT: Final = re.compile(r"[\udc80-\udcff\ufffe\uffff]")
-_UTF8: Final = re.compile(
-    rb"""(
-        [\x00-\x7f]
-        | [\xc2-\xdf] [\x80-\xbf]
-        | \xe0 [\xa0-\xbf] [\x80-\xbf]
-        | [\xe1-\xec\xee] [\x80-\xbf]{2}
-        | \xed [\x80-\x9f] [\x80-\xbf]
-        | \xef (?! \xbf [\xbe\xbf]) [\x80-\xbf]{2}
-        | \xf0 [\x90-\xbf] [\x80-\xbf]{2}
-        | [\xf1-\xf3] [\x80-\xbf]{3}
-        | \xf4 [\x80-\x8f] [\x80-\xbf]{2}
-    )
-    | [\xf0-\xf7] .? \Z
-    | [\xf8-\xfb] (?: [\x80-\xbf]{4} | .{0,2} \Z )
-    | [\xfc-\xff] (?: [\x80-\xbf]{5} | .{0,3} \Z )
-    | .
-    """,
-    re.DOTALL | re.VERBOSE,
-)

@@ -7,8 +7,8 @@ from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
-from carla_recap.queries.answer import readable
 from carla_recap.records import FLAG, TEXT, Framing, Layout, Many, Records
+from carla_recap.texts import readable
 
 if TYPE_CHECKING:
     from collections.abc import Iterator

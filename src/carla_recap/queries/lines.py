@@ -5,16 +5,17 @@ from __future__ import annotations
 import math
 import re
 from functools import cache
+from operator import attrgetter
 from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
 from carla_recap.payload import U16
-from carla_recap.queries.answer import readable
 from carla_recap.records import REAL, TEXT, UE4, Layout, Many, Records
+from carla_recap.texts import readable
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Mapping
+    from collections.abc import Callable, Mapping, Sequence
 
     from numpy.typing import NDArray
 
@@ -43,23 +44,30 @@ class _Template:
         self._reals = {field for field in self._fields if kinds[field] in (REAL, "f4", "f8")}
         self._line = _FIELD.sub(lambda match: "%.6g" if match[1] in self._reals else "%s", line)
         self._line_of_texts = _FIELD.sub("%s", line)
+        self._names = tuple(layout.fields)
+        self._values = attrgetter(*self._names)
 
     def text(self, records: Records) -> str:
         """The text of some records."""
-        columns = [self._column(field, records) for field in self._fields]
+        if not len(records):
+            return ""
+        table = self._table(records)
+        for field, word in self._words.items():
+            table[field] = list(map(word, table[field]))
+        columns = [table[field] for field in self._fields]
         text = "".join(map(self._line.__mod__, zip(*columns, strict=True)))
         return self._text_with_signs(columns) if "nan" in text else text
 
-    def _column(self, field: str, records: Records) -> list[Any]:
-        if field == "index":
-            return list(range(len(records)))
+    def _table(self, records: Records) -> dict[str, Sequence[Any]]:
+        """The values of each field."""
         if isinstance(records, np.ndarray):
-            column: list[Any] = records[field].tolist()
+            names = records.dtype.names or ()
+            columns = zip(*records.tolist(), strict=True) if len(records) < _FEW else (records[n].tolist() for n in names)
         else:
-            column = [getattr(record, field) for record in records]
-        return list(map(self._words[field], column)) if field in self._words else column
+            names, columns = self._names, zip(*map(self._values, records), strict=True)
+        return {"index": range(len(records)), **dict(zip(names, columns, strict=True))}
 
-    def _text_with_signs(self, columns: list[list[Any]]) -> str:
+    def _text_with_signs(self, columns: list[Sequence[Any]]) -> str:
         """The text of records with a NaN among them, whose sign Python does not print."""
         texts = [
             list(map(number, column)) if field in self._reals else column
@@ -69,6 +77,7 @@ class _Template:
 
 
 _FIELD: Final = re.compile(r"\{(\w+)\}")
+_FEW: Final = 16  # so many records are taken apart sooner one by one than field by field
 
 
 class PacketLines:

@@ -9,20 +9,21 @@ from json import JSONEncoder
 from typing import TYPE_CHECKING, Any, Final
 
 from carla_recap.queries.actors import Actor, Actors
-from carla_recap.queries.answer import readable
 from carla_recap.queries.blocked import Blocked, BlockedRow
 from carla_recap.queries.collisions import CollisionRow, Collisions
+from carla_recap.queries.incidents import Incident, Incidents
 from carla_recap.queries.info import Info, InfoRow
 from carla_recap.queries.lines import number
 from carla_recap.queries.text import local_date, text
 from carla_recap.records import NO_ACTOR
+from carla_recap.texts import readable
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Iterator
 
     from rich.console import Console
 
-    AnyAnswer = Actors | Info | Collisions | Blocked
+    AnyAnswer = Actors | Info | Collisions | Blocked | Incidents
 
 __all__ = ["json", "table", "text"]
 
@@ -178,5 +179,12 @@ _COLUMNS: Final[dict[type, tuple[_Column, ...]]] = {
         _Column("Id", lambda row: str(row.id), is_number=True),
         _Column("Actor", lambda row: _actor(row.id, row.type_id)),
         _Column("Place (cm)", lambda row: ", ".join(map(number, (row.x, row.y, row.z)))),
+    ),
+    Incident: (
+        _Column("Start", lambda row: _seconds(row.start), is_number=True),
+        _Column("Stop", lambda row: _seconds(row.stop), is_number=True),
+        _Column("Incident", lambda row: row.kind),
+        _Column("What happens", lambda row: row.text),
+        _Column("Place (m)", lambda row: ", ".join(f"{number:.1f}" for number in (row.x, row.y, row.z))),
     ),
 }

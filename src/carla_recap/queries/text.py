@@ -10,11 +10,12 @@ import numpy as np
 
 from carla_recap.frame import Packet
 from carla_recap.queries.actors import Actors
-from carla_recap.queries.answer import readable
 from carla_recap.queries.collisions import Collisions
+from carla_recap.queries.incidents import Incidents
 from carla_recap.queries.info import EVENTS, Info
 from carla_recap.queries.lines import number, packet_lines
 from carla_recap.records import FRAME_END
+from carla_recap.texts import readable
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -25,8 +26,8 @@ if TYPE_CHECKING:
 _NAME_WIDTH: Final = 35
 
 
-def text(answer: Actors | Info | Collisions | Blocked) -> Iterator[str]:
-    """CARLA's text of an answer, in pieces; of actors, for which CARLA has none, a list in its manner."""
+def text(answer: Actors | Info | Collisions | Blocked | Incidents) -> Iterator[str]:
+    """CARLA's text of an answer, in pieces; of actors and incidents, for which CARLA has none, a list in its manner."""
     yield _preamble(answer.header)
     if isinstance(answer, Info):
         yield from _info(answer)
@@ -34,6 +35,8 @@ def text(answer: Actors | Info | Collisions | Blocked) -> Iterator[str]:
         yield from _collisions(answer)
     elif isinstance(answer, Actors):
         yield from _actors(answer)
+    elif isinstance(answer, Incidents):
+        yield from _incidents(answer)
     else:
         yield from _blocked(answer)
     # In CARLA, a collision's row leaves the stream without decimals.
@@ -71,6 +74,12 @@ def _collisions(answer: Collisions) -> Iterator[str]:
             f"{_whole(row.elapsed):>8}   {row.letter1} {row.letter2} "
             f" {row.id1:>6} {_padded(row.type_id1)} {row.id2:>6} {_padded(row.type_id2)}\n"
         )
+
+
+def _incidents(answer: Incidents) -> Iterator[str]:
+    yield f"{'Time':>8} {'Duration':>10} {'Incident':<12} What happens\n"
+    for row in answer:
+        yield f"{row.start:>8.1f} {row.stop - row.start:>10.1f} {row.kind:<12} {row.text}\n"
 
 
 def _blocked(answer: Blocked) -> Iterator[str]:

@@ -10,7 +10,7 @@ from __future__ import annotations
 from carla_recap.replay.camera import calm_heading, calm_headings, chase, level, top
 from carla_recap.replay.events import Collided, Destroyed, Event, Parented, Present, Spawned
 from carla_recap.replay.follow import Follow, choose_followed, find_followed
-from carla_recap.replay.player import Player
+from carla_recap.replay.player import Played, Player
 from carla_recap.replay.pose import quaternions, right_handed, right_handed_velocities
 from carla_recap.replay.scene import Scene
 
@@ -20,6 +20,7 @@ __all__ = [
     "Event",
     "Follow",
     "Parented",
+    "Played",
     "Player",
     "Present",
     "Scene",

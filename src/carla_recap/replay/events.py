@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from carla_recap.queries.answer import readable
+from carla_recap.texts import readable
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray

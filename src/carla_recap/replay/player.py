@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections import defaultdict
 from functools import cached_property
-from typing import TYPE_CHECKING, Final
+from typing import TYPE_CHECKING, Final, NamedTuple
 
 from carla_recap.errors import RecapError
 from carla_recap.recording import Recording
@@ -17,15 +17,24 @@ from carla_recap.replay.scene import Scene
 from carla_recap.replay.world import World
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator
+    from collections.abc import Callable, Iterable, Iterator
 
     from carla_recap.formats.base import Reader
+
+    Progress = Callable[[Iterable[Scene], "Player"], Iterable[Scene]]
 
 FAST: Final = 2.0
 """From this time factor on nothing is interpolated, as in CARLA."""
 
 _SAME_TIME: Final = 1e-6  # s; so far before the stop it is the stop: times add up with rounding errors
 _PRINTED: Final = 1e-5  # the end may be given as it is printed, with six digits
+
+
+class Played(NamedTuple):
+    """How much was played: the number of scenes, and the seconds of the recording that they span."""
+
+    frames: int
+    seconds: float
 
 
 class Player:
@@ -48,6 +57,7 @@ class Player:
         smooth: Interpolate; False: poses are those of the frame at or before the moment.
 
     Attributes:
+        reader: That of the recording.
         total: Elapsed seconds of the last frame.
         start: Where it begins, in elapsed seconds.
         stop: Where it ends.
@@ -71,7 +81,7 @@ class Player:
         smooth: bool = True,
     ) -> None:
         reader = source.reader if isinstance(source, Recording) else source
-        self._reader = reader
+        self.reader = reader
         extent = reader.extent()
         if not extent.frames:
             raise RecapError(f"{reader.path}: the recording has no frames")
@@ -119,7 +129,7 @@ class Player:
     @cached_property
     def followed(self) -> int | None:
         """Whom the camera follows; None where there is nobody. Chosen when first asked for, if nobody was named."""
-        return choose_followed(self._reader, start=self.start, stop=self.stop, ignore_hero=self._ignore_hero)
+        return choose_followed(self.reader, start=self.start, stop=self.stop, ignore_hero=self._ignore_hero)
 
     def tick(self, delta: float) -> Scene | None:
         """Let time go on, and see what there is then.
@@ -225,4 +235,4 @@ class Player:
             return time
         if time <= self.total * (1 + _PRINTED):
             return self.total
-        raise RecapError(f"{self._reader.path}: nothing at {time:g} s; the recording ends at {self.total:g} s")
+        raise RecapError(f"{self.reader.path}: nothing at {time:g} s; the recording ends at {self.total:g} s")

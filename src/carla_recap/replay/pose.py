@@ -7,7 +7,7 @@ Rerun and Foxglove do; rotations there are Rz(yaw) · Ry(pitch) · Rx(roll).
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Final
+from typing import TYPE_CHECKING, Final, TypeVar
 
 import numpy as np
 
@@ -17,6 +17,8 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     Floats = NDArray[np.float64]
+
+F = TypeVar("F", bound=np.floating)
 
 LOCATION: Final = slice(0, 3)
 ROTATION: Final = slice(3, 6)
@@ -61,8 +63,8 @@ def right_handed_velocities(velocities: Floats) -> Floats:
     return converted
 
 
-def quaternions(poses: Floats) -> Floats:
-    """The rotations of right-handed poses as quaternions x, y, z, w."""
+def quaternions(poses: NDArray[F]) -> NDArray[F]:
+    """The rotations of right-handed poses as quaternions x, y, z, w, in the precision of the poses."""
     half = np.radians(poses[..., ROTATION]) / 2
     (sr, sp, sy), (cr, cp, cy) = np.moveaxis(np.sin(half), -1, 0), np.moveaxis(np.cos(half), -1, 0)
     return np.stack(

@@ -71,7 +71,7 @@ class Selection:
 
     def __init__(self) -> None:
         self.ids: Ids = NO_IDS
-        self._recorded: Ids = NO_IDS
+        self._recorded = b""
         self._hidden: Ids = NO_IDS
         self._order: NDArray[np.intp] | slice = slice(0)
 
@@ -82,13 +82,14 @@ class Selection:
             records: A frame's.
             hidden: Ids that are left out; the same object as long as they do not change.
         """
-        recorded = records["id"]
-        if hidden is not self._hidden or not np.array_equal(recorded, self._recorded):
-            self._hidden, self._recorded = hidden, recorded.astype(np.uint32)
-            order = _last(recorded)
+        recorded = records["id"].tobytes()  # the fastest way to compare
+        if hidden is not self._hidden or recorded != self._recorded:
+            self._hidden, self._recorded = hidden, recorded
+            ids = records["id"].astype(np.uint32)
+            order = _last(ids)
             if len(hidden):
-                order = order[~np.isin(recorded[order], hidden)]
-            self.ids = self._recorded[order]
+                order = order[~np.isin(ids[order], hidden)]
+            self.ids = ids[order]
             self.ids.setflags(write=False)
             self._order = order if len(order) else slice(0)
             if len(order) and (np.diff(order) == 1).all():

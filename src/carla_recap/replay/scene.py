@@ -6,8 +6,6 @@ from dataclasses import dataclass, field
 from functools import cached_property
 from typing import TYPE_CHECKING, TypeVar
 
-import numpy as np
-
 from carla_recap.replay.events import Collided, Destroyed, Event, Parented, Present, Spawned
 from carla_recap.replay.pose import attach
 from carla_recap.replay.rows import Ids, Selection, array
@@ -16,6 +14,7 @@ if TYPE_CHECKING:
     from collections import defaultdict
     from collections.abc import Mapping
 
+    import numpy as np
     from numpy.typing import NDArray
 
     from carla_recap.frame import Frame
@@ -111,7 +110,7 @@ class Scene:
 
     def place_of(self, id: int) -> int | None:
         """The row of an actor in `poses`; None where it has none."""
-        place = int(np.searchsorted(self.ids, id))
+        place = int(self.ids.searchsorted(id))
         return place if place < len(self.ids) and self.ids[place] == id else None
 
     def pose_of(self, id: int) -> NDArray[np.float64] | None:

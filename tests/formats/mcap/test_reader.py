@@ -6,17 +6,29 @@ import struct
 import tracemalloc
 import warnings
 
+import numpy as np
 import pytest
 import zstandard
 from hypothesis import given
 from hypothesis import strategies as st
 from mcap import records
+from mcap.stream_reader import breakup_chunk
 from mcap.writer import CompressionType, IndexType, Writer
 
-from carla_recap import FormatError, NotARecording, RecapError, RecapWarning, convert, open_recording
+from carla_recap import (
+    FormatError,
+    NotARecording,
+    RecapError,
+    RecapWarning,
+    convert,
+    create_recording,
+    create_writer,
+    open_recording,
+)
 from carla_recap.formats.mcap import reader as reader_module
 from carla_recap.formats.mcap.source import CHUNK_LIMIT
-from carla_recap.frame import Header
+from carla_recap.frame import Frame, Header, Packet
+from carla_recap.queries import blocked
 from tests import strategies
 from tests.formats.mcap import forge
 from tests.formats.mcap.forge import Forge, chunk_records, data_records, resealed, rewrite, seal
@@ -523,3 +535,74 @@ def test_an_unknown_type_is_an_error(small_mcap):
         pytest.raises(RecapError, match="no record type 'wings'; there are frame, "),
     ):
         list(reader.frames(("wings",)))
+
+
+# --- stretches, summed up by the writer --------------------------------------------------------------------
+
+
+def test_who_stood_still_is_read_from_the_events(tmp_path):
+    path = tmp_path / "standing.mcap"
+    with create_recording(path, map_name="Town01") as recorder:
+        for number in range(4000):
+            ids = np.arange(60)
+            x = np.where(ids < 50, 300.0 * number, 500.0 * (number > 2000))
+            recorder.add_frame(number / 20, transforms={"id": ids, "x": x})
+    with reading(path) as reader:
+        at_rest = reader.bytes_read
+        found = blocked(reader, 30)
+        assert reader.bytes_read - at_rest < path.stat().st_size / 20
+        scanned = blocked(Blind(reader), 30)
+        assert len(found) == 20
+        assert found == scanned
+
+
+class Blind:
+    """A reader that does not know of stretches."""
+
+    def __init__(self, reader):
+        self._reader = reader
+
+    def __getattr__(self, name):
+        return getattr(self._reader, name)
+
+    def stretches(self, min_time, min_distance):
+        return None
+
+
+def stood(path):
+    with reading(path) as reader:
+        return reader.stretches(1, 10)
+
+
+def test_stretches_that_another_program_left_out_are_missed(standing, tmp_path):
+    assert len(stood(standing)) == 1
+    parts = data_records(standing)
+    (gone,) = (part.id for part in parts if isinstance(part, records.Channel) and part.topic == "/actors/stretches")
+    kept = [part for part in parts if not (isinstance(part, records.Chunk) and holds(part, gone))]
+    Forge(kept).write(standing)
+    assert stood(standing) is None
+    with reading(standing) as reader:
+        assert [row.duration for row in blocked(reader, 1)] == [9.0]
+
+
+def test_odd_packets_are_not_summed_up(tmp_path, standing):
+    with reading(standing) as reader, create_writer(tmp_path / "odd.mcap", reader.header) as writer:
+        for frame in reader.frames():
+            packets = [Packet(p.id, p.type, bytes(p.payload) + b"!") for p in frame.packets if p.id == 6]
+            with pytest.warns(RecapWarning, match="1 bytes more"):
+                writer.write(Frame(frame.index, frame.id, frame.elapsed, frame.duration, packets))
+    assert stood(tmp_path / "odd.mcap") is None
+
+
+@pytest.fixture
+def standing(tmp_path):
+    """An actor that stands for 9 s."""
+    path = tmp_path / "standing.mcap"
+    with create_recording(path, map_name="Town01") as recorder:
+        for number in range(10):
+            recorder.add_frame(float(number), transforms={"id": [7], "x": [0.0]})
+    return path
+
+
+def holds(chunk, channel):
+    return any(isinstance(record, records.Message) and record.channel_id == channel for record in breakup_chunk(chunk))

@@ -68,6 +68,7 @@ def frames_in(path):
 
 def test_state_and_events_never_share_a_chunk(recording):
     groups = {type.topic: type.group for type in UE4} | {"/carla/raw": Group.STATE, "/frames": Group.STATE}
+    groups["/actors/stretches"] = Group.EVENTS
     topics = topics_of(recording)
     for chunk in chunks_of(recording):
         assert len({groups[topics[channel]] for channel, *_ in messages_in(chunk)}) == 1

@@ -34,15 +34,19 @@ LATEST: Final = 1 << 63  # the latest beginning of a recording, so that its time
 FRAME_TOPIC: Final = "/frames"
 RAW_TOPIC: Final = "/carla/raw"
 TAIL_TOPIC: Final = "/carla/tail"
+STRETCHES_TOPIC: Final = "/actors/stretches"
 FRAME_MESSAGE: Final = "carla_recap.v1.Frame"
 RAW_MESSAGE: Final = "carla_recap.v1.RawPacket"
 TAIL_MESSAGE: Final = "carla_recap.v1.Tail"
+STRETCHES_MESSAGE: Final = "carla_recap.v1.Stretches"
 
 EMPTY, FILLED, RAW = 0, 1, 2
 """What a frame says of each of its packets: no records, a message on its topic, or pieces on the topic of raw packets."""
 
 HEADER_METADATA: Final = "carla_recap.header"
 EXTENT_METADATA: Final = "carla_recap.extent"
+STRETCHES: Final = "stretches"
+"""In the extent's metadata: from how many s and cm on stretches are summed up, and how many; missing if they are not."""
 CHECKSUM: Final = "checksum"
 
 
@@ -68,6 +72,7 @@ def channel_specs(table: Table) -> list[ChannelSpec]:
         *specs,
         ChannelSpec(RAW_TOPIC, "raw_packet", RAW_MESSAGE),
         ChannelSpec(TAIL_TOPIC, "tail", TAIL_MESSAGE),
+        ChannelSpec(STRETCHES_TOPIC, "stretches", STRETCHES_MESSAGE),
     ]
 
 

@@ -30,6 +30,9 @@ from carla_recap.formats.mcap.container import (
     RAW_MESSAGE,
     RAW_TOPIC,
     RECORD,
+    STRETCHES,
+    STRETCHES_MESSAGE,
+    STRETCHES_TOPIC,
     TAIL_MESSAGE,
     TAIL_TOPIC,
     ChannelSpec,
@@ -43,6 +46,7 @@ from carla_recap.formats.mcap.source import Chunk, Source, Summary, open_chunk, 
 from carla_recap.frame import Extent, Frame, Header, Packet
 from carla_recap.payload import EMPTY_LIST, Buffer
 from carla_recap.records import FRAME_END, FRAME_START, Records, RecordType
+from carla_recap.standing import BlockedRow
 
 if TYPE_CHECKING:
     from collections.abc import Collection, Iterable, Iterator
@@ -254,13 +258,30 @@ class McapReader:
 
     def tail(self) -> Iterator[bytes]:
         """The bytes behind the last complete packet, in pieces."""
-        channel = self._by_topic.get(TAIL_TOPIC)
-        if channel is None:
-            return
-        chunks = self._chunks({channel})
-        for _, gathered in self._gather(chunks, {channel}, ahead=False):
-            for batch, index in gathered:
-                yield bytes(self._parse("tail", TAIL_MESSAGE, batch.messages[index]).data)
+        return (bytes(message.data) for message in self._messages(TAIL_TOPIC, "tail", TAIL_MESSAGE))
+
+    def stretches(self, min_time: float, min_distance: float) -> list[BlockedRow] | None:
+        """The stretches in which actors stood still, read from the events; see `Reader.stretches`."""
+        least, distance, count = _summed_up(self.metadata)
+        if min_time < least or min_distance != distance:
+            return None
+        messages = self._messages(STRETCHES_TOPIC, "stretches", STRETCHES_MESSAGE)
+        rows = [row for message in messages for row in message.stretches]
+        if len(rows) != count:  # another program has left some out
+            return None
+        return [
+            BlockedRow(row.start, row.duration, row.id, row.type_id, row.x, row.y, row.z)
+            for row in rows
+            if row.duration >= min_time
+        ]
+
+    def _messages(self, topic: str, module: str, name: str) -> Iterator[Any]:
+        """The messages of a topic that no frame holds."""
+        channel = self._by_topic.get(topic)
+        wanted = set() if channel is None else {channel}
+        for _, gathered in self._gather(self._chunks(wanted) if wanted else [], wanted, ahead=False):
+            for found in gathered:
+                yield self._parse(module, name, _message(found))
 
     # --- what the file says of itself ----------------------------------------------------------------------------------
 
@@ -295,8 +316,7 @@ class McapReader:
     def _wanted(self, types: Iterable[str] | None, *, spine: bool) -> set[int]:
         """The channels to read."""
         if types is None:
-            tail = self._by_topic.get(TAIL_TOPIC)
-            return {id for id in self._channels if id != tail}
+            return {id for id, spec in self._channels.items() if spec.topic not in (TAIL_TOPIC, STRETCHES_TOPIC)}
         names = {self.header.table.named(name).name for name in types}
         wanted = {id for id, type in self._types.items() if type.name in names}
         if spine:
@@ -540,6 +560,15 @@ class McapReader:
 def _message(found: Found) -> memoryview:
     batch, index = found
     return batch.messages[index]
+
+
+def _summed_up(metadata: dict[str, str]) -> tuple[float, float, int]:
+    """From how many seconds and cm on stretches are summed up, and how many there are."""
+    try:
+        least, distance, count = metadata[STRETCHES].split()
+        return float(least), float(distance), int(count)
+    except (KeyError, ValueError):
+        return math.inf, math.nan, 0
 
 
 def _match(summary: Summary, specs: list[ChannelSpec]) -> dict[int, ChannelSpec]:

@@ -8,6 +8,7 @@ from __future__ import annotations
 import struct
 import zlib
 from dataclasses import dataclass, field
+from functools import lru_cache
 from io import BytesIO
 from itertools import pairwise
 from pathlib import Path
@@ -292,4 +293,15 @@ def _chunk_index(data: memoryview) -> Chunk:
     offsets = data[CHUNK_INDEX.size : CHUNK_INDEX.size + size]
     if len(offsets) != size or size % CHUNK_OFFSETS.size or length > CHUNK_LIMIT:
         raise ValueError("a chunk index that does not fit")
-    return Chunk(start, end, offset, length, frozenset([channel for channel, _ in CHUNK_OFFSETS.iter_unpack(offsets)]))
+    return Chunk(start, end, offset, length, _channels(_offsets(size // CHUNK_OFFSETS.size).unpack(offsets)))
+
+
+@lru_cache(64)
+def _offsets(count: int) -> struct.Struct:
+    """The channels of so many message indexes."""
+    return struct.Struct("<" + "H8x" * count)
+
+
+@lru_cache(1024)
+def _channels(ids: tuple[int, ...]) -> frozenset[int]:
+    return frozenset(ids)

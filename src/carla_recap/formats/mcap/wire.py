@@ -13,7 +13,7 @@ from __future__ import annotations
 
 import struct
 from array import array
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from functools import cache
 from importlib import import_module
 from itertools import accumulate, pairwise
@@ -24,14 +24,17 @@ import numpy as np
 
 from carla_recap.errors import RecordError
 from carla_recap.formats.base import PIECE
+from carla_recap.formats.mcap.container import STRETCHES_MESSAGE
 from carla_recap.payload import MAX_COUNT, OBJECTS_LIMIT, U16, Buffer, PayloadError, need, pack
 from carla_recap.records import FLAG, REAL, TEXT, Framing, Group, Layout, Many, Records, RecordType
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator, Mapping, Sequence
+    from collections.abc import Iterable, Iterator, Mapping, Sequence
 
     from google.protobuf.message import Message
     from numpy.typing import NDArray
+
+    from carla_recap.standing import BlockedRow
 
 HEAD: Final = struct.Struct("<BQBd")  # fields 1 and 2 of every message: frame, elapsed
 FRAME_BODY: Final = struct.Struct("<Bd")  # field 3: duration
@@ -87,6 +90,15 @@ def raw_bodies(id: int, payload: Buffer) -> Iterator[bytes]:
 def tail(piece: bytes) -> bytes:
     """A `Tail` message."""
     return b"\x0a" + _varint(len(piece)) + piece
+
+
+def stretches(rows: Iterable[BlockedRow]) -> bytes:
+    """The body of a `Stretches` message."""
+    message: Any = message_class("stretches", STRETCHES_MESSAGE)()
+    for row in rows:
+        message.stretches.add(**asdict(row))
+    data: bytes = message.SerializeToString()
+    return data
 
 
 def read_head(data: Buffer) -> tuple[int, float] | None:

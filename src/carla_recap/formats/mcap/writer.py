@@ -41,6 +41,8 @@ from carla_recap.formats.mcap.container import (
     RAW_TOPIC,
     RECORD,
     SECOND,
+    STRETCHES,
+    STRETCHES_TOPIC,
     TAIL_TOPIC,
     U64,
     LogClock,
@@ -51,15 +53,21 @@ from carla_recap.formats.mcap.container import (
 from carla_recap.frame import Extent, Frame, Header, Packet
 from carla_recap.payload import EMPTY_LIST, OBJECTS_LIMIT, Buffer, PayloadError, check
 from carla_recap.records import FRAME_END, FRAME_START, Group, RecordType
+from carla_recap.standing import MIN_DISTANCE, TYPES, Standing
 
 if TYPE_CHECKING:
     from pathlib import Path
+
+    from carla_recap.standing import BlockedRow
 
 CHUNK_SIZE: Final = 1 << 20
 CHUNK_SECONDS: Final = 5
 CHUNK_FRAMES: Final = 5_000  # of recordings whose clock stands still
 FRAME_SIZE: Final = 16 << 20
 """So many bytes of one frame are a chunk: what is much larger could not be read."""
+STRETCH_TIME: Final = 1.0
+"""From so many seconds on, the stretches in which actors stand still are summed up."""
+STRETCHES_TOGETHER: Final = 1_000
 LEVEL: Final = 3
 _WORKERS: Final = 2
 _QUEUE: Final = 4  # chunks that are being compressed, or wait for it
@@ -153,8 +161,8 @@ class McapWriter(AtomicFile):
         self._live = live
         self._specs = channel_specs(header.table)
         by_topic = {spec.topic: id for id, spec in enumerate(self._specs, 1)}
-        self._frame_channel, self._raw_channel, self._tail_channel = (
-            by_topic[topic] for topic in (FRAME_TOPIC, RAW_TOPIC, TAIL_TOPIC)
+        self._frame_channel, self._raw_channel, self._tail_channel, self._stretches_channel = (
+            by_topic[topic] for topic in (FRAME_TOPIC, RAW_TOPIC, TAIL_TOPIC, STRETCHES_TOPIC)
         )
         self._channel_of = {spec.type.id: id for id, spec in enumerate(self._specs, 1) if spec.type}
         self._chunks = {group: _Chunk() for group in Group}
@@ -164,6 +172,9 @@ class McapWriter(AtomicFile):
         self._extent = Extent()
         self._heroes: dict[int, None] = {}
         self._additional = False
+        self._standing: Standing | None = Standing(header.table, STRETCH_TIME)
+        self._stretches: list[BlockedRow] = []
+        self._stretch_count = 0
         self._pool = ThreadPoolExecutor(_WORKERS, "carla-recap-compress")
         self._sealed: deque[_Sealed] = deque()
         self._position = self._crc = 0
@@ -196,6 +207,11 @@ class McapWriter(AtomicFile):
         kinds = start + bytes([self._add(packet, head, times) for packet in frame.packets])
         spine = wire.frame_body(frame.duration, ids, kinds)
         self._chunks[Group.STATE].add(self._frame_channel, self._sequence, times, head, spine)
+        if self._standing:
+            self._standing.frame(frame)
+            self._stretches += self._standing.take()
+            if len(self._stretches) >= STRETCHES_TOGETHER:
+                self._add_stretches(head, times)
         for group, chunk in self._chunks.items():
             if chunk.size >= CHUNK_SIZE:
                 self._cut(group)
@@ -235,6 +251,7 @@ class McapWriter(AtomicFile):
         try:
             if type.fixed:
                 packet.warn_of(check(type, payload))
+                self._distrust(type)
             body = wire.encode(type, payload)
         except PayloadError as error:
             raise packet.error(error) from None
@@ -246,12 +263,25 @@ class McapWriter(AtomicFile):
             self._heroes |= {actor.id: None for actor in packet.records if actor.attribute("role_name") == "hero"}
         return FILLED
 
+    def _distrust(self, type: RecordType | None) -> None:
+        """A packet is odd: should it tell who stands still, nobody sums that up."""
+        if type is not None and type.name in TYPES:
+            self._standing = None
+
     def _add_raw(self, packet: Packet, head: bytes, times: tuple[int, int]) -> int:
         """Add a packet in pieces, as the bytes that it is."""
+        self._distrust(packet.type)
         for body in wire.raw_bodies(packet.id, packet.payload):
             self._chunks[Group.STATE].add(self._raw_channel, self._sequence, times, head, body)
             self._cut_within_frame(Group.STATE)
         return RAW
+
+    def _add_stretches(self, head: bytes, times: tuple[int, int]) -> None:
+        """Add the stretches in which actors stood still that have ended since this was last done."""
+        body = wire.stretches(self._stretches)
+        self._stretch_count += len(self._stretches)
+        self._chunks[Group.EVENTS].add(self._stretches_channel, self._sequence, times, head, body)
+        self._stretches = []
 
     def _cut_within_frame(self, group: Group) -> None:
         """Cut a group's chunk, should a single frame make it too large to be read."""
@@ -276,6 +306,12 @@ class McapWriter(AtomicFile):
             self._write_chunk(self._sealed.popleft())
 
     def _finish(self) -> None:
+        if self._standing:
+            self._stretches += self._standing.finish()
+        if self._standing and self._stretches:
+            self._sequence += 1
+            time = self._clock.next()
+            self._add_stretches(wire.head(self._extent.last_id, self._extent.duration), (time, time))
         for group in Group:
             self._cut(group)
         self._settle(0)
@@ -377,6 +413,7 @@ class McapWriter(AtomicFile):
             "hero_ids": ",".join(map(str, self._heroes)),
             "additional_data": str(int(self._additional)),
             "steady_clock": str(int(self._clock.steady)),
+            **({STRETCHES: f"{STRETCH_TIME:g} {MIN_DISTANCE:g} {self._stretch_count}"} if self._standing else {}),
         }
 
     def _sync(self) -> None:

@@ -1,0 +1,231 @@
+"""Clips: a stretch of a recording as a recording of its own; one, or one for each incident."""
+
+from __future__ import annotations
+
+import math
+import warnings
+from dataclasses import replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Final, NamedTuple
+
+from carla_recap.conversion import check_destination
+from carla_recap.errors import RecapError, RecapWarning
+from carla_recap.formats import SUFFIXES, create_writer, open_reader
+from carla_recap.frame import LAST_FRAME_DURATION, Extent, Frame
+from carla_recap.lasting import Lasting
+from carla_recap.queries.incidents import incidents
+from carla_recap.recording import open_recording
+from carla_recap.replay.player import Player
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Iterable, Iterator, Sequence
+
+    from carla_recap.conversion import Progress
+    from carla_recap.formats.base import Reader
+    from carla_recap.frame import Header
+    from carla_recap.queries.incidents import Incident
+
+LONGEST: Final = 60.0
+"""Of an incident that is longer, the clip has so many seconds from its start."""
+
+_ROUNDING: Final = 1e-6  # s; a frame so little behind the stop is at the stop
+_LATEST_DATE: Final = (1 << 63) - 1
+
+
+def clip(
+    source: Path | str,
+    destination: Path | str,
+    *,
+    start: float,
+    duration: float = 0.0,
+    force: bool = False,
+    progress: Progress | None = None,
+) -> Extent:
+    """Write a stretch of a recording as a recording of its own.
+
+    The first frame is the one at or before the start, the last one that at or before the end. Elapsed times and frame
+    numbers begin anew, at 0 and at 1; the date is that of the first frame, in whole seconds. Actors keep their ids.
+
+    The first frame tells, besides its own records, what is still true of earlier ones: of all actors that are there their
+    spawns (with the pose that they have by then), parents, boxes, volumes, physics and open doors, the states and times of
+    traffic lights, the weather, and the lamps. In all other frames the packets are those of the source, byte for byte;
+    so the clocks in them (platform_time, visual_time) go on as they did.
+
+    Args:
+        source: A recording of any format.
+        destination: Where to write; the suffix says the format. It appears when it is complete.
+        start: Where to begin, in elapsed seconds; negative: so long before the end.
+        duration: How many seconds; 0: all of the rest.
+        force: Overwrite what is there.
+        progress: As in `convert`; is given the frames of the clip, and the reader of the source.
+
+    Returns:
+        How far the clip goes.
+
+    Raises:
+        RecapError: The start lies outside the recording, the source is damaged, or the destination cannot be written.
+    """
+    check_destination(source, destination, force=force)
+    reader = open_reader(source)
+    try:
+        window = Player(reader, start=start, duration=duration)
+        return _write(Lasting(reader), destination, window.start, window.stop if duration else math.inf, progress)
+    finally:
+        reader.close()
+
+
+class IncidentClip(NamedTuple):
+    """What was written for an incident.
+
+    Attributes:
+        incident: The incident; its times are those of the source.
+        recording: The clip.
+        rrd: The clip as Rerun's viewer opens it; None where that was not asked for.
+    """
+
+    incident: Incident
+    recording: Path
+    rrd: Path | None
+
+
+def clips(
+    source: Path | str,
+    folder: Path | str,
+    *,
+    collisions: bool = True,
+    blocked: bool = False,
+    braking: bool = False,
+    before: float = 5.0,
+    after: float = 5.0,
+    suffix: str = ".mcap",
+    rerun: bool = True,
+    limit: int = 100,
+    force: bool = False,
+    progress: Callable[[Sequence[Incident]], Iterable[Incident]] | None = None,
+) -> list[IncidentClip]:
+    """Write a clip of each incident, and an .rrd that follows its first actor.
+
+    Args:
+        source: A recording of any format.
+        folder: Where to write: a new folder, or an empty one. It appears when it is complete. The names of the files tell
+            what they show: `01-collision-21.3s-105-110.mcap`, with the ids of the actors.
+        collisions: Of each collision.
+        blocked: Of each vehicle and walker that stood still for long; see `LONGEST`.
+        braking: Of each vehicle that braked hard.
+        before: How many seconds before an incident a clip begins.
+        after: How many seconds after it a clip ends.
+        suffix: The format of the clips: .mcap or .log.
+        rerun: Write the .rrd files.
+        limit: Of more incidents than that, only the first ones get a clip; a warning says so.
+        force: Write into a folder that is not empty, over files of the same names.
+        progress: Is given the incidents, and passes them on.
+
+    Raises:
+        RecapError: The folder is not empty, a time or suffix makes no sense, or the source is damaged.
+        MissingExtra: Rerun is not installed.
+    """
+    from carla_recap.export.page.folder import check_folder, new_folder
+
+    if rerun:
+        from carla_recap.export.rerun import export_rerun  # before any work is done, should it be missing
+    if not (0 <= before < math.inf and 0 <= after < math.inf):
+        raise RecapError(
+            f"clips from {before:g} s before to {after:g} s after an incident cannot be cut; 0 or more were expected"
+        )
+    if suffix not in SUFFIXES:
+        raise RecapError(f"unknown format {suffix!r} of clips; the suffix must be one of {', '.join(SUFFIXES)}")
+    check_folder(folder, force=force)
+    reader = open_reader(source)
+    try:
+        found = _choose(reader, limit, collisions=collisions, blocked=blocked, braking=braking)
+        targets = [Path(folder, name) for name in _names(found, suffix)]
+        for target in targets:
+            check_destination(source, target, force=force)
+        lasting, written = Lasting(reader), []
+        with new_folder(folder) as room:
+            for incident, target in zip(progress(found) if progress else found, targets, strict=False):
+                stop = min(incident.stop, incident.start + LONGEST) + after
+                _write(lasting, room / target.name, max(0.0, incident.start - before), stop)
+                rrd = target.with_suffix(".rrd") if rerun else None
+                if rrd is not None:
+                    with open_recording(room / target.name) as recording:
+                        recording.reader.path = target  # where it will be when somebody reads of it
+                        export_rerun(recording, room / rrd.name, follow=_followed(incident))
+                written.append(IncidentClip(incident, target, rrd))
+        return written
+    finally:
+        reader.close()
+
+
+def _choose(reader: Reader, limit: int, *, collisions: bool, blocked: bool, braking: bool) -> list[Incident]:
+    """The incidents that get a clip: those at times that the recording has, up to some number."""
+    answer = incidents(reader, collisions=collisions, blocked=blocked, braking=braking)
+    found = [incident for incident in answer if 0 <= incident.start <= answer.extent.duration and incident.stop < math.inf]
+    if len(found) > limit:
+        warnings.warn(
+            f"{reader.path}: only the first {limit} of {len(found)} incidents get a clip", RecapWarning, stacklevel=3
+        )
+    return found[:limit]
+
+
+def _names(found: Sequence[Incident], suffix: str) -> Iterator[str]:
+    """Names of files, in the order of the incidents."""
+    width = max(2, len(str(len(found))))
+    for number, incident in enumerate(found, 1):
+        kind = incident.kind.replace(" ", "-")
+        yield "-".join((f"{number:0{width}}", kind, f"{incident.start:.1f}s", *map(str, incident.actors))) + suffix
+
+
+def _followed(incident: Incident) -> int | None:
+    """The actor to follow; None where nothing is known of it."""
+    return incident.actors[0] if incident.actors and incident.type_ids[0] else None
+
+
+def _write(lasting: Lasting, destination: Path | str, start: float, stop: float, progress: Progress | None = None) -> Extent:
+    reader = lasting.source
+    first = _first_frame(reader, start)
+    origin = first.elapsed if math.isfinite(first.elapsed) else 0.0
+    frames: Iterable[Frame] = _renumbered(_frames(lasting, first, stop), origin)
+    extent = Extent()
+    with create_writer(destination, _moved(reader.header, origin)) as writer:
+        for frame in progress(frames, reader) if progress else frames:
+            writer.write(frame)
+            extent = Extent(frame.index + 1, frame.id, frame.elapsed)
+    return extent
+
+
+def _first_frame(reader: Reader, start: float) -> Frame:
+    found = reader.frame_at(start)
+    if found is None or found.preamble:
+        found = next((frame for frame in reader.frames() if not frame.preamble), None)
+    if found is None:
+        raise RecapError(f"{reader.path}: the recording has no frames")
+    return found
+
+
+def _frames(lasting: Lasting, first: Frame, stop: float) -> Iterator[Frame]:
+    yield lasting.begin(first)
+    start = first.elapsed if math.isfinite(first.elapsed) else -math.inf
+    for frame in lasting.source.frames(start=start, stop=stop + _ROUNDING):
+        if frame.index > first.index:
+            yield frame
+
+
+def _renumbered(frames: Iterable[Frame], origin: float) -> Iterator[Frame]:
+    """Frames that count from 0 s and from 1; the last one without a duration, as CARLA leaves it."""
+    latest = None
+    for index, frame in enumerate(frames):
+        if latest is not None:
+            yield latest
+        latest = Frame(index, index + 1, frame.elapsed - origin, frame.duration, frame.packets)
+    if latest is not None:
+        latest.duration = LAST_FRAME_DURATION
+        yield latest
+
+
+def _moved(header: Header, seconds: float) -> Header:
+    """A header with a later date."""
+    date = header.date + math.floor(seconds)
+    if date == header.date or not -_LATEST_DATE <= date <= _LATEST_DATE:
+        return header
+    return replace(header, date=date, raw=None)

@@ -1,0 +1,97 @@
+"""An export to Foxglove: an MCAP file with the schemas that its panels show, and layouts that show them.
+
+| Topic          | Schema                       | What                                                                   |
+|----------------|------------------------------|------------------------------------------------------------------------|
+| `/scene`       | foxglove.SceneUpdate         | whoever has moved so far, all of them in each message                  |
+| `/scene/still` | foxglove.SceneUpdate         | whoever has not, and traffic lights; all of them whenever one changes  |
+| `/map`         | foxglove.SceneUpdate         | the road map, once; empty without one                                  |
+| `/tf`          | foxglove.FrameTransforms     | from `world` to `followed`, a calm and level frame, and to `hero`      |
+| `/hero`        | carla_recap.v1.Followed      | pose, speed and controls of the followed actor, in each frame          |
+| `/lights`      | carla_recap.v1.ShownLights   | the traffic light ahead of it, and all traffic lights                  |
+| `/log`         | foxglove.Log                 | what happens                                                           |
+
+Every message of a scene stands for itself: a viewer that leaps to a moment reads the latest message of each topic alone.
+Positions are in m, axes right-handed: x forward, y left, z up.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+from carla_recap.assets import viewer_folder
+from carla_recap.conversion import check_destination
+from carla_recap.recording import Recording
+from carla_recap.replay import Played, Player
+from carla_recap.texts import readable
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+    from carla_recap.formats.base import Reader
+    from carla_recap.maps import RoadMap
+    from carla_recap.replay import Follow
+    from carla_recap.replay.player import Progress
+
+__all__ = ["export_foxglove", "layout_files"]
+
+
+def export_foxglove(
+    source: Recording | Reader,
+    destination: Path | str,
+    *,
+    follow: Follow | None = None,
+    start: float = 0.0,
+    duration: float = 0.0,
+    road_map: RoadMap | None = None,
+    force: bool = False,
+    progress: Progress | None = None,
+) -> Played:
+    """Write a recording as an MCAP file for Foxglove and its relatives.
+
+    Args:
+        source: The recording.
+        destination: Where to write; it appears when it is complete.
+        follow: Whom the layouts follow: an id or "hero"; None: see `carla_recap.replay.choose_followed`.
+        start: Where to begin, in elapsed seconds; negative: so long before the end.
+        duration: How many seconds to export; 0: all of the rest.
+        road_map: The lines of the road, to be seen on `/map`.
+        force: Overwrite what is there.
+        progress: Is given the stream of scenes and their player, and passes the scenes on.
+
+    Returns:
+        How much was exported.
+
+    Raises:
+        MissingExtra: The extra `foxglove` is not installed.
+        RecapError: There is nothing at that time, nobody to follow, or the destination cannot be written.
+    """
+    from carla_recap.export.foxglove.file import McapFile
+    from carla_recap.export.foxglove.topics import TOPICS, Topics
+
+    reader = source.reader if isinstance(source, Recording) else source
+    check_destination(reader.path, destination, force=force)
+    player = Player(reader, start=start, duration=duration, follow=follow)
+    with McapFile(destination, TOPICS) as file:
+        file.describe("carla_recap.export", _description(reader, player))
+        topics = Topics(file, reader.header, player.followed, road_map)
+        scenes = player.scenes()
+        for scene in progress(scenes, player) if progress else scenes:
+            topics.write(scene)
+        return topics.end()
+
+
+def layout_files() -> list[Path]:
+    """The layouts for such a file: one for Foxglove, one for Lichtblick and Foxglove 1."""
+    return sorted((viewer_folder() / "foxglove").glob("*.json"))
+
+
+def _description(reader: Reader, player: Player) -> dict[str, str]:
+    header = reader.header
+    return {
+        "source": reader.path.name,
+        "map": readable(header.map_name),
+        "date": str(header.date),
+        "start": repr(player.start),
+        "stop": repr(player.stop),
+        "followed": "" if player.followed is None else str(player.followed),
+    }

@@ -1,0 +1,134 @@
+"""Entities of a 3D scene, serialized without an object for each of them in each frame.
+
+Of an entity only its pose and its time change from frame to frame, and these have a fixed size on the wire: they come last,
+behind a head that is made once. Protobuf's integers differ in length, so all are written with as many bytes as the largest
+needs, which every reader takes.
+"""
+
+from __future__ import annotations
+
+from itertools import accumulate
+from typing import TYPE_CHECKING, Final
+
+import numpy as np
+
+from carla_recap.export.foxglove.schemas import (
+    Color,
+    CubePrimitive,
+    SceneEntity,
+    SceneEntityDeletion,
+    SceneUpdate,
+    Vector3,
+)
+from carla_recap.formats.mcap.container import SECOND
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable
+
+    from numpy.typing import NDArray
+
+    from carla_recap.export.look import Color as Rgb
+
+    Floats = NDArray[np.float64]
+
+WORLD: Final = "world"
+CUBES: Final = SceneEntity.CUBES_FIELD_NUMBER
+SPHERES: Final = SceneEntity.SPHERES_FIELD_NUMBER
+
+# The end of an entity: pose, the last field of its primitive, with a tag before each number; and timestamp.
+_NUMBERS: Final = {
+    "x": b"\x0a\x43\x0a\x1b\x09",
+    "y": b"\x11",
+    "z": b"\x19",
+    "qx": b"\x12\x24\x09",
+    "qy": b"\x11",
+    "qz": b"\x19",
+    "qw": b"\x21",
+}
+_POSE: Final = b"".join(tag + bytes(8) for tag in _NUMBERS.values())
+_TIMESTAMP: Final = b"\x0a\x0c"  # and 12 bytes
+_TAIL: Final = np.dtype(
+    {
+        "names": list(_NUMBERS),
+        "formats": ["<f8"] * len(_NUMBERS),
+        "offsets": [end - 8 for end in accumulate(len(tag) + 8 for tag in _NUMBERS.values())],
+        "itemsize": len(_POSE) + len(_TIMESTAMP) + 12,
+    }
+)
+_LEN: Final = 2  # wire type
+
+
+def color(rgb: Rgb) -> Color:
+    """A colour of Foxglove's."""
+    red, green, blue = (part / 255 for part in rgb)
+    return Color(r=red, g=green, b=blue, a=1.0)
+
+
+def head(entity: SceneEntity, primitive: int, size: tuple[float, float, float], rgb: Rgb) -> bytes:
+    """An entity of a `SceneUpdate` with a primitive that moves, but for its end; see `tails`.
+
+    Args:
+        entity: What else there is of it, without a timestamp.
+        primitive: `CUBES` or `SPHERES`, which have the same fields.
+        size: Of the primitive, along each of its axes, in m.
+        rgb: Its colour.
+    """
+    start = entity.SerializeToString()
+    shape = CubePrimitive(size=Vector3(x=size[0], y=size[1], z=size[2]), color=color(rgb)).SerializeToString()
+    start += _prefix(primitive, len(shape) + len(_POSE)) + shape
+    return _prefix(SceneUpdate.ENTITIES_FIELD_NUMBER, len(start) + _TAIL.itemsize) + start
+
+
+def tails(positions: Floats, quaternions: Floats, time: int) -> bytes:
+    """The ends of entities, all of one size.
+
+    Args:
+        positions: Rows of x, y, z in m.
+        quaternions: Rows of x, y, z, w.
+        time: Nanoseconds since 1970.
+    """
+    data = bytearray((_POSE + _TIMESTAMP + _timestamp(time)) * len(positions))
+    rows = np.frombuffer(data, _TAIL)
+    # Numbers of less precision, far below what can be seen, make a smaller file.
+    with np.errstate(over="ignore"):
+        numbers = np.concatenate((positions, quaternions), axis=1).astype(np.float32)
+    for column, name in enumerate(_NUMBERS):
+        rows[name] = numbers[:, column]
+    return bytes(data)
+
+
+def update(heads: Iterable[bytes], tails: bytes, deleted: Iterable[str], time: int) -> bytes:
+    """A `SceneUpdate`.
+
+    Args:
+        heads: Of each entity its `head`.
+        tails: The ends of all of them.
+        deleted: Entities that are gone.
+        time: Nanoseconds since 1970.
+    """
+    parts: list[bytes] = []
+    gone = [SceneEntityDeletion(type=SceneEntityDeletion.MATCHING_ID, id=id) for id in deleted]
+    if gone:
+        for deletion in gone:
+            deletion.timestamp.FromNanoseconds(time)
+        parts.append(SceneUpdate(deletions=gone).SerializeToString())
+    size = _TAIL.itemsize
+    for place, start in enumerate(heads):
+        parts += (start, tails[place * size : (place + 1) * size])
+    return b"".join(parts)
+
+
+def _timestamp(time: int) -> bytes:
+    """The fields of a `google.protobuf.Timestamp`."""
+    seconds, nanoseconds = divmod(time, SECOND)
+    return b"\x08" + _varint(seconds) + b"\x10" + _varint(nanoseconds)
+
+
+def _prefix(field: int, size: int) -> bytes:
+    """What stands before a message in a field, one of the first fifteen."""
+    return bytes((field << 3 | _LEN,)) + _varint(size)
+
+
+def _varint(value: int) -> bytes:
+    """A number below 2³⁵, in 5 bytes."""
+    return bytes(value >> shift & 0x7F | 0x80 for shift in (0, 7, 14, 21)) + bytes((value >> 28,))

@@ -1,0 +1,135 @@
+"""Pictures of a Rerun recording, taken by Rerun's viewer where there is no display, nor a GPU."""
+
+from __future__ import annotations
+
+from contextlib import ExitStack
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from time import monotonic
+from typing import TYPE_CHECKING, Final, Self
+
+import rerun.blueprint as rrb
+from rerun.experimental import ViewerClient
+
+from carla_recap.errors import RecapError
+from carla_recap.export.program import HOST, LISTENING, Program
+from carla_recap.export.rerun import APPLICATION
+from carla_recap.export.rerun.stream import SIM_TIME
+
+if TYPE_CHECKING:
+    from types import TracebackType
+
+    from rerun.experimental import ViewerState
+
+Size = tuple[int, int]
+"""Width and height, in pixels."""
+
+SMALLEST: Final = 64
+LARGEST: Final = 4096
+
+_AROUND: Final = (7, 71)  # pixels of the window that surround a view
+_SETTLED: Final = 0.15  # s; for so long a picture must not change
+_UNSETTLED: Final = 10.0  # s; after which it is taken as it is
+
+
+class Photographer:
+    """Takes pictures of a recording, while a `with` block runs.
+
+    with Photographer("run.rrd", view=camera_views(player)["chase"]) as photographer:
+        Path("crash.png").write_bytes(photographer.take(24.6))
+
+    Args:
+        recording: The .rrd, or what else the viewer opens: a recording by its importer, the address of a server.
+        size: That of the pictures.
+        view: Show this alone; None: the whole window, as the recording's own blueprint arranges it.
+
+    Raises:
+        RecapError: No pictures of such a size can be taken.
+        MissingExtra: There is no viewer.
+    """
+
+    def __init__(self, recording: Path | str, size: Size = (1280, 720), *, view: rrb.Spatial3DView | None = None) -> None:
+        if not all(SMALLEST <= side <= LARGEST for side in size):
+            width, height = size
+            raise RecapError(f"{width} x {height}: the sides of a picture are from {SMALLEST} to {LARGEST} pixels")
+        self._recording = str(recording)
+        self._view = view
+        self._size = size
+
+    def __enter__(self) -> Self:
+        with ExitStack() as stack:
+            files: list[Path | str] = [self._recording]
+            width, height = self._size
+            if self._view is not None:
+                folder = stack.enter_context(TemporaryDirectory(prefix="carla-recap-"))
+                files.append(_save_alone(self._view, Path(folder)))
+                width, height = width + _AROUND[0], height + _AROUND[1]
+            program = Program("--headless", "--window-size", f"{width}x{height}", *files)
+            self._program = stack.enter_context(program)
+            self._client = ViewerClient.connect(f"rerun+http://{HOST}:{program.port(LISTENING)}/proxy")
+            state = program.wait_for("recording", self._loaded)
+            self._shown = None if self._view is None else state.views[0].view_id
+            self._stack = stack.pop_all()
+        return self
+
+    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None) -> None:
+        self._stack.close()
+
+    @property
+    def state(self) -> ViewerState:
+        """What the viewer shows.
+
+        Raises:
+            RecapError: It does not answer.
+        """
+        with self._program.answering():
+            return self._client.get_state()
+
+    def take(self, time: float) -> bytes:
+        """Take a picture.
+
+        Args:
+            time: Elapsed seconds.
+
+        Returns:
+            A PNG.
+
+        Raises:
+            RecapError: The viewer does not answer, or cannot draw what is there.
+        """
+        with self._program.answering():
+            self._client.set_time(SIM_TIME, duration=float(time), play_state="paused")
+            picture = self._settled_picture()
+        for view in self.state.views:
+            for report in view.reports:
+                if report.severity == "error":
+                    raise RecapError(f"{self._recording}: the Rerun viewer cannot draw it: {report.summary}")
+        return picture
+
+    def _settled_picture(self) -> bytes:
+        """What is shown once nothing changes any more: the viewer loads data when it has to show it."""
+        begun = since = monotonic()
+        picture = b""
+        while (now := monotonic()) - since < _SETTLED and now - begun < _UNSETTLED:
+            before, picture = picture, self._client.take_screenshot(self._shown)
+            if picture != before:
+                since = monotonic()
+        return picture
+
+    def _loaded(self) -> ViewerState | None:
+        try:
+            state = self.state
+        except RecapError:
+            return None  # it does not listen yet
+        ready = state.active_recording and state.views and not state.loading
+        if self._view is not None:
+            ready = ready and [view.name for view in state.views] == [self._view.name]
+        return state if ready else None
+
+
+def _save_alone(view: rrb.Spatial3DView, folder: Path) -> Path:
+    """A blueprint of one view, and nothing around it."""
+    path = folder / "view.rbl"
+    panels = (rrb.TopPanel, rrb.BlueprintPanel, rrb.SelectionPanel, rrb.TimePanel)
+    rrb.Blueprint(view, *(panel(state="hidden") for panel in panels)).save(APPLICATION, str(path))
+    return path

@@ -1,0 +1,18 @@
+"""Exports to Rerun: a recording as an .rrd that its viewer opens, arranged, with a camera behind the actor of interest.
+
+This package is the only one that needs Rerun; importing it without the extra raises `MissingExtra`.
+"""
+
+from __future__ import annotations
+
+from carla_recap.errors import MissingExtra
+
+try:
+    import rerun  # noqa: F401
+except ImportError:
+    raise MissingExtra("an export to Rerun", "rerun") from None
+
+from carla_recap.export.rerun.blueprint import View, blueprint, camera_views
+from carla_recap.export.rerun.writer import APPLICATION, export_rerun, write
+
+__all__ = ["APPLICATION", "View", "blueprint", "camera_views", "export_rerun", "write"]

@@ -1,0 +1,169 @@
+"""Actors as boxes in the world and as points on the map: they appear, move and disappear."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Final
+
+import numpy as np
+import rerun as rr
+
+from carla_recap.export import look
+from carla_recap.export.rerun import tree
+from carla_recap.export.rerun.cameras import Chase
+from carla_recap.export.rerun.stream import screen
+from carla_recap.export.rerun.tracks import Tracks
+from carla_recap.queries.actors import CM
+from carla_recap.records import ActorKind, Spawn
+from carla_recap.replay import Destroyed, Present, Spawned, quaternions, right_handed
+from carla_recap.replay.pose import LOCATION
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+    from carla_recap.export.rerun.stream import Moment, Stream
+    from carla_recap.export.rerun.tracks import Block
+    from carla_recap.replay import Scene
+    from carla_recap.replay.rows import Ids
+
+MOVERS: Final = (ActorKind.VEHICLE, ActorKind.WALKER)
+"""The kinds that are on the map and that a camera can follow."""
+
+_ON_MAP: Final = 3.0  # points of the screen
+_MARGIN: Final = 15.0  # m
+_EDGE: Final = (45, 48, 56)
+_ARROW: Final = (235, 240, 250)
+
+
+class Actors:
+    """Writes all actors.
+
+    Args:
+        stream: Where to.
+        followed: Whom the camera follows: its name is always shown.
+        roads: Whether there are roads on the map.
+        cameras: Whether every other vehicle and walker gets a camera that follows it, too.
+    """
+
+    def __init__(self, stream: Stream, followed: int | None, *, roads: bool, cameras: bool) -> None:
+        self._stream = stream
+        self._followed = followed
+        self._roads = roads
+        self._cameras: dict[int, Chase] | None = {} if cameras else None
+        self._drawn: set[int] = set()
+        self._extent = np.array((np.inf, np.inf, -np.inf, -np.inf))  # of the map: least and greatest x and y
+        self._colors: dict[int, int] = {}  # of those on the map, and those that went since the last block
+        self._tracks = Tracks()
+        self._ids: Ids | None = None
+        stream.always(tree.WORLD, rr.ViewCoordinates.RIGHT_HAND_Z_UP)
+        stream.always(tree.MAP_ACTORS, rr.Points2D.from_fields(radii=screen(_ON_MAP)))
+
+    def enter(self, scene: Scene, moment: Moment) -> None:
+        """Take a scene in."""
+        born = []
+        for event in scene.events:
+            if isinstance(event, Spawned):
+                self._draw(event.actor, scene, moment)
+                born.append(event.actor.id)
+            elif isinstance(event, Destroyed):
+                self._erase(event.id, moment)
+        if scene.ids is not self._ids:
+            self._ids = scene.ids
+            for id in set(scene.ids.tolist()) - self._drawn:
+                self._draw(Present(Spawn(id), scene.time), scene, moment)
+        self._tracks.add(scene, moment, born)
+        if self._tracks.full:
+            self._flush()
+
+    def close(self) -> None:
+        """Write what is held back, and where there are no roads, an edge around the map, so that it keeps its scale."""
+        self._flush()
+        if not self._roads and np.isfinite(self._extent).all():
+            left, top, right, bottom = self._extent + np.array((-_MARGIN, -_MARGIN, _MARGIN, _MARGIN))
+            corners = [(left, top), (right, top), (right, bottom), (left, bottom), (left, top)]
+            self._stream.always(tree.MAP_EDGE, rr.LineStrips2D([corners], colors=[_EDGE], radii=screen(0.5)))
+
+    def _flush(self) -> None:
+        block = self._tracks.take()
+        if block is not None:
+            self._move(block)
+            self._map(block)
+            if self._cameras is not None:
+                self._follow(block)
+        self._colors = {id: color for id, color in self._colors.items() if id in self._drawn}
+
+    def _draw(self, actor: Present, scene: Scene, moment: Moment) -> None:
+        path = tree.actor(actor.id)
+        if actor.id in self._drawn:
+            self._stream.clear(path, moment)
+        self._drawn.add(actor.id)
+        self._colors.pop(actor.id, None)
+        if actor.kind in MOVERS:
+            red, green, blue = look.color_of(actor)
+            self._colors[actor.id] = red << 24 | green << 16 | blue << 8 | 255
+        box = look.box_of(actor)
+        center = (box.x, box.y, box.z)
+        half = (box.extent_x, box.extent_y, box.extent_z)
+        boxes = rr.Boxes3D(
+            centers=[center],
+            half_sizes=[half],
+            colors=[look.color_of(actor)],
+            labels=[look.label_of(actor)],
+            show_labels=actor.is_hero or actor.id == self._followed,
+            fill_mode="majorwireframe" if actor.kind == ActorKind.SENSOR else "solid",
+        )
+        archetypes: list[rr.AsComponents] = [boxes]
+        if actor.kind == ActorKind.VEHICLE:
+            archetypes.append(_arrow(np.array(center), np.array(half)))
+        if scene.place_of(actor.id) is None:
+            archetypes.append(_place(actor))
+        self._stream.log(path, moment, *archetypes)
+
+    def _erase(self, id: int, moment: Moment) -> None:
+        if id in self._drawn:
+            self._drawn.remove(id)
+            self._stream.clear(tree.actor(id), moment)
+
+    def _move(self, block: Block) -> None:
+        for id, times, transforms in block.tracks():
+            self._stream.transforms(tree.actor(id), times, transforms)
+
+    def _map(self, block: Block) -> None:
+        shown = [place for place, id in enumerate(block.ids.tolist()) if id in self._colors]
+        colors = np.array([self._colors[id] for id in block.ids[shown].tolist()], np.uint32)
+        there = block.there[1:, shown]
+        places = block.poses[1:, shown, :2][there] * CM
+        if len(places):
+            low, high = np.split(self._extent, 2)
+            self._extent = np.concatenate((np.minimum(low, places.min(axis=0)), np.maximum(high, places.max(axis=0))))
+        columns = rr.Points2D.columns(
+            positions=places.astype(np.float32), colors=np.broadcast_to(colors, there.shape)[there]
+        )
+        lengths = there.sum(axis=1)
+        self._stream.columns(
+            tree.MAP_ACTORS, block.times.take(slice(1, None)), [column.partition(lengths) for column in columns]
+        )
+
+    def _follow(self, block: Block) -> None:
+        assert self._cameras is not None
+        times = block.times.take(slice(1, None))
+        for place, id in enumerate(block.ids.tolist()):
+            if id in self._colors and id != self._followed:
+                camera = self._cameras.setdefault(id, Chase(self._stream, tree.camera(id)))
+                camera.move(times, block.poses[1:, place], np.flatnonzero(block.there[1:, place]))
+
+
+def _place(actor: Present) -> rr.Transform3D:
+    """Where an actor without recorded poses is: where it was spawned, or fixed to its parent."""
+    pose = right_handed(actor.spawn_pose)
+    upon = tree.actor(actor.parent) if actor.attached and actor.parent is not None else None
+    return rr.Transform3D(
+        translation=pose[LOCATION],
+        quaternion=rr.Quaternion(xyzw=quaternions(pose)),
+        parent_frame=f"tf#{upon}" if upon else None,
+    )
+
+
+def _arrow(center: NDArray[np.float64], half: NDArray[np.float64]) -> rr.LineStrips3D:
+    """An angle on the roof that points forward."""
+    corners = np.array([(0.35, 0.75, 1.0), (0.85, 0.0, 1.0), (0.35, -0.75, 1.0)])
+    return rr.LineStrips3D([center + corners * half + np.array((0, 0, 0.03))], colors=[_ARROW], radii=[0.06])

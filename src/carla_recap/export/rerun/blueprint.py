@@ -1,0 +1,131 @@
+"""How the viewer arranges a recording: the followed actor large, beside it the map, its plots, the lights and the log."""
+
+from __future__ import annotations
+
+import math
+from typing import Final, Literal
+
+import numpy as np
+import rerun as rr
+import rerun.blueprint as rrb
+
+from carla_recap.export import look
+from carla_recap.export.rerun import tree
+from carla_recap.export.rerun.stream import FRAME, SIM_TIME
+from carla_recap.queries.actors import CM
+from carla_recap.replay import Player, camera, right_handed
+from carla_recap.replay.pose import LOCATION
+
+View = Literal["chase", "top"]
+"""From behind and above, or from straight above."""
+
+_TRAIL: Final = 4.0  # s
+_TRAIL_FRAMES: Final = 80
+_NEAREST: Final = 30.0  # m; an overview is of no less
+
+
+def blueprint(player: Player, *, view: View = "chase", followed: int | None = None) -> rrb.Blueprint:
+    """The arrangement of views for a recording.
+
+    Args:
+        player: Plays it.
+        view: Which of the two cameras is shown first; the other one is a tab beside it.
+        followed: Whom they follow; None: the one that the player follows, and where that is nobody, they stand still.
+            Anybody else needs the axes that `write` adds with `cameras`.
+    """
+    cameras = camera_views(player, followed=followed)
+    beside: list[rrb.View | rrb.Container] = [
+        rrb.Spatial2DView(origin=tree.MAP, name="Map", background=[*look.BACKGROUND, 255])
+    ]
+    if player.followed is not None:
+        beside.append(rrb.Vertical(*_plots(player.followed)))
+    return rrb.Blueprint(
+        rrb.Vertical(
+            rrb.Horizontal(
+                rrb.Tabs(*cameras.values(), active_tab=list(cameras).index(view)),
+                rrb.Vertical(*beside),
+                column_shares=[5, 2],
+            ),
+            rrb.Horizontal(
+                rrb.StateTimelineView(origin=tree.STATES, name="Traffic lights"),
+                rrb.TextLogView(
+                    origin=tree.EVENTS,
+                    name="Events",
+                    columns=rrb.TextLogColumns(timeline_columns=[SIM_TIME], text_log_columns=["loglevel", "body"]),
+                ),
+            ),
+            row_shares=[3, 1],
+        ),
+        rrb.BlueprintPanel(state="collapsed"),
+        rrb.SelectionPanel(state="collapsed"),
+        rrb.TimePanel(state="collapsed", timeline=SIM_TIME),
+    )
+
+
+def camera_views(player: Player, *, followed: int | None = None) -> dict[View, rrb.Spatial3DView]:
+    """The views of both cameras; see `blueprint`."""
+    followed = player.followed if followed is None else followed
+    if followed is None:
+        (x, y, z), radius = _extent(player)
+        return {
+            "chase": _view("Overview", tree.WORLD, (x - 1.5 * radius, y, z + 1.2 * radius), (x, y, z), (0, 0, 1)),
+            "top": _view("Top", tree.WORLD, (x, y, z + 2.2 * radius), (x, y, z), (0, 1, 0)),
+        }
+    axes, whom = (tree.CHASE, "") if followed == player.followed else (tree.camera(followed), f" {followed}")
+    back, up = camera.CHASE_BACK * CM, camera.CHASE_UP * CM
+    ahead = up + back * math.tan(math.radians(camera.CHASE_PITCH))
+    return {
+        "chase": _view(f"Chase{whom}", axes, (-back, 0, up), (0, 0, ahead), (0, 0, 1), followed),
+        "top": _view(f"Top{whom}", axes, (0, 0, camera.TOP_UP * CM), (0, 0, 0), (1, 0, 0), followed),
+    }
+
+
+def _plots(id: int) -> tuple[rrb.TimeSeriesView, rrb.TimeSeriesView]:
+    no_legend = rrb.PlotLegend(visible=False)  # it would cover the lines
+    return (
+        rrb.TimeSeriesView(origin=tree.SPEED, name=f"Speed of {id} (km/h)", plot_legend=no_legend),
+        rrb.TimeSeriesView(
+            origin=tree.CONTROLS,
+            name="Throttle (green), brake (red), steer (blue)",
+            axis_y=rrb.ScalarAxis(range=(-1.05, 1.05)),
+            plot_legend=no_legend,
+        ),
+    )
+
+
+def _view(
+    name: str,
+    origin: str,
+    position: tuple[float, float, float],
+    target: tuple[float, float, float],
+    up: tuple[float, float, float],
+    followed: int | None = None,
+) -> rrb.Spatial3DView:
+    now = rr.TimeRangeBoundary.cursor_relative()
+    trail = rrb.VisibleTimeRanges(
+        [
+            rr.VisibleTimeRange(SIM_TIME, start=rr.TimeRangeBoundary.cursor_relative(seconds=-_TRAIL), end=now),
+            rr.VisibleTimeRange(FRAME, start=rr.TimeRangeBoundary.cursor_relative(seq=-_TRAIL_FRAMES), end=now),
+        ]
+    )
+    return rrb.Spatial3DView(
+        origin=origin,
+        contents=f"{tree.WORLD}/**",
+        name=name,
+        background=[*look.BACKGROUND, 255],
+        line_grid=False,
+        eye_controls=rrb.EyeControls3D(position=position, look_target=target, eye_up=up),
+        overrides={tree.trail(followed): trail} if followed is not None else None,
+    )
+
+
+def _extent(player: Player) -> tuple[list[float], float]:
+    """Where everything is when it begins: the middle, and how far it goes from there; in m, right-handed."""
+    scene = Player(player.reader).at(player.start)
+    poses = [pose for id in {*scene.ids.tolist(), *scene.actors} if (pose := scene.pose_of(id)) is not None]
+    places = right_handed(np.array(poses).reshape(-1, 6))[:, LOCATION]
+    places = places[np.isfinite(places).all(axis=1)]
+    if not len(places):
+        return [0.0, 0.0, 0.0], _NEAREST
+    low, high = places.min(axis=0), places.max(axis=0)
+    return ((low + high) / 2).tolist(), max(_NEAREST, float(np.linalg.norm(high - low)) / 2)

@@ -1,0 +1,111 @@
+"""A picture of a moment, drawn by Rerun's viewer without a display and without a GPU."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from typing import TYPE_CHECKING, Final
+
+from carla_recap.conversion import check_destination
+from carla_recap.errors import RecapError
+from carla_recap.export.headless import Photographer, Size
+from carla_recap.export.rerun import View, camera_views, export_rerun
+from carla_recap.formats.atomic import AtomicFile
+from carla_recap.recording import Recording
+from carla_recap.replay import Player
+
+if TYPE_CHECKING:
+    from carla_recap.formats.base import Reader
+    from carla_recap.maps import RoadMap
+    from carla_recap.replay.follow import Follow
+
+_LEAD: Final = 5.0  # s; of what came before, a picture shows the trail
+_SHORTEST: Final = 1e-3  # s; no duration at all would be all of the recording
+
+
+def snapshot(
+    source: Recording | Reader,
+    destination: Path | str,
+    *,
+    at: float,
+    follow: Follow | None = None,
+    view: View = "chase",
+    road_map: RoadMap | None = None,
+    size: Size = (1280, 720),
+    force: bool = False,
+) -> None:
+    """Write a picture of a moment.
+
+    Args:
+        source: The recording.
+        destination: The .png; it appears when it is complete.
+        at: The moment, in elapsed seconds; negative: so long before the end.
+        follow: Whom the camera follows: an id or "hero"; None: see `choose_followed`, of the seconds before.
+        view: From behind, or from above.
+        road_map: The map of the town.
+        size: Width and height, in pixels.
+        force: Overwrite what is there.
+
+    Raises:
+        RecapError: There is no such moment or actor, the destination cannot be written, or the viewer cannot draw here.
+        FormatError: The file contradicts its format.
+    """
+    reader = source.reader if isinstance(source, Recording) else source
+    path = Path(destination)
+    if path.suffix.lower() != ".png":
+        raise RecapError(f"{path}: a picture is written as .png")
+    check_destination(reader.path, path, force=force)
+    with _PictureFile(path) as file:
+        file.write(picture(reader, at=at, follow=follow, view=view, road_map=road_map, size=size))
+
+
+def picture(
+    source: Recording | Reader,
+    *,
+    at: float,
+    follow: Follow | None = None,
+    view: View = "chase",
+    road_map: RoadMap | None = None,
+    size: Size = (1280, 720),
+) -> bytes:
+    """Take a picture of a moment.
+
+    Args:
+        source: The recording.
+        at: See `snapshot`, as for all that follow.
+        follow: Whom.
+        view: From where.
+        road_map: The map of the town.
+        size: Width and height.
+
+    Returns:
+        A PNG.
+
+    Raises:
+        RecapError: There is no such moment or actor, or the viewer cannot draw here.
+        FormatError: The file contradicts its format.
+    """
+    moment = Player(source, start=at).start
+    start = max(0.0, moment - _LEAD)
+    duration = max(moment - start, _SHORTEST)
+    player = Player(source, start=start, duration=duration, follow=follow)
+    followed = player.followed
+    if follow is not None and followed not in player.at(moment).ids:
+        raise RecapError(f"{player.reader.path}: actor {followed} cannot be followed at {moment:g} s: it is not there")
+    with TemporaryDirectory(prefix="carla-recap-") as folder:
+        window = Path(folder) / "window.rrd"
+        export_rerun(source, window, follow=followed, start=start, duration=duration, road_map=road_map)
+        with Photographer(window, size, view=camera_views(player)[view]) as photographer:
+            return photographer.take(moment)
+
+
+class _PictureFile(AtomicFile):
+    """A picture, which appears under its name only when it is complete."""
+
+    def __init__(self, path: Path) -> None:
+        super().__init__(path)
+        self._begin(lambda: None)
+
+    def write(self, data: bytes) -> None:
+        """Add its content."""
+        self._put(data)

@@ -1,0 +1,34 @@
+"""Lines on their way from one process to another: as the bytes of an .npz."""
+
+from __future__ import annotations
+
+from io import BytesIO
+from typing import TYPE_CHECKING, Any, Final
+
+import numpy as np
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+    Lines = dict[str, list[NDArray[np.float64]]]
+
+
+_SIZES: Final = ".sizes"
+
+
+def pack(lines: Lines) -> bytes:
+    """Lists of lines, (n, 3) each, by name, as bytes."""
+    arrays: dict[str, Any] = {}
+    for name, group in lines.items():
+        arrays[name] = np.concatenate([np.empty((0, 3)), *group])
+        arrays[name + _SIZES] = np.array([len(line) for line in group], np.int64)
+    file = BytesIO()
+    np.savez(file, **arrays)
+    return file.getvalue()
+
+
+def unpack(data: bytes) -> Lines:
+    """The lists of lines again."""
+    with np.load(BytesIO(data)) as arrays:
+        names = [name for name in arrays.files if not name.endswith(_SIZES)]
+        return {name: np.split(arrays[name], np.cumsum(arrays[name + _SIZES]))[:-1] for name in names}

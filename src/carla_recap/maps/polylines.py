@@ -1,0 +1,185 @@
+"""Lines and areas as arrays of points: fewer points, fewer lines, and what is at the edge."""
+
+from __future__ import annotations
+
+from collections import defaultdict
+from typing import TYPE_CHECKING, Final
+
+import numpy as np
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable, Iterator, Sequence
+
+    from numpy.typing import NDArray
+
+    Floats = NDArray[np.float64]
+    Integers = NDArray[np.int64]
+    Corner = tuple[int, int]
+
+TOLERANCE: Final = 0.03  # m
+_TOUCH: Final = 0.05  # m: ends this near are one
+_CELL: Final = 0.25  # m
+_MOST_CELLS: Final = 2000  # along a side
+_AROUND: Final = np.array([(x, y) for x in (-1, 0, 1) for y in (-1, 0, 1)])
+_SMALLEST_AREA: Final = 4.0  # square metres
+_LARGEST_HOLE: Final = 100.0  # square metres: less than a roundabout's island
+
+
+def simplify(line: Floats, tolerance: float = TOLERANCE) -> Floats:
+    """A line without the points that it does not need (Douglas and Peucker).
+
+    Args:
+        line: The points, (n, 2) or (n, 3).
+        tolerance: How far the line may move, in m.
+    """
+    keep = np.zeros(len(line), np.bool_)
+    keep[[0, -1]] = True
+    spans = [(0, len(line) - 1)]
+    while spans:
+        first, last = spans.pop()
+        if last - first < 2:
+            continue
+        distances = distances_to(line[first + 1 : last], line[first], line[last])
+        worst = int(distances.argmax())
+        if distances[worst] > tolerance:
+            middle = first + 1 + worst
+            keep[middle] = True
+            spans += (first, middle), (middle, last)
+    return line[keep]
+
+
+def distances_to(points: Floats, start: Floats, stop: Floats) -> Floats:
+    """How far points are from a straight line between two places."""
+    along = stop - start
+    share = (points - start) @ along / max(float(along @ along), np.finfo(float).tiny)
+    nearest = start + np.clip(share, 0.0, 1.0)[:, None] * along
+    distances: Floats = np.linalg.norm(points - nearest, axis=1)
+    return distances
+
+
+def join(lines: Sequence[Floats]) -> list[Floats]:
+    """Longer lines, of those of which one begins where the other ends, and no third one does either."""
+    starts, stops = defaultdict(list), defaultdict(list)
+    for number, line in enumerate(lines):
+        starts[_spot(line[0])].append(number)
+        stops[_spot(line[-1])].append(number)
+    after = {
+        before[0]: starts[spot][0]
+        for spot, before in stops.items()
+        if len(before) == 1 and len(starts.get(spot, ())) == 1 and before != starts[spot]
+    }
+    heads = set(range(len(lines))) - set(after.values())
+    joined, used = [], set()
+    for number in [*sorted(heads), *range(len(lines))]:  # what is left after the heads goes in a ring
+        chain: list[Floats] = []
+        following: int | None = number
+        while following is not None and following not in used:
+            used.add(following)
+            chain.append(lines[following] if not chain else lines[following][1:])
+            following = after.get(following)
+        if chain:
+            joined.append(np.concatenate(chain))
+    return joined
+
+
+def _spot(point: Floats) -> tuple[int, ...]:
+    return tuple(np.rint(point / _TOUCH).astype(np.int64).tolist())
+
+
+class Surface:
+    """The ground that points cover, as cells of a grid; small holes are filled.
+
+    Args:
+        points: (n, 2), in m, less than half a cell apart where there is no hole.
+    """
+
+    def __init__(self, points: Floats) -> None:
+        extent = float(np.ptp(points, axis=0).max())
+        self._cell = max(_CELL, extent / _MOST_CELLS)
+        self._origin = points.min(axis=0) - 2 * self._cell
+        cells = self._cells(points)
+        covered = np.zeros(cells.max(axis=0) + 3, np.bool_)  # with an empty rim
+        covered[cells[:, 0], cells[:, 1]] = True
+        loops = list(_loops(_edges(covered)))
+        least, most = _SMALLEST_AREA / self._cell**2, _LARGEST_HOLE / self._cell**2
+        self._outer = [loop for loop in loops if _area(loop) > least]
+        filled = _fill([*self._outer, *(loop for loop in loops if _area(loop) < -most)], covered.shape)
+        self._inner = filled.copy()
+        for shift in _AROUND:
+            self._inner &= np.roll(filled, shift, (0, 1))
+
+    def covers(self, points: Floats) -> NDArray[np.bool_]:
+        """Which points lie within the surface, and not at its edge; (n, 2)."""
+        cells = self._cells(points)
+        known = self._knows(cells)
+        covered = np.zeros(len(points), np.bool_)
+        covered[known] = self._inner[cells[known, 0], cells[known, 1]]
+        return covered
+
+    def cover(self, points: Floats) -> None:
+        """Let the surface cover points, (n, 2), and what is around them; its outlines stay."""
+        cells = (self._cells(points)[:, None] + _AROUND).reshape(-1, 2)
+        cells = cells[self._knows(cells)]
+        self._inner[cells[:, 0], cells[:, 1]] = True
+
+    def outlines(self) -> list[Floats]:
+        """The outer edges: closed lines, (n, 2), counterclockwise, to about a cell."""
+        outlines = []
+        for loop in self._outer:
+            middles = (loop[:-1] + loop[1:]) / 2  # of the sides of the cells: this smooths the stairs
+            closed = np.concatenate((middles, middles[:1])) * self._cell + self._origin
+            outlines.append(simplify(closed, 0.8 * self._cell))
+        return outlines
+
+    def _cells(self, points: Floats) -> Integers:
+        cells: Integers = np.floor((points - self._origin) / self._cell).astype(np.int64)
+        return cells
+
+    def _knows(self, cells: Integers) -> NDArray[np.bool_]:
+        known: NDArray[np.bool_] = np.all((cells >= 0) & (cells < self._inner.shape), axis=1)
+        return known
+
+
+def _edges(filled: NDArray[np.bool_]) -> dict[Corner, list[Corner]]:
+    """The sides of filled cells next to empty ones, from corner to corner, with the filled cell on the left."""
+    edges = defaultdict(list)
+    for (dx, dy), (x1, y1), (x2, y2) in (
+        ((0, -1), (0, 0), (1, 0)),
+        ((1, 0), (1, 0), (1, 1)),
+        ((0, 1), (1, 1), (0, 1)),
+        ((-1, 0), (0, 1), (0, 0)),
+    ):
+        bare = filled & ~np.roll(filled, (-dx, -dy), (0, 1))
+        for x, y in np.argwhere(bare).tolist():
+            edges[x + x1, y + y1].append((x + x2, y + y2))
+    return edges
+
+
+def _loops(edges: dict[Corner, list[Corner]]) -> Iterator[Integers]:
+    """The closed lines that edges make; the edges are used up."""
+    while edges:
+        corner = next(iter(edges))
+        loop = [corner]
+        while corner in edges:
+            following = edges[corner].pop()
+            if not edges[corner]:
+                del edges[corner]
+            corner = following
+            loop.append(corner)
+        yield np.array(loop)
+
+
+def _area(loop: Integers) -> float:
+    """The area within a closed line; negative where the line goes clockwise, around a hole."""
+    x, y = loop.T
+    return float(np.sum(x[:-1] * y[1:] - x[1:] * y[:-1])) / 2
+
+
+def _fill(loops: Iterable[Integers], shape: tuple[int, ...]) -> NDArray[np.bool_]:
+    """The cells within closed lines."""
+    turns = np.zeros(shape, np.int64)
+    for loop in loops:
+        upwards = np.diff(loop[:, 1])
+        np.add.at(turns, (loop[:-1, 0], np.minimum(loop[:-1, 1], loop[1:, 1])), -upwards)
+    filled: NDArray[np.bool_] = np.cumsum(turns, axis=0) > 0
+    return filled

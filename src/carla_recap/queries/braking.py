@@ -1,0 +1,297 @@
+"""Which vehicles brake hard, when, and where.
+
+The deceleration at a moment is the slope of a straight line through the speeds around it, so that a single wrong one counts
+for little; and it must last, so that what stops at once (in a crash, by a teleport) is not taken for braking.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Final, NamedTuple
+
+import numpy as np
+
+from carla_recap.queries.actors import CM
+
+if TYPE_CHECKING:
+    from collections.abc import Collection
+
+    from numpy.typing import NDArray
+
+    from carla_recap.formats.base import Reader
+    from carla_recap.frame import Frame
+
+    Floats = NDArray[np.float64]
+    Booleans = NDArray[np.bool_]
+
+HALF_WINDOW: Final = 0.125  # s; the speeds around a moment are those so long before and after it
+SHORTEST: Final = 0.3  # s
+_FEWEST: Final = 3  # moments of a braking
+_GAP: Final = 1.0  # s; what comes later goes on with nothing
+_JUMP: Final = 5.0  # m; whatever is shorter is no jump
+_TOP_SPEED: Final = 100.0  # m/s; what is faster is a jump, where the velocity is not recorded
+_SLACK: Final = 3.0  # a jump is longer than so many times the way that the recorded velocity explains
+_ROUNDING: Final = 1e-6  # s
+
+_BLOCK: Final = 100_000  # rows that are taken together
+_MARGIN: Final = 16  # frames that a block shares with its neighbour
+
+
+class Braking(NamedTuple):
+    """A vehicle brakes.
+
+    Attributes:
+        id: The vehicle.
+        start: When it begins, in elapsed seconds.
+        stop: When it ends.
+        x, y, z: Where it begins, in cm, left-handed.
+        speed: How fast the vehicle is then over the ground, in m/s.
+    """
+
+    id: int
+    start: float
+    stop: float
+    x: float
+    y: float
+    z: float
+    speed: float
+
+
+def hard_braking(source: Reader, vehicles: Collection[int], deceleration: float) -> list[Braking]:
+    """When vehicles brake hard for a while.
+
+    Speeds are those recorded, and where there is none, the slope of the positions.
+
+    Args:
+        source: The recording.
+        vehicles: The ids to look at.
+        deceleration: In m/s²; what is more is hard.
+
+    Returns:
+        By id, then start.
+
+    Raises:
+        FormatError: The file contradicts its format.
+    """
+    watch = _Watch(vehicles, deceleration)
+    for frame in source.frames(("transforms", "velocities")):
+        watch.frame(frame)
+    return watch.finish()
+
+
+class _Watch:
+    """Gathers the rows of vehicles frame by frame, and looks at them in blocks.
+
+    Args:
+        vehicles: The ids to look at.
+        deceleration: What is hard, in m/s².
+    """
+
+    def __init__(self, vehicles: Collection[int], deceleration: float) -> None:
+        self._vehicles = np.array(sorted(vehicles), np.uint32)
+        self._deceleration = deceleration
+        self._poses = _Rows(self._vehicles)
+        self._velocities = _Rows(self._vehicles)
+        self._elapsed: list[float] = []  # of the frames of the block
+        self._first = 0  # the number of the block's first frame
+        self._done = 0  # the number of the first frame that is not looked at yet
+        self._runs: list[NDArray[np.void]] = []
+
+    def frame(self, frame: Frame) -> None:
+        """Take in a frame."""
+        poses = frame["transforms"]
+        if not len(poses):
+            return
+        self._poses.add(poses)
+        self._velocities.add(frame["velocities"])
+        self._elapsed.append(frame.elapsed)
+        if self._poses.count >= _BLOCK and len(self._elapsed) > 4 * _MARGIN:
+            self._look(len(self._elapsed) - _MARGIN)
+
+    def finish(self) -> list[Braking]:
+        """All that was seen."""
+        if self._poses.count:
+            self._look(len(self._elapsed))
+        if not self._runs:
+            return []
+        runs = np.concatenate(self._runs)
+        runs = runs[np.lexsort((runs["first"], runs["id"]))]
+        runs = _joined(runs, runs["first"][1:] == runs["last"][:-1] + 1)
+        lengths = runs["stop"] - runs["start"]
+        runs = runs[(lengths >= SHORTEST - _ROUNDING) & (runs["last"] - runs["first"] >= _FEWEST - 1)]
+        runs = _joined(runs, runs["start"][1:] - runs["stop"][:-1] < _GAP)
+        return [Braking(*run) for run in runs[list(Braking._fields)].tolist()]
+
+    def _look(self, until: int) -> None:
+        """Look at the frames of the block up to some place; its last ones stay for the next block."""
+        with np.errstate(all="ignore"):
+            track = _Track(*self._poses.table(), *self._velocities.table(), np.array(self._elapsed))
+            hard = track.deceleration() >= self._deceleration
+            hard &= (track.frame >= self._done - self._first) & (track.frame < until)
+            self._runs.append(track.runs(hard, self._first))
+        self._done = self._first + until
+        kept = max(until - _MARGIN, 0)
+        self._poses.forget(kept)
+        self._velocities.forget(kept)
+        del self._elapsed[:kept]
+        self._first += kept
+
+
+class _Rows:
+    """The rows of vehicles in the packets of a type, one packet per frame.
+
+    Attributes:
+        count: How many there are.
+    """
+
+    def __init__(self, vehicles: NDArray[np.uint32]) -> None:
+        self.count = 0
+        self._vehicles = vehicles
+        self._parts: list[NDArray[np.void]] = []
+        self._key = b""
+        self._places: NDArray[np.intp] = np.zeros(0, np.intp)
+
+    def add(self, records: NDArray[np.void]) -> None:
+        """Take in a frame's packet."""
+        key = records["id"].tobytes()
+        if key != self._key:
+            self._key = key
+            self._places = np.flatnonzero(np.isin(records["id"], self._vehicles))
+        part = records[self._places]
+        self._parts.append(part)
+        self.count += len(part)
+
+    def table(self) -> tuple[NDArray[np.void], NDArray[np.intp]]:
+        """All rows, and the place of each one's frame; ordered by id, then frame, of which the last row counts."""
+        rows = np.concatenate(self._parts)
+        frames = np.repeat(np.arange(len(self._parts)), [len(part) for part in self._parts])
+        order = np.argsort(rows["id"], kind="stable")
+        rows, frames = rows[order], frames[order]
+        last = np.append((np.diff(frames) != 0) | (np.diff(rows["id"]) != 0), True)[: len(rows)]
+        return rows[last], frames[last]
+
+    def forget(self, count: int) -> None:
+        """Drop the first frames."""
+        self.count -= sum(map(len, self._parts[:count]))
+        del self._parts[:count]
+
+
+_RUN: Final = np.dtype(
+    [("first", "i8"), ("last", "i8"), ("id", "u4")] + [(name, "f8") for name in Braking._fields if name != "id"]
+)
+
+
+class _Track:
+    """The ways of vehicles in some frames, one behind the other.
+
+    Args:
+        poses: Their transforms, by id, then frame.
+        frame: The frame of each.
+        velocities: Recorded velocities, in the same order.
+        velocity_frame: The frame of each.
+        elapsed: The elapsed seconds of each frame.
+    """
+
+    def __init__(
+        self,
+        poses: NDArray[np.void],
+        frame: NDArray[np.intp],
+        velocities: NDArray[np.void],
+        velocity_frame: NDArray[np.intp],
+        elapsed: Floats,
+    ) -> None:
+        self.frame = frame
+        self._poses = poses
+        self._time = elapsed[frame]
+        self._place = np.stack([poses[axis].astype(np.float64) * CM for axis in "xyz"])
+        recorded = _speeds(poses["id"], frame, velocities, velocity_frame)
+        self._goes_on = self._connected(recorded)  # from each row to the next one
+        # A clock on which rows that do not belong together are far apart.
+        steps = np.where(self._goes_on, np.diff(self._time), 2 * _GAP)
+        self._clock = np.concatenate(([0.0], np.cumsum(steps)))[: len(frame)]
+        self._speed = np.where(np.isnan(recorded), self._slopes(), recorded)
+
+    def deceleration(self) -> Floats:
+        """Of each row, in m/s²; NaN where it cannot be told."""
+        count = np.ones(len(self.frame))
+        time, speed, squares, products = np.zeros((4, len(count)))
+        for apart in range(1, min(_MARGIN, len(count))):
+            seconds, change = (values[apart:] - values[:-apart] for values in (self._clock, self._speed))
+            near = self._goes_on if apart == 1 else seconds <= HALF_WINDOW + _ROUNDING
+            if not near.any():
+                break
+            seconds, change = np.where(near, seconds, 0), np.where(near, change, 0)
+            for rows, sign in ((slice(None, -apart), 1), (slice(apart, None), -1)):
+                count[rows] += near
+                time[rows] += sign * seconds
+                speed[rows] += sign * change
+                squares[rows] += seconds * seconds
+                products[rows] += seconds * change
+        slope: Floats = (count * products - time * speed) / (count * squares - time * time)
+        return -slope
+
+    def runs(self, hard: Booleans, number: int) -> NDArray[np.void]:
+        """The stretches of rows, each of a vehicle in frame after frame, in which it brakes.
+
+        Args:
+            hard: The rows.
+            number: The number of the block's first frame.
+        """
+        rows = np.flatnonzero(hard)
+        goes_on = (np.diff(rows) == 1) & (np.diff(self.frame[rows]) == 1) & self._goes_on[rows[:-1]]
+        runs = np.zeros(len(rows), _RUN)
+        runs["id"] = self._poses["id"][rows]
+        runs["first"] = runs["last"] = number + self.frame[rows]
+        runs["start"] = runs["stop"] = self._time[rows]
+        for axis in "xyz":
+            runs[axis] = self._poses[axis][rows]
+        runs["speed"] = self._speed[rows]
+        return _joined(runs, goes_on)
+
+    def _connected(self, recorded: Floats) -> Booleans:
+        """Whether a row and the next one are of a vehicle that neither jumps nor stays away."""
+        seconds = np.diff(self._time)
+        way = np.sqrt((np.diff(self._place) ** 2).sum(axis=0))
+        speed = np.fmax(recorded[1:], recorded[:-1])
+        explained = np.where(np.isnan(speed), _TOP_SPEED * seconds, _SLACK * speed * seconds)
+        # What is not a number connects nothing.
+        near = way <= np.maximum(explained, np.where(np.isnan(speed), 0.0, _JUMP))
+        near &= (np.diff(self._poses["id"]) == 0) & (seconds > 0) & (seconds <= _GAP)
+        return np.asarray(near)
+
+    def _slopes(self) -> Floats:
+        """The speed over the ground, in m/s, that the positions around tell of."""
+        rows = np.arange(len(self.frame))
+        before = rows - np.insert(self._goes_on, 0, False)[: len(rows)]
+        after = rows + np.append(self._goes_on, False)[: len(rows)]
+        way = self._place[:2, after] - self._place[:2, before]
+        return np.asarray(np.hypot(*way) / (self._time[after] - self._time[before]))
+
+
+def _speeds(
+    ids: NDArray[np.uint32], frame: NDArray[np.intp], velocities: NDArray[np.void], velocity_frame: NDArray[np.intp]
+) -> Floats:
+    """The recorded speeds over the ground, in m/s, of some vehicles in some frames; NaN where there is none."""
+    speeds = np.full(len(ids), np.nan)
+    if len(velocities):
+        keys, wanted = _keys(velocities["id"], velocity_frame), _keys(ids, frame)
+        found = np.minimum(np.searchsorted(keys, wanted), len(keys) - 1)
+        there = keys[found] == wanted
+        speeds[there] = np.hypot(velocities["x"], velocities["y"])[found[there]]
+    return speeds
+
+
+def _keys(ids: NDArray[np.uint32], frame: NDArray[np.intp]) -> NDArray[np.uint64]:
+    """A number for each id and frame, in their order."""
+    return (ids.astype(np.uint64) << np.uint64(32)) + frame.astype(np.uint64)
+
+
+def _joined(runs: NDArray[np.void], goes_on: Booleans) -> NDArray[np.void]:
+    """Runs in order, those that go on with the next one (of the same vehicle) made one with it."""
+    if not len(runs):
+        return runs
+    apart = ~(goes_on & (runs["id"][1:] == runs["id"][:-1]))
+    first, last = np.append(True, apart), np.append(apart, True)
+    joined: NDArray[np.void] = runs[first]
+    for name in ("last", "stop"):
+        joined[name] = runs[name][last]
+    return joined

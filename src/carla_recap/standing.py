@@ -1,0 +1,356 @@
+"""Who stands still, since when, and for how long: follows the actors of a recording frame by frame."""
+
+from __future__ import annotations
+
+import math
+from array import array
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any, Final
+
+import numpy as np
+
+from carla_recap.roster import Roster
+from carla_recap.texts import readable
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+    from carla_recap.frame import Frame
+    from carla_recap.records import Table
+
+    _Paths = NDArray[np.floating[Any]]  # x, y, z along an axis
+
+MIN_TIME: Final = 30.0  # s
+MIN_DISTANCE: Final = 10.0  # cm
+TYPES: Final = ("spawned", "destroyed", "transforms")
+"""The record types that tell of it."""
+
+_ROUNDING: Final = 1e-6  # more than sums of the lengths of frames ever differ by, as a share
+_PACKETS: Final = 64  # so many, or so many records, are taken together
+_RECORDS: Final = 1 << 17
+
+
+@dataclass(frozen=True, slots=True)
+class BlockedRow:
+    """A stretch of time in which an actor stayed where it was.
+
+    Attributes:
+        start: When it began, in seconds since the recording began.
+        duration: How long it lasted, in seconds.
+        id: The actor.
+        type_id: Its blueprint, such as `vehicle.audi.tt`; empty for an actor whose spawn is not recorded.
+        x: Where it stood, in cm, left-handed.
+        y: The same, to the right.
+        z: The same, upwards.
+    """
+
+    start: float
+    duration: float
+    id: int
+    type_id: str
+    x: float
+    y: float
+    z: float
+
+
+@dataclass(slots=True)
+class _Actor:
+    """An actor: the place where it last moved to, and its stretch, of duration 0 where there is none."""
+
+    id: int
+    type_id: str
+    place: tuple[float, ...] = (0.0, 0.0, 0.0)
+    start: float = 0.0
+    duration: float = 0.0
+
+    def row(self) -> BlockedRow:
+        x, y, z = self.place
+        return BlockedRow(self.start, self.duration, self.id, self.type_id, x, y, z)
+
+
+class Standing:
+    """Follows the actors through the frames of a recording.
+
+    An actor stands still while it stays within a distance of the place where it last moved to. The actors of a
+    transforms packet are taken together as a `_Group`, which is kept for as long as the packets list the same ids.
+
+    Args:
+        table: The record types of the recording.
+        min_time: The shortest stretch to tell of, in seconds.
+        min_distance: The distance at which an actor has moved, in cm.
+        compat: Follow them as CARLA 0.9.16 does, with its slips.
+    """
+
+    def __init__(
+        self, table: Table, min_time: float = MIN_TIME, min_distance: float = MIN_DISTANCE, *, compat: bool = False
+    ) -> None:
+        self._min_time = min_time
+        self._square_of_reach = _square_of_reach(min_distance, table.named("transforms").dtype["x"])
+        self._compat = compat
+        self._roster = Roster[_Actor](compat=compat)
+        self._rows: list[BlockedRow] = []
+        self._group: _Group | None = None
+        self._rounds: tuple[bytes, list[NDArray[np.intp]]] = (b"", [])  # of the ids of the last packet
+
+    def frame(self, frame: Frame) -> None:
+        """Take in a frame.
+
+        Raises:
+            FormatError: A packet contradicts its layout.
+        """
+        for packet in frame.packets:
+            name = packet.type.name if packet.type else ""
+            if name not in TYPES or not len(packet.records):
+                continue
+            if name == "transforms":
+                self._move(frame, packet.records)  # type: ignore[arg-type]
+                continue
+            self._put_back()
+            if name == "spawned":
+                for spawn in packet.records:
+                    self._roster.spawn(spawn.id, _Actor(spawn.id, readable(spawn.type_id)))
+            else:
+                for (id,) in packet.records.tolist():  # type: ignore[union-attr]
+                    self._destroy(id)
+
+    def take(self) -> list[BlockedRow]:
+        """The stretches that have ended since this was last asked, in that order; some may come later."""
+        rows, self._rows = self._rows, []
+        return rows
+
+    def finish(self) -> list[BlockedRow]:
+        """The rest: stretches that have ended, then those that last until the end."""
+        self._put_back()
+        last = [actor.row() for actor in self._roster.actors.values() if actor.duration >= self._min_time]
+        # CARLA goes through a hash table, whose latest entry comes first.
+        return self.take() + (last[::-1] if self._compat else last)
+
+    def _destroy(self, id: int) -> None:
+        actor = self._roster.destroy(id)
+        if actor and actor.duration >= self._min_time and not self._compat:
+            self._rows.append(actor.row())
+
+    def _move(self, frame: Frame, records: NDArray[np.void]) -> None:
+        length = frame.duration if self._compat or frame.duration > 0.0 else 0.0
+        ids = records["id"]
+        key = ids.tobytes()
+        group = self._group
+        if group is None or group.key != key:
+            if key != self._rounds[0]:
+                self._rounds = key, _rounds(ids) if self._compat else [_latest(ids)]
+            if len(self._rounds[1][0]) < len(ids):
+                self._move_repeated(frame.elapsed, length, records)
+                return
+            group = self._take_out(key, ids)
+        group.add(records, frame.elapsed, length)
+        if group.full:
+            self._rows += [row for _, row in group.settle()]
+
+    def _move_repeated(self, elapsed: float, length: float, records: NDArray[np.void]) -> None:
+        """Take in a packet that lists actors repeatedly, as some builds do.
+
+        The last record of each counts; in CARLA's queries, the first one does, then the second.
+        """
+        ended = []
+        for places in self._rounds[1]:
+            part = records[places]
+            key = part["id"].tobytes()
+            group = self._group
+            if group is None or group.key != key:
+                group = self._take_out(key, part["id"])
+            group.add(part, elapsed, length)
+            ended += [(places[number], row) for number, row in group.settle()]
+        self._rows += [row for _, row in sorted(ended, key=lambda item: item[0])]
+
+    def _take_out(self, key: bytes, ids: NDArray[np.uint32]) -> _Group:
+        self._put_back()
+        known = self._roster.actors
+        actors = [known.get(id) or known.setdefault(id, _Actor(id, "")) for id in ids.tolist()]
+        self._group = _Group(key, actors, self._min_time, self._square_of_reach)
+        return self._group
+
+    def _put_back(self) -> None:
+        if self._group:
+            self._rows += [row for _, row in self._group.settle()]
+            self._group.put_back()
+            self._group = None
+
+
+class _Group:
+    """The actors that a transforms packet lists, all different, through packets that list the same.
+
+    Packets are taken in several at a time. What an actor that stands has stood so far follows from when it last
+    moved, and is summed up only when it is asked for.
+
+    Args:
+        key: Their ids, as bytes.
+        actors: The actors.
+        min_time: The shortest stretch to tell of, in seconds.
+        square_of_reach: See `_square_of_reach`.
+    """
+
+    def __init__(self, key: bytes, actors: list[_Actor], min_time: float, square_of_reach: np.floating[Any]) -> None:
+        self.key = key
+        self._actors = actors
+        self._min_time = min_time
+        self._square_of_reach = square_of_reach
+        self._places = np.array([actor.place for actor in actors], square_of_reach.dtype).T.copy()
+        self._waiting: list[NDArray[np.void]] = []
+        self._elapsed, self._lengths = array("d"), array("d")  # of the packets so far
+        # The first packet from which on a stretch's duration may come back to 0.
+        self._first_odd = 0 if any(actor.duration < 0.0 for actor in actors) else None
+        self._moved_at = np.full(len(actors), -1)  # the packet in which each last moved
+        # A clock that only goes forward: no stretch is longer than the time on it since the actor moved.
+        self._clocks = array("d", (0.0,))  # before each packet
+        self._origins = np.array([-max(actor.duration, 0.0) for actor in actors])  # what it showed when each last moved
+
+    @property
+    def full(self) -> bool:
+        """Whether enough packets wait to be settled."""
+        return len(self._waiting) >= _PACKETS or len(self._waiting) * len(self._actors) >= _RECORDS
+
+    def add(self, records: NDArray[np.void], elapsed: float, length: float) -> None:
+        """Take in where the actors are in a frame.
+
+        Args:
+            records: The transforms.
+            elapsed: When the frame begins, in seconds.
+            length: How long it is, in seconds.
+        """
+        if not length > 0.0 and self._first_odd is None:
+            self._first_odd = len(self._lengths)
+        self._waiting.append(records)
+        self._elapsed.append(elapsed)
+        self._lengths.append(length)
+        self._clocks.append(self._clocks[-1] + max(length, 0.0))
+
+    def settle(self) -> list[tuple[int, BlockedRow]]:
+        """Follow the actors through the packets that wait.
+
+        Returns:
+            The stretches that ended and are long enough, in order, each with its record's number.
+        """
+        if not self._waiting:
+            return []
+        with np.errstate(all="ignore"):
+            return self._settle()
+
+    def _settle(self) -> list[tuple[int, BlockedRow]]:
+        count, size = len(self._waiting), len(self._actors)
+        first = len(self._lengths) - count
+        data = b"".join(self._waiting)  # type: ignore[arg-type]
+        records = np.frombuffer(data, self._waiting[0].dtype)
+        self._waiting = []
+        paths = np.empty((3, count, size), self._places.dtype)
+        for axis, name in enumerate("xyz"):
+            paths[axis] = records[name].reshape(count, size)
+        steps = paths - self._places[:, None]
+        still = _squares(steps, tuple(steps)) < self._square_of_reach
+        movers = np.flatnonzero(~still.all(axis=0))
+        if not len(movers):
+            return []
+        paths, places = paths[:, :, movers].swapaxes(0, 1).copy(), self._places[:, movers]
+        moves = np.empty((count, len(movers)), np.bool_)
+        reach, steps = np.full(len(movers), self._square_of_reach), np.empty_like(places)
+        axes = tuple(steps)
+        for now, moved in zip(paths, moves, strict=True):
+            np.subtract(now, places, steps)
+            np.less(_squares(steps, axes), reach, moved)
+            np.logical_not(moved, moved)  # so that what is not a number moves
+            np.copyto(places, now, where=moved)
+        ended = self._end(first, movers, moves, paths)
+        self._places[:, movers] = places
+        return ended
+
+    def put_back(self) -> None:
+        """Bring the actors up to date."""
+        for number, (actor, place) in enumerate(zip(self._actors, self._places.T.tolist(), strict=True)):
+            self._update(number, int(self._moved_at[number]), len(self._lengths))
+            actor.place = tuple(place)
+
+    def _end(
+        self, first: int, movers: NDArray[np.intp], moves: NDArray[np.bool_], paths: _Paths
+    ) -> list[tuple[int, BlockedRow]]:
+        """The stretches that end within some packets, where they are long enough.
+
+        Args:
+            first: The first of the packets.
+            movers: The numbers of the actors that move in any of them.
+            moves: Of each packet, which of the movers move in it.
+            paths: Of each packet, where the movers are.
+        """
+        clocks = np.frombuffer(self._clocks)[first:]
+        latest = np.maximum.accumulate(np.where(moves, np.arange(len(moves))[:, None], -1))
+        previous = np.vstack((np.full_like(latest[:1], -1), latest[:-1]))
+        origins = np.where(previous < 0, self._origins[movers], clocks[previous + 1])
+        # The clock has other roundings than the sum of a stretch, which decides in the end.
+        least = self._min_time - _ROUNDING * (1.0 + clocks[-1])
+        rows = []
+        for place, column in np.argwhere(moves & ~(clocks[:-1, None] - origins < least)).tolist():
+            number, before = int(movers[column]), int(previous[place, column])
+            actor = self._actors[number]
+            moved_at = first + before if before >= 0 else int(self._moved_at[number])
+            self._update(number, moved_at, first + place)
+            if actor.duration >= self._min_time:
+                stood = paths[before, :, column] if before >= 0 else self._places[:, number]
+                actor.place = tuple(stood.tolist())
+                rows.append((number, actor.row()))
+        self._moved_at[movers] = np.where(latest[-1] < 0, self._moved_at[movers], first + latest[-1])
+        self._origins[movers] = np.where(latest[-1] < 0, self._origins[movers], clocks[latest[-1] + 1])
+        return rows
+
+    def _update(self, number: int, moved_at: int, until: int) -> None:
+        """Sum up what an actor has stood since a packet, packet by packet, as CARLA does: the sum depends on the order."""
+        actor, first = self._actors[number], moved_at + 1
+        if first:
+            actor.duration = 0.0
+        at = until if self._first_odd is None else min(max(self._first_odd, first), until)
+        if at > first:
+            if actor.duration == 0.0:
+                actor.start = self._elapsed[first]
+            lengths = np.frombuffer(self._lengths)[first:at]
+            actor.duration = np.add.accumulate(np.append(actor.duration, lengths))[-1].item()
+        for place in range(max(at, first), until):
+            if actor.duration == 0.0:
+                actor.start = self._elapsed[place]
+            actor.duration += self._lengths[place]
+
+
+def _squares(steps: _Paths, axes: tuple[_Paths, ...]) -> _Paths:
+    """The squares of the lengths of steps, in place of those along x; `axes` are the steps, taken apart."""
+    squares, y, z = axes
+    np.multiply(steps, steps, steps)
+    np.add(squares, y, squares)
+    return np.add(squares, z, squares)
+
+
+def _rounds(ids: NDArray[np.uint32]) -> list[NDArray[np.intp]]:
+    """The places of the first record of each id, of the second one, and so on."""
+    order = np.argsort(ids, kind="stable")
+    ranks = np.arange(len(ids))
+    first = np.append(True, np.diff(ids[order]) != 0)
+    number = np.empty_like(ranks)
+    number[order] = ranks - np.maximum.accumulate(np.where(first, ranks, 0))
+    return np.split(np.argsort(number, kind="stable"), np.cumsum(np.bincount(number))[:-1])
+
+
+def _latest(ids: NDArray[np.uint32]) -> NDArray[np.intp]:
+    """The places of the last record of each id."""
+    _, behind = np.unique(ids[::-1], return_index=True)
+    return np.sort(len(ids) - 1 - behind)
+
+
+@np.errstate(all="ignore")
+def _square_of_reach(distance: float, real: np.dtype[Any]) -> np.floating[Any]:
+    """The smallest square whose root is not below a distance.
+
+    To compare squares with it is as good, to the last bit, as to compare their roots with the distance, in
+    the precision of the file's lengths, which is that of CARLA's arithmetic.
+    """
+    zero, infinity = real.type(0.0), real.type(math.inf)
+    square = np.square(real.type(max(distance, 0.0)))
+    while square > zero and np.sqrt(np.nextafter(square, zero)).item() >= distance:
+        square = np.nextafter(square, zero)
+    while square < infinity and np.sqrt(square).item() < distance:
+        square = np.nextafter(square, infinity)
+    return square  # type: ignore[no-any-return]

@@ -1,0 +1,147 @@
+"""What is drawn of a road, by small maps written by hand."""
+
+from __future__ import annotations
+
+import math
+from typing import TYPE_CHECKING
+
+import numpy as np
+import pytest
+
+from carla_recap.maps import load_map
+from tests.maps.towns import crossing, lane, opendrive, painted_stop, road, section, stop_sign
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+    from carla_recap.maps import RoadMap
+
+pytest.importorskip("carla", reason="the extra carla is not installed")
+
+
+@pytest.fixture
+def draw(tmp_path: Path):
+    def draw(*roads: str) -> RoadMap:
+        path = tmp_path / "small.xodr"
+        path.write_text(opendrive(*roads))
+        return load_map(path)
+
+    return draw
+
+
+def near(lines: list[np.ndarray], *expected: list[tuple[float, float, float]]) -> bool:
+    """Whether the lines are these, to a millimetre, in any order."""
+    found = sorted(np.round(line, 2).tolist() for line in lines)
+    wanted = sorted(np.round(line, 2).tolist() for line in expected)
+    return len(found) == len(wanted) and all(
+        len(a) == len(b) and np.allclose(a, b, atol=0.011) for a, b in zip(found, wanted, strict=True)
+    )
+
+
+def test_a_straight_road_in_right_handed_metres(draw):
+    town = draw(road(height=2))
+    assert town.name == "small"
+    assert near(town.centre_lines, [(0, -1.75, 2), (100, -1.75, 2)], [(100, 1.75, 2), (0, 1.75, 2)])
+    assert near(
+        town.lane_borders,
+        [(0, -3.5, 2), (100, -3.5, 2)],
+        [(100, 3.5, 2), (0, 3.5, 2)],
+        [(100, 0, 2), (0, 0, 2)],  # once, though two lanes have it
+    )
+    assert town.junctions == town.crossings == town.stop_lines == []
+
+
+def test_a_road_to_the_left_goes_to_positive_y(draw):
+    town = draw(road(x=10, y=20, heading=math.pi / 2, sections=section(0, right=lane(-1))))
+    assert near(town.centre_lines, [(11.75, 20, 0), (11.75, 120, 0)])
+
+
+def test_roads_that_follow_each_other_are_one_line(draw):
+    town = draw(road(1), road(2, x=100), road(3, x=200))
+    assert near(town.centre_lines, [(0, -1.75, 0), (300, -1.75, 0)], [(300, 1.75, 0), (0, 1.75, 0)])
+
+
+def test_a_curve_is_smooth_and_light(draw):
+    radius = 20.0
+    town = draw(road(length=radius * math.pi, shape=f'<arc curvature="{1 / radius}"/>', sections=section(0, right=lane(-1))))
+    (line,) = town.centre_lines
+    middles = (line[1:] + line[:-1]) / 2
+    for points in (line, middles):
+        assert np.abs(np.linalg.norm(points[:, :2] - [0, radius], axis=1) - (radius + 1.75)).max() < 0.05
+    assert len(line) < 50
+
+
+def test_shoulders_and_pavements_have_borders_but_no_centre_lines(draw):
+    right = lane(-1) + lane(-2, 1, "shoulder") + lane(-3, 2, "sidewalk") + lane(-4, 5, "none")
+    town = draw(road(sections=section(0, right=right)))
+    assert len(town.centre_lines) == 1
+    assert near(town.lane_borders, *([(0, -y, 0), (100, -y, 0)] for y in (0, 3.5, 4.5, 6.5)))
+
+
+def test_a_lane_that_ends_ends_there(draw):
+    town = draw(road(sections=section(0, right=lane(-1) + lane(-2)) + section(40, right=lane(-1))))
+    assert near(town.centre_lines, [(0, -1.75, 0), (100, -1.75, 0)], [(0, -5.25, 0), (40, -5.25, 0)])
+
+
+def test_the_ground_of_a_junction(draw):
+    one_way = section(0, right=lane(-1))
+    town = draw(
+        road(1, sections=one_way),
+        road(2, x=100, length=20, junction=9, sections=one_way),
+        road(3, x=100, length=20, junction=9, shape='<arc curvature="0.05"/>', sections=one_way),
+        road(4, x=120, sections=one_way),
+    )
+    (outline,) = town.junctions
+    assert outline[0].tolist() == outline[-1].tolist()
+    assert outline[:, 0].min() == pytest.approx(100, abs=0.3)
+    assert outline[:, 0].max() == pytest.approx(120, abs=0.3)
+    # On the right, the straight lane alone has an edge; on the left, the bent lane has.
+    assert any(np.allclose(line[[0, -1]], [(0, -3.5, 0), (220, -3.5, 0)], atol=0.01) for line in town.lane_borders)
+    within = np.concatenate([line for line in town.lane_borders if ((line[:, 0] > 101) & (line[:, 0] < 118)).any()])
+    assert not (np.linalg.norm(within[:, :2] - [110, -1.5], axis=1) < 1).any()
+
+
+def test_a_stop_sign_on_the_way(draw):
+    town = draw(road(inside=stop_sign(80, -1, -1), height=2))
+    assert near(town.stop_lines, [(80, 0, 2), (80, -3.5, 2)])
+
+
+def test_stop_lines_of_lanes_side_by_side_are_one(draw):
+    town = draw(road(sections=section(0, right=lane(-1) + lane(-2)), inside=stop_sign(80, -2, -1)))
+    assert near(town.stop_lines, [(80, 0, 0), (80, -7, 0)])
+
+
+def test_a_stop_sign_within_a_junction_stops_before_it(draw):
+    town = draw(
+        road(1),
+        road(2, x=100, length=20, junction=9, inside=stop_sign(3, -1, -1)),
+        road(3, x=100, length=20, junction=9, inside=stop_sign(15, -1, -1)),
+    )
+    assert near(town.stop_lines, [(100, 0, 0), (100, -3.5, 0)])
+
+
+def test_against_the_direction_of_the_road_one_enters_a_junction_at_its_end(draw):
+    town = draw(road(2, x=100, length=20, junction=9, inside=stop_sign(3, 1, 1)))
+    assert near(town.stop_lines, [(120, 0, 0), (120, 3.5, 0)])
+
+
+def test_a_sign_for_all_lanes_that_numbers_can_name_takes_no_time(draw):
+    town = draw(road(inside=stop_sign(80, -(2**31), 2**31 - 1)))
+    assert len(town.stop_lines) in (1, 2)
+
+
+def test_a_painted_stop_line_is_drawn_as_it_is(draw):
+    town = draw(road(inside=painted_stop(80, -1.75, 3.0) + stop_sign(82, -1, -1)))
+    assert near(town.stop_lines, [(80, -3.25, 0), (80, -0.25, 0)])
+
+
+def test_a_crossing_is_closed(draw):
+    (polygon,) = draw(road(inside=crossing(50))).crossings
+    assert len(polygon) == 5
+    assert polygon[0].tolist() == polygon[-1].tolist()
+    assert sorted(np.round(polygon[:4, :2]).tolist()) == [[48, -4], [48, 4], [52, -4], [52, 4]]
+
+
+def test_a_lane_with_places_that_are_no_numbers_is_left_out(draw):
+    town = draw(road(1), road(2, x="nan"), road(3, y=50, sections=section(0, right=lane(-1, "inf"))))
+    assert len(town.centre_lines) == 2

@@ -1,0 +1,137 @@
+from __future__ import annotations
+
+import math
+from itertools import pairwise
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from hypothesis.extra import numpy as hnp
+
+from carla_recap.maps.polylines import Surface, distances_to, join, simplify
+
+LINES = hnp.arrays(np.float64, st.tuples(st.integers(2, 40), st.just(3)), elements=st.floats(-1000, 1000))
+
+
+def line(*points: tuple[float, float]) -> np.ndarray:
+    return np.array(points, np.float64)
+
+
+def grid(x: tuple[float, float], y: tuple[float, float]) -> np.ndarray:
+    return np.stack(np.meshgrid(np.arange(*x, 0.1), np.arange(*y, 0.1)), axis=-1).reshape(-1, 2)
+
+
+def area(outline: np.ndarray) -> float:
+    x, y = outline.T
+    return float(np.sum(x[:-1] * y[1:] - x[1:] * y[:-1]) / 2)
+
+
+def test_a_straight_line_needs_two_points():
+    assert simplify(np.linspace((0, 0, 0), (30, 40, 5), 100)).tolist() == [[0, 0, 0], [30, 40, 5]]
+
+
+def test_a_bend_keeps_its_corner():
+    bent = np.concatenate((np.linspace((0, 0), (10, 0), 11), np.linspace((10, 0), (10, 10), 11)[1:]))
+    assert simplify(bent).tolist() == [[0, 0], [10, 0], [10, 10]]
+
+
+def test_a_closed_line_stays_closed():
+    angles = np.linspace(0, 2 * math.pi, 400)
+    circle = np.stack((np.cos(angles), np.sin(angles)), axis=1) * 10
+    circle[-1] = circle[0]
+    lighter = simplify(circle)
+    assert len(lighter) < 70
+    assert lighter[0].tolist() == lighter[-1].tolist()
+
+
+@given(LINES, st.floats(0.001, 10))
+def test_no_point_is_farther_from_the_simpler_line_than_the_tolerance(points, tolerance):
+    lighter = simplify(points, tolerance)
+    assert lighter[0].tolist() == points[0].tolist()
+    assert lighter[-1].tolist() == points[-1].tolist()
+    nearest = np.min([distances_to(points, *pair) for pair in pairwise(lighter)], axis=0)
+    assert nearest.max() <= tolerance * (1 + 1e-9)
+
+
+def test_distance_to_a_line_ends_at_its_ends():
+    assert distances_to(line((5, 2), (-3, 4), (13, 4)), *line((0, 0), (10, 0))).tolist() == [2, 5, 5]
+
+
+def test_distance_to_a_line_without_length():
+    assert distances_to(line((3, 4)), *line((0, 0), (0, 0))).tolist() == [5]
+
+
+def test_lines_that_follow_each_other_become_one():
+    (joined,) = join([line((2, 0), (3, 0)), line((0, 0), (1, 0)), line((1, 0), (2, 0))])
+    assert joined.tolist() == [[0, 0], [1, 0], [2, 0], [3, 0]]
+
+
+def test_lines_that_fork_stay_apart():
+    assert len(join([line((0, 0), (1, 0)), line((1, 0), (2, 0)), line((1, 0), (2, 1))])) == 3
+
+
+def test_lines_that_begin_at_the_same_place_stay_apart():
+    assert len(join([line((0, 0), (1, 0)), line((0, 0), (-1, 0))])) == 2
+
+
+def test_a_ring_becomes_one_closed_line():
+    (ring,) = join([line((0, 0), (1, 0)), line((1, 0), (1, 1)), line((1, 1), (0, 0))])
+    assert ring.tolist() == [[0, 0], [1, 0], [1, 1], [0, 0]]
+
+
+def test_a_closed_line_is_not_joined_to_itself():
+    closed = line((0, 0), (1, 0), (1, 1), (0, 0))
+    assert [joined.tolist() for joined in join([closed])] == [closed.tolist()]
+
+
+def test_nothing_to_join():
+    assert join([]) == []
+
+
+def test_the_outline_of_a_rectangle():
+    (outline,) = Surface(grid((-20, 10), (5, 15))).outlines()
+    assert outline[0].tolist() == outline[-1].tolist()
+    assert area(outline) == pytest.approx(300, rel=0.05)  # counterclockwise
+    assert outline.min(axis=0) == pytest.approx([-20, 5], abs=0.3)
+    assert outline.max(axis=0) == pytest.approx([10, 15], abs=0.3)
+    assert len(outline) < 12
+
+
+def test_a_surface_covers_its_inside_and_not_its_edge():
+    surface = Surface(grid((0, 10), (0, 10)))
+    covered = surface.covers(line((5, 5), (1, 9), (0.05, 5), (5, 9.95), (-1, 5), (1e6, 5), (5, -1e6)))
+    assert covered.tolist() == [True, True, False, False, False, False, False]
+
+
+def test_a_small_hole_is_filled():
+    points = grid((0, 20), (0, 20))
+    hole = (np.abs(points - 10) < 4).all(axis=1)
+    surface = Surface(points[~hole])
+    assert surface.covers(line((10, 10), (7, 10))).all()
+    assert len(surface.outlines()) == 1
+
+
+def test_a_large_hole_stays():
+    points = grid((0, 40), (0, 40))
+    hole = (np.abs(points - 20) < 10).all(axis=1)
+    surface = Surface(points[~hole])
+    assert surface.covers(line((20, 20), (5, 20))).tolist() == [False, True]
+    assert len(surface.outlines()) == 1
+
+
+def test_two_pieces_have_two_outlines():
+    surface = Surface(np.concatenate((grid((0, 5), (0, 5)), grid((20, 25), (0, 5)))))
+    assert sorted(round(area(outline)) for outline in surface.outlines()) == pytest.approx([26, 26], abs=2)
+
+
+def test_what_is_covered_later_is_covered():
+    surface = Surface(grid((0, 10), (0, 10)))
+    edge = line((0, 5), (0, 5.5), (50, 5))
+    assert not surface.covers(edge).any()
+    surface.cover(edge)
+    assert surface.covers(edge).tolist() == [True, True, False]
+
+
+def test_a_surface_as_large_as_the_world_takes_little_memory():
+    assert all(np.isfinite(outline).all() for outline in Surface(line((0, 0), (1e30, 1e30))).outlines())

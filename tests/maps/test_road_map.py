@@ -1,0 +1,225 @@
+from __future__ import annotations
+
+import os
+import random
+import time
+from contextlib import suppress
+from itertools import pairwise
+from typing import TYPE_CHECKING
+
+import numpy as np
+import pytest
+
+import carla_recap
+from carla_recap import RecapError
+from carla_recap.maps import load_map, road_map
+from tests.maps.towns import lane, opendrive, road, section, town
+from tests.samples import carla_log, time_limit
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+
+    from carla_recap.maps import RoadMap
+
+pytest.importorskip("carla", reason="the extra carla is not installed")
+
+TOWNS = ("Town01", "Town02", "Town10HD")
+KINDS = ("lane_borders", "centre_lines", "junctions", "crossings", "stop_lines")
+
+
+@pytest.fixture(scope="module", params=TOWNS)
+def loaded(request) -> RoadMap:
+    return load_map(town(request.param))
+
+
+def lines_of(town: RoadMap) -> Iterator[np.ndarray]:
+    for kind in KINDS:
+        yield from getattr(town, kind)
+
+
+def dense(lines: list[np.ndarray]) -> tuple[np.ndarray, np.ndarray]:
+    """Points along lines, a quarter of a metre apart, and the direction at each."""
+    points, headings = [], []
+    for line in lines:
+        for start, stop in pairwise(line):
+            shares = np.linspace(0, 1, int(np.linalg.norm(stop - start) / 0.25) + 2)[:, None]
+            points.append(start + shares * (stop - start))
+            headings.append(np.full(len(shares), np.arctan2(*(stop - start)[1::-1])))
+    return np.concatenate(points), np.concatenate(headings)
+
+
+def nearest(place: np.ndarray, points: np.ndarray) -> int:
+    return int(np.linalg.norm(points[:, :2] - place[:2], axis=1).argmin())
+
+
+# --- CARLA's towns ---------------------------------------------------------------------------------------
+
+
+def test_a_town_is_whole_and_light(loaded):
+    assert loaded.name in TOWNS
+    for line in lines_of(loaded):
+        assert line.shape == (len(line), 3)
+        assert len(line) >= 2
+        assert np.isfinite(line).all()
+    assert sum(len(line) for line in lines_of(loaded)) < 6000
+    assert len(loaded.centre_lines) >= 50
+    assert len(loaded.lane_borders) >= 50
+    assert len(loaded.junctions) >= 8
+    assert len(loaded.stop_lines) >= 20
+
+
+def test_a_town_loads_fast():
+    path = town("Town10HD")
+    start = time.perf_counter()
+    load_map(path)
+    assert time.perf_counter() - start < 5  # it takes less than one second where nothing else runs
+
+
+def test_the_borders_are_half_a_lane_beside_the_centre_lines(loaded):
+    borders, _ = dense(loaded.lane_borders)
+    centres, _ = dense([line for line in loaded.centre_lines if np.linalg.norm(line[0] - line[-1]) > 100])
+    distances = [np.linalg.norm(borders - centre, axis=1).min() for centre in centres[::40]]
+    assert np.median(distances) == pytest.approx({"Town10HD": 1.75}.get(loaded.name, 2.0), abs=0.1)
+
+
+def test_junctions_are_closed_and_one_drives_on_them(loaded):
+    centres, _ = dense(loaded.centre_lines)
+    for outline in loaded.junctions:
+        assert outline[0].tolist() == outline[-1].tolist()
+        low, high = outline.min(axis=0), outline.max(axis=0)
+        assert ((centres[:, :2] > low[:2]) & (centres[:, :2] < high[:2])).all(axis=1).any()
+
+
+def test_stop_lines_lie_across_lanes_at_junctions(loaded):
+    centres, headings = dense(loaded.centre_lines)
+    corners = np.concatenate(loaded.junctions)
+    for line in loaded.stop_lines:
+        across = line[-1] - line[0]
+        assert 1.5 < np.linalg.norm(across) < 12
+        at = nearest(line.mean(axis=0), centres)
+        heading = np.array((np.cos(headings[at]), np.sin(headings[at])))
+        assert abs(across[:2] @ heading) / np.linalg.norm(across) < 0.2
+        assert np.linalg.norm(corners - line.mean(axis=0), axis=1).min() < 25
+
+
+def test_the_lights_of_town01_each_have_a_stop_line():
+    assert len(load_map(town("Town01")).stop_lines) == 36
+
+
+def test_the_crossings_of_town10hd():
+    crossings = load_map(town("Town10HD")).crossings
+    assert len(crossings) == 16
+    assert all(polygon[0].tolist() == polygon[-1].tolist() for polygon in crossings)
+
+
+@pytest.mark.parametrize("name", ["carla-0.9.13-lane-center.log", "carla-0.9.10-lane-center.log"])
+def test_recorded_cars_drive_on_the_centre_lines(name):
+    points, headings = dense(load_map(town("Town01")).centre_lines)
+    places, yaws = [], []
+    with carla_recap.open_recording(carla_log(name)) as recording:
+        for actor in recording.actors.values():
+            if actor.kind == "vehicle":
+                trajectory = recording.trajectory(actor.id)
+                places.append(np.stack((trajectory.x, trajectory.y, trajectory.z), axis=1)[::10])
+                yaws.append(np.radians(trajectory.yaw)[::10])
+    place, yaw = np.concatenate(places), np.concatenate(yaws)
+    at = [nearest(one, points) for one in place]
+    beside = np.linalg.norm(points[at, :2] - place[:, :2], axis=1)
+    turned = np.abs(np.angle(np.exp(1j * (headings[at] - yaw))))
+    assert np.median(beside) < 0.3
+    assert np.median(turned) < np.radians(5)
+    assert np.median(np.abs(points[at, 2] - place[:, 2])) < 0.5
+
+
+# --- files that are no maps ------------------------------------------------------------------------------
+
+SOUND = opendrive(road())
+NOT_MAPS = {
+    "empty": "",
+    "a page": "<!DOCTYPE html><html><body>404</body></html>",
+    "zeros": "\0" * 1000,
+    "cut short": SOUND[: len(SOUND) // 2],
+    "deep": "<OpenDRIVE>" + "<a>" * 100_000,
+    "UTF-16": SOUND.encode("utf-16"),
+    "random": random.Random(1).randbytes(10_000),
+    "no roads": opendrive(),
+    "no lanes": opendrive(road(sections=section(0))),
+    "no lanes for cars": opendrive(road(sections=section(0, right=lane(-1, kind="sidewalk")))),
+    "no length": opendrive(road(length=0)),
+    "negative length": opendrive(road(length=-5)),
+    "length in words": opendrive(road(length="long")),
+    "length not a number": opendrive(road(length="nan")),
+    "far away": opendrive(road(x="1e300")),
+    "nowhere": opendrive(road(x="nan")),
+    "wide": opendrive(road(sections=section(0, right=lane(-1, "1e300")))),
+    "lane out of numbers": opendrive(road(sections=section(0, right=lane(-(2**31))))),
+    # These three end CARLA's process.
+    "no geometry": opendrive(road()).replace("<geometry", "<nothing"),
+    "a signal that is nowhere": opendrive(road(inside='<signals><signalReference id="7" s="5" t="0"/></signals>')),
+    "no planView": opendrive(road()).replace("planView", "plan"),
+}
+
+
+@pytest.mark.parametrize("content", NOT_MAPS.values(), ids=NOT_MAPS)
+def test_what_is_no_map_is_told_in_one_line(tmp_path, content):
+    path = tmp_path / "odd.xodr"
+    path.write_bytes(content if isinstance(content, bytes) else content.encode())
+    with time_limit(20), pytest.raises(RecapError) as caught:
+        load_map(path)
+    assert str(caught.value).startswith(f"{path}: ")
+    assert "\n" not in str(caught.value)
+    assert "OpenDRIVE map was expected" in str(caught.value)
+
+
+@pytest.mark.parametrize("seed", range(8))
+def test_a_damaged_map_is_loaded_or_refused(tmp_path, seed):
+    dice = random.Random(seed)
+    content = bytearray(opendrive(road(), road(2, x=100, junction=3), road(3, x=200)).encode())
+    for _ in range(dice.randrange(1, 4)):
+        content[dice.randrange(50, len(content))] = dice.choice(b'0123456789.e-"<')
+    path = tmp_path / "damaged.xodr"
+    path.write_bytes(content)
+    with time_limit(20), suppress(RecapError):
+        assert all(np.isfinite(line).all() for line in lines_of(load_map(path)))
+
+
+def test_names_in_another_encoding_do_no_harm(tmp_path):
+    path = tmp_path / "odd.xodr"
+    path.write_bytes(SOUND.replace('road name=""', 'road name="Straße"').encode("latin-1"))
+    assert len(load_map(path).centre_lines) == 2
+
+
+def test_a_parser_that_takes_too_long_is_ended(tmp_path, monkeypatch):
+    monkeypatch.setattr(road_map, "_PATIENCE", 0.02)
+    path = tmp_path / "slow.xodr"
+    path.write_text(SOUND)
+    with pytest.raises(RecapError, match=r"slow\.xodr: CARLA's parser has not read it within 0\.02 s"):
+        load_map(path)
+
+
+def test_a_file_without_end_is_not_read(tmp_path, monkeypatch):
+    monkeypatch.setattr(road_map, "_LARGEST", 1 << 20)
+    path = tmp_path / "large.xodr"
+    path.write_bytes(b" " * ((1 << 20) + 1))
+    with pytest.raises(RecapError, match=r"large\.xodr: is larger than 1 MB"):
+        load_map(path)
+
+
+def test_what_is_no_file(tmp_path):
+    with pytest.raises(RecapError, match="No such file"):
+        load_map(tmp_path / "none.xodr")
+    with pytest.raises(RecapError, match="is not a regular file"):
+        load_map(tmp_path)
+    os.mkfifo(tmp_path / "pipe.xodr")
+    with time_limit(5), pytest.raises(RecapError, match="is not a regular file"):
+        load_map(tmp_path / "pipe.xodr")
+    with pytest.raises(RecapError):
+        load_map("a\0b.xodr")
+
+
+def test_modules_of_the_working_directory_are_not_run(tmp_path, monkeypatch):
+    (tmp_path / "carla.py").write_text("raise SystemExit('run')")
+    path = tmp_path / "small.xodr"
+    path.write_text(SOUND)
+    monkeypatch.chdir(tmp_path)
+    assert load_map(path.name).name == "small"

@@ -1,0 +1,74 @@
+"""Towns to test with: CARLA's own, and small ones written by hand."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+TOWNS = Path(__file__).parents[3] / "shared" / "data" / "maps"
+
+
+def town(name: str) -> Path:
+    """A map of CARLA's; skips the test where there is none."""
+    path = TOWNS / f"{name}.xodr"
+    if not path.exists():
+        pytest.skip(f"{path} is not here: it is data that is not part of the repository")
+    return path
+
+
+def lane(id: int, width: float | str = 3.5, kind: str = "driving") -> str:
+    return f'<lane id="{id}" type="{kind}" level="false"><width sOffset="0" a="{width}" b="0" c="0" d="0"/></lane>'
+
+
+def section(s: float, left: str = "", right: str = "") -> str:
+    centre = '<center><lane id="0" type="none" level="false"/></center>'
+    return f'<laneSection s="{s}"><left>{left}</left>{centre}<right>{right}</right></laneSection>'
+
+
+def road(
+    id: int = 1,
+    *,
+    x: float | str = 0,
+    y: float = 0,
+    heading: float = 0,
+    length: float | str = 100,
+    shape: str = "<line/>",
+    height: float = 0,
+    sections: str = section(0, lane(1), lane(-1)),
+    inside: str = "",
+    junction: int = -1,
+) -> str:
+    return (
+        f'<road name="" length="{length}" id="{id}" junction="{junction}"><planView>'
+        f'<geometry s="0" x="{x}" y="{y}" hdg="{heading}" length="{length}">{shape}</geometry></planView>'
+        f'<elevationProfile><elevation s="0" a="{height}" b="0" c="0" d="0"/></elevationProfile>'
+        f"<lanes>{sections}</lanes>{inside}</road>"
+    )
+
+
+def opendrive(*roads: str) -> str:
+    return f'<?xml version="1.0"?><OpenDRIVE><header revMajor="1" revMinor="4"/>{"".join(roads)}</OpenDRIVE>'
+
+
+def stop_sign(station: float, first: int, last: int) -> str:
+    return (
+        f'<signals><signal name="" id="7" s="{station}" t="0" zOffset="0" hOffset="0" orientation="+" dynamic="no"'
+        f' country="" type="206" subtype="-1" value="-1"><validity fromLane="{first}" toLane="{last}"/></signal></signals>'
+    )
+
+
+def crossing(station: float) -> str:
+    corners = ((-4, -2), (4, -2), (4, 2), (-4, 2), (-4, -2))
+    outline = "".join(f'<cornerLocal u="{u}" v="{v}" z="0"/>' for u, v in corners)
+    return (
+        f'<objects><object id="8" name="Crosswalk" s="{station}" t="0" zOffset="0" hdg="1.5707963" roll="0" pitch="0"'
+        f' orientation="+" type="crosswalk" width="4" length="8"><outline>{outline}</outline></object></objects>'
+    )
+
+
+def painted_stop(station: float, t: float, length: float) -> str:
+    return (
+        f'<objects><object id="9" name="StopLine" s="{station}" t="{t}" zOffset="0" hdg="1.5707963267948966" roll="0"'
+        f' pitch="0" orientation="+" type="-1" width="0" length="{length}"/></objects>'
+    )

@@ -1,0 +1,325 @@
+from __future__ import annotations
+
+import json as stdlib
+import math
+import re
+from dataclasses import asdict
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import pytest
+
+from carla_recap.errors import RecapError
+from carla_recap.formats import open_reader
+from carla_recap.formats.mcap.reader import McapReader
+from carla_recap.frame import LAST_FRAME_DURATION, Header
+from carla_recap.queries import braking as braking_module
+from carla_recap.queries import incidents, report
+from carla_recap.records import NO_ACTOR, Spawn, attributes
+from tests.queries.conftest import TICK, write
+from tests.samples import carla_log
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Sequence
+
+    from carla_recap.formats.base import Reader
+    from tests.queries.conftest import Make
+
+CROSSING = Path(__file__).parents[2] / "samples" / "crossing.log"
+RATE = 20.0
+
+
+def spawn(id: int, kind: int, type_id: str, **given: str) -> Spawn:
+    return Spawn(id, kind, type_id=type_id, attributes=attributes(**given))
+
+
+CAST = [
+    spawn(1, 1, "vehicle.audi.tt", role_name="hero"),
+    spawn(2, 2, "walker.a"),
+    spawn(3, 1, "vehicle.b"),
+    spawn(4, 0, "static.prop.c"),
+    spawn(5, 1, "vehicle.d"),
+]
+
+
+def pose(id: int, x: float, y: float = 0.0) -> tuple[float, ...]:
+    return (id, x, y, 50.0, 0.0, 0.0, 0.0)
+
+
+def contact(id1: int, id2: int, hero1: int = 0, hero2: int = 0) -> dict[str, Any]:
+    return {"collisions": [(0, id1, id2, hero1, hero2)], "transforms": [pose(1, 100, 200), pose(2, 300), pose(3, 500)]}
+
+
+# --- the sample, and real recordings -------------------------------------------------------------------
+
+
+def test_sample(converted: Callable[[Path, str], Path], suffix: str, opened: Callable[[Path], Reader]) -> None:
+    answer = incidents(opened(converted(CROSSING, suffix)))
+    assert [(row.kind, row.text) for row in answer] == [
+        ("blocked", "vehicle.mercedes.sprinter (102) stands still for 39 s"),
+        ("collision", "vehicle.bh.crossbike (105) collides with walker.pedestrian.0004 (110)"),
+        ("hard braking", "hero brakes hard at 44 km/h"),
+        ("collision", "hero collides with vehicle.audi.a2 (101)"),
+    ]
+    van, cyclist, brake, crash = answer
+    assert (van.start, van.stop, van.actors) == (14.1, 53.0, (102,))
+    assert (cyclist.start, cyclist.stop, cyclist.actors) == (20.9, 21.7, (105, 110))
+    assert cyclist.type_ids == ("vehicle.bh.crossbike", "walker.pedestrian.0004")
+    assert (cyclist.x, cyclist.y) == pytest.approx((-2.9, -5.575), abs=1e-3)
+    assert brake.start == pytest.approx(24.6 - 1.2, abs=0.15)  # as it is told of in the samples' README
+    assert brake.stop < crash.start
+    assert (crash.start, crash.stop, crash.actors) == (24.6, 25.1, (100, 101))
+
+
+@pytest.mark.parametrize("name", ["carla-0.9.10-lane-center.log", "carla-0.9.13-lane-center.log"])
+def test_a_calm_drive_has_none(name: str, opened: Callable[[Path], Reader]) -> None:
+    assert incidents(opened(carla_log(name)), min_time=60) == []
+
+
+def test_collisions_alone_read_the_events_and_their_places(driven: Path) -> None:
+    with McapReaderOf(driven) as reader:
+        incidents(reader, blocked=False, braking=False)
+        once = reader.bytes_read
+        for frame in reader.frames(("transforms",)):
+            assert len(frame["transforms"])
+        assert once < reader.bytes_read - once
+
+
+class McapReaderOf:
+    """A reader, closed after the block."""
+
+    def __init__(self, path: Path) -> None:
+        self.reader = McapReader(path)
+
+    def __enter__(self) -> McapReader:
+        return self.reader
+
+    def __exit__(self, *_: object) -> None:
+        self.reader.close()
+
+
+# --- collisions ----------------------------------------------------------------------------------------
+
+
+def collided(reader: Reader) -> list[Any]:
+    return list(incidents(reader, blocked=False, braking=False))
+
+
+def test_a_contact_is_one_incident(make: Make) -> None:
+    """Of both directions, and over a frame without a record."""
+    (row,) = collided(make({"spawned": CAST}, contact(3, 2), contact(2, 3), contact(3, 2), {}))
+    assert (row.kind, row.start, row.stop) == ("collision", TICK, 3 * TICK)
+    assert (row.actors, row.type_ids) == ((3, 2), ("vehicle.b", "walker.a"))
+    assert (row.x, row.y, row.z) == (5.0, 0.0, 0.5)
+
+
+def test_a_second_without_a_record_ends_a_contact(make: Make) -> None:
+    rows = collided(make({"spawned": CAST}, contact(3, 2), {}, contact(3, 2), contact(3, 2)))
+    assert [(row.start, row.stop) for row in rows] == [(TICK, TICK), (3 * TICK, 4 * TICK)]
+
+
+@pytest.mark.parametrize(
+    ("hit", "actors", "text"),
+    [
+        ((2, 1, 0, 1), (1, 2), "hero collides with walker.a (2)"),
+        ((2, 1, 0, 0), (1, 2), "hero collides with walker.a (2)"),
+        ((3, 1, 0, 1), (1, 3), "hero collides with vehicle.b (3)"),
+        ((2, 3, 0, 0), (3, 2), "vehicle.b (3) collides with walker.a (2)"),
+        ((4, 2, 0, 0), (2, 4), "walker.a (2) collides with static.prop.c (4)"),
+        ((3, 5, 0, 0), (3, 5), "vehicle.b (3) collides with vehicle.d (5)"),
+        ((99, 4, 0, 0), (4, 99), "static.prop.c (4) collides with actor 99"),
+        ((1, NO_ACTOR, 1, 0), (1,), "hero collides with something that is no actor"),
+        ((NO_ACTOR, 3, 0, 0), (3,), "vehicle.b (3) collides with something that is no actor"),
+        ((3, 0, 0, 0), (3,), "vehicle.b (3) collides with something that is no actor"),
+    ],
+)
+def test_who_comes_first(make: Make, hit: tuple[int, ...], actors: tuple[int, ...], text: str) -> None:
+    (row,) = collided(make({"spawned": CAST}, contact(*hit)))
+    assert (row.actors, row.text) == (actors, text)
+    assert len(row.type_ids) == len(actors)
+
+
+def test_the_place_is_that_of_the_first_actor_at_the_start(make: Make) -> None:
+    (row,) = collided(make({"spawned": CAST}, contact(2, 1, 0, 1)))
+    assert (row.x, row.y, row.z) == (1.0, -2.0, 0.5)
+
+
+def test_a_place_that_nothing_tells(make: Make) -> None:
+    answer = incidents(make({"spawned": CAST}, {"collisions": [(0, 4, 99, 0, 0)]}))
+    assert math.isnan(answer[0].x)
+    assert stdlib.loads("".join(report.json(answer)))["rows"][0]["x"] is None
+
+
+def test_nothing_that_touches_nothing(make: Make) -> None:
+    assert collided(make({"spawned": CAST}, contact(NO_ACTOR, NO_ACTOR))) == []
+
+
+def test_the_actor_is_the_one_that_had_the_id_then(make: Make) -> None:
+    later = {"spawned": [spawn(3, 1, "vehicle.later")]}
+    rows = collided(make({"spawned": CAST}, contact(3, 2), {}, {}, later, contact(3, 2)))
+    assert [row.type_ids[0] for row in rows] == ["vehicle.b", "vehicle.later"]
+
+
+# --- blocked stretches ---------------------------------------------------------------------------------
+
+
+def test_only_vehicles_and_walkers_are_blocked(make: Make) -> None:
+    still = {"transforms": [pose(id, 100.0 * id, 50.0) for id in (2, 3, 4, 99)]}
+    rows = list(incidents(make({"spawned": CAST, **still}, *[still] * 9), min_time=2.0, braking=False))
+    assert [(row.actors, row.start) for row in rows] == [((2,), TICK), ((3,), TICK)]
+    assert (rows[0].x, rows[0].y, rows[0].z) == (2.0, -0.5, 0.5)
+    assert rows[1].text.startswith("vehicle.b (3) stands still for ")
+
+
+# --- hard braking --------------------------------------------------------------------------------------
+
+
+def ways(speeds: Sequence[float], rate: float = RATE) -> list[float]:
+    """Positions in cm at some speeds in m/s."""
+    return np.concatenate(([0.0], np.cumsum(np.asarray(speeds[:-1]) / rate * 100))).tolist()
+
+
+def slowing(deceleration: float, speed: float = 20.0, seconds: float = 4.0, at: float = 1.0) -> list[float]:
+    """Speeds, frame by frame, of a vehicle that brakes from some time on until it stands."""
+    times = np.arange(seconds * RATE) / RATE
+    return np.maximum(0.0, speed - np.maximum(0.0, times - at) * deceleration).tolist()
+
+
+def drive(
+    path: Path, x: Sequence[float], speeds: Sequence[float] | None = None, *, id: int = 3, rate: float = RATE, **more: Any
+) -> Path:
+    """A recording in which a vehicle drives along x; `more`: further records by frame, as `at_5={...}`."""
+    frames: list[dict[str, Any]] = [{"transforms": [pose(id, place), pose(4, 7.0)]} for place in x]
+    for number, speed in enumerate(speeds or ()):
+        frames[number]["velocities"] = [(id, speed * 0.6, speed * 0.8, 0.0, 0.0, 0.0, 0.0)]
+    frames[0]["spawned"] = CAST
+    for key, records in more.items():
+        frames[int(key.removeprefix("at_"))] |= records
+    durations = [*[1 / rate] * (len(frames) - 1), LAST_FRAME_DURATION]
+    return write(path, frames, header=Header("Town01", 1_600_000_000), durations=durations)
+
+
+def braked(path: Path, **options: Any) -> list[Any]:
+    reader = open_reader(path)
+    try:
+        return list(incidents(reader, blocked=False, collisions=False, **options))
+    finally:
+        reader.close()
+
+
+@pytest.mark.parametrize("recorded", [False, True])
+@pytest.mark.parametrize("deceleration", [5.0, 7.0, 9.0])
+def test_hard_braking(tmp_path: Path, suffix: str, recorded: bool, deceleration: float) -> None:
+    speeds = slowing(deceleration)
+    # Where speeds are recorded, positions say nothing of braking.
+    x = ways([20.0] * len(speeds)) if recorded else ways(speeds)
+    rows = braked(drive(tmp_path / f"drive{suffix}", x, speeds if recorded else None))
+    if deceleration < 6:
+        assert rows == []
+        return
+    (row,) = rows
+    assert (row.kind, row.actors, row.type_ids) == ("hard braking", (3,), ("vehicle.b",))
+    assert row.start == pytest.approx(1.0, abs=0.15)
+    assert row.stop == pytest.approx(1.0 + 20 / deceleration, abs=0.15)
+    assert row.x == pytest.approx(x[round(row.start * RATE)] / 100, abs=1e-3)
+    assert re.fullmatch(r"vehicle.b \(3\) brakes hard at (69|70|71|72) km/h", row.text)
+
+
+def test_the_threshold_is_the_callers(tmp_path: Path) -> None:
+    path = drive(tmp_path / "drive.log", ways(slowing(4.0, speed=10)))
+    assert [len(braked(path, deceleration=limit)) for limit in (3.5, 4.5)] == [1, 0]
+
+
+def test_braking_that_does_not_last(tmp_path: Path) -> None:
+    """A touch of the brake, a stop in no time at all, and a wrong position."""
+    touch = [20.0] * 20 + [19.5, 19.0, 18.5] + [18.5] * 20
+    wall = [20.0] * 20 + [0.0] * 20
+    assert braked(drive(tmp_path / "touch.log", ways(touch))) == []
+    assert braked(drive(tmp_path / "wall.log", ways(wall))) == []
+    wrong = ways([20.0] * 40)
+    wrong[20] += 150
+    assert braked(drive(tmp_path / "wrong.log", wrong)) == []
+
+
+@pytest.mark.parametrize("recorded", [False, True])
+@pytest.mark.parametrize("way", [30_000.0, 600.0, math.nan])
+def test_teleports_are_no_braking(tmp_path: Path, recorded: bool, way: float) -> None:
+    speeds = [20.0] * 20 + [0.0] * 20
+    x = ways(speeds)
+    x[20:] = [place + way for place in x[20:]]
+    assert braked(drive(tmp_path / "drive.log", x, speeds if recorded else None)) == []
+
+
+def test_the_stop_that_a_collision_causes_is_part_of_it(tmp_path: Path) -> None:
+    speeds = slowing(10.0)
+    at = {f"at_{number}": contact(3, NO_ACTOR) | {"transforms": [pose(3, ways(speeds)[number])]} for number in (20, 21)}
+    assert braked(drive(tmp_path / "crash.log", ways(speeds), **at)) == []
+    others = {"at_20": {"collisions": [(0, 1, 2, 0, 0)]}}
+    assert len(braked(drive(tmp_path / "others.log", ways(speeds), **others))) == 1
+    late = {"at_40": {"collisions": [(0, 3, 2, 0, 0)]}}
+    (row,) = braked(drive(tmp_path / "late.log", ways(speeds), **late))
+    assert row.start < row.stop < 2.0
+
+
+def test_only_vehicles_brake(tmp_path: Path) -> None:
+    assert braked(drive(tmp_path / "drive.log", ways(slowing(9.0)), id=2)) == []
+
+
+def test_an_actor_that_stays_away_does_not_brake(tmp_path: Path) -> None:
+    x = ways([20.0] * 60)
+    frames = {f"at_{number}": {"transforms": [pose(4, 7.0)]} for number in range(20, 45)}
+    assert braked(drive(tmp_path / "away.log", x, [20.0] * 20 + [3.0] * 40, **frames)) == []
+
+
+def test_a_slow_recording(tmp_path: Path) -> None:
+    speeds = [20, 20, 16, 12, 8, 4, 0, 0]
+    (row,) = braked(drive(tmp_path / "slow.log", ways(speeds, 2.0), speeds, rate=2.0))
+    assert (row.start, row.stop) == (1.0, 2.5)
+
+
+def test_blocks_make_no_difference(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    speeds = [speed for at in range(6) for speed in slowing(7.0 + at, seconds=6)]
+    path = drive(tmp_path / "drive.mcap", ways(speeds), speeds)
+    whole = braked(path)
+    assert len(whole) == 6
+    monkeypatch.setattr(braking_module, "_BLOCK", 1)
+    assert braked(path) == whole
+
+
+def test_an_actor_that_comes_twice_in_a_frame(tmp_path: Path) -> None:
+    """The last record counts."""
+    x = ways(slowing(8.0))
+    twice = {f"at_{number}": {"transforms": [pose(3, 0.0), pose(3, place)]} for number, place in enumerate(x) if number}
+    assert braked(drive(tmp_path / "twice.log", x, **twice)) == braked(drive(tmp_path / "once.log", x))
+
+
+@pytest.mark.parametrize("deceleration", [0.0, -1.0, math.nan])
+def test_what_is_no_deceleration(make: Make, deceleration: float) -> None:
+    with pytest.raises(RecapError, match="it must be above 0"):
+        incidents(make({}), deceleration=deceleration)
+
+
+# --- all together --------------------------------------------------------------------------------------
+
+
+def test_in_order_of_start_then_kind(make: Make) -> None:
+    still = [pose(id, 100.0 * id) for id in (1, 2, 3)]
+    hit = {"collisions": [(0, 1, 2, 0, 0)], "transforms": still}
+    rows = incidents(make({"spawned": CAST, "transforms": still}, hit, *[{"transforms": still}] * 9), min_time=2.0)
+    assert [(row.start, row.kind) for row in rows] == sorted((row.start, row.kind) for row in rows)
+    assert {row.kind for row in rows} == {"blocked", "collision"}
+
+
+def test_of_nothing(make: Make) -> None:
+    answer = incidents(make())
+    assert answer == []
+    assert answer.extent.frames == 0
+
+
+def test_reports(make: Make) -> None:
+    answer = incidents(make({"spawned": CAST}, contact(1, NO_ACTOR)))
+    (row,) = stdlib.loads("".join(report.json(answer)))["rows"]
+    assert row == asdict(answer[0]) | {"actors": [1], "type_ids": ["vehicle.audi.tt"]}
+    assert "     0.5        0.0 collision    hero collides with something that is no actor\n" in "".join(report.text(answer))
+    report.table(answer)

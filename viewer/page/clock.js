@@ -1,0 +1,69 @@
+// The time that is shown, and how it goes on.
+"use strict";
+
+class Clock extends EventTarget {
+  /** spans: the stretches of time that can be shown, [start, stop] in seconds. */
+  constructor(spans) {
+    super();
+    this.spans = spans.length ? spans : [[0, 0]];
+    this.start = this.spans[0][0];
+    this.stop = this.spans[this.spans.length - 1][1];
+    this.time = this.start;
+    this.playing = false;
+    this.pace = 1;
+    this.jumps = 0; // how often time did not just go on
+  }
+
+  /** Go to a time, or to the next one that can be shown. */
+  seek(time) {
+    this.time = this.nearest(Number.isFinite(time) ? time : this.start);
+    this.jumps++;
+    this.dispatchEvent(new Event("seek"));
+  }
+
+  nearest(time) {
+    for (const [start, stop] of this.spans) if (time <= stop) return Math.max(start, time);
+    return this.stop;
+  }
+
+  play() {
+    if (this.stop <= this.start) return;
+    if (this.time >= this.stop) this.seek(this.start);
+    this.playing = true;
+    this.dispatchEvent(new Event("state"));
+  }
+
+  pause() {
+    this.playing = false;
+    this.dispatchEvent(new Event("state"));
+  }
+
+  toggle() {
+    if (this.playing) this.pause();
+    else this.play();
+  }
+
+  setPace(pace) {
+    this.pace = pace;
+    this.dispatchEvent(new Event("state"));
+  }
+
+  /** Let some seconds pass. */
+  tick(seconds) {
+    const time = this.time + seconds * this.pace;
+    const shown = this.nearest(time);
+    if (shown > time) this.jumps++;
+    this.time = shown;
+    if (shown >= this.stop) this.pause();
+  }
+}
+
+/** Seconds as minutes and seconds: 1:02.5. */
+function clockTime(seconds, digits = 1) {
+  const unit = 10 ** digits;
+  const rounded = Math.round(seconds * unit) / unit;
+  const minutes = Math.floor(rounded / 60);
+  const rest = (rounded - minutes * 60).toFixed(digits).padStart(digits + 3, "0");
+  if (minutes < 60) return `${minutes}:${rest}`;
+  return `${Math.floor(minutes / 60)}:${String(minutes % 60).padStart(2, "0")}:${rest}`;
+}

@@ -1,0 +1,293 @@
+// Puts the page together.
+"use strict";
+
+const LEAD = 2; // s before an incident
+const CLOSE_VIEW = 70; // m from side to side
+
+class Replay {
+  constructor(report, recording, ground) {
+    this.report = report;
+    this.tracks = new Tracks(recording);
+    this.clock = new Clock(this.tracks.spans);
+    this.camera = new Camera();
+    this.stage = new Stage(document.getElementById("canvas"), this.tracks, this.camera, report, ground);
+    this.incidents = new Incidents(report, this.tracks, (place) => this.open(place));
+    this.transport = new Transport(this.clock, report, (place) => this.open(place));
+    this.jumps = -1;
+    this.last = 0; // ms
+    this.stale = true;
+    this.linked = "";
+    new Pointing(this.stage, {
+      pick: (actor) => this.follow(this.tracks.actors[actor].id),
+      view: () => this.changed(),
+    });
+    this.summarise();
+    this.listen();
+  }
+
+  summarise() {
+    const { map, source, date, version, frames, duration, kinds, program } = this.report;
+    const day = date && new Date(date);
+    const text = day && Number.isFinite(day.getTime()) ? dateText(day) : "no date";
+    document.title = `${map || "Recording"} · ${source}`;
+    document.getElementById("map").textContent = map || "No map name";
+    document.getElementById("origin").textContent = `${source} · ${text}`;
+    const facts = document.getElementById("facts");
+    const add = (name, ...values) => {
+      facts.append(element("div", "", "", [element("dt", "", name), element("dd", "", "", values)]));
+    };
+    add("Duration", duration === null ? "unknown" : clockTime(duration));
+    add("Frames", frames.toLocaleString("en"));
+    add("CARLA format", String(version));
+    const shown = kinds.map(([kind, count, color]) => {
+      const swatch = element("i", "swatch");
+      swatch.style.background = color;
+      return element("span", "kind", "", [swatch, element("b", "", String(count)), ` ${plural(kind, count)}`]);
+    });
+    add("Actors", ...(shown.length ? shown : ["none"]));
+    document.documentElement.dataset.program = program;
+  }
+
+  listen() {
+    const on = (id, action) => document.getElementById(id).addEventListener("click", action);
+    on("fit", () => this.fit());
+    on("closer", () => this.zoom(1.5));
+    on("farther", () => this.zoom(1 / 1.5));
+    on("heading", () => this.toggle("heading"));
+    on("labels", () => this.toggle("labels"));
+    on("trails", () => this.toggle("trails"));
+    on("keys", () => document.getElementById("help").showModal());
+    on("release", () => this.follow(null));
+    on("previous", () => this.step(-1));
+    on("next", () => this.step(1));
+    this.clock.addEventListener("seek", () => this.changed());
+    this.clock.addEventListener("state", () => this.changed());
+    document.addEventListener("keydown", (event) => this.key(event));
+    window.addEventListener("hashchange", () => this.readLink());
+    new ResizeObserver(() => {
+      this.stage.resize();
+      this.changed();
+    }).observe(this.stage.canvas);
+  }
+
+  /** Show the beginning, or what the address says. */
+  start() {
+    this.stage.resize();
+    this.follow(this.report.follow, { quiet: true });
+    this.camera.show(CLOSE_VIEW * 1.5);
+    if (this.pose() === null) {
+      this.stage.draw(this.clock.time);
+      this.fit();
+    }
+    this.begun = this.link(); // needs no mention in the address
+    this.readLink();
+    this.changed();
+  }
+
+  // --- what can be done ---------------------------------------------------------------------------------
+
+  /** Go to a little before an incident, and follow the first who has a part in it. */
+  open(place) {
+    const incident = this.report.incidents[place];
+    if (!incident || !this.incidents.items[place].replayed) return;
+    this.incidents.choose(place);
+    this.clock.seek(Math.max(0, incident.start - LEAD));
+    const present = incident.actors.find((id) => this.poseOf(id) !== null);
+    this.follow(present ?? null, { quiet: true });
+    if (present === undefined && incident.place[0] !== null && incident.place[1] !== null) {
+      [this.camera.x, this.camera.y] = incident.place;
+    }
+    this.camera.show(CLOSE_VIEW);
+    const { length } = this.report.incidents;
+    this.say(`Incident ${place + 1} of ${length}: ${incident.text}`);
+  }
+
+  step(direction) {
+    const place = this.incidents.neighbour(direction);
+    if (place >= 0) this.open(place);
+  }
+
+  follow(id, { quiet = false } = {}) {
+    this.camera.followed = id;
+    if (!quiet) this.say(id === null ? "Nobody is followed" : `Following ${this.life(id)?.label ?? id}`);
+    this.changed();
+  }
+
+  fit() {
+    this.camera.fit(this.stage.bounds);
+    this.changed();
+  }
+
+  zoom(factor) {
+    this.camera.zoom(factor);
+    this.changed();
+  }
+
+  toggle(what) {
+    if (what === "heading") this.camera.turns = !this.camera.turns;
+    else this.stage[what] = !this.stage[what];
+    const pressed = what === "heading" ? this.camera.turns : this.stage[what];
+    document.getElementById(what).setAttribute("aria-pressed", String(pressed));
+    this.changed();
+  }
+
+  key(event) {
+    if (event.ctrlKey || event.metaKey || event.altKey || document.getElementById("help").open) return;
+    const { target } = event;
+    const onCanvas = target === this.stage.canvas;
+    if (target.matches("select")) return;
+    const seconds = event.shiftKey ? 0.1 : 1;
+    const pan = (right, down) => () => (this.camera.pan(right, down), this.changed());
+    const seek = (step) => () => this.clock.seek(Math.max(0, this.clock.time + step));
+    const actions = {
+      " ": () => this.clock.toggle(),
+      k: () => this.clock.toggle(),
+      ArrowLeft: onCanvas ? pan(60, 0) : seek(-seconds),
+      ArrowRight: onCanvas ? pan(-60, 0) : seek(seconds),
+      ArrowUp: onCanvas ? pan(0, 60) : null,
+      ArrowDown: onCanvas ? pan(0, -60) : null,
+      "+": () => this.zoom(1.25),
+      "=": () => this.zoom(1.25),
+      "-": () => this.zoom(0.8),
+      "<": () => this.transport.changePace(-1),
+      ",": () => this.transport.changePace(-1),
+      ">": () => this.transport.changePace(1),
+      ".": () => this.transport.changePace(1),
+      n: () => this.step(1),
+      p: () => this.step(-1),
+      f: () => this.fit(),
+      h: () => this.toggle("heading"),
+      l: () => this.toggle("labels"),
+      t: () => this.toggle("trails"),
+      "?": () => document.getElementById("help").showModal(),
+      Escape: () => this.follow(null),
+    };
+    if (event.key === " " && target.matches("button")) return; // it presses the button
+    const action = actions[event.key.length === 1 ? event.key.toLowerCase() : event.key];
+    if (!action) return;
+    event.preventDefault();
+    action();
+  }
+
+  // --- what is seen -------------------------------------------------------------------------------------
+
+  life(id) {
+    return this.tracks.actors[this.tracks.lifeOf(id, this.clock.time)] ?? null;
+  }
+
+  poseOf(id) {
+    const [pose, place] = [{}, this.tracks.lifeOf(id, this.clock.time)];
+    const { time } = this.clock;
+    return place >= 0 && this.tracks.pose(place, time, this.tracks.sampleAt(time), pose) ? pose : null;
+  }
+
+  pose() {
+    return this.camera.followed === null ? null : this.poseOf(this.camera.followed);
+  }
+
+  /** Something is not as it was drawn. */
+  changed() {
+    if (this.stale) return;
+    this.stale = true;
+    requestAnimationFrame((now) => this.draw(now));
+  }
+
+  draw(now) {
+    const seconds = Math.min(0.1, Math.max(0, (now - this.last) / 1000));
+    this.last = now;
+    this.stale = false;
+    if (this.clock.playing) this.clock.tick(seconds);
+    const jumped = this.jumps !== this.clock.jumps;
+    this.jumps = this.clock.jumps;
+    const turning = this.camera.step(this.pose(), seconds, jumped);
+    this.stage.draw(this.clock.time);
+    this.transport.showTime();
+    this.showFollowed();
+    this.showCaption();
+    this.showRule();
+    this.writeLink();
+    if (this.clock.playing || turning) this.changed();
+  }
+
+  showFollowed() {
+    const { followed } = this.camera;
+    const life = followed === null ? null : this.life(followed);
+    document.getElementById("followed").hidden = !life;
+    document.getElementById("heading").disabled = !life;
+    if (!life) return;
+    const place = this.tracks.lifeOf(followed, this.clock.time);
+    const set = (id, text) => {
+      const node = document.getElementById(id);
+      if (node.textContent !== text) node.textContent = text;
+    };
+    document.getElementById("followed-color").style.background = life.color;
+    set("followed-name", life.label);
+    set("followed-type", [life.type || life.kind, life.role && life.role !== "hero" ? life.role : ""].filter(Boolean).join(" · "));
+    set("speed", (this.tracks.speed(place, this.clock.time) * 3.6).toFixed(0));
+  }
+
+  /** Say what happens about now. */
+  showCaption() {
+    const { time } = this.clock;
+    const { incidents } = this.report;
+    const near = incidents.findLastIndex(({ start }) => start !== null && start - 0.05 <= time && time <= start + LEAD);
+    const caption = document.getElementById("caption");
+    caption.hidden = near < 0;
+    if (near >= 0 && caption.textContent !== incidents[near].text) {
+      caption.textContent = incidents[near].text;
+      caption.dataset.kind = incidents[near].kind;
+    }
+  }
+
+  showRule() {
+    const metres = [1, 2, 5, 10, 20, 50, 100, 200, 500, 1000, 2000, 5000].find((m) => m * this.camera.scale >= 56) ?? 1e4;
+    document.getElementById("rule").style.width = `${metres * this.camera.scale}px`;
+    document.getElementById("rule-length").textContent = metres < 1000 ? `${metres} m` : `${metres / 1000} km`;
+  }
+
+  say(text) {
+    document.getElementById("status").textContent = text;
+  }
+
+  // --- the address keeps the time and who is followed ---------------------------------------------------
+
+  readLink() {
+    if (location.hash === this.linked) return;
+    const words = new URLSearchParams(location.hash.slice(1));
+    const number = (name) => (words.get(name) && Number.isFinite(Number(words.get(name))) ? Number(words.get(name)) : null);
+    const incident = number("incident");
+    if (incident !== null) this.open(incident - 1);
+    if (number("t") !== null) this.clock.seek(Math.max(0, number("t")));
+    const id = number("follow");
+    if (id !== null && this.tracks.byId.has(id)) this.follow(id, { quiet: true });
+    if (number("t") !== null && incident === null) this.incidents.choose(-1);
+    this.linked = location.hash;
+  }
+
+  link() {
+    const { followed } = this.camera;
+    return `#t=${Number(this.clock.time.toFixed(2))}${followed === null ? "" : `&follow=${followed}`}`;
+  }
+
+  writeLink() {
+    const link = this.link();
+    if (this.clock.playing || link === this.linked || (link === this.begun && !this.linked)) return;
+    this.linked = link;
+    clearTimeout(this.linking);
+    this.linking = setTimeout(() => history.replaceState(null, "", link), 250);
+  }
+}
+
+function plural(kind, count) {
+  return count === 1 || kind === "other" ? kind : `${kind}s`;
+}
+
+function dateText(day) {
+  return `${day.toLocaleString("en-GB", { dateStyle: "long", timeStyle: "short", timeZone: "UTC" })} UTC`;
+}
+
+const replay = new Replay(REPORT, RECORDING, GROUND);
+replay.stale = false;
+replay.start();
+replay.draw(performance.now());
+performance.mark("recap-first-frame");
