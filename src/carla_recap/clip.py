@@ -46,6 +46,8 @@ def clip(
     The first frame is the one at or before the start, the last one that at or before the end. Elapsed times and frame
     numbers begin anew, at 0 and at 1; the date is that of the first frame, in whole seconds. Actors keep their ids.
 
+    Should the clock of the source jump back to before the start, the frames there are left out.
+
     The first frame tells, besides its own records, what is still true of earlier ones: of all actors that are there their
     spawns (with the pose that they have by then), parents, boxes, volumes, physics and open doors, the states and times of
     traffic lights, the weather, and the lamps. In all other frames the packets are those of the source, byte for byte;

@@ -36,6 +36,9 @@ class Lasting:
         source: The recording.
     """
 
+    _next: Frame | None  # the first frame with events that is not taken in
+    _read: int  # the index behind the latest one that is
+
     def __init__(self, source: Reader) -> None:
         self.source = source
         self._table = source.header.table
@@ -64,7 +67,7 @@ class Lasting:
         types = [type.name for type in self._table if type.group is Group.EVENTS and type.name != "collisions"]
         self._stream = self.source.frames(types, sparse=True)
         self._next = next(self._stream, None)
-        self._read = 0  # the index behind the latest frame that was taken in
+        self._read = 0
         self._world = self._new_world()
         self._latest: dict[str, dict[int, Any]] = defaultdict(dict)
 

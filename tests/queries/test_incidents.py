@@ -3,6 +3,7 @@ from __future__ import annotations
 import json as stdlib
 import math
 import re
+from contextlib import closing
 from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -11,14 +12,13 @@ import numpy as np
 import pytest
 
 from carla_recap.errors import RecapError
-from carla_recap.formats import open_reader
 from carla_recap.formats.mcap.reader import McapReader
 from carla_recap.frame import LAST_FRAME_DURATION, Header
 from carla_recap.queries import braking as braking_module
 from carla_recap.queries import incidents, report
 from carla_recap.records import NO_ACTOR, Spawn, attributes
 from tests.queries.conftest import TICK, write
-from tests.samples import carla_log
+from tests.samples import carla_log, reading
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
@@ -78,25 +78,12 @@ def test_a_calm_drive_has_none(name: str, opened: Callable[[Path], Reader]) -> N
 
 
 def test_collisions_alone_read_the_events_and_their_places(driven: Path) -> None:
-    with McapReaderOf(driven) as reader:
+    with closing(McapReader(driven)) as reader:
         incidents(reader, blocked=False, braking=False)
         once = reader.bytes_read
         for frame in reader.frames(("transforms",)):
             assert len(frame["transforms"])
         assert once < reader.bytes_read - once
-
-
-class McapReaderOf:
-    """A reader, closed after the block."""
-
-    def __init__(self, path: Path) -> None:
-        self.reader = McapReader(path)
-
-    def __enter__(self) -> McapReader:
-        return self.reader
-
-    def __exit__(self, *_: object) -> None:
-        self.reader.close()
 
 
 # --- collisions ----------------------------------------------------------------------------------------
@@ -201,11 +188,8 @@ def drive(
 
 
 def braked(path: Path, **options: Any) -> list[Any]:
-    reader = open_reader(path)
-    try:
+    with reading(path) as reader:
         return list(incidents(reader, blocked=False, collisions=False, **options))
-    finally:
-        reader.close()
 
 
 @pytest.mark.parametrize("recorded", [False, True])

@@ -13,6 +13,7 @@ class Replay {
     this.stage = new Stage(document.getElementById("canvas"), this.tracks, this.camera, report, ground);
     this.incidents = new Incidents(report, this.tracks, (place) => this.open(place));
     this.transport = new Transport(this.clock, report, (place) => this.open(place));
+    this.space = new Space(report, () => this.changed());
     this.jumps = -1;
     this.last = 0; // ms
     this.stale = true;
@@ -159,6 +160,7 @@ class Replay {
       h: () => this.toggle("heading"),
       l: () => this.toggle("labels"),
       t: () => this.toggle("trails"),
+      v: () => this.space.toggle(),
       "?": () => document.getElementById("help").showModal(),
       Escape: () => this.follow(null),
     };
@@ -200,7 +202,8 @@ class Replay {
     const jumped = this.jumps !== this.clock.jumps;
     this.jumps = this.clock.jumps;
     const turning = this.camera.step(this.pose(), seconds, jumped);
-    this.stage.draw(this.clock.time);
+    if (this.space.isOpen) this.space.show(this.clock.time, this.life(this.camera.followed));
+    else this.stage.draw(this.clock.time);
     this.transport.showTime();
     this.showFollowed();
     this.showCaption();

@@ -3,32 +3,63 @@
 from __future__ import annotations
 
 import sys
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, TypeVar
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Iterator
+    from collections.abc import Callable, Iterable, Iterator, Sequence
 
     from carla_recap.conversion import Progress
     from carla_recap.formats.base import Reader
     from carla_recap.frame import Frame
+    from carla_recap.queries.incidents import Incident
+    from carla_recap.replay.player import Player
+    from carla_recap.replay.player import Progress as SceneProgress
+    from carla_recap.replay.scene import Scene
+
+T = TypeVar("T")
+
+_REST = 256  # items between two looks at the bar
 
 
 def watch(what: str) -> Progress:
     """Watches a stream of frames go by; `what` is being done to them."""
 
     def progress(frames: Iterable[Frame], reader: Reader) -> Iterable[Frame]:
-        return _bar(frames, what, reader.extent().frames) if sys.stderr.isatty() else frames
+        return _bar(frames, what, reader.extent().duration, lambda frame: frame.elapsed)
 
     return progress
 
 
-def _bar(frames: Iterable[Frame], title: str, total: int | None) -> Iterator[Frame]:
+def watch_scenes(what: str) -> SceneProgress:
+    """Watches a recording being played; `what` is being done to it."""
+
+    def progress(scenes: Iterable[Scene], player: Player) -> Iterable[Scene]:
+        return _bar(scenes, what, player.stop - player.start, lambda scene: scene.time - player.start)
+
+    return progress
+
+
+def watch_incidents(what: str) -> Callable[[Sequence[Incident]], Iterable[Incident]]:
+    """Watches incidents go by; `what` is being done to them."""
+
+    def progress(found: Sequence[Incident]) -> Iterable[Incident]:
+        places = iter(range(len(found)))
+        return _bar(found, what, len(found), lambda _: next(places), rest=1)
+
+    return progress
+
+
+def _bar(items: Iterable[T], title: str, total: float, position: Callable[[T], float], rest: int = _REST) -> Iterable[T]:
+    return _watched(items, title, total, position, rest) if sys.stderr.isatty() else items
+
+
+def _watched(items: Iterable[T], title: str, total: float, position: Callable[[T], float], rest: int) -> Iterator[T]:
     from rich.console import Console
     from rich.progress import Progress as Bar
 
     with Bar(console=Console(stderr=True), transient=True) as bar:
         task = bar.add_task(title, total=total)
-        for number, frame in enumerate(frames):
-            if number % 256 == 0:
-                bar.update(task, completed=number)
-            yield frame
+        for number, item in enumerate(items):
+            if number % rest == 0:
+                bar.update(task, completed=position(item))
+            yield item

@@ -58,8 +58,7 @@ class Program:
     def __enter__(self) -> Self:
         with ExitStack() as stack:
             stack.enter_context(_ended_by_sigterm())
-            self._log = Path(stack.enter_context(TemporaryDirectory(prefix="carla-recap-"))) / "log"
-            self._process = self._start()
+            self._process = self._start(Path(stack.enter_context(TemporaryDirectory(prefix="carla-recap-"))))
             stack.callback(self._end)
             self._stack = stack.pop_all()
         return self
@@ -133,6 +132,8 @@ class Program:
         try:
             yield
         except (OSError, RuntimeError) as error:
+            if watchdog.finished.is_set():
+                raise RecapError(f"the Rerun viewer does not answer within {PATIENCE:g} s") from None
             with suppress(subprocess.TimeoutExpired):
                 self._process.wait(_PAUSE)
             self.check()
@@ -140,12 +141,13 @@ class Program:
         finally:
             watchdog.cancel()
 
-    def _start(self) -> subprocess.Popen[bytes]:
+    def _start(self, folder: Path) -> subprocess.Popen[bytes]:
+        """Start it with a folder for what it says, and for temporary files that it would leave behind."""
+        self._log = folder / "log"
+        environment = {**self._environment, **dict.fromkeys(("TMPDIR", "TEMP", "TMP"), str(folder))}
         with self._log.open("wb") as log:
             try:
-                return subprocess.Popen(
-                    self._command, stdin=subprocess.DEVNULL, stdout=log, stderr=log, env=self._environment
-                )
+                return subprocess.Popen(self._command, stdin=subprocess.DEVNULL, stdout=log, stderr=log, env=environment)
             except OSError as error:
                 raise RecapError(f"{self._command[0]}: cannot be started: {error.strerror}") from None
 

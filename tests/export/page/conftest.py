@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import shutil
+from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -13,12 +14,9 @@ from carla_recap import ActorKind, Attribute, Spawn, create_recording, open_reco
 from carla_recap.export.page import write_report
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator, Mapping, Sequence
+    from collections.abc import Iterator, Mapping, Sequence
 
     from selenium.webdriver import Chrome
-
-    Data = Callable[[Path, str], Any]
-    Write = Callable[..., Path]
 
 CROSSING = Path(__file__).parents[3] / "samples" / "crossing.log"
 NASTY = "</script><img src=x onerror=\"document.title='broken'\">\u2028\u2029\x01\"'&amp;"
@@ -64,8 +62,8 @@ def report(source: Path, folder: Path, **options: Any) -> Path:
     return folder
 
 
-@pytest.fixture(scope="session")
-def chromium() -> Iterator[Chrome]:
+@contextmanager
+def browser(*arguments: str) -> Iterator[Chrome]:
     """A browser without a window; skips the test where there is none."""
     binary, driver = shutil.which("chromium"), shutil.which("chromedriver")
     if not binary or not driver:
@@ -75,9 +73,18 @@ def chromium() -> Iterator[Chrome]:
 
     options = webdriver.ChromeOptions()
     options.binary_location = binary
-    for argument in ("headless=new", "no-sandbox", "disable-gpu", "disable-background-networking", "window-size=1440,900"):
+    for argument in ("headless=new", "no-sandbox", "disable-background-networking", "window-size=1440,900", *arguments):
         options.add_argument(f"--{argument}")
     options.set_capability("goog:loggingPrefs", {"browser": "ALL"})
-    browser = webdriver.Chrome(options=options, service=Service(driver))
-    yield browser
-    browser.quit()
+    chrome = webdriver.Chrome(options=options, service=Service(driver))
+    try:
+        yield chrome
+    finally:
+        chrome.quit()
+
+
+@pytest.fixture(scope="session")
+def chromium() -> Iterator[Chrome]:
+    """A browser for all tests."""
+    with browser("disable-gpu") as chrome:
+        yield chrome

@@ -57,6 +57,13 @@ def new_folder(folder: Path | str) -> Iterator[Path]:
         shutil.rmtree(partial, ignore_errors=True)
 
 
+def copy_files(source: Path, folder: Path) -> None:
+    """Copy the files of a folder, but not what is in folders of it."""
+    for file in source.iterdir():
+        if file.is_file():
+            shutil.copyfile(file, folder / file.name)
+
+
 def _move_into(source: Path, folder: Path) -> None:
     folder.mkdir(exist_ok=True)
     for item in source.iterdir():

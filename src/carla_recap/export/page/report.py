@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import shutil
 from collections import Counter
 from importlib.metadata import version
 from pathlib import Path
@@ -13,7 +12,8 @@ from carla_recap.errors import RecapError
 from carla_recap.export.look import LIGHTS, OTHER, STYLES
 from carla_recap.export.page import script
 from carla_recap.export.page.drawing import draw
-from carla_recap.export.page.folder import check_folder, new_folder
+from carla_recap.export.page.embedded import embed
+from carla_recap.export.page.folder import check_folder, copy_files, new_folder
 from carla_recap.export.page.ground import ground
 from carla_recap.export.page.tracks import Sampler, Tracks
 from carla_recap.queries.incidents import Incident, incidents
@@ -70,6 +70,7 @@ def write_report(
     after: float = 5.0,
     road_map: RoadMap | None = None,
     pictures: Pictures = "drawn",
+    viewer: bool = False,
     force: bool = False,
     progress: Progress | None = None,
 ) -> Report:
@@ -83,12 +84,13 @@ def write_report(
         road_map: The roads to show.
         pictures: "drawn": a drawing of each incident, from above; "rerun": a view from behind the first actor, which takes
             seconds for each, and the extra `rerun`; or "none".
+        viewer: Add Rerun's viewer, to see the scene in 3D; it needs the extra `rerun`, and a server for the page.
         force: Write into a folder that has something in it already.
         progress: Is given the stream of scenes and their player, and passes the scenes on.
 
     Raises:
         RecapError: The recording is damaged or empty, the folder is taken, or Rerun's viewer cannot draw here.
-        MissingExtra: Pictures through Rerun were asked for without it.
+        MissingExtra: Pictures through Rerun, or its viewer, were asked for without it.
     """
     if not (before >= 0 and after >= 0):
         raise RecapError(f"{before:g} s before and {after:g} s after incidents cannot be shown; 0 or more were expected")
@@ -99,27 +101,28 @@ def write_report(
     shown = sorted(range(len(found)), key=lambda place: FIRST.index(found[place].kind))[:REPLAYED]
     tracks, whole = _sample(recording, [found[place] for place in shown], before, after, progress)
     below = ground(road_map, tracks)
+    if viewer and not whole:
+        raise RecapError(f"{recording.path}: is too long for the viewer in a page; clips of its incidents are not")
     with new_folder(folder) as room:
-        for file in sorted((viewer_folder() / "page").iterdir()):
-            shutil.copyfile(file, room / file.name)
+        copy_files(viewer_folder() / "page", room)
+        if viewer:
+            embed(recording, room / "rerun", road_map)
         (room / "data").mkdir()
         (room / "pictures").mkdir()
         names: dict[int, str] = {}
         for place in shown if pictures != "none" else ():
             incident = found[place]
-            if not tracks.covers(incident.start):
-                continue
             followed = next((id for id in incident.actors if id in tracks.ids(incident.start)), None)
             if pictures == "rerun" and followed is not None:
-                names[place], content = (
-                    f"pictures/incident-{place + 1:04}.png",
-                    _taken(recording, incident, followed, road_map),
-                )
+                names[place] = f"pictures/incident-{place + 1:04}.png"
+                picture = _taken(recording, incident, followed, road_map)
+            elif tracks.covers(incident.start):
+                names[place] = f"pictures/incident-{place + 1:04}.svg"
+                picture = draw(incident, tracks, below, before=before, after=after).encode()
             else:
-                drawing = draw(incident, tracks, below, before=before, after=after)
-                names[place], content = f"pictures/incident-{place + 1:04}.svg", drawing.encode()
-            (room / names[place]).write_bytes(content)
-        summary = _summary(recording, player, found, names, whole=whole)
+                continue
+            (room / names[place]).write_bytes(picture)
+        summary = _summary(recording, player, found, names, whole=whole) | {"viewer": viewer}
         (room / "data" / "report.js").write_text(script.script("REPORT", summary), "ascii")
         (room / "data" / "ground.js").write_text(script.script("GROUND", script.layers(below)), "ascii")
         (room / "data" / "recording.js").write_text(script.script("RECORDING", script.recording(tracks)), "ascii")

@@ -22,7 +22,7 @@ if TYPE_CHECKING:
     from carla_recap.replay import Event, Present, Scene
 
 _PAUSE: Final = 1.0  # s; what comes sooner after the last record of a contact belongs to it
-_SHOWN: Final = 2.0  # s; so long a collision is marked
+_SHOWN: Final = 2_000_000_000  # ns; so long a collision is marked
 _ABOVE: Final = 2.5  # m; so high above the ground
 _MARK: Final = 0.5  # m
 _MANY: Final = 8  # so many actors that come or go at once are counted, not named
@@ -39,13 +39,13 @@ class Chronicle:
         self._stream = stream
         self._actors: dict[int, Present] = {}
         self._contacts: dict[frozenset[int], float] = {}  # pairs, and when they touched last
-        self._marks: list[tuple[float, str]] = []  # what is to disappear, and when
+        self._marks: list[tuple[int, str]] = []  # what is to disappear, and when, in ns
         self._count = 0
 
     def enter(self, scene: Scene, moment: Moment) -> None:
         """Take a scene in."""
         if self._marks:
-            self._wipe(scene.time, moment)
+            self._wipe(moment)
         if not scene.events:
             return
         self._actors.update((event.actor.id, event.actor) for event in scene.spawned)
@@ -80,12 +80,12 @@ class Chronicle:
         self._tell(moment, [event], rr.TextLogLevel.ERROR)
         poses = [pose for id in (event.actor1, event.actor2) if (pose := scene.pose_of(id)) is not None]
         if poses:
-            self._mark(right_handed(np.mean(poses, axis=0))[LOCATION], scene, moment)
+            self._mark(right_handed(np.mean(poses, axis=0))[LOCATION], moment)
 
-    def _mark(self, place: NDArray[np.float64], scene: Scene, moment: Moment) -> None:
+    def _mark(self, place: NDArray[np.float64], moment: Moment) -> None:
         path = f"{tree.COLLISIONS}/{self._count}"
         self._count += 1
-        self._marks.append((scene.time + _SHOWN, path))
+        self._marks.append((moment.elapsed + _SHOWN, path))
         self._stream.log(
             path,
             moment,
@@ -98,8 +98,8 @@ class Chronicle:
             ),
         )
 
-    def _wipe(self, now: float, moment: Moment) -> None:
-        due = [path for time, path in self._marks if time <= now]
+    def _wipe(self, moment: Moment) -> None:
+        due = [path for time, path in self._marks if time <= moment.elapsed]
         for path in due:
             self._stream.clear(path, moment)
         del self._marks[: len(due)]

@@ -21,6 +21,7 @@ from carla_recap.formats.atomic import AtomicFile
 from carla_recap.queries.actors import actors
 from carla_recap.recording import Recording
 from carla_recap.replay import Played, Player
+from carla_recap.texts import readable
 
 if TYPE_CHECKING:
     from collections.abc import Iterable
@@ -34,6 +35,8 @@ if TYPE_CHECKING:
 
 APPLICATION: Final = "carla_recap"
 """The kind of data, by which the viewer knows which blueprints fit."""
+
+_LATEST: Final = 9_000_000_000  # s; what fits into 64 bits of nanoseconds
 
 
 def write(
@@ -56,14 +59,8 @@ def write(
     Raises:
         FormatError: The file contradicts its format.
     """
-    header = player.reader.header
     sink = Stream(stream)
-    stream.send_recording_name(player.reader.path.name)
-    stream.send_recording_start_time_nanos(header.date * 1_000_000_000)
-    stream.send_property(
-        "recording",
-        rr.AnyValues(map=header.map_name, source=str(player.reader.path), recorder_version=header.version),
-    )
+    _introduce(stream, player.reader)
     if road_map is not None:
         roads.draw(sink, road_map)
     followed = player.followed
@@ -80,6 +77,16 @@ def write(
     for part in parts:
         part.close()
     return Played(count, player.stop - player.start)
+
+
+def _introduce(stream: rr.RecordingStream, reader: Reader) -> None:
+    """Say what recording this is."""
+    header = reader.header
+    stream.send_recording_name(readable(reader.path.name))
+    if 0 <= header.date <= _LATEST:
+        stream.send_recording_start_time_nanos(header.date * 1_000_000_000)
+    about = rr.AnyValues(map=readable(header.map_name), source=readable(str(reader.path)), recorder_version=header.version)
+    stream.send_property("recording", about)
 
 
 def export_rerun(
@@ -135,7 +142,7 @@ class _RrdFile(AtomicFile):
 
     def __init__(self, path: Path | str, arrangement: rrb.Blueprint) -> None:
         super().__init__(path)
-        self.stream = rr.RecordingStream(APPLICATION)
+        self.stream = rr.RecordingStream(APPLICATION, send_properties=False)
         self._begin(lambda: self.stream.save(self._partial, default_blueprint=arrangement))
 
     def abort(self) -> None:

@@ -1,0 +1,108 @@
+"""The commands that write recordings: in another format, saved, or shorter."""
+
+from __future__ import annotations
+
+import click
+
+from carla_recap.cli import options
+from carla_recap.cli.output import say
+
+_copy = options.together(options.source, options.destination, options.force)
+
+
+@click.command()
+@_copy
+def convert(source: str, destination: str, force: bool) -> None:
+    """Write a recording in another format; DST's suffix says which.
+
+    .log to .mcap and back gives the same bytes.
+    """
+    from carla_recap.cli.progress import watch
+    from carla_recap.conversion import convert as run
+
+    extent = run(source, destination, force=force, progress=watch("converting"))
+    say(f"{destination}: {extent.frames} frames, {extent.duration:g} s")
+
+
+@click.command()
+@_copy
+def recover(source: str, destination: str, force: bool) -> None:
+    """Save what is whole in a recording that is damaged, or was never finished."""
+    from carla_recap.cli.progress import watch
+    from carla_recap.recovery import recover as run
+
+    result = run(source, destination, force=force, progress=watch("recovering"))
+    say(f"{destination}: {result}")
+
+
+@click.command()
+@_copy
+@options.start
+@options.duration
+def clip(source: str, destination: str, force: bool, start: float, duration: float) -> None:
+    """Cut a stretch out of a recording.
+
+    DST is a recording of its own; its suffix says the format.
+    """
+    from carla_recap.cli.progress import watch
+    from carla_recap.clip import clip as run
+
+    extent = run(source, destination, start=start, duration=duration, force=force, progress=watch("cutting"))
+    say(f"{destination}: {extent.frames} frames, {extent.duration:g} s")
+
+
+@click.command()
+@options.source
+@options.folder
+@options.force
+@click.option("--collisions", is_flag=True, help="Of collisions; without any of these three, of all incidents.")
+@click.option("--blocked", is_flag=True, help="Of vehicles and walkers that stood still for long.")
+@click.option("--braking", is_flag=True, help="Of vehicles that braked hard.")
+@options.before
+@options.after
+@click.option(
+    "--format", "suffix", type=click.Choice(["mcap", "log"]), default="mcap", show_default=True, help="Of the clips."
+)
+@click.option("--rrd/--no-rrd", default=True, show_default=True, help="Write an .rrd beside each clip.")
+@click.option(
+    "--limit", type=click.IntRange(min=1), default=100, show_default=True, metavar="N", help="So many at the most."
+)
+def clips(
+    source: str,
+    folder: str,
+    force: bool,
+    collisions: bool,
+    blocked: bool,
+    braking: bool,
+    before: float,
+    after: float,
+    suffix: str,
+    rrd: bool,
+    limit: int,
+) -> None:
+    """Cut a clip of each incident, into a folder."""
+    from carla_recap.cli.progress import watch_incidents
+    from carla_recap.clip import clips as run
+
+    every = not (collisions or blocked or braking)
+    written = run(
+        source,
+        folder,
+        collisions=collisions or every,
+        blocked=blocked or every,
+        braking=braking or every,
+        before=before,
+        after=after,
+        suffix=f".{suffix}",
+        rerun=rrd,
+        limit=limit,
+        force=force,
+        progress=watch_incidents("cutting"),
+    )
+    for each in written:
+        say(f"{each.recording}: {each.incident.text}")
+    if not written:
+        say(f"{folder}: no incidents, no clips")
+
+
+COMMANDS = (convert, recover, clip, clips)

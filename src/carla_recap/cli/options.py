@@ -1,0 +1,107 @@
+"""Arguments and options that several commands share."""
+
+from __future__ import annotations
+
+import math
+from typing import TYPE_CHECKING, Any
+
+import click
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+    Command = Callable[..., Any]
+
+
+class _Number(click.FloatRange):
+    """A number; never NaN."""
+
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Any:
+        number = super().convert(value, param, ctx)
+        return self.fail(f"{value} is not a number.", param, ctx) if math.isnan(number) else number
+
+
+class _Follow(click.ParamType[Any]):
+    """An actor id, or hero."""
+
+    name = "actor"
+
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Any:
+        if value == "hero" or isinstance(value, int):
+            return value
+        if not value.isdecimal():
+            self.fail(f"{value!r} is neither an actor id nor hero.", param, ctx)
+        return int(value)
+
+
+class _Size(click.ParamType[Any]):
+    """A width and a height in pixels."""
+
+    name = "size"
+
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Any:
+        numbers = value.lower().split("x")
+        if len(numbers) != 2 or not all(n.isdecimal() and len(n) < 5 and 16 <= int(n) <= 8192 for n in numbers):
+            self.fail(f"{value!r} is no size; WIDTHxHEIGHT was expected, such as 1280x720, of 16 to 8192 each.", param, ctx)
+        return int(numbers[0]), int(numbers[1])
+
+
+NUMBER = _Number(min=0)
+TIME = _Number()
+FOLLOW = _Follow()
+SIZE = _Size()
+
+recording = click.argument("file", type=click.Path(), metavar="FILE")
+source = click.argument("source", type=click.Path(), metavar="SRC")
+destination = click.argument("destination", type=click.Path(), metavar="DST")
+folder = click.argument("folder", type=click.Path(), metavar="DIR")
+force = click.option("--force", is_flag=True, help="Overwrite what is there.")
+json = click.option("--json", "form", flag_value="json", help="Print JSON.")
+text = click.option("--text", "form", flag_value="text", help="Print CARLA's text, as in a pipe.")
+compat = click.option(
+    "--compat",
+    is_flag=True,
+    help="Answer and print as CARLA 0.9.16 does, its slips included; implies --text.",
+)
+max_rows = click.option(
+    "--max-rows", type=click.IntRange(min=0), metavar="N", help="End with exit code 1 if there are more rows."
+)
+min_time = click.option(
+    "--min-time", type=NUMBER, default=30, show_default=True, metavar="S", help="Shortest stop to report, in s."
+)
+min_distance = click.option(
+    "--min-distance", type=NUMBER, default=10, show_default=True, metavar="CM", help="What counts as moving."
+)
+start = click.option(
+    "--start", type=TIME, default=0, metavar="S", help="Where to begin, in s; negative: so long before the end."
+)
+duration = click.option("--duration", type=NUMBER, default=0, metavar="S", help="How many seconds; 0: all of the rest.")
+follow = click.option(
+    "--follow",
+    type=FOLLOW,
+    metavar="ID|hero",
+    help="Whom the camera follows; else the hero, the first to collide, or who goes farthest.",
+)
+camera = click.option("--view", type=click.Choice(["chase", "top"]), default="chase", show_default=True, help="The camera.")
+road_map = click.option(
+    "--map",
+    "road_map",
+    type=click.Path(),
+    metavar="FILE",
+    help="The town's map, an OpenDRIVE .xodr or a folder of them; else looked for in $CARLA_RECAP_MAPS.",
+)
+before = click.option(
+    "--before", type=NUMBER, default=5, show_default=True, metavar="S", help="Seconds to show before an incident."
+)
+after = click.option("--after", type=NUMBER, default=5, show_default=True, metavar="S", help="Seconds to show after it.")
+
+
+def together(*decorators: Callable[[Command], Command]) -> Callable[[Command], Command]:
+    """Several options as one decorator, in the order in which help lists them."""
+
+    def decorate(command: Command) -> Command:
+        for decorator in reversed(decorators):
+            command = decorator(command)
+        return command
+
+    return decorate

@@ -1,0 +1,91 @@
+"""The commands that ask: what is in a recording, who collided, who stood still, who was there, what went wrong."""
+
+from __future__ import annotations
+
+import click
+
+from carla_recap.cli import options
+
+_report = options.together(options.recording, options.json, options.text, options.compat)
+
+
+@click.command()
+@_report
+@click.option("--all", "everything", is_flag=True, help="Every record of every frame, not only the events.")
+def info(file: str, everything: bool, form: str | None, compat: bool) -> None:
+    """What is in a recording: spawns, collisions and other events."""
+    from carla_recap.cli.report import show
+    from carla_recap.formats import open_reader
+    from carla_recap.queries import info as query
+
+    show(query(open_reader(file), all=everything, compat=compat), form)
+
+
+@click.command()
+@_report
+@click.option(
+    "--types",
+    default="aa",
+    show_default=True,
+    metavar="AB",
+    help="The two sides: h hero, v vehicle, w walker, t traffic light, o other, a any.",
+)
+@options.max_rows
+def collisions(file: str, types: str, form: str | None, compat: bool, max_rows: int | None) -> None:
+    """Who collided with whom."""
+    from carla_recap.cli.report import show
+    from carla_recap.formats import open_reader
+    from carla_recap.queries import collisions as query
+
+    if len(types) != 2:
+        raise click.BadParameter(f"{types!r} are not two letters, such as hv.", param_hint="--types")
+    show(query(open_reader(file), *types, compat=compat), form, max_rows)
+
+
+@click.command()
+@_report
+@options.min_time
+@options.min_distance
+@options.max_rows
+def blocked(file: str, min_time: float, min_distance: float, form: str | None, compat: bool, max_rows: int | None) -> None:
+    """Who stood still for long."""
+    from carla_recap.cli.report import show
+    from carla_recap.formats import open_reader
+    from carla_recap.queries import blocked as query
+
+    show(query(open_reader(file), min_time, min_distance, compat=compat), form, max_rows)
+
+
+@click.command()
+@options.recording
+@options.json
+@options.text
+def actors(file: str, form: str | None) -> None:
+    """Who was there, and when."""
+    from carla_recap.cli.report import show
+    from carla_recap.formats import open_reader
+    from carla_recap.queries import actors as query
+
+    show(query(open_reader(file)), form)
+
+
+@click.command()
+@options.recording
+@options.json
+@options.text
+@options.min_time
+@options.min_distance
+@options.max_rows
+def incidents(file: str, form: str | None, min_time: float, min_distance: float, max_rows: int | None) -> None:
+    """What went wrong: collisions, hard braking, long stops.
+
+    Long stops are those of vehicles and walkers.
+    """
+    from carla_recap.cli.report import show
+    from carla_recap.formats import open_reader
+    from carla_recap.queries import incidents as query
+
+    show(query(open_reader(file), min_time=min_time, min_distance=min_distance), form, max_rows)
+
+
+COMMANDS = (info, collisions, blocked, actors, incidents)

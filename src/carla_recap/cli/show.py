@@ -1,0 +1,151 @@
+"""The commands that show: exports for viewers, the viewer itself, pictures, the incident page."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import click
+
+from carla_recap.cli import options
+from carla_recap.cli.output import say, warn
+
+if TYPE_CHECKING:
+    from carla_recap.maps import RoadMap
+    from carla_recap.recording import Recording
+
+VIEWERS = {".rrd": "rerun", ".mcap": "foxglove"}
+
+_window = options.together(options.follow, options.start, options.duration, options.road_map)
+
+
+@click.command()
+@options.source
+@options.destination
+@click.option(
+    "--to", type=click.Choice(["rerun", "foxglove"]), help="For which viewer; else DST's suffix says: .rrd or .mcap."
+)
+@_window
+@options.camera
+@click.option("--cameras", type=click.Path(), metavar="DIR", help="Write a small .rbl for each actor, to follow it (Rerun).")
+@options.force
+def export(
+    source: str, destination: str, to: str | None, road_map: str | None, view: str, cameras: str | None, **play: Any
+) -> None:
+    """Write a recording for Rerun (.rrd) or Foxglove (.mcap)."""
+    from carla_recap.cli.progress import watch_scenes
+    from carla_recap.recording import open_recording
+
+    suffix = Path(destination).suffix.lower()
+    viewer = VIEWERS.get(suffix)
+    if viewer is None or to not in (None, viewer):
+        expected = "".join(name for name, each in VIEWERS.items() if each == to) or " or ".join(VIEWERS)
+        raise click.BadParameter(f"{destination!r} does not end in {expected}.", param_hint="DST")
+    play["progress"] = watch_scenes("exporting")
+    with open_recording(source) as recording:
+        if viewer == "rerun":
+            from carla_recap.export.rerun import export_rerun
+
+            play |= {"road_map": _road_map(recording, road_map), "view": view, "cameras": cameras}
+            played = export_rerun(recording, destination, **play)
+        else:
+            from carla_recap.export.foxglove import export_foxglove, layout_files
+
+            if cameras:
+                raise click.BadParameter("Foxglove has no such files.", param_hint="--cameras")
+            played = export_foxglove(recording, destination, road_map=_road_map(recording, road_map), **play)
+            say(f"layouts to import: {', '.join(map(str, layout_files()))}")
+    say(f"{destination}: {played.frames} frames, {played.seconds:g} s")
+
+
+@click.command()
+@options.source
+@_window
+@options.camera
+@click.option("--web", is_flag=True, help="Serve the viewer to a browser on this machine.")
+def view(source: str, road_map: str | None, **play: Any) -> None:
+    """Open a recording in Rerun's viewer."""
+    from carla_recap.cli.progress import watch_scenes
+    from carla_recap.export.viewer import view as run
+    from carla_recap.recording import open_recording
+
+    with open_recording(source) as recording:
+        run(recording, road_map=_road_map(recording, road_map), progress=watch_scenes("exporting"), **play)
+
+
+@click.command()
+@options.source
+@options.destination
+@click.option("--at", type=options.TIME, required=True, metavar="S", help="The moment, in s; negative: before the end.")
+@options.follow
+@options.camera
+@options.road_map
+@click.option("--size", type=options.SIZE, default="1280x720", show_default=True, metavar="WxH", help="In pixels.")
+@options.force
+def snapshot(source: str, destination: str, road_map: str | None, **picture: Any) -> None:
+    """Take a picture of a moment, without GPU or display."""
+    from carla_recap.export.snapshot import snapshot as run
+    from carla_recap.recording import open_recording
+
+    with open_recording(source) as recording:
+        run(recording, destination, road_map=_road_map(recording, road_map), **picture)
+    say(destination)
+
+
+@click.command()
+@options.source
+@options.folder
+@options.before
+@options.after
+@options.road_map
+@click.option(
+    "--pictures",
+    type=click.Choice(["drawn", "rerun", "none"]),
+    default="drawn",
+    show_default=True,
+    help="Of incidents: drawn from above, or taken from behind by Rerun's viewer.",
+)
+@options.force
+@click.option("--serve", is_flag=True, help="Serve the page to a browser on this machine, until Ctrl-C.")
+@click.option("--port", type=click.IntRange(0, 65535), default=0, metavar="N", help="Where to serve; 0: any free port.")
+def report(source: str, folder: str, road_map: str | None, serve: bool, port: int, **page: Any) -> None:
+    """Write the incident page, for any browser.
+
+    It lists what went wrong, with pictures and a replay from above.
+    """
+    from carla_recap.cli.progress import watch_scenes
+    from carla_recap.export.page import serve as serve_page
+    from carla_recap.export.page import write_report
+    from carla_recap.recording import open_recording
+
+    with open_recording(source) as recording:
+        written = write_report(
+            recording, folder, road_map=_road_map(recording, road_map), progress=watch_scenes("sampling"), **page
+        )
+    say(f"{Path(folder) / 'index.html'}: {written.incidents} incidents, {written.size / 1e6:.1f} MB")
+    if serve:
+        serve_page(folder, port)
+
+
+def _road_map(recording: Recording, path: str | None) -> RoadMap | None:
+    """The map that was asked for, or that the recording's map name finds; without the extra, none, and a warning."""
+    from carla_recap.errors import MissingExtra, RecapError
+    from carla_recap.maps import find_map, load_map
+
+    name = recording.header.map_name
+    if path is None or Path(path).is_dir():
+        found = find_map(name, path)
+        if found is None and path is not None:
+            raise RecapError(f"{path}: no .xodr for the map {name!r}")
+    else:
+        found = Path(path)
+    if found is None:
+        return None
+    try:
+        return load_map(found)
+    except MissingExtra as error:
+        warn(f"{error}; the rest is shown without it")
+        return None
+
+
+COMMANDS = (export, view, snapshot, report)

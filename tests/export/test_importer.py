@@ -1,0 +1,148 @@
+"""The importer as the viewer runs it: a program that takes a file, and answers on stdout."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+import sysconfig
+from pathlib import Path
+
+import pytest
+
+pytest.importorskip("rerun", reason="the extra `rerun` is not installed")
+
+from rerun.chunk import RrdReader
+
+from carla_recap import convert
+from carla_recap.export.headless import Photographer
+from carla_recap.export.importer import FAILED, NOT_OURS
+from tests.export.conftest import SAMPLE
+from tests.samples import CARLA_LOGS, carla_log, log_header, save, small_log
+
+NAME = "rerun-importer-carla-recap"
+RUN = "import sys; from carla_recap.export.importer import main; main()"
+
+
+def run(path: Path | str, *options: str, **environment: str) -> subprocess.CompletedProcess[bytes]:
+    return subprocess.run(
+        [sys.executable, "-c", RUN, path, *options], capture_output=True, timeout=30, env={**os.environ, **environment}
+    )
+
+
+def stores(path: Path, data: bytes) -> list[tuple[str, str]]:
+    """The application and the recording of each store in an .rrd."""
+    reader = RrdReader(save(path, data))
+    return [(store.application_id, store.recording_id) for store in (*reader.recordings(), *reader.blueprints())]
+
+
+def damaged_mcap(path: Path) -> bytes:
+    convert(SAMPLE, path)
+    data = bytearray(path.read_bytes())
+    middle = len(data) // 2
+    data[middle : middle + 200] = bytes(200)
+    return bytes(data)
+
+
+def foreign_mcap() -> bytes:
+    header = b"\x01" + (8).to_bytes(8, "little") + bytes(8)
+    return b"\x89MCAP0\r\n" + header + b"\x89MCAP0\r\n"
+
+
+@pytest.mark.parametrize("suffix", [".log", ".mcap", ".anything"])
+def test_a_recording_of_either_format_by_its_content(tmp_path, suffix):
+    path = tmp_path / f"a recording{suffix}"
+    path.write_bytes(small_log())
+    if suffix == ".mcap":
+        path.unlink()
+        convert(save(tmp_path / "small.log", small_log()), path)
+    done = run(path, "--application-id", "some app", "--recording-id", "some id", "--unheard-of", "--timeless")
+    assert (done.returncode, done.stderr) == (0, b"")
+    reader = RrdReader(save(tmp_path / "out.rrd", done.stdout))
+    assert "/world/actors/7" in reader.store().schema().entity_paths()
+    assert set(stores(tmp_path / "out.rrd", done.stdout)[:1]) == {("some app", "some id")}
+    assert stores(tmp_path / "out.rrd", done.stdout)[1][0] == "some app"
+
+
+@pytest.mark.parametrize(
+    "content",
+    [b"", b"\x89PNG\r\n", b"CARLA_RECORDER", b"a server's log\n" * 100, bytes(100_000), foreign_mcap(), b"\x89MCAP0\r\n"],
+    ids=["empty", "png", "magic at another place", "text", "zeros", "foreign mcap", "cut mcap"],
+)
+def test_foreign_files_are_left_to_others(tmp_path, content):
+    done = run(save(tmp_path / "file.log", content))
+    assert (done.returncode, done.stdout, done.stderr) == (NOT_OURS, b"", b"")
+
+
+@pytest.mark.parametrize("path", ["", ".", "/nonexistent/file.log", os.devnull, "\udcff.log"])
+def test_what_is_no_file_is_left_to_others(path):
+    done = run(path)
+    assert (done.returncode, done.stdout, done.stderr) == (NOT_OURS, b"", b"")
+
+
+def test_for_foreign_files_nothing_heavy_is_imported(tmp_path):
+    check = f"import sys; sys.argv[1:] = [{str(save(tmp_path / 'file.log', b'text'))!r}]; import atexit; " + (
+        "atexit.register(lambda: print({'numpy', 'rerun', 'mcap', 'google.protobuf'} & set(sys.modules))); " + RUN
+    )
+    done = subprocess.run([sys.executable, "-c", check], capture_output=True, timeout=30)
+    assert (done.returncode, done.stdout) == (NOT_OURS, b"set()\n")
+
+
+def test_a_mention_of_our_name_makes_no_recording(tmp_path):
+    done = run(save(tmp_path / "file.mcap", foreign_mcap() + b"carla_recap.header"))
+    assert (done.returncode, done.stdout) == (NOT_OURS, b"")
+
+
+@pytest.mark.parametrize(("name", "content"), [("no frames", log_header()), ("damaged", None)])
+def test_a_damaged_recording_is_one_line(tmp_path, name, content):
+    path = save(tmp_path / f"{name}\n.mcap", content if content is not None else damaged_mcap(tmp_path / "whole.mcap"))
+    done = run(path)
+    assert done.returncode == FAILED
+    (line,) = done.stderr.decode().splitlines()
+    assert line.startswith(f"{NAME}: {tmp_path}/{name}")
+
+
+def test_a_viewer_that_closes_is_no_traceback():
+    with subprocess.Popen([sys.executable, "-c", RUN, SAMPLE], stdout=subprocess.PIPE, stderr=subprocess.PIPE) as process:
+        process.stdout.read(100)
+        process.stdout.close()
+        assert process.wait(30) == FAILED
+        assert b"Traceback" not in process.stderr.read()
+
+
+@pytest.fixture
+def viewer_path(crossing_rrd, monkeypatch):
+    """A PATH on which the viewer finds the importer."""
+    scripts = Path(sysconfig.get_path("scripts"))
+    if not (scripts / NAME).exists():
+        pytest.skip(f"{NAME} is not installed: pip install -e .")
+    monkeypatch.setenv("PATH", os.pathsep.join((str(scripts), os.environ["PATH"])))
+
+
+def opened(path: Path) -> tuple[int | None, set[str], list[str]]:
+    """What the viewer shows of a recording: the nanoseconds of its end, its views, and what they complain of."""
+    with Photographer(path) as photographer:
+        state = photographer.state
+    (recording,) = state.recordings
+    end = next(timeline.end for timeline in recording.timelines if timeline.name == "sim_time")
+    return end, {view.name for view in state.views}, [report.summary for view in state.views for report in view.reports]
+
+
+def test_the_viewer_opens_a_log(viewer_path):
+    end, views, complaints = opened(SAMPLE)
+    assert end == 53_000_000_000
+    assert {"Chase", "Top", "Map", "Events"} <= views
+    assert complaints == []
+
+
+def test_the_viewer_opens_a_real_log_with_its_map(viewer_path, monkeypatch):
+    maps = CARLA_LOGS.parent / "maps"
+    path = carla_log("carla-0.9.13-lane-center.log")
+    pytest.importorskip("carla", reason="the extra `carla` is not installed")
+    monkeypatch.setenv("CARLA_RECAP_MAPS", str(maps))
+    with Photographer(path) as photographer:
+        (recording,) = photographer.state.recordings
+        entities = {entity.entity_path for entity in photographer._client.get_recording_schema().entities}
+    assert recording.timelines[1].end == 12_528_204_977
+    assert {"/world/chase", "/world/actors/234", "/events"} <= entities
+    assert [path for path in entities if path.startswith("/world/map")]

@@ -1,0 +1,598 @@
+"""Exports to Rerun, read back with Rerun's own reader."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+from collections import defaultdict
+from itertools import pairwise
+from pathlib import Path
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+from carla_recap import ActorKind, MissingExtra, RecapError, Spawn, open_recording
+from carla_recap.export import look
+from carla_recap.maps import RoadMap, load_map
+from carla_recap.replay import Player
+from tests.replay.scripts import light, pose, spawn, velocity, write
+from tests.samples import CARLA_LOGS, carla_log
+
+pytest.importorskip("rerun", reason="the extra rerun is not installed")
+
+from rerun.chunk import RrdReader
+
+from carla_recap.export.rerun import APPLICATION, blueprint, export_rerun, tracks
+
+CROSSING = Path(__file__).parents[2] / "samples" / "crossing.log"
+HERO, BLOCKING, GONE, LATE, CYCLIST, WALKER, LIGHT, SENSOR = 100, 101, 103, 104, 105, 110, 20, 120  # of the crossing
+REAL = ("carla-0.9.10-lane-center", "carla-0.9.13-lane-center")
+ROADS = RoadMap(
+    "Hand",
+    [np.array([(0.0, 1, 0), (9, 1, 0)])],
+    [np.array([(0.0, 0, 0), (9, 0, 0)])],
+    [],
+    [],
+    [np.array([(9.0, 0, 0), (9, 1, 0)])],
+)
+
+
+class Rrd:
+    """What an .rrd holds, as the viewer would see it."""
+
+    def __init__(self, path: Path) -> None:
+        self.reader = RrdReader(path)
+        self._rows = defaultdict(lambda: defaultdict(list))  # by entity, by component: time, order, value
+        self.static = defaultdict(dict)
+        self.chunks = self.reader.stream().to_chunks()
+        for chunk in self.chunks:
+            batch = chunk.to_record_batch()
+            columns = batch.to_pydict()
+            ids = columns.pop("rerun.controls.RowId")
+            columns.pop("frame", None)
+            times = [time.value for time in columns.pop("sim_time")] if "sim_time" in columns else None
+            for name, values in columns.items():
+                if times is None:
+                    self.static[chunk.entity_path][name] = values[-1]
+                else:
+                    self._rows[chunk.entity_path][name] += zip(times, ids, values, strict=True)
+
+    @property
+    def entities(self) -> set[str]:
+        return {chunk.entity_path for chunk in self.chunks}
+
+    def rows(self, entity: str, component: str) -> list[tuple[float, list]]:
+        """Seconds and values."""
+        rows = sorted(row for row in self._rows[entity][component] if row[2] is not None)
+        return [(time / 1e9, value) for time, _, value in rows]
+
+    def at(self, entity: str, component: str, seconds: float) -> list | None:
+        """The latest at a time; None where there is none, or it was cleared."""
+        until = round(seconds * 1e9)
+        parents = [entity, *map(str, Path(entity).parents)]
+        clears = [row[:2] for parent in parents for row in self._rows[parent]["Clear:is_recursive"] if row[0] <= until]
+        rows = [row for row in self._rows[entity][component] if row[0] <= until and row[2] is not None]
+        last = max(rows, default=None)
+        return None if last is None or last[:2] < max(clears, default=last[:2]) else last[2]
+
+    def place(self, entity: str, seconds: float) -> list[float] | None:
+        found = self.at(entity, "Transform3D:translation", seconds)
+        return found and found[0]
+
+    def angle(self, entity: str, seconds: float) -> float:
+        """The yaw, in degrees."""
+        ((x, y, z, w),) = self.at(entity, "Transform3D:quaternion", seconds)
+        return float(np.degrees(np.arctan2(2 * (w * z + x * y), 1 - 2 * (y * y + z * z))))
+
+
+class Arrangement:
+    """What a blueprint holds."""
+
+    def __init__(self, path: Path) -> None:
+        reader = RrdReader(path)
+        (self.store,) = reader.blueprints()
+        self.parts = defaultdict(dict)
+        for chunk in reader.stream(store=self.store).to_chunks():
+            self.parts[chunk.entity_path] |= chunk.to_record_batch().to_pylist()[-1]
+
+    def view(self, name: str) -> SimpleNamespace:
+        (path,) = [path for path, part in self.parts.items() if part.get("ViewBlueprint:display_name") == [name]]
+        eye = {
+            key.partition(":")[2]: value[0]
+            for key, value in self.parts[f"{path}/EyeControls3D"].items()
+            if key.startswith("EyeControls3D")
+        }
+        ranged = [part.split("/overrides")[1] for part in self.parts if part.startswith(f"{path}/ViewContents/overrides")]
+        return SimpleNamespace(origin=self.parts[path]["ViewBlueprint:space_origin"][0], **eye, ranged=ranged)
+
+    @property
+    def active_tab(self) -> str:
+        (tab,) = [
+            part["ContainerBlueprint:active_tab"][0]
+            for part in self.parts.values()
+            if part.get("ContainerBlueprint:active_tab")
+        ]
+        return self.parts[f"/{tab}".replace("//", "/")]["ViewBlueprint:display_name"][0]
+
+
+def export(source: Path, destination: Path, **options) -> Rrd:
+    with open_recording(source) as recording:
+        export_rerun(recording, destination, **options)
+    return Rrd(destination)
+
+
+def verify(path: Path) -> None:
+    import rerun_cli
+
+    program = Path(rerun_cli.__path__[0]) / "rerun"
+    subprocess.run([program, "rrd", "verify", path], check=True, capture_output=True)
+
+
+def near(angle: float, other: float) -> bool:
+    return abs((angle - other + 180) % 360 - 180) < 0.02
+
+
+@pytest.fixture(scope="module")
+def crossing(tmp_path_factory):
+    """The whole sample, with all cameras."""
+    folder = tmp_path_factory.mktemp("crossing")
+    path = folder / "crossing.rrd"
+    with open_recording(CROSSING) as recording:
+        played = export_rerun(recording, path, cameras=folder / "cameras")
+        yield SimpleNamespace(path=path, rrd=Rrd(path), played=played, recording=recording, cameras=folder / "cameras")
+
+
+# --- actors ------------------------------------------------------------------------------------------------
+
+
+def test_all_frames_are_played(crossing) -> None:
+    verify(crossing.path)
+    info = crossing.recording.info
+    assert crossing.played == (info.frames, info.duration)
+    assert [entry.application_id for entry in crossing.rrd.reader.recordings()] == [APPLICATION]
+
+
+def test_every_actor_has_an_entity(crossing) -> None:
+    expected = {
+        f"/world/actors/{id}" for id in crossing.recording.actors if crossing.recording.actors[id].type_id != "spectator"
+    }
+    assert {path for path in crossing.rrd.entities if path.startswith("/world/actors/")} == expected
+
+
+@pytest.mark.parametrize("id", [HERO, BLOCKING, GONE, LATE, CYCLIST, WALKER])
+def test_actors_are_where_they_were(crossing, id: int) -> None:
+    way, path = crossing.recording.trajectory(id), f"/world/actors/{id}"
+    for time, *place, yaw in zip(way.time, way.x, way.y, way.z, way.yaw, strict=True):
+        assert crossing.rrd.place(path, time) == pytest.approx(place, abs=1e-4)
+        assert near(crossing.rrd.angle(path, time), yaw)
+
+
+def test_who_stands_still_has_few_rows(crossing) -> None:
+    rows = crossing.rrd.rows(f"/world/actors/{HERO}", "Transform3D:translation")
+    way = crossing.recording.trajectory(HERO)
+    assert 100 < len(rows) < len(way) - 100
+    times = [time for time, _ in rows]
+    waits = 1.1  # the hero drives off a second after the start: the last row before that is told as well
+    assert times[:3] == pytest.approx([0, waits - 0.1, waits])
+
+
+def test_lifetimes(crossing) -> None:
+    for actor in crossing.recording.actors.values():
+        if actor.type_id == "spectator":
+            continue
+        path = f"/world/actors/{actor.id}"
+        boxes = crossing.rrd.rows(path, "Boxes3D:half_sizes")
+        assert [time for time, _ in boxes] == pytest.approx([actor.spawned_at])
+        cleared = [time for time, _ in crossing.rrd.rows(path, "Clear:is_recursive")]
+        assert cleared == pytest.approx([] if actor.destroyed_at is None else [actor.destroyed_at])
+
+
+def test_boxes_have_their_true_size(crossing) -> None:
+    for id in (HERO, CYCLIST, WALKER):
+        box = crossing.recording.actors[id].bounding_box
+        path = f"/world/actors/{id}"
+        (_, (half,)), (_, (center,)) = (crossing.rrd.rows(path, f"Boxes3D:{name}")[0] for name in ("half_sizes", "centers"))
+        assert half == pytest.approx((box.extent_x, box.extent_y, box.extent_z))
+        assert center == pytest.approx((box.x, box.y, box.z))
+
+
+def test_the_hero_is_highlighted(crossing) -> None:
+    def looks(id: int) -> tuple:
+        values = (
+            crossing.rrd.rows(f"/world/actors/{id}", f"Boxes3D:{name}")[0][1][0]
+            for name in ("labels", "show_labels", "colors")
+        )
+        label, shown, color = values
+        return label, shown, tuple(color.to_bytes(4, "big")[:3])
+
+    assert looks(HERO) == (f"hero {HERO}", True, look.HERO)
+    assert looks(BLOCKING) == (f"audi.a2 {BLOCKING}", False, look.STYLES[ActorKind.VEHICLE].color)
+    assert looks(WALKER)[2] == look.STYLES[ActorKind.WALKER].color
+
+
+def test_a_sensor_is_fixed_to_its_car(crossing) -> None:
+    assert crossing.rrd.rows(f"/world/actors/{SENSOR}", "Transform3D:parent_frame")[0][1] == [f"tf#/world/actors/{HERO}"]
+
+
+def test_the_map_is_in_carlas_axes(crossing) -> None:
+    rows = crossing.rrd.rows("/map/actors", "Points2D:positions")
+    assert len(rows) == crossing.played.frames
+    time, points = rows[300]
+    there = {}
+    for id, actor in crossing.recording.actors.items():
+        if actor.kind in ("vehicle", "walker"):
+            way = crossing.recording.trajectory(id, axes="carla")
+            (found,) = np.nonzero(np.isclose(way.time, time))
+            if len(found):
+                there[id] = (way.x[found[0]], way.y[found[0]])
+    assert np.array(sorted(points)) == pytest.approx(np.array(sorted(there.values())), abs=1e-3)
+    colors = crossing.rrd.rows("/map/actors", "Points2D:colors")[300][1]
+    assert len(colors) == len(points)
+    assert crossing.rrd.at("/map/followed", "Points2D:positions", time)[0] == pytest.approx(there[HERO], abs=1e-3)
+
+
+# --- the followed actor ------------------------------------------------------------------------------------
+
+
+def test_the_camera_is_calm_and_level(crossing) -> None:
+    way = crossing.recording.trajectory(HERO)
+    rows = crossing.rrd.rows("/world/chase", "Transform3D:quaternion")
+    assert all(x == y == 0 for _, ((x, y, _, _),) in rows)
+    turns = [crossing.rrd.angle("/world/chase", time) for time in way.time]
+    for time, *place, yaw, turn in zip(way.time, way.x, way.y, way.z, way.yaw, turns, strict=True):
+        assert crossing.rrd.place("/world/chase", time) == pytest.approx(place, abs=1e-4)
+        assert abs((turn - yaw + 180) % 360 - 180) < 40
+    quickest = np.abs(np.diff(np.unwrap(way.yaw, period=360))).max()
+    assert np.abs(np.diff(np.unwrap(turns, period=360))).max() < quickest
+
+
+def test_plots(crossing) -> None:
+    way, controls = crossing.recording.trajectory(HERO), crossing.recording.controls(HERO)
+    assert way.velocity_recorded.all()
+    times, speeds = zip(*crossing.rrd.rows("/ego/speed_kmh", "Scalars:scalars"), strict=True)
+    assert times == pytest.approx(way.time)
+    assert np.ravel(speeds) == pytest.approx(way.speed * 3.6, abs=1e-3)
+    values = [value for _, value in crossing.rrd.rows("/ego/controls", "Scalars:scalars")]
+    assert np.array(values) == pytest.approx(np.stack((controls.throttle, controls.brake, controls.steer), axis=1))
+    assert crossing.rrd.static["/ego/controls"]["SeriesLines:names"] == ["throttle", "brake", "steer"]
+
+
+def test_the_trail_is_where_it_drove(crossing) -> None:
+    strips = [strip for _, (strip,) in crossing.rrd.rows(f"/world/trail/{HERO}", "LineStrips3D:strips")]
+    assert all(a[1] == pytest.approx(b[0], abs=1e-4) for a, b in pairwise(strips))
+    way = crossing.recording.trajectory(HERO)
+    length = sum(np.linalg.norm(np.subtract(*strip)) for strip in strips)
+    assert length == pytest.approx(np.linalg.norm(np.diff((way.x, way.y, way.z)), axis=0).sum(), rel=1e-3)
+
+
+def test_the_blueprint_follows(crossing) -> None:
+    arrangement = Arrangement(crossing.path)
+    assert arrangement.store.application_id == APPLICATION
+    chase, top = arrangement.view("Chase"), arrangement.view("Top")
+    assert chase.origin == top.origin == "/world/chase"
+    assert chase.position == [-10, 0, 5]
+    ahead = np.subtract(chase.look_target, chase.position)
+    assert np.degrees(np.arctan2(ahead[2], np.hypot(ahead[0], ahead[1]))) == pytest.approx(-25)
+    assert (chase.eye_up, chase.ranged[0]) == ([0, 0, 1], f"/world/trail/{HERO}/visualizers")
+    assert (top.position, top.look_target, top.eye_up) == ([0, 0, 40], [0, 0, 0], [1, 0, 0])
+    assert arrangement.active_tab == "Chase"
+    assert arrangement.parts["/time_panel"]["TimePanelBlueprint:timeline"] == ["sim_time"]
+
+
+def test_a_camera_for_each_vehicle_and_walker(crossing) -> None:
+    actors = crossing.recording.actors
+    movers = {id for id in actors if actors[id].kind in ("vehicle", "walker")}
+    assert {path.name for path in crossing.cameras.iterdir()} == {f"follow_{id}.rbl" for id in movers}
+    for id in movers - {HERO}:
+        arrangement = Arrangement(crossing.cameras / f"follow_{id}.rbl")
+        assert arrangement.store.application_id == APPLICATION
+        axes = arrangement.view(f"Chase {id}").origin
+        way = crossing.recording.trajectory(id)
+        for at in (0, len(way) // 2, len(way) - 1):
+            assert crossing.rrd.place(axes, way.time[at]) == pytest.approx((way.x[at], way.y[at], way.z[at]), abs=1e-4)
+    assert Arrangement(crossing.cameras / f"follow_{HERO}.rbl").view("Chase").origin == "/world/chase"
+
+
+# --- lights and events -------------------------------------------------------------------------------------
+
+
+def test_lights_change_as_recorded(crossing) -> None:
+    states = crossing.recording.light_states(LIGHT)
+    changed = np.flatnonzero(np.diff(states.state, prepend=-1))
+    expected = [(pytest.approx(states.time[k]), [look.light(states.state[k])[0]]) for k in changed]
+    assert len(expected) > 3
+    assert crossing.rrd.rows(f"/signals/tl_{LIGHT}", "StateChange:state") == expected
+    colors = crossing.rrd.rows(f"/world/signals/tl_{LIGHT}", "Points3D:colors")
+    assert [tuple(color.to_bytes(4, "big")[:3]) for _, (color,) in colors] == [
+        look.light(states.state[k])[1] for k in changed
+    ]
+    assert crossing.rrd.static[f"/signals/tl_{LIGHT}"]["StateConfiguration:values"][:3] == ["red", "yellow", "green"]
+
+
+def test_a_contact_is_one_marker_and_one_line(crossing) -> None:
+    first = list(crossing.recording.collisions())
+    levels = crossing.rrd.rows("/events", "TextLog:level")
+    texts = crossing.rrd.rows("/events", "TextLog:text")
+    told = [(time, text) for (time, (level,)), (_, (text,)) in zip(levels, texts, strict=True) if level == "ERROR"]
+    assert [time for time, _ in told] == pytest.approx([row.elapsed for row in first])
+    assert told[1][1] == f"vehicle.tesla.model3 ({HERO}) collides with vehicle.audi.a2 ({BLOCKING})"
+    for place, (time, _) in enumerate(told):
+        path = f"/world/collisions/{place}"
+        assert [start for start, _ in crossing.rrd.rows(path, "Points3D:positions")] == [time]
+        assert [stop for stop, _ in crossing.rrd.rows(path, "Clear:is_recursive")] == pytest.approx([time + 2])
+    assert len([path for path in crossing.rrd.entities if path.startswith("/world/collisions/")]) == len(told) == 2
+
+
+def test_many_at_once_are_counted(crossing) -> None:
+    time, (text,) = crossing.rrd.rows("/events", "TextLog:text")[0]
+    assert (time, text) == (0, "10 actors appear: 4 traffic lights, 4 vehicles, 2 others")
+
+
+def test_properties(crossing) -> None:
+    about, recording = crossing.rrd.static["/__properties"], crossing.rrd.static["/__properties/recording"]
+    assert about["RecordingInfo:name"] == ["crossing.log"]
+    assert about["RecordingInfo:start_time"] == [int(crossing.recording.info.date.timestamp()) * 10**9]
+    assert recording["map"] == ["Crossing"]
+    assert recording["source"] == [str(CROSSING)]
+    assert recording["recorder_version"] == [1]
+
+
+# --- real recordings ---------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("name", REAL)
+@pytest.mark.parametrize("view", ["chase", "top"])
+def test_real_recordings(name: str, view: str, tmp_path: Path) -> None:
+    log, town = carla_log(f"{name}.log"), CARLA_LOGS.parent / "maps" / "Town01.xodr"
+    try:
+        roads = load_map(town) if town.exists() else ROADS
+    except MissingExtra:
+        roads = ROADS
+    path = tmp_path / "real.rrd"
+    rrd = export(log, path, road_map=roads, view=view)
+    verify(path)
+    with open_recording(log) as recording:
+        hero = Player(recording).followed
+        for id in (hero, *list(recording.actors)[1:4]):
+            way = recording.trajectory(id)
+            for time, *place in list(zip(way.time, way.x, way.y, way.z, strict=True))[::40]:
+                assert rrd.place(f"/world/actors/{id}", time) == pytest.approx(place, abs=1e-3)
+        lights = [id for id, actor in recording.actors.items() if actor.kind == "traffic_light"]
+        for id in lights:
+            states = recording.light_states(id)
+            assert rrd.at(f"/signals/tl_{id}", "StateChange:state", 9) == [
+                look.light(states.state[np.searchsorted(states.time, 9, "right") - 1])[0]
+            ]
+    assert len(lights) == 36
+    assert Arrangement(path).active_tab == view.capitalize()
+    assert len(rrd.static["/world/map/lane_borders"]["LineStrips3D:strips"]) == len(roads.lane_borders)
+    assert rrd.static["/map/roads"]["LineStrips2D:strips"][0][0] == pytest.approx(roads.lane_borders[0][0, :2] * (1, -1))
+    assert "/world/ground" not in rrd.entities
+
+
+# --- what is special ---------------------------------------------------------------------------------------
+
+
+def driven(count: int, of: int = 1, **first):
+    """Frames in which an actor drives."""
+    return [{"transforms": [pose(of, 100 * n)], **(first if n == 0 else {})} for n in range(count)]
+
+
+@pytest.mark.parametrize("rows", [1, 3, 7])
+def test_blocks_leave_no_seams(rows: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(tracks, "ROWS", rows)
+    monkeypatch.setattr("carla_recap.export.rerun.ego.ROWS", rows)
+    rrd = export(CROSSING, tmp_path / "blocks.rrd", start=12, duration=18)
+    monkeypatch.undo()
+    whole = export(CROSSING, tmp_path / "whole.rrd", start=12, duration=18)
+    assert rrd.entities == whole.entities
+    for entity in whole.entities - {"/world/ground"}:
+        for component in ("Transform3D:translation", "Transform3D:quaternion", "Scalars:scalars", "Points2D:positions"):
+            rows_of = [export.rows(entity, component) for export in (rrd, whole)]
+            assert [time for time, _ in rows_of[0]] == [time for time, _ in rows_of[1]]
+            for (_, one), (_, other) in zip(*rows_of, strict=True):
+                assert np.ravel(one) == pytest.approx(np.ravel(other), abs=1e-6)
+
+
+def test_an_id_given_out_again(tmp_path: Path) -> None:
+    frames = driven(8, spawned=[spawn(1)])
+    frames[3] = {"destroyed": [(1,)]}
+    frames[5] |= {"spawned": [spawn(1, "walker.pedestrian.0001", x=900)]}
+    rrd = export(write(tmp_path / "again.log", frames), tmp_path / "again.rrd")
+    path = "/world/actors/1"
+    assert [rrd.place(path, t)[0] if rrd.place(path, t) else None for t in range(8)] == [0, 1, 2, None, None, 5, 6, 7]
+    sizes = [rrd.at(path, "Boxes3D:half_sizes", t) for t in (0, 3, 6)]
+    assert sizes[0][0] == pytest.approx(look.STYLES[ActorKind.VEHICLE].extent)
+    assert sizes[1] is None
+    assert sizes[2][0] == pytest.approx(look.STYLES[ActorKind.WALKER].extent)
+    assert rrd.at(path, "LineStrips3D:strips", 6) is None  # the arrow on the roof of the car
+
+
+def test_an_id_given_out_again_in_the_same_frame(tmp_path: Path) -> None:
+    frames = [{"spawned": [spawn(1)], "transforms": [pose(1)]}, {"transforms": [pose(1)]}]
+    frames += [{"destroyed": [(1,)], "spawned": [spawn(1)], "transforms": [pose(1)]}, {"transforms": [pose(1)]}]
+    path = write(tmp_path / "same.log", frames)
+    with open_recording(path) as recording:
+        alive = [1 in scene.actors for scene in Player(recording).scenes()]
+    rrd = export(path, tmp_path / "same.rrd")
+    assert [rrd.at("/world/actors/1", "Boxes3D:half_sizes", t) is not None for t in range(4)] == alive
+    assert [rrd.place("/world/actors/1", t) is not None for t in range(4)] == alive
+
+
+def test_a_jump_is_not_turned_through(tmp_path: Path) -> None:
+    frames = [
+        {"spawned": [spawn(1)], "transforms": [pose(1, 100 * n)]} if n == 0 else {"transforms": [pose(1, 100 * n)]}
+        for n in range(5)
+    ]
+    frames += [{"transforms": [pose(1, 90_000 + 100 * n, yaw=90)]} for n in range(5)]
+    rrd = export(write(tmp_path / "jump.log", frames, tick=0.1), tmp_path / "jump.rrd")
+    assert near(rrd.angle("/world/chase", 0.4), 0)
+    assert near(rrd.angle("/world/chase", 0.5), -90)
+    strips = [strip for _, (strip,) in rrd.rows("/world/trail/1", "LineStrips3D:strips")]
+    assert max(abs(a[0] - b[0]) for a, b in strips) == pytest.approx(1)
+    assert max(value[0] for _, value in rrd.rows("/ego/speed_kmh", "Scalars:scalars")) == pytest.approx(36, rel=1e-3)
+
+
+def test_the_camera_waits_for_who_comes_late(tmp_path: Path) -> None:
+    frames = [{"spawned": [spawn(2, "static.prop.bin")], "transforms": [pose(2)]}, {}, {"spawned": [spawn(1)]}]
+    frames += [{"transforms": [pose(1, 700)]}]
+    frames[2] |= {"transforms": [pose(1, 700, 300)]}
+    rrd = export(write(tmp_path / "late.log", frames), tmp_path / "late.rrd", follow=1)
+    assert rrd.place("/world/chase", 0) == pytest.approx([7, -3, 0])
+
+
+def test_speed_of_recorded_velocities_and_of_poses(tmp_path: Path) -> None:
+    frames = driven(4, spawned=[spawn(1)])
+    frames[2] |= {"velocities": [velocity(1, 20)]}
+    rrd = export(write(tmp_path / "speed.log", frames), tmp_path / "speed.rrd")
+    assert [value[0] for _, value in rrd.rows("/ego/speed_kmh", "Scalars:scalars")] == pytest.approx([3.6, 3.6, 72, 3.6])
+
+
+def test_what_is_no_number_is_left_out(tmp_path: Path) -> None:
+    frames = driven(5, spawned=[spawn(1)])
+    frames[2] = {"transforms": [pose(1, np.nan)]}
+    rrd = export(write(tmp_path / "nan.log", frames), tmp_path / "nan.rrd")
+    assert [rrd.place("/world/actors/1", t)[0] for t in range(5)] == [0, 1, 1, 3, 4]
+    assert rrd.place("/world/chase", 4) == [4, 0, 0]
+
+
+def test_an_actor_that_was_never_spawned(tmp_path: Path) -> None:
+    rrd = export(write(tmp_path / "stranger.log", driven(3, of=9)), tmp_path / "stranger.rrd")
+    assert rrd.at("/world/actors/9", "Boxes3D:half_sizes", 0)[0] == pytest.approx(look.OTHER.extent)
+    assert rrd.place("/world/actors/9", 2) == [2, 0, 0]
+
+
+def test_nobody_to_follow(tmp_path: Path) -> None:
+    lamps = [spawn(id, "traffic.traffic_light", x=1000 * id) for id in (10, 30)]
+    frames = [
+        {"spawned": lamps, "light_states": [light(10, 2), light(30, 0)]},
+        {"light_states": [light(10, 1), light(30, 0)]},
+    ]
+    path = tmp_path / "nobody.rrd"
+    rrd = export(write(tmp_path / "nobody.log", frames), path)
+    assert rrd.place("/world/actors/10", 0) == [100, 0, 0]
+    assert not [entity for entity in rrd.entities if entity.startswith(("/ego", "/world/chase"))]
+    overview = Arrangement(path).view("Overview")
+    assert (overview.origin, overview.look_target) == ("/world", [200, 0, 0])
+    assert len(rrd.rows("/signals/tl_30", "StateChange:state")) == 1
+
+
+def test_a_light_that_goes_and_comes(tmp_path: Path) -> None:
+    lamp = spawn(10, "traffic.traffic_light")
+    frames = [
+        {"spawned": [lamp], "light_states": [light(10, 2)]},
+        {"destroyed": [(10,)]},
+        {"spawned": [lamp], "light_states": [light(10, 2)]},
+    ]
+    rrd = export(write(tmp_path / "lamp.log", frames), tmp_path / "lamp.rrd")
+    assert [rrd.at("/world/signals/tl_10", "Points3D:colors", t) is not None for t in range(3)] == [True, False, True]
+    assert [rrd.at("/world/signals/tl_10", "Points3D:positions", t) is not None for t in range(3)] == [True, False, True]
+    assert [rrd.at("/signals/tl_10", "StateChange:state", t) for t in range(3)] == [["green"], None, ["green"]]
+
+
+def test_contacts_with_pauses(tmp_path: Path) -> None:
+    contacts = {0: (1, 2), 1: (2, 1), 5: (1, 2), 20: (1, 2), 21: (1, look.NOTHING)}
+    frames = driven(30, spawned=[spawn(1), spawn(2)])
+    for number, (at, pair) in enumerate(contacts.items()):
+        frames[at] |= {"collisions": [(number, *pair, 0, 0)]}
+    rrd = export(write(tmp_path / "contacts.log", frames, tick=0.1), tmp_path / "contacts.rrd")
+    told = [text for _, (text,) in rrd.rows("/events", "TextLog:text") if "collides" in text]
+    assert told == [
+        "vehicle.audi.tt (1) collides with vehicle.audi.tt (2)",
+        "vehicle.audi.tt (1) collides with vehicle.audi.tt (2)",
+        "vehicle.audi.tt (1) collides with something that is no actor",
+    ]
+
+
+def test_part_of_a_recording(tmp_path: Path) -> None:
+    rrd = export(CROSSING, tmp_path / "part.rrd", start=30.05, duration=5, follow=BLOCKING)
+    times = [time for time, _ in rrd.rows("/map/actors", "Points2D:positions")]
+    assert (times[0], times[-1]) == pytest.approx((30.05, 35.05))
+    assert rrd.rows("/events", "TextLog:text")[0][1][0].startswith("15 actors are there: ")
+    with open_recording(CROSSING) as recording:
+        way = recording.trajectory(LATE)
+    middle = (np.interp(30.05, way.time, way.x), np.interp(30.05, way.time, way.y))
+    assert rrd.place(f"/world/actors/{LATE}", 30.05)[:2] == pytest.approx(middle, abs=1e-3)
+
+
+def test_progress_sees_every_scene(tmp_path: Path) -> None:
+    seen = []
+
+    def progress(scenes, player):
+        for scene in scenes:
+            seen.append(scene.time / player.stop)
+            yield scene
+
+    export(write(tmp_path / "p.log", driven(5, spawned=[spawn(1)])), tmp_path / "p.rrd", progress=progress)
+    assert seen == [0, 0.25, 0.5, 0.75, 1]
+
+
+# --- bad input ---------------------------------------------------------------------------------------------
+
+
+def test_nothing_is_overwritten_without_force(tmp_path: Path) -> None:
+    path = tmp_path / "there.rrd"
+    path.write_text("precious")
+    with pytest.raises(RecapError, match="exists already"):
+        export(CROSSING, path)
+    with pytest.raises(RecapError, match="exists already"):
+        export(CROSSING, tmp_path / "new.rrd", cameras=tmp_path)
+    assert [file.name for file in tmp_path.iterdir()] == ["there.rrd"]
+    export(CROSSING, path, force=True, duration=1, cameras=tmp_path)
+    verify(path)
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [({"follow": 102_000}, "no actor 102000 to follow; near ids are"), ({"start": 99}, "nothing at 99 s")],
+)
+def test_who_and_when_must_exist(options, message: str, tmp_path: Path) -> None:
+    with pytest.raises(RecapError, match=message):
+        export(CROSSING, tmp_path / "x.rrd", **options)
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_nothing_is_left_of_a_failure(tmp_path: Path) -> None:
+    def progress(scenes, player):
+        yield next(iter(scenes))
+        raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        export(CROSSING, tmp_path / "x.rrd", progress=progress)
+    assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.parametrize("place", ["missing/x.rrd", "."])
+def test_a_place_that_cannot_be_written(place: str, tmp_path: Path) -> None:
+    with pytest.raises(RecapError, match="cannot be written"):
+        export(CROSSING, tmp_path / place, force=True)
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_names_that_are_no_text(tmp_path: Path) -> None:
+    odd = Spawn(1, ActorKind.VEHICLE, type_id="vehicle.\udcff")
+    rrd = export(write(tmp_path / "odd.log", driven(2, spawned=[odd])), tmp_path / "odd.rrd")
+    assert rrd.at("/world/actors/1", "Boxes3D:labels", 0)[0].endswith(" 1")
+
+
+def test_the_extra_is_named() -> None:
+    lines = (
+        "import sys",
+        "sys.modules['rerun'] = None",
+        "try: import carla_recap.export.rerun",
+        "except Exception as error: print(error)",
+    )
+    script = "\n".join(lines)
+    printed = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, check=True).stdout
+    assert printed == f"{MissingExtra('an export to Rerun', 'rerun')}\n"
+
+
+def test_a_blueprint_for_anybody(tmp_path: Path) -> None:
+    with open_recording(CROSSING) as recording:
+        player = Player(recording, follow=BLOCKING)
+        blueprint(player, view="top").save(APPLICATION, str(tmp_path / "own.rbl"))
+        blueprint(player, followed=HERO).save(APPLICATION, str(tmp_path / "other.rbl"))
+    assert Arrangement(tmp_path / "own.rbl").view("Chase").origin == "/world/chase"
+    assert Arrangement(tmp_path / "own.rbl").active_tab == "Top"
+    assert Arrangement(tmp_path / "other.rbl").view(f"Chase {HERO}").origin == f"/world/cameras/{HERO}"

@@ -1,0 +1,119 @@
+"""Pictures of moments, and what is no moment, place or actor."""
+
+from __future__ import annotations
+
+import io
+
+import pytest
+
+pytest.importorskip("rerun", reason="the extra `rerun` is not installed")
+
+from PIL import Image
+
+from carla_recap import open_recording
+from carla_recap.errors import RecapError
+from carla_recap.export.look import COLLISION, HERO, STYLES
+from carla_recap.export.snapshot import picture, snapshot
+from carla_recap.records import ActorKind
+from tests.export.conftest import SAMPLE
+from tests.export.test_headless import share
+from tests.samples import carla_log, names_in, time_limit
+
+BLUE = STYLES[ActorKind.VEHICLE].color
+
+
+@pytest.fixture
+def crossing():
+    with open_recording(SAMPLE) as recording:
+        yield recording
+
+
+@pytest.fixture
+def draws(crossing_rrd):
+    """Skips the test where the viewer cannot draw."""
+
+
+def test_the_collision_of_the_hero(crossing, tmp_path, temporary, draws):
+    destination = tmp_path / "crash.png"
+    with time_limit(20):
+        snapshot(crossing, destination, at=24.6, size=(640, 360))
+    assert names_in(tmp_path) == ["crash.png", "temporary"]
+    data = destination.read_bytes()
+    image = Image.open(destination)
+    assert image.size == (640, 360)
+    assert image.format == "PNG"
+    assert share(data, HERO) > 0.02
+    assert share(data, COLLISION) > 0.0005
+    middle = image.convert("RGB").getpixel((320, 155))  # the hero's roof: the camera is behind it
+    assert middle[0] > middle[2]
+
+
+def test_seen_from_above_the_hero_is_in_the_middle_and_upright(crossing, draws):
+    data = picture(crossing, at=22, view="top", size=(400, 400))
+    image = Image.open(io.BytesIO(data)).convert("RGB")
+    red, green, blue = HERO
+    hero = image.point([255 * (abs(n - c) < 12) for c in (red, green, blue) for n in range(256)])
+    left, upper, right, lower = hero.convert("L").point(lambda n: 255 * (n > 250)).getbbox()
+    assert left < 200 < right
+    assert upper < 200 < lower
+    assert right - left < 40  # it looks upwards; below it is its trail
+    assert share(data, HERO) > 0.005
+
+
+def test_at_the_very_beginning_and_at_the_end(crossing, draws):
+    first, last = (picture(crossing, at=at, size=(320, 180)) for at in (0, 53))
+    assert share(first, HERO) > 0.01 < share(last, HERO)
+    assert last == picture(crossing, at=crossing.info.duration, size=(320, 180))
+
+
+def test_another_actor_can_be_followed(crossing, draws):
+    data = picture(crossing, at=20, follow=101, size=(320, 180))
+    assert share(data, BLUE) > share(picture(crossing, at=20, size=(320, 180)), BLUE)
+
+
+def test_a_real_recording(draws):
+    with open_recording(carla_log("carla-0.9.13-lane-center.log")) as recording, time_limit(20):
+        assert share(picture(recording, at=-1), HERO) > 0.02
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        ({"at": 60}, "crossing.log: nothing at 60 s; the recording ends at 53 s"),
+        ({"at": float("nan")}, "nothing at nan s"),
+        ({"at": 5, "follow": 999}, "no actor 999 to follow; near ids are"),
+        ({"at": 5, "follow": 104}, "actor 104 cannot be followed at 5 s: it is not there"),
+        ({"at": 5, "size": (10, 10)}, "the sides of a picture are from 64 to 4096 pixels"),
+    ],
+)
+def test_what_cannot_be_pictured_is_one_line(crossing, tmp_path, temporary, options, message):
+    with pytest.raises(RecapError, match=message) as caught:
+        snapshot(crossing, tmp_path / "out.png", **options)
+    assert "\n" not in str(caught.value)
+    assert names_in(tmp_path) == ["temporary"]
+
+
+@pytest.mark.parametrize(
+    ("name", "message"),
+    [
+        ("out.jpg", "out.jpg: a picture is written as .png"),
+        ("nowhere/out.png", "nowhere/out.png: cannot be written: No such file"),
+        ("there.png", "there.png: exists already"),
+    ],
+)
+def test_what_is_no_place_for_a_picture(crossing, tmp_path, name, message):
+    (tmp_path / "there.png").write_bytes(b"before")
+    with pytest.raises(RecapError, match=message):
+        snapshot(crossing, tmp_path / name, at=5)
+    assert (tmp_path / "there.png").read_bytes() == b"before"
+
+
+def test_a_picture_that_fails_leaves_the_one_before(crossing, tmp_path, monkeypatch, draws):
+    monkeypatch.setenv("VK_ICD_FILENAMES", "/nonexistent")
+    monkeypatch.setenv("VK_DRIVER_FILES", "/nonexistent")
+    there = tmp_path / "there.png"
+    there.write_bytes(b"before")
+    with pytest.raises(RecapError, match="mesa-vulkan-drivers"):
+        snapshot(crossing, there, at=5, force=True)
+    assert there.read_bytes() == b"before"
+    assert names_in(tmp_path) == ["there.png"]

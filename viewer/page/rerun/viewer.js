@@ -1,0 +1,89 @@
+// Rerun's viewer, which shows the time and the actor that the page around it asks for.
+"use strict";
+
+const SET_TIME = 6; // of the operations in Rerun's viewer_control.proto
+const PAUSED = 1;
+const BILLION = 1e9; // ns
+const RETRY = 200; // ms
+
+/** A whole number as protobuf writes it. */
+function varint(value) {
+  const bytes = [];
+  let rest = BigInt.asUintN(64, BigInt(value));
+  for (; rest > 127n; rest >>= 7n) bytes.push(Number(rest & 127n) | 128);
+  return [...bytes, Number(rest)];
+}
+
+/** A field that holds a message or a text. */
+function block(field, bytes) {
+  return [...varint(field * 8 + 2), ...varint(bytes.length), ...bytes];
+}
+
+/** The request to show a moment of a timeline, standing still. */
+function timeRequest(timeline, seconds) {
+  const name = block(1, new TextEncoder().encode(timeline));
+  const time = [8, ...varint(Math.round(seconds * BILLION))];
+  return new Uint8Array(block(SET_TIME, [...block(2, name), ...block(3, time), 40, PAUSED]));
+}
+
+class Viewer {
+  constructor(handle) {
+    this.handle = handle;
+    this.wanted = null;
+    this.camera = null; // null: as the recording itself has it
+    this.time = null; // what is shown, in s
+    this.busy = false;
+  }
+
+  /** Show a time, from a camera: the address of a blueprint, or null to leave it. */
+  show(wanted) {
+    this.wanted = wanted;
+    if (!this.busy) this.work();
+  }
+
+  /** Do what was wanted last, until nothing else is wanted. */
+  async work() {
+    this.busy = true;
+    while (this.wanted) {
+      const { time, camera } = this.wanted;
+      this.wanted = null;
+      if (camera && camera !== this.camera) {
+        this.camera = camera;
+        this.handle.add_receiver(new URL(camera, location.href).href);
+      }
+      try {
+        await this.handle.viewer_control(timeRequest("sim_time", time));
+        this.time = time;
+      } catch {
+        await new Promise((resolve) => setTimeout(resolve, RETRY)); // the recording is being loaded
+        this.wanted ??= { time, camera };
+      }
+    }
+    this.busy = false;
+  }
+}
+
+async function start() {
+  await wasm_bindgen({ module_or_path: "re_viewer_bg.wasm" });
+  const handle = new wasm_bindgen.WebHandle({
+    url: [new URL("recording.rrd", location.href).href],
+    hide_welcome_screen: true,
+    panel_state_overrides: { top: "Hidden", blueprint: "Hidden", selection: "Hidden", time: "Hidden" },
+    enable_history: false,
+    persist: false,
+    theme: "dark",
+    render_backend: "webgl",
+  });
+  await handle.start(document.getElementById("space"));
+  document.getElementById("state").hidden = true;
+  return new Viewer(handle);
+}
+
+const starting = start();
+window.addEventListener("message", (event) => {
+  if (event.source === window.parent && event.origin === location.origin) starting.then((viewer) => viewer.show(event.data));
+});
+starting.then(
+  () => window.parent.postMessage("ready", location.origin),
+  (error) => (document.getElementById("state").textContent = `Rerun's viewer does not start: ${error}`),
+);

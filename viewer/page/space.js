@@ -1,0 +1,49 @@
+// The scene in Rerun's viewer, in the place of the view from above.
+"use strict";
+
+class Space {
+  /** changed: is called when it is opened or closed. */
+  constructor(report, changed) {
+    this.frame = document.getElementById("space");
+    this.button = document.getElementById("solid");
+    this.button.hidden = !report.viewer;
+    this.changed = changed;
+    this.shown = "";
+    if (location.protocol === "file:") {
+      this.button.disabled = true;
+      this.button.title = "The view in 3D needs a server: carla-recap report --serve";
+    } else {
+      this.button.title = "View in 3D (V)";
+    }
+    this.button.addEventListener("click", () => this.toggle());
+    // The viewer says when it is ready; what it is to show is told once more then.
+    window.addEventListener("message", (event) => {
+      if (event.source !== this.frame.contentWindow || event.origin !== location.origin) return;
+      this.shown = "";
+      this.changed();
+    });
+  }
+
+  get isOpen() {
+    return !this.frame.hidden;
+  }
+
+  toggle() {
+    if (this.button.hidden || this.button.disabled) return;
+    if (!this.frame.src) this.frame.src = "rerun/index.html";
+    this.frame.hidden = this.isOpen;
+    this.button.setAttribute("aria-pressed", String(this.isOpen));
+    this.frame.parentElement.classList.toggle("solid", this.isOpen);
+    this.changed();
+  }
+
+  /** Show a time, from behind an actor: an entry of the tracks, or null. */
+  show(time, actor) {
+    if (!this.isOpen) return;
+    const moves = actor && (actor.kind === "vehicle" || actor.kind === "walker");
+    const wanted = { time, camera: moves ? `cameras/follow_${actor.id}.rbl` : null };
+    if (JSON.stringify(wanted) === this.shown) return;
+    this.shown = JSON.stringify(wanted);
+    this.frame.contentWindow.postMessage(wanted, location.origin);
+  }
+}
