@@ -35,9 +35,15 @@ run carla-recap collisions "$mcap"
 say 'Who stood still for 30 s or more? A van that broke down; and props, which CARLA counts too.'
 run carla-recap blocked "$mcap"
 
+say 'What went wrong, for a browser: a page of plain files. And for the Rerun viewer, behind the hero.'
+rm -rf "$out/page"
+run carla-recap report "$mcap" "$out/page"
+run carla-recap export "$mcap" "$out/crossing.rrd"
+
 cat <<END
 
-# The files are $mcap and $out/crossing.log. Try next:
+# The files are in $out: crossing.mcap, crossing.log, crossing.rrd, page/index.html. Try next, with .venv/bin on the PATH:
+rerun $out/crossing.rrd                   # the viewer; or: carla-recap view $mcap --web
 carla-recap collisions $mcap --types hv   # only the hero's, with vehicles
 carla-recap blocked $mcap --min-time 5    # who waited, too
 carla-recap info $mcap --all              # every record of every frame

@@ -1,4 +1,4 @@
-"""Recordings of the driving simulator CARLA, without the simulator: read, convert, query, write.
+"""Recordings of the driving simulator CARLA, without the simulator: read, convert, query, replay, show, write.
 
 import carla_recap
 
@@ -16,6 +16,7 @@ if TYPE_CHECKING:
     __version__: str
 
     from carla_recap.author import Recorder, create_recording
+    from carla_recap.clipping import clip, clips
     from carla_recap.conversion import convert
     from carla_recap.errors import (
         FormatError,
@@ -25,15 +26,19 @@ if TYPE_CHECKING:
         RecapWarning,
         RecordError,
     )
+    from carla_recap.export.page import write_report
     from carla_recap.formats import create_writer
     from carla_recap.frame import Frame, Header
+    from carla_recap.maps import RoadMap, load_map
     from carla_recap.queries.actors import Actor
     from carla_recap.queries.blocked import BlockedRow
     from carla_recap.queries.collisions import CollisionRow
+    from carla_recap.queries.incidents import Incident
     from carla_recap.queries.info import InfoRow
     from carla_recap.recording import Controls, LightStates, Recording, RecordingInfo, Trajectory, open_recording
     from carla_recap.records import ActorKind, Attribute, Spawn, attributes
     from carla_recap.recovery import Recovery, recover
+    from carla_recap.replay import Player, Scene
 
 __all__ = [
     "Actor",
@@ -45,10 +50,12 @@ __all__ = [
     "FormatError",
     "Frame",
     "Header",
+    "Incident",
     "InfoRow",
     "LightStates",
     "MissingExtra",
     "NotARecording",
+    "Player",
     "RecapError",
     "RecapWarning",
     "RecordError",
@@ -56,30 +63,41 @@ __all__ = [
     "Recording",
     "RecordingInfo",
     "Recovery",
+    "RoadMap",
+    "Scene",
     "Spawn",
     "Trajectory",
     "attributes",
+    "clip",
+    "clips",
     "convert",
     "create_recording",
     "create_writer",
+    "load_map",
     "open_recording",
     "recover",
+    "write_report",
 ]
 
 # Names are imported when they are asked for: the command line should not wait for numpy to print its help.
 _HOMES = {
     "author": ("Recorder", "create_recording"),
+    "clipping": ("clip", "clips"),
     "conversion": ("convert",),
     "errors": ("FormatError", "MissingExtra", "NotARecording", "RecapError", "RecapWarning", "RecordError"),
+    "export.page": ("write_report",),
     "frame": ("Frame", "Header"),
+    "maps": ("RoadMap", "load_map"),
     "queries.actors": ("Actor",),
     "queries.blocked": ("BlockedRow",),
     "queries.collisions": ("CollisionRow",),
     "formats": ("create_writer",),
+    "queries.incidents": ("Incident",),
     "queries.info": ("InfoRow",),
     "records": ("ActorKind", "Attribute", "Spawn", "attributes"),
     "recording": ("Controls", "LightStates", "Recording", "RecordingInfo", "Trajectory", "open_recording"),
     "recovery": ("Recovery", "recover"),
+    "replay": ("Player", "Scene"),
 }
 _HOME_OF = {name: home for home, names in _HOMES.items() for name in names}
 

@@ -26,6 +26,7 @@ if TYPE_CHECKING:
     from carla_recap.frame import Frame, Header
     from carla_recap.queries.blocked import Blocked
     from carla_recap.queries.collisions import Collisions
+    from carla_recap.queries.incidents import Incidents
 
 Axes = Literal["right-handed", "carla"]
 """Right-handed: x forward, y left, z up, as in ROS, Rerun and Foxglove. CARLA's own: y right, and yaw and pitch turn the
@@ -305,6 +306,12 @@ class Recording:
         from carla_recap.queries import blocked
 
         return blocked(self.reader, min_time, min_distance, compat=compat)
+
+    def incidents(self, **which: Any) -> Incidents:
+        """What went wrong: collisions, long stops, hard braking; see `carla_recap.queries.incidents`."""
+        from carla_recap.queries import incidents
+
+        return incidents(self.reader, **which)
 
     def _rows(self, actor_id: int, name: str, *, known: bool = False) -> tuple[NDArray[np.float64], NDArray[np.void]]:
         """Elapsed seconds and record of an actor in each frame that has one; the last, where a frame has several."""

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import io
 import os
 import subprocess
 import sys
@@ -12,6 +13,7 @@ import pytest
 
 pytest.importorskip("rerun", reason="the extra `rerun` is not installed")
 
+from mcap.writer import Writer
 from rerun.chunk import RrdReader
 
 from carla_recap import convert
@@ -44,9 +46,12 @@ def damaged_mcap(path: Path) -> bytes:
     return bytes(data)
 
 
-def foreign_mcap() -> bytes:
-    header = b"\x01" + (8).to_bytes(8, "little") + bytes(8)
-    return b"\x89MCAP0\r\n" + header + b"\x89MCAP0\r\n"
+def foreign_mcap(library: str = "somebody's") -> bytes:
+    file = io.BytesIO()
+    writer = Writer(file)
+    writer.start(profile="", library=library)
+    writer.finish()
+    return file.getvalue()
 
 
 @pytest.mark.parametrize("suffix", [".log", ".mcap", ".anything"])
@@ -89,7 +94,7 @@ def test_for_foreign_files_nothing_heavy_is_imported(tmp_path):
 
 
 def test_a_mention_of_our_name_makes_no_recording(tmp_path):
-    done = run(save(tmp_path / "file.mcap", foreign_mcap() + b"carla_recap.header"))
+    done = run(save(tmp_path / "file.mcap", foreign_mcap("after carla_recap.header")))
     assert (done.returncode, done.stdout) == (NOT_OURS, b"")
 
 

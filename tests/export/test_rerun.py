@@ -148,6 +148,7 @@ def crossing(tmp_path_factory):
 
 def test_all_frames_are_played(crossing) -> None:
     verify(crossing.path)
+    assert all(chunk.num_rows for chunk in crossing.rrd.chunks)
     info = crossing.recording.info
     assert crossing.played == (info.frames, info.duration)
     assert [entry.application_id for entry in crossing.rrd.reader.recordings()] == [APPLICATION]

@@ -72,7 +72,7 @@ def test_the_browser_gets_the_recording(served, crossing_rrd):
 def test_without_a_display_the_error_suggests_the_browser(temporary, monkeypatch):
     for name in ("DISPLAY", "WAYLAND_DISPLAY", "WAYLAND_SOCKET"):
         monkeypatch.delenv(name, raising=False)
-    with open_recording(SAMPLE) as recording, pytest.raises(RecapError, match="no display .* --web serves it"):
+    with open_recording(SAMPLE) as recording, pytest.raises(RecapError, match=r"no display .* --web serves it"):
         view(recording)
 
 

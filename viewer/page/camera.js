@@ -16,7 +16,6 @@ class Camera {
     this.height = 1;
     this.turns = false; // whether it turns with the followed actor
     this.followed = null; // an id
-    this.sides = { left: 0, right: 0 }; // px that are covered
   }
 
   /** Move on after the followed actor; pose is null where there is none. */

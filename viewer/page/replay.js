@@ -46,7 +46,7 @@ class Replay {
       return element("span", "kind", "", [swatch, element("b", "", String(count)), ` ${plural(kind, count)}`]);
     });
     add("Actors", ...(shown.length ? shown : ["none"]));
-    document.documentElement.dataset.program = program;
+    document.getElementById("program").textContent = program;
   }
 
   listen() {

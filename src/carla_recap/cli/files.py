@@ -45,7 +45,7 @@ def clip(source: str, destination: str, force: bool, start: float, duration: flo
     DST is a recording of its own; its suffix says the format.
     """
     from carla_recap.cli.progress import watch
-    from carla_recap.clip import clip as run
+    from carla_recap.clipping import clip as run
 
     extent = run(source, destination, start=start, duration=duration, force=force, progress=watch("cutting"))
     say(f"{destination}: {extent.frames} frames, {extent.duration:g} s")
@@ -82,7 +82,7 @@ def clips(
 ) -> None:
     """Cut a clip of each incident, into a folder."""
     from carla_recap.cli.progress import watch_incidents
-    from carla_recap.clip import clips as run
+    from carla_recap.clipping import clips as run
 
     every = not (collisions or blocked or braking)
     written = run(

@@ -105,6 +105,7 @@ def snapshot(source: str, destination: str, road_map: str | None, **picture: Any
     show_default=True,
     help="Of incidents: drawn from above, or taken from behind by Rerun's viewer.",
 )
+@click.option("--viewer", is_flag=True, help="Add Rerun's viewer, in 3D; it needs --serve or another server.")
 @options.force
 @click.option("--serve", is_flag=True, help="Serve the page to a browser on this machine, until Ctrl-C.")
 @click.option("--port", type=click.IntRange(0, 65535), default=0, metavar="N", help="Where to serve; 0: any free port.")

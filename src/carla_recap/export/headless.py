@@ -3,20 +3,15 @@
 from __future__ import annotations
 
 from contextlib import ExitStack
-from pathlib import Path
-from tempfile import TemporaryDirectory
 from time import monotonic
 from typing import TYPE_CHECKING, Final, Self
 
-import rerun.blueprint as rrb
-from rerun.experimental import ViewerClient
-
 from carla_recap.errors import RecapError
 from carla_recap.export.program import HOST, LISTENING, Program
-from carla_recap.export.rerun import APPLICATION
 from carla_recap.export.rerun.stream import SIM_TIME
 
 if TYPE_CHECKING:
+    from pathlib import Path
     from types import TracebackType
 
     from rerun.experimental import ViewerState
@@ -35,40 +30,37 @@ _UNSETTLED: Final = 10.0  # s; after which it is taken as it is
 class Photographer:
     """Takes pictures of a recording, while a `with` block runs.
 
-    with Photographer("run.rrd", view=camera_views(player)["chase"]) as photographer:
+    with Photographer("run.rrd") as photographer:
         Path("crash.png").write_bytes(photographer.take(24.6))
 
     Args:
         recording: The .rrd, or what else the viewer opens: a recording by its importer, the address of a server.
         size: That of the pictures.
-        view: Show this alone; None: the whole window, as the recording's own blueprint arranges it.
+        only_view: Picture the only view that the recording's blueprint has, and nothing around it; else the whole window.
 
     Raises:
-        RecapError: No pictures of such a size can be taken.
-        MissingExtra: There is no viewer.
+        RecapError: No pictures of such a size can be taken; on entry: the viewer cannot draw here, or not the recording.
+        MissingExtra: On entry: there is no viewer.
     """
 
-    def __init__(self, recording: Path | str, size: Size = (1280, 720), *, view: rrb.Spatial3DView | None = None) -> None:
+    def __init__(self, recording: Path | str, size: Size = (1280, 720), *, only_view: bool = False) -> None:
         if not all(SMALLEST <= side <= LARGEST for side in size):
             width, height = size
             raise RecapError(f"{width} x {height}: the sides of a picture are from {SMALLEST} to {LARGEST} pixels")
         self._recording = str(recording)
-        self._view = view
         self._size = size
+        self._only_view = only_view
 
     def __enter__(self) -> Self:
+        from rerun.experimental import ViewerClient
+
+        width, height = (side + around * self._only_view for side, around in zip(self._size, _AROUND, strict=True))
         with ExitStack() as stack:
-            files: list[Path | str] = [self._recording]
-            width, height = self._size
-            if self._view is not None:
-                folder = stack.enter_context(TemporaryDirectory(prefix="carla-recap-"))
-                files.append(_save_alone(self._view, Path(folder)))
-                width, height = width + _AROUND[0], height + _AROUND[1]
-            program = Program("--headless", "--window-size", f"{width}x{height}", *files)
+            program = Program("--headless", "--window-size", f"{width}x{height}", self._recording)
             self._program = stack.enter_context(program)
             self._client = ViewerClient.connect(f"rerun+http://{HOST}:{program.port(LISTENING)}/proxy")
             state = program.wait_for("recording", self._loaded)
-            self._shown = None if self._view is None else state.views[0].view_id
+            self._shown = state.views[0].view_id if self._only_view else None
             self._stack = stack.pop_all()
         return self
 
@@ -121,15 +113,4 @@ class Photographer:
             state = self.state
         except RecapError:
             return None  # it does not listen yet
-        ready = state.active_recording and state.views and not state.loading
-        if self._view is not None:
-            ready = ready and [view.name for view in state.views] == [self._view.name]
-        return state if ready else None
-
-
-def _save_alone(view: rrb.Spatial3DView, folder: Path) -> Path:
-    """A blueprint of one view, and nothing around it."""
-    path = folder / "view.rbl"
-    panels = (rrb.TopPanel, rrb.BlueprintPanel, rrb.SelectionPanel, rrb.TimePanel)
-    rrb.Blueprint(view, *(panel(state="hidden") for panel in panels)).save(APPLICATION, str(path))
-    return path
+        return state if state.active_recording and state.views and not state.loading else None

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Final
 from carla_recap.conversion import check_destination
 from carla_recap.errors import RecapError
 from carla_recap.export.headless import Photographer, Size
-from carla_recap.export.rerun import View, camera_views, export_rerun
+from carla_recap.export.rerun import APPLICATION, View, camera_views, write
 from carla_recap.formats.atomic import AtomicFile
 from carla_recap.recording import Recording
 from carla_recap.replay import Player
@@ -85,18 +85,29 @@ def picture(
         RecapError: There is no such moment or actor, or the viewer cannot draw here.
         FormatError: The file contradicts its format.
     """
-    moment = Player(source, start=at).start
+    now = Player(source, start=at, follow=follow)
+    moment = now.start
+    if follow is not None and now.followed not in now.at(moment).ids:
+        raise RecapError(f"{now.reader.path}: actor {now.followed} is not there at {moment:g} s, so it cannot be followed")
     start = max(0.0, moment - _LEAD)
-    duration = max(moment - start, _SHORTEST)
-    player = Player(source, start=start, duration=duration, follow=follow)
-    followed = player.followed
-    if follow is not None and followed not in player.at(moment).ids:
-        raise RecapError(f"{player.reader.path}: actor {followed} cannot be followed at {moment:g} s: it is not there")
+    player = Player(source, start=start, duration=max(moment - start, _SHORTEST), follow=follow)
     with TemporaryDirectory(prefix="carla-recap-") as folder:
-        window = Path(folder) / "window.rrd"
-        export_rerun(source, window, follow=followed, start=start, duration=duration, road_map=road_map)
-        with Photographer(window, size, view=camera_views(player)[view]) as photographer:
+        path = Path(folder) / "moment.rrd"
+        _save(path, player, view, road_map)
+        with Photographer(path, size, only_view=True) as photographer:
             return photographer.take(moment)
+
+
+def _save(path: Path, player: Player, view: View, road_map: RoadMap | None) -> None:
+    """Write an .rrd that shows one view, and nothing around it."""
+    import rerun as rr
+    import rerun.blueprint as rrb
+
+    panels = (rrb.TopPanel, rrb.BlueprintPanel, rrb.SelectionPanel, rrb.TimePanel)
+    alone = rrb.Blueprint(camera_views(player)[view], *(panel(state="hidden") for panel in panels))
+    with rr.RecordingStream(APPLICATION) as stream:
+        stream.save(path, default_blueprint=alone)
+        write(stream, player, road_map=road_map)
 
 
 class _PictureFile(AtomicFile):

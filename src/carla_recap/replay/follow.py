@@ -109,7 +109,8 @@ def _ways(reader: Reader, start: float, stop: float) -> dict[int, float]:
         if frame.elapsed < due:
             continue
         records = array(frame["transforms"])
-        now = numbers(records)[selection.choose(records, NO_IDS), LOCATION].astype(np.float64)
+        with np.errstate(invalid="ignore"):  # a NaN that signals
+            now = numbers(records)[selection.choose(records, NO_IDS), LOCATION].astype(np.float64)
         if selection.ids is not ids:
             _add(ways, ids, way)
             where, found = places(selection.ids, ids)

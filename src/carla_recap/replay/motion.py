@@ -74,7 +74,8 @@ class Motion:
 
     def _read(self, frame: Frame, hidden: Ids) -> tuple[Ids, Floats]:
         records = array(frame["transforms"])
-        poses = numbers(records)[self._selection.choose(records, hidden)].astype(np.float64)
+        with np.errstate(invalid="ignore"):  # a NaN that signals
+            poses = numbers(records)[self._selection.choose(records, hidden)].astype(np.float64)
         poses.setflags(write=False)
         return self._selection.ids, poses
 

@@ -11,6 +11,7 @@ import pytest
 from carla_recap import open_recording
 from carla_recap.replay import Player, right_handed
 from tests.export.page.conftest import CROSSING, NASTY, data, record, report, spawn
+from tests.samples import carla_log
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -222,4 +223,15 @@ def test_a_minute_of_dense_traffic_is_there_at_once(chromium: Chrome, tmp_path: 
     record_property("first_frame_ms", page.ask("performance.getEntriesByName('recap-first-frame')[0].startTime"))
     record_property("megabytes", sum(file.stat().st_size for file in folder.rglob("*") if file.is_file()) / 1e6)
     assert page.ask("replay.stage.shown.length") == 150
+    assert page.errors == []
+
+
+@pytest.mark.parametrize(
+    "name", ["carla-0.9.10-lane-center", "carla-0.9.13-lane-center", "floats", "times", "collisions", "events"]
+)
+def test_recordings_of_carla_open(chromium: Chrome, tmp_path: Path, name: str) -> None:
+    page = Page(chromium, report(carla_log(f"{name}.log"), tmp_path / "page"))
+    assert page.ask("document.querySelectorAll('.incident').length") == len(data(tmp_path / "page", "report")["incidents"])
+    page.press("n", " ", "f", "h")
+    page.until(lambda: page.ask("document.getElementById('now').textContent.length") > 0)
     assert page.errors == []

@@ -43,11 +43,7 @@ def test_the_viewer_shows_the_time_and_the_actor_of_an_incident(tmp_path: Path) 
             chromium.switch_to.frame("space")
             chromium.execute_script("starting.then(viewer => { window.viewer = viewer })")
             before = pytest.approx(incident["start"] - 2)
-            until(
-                lambda: (
-                    chromium.execute_script("return window.viewer && viewer.time") == pytest.approx(incident["start"] - 2)
-                )
-            )
+            until(lambda: chromium.execute_script("return window.viewer && viewer.time") == before)
             assert chromium.execute_script("return viewer.camera") == f"cameras/follow_{incident['actors'][0]}.rbl"
             asked = chromium.execute_script("return performance.getEntriesByType('resource').map(entry => entry.name)")
             assert all(name.startswith("http://127.0.0.1:") for name in asked), asked

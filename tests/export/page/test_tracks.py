@@ -74,6 +74,12 @@ def test_no_more_samples_than_asked_for() -> None:
     assert np.diff(tracks.times).min() > 0.49
 
 
+def test_who_comes_between_two_samples_is_met_at_the_next(tmp_path: Path) -> None:
+    frames = [{}, {"spawned": [spawn(7, "static.prop")]}, {}, {"destroyed": [7], "spawned": [spawn(8)]}, {}, {}, {}]
+    tracks = sampled(record(tmp_path / "a.log", frames), rate=10)
+    assert [(tracks.lives[track.life].id, track.first, track.last) for track in tracks.tracks] == [(7, 1, 1), (8, 2, 3)]
+
+
 def test_each_change_of_a_light_is_told_once() -> None:
     tracks = sampled(CROSSING)
     lamp = next(place for place, life in enumerate(tracks.lives) if life.id == 20)

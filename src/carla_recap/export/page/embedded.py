@@ -8,7 +8,7 @@ from urllib.request import ProxyHandler, build_opener
 
 from carla_recap.assets import viewer_folder
 from carla_recap.errors import RecapError
-from carla_recap.export.page.folder import copy_files
+from carla_recap.folders import copy_files
 
 if TYPE_CHECKING:
     from pathlib import Path

@@ -13,7 +13,7 @@ from carla_recap.export.look import LIGHTS, OTHER, STYLES
 from carla_recap.export.page import script
 from carla_recap.export.page.drawing import draw
 from carla_recap.export.page.embedded import embed
-from carla_recap.export.page.folder import check_folder, copy_files, new_folder
+from carla_recap.folders import check_folder, copy_files, new_folder
 from carla_recap.export.page.ground import ground
 from carla_recap.export.page.tracks import Sampler, Tracks
 from carla_recap.queries.incidents import Incident, incidents
@@ -96,7 +96,8 @@ def write_report(
         raise RecapError(f"{before:g} s before and {after:g} s after incidents cannot be shown; 0 or more were expected")
     check_folder(folder, force=force)
     recording = source if isinstance(source, Recording) else Recording(source)
-    found = incidents(recording.reader)[:LISTED]
+    all_found = incidents(recording.reader)
+    found = all_found[:LISTED]
     player = Player(recording)
     shown = sorted(range(len(found)), key=lambda place: FIRST.index(found[place].kind))[:REPLAYED]
     tracks, whole = _sample(recording, [found[place] for place in shown], before, after, progress)
@@ -122,7 +123,8 @@ def write_report(
             else:
                 continue
             (room / names[place]).write_bytes(picture)
-        summary = _summary(recording, player, found, names, whole=whole) | {"viewer": viewer}
+        summary = _summary(recording, player, found, names, whole=whole)
+        summary |= {"viewer": viewer, "omitted": len(all_found) - len(found)}
         (room / "data" / "report.js").write_text(script.script("REPORT", summary), "ascii")
         (room / "data" / "ground.js").write_text(script.script("GROUND", script.layers(below)), "ascii")
         (room / "data" / "recording.js").write_text(script.script("RECORDING", script.recording(tracks)), "ascii")

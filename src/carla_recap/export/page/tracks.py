@@ -159,6 +159,7 @@ class Sampler:
         self._block: list[tuple[NDArray[np.intp], Floats]] = []
         self._begin = 0  # the sample with which the block begins
         self._ids = NO_IDS
+        self._changed = False  # whether somebody came or went since the last sample
         self._columns = np.zeros(0, np.intp)  # the lives of the rows of a sample
         self._fixed = np.zeros((0, 3))  # where those are that have no recorded pose
         self._light_ids, self._light_states = b"", b""
@@ -181,16 +182,19 @@ class Sampler:
             scene: The scene; each of a stretch must be given.
             last: Whether to take it in any case.
         """
+        if scene.fresh:
+            self._place.clear()
         for event in scene.events:
             if isinstance(event, Destroyed) and event.id in self._place:
                 self._lives[self._place.pop(event.id)].until = event.elapsed
+        self._changed |= scene.fresh or len(scene.events) > 0 or scene.ids is not self._ids
         times = self._times
         if not math.isfinite(scene.time) or (times and scene.time <= times[-1]):
             return
         if scene.time < self._due - _SAME_TIME and not last:
             return
         self._due = scene.time + self._step
-        if scene.ids is not self._ids or scene.events or scene.fresh:
+        if self._changed:
             self._meet(scene)
         if not self._block:
             self._begin = len(times)
@@ -213,11 +217,9 @@ class Sampler:
 
     def _meet(self, scene: Scene) -> None:
         """Learn who is there."""
-        if scene.fresh:
-            self._place.clear()
         for actor in scene.actors.values():
             self._lives[self._life(actor.id, actor.since)].actor = actor
-        self._ids = scene.ids
+        self._ids, self._changed = scene.ids, False
         lives = [self._place[id] if id in self._place else self._life(id, scene.time) for id in scene.ids.tolist()]
         moving, fixed = set(scene.ids.tolist()), []
         for actor in scene.actors.values():

@@ -130,8 +130,8 @@ class Actors:
     def _map(self, block: Block) -> None:
         shown = [place for place, id in enumerate(block.ids.tolist()) if id in self._colors]
         colors = np.array([self._colors[id] for id in block.ids[shown].tolist()], np.uint32)
-        there = block.there[1:, shown]
-        places = block.poses[1:, shown, :2][there] * CM
+        there = block.there[shown, 1:].T
+        places = block.poses[shown, 1:, :2].swapaxes(0, 1)[there] * CM
         if len(places):
             low, high = np.split(self._extent, 2)
             self._extent = np.concatenate((np.minimum(low, places.min(axis=0)), np.maximum(high, places.max(axis=0))))
@@ -149,7 +149,7 @@ class Actors:
         for place, id in enumerate(block.ids.tolist()):
             if id in self._colors and id != self._followed:
                 camera = self._cameras.setdefault(id, Chase(self._stream, tree.camera(id)))
-                camera.move(times, block.poses[1:, place], np.flatnonzero(block.there[1:, place]))
+                camera.move(times, block.poses[place, 1:], np.flatnonzero(block.there[place, 1:]))
 
 
 def _place(actor: Present) -> rr.Transform3D:

@@ -75,8 +75,8 @@ def camera_views(player: Player, *, followed: int | None = None) -> dict[View, r
     back, up = camera.CHASE_BACK * CM, camera.CHASE_UP * CM
     ahead = up + back * math.tan(math.radians(camera.CHASE_PITCH))
     return {
-        "chase": _view(f"Chase{whom}", axes, (-back, 0, up), (0, 0, ahead), (0, 0, 1), followed),
-        "top": _view(f"Top{whom}", axes, (0, 0, camera.TOP_UP * CM), (0, 0, 0), (1, 0, 0), followed),
+        "chase": _view(f"Chase{whom}", axes, (-back, 0, up), (0, 0, ahead), (0, 0, 1), player.followed),
+        "top": _view(f"Top{whom}", axes, (0, 0, camera.TOP_UP * CM), (0, 0, 0), (1, 0, 0), player.followed),
     }
 
 
@@ -99,8 +99,9 @@ def _view(
     position: tuple[float, float, float],
     target: tuple[float, float, float],
     up: tuple[float, float, float],
-    followed: int | None = None,
+    ego: int | None = None,
 ) -> rrb.Spatial3DView:
+    """A view from a camera in some axes; of the ego, the trail is shown."""
     now = rr.TimeRangeBoundary.cursor_relative()
     trail = rrb.VisibleTimeRanges(
         [
@@ -115,7 +116,7 @@ def _view(
         background=[*look.BACKGROUND, 255],
         line_grid=False,
         eye_controls=rrb.EyeControls3D(position=position, look_target=target, eye_up=up),
-        overrides={tree.trail(followed): trail} if followed is not None else None,
+        overrides={tree.trail(ego): trail} if ego is not None else None,
     )
 
 

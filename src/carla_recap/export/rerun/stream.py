@@ -132,6 +132,8 @@ class Stream:
 
     def columns(self, path: str, times: Times, *columns: Iterable[rr.ComponentColumn]) -> None:
         """Log many rows at once, a column of times beside columns of components."""
+        if not len(times.frame):  # of no rows, the viewer would wait for more
+            return
         indexes = (
             rr.TimeColumn(FRAME, sequence=times.frame),
             rr.TimeColumn(SIM_TIME, duration=times.elapsed.view("timedelta64[ns]")),

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from itertools import pairwise
 from typing import TYPE_CHECKING, Final
 
 import numpy as np
@@ -28,16 +29,16 @@ _POSES: Final = 1 << 19  # or fewer, if there are so many poses in them
 
 @dataclass(frozen=True)
 class Block:
-    """Consecutive frames: rows are moments, the second axis is actors.
+    """Consecutive frames of all actors: the first axis of arrays is actors, the second one is moments.
 
-    Row 0 is the last one of the block before; its times are those of the first row where there is no such block.
+    Moment 0 is the last one of the block before; where there is no such block, nobody is there.
 
     Attributes:
         times: When.
         ids: Which actor, ascending.
         poses: x, y, z in cm and roll, pitch, yaw in degrees, left-handed.
         there: Whether an actor has a pose; it does not if a number of it is none.
-        news: Whether a row has to be told: the pose differs from the one before, or the next one differs from it.
+        news: Whether a pose has to be told: it differs from the one before, or the next one differs from it.
     """
 
     times: Times
@@ -48,10 +49,10 @@ class Block:
 
     def tracks(self) -> Iterator[tuple[int, Times, Transforms]]:
         """Each actor that has news, and these."""
-        places, rows = np.nonzero(self.news.T)
-        times, transforms = self.times.take(rows), Transforms.of(self.poses[rows, places])
+        places, moments = np.nonzero(self.news)
+        times, transforms = self.times.take(moments), Transforms.of(self.poses[self.news])
         ends = np.searchsorted(places, np.arange(len(self.ids) + 1)).tolist()
-        for id, start, end in zip(self.ids.tolist(), ends, ends[1:], strict=False):
+        for id, (start, end) in zip(self.ids.tolist(), pairwise(ends), strict=True):
             if start < end:
                 yield id, times.take(slice(start, end)), transforms.take(slice(start, end))
 
@@ -93,28 +94,27 @@ class Tracks:
         if not self._moments:
             return None
         before, count = self._before, len(self._moments)
-        held = before.ids[before.there[-1]] if before else NO_IDS
+        held = before.ids[before.there[:, -1]] if before else NO_IDS
         ids = np.unique(np.concatenate([held, *(ids for _, ids in self._segments)]))
-        poses, there = np.zeros((count + 1, len(ids), 6)), np.zeros((count + 1, len(ids)), np.bool_)
-        told = np.ones(len(ids), np.bool_)  # whether row 0 has been told
+        poses, there = np.zeros((len(ids), count + 1, 6)), np.zeros((len(ids), count + 1), np.bool_)
+        told = np.ones(len(ids), np.bool_)  # whether moment 0 has been told
         if before:
-            where = np.searchsorted(ids, held)
-            last = before.there[-1]
-            poses[0, where], there[0, where], told[where] = before.poses[-1, last], True, before.news[-1, last]
+            where, last = np.searchsorted(ids, held), before.there[:, -1]
+            poses[where, 0], there[where, 0], told[where] = before.poses[last, -1], True, before.news[last, -1]
         ends = [start for start, _ in self._segments[1:]] + [count]
         for (start, those), end in zip(self._segments, ends, strict=True):
             where = np.searchsorted(ids, those)
-            if len(those):
-                poses[start + 1 : end + 1, where] = np.stack(self._poses[start:end])
-                there[start + 1 : end + 1, where] = True
-        there &= np.isfinite(poses).all(axis=2)
-        changed = there[1:] & (~there[:-1] | (poses[1:] != poses[:-1]).any(axis=2))
+            poses[where, start + 1 : end + 1] = np.stack(self._poses[start:end], axis=1)
+            there[where, start + 1 : end + 1] = True
+        with np.errstate(invalid="ignore", over="ignore"):
+            there &= np.isfinite(poses @ np.ones(6))  # of the sum: that is faster
+        changed = there[:, 1:] & (~there[:, :-1] | (poses[:, 1:] != poses[:, :-1]).any(axis=2))
         for place, id in self._born:
-            changed[place] |= there[place + 1] & (ids == id)
+            changed[:, place] |= there[:, place + 1] & (ids == id)
         news = np.zeros_like(there)
-        news[1:] = changed
-        news[:-1] |= changed & there[:-1]
-        news[0] &= ~told
+        news[:, 1:] = changed
+        news[:, :-1] |= changed & there[:, :-1]
+        news[:, 0] &= ~told
         first = Moment(int(before.times.frame[-1]), int(before.times.elapsed[-1])) if before else self._moments[0]
         block = self._before = Block(Times.of([first, *self._moments]), ids, poses, there, news)
         self._moments, self._poses, self._segments, self._born, self._count = [], [], [], [], 0

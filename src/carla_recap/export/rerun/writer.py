@@ -6,7 +6,6 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Final
 
 import rerun as rr
-import rerun.blueprint as rrb
 
 from carla_recap.conversion import check_destination
 from carla_recap.errors import RecapError
@@ -25,6 +24,8 @@ from carla_recap.texts import readable
 
 if TYPE_CHECKING:
     from collections.abc import Iterable
+
+    import rerun.blueprint as rrb
 
     from carla_recap.export.rerun.stream import Part
     from carla_recap.formats.base import Reader

@@ -10,7 +10,7 @@ from hypothesis import assume, given
 from hypothesis import strategies as st
 
 from carla_recap import create_recording, open_recording
-from carla_recap.clip import IncidentClip, clip, clips
+from carla_recap.clipping import IncidentClip, clip, clips
 from carla_recap.conversion import convert
 from carla_recap.errors import RecapError, RecapWarning
 from carla_recap.frame import Extent, Frame, Header, Packet

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Final, NamedTuple
 
 from carla_recap.conversion import check_destination
 from carla_recap.errors import RecapError, RecapWarning
+from carla_recap.folders import check_folder, new_folder
 from carla_recap.formats import SUFFIXES, create_writer, open_reader
 from carla_recap.frame import LAST_FRAME_DURATION, Extent, Frame
 from carla_recap.lasting import Lasting
@@ -126,8 +127,6 @@ def clips(
         RecapError: The folder is not empty, a time or suffix makes no sense, or the source is damaged.
         MissingExtra: Rerun is not installed.
     """
-    from carla_recap.export.page.folder import check_folder, new_folder
-
     if rerun:
         from carla_recap.export.rerun import export_rerun  # before any work is done, should it be missing
     if not (0 <= before < math.inf and 0 <= after < math.inf):

@@ -1,0 +1,90 @@
+"""The installed command, as a shell and a terminal see it."""
+
+from __future__ import annotations
+
+import os
+import pty
+import subprocess
+import sys
+from pathlib import Path
+from typing import Any
+
+from tests.samples import time_limit
+
+COMMAND = Path(sys.executable).with_name("carla-recap")
+CROSSING = Path(__file__).parents[2] / "samples" / "crossing.log"
+TIMEOUT = 60
+
+ENVIRONMENT = {
+    **{name: value for name, value in os.environ.items() if not name.startswith(("COLUMNS", "FORCE_", "NO_COLOR", "TTY_"))},
+    "TZ": "UTC",
+    "TERM": "xterm",
+    "COLUMNS": "120",
+}
+
+Done = subprocess.CompletedProcess[bytes]
+
+
+def run(*arguments: object, **options: Any) -> Done:
+    """Run the command, with its output in pipes."""
+    command = [COMMAND, *map(os.fspath, map(_as_path, arguments))]
+    return subprocess.run(
+        command, capture_output=True, env=ENVIRONMENT, stdin=subprocess.DEVNULL, timeout=TIMEOUT, check=False, **options
+    )
+
+
+def answer(*arguments: object) -> str:
+    """What a command that succeeds prints, and says nothing besides."""
+    done = run(*arguments)
+    assert (done.returncode, done.stderr) == (0, b"")
+    return done.stdout.decode()
+
+
+def error(*arguments: object, code: int = 2, **options: Any) -> str:
+    """The one line with which a command fails."""
+    done = run(*arguments, **options)
+    assert done.returncode == code
+    assert done.stdout == b""
+    return the_line(done.stderr)
+
+
+def the_line(stderr: bytes) -> str:
+    """What stands in the one line on stderr, behind the command's name; it can be shown anywhere."""
+    (line,) = stderr.decode().splitlines()
+    assert line.isprintable()
+    assert line.startswith("carla-recap: ")
+    return line.removeprefix("carla-recap: ")
+
+
+def on_terminal(*arguments: object, stream: str = "stdout") -> tuple[int, str, bytes]:
+    """Run the command with one stream on a terminal.
+
+    Returns: The exit code, what the terminal got, and what the other stream got.
+    """
+    ours, theirs = pty.openpty()
+    streams = {"stdout": subprocess.PIPE, "stderr": subprocess.PIPE, stream: theirs}
+    command = [COMMAND, *map(os.fspath, map(_as_path, arguments))]
+    with subprocess.Popen(command, env=ENVIRONMENT, stdin=subprocess.DEVNULL, **streams) as process:
+        os.close(theirs)
+        shown = read_terminal(ours)
+        other = (process.stderr or process.stdout).read()
+        code = process.wait(TIMEOUT)
+    os.close(ours)
+    return code, shown, other
+
+
+def read_terminal(terminal: int) -> str:
+    pieces = []
+    with time_limit(TIMEOUT):
+        while True:
+            try:
+                piece = os.read(terminal, 1 << 16)
+            except OSError:  # Linux's way to say that the other side has hung up
+                piece = b""
+            if not piece:
+                return b"".join(pieces).decode().replace("\r\n", "\n")
+            pieces.append(piece)
+
+
+def _as_path(argument: object) -> str | os.PathLike[str]:
+    return argument if isinstance(argument, os.PathLike) else str(argument)

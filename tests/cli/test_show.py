@@ -1,0 +1,190 @@
+"""The commands that show and cut."""
+
+from __future__ import annotations
+
+import json
+import signal
+import subprocess
+import urllib.request
+
+import pytest
+from mcap.reader import make_reader
+
+from carla_recap import open_recording
+from tests.cli.command import COMMAND, CROSSING, ENVIRONMENT, TIMEOUT, error, on_terminal, run, the_line
+from tests.maps.towns import town
+from tests.samples import carla_log, reading
+
+rerun = pytest.importorskip("rerun", reason="the extra `rerun` is not installed")
+REAL = "carla-0.9.13-lane-center.log"
+
+
+def said(*arguments: object) -> str:
+    """What a command that succeeds says on stderr, and prints nothing besides."""
+    done = run(*arguments)
+    assert (done.returncode, done.stdout) == (0, b""), done.stderr
+    return done.stderr.decode()
+
+
+# --- incidents -------------------------------------------------------------------------------------------------
+
+
+def test_incidents_as_json_and_with_a_limit():
+    done = run("incidents", CROSSING, "--json", "--max-rows", "3")
+    assert done.returncode == 1
+    rows = json.loads(done.stdout)["rows"]
+    assert [row["kind"] for row in rows] == ["blocked", "collision", "hard braking", "collision"]
+    assert rows[3]["actors"] == [100, 101]
+
+
+# --- export ----------------------------------------------------------------------------------------------------
+
+
+def test_export_to_rerun(tmp_path):
+    from rerun.chunk import RrdReader
+
+    target = tmp_path / "out.rrd"
+    assert (
+        said("export", CROSSING, target, "--start", "-20", "--duration", "2", "--follow", "101")
+        == f"{target}: 21 frames, 2 s\n"
+    )
+    paths = RrdReader(target).store().schema().entity_paths()
+    assert "/world/actors/101" in paths
+
+
+def test_export_to_foxglove(tmp_path):
+    target = tmp_path / "out.mcap"
+    words = said("export", CROSSING, target, "--to", "foxglove", "--duration", "1")
+    assert words.startswith("layouts to import: ")
+    assert words.endswith(f"{target}: 11 frames, 1 s\n")
+    with target.open("rb") as file:
+        assert "foxglove.SceneUpdate" in {schema.name for schema in make_reader(file).get_summary().schemas.values()}
+
+
+def test_export_draws_the_map(tmp_path):
+    from rerun.chunk import RrdReader
+
+    target = tmp_path / "out.rrd"
+    said("export", carla_log(REAL), target, "--duration", "0.2", "--map", town("Town01"))
+    assert any(path.startswith("/world/map/") for path in RrdReader(target).store().schema().entity_paths())
+
+
+def test_a_camera_for_each_actor(tmp_path):
+    said("export", CROSSING, tmp_path / "out.rrd", "--duration", "0.2", "--cameras", tmp_path / "cameras")
+    assert (tmp_path / "cameras" / "follow_100.rbl").stat().st_size > 0
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (("out.rrd", "--follow", "102000"), "no actor 102000 to follow; near ids are "),
+        (("out.rrd", "--follow", "somebody"), "'somebody' is neither an actor id nor hero"),
+        (("out.rrd", "--start", "54"), "nothing at 54 s; the recording ends at 53 s"),
+        (("out.txt",), "'out.txt' does not end in .rrd or .mcap"),
+        (("out.mcap", "--to", "rerun"), "'out.mcap' does not end in .rrd"),
+        (("out.mcap", "--cameras", "cameras"), "--cameras"),
+        (("out.rrd", "--map", "missing.xodr"), "missing.xodr: No such file or directory"),
+        (("out.rrd", "--map", "broken.xodr"), "broken.xodr: "),
+        (("out.rrd", "--map", "."), ".: no .xodr for the map 'Crossing'"),
+    ],
+    ids=lambda value: value if isinstance(value, str) else " ".join(value),
+)
+def test_what_export_refuses(tmp_path, arguments, message):
+    (tmp_path / "broken.xodr").write_text("<html>")
+    assert message in error("export", CROSSING, *arguments, cwd=tmp_path)
+    assert [path.name for path in tmp_path.iterdir()] == ["broken.xodr"]
+
+
+def test_export_does_not_overwrite(tmp_path):
+    target = tmp_path / "out.rrd"
+    target.write_text("mine")
+    assert "--force" in error("export", CROSSING, target)
+    assert target.read_text() == "mine"
+    said("export", CROSSING, target, "--duration", "0.1", "--force")
+    assert target.read_bytes().startswith(b"RRF")
+
+
+def test_export_shows_how_far_it_is(tmp_path):
+    code, shown, _ = on_terminal("export", CROSSING, tmp_path / "out.rrd", "--force", stream="stderr")
+    assert code == 0
+    assert "exporting" in shown
+
+
+# --- clips -----------------------------------------------------------------------------------------------------
+
+
+def test_clip(tmp_path):
+    target = tmp_path / "clip.log"
+    assert said("clip", CROSSING, target, "--start", "20", "--duration", "2") == f"{target}: 21 frames, 2 s\n"
+    with open_recording(target) as recording:
+        assert recording.actors.keys() >= {100, 101, 105, 110}
+        assert [hit.id1 for hit in recording.collisions()] == [105]
+
+
+def test_clips(tmp_path):
+    words = said("clips", CROSSING, tmp_path / "clips", "--collisions", "--before", "1", "--after", "1")
+    names = sorted(path.name for path in (tmp_path / "clips").iterdir())
+    assert names == [
+        f"{name}{suffix}"
+        for name in ("01-collision-20.9s-105-110", "02-collision-24.6s-100-101")
+        for suffix in (".mcap", ".rrd")
+    ]
+    assert "collides with walker.pedestrian.0004 (110)" in words
+    with reading(tmp_path / "clips" / names[0]) as reader:
+        assert reader.extent().duration == pytest.approx(2.8, abs=0.2)
+    assert "is not empty" in error("clips", CROSSING, tmp_path / "clips")
+
+
+# --- pictures, the page, the viewer ----------------------------------------------------------------------------
+
+
+def test_a_moment_outside_cannot_be_taken(tmp_path):
+    assert "nothing at 99 s" in error("snapshot", CROSSING, tmp_path / "out.png", "--at", "99")
+    assert "'12' is no size" in error("snapshot", CROSSING, tmp_path / "out.png", "--at", "1", "--size", "12")
+
+
+def test_report(tmp_path):
+    page = tmp_path / "page"
+    assert said("report", CROSSING, page).startswith(f"{page / 'index.html'}: 4 incidents, ")
+    assert (page / "index.html").is_file()
+    assert "is not empty" in error("report", CROSSING, page)
+
+
+def test_the_page_is_served_until_it_is_interrupted(tmp_path):
+    command = [COMMAND, "report", CROSSING, tmp_path / "page", "--serve"]
+    with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, env=ENVIRONMENT) as process:
+        try:
+            address = process.stdout.readline().decode().strip()
+            assert address.startswith("http://127.0.0.1:")
+            with urllib.request.urlopen(address, timeout=TIMEOUT) as answer:
+                assert b"<title>" in answer.read()
+        finally:
+            process.send_signal(signal.SIGINT)
+        assert process.wait(TIMEOUT) == 0
+
+
+def test_without_a_display_the_viewer_says_what_to_do(monkeypatch):
+    environment = {name: value for name, value in ENVIRONMENT.items() if "DISPLAY" not in name}
+    done = subprocess.run([COMMAND, "view", CROSSING], env=environment, capture_output=True, timeout=TIMEOUT, check=False)
+    assert done.returncode == 2
+    assert "--web" in the_line(done.stderr)
+
+
+def test_without_the_extra_there_is_one_line(tmp_path):
+    (tmp_path / "rerun.py").write_text("raise ImportError('no rerun here')")
+    environment = ENVIRONMENT | {"PYTHONPATH": str(tmp_path)}
+    command = [COMMAND, "export", CROSSING, tmp_path / "out.rrd"]
+    done = subprocess.run(command, env=environment, capture_output=True, timeout=TIMEOUT, check=False)
+    assert done.returncode == 2
+    assert the_line(done.stderr) == "an export to Rerun needs an optional dependency: pip install 'carla-recap[rerun]'"
+
+
+def test_without_the_maps_extra_the_rest_is_shown(tmp_path):
+    (tmp_path / "carla.py").write_text("raise ImportError('no carla here')")
+    environment = ENVIRONMENT | {"PYTHONPATH": str(tmp_path), "CARLA_RECAP_MAPS": str(town("Town01").parent)}
+    command = [COMMAND, "export", carla_log(REAL), tmp_path / "out.rrd", "--duration", "0.1"]
+    done = subprocess.run(command, env=environment, capture_output=True, timeout=TIMEOUT, check=False)
+    assert done.returncode == 0
+    warning, written = done.stderr.decode().splitlines()
+    assert "pip install 'carla-recap[carla]'" in warning
+    assert written.startswith(str(tmp_path / "out.rrd"))
