@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from array import array
 from dataclasses import dataclass
+from itertools import accumulate
 from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
@@ -195,7 +196,7 @@ class _Group:
         self._min_time = min_time
         self._square_of_reach = square_of_reach
         self._places = np.array([actor.place for actor in actors], square_of_reach.dtype).T.copy()
-        self._waiting: list[NDArray[np.void]] = []
+        self._waiting: list[tuple[NDArray[np.void], float, float]] = []
         self._elapsed, self._lengths = array("d"), array("d")  # of the packets so far
         # The first packet from which on a stretch's duration may come back to 0.
         self._first_odd = 0 if any(actor.duration < 0.0 for actor in actors) else None
@@ -217,12 +218,7 @@ class _Group:
             elapsed: When the frame begins, in seconds.
             length: How long it is, in seconds.
         """
-        if not length > 0.0 and self._first_odd is None:
-            self._first_odd = len(self._lengths)
-        self._waiting.append(records)
-        self._elapsed.append(elapsed)
-        self._lengths.append(length)
-        self._clocks.append(self._clocks[-1] + max(length, 0.0))
+        self._waiting.append((records, elapsed, length))
 
     def settle(self) -> list[tuple[int, BlockedRow]]:
         """Follow the actors through the packets that wait.
@@ -236,11 +232,16 @@ class _Group:
             return self._settle()
 
     def _settle(self) -> list[tuple[int, BlockedRow]]:
-        count, size = len(self._waiting), len(self._actors)
-        first = len(self._lengths) - count
-        data = b"".join(self._waiting)  # type: ignore[arg-type]
-        records = np.frombuffer(data, self._waiting[0].dtype)
+        packets, elapsed, lengths = zip(*self._waiting, strict=True)
         self._waiting = []
+        count, size = len(packets), len(self._actors)
+        first = len(self._lengths)
+        self._elapsed.extend(elapsed)
+        self._lengths.extend(lengths)
+        self._clocks.extend(accumulate((max(length, 0.0) for length in lengths), initial=self._clocks.pop()))
+        if self._first_odd is None:
+            self._first_odd = next((first + place for place, length in enumerate(lengths) if not length > 0.0), None)
+        records = np.frombuffer(b"".join(packets), packets[0].dtype)
         paths = np.empty((3, count, size), self._places.dtype)
         for axis, name in enumerate("xyz"):
             paths[axis] = records[name].reshape(count, size)
@@ -280,14 +281,11 @@ class _Group:
             paths: Of each packet, where the movers are.
         """
         clocks = np.frombuffer(self._clocks)[first:]
-        latest = np.maximum.accumulate(np.where(moves, np.arange(len(moves))[:, None], -1))
-        previous = np.vstack((np.full_like(latest[:1], -1), latest[:-1]))
-        origins = np.where(previous < 0, self._origins[movers], clocks[previous + 1])
         # The clock has other roundings than the sum of a stretch, which decides in the end.
         least = self._min_time - _ROUNDING * (1.0 + clocks[-1])
         rows = []
-        for place, column in np.argwhere(moves & ~(clocks[:-1, None] - origins < least)).tolist():
-            number, before = int(movers[column]), int(previous[place, column])
+        for place, column, before in _stops(moves, self._origins[movers], clocks, least):
+            number = int(movers[column])
             actor = self._actors[number]
             moved_at = first + before if before >= 0 else int(self._moved_at[number])
             self._update(number, moved_at, first + place)
@@ -295,8 +293,9 @@ class _Group:
                 stood = paths[before, :, column] if before >= 0 else self._places[:, number]
                 actor.place = tuple(stood.tolist())
                 rows.append((number, actor.row()))
-        self._moved_at[movers] = np.where(latest[-1] < 0, self._moved_at[movers], first + latest[-1])
-        self._origins[movers] = np.where(latest[-1] < 0, self._origins[movers], clocks[latest[-1] + 1])
+        last = len(moves) - 1 - np.argmax(moves[::-1], axis=0)
+        self._moved_at[movers] = first + last
+        self._origins[movers] = clocks[last + 1]
         return rows
 
     def _update(self, number: int, moved_at: int, until: int) -> None:
@@ -314,6 +313,29 @@ class _Group:
             if actor.duration == 0.0:
                 actor.start = self._elapsed[place]
             actor.duration += self._lengths[place]
+
+
+def _stops(
+    moves: NDArray[np.bool_], origins: NDArray[np.float64], clocks: NDArray[np.float64], least: float
+) -> list[list[int]]:
+    """The moves that end a stretch which may be long enough: packet, actor, and the packet of the move before or -1; in order.
+
+    Args:
+        moves: Of each packet, which actors move in it.
+        origins: What the clock showed when each moved before.
+        clocks: What it shows before each packet, and after the last one.
+        least: How long a stretch has to be.
+    """
+    old = np.flatnonzero(~(clocks[-1] - origins < least))
+    if not len(old):
+        return []
+    moves = moves[:, old]
+    numbers = np.broadcast_to(np.arange(len(moves))[:, None], moves.shape)
+    latest = np.maximum.accumulate(np.where(moves, numbers, -1))
+    before = np.vstack((np.full_like(latest[:1], -1), latest[:-1]))
+    begun = np.where(before < 0, origins[old], clocks[before + 1])
+    places, columns = np.nonzero(moves & ~(clocks[:-1, None] - begun < least))
+    return np.stack((places, old[columns], before[places, columns]), axis=1).tolist()  # type: ignore[no-any-return]
 
 
 def _squares(steps: _Paths, axes: tuple[_Paths, ...]) -> _Paths:

@@ -6,6 +6,7 @@ The viewer runs it for every file that is opened, so it looks at the content fir
 from __future__ import annotations
 
 import os
+import signal
 import sys
 import warnings
 from argparse import ArgumentParser
@@ -36,6 +37,8 @@ _ENDS: Final = 64 << 10  # bytes, at each end of an MCAP file, in which its meta
 
 def main() -> None:
     """Write a recording to stdout as the viewer reads it."""
+    if hasattr(signal, "SIGPIPE"):
+        signal.signal(signal.SIGPIPE, signal.SIG_DFL)  # Rerun's writer would wait forever for a viewer that has gone
     warnings.simplefilter("always", RecapWarning)
     warnings.showwarning = lambda message, *_, **__: _say(f"warning: {message}")
     arguments = _arguments()
@@ -45,7 +48,7 @@ def main() -> None:
         _import(arguments)
     except NotARecording:
         sys.exit(NOT_OURS)
-    except (RecapError, OSError, RuntimeError, MemoryError) as error:
+    except (RecapError, OSError, MemoryError) as error:
         _say(str(error) or "not enough memory")
         sys.exit(FAILED)
 

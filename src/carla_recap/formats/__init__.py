@@ -61,7 +61,8 @@ def create_writer(path: Path | str, header: Header, *, live: bool = False) -> Wr
     Args:
         path: The destination, ending in .log or .mcap.
         header: The header.
-        live: Put the data on the disk as it comes, so that a crash costs little (MCAP).
+        live: Put the data on the disk as it comes, so that a crash costs 5 s of recording at the most. What cannot be
+            finished is left beside the destination, where `recover` takes it.
 
     Raises:
         RecapError: The suffix is of no format, or the place cannot be written to.
@@ -70,7 +71,7 @@ def create_writer(path: Path | str, header: Header, *, live: bool = False) -> Wr
     if suffix == ".log":
         from carla_recap.formats.carla_log import LogWriter
 
-        return LogWriter(path, header)
+        return LogWriter(path, header, live=live)
     if suffix == ".mcap":
         from carla_recap.formats.mcap.writer import McapWriter
 

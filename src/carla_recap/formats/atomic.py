@@ -23,13 +23,15 @@ class AtomicFile:
 
     Args:
         path: The destination.
+        live: Leave what was written beside the destination, too, when the file cannot be finished.
 
     Raises:
         RecapError: The place cannot be written to.
     """
 
-    def __init__(self, path: Path | str) -> None:
+    def __init__(self, path: Path | str, *, live: bool = False) -> None:
         self.path = Path(path)
+        self._live = live
         self._partial = self.path.with_name(f".{self.path.name[:200]}.{os.urandom(4).hex()}.partial")
 
     def _begin(self, write: Callable[[], None]) -> None:
@@ -55,19 +57,30 @@ class AtomicFile:
             self._file.close()
             self._partial.replace(self.path)
         except OSError as error:
-            self.abort()
+            self._give_up()
             raise self._unwritable(error) from None
         except BaseException:
-            self.abort()
+            self._give_up()
             raise
 
     def abort(self) -> None:
         """Give the file up, and remove what was written."""
+        self.abandon()
+        with suppress(OSError):
+            self._partial.unlink()
+
+    def abandon(self) -> Path:
+        """Give the file up, but leave what was written where it is, which is returned; `recover` takes it."""
         with suppress(OSError):  # what waits in memory may not fit on the disk either
             if hasattr(self, "_file"):
                 self._file.close()
-        with suppress(OSError):
-            self._partial.unlink()
+        return self._partial
+
+    def _give_up(self) -> None:
+        if self._live:
+            self.abandon()
+        else:
+            self.abort()
 
     def _put(self, data: Buffer) -> None:
         """Add bytes.
@@ -85,6 +98,18 @@ class AtomicFile:
 
     def _finish(self) -> None:
         """Write what comes last."""
+
+    def _sync(self) -> None:
+        """Put what was written on the disk.
+
+        Raises:
+            RecapError: The disk is full, or broken.
+        """
+        try:
+            self._file.flush()
+            os.fdatasync(self._file.fileno())
+        except OSError as error:
+            raise self._unwritable(error) from None
 
     def __enter__(self) -> Self:
         return self

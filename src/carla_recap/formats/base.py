@@ -74,7 +74,7 @@ class Reader(Protocol):
 
 
 class Writer(Protocol):
-    """A recording being written; complete after `close`, removed after `abort`."""
+    """A recording being written; complete after `close`, removed after `abort`, left as it is after `abandon`."""
 
     def write(self, frame: Frame) -> None:
         """Add a frame."""
@@ -90,6 +90,10 @@ class Writer(Protocol):
 
     def abort(self) -> None:
         """Give the file up."""
+        ...
+
+    def abandon(self) -> Path:
+        """Give the file up, but leave what was written where it is, which is returned; `recover` takes it."""
         ...
 
     def __enter__(self) -> Self: ...

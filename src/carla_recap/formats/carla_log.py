@@ -41,6 +41,7 @@ UNSHIFT: Final = {plain: shifted for shifted, plain in SHIFT.items()}
 _SNIFFED_FRAMES: Final = 3  # builds that have the shifted packets write them in every frame
 _SNIFFED_PACKETS: Final = 20_000
 PACKETS_LIMIT: Final = 200_000
+SYNC_SECONDS: Final = 5.0
 """The most packets of a frame; CARLA writes some twenty."""
 _PACKETS_IN_A_FRAME: Final = 256
 _FORGET: Final = 16 << 20  # mapped pages are given back every so many bytes
@@ -451,15 +452,17 @@ class LogWriter(AtomicFile):
     Args:
         path: The destination.
         header: The header.
+        live: Put the frames on the disk every `SYNC_SECONDS` of recording.
 
     Raises:
         RecapError: The place cannot be written to.
     """
 
-    def __init__(self, path: Path | str, header: Header) -> None:
+    def __init__(self, path: Path | str, header: Header, *, live: bool = False) -> None:
         start = pack_header(header)
-        super().__init__(path)
+        super().__init__(path, live=live)
         self._shift = UNSHIFT if header.shifted else {}
+        self._sync_at = 0.0
         self._begin(lambda: self._put(start))
 
     def write(self, frame: Frame) -> None:
@@ -471,6 +474,9 @@ class LogWriter(AtomicFile):
             payload = packet.payload
             parts += (PACKET.pack(self._shift.get(packet.id, packet.id), len(payload)), payload)
         self._put(b"".join(parts))
+        if self._live and frame.elapsed >= self._sync_at:
+            self._sync()
+            self._sync_at = frame.elapsed + SYNC_SECONDS
 
     def write_tail(self, piece: bytes) -> None:
         """Add bytes behind the last complete packet."""

@@ -15,7 +15,7 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    from carla_recap.maps.opendrive import Lane, Roads, Stop
+    from carla_recap.maps.opendrive import Lane, Roads, Sign
 
     Floats = NDArray[np.float64]
 
@@ -126,7 +126,7 @@ def _stop_lines(roads: Roads, lanes: list[Lane]) -> list[Floats]:
     for lane in lanes:
         if lane.is_driving:
             driving[lane.road].append(lane)
-    for stop in roads.stops:
+    for stop in roads.stops():
         for line in _lines_at(stop, driving[stop.road]):
             middle = line.mean(axis=0)[None]
             if all(distances_to(middle, *other)[0] > _SAME_PAINT for other in painted) and all(
@@ -136,7 +136,7 @@ def _stop_lines(roads: Roads, lanes: list[Lane]) -> list[Floats]:
     return painted + drawn
 
 
-def _lines_at(stop: Stop, lanes: list[Lane]) -> Iterator[Floats]:
+def _lines_at(stop: Sign, lanes: list[Lane]) -> Iterator[Floats]:
     """A line across each lane that stops: on the way, or where the lane enters a junction."""
     told = [lane for lane in lanes if any(first <= lane.id <= last for first, last in stop.lanes)]
     for number in dict.fromkeys(lane.id for lane in told):

@@ -24,7 +24,11 @@ DRIVING: Final = "Driving"
 NO_JUNCTION: Final = -1
 _STEP: Final = 0.5  # m
 _HALVINGS: Final = 12  # of a step, to find where a lane ends
-_STOPPING: Final = frozenset(("1000001", "206"))  # traffic lights, stop signs
+LIGHT: Final = "1000001"
+STOP: Final = "206"
+YIELD: Final = "205"
+SPEED_LIMIT: Final = "274"
+_BEYOND: Final = 0.01  # m: this far after its end, a lane's successors are found
 _PAINT: Final = "StopLine"
 
 
@@ -42,7 +46,10 @@ class Lane:
         centre: The points in the middle, (n, 3).
         left: The points of the border to the left of who drives there, (n, 3).
         right: The points of the border to the right.
+        headings: The direction in which one drives there, (n,).
         reverse: Whether one drives against the road's own direction, from the last point to the first.
+        changes: Whether the marks allow to change to the lane on the left, and on the right, of who drives there.
+        successors: The lanes at its end, by road, section and id.
     """
 
     road: int
@@ -54,7 +61,10 @@ class Lane:
     centre: Floats
     left: Floats
     right: Floats
+    headings: Floats
     reverse: bool
+    changes: tuple[bool, bool]
+    successors: tuple[tuple[int, int, int], ...]
 
     @property
     def is_driving(self) -> bool:
@@ -70,12 +80,30 @@ class Lane:
 
 
 @dataclass(frozen=True)
-class Stop:
-    """Where some lanes of a road have to stop: for a light or a sign."""
+class Sign:
+    """A traffic light or sign, where it is in force; one that is so in several places is there several times.
 
+    Attributes:
+        id: The id in the file.
+        kind: Its number, such as `LIGHT`.
+        value: What is on it, such as a speed.
+        unit: The unit of that.
+        road: The road along which it is in force.
+        station: How far along the road.
+        lanes: The lanes that it is for: from … to …, both included.
+        place: Where it stands, (3,).
+        heading: The way it is turned.
+    """
+
+    id: str
+    kind: str
+    value: float
+    unit: str
     road: int
     station: float
-    lanes: tuple[tuple[int, int], ...]  # from … to …, both included
+    lanes: tuple[tuple[int, int], ...]
+    place: Floats
+    heading: float
 
 
 @dataclass
@@ -85,14 +113,18 @@ class Roads:
     Attributes:
         lanes: All lanes beside those for cars, and these.
         crossings: Closed polygons.
-        stops: Where one has to stop.
+        signs: Lights and signs.
         painted: The stop lines that are in the file.
     """
 
     lanes: list[Lane] = field(default_factory=list)
     crossings: list[Floats] = field(default_factory=list)
-    stops: list[Stop] = field(default_factory=list)
+    signs: list[Sign] = field(default_factory=list)
     painted: list[Floats] = field(default_factory=list)
+
+    def stops(self) -> Iterator[Sign]:
+        """Where one has to stop."""
+        return (sign for sign in self.signs if sign.kind in (LIGHT, STOP))
 
 
 def read_opendrive(text: str) -> Roads:
@@ -108,11 +140,7 @@ def read_opendrive(text: str) -> Roads:
     return Roads(
         [lane for road, section, stations in _sections(town) for lane in _lanes(town, road, section, stations)],
         _polygons(town.get_crosswalks()),
-        [
-            Stop(landmark.road_id, landmark.s, tuple(landmark.get_lane_validities()))
-            for landmark in town.get_all_landmarks()
-            if landmark.type in _STOPPING
-        ],
+        [_sign(landmark) for landmark in town.get_all_landmarks()],
         [_painted_line(mark) for mark in town.get_all_road_marks_of_type(_PAINT)],
     )
 
@@ -164,6 +192,7 @@ def _lane(waypoints: list[Any]) -> Lane:
     leftwards = np.stack((-np.sin(headings), np.cos(headings), np.zeros(len(headings))), axis=1)
     to_border = leftwards * widths[:, None] / 2
     ahead = np.array((np.cos(headings[0]), np.sin(headings[0]), 0.0))
+    reverse = bool((centre[1] - centre[0]) @ ahead < 0)
     return Lane(
         first.road_id,
         first.section_id,
@@ -174,7 +203,30 @@ def _lane(waypoints: list[Any]) -> Lane:
         centre,
         centre + to_border,
         centre - to_border,
-        bool((centre[1] - centre[0]) @ ahead < 0),
+        headings,
+        reverse,
+        _changes(waypoints[len(waypoints) // 2]),
+        tuple((end.road_id, end.section_id, end.lane_id) for end in waypoints[0 if reverse else -1].next(_BEYOND)),
+    )
+
+
+def _changes(waypoint: Any) -> tuple[bool, bool]:
+    allowed = str(waypoint.lane_change)
+    return allowed in ("Left", "Both"), allowed in ("Right", "Both")
+
+
+def _sign(landmark: Any) -> Sign:
+    (place,) = _points([landmark.transform.location])
+    return Sign(
+        landmark.id,
+        landmark.type,
+        landmark.value,
+        landmark.unit,
+        landmark.road_id,
+        landmark.s,
+        tuple(landmark.get_lane_validities()),
+        place,
+        np.radians(-landmark.transform.rotation.yaw),
     )
 
 

@@ -10,17 +10,17 @@ import numpy as np
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-    Lines = dict[str, list[NDArray[np.float64]]]
+    Lines = dict[str, list[NDArray[Any]]]
 
 
 _SIZES: Final = ".sizes"
 
 
 def pack(lines: Lines) -> bytes:
-    """Lists of lines, (n, 3) each, by name, as bytes."""
+    """Lists of lines by name, as bytes; those of a list are (n, 3), or else all of one width and type."""
     arrays: dict[str, Any] = {}
     for name, group in lines.items():
-        arrays[name] = np.concatenate([np.empty((0, 3)), *group])
+        arrays[name] = np.concatenate(group) if group else np.empty((0, 3))
         arrays[name + _SIZES] = np.array([len(line) for line in group], np.int64)
     file = BytesIO()
     np.savez(file, **arrays)

@@ -4,13 +4,12 @@ from __future__ import annotations
 
 import os
 import re
-import subprocess
-import sys
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Final
 
-from carla_recap.errors import FormatError, MissingExtra, RecapError
+from carla_recap.errors import FormatError
+from carla_recap.maps.child import ask
 from carla_recap.maps.packing import unpack
 
 if TYPE_CHECKING:
@@ -21,8 +20,6 @@ if TYPE_CHECKING:
 
 FOLDER: Final = "CARLA_RECAP_MAPS"
 """The environment variable that names the folder of maps."""
-_LARGEST: Final = 256 << 20  # bytes
-_PATIENCE: Final = 60.0  # s
 
 
 @dataclass(frozen=True, eq=False)
@@ -57,11 +54,8 @@ def load_map(path: Path | str) -> RoadMap:
         MissingExtra: CARLA's client library is not installed.
     """
     path = Path(path)
-    try:
-        import carla  # noqa: F401
-    except ImportError:
-        raise MissingExtra("a map", "carla") from None
-    lines = unpack(_parse(path, _content(path)))
+    _, answer = ask("carla_recap.maps", path)
+    lines = unpack(answer)
     if not lines["centre_lines"]:
         raise FormatError(path, None, "an OpenDRIVE map was expected, and no lane for cars is in it")
     return RoadMap(path.stem, **lines)
@@ -80,40 +74,3 @@ def find_map(map_name: str, folder: Path | str | None = None) -> Path | None:
     files = {path.stem: path for path in Path(folder).glob("*.xodr") if path.is_file()}
     name = re.split(r"[/\\]", map_name)[-1]
     return files.get(name) or files.get(name.removesuffix("_Opt"))
-
-
-def _content(path: Path) -> bytes:
-    if path.exists() and not path.is_file():
-        raise RecapError(f"{path}: is not a regular file")
-    try:
-        with path.open("rb") as file:
-            content = file.read(_LARGEST + 1)
-    except (OSError, ValueError) as error:
-        raise RecapError(f"{path}: {getattr(error, 'strerror', error)}") from None
-    if len(content) > _LARGEST:
-        raise RecapError(f"{path}: is larger than {_LARGEST >> 20} MB, which no map is")
-    return content
-
-
-def _parse(path: Path, content: bytes) -> bytes:
-    """The lines of a map, packed, from another process: CARLA's parser ends or occupies its process on some files."""
-    places = os.pathsep.join(place for place in sys.path if place)
-    command = [sys.executable, "-P", "-m", "carla_recap.maps"]
-    environment = {**os.environ, "PYTHONPATH": places, "OPENBLAS_NUM_THREADS": "1"}
-    try:
-        done = subprocess.run(
-            command,
-            input=content,
-            stdout=subprocess.PIPE,
-            stderr=subprocess.DEVNULL,
-            env=environment,
-            timeout=_PATIENCE,
-            check=False,
-        )
-    except subprocess.TimeoutExpired:
-        raise FormatError(path, None, f"CARLA's parser has not read it within {_PATIENCE:g} s") from None
-    if done.returncode:
-        reason = " ".join(done.stdout.decode(errors="replace").split())[:200]
-        answer = f"says: {reason}" if reason else "breaks down on it"
-        raise FormatError(path, None, f"an OpenDRIVE map was expected; CARLA's parser {answer}")
-    return done.stdout

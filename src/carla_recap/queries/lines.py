@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import re
 from functools import cache
-from operator import attrgetter
+from operator import attrgetter, itemgetter
 from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
@@ -15,7 +15,7 @@ from carla_recap.records import REAL, TEXT, UE4, Layout, Many, Records
 from carla_recap.texts import readable
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Mapping, Sequence
+    from collections.abc import Callable, Iterable, Mapping
 
     from numpy.typing import NDArray
 
@@ -40,40 +40,51 @@ class _Template:
         self._fields = _FIELD.findall(line)
         kinds = {"index": "u4", **layout.fields}
         texts = {field: readable for field in self._fields if kinds[field] == TEXT}
-        self._words: Mapping[str, Callable[[Any], str]] = {**texts, **words}
-        self._reals = {field for field in self._fields if kinds[field] in (REAL, "f4", "f8")}
-        self._line = _FIELD.sub(lambda match: "%.6g" if match[1] in self._reals else "%s", line)
+        self._words = [(self._fields.index(field), word) for field, word in {**texts, **words}.items()]
+        self._reals = [kinds[field] in (REAL, "f4", "f8") for field in self._fields]
+        self._line = _FIELD.sub(lambda match: "%.6g" if self._reals[self._fields.index(match[1])] else "%s", line)
         self._line_of_texts = _FIELD.sub("%s", line)
-        self._names = tuple(layout.fields)
-        self._values = attrgetter(*self._names)
+        self._of_object = attrgetter(*(field for field in self._fields if field != "index"))
+        self._names: tuple[str, ...] | None = None  # of the fields of the last array
+        self._of_row: itemgetter[Any] = itemgetter(0)
 
     def text(self, records: Records) -> str:
         """The text of some records."""
         if not len(records):
             return ""
-        table = self._table(records)
-        for field, word in self._words.items():
-            table[field] = list(map(word, table[field]))
-        columns = [table[field] for field in self._fields]
-        text = "".join(map(self._line.__mod__, zip(*columns, strict=True)))
-        return self._text_with_signs(columns) if "nan" in text else text
+        text = "".join(map(self._line.__mod__, self._rows(records)))
+        return self._text_with_signs(records) if "nan" in text else text
 
-    def _table(self, records: Records) -> dict[str, Sequence[Any]]:
-        """The values of each field."""
-        if isinstance(records, np.ndarray):
-            names = records.dtype.names or ()
-            columns = zip(*records.tolist(), strict=True) if len(records) < _FEW else (records[n].tolist() for n in names)
+    def _rows(self, records: Records) -> Iterable[Any]:
+        """What to print of each record, in the order of the line."""
+        if not isinstance(records, np.ndarray):
+            rows: Iterable[Any] = map(self._of_object, records)
+        elif len(records) < _FEW:
+            rows = self._few_rows(records)
         else:
-            names, columns = self._names, zip(*map(self._values, records), strict=True)
-        return {"index": range(len(records)), **dict(zip(names, columns, strict=True))}
+            rows = zip(*(self._column(field, records) for field in self._fields), strict=True)
+        return map(self._in_words, rows) if self._words else rows
 
-    def _text_with_signs(self, columns: list[Sequence[Any]]) -> str:
+    def _few_rows(self, records: NDArray[np.void]) -> Iterable[Any]:
+        names = records.dtype.names or ()
+        if names != self._names:
+            self._names, places = names, ("index", *names)
+            self._of_row = itemgetter(*map(places.index, self._fields))
+        return map(self._of_row, [(index, *row) for index, row in enumerate(records.tolist())])
+
+    def _column(self, field: str, records: NDArray[np.void]) -> Iterable[Any]:
+        return range(len(records)) if field == "index" else records[field].tolist()
+
+    def _in_words(self, row: Iterable[Any]) -> tuple[Any, ...]:
+        values = list(row)
+        for place, word in self._words:
+            values[place] = word(values[place])
+        return tuple(values)
+
+    def _text_with_signs(self, records: Records) -> str:
         """The text of records with a NaN among them, whose sign Python does not print."""
-        texts = [
-            list(map(number, column)) if field in self._reals else column
-            for field, column in zip(self._fields, columns, strict=True)
-        ]
-        return "".join(map(self._line_of_texts.__mod__, zip(*texts, strict=True)))
+        rows = ([number(v) if real else v for v, real in zip(row, self._reals, strict=True)] for row in self._rows(records))
+        return "".join(self._line_of_texts % tuple(row) for row in rows)
 
 
 _FIELD: Final = re.compile(r"\{(\w+)\}")

@@ -551,6 +551,9 @@ def _rows(items: Any, dtype: np.dtype[np.void]) -> NDArray[np.void]:
 
 def _object(layout: Layout, message: Any, wide: bool) -> Any:
     fields, special = _getter(id(layout)) or _make_getter(layout)
+    assert layout.make
+    if not special:
+        return layout.make(*fields(message))
     values = list(fields(message))
     for place, kind in special:
         value = values[place]
@@ -562,7 +565,6 @@ def _object(layout: Layout, message: Any, wide: bool) -> Any:
             values[place] = [_object(kind.layouts[0], item, wide) for item in value]
         else:
             values[place] = _rows(value, _present(kind, value).dtype(wide))
-    assert layout.make
     return layout.make(*values)
 
 

@@ -6,7 +6,6 @@ costs only itself.
 
 from __future__ import annotations
 
-import os
 import struct
 import zlib
 from array import array
@@ -157,8 +156,7 @@ class McapWriter(AtomicFile):
 
     def __init__(self, path: Path | str, header: Header, *, live: bool = False) -> None:
         metadata = header_metadata(header)
-        super().__init__(path)
-        self._live = live
+        super().__init__(path, live=live)
         self._specs = channel_specs(header.table)
         by_topic = {spec.topic: id for id, spec in enumerate(self._specs, 1)}
         self._frame_channel, self._raw_channel, self._tail_channel, self._stretches_channel = (
@@ -223,10 +221,10 @@ class McapWriter(AtomicFile):
         self._chunks[Group.STATE].add(self._tail_channel, self._sequence, (time, time), b"", wire.tail(piece))
         self._cut(Group.STATE)
 
-    def abort(self) -> None:
-        """Give the file up, and remove what was written."""
+    def abandon(self) -> Path:
+        """Give the file up, but leave what was written; see `AtomicFile.abandon`."""
         self._pool.shutdown(cancel_futures=True)
-        super().abort()
+        return super().abandon()
 
     # --- frames to messages --------------------------------------------------------------------------------------------
 
@@ -297,8 +295,16 @@ class McapWriter(AtomicFile):
             return
         self._chunks[group] = _Chunk()
         data, index = chunk.seal()
-        self._sealed.append(_Sealed(chunk.start, chunk.end, len(data), index, self._pool.submit(_compress, data)))
+        self._sealed.append(_Sealed(chunk.start, chunk.end, len(data), index, self._compress(data)))
         self._settle(0 if self._live else _QUEUE)
+
+    def _compress(self, data: bytes) -> Future[tuple[bytes, int]]:
+        try:
+            return self._pool.submit(_compress, data)
+        except RuntimeError:  # the interpreter is about to end, and lets no thread begin
+            done: Future[tuple[bytes, int]] = Future()
+            done.set_result(_compress(data))
+            return done
 
     def _settle(self, allowed: int) -> None:
         """Write chunks until no more than so many are on their way."""
@@ -415,13 +421,6 @@ class McapWriter(AtomicFile):
             "steady_clock": str(int(self._clock.steady)),
             **({STRETCHES: f"{STRETCH_TIME:g} {MIN_DISTANCE:g} {self._stretch_count}"} if self._standing else {}),
         }
-
-    def _sync(self) -> None:
-        try:
-            self._file.flush()
-            os.fdatasync(self._file.fileno())
-        except OSError as error:
-            raise self._unwritable(error) from None
 
 
 @cache
