@@ -318,7 +318,7 @@ class _Group:
 def _stops(
     moves: NDArray[np.bool_], origins: NDArray[np.float64], clocks: NDArray[np.float64], least: float
 ) -> list[list[int]]:
-    """The moves that end a stretch which may be long enough: packet, actor, and the packet of the move before or -1; in order.
+    """The moves that end a stretch which may be long enough: packet, actor, packet of the move before (or -1).
 
     Args:
         moves: Of each packet, which actors move in it.

@@ -495,7 +495,7 @@ def test_the_log_tells_each_contact_once(crossing):
 
 
 def test_the_log_begins_with_who_is_there(crossing):
-    assert crossing["/log"][0][1].message == "2 other, 4 traffic lights, 4 vehicles at the beginning"
+    assert crossing["/log"][0][1].message == "10 actors are there: 4 traffic lights, 4 vehicles, 2 others"
 
 
 def test_the_log_tells_who_comes_and_goes(crossing):
@@ -512,9 +512,9 @@ def test_many_who_come_or_go_are_counted(record):
         {"destroyed": list(crowd)},
     )
     assert [line.message for _, line in topics["/log"]] == [
-        "nobody at the beginning",
-        "10 walkers appear",
-        "10 walkers disappear",
+        "0 actors are there",
+        "10 actors appear: 10 walkers",
+        "10 actors disappear: 10 walkers",
     ]
 
 

@@ -51,6 +51,20 @@ LIGHTS: Final[tuple[tuple[str, Color], ...]] = (
 )
 """The states of a traffic light, as CARLA numbers them."""
 
+LAMP_UP: Final = 4.5  # m; so high above the foot of a traffic light is its lamp: recordings do not say
+LAMP: Final = 0.8  # m, across
+POLE: Final[Color] = (95, 95, 105)
+POLE_WIDTH: Final = 0.12  # m
+
+ROADS: Final[tuple[tuple[str, Color, float], ...]] = (
+    ("junctions", (70, 76, 92), 0.10),
+    ("centre_lines", (66, 70, 82), 0.08),
+    ("lane_borders", (150, 156, 170), 0.12),
+    ("crossings", (196, 190, 150), 0.16),
+    ("stop_lines", (230, 232, 238), 0.24),
+)
+"""The lines of a road map, each kind with its colour and its width in m."""
+
 
 def light(state: int) -> tuple[str, Color]:
     """The name and the colour of a traffic light's state."""

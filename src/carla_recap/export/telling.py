@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Final, NamedTuple
 from carla_recap.export import look
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Iterator
+    from collections.abc import Iterator, Sequence
 
     from carla_recap.replay import Collided, Present, Scene
 
@@ -27,11 +27,12 @@ class Level(IntEnum):
 
 
 class Line(NamedTuple):
-    """A line: how much it matters, what it is about, and what it says."""
+    """A line: how much it matters, what it is about, what it says, and the contact that it tells of, if any."""
 
     level: Level
     subject: str
     text: str
+    contact: Collided | None = None
 
 
 class Teller:
@@ -48,16 +49,16 @@ class Teller:
         spawned, destroyed = scene.spawned, scene.destroyed
         self._actors.update((event.actor.id, event.actor) for event in spawned)
         if scene.fresh:
-            yield _about_actors(f"{_count(event.actor for event in spawned)} at the beginning")
+            yield _about_actors(_count([event.actor for event in spawned], "are there"))
         elif len(spawned) >= _MANY:
-            yield _about_actors(f"{_count(event.actor for event in spawned)} appear")
+            yield _about_actors(_count([event.actor for event in spawned], "appear"))
         else:
             yield from (_about_actors(look.sentence(event, self._actors)) for event in spawned)
             yield from (Line(Level.DEBUG, "actors", look.sentence(event, self._actors)) for event in scene.parented)
         yield from self._contacts_of(scene)
         if len(destroyed) >= _MANY:
-            gone = (self._actors[event.id] for event in destroyed if event.id in self._actors)
-            yield _about_actors(f"{_count(gone)} disappear")
+            gone = [self._actors[event.id] for event in destroyed if event.id in self._actors]
+            yield _about_actors(_count(gone, "disappear"))
         else:
             yield from (_about_actors(look.sentence(event, self._actors)) for event in destroyed)
         for event in destroyed:
@@ -68,7 +69,7 @@ class Teller:
         for event in scene.collisions:
             if self._begins(event):
                 level = Level.ERROR if event.hero1 or event.hero2 else Level.WARNING
-                yield Line(level, "collisions", look.sentence(event, self._actors))
+                yield Line(level, "collisions", look.sentence(event, self._actors), event)
 
     def _begins(self, event: Collided) -> bool:
         """Note a contact; says whether it begins."""
@@ -84,7 +85,8 @@ def _about_actors(text: str) -> Line:
     return Line(Level.INFO, "actors", text)
 
 
-def _count(actors: Iterable[Present]) -> str:
-    """How many of each kind there are, in words."""
-    counts = Counter(look.style_of(actor).name for actor in actors)
-    return ", ".join(f"{n} {name}{'' if n == 1 or name == 'other' else 's'}" for name, n in counts.items()) or "nobody"
+def _count(actors: Sequence[Present], verb: str) -> str:
+    """Many actors in a sentence: `150 actors appear: 60 walkers, 50 vehicles, 40 others`."""
+    kinds = Counter(look.style_of(actor).name for actor in actors)
+    counts = ", ".join(f"{count} {name}{'s' * (count > 1)}" for name, count in kinds.most_common())
+    return f"{len(actors)} actor{'s' * (len(actors) != 1)} {verb}{': ' * bool(counts)}{counts}"

@@ -8,6 +8,7 @@ import numpy as np
 
 from carla_recap.export.foxglove.entities import WORLD, color
 from carla_recap.export.foxglove.schemas import LinePrimitive, Point3, SceneEntity, SceneUpdate
+from carla_recap.export.look import ROADS
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -19,14 +20,6 @@ if TYPE_CHECKING:
 
 MAP: Final = "/map"
 
-_LINES: Final[tuple[tuple[str, Color, float], ...]] = (  # what, its colour, its width in m
-    ("junctions", (70, 76, 92), 0.10),
-    ("centre_lines", (66, 70, 82), 0.08),
-    ("lane_borders", (150, 156, 170), 0.12),
-    ("crossings", (196, 190, 150), 0.16),
-    ("stop_lines", (230, 232, 238), 0.24),
-)
-
 
 def map_message(road_map: RoadMap | None, time: int) -> SceneUpdate:
     """All lines of a map, an entity for those of a kind.
@@ -37,7 +30,7 @@ def map_message(road_map: RoadMap | None, time: int) -> SceneUpdate:
     """
     if road_map is None:
         return SceneUpdate()
-    entities = [_entity(name, getattr(road_map, name), rgb, width) for name, rgb, width in _LINES]
+    entities = [_entity(name, getattr(road_map, name), rgb, width) for name, rgb, width in ROADS]
     for entity in entities:
         entity.timestamp.FromNanoseconds(time)
     return SceneUpdate(entities=entities)

@@ -31,10 +31,6 @@ STILL: Final = "/scene/still"
 
 _STIR: Final = np.array([1.0, 1.0, 1.0, 0.1, 0.1, 0.1])  # cm and degrees; whoever is farther from its first pose has moved
 _FAR: Final = 1e9  # cm and degrees; what is beyond is no place
-_LAMP: Final = 0.8  # m, across
-_LAMP_UP: Final = 4.5  # m, above the foot of a traffic light
-_POLE: Final = (95, 95, 105)
-_POLE_WIDTH: Final = 0.12  # m
 
 
 @dataclass(eq=False, slots=True)
@@ -63,8 +59,10 @@ class _Figure:
         told = {"actor": look.label_of(actor), "type_id": actor.type_id, "role_name": actor.role_name}
         if actor.kind == ActorKind.TRAFFIC_LIGHT:
             state, shade = look.light(self.state)
-            self.center = (0.0, 0.0, _LAMP_UP)
-            self.head = head(_start(actor, told | {"state": state}, _pole(actor)), SPHERES, (_LAMP, _LAMP, _LAMP), shade)
+            self.center = (0.0, 0.0, look.LAMP_UP)
+            self.head = head(
+                _start(actor, told | {"state": state}, _pole(actor)), SPHERES, (look.LAMP, look.LAMP, look.LAMP), shade
+            )
         else:
             box = look.box_of(actor)
             self.center = (box.x, box.y, box.z)
@@ -81,11 +79,11 @@ def _start(actor: Present, told: Mapping[str, str], *fixed: CylinderPrimitive) -
 def _pole(actor: Present) -> CylinderPrimitive:
     """The pole of a traffic light, which never moves."""
     x, y, z = right_handed(actor.spawn_pose)[LOCATION].tolist()
-    pole = CylinderPrimitive(bottom_scale=1.0, top_scale=1.0, color=color(_POLE))
-    pole.pose.position.x, pole.pose.position.y, pole.pose.position.z = x, y, z + _LAMP_UP / 2
+    pole = CylinderPrimitive(bottom_scale=1.0, top_scale=1.0, color=color(look.POLE))
+    pole.pose.position.x, pole.pose.position.y, pole.pose.position.z = x, y, z + look.LAMP_UP / 2
     pole.pose.orientation.w = 1.0
-    pole.size.x = pole.size.y = _POLE_WIDTH
-    pole.size.z = _LAMP_UP
+    pole.size.x = pole.size.y = look.POLE_WIDTH
+    pole.size.z = look.LAMP_UP
     return pole
 
 

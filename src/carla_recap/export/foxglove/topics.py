@@ -84,7 +84,7 @@ class Topics:
         if self._first is None:
             self._first = moment
             self._file.write(roads.MAP, time, roads.map_message(self._road_map, time))
-        for level, subject, text in self._teller.tell(moment):
+        for level, subject, text, _ in self._teller.tell(moment):
             line = Log(level=_LEVELS[level], name=subject, message=text)
             line.timestamp.FromNanoseconds(time)
             self._file.write(LOG, time, line)

@@ -13,9 +13,9 @@ from carla_recap.export.look import LIGHTS, OTHER, STYLES
 from carla_recap.export.page import script
 from carla_recap.export.page.drawing import draw
 from carla_recap.export.page.embedded import embed
-from carla_recap.folders import check_folder, copy_files, new_folder
 from carla_recap.export.page.ground import ground
 from carla_recap.export.page.tracks import Sampler, Tracks
+from carla_recap.folders import check_folder, copy_files, new_folder
 from carla_recap.queries.incidents import Incident, incidents
 from carla_recap.recording import Recording
 from carla_recap.replay.player import Player

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections import Counter
 from typing import TYPE_CHECKING, Final
 
 import numpy as np
@@ -10,22 +9,23 @@ import rerun as rr
 
 from carla_recap.export import look
 from carla_recap.export.rerun import tree
-from carla_recap.replay import Collided, right_handed
+from carla_recap.export.telling import Level, Teller
+from carla_recap.replay import right_handed
 from carla_recap.replay.pose import LOCATION
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Sequence
-
-    from numpy.typing import NDArray
-
     from carla_recap.export.rerun.stream import Moment, Stream
-    from carla_recap.replay import Event, Present, Scene
+    from carla_recap.replay import Collided, Scene
 
-_PAUSE: Final = 1.0  # s; what comes sooner after the last record of a contact belongs to it
 _SHOWN: Final = 2_000_000_000  # ns; so long a collision is marked
 _ABOVE: Final = 2.5  # m; so high above the ground
 _MARK: Final = 0.5  # m
-_MANY: Final = 8  # so many actors that come or go at once are counted, not named
+_LEVELS: Final = {
+    Level.DEBUG: rr.TextLogLevel.DEBUG,
+    Level.INFO: rr.TextLogLevel.INFO,
+    Level.WARNING: rr.TextLogLevel.WARN,
+    Level.ERROR: rr.TextLogLevel.ERROR,
+}
 
 
 class Chronicle:
@@ -37,8 +37,7 @@ class Chronicle:
 
     def __init__(self, stream: Stream) -> None:
         self._stream = stream
-        self._actors: dict[int, Present] = {}
-        self._contacts: dict[frozenset[int], float] = {}  # pairs, and when they touched last
+        self._teller = Teller()
         self._marks: list[tuple[int, str]] = []  # what is to disappear, and when, in ns
         self._count = 0
 
@@ -46,43 +45,19 @@ class Chronicle:
         """Take a scene in."""
         if self._marks:
             self._wipe(moment)
-        if not scene.events:
-            return
-        self._actors.update((event.actor.id, event.actor) for event in scene.spawned)
-        spawned, destroyed = scene.spawned, scene.destroyed
-        if len(spawned) > _MANY:
-            verb = "are there" if scene.fresh and moment.elapsed else "appear"
-            self._say(moment, _summary([event.actor for event in spawned], verb), rr.TextLogLevel.INFO)
-        else:
-            self._tell(moment, spawned, rr.TextLogLevel.INFO)
-            self._tell(moment, scene.parented, rr.TextLogLevel.DEBUG)
-        if len(destroyed) > _MANY:
-            gone = [self._actors[event.id] for event in destroyed if event.id in self._actors]
-            self._say(moment, _summary(gone, "disappear"), rr.TextLogLevel.INFO)
-        else:
-            self._tell(moment, destroyed, rr.TextLogLevel.INFO)
-        for collision in scene.collisions:
-            self._collide(collision, scene, moment)
-        for event in destroyed:
-            if event.id not in scene.actors:
-                self._actors.pop(event.id, None)
+        for line in self._teller.tell(scene):
+            self._stream.log(tree.EVENTS, moment, rr.TextLog(line.text, level=_LEVELS[line.level]))
+            if line.contact is not None:
+                self._mark(line.contact, scene, moment)
 
     def close(self) -> None:
         """Nothing is held back."""
 
-    def _collide(self, event: Collided, scene: Scene, moment: Moment) -> None:
-        pair = frozenset((event.actor1, event.actor2))
-        last = self._contacts.get(pair, -np.inf)
-        self._contacts[pair] = scene.time
-        if scene.time - last < _PAUSE:
+    def _mark(self, contact: Collided, scene: Scene, moment: Moment) -> None:
+        poses = [pose for id in (contact.actor1, contact.actor2) if (pose := scene.pose_of(id)) is not None]
+        if not poses:
             return
-        self._contacts = {pair: time for pair, time in self._contacts.items() if scene.time - time < _PAUSE}
-        self._tell(moment, [event], rr.TextLogLevel.ERROR)
-        poses = [pose for id in (event.actor1, event.actor2) if (pose := scene.pose_of(id)) is not None]
-        if poses:
-            self._mark(right_handed(np.mean(poses, axis=0))[LOCATION], moment)
-
-    def _mark(self, place: NDArray[np.float64], moment: Moment) -> None:
+        place = right_handed(np.mean(poses, axis=0))[LOCATION]
         path = f"{tree.COLLISIONS}/{self._count}"
         self._count += 1
         self._marks.append((moment.elapsed + _SHOWN, path))
@@ -103,17 +78,3 @@ class Chronicle:
         for path in due:
             self._stream.clear(path, moment)
         del self._marks[: len(due)]
-
-    def _tell(self, moment: Moment, events: Iterable[Event], level: rr.TextLogLevel) -> None:
-        for event in events:
-            self._say(moment, look.sentence(event, self._actors), level)
-
-    def _say(self, moment: Moment, text: str, level: rr.TextLogLevel) -> None:
-        self._stream.log(tree.EVENTS, moment, rr.TextLog(text, level=level))
-
-
-def _summary(actors: Sequence[Present], verb: str) -> str:
-    """Many actors in a sentence: `150 actors appear: 60 walkers, 50 vehicles, 40 others`."""
-    kinds = Counter(look.style_of(actor).name for actor in actors)
-    counts = ", ".join(f"{count} {name}{'s' * (count > 1)}" for name, count in kinds.most_common())
-    return f"{len(actors)} actors {verb}: {counts}"

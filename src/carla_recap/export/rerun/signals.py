@@ -19,9 +19,6 @@ if TYPE_CHECKING:
     from carla_recap.replay import Scene
 
 _HELD: Final = 8192  # so many changes are held back at the most
-_HEIGHT: Final = 4.5  # m; so high is the lamp above the foot of its pole
-_LAMP: Final = 0.4  # m
-_POLE: Final = ((95, 95, 105), 0.06)
 
 
 class Signals:
@@ -77,13 +74,12 @@ class Signals:
         if pose is None:
             return
         foot = right_handed(pose)[LOCATION]
-        top = foot + np.array((0, 0, _HEIGHT))
-        color, radius = _POLE
+        top = foot + np.array((0, 0, look.LAMP_UP))
         self._stream.log(
             tree.lamp(id),
             moment,
-            rr.Points3D.from_fields(positions=[top], radii=[_LAMP]),
-            rr.LineStrips3D([[foot, top]], colors=[color], radii=[radius]),
+            rr.Points3D.from_fields(positions=[top], radii=[look.LAMP / 2]),
+            rr.LineStrips3D([[foot, top]], colors=[look.POLE], radii=[look.POLE_WIDTH / 2]),
         )
 
     def _put_out(self, event: Destroyed, moment: Moment) -> None:
