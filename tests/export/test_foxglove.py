@@ -336,7 +336,9 @@ def test_who_stands_still_shows_up_once_its_place_is_a_number(record):
     assert [bool(seen(topics["/scene/still"], n / 10)) for n in range(3)] == [False, True, True]
 
 
-@pytest.mark.parametrize("name", ["times.log", "physics_0910.log", "events.log", "collisions.log", "all_packets.log"])
+@pytest.mark.parametrize(
+    "name", ["times.log", "physics_0910.log", "events.log", "collisions.log", "all_packets.log", "floats.log"]
+)
 def test_odd_recordings_can_be_shown(tmp_path, name):
     export(carla_log(name), tmp_path / "export.mcap")
     for topic in ("/scene", "/scene/still"):
