@@ -15,3 +15,11 @@ def test_lines_come_back_as_they_were():
     assert list(back) == list(lines)
     for name, group in lines.items():
         assert [line.tolist() for line in back[name]] == [line.tolist() for line in group]
+
+
+def test_lists_of_another_width_or_type_come_back_as_they_were():
+    rows = [np.arange(10.0).reshape(2, 5), np.ones((1, 5))]
+    text = [np.frombuffer(b"words", np.uint8)]
+    back = unpack(pack({"rows": rows, "text": text}))
+    assert all(np.array_equal(one, other) for one, other in zip(back["rows"], rows, strict=True))
+    assert back["text"][0].tobytes() == b"words"

@@ -91,6 +91,7 @@ class Sign:
         road: The road along which it is in force.
         station: How far along the road.
         lanes: The lanes that it is for: from … to …, both included.
+        ahead: Whether it is for those who drive along the road's own direction: True, False, or None for both.
         place: Where it stands, (3,).
         heading: The way it is turned.
     """
@@ -102,6 +103,7 @@ class Sign:
     road: int
     station: float
     lanes: tuple[tuple[int, int], ...]
+    ahead: bool | None
     place: Floats
     heading: float
 
@@ -225,6 +227,7 @@ def _sign(landmark: Any) -> Sign:
         landmark.road_id,
         landmark.s,
         tuple(landmark.get_lane_validities()),
+        {"Positive": True, "Negative": False}.get(str(landmark.orientation)),
         place,
         np.radians(-landmark.transform.rotation.yaw),
     )

@@ -21,6 +21,8 @@ if TYPE_CHECKING:
 FOLDER: Final = "CARLA_RECAP_MAPS"
 """The environment variable that names the folder of maps."""
 
+_BUILT_IN: Final = Path(__file__).parents[1] / "sim" / "towns"
+
 
 @dataclass(frozen=True, eq=False)
 class RoadMap:
@@ -66,11 +68,11 @@ def find_map(map_name: str, folder: Path | str | None = None) -> Path | None:
 
     Args:
         map_name: As in a recording: `Town01`, `Carla/Maps/Town01`; of `Town01_Opt`, the file may be called `Town01.xodr`.
-        folder: Where to look; else the environment variable CARLA_RECAP_MAPS says it.
+        folder: Where to look; else the environment variable CARLA_RECAP_MAPS says it. The town that comes with this
+            package is found anyway.
     """
     folder = folder or os.environ.get(FOLDER)
-    if not folder:
-        return None
-    files = {path.stem: path for path in Path(folder).glob("*.xodr") if path.is_file()}
+    folders = (_BUILT_IN, *([Path(folder)] if folder else []))
+    files = {path.stem: path for folder in folders for path in folder.glob("*.xodr") if path.is_file()}
     name = re.split(r"[/\\]", map_name)[-1]
     return files.get(name) or files.get(name.removesuffix("_Opt"))

@@ -352,11 +352,12 @@ class McapReader:
             yield coming.result()
 
     def _open(self, chunk: Chunk) -> bytes:
-        content = self._source.record(chunk.offset, Opcode.CHUNK, "a chunk")
-        if RECORD.size + len(content) != chunk.length:
+        data = self._source.read(chunk.offset, chunk.length, "a chunk")
+        opcode, size = RECORD.unpack_from(data) if len(data) >= RECORD.size else (0, 0)
+        if opcode != Opcode.CHUNK or RECORD.size + size != chunk.length:
             raise FormatError(self.path, chunk.offset, f"a chunk of {chunk.length} bytes was expected")
         try:
-            return open_chunk(content)[2]
+            return open_chunk(memoryview(data)[RECORD.size :])[2]
         except ValueError as error:
             raise FormatError(
                 self.path, chunk.offset, f"damaged chunk: {error}; 'carla-recap recover' saves the rest"

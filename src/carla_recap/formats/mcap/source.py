@@ -169,7 +169,7 @@ def decompress(compression: str, data: bytes | memoryview, size: int) -> bytes:
     return records
 
 
-def open_chunk(content: bytes) -> tuple[int, int, bytes]:
+def open_chunk(content: bytes | memoryview) -> tuple[int, int, bytes]:
     """First and last log time, and the records, of a chunk record's content.
 
     Raises:
@@ -181,7 +181,7 @@ def open_chunk(content: bytes) -> tuple[int, int, bytes]:
     at = CHUNK.size + name_size
     if at + U64.size > len(content) or name_size > 16:
         raise ValueError("a chunk with a broken compression name")
-    compression = content[CHUNK.size : at].decode("ascii", "replace")
+    compression = str(content[CHUNK.size : at], "ascii", "replace")
     (stored,) = U64.unpack_from(content, at)
     data = memoryview(content)[at + U64.size :]
     if stored != len(data):

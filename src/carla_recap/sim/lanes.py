@@ -1,0 +1,270 @@
+"""The lanes for cars, and where things are on them: all in m and radians, in CARLA's axes, for many places at once."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Final, Literal
+
+import numpy as np
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from numpy.typing import ArrayLike, NDArray
+
+    Floats = NDArray[np.float64]
+    Integers = NDArray[np.int64]
+    Turn = Literal["straight", "left", "right"]
+
+_CELL: Final = 4.0  # m: no nearest lane is farther than that from a vehicle on a road
+_AGAINST: Final = 32.0  # m²: what it costs to drive against a lane's direction
+_STOREY: Final = 4.0  # a metre above or below a lane counts as two beside it
+_STEPS: Final = 8  # at most, from a hint to the nearest point of a lane
+_TERRAIN: Final = 2.0  # m: the side of a cell of the table of heights
+_MOST_CELLS: Final = 500  # along a side of that table
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class Lane:
+    """A lane for cars along a section of a road, as driven.
+
+    Attributes:
+        index: Its place in the list of lanes.
+        road_id: The road of the OpenDRIVE file.
+        section: Which section of the road, counted from 0.
+        lane_id: The number of the lane there.
+        points: Its middle in the direction of travel, evenly spaced, about 1 m apart, (n, 3).
+        s: How far along the lane the points are, (n,).
+        heading: The direction of travel at the points, (n,); continuous, so that it may leave ±π.
+        width: In its middle.
+        speed_limit: In m/s.
+        successors: The lanes that begin where it ends.
+        predecessors: The lanes that end where it begins.
+        left: The lane of the same direction on the left, if the marks allow to change to it.
+        right: The one on the right.
+        junction: The id of the junction that it lies in.
+        turn: What it does there.
+    """
+
+    index: int
+    road_id: int
+    section: int
+    lane_id: int
+    points: Floats
+    s: Floats
+    heading: Floats
+    width: float
+    speed_limit: float
+    successors: tuple[int, ...]
+    predecessors: tuple[int, ...]
+    left: int | None
+    right: int | None
+    junction: int | None
+    turn: Turn
+
+    @property
+    def length(self) -> float:
+        """From end to end."""
+        return float(self.s[-1])
+
+
+class LaneIndex:
+    """Where places are on the lanes, and where the lanes are.
+
+    Args:
+        lanes: At least one.
+
+    Attributes:
+        points: The points of all lanes, one after another, (n, 3).
+        heading: The directions there, (n,).
+        lane_of: The lane of each point, (n,).
+        first: The first point of each lane, (lanes,).
+        count: How many points each has, (lanes,).
+        spacing: How far they are apart, (lanes,).
+        length: How long each lane is, (lanes,).
+    """
+
+    def __init__(self, lanes: Sequence[Lane]) -> None:
+        self.points = np.concatenate([lane.points for lane in lanes])
+        self.heading = np.concatenate([lane.heading for lane in lanes])
+        self.count = np.array([len(lane.points) for lane in lanes])
+        self.first = np.cumsum(self.count) - self.count
+        self.lane_of = np.repeat(np.arange(len(lanes)), self.count)
+        self.length = np.array([lane.length for lane in lanes])
+        self.spacing = self.length / (self.count - 1)
+        self._flat = np.ascontiguousarray(self.points[:, :2])
+        self._ahead = np.stack((np.cos(self.heading), np.sin(self.heading)), axis=1)
+        self._before = np.repeat(self.spacing, self.count) / 2
+        self._after = self._before.copy()
+        self._before[self.first] = 0
+        self._after[self.first + self.count - 1] = 0
+        self._slope = np.concatenate([np.gradient(lane.points[:, 2], lane.s) for lane in lanes])
+        self._grid = _Grid(self._flat)
+        self._terrain = _Terrain(self._flat)
+
+    def at(self, lane: ArrayLike, s: ArrayLike) -> tuple[Floats, Floats]:
+        """The places and directions of travel at some distances along lanes; beyond their ends, those of the ends.
+
+        Args:
+            lane: Indices of lanes, (k,).
+            s: Distances, (k,).
+
+        Returns:
+            Places, (k, 3), and headings, (k,).
+        """
+        lane, s = np.asarray(lane), np.asarray(s, np.float64)
+        last = self.count[lane] - 1
+        steps = np.clip(s / self.spacing[lane], 0, last)
+        whole = np.minimum(steps.astype(np.int64), last - 1)
+        share = steps - whole
+        point = self.first[lane] + whole
+        place = self.points[point] + share[:, None] * (self.points[point + 1] - self.points[point])
+        return place, self.heading[point] + share * (self.heading[point + 1] - self.heading[point])
+
+    def project(self, lane: ArrayLike, x: ArrayLike, y: ArrayLike, s_hint: ArrayLike) -> tuple[Floats, Floats]:
+        """Where places are along given lanes, and beside them.
+
+        Args:
+            lane: Indices of lanes, (k,).
+            x: Of the places, (k,).
+            y: Of the places, (k,).
+            s_hint: About how far along the lanes they are, to within some metres, (k,); the nearer, the faster.
+
+        Returns:
+            How far along, (k,); before the first and after the last point the lanes go on straight, so that this may be
+            less than 0 or more than the length. And how far to the right of the middle, (k,).
+        """
+        lane = np.asarray(lane)
+        x, y = np.asarray(x, np.float64), np.asarray(y, np.float64)
+        first, spacing, last = self.first[lane], self.spacing[lane], self.count[lane] - 2
+        segment = np.clip(np.floor(np.asarray(s_hint) / spacing), 0, last).astype(np.int64)
+        for _ in range(_STEPS):
+            share, right = self._onto(first + segment, x, y)
+            following = np.clip(segment + np.floor(share), 0, last).astype(np.int64)
+            if np.array_equal(following, segment):
+                break
+            segment = following
+        share, right = self._onto(first + segment, x, y)
+        share = np.clip(share, np.where(segment == 0, -np.inf, 0), np.where(segment == last, np.inf, 1))
+        return (segment + share) * spacing, right
+
+    def nearest_lane(
+        self, x: ArrayLike, y: ArrayLike, *, z: ArrayLike | None = None, heading: ArrayLike | None = None
+    ) -> tuple[Integers, Floats]:
+        """The lanes nearest to some places, and how far along them these are.
+
+        Args:
+            x: Of the places, (k,).
+            y: Of the places, (k,).
+            z: Of the places: tells the lanes of a bridge from those below it.
+            heading: Directions of travel there: lanes in other directions count as farther away.
+
+        Returns:
+            Indices of lanes and distances along them within 0 and their lengths, (k,) each.
+        """
+        places = np.stack((np.asarray(x, np.float64), np.asarray(y, np.float64)), axis=-1)
+        best = self._terrain.nearest(places)
+        query, point = self._grid.around(places)
+        away = places[query] - self._flat[point]
+        along = (away * self._ahead[point]).sum(axis=1)
+        beyond = np.maximum(along - self._after[point], -along - self._before[point])
+        cost = (away**2).sum(axis=1) - along**2 + np.maximum(beyond, 0) ** 2
+        if z is not None:
+            cost += _STOREY * (self.points[point, 2] - np.asarray(z, np.float64)[query]) ** 2
+        if heading is not None:
+            cost += _AGAINST / 2 * (1 - np.cos(self.heading[point] - np.asarray(heading, np.float64)[query]))
+        if len(query):
+            starts = np.flatnonzero(np.diff(query, prepend=-1))
+            least = np.repeat(np.minimum.reduceat(cost, starts), np.diff(starts, append=len(query)))
+            winners = np.flatnonzero(cost == least)[::-1]  # of equals, the first is written last
+            best[query[winners]] = point[winners]
+        lane = self.lane_of[best]
+        s, _ = self.project(lane, places[:, 0], places[:, 1], (best - self.first[lane]) * self.spacing[lane])
+        return lane, np.clip(s, 0, self.length[lane])
+
+    def height(self, x: ArrayLike, y: ArrayLike) -> Floats:
+        """How high the road near some places is; of several above each other, any.
+
+        Args:
+            x: Of the places, (k,).
+            y: Of the places, (k,).
+        """
+        places = np.stack((np.asarray(x, np.float64), np.asarray(y, np.float64)), axis=-1)
+        point = self._terrain.nearest(places)
+        along = np.clip(((places - self._flat[point]) * self._ahead[point]).sum(axis=-1), -_CELL, _CELL)
+        height: Floats = self.points[point, 2] + self._slope[point] * along
+        return height
+
+    def _onto(self, point: Integers, x: Floats, y: Floats) -> tuple[Floats, Floats]:
+        """Where places are along the lines from points to the next ones, as shares of these, and how far to the right."""
+        start, stop = self._flat[point], self._flat[point + 1]
+        along, across = (stop - start).T
+        x, y = x - start[:, 0], y - start[:, 1]
+        length = np.maximum(np.hypot(along, across), np.finfo(float).tiny)
+        return (x * along + y * across) / length**2, (along * y - across * x) / length
+
+
+class _Grid:
+    """Points in the cells of a grid, sorted by cell."""
+
+    def __init__(self, points: Floats) -> None:
+        self._origin = points.min(axis=0) - 2 * _CELL
+        cells = np.floor((points - self._origin) / _CELL).astype(np.int64)
+        self._shape = cells.max(axis=0) + 3
+        keys = cells[:, 0] * self._shape[1] + cells[:, 1]
+        self._order = np.argsort(keys, kind="stable")
+        self._keys = keys[self._order]
+
+    def around(self, places: Floats) -> tuple[Integers, Integers]:
+        """The points in the cell of each place and the eight around it, as pairs of the numbers of place and point."""
+        cells = np.floor((places - self._origin) / _CELL).astype(np.int64)
+        inside = np.flatnonzero(((cells > 0) & (cells < self._shape - 1)).all(axis=1))
+        columns = cells[inside, 0, None] + np.array((-1, 0, 1))
+        keys = columns * self._shape[1] + cells[inside, 1, None]
+        begin = np.searchsorted(self._keys, keys - 1, "left").ravel()
+        counts = np.searchsorted(self._keys, keys + 1, "right").ravel() - begin
+        total = np.cumsum(counts) - counts
+        number = np.arange(counts.sum()) + np.repeat(begin - total, counts)
+        return np.repeat(np.repeat(inside, 3), counts), self._order[number]
+
+
+class _Terrain:
+    """The nearest of some points for each cell of a grid, found by jump flooding."""
+
+    def __init__(self, points: Floats) -> None:
+        extent = np.ptp(points, axis=0)
+        self._cell = max(_TERRAIN, float(extent.max()) / _MOST_CELLS)
+        self._origin = points.min(axis=0) - 10 * self._cell
+        shape = (extent / self._cell).astype(np.int64) + 21
+        self._nearest = np.full(shape, -1)
+        cells = np.floor((points - self._origin) / self._cell).astype(np.int64)
+        self._nearest[cells[:, 0], cells[:, 1]] = np.arange(len(points))
+        self._flood(points)
+
+    def nearest(self, places: Floats) -> Integers:
+        """The number of a point near each place, (k, 2); beyond the grid, of one near its edge."""
+        bounded = np.clip((places - self._origin) / self._cell, 0, np.array(self._nearest.shape) - 1)
+        cells = np.nan_to_num(bounded).astype(np.int64)
+        nearest: Integers = self._nearest[cells[..., 0], cells[..., 1]]
+        return nearest
+
+    def _flood(self, points: Floats) -> None:
+        """Let each cell look at ever nearer cells, whether they know a nearer point."""
+        rows, columns = np.indices(self._nearest.shape)
+        last_row, last_column = rows.max(), columns.max()
+        middles = self._origin + (np.stack((rows, columns), axis=-1) + 0.5) * self._cell
+        distance = self._distance(points, self._nearest, middles)
+        jump = 1 << int(max(last_row, last_column)).bit_length()
+        while jump := jump // 2:
+            for down, right in ((-1, -1), (-1, 0), (-1, 1), (0, -1), (0, 1), (1, -1), (1, 0), (1, 1)):
+                theirs = self._nearest[
+                    np.clip(rows + down * jump, 0, last_row), np.clip(columns + right * jump, 0, last_column)
+                ]
+                known = self._distance(points, theirs, middles)
+                nearer = known < distance
+                self._nearest[nearer], distance[nearer] = theirs[nearer], known[nearer]
+
+    @staticmethod
+    def _distance(points: Floats, numbers: Integers, middles: Floats) -> Floats:
+        distance: Floats = np.where(numbers < 0, np.inf, ((points[numbers] - middles) ** 2).sum(axis=-1))
+        return distance

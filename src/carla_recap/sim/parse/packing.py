@@ -1,0 +1,44 @@
+"""A town on its way from one process to another: lines as arrays, the rest as JSON, all in the bytes of an .npz."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any, Final
+
+import numpy as np
+
+from carla_recap.maps.packing import pack, unpack
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+    Floats = NDArray[np.float64]
+
+_FACTS: Final = "facts"
+
+
+@dataclass(frozen=True)
+class Parsed:
+    """What is in an OpenDRIVE file.
+
+    Attributes:
+        lines: Lists of arrays by name: of `lanes`, rows of x, y, z, heading, width; of all others, of x, y, z.
+        facts: Lists of rows by name: the fields of a class of the town, by their names, but for those that are lines.
+    """
+
+    lines: dict[str, list[Floats]]
+    facts: dict[str, list[dict[str, Any]]]
+
+
+def to_bytes(parsed: Parsed) -> bytes:
+    """A parsed town as bytes."""
+    text = np.frombuffer(json.dumps(parsed.facts).encode(), np.uint8)
+    return pack({**parsed.lines, _FACTS: [text]})
+
+
+def from_bytes(data: bytes) -> Parsed:
+    """The parsed town again."""
+    lines = unpack(data)
+    (text,) = lines.pop(_FACTS)
+    return Parsed(lines, json.loads(text.tobytes()))
