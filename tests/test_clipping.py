@@ -1,7 +1,7 @@
 from __future__ import annotations
 
 import math
-from itertools import pairwise
+from itertools import islice, pairwise
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -14,8 +14,9 @@ from carla_recap.clipping import IncidentClip, clip, clips
 from carla_recap.conversion import convert
 from carla_recap.errors import RecapError, RecapWarning
 from carla_recap.frame import Extent, Frame, Header, Packet
+from carla_recap.maps import RoadMap
 from carla_recap.queries import incidents
-from carla_recap.records import ORDER, UE5, Spawn, attributes
+from carla_recap.records import ORDER, UE4, UE5, Spawn, attributes
 from carla_recap.replay.player import Player
 from carla_recap.replay.world import World
 from tests.samples import (
@@ -39,6 +40,7 @@ from tests.strategies import recordings, signature
 
 if TYPE_CHECKING:
     from carla_recap.formats.base import Reader
+    from carla_recap.replay.events import Present
     from carla_recap.replay.scene import Scene
 
 CROSSING = Path(__file__).parents[1] / "samples" / "crossing.log"
@@ -62,12 +64,25 @@ def packets_of(frame: Frame) -> list[tuple[int, bytes]]:
     return [(packet.id, bytes(packet.payload)) for packet in frame.packets]
 
 
+def parent_of(actor: Present, scene: Scene) -> int | None:
+    """Its parent; in the first scene only one that was told with its spawn, for others are told after the first frame."""
+    return actor.parent if actor.attached or not scene.fresh else None
+
+
 def seen(scene: Scene) -> Any:
     """All that a scene shows, but for its time."""
     return plain(
         [
             [
-                (actor.id, actor.type_id, actor.kind, actor.spawn.attributes, actor.parent, actor.box)
+                (
+                    actor.id,
+                    actor.type_id,
+                    actor.kind,
+                    actor.spawn.attributes,
+                    parent_of(actor, scene),
+                    actor.attached,
+                    actor.box,
+                )
                 for actor in sorted(scene.actors.values(), key=lambda actor: actor.id)
             ],
             scene.ids,
@@ -86,14 +101,14 @@ def seen(scene: Scene) -> Any:
 def assert_same_show(source: Path, cut: Path, first: float) -> None:
     """A clip shows what its source shows, frame by frame."""
     with open_recording(source) as long, open_recording(cut) as short:
-        player = Player(long, ignore_spectator=False)
-        count = 0
+        count = short.info.frames
+        scenes = islice(Player(long, start=first, ignore_spectator=False).scenes(), count)
         for scene in Player(short, ignore_spectator=False).scenes():
-            # A moment that is the frame's own, whatever the roundings.
-            frame = min(long.frames(scene.time + first - 1e-3, scene.time + first + 1e-3), key=lambda f: f.index)
-            assert seen(player.at(frame.elapsed)) == seen(scene)
-            count += 1
-        assert count == short.info.frames
+            shown = next(scenes)
+            assert shown.time == pytest.approx(scene.time + first)
+            assert seen(shown) == seen(scene)
+            count -= 1
+        assert count == 0
 
 
 # --- a sample and real recordings ----------------------------------------------------------------------
@@ -303,7 +318,8 @@ def test_an_actor_that_went_before(tmp_path: Path) -> None:
         recorder.add_frame(3.0)
     first = later_frame(path, tmp_path / "clip.log", 3.0)
     assert [(spawn.id, spawn.kind) for spawn in first["spawned"]] == [(2, 2)]
-    assert not any(len(first[name]) for name in ("doors", "parented", "bounding_boxes", "destroyed"))
+    assert not any(len(first[name]) for name in ("doors", "parented", "bounding_boxes"))
+    assert first["destroyed"]["id"].tolist() == [1]
 
 
 def test_the_latest_counts(tmp_path: Path) -> None:
@@ -359,6 +375,77 @@ def test_an_attached_actor_keeps_its_place_on_the_parent(tmp_path: Path) -> None
         recorder.add_frame(2.0, transforms=[(1, 900, 0, 0, 0, 0, 90)])
     first = later_frame(path, tmp_path / "clip.log", 2.0)
     assert [(spawn.id, spawn.x, spawn.yaw) for spawn in first["spawned"]] == [(1, 900.0, 90.0), (2, 10.0, 0.0)]
+    assert_same_show(path, tmp_path / "clip.log", 2.0)
+
+
+def test_destroyed_actors_stay_away(tmp_path: Path) -> None:
+    """Though their transforms are still recorded."""
+    path = tmp_path / "own.log"
+    both = [(1, 5, 0, 0, 0, 0, 0), (2, 6, 0, 0, 0, 0, 0)]
+    with create_recording(path, map_name="Town01", date=0) as recorder:
+        recorder.add_frame(0.0, spawned=[Spawn(1, 1), Spawn(2, 1)], transforms=both)
+        recorder.add_frame(1.0, destroyed=[1], transforms=both)
+        for second in range(2, 5):
+            recorder.add_frame(second, transforms=both)
+        recorder.add_frame(5.0, spawned=[Spawn(1, 1)], transforms=both)
+    assert later_frame(path, tmp_path / "clip.log", 3.0)["destroyed"]["id"].tolist() == [1]
+    assert_same_show(path, tmp_path / "clip.log", 3.0)
+    first = later_frame(path, tmp_path / "last.log", 5.0)
+    assert len(first["destroyed"]) == 0
+    assert_same_show(path, tmp_path / "last.log", 5.0)
+
+
+def test_destroyed_actors_of_a_real_recording(tmp_path: Path) -> None:
+    source, path = carla_log("blocked.log"), tmp_path / "clip.log"
+    clip(source, path, start=199.5, duration=1.0)
+    with open_recording(source) as long, open_recording(path) as short:
+        ids = Player(short).at(0.0).ids.tolist()
+        assert ids == Player(long).at(199.5).ids.tolist()
+        assert 30 not in ids
+
+
+def test_more_destroyed_actors_than_a_packet_holds(tmp_path: Path) -> None:
+    path = tmp_path / "own.log"
+    with create_recording(path, map_name="Town01", date=0) as recorder:
+        recorder.add_frame(0.0, destroyed=list(range(35_000)))
+        recorder.add_frame(1.0, destroyed=list(range(35_000, 70_000)))
+        recorder.add_frame(2.0)
+    first = later_frame(path, tmp_path / "clip.mcap", 2.0)
+    assert first["destroyed"]["id"].tolist() == list(range(70_000))
+
+
+@pytest.mark.parametrize("parent", [1, 2, 3])
+def test_an_actor_that_is_parented_late_stays_in_the_world(tmp_path: Path, parent: int) -> None:
+    """To a car that drives away, to itself, and in a ring."""
+    path = tmp_path / "own.log"
+    with create_recording(path, map_name="Town01", date=0) as recorder:
+        spawned = [Spawn(1, 1), Spawn(2, 5, x=6000.0), Spawn(3, 5, y=70.0)]
+        recorder.add_frame(0.0, spawned=spawned, transforms=[(1, 0, 0, 0, 0, 0, 0)])
+        recorder.add_frame(1.0, parented=[(2, parent), (3, 2)], transforms=[(1, 500, 0, 0, 0, 0, 0)])
+        for second in range(2, 5):
+            recorder.add_frame(second, transforms=[(1, second * 500, 0, 0, 0, 0, 0)])
+    for start in (1.0, 2.0):  # together with it, and later
+        clip(path, tmp_path / "clip.log", start=start, force=True)
+        first, second, third = frames_of(tmp_path / "clip.log")[:3]
+        assert [len(frame["parented"]) for frame in (first, second, third)] == [0, 2, 0]
+        assert dict(second["parented"].tolist()) == {2: parent, 3: 2}
+        with open_recording(path) as long, open_recording(tmp_path / "clip.log") as short:
+            assert short.actors[2].parent == parent
+            for scene in Player(short).scenes():
+                shown = Player(long).at(scene.time + start)
+                assert plain([scene.pose_of(id) for id in (1, 2, 3)]) == plain([shown.pose_of(id) for id in (1, 2, 3)])
+
+
+def test_an_actor_that_is_parented_late_and_gone_soon(tmp_path: Path) -> None:
+    """Nothing is told of it when it has gone, or come anew, in the second frame."""
+    path = tmp_path / "own.log"
+    with create_recording(path, map_name="Town01", date=0) as recorder:
+        recorder.add_frame(0.0, spawned=[Spawn(id, 1) for id in (1, 2, 3, 4)])
+        recorder.add_frame(1.0, parented=[(2, 1), (3, 1), (4, 1)])
+        recorder.add_frame(2.0)
+        recorder.add_frame(3.0, destroyed=[2], spawned=[Spawn(3, 1)], parented=[(4, 3)])
+    clip(path, tmp_path / "clip.log", start=2.0)
+    assert frames_of(tmp_path / "clip.log")[1]["parented"].tolist() == [(4, 1), (4, 3)]
     assert_same_show(path, tmp_path / "clip.log", 2.0)
 
 
@@ -440,14 +527,22 @@ def test_a_date_that_cannot_be_moved(tmp_path: Path) -> None:
 # --- any recording -------------------------------------------------------------------------------------
 
 
-def worlds(path: Path) -> list[tuple[set[int], Any]]:
-    """Who is there after each frame, and the transforms in it."""
+def worlds(path: Path, first: int = 0) -> list[Any]:
+    """Who is there after each frame, and the transforms in it; `first`: the frame that does not tell late parents."""
     with reading(path) as reader:
         world = World(reader.header.table, ignore_hero=False, ignore_spectator=False)
         found = []
         for frame in reader.frames():
             world.apply(frame)
-            there = {id: (actor.kind, actor.spawn.attributes, actor.parent) for id, actor in world.actors.items()}
+            there = {
+                id: (
+                    actor.kind,
+                    actor.spawn.attributes,
+                    actor.parent if actor.attached or frame.index != first else None,
+                    actor.attached,
+                )
+                for id, actor in world.actors.items()
+            }
             doors = sorted((id, sorted(open)) for id, open in world.doors.items() if id in there)
             found.append(plain([sorted(there.items()), frame["transforms"], doors, world.scene_lights]))
         return found
@@ -474,6 +569,11 @@ def window(path: Path, start: float, duration: float) -> list[int]:
     return indices
 
 
+def without_parents(packets: list[tuple[int, bytes]]) -> list[tuple[int, bytes]]:
+    """The packets of a frame but for those that a clip's second frame may tell more in."""
+    return [packet for packet in packets if packet[0] != UE4.named("parented").id]
+
+
 def check_any(source: Path, path: Path, start: float, duration: float) -> None:
     try:
         clip(source, path, start=start, duration=duration, force=True)
@@ -485,10 +585,12 @@ def check_any(source: Path, path: Path, start: float, duration: float) -> None:
         assume((one.header.wide, one.header.shifted) == (other.header.wide, other.header.shifted))
     indices = window(source, start, duration)
     here, there = images(source), images(path)
-    assert [found[-1] for found in there[1:]] == [here[index][-1] for index in indices[1:]]
+    own, original = [found[-1] for found in there[1:]], [here[index][-1] for index in indices[1:]]
+    assert own[1:] == original[1:]
+    assert [without_parents(packets) for packets in own[:1]] == [without_parents(packets) for packets in original[:1]]
     times = [frame.elapsed for frame in frames_of(source) if not frame.preamble]
     if all(earlier <= later for earlier, later in pairwise(times)):  # else frames before the start come after it
-        before, after = worlds(source), worlds(path)
+        before, after = worlds(source, first=indices[0]), worlds(path)
         assert after == [before[index] for index in indices]
 
 
@@ -535,6 +637,31 @@ def test_any_history(tmp_path: Path, frames: list[dict[str, Any]], start: int, d
         for number, records in enumerate(frames):
             recorder.add_frame(number / 2, **records)
     check_any(source, tmp_path / f"clip{to}", start / 2, duration / 2)
+
+
+places = st.tuples(*[st.integers(-900, 900)] * 3, *[st.integers(-179, 180)] * 3)
+standing = st.builds(lambda id, place: Spawn(id, 1, *place, type_id="vehicle.a"), ids, places)
+changes = st.fixed_dictionaries(
+    {"transforms": st.tuples(places, places)},
+    optional={
+        "spawned": st.lists(standing, max_size=3, unique_by=lambda spawn: spawn.id),
+        "destroyed": st.lists(ids, max_size=1),
+        "parented": st.lists(st.tuples(ids, ids), max_size=3),
+    },
+)
+
+
+@given(st.lists(changes, min_size=2, max_size=8), st.integers(0, 7), st.integers(0, 8), suffixes)
+def test_any_scene(tmp_path: Path, frames: list[dict[str, Any]], start: int, duration: int, suffix: str) -> None:
+    """Actors 1 and 2 always have transforms, even when they are destroyed; others stand, or ride on their parents."""
+    source, path = tmp_path / "source.log", tmp_path / f"clip{suffix}"
+    start = min(start, len(frames) - 1)
+    with create_recording(source, map_name="Town01", date=0) as recorder:
+        for number, records in enumerate(frames):
+            moving = [(id, *place) for id, place in enumerate(records["transforms"], 1)]
+            recorder.add_frame(number / 2, **records | {"transforms": moving})
+    clip(source, path, start=start / 2, duration=duration / 2, force=True)
+    assert_same_show(source, path, start / 2)
 
 
 # --- a clip of each incident ---------------------------------------------------------------------------
@@ -592,6 +719,65 @@ def test_more_incidents_than_wanted(crossing: dict[str, Path], tmp_path: Path) -
     with pytest.warns(RecapWarning, match="only the first 1 of 2 incidents"):
         written = clips(crossing[".log"], tmp_path / "clips", limit=1, rerun=False)
     assert [type(found) for found in written] == [IncidentClip]
+
+
+@pytest.mark.parametrize(
+    ("late", "followed"),
+    [
+        ({4: {"destroyed": [1]}}, 2),  # before the clip
+        ({40: {"destroyed": [1]}}, 1),
+        ({0: {}, 42: {"spawned": [Spawn(1, 1, type_id="vehicle.a")]}}, 2),
+        ({4: {"destroyed": [1, 2]}}, None),
+    ],
+)
+def test_who_is_followed(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, late: dict[int, dict[str, Any]], followed: int | None
+) -> None:
+    """The first actor of the incident that is there; else whom the player chooses."""
+    rerun = pytest.importorskip("carla_recap.export.rerun")
+    path, asked, roads = tmp_path / "own.log", [], RoadMap("Town01", [], [], [], [], [])
+
+    def export(source: Any, destination: Path, *, follow: int | None, road_map: RoadMap) -> None:
+        assert road_map is roads
+        asked.append(follow)
+        export_rerun(source, destination, follow=follow, road_map=road_map)
+
+    export_rerun = rerun.export_rerun
+    monkeypatch.setattr(rerun, "export_rerun", export)
+    cast = [Spawn(id, 1, type_id="vehicle.a") for id in ((2,) if 0 in late else (1, 2))]
+    moments = {0: {"spawned": cast}, 40: {"collisions": [(0, 1, 2, 0, 0)]}}
+    with create_recording(path, map_name="Town01", date=0) as recorder:
+        for number in range(50):
+            recorder.add_frame(number / 4, **moments.get(number, {}) | late.get(number, {}))
+    (found,) = clips(path, tmp_path / "clips", before=1.0, after=1.0, road_map=roads)
+    assert asked == [followed]
+    assert found.rrd is not None
+    assert found.rrd.exists()
+
+
+def test_what_counts_as_an_incident_is_the_callers(crossing: dict[str, Path], tmp_path: Path) -> None:
+    def count(**options: Any) -> int:
+        return len(clips(crossing[".mcap"], tmp_path / "clips", collisions=False, rerun=False, force=True, **options))
+
+    assert [count(blocked=True, min_time=seconds) for seconds in (38.0, 40.0)] == [1, 0]
+    assert count(blocked=True, min_distance=1e9) > 1
+    assert [count(braking=True, deceleration=limit) for limit in (6.0, 60.0)] == [1, 0]
+    with pytest.raises(RecapError, match="it must be above 0"):
+        count(braking=True, deceleration=0.0)
+
+
+def test_errors_name_the_place_where_clips_should_be(
+    crossing: dict[str, Path], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def full(path: Path, *args: Any) -> Any:
+        raise RecapError(f"{path}: cannot be written: No space left on device")
+
+    monkeypatch.setattr("carla_recap.clipping.create_writer", full)
+    with pytest.raises(RecapError) as raised:
+        clips(crossing[".log"], tmp_path / "clips", rerun=False)
+    place = tmp_path / "clips" / "01-collision-20.9s-105-110.mcap"
+    assert str(raised.value) == f"{place}: cannot be written: No space left on device"
+    assert names_in(tmp_path) == []
 
 
 def test_a_long_incident(tmp_path: Path) -> None:

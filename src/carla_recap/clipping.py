@@ -14,7 +14,8 @@ from carla_recap.folders import check_folder, new_folder
 from carla_recap.formats import SUFFIXES, create_writer, open_reader
 from carla_recap.frame import LAST_FRAME_DURATION, Extent, Frame
 from carla_recap.lasting import Lasting
-from carla_recap.queries.incidents import incidents
+from carla_recap.queries.actors import actors
+from carla_recap.queries.incidents import HARD, incidents
 from carla_recap.recording import open_recording
 from carla_recap.replay.player import Player
 
@@ -24,7 +25,9 @@ if TYPE_CHECKING:
     from carla_recap.conversion import Progress
     from carla_recap.formats.base import Reader
     from carla_recap.frame import Header
-    from carla_recap.queries.incidents import Incident
+    from carla_recap.maps import RoadMap
+    from carla_recap.queries.incidents import Incident, Incidents
+    from carla_recap.recording import Recording
 
 LONGEST: Final = 60.0
 """Of an incident that is longer, the clip has so many seconds from its start."""
@@ -51,8 +54,10 @@ def clip(
 
     The first frame tells, besides its own records, what is still true of earlier ones: of all actors that are there their
     spawns (with the pose that they have by then), parents, boxes, volumes, physics and open doors, the states and times of
-    traffic lights, the weather, and the lamps. In all other frames the packets are those of the source, byte for byte;
-    so the clocks in them (platform_time, visual_time) go on as they did.
+    traffic lights, the weather, and the lamps; and who has been destroyed, for there may still be transforms of them. In
+    all other frames the packets are those of the source, byte for byte; so the clocks in them (platform_time, visual_time)
+    go on as they did. But a parent that an actor was given some time after its spawn is told in the second frame, for
+    one that is told together with the spawn says that the pose of the spawn is in the parent's axes.
 
     Args:
         source: A recording of any format.
@@ -72,7 +77,8 @@ def clip(
     reader = open_reader(source)
     try:
         window = Player(reader, start=start, duration=duration)
-        return _write(Lasting(reader), destination, window.start, window.stop if duration else math.inf, progress)
+        first = _first_frame(reader, window.start)
+        return _write(Lasting(reader), destination, first, window.stop if duration else math.inf, progress)
     finally:
         reader.close()
 
@@ -98,15 +104,19 @@ def clips(
     collisions: bool = True,
     blocked: bool = False,
     braking: bool = False,
+    min_time: float = 30.0,
+    min_distance: float = 10.0,
+    deceleration: float = HARD,
     before: float = 5.0,
     after: float = 5.0,
     suffix: str = ".mcap",
     rerun: bool = True,
+    road_map: RoadMap | None = None,
     limit: int = 100,
     force: bool = False,
     progress: Callable[[Sequence[Incident]], Iterable[Incident]] | None = None,
 ) -> list[IncidentClip]:
-    """Write a clip of each incident, and an .rrd that follows its first actor.
+    """Write a clip of each incident, and an .rrd that follows its first actor, or of its actors the first that is there.
 
     Args:
         source: A recording of any format.
@@ -115,10 +125,14 @@ def clips(
         collisions: Of each collision.
         blocked: Of each vehicle and walker that stood still for long; see `LONGEST`.
         braking: Of each vehicle that braked hard.
+        min_time: How long one must stand still to be blocked, in seconds.
+        min_distance: The distance at which an actor has moved, in cm.
+        deceleration: From which deceleration on braking is hard, in m/s².
         before: How many seconds before an incident a clip begins.
         after: How many seconds after it a clip ends.
         suffix: The format of the clips: .mcap or .log.
         rerun: Write the .rrd files.
+        road_map: The map of the town, to be drawn in the .rrd files.
         limit: Of more incidents than that, only the first ones get a clip; a warning says so.
         force: Write into a folder that is not empty, over files of the same names.
         progress: Is given the incidents, and passes them on.
@@ -138,34 +152,41 @@ def clips(
     check_folder(folder, force=force)
     reader = open_reader(source)
     try:
-        found = _choose(reader, limit, collisions=collisions, blocked=blocked, braking=braking)
+        answer = incidents(
+            reader,
+            collisions=collisions,
+            blocked=blocked,
+            braking=braking,
+            min_time=min_time,
+            min_distance=min_distance,
+            deceleration=deceleration,
+        )
+        found = _choose(answer, limit, reader.path)
         targets = [Path(folder, name) for name in _names(found, suffix)]
         for target in targets:
             check_destination(source, target, force=force)
         lasting, written = Lasting(reader), []
         with new_folder(folder) as room:
             for incident, target in zip(progress(found) if progress else found, targets, strict=False):
-                stop = min(incident.stop, incident.start + LONGEST) + after
-                _write(lasting, room / target.name, max(0.0, incident.start - before), stop)
+                first = _first_frame(reader, max(0.0, incident.start - before))
+                _write(lasting, room / target.name, first, min(incident.stop, incident.start + LONGEST) + after)
                 rrd = target.with_suffix(".rrd") if rerun else None
                 if rrd is not None:
                     with open_recording(room / target.name) as recording:
                         recording.reader.path = target  # where it will be when somebody reads of it
-                        export_rerun(recording, room / rrd.name, follow=_followed(incident))
+                        followed = _followed(incident, recording, incident.start - _origin(first))
+                        export_rerun(recording, room / rrd.name, follow=followed, road_map=road_map)
                 written.append(IncidentClip(incident, target, rrd))
         return written
     finally:
         reader.close()
 
 
-def _choose(reader: Reader, limit: int, *, collisions: bool, blocked: bool, braking: bool) -> list[Incident]:
+def _choose(answer: Incidents, limit: int, source: Path) -> list[Incident]:
     """The incidents that get a clip: those at times that the recording has, up to some number."""
-    answer = incidents(reader, collisions=collisions, blocked=blocked, braking=braking)
     found = [incident for incident in answer if 0 <= incident.start <= answer.extent.duration and incident.stop < math.inf]
     if len(found) > limit:
-        warnings.warn(
-            f"{reader.path}: only the first {limit} of {len(found)} incidents get a clip", RecapWarning, stacklevel=3
-        )
+        warnings.warn(f"{source}: only the first {limit} of {len(found)} incidents get a clip", RecapWarning, stacklevel=3)
     return found[:limit]
 
 
@@ -177,15 +198,14 @@ def _names(found: Sequence[Incident], suffix: str) -> Iterator[str]:
         yield "-".join((f"{number:0{width}}", kind, f"{incident.start:.1f}s", *map(str, incident.actors))) + suffix
 
 
-def _followed(incident: Incident) -> int | None:
-    """The actor to follow; None where nothing is known of it."""
-    return incident.actors[0] if incident.actors and incident.type_ids[0] else None
+def _followed(incident: Incident, recording: Recording, time: float) -> int | None:
+    """Of an incident's actors the first that a clip has had until a time; None where it has had none of them."""
+    come = {actor.id for actor in actors(recording.reader) if actor.spawned_at <= time + _ROUNDING}
+    return next((id for id in incident.actors if id in come), None)
 
 
-def _write(lasting: Lasting, destination: Path | str, start: float, stop: float, progress: Progress | None = None) -> Extent:
-    reader = lasting.source
-    first = _first_frame(reader, start)
-    origin = first.elapsed if math.isfinite(first.elapsed) else 0.0
+def _write(lasting: Lasting, destination: Path | str, first: Frame, stop: float, progress: Progress | None = None) -> Extent:
+    reader, origin = lasting.source, _origin(first)
     frames: Iterable[Frame] = _renumbered(_frames(lasting, first, stop), origin)
     extent = Extent()
     with create_writer(destination, _moved(reader.header, origin)) as writer:
@@ -193,6 +213,11 @@ def _write(lasting: Lasting, destination: Path | str, start: float, stop: float,
             writer.write(frame)
             extent = Extent(frame.index + 1, frame.id, frame.elapsed)
     return extent
+
+
+def _origin(first: Frame) -> float:
+    """The elapsed seconds at which a clip begins."""
+    return first.elapsed if math.isfinite(first.elapsed) else 0.0
 
 
 def _first_frame(reader: Reader, start: float) -> Frame:
@@ -209,7 +234,7 @@ def _frames(lasting: Lasting, first: Frame, stop: float) -> Iterator[Frame]:
     start = first.elapsed if math.isfinite(first.elapsed) else -math.inf
     for frame in lasting.source.frames(start=start, stop=stop + _ROUNDING):
         if frame.index > first.index:
-            yield frame
+            yield lasting.go_on(frame)
 
 
 def _renumbered(frames: Iterable[Frame], origin: float) -> Iterator[Frame]:

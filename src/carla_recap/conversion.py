@@ -60,10 +60,23 @@ def check_destination(source: Path | str, destination: Path | str, *, force: boo
     """
     target = Path(destination)
     try:
-        exists, same = target.exists(), target.exists() and Path(source).exists() and target.samefile(source)
+        same = target.exists() and Path(source).exists() and target.samefile(source)
     except (OSError, ValueError) as error:
         raise RecapError(f"{str(destination)[:200]}: cannot be written: {error}") from None
     if same:
         raise RecapError(f"{destination}: is the source itself")
+    check_free(destination, force=force)
+
+
+def check_free(destination: Path | str, *, force: bool) -> None:
+    """Refuse to write over anything without `force`.
+
+    Raises:
+        RecapError: That would happen.
+    """
+    try:
+        exists = Path(destination).exists()
+    except (OSError, ValueError) as error:
+        raise RecapError(f"{str(destination)[:200]}: cannot be written: {error}") from None
     if exists and not force:
-        raise RecapError(f"{destination}: exists already; --force overwrites it")
+        raise RecapError(f"{destination}: exists already; --force (in Python, force=True) overwrites it")

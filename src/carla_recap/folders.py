@@ -27,7 +27,9 @@ def check_folder(folder: Path | str, *, force: bool) -> None:
         if not folder.is_dir():
             raise RecapError(f"{folder}: is a file; a folder was expected")
         if not force and any(folder.iterdir()):
-            raise RecapError(f"{folder}: is not empty; --force writes over what it has of the same names")
+            raise RecapError(
+                f"{folder}: is not empty; --force (in Python, force=True) writes over what it has of the same names"
+            )
     except (OSError, ValueError) as error:
         raise RecapError(f"{str(folder)[:200]}: cannot be written: {error}") from None
 
@@ -40,7 +42,7 @@ def new_folder(folder: Path | str) -> Iterator[Path]:
     the same names.
 
     Raises:
-        RecapError: The place cannot be written to.
+        RecapError: The place cannot be written to. What is raised within names the destination, not the folder beside it.
     """
     folder = Path(folder)
     partial = folder.absolute().with_name(f".{folder.absolute().name[:200]}.{os.urandom(4).hex()}.partial")
@@ -51,6 +53,10 @@ def new_folder(folder: Path | str) -> Iterator[Path]:
             _move_into(partial, folder)
         else:
             partial.rename(folder)
+    except RecapError as error:
+        if str(partial) in str(error):
+            raise RecapError(str(error).replace(str(partial), str(folder))) from None
+        raise
     except OSError as error:
         raise RecapError(f"{folder}: cannot be written: {error.strerror or error}") from None
     finally:

@@ -40,7 +40,7 @@ class Recovery:
     headless: bool = False
 
     def __str__(self) -> str:
-        saved = f"{self.frames} frames saved, up to {self.duration:g} s"
+        saved = f"{self.frames} frame{'s' * (self.frames != 1)} saved, up to {self.duration:g} s"
         counts = ((self.lost_frames, "frames"), (self.lost_bytes, "bytes"))
         lost = [f"{count} {what} lost" for count, what in counts if count]
         if not self.finished:
@@ -108,7 +108,7 @@ def _open(source: Path | str) -> tuple[Reader, bool, int, bool]:
     finally:
         raw.close()
     if not summary.chunks:
-        raise RecapError(f"{source}: nothing can be saved: no whole chunk of an MCAP recording was found")
+        raise RecapError(f"{source}: nothing can be saved: it is no CARLA log, and no whole chunk of an MCAP file was found")
     if not any(schema.name.startswith("carla_recap.v1.") for schema in summary.schemas.values()):
         raise RecapError(f"{source}: nothing can be saved: it holds no recording")
     headless = HEADER_METADATA not in summary.metadata

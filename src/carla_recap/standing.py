@@ -14,9 +14,11 @@ from carla_recap.roster import Roster
 from carla_recap.texts import readable
 
 if TYPE_CHECKING:
+    from collections.abc import Iterable
+
     from numpy.typing import NDArray
 
-    from carla_recap.frame import Frame
+    from carla_recap.frame import Frame, Packet
     from carla_recap.records import Table
 
     _Paths = NDArray[np.floating[Any]]  # x, y, z along an axis
@@ -93,13 +95,17 @@ class Standing:
         self._group: _Group | None = None
         self._rounds: tuple[bytes, list[NDArray[np.intp]]] = (b"", [])  # of the ids of the last packet
 
-    def frame(self, frame: Frame) -> None:
+    def frame(self, frame: Frame, packets: Iterable[Packet] | None = None) -> None:
         """Take in a frame.
+
+        Args:
+            frame: The frame.
+            packets: Those of its packets that may tell something; None: all.
 
         Raises:
             FormatError: A packet contradicts its layout.
         """
-        for packet in frame.packets:
+        for packet in frame.packets if packets is None else packets:
             name = packet.type.name if packet.type else ""
             if name not in TYPES or not len(packet.records):
                 continue

@@ -46,6 +46,7 @@ COMMANDS = (
     "export",
     "incidents",
     "info",
+    "record",
     "recover",
     "report",
     "snapshot",
@@ -380,7 +381,7 @@ def test_a_source_is_not_overwritten(tmp_path, command):
     ("destination", "words"),
     [
         ("new.xyz", "unknown format '.xyz'"),
-        ("new", "unknown format"),
+        ("new", "no suffix"),
         ("nowhere/new.mcap", "No such"),
         ("dir.log", "directory"),
     ],

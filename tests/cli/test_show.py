@@ -55,7 +55,7 @@ def test_export_to_rerun(tmp_path):
 def test_export_to_foxglove(tmp_path):
     target = tmp_path / "out.mcap"
     words = said("export", CROSSING, target, "--to", "foxglove", "--duration", "1")
-    assert words.startswith("layouts to import: ")
+    assert words.startswith("the layout for Foxglove: ")
     assert words.endswith(f"{target}: 11 frames, 1 s\n")
     with target.open("rb") as file:
         assert "foxglove.SceneUpdate" in {schema.name for schema in make_reader(file).get_summary().schemas.values()}

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import subprocess
+import sys
 import tempfile
 from pathlib import Path
 
@@ -40,3 +42,18 @@ def temporary(tmp_path, monkeypatch):
     monkeypatch.setattr(tempfile, "tempdir", None)
     yield folder
     assert list(folder.iterdir()) == []
+
+
+@pytest.fixture
+def limited():
+    """Runs some code in a process whose files cannot grow beyond so many bytes, as on a disk that is full."""
+
+    def run(code, size):
+        limit = (
+            "import resource, signal; signal.signal(signal.SIGXFSZ, signal.SIG_IGN); "
+            f"resource.setrlimit(resource.RLIMIT_FSIZE, ({size}, {size}))\n"
+        )
+        command = [sys.executable, "-B", "-c", limit + code]
+        return subprocess.run(command, capture_output=True, text=True, timeout=30)
+
+    return run

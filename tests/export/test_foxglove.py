@@ -132,7 +132,7 @@ def test_it_is_no_recording(tmp_path):
 
 def test_it_is_written_over_nothing(tmp_path):
     (tmp_path / "out.mcap").write_bytes(b"precious")
-    with pytest.raises(RecapError, match="exists already; --force overwrites it"):
+    with pytest.raises(RecapError, match="exists already; --force"):
         export(CROSSING, tmp_path / "out.mcap")
     assert (tmp_path / "out.mcap").read_bytes() == b"precious"
     export(CROSSING, tmp_path / "out.mcap", duration=1, force=True)
@@ -575,17 +575,17 @@ def texts(value):
     return [value] if isinstance(value, str) else []
 
 
-@pytest.fixture(params=layout_files(), ids=lambda path: path.stem)
+@pytest.fixture(params=layout_files().values(), ids=lambda path: path.stem)
 def layout(request):
     return json.loads(request.param.read_text("utf-8"))
 
 
 def test_there_are_two_layouts():
-    assert [path.name for path in layout_files()] == ["carla-recap.foxglove.json", "carla-recap.lichtblick.json"]
+    assert [path.name for path in layout_files().values()] == ["carla-recap.foxglove.json", "carla-recap.lichtblick.json"]
 
 
 def test_both_layouts_are_one():
-    (new, old) = (json.loads(path.read_text("utf-8")) for path in layout_files())
+    (new, old) = (json.loads(path.read_text("utf-8")) for path in layout_files().values())
     kinds = {"ThreeDee": "3D", "Log": "RosOut"}
     assert [(kinds.get(kind, kind), config) for kind, config in panels(new)] == panels(old)
     assert new["variables"] == old["globalVariables"]

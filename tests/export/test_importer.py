@@ -125,6 +125,36 @@ def test_where_the_viewer_has_gone_it_ends():
             process.kill()
 
 
+@pytest.mark.skipif(not Path("/dev/full").exists(), reason="there is no /dev/full")
+def test_a_place_that_takes_nothing_is_one_line():
+    command = [sys.executable, "-c", RUN, SAMPLE]
+    with Path("/dev/full").open("wb") as full:
+        done = subprocess.run(command, stdout=full, stderr=subprocess.PIPE, timeout=30)
+    line = f"{NAME}: stdout: cannot be written: No space left on device\n"
+    assert (done.returncode, done.stderr.decode()) == (FAILED, line)
+
+
+@pytest.mark.skipif(os.name != "posix", reason="descriptors are POSIX's")
+def test_without_stdout_it_fails_in_one_line():
+    closed = f"import os; os.close(1); os.execv({sys.executable!r}, [{sys.executable!r}, '-c', {RUN!r}, {str(SAMPLE)!r}])"
+    done = subprocess.run([sys.executable, "-c", closed], stderr=subprocess.PIPE, timeout=30)
+    assert (done.returncode, done.stderr.decode().count("\n")) == (FAILED, 1)
+
+
+@pytest.mark.skipif(os.name != "posix", reason="signals are POSIX's")
+def test_an_interruption_is_quiet():
+    command = [sys.executable, "-c", RUN, SAMPLE]
+    with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE) as process:
+        try:
+            assert process.stdout.read(4)  # it has begun to send
+            process.send_signal(signal.SIGINT)
+            process.stdout.read()
+            assert process.wait(20) in (-signal.SIGINT, 0)
+            assert process.stderr.read() == b""
+        finally:
+            process.kill()
+
+
 @pytest.fixture
 def viewer_path(crossing_rrd, monkeypatch):
     """A PATH on which the viewer finds the importer."""

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import subprocess
 import sys
 from collections import defaultdict
@@ -10,20 +11,21 @@ from pathlib import Path
 from types import SimpleNamespace
 
 import numpy as np
+import psutil
 import pytest
 
-from carla_recap import ActorKind, MissingExtra, RecapError, Spawn, open_recording
+from carla_recap import ActorKind, MissingExtra, RecapError, RecapWarning, Spawn, open_recording
 from carla_recap.export import look
 from carla_recap.maps import RoadMap, load_map
 from carla_recap.replay import Player
 from tests.replay.scripts import light, pose, spawn, velocity, write
-from tests.samples import CARLA_LOGS, carla_log
+from tests.samples import CARLA_LOGS, carla_log, names_in
 
 pytest.importorskip("rerun", reason="the extra rerun is not installed")
 
 from rerun.chunk import RrdReader
 
-from carla_recap.export.rerun import APPLICATION, blueprint, export_rerun, tracks
+from carla_recap.export.rerun import APPLICATION, actors, blueprint, export_rerun, tracks, writer
 
 CROSSING = Path(__file__).parents[2] / "samples" / "crossing.log"
 HERO, BLOCKING, GONE, LATE, CYCLIST, WALKER, LIGHT, SENSOR = 100, 101, 103, 104, 105, 110, 20, 120  # of the crossing
@@ -318,11 +320,10 @@ def test_a_contact_is_one_marker_and_one_line(crossing) -> None:
     told = [(time, text) for (time, (level,)), (_, (text,)) in zip(levels, texts, strict=True) if level in ("WARN", "ERROR")]
     assert [time for time, _ in told] == pytest.approx([row.elapsed for row in first])
     assert told[1][1] == f"vehicle.tesla.model3 ({HERO}) collides with vehicle.audi.a2 ({BLOCKING})"
-    for place, (time, _) in enumerate(told):
-        path = f"/world/collisions/{place}"
-        assert [start for start, _ in crossing.rrd.rows(path, "Points3D:positions")] == [time]
-        assert [stop for stop, _ in crossing.rrd.rows(path, "Clear:is_recursive")] == pytest.approx([time + 2])
-    assert len([path for path in crossing.rrd.entities if path.startswith("/world/collisions/")]) == len(told) == 2
+    begins = [time for time, _ in told]
+    assert [start for start, _ in crossing.rrd.rows("/world/collisions", "Points3D:positions")] == begins
+    stops = [stop for stop, _ in crossing.rrd.rows("/world/collisions", "Clear:is_recursive")]
+    assert stops == pytest.approx([time + 2 for time in begins])
 
 
 def test_many_at_once_are_counted(crossing) -> None:
@@ -529,6 +530,88 @@ def test_progress_sees_every_scene(tmp_path: Path) -> None:
     assert seen == [0, 0.25, 0.5, 0.75, 1]
 
 
+# --- much of everything ---
+
+
+def test_boxes_are_limited_but_not_the_map(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(actors, "MOST_BOXES", 3)
+    frames = [{"transforms": [pose(id, 100 * id + n) for id in range(1, 9)]} for n in range(3)]
+    frames[0]["spawned"] = [spawn(id, role_name="hero" if id == 8 else "") for id in range(1, 9)]
+    with pytest.warns(RecapWarning, match="5 actors are only on the map: there are more than 3"):
+        rrd = export(write(tmp_path / "many.log", frames), tmp_path / "many.rrd")
+    assert {f"/world/actors/{id}" for id in (1, 2, 8)} == {path for path in rrd.entities if path.startswith("/world/actors")}
+    assert [len(points) for _, points in rrd.rows("/map/actors", "Points2D:positions")] == [8, 8, 8]
+
+
+def test_cameras_are_limited(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(writer, "MOST_CAMERAS", 2)
+    source = write(tmp_path / "many.log", driven(2, spawned=[spawn(id) for id in range(1, 6)]))
+    with pytest.warns(RecapWarning, match="only 2 of 5 actors get a camera"):
+        export(source, tmp_path / "many.rrd", cameras=tmp_path / "cameras")
+    assert names_in(tmp_path / "cameras") == ["follow_1.rbl", "follow_2.rbl"]
+
+
+def test_of_many_contacts_the_last_ones_are_marked(tmp_path: Path) -> None:
+    contacts = [(id, id, look.NOTHING, 0, 0) for id in range(1, 201)]
+    there = [pose(id, 100 * id) for id in range(1, 201)]
+    frames = [{"transforms": there, "spawned": [spawn(id) for id in range(1, 201)], "collisions": contacts}]
+    rrd = export(write(tmp_path / "crash.log", [*frames, {}, {}]), tmp_path / "crash.rrd")
+    ((time, places),) = rrd.rows("/world/collisions", "Points3D:positions")
+    assert time == 0
+    assert [place[0] for place in places[::2]] == pytest.approx(range(151, 201))
+    assert rrd.at("/world/collisions", "Points3D:positions", 2) is None
+    assert len(rrd.rows("/events", "TextLog:text")) == 201
+
+
+def test_memory_is_given_back(tmp_path: Path) -> None:
+    source = write(tmp_path / "short.log", driven(3, spawned=[spawn(1), spawn(2)]))
+
+    def threads() -> int:
+        return psutil.Process().num_threads()
+
+    counts = []
+    for number in range(5):
+        with open_recording(source) as recording:
+            export_rerun(recording, tmp_path / f"{number}.rrd", cameras=tmp_path / str(number))
+        counts.append(threads())
+    assert counts[-1] == counts[1]
+
+
+# --- what an actor looks like ---
+
+
+def test_the_trail_has_the_colour_of_the_actor(tmp_path: Path) -> None:
+    frames = driven(3, spawned=[spawn(1), spawn(2, role_name="hero")])
+    source = write(tmp_path / "two.log", frames)
+    for id, color in ((1, look.STYLES[ActorKind.VEHICLE].color), (2, look.HERO)):
+        rrd = export(source, tmp_path / f"{id}.rrd", follow=id)
+        (shown,) = rrd.static[f"/world/trail/{id}"]["LineStrips3D:colors"]
+        assert tuple(shown.to_bytes(4, "big")[:3]) == color
+
+
+def test_sensors_and_invented_boxes_hide_nothing(tmp_path: Path) -> None:
+    sensor, prop, car = spawn(1, "sensor.camera.rgb"), spawn(2, "static.prop.bin"), spawn(3)
+    there = [pose(id) for id in (1, 2, 3)]
+    rrd = export(write(tmp_path / "x.log", [{"spawned": [sensor, prop, car], "transforms": there}]), tmp_path / "x.rrd")
+    assert sensor.kind == ActorKind.OTHER
+    modes = [rrd.at(f"/world/actors/{id}", "Boxes3D:fill_mode", 0) for id in (1, 2, 3)]
+    assert modes[0] == modes[1] != modes[2]
+    sizes = [rrd.at(f"/world/actors/{id}", "Boxes3D:half_sizes", 0)[0][0] for id in (1, 2)]
+    assert sizes == pytest.approx([0.1, 0.15])
+
+
+def test_a_map_of_another_town_is_left_out(tmp_path: Path) -> None:
+    near = driven(2, spawned=[spawn(1, role_name="hero")])
+    far = [{"transforms": [pose(1, 1e5)], "spawned": near[0]["spawned"]}]
+    rrd = export(write(tmp_path / "near.log", near), tmp_path / "near.rrd", road_map=ROADS)
+    assert "/world/map/lane_borders" in rrd.entities
+    assert "/world/ground" not in rrd.entities
+    with pytest.warns(RecapWarning, match="Hand: no actor is near this map, which is left out"):
+        rrd = export(write(tmp_path / "far.log", far), tmp_path / "far.rrd", road_map=ROADS)
+    assert "/world/map/lane_borders" not in rrd.entities
+    assert "/world/ground" in rrd.entities
+
+
 # --- bad input ---------------------------------------------------------------------------------------------
 
 
@@ -537,7 +620,7 @@ def test_nothing_is_overwritten_without_force(tmp_path: Path) -> None:
     path.write_text("precious")
     with pytest.raises(RecapError, match="exists already"):
         export(CROSSING, path)
-    with pytest.raises(RecapError, match="exists already"):
+    with pytest.raises(RecapError, match="is not empty"):
         export(CROSSING, tmp_path / "new.rrd", cameras=tmp_path)
     assert [file.name for file in tmp_path.iterdir()] == ["there.rrd"]
     export(CROSSING, path, force=True, duration=1, cameras=tmp_path)
@@ -569,6 +652,48 @@ def test_a_place_that_cannot_be_written(place: str, tmp_path: Path) -> None:
     with pytest.raises(RecapError, match="cannot be written"):
         export(CROSSING, tmp_path / place, force=True)
     assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.skipif(os.name != "posix", reason="there are no such limits")
+@pytest.mark.parametrize("kept", [0, 1_000, 60_000, -1])
+def test_a_full_disk(kept: int, tmp_path: Path, limited) -> None:
+    destination = tmp_path / "x.rrd"
+    export(CROSSING, destination, start=20, duration=2)
+    size = kept if kept >= 0 else destination.stat().st_size - 2_000
+    destination.unlink()
+    code = "\n".join(
+        (
+            "from carla_recap import open_recording",
+            "from carla_recap.export.rerun import export_rerun",
+            f"with open_recording({str(CROSSING)!r}) as recording:",
+            f"    export_rerun(recording, {str(destination)!r}, start=20, duration=2)",
+        )
+    )
+    done = limited(code, size)
+    assert done.returncode == 1
+    assert done.stderr.splitlines()[-1].endswith(f"RecapError: {destination}: cannot be written: File too large")
+    assert "\x1b" not in done.stderr
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_cameras_come_with_the_rrd_or_not_at_all(tmp_path: Path) -> None:
+    (tmp_path / "taken" / "follow_100.rbl").mkdir(parents=True)
+    with pytest.raises(RecapError, match="taken: cannot be written: Is a directory"):
+        export(CROSSING, tmp_path / "x.rrd", duration=1, cameras=tmp_path / "taken", force=True)
+    with pytest.raises(RecapError, match="is the destination itself; a folder was expected"):
+        export(CROSSING, tmp_path / "y.rrd", cameras=tmp_path / "y.rrd")
+    with pytest.raises(RecapError, match="cannot be written"):
+        export(CROSSING, tmp_path / "missing" / "z.rrd", cameras=tmp_path / "cameras")
+    assert not (tmp_path / "cameras").exists()
+    assert not (tmp_path / "y.rrd").exists()
+
+
+@pytest.mark.skipif(not sys.platform.startswith("linux"), reason="elsewhere names are text")
+def test_a_destination_that_is_no_text(tmp_path: Path) -> None:
+    destination = tmp_path / "\udcff.rrd"
+    with open_recording(CROSSING) as recording:
+        export_rerun(recording, destination, duration=1)
+    verify(destination.rename(tmp_path / "text.rrd"))
 
 
 def test_names_that_are_no_text(tmp_path: Path) -> None:

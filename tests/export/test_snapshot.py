@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import io
+import os
 import subprocess
 import sys
 
@@ -19,6 +20,7 @@ from carla_recap.export.snapshot import picture, snapshot
 from carla_recap.records import ActorKind
 from tests.export.conftest import SAMPLE
 from tests.export.test_headless import share
+from tests.replay.scripts import pose, spawn, write
 from tests.samples import carla_log, names_in, time_limit
 
 BLUE = STYLES[ActorKind.VEHICLE].color
@@ -96,6 +98,28 @@ def test_what_cannot_be_pictured_is_one_line(crossing, tmp_path, temporary, opti
     with pytest.raises(RecapError, match=message) as caught:
         snapshot(crossing, tmp_path / "out.png", **options)
     assert "\n" not in str(caught.value)
+    assert names_in(tmp_path) == ["temporary"]
+
+
+def test_an_actor_without_a_place_is_one_line(tmp_path, temporary):
+    nowhere = [{"transforms": [pose(1, float("nan"))], "spawned": [spawn(1)] * (n == 0)} for n in range(3)]
+    source = write(tmp_path / "nan.log", nowhere)
+    with open_recording(source) as recording, pytest.raises(RecapError) as caught:
+        snapshot(recording, tmp_path / "out.png", at=1, follow=1)
+    assert str(caught.value) == f"{source}: actor 1 has no place at 1 s: its pose is no number"
+    assert names_in(tmp_path) == ["nan.log", "temporary"]
+
+
+@pytest.mark.skipif(os.name != "posix", reason="there are no such limits")
+def test_a_full_disk_for_temporary_files_is_one_line(tmp_path, temporary, limited):
+    lines = (
+        "from carla_recap import open_recording",
+        "from carla_recap.export.snapshot import snapshot",
+        f"with open_recording({str(SAMPLE)!r}) as recording:",
+        f"    snapshot(recording, {str(tmp_path / 'out.png')!r}, at=24)",
+    )
+    done = limited("\n".join(lines), 10_000)
+    assert done.stderr.splitlines()[-1].endswith("moment.rrd: cannot be written: File too large")
     assert names_in(tmp_path) == ["temporary"]
 
 

@@ -60,6 +60,25 @@ def test_a_browser_is_served_until_it_is_interrupted(served):
     assert not [child for child in children if child.is_running()]
 
 
+@pytest.mark.skipif(os.name != "posix", reason="signals are POSIX's")
+def test_a_terminal_that_goes_ends_the_viewer(served):
+    process, _ = served
+    children = psutil.Process(process.pid).children()
+    process.send_signal(signal.SIGHUP)
+    assert process.wait(15) == 128 + signal.SIGHUP
+    assert children
+    assert not [child for child in children if child.is_running()]
+
+
+@pytest.mark.skipif(os.name != "posix", reason="signals are POSIX's")
+def test_where_nobody_reads_the_address_it_ends(temporary):
+    code = f"import signal; signal.signal(signal.SIGPIPE, signal.SIG_DFL)\n{SERVE}"
+    with subprocess.Popen([sys.executable, "-c", code, SAMPLE], stdout=subprocess.PIPE, stderr=subprocess.PIPE) as process:
+        process.stdout.close()
+        assert process.wait(20) in (0, -signal.SIGPIPE)
+        assert process.stderr.read() == b""
+
+
 def test_the_browser_gets_the_recording(served, crossing_rrd):
     (source,) = parse_qs(urlsplit(served[1]).query)["url"]
     with Photographer(source) as photographer:

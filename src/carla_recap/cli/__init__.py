@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING
 
 import click
 
-from carla_recap.cli import files, queries, show
+from carla_recap.cli import files, queries, show, simulate
 from carla_recap.cli.output import say, warn
 from carla_recap.errors import RecapError, RecapWarning
 
@@ -32,7 +32,7 @@ def cli() -> None:
     """
 
 
-for command in (*queries.COMMANDS, *files.COMMANDS, *show.COMMANDS):
+for command in (*queries.COMMANDS, *files.COMMANDS, *show.COMMANDS, *simulate.COMMANDS):
     cli.add_command(command)
 
 

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import click
 
 from carla_recap.cli import options
@@ -64,40 +66,44 @@ def clip(source: str, destination: str, force: bool, start: float, duration: flo
     "--format", "suffix", type=click.Choice(["mcap", "log"]), default="mcap", show_default=True, help="Of the clips."
 )
 @click.option("--rrd/--no-rrd", default=True, show_default=True, help="Write an .rrd beside each clip.")
+@options.min_time
+@options.min_distance
+@options.deceleration
+@options.road_map
 @click.option(
     "--limit", type=click.IntRange(min=1), default=100, show_default=True, metavar="N", help="So many at the most."
 )
 def clips(
     source: str,
     folder: str,
-    force: bool,
     collisions: bool,
     blocked: bool,
     braking: bool,
-    before: float,
-    after: float,
     suffix: str,
     rrd: bool,
-    limit: int,
+    road_map: str | None,
+    **which: Any,
 ) -> None:
     """Cut a clip of each incident, into a folder."""
+    from carla_recap.cli.maps import road_map_of
     from carla_recap.cli.progress import watch_incidents
     from carla_recap.clipping import clips as run
+    from carla_recap.recording import open_recording
 
     every = not (collisions or blocked or braking)
+    with open_recording(source) as recording:
+        roads = road_map_of(recording, road_map) if rrd else None
     written = run(
         source,
         folder,
         collisions=collisions or every,
         blocked=blocked or every,
         braking=braking or every,
-        before=before,
-        after=after,
         suffix=f".{suffix}",
         rerun=rrd,
-        limit=limit,
-        force=force,
+        road_map=roads,
         progress=watch_incidents("cutting"),
+        **which,
     )
     for each in written:
         say(f"{each.recording}: {each.incident.text}")

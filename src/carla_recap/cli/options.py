@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import re
 from typing import TYPE_CHECKING, Any
 
 import click
@@ -13,12 +14,27 @@ if TYPE_CHECKING:
     Command = Callable[..., Any]
 
 
-class _Number(click.FloatRange):
-    """A number; never NaN."""
+class _Number(click.ParamType[Any]):
+    """A number.
+
+    Args:
+        least: The smallest that makes sense.
+    """
+
+    name = "number"
+
+    def __init__(self, least: float = -math.inf) -> None:
+        self._least = least
 
     def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Any:
-        number = super().convert(value, param, ctx)
-        return self.fail(f"{value} is not a number.", param, ctx) if math.isnan(number) else number
+        try:
+            number = float(value)
+        except ValueError:
+            number = math.nan
+        if not number >= self._least:
+            least = "" if self._least == -math.inf else f" of {self._least:g} or more"
+            self.fail(f"{value!r} is not a number{least}.", param, ctx)
+        return number
 
 
 class _Follow(click.ParamType[Any]):
@@ -29,7 +45,7 @@ class _Follow(click.ParamType[Any]):
     def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Any:
         if value == "hero" or isinstance(value, int):
             return value
-        if not value.isdecimal():
+        if not (value.isascii() and value.isdecimal()):
             self.fail(f"{value!r} is neither an actor id nor hero.", param, ctx)
         return int(value)
 
@@ -40,13 +56,13 @@ class _Size(click.ParamType[Any]):
     name = "size"
 
     def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Any:
-        numbers = value.lower().split("x")
-        if len(numbers) != 2 or not all(n.isdecimal() and len(n) < 5 and 16 <= int(n) <= 8192 for n in numbers):
-            self.fail(f"{value!r} is no size; WIDTHxHEIGHT was expected, such as 1280x720, of 16 to 8192 each.", param, ctx)
-        return int(numbers[0]), int(numbers[1])
+        match = re.fullmatch("([0-9]{1,5})[xX]([0-9]{1,5})", value)
+        if match is None:
+            self.fail(f"{value!r} is no size; WIDTHxHEIGHT was expected, such as 1280x720.", param, ctx)
+        return int(match[1]), int(match[2])
 
 
-NUMBER = _Number(min=0)
+NUMBER = _Number(0)
 TIME = _Number()
 FOLLOW = _Follow()
 SIZE = _Size()
@@ -90,10 +106,11 @@ road_map = click.option(
     metavar="FILE",
     help="The town's map, an OpenDRIVE .xodr or a folder of them; else looked for in $CARLA_RECAP_MAPS.",
 )
-before = click.option(
-    "--before", type=NUMBER, default=5, show_default=True, metavar="S", help="Seconds to show before an incident."
+before = click.option("--before", type=NUMBER, default=5, show_default=True, metavar="S", help="Seconds before an incident.")
+after = click.option("--after", type=NUMBER, default=5, show_default=True, metavar="S", help="Seconds after it.")
+deceleration = click.option(
+    "--deceleration", type=NUMBER, default=6, show_default=True, metavar="M/S²", help="What counts as hard braking."
 )
-after = click.option("--after", type=NUMBER, default=5, show_default=True, metavar="S", help="Seconds to show after it.")
 
 
 def together(*decorators: Callable[[Command], Command]) -> Callable[[Command], Command]:

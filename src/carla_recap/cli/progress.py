@@ -49,6 +49,11 @@ def watch_incidents(what: str) -> Callable[[Sequence[Incident]], Iterable[Incide
     return progress
 
 
+def watch_ticks(what: str, seconds: float) -> Callable[[Iterable[float]], Iterable[float]]:
+    """Watches a simulation, whose ticks tell the time; `what` is being done for so many seconds."""
+    return lambda ticks: _bar(ticks, what, seconds, lambda elapsed: elapsed)
+
+
 def _bar(items: Iterable[T], title: str, total: float, position: Callable[[T], float], rest: int = _REST) -> Iterable[T]:
     return _watched(items, title, total, position, rest) if sys.stderr.isatty() else items
 

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import click
 
 from carla_recap.cli import options
@@ -38,7 +40,7 @@ def collisions(file: str, types: str, form: str | None, compat: bool, max_rows: 
     from carla_recap.queries import collisions as query
 
     if len(types) != 2:
-        raise click.BadParameter(f"{types!r} are not two letters, such as hv.", param_hint="--types")
+        raise click.BadParameter(f"{types!r} is not two of the letters h, v, w, t, o, a, such as hv.", param_hint="--types")
     show(query(open_reader(file), *types, compat=compat), form, max_rows)
 
 
@@ -75,8 +77,9 @@ def actors(file: str, form: str | None) -> None:
 @options.text
 @options.min_time
 @options.min_distance
+@options.deceleration
 @options.max_rows
-def incidents(file: str, form: str | None, min_time: float, min_distance: float, max_rows: int | None) -> None:
+def incidents(file: str, form: str | None, max_rows: int | None, **limits: Any) -> None:
     """What went wrong: collisions, hard braking, long stops.
 
     Long stops are those of vehicles and walkers.
@@ -85,7 +88,7 @@ def incidents(file: str, form: str | None, min_time: float, min_distance: float,
     from carla_recap.formats import open_reader
     from carla_recap.queries import incidents as query
 
-    show(query(open_reader(file), min_time=min_time, min_distance=min_distance), form, max_rows)
+    show(query(open_reader(file), **limits), form, max_rows)
 
 
 COMMANDS = (info, collisions, blocked, actors, incidents)

@@ -2,17 +2,15 @@
 
 from __future__ import annotations
 
+import sys
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import click
 
 from carla_recap.cli import options
-from carla_recap.cli.output import say, warn
-
-if TYPE_CHECKING:
-    from carla_recap.maps import RoadMap
-    from carla_recap.recording import Recording
+from carla_recap.cli.maps import road_map_of
+from carla_recap.cli.output import say
 
 VIEWERS = {".rrd": "rerun", ".mcap": "foxglove"}
 
@@ -46,15 +44,16 @@ def export(
         if viewer == "rerun":
             from carla_recap.export.rerun import export_rerun
 
-            play |= {"road_map": _road_map(recording, road_map), "view": view, "cameras": cameras}
+            play |= {"road_map": road_map_of(recording, road_map), "view": view, "cameras": cameras}
             played = export_rerun(recording, destination, **play)
         else:
             from carla_recap.export.foxglove import export_foxglove, layout_files
 
             if cameras:
                 raise click.BadParameter("Foxglove has no such files.", param_hint="--cameras")
-            played = export_foxglove(recording, destination, road_map=_road_map(recording, road_map), **play)
-            say(f"layouts to import: {', '.join(map(str, layout_files()))}")
+            played = export_foxglove(recording, destination, road_map=road_map_of(recording, road_map), **play)
+            for viewer, path in layout_files().items():
+                say(f"the layout for {viewer}: {path}")
     say(f"{destination}: {played.frames} frames, {played.seconds:g} s")
 
 
@@ -70,7 +69,7 @@ def view(source: str, road_map: str | None, **play: Any) -> None:
     from carla_recap.recording import open_recording
 
     with open_recording(source) as recording:
-        run(recording, road_map=_road_map(recording, road_map), progress=watch_scenes("exporting"), **play)
+        run(recording, road_map=road_map_of(recording, road_map), progress=watch_scenes("exporting"), ready=_tell, **play)
 
 
 @click.command()
@@ -88,7 +87,7 @@ def snapshot(source: str, destination: str, road_map: str | None, **picture: Any
     from carla_recap.recording import open_recording
 
     with open_recording(source) as recording:
-        run(recording, destination, road_map=_road_map(recording, road_map), **picture)
+        run(recording, destination, road_map=road_map_of(recording, road_map), **picture)
     say(destination)
 
 
@@ -108,12 +107,18 @@ def snapshot(source: str, destination: str, road_map: str | None, **picture: Any
 @click.option("--viewer", is_flag=True, help="Add Rerun's viewer, in 3D; it needs --serve or another server.")
 @options.force
 @click.option("--serve", is_flag=True, help="Serve the page to a browser on this machine, until Ctrl-C.")
-@click.option("--port", type=click.IntRange(0, 65535), default=0, metavar="N", help="Where to serve; 0: any free port.")
-def report(source: str, folder: str, road_map: str | None, serve: bool, port: int, **page: Any) -> None:
+@click.option("--port", type=click.IntRange(0, 65535), metavar="N", help="Where to serve; else any free port.")
+@options.min_time
+@options.min_distance
+@options.deceleration
+def report(source: str, folder: str, road_map: str | None, serve: bool, port: int | None, **page: Any) -> None:
     """Write the incident page, for any browser.
 
-    It lists what went wrong, with pictures and a replay from above.
+    It lists what went wrong, with pictures and a replay from above. --before and --after are for the pictures, and for a
+    recording that is too long to be replayed as a whole.
     """
+    if port is not None and not serve:
+        raise click.UsageError("--port goes with --serve.")
     from carla_recap.cli.progress import watch_scenes
     from carla_recap.export.page import serve as serve_page
     from carla_recap.export.page import write_report
@@ -121,32 +126,18 @@ def report(source: str, folder: str, road_map: str | None, serve: bool, port: in
 
     with open_recording(source) as recording:
         written = write_report(
-            recording, folder, road_map=_road_map(recording, road_map), progress=watch_scenes("sampling"), **page
+            recording, folder, road_map=road_map_of(recording, road_map), progress=watch_scenes("sampling"), **page
         )
     say(f"{Path(folder) / 'index.html'}: {written.incidents} incidents, {written.size / 1e6:.1f} MB")
     if serve:
-        serve_page(folder, port)
+        serve_page(folder, port or 0, ready=_tell)
 
 
-def _road_map(recording: Recording, path: str | None) -> RoadMap | None:
-    """The map that was asked for, or that the recording's map name finds; without the extra, none, and a warning."""
-    from carla_recap.errors import MissingExtra, RecapError
-    from carla_recap.maps import find_map, load_map
-
-    name = recording.header.map_name
-    if path is None or Path(path).is_dir():
-        found = find_map(name, path)
-        if found is None and path is not None:
-            raise RecapError(f"{path}: no .xodr for the map {name!r}")
-    else:
-        found = Path(path)
-    if found is None:
-        return None
-    try:
-        return load_map(found)
-    except MissingExtra as error:
-        warn(f"{error}; the rest is shown without it")
-        return None
+def _tell(address: str) -> None:
+    """Print where something is served, for a program, too."""
+    click.echo(address)
+    sys.stdout.flush()
+    say("Ctrl-C ends it")
 
 
 COMMANDS = (export, view, snapshot, report)

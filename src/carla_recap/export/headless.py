@@ -8,7 +8,6 @@ from typing import TYPE_CHECKING, Final, Self
 
 from carla_recap.errors import RecapError
 from carla_recap.export.program import HOST, LISTENING, Program
-from carla_recap.export.rerun.stream import SIM_TIME
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -21,6 +20,7 @@ Size = tuple[int, int]
 
 SMALLEST: Final = 64
 LARGEST: Final = 4096
+"""The least and the most pixels of a picture's side."""
 
 _AROUND: Final = (7, 71)  # pixels of the window that surround a view
 _SETTLED: Final = 0.15  # s; for so long a picture must not change
@@ -89,6 +89,8 @@ class Photographer:
         Raises:
             RecapError: The viewer does not answer, or cannot draw what is there.
         """
+        from carla_recap.export.rerun.stream import SIM_TIME
+
         with self._program.answering():
             self._client.set_time(SIM_TIME, duration=float(time), play_state="paused")
             picture = self._settled_picture()

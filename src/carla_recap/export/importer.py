@@ -17,15 +17,18 @@ from carla_recap.errors import NotARecording, RecapError, RecapWarning
 
 if TYPE_CHECKING:
     from argparse import Namespace
-
-    from rerun import RecordingStream
+    from collections.abc import Iterable, Iterator
 
     from carla_recap.frame import Header
     from carla_recap.maps import RoadMap
+    from carla_recap.replay import Player, Scene
 
 NOT_OURS: Final = 66
 """The exit code that tells the viewer to ask the next importer."""
 FAILED: Final = 1
+
+PART: Final = 256
+"""So many frames are sent at once."""
 
 _NAME: Final = "rerun-importer-carla-recap"
 
@@ -37,8 +40,9 @@ _ENDS: Final = 64 << 10  # bytes, at each end of an MCAP file, in which its meta
 
 def main() -> None:
     """Write a recording to stdout as the viewer reads it."""
-    if hasattr(signal, "SIGPIPE"):
-        signal.signal(signal.SIGPIPE, signal.SIG_DFL)  # Rerun's writer would wait forever for a viewer that has gone
+    for name in ("SIGINT", "SIGPIPE"):
+        if hasattr(signal, name):
+            signal.signal(getattr(signal, name), signal.SIG_DFL)  # there is nothing to clean up, nor anybody to tell
     warnings.simplefilter("always", RecapWarning)
     warnings.showwarning = lambda message, *_, **__: _say(f"warning: {message}")
     arguments = _arguments()
@@ -50,7 +54,7 @@ def main() -> None:
         sys.exit(NOT_OURS)
     except (RecapError, OSError, MemoryError) as error:
         _say(str(error) or "not enough memory")
-        sys.exit(FAILED)
+        os._exit(FAILED)  # without another try to write what stdout did not take
 
 
 def _arguments() -> Namespace:
@@ -81,24 +85,34 @@ def _may_be_ours(path: Path) -> bool:
 
 
 def _import(arguments: Namespace) -> None:
-    from carla_recap.export.rerun import blueprint, write
+    from carla_recap.export.rerun import APPLICATION, Rrd, blueprint, write
     from carla_recap.recording import open_recording
     from carla_recap.replay import Player
 
     with open_recording(arguments.file) as recording:
         player = Player(recording)
         road_map = _road_map(recording.header)
-        with _new_stream(arguments) as stream:
-            stream.stdout(default_blueprint=blueprint(player))
-            write(stream, player, road_map=road_map)
+        application = arguments.application_id or APPLICATION
+        with Rrd(blueprint(player), application=application, recording_id=arguments.recording_id) as rrd:
+
+            def sending(scenes: Iterable[Scene], _: Player) -> Iterator[Scene]:
+                for count, scene in enumerate(scenes, 1):
+                    yield scene
+                    if count % PART == 0:
+                        _send(rrd.take())
+
+            write(rrd.stream, player, road_map=road_map, progress=sending)
+            _send(rrd.take())
 
 
-def _new_stream(arguments: Namespace) -> RecordingStream:
-    import rerun as rr
-
-    from carla_recap.export.rerun import APPLICATION
-
-    return rr.RecordingStream(arguments.application_id or APPLICATION, recording_id=arguments.recording_id)
+def _send(data: bytes) -> None:
+    if sys.stdout is None:
+        raise RecapError("stdout: is closed; the recording is written there")
+    try:
+        sys.stdout.buffer.write(data)
+        sys.stdout.buffer.flush()
+    except OSError as error:
+        raise RecapError(f"stdout: cannot be written: {error.strerror}") from None
 
 
 def _road_map(header: Header) -> RoadMap | None:

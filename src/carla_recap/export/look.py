@@ -39,7 +39,7 @@ STYLES: Final[dict[int, Style]] = {
     ActorKind.TRAFFIC_SIGN: Style("traffic sign", (190, 160, 90), (0.05, 0.4, 0.4)),
     ActorKind.SENSOR: Style("sensor", (200, 120, 220), (0.1, 0.1, 0.1)),
 }
-OTHER: Final = Style("other", (150, 150, 150), (0.3, 0.3, 0.3))
+OTHER: Final = Style("other", (150, 150, 150), (0.15, 0.15, 0.15))
 TWO_WHEELS: Final = (0.95, 0.35, 0.75)  # half extents, in m
 
 LIGHTS: Final[tuple[tuple[str, Color], ...]] = (
@@ -73,7 +73,12 @@ def light(state: int) -> tuple[str, Color]:
 
 def style_of(actor: Present) -> Style:
     """How the actors of its kind look."""
-    return STYLES.get(actor.kind, OTHER)
+    return STYLES.get(_kind_of(actor), OTHER)
+
+
+def is_outlined(actor: Present) -> bool:
+    """Whether only the edges of its box are drawn: that of a sensor, or one that is invented for something unknown."""
+    return style_of(actor) is STYLES[ActorKind.SENSOR] or (style_of(actor) is OTHER and actor.box is None)
 
 
 def color_of(actor: Present) -> Color:
@@ -92,11 +97,17 @@ def box_of(actor: Present) -> BoundingBox:
     if actor.box is not None:
         return actor.box
     extent = style_of(actor).extent
-    if actor.kind == ActorKind.VEHICLE and actor.spawn.attribute("number_of_wheels") == "2":
+    kind = _kind_of(actor)
+    if kind == ActorKind.VEHICLE and actor.spawn.attribute("number_of_wheels") == "2":
         extent = TWO_WHEELS
     # A walker's place is its middle; that of all others is on the ground.
-    height = 0.0 if actor.kind in (ActorKind.WALKER, ActorKind.SENSOR) else extent[2]
+    height = 0.0 if kind in (ActorKind.WALKER, ActorKind.SENSOR) else extent[2]
     return BoundingBox(0.0, 0.0, height, *extent)
+
+
+def _kind_of(actor: Present) -> int:
+    """What it is; older simulators record sensors as something other."""
+    return ActorKind.SENSOR if actor.type_id.startswith("sensor.") else actor.kind
 
 
 def name_of(id: int, actors: Mapping[int, Present]) -> str:

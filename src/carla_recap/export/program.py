@@ -18,7 +18,7 @@ from carla_recap.errors import MissingExtra, RecapError
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
-    from types import TracebackType
+    from types import FrameType, TracebackType
 
     T = TypeVar("T")
 
@@ -57,7 +57,7 @@ class Program:
 
     def __enter__(self) -> Self:
         with ExitStack() as stack:
-            stack.enter_context(_ended_by_sigterm())
+            stack.enter_context(_unwound_by_signals())
             self._process = self._start(Path(stack.enter_context(TemporaryDirectory(prefix="carla-recap-"))))
             stack.callback(self._end)
             self._stack = stack.pop_all()
@@ -189,13 +189,24 @@ def _binary() -> Path:
 
 
 @contextmanager
-def _ended_by_sigterm() -> Iterator[None]:
-    """Let SIGTERM unwind the stack, unless somebody else handles it: else the viewer would be left behind."""
-    if threading.current_thread() is not threading.main_thread() or signal.getsignal(signal.SIGTERM) is not signal.SIG_DFL:
-        yield
-        return
-    signal.signal(signal.SIGTERM, lambda number, _: sys.exit(128 + number))
+def _unwound_by_signals() -> Iterator[None]:
+    """Let what ends a process unwind the stack, unless somebody else handles it: else the viewer would be left behind.
+
+    Where nobody reads the output any more, writing to it is a `BrokenPipeError`.
+    """
+    taken = []
+    if threading.current_thread() is threading.main_thread():
+        for name, handler in (("SIGTERM", _leave), ("SIGHUP", _leave), ("SIGPIPE", signal.SIG_IGN)):
+            number = getattr(signal, name, None)
+            if number is not None and signal.getsignal(number) is signal.SIG_DFL:
+                signal.signal(number, handler)
+                taken.append(number)
     try:
         yield
     finally:
-        signal.signal(signal.SIGTERM, signal.SIG_DFL)
+        for number in taken:
+            signal.signal(number, signal.SIG_DFL)
+
+
+def _leave(number: int, _: FrameType | None) -> None:
+    sys.exit(128 + number)

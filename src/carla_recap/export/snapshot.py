@@ -6,11 +6,13 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import TYPE_CHECKING, Final
 
+import numpy as np
+
 from carla_recap.conversion import check_destination
 from carla_recap.errors import RecapError
 from carla_recap.export.headless import Photographer, Size
-from carla_recap.export.rerun import APPLICATION, View, camera_views, write
-from carla_recap.formats.atomic import AtomicFile
+from carla_recap.export.rerun import Rrd, View, camera_views, write
+from carla_recap.export.whole import WholeFile
 from carla_recap.recording import Recording
 from carla_recap.replay import Player
 
@@ -55,8 +57,9 @@ def snapshot(
     if path.suffix.lower() != ".png":
         raise RecapError(f"{path}: a picture is written as .png")
     check_destination(reader.path, path, force=force)
-    with _PictureFile(path) as file:
-        file.write(picture(reader, at=at, follow=follow, view=view, road_map=road_map, size=size))
+    data = picture(reader, at=at, follow=follow, view=view, road_map=road_map, size=size)
+    with WholeFile(path) as file:
+        file.write(data)
 
 
 def picture(
@@ -89,6 +92,9 @@ def picture(
     moment = now.start
     if follow is not None and now.followed not in now.at(moment).ids:
         raise RecapError(f"{now.reader.path}: actor {now.followed} is not there at {moment:g} s, so it cannot be followed")
+    pose = None if now.followed is None else now.at(moment).pose_of(now.followed)
+    if pose is not None and not np.isfinite(pose).all():
+        raise RecapError(f"{now.reader.path}: actor {now.followed} has no place at {moment:g} s: its pose is no number")
     start = max(0.0, moment - _LEAD)
     player = Player(source, start=start, duration=max(moment - start, _SHORTEST), follow=follow)
     with TemporaryDirectory(prefix="carla-recap-") as folder:
@@ -100,23 +106,10 @@ def picture(
 
 def _save(path: Path, player: Player, view: View, road_map: RoadMap | None) -> None:
     """Write an .rrd that shows one view, and nothing around it."""
-    import rerun as rr
     import rerun.blueprint as rrb
 
     panels = (rrb.TopPanel, rrb.BlueprintPanel, rrb.SelectionPanel, rrb.TimePanel)
     alone = rrb.Blueprint(camera_views(player)[view], *(panel(state="hidden") for panel in panels))
-    with rr.RecordingStream(APPLICATION) as stream:
-        stream.save(path, default_blueprint=alone)
-        write(stream, player, road_map=road_map)
-
-
-class _PictureFile(AtomicFile):
-    """A picture, which appears under its name only when it is complete."""
-
-    def __init__(self, path: Path) -> None:
-        super().__init__(path)
-        self._begin(lambda: None)
-
-    def write(self, data: bytes) -> None:
-        """Add its content."""
-        self._put(data)
+    with WholeFile(path) as file, Rrd(alone) as rrd:
+        write(rrd.stream, player, road_map=road_map)
+        file.write(rrd.take())

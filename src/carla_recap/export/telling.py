@@ -66,6 +66,7 @@ class Teller:
                 self._actors.pop(event.id, None)
 
     def _contacts_of(self, scene: Scene) -> Iterator[Line]:
+        self._contacts = {pair: time for pair, time in self._contacts.items() if scene.time - time <= _PAUSE}
         for event in scene.collisions:
             if self._begins(event):
                 level = Level.ERROR if event.hero1 or event.hero2 else Level.WARNING
@@ -73,11 +74,9 @@ class Teller:
 
     def _begins(self, event: Collided) -> bool:
         """Note a contact; says whether it begins."""
-        now = event.elapsed
-        self._contacts = {pair: time for pair, time in self._contacts.items() if now - time <= _PAUSE}
         pair = frozenset((event.actor1, event.actor2))
         begins = pair not in self._contacts
-        self._contacts[pair] = now
+        self._contacts[pair] = event.elapsed
         return begins
 
 

@@ -66,7 +66,7 @@ def view(
                 _serve(path, ready)
             else:
                 _open(path)
-        except KeyboardInterrupt:
+        except (KeyboardInterrupt, BrokenPipeError):  # the latter: nobody reads the address any more
             return
 
 

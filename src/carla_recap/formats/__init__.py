@@ -76,4 +76,5 @@ def create_writer(path: Path | str, header: Header, *, live: bool = False) -> Wr
         from carla_recap.formats.mcap.writer import McapWriter
 
         return McapWriter(path, header, live=live)
-    raise RecapError(f"{path}: unknown format {suffix!r}; the suffix must be one of {', '.join(SUFFIXES)}")
+    found = f"unknown format {suffix!r}" if suffix else "no suffix, which says the format"
+    raise RecapError(f"{path}: {found}; {' or '.join(SUFFIXES)} was expected")

@@ -1,1 +1,82 @@
 """A town without a simulator: roads, signals, traffic and collisions in a plane, to record from and to replay into."""
+
+from __future__ import annotations
+
+from importlib import import_module
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from carla_recap.sim.actors import Actor, Prop, Sensor, Sign, Spectator, TrafficLight, Vehicle, Walker
+    from carla_recap.sim.blueprints import Blueprint, BlueprintLibrary
+    from carla_recap.sim.control import VehicleControl, WalkerControl
+    from carla_recap.sim.errors import DeadActor, SimError, SpawnError
+    from carla_recap.sim.events import Collision, TickEvents
+    from carla_recap.sim.geometry import Box, Location, Rotation, Transform, Vector
+    from carla_recap.sim.physics_control import Gear, PhysicsControl, WheelPhysics
+    from carla_recap.sim.settings import Settings
+    from carla_recap.sim.town import Town, load_town
+    from carla_recap.sim.weather import PRESETS, Weather
+    from carla_recap.sim.world import Controller, World
+
+__all__ = [
+    "PRESETS",
+    "Actor",
+    "Blueprint",
+    "BlueprintLibrary",
+    "Box",
+    "Collision",
+    "Controller",
+    "DeadActor",
+    "Gear",
+    "Location",
+    "PhysicsControl",
+    "Prop",
+    "Rotation",
+    "Sensor",
+    "Settings",
+    "Sign",
+    "SimError",
+    "SpawnError",
+    "Spectator",
+    "TickEvents",
+    "Town",
+    "TrafficLight",
+    "Transform",
+    "Vector",
+    "Vehicle",
+    "VehicleControl",
+    "Walker",
+    "WalkerControl",
+    "Weather",
+    "WheelPhysics",
+    "World",
+    "load_town",
+]
+
+# Names are imported when they are asked for: reading a town needs no physics engine.
+_HOMES = {
+    "actors": ("Actor", "Prop", "Sensor", "Sign", "Spectator", "TrafficLight", "Vehicle", "Walker"),
+    "blueprints": ("Blueprint", "BlueprintLibrary"),
+    "control": ("VehicleControl", "WalkerControl"),
+    "errors": ("DeadActor", "SimError", "SpawnError"),
+    "events": ("Collision", "TickEvents"),
+    "geometry": ("Box", "Location", "Rotation", "Transform", "Vector"),
+    "physics_control": ("Gear", "PhysicsControl", "WheelPhysics"),
+    "settings": ("Settings",),
+    "town": ("Town", "load_town"),
+    "weather": ("PRESETS", "Weather"),
+    "world": ("Controller", "World"),
+}
+_HOME_OF = {name: home for home, names in _HOMES.items() for name in names}
+
+
+def __getattr__(name: str) -> Any:
+    if name not in _HOME_OF:
+        raise AttributeError(f"module 'carla_recap.sim' has no attribute {name!r}")
+    found = getattr(import_module(f"carla_recap.sim.{_HOME_OF[name]}"), name)
+    globals()[name] = found
+    return found
+
+
+def __dir__() -> list[str]:
+    return sorted({*globals(), *__all__})

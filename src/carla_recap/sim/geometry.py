@@ -60,6 +60,11 @@ class Transform:
     location: Location = field(default_factory=Location)
     rotation: Rotation = field(default_factory=Rotation)
 
+    def copy(self) -> Transform:
+        """The same, to be changed without this one."""
+        location, rotation = self.location, self.rotation
+        return Transform(Location(location.x, location.y, location.z), Rotation(rotation.pitch, rotation.yaw, rotation.roll))
+
     def forward(self) -> Vector:
         """The direction of the nose, of length 1."""
         pitch, yaw = radians(self.rotation.pitch), radians(self.rotation.yaw)

@@ -101,6 +101,8 @@ class LaneIndex:
         self._slope = np.concatenate([np.gradient(lane.points[:, 2], lane.s) for lane in lanes])
         self._grid = _Grid(self._flat)
         self._terrain = _Terrain(self._flat)
+        heights = self.points[:, 2]
+        self._level = float(heights[0]) if np.ptp(heights) == 0 else None
 
     def at(self, lane: ArrayLike, s: ArrayLike) -> tuple[Floats, Floats]:
         """The places and directions of travel at some distances along lanes; beyond their ends, those of the ends.
@@ -189,6 +191,8 @@ class LaneIndex:
             x: Of the places, (k,).
             y: Of the places, (k,).
         """
+        if self._level is not None:
+            return np.full(np.shape(x), self._level)
         places = np.stack((np.asarray(x, np.float64), np.asarray(y, np.float64)), axis=-1)
         point = self._terrain.nearest(places)
         along = np.clip(((places - self._flat[point]) * self._ahead[point]).sum(axis=-1), -_CELL, _CELL)

@@ -20,6 +20,7 @@ from typing import TYPE_CHECKING
 
 from carla_recap.assets import viewer_folder
 from carla_recap.conversion import check_destination
+from carla_recap.formats.mcap.container import EXPORT_METADATA
 from carla_recap.recording import Recording
 from carla_recap.replay import Played, Player
 from carla_recap.texts import readable
@@ -72,7 +73,7 @@ def export_foxglove(
     check_destination(reader.path, destination, force=force)
     player = Player(reader, start=start, duration=duration, follow=follow)
     with McapFile(destination, TOPICS) as file:
-        file.describe("carla_recap.export", _description(reader, player))
+        file.describe(EXPORT_METADATA, _description(reader, player))
         topics = Topics(file, reader.header, player.followed, road_map)
         scenes = player.scenes()
         for scene in progress(scenes, player) if progress else scenes:
@@ -80,9 +81,13 @@ def export_foxglove(
         return topics.end()
 
 
-def layout_files() -> list[Path]:
-    """The layouts for such a file: one for Foxglove, one for Lichtblick and Foxglove 1."""
-    return sorted((viewer_folder() / "foxglove").glob("*.json"))
+def layout_files() -> dict[str, Path]:
+    """The layouts for such a file, by the viewers that import them."""
+    folder = viewer_folder() / "foxglove"
+    return {
+        "Foxglove": folder / "carla-recap.foxglove.json",
+        "Lichtblick and Foxglove 1.x": folder / "carla-recap.lichtblick.json",
+    }
 
 
 def _description(reader: Reader, player: Player) -> dict[str, str]:

@@ -16,9 +16,10 @@ from carla_recap.export.page.embedded import embed
 from carla_recap.export.page.ground import ground
 from carla_recap.export.page.tracks import Sampler, Tracks
 from carla_recap.folders import check_folder, copy_files, new_folder
-from carla_recap.queries.incidents import Incident, incidents
+from carla_recap.queries.incidents import HARD, Incident, incidents
 from carla_recap.recording import Recording
 from carla_recap.replay.player import Player
+from carla_recap.standing import MIN_DISTANCE, MIN_TIME
 from carla_recap.texts import readable
 
 if TYPE_CHECKING:
@@ -68,6 +69,9 @@ def write_report(
     *,
     before: float = 5.0,
     after: float = 5.0,
+    min_time: float = MIN_TIME,
+    min_distance: float = MIN_DISTANCE,
+    deceleration: float = HARD,
     road_map: RoadMap | None = None,
     pictures: Pictures = "drawn",
     viewer: bool = False,
@@ -79,8 +83,11 @@ def write_report(
     Args:
         source: The recording.
         folder: Where to; its `index.html` opens from the disk, or from any server.
-        before: Seconds before an incident that its picture and replay show.
+        before: Seconds before an incident that its picture shows; and the replay, of a recording too long for all of it.
         after: Seconds after it.
+        min_time: What counts as an incident, as the next two: see `carla_recap.queries.incidents`.
+        min_distance: In cm.
+        deceleration: In m/s².
         road_map: The roads to show.
         pictures: "drawn": a drawing of each incident, from above; "rerun": a view from behind the first actor, which takes
             seconds for each, and the extra `rerun`; or "none".
@@ -96,7 +103,7 @@ def write_report(
         raise RecapError(f"{before:g} s before and {after:g} s after incidents cannot be shown; 0 or more were expected")
     check_folder(folder, force=force)
     recording = source if isinstance(source, Recording) else Recording(source)
-    all_found = incidents(recording.reader)
+    all_found = incidents(recording.reader, min_time=min_time, min_distance=min_distance, deceleration=deceleration)
     found = all_found[:LISTED]
     player = Player(recording)
     shown = sorted(range(len(found)), key=lambda place: FIRST.index(found[place].kind))[:REPLAYED]

@@ -13,6 +13,7 @@ except ImportError:
     raise MissingExtra("an export to Rerun", "rerun") from None
 
 from carla_recap.export.rerun.blueprint import View, blueprint, camera_views
-from carla_recap.export.rerun.writer import APPLICATION, export_rerun, write
+from carla_recap.export.rerun.rrd import APPLICATION, Rrd
+from carla_recap.export.rerun.writer import export_rerun, write
 
-__all__ = ["APPLICATION", "View", "blueprint", "camera_views", "export_rerun", "write"]
+__all__ = ["APPLICATION", "Rrd", "View", "blueprint", "camera_views", "export_rerun", "write"]

@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import warnings
 from typing import TYPE_CHECKING, Final
 
 import numpy as np
 import rerun as rr
 
+from carla_recap.errors import RecapWarning
 from carla_recap.export import look
 from carla_recap.export.rerun import tree
 from carla_recap.export.rerun.cameras import Chase
@@ -18,6 +20,8 @@ from carla_recap.replay import Destroyed, Present, Spawned, quaternions, right_h
 from carla_recap.replay.pose import LOCATION
 
 if TYPE_CHECKING:
+    from collections.abc import Iterable
+
     from numpy.typing import NDArray
 
     from carla_recap.export.rerun.stream import Moment, Stream
@@ -27,6 +31,9 @@ if TYPE_CHECKING:
 
 MOVERS: Final = (ActorKind.VEHICLE, ActorKind.WALKER)
 """The kinds that are on the map and that a camera can follow."""
+
+MOST_BOXES: Final = 5_000
+"""So many actors have boxes, the first ones; the viewer draws no more of them in time. All are on the map."""
 
 _ON_MAP: Final = 3.0  # points of the screen
 _MARGIN: Final = 15.0  # m
@@ -41,15 +48,17 @@ class Actors:
         stream: Where to.
         followed: Whom the camera follows: its name is always shown.
         roads: Whether there are roads on the map.
-        cameras: Whether every other vehicle and walker gets a camera that follows it, too.
+        cameras: Which others get a camera that follows them, too, if they are vehicles or walkers.
     """
 
-    def __init__(self, stream: Stream, followed: int | None, *, roads: bool, cameras: bool) -> None:
+    def __init__(self, stream: Stream, followed: int | None, *, roads: bool, cameras: Iterable[int]) -> None:
         self._stream = stream
         self._followed = followed
         self._roads = roads
-        self._cameras: dict[int, Chase] | None = {} if cameras else None
-        self._drawn: set[int] = set()
+        self._cameras = {id: Chase(stream, tree.camera(id)) for id in cameras if id != followed}
+        self._present: set[int] = set()
+        self._boxed: set[int] = set() if followed is None else {followed}  # who has ever had a box, or is to have one
+        self._left_out: set[int] = set()
         self._extent = np.array((np.inf, np.inf, -np.inf, -np.inf))  # of the map: least and greatest x and y
         self._colors: dict[int, int] = {}  # of those on the map, and those that went since the last block
         self._tracks = Tracks()
@@ -68,15 +77,24 @@ class Actors:
                 self._erase(event.id, moment)
         if scene.ids is not self._ids:
             self._ids = scene.ids
-            for id in set(scene.ids.tolist()) - self._drawn:
+            for id in set(scene.ids.tolist()) - self._present:
                 self._draw(Present(Spawn(id), scene.time), scene, moment)
         self._tracks.add(scene, moment, born)
         if self._tracks.full:
             self._flush()
 
     def close(self) -> None:
-        """Write what is held back, and where there are no roads, an edge around the map, so that it keeps its scale."""
+        """Write what is held back, and where there are no roads, an edge around the map, so that it keeps its scale.
+
+        Warns:
+            RecapWarning: There are too many actors for all of them to have boxes.
+        """
         self._flush()
+        if self._left_out:
+            count = len(self._left_out)
+            warnings.warn(
+                f"{count} actors are only on the map: there are more than {MOST_BOXES}", RecapWarning, stacklevel=2
+            )
         if not self._roads and np.isfinite(self._extent).all():
             left, top, right, bottom = self._extent + np.array((-_MARGIN, -_MARGIN, _MARGIN, _MARGIN))
             corners = [(left, top), (right, top), (right, bottom), (left, bottom), (left, top)]
@@ -87,19 +105,22 @@ class Actors:
         if block is not None:
             self._move(block)
             self._map(block)
-            if self._cameras is not None:
-                self._follow(block)
-        self._colors = {id: color for id, color in self._colors.items() if id in self._drawn}
+            self._follow(block)
+        self._colors = {id: color for id, color in self._colors.items() if id in self._present}
 
     def _draw(self, actor: Present, scene: Scene, moment: Moment) -> None:
         path = tree.actor(actor.id)
-        if actor.id in self._drawn:
+        if actor.id in self._present and actor.id in self._boxed:
             self._stream.clear(path, moment)
-        self._drawn.add(actor.id)
+        self._present.add(actor.id)
         self._colors.pop(actor.id, None)
         if actor.kind in MOVERS:
             red, green, blue = look.color_of(actor)
             self._colors[actor.id] = red << 24 | green << 16 | blue << 8 | 255
+        if actor.id not in self._boxed and len(self._boxed) >= MOST_BOXES:
+            self._left_out.add(actor.id)
+            return
+        self._boxed.add(actor.id)
         box = look.box_of(actor)
         center = (box.x, box.y, box.z)
         half = (box.extent_x, box.extent_y, box.extent_z)
@@ -109,7 +130,7 @@ class Actors:
             colors=[look.color_of(actor)],
             labels=[look.label_of(actor)],
             show_labels=actor.is_hero or actor.id == self._followed,
-            fill_mode="majorwireframe" if actor.kind == ActorKind.SENSOR else "solid",
+            fill_mode="majorwireframe" if look.is_outlined(actor) else "solid",
         )
         archetypes: list[rr.AsComponents] = [boxes]
         if actor.kind == ActorKind.VEHICLE:
@@ -119,12 +140,13 @@ class Actors:
         self._stream.log(path, moment, *archetypes)
 
     def _erase(self, id: int, moment: Moment) -> None:
-        if id in self._drawn:
-            self._drawn.remove(id)
-            self._stream.clear(tree.actor(id), moment)
+        if id in self._present:
+            self._present.remove(id)
+            if id in self._boxed:
+                self._stream.clear(tree.actor(id), moment)
 
     def _move(self, block: Block) -> None:
-        for id, times, transforms in block.tracks():
+        for id, times, transforms in block.tracks(self._boxed):
             self._stream.transforms(tree.actor(id), times, transforms)
 
     def _map(self, block: Block) -> None:
@@ -144,12 +166,10 @@ class Actors:
         )
 
     def _follow(self, block: Block) -> None:
-        assert self._cameras is not None
         times = block.times.take(slice(1, None))
         for place, id in enumerate(block.ids.tolist()):
-            if id in self._colors and id != self._followed:
-                camera = self._cameras.setdefault(id, Chase(self._stream, tree.camera(id)))
-                camera.move(times, block.poses[place, 1:], np.flatnonzero(block.there[place, 1:]))
+            if id in self._cameras and id in self._colors:
+                self._cameras[id].move(times, block.poses[place, 1:], np.flatnonzero(block.there[place, 1:]))
 
 
 def _place(actor: Present) -> rr.Transform3D:

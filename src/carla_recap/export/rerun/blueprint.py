@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from typing import Final, Literal
+from typing import TYPE_CHECKING, Final, Literal
 
 import numpy as np
 import rerun as rr
@@ -15,6 +15,9 @@ from carla_recap.export.rerun.stream import FRAME, SIM_TIME
 from carla_recap.queries.actors import CM
 from carla_recap.replay import Player, camera, right_handed
 from carla_recap.replay.pose import LOCATION
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
 
 View = Literal["chase", "top"]
 """From behind and above, or from straight above."""
@@ -58,7 +61,7 @@ def blueprint(player: Player, *, view: View = "chase", followed: int | None = No
         ),
         rrb.BlueprintPanel(state="collapsed"),
         rrb.SelectionPanel(state="collapsed"),
-        rrb.TimePanel(state="collapsed", timeline=SIM_TIME),
+        rrb.TimePanel(state="collapsed", timeline=SIM_TIME, play_state="playing"),
     )
 
 
@@ -122,11 +125,16 @@ def _view(
 
 def _extent(player: Player) -> tuple[list[float], float]:
     """Where everything is when it begins: the middle, and how far it goes from there; in m, right-handed."""
-    scene = Player(player.reader).at(player.start)
-    poses = [pose for id in {*scene.ids.tolist(), *scene.actors} if (pose := scene.pose_of(id)) is not None]
-    places = right_handed(np.array(poses).reshape(-1, 6))[:, LOCATION]
-    places = places[np.isfinite(places).all(axis=1)]
+    places = first_places(player)
     if not len(places):
         return [0.0, 0.0, 0.0], _NEAREST
     low, high = places.min(axis=0), places.max(axis=0)
     return ((low + high) / 2).tolist(), max(_NEAREST, float(np.linalg.norm(high - low)) / 2)
+
+
+def first_places(player: Player) -> NDArray[np.float64]:
+    """Where actors are when it begins, (n, 3) in m, right-handed."""
+    scene = Player(player.reader).at(player.start)
+    poses = [pose for id in {*scene.ids.tolist(), *scene.actors} if (pose := scene.pose_of(id)) is not None]
+    places = right_handed(np.array(poses).reshape(-1, 6))[:, LOCATION]
+    return places[np.isfinite(places).all(axis=1)]

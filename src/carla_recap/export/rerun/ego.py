@@ -61,11 +61,8 @@ class Ego:
         self._controls: list[NDArray[np.void]] = []
         self._count = 0
         self._before: tuple[Floats, Floats] | None = None  # seconds and pose of the last row
-        stream.always(tree.SPEED, rr.SeriesLines(colors=[look.HERO], names=["km/h"], widths=[2.0]))
         names, colors = zip(*_CONTROLS, strict=True)
         stream.always(tree.CONTROLS, rr.SeriesLines(colors=colors, names=names, widths=[1.5] * len(names)))
-        stream.always(tree.trail(id), rr.LineStrips3D.from_fields(colors=[look.HERO], radii=[_TRAIL]))
-        stream.always(tree.MAP_FOLLOWED, rr.Points2D.from_fields(colors=[look.HERO], radii=screen(_ON_MAP)))
         if ground:
             stream.always(tree.GROUND, _grid())
 
@@ -99,9 +96,14 @@ class Ego:
         self._seen = True
         if self._first is not None and self._first != moment:  # until then, the camera waits where it will come
             Chase(self._stream, tree.CHASE).move(Times.of([self._first]), pose[None], np.zeros(1, np.intp))
-        if self._id in scene.actors:
-            box = look.box_of(scene.actors[self._id])
+        actor = scene.actors.get(self._id)
+        if actor is not None:
+            box = look.box_of(actor)
             self._bottom = box.z - box.extent_z
+        color = look.OTHER.color if actor is None else look.color_of(actor)
+        self._stream.always(tree.SPEED, rr.SeriesLines(colors=[color], names=["km/h"], widths=[2.0]))
+        self._stream.always(tree.trail(self._id), rr.LineStrips3D.from_fields(colors=[color], radii=[_TRAIL]))
+        self._stream.always(tree.MAP_FOLLOWED, rr.Points2D.from_fields(colors=[color], radii=screen(_ON_MAP)))
 
     def _move(self, times: Times, poses: Floats, rows: NDArray[np.intp]) -> None:
         """Where it is: in `rows`, the other ones are those where it is nowhere."""

@@ -1,7 +1,8 @@
-"""What happens, as a log; and collisions as markers in the world, one for each contact."""
+"""What happens, as a log; and collisions as marks in the world, one for each contact."""
 
 from __future__ import annotations
 
+from collections import deque
 from typing import TYPE_CHECKING, Final
 
 import numpy as np
@@ -9,17 +10,25 @@ import rerun as rr
 
 from carla_recap.export import look
 from carla_recap.export.rerun import tree
+from carla_recap.export.rerun.stream import Times
 from carla_recap.export.telling import Level, Teller
 from carla_recap.replay import right_handed
 from carla_recap.replay.pose import LOCATION
 
 if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
     from carla_recap.export.rerun.stream import Moment, Stream
+    from carla_recap.export.telling import Line
     from carla_recap.replay import Collided, Scene
+
+    Floats = NDArray[np.float64]
 
 _SHOWN: Final = 2_000_000_000  # ns; so long a collision is marked
 _ABOVE: Final = 2.5  # m; so high above the ground
 _MARK: Final = 0.5  # m
+_MOST: Final = 50  # so many contacts are marked at once: those that came last
+_HELD: Final = 8192  # so many lines are held back at the most
 _LEVELS: Final = {
     Level.DEBUG: rr.TextLogLevel.DEBUG,
     Level.INFO: rr.TextLogLevel.INFO,
@@ -38,43 +47,55 @@ class Chronicle:
     def __init__(self, stream: Stream) -> None:
         self._stream = stream
         self._teller = Teller()
-        self._marks: list[tuple[int, str]] = []  # what is to disappear, and when, in ns
-        self._count = 0
+        self._told: list[tuple[Moment, Line]] = []
+        self._marks: deque[tuple[int, Floats]] = deque(maxlen=_MOST)  # until when, in ns, and where
 
     def enter(self, scene: Scene, moment: Moment) -> None:
         """Take a scene in."""
-        if self._marks:
-            self._wipe(moment)
+        changed = False
+        while self._marks and self._marks[0][0] <= moment.elapsed:
+            self._marks.popleft()
+            changed = True
         for line in self._teller.tell(scene):
-            self._stream.log(tree.EVENTS, moment, rr.TextLog(line.text, level=_LEVELS[line.level]))
+            self._told.append((moment, line))
             if line.contact is not None:
-                self._mark(line.contact, scene, moment)
+                changed |= self._mark(line.contact, scene, moment)
+        if changed:
+            self._draw(moment)
+        if len(self._told) >= _HELD:
+            self.close()
 
     def close(self) -> None:
-        """Nothing is held back."""
+        """Write what is held back."""
+        if self._told:
+            times = Times.of(moment for moment, _ in self._told)
+            texts, levels = zip(*((line.text, _LEVELS[line.level]) for _, line in self._told), strict=True)
+            self._stream.columns(tree.EVENTS, times, rr.TextLog.columns(text=texts, level=levels))
+        self._told.clear()
 
-    def _mark(self, contact: Collided, scene: Scene, moment: Moment) -> None:
+    def _mark(self, contact: Collided, scene: Scene, moment: Moment) -> bool:
+        """Note where a contact is; says whether that is known."""
         poses = [pose for id in (contact.actor1, contact.actor2) if (pose := scene.pose_of(id)) is not None]
-        if not poses:
+        if poses:
+            self._marks.append((moment.elapsed + _SHOWN, right_handed(np.mean(poses, axis=0))[LOCATION]))
+        return bool(poses)
+
+    def _draw(self, moment: Moment) -> None:
+        """Show the marks: each one is a ball, and above it a point with the label."""
+        count = len(self._marks)
+        if not count:
+            self._stream.clear(tree.COLLISIONS, moment)
             return
-        place = right_handed(np.mean(poses, axis=0))[LOCATION]
-        path = f"{tree.COLLISIONS}/{self._count}"
-        self._count += 1
-        self._marks.append((moment.elapsed + _SHOWN, path))
+        places = np.repeat([place for _, place in self._marks], 2, axis=0)
+        places[:, 2] += np.tile((_ABOVE, _ABOVE + 2 * _MARK), count)
         self._stream.log(
-            path,
+            tree.COLLISIONS,
             moment,
             rr.Points3D(
-                [place + np.array((0, 0, _ABOVE)), place + np.array((0, 0, _ABOVE + 2 * _MARK))],
+                places,
                 colors=[look.COLLISION],
-                radii=[_MARK, 0],
-                labels=["", "collision"],
+                radii=[_MARK, 0] * count,
+                labels=["", "collision"] * count,
                 show_labels=True,
             ),
         )
-
-    def _wipe(self, moment: Moment) -> None:
-        due = [path for time, path in self._marks if time <= moment.elapsed]
-        for path in due:
-            self._stream.clear(path, moment)
-        del self._marks[: len(due)]

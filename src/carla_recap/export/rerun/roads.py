@@ -19,7 +19,18 @@ if TYPE_CHECKING:
     from carla_recap.export.rerun.stream import Stream
     from carla_recap.maps import RoadMap
 
+_NEAR: Final = 100.0  # m
 _MAP_LINE: Final = (96, 102, 116)
+
+
+def lies_elsewhere(roads: RoadMap, places: NDArray[np.float64]) -> bool:
+    """Whether a map is of another town: there are places, (n, 3) in m, right-handed, but all of them are far from it."""
+    lines = [line[:, :2] for name, _, _ in look.ROADS for line in getattr(roads, name) if len(line)]
+    if not lines or not len(places):
+        return False
+    points = np.concatenate(lines)
+    low, high = np.nanmin(points, axis=0) - _NEAR, np.nanmax(points, axis=0) + _NEAR
+    return not ((places[:, :2] >= low) & (places[:, :2] <= high)).all(axis=1).any()
 
 
 def draw(stream: Stream, roads: RoadMap) -> None:

@@ -12,7 +12,7 @@ from carla_recap.export.rerun.stream import Moment, Times, Transforms
 from carla_recap.replay.rows import NO_IDS, Ids
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Iterator
+    from collections.abc import Container, Iterable, Iterator
 
     from numpy.typing import NDArray
 
@@ -47,13 +47,13 @@ class Block:
     there: Flags
     news: Flags
 
-    def tracks(self) -> Iterator[tuple[int, Times, Transforms]]:
-        """Each actor that has news, and these."""
+    def tracks(self, shown: Container[int]) -> Iterator[tuple[int, Times, Transforms]]:
+        """Each of the actors that are shown and have news, and these."""
         places, moments = np.nonzero(self.news)
         times, transforms = self.times.take(moments), Transforms.of(self.poses[self.news])
         ends = np.searchsorted(places, np.arange(len(self.ids) + 1)).tolist()
         for id, (start, end) in zip(self.ids.tolist(), pairwise(ends), strict=True):
-            if start < end:
+            if start < end and id in shown:
                 yield id, times.take(slice(start, end)), transforms.take(slice(start, end))
 
 
@@ -109,8 +109,11 @@ class Tracks:
         with np.errstate(invalid="ignore", over="ignore"):
             there &= np.isfinite(poses @ np.ones(6))  # of the sum: that is faster
         changed = there[:, 1:] & (~there[:, :-1] | (poses[:, 1:] != poses[:, :-1]).any(axis=2))
-        for place, id in self._born:
-            changed[:, place] |= there[:, place + 1] & (ids == id)
+        if self._born and len(ids):
+            born = np.array(self._born)
+            born = born[np.isin(born[:, 1], ids)]
+            when, rows = born[:, 0], np.searchsorted(ids, born[:, 1])
+            changed[rows, when] |= there[rows, when + 1]
         news = np.zeros_like(there)
         news[:, 1:] = changed
         news[:, :-1] |= changed & there[:, :-1]

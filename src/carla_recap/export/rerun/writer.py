@@ -2,30 +2,32 @@
 
 from __future__ import annotations
 
+import warnings
+from contextlib import nullcontext
 from pathlib import Path
 from typing import TYPE_CHECKING, Final
 
 import rerun as rr
 
 from carla_recap.conversion import check_destination
-from carla_recap.errors import RecapError
+from carla_recap.errors import RecapError, RecapWarning
 from carla_recap.export.rerun import roads
 from carla_recap.export.rerun.actors import MOVERS, Actors
-from carla_recap.export.rerun.blueprint import View, blueprint
+from carla_recap.export.rerun.blueprint import View, blueprint, first_places
 from carla_recap.export.rerun.ego import Ego
 from carla_recap.export.rerun.events import Chronicle
+from carla_recap.export.rerun.rrd import Rrd, rbl
 from carla_recap.export.rerun.signals import Signals
 from carla_recap.export.rerun.stream import Moment, Stream
-from carla_recap.formats.atomic import AtomicFile
+from carla_recap.export.whole import WholeFile
+from carla_recap.folders import check_folder, new_folder
 from carla_recap.queries.actors import actors
 from carla_recap.recording import Recording
 from carla_recap.replay import Played, Player
 from carla_recap.texts import readable
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable
-
-    import rerun.blueprint as rrb
+    from collections.abc import Collection, Iterable
 
     from carla_recap.export.rerun.stream import Part
     from carla_recap.formats.base import Reader
@@ -34,8 +36,8 @@ if TYPE_CHECKING:
     from carla_recap.replay.follow import Follow
     from carla_recap.replay.player import Progress
 
-APPLICATION: Final = "carla_recap"
-"""The kind of data, by which the viewer knows which blueprints fit."""
+MOST_CAMERAS: Final = 500
+"""So many actors get a camera."""
 
 _LATEST: Final = 9_000_000_000  # s; what fits into 64 bits of nanoseconds
 
@@ -46,7 +48,7 @@ def write(
     *,
     road_map: RoadMap | None = None,
     progress: Progress | None = None,
-    cameras: bool = False,
+    cameras: Collection[int] = (),
 ) -> Played:
     """Play a recording into a stream, which has to be flushed afterwards.
 
@@ -55,13 +57,19 @@ def write(
         player: Plays it.
         road_map: The map of the town.
         progress: Is given the stream of scenes and their player, and passes the scenes on.
-        cameras: Write the axes of a camera for each vehicle and walker, not for the followed actor alone.
+        cameras: Ids of others than the followed actor who get the axes of a camera, too.
+
+    Warns:
+        RecapWarning: The map is that of another town, or there are too many actors to show all of them.
 
     Raises:
         FormatError: The file contradicts its format.
     """
     sink = Stream(stream)
     _introduce(stream, player.reader)
+    if road_map is not None and roads.lies_elsewhere(road_map, first_places(player)):
+        warnings.warn(f"{road_map.name}: no actor is near this map, which is left out", RecapWarning, stacklevel=2)
+        road_map = None
     if road_map is not None:
         roads.draw(sink, road_map)
     followed = player.followed
@@ -123,50 +131,35 @@ def export_rerun(
         FormatError: The file contradicts its format.
     """
     reader = source.reader if isinstance(source, Recording) else source
-    for target in (destination, cameras):
-        if target is not None:
-            check_destination(reader.path, target, force=force)
+    check_destination(reader.path, destination, force=force)
+    if cameras is not None:
+        check_folder(cameras, force=force)
+        if Path(cameras).absolute() == Path(destination).absolute():
+            raise RecapError(f"{cameras}: is the destination itself; a folder was expected")
     player = Player(reader, start=start, duration=duration, follow=follow)
-    with _RrdFile(destination, blueprint(player, view=view)) as file:
-        played = write(file.stream, player, road_map=road_map, progress=progress, cameras=cameras is not None)
-        if cameras is not None:
-            _save_cameras(player, Path(cameras), view)
+    filmed = [] if cameras is None else _filmed(player)
+    with (
+        nullcontext(Path()) if cameras is None else new_folder(cameras) as room,
+        WholeFile(destination) as file,
+        Rrd(blueprint(player, view=view)) as rrd,
+    ):
+        played = write(rrd.stream, player, road_map=road_map, progress=progress, cameras=filmed)
+        file.write(rrd.take())
+        for id in filmed:
+            (room / f"follow_{id}.rbl").write_bytes(rbl(blueprint(player, view=view, followed=id)))
     return played
 
 
-class _RrdFile(AtomicFile):
-    """An .rrd, which appears under its name only when it is complete.
-
-    Attributes:
-        stream: Writes to it.
-    """
-
-    def __init__(self, path: Path | str, arrangement: rrb.Blueprint) -> None:
-        super().__init__(path)
-        self.stream = rr.RecordingStream(APPLICATION, send_properties=False)
-        self._begin(lambda: self.stream.save(self._partial, default_blueprint=arrangement))
-
-    def abort(self) -> None:
-        """Give the file up, and remove what was written."""
-        self.stream.disconnect()
-        super().abort()
-
-    def _finish(self) -> None:
-        try:
-            self.stream.flush()
-        except RuntimeError as error:
-            raise RecapError(f"{self.path}: cannot be written: {error}") from None
-        self.stream.disconnect()
-
-
-def _save_cameras(player: Player, folder: Path, view: View) -> None:
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise RecapError(f"{folder}: cannot be written: {error.strerror}") from None
+def _filmed(player: Player) -> list[int]:
+    """Who gets a camera: vehicles and walkers that are there while it plays; of many, the first ones."""
     kinds = {kind.name.lower() for kind in MOVERS}
+    ids: dict[int, None] = {}  # in their order, each once
     for actor in actors(player.reader):
         gone = actor.destroyed_at is not None and actor.destroyed_at <= player.start
         if actor.kind in kinds and actor.spawned_at <= player.stop and not gone:
-            arrangement = blueprint(player, view=view, followed=actor.id)
-            arrangement.save(APPLICATION, str(folder / f"follow_{actor.id}.rbl"))
+            ids[actor.id] = None
+    if len(ids) > MOST_CAMERAS:
+        warnings.warn(
+            f"{player.reader.path}: only {MOST_CAMERAS} of {len(ids)} actors get a camera", RecapWarning, stacklevel=3
+        )
+    return list(ids)[:MOST_CAMERAS]

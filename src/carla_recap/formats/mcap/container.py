@@ -45,6 +45,8 @@ EMPTY, FILLED, RAW = 0, 1, 2
 
 HEADER_METADATA: Final = "carla_recap.header"
 EXTENT_METADATA: Final = "carla_recap.extent"
+EXPORT_METADATA: Final = "carla_recap.export"
+"""What a file has that shows a recording, but is none."""
 STRETCHES: Final = "stretches"
 """In the extent's metadata: from how many s and cm on stretches are summed up, and how many; missing if they are not."""
 CHECKSUM: Final = "checksum"

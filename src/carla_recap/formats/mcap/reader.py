@@ -20,6 +20,7 @@ from carla_recap.errors import FormatError, NotARecording, RecapWarning
 from carla_recap.formats.mcap import wire
 from carla_recap.formats.mcap.container import (
     EMPTY,
+    EXPORT_METADATA,
     EXTENT_METADATA,
     FILLED,
     FRAME_MESSAGE,
@@ -297,6 +298,8 @@ class McapReader:
 
     def _read_header(self) -> Header:
         metadata = self._read_metadata(HEADER_METADATA)
+        if metadata is None and EXPORT_METADATA in self._summary.metadata:
+            raise NotARecording(self.path, "is an export for a viewer; the recording that it was made from was expected")
         if metadata is None:
             raise NotARecording(self.path, f"holds no recording (MCAP metadata {HEADER_METADATA!r} is missing)")
         try:

@@ -171,8 +171,10 @@ class McapWriter(AtomicFile):
         self._heroes: dict[int, None] = {}
         self._additional = False
         self._standing: Standing | None = Standing(header.table, STRETCH_TIME)
+        self._telling = {header.table.named(name).id for name in TYPES}
         self._stretches: list[BlockedRow] = []
         self._stretch_count = 0
+        self._prepared: dict[Packet, bytes] = {}
         self._pool = ThreadPoolExecutor(_WORKERS, "carla-recap-compress")
         self._sealed: deque[_Sealed] = deque()
         self._position = self._crc = 0
@@ -181,7 +183,15 @@ class McapWriter(AtomicFile):
         self._channels: list[records.Channel] = []
         self._chunk_index: list[records.ChunkIndex] = []
         self._metadata_index: list[records.MetadataIndex] = []
+        if live:
+            for spec in self._specs:
+                _schema(spec.module, spec.message)  # takes long once; frames are not to wait for it
         self._begin(lambda: self._write_start(metadata))
+
+    def prepare(self, packet: Packet) -> None:
+        """Encode a packet whose records vary in size before its frame is written."""
+        if packet.type is not None and not packet.type.fixed and not packet.type.opaque:
+            self._prepared[packet] = wire.encode(packet.type, packet.payload)
 
     def write(self, frame: Frame) -> None:
         """Add a frame.
@@ -206,7 +216,8 @@ class McapWriter(AtomicFile):
         spine = wire.frame_body(frame.duration, ids, kinds)
         self._chunks[Group.STATE].add(self._frame_channel, self._sequence, times, head, spine)
         if self._standing:
-            self._standing.frame(frame)
+            telling = [packet for packet in frame.packets if packet.id in self._telling and packet.payload != EMPTY_LIST]
+            self._standing.frame(frame, telling)
             self._stretches += self._standing.take()
             if len(self._stretches) >= STRETCHES_TOGETHER:
                 self._add_stretches(head, times)
@@ -250,7 +261,7 @@ class McapWriter(AtomicFile):
             if type.fixed:
                 packet.warn_of(check(type, payload))
                 self._distrust(type)
-            body = wire.encode(type, payload)
+            body = self._prepared.pop(packet, None) or wire.encode(type, payload)
         except PayloadError as error:
             raise packet.error(error) from None
         if len(head) + len(body) > OBJECTS_LIMIT:

@@ -1,0 +1,90 @@
+"""The physics control of a vehicle, as CARLA describes it: engine, gears, wheels, mass and drag."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import Final
+
+from carla_recap.sim.geometry import Vector
+
+Curve = tuple[tuple[float, float], ...]
+
+DEFAULT_STEERING: Final[Curve] = ((0.0, 1.0), (20.0, 0.9), (60.0, 0.8), (120.0, 0.7))
+"""How much of the steering angle is left at a speed in km/h, as CARLA's cars have it."""
+
+
+@dataclass(slots=True)
+class WheelPhysics:
+    """A wheel, in CARLA's units.
+
+    Attributes:
+        tire_friction: Grip; 3.5 is that of CARLA's cars, and counts as dry asphalt.
+        damping_rate: Of the wheel's rotation.
+        max_steer_angle: How far it turns to each side, in degrees; 0 for a wheel that does not steer.
+        radius: In cm.
+        max_brake_torque: In N m.
+        max_handbrake_torque: In N m; 0 for a wheel without a hand brake.
+        lat_stiff_max_load: The load above which the lateral stiffness grows no more, relative to the load at rest.
+        lat_stiff_value: Lateral stiffness per unit of load and radian.
+        long_stiff_value: Longitudinal stiffness per unit of load.
+        position: Where it is, in cm, in the axes of the vehicle.
+    """
+
+    tire_friction: float = 3.5
+    damping_rate: float = 0.25
+    max_steer_angle: float = 70.0
+    radius: float = 35.0
+    max_brake_torque: float = 1500.0
+    max_handbrake_torque: float = 3000.0
+    lat_stiff_max_load: float = 3.0
+    lat_stiff_value: float = 20.0
+    long_stiff_value: float = 3000.0
+    position: Vector = field(default_factory=Vector)
+
+
+@dataclass(slots=True)
+class Gear:
+    """A forward gear: its ratio, and the shares of `max_rpm` below and above which the gearbox leaves it."""
+
+    ratio: float = 1.0
+    down_ratio: float = 0.5
+    up_ratio: float = 0.65
+
+
+@dataclass(slots=True)
+class PhysicsControl:
+    """How a vehicle moves, in CARLA's units.
+
+    Attributes:
+        torque_curve: The torque of the engine in N m at revolutions per minute, ascending.
+        max_rpm: The most revolutions per minute.
+        moi: The engine's moment of inertia in kg m².
+        damping_rate_full_throttle: Of the engine, as of the two below.
+        use_gear_autobox: Whether the gears change on their own.
+        gear_switch_time: In s.
+        clutch_strength: In kg m²/s.
+        final_ratio: Between gearbox and wheels.
+        forward_gears: From first to last.
+        mass: In kg.
+        drag_coefficient: Of the air, for the area of the vehicle's front.
+        center_of_mass: In m, in the axes of the vehicle.
+        steering_curve: The share of the steering angle that is left at a speed in km/h, ascending.
+        wheels: From front to back, the left one of each pair first.
+    """
+
+    torque_curve: Curve = ((0.0, 500.0), (5000.0, 500.0))
+    max_rpm: float = 5000.0
+    moi: float = 1.0
+    damping_rate_full_throttle: float = 0.15
+    damping_rate_zero_throttle_clutch_engaged: float = 2.0
+    damping_rate_zero_throttle_clutch_disengaged: float = 0.35
+    use_gear_autobox: bool = True
+    gear_switch_time: float = 0.5
+    clutch_strength: float = 10.0
+    final_ratio: float = 4.0
+    forward_gears: list[Gear] = field(default_factory=lambda: [Gear()])
+    mass: float = 1500.0
+    drag_coefficient: float = 0.3
+    center_of_mass: Vector = field(default_factory=Vector)
+    steering_curve: Curve = DEFAULT_STEERING
+    wheels: list[WheelPhysics] = field(default_factory=list)

@@ -1,0 +1,140 @@
+"""The recorder of a world: from start to stop, a frame for each tick."""
+
+from __future__ import annotations
+
+import os
+import re
+import warnings
+import weakref
+from pathlib import Path
+from typing import TYPE_CHECKING, Final
+
+from carla_recap.errors import RecapError, RecapWarning
+from carla_recap.formats import SUFFIXES
+from carla_recap.frame import Header
+from carla_recap.sim.background import BackgroundWriter
+from carla_recap.sim.sampling import Sampler
+
+if TYPE_CHECKING:
+    from carla_recap.sim.snapshots import Snapshot
+    from carla_recap.sim.world import World
+
+FOLDER: Final = "CARLA_RECAP_RECORDINGS"
+"""The environment variable that names the folder of recordings."""
+DEFAULT_FOLDER: Final = "recordings"
+
+
+def recordings_folder(folder: Path | str | None = None) -> Path:
+    """The folder of recordings that have a name and no place.
+
+    Args:
+        folder: The one that is wanted; else the environment variable CARLA_RECAP_RECORDINGS says it, else it is
+            `recordings` in the working directory.
+    """
+    return Path(folder or os.environ.get(FOLDER) or DEFAULT_FOLDER)
+
+
+def recording_path(name: Path | str, folder: Path | str | None = None) -> Path:
+    r"""Where a recording lies.
+
+    Args:
+        name: With `/`, `\` or `:` in it, a path; else a name in the folder of recordings, as with CARLA.
+        folder: See `recordings_folder`.
+
+    Raises:
+        RecapError: The name is empty.
+    """
+    if not str(name):
+        raise RecapError("the name of a recording was expected, found an empty text")
+    return Path(name) if _is_path(name) else recordings_folder(folder) / name
+
+
+def _is_path(name: Path | str) -> bool:
+    return bool(re.search(r"[/\\:]", str(name)))
+
+
+class Recorder:
+    """Records a world; a listener of its ticks.
+
+    What goes wrong on the disk while it records ends the recording, and not the simulation: a warning tells of it.
+
+    Args:
+        world: The world.
+        folder: Where recordings go whose names are no paths; see `recordings_folder`.
+
+    Attributes:
+        error: Why the latest recording ended early; None where it did not.
+    """
+
+    def __init__(self, world: World, folder: Path | str | None = None) -> None:
+        self.error: RecapError | None = None
+        self._world = world
+        self._folder = folder
+        self._sampler: Sampler | None = None
+        self._writer: BackgroundWriter | None = None
+        self._latest: Snapshot | None = None
+        self._finish: weakref.finalize[[], Recorder] | None = None
+
+    @property
+    def path(self) -> Path | None:
+        """What is being recorded to; None between recordings."""
+        return self._writer.path if self._writer else None
+
+    def start(self, name: Path | str, additional_data: bool = False) -> Path:
+        """Begin a recording; one that is running is completed first.
+
+        Args:
+            name: `crash` or `crash.mcap`; `crash.log` for CARLA's format; see `recording_path`.
+            additional_data: Tell of velocities, boxes, physics and the times of lights, too.
+
+        Returns:
+            Where it will be, once it is complete.
+
+        Raises:
+            RecapError: The suffix is of no format, the place cannot be written to, or an actor cannot be told of.
+        """
+        self.stop()
+        self.error = None
+        path = recording_path(name, self._folder)
+        if not path.suffix:
+            path = path.with_name(path.name + SUFFIXES[-1])
+        if not _is_path(name):
+            _make(path.parent)
+        header = Header(self._world.town.name, self._world.date)
+        sampler = Sampler(self._world, additional_data=additional_data)
+        self._writer = BackgroundWriter(path, header, sampler.introduction.values())
+        self._sampler = sampler
+        # Whoever forgets to stop, or to close the world, finds a whole recording.
+        self._finish = weakref.finalize(self, self._writer.close)
+        return path
+
+    def stop(self) -> None:
+        """Complete the recording, and wait until it is; harmless where there is none."""
+        if self._writer is None or self._finish is None:
+            return
+        self._finish()
+        self.error = self._writer.error
+        self._writer = self._sampler = self._latest = self._finish = None
+        if self.error is not None:
+            warnings.warn(f"the recording has ended: {self.error}", RecapWarning, stacklevel=2)
+
+    def __call__(self) -> None:
+        """Take in the tick that ends."""
+        if self._writer is None or self._sampler is None:
+            return
+        if self._writer.error is not None:
+            self.stop()
+            return
+        delta = self._world.delta
+        snapshot = self._sampler.snapshot(delta)
+        if self._latest is not None:
+            self._latest.duration = delta
+        self._writer.write(snapshot)
+        self._latest = snapshot
+
+
+def _make(folder: Path) -> None:
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise RecapError(f"{folder}: the folder of recordings cannot be made: {error.strerror}") from None

@@ -1,0 +1,72 @@
+"""A plain with a straight road along x, 8 km long, for tests that need room and nothing else."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from carla_recap.sim.geometry import Location, Rotation, Transform
+from carla_recap.sim.lanes import Lane
+from carla_recap.sim.town import Junction, Signal, SignalKind, Town, WalkGraph
+from carla_recap.sim.world import World
+
+LENGTH = 8000.0
+
+
+def lane(index: int = 0, y: float = 0.0, junction: int | None = None) -> Lane:
+    x = np.linspace(0.0, LENGTH, 1601)
+    points = np.stack((x, np.full(len(x), y), np.zeros(len(x))), axis=1)
+    return Lane(
+        index=index,
+        road_id=1,
+        section=0,
+        lane_id=-1 - index,
+        points=points,
+        s=x,
+        heading=np.zeros(len(x)),
+        width=3.5,
+        speed_limit=14.0,
+        successors=(index,),
+        predecessors=(index,),
+        left=None,
+        right=None,
+        junction=junction,
+        turn="straight",
+    )
+
+
+def light(index: int, lanes: tuple[int, ...], y: float = 3.0) -> Signal:
+    place = Transform(Location(100.0, y, 0.0), Rotation(yaw=180.0))
+    stops = tuple((lane, 95.0) for lane in lanes)
+    return Signal(index, str(index), SignalKind.LIGHT, place, None, 1, str(index), stops, ())
+
+
+def flat_town(
+    *,
+    lanes: list[Lane] | None = None,
+    signals: list[Signal] | None = None,
+    phases: tuple[tuple[int, ...], ...] = (),
+    barriers: list[Any] | None = None,
+    walks: WalkGraph | None = None,
+) -> Town:
+    nowhere = WalkGraph(np.empty((0, 3)), np.empty((0, 2), np.int64), np.empty(0, np.bool_))
+    return Town(
+        name="Flat",
+        opendrive="",
+        lanes=lanes or [lane()],
+        signals=signals or [],
+        junctions=[Junction(1, (), (), phases)] if phases else [],
+        sidewalks=[],
+        crossings=[],
+        walks=walks or nowhere,
+        barriers=barriers or [],
+    )
+
+
+def flat_world(**town: Any) -> World:
+    return World(flat_town(**town), seed=1, date=0)
+
+
+def at(x: float, y: float = 0.0, yaw: float = 0.0, z: float = 0.0) -> Transform:
+    return Transform(Location(x, y, z), Rotation(yaw=yaw))

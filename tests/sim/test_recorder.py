@@ -1,0 +1,543 @@
+"""What a recorder tells of a world, where, and what happens when something goes wrong."""
+
+from __future__ import annotations
+
+import gc
+import os
+import subprocess
+import sys
+import textwrap
+import time
+import warnings
+from itertools import pairwise
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import pytest
+
+import carla_recap
+from carla_recap.errors import RecapError, RecapWarning
+from carla_recap.formats.mcap.writer import McapWriter
+from carla_recap.records import NO_ACTOR, ActorKind
+from carla_recap.sim.actors import Vehicle, Walker
+from carla_recap.sim.control import VehicleControl, WalkerControl
+from carla_recap.sim.geometry import Location, Transform, Vector
+from carla_recap.sim.recorder import recording_path, recordings_folder
+from carla_recap.sim.weather import PRESETS
+from carla_recap.sim.world import World
+from tests.sim.flat import at, flat_town, flat_world, light
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+    from carla_recap.frame import Frame
+
+
+def car(world: World, x: float = 10.0, *, role_name: str = "autopilot") -> Vehicle:
+    actor = world.spawn("vehicle.tesla.model3", at(x), role_name=role_name)
+    assert isinstance(actor, Vehicle)
+    return actor
+
+
+def walker(world: World, x: float = 50.0, y: float = 5.0) -> Walker:
+    actor = world.spawn("walker.pedestrian.0001", at(x, y, z=0.9))
+    assert isinstance(actor, Walker)
+    return actor
+
+
+def lit_world() -> World:
+    return flat_world(signals=[light(0, (0,)), light(1, (0,), y=-3.0)], phases=((0,), (1,)))
+
+
+def frames(path: Path) -> list[Frame]:
+    with carla_recap.open_recording(path) as recording:
+        return list(recording.frames())
+
+
+def record(world: World, path: Path, ticks: int, *, additional_data: bool = False) -> list[Frame]:
+    world.start_recorder(path, additional_data)
+    for _ in range(ticks):
+        world.tick()
+    world.stop_recorder()
+    return frames(path)
+
+
+def named(frame: Frame, name: str) -> list[dict[str, Any]]:
+    records = frame[name]
+    assert isinstance(records, np.ndarray)
+    assert records.dtype.names
+    return [dict(zip(records.dtype.names, row, strict=True)) for row in records.tolist()]
+
+
+# --- what is told ------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("additional_data", "first", "later"),
+    [
+        (False, [20, 2, 3, 4, 5, 23, 6, 7, 8, 9, 10, 21, 22, 24, 1], [20, 2, 3, 4, 5, 23, 6, 7, 8, 9, 10, 21, 22, 1]),
+        (
+            True,
+            [20, 2, 3, 4, 5, 23, 6, 7, 8, 9, 10, 21, 22, 24, 12, 13, 17, 14, 15, 16, 19, 1],
+            [20, 2, 3, 4, 5, 23, 6, 7, 8, 9, 10, 21, 22, 12, 13, 14, 19, 1],
+        ),
+    ],
+)
+def test_packets_stand_in_the_order_of_carla(
+    tmp_path: Path, additional_data: bool, first: list[int], later: list[int]
+) -> None:
+    world = lit_world()
+    car(world)
+    told = record(world, tmp_path / "a.log", 2, additional_data=additional_data)
+    assert [packet.id for packet in told[0].packets] == first
+    assert [packet.id for packet in told[1].packets] == later
+
+
+def test_frames_count_from_1_and_time_from_0_and_the_last_one_has_no_duration(tmp_path: Path) -> None:
+    world = flat_world()
+    world.run(1.0)
+    world.start_recorder(tmp_path / "a.mcap", True)
+    deltas = (0.05, 0.1, 0.007, 0.3)
+    for delta in deltas:
+        world.tick(delta)
+    world.close()
+    told = frames(tmp_path / "a.mcap")
+    assert [frame.id for frame in told] == [1, 2, 3, 4]
+    assert [frame.duration for frame in told] == [*deltas[1:], -1]
+    assert told[0].elapsed == 0
+    for frame, following in pairwise(told):
+        assert frame.elapsed + frame.duration == following.elapsed
+    assert [frame["platform_time"]["seconds"][0] for frame in told] == [frame.elapsed for frame in told]
+    assert told[0]["visual_time"]["seconds"][0] == pytest.approx(1.05)
+
+
+def test_the_header_has_the_town_and_the_date_of_the_world(tmp_path: Path) -> None:
+    world = World(flat_town(), date=1_700_000_000)
+    record(world, tmp_path / "a.log", 1)
+    with carla_recap.open_recording(tmp_path / "a.log") as recording:
+        assert (recording.header.map_name, recording.header.date, recording.header.version) == ("Flat", 1_700_000_000, 1)
+
+
+def test_the_first_frame_has_everybody_who_is_there(tmp_path: Path) -> None:
+    world = lit_world()
+    hero = car(world, 20.0, role_name="hero")
+    camera = world.spawn("sensor.camera.rgb", Transform(Location(1.0, 0.0, 2.0)), parent=hero)
+    barrel = world.spawn("static.prop.barrel", at(80.0))
+    person = walker(world)
+    world.tick()
+    first, second = record(world, tmp_path / "a.log", 2, additional_data=True)
+    assert [spawn.id for spawn in first["spawned"]] == list(world.actors)
+    spawns = {spawn.id: spawn for spawn in first["spawned"]}
+    assert [spawns[id].kind for id in (1, 2, hero.id, camera.id, barrel.id, person.id)] == [
+        ActorKind.OTHER,
+        ActorKind.TRAFFIC_LIGHT,
+        ActorKind.VEHICLE,
+        ActorKind.SENSOR,
+        ActorKind.OTHER,
+        ActorKind.WALKER,
+    ]
+    assert (spawns[2].x, spawns[2].y, spawns[2].yaw) == (10_000, 300, 180)
+    assert spawns[hero.id].attribute("role_name") == "hero"
+    assert {a.key: a.type for a in spawns[hero.id].attributes}["number_of_wheels"] == 1
+    assert spawns[hero.id].uid == hero.blueprint.uid
+    assert (spawns[camera.id].x, spawns[camera.id].z) == (100, 200)
+    assert first["parented"].tolist() == [(camera.id, hero.id)]
+    assert [row["id"] for row in named(first, "bounding_boxes")] == [hero.id, barrel.id, person.id]
+    assert named(first, "bounding_boxes")[0]["extent_x"] == pytest.approx(hero.box.extent.x * 100)
+    assert [physics.id for physics in first["physics"]] == [hero.id]
+    assert first["light_times"].tolist() == [(2, 10, 3, 2), (3, 10, 3, 2)]
+    assert first["trigger_volumes"].tolist() == [(id, 9500, 0, 100, 175, 175, 100) for id in (2, 3)]
+    assert [row["sun_altitude_angle"] for row in named(first, "weather")] == [45]
+    for name in ("spawned", "parented", "bounding_boxes", "physics", "light_times", "trigger_volumes", "weather"):
+        assert len(second[name]) == 0, name
+
+
+def test_physics_are_told_in_the_units_of_carla(tmp_path: Path) -> None:
+    world = flat_world()
+    hero = car(world, 20.0)
+    (first,) = record(world, tmp_path / "a.log", 1, additional_data=True)
+    (physics,) = first["physics"]
+    control = hero.physics_control
+    assert physics.mass == pytest.approx(control.mass)
+    assert np.array(physics.torque_curve.tolist()) == pytest.approx(np.array(control.torque_curve))
+    assert len(physics.wheels) == 4
+    assert physics.wheels["position_x"][0] == pytest.approx(2000 + control.wheels[0].position.x)
+    assert physics.wheels["radius"][0] == pytest.approx(control.wheels[0].radius)
+
+
+def test_comings_and_goings_are_told_when_they_happen(tmp_path: Path) -> None:
+    world = flat_world()
+    early = car(world, 10.0)
+    world.destroy(early)
+    stays = car(world, 10.0)
+    world.start_recorder(tmp_path / "a.mcap", True)
+    world.tick()
+    late = car(world, 30.0)
+    sensor = world.spawn("sensor.other.collision", Transform(Location(1.0)), parent=late)
+    world.tick()
+    world.tick()
+    world.destroy(late)
+    world.tick()
+    world.close()
+    told = frames(tmp_path / "a.mcap")
+    assert [[spawn.id for spawn in frame["spawned"]] for frame in told] == [[1, stays.id], [late.id, sensor.id], [], []]
+    assert told[1]["spawned"][1].x == 100
+    assert [frame["parented"].tolist() for frame in told] == [[], [(sensor.id, late.id)], [], []]
+    assert [frame["destroyed"]["id"].tolist() for frame in told] == [[], [], [], [sensor.id, late.id]]
+    assert [len(frame["physics"]) for frame in told] == [1, 1, 0, 0]
+    assert [frame["transforms"]["id"].tolist() for frame in told] == [
+        [1, stays.id],
+        *[[1, stays.id, late.id]] * 2,
+        [1, stays.id],
+    ]
+
+
+def test_what_happened_between_the_last_tick_and_the_start_is_told_once(tmp_path: Path) -> None:
+    world = lit_world()
+    hero = car(world, 20.0)
+    world.tick()
+    camera = world.spawn("sensor.camera.rgb", Transform(), parent=hero)
+    hero.set_door(0, True)
+    hero.physics_control = hero.physics_control
+    world.traffic_lights[0].green_time = 7.0
+    world.start_recorder(tmp_path / "a.log", True)
+    hero.set_door(1, True)
+    other = car(world, 40.0)
+    world.tick()
+    world.close()
+    (first,) = frames(tmp_path / "a.log")
+    assert [spawn.id for spawn in first["spawned"]] == [1, 2, 3, hero.id, camera.id, other.id]
+    assert first["parented"].tolist() == [(camera.id, hero.id)]
+    assert first["doors"].tolist() == [(hero.id, 0, 1), (hero.id, 1, 1)]
+    assert [physics.id for physics in first["physics"]] == [hero.id, other.id]
+    assert first["light_times"]["green"].tolist() == [7, 10]
+
+
+def test_where_everybody_is_and_what_they_do(tmp_path: Path) -> None:
+    world = lit_world()
+    person, hero = walker(world), car(world, 20.0)
+    hero.light_state = 0b1010
+    hero.apply_control(VehicleControl(throttle=0.75, steer=0.125, hand_brake=False))
+    person.apply_control(WalkerControl(Vector(0.0, 1.0, 0.0), 1.5))
+    last = record(world, tmp_path / "a.mcap", 20, additional_data=True)[-1]
+    rows = {row["id"]: row for row in named(last, "transforms")}
+    assert list(rows) == [1, person.id, hero.id]
+    for actor in (person, hero):
+        there, row = actor.transform, rows[actor.id]
+        expected = (there.location.x * 100, there.location.y * 100, there.location.z * 100)
+        assert (row["x"], row["y"], row["z"]) == pytest.approx(expected, abs=1e-3)
+        angles = (there.rotation.roll, there.rotation.pitch, there.rotation.yaw)
+        assert (row["roll"], row["pitch"], row["yaw"]) == pytest.approx(angles, abs=1e-4)
+    (control,) = named(last, "vehicle_controls")
+    assert (control["steer"], control["throttle"], control["brake"]) == (0.125, 0.75, 0)
+    assert control["gear"] == hero.control.gear
+    assert last["vehicle_lights"].tolist() == [(hero.id, 0b1010)]
+    assert last["walker_controls"].tolist() == [(person.id, 150)]
+    velocities = {row["id"]: row for row in named(last, "velocities")}
+    assert list(velocities) == [hero.id, person.id]
+    assert velocities[hero.id]["x"] == pytest.approx(hero.velocity.x)
+    assert velocities[hero.id]["angular_z"] == pytest.approx(hero.angular_velocity.z)
+    assert velocities[person.id]["y"] == pytest.approx(1.5)
+    green = world.traffic_lights[0]
+    assert named(last, "light_states")[0] == {
+        "id": green.id,
+        "frozen": 0,
+        "elapsed": pytest.approx(green.elapsed_time),
+        "state": 2,
+    }
+
+
+def test_changes_are_told_when_they_happen(tmp_path: Path) -> None:
+    world = lit_world()
+    hero = car(world, 20.0)
+    world.start_recorder(tmp_path / "a.mcap", True)
+    world.tick()
+    world.weather = PRESETS["HardRainNoon"]
+    hero.set_door(2, True)
+    world.tick()
+    control = hero.physics_control
+    control.mass = 1234.0
+    hero.physics_control = control
+    hero.set_door(2, False)
+    world.traffic_lights[1].red_time = 9.0
+    world.tick()
+    world.tick()
+    world.close()
+    told = frames(tmp_path / "a.mcap")
+    assert [[row["precipitation"] for row in named(frame, "weather")] for frame in told] == [[0], [100], [], []]
+    assert [frame["doors"].tolist() for frame in told] == [[], [(hero.id, 2, 1)], [(hero.id, 2, 0)], []]
+    assert [[physics.mass for physics in frame["physics"]] for frame in told][1:] == [[], [1234], []]
+    assert [frame["light_times"].tolist() for frame in told][1:] == [[], [(3, 10, 3, 9)], []]
+
+
+def test_collisions_are_numbered_from_0_in_each_recording(tmp_path: Path) -> None:
+    world = flat_world(barriers=[np.array([[60.0, -5.0, 0.0], [60.0, 5.0, 0.0]])])
+    hero, other = car(world, 20.0, role_name="hero"), car(world, 30.0)
+    hero.set_target_velocity(Vector(15.0))
+    told = record(world, tmp_path / "a.mcap", 60)
+    collided = [tuple(row) for frame in told for row in frame["collisions"].tolist()]
+    assert [number for number, *_ in collided] == list(range(len(collided)))
+    assert {tuple(rest) for _, *rest in collided} == {(hero.id, other.id, 1, 0)}
+    hero.transform = at(50.0)
+    hero.set_target_velocity(Vector(15.0))
+    collided = [tuple(row) for frame in record(world, tmp_path / "b.mcap", 20) for row in frame["collisions"].tolist()]
+    assert collided[0] == (0, hero.id, NO_ACTOR, 1, 0)
+
+
+def test_both_formats_hold_the_same(tmp_path: Path) -> None:
+    def run(path: Path) -> bytes:
+        world = lit_world()
+        car(world).set_autopilot(True)
+        walker(world).apply_control(WalkerControl(Vector(1.0), 1.0))
+        record(world, path, 250, additional_data=True)
+        return path.read_bytes()
+
+    log = run(tmp_path / "a.log")
+    run(tmp_path / "a.mcap")
+    carla_recap.convert(tmp_path / "a.mcap", tmp_path / "b.log")
+    assert (tmp_path / "b.log").read_bytes() == log
+
+
+_RUN = """
+    import sys
+    from pathlib import Path
+    from tests.sim.test_recorder import car, lit_world, record, walker
+    world = lit_world()
+    for x in (10.0, 30.0, 50.0):
+        car(world, x).set_autopilot(True)
+    walker(world)
+    record(world, Path(sys.argv[1]), 150, additional_data=True)
+"""
+
+
+@pytest.mark.parametrize("suffix", [".mcap", ".log"])
+def test_the_same_seed_and_steps_give_the_same_bytes_in_any_process(tmp_path: Path, suffix: str) -> None:
+    paths = [tmp_path / f"{seed}{suffix}" for seed in (1, 2)]
+    for seed, path in enumerate(paths, 1):
+        script = [sys.executable, "-c", textwrap.dedent(_RUN), str(path)]
+        subprocess.run(script, check=True, env={**os.environ, "PYTHONHASHSEED": str(seed)})
+    assert paths[0].read_bytes() == paths[1].read_bytes()
+
+
+# --- where it goes, and until when -------------------------------------------------------------------------------------
+
+
+def test_names_go_to_the_folder_of_recordings_and_paths_do_not(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.delenv("CARLA_RECAP_RECORDINGS", raising=False)
+    assert str(recordings_folder()) == "recordings"
+    monkeypatch.setenv("CARLA_RECAP_RECORDINGS", str(tmp_path / "of the environment"))
+    assert recording_path("crash.log") == tmp_path / "of the environment" / "crash.log"
+    assert recording_path("crash.log", tmp_path) == tmp_path / "crash.log"
+    for path in ("./crash.log", "a/crash.log", "C:crash.log", r"a\crash.log", str(tmp_path / "crash.log")):
+        assert str(recording_path(path, tmp_path / "b")) == path.removeprefix("./")
+    with pytest.raises(RecapError, match="the name of a recording was expected"):
+        recording_path("")
+
+
+def test_the_folder_of_recordings_is_made_and_others_are_not(tmp_path: Path) -> None:
+    world = World(flat_town(), recordings=tmp_path / "new" / "folder")
+    assert world.start_recorder("crash") == tmp_path / "new" / "folder" / "crash.mcap"
+    assert world.start_recorder("v.log") == tmp_path / "new" / "folder" / "v.log"
+    world.close()
+    assert sorted(path.name for path in (tmp_path / "new" / "folder").iterdir()) == ["crash.mcap", "v.log"]
+    with pytest.raises(RecapError, match="No such file or directory"):
+        world.start_recorder(tmp_path / "absent" / "a.mcap")
+    with pytest.raises(RecapError, match=r"unknown format '.rec'"):
+        world.start_recorder("a.rec")
+    (tmp_path / "file").touch()
+    with pytest.raises(RecapError, match="the folder of recordings cannot be made: Not a directory"):
+        World(flat_town(), recordings=tmp_path / "file" / "x").start_recorder("a")
+    assert world.recorder.path is None
+    world.tick()
+
+
+@pytest.mark.parametrize("suffix", [".mcap", ".log"])
+def test_an_actor_that_cannot_be_told_of_is_an_error_at_the_start_and_ends_a_recording(tmp_path: Path, suffix: str) -> None:
+    world = flat_world()
+    world.start_recorder(tmp_path / f"a{suffix}")
+    world.tick()
+    car(world, role_name="x" * 70_000)
+    with pytest.warns(RecapWarning, match="the recording has ended"):
+        run_until_it_fails(world)
+    with pytest.raises(RecapError):
+        world.start_recorder(tmp_path / f"b{suffix}")
+    assert world.recorder.path is None
+    world.tick()
+    assert not [path for path in tmp_path.iterdir() if path.name.startswith((".b", "b"))]
+
+
+def test_a_file_appears_when_it_is_complete(tmp_path: Path) -> None:
+    world = flat_world()
+    path = world.start_recorder(tmp_path / "a.mcap")
+    world.tick()
+    assert world.recorder.path == path
+    assert not path.exists()
+    world.stop_recorder()
+    assert len(frames(path)) == 1
+    assert world.recorder.path is None
+    world.stop_recorder()
+    world.tick()
+    assert list(tmp_path.iterdir()) == [path]
+
+
+def test_starting_again_completes_the_first(tmp_path: Path) -> None:
+    world = flat_world()
+    for name, ticks in (("a.log", 2), ("b.log", 3)):
+        world.start_recorder(tmp_path / name)
+        for _ in range(ticks):
+            world.tick()
+    assert len(frames(tmp_path / "a.log")) == 2
+    world.start_recorder(tmp_path / "b.log")
+    world.tick()
+    world.close()
+    assert len(frames(tmp_path / "b.log")) == 1
+
+
+def test_a_new_episode_completes_the_recording_and_can_be_recorded(tmp_path: Path) -> None:
+    world = flat_world()
+    world.start_recorder(tmp_path / "a.log")
+    world.tick()
+    world.reload()
+    assert len(frames(tmp_path / "a.log")) == 1
+    assert len(record(world, tmp_path / "b.log", 2)) == 2
+
+
+def test_a_world_as_a_context_completes_the_recording(tmp_path: Path) -> None:
+    with flat_world() as world:
+        world.start_recorder(tmp_path / "a.log")
+        world.tick()
+    assert len(frames(tmp_path / "a.log")) == 1
+
+
+def test_a_forgotten_world_completes_the_recording(tmp_path: Path) -> None:
+    world = flat_world()
+    world.start_recorder(tmp_path / "a.mcap")
+    world.tick()
+    del world
+    gc.collect()
+    assert len(frames(tmp_path / "a.mcap")) == 1
+
+
+_SCRIPT = """
+    import os, sys
+    from pathlib import Path
+    from tests.sim.flat import flat_world
+    world = flat_world()
+    world.start_recorder(Path(sys.argv[1]))
+    world.run(12.0)
+"""
+
+
+@pytest.mark.parametrize("suffix", [".mcap", ".log"])
+def test_a_script_that_ends_completes_the_recording(tmp_path: Path, suffix: str) -> None:
+    path = tmp_path / f"a{suffix}"
+    subprocess.run([sys.executable, "-c", textwrap.dedent(_SCRIPT), str(path)], check=True)
+    assert len(frames(path)) == 240
+
+
+@pytest.mark.parametrize("suffix", [".mcap", ".log"])
+def test_a_crash_costs_no_more_than_5_seconds(tmp_path: Path, suffix: str) -> None:
+    end = "\nimport time\ntime.sleep(1)\nos._exit(0)"  # what has been handed over by then is on the disk
+    script = textwrap.dedent(_SCRIPT) + end
+    subprocess.run([sys.executable, "-c", script, str(tmp_path / f"a{suffix}")], check=True)
+    (partial,) = tmp_path.iterdir()
+    assert partial.name.endswith(".partial")
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", RecapWarning)
+        recovery = carla_recap.recover(partial, tmp_path / "b.mcap")
+    assert recovery.duration > 12 - 5 - 0.1
+
+
+# --- trouble -----------------------------------------------------------------------------------------------------------
+
+
+def broken_after(monkeypatch: pytest.MonkeyPatch, chunks: int, *, for_good: bool) -> None:
+    """Let the disk fail at some chunk of the next recording, once or for good."""
+    write, left = McapWriter._write_chunk, [chunks]
+
+    def failing(self: McapWriter, chunk: Any) -> None:
+        left[0] -= 1
+        if left[0] < 0 and (for_good or left[0] == -1):
+            raise RecapError(f"{self.path}: cannot be written: No space left on device")
+        write(self, chunk)
+
+    monkeypatch.setattr(McapWriter, "_write_chunk", failing)
+
+
+def run_until_it_fails(world: World) -> None:
+    deadline = time.monotonic() + 10
+    while world.recorder.path and time.monotonic() < deadline:
+        world.tick()
+
+
+def test_a_disk_that_fails_ends_the_recording_and_not_the_simulation(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    world, path = flat_world(), tmp_path / "a.mcap"
+    broken_after(monkeypatch, 2, for_good=False)
+    with pytest.warns(RecapWarning, match="the recording has ended: .* No space left on device; the recording ends at"):
+        world.start_recorder(path)
+        run_until_it_fails(world)
+    error = world.recorder.error
+    assert isinstance(error, RecapError)
+    world.tick()
+    world.stop_recorder()
+    assert world.recorder.error is error
+    assert len(frames(path)) == 100
+    assert list(tmp_path.iterdir()) == [path]
+    monkeypatch.undo()
+    assert len(record(world, tmp_path / "b.mcap", 3)) == 3
+    assert world.recorder.error is None
+
+
+def test_a_full_disk_leaves_what_was_written_to_be_recovered(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    world = flat_world()
+    broken_after(monkeypatch, 2, for_good=True)
+    with pytest.warns(RecapWarning, match=r"what was recorded until then lies in .*\.partial, for carla-recap recover"):
+        world.start_recorder(tmp_path / "a.mcap")
+        run_until_it_fails(world)
+    (partial,) = tmp_path.iterdir()
+    monkeypatch.undo()
+    assert carla_recap.recover(partial, tmp_path / "b.mcap").frames == 100
+
+
+def test_a_recording_that_cannot_be_finished_is_told_of_at_the_end(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def full(self: McapWriter) -> None:
+        raise RecapError(f"{self.path}: cannot be written: No space left on device")
+
+    world = flat_world()
+    world.start_recorder(tmp_path / "a.mcap")
+    world.run(12.0)
+    monkeypatch.setattr(McapWriter, "_write_end", full)
+    with pytest.warns(RecapWarning, match="for carla-recap recover"):
+        world.stop_recorder()
+    (partial,) = tmp_path.iterdir()
+    monkeypatch.undo()
+    assert carla_recap.recover(partial, tmp_path / "b.mcap").frames == 240
+
+
+def test_an_older_recording_outlasts_a_failure(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    world = flat_world()
+    record(world, tmp_path / "a.mcap", 3)
+    broken_after(monkeypatch, 2, for_good=False)
+    with pytest.warns(RecapWarning, match="for carla-recap recover"):
+        world.start_recorder(tmp_path / "a.mcap")
+        run_until_it_fails(world)
+    assert len(frames(tmp_path / "a.mcap")) == 3
+
+
+def test_a_slow_disk_makes_no_tick_wait(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def slow(self: McapWriter) -> None:
+        time.sleep(0.3)
+
+    monkeypatch.setattr(McapWriter, "_sync", slow)
+    world = flat_world()
+    world.start_recorder(tmp_path / "a.mcap")
+    longest = 0.0
+    for _ in range(220):
+        begin = time.monotonic()
+        world.tick()
+        longest = max(longest, time.monotonic() - begin)
+    assert longest < 0.2
+    world.close()
+    assert len(frames(tmp_path / "a.mcap")) == 220

@@ -1,0 +1,404 @@
+"""Who comes and goes, and what a tick does."""
+
+from __future__ import annotations
+
+import hashlib
+import os
+import subprocess
+import sys
+from dataclasses import astuple, replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from carla_recap.records import ActorKind
+from carla_recap.sim.actors import Prop, Sensor, Vehicle, Walker
+from carla_recap.sim.control import VehicleControl, WalkerControl
+from carla_recap.sim.errors import DeadActor, SimError, SpawnError
+from carla_recap.sim.geometry import Location, Transform, Vector
+from carla_recap.sim.town import SignalKind
+from carla_recap.sim.weather import PRESETS, Weather
+from carla_recap.sim.world import World
+from tests.sim.flat import at, flat_town, flat_world, light
+
+
+def vehicle(world: World, x: float = 0.0) -> Vehicle:
+    actor = world.spawn("vehicle.audi.tt", at(x))
+    assert isinstance(actor, Vehicle)
+    return actor
+
+
+def test_ids_count_from_1_and_are_never_used_again() -> None:
+    world = flat_world()
+    assert list(world.actors) == [1]
+    assert world.actors[1] is world.spectator
+    first = vehicle(world)
+    world.destroy(first)
+    second = vehicle(world)
+    assert (first.id, second.id) == (2, 3)
+    world.reload()
+    assert world.spectator.id == 4
+
+
+def test_an_actor_has_what_its_blueprint_and_its_spawner_say() -> None:
+    world = flat_world()
+    actor = world.spawn("vehicle.tesla.model3", at(0.0), role_name="hero", color="1,2,3")
+    assert isinstance(actor, Vehicle)
+    assert actor.attributes["role_name"] == "hero"
+    assert actor.attributes["color"] == "1,2,3"
+    assert actor.attributes["number_of_wheels"] == "4"
+    assert actor.kind == ActorKind.VEHICLE
+    assert actor.is_hero
+    assert world.blueprints.get("vehicle.tesla.model3").attributes["role_name"] == "autopilot"
+
+
+@pytest.mark.parametrize(
+    ("blueprint", "kind", "type"),
+    [
+        ("vehicle.bh.crossbike", ActorKind.VEHICLE, Vehicle),
+        ("walker.pedestrian.0007", ActorKind.WALKER, Walker),
+        ("static.prop.barrel", ActorKind.OTHER, Prop),
+        ("sensor.camera.rgb", ActorKind.SENSOR, Sensor),
+    ],
+)
+def test_what_becomes_of_blueprints(blueprint: str, kind: ActorKind, type: type) -> None:
+    actor = flat_world().spawn(blueprint, at(3.0))
+    assert isinstance(actor, type)
+    assert actor.kind == kind
+    assert actor.transform.location.x == 3
+
+
+def test_an_unknown_blueprint_names_similar_ones() -> None:
+    with pytest.raises(SpawnError, match=r"no blueprint 'vehicle.tesla.model4'; did you mean vehicle.tesla.model3"):
+        flat_world().spawn("vehicle.tesla.model4", at(0.0))
+
+
+def test_an_occupied_place_is_refused() -> None:
+    world = flat_world()
+    vehicle(world, 0.0)
+    with pytest.raises(SpawnError, match=r"vehicle.audi.a2 cannot be spawned at \(3\.0, 0\.0, 0\.0\): Vehicle\(2"):
+        world.spawn("vehicle.audi.a2", at(3.0))
+    assert world.try_spawn("vehicle.audi.a2", at(3.0)) is None
+    assert world.try_spawn("walker.pedestrian.0001", at(1.0)) is None
+    assert world.try_spawn("vehicle.audi.a2", at(5.0)) is not None
+    assert world.try_spawn("vehicle.audi.a2", at(0.0, 2.5)) is not None
+    assert world.try_spawn("sensor.camera.rgb", at(0.0)) is not None
+    assert world.place("vehicle.audi.a2", at(3.0)).is_alive
+
+
+def test_a_place_is_free_again_when_who_was_there_has_gone_or_moved() -> None:
+    world = flat_world()
+    first = vehicle(world)
+    first.transform = at(20.0)
+    second = vehicle(world)
+    second.destroy()
+    assert world.try_spawn("vehicle.audi.a2", at(0.0)) is not None
+    assert world.try_spawn("vehicle.audi.a2", at(20.0)) is None
+
+
+def test_a_dead_actor_says_so() -> None:
+    world = flat_world()
+    car = vehicle(world, 7.0)
+    assert car.destroy()
+    assert not car.destroy()
+    assert not car.is_alive
+    assert car.transform == at(7.0)
+    with pytest.raises(DeadActor, match=r"actor 2 \(vehicle.audi.tt\) has been destroyed"):
+        car.apply_control(VehicleControl())
+    with pytest.raises(DeadActor):
+        car.transform = at(0.0)
+    with pytest.raises(DeadActor):
+        world.spawn("sensor.camera.rgb", at(0.0), parent=car)
+
+
+def test_what_belongs_to_the_town_stays() -> None:
+    world = flat_world(signals=[light(0, (0,))])
+    with pytest.raises(SimError, match="belongs to the town"):
+        world.destroy(world.spectator)
+    with pytest.raises(SimError, match="belongs to the town"):
+        world.destroy(world.traffic_lights[0])
+
+
+def test_children_move_with_their_parent_and_go_with_it() -> None:
+    world = flat_world()
+    car = vehicle(world)
+    camera = world.spawn("sensor.camera.rgb", at(1.0, 0.5, z=2.0), parent=car)
+    box = world.spawn("static.prop.box01", at(0.0, z=1.5), parent=camera)
+    car.transform = at(10.0, 20.0, yaw=90.0)
+    there = camera.transform
+    assert (there.location.x, there.location.y, there.location.z) == pytest.approx((9.5, 21.0, 2.0))
+    assert there.rotation.yaw == pytest.approx(90)
+    assert box.transform.location.z == pytest.approx(3.5)
+    assert camera.relative_transform == at(1.0, 0.5, z=2.0)
+    car.set_target_velocity(Vector(0.0, 3.0))
+    world.tick()
+    assert camera.velocity == car.velocity
+    assert world.events.parented == [(camera.id, car.id), (box.id, camera.id)]
+
+    camera_place = camera.transform
+    car.destroy()
+    assert not camera.is_alive
+    assert not box.is_alive
+    assert camera.transform == camera_place
+    assert list(world.actors) == [1]
+    world.tick()
+    assert world.events.destroyed == [box.id, camera.id, car.id]
+
+
+def test_a_child_that_goes_leaves_its_parent() -> None:
+    world = flat_world()
+    car = vehicle(world)
+    camera = world.spawn("sensor.camera.rgb", at(1.0), parent=car)
+    camera.destroy()
+    assert car.is_alive
+    assert car.children == []
+
+
+def test_the_events_of_a_tick_are_those_since_the_last_one() -> None:
+    world = flat_world()
+    car = vehicle(world)
+    seen = []
+    world.listeners.append(lambda: seen.append([actor.id for actor in world.events.spawned]))
+    world.tick()
+    other = world.spawn("walker.pedestrian.0001", at(20.0))
+    world.tick()
+    car.physics_control = car.physics_control
+    world.tick()
+    assert world.events.physics == [car]
+    assert seen == [[1, car.id], [other.id], []]
+
+
+def test_rows_follow_their_actors() -> None:
+    world = flat_world()
+    cars = [vehicle(world, 10.0 * number) for number in range(5)]
+    world.destroy(cars[1])
+    world.destroy(cars[3])
+    rest = [cars[0], cars[2], cars[4]]
+    assert world.vehicles.actors == rest
+    assert world.vehicles.id.tolist() == [car.id for car in rest]
+    assert [car.row for car in rest] == [0, 1, 2]
+    assert [car.transform.location.x for car in rest] == [0, 20, 40]
+    cars[4].apply_control(VehicleControl(throttle=0.7))
+    world.run(1)
+    assert cars[4].velocity.x > 1
+    assert cars[2].velocity.x == 0
+
+
+def test_controllers_come_first_and_listeners_last() -> None:
+    world = flat_world()
+    told: list[object] = []
+
+    class Hurry:
+        def step(self, delta: float) -> None:
+            told.append((delta, world.frame))
+
+    world.controllers.append(Hurry())
+    world.listeners.append(lambda: told.append(world.frame))
+    assert world.tick() == 1
+    assert world.tick(0.1) == 2
+    assert told == [(0.05, 0), 1, (0.1, 1), 2]
+    assert world.elapsed == pytest.approx(0.15)
+    assert world.delta == 0.1
+
+
+@pytest.mark.parametrize("delta", [0.0, -1.0, float("nan"), float("inf")])
+def test_a_tick_takes_time(delta: float) -> None:
+    with pytest.raises(SimError, match="expected more than 0 s"):
+        flat_world().tick(delta)
+
+
+def test_run_and_realtime_pass_the_time_that_was_asked_for() -> None:
+    world = flat_world()
+    world.run(1.0)
+    assert world.frame == 20
+    world.run_realtime(0.5, factor=100.0)
+    assert world.frame == 30
+
+
+def test_a_car_is_put_on_the_road_when_time_begins() -> None:
+    world = flat_world()
+    car = world.spawn("vehicle.audi.tt", at(0.0, z=0.3))
+    walker = world.spawn("walker.pedestrian.0001", at(0.0, 20.0, z=3.0))
+    assert car.transform.location.z == 0.3
+    world.tick()
+    assert car.transform.location.z == 0
+    assert walker.transform.location.z == pytest.approx(0.9)
+    assert car.velocity == Vector()
+
+
+def test_a_walker_walks_where_it_is_told() -> None:
+    world = flat_world()
+    walker = world.spawn("walker.pedestrian.0001", at(0.0))
+    assert isinstance(walker, Walker)
+    walker.apply_control(WalkerControl(Vector(0.0, -2.0), 1.5))
+    world.run(2)
+    assert walker.transform.location.y == pytest.approx(-3)
+    assert walker.transform.rotation.yaw == -90
+    assert walker.velocity.y == pytest.approx(-1.5)
+    assert walker.control.direction == Vector(0.0, -1.0)
+    walker.apply_control(WalkerControl(speed=0.0))
+    world.run(1)
+    assert walker.velocity.length() == 0
+    assert walker.transform.location.y == pytest.approx(-3)
+
+
+def test_signs_and_lights_of_the_town_are_actors() -> None:
+    stop, limit = light(1, (0,)), light(2, (0,))
+    object.__setattr__(stop, "kind", SignalKind.STOP)
+    object.__setattr__(limit, "kind", SignalKind.SPEED_LIMIT)
+    object.__setattr__(limit, "speed_limit", 50 / 3.6)
+    world = flat_world(signals=[light(0, (0,)), stop, limit])
+    kinds = {actor.type_id: actor.kind for actor in world.actors.values()}
+    assert kinds == {
+        "spectator": ActorKind.OTHER,
+        "traffic.traffic_light": ActorKind.TRAFFIC_LIGHT,
+        "traffic.stop": ActorKind.TRAFFIC_SIGN,
+        "traffic.speed_limit.50": ActorKind.TRAFFIC_SIGN,
+    }
+
+
+def test_doors_lights_and_weather_are_kept() -> None:
+    world = flat_world()
+    car = vehicle(world)
+    car.set_door(0, True)
+    car.set_door(5, True)
+    car.set_door(0, False)
+    assert car.open_doors == {5}
+    car.light_state = 0b1001
+    assert car.light_state == 9
+    world.weather = PRESETS["HardRainNoon"]
+    assert world.weather.precipitation == 100
+    assert len(astuple(Weather())) == 14
+
+
+@pytest.mark.parametrize("number", [float("nan"), float("inf")])
+def test_what_is_no_number_is_refused(number: float) -> None:
+    world = flat_world(signals=[light(0, (0,))])
+    car, walker = vehicle(world), world.spawn("walker.pedestrian.0001", at(20.0))
+    prop = world.spawn("static.prop.barrel", at(40.0))
+    assert isinstance(walker, Walker)
+    attempts = [
+        lambda: world.spawn("vehicle.audi.tt", at(number)),
+        lambda: setattr(car, "transform", at(0.0, number)),
+        lambda: setattr(prop, "transform", at(0.0, yaw=number)),
+        lambda: setattr(world.spectator, "transform", at(number)),
+        lambda: car.set_target_velocity(Vector(number)),
+        lambda: car.add_impulse(Vector(0.0, number)),
+        lambda: car.add_force(Vector(number)),
+        lambda: car.apply_control(VehicleControl(throttle=number)),
+        lambda: setattr(car, "physics_control", replace(car.physics_control, mass=number)),
+        lambda: walker.apply_control(WalkerControl(Vector(number), 1.0)),
+        lambda: setattr(world.traffic_lights[0], "green_time", number),
+    ]
+    for attempt in attempts:
+        with pytest.raises(SimError, match=r"finite numbers were expected|expected 0 s or more"):
+            attempt()
+    world.tick()
+    assert car.transform == at(0.0)
+
+
+def test_what_does_not_exist_is_refused() -> None:
+    world = flat_world(signals=[light(0, (0,))])
+    with pytest.raises(SimError, match="a door: 0 to 6 was expected, found 9"):
+        vehicle(world).set_door(9, True)
+    with pytest.raises(SimError, match="the state of a traffic light: 0 to 4 was expected, found 5"):
+        world.traffic_lights[0].state = 5
+
+
+def test_a_vehicle_upon_another_appears_there() -> None:
+    world = flat_world()
+    truck = world.spawn("vehicle.carlamotors.firetruck", at(50.0, 10.0, yaw=90.0))
+    car = world.spawn("vehicle.mini.cooper_s", at(-12.0), parent=truck)
+    assert car.transform.location.y == pytest.approx(-2)
+    truck.destroy()
+    assert not car.is_alive
+
+
+def test_a_new_episode_begins_with_nobody() -> None:
+    world = flat_world()
+    car = vehicle(world)
+    world.run(1)
+    world.reload(flat_town(signals=[light(0, (0,))]))
+    assert not car.is_alive
+    assert len(world.vehicles) == 0
+    assert (world.frame, world.elapsed) == (0, 0)
+    assert len(world.traffic_lights) == 1
+    world.tick()
+    assert [actor.type_id for actor in world.events.spawned] == ["spectator", "traffic.traffic_light"]
+
+
+def test_the_date_is_that_of_the_source_if_there_is_one(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("SOURCE_DATE_EPOCH", "1234567")
+    assert World(flat_town()).date == 1234567
+    assert World(flat_town(), date=7).date == 7
+
+
+def test_the_spectator_can_be_moved() -> None:
+    world = flat_world()
+    world.spectator.transform = Transform(Location(1.0, 2.0, 3.0))
+    assert world.spectator.transform.location == Location(1.0, 2.0, 3.0)
+
+
+def test_parked_vehicles_cost_no_steps(monkeypatch: pytest.MonkeyPatch) -> None:
+    world = flat_world()
+    cars = [vehicle(world, 10.0 * number) for number in range(50)]
+    world.run(1)
+    steps: list[float] = []
+    monkeypatch.setattr(world.plane, "step", lambda seconds: steps.append(seconds) or [])
+    world.run(5)
+    assert not steps
+    cars[0].apply_control(VehicleControl(throttle=1.0))
+    world.tick()
+    assert steps == [0.05]
+
+
+def test_what_is_fast_is_simulated_in_small_steps() -> None:
+    world = flat_world()
+    car = vehicle(world)
+    for speed, steps in ((10.0, 1), (45.0, 3), (400.0, 10)):
+        car.set_target_velocity(Vector(speed))
+        world.tick()
+        assert world.plane.space.current_time_step == pytest.approx(0.05 / steps)
+    world.settings.substepping = False
+    world.tick()
+    assert world.plane.space.current_time_step == pytest.approx(0.05)
+
+
+def state_after_a_pile_up() -> str:
+    """A number that stands for how everything moves after many have met."""
+    world = World(
+        flat_town(barriers=[np.array(((-40.0, -40.0, 0.0), (-40.0, 40.0, 0.0), (60.0, 40.0, 0.0)))]), seed=3, date=0
+    )
+    names = [blueprint.id for blueprint in world.blueprints.filter("vehicle.*")]
+    for number in range(30):
+        x, y, yaw = world.random.uniform((-30, -30, -180), (30, 30, 180))
+        car = world.try_spawn(names[number % len(names)], at(x, y, yaw=yaw))
+        if isinstance(car, Vehicle):
+            throttle, steer = world.random.uniform((0.3, -0.5), (1.0, 0.5))
+            car.apply_control(VehicleControl(throttle, steer))
+    world.settings.collisions_of = "all"
+    total = 0
+    for _ in range(200):
+        world.tick()
+        total += len(world.events.collisions)
+    assert total > 20
+    fleet = world.vehicles
+    return hashlib.sha256(b"".join(c.tobytes() for c in (fleet.position, fleet.rotation, fleet.velocity))).hexdigest()
+
+
+def test_the_same_seed_makes_the_same_world_in_any_process() -> None:
+    program = "from tests.sim.test_world import state_after_a_pile_up as s; print(s())"
+    root = Path(__file__).parents[2]
+    answers = {
+        subprocess.run(
+            [sys.executable, "-c", program],
+            capture_output=True,
+            text=True,
+            check=True,
+            cwd=root,
+            env={**os.environ, "PYTHONHASHSEED": hash_seed},
+        ).stdout.strip()
+        for hash_seed in ("1", "2")
+    }
+    assert answers == {state_after_a_pile_up()}
