@@ -475,8 +475,8 @@ def test_a_disk_that_fails_ends_the_recording_and_not_the_simulation(
 ) -> None:
     world, path = flat_world(), tmp_path / "a.mcap"
     broken_after(monkeypatch, 2, for_good=False)
+    world.start_recorder(path)
     with pytest.warns(RecapWarning, match="the recording has ended: .* No space left on device; the recording ends at"):
-        world.start_recorder(path)
         run_until_it_fails(world)
     error = world.recorder.error
     assert isinstance(error, RecapError)
@@ -493,8 +493,8 @@ def test_a_disk_that_fails_ends_the_recording_and_not_the_simulation(
 def test_a_full_disk_leaves_what_was_written_to_be_recovered(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     world = flat_world()
     broken_after(monkeypatch, 2, for_good=True)
+    world.start_recorder(tmp_path / "a.mcap")
     with pytest.warns(RecapWarning, match=r"what was recorded until then lies in .*\.partial, for carla-recap recover"):
-        world.start_recorder(tmp_path / "a.mcap")
         run_until_it_fails(world)
     (partial,) = tmp_path.iterdir()
     monkeypatch.undo()
@@ -520,8 +520,8 @@ def test_an_older_recording_outlasts_a_failure(tmp_path: Path, monkeypatch: pyte
     world = flat_world()
     record(world, tmp_path / "a.mcap", 3)
     broken_after(monkeypatch, 2, for_good=False)
+    world.start_recorder(tmp_path / "a.mcap")
     with pytest.warns(RecapWarning, match="for carla-recap recover"):
-        world.start_recorder(tmp_path / "a.mcap")
         run_until_it_fails(world)
     assert len(frames(tmp_path / "a.mcap")) == 3
 

@@ -77,7 +77,7 @@ def _open(path: Path) -> None:
 
 def _serve(path: Path, ready: Callable[[str], object]) -> None:
     with Program("--serve-web", "--web-viewer-port", "0", path) as program:
-        data = urlencode({"url": f"rerun+http://{HOST}:{program.port(LISTENING)}/proxy"})
+        data = urlencode({"url": f"rerun+http://{HOST}:{program.port(LISTENING)}/proxy", "theme": "dark"})
         ready(f"http://{HOST}:{program.port(HOSTING)}/?{data}")
         program.wait()
 

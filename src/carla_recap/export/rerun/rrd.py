@@ -75,7 +75,7 @@ def rbl(arrangement: rrb.Blueprint) -> bytes:
 
 def _send(arrangement: rrb.Blueprint, stream: rr.RecordingStream) -> None:
     """Send an arrangement, as the one to use; `stream.send_blueprint` would keep a copy as long as the process lives."""
-    drawn = _blueprint_stream(stream.get_application_id() or APPLICATION)
+    drawn = _blueprint_stream(rr.get_application_id(stream) or APPLICATION)
     arrangement._log_to_stream(drawn)
     memory = drawn.memory_recording().storage
     bindings.send_blueprint(memory, make_active=True, make_default=True, recording=stream.to_native())
