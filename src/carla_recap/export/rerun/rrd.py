@@ -1,7 +1,11 @@
-"""An .rrd in memory: Rerun's writer of files waits forever where a disk is full, or ends the file without a word."""
+"""An .rrd in memory, or through a pipe: Rerun's own writer of files waits for ever where a disk is full."""
 
 from __future__ import annotations
 
+import os
+from contextlib import contextmanager
+from pathlib import Path
+from threading import Thread
 from typing import TYPE_CHECKING, Final, Self
 
 import rerun as rr
@@ -10,6 +14,7 @@ import rerun_bindings as bindings
 from carla_recap.errors import RecapError
 
 if TYPE_CHECKING:
+    from collections.abc import Callable, Iterator
     from types import TracebackType
 
     import rerun.blueprint as rrb
@@ -18,6 +23,8 @@ APPLICATION: Final = "carla_recap"
 """The kind of data, by which the viewer knows which blueprints fit."""
 
 _PATIENCE: Final = 60.0  # s; so long it may take to compress what is left
+_PIECE: Final = 1 << 20
+_DESCRIPTORS: Final = Path("/dev/fd")  # where a pipe has a name
 
 
 class Rrd:
@@ -55,6 +62,73 @@ class Rrd:
             RecapError: Rerun does not give it.
         """
         return _read(self._bytes)
+
+
+@contextmanager
+def piped(arrangement: rrb.Blueprint, put: Callable[[bytes], object]) -> Iterator[rr.RecordingStream]:
+    """A stream whose bytes are handed on as they come, so that they never fill the memory; while a `with` block runs.
+
+    Args:
+        arrangement: How the viewer is to show it.
+        put: Takes the bytes, in a thread of its own; what it raises is raised at the end.
+    """
+    if not _DESCRIPTORS.exists():
+        with Rrd(arrangement) as rrd:
+            yield rrd.stream
+            put(rrd.take())
+        return
+    stream = rr.RecordingStream(APPLICATION, send_properties=False)
+    try:
+        drain = _connect(stream, put)
+        try:
+            _send(arrangement, stream)
+            yield stream
+        finally:
+            stream.disconnect()
+            drain.join()
+        drain.check()
+    finally:
+        del stream
+        _give_back()
+
+
+def _connect(stream: rr.RecordingStream, put: Callable[[bytes], object]) -> _Drain:
+    end, ours = os.pipe()
+    try:
+        stream.save(f"{_DESCRIPTORS}/{ours}")
+    except RuntimeError as error:
+        os.close(end)
+        raise RecapError(f"a pipe for Rerun cannot be made: {' '.join(str(error).split())}") from None
+    finally:
+        os.close(ours)
+    drain = _Drain(end, put)
+    drain.start()
+    return drain
+
+
+class _Drain(Thread):
+    """Hands on what comes through a pipe; it is read to its end, whatever happens to the pieces."""
+
+    def __init__(self, end: int, put: Callable[[bytes], object]) -> None:
+        super().__init__(name="carla-recap-rrd", daemon=True)
+        self._end = end
+        self._put = put
+        self._error: Exception | None = None
+
+    def run(self) -> None:
+        """Read on."""
+        with os.fdopen(self._end, "rb", buffering=0) as pipe:
+            while piece := pipe.read(_PIECE):
+                if self._error is None:
+                    try:
+                        self._put(piece)
+                    except Exception as error:
+                        self._error = error
+
+    def check(self) -> None:
+        """Raise what went wrong, if anything did."""
+        if self._error is not None:
+            raise self._error
 
 
 def rbl(arrangement: rrb.Blueprint) -> bytes:

@@ -16,7 +16,7 @@ from carla_recap.export.rerun.actors import MOVERS, Actors
 from carla_recap.export.rerun.blueprint import View, blueprint, first_places
 from carla_recap.export.rerun.ego import Ego
 from carla_recap.export.rerun.events import Chronicle
-from carla_recap.export.rerun.rrd import Rrd, rbl
+from carla_recap.export.rerun.rrd import piped, rbl
 from carla_recap.export.rerun.signals import Signals
 from carla_recap.export.rerun.stream import Moment, Stream
 from carla_recap.export.whole import WholeFile
@@ -141,10 +141,9 @@ def export_rerun(
     with (
         nullcontext(Path()) if cameras is None else new_folder(cameras) as room,
         WholeFile(destination) as file,
-        Rrd(blueprint(player, view=view)) as rrd,
     ):
-        played = write(rrd.stream, player, road_map=road_map, progress=progress, cameras=filmed)
-        file.write(rrd.take())
+        with piped(blueprint(player, view=view), file.write) as stream:
+            played = write(stream, player, road_map=road_map, progress=progress, cameras=filmed)
         for id in filmed:
             (room / f"follow_{id}.rbl").write_bytes(rbl(blueprint(player, view=view, followed=id)))
     return played
