@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING
 
 import click
 
-from carla_recap.cli import files, queries, show, simulate
+from carla_recap.cli import files, queries, serve, show, simulate
 from carla_recap.cli.output import say, warn
 from carla_recap.errors import RecapError, RecapWarning
 
@@ -21,6 +21,7 @@ if TYPE_CHECKING:
 
 BAD_INPUT = 2
 INTERRUPTED = 130
+_ENDS = [signal.Signals[name] for name in ("SIGTERM", "SIGHUP") if name in signal.Signals.__members__]
 
 
 @click.group(context_settings={"help_option_names": ["-h", "--help"]})
@@ -32,7 +33,7 @@ def cli() -> None:
     """
 
 
-for command in (*queries.COMMANDS, *files.COMMANDS, *show.COMMANDS, *simulate.COMMANDS):
+for command in (*queries.COMMANDS, *files.COMMANDS, *show.COMMANDS, *simulate.COMMANDS, *serve.COMMANDS):
     cli.add_command(command)
 
 
@@ -44,7 +45,9 @@ def main() -> None:
     warnings.showwarning = _print_warning
     if hasattr(signal, "SIGPIPE"):
         signal.signal(signal.SIGPIPE, signal.SIG_DFL)
-    signal.signal(signal.SIGTERM, _stop)
+    for number in _ENDS:
+        if signal.getsignal(number) != signal.SIG_IGN:  # as under nohup
+            signal.signal(number, _stop)
     try:
         sys.exit(cli(standalone_mode=False))
     except RecapError as error:

@@ -62,7 +62,8 @@ class World:
         town: The town.
         blueprints: What can be spawned.
         settings: How it runs.
-        frame: The number of ticks so far.
+        episode: Which episode this is, from 1: `reload` begins the next one.
+        frame: The number of ticks so far in this episode.
         elapsed: The time they took, in s.
         delta: How long the latest one was, in s.
         weather: The weather; set it to change it.
@@ -102,11 +103,13 @@ class World:
         self.maps = maps
         self._recorder: Recorder | None = None
         self._replayer: Replayer | None = None
+        self.episode = 0
         self._begin(load_town() if town is None else town, 1)
 
     def _begin(self, town: Town, first: int) -> None:
         """Start an episode, whose first actor gets the id `first`."""
         self.town = town
+        self.episode += 1
         self.frame = 0
         self.elapsed = 0.0
         self.weather = Weather()

@@ -1,0 +1,93 @@
+"""Calls about the session: version, episode, settings, time and the map."""
+
+from __future__ import annotations
+
+from carla_recap.server.calls.table import CallError, call
+from carla_recap.server.client import Client
+from carla_recap.server.structs import EpisodeInfo, EpisodeSettings, MapInfo, Token
+from carla_recap.sim.weather import Weather
+
+VERSION = "0.9.16"
+"""The version of the client that is served."""
+
+
+@call
+def version(client: Client) -> str:
+    """The version of CARLA that this stands in for."""
+    return VERSION
+
+
+@call
+def get_episode_info(client: Client) -> EpisodeInfo:
+    """The episode, and a stream of its snapshots for this client alone."""
+    client.host.greet(client)
+    return EpisodeInfo(client.host.episode, Token(client.host.streams.token(client.stream)))
+
+
+@call
+def get_sensor_token(client: Client, stream: int) -> Token:
+    """Where a stream is."""
+    return Token(client.host.streams.token(stream))
+
+
+@call
+def get_episode_settings(client: Client) -> EpisodeSettings:
+    """How the world runs."""
+    return client.host.settings
+
+
+@call
+def set_episode_settings(client: Client, settings: EpisodeSettings) -> int:
+    """Change how the world runs; the client then waits for the frame that is returned."""
+    client.host.apply_settings(settings)
+    return client.host.frame
+
+
+@call
+def tick_cue(client: Client) -> int:
+    """Let a tick pass, in synchronous mode; otherwise time passes by itself."""
+    host = client.host
+    return host.tick() if host.settings.synchronous_mode else host.frame
+
+
+@call
+def get_map_info(client: Client) -> MapInfo:
+    """The town, and where vehicles can be spawned."""
+    town = client.host.world.town
+    return MapInfo(town.name, town.spawn_points)
+
+
+@call
+def get_map_data(client: Client) -> str:
+    """The town's OpenDRIVE file."""
+    return client.host.world.town.opendrive
+
+
+@call
+def get_required_files(client: Client, folder: str = "", download: bool = True) -> list[str]:
+    """Files that the client needs besides: none."""
+    return []
+
+
+@call
+def request_file(client: Client, name: str) -> bytes:
+    """A file that the client needs: there is none."""
+    raise CallError(f"{name}: the client needs no files from this server")
+
+
+@call
+def get_weather_parameters(client: Client) -> Weather:
+    """The weather."""
+    return client.host.world.weather
+
+
+@call
+def set_weather_parameters(client: Client, weather: Weather) -> None:
+    """Change the weather."""
+    client.host.world.weather = weather
+
+
+@call
+def query_lights_state(client: Client, address: str = "") -> list[bytes]:
+    """The street lights of the town: it has none."""
+    return []

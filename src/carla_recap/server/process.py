@@ -1,0 +1,66 @@
+"""The server as a process of its own, for tests and notebooks.
+
+It has to be one: calls of the official client hold Python's global lock, so that a server in the client's own process
+could never answer.
+"""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+from contextlib import contextmanager
+from typing import TYPE_CHECKING, Final
+
+from carla_recap.errors import RecapError
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+    from pathlib import Path
+
+_PATIENCE: Final = 30.0  # s, for the recording that is completed at the end
+
+
+@contextmanager
+def running(
+    town: str = "",
+    *,
+    port: int = 0,
+    maps: Path | str | None = None,
+    recordings: Path | str | None = None,
+    seed: int = 0,
+) -> Iterator[int]:
+    """Have a server run; it ends, and completes its recording, when the block does.
+
+    Args:
+        town: The name of a map or an .xodr file; the built-in town unless told otherwise.
+        port: Where it listens; 0 for a port that is free. Streams are at the next one.
+        maps: The folder of maps.
+        recordings: The folder of recordings.
+        seed: Of everything random.
+
+    Yields:
+        The port, for `carla.Client("localhost", port)`.
+
+    Raises:
+        RecapError: It does not start; the message is the server's.
+    """
+    options = {"town": town, "port": port, "maps": maps, "recordings": recordings, "seed": seed}
+    arguments = [f"--{name}={value}" for name, value in options.items() if value not in (None, "")]
+    command = [sys.executable, "-m", "carla_recap", "serve", *arguments]
+    with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as process:
+        try:
+            yield _port(process)
+        finally:
+            process.terminate()
+            try:
+                process.wait(_PATIENCE)
+            except subprocess.TimeoutExpired:
+                process.kill()
+
+
+def _port(process: subprocess.Popen[str]) -> int:
+    assert process.stdout is not None
+    line = process.stdout.readline()
+    if not line:
+        raise RecapError(f"the server has not started; it ended with exit code {process.wait()}")
+    return int(line.split(":")[-1].split()[0])

@@ -1,0 +1,65 @@
+"""The server: one event loop for the calls of clients, the streams, and the time of the world."""
+
+from __future__ import annotations
+
+import asyncio
+import itertools
+import signal
+from typing import TYPE_CHECKING, Final
+
+import carla_recap.server.calls  # noqa: F401  (fills the table of calls)
+from carla_recap.errors import RecapError
+from carla_recap.server.client import Client
+from carla_recap.server.pace import Pace
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+    from carla_recap.server.host import Host
+
+LOOPBACK: Final = "127.0.0.1"
+PORT: Final = 2000
+_BACKLOG: Final = 100
+
+
+async def serve(host: Host, address: str, port: int, ready: Callable[[int], None]) -> None:
+    """Serve a world until SIGINT or SIGTERM.
+
+    Args:
+        host: The world and what is served of it.
+        address: Where to listen.
+        port: Where to listen for calls; streams are at the next one. 0 for two ports that are free.
+        ready: Is told the port of the calls once clients can connect.
+
+    Raises:
+        RecapError: The ports are not to be had.
+    """
+    loop = asyncio.get_running_loop()
+    done = asyncio.Event()
+    for number in (signal.SIGINT, signal.SIGTERM):
+        loop.add_signal_handler(number, done.set)
+    numbers = itertools.count(1)
+    calls = await _listen(lambda: Client(host, next(numbers)), address, port)
+    port = calls.sockets[0].getsockname()[1]
+    streams = await _listen(host.streams.connection, address, port + 1)
+    host.streams.port = port + 1
+    pace = asyncio.create_task(Pace(host).keep())
+    ready(port)
+    try:
+        stopped = asyncio.create_task(done.wait())
+        await asyncio.wait((stopped, pace), return_when=asyncio.FIRST_COMPLETED)
+        if pace.done():
+            pace.result()
+    finally:
+        pace.cancel()
+        calls.close()
+        streams.close()
+        host.world.close()
+
+
+async def _listen(make: Callable[[], asyncio.Protocol], address: str, port: int) -> asyncio.Server:
+    loop = asyncio.get_running_loop()
+    try:
+        return await loop.create_server(make, address, port, backlog=_BACKLOG)
+    except OSError as error:
+        raise RecapError(f"{address}:{port}: cannot be listened at: {error.strerror}") from None

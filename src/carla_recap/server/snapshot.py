@@ -1,0 +1,196 @@
+"""Snapshots of a world as CARLA streams them: a header, and 119 bytes for each actor."""
+
+from __future__ import annotations
+
+import struct
+import time
+from typing import TYPE_CHECKING, Any, Final
+
+import numpy as np
+
+from carla_recap.sim.actors import Mover, Sign, TrafficLight
+from carla_recap.sim.rules import NO_LIGHT, Rules
+from carla_recap.sim.signals import GREEN
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable, Sequence
+
+    from numpy.typing import NDArray
+
+    from carla_recap.sim.actors import Actor
+    from carla_recap.sim.geometry import Transform
+    from carla_recap.sim.movers import Movers
+    from carla_recap.sim.world import World
+
+_WORLD: Final = 17
+# sensor type, frame, elapsed seconds, transform
+_SENSOR_HEADER: Final = struct.Struct("<QQd6f")
+# episode, platform time, delta, map origin, flags
+_EPISODE_HEADER: Final = struct.Struct("<Qdf3iI")
+_MAP_CHANGED: Final = 1
+_ACTIVE: Final = 1
+_SIZE: Final = 119
+_BASE: Final = [("id", "<u4"), ("activity", "u1"), ("numbers", "<(15,)f4")]
+_KM_PER_H: Final = 3.6
+_FAR: Final = 1.0  # m: after so much, it is found out anew what the road tells a vehicle
+
+
+def _dtype(*fields: tuple[str, str]) -> np.dtype[np.void]:
+    """The layout of an actor: what all have, then what its kind has, then nothing up to the size of all."""
+    told = [*_BASE, *fields]
+    return np.dtype([*told, ("nothing", f"V{_SIZE - np.dtype(told).itemsize}")])
+
+
+VEHICLE: Final = _dtype(
+    ("throttle", "<f4"),
+    ("steer", "<f4"),
+    ("brake", "<f4"),
+    ("hand_brake", "?"),
+    ("reverse", "?"),
+    ("manual", "?"),
+    ("gear", "<i4"),
+    ("speed_limit", "<f4"),
+    ("shown", "u1"),
+    ("at_light", "?"),
+    ("light", "<u4"),
+    ("failure", "u1"),
+)
+WALKER: Final = _dtype(("direction", "<(3,)f4"), ("speed", "<f4"), ("jump", "?"))
+LIGHT: Final = _dtype(
+    ("opendrive_id", "S32"),
+    ("green_time", "<f4"),
+    ("yellow_time", "<f4"),
+    ("red_time", "<f4"),
+    ("elapsed", "<f4"),
+    ("pole", "<u4"),
+    ("frozen", "?"),
+    ("state", "u1"),
+)
+SIGN: Final = _dtype(("opendrive_id", "S32"))
+OTHER: Final = _dtype()
+
+_CONTROLS: Final = ("throttle", "steer", "brake", "hand_brake", "reverse", "manual", "gear")
+_TIMES: Final = ("green_time", "yellow_time", "red_time", "elapsed", "frozen")
+
+
+def sensor_header(kind: int, frame: int, seconds: float, place: Transform) -> bytes:
+    """What each frame of a sensor begins with.
+
+    Args:
+        kind: Of the sensor, as CARLA numbers them.
+        frame: The frame.
+        seconds: Since the episode began.
+        place: Where the sensor is.
+    """
+    at, turn = place.location, place.rotation
+    return _SENSOR_HEADER.pack(kind, frame, seconds, at.x, at.y, at.z, turn.pitch, turn.yaw, turn.roll)
+
+
+class Photographer:
+    """Takes the snapshots of an episode.
+
+    Args:
+        world: The world.
+    """
+
+    def __init__(self, world: World) -> None:
+        self._world = world
+        self._rules = Rules(world.town)
+        self._light_ids = np.array([*(light.id for light in world.traffic_lights), 0])  # row NO_LIGHT is the last
+        self._population: object = None
+        self._arrays: list[NDArray[np.void]] = []
+        self._others: list[Actor] = []
+        self._looked = np.empty((0, 3))  # where vehicles were when it was last found out what the road tells them there
+        self._light = np.empty(0, np.int64)
+        self._born = time.monotonic()
+
+    def take(self, episode: int, frame: int, *, map_changed: bool = False) -> bytes:
+        """The world as it is.
+
+        Args:
+            episode: The number of the episode.
+            frame: The number of the frame.
+            map_changed: Whether clients have to ask for the map anew.
+        """
+        world = self._world
+        spectator = world.spectator.transform
+        flags = _MAP_CHANGED if map_changed else 0
+        header = _EPISODE_HEADER.pack(episode, time.monotonic() - self._born, world.delta, 0, 0, 0, flags)
+        begin = sensor_header(_WORLD, frame, world.elapsed, spectator)
+        return b"".join((begin, header, *(array.tobytes() for array in self._rows())))
+
+    def _rows(self) -> Sequence[NDArray[np.void]]:
+        world = self._world
+        actors = tuple(world.actors)
+        if actors != self._population:
+            self._population = actors
+            self._assemble(list(world.actors.values()))
+        vehicles, walkers, lights, _, others = self._arrays
+        _move(vehicles, world.vehicles)
+        _move(walkers, world.walkers)
+        self._fill_vehicles(vehicles)
+        for name in ("direction", "speed", "jump"):
+            walkers[name] = getattr(world.walkers, name)
+        for name in _TIMES:
+            lights[name] = getattr(world.signals, name)
+        lights["state"] = world.signals.state
+        for row, actor in zip(others, self._others, strict=True):
+            row["numbers"][:6] = _pose(actor.transform)
+        return self._arrays
+
+    def _assemble(self, actors: list[Actor]) -> None:
+        world = self._world
+        signs = [actor for actor in actors if isinstance(actor, Sign) and not isinstance(actor, TrafficLight)]
+        self._others = [actor for actor in actors if not isinstance(actor, (Mover, Sign))]
+        self._looked = np.full((len(world.vehicles), 3), np.inf)
+        self._light = np.full(len(world.vehicles), NO_LIGHT)
+        self._arrays = [
+            _blank(VEHICLE, world.vehicles.actors),
+            _blank(WALKER, world.walkers.actors),
+            _blank_signs(LIGHT, world.traffic_lights),
+            _blank_signs(SIGN, signs),
+            _blank(OTHER, self._others),
+        ]
+
+    def _fill_vehicles(self, rows: NDArray[np.void]) -> None:
+        vehicles = self._world.vehicles
+        if not len(rows):
+            return
+        for name in _CONTROLS:
+            rows[name] = getattr(vehicles, name)
+        moved = np.flatnonzero((np.abs(vehicles.position - self._looked) > _FAR).any(axis=1))
+        if len(moved):
+            self._looked[moved] = vehicles.position[moved]
+            notice = self._rules.at(vehicles.position[moved], np.radians(vehicles.rotation[moved, 1]))
+            self._light[moved] = notice.light
+            rows["speed_limit"][moved] = notice.speed_limit * _KM_PER_H
+            rows["at_light"][moved] = notice.light != NO_LIGHT
+            rows["light"][moved] = self._light_ids[notice.light]
+        rows["shown"] = np.append(self._world.signals.state, GREEN)[self._light]
+
+
+def _blank(dtype: np.dtype[np.void], actors: Iterable[Actor]) -> NDArray[np.void]:
+    ids = [actor.id for actor in actors]
+    rows = np.zeros(len(ids), dtype)
+    rows["id"] = ids
+    rows["activity"] = _ACTIVE
+    return rows
+
+
+def _blank_signs(dtype: np.dtype[np.void], signs: Sequence[Sign]) -> NDArray[np.void]:
+    rows = _blank(dtype, signs)
+    rows["opendrive_id"] = [sign.signal.opendrive_id.encode()[:31] for sign in signs]
+    for row, sign in zip(rows, signs, strict=True):
+        row["numbers"][:6] = _pose(sign.transform)
+    return rows
+
+
+def _move(rows: NDArray[np.void], movers: Movers[Any]) -> None:
+    numbers = rows["numbers"]
+    for column, name in enumerate(("position", "rotation", "velocity", "angular_velocity", "acceleration")):
+        numbers[:, 3 * column : 3 * column + 3] = getattr(movers, name)
+
+
+def _pose(transform: Transform) -> tuple[float, ...]:
+    place, turn = transform.location, transform.rotation
+    return place.x, place.y, place.z, turn.pitch, turn.yaw, turn.roll

@@ -1,0 +1,153 @@
+"""How values go over the wire: types of Python, and what msgpack makes of them in CARLA's protocol.
+
+A struct is an array of its fields, in order; so is a dataclass here. An optional value is `[false]` or `[true, value]`.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import MISSING, fields, is_dataclass
+from functools import cache
+from types import NoneType, UnionType
+from typing import Any, Union, get_args, get_origin, get_type_hints
+
+from carla_recap.errors import RecapError
+
+Convert = Callable[[Any], Any]
+
+
+class WireError(RecapError):
+    """A value of a stranger is not of the type that was expected."""
+
+
+@cache
+def decoder(type: Any) -> Convert:
+    """What makes a value of a type out of what msgpack has unpacked; it raises `WireError` for all else."""
+    origin, inner = get_origin(type), get_args(type)
+    if type is Any:
+        return _as_is
+    if type is float:
+        return _decode_float
+    if type in (int, bool, str, bytes):
+        return _scalar(type)
+    if is_dataclass(type):
+        return _decode_struct(type)
+    if origin in (Union, UnionType):
+        return _decode_optional(_present(inner))
+    if origin is list:
+        return _decode_list(decoder(inner[0]), list)
+    if origin is tuple and inner[1:] == (...,):
+        return _decode_list(decoder(inner[0]), tuple)
+    if origin is tuple:
+        return _decode_tuple(tuple(map(decoder, inner)))
+    raise TypeError(f"{type} does not go over the wire")
+
+
+@cache
+def encoder(type: Any) -> Convert:
+    """What makes something that msgpack can pack out of a value of a type."""
+    origin, inner = get_origin(type), get_args(type)
+    if type in (Any, float, int, bool, str, bytes):
+        return _as_is
+    if is_dataclass(type):
+        return _encode_struct(type)
+    if origin in (Union, UnionType):
+        return _encode_optional(_present(inner))
+    if origin is list or (origin is tuple and inner[1:] == (...,)):
+        each = encoder(inner[0])
+        return _as_is if each is _as_is else lambda values: [each(value) for value in values]
+    if origin is tuple:
+        parts = tuple(map(encoder, inner))
+        return lambda values: [part(value) for part, value in zip(parts, values, strict=True)]
+    raise TypeError(f"{type} does not go over the wire")
+
+
+def _as_is(value: Any) -> Any:
+    return value
+
+
+def _present(alternatives: tuple[Any, ...]) -> Any:
+    (type,) = (alternative for alternative in alternatives if alternative is not NoneType)
+    return type
+
+
+def _decode_float(value: Any) -> float:
+    if isinstance(value, float):
+        return value
+    if isinstance(value, int) and not isinstance(value, bool):
+        return float(value)
+    raise WireError(f"expected a number, found {_short(value)}")
+
+
+def _scalar(type: type) -> Convert:
+    def decode(value: Any) -> Any:
+        if value.__class__ is not type:
+            raise WireError(f"expected {type.__name__}, found {_short(value)}")
+        return value
+
+    return decode
+
+
+def _decode_struct(type: Any) -> Convert:
+    hints = get_type_hints(type)
+    parts = [decoder(hints[field.name]) for field in fields(type)]
+    least = sum(field.default is MISSING and field.default_factory is MISSING for field in fields(type))
+    name = type.__name__
+
+    def decode(value: Any) -> Any:
+        if value.__class__ is not list or len(value) < least:
+            raise WireError(f"expected a {name} of {len(parts)} fields, found {_short(value)}")
+        return type(*[part(item) for part, item in zip(parts, value, strict=False)])
+
+    return decode
+
+
+def _encode_struct(type: Any) -> Convert:
+    hints = get_type_hints(type)
+    parts = [(field.name, encoder(hints[field.name])) for field in fields(type)]
+    if all(part is _as_is for _, part in parts):
+        names = [name for name, _ in parts]
+        return lambda value: [getattr(value, name) for name in names]
+    return lambda value: [part(getattr(value, name)) for name, part in parts]
+
+
+def _decode_optional(type: Any) -> Convert:
+    inner = decoder(type)
+
+    def decode(value: Any) -> Any:
+        if value.__class__ is list and value[:1] == [False]:
+            return None
+        if value.__class__ is list and len(value) == 2 and value[0] is True:
+            return inner(value[1])
+        raise WireError(f"expected an optional value, found {_short(value)}")
+
+    return decode
+
+
+def _encode_optional(type: Any) -> Convert:
+    inner = encoder(type)
+    return lambda value: [False] if value is None else [True, inner(value)]
+
+
+def _decode_list(each: Convert, make: Callable[[Any], Any]) -> Convert:
+    def decode(value: Any) -> Any:
+        if value.__class__ is not list:
+            raise WireError(f"expected an array, found {_short(value)}")
+        return make(each(item) for item in value)
+
+    return decode
+
+
+def _decode_tuple(parts: tuple[Convert, ...]) -> Convert:
+    def decode(value: Any) -> Any:
+        if value.__class__ is not list or len(value) != len(parts):
+            raise WireError(f"expected an array of {len(parts)}, found {_short(value)}")
+        return tuple(part(item) for part, item in zip(parts, value, strict=True))
+
+    return decode
+
+
+def _short(value: Any) -> str:
+    if isinstance(value, (list, dict, str, bytes)):
+        return f"{type(value).__name__} of {len(value)}"
+    return repr(value)
