@@ -20,6 +20,7 @@ if TYPE_CHECKING:
 LOOPBACK: Final = "127.0.0.1"
 PORT: Final = 2000
 _BACKLOG: Final = 100
+_TRIES: Final = 20
 
 
 async def serve(host: Host, address: str, port: int, ready: Callable[[int], None]) -> None:
@@ -39,10 +40,8 @@ async def serve(host: Host, address: str, port: int, ready: Callable[[int], None
     for number in (signal.SIGINT, signal.SIGTERM):
         loop.add_signal_handler(number, done.set)
     numbers = itertools.count(1)
-    calls = await _listen(lambda: Client(host, next(numbers)), address, port)
-    port = calls.sockets[0].getsockname()[1]
-    streams = await _listen(host.streams.connection, address, port + 1)
-    host.streams.port = port + 1
+    calls, streams = await _listen_both(lambda: Client(host, next(numbers)), host.streams.connection, address, port)
+    port, host.streams.port = (server.sockets[0].getsockname()[1] for server in (calls, streams))
     pace = asyncio.create_task(Pace(host).keep())
     ready(port)
     try:
@@ -55,6 +54,21 @@ async def serve(host: Host, address: str, port: int, ready: Callable[[int], None
         calls.close()
         streams.close()
         host.world.close()
+
+
+async def _listen_both(
+    call: Callable[[], asyncio.Protocol], stream: Callable[[], asyncio.Protocol], address: str, port: int
+) -> tuple[asyncio.Server, asyncio.Server]:
+    """Listen at a port and the next one; where any will do, until both are free."""
+    for left in reversed(range(_TRIES)):
+        calls = await _listen(call, address, port)
+        try:
+            return calls, await _listen(stream, address, calls.sockets[0].getsockname()[1] + 1)
+        except RecapError:
+            calls.close()
+            if port or not left:
+                raise
+    raise AssertionError
 
 
 async def _listen(make: Callable[[], asyncio.Protocol], address: str, port: int) -> asyncio.Server:

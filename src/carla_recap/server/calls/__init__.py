@@ -1,5 +1,16 @@
 """What clients can call: a function for each remote procedure of CARLA, under its name."""
 
-from carla_recap.server.calls import actors, managers, session
+from carla_recap.server.calls import (
+    actors,
+    batches,
+    episodes,
+    lights,
+    managers,
+    recorder,
+    session,
+    vehicles,
+    walkers,
+    world,
+)
 
-__all__ = ["actors", "managers", "session"]
+__all__ = ["actors", "batches", "episodes", "lights", "managers", "recorder", "session", "vehicles", "walkers", "world"]

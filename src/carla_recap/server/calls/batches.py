@@ -1,0 +1,1 @@
+"""Batches of commands, which clients send at once."""

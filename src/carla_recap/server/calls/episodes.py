@@ -1,0 +1,1 @@
+"""Calls that begin a new episode: another map, the same one again, or one that a client sends."""

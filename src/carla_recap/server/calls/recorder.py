@@ -1,0 +1,1 @@
+"""Calls about recordings: recording, replaying and querying them."""
