@@ -38,7 +38,7 @@ check: lint types check-proto wheel ## Everything but the tests
 bench: venv ## Measure the speed and the sizes that the README claims
 	$(python) -m benchmarks
 
-demo: venv ## Convert and query the sample recording
+demo: venv ## Record a simulated crash, query it, and make what shows it
 	PATH="$(CURDIR)/.venv/bin:$$PATH" samples/demo.sh
 
 clean: ## Remove whatever the other targets made

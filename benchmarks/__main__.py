@@ -10,7 +10,7 @@ from concurrent.futures import ProcessPoolExecutor
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from benchmarks import exports, rows
+from benchmarks import exports, rows, server, simulator
 from benchmarks.hour import FRAMES, cached
 from benchmarks.rows import Subject, measure
 
@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     from collections.abc import Callable
 
 REAL = Path("../shared/data/carla-logs/carla-0.9.13-lane-center.log")
-ROWS = (*rows.ROWS, *exports.ROWS)
+ROWS = (*rows.ROWS, *exports.ROWS, *simulator.ROWS, *server.ROWS)
 WIDTHS = (46, 18, 18, 18, 8)
 
 

@@ -1,5 +1,5 @@
 #!/usr/bin/env bash
-# What carla-recap is for, on the recording next to this script. Run it with `make demo`.
+# What carla-recap is for, from a simulated crash to its pictures. Run it with `make demo`.
 set -euo pipefail
 cd "$(dirname "$0")/.."
 
@@ -12,40 +12,46 @@ run() {
     "$@"
 }
 
-log=samples/crossing.log
 out=build/demo
-mcap=$out/crossing.mcap
+mcap=$out/crash.mcap
 mkdir -p "$out"
-rm -f "$out"/crossing.*
+rm -rf "$out"/{crash,crossing,avoided,foxglove}.* "$out/page"
+export SOURCE_DATE_EPOCH=1767261600 # the date that the recordings get
 
-say 'From a CARLA log to MCAP and back: not a byte is lost.'
-run carla-recap convert "$log" "$mcap"
-run carla-recap convert "$mcap" "$out/crossing.log"
-run cmp "$log" "$out/crossing.log"
+say 'A simulated minute: the hero runs over a walker, and into a van that blocks its lane. The same seed, the same bytes.'
+run carla-recap record "$mcap" --crash --vehicles 12 --walkers 8 --seed 7 --additional-data
 
-say 'What happened?'
-run carla-recap info "$mcap" --text
-
-say 'Who was there?'
-run carla-recap actors "$mcap"
-
-say 'Who collided with whom? A cyclist with a pedestrian, and the hero with the car that waits at the red light.'
+say 'Who collided with whom?'
 run carla-recap collisions "$mcap"
 
-say 'Who stood still for 30 s or more? A van that broke down; and props, which CARLA counts too.'
+say 'Who stood still for 30 s or more? All three who were in the crash; and the spectator, whom CARLA counts too.'
 run carla-recap blocked "$mcap"
 
-say 'What went wrong, for a browser: a page of plain files. And for the Rerun viewer, behind the hero.'
-rm -rf "$out/page"
+say 'What if the autopilot had taken over 11 s into it, one second before the crash? Nobody is hit.'
+run carla-recap replay "$mcap" "$out/avoided.mcap" --duration 11 --then 15
+run carla-recap collisions "$out/avoided.mcap"
+
+say 'From a CARLA log to MCAP and back: not a byte is lost.'
+run carla-recap convert samples/crossing.log "$out/crossing.mcap"
+run carla-recap convert "$out/crossing.mcap" "$out/crossing.log"
+run cmp samples/crossing.log "$out/crossing.log"
+
+say 'To look at: what went wrong, as a page of plain files; for the Rerun viewer, behind the hero; for Foxglove.'
 run carla-recap report "$mcap" "$out/page"
-run carla-recap export "$mcap" "$out/crossing.rrd"
+run carla-recap export "$mcap" "$out/crash.rrd"
+run carla-recap export "$mcap" "$out/foxglove.mcap"
 
-cat <<END
+hint() {
+    printf '%-52s # %s\n' "$1" "$2"
+}
 
-# The files are in $out: crossing.mcap, crossing.log, crossing.rrd, page/index.html. Try next, with .venv/bin on the PATH:
-rerun $out/crossing.rrd                   # the viewer; or: carla-recap view $mcap --web
-carla-recap collisions $mcap --types hv   # only the hero's, with vehicles
-carla-recap blocked $mcap --min-time 5    # who waited, too
-carla-recap info $mcap --all              # every record of every frame
-carla-recap convert YOUR.log YOUR.mcap                      # a recording of yours
-END
+say "All is in $out. How to look at it, with .venv/bin on the PATH:"
+hint "$out/page/index.html" 'the incident page: open it in any browser'
+hint "rerun $out/crash.rrd" "Rerun's viewer; or: carla-recap view $mcap --web"
+hint "$out/foxglove.mcap" 'open it in Foxglove, with the layout that is named above'
+hint "carla-recap snapshot $mcap crash.png --at 12" 'a picture, with no display'
+say 'And to ask:'
+hint "carla-recap collisions $mcap --types hv" "only the hero's, with vehicles"
+hint "carla-recap blocked $mcap --min-time 5" 'who waited, too'
+hint "carla-recap info $mcap --all" 'every record of every frame'
+hint 'carla-recap convert YOUR.log YOUR.mcap' 'a recording of yours'

@@ -12,6 +12,8 @@ from __future__ import annotations
 from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
+from carla_recap.lazy import lazily
+
 if TYPE_CHECKING:
     __version__: str
 
@@ -79,38 +81,32 @@ __all__ = [
     "write_report",
 ]
 
-# Names are imported when they are asked for: the command line should not wait for numpy to print its help.
-_HOMES = {
-    "author": ("Recorder", "create_recording"),
-    "clipping": ("clip", "clips"),
-    "conversion": ("convert",),
-    "errors": ("FormatError", "MissingExtra", "NotARecording", "RecapError", "RecapWarning", "RecordError"),
-    "export.page": ("write_report",),
-    "frame": ("Frame", "Header"),
-    "maps": ("RoadMap", "load_map"),
-    "queries.actors": ("Actor",),
-    "queries.blocked": ("BlockedRow",),
-    "queries.collisions": ("CollisionRow",),
-    "formats": ("create_writer",),
-    "queries.incidents": ("Incident",),
-    "queries.info": ("InfoRow",),
-    "records": ("ActorKind", "Attribute", "Spawn", "attributes"),
-    "recording": ("Controls", "LightStates", "Recording", "RecordingInfo", "Trajectory", "open_recording"),
-    "recovery": ("Recovery", "recover"),
-    "replay": ("Player", "Scene"),
-}
-_HOME_OF = {name: home for home, names in _HOMES.items() for name in names}
+# The command line should not wait for numpy to print its help.
+_get, __dir__ = lazily(
+    __name__,
+    {
+        "author": ("Recorder", "create_recording"),
+        "clipping": ("clip", "clips"),
+        "conversion": ("convert",),
+        "errors": ("FormatError", "MissingExtra", "NotARecording", "RecapError", "RecapWarning", "RecordError"),
+        "export.page": ("write_report",),
+        "frame": ("Frame", "Header"),
+        "maps": ("RoadMap", "load_map"),
+        "queries.actors": ("Actor",),
+        "queries.blocked": ("BlockedRow",),
+        "queries.collisions": ("CollisionRow",),
+        "formats": ("create_writer",),
+        "queries.incidents": ("Incident",),
+        "queries.info": ("InfoRow",),
+        "records": ("ActorKind", "Attribute", "Spawn", "attributes"),
+        "recording": ("Controls", "LightStates", "Recording", "RecordingInfo", "Trajectory", "open_recording"),
+        "recovery": ("Recovery", "recover"),
+        "replay": ("Player", "Scene"),
+    },
+)
 
 
 def __getattr__(name: str) -> Any:
     if name == "__version__":
         return import_module("importlib.metadata").version("carla-recap")
-    if name not in _HOME_OF:
-        raise AttributeError(f"module 'carla_recap' has no attribute {name!r}")
-    found = getattr(import_module(f"carla_recap.{_HOME_OF[name]}"), name)
-    globals()[name] = found
-    return found
-
-
-def __dir__() -> list[str]:
-    return sorted({*globals(), *__all__, "__version__"})
+    return _get(name)

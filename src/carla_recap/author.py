@@ -13,8 +13,11 @@ from carla_recap.frame import LAST_FRAME_DURATION, Extent, Frame, Header, Packet
 from carla_recap.records import FRAME_END, ORDER
 
 if TYPE_CHECKING:
+    from collections.abc import Mapping
     from pathlib import Path
     from types import TracebackType
+
+    from carla_recap.records import Table
 
 
 class Recorder:
@@ -87,18 +90,30 @@ class Recorder:
             self.abort()
 
     def _packets(self, given: dict[str, Any]) -> list[Packet]:
-        records = {self._table.named(name).id: values for name, values in given.items()}
-        if min(records, default=FRAME_END + 1) <= FRAME_END:
-            raise RecordError("a frame's start and end are not given as records")
-        packets = []
-        for id in ORDER:
-            type = self._table[id]
-            if id in records:
-                packet = Packet(id, type, records=type.records(records[id]))
-                packets.append(Packet(id, type, packet.payload))
-            elif type.always and (self._additional or not type.additional):
-                packets.append(Packet(id, type, records=type.records([])))
-        return [*packets, self._end]
+        packets = packets_of(self._table, given, additional_data=self._additional)
+        return [*(Packet(packet.id, packet.type, packet.payload) for packet in packets), self._end]
+
+
+def packets_of(table: Table, records: Mapping[str, Any], *, additional_data: bool) -> list[Packet]:
+    """The packets of a frame, between its start and its end, as CARLA's recorder writes them.
+
+    Args:
+        table: The record types of the recording.
+        records: Records by type; those that CARLA tells of in each frame have empty packets where nothing is given.
+        additional_data: Whether the packets of CARLA's additional data are among these.
+
+    Raises:
+        RecordError: They do not fit their type.
+    """
+    given = {table.named(name).id: values for name, values in records.items()}
+    if min(given, default=FRAME_END + 1) <= FRAME_END:
+        raise RecordError("a frame's start and end are not given as records")
+    rows = {id: table[id] for id in ORDER}
+    return [
+        Packet(id, type, records=type.records(given.get(id, [])))
+        for id, type in rows.items()
+        if id in given or (type.always and (additional_data or not type.additional))
+    ]
 
 
 def create_recording(

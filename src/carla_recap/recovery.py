@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from contextlib import suppress
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
@@ -15,7 +16,7 @@ if TYPE_CHECKING:
     from pathlib import Path
 
     from carla_recap.conversion import Progress
-    from carla_recap.formats.base import Reader
+    from carla_recap.formats.base import Reader, Writer
     from carla_recap.frame import Frame
 
 
@@ -86,6 +87,28 @@ def recover(
     finally:
         reader.close()
     return Recovery(frames, expected - frames, lost_bytes, duration, finished, headless)
+
+
+def rescue(writer: Writer, path: Path, error: Exception, *, force: bool = False) -> RecapError:
+    """Make a recording whose writer has failed whole, up to there; if that cannot be done, leave what is there beside it.
+
+    Args:
+        writer: The writer.
+        path: Its destination.
+        error: Why it failed.
+        force: Overwrite what is there.
+
+    Returns:
+        What to tell: why it failed, and where what was recorded is.
+    """
+    partial = writer.abandon()
+    try:
+        saved = recover(partial, path, force=force)
+    except Exception:  # whatever it is: the frames are safe where they are
+        return RecapError(f"{error}; what was recorded until then lies in {partial}, for carla-recap recover")
+    with suppress(OSError):
+        partial.unlink()
+    return RecapError(f"{error}; the recording ends at {saved.duration:g} s")
 
 
 def _stated_frames(reader: Reader) -> int:

@@ -1,13 +1,18 @@
-"""The command that makes recordings."""
+"""The commands that make recordings."""
 
 from __future__ import annotations
 
+import shlex
+import signal
 import subprocess
+import time
 
 import pytest
 
 from carla_recap import open_recording
-from tests.cli.command import COMMAND, ENVIRONMENT, TIMEOUT, error, on_terminal, run, the_line
+from tests.cli.command import COMMAND, CROSSING, ENVIRONMENT, TIMEOUT, error, on_terminal, run, the_line
+from tests.maps.towns import town
+from tests.samples import carla_log
 
 pytest.importorskip("pymunk", reason="the extra `sim` is not installed")
 
@@ -46,7 +51,78 @@ def test_what_cannot_be_recorded(tmp_path):
     assert "town 'Atlantis': expected Brickfield" in error("record", tmp_path / "a.log", "--town", "Atlantis")
     assert "unknown format" in error("record", tmp_path / "a.txt", *FEW)
     assert "has room for" in error("record", tmp_path / "a.log", "--vehicles", "1000", "--walkers", "0")
+    assert "'--seed': -1" in error("record", tmp_path / "a.log", "--seed", "-1")
+    (tmp_path / "b.xodr").write_text("<OpenDRIVE/>")
+    assert "b.xodr: " in error("record", tmp_path / "a.log", "--town", tmp_path / "b.xodr")
+    (tmp_path / "b.xodr").unlink()
     assert list(tmp_path.iterdir()) == []
+
+
+def test_as_many_ticks_as_the_time_takes(tmp_path):
+    done = run("record", tmp_path / "a.mcap", "--vehicles", "0", "--walkers", "0", "--duration", "60")
+    assert done.stderr.decode() == f"{tmp_path / 'a.mcap'}: 1200 frames, 60 s\n"
+
+
+@pytest.mark.parametrize(
+    ("scene", "cast"),
+    [
+        (
+            "--crash",
+            ["vehicle.tesla.model3", "vehicle.mercedes.sprinter", "sensor.other.collision", "walker.pedestrian.0004"],
+        ),
+        ("--blocked", ["vehicle.mercedes.sprinter", "vehicle.tesla.model3", "vehicle.audi.a2", "vehicle.mini.cooper_s"]),
+    ],
+)
+def test_a_staged_scene_brings_its_cast(tmp_path, scene, cast):
+    assert run("record", tmp_path / "a.mcap", scene, "--hero", *FEW).returncode == 0
+    with open_recording(tmp_path / "a.mcap") as recording:
+        movers = [actor.type_id for actor in recording.actors.values() if actor.id > 40]
+        assert movers[:4] == cast
+        assert len(recording.heroes) == 1
+
+
+def test_around_the_junction(tmp_path):
+    assert run("record", tmp_path / "a.mcap", "--junction", *FEW).returncode == 0
+    with open_recording(tmp_path / "a.mcap") as recording:
+        vehicles = [actor.id for actor in recording.actors.values() if actor.kind == "vehicle"]
+        ways = [recording.trajectory(id, axes="carla") for id in vehicles]
+    assert all((way.x[0] - 120) ** 2 + (way.y[0] + 110) ** 2 < 81**2 for way in ways)
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM, signal.SIGHUP])
+def test_who_ends_it_early_has_what_was_recorded(tmp_path, number):
+    path = tmp_path / "a.mcap"
+    command = [COMMAND, "record", path, "--vehicles", "1", "--walkers", "0", "--duration", "inf"]
+    with subprocess.Popen(command, env=ENVIRONMENT, stderr=subprocess.PIPE) as process:
+        until = time.monotonic() + TIMEOUT
+        while not any(tmp_path.iterdir()) and time.monotonic() < until:
+            time.sleep(0.05)
+        time.sleep(0.3)
+        process.send_signal(number)
+        _, stderr = process.communicate(timeout=TIMEOUT)
+    assert process.returncode == 128 + number
+    assert stderr.strip() == b""
+    with open_recording(path) as recording:
+        assert recording.info.frames > 0
+
+
+@pytest.mark.parametrize("suffix", [".mcap", ".log"])
+def test_a_full_disk_ends_it_and_leaves_what_was_recorded(tmp_path, suffix):
+    path = tmp_path / f"a{suffix}"
+    record = shlex.join([str(COMMAND), "record", str(path), "--vehicles", "3", "--walkers", "0"])
+    done = subprocess.run(
+        ["bash", "-c", f"ulimit -f 100; {record}"], env=ENVIRONMENT, capture_output=True, timeout=TIMEOUT, check=False
+    )
+    assert done.returncode == 2
+    assert b"warning: the recording has ended: " in done.stderr
+    assert b"cannot be written: File too large; " in done.stderr
+    (left,) = tmp_path.iterdir()
+    assert left.stat().st_size <= 100 << 10
+    if left != path:  # there was no room for its end
+        assert f"{left}, for carla-recap recover" in done.stderr.decode()
+        assert run("recover", left, path).returncode == 0
+    with open_recording(path) as recording:
+        assert 1 < recording.info.duration < 60
 
 
 def test_it_shows_how_far_it_is(tmp_path):
@@ -56,9 +132,66 @@ def test_it_shows_how_far_it_is(tmp_path):
 
 
 def test_without_the_extra_there_is_one_line(tmp_path):
-    (tmp_path / "pymunk.py").write_text("raise ImportError('no pymunk here')")
+    (tmp_path / "pymunk.py").write_text("raise ModuleNotFoundError('no pymunk here')")
     command = [COMMAND, "record", tmp_path / "a.mcap", *FEW]
     environment = ENVIRONMENT | {"PYTHONPATH": str(tmp_path)}
     done = subprocess.run(command, env=environment, capture_output=True, timeout=TIMEOUT, check=False)
     assert done.returncode == 2
     assert "pip install 'carla-recap[sim]'" in the_line(done.stderr)
+
+
+# --- replays -----------------------------------------------------------------------------------------------------------
+
+
+@pytest.fixture(scope="module")
+def crash(tmp_path_factory):
+    path = tmp_path_factory.mktemp("crash") / "crash.mcap"
+    assert run("record", path, "--crash", "--vehicles", "0", "--walkers", "0", "--duration", "20").returncode == 0
+    return path
+
+
+def test_a_replay_is_recorded_as_it_was(crash, tmp_path):
+    done = run("replay", crash, tmp_path / "again.mcap", "--then", "0")
+    assert (done.returncode, done.stdout) == (0, b"")
+    assert done.stderr.decode() == f"{tmp_path / 'again.mcap'}: 400 frames, 20 s, by autopilot from frame 400 on\n"
+    with open_recording(crash) as first, open_recording(tmp_path / "again.mcap") as second:
+        before, after = (recording.trajectory(recording.heroes[0].id) for recording in (first, second))
+    assert after.x[:399] == pytest.approx(before.x[1:], abs=0.01)
+    assert after.y[:399] == pytest.approx(before.y[1:], abs=0.01)
+
+
+def test_the_autopilot_avoids_the_crash(crash, tmp_path):
+    path = tmp_path / "avoided.log"
+    done = run("replay", crash, path, "--start", "4", "--duration", "6.5", "--then", "12")
+    assert done.stderr.decode() == f"{path}: 371 frames, 18.55 s, by autopilot from frame 131 on\n"
+    with open_recording(crash) as recording:
+        assert len(recording.collisions("h")) == 2
+    with open_recording(path) as recording:
+        assert not recording.collisions("h")
+        assert recording.trajectory(recording.heroes[0].id).speed[-1] < 0.1  # behind the walker, who stands there
+
+
+def test_the_hero_can_be_left_out(crash, tmp_path):
+    assert run("replay", crash, tmp_path / "a.mcap", "--ignore-hero", "--duration", "2", "--then", "1").returncode == 0
+    with open_recording(tmp_path / "a.mcap") as recording:
+        assert not recording.heroes
+        assert recording.info.frames == 61
+
+
+def test_a_recording_of_carlas_goes_on_in_our_town(tmp_path):
+    log = carla_log("carla-0.9.13-lane-center.log")
+    done = run("replay", log, tmp_path / "a.mcap", "--town", town("Town01"), "--duration", "2", "--then", "2")
+    assert done.returncode == 0
+    with open_recording(tmp_path / "a.mcap") as recording:
+        assert recording.info.map_name == "Town01"
+        assert recording.info.frames == 81
+
+
+def test_what_cannot_be_replayed(crash, tmp_path):
+    out = tmp_path / "a.mcap"
+    assert "is a recording of the map 'Crossing', which cannot be loaded" in error("replay", CROSSING, out)
+    assert "none.log" in error("replay", tmp_path / "none.log", out)
+    assert "unknown format" in error("replay", crash, tmp_path / "a.txt")
+    assert list(tmp_path.iterdir()) == []
+    out.write_text("mine")
+    assert "exists already" in error("replay", crash, out)

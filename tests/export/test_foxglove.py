@@ -313,6 +313,13 @@ def test_an_actor_that_nobody_spawned_is_shown(record):
     assert list(seen(topics["/scene"])) == ["actor 5"]
 
 
+def test_a_box_that_is_invented_is_faint(record):
+    bag = Spawn(2, ActorKind.OTHER, type_id="static.prop.bag")
+    topics = record({"spawned": [spawn(1), bag], "transforms": [pose(1), pose(2)]})
+    entities = seen(topics["/scene/still"])
+    assert [entities[f"actor {id}"].cubes[0].color.a for id in (1, 2)] == [1.0, 0.35]
+
+
 def test_what_is_attached_goes_along(record):
     bag = Spawn(2, ActorKind.OTHER, x=-100, type_id="static.prop.bag")
     frames = [{"spawned": [spawn(1), bag], "parented": [(2, 1)]}, {}, {}]

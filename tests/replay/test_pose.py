@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
 from carla_recap.replay import quaternions, right_handed, right_handed_velocities
-from carla_recap.replay.pose import attach, change, left_handed, rotations, wrap
+from carla_recap.replay.pose import attach, change, detach, left_handed, rotations, wrap
 
 ANGLES = st.floats(-720, 720)
 POSES = arrays(np.float64, (6,), elements=st.floats(-180, 180, allow_subnormal=False).map(lambda value: round(value, 3)))
@@ -87,3 +87,10 @@ def test_attached_turns_with_its_parent(parent: np.ndarray, relative: np.ndarray
     world = rotations(right_handed(attach(parent, relative)))
     expected = rotations(right_handed(parent)) @ rotations(right_handed(relative))
     assert world == pytest.approx(expected, abs=1e-5)
+
+
+@given(POSES, POSES)
+def test_detached_is_what_attached_takes(parent: np.ndarray, child: np.ndarray) -> None:
+    again = attach(parent, detach(parent, child))
+    assert again[:3] == pytest.approx(child[:3], abs=1e-3)
+    assert rotations(right_handed(again)) == pytest.approx(rotations(right_handed(child)), abs=1e-5)

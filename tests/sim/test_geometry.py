@@ -1,8 +1,13 @@
 from __future__ import annotations
 
+import itertools
+
+import numpy as np
 import pytest
 
+from carla_recap.replay.pose import attach
 from carla_recap.sim.geometry import Box, Location, Rotation, Transform, Vector
+from carla_recap.sim.poses import pose, transform
 
 
 def near(place: Location | Vector, x: float, y: float, z: float) -> bool:
@@ -39,3 +44,15 @@ def test_transforms_do_not_share_their_parts() -> None:
     first.location.x = 5
     assert second.location.x == 0
     assert Box(Location(z=1), Vector(2, 1, 1)).extent.x == 2
+
+
+def test_what_is_attached_is_where_a_replay_puts_it() -> None:
+    random = np.random.default_rng(1)
+    upright = [(90.0, 30.0, 0.0), (-90.0, 10.0, 40.0), (0.0, 0.0, 0.0)]
+    turns = [tuple(turn) for turn in random.uniform((-90, -180, -180), (90, 180, 180), (50, 3)).tolist()] + upright
+    for one, other in itertools.product(turns[-10:], turns):
+        parent, relative = Transform(Location(1, 2, 3), Rotation(*one)), Transform(Location(4, -5, 6), Rotation(*other))
+        expected = transform(attach(np.array(pose(parent)), np.array(pose(relative))))
+        found = parent.attached(relative)
+        assert near(found.location, expected.location.x, expected.location.y, expected.location.z)
+        assert np.array(found.rotation.matrix()) == pytest.approx(np.array(expected.rotation.matrix()), abs=1e-6)

@@ -213,6 +213,14 @@ def test_what_happened_between_the_last_tick_and_the_start_is_told_once(tmp_path
     assert first["light_times"]["green"].tolist() == [7, 10]
 
 
+def test_what_listeners_do_is_told_in_the_next_frame(tmp_path: Path) -> None:
+    world = lit_world()
+    world.listeners.append(lambda: car(world, 10.0 * world.frame))
+    counts = [(len(frame["spawned"]), len(frame["transforms"])) for frame in record(world, tmp_path / "a.mcap", 3)]
+    placed = counts[0][1]
+    assert counts[1:] == [(1, placed + 1), (1, placed + 2)]
+
+
 def test_where_everybody_is_and_what_they_do(tmp_path: Path) -> None:
     world = lit_world()
     person, hero = walker(world), car(world, 20.0)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 
 from carla_recap.records import ActorKind
-from carla_recap.sim import World, load_town
+from carla_recap.sim import Location, World, load_town
 from carla_recap.sim.errors import SimError
 from carla_recap.sim.traffic import populate
 
@@ -31,14 +31,6 @@ def test_vehicles_drive_and_walkers_stroll(town):
     assert sum(way > 2 for way in gone[8:]) >= 3
 
 
-def test_walkers_that_arrive_go_on(town):
-    world = World(town, seed=5, date=0)
-    (walker,) = populate(world, 0, 1)
-    walker.destination = None
-    world.run(2)
-    assert walker.destination is not None
-
-
 def test_the_seed_says_who_appears_and_where(town):
     def cast(seed):
         return [(actor.type_id, actor.transform.location.x) for actor in populate(World(town, seed=seed, date=0), 5, 5)]
@@ -49,3 +41,17 @@ def test_the_seed_says_who_appears_and_where(town):
 def test_no_more_than_there_is_room_for(town):
     with pytest.raises(SimError, match=r"Brickfield has room for \d+ more vehicles, 100000 were expected"):
         populate(World(town, date=0), 100_000, 0)
+
+
+def test_traffic_around_a_place(town):
+    world, place = World(town, seed=5, date=0), Location(120, -110, 0)
+    cast = populate(world, 12, 6, around=place)
+    assert max(actor.transform.location.distance(place) for actor in cast) < 81
+    assert all(walker.destination.distance(place) < 81 for walker in cast[12:])
+
+
+def test_there_is_less_room_around_a_place(town):
+    with pytest.raises(SimError, match=r"Brickfield has room for \d+ more vehicles, 200 were expected"):
+        populate(World(town, date=0), 200, 0, around=Location(120, -110, 0))
+    with pytest.raises(SimError, match="Brickfield has no sidewalk within 80 m of"):
+        populate(World(town, date=0), 0, 1, around=Location(5000, 0, 0))

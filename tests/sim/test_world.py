@@ -298,6 +298,11 @@ def test_what_is_no_number_is_refused(number: float) -> None:
     assert car.transform == at(0.0)
 
 
+def test_a_negative_seed_is_refused() -> None:
+    with pytest.raises(SimError, match=r"seed: 0 or a larger whole number was expected, found -1"):
+        World(flat_town(), seed=-1)
+
+
 def test_what_does_not_exist_is_refused() -> None:
     world = flat_world(signals=[light(0, (0,))])
     with pytest.raises(SimError, match="a door: 0 to 6 was expected, found 9"):

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING
 
 import click
 
-from carla_recap.cli import files, queries, serve, show, simulate
+from carla_recap.cli import capture, files, queries, serve, show, simulate
 from carla_recap.cli.output import say, warn
 from carla_recap.errors import RecapError, RecapWarning
 
@@ -33,7 +33,7 @@ def cli() -> None:
     """
 
 
-for command in (*queries.COMMANDS, *files.COMMANDS, *show.COMMANDS, *simulate.COMMANDS, *serve.COMMANDS):
+for command in (*queries.COMMANDS, *files.COMMANDS, *show.COMMANDS, *simulate.COMMANDS, *serve.COMMANDS, *capture.COMMANDS):
     cli.add_command(command)
 
 

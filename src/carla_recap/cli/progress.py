@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import sys
 from typing import TYPE_CHECKING, TypeVar
 
@@ -63,7 +64,7 @@ def _watched(items: Iterable[T], title: str, total: float, position: Callable[[T
     from rich.progress import Progress as Bar
 
     with Bar(console=Console(stderr=True), transient=True) as bar:
-        task = bar.add_task(title, total=total)
+        task = bar.add_task(title, total=total if math.isfinite(total) else None)
         for number, item in enumerate(items):
             if number % rest == 0:
                 bar.update(task, completed=position(item))

@@ -3,11 +3,18 @@
 from __future__ import annotations
 
 import asyncio
+from contextlib import nullcontext
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import click
 
+from carla_recap.cli import options
 from carla_recap.cli.output import warn
+
+if TYPE_CHECKING:
+    from carla_recap.replay.follow import Follow
+    from carla_recap.server.live import Window
 
 _LOOPBACK = "127.0.0.1"
 
@@ -18,21 +25,47 @@ _LOOPBACK = "127.0.0.1"
 @click.option("--town", default="", metavar="NAME", help="A map's name or an .xodr; else the built-in town.")
 @click.option("--maps", type=click.Path(path_type=Path), metavar="DIR", help="The folder of maps.")
 @click.option("--recordings", type=click.Path(path_type=Path), metavar="DIR", help="The folder of recordings.")
+@click.option("--confine", is_flag=True, help="Refuse recordings outside that folder.")
 @click.option("--seed", type=click.IntRange(min=0), default=0, show_default=True, metavar="K", help="Of all that is random.")
-def serve(host: str, port: int, town: str, maps: Path | None, recordings: Path | None, seed: int) -> None:
+@click.option("--rerun", is_flag=True, help="Show the world in Rerun's viewer while it goes on.")
+@click.option(
+    "--rerun-to", metavar="FILE|URL", help="The same in an .rrd, or in the viewer that listens at rerun+http://..."
+)
+@click.option("--follow", type=options.FOLLOW, metavar="ID|hero", help="Whom its camera follows; else the hero.")
+def serve(
+    host: str,
+    port: int,
+    town: str,
+    maps: Path | None,
+    recordings: Path | None,
+    confine: bool,
+    seed: int,
+    rerun: bool,
+    rerun_to: str | None,
+    follow: Follow | None,
+) -> None:
     """Serve a simulated town to CARLA's own client."""
-    from carla_recap.errors import MissingExtra
+    from carla_recap.server.host import Host
+    from carla_recap.server.serving import serve as serve_clients
+    from carla_recap.sim import World, load_town
 
-    try:
-        from carla_recap.server.host import Host
-        from carla_recap.server.serving import serve as serve_clients
-        from carla_recap.sim import World, load_town
-    except ImportError:
-        raise MissingExtra("the server", "server") from None
     if host not in (_LOOPBACK, "localhost", "::1"):
         warn(f"{host} can be reached by others, and the protocol asks nobody who they are")
-    with World(load_town(town, maps), seed=seed, recordings=recordings, maps=maps) as world:
-        asyncio.run(serve_clients(Host(world), host, port, lambda port: _tell(world.town.name, host, port)))
+    window = _window(rerun_to, follow) if rerun or rerun_to or follow is not None else nullcontext()
+    with window as shown, World(load_town(town, maps), seed=seed, recordings=recordings, maps=maps) as world:
+
+        def ready(port: int) -> None:
+            _tell(world.town.name, host, port)
+            if shown is not None:
+                shown.open(host, port)
+
+        asyncio.run(serve_clients(Host(world, confined=confine), host, port, ready))
+
+
+def _window(to: str | None, follow: Follow | None) -> Window:
+    from carla_recap.server.live import Window
+
+    return Window(to, "hero" if follow is None else follow)
 
 
 def _tell(town: str, host: str, port: int) -> None:

@@ -71,6 +71,11 @@ class Program:
         """The id of the process."""
         return self._process.pid
 
+    @property
+    def is_running(self) -> bool:
+        """Whether it has not been closed yet."""
+        return self._process.poll() is None
+
     def wait(self) -> None:
         """Wait until it is closed.
 

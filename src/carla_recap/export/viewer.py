@@ -54,7 +54,7 @@ def view(
         FormatError: The file contradicts its format.
     """
     reader = source.reader if isinstance(source, Recording) else source
-    if not web and not _has_display():
+    if not web and not has_display():
         raise RecapError("there is no display for the Rerun viewer; --web serves it to a browser")
     with TemporaryDirectory(prefix="carla-recap-") as folder:
         path = Path(folder) / f"{reader.path.stem[:200]}.rrd"
@@ -82,7 +82,8 @@ def _serve(path: Path, ready: Callable[[str], object]) -> None:
         program.wait()
 
 
-def _has_display() -> bool:
+def has_display() -> bool:
+    """Whether a window can be opened."""
     if not sys.platform.startswith("linux"):
         return True
     return any(os.environ.get(name) for name in ("DISPLAY", "WAYLAND_DISPLAY", "WAYLAND_SOCKET"))

@@ -41,8 +41,9 @@ UNSHIFT: Final = {plain: shifted for shifted, plain in SHIFT.items()}
 _SNIFFED_FRAMES: Final = 3  # builds that have the shifted packets write them in every frame
 _SNIFFED_PACKETS: Final = 20_000
 PACKETS_LIMIT: Final = 200_000
-SYNC_SECONDS: Final = 5.0
 """The most packets of a frame; CARLA writes some twenty."""
+SYNC_SECONDS: Final = 5.0
+"""How many seconds of a live recording may be lost when the process dies."""
 _PACKETS_IN_A_FRAME: Final = 256
 _FORGET: Final = 16 << 20  # mapped pages are given back every so many bytes
 

@@ -99,7 +99,25 @@ def attach(parent: Floats, relative: Floats) -> Floats:
     """
     parent, relative = right_handed(parent), right_handed(relative)
     turn = rotations(parent)
-    matrix = turn @ rotations(relative)
+    location = parent[..., LOCATION] + (turn @ relative[..., LOCATION, None])[..., 0]
+    return _left_handed_of(location, turn @ rotations(relative))
+
+
+def detach(parent: Floats, child: Floats) -> Floats:
+    """The pose of an actor in its parent's axes (cm, degrees, left-handed): what `attach` takes.
+
+    Args:
+        parent: The parent's pose in the world.
+        child: The actor's pose in the world.
+    """
+    parent, child = right_handed(parent), right_handed(child)
+    back = np.swapaxes(rotations(parent), -1, -2)
+    location = (back @ (child - parent)[..., LOCATION, None])[..., 0]
+    return _left_handed_of(location, back @ rotations(child))
+
+
+def _left_handed_of(location: Floats, matrix: Floats) -> Floats:
+    """CARLA's pose of a right-handed location and rotation."""
     sine = np.clip(-matrix[..., 2, 0], -1, 1)
     upright = np.abs(sine) > 1 - 1e-12  # nose up or down: roll and yaw are one, and called yaw
     roll = np.where(upright, 0.0, np.arctan2(matrix[..., 2, 1], matrix[..., 2, 2]))
@@ -108,6 +126,5 @@ def attach(parent: Floats, relative: Floats) -> Floats:
         np.arctan2(-matrix[..., 0, 1], matrix[..., 1, 1]),
         np.arctan2(matrix[..., 1, 0], matrix[..., 0, 0]),
     )
-    location = parent[..., LOCATION] + (turn @ relative[..., LOCATION, None])[..., 0]
     angles = np.degrees(np.stack((roll, np.arcsin(sine), yaw), axis=-1))
     return left_handed(np.concatenate((location, angles), axis=-1)) + 0.0

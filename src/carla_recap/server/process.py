@@ -9,7 +9,8 @@ from __future__ import annotations
 import subprocess
 import sys
 from contextlib import contextmanager
-from typing import TYPE_CHECKING, Final
+from tempfile import TemporaryFile
+from typing import IO, TYPE_CHECKING, Final
 
 from carla_recap.errors import RecapError
 
@@ -28,6 +29,7 @@ def running(
     maps: Path | str | None = None,
     recordings: Path | str | None = None,
     seed: int = 0,
+    confine: bool = False,
 ) -> Iterator[int]:
     """Have a server run; it ends, and completes its recording, when the block does.
 
@@ -37,6 +39,7 @@ def running(
         maps: The folder of maps.
         recordings: The folder of recordings.
         seed: Of everything random.
+        confine: Refuse recordings outside the folder of recordings.
 
     Yields:
         The port, for `carla.Client("localhost", port)`.
@@ -46,21 +49,27 @@ def running(
     """
     options = {"town": town, "port": port, "maps": maps, "recordings": recordings, "seed": seed}
     arguments = [f"--{name}={value}" for name, value in options.items() if value not in (None, "")]
+    if confine:
+        arguments.append("--confine")
     command = [sys.executable, "-m", "carla_recap", "serve", *arguments]
-    with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as process:
+    with TemporaryFile("w+") as said, subprocess.Popen(command, stdout=subprocess.PIPE, stderr=said, text=True) as process:
         try:
-            yield _port(process)
+            yield _port(process, said)
         finally:
             process.terminate()
             try:
                 process.wait(_PATIENCE)
             except subprocess.TimeoutExpired:
                 process.kill()
+            said.seek(0)
+            print(said.read(), end="", file=sys.stderr)
 
 
-def _port(process: subprocess.Popen[str]) -> int:
+def _port(process: subprocess.Popen[str], said: IO[str]) -> int:
     assert process.stdout is not None
     line = process.stdout.readline()
     if not line:
-        raise RecapError(f"the server has not started; it ended with exit code {process.wait()}")
-    return int(line.split(":")[-1].split()[0])
+        process.wait()
+        said.seek(0)
+        raise RecapError(said.read().strip() or f"the server has ended with exit code {process.returncode}")
+    return int(line.rsplit(":", 1)[-1])

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from importlib import import_module
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
+
+from carla_recap.lazy import lazily
 
 if TYPE_CHECKING:
     from carla_recap.sim.actors import Actor, Prop, Sensor, Sign, Spectator, TrafficLight, Vehicle, Walker
@@ -53,30 +54,20 @@ __all__ = [
     "load_town",
 ]
 
-# Names are imported when they are asked for: reading a town needs no physics engine.
-_HOMES = {
-    "actors": ("Actor", "Prop", "Sensor", "Sign", "Spectator", "TrafficLight", "Vehicle", "Walker"),
-    "blueprints": ("Blueprint", "BlueprintLibrary"),
-    "control": ("VehicleControl", "WalkerControl"),
-    "errors": ("DeadActor", "SimError", "SpawnError"),
-    "events": ("Collision", "TickEvents"),
-    "geometry": ("Box", "Location", "Rotation", "Transform", "Vector"),
-    "physics_control": ("Gear", "PhysicsControl", "WheelPhysics"),
-    "settings": ("Settings",),
-    "town": ("Town", "load_town"),
-    "weather": ("PRESETS", "Weather"),
-    "world": ("Controller", "World"),
-}
-_HOME_OF = {name: home for home, names in _HOMES.items() for name in names}
-
-
-def __getattr__(name: str) -> Any:
-    if name not in _HOME_OF:
-        raise AttributeError(f"module 'carla_recap.sim' has no attribute {name!r}")
-    found = getattr(import_module(f"carla_recap.sim.{_HOME_OF[name]}"), name)
-    globals()[name] = found
-    return found
-
-
-def __dir__() -> list[str]:
-    return sorted({*globals(), *__all__})
+# Reading a town needs no physics engine.
+__getattr__, __dir__ = lazily(
+    __name__,
+    {
+        "actors": ("Actor", "Prop", "Sensor", "Sign", "Spectator", "TrafficLight", "Vehicle", "Walker"),
+        "blueprints": ("Blueprint", "BlueprintLibrary"),
+        "control": ("VehicleControl", "WalkerControl"),
+        "errors": ("DeadActor", "SimError", "SpawnError"),
+        "events": ("Collision", "TickEvents"),
+        "geometry": ("Box", "Location", "Rotation", "Transform", "Vector"),
+        "physics_control": ("Gear", "PhysicsControl", "WheelPhysics"),
+        "settings": ("Settings",),
+        "town": ("Town", "load_town"),
+        "weather": ("PRESETS", "Weather"),
+        "world": ("Controller", "World"),
+    },
+)

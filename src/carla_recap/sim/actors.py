@@ -7,13 +7,12 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from carla_recap.replay.pose import attach
 from carla_recap.sim.checks import expect_between, expect_finite
 from carla_recap.sim.control import VehicleControl, WalkerControl
 from carla_recap.sim.errors import DeadActor, SimError
 from carla_recap.sim.geometry import Location, Rotation, Transform, Vector
 from carla_recap.sim.plane import PROP, VEHICLE, WALKER
-from carla_recap.sim.poses import pose, transform
+from carla_recap.sim.poses import pose
 from carla_recap.sim.signals import RED, UNKNOWN
 
 if TYPE_CHECKING:
@@ -165,7 +164,10 @@ class Mover(Actor):
 
     @property
     def transform(self) -> Transform:
-        """Where it is in the world: a copy. Setting it puts it elsewhere, at the speed that it has."""
+        """Where it is in the world: a copy. Setting it puts it elsewhere, at the speed that it has.
+
+        Of an attached one, it is set relative to its parent.
+        """
         if not self.is_alive:
             return self._transform.copy()
         row = self.rows.row(self.id)
@@ -177,8 +179,11 @@ class Mover(Actor):
     @transform.setter
     def transform(self, value: Transform) -> None:
         expect_finite(f"the transform of {self!r}", *pose(value))
+        if self.parent is not None:
+            self._transform = value.copy()
+            return self.ride(self.parent)
         place, turn = value.location, value.rotation
-        self.rows.put(self.row, (place.x, place.y, place.z), (turn.pitch, turn.yaw, turn.roll))
+        return self.rows.put(self.row, (place.x, place.y, place.z), (turn.pitch, turn.yaw, turn.roll))
 
     @property
     def velocity(self) -> Vector:
@@ -201,18 +206,29 @@ class Mover(Actor):
         return bool(self.rows.simulated[self.row])
 
     def set_simulate_physics(self, enabled: bool = True) -> None:
-        """Let forces move it, or have it stay where it is put."""
-        self.rows.set_simulated(self.row, enabled)
+        """Let forces move it, or have it stay where it is put; an attached one goes where its parent does."""
+        self.rows.set_simulated(self.row, enabled and self.parent is None)
 
     def set_collisions(self, enabled: bool = True) -> None:
-        """Let it touch others, or pass through them."""
+        """Let it touch others, or pass through them; an attached one always passes."""
         rows = self.rows
-        rows.plane.set_touching(rows.bodies[self.row], self._group, enabled)
+        rows.plane.set_touching(rows.bodies[self.row], self._group, enabled and self.parent is None)
 
     def set_target_velocity(self, velocity: Vector) -> None:
         """Give it a velocity in m/s, from which it goes on."""
         expect_finite(f"the velocity of {self!r}", velocity.x, velocity.y, velocity.z)
         self.rows.set_velocity(self.row, velocity.x, velocity.y, velocity.z)
+
+    def ride(self, parent: Actor) -> None:
+        """Go where a parent has gone that it is fixed to, and as fast."""
+        place, velocity = upon(parent, self._transform), parent.velocity
+        turning, acceleration = parent.angular_velocity, parent.acceleration
+        rows, row = self.rows, self.row
+        rows.position[row] = place.location.x, place.location.y, place.location.z
+        rows.rotation[row] = place.rotation.pitch, place.rotation.yaw, place.rotation.roll
+        rows.set_velocity(row, velocity.x, velocity.y, velocity.z)
+        rows.angular_velocity[row] = turning.x, turning.y, turning.z
+        rows.acceleration[row] = acceleration.x, acceleration.y, acceleration.z
 
     def _vector(self, column: str) -> Vector:
         return Vector(*getattr(self.rows, column)[self.row].tolist()) if self.is_alive else Vector()
@@ -527,4 +543,4 @@ class TrafficLight(Sign):
 
 def upon(parent: Actor, relative: Transform) -> Transform:
     """Where something is in the world that is fixed to a parent."""
-    return transform(attach(np.array(pose(parent.transform)), np.array(pose(relative))))
+    return parent.transform.attached(relative)

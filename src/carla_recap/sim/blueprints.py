@@ -10,32 +10,13 @@ from types import MappingProxyType
 from typing import TYPE_CHECKING, Final
 
 from carla_recap.records import ActorKind
+from carla_recap.sim.attributes import CHOICES, SENSORS
 from carla_recap.sim.errors import SpawnError
 from carla_recap.sim.geometry import Box, Location, Vector
 from carla_recap.sim.physics_control import Gear, PhysicsControl, WheelPhysics
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping
-
-_BOOL, _INT, _FLOAT, _STRING, _COLOUR = range(5)
-_TYPES: Final = {
-    "number_of_wheels": _INT,
-    "generation": _INT,
-    "sticky_control": _BOOL,
-    "has_lights": _BOOL,
-    "has_dynamic_doors": _BOOL,
-    "is_invincible": _BOOL,
-    "can_use_wheelchair": _BOOL,
-    "speed": _FLOAT,
-    "sensor_tick": _FLOAT,
-    "color": _COLOUR,
-    "driver_id": _INT,
-}
-
-
-def attribute_type(key: str) -> int:
-    """The type code of an attribute in a recording: 0 bool, 1 int, 2 float, 3 string, 4 colour."""
-    return _TYPES.get(key, _STRING)
 
 
 @dataclass(frozen=True)
@@ -63,7 +44,7 @@ class Blueprint:
     uid: int = 0
 
 
-_FAMILIES: Final = "there are vehicle.*, walker.*, static.prop.* and sensor.*"
+_FAMILIES: Final = "there are vehicle.*, walker.*, static.prop.*, sensor.* and controller.*"
 
 
 class BlueprintLibrary:
@@ -206,6 +187,10 @@ def _wheels(model: _Model) -> list[WheelPhysics]:
     ]
 
 
+_ROLES: Final = ("autopilot", "scenario", "ego_vehicle")
+_RIDERS: Final = ("0", "1", "2", "3")
+
+
 def _vehicle(model: _Model) -> Blueprint:
     attributes = {
         "generation": str(model.generation),
@@ -219,12 +204,18 @@ def _vehicle(model: _Model) -> Blueprint:
         "sticky_control": "true",
         "role_name": "autopilot",
     }
+    choices = {"color": model.colors, "role_name": _ROLES}
+    if model.wheels == 2:
+        attributes["driver_id"] = _RIDERS[0]
+        choices["driver_id"] = _RIDERS
     box = Box(Location(0.0, 0.0, model.height / 2), Vector(model.length / 2, model.width / 2, model.height / 2))
-    choices = MappingProxyType({"color": model.colors})
-    return Blueprint(model.id, ActorKind.VEHICLE, attributes, box, _physics(model), model.wheelbase, choices)
+    physics = _physics(model)
+    return Blueprint(model.id, ActorKind.VEHICLE, attributes, box, physics, model.wheelbase, MappingProxyType(choices))
 
 
 _PEOPLE: Final = 51  # as many as CARLA 0.9.15 has
+_RUNNING: Final = "3.0"  # m/s
+_EITHER: Final = ("true", "false")
 _CHILDREN: Final = frozenset((9, 10, 11, 12, 13, 14, 48, 49))
 
 
@@ -236,11 +227,16 @@ def _walker(number: int) -> Blueprint:
         "age": "child" if child else "adult",
         "speed": "1.3" if child else "1.4",
         "is_invincible": "true",
+        "can_use_wheelchair": "false",
+        "use_wheelchair": "false",
         "role_name": "pedestrian",
     }
+    choices = MappingProxyType(
+        {"speed": ("0.0", attributes["speed"], _RUNNING), "is_invincible": _EITHER, "use_wheelchair": _EITHER}
+    )
     height = 1.2 if child else 1.8
     box = Box(Location(), Vector(0.19, 0.19, height / 2))
-    return Blueprint(f"walker.pedestrian.{number:04}", ActorKind.WALKER, attributes, box)
+    return Blueprint(f"walker.pedestrian.{number:04}", ActorKind.WALKER, attributes, box, choices=choices)
 
 
 _PROPS: Final[dict[str, tuple[float, float, float]]] = {  # length, width, height in m
@@ -266,24 +262,14 @@ def _prop(name: str, length: float, width: float, height: float) -> Blueprint:
 
 
 _NOTHING: Final = Box(Location(), Vector())
-_SENSORS: Final = (
-    "camera.depth",
-    "camera.dvs",
-    "camera.instance_segmentation",
-    "camera.normals",
-    "camera.optical_flow",
-    "camera.rgb",
-    "camera.semantic_segmentation",
-    "lidar.ray_cast",
-    "lidar.ray_cast_semantic",
-    "other.collision",
-    "other.gnss",
-    "other.imu",
-    "other.lane_invasion",
-    "other.obstacle",
-    "other.radar",
-    "other.rss",
-)
+_SIDES: Final = ("front", "back", "left", "right")
+_CONTROLLER: Final = "controller.ai.walker"
+
+
+def _sensor(id: str, attributes: dict[str, str]) -> Blueprint:
+    choices = {"role_name": _SIDES, **{key: CHOICES[key] for key in attributes if key in CHOICES}}
+    return Blueprint(id, ActorKind.SENSOR, {"role_name": "front", **attributes}, _NOTHING, choices=MappingProxyType(choices))
+
 
 COLLISION_SENSOR: Final = "sensor.other.collision"
 SPECTATOR: Final = Blueprint("spectator", ActorKind.OTHER, {}, _NOTHING)
@@ -303,7 +289,8 @@ def standard_library() -> BlueprintLibrary:
         *(_vehicle(model) for model in _MODELS),
         *(_walker(number) for number in range(1, _PEOPLE + 1)),
         *(_prop(name, *size) for name, size in _PROPS.items()),
-        *(Blueprint(f"sensor.{name}", ActorKind.SENSOR, {"role_name": "front"}, _NOTHING) for name in _SENSORS),
+        *(_sensor(id, attributes) for id, attributes in SENSORS.items()),
+        Blueprint(_CONTROLLER, ActorKind.OTHER, {"role_name": "default"}, _NOTHING),
     ]
     ordered = sorted(blueprints, key=lambda blueprint: blueprint.id)
     return BlueprintLibrary(

@@ -100,11 +100,12 @@ class Cast:
             return there
         return self._spawn(actor, scene)
 
-    def _spawn(self, actor: Present, scene: Scene) -> Actor:
+    def _spawn(self, actor: Present, scene: Scene) -> Actor | None:
         blueprint, model = blueprint_for(actor, self._world.blueprints)
         parent = self.roles.get(actor.parent) if actor.attached and actor.parent is not None else None
         pose = scene.pose_of(actor.id) if parent is None else actor.spawn_pose
-        assert pose is not None
+        if pose is None:  # it is attached to somebody who is left out
+            return None
         player = self._world.place(blueprint, transform(pose), parent=parent)
         self._spawned.add(actor.id)
         if actor.type_id not in self._world.blueprints:

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 
 from carla_recap.records import UE4, Attribute, Physics, RecordType, Spawn
-from carla_recap.sim.blueprints import attribute_type
+from carla_recap.sim.attributes import attribute_type
 from carla_recap.sim.geometry import Location
 from carla_recap.sim.poses import CM_PER_M, pose
 

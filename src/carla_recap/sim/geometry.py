@@ -3,7 +3,11 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from math import cos, dist, hypot, radians, sin
+from math import asin, atan2, cos, degrees, dist, hypot, radians, sin
+from typing import Final
+
+_Row = tuple[float, float, float]
+_UPRIGHT: Final = 1e-12  # so near to 1 is the sine of a pitch that is straight up or down
 
 
 @dataclass(slots=True)
@@ -52,6 +56,32 @@ class Rotation:
     yaw: float = 0.0
     roll: float = 0.0
 
+    def matrix(self) -> tuple[_Row, _Row, _Row]:
+        """As Unreal Engine turns, row by row: the columns point forward, to the right and upwards."""
+        cp, cy, cr = cos(radians(self.pitch)), cos(radians(self.yaw)), cos(radians(self.roll))
+        sp, sy, sr = sin(radians(self.pitch)), sin(radians(self.yaw)), sin(radians(self.roll))
+        return (
+            (cp * cy, cy * sp * sr - sy * cr, -cy * sp * cr - sy * sr),
+            (cp * sy, sy * sp * sr + cy * cr, cy * sr - sy * sp * cr),
+            (sp, -cp * sr, cp * cr),
+        )
+
+    def turned(self, further: Rotation) -> Rotation:
+        """How something is turned that is turned further in the axes of what is turned like this."""
+        if not (further.pitch or further.yaw or further.roll):
+            return Rotation(self.pitch, self.yaw, self.roll)
+        x, y, z = self.matrix()
+        ahead, right, up = zip(*further.matrix(), strict=True)
+        rise = min(max(_dot(z, ahead), -1.0), 1.0)
+        if abs(rise) > 1 - _UPRIGHT:  # nose up or down: roll and yaw are one, and called yaw
+            return Rotation(degrees(asin(rise)), degrees(atan2(-_dot(x, right), _dot(y, right))), 0.0)
+        yaw, roll = atan2(_dot(y, ahead), _dot(x, ahead)), atan2(-_dot(z, right), _dot(z, up))
+        return Rotation(degrees(asin(rise)), degrees(yaw), degrees(roll))
+
+
+def _dot(one: _Row, other: _Row) -> float:
+    return one[0] * other[0] + one[1] * other[1] + one[2] * other[2]
+
 
 @dataclass(slots=True)
 class Transform:
@@ -71,16 +101,14 @@ class Transform:
         return Vector(cos(pitch) * cos(yaw), cos(pitch) * sin(yaw), sin(pitch))
 
     def transform(self, point: Location) -> Location:
-        """A place in the world that is given in the axes of this transform, turned as Unreal Engine turns."""
-        turn = self.rotation
-        cp, cy, cr = cos(radians(turn.pitch)), cos(radians(turn.yaw)), cos(radians(turn.roll))
-        sp, sy, sr = sin(radians(turn.pitch)), sin(radians(turn.yaw)), sin(radians(turn.roll))
-        x, y, z = point.x, point.y, point.z
-        return Location(
-            self.location.x + cp * cy * x + (cy * sp * sr - sy * cr) * y - (cy * sp * cr + sy * sr) * z,
-            self.location.y + cp * sy * x + (sy * sp * sr + cy * cr) * y + (cy * sr - sy * sp * cr) * z,
-            self.location.z + sp * x - cp * sr * y + cp * cr * z,
-        )
+        """A place in the world that is given in the axes of this transform."""
+        at, x, y, z = self.location, point.x, point.y, point.z
+        (xx, xy, xz), (yx, yy, yz), (zx, zy, zz) = self.rotation.matrix()
+        return Location(at.x + xx * x + xy * y + xz * z, at.y + yx * x + yy * y + yz * z, at.z + zx * x + zy * y + zz * z)
+
+    def attached(self, relative: Transform) -> Transform:
+        """Where something is in the world that is fixed to what this is the transform of, and given in its axes."""
+        return Transform(self.transform(relative.location), self.rotation.turned(relative.rotation))
 
 
 @dataclass(frozen=True, slots=True)

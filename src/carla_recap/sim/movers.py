@@ -44,6 +44,7 @@ class Movers(Columns, Generic[M]):
         mass: In kg.
         simulated: Whether forces move it; else it stays where it is put.
         unsettled: Whether it was put somewhere and is not on the ground yet.
+        carried: Whether it is attached to another actor, and goes where that goes.
     """
 
     COLUMNS: ClassVar[dict[str, Any]] = {
@@ -59,6 +60,7 @@ class Movers(Columns, Generic[M]):
         "mass": 1.0,
         "simulated": True,
         "unsettled": True,
+        "carried": False,
     }
     id: NDArray[np.int64]
     body_id: NDArray[np.uintp]
@@ -72,6 +74,7 @@ class Movers(Columns, Generic[M]):
     mass: Floats
     simulated: NDArray[np.bool_]
     unsettled: NDArray[np.bool_]
+    carried: NDArray[np.bool_]
 
     def __init__(self, plane: Plane, height: Height) -> None:
         super().__init__()

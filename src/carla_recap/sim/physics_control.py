@@ -70,6 +70,7 @@ class PhysicsControl:
         center_of_mass: In m, in the axes of the vehicle.
         steering_curve: The share of the steering angle that is left at a speed in km/h, ascending.
         wheels: From front to back, the left one of each pair first.
+        use_sweep_wheel_collision: Kept, and nothing comes of it.
     """
 
     torque_curve: Curve = ((0.0, 500.0), (5000.0, 500.0))
@@ -88,3 +89,4 @@ class PhysicsControl:
     center_of_mass: Vector = field(default_factory=Vector)
     steering_curve: Curve = DEFAULT_STEERING
     wheels: list[WheelPhysics] = field(default_factory=list)
+    use_sweep_wheel_collision: bool = False

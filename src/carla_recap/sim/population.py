@@ -64,6 +64,7 @@ class Population:
         self._town = town
         self._actors: dict[int, Actor] = {}
         self._owners: dict[int, Actor] = {}
+        self._riders: dict[Mover, Actor] = {}
         self.actors: Mapping[int, Actor] = MappingProxyType(self._actors)
         self.plane = Plane()
         self.vehicles = Vehicles(self.plane, town.height)
@@ -95,6 +96,8 @@ class Population:
             actor.transform = transform
         if parent is not None:
             self.pending.parented.append((actor.id, parent.id))
+            if isinstance(actor, Mover):
+                self._fix(actor, parent)
         return actor
 
     def place_where_free(
@@ -128,6 +131,7 @@ class Population:
             actor.parent.children.remove(actor)
         actor.die()
         if isinstance(actor, (Vehicle, Walker)):
+            self._riders.pop(actor, None)
             del self._owners[actor.rows.leave(actor.id).id]
         elif isinstance(actor, Prop) and actor.body is not None:
             del self._owners[actor.body.id]
@@ -135,6 +139,11 @@ class Population:
         del self._actors[actor.id]
         self.pending.destroyed.append(actor.id)
         return True
+
+    def carry(self) -> None:
+        """Have vehicles and walkers that are attached to others go where these have gone."""
+        for rider, parent in self._riders.items():
+            rider.ride(parent)
 
     def take_events(self) -> TickEvents:
         """What has happened since they were last taken."""
@@ -172,6 +181,14 @@ class Population:
         elif isinstance(mover, Walker):
             body = self._own(mover, self.plane.add_disc(WALKER, _WALKER_RADIUS, _WALKER_MASS))
             self.walkers.enter(mover, body, **columns, half_height=mover.box.extent.z, mass=_WALKER_MASS)
+
+    def _fix(self, rider: Mover, parent: Actor) -> None:
+        """Fix a vehicle or walker to another actor: it goes along, and touches nobody, as attached props do."""
+        self._riders[rider] = parent
+        rider.rows.carried[rider.row] = True
+        rider.set_simulate_physics(False)
+        rider.set_collisions(False)
+        rider.ride(parent)
 
     def _put_up(self, signal: Signal) -> None:
         """Put up a light or a sign of the town; it has a pole, unless it hangs over the road."""

@@ -7,9 +7,6 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Final
 
-import numpy as np
-
-from carla_recap.replay.pose import attach
 from carla_recap.sim.geometry import Location, Rotation, Transform
 
 if TYPE_CHECKING:
@@ -35,8 +32,3 @@ def transform(pose: Iterable[float]) -> Transform:
     """The transform of a pose."""
     x, y, z, roll, pitch, yaw = map(float, pose)
     return Transform(Location(x / CM_PER_M, y / CM_PER_M, z / CM_PER_M), Rotation(pitch, yaw, roll))
-
-
-def attached(parent: Transform, relative: Transform) -> Transform:
-    """Where something is in the world that is fixed to a parent: the parent's transform, and its own upon it."""
-    return transform(attach(np.array(pose(parent)), np.array(pose(relative))))

@@ -16,7 +16,6 @@ from carla_recap.sim.background import BackgroundWriter
 from carla_recap.sim.sampling import Sampler
 
 if TYPE_CHECKING:
-    from carla_recap.sim.snapshots import Snapshot
     from carla_recap.sim.world import World
 
 FOLDER: Final = "CARLA_RECAP_RECORDINGS"
@@ -72,7 +71,6 @@ class Recorder:
         self._folder = folder
         self._sampler: Sampler | None = None
         self._writer: BackgroundWriter | None = None
-        self._latest: Snapshot | None = None
         self._finish: weakref.finalize[[], Recorder] | None = None
 
     @property
@@ -114,7 +112,7 @@ class Recorder:
             return
         self._finish()
         self.error = self._writer.error
-        self._writer = self._sampler = self._latest = self._finish = None
+        self._writer = self._sampler = self._finish = None
         if self.error is not None:
             warnings.warn(f"the recording has ended: {self.error}", RecapWarning, stacklevel=2)
 
@@ -125,12 +123,7 @@ class Recorder:
         if self._writer.error is not None:
             self.stop()
             return
-        delta = self._world.delta
-        snapshot = self._sampler.snapshot(delta)
-        if self._latest is not None:
-            self._latest.duration = delta
-        self._writer.write(snapshot)
-        self._latest = snapshot
+        self._writer.write(self._sampler.snapshot(self._world.delta))
 
 
 def _make(folder: Path) -> None:

@@ -7,17 +7,18 @@ import warnings
 import weakref
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Final
 
 from carla_recap.errors import RecapError, RecapWarning
 from carla_recap.formats import SUFFIXES, open_reader
-from carla_recap.replay import Player, chase
+from carla_recap.replay import Player, level
+from carla_recap.replay.camera import CHASE_BACK, CHASE_PITCH, CHASE_UP
 from carla_recap.sim.actors import Mover, Vehicle, Walker
 from carla_recap.sim.cast import Cast
 from carla_recap.sim.control import VehicleControl
-from carla_recap.sim.errors import SimError
-from carla_recap.sim.geometry import Vector
-from carla_recap.sim.poses import transform
+from carla_recap.sim.errors import MapMissing, SimError
+from carla_recap.sim.geometry import Location, Rotation, Transform, Vector
+from carla_recap.sim.poses import CM_PER_M, transform
 from carla_recap.sim.puppets import Puppets
 from carla_recap.sim.recorder import recording_path
 from carla_recap.sim.town import load_town
@@ -31,6 +32,10 @@ if TYPE_CHECKING:
     from carla_recap.formats.base import Reader
     from carla_recap.replay import Follow, Scene
     from carla_recap.sim.world import World
+
+
+CHASE: Final = Transform(Location(-CHASE_BACK / CM_PER_M, 0.0, CHASE_UP / CM_PER_M), Rotation(pitch=CHASE_PITCH))
+"""Where the spectator is whom nobody has told so: behind and above whom it follows, looking down, as with CARLA."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -85,6 +90,7 @@ class Replayer:
         self._world = world
         self._time_factor = 1.0
         self._follow: int | None = None
+        self._offset = CHASE
         self._player: Player | None = None
         self._close: Callable[[], object] = lambda: None
         self._cast = Cast(world, replay_sensors=False)
@@ -131,8 +137,9 @@ class Replayer:
         duration: float = 0.0,
         follow: Follow | None = None,
         replay_sensors: bool = False,
+        offset: Transform | None = None,
     ) -> Replay:
-        """Begin a replay; one that is running ends, and so does a recording, which is completed.
+        """Begin a replay; a recording that is running is completed, and a replay ends: who was spawned for it disappears.
 
         The actors stand where they are at the start when this returns, and go on with the next tick.
 
@@ -142,15 +149,17 @@ class Replayer:
             duration: How many seconds of the recording to replay; 0: all of the rest.
             follow: Whom the spectator follows: an id in the recording, or "hero"; None or 0: nobody.
             replay_sensors: Spawn the sensors of the recording, too.
+            offset: Where the spectator is that follows, in the axes of whom it follows, which stay level: it neither
+                rolls nor pitches with them; None: `CHASE`.
 
         Raises:
             RecapError: There is no such recording, it is damaged, or there is no such start or actor.
-            SimError: It is of another map, and that is not to be had.
+            MapMissing: It is of another map, and that is not to be had.
         """
-        self.stop(keep_actors=True)
+        self.stop()
         self._world.stop_recorder()
         self.error = None
-        path = _find(recording_path(name, self._world.recordings))
+        path = find_recording(name, self._world.recordings)
         reader = open_reader(path)
         self._close = weakref.finalize(self, reader.close)
         try:
@@ -164,6 +173,7 @@ class Replayer:
                 ignore_spectator=self.ignore_spectator,
             )
             self._follow = player.followed if follow else None
+            self._offset = offset or CHASE
             loaded = self._load(reader)
             self._begin(player, replay_sensors)
         except BaseException:
@@ -227,7 +237,7 @@ class Replayer:
         try:
             town = load_town(name, maps)
         except RecapError as error:
-            raise SimError(f"{reader.path}: is a recording of the map {name!r}, which cannot be loaded: {error}") from None
+            raise MapMissing(reader.path, reader.header.map_name, str(error)) from None
         self._world.reload(town)
         return True
 
@@ -255,7 +265,7 @@ class Replayer:
         self._change_weather(scene)
         pose = None if self._follow is None else scene.pose_of(self._follow)
         if pose is not None:
-            self._world.spectator.transform = transform(chase(pose))
+            self._world.spectator.transform = transform(level(pose)).attached(self._offset)
 
     def _move_doors(self, scene: Scene) -> None:
         if scene.doors == self._doors:
@@ -285,8 +295,14 @@ class Replayer:
             actor.set_target_velocity(Vector())
 
 
-def _find(path: Path) -> Path:
-    """A recording, whose suffix may be missing."""
+def find_recording(name: Path | str, folder: Path | str | None = None) -> Path:
+    """Where a recording lies whose suffix may be missing; whether it is there is another question.
+
+    Args:
+        name: See `recording_path`.
+        folder: See `recorder.recordings_folder`.
+    """
+    path = recording_path(name, folder)
     candidates = [path, *(path.with_name(path.name + suffix) for suffix in reversed(SUFFIXES))]
     return next((candidate for candidate in candidates if candidate.is_file()), path)
 

@@ -9,10 +9,10 @@ import numpy as np
 from carla_recap.records import ActorKind
 from carla_recap.sim.actors import Mover
 from carla_recap.sim.poses import pose
-from carla_recap.sim.snapshots import COLUMNS, OTHER_POSES, Lineup
+from carla_recap.sim.snapshots import OTHER_POSES, Lineup, Strip
 
 if TYPE_CHECKING:
-    from carla_recap.sim.snapshots import States
+    from carla_recap.sim.snapshots import Moment, States
     from carla_recap.sim.world import World
 
 _WITH_PLACE: Final = (ActorKind.OTHER, ActorKind.VEHICLE, ActorKind.WALKER)
@@ -25,16 +25,12 @@ class Roster:
     Args:
         world: The world.
         additional_data: See `Lineup`.
-
-    Attributes:
-        lineup: Who they are.
     """
 
     def __init__(self, world: World, *, additional_data: bool) -> None:
-        self._holders = {"vehicles": world.vehicles, "walkers": world.walkers, "signals": world.signals}
         actors = [actor for actor in world.actors.values() if actor.kind in _WITH_PLACE]
         self._others = [actor for actor in actors if not isinstance(actor, Mover)]
-        self.lineup = Lineup(
+        self._lineup = Lineup(
             placed=[actor.id for actor in actors],
             vehicles=world.vehicles.id.tolist(),
             walkers=world.walkers.id.tolist(),
@@ -42,9 +38,19 @@ class Roster:
             lights=[light.id for light in world.traffic_lights],
             additional_data=additional_data,
         )
+        holders = {"vehicles": world.vehicles, "walkers": world.walkers, "signals": world.signals}
+        self._columns = [(column, holders[column[0]]) for column in self._lineup.columns]
 
-    def states(self) -> States:
-        """Copies of all columns that are told, as they are now."""
-        states: States = {(holder, name): getattr(self._holders[holder], name).copy() for holder, name in COLUMNS}
+    def strip(self, length: int) -> Strip:
+        """An empty strip for so many snapshots of these actors."""
+        return Strip(self._lineup, self._states(), length)
+
+    def take(self, strip: Strip, moment: Moment) -> None:
+        """Add a snapshot of how things are now to a strip of these actors."""
+        strip.add(moment, self._states())
+
+    def _states(self) -> States:
+        """All columns that are told; what others than vehicles and walkers have is asked of them one by one."""
+        states: States = {column: getattr(holder, column[1]) for column, holder in self._columns}
         states[OTHER_POSES] = np.array([pose(actor.transform) for actor in self._others])
         return states

@@ -13,7 +13,7 @@ What is told, and how often, is what CARLA's recorder tells; so are the order of
 from __future__ import annotations
 
 from dataclasses import astuple, fields
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Final
 
 from carla_recap.frame import Packet
 from carla_recap.records import NO_ACTOR
@@ -21,16 +21,22 @@ from carla_recap.sim import describing
 from carla_recap.sim.actors import Sign, TrafficLight, Vehicle
 from carla_recap.sim.events import TickEvents
 from carla_recap.sim.roster import Roster
-from carla_recap.sim.snapshots import TYPES, Snapshot
+from carla_recap.sim.snapshots import TYPES, Moment
 
 if TYPE_CHECKING:
     from collections.abc import Collection
 
     from carla_recap.sim.actors import Actor
+    from carla_recap.sim.snapshots import Strip
     from carla_recap.sim.weather import Weather
     from carla_recap.sim.world import World
 
     Told = dict[str, list[Any]]  # records by type
+
+LENGTH: Final = 48
+"""So many snapshots go together at the most: two threads that take turns too often slow each other down."""
+SECONDS: Final = 5.0
+"""The formats put so much of a recording on the disk at a time; no strip goes on beyond that."""
 
 
 class Sampler:
@@ -52,6 +58,8 @@ class Sampler:
         self._collisions = 0
         self._weather: Weather | None = None
         self._roster = Roster(world, additional_data=additional_data)
+        self._strip: Strip | None = None
+        self._ends = 0.0
         self._known = {field.name: len(getattr(world.pending, field.name)) for field in fields(TickEvents)}
         actors = list(world.actors.values())
         first = self._introduce(actors)
@@ -59,23 +67,36 @@ class Sampler:
         first["doors"] = [(v.id, door, True) for v in world.vehicles.actors for door in sorted(v.open_doors)]
         self.introduction = _packets(first)
 
-    def snapshot(self, delta: float) -> Snapshot:
-        """The world at the end of a tick.
+    def snapshot(self, delta: float) -> Strip:
+        """Take in the world at the end of a tick.
 
         Args:
             delta: How long the tick was, in s. The first snapshot stands at 0 s, whatever its tick took.
+
+        Returns:
+            The strip that the snapshot is on, and that later ones may be added to; the one before is complete.
         """
         events = self._events()
-        if events.spawned or events.destroyed:
-            self._roster = Roster(self._world, additional_data=self._additional)
         told = _packets(self._told(events))
-        if self._count:
-            self._elapsed += delta
-        else:
+        if self._strip is None:
             told = _joined(self.introduction, told)
+        else:
+            self._strip.moments[-1].duration = delta
+            self._elapsed += delta
+        strip = self._strip = self._next_strip(changed=bool(events.spawned or events.destroyed))
+        self._roster.take(strip, Moment(self._count, self._elapsed, self._world.elapsed, told))
         self._count += 1
-        roster = self._roster
-        return Snapshot(self._count - 1, self._elapsed, self._world.elapsed, told, roster.lineup, roster.states())
+        return strip
+
+    def _next_strip(self, *, changed: bool) -> Strip:
+        """The present strip, or another one where it is at its end, or other actors are there."""
+        strip = self._strip
+        if changed:
+            self._roster = Roster(self._world, additional_data=self._additional)
+        if strip is not None and strip.moments[-1].elapsed >= self._ends:
+            self._ends = strip.moments[-1].elapsed + SECONDS
+            changed = True
+        return self._roster.strip(LENGTH) if strip is None or changed or strip.is_full else strip
 
     def _events(self) -> TickEvents:
         """What happened since the snapshot before; since the beginning of the recording, for the first."""

@@ -1,15 +1,16 @@
-"""Snapshots of a world, and the frames of a recording that they become: later, many at once, and without the world."""
+"""Snapshots of a world, on strips, and the frames of a recording that they become: later, all at once, without the world."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
-from itertools import groupby
+from functools import cached_property
 from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
 from carla_recap.frame import LAST_FRAME_DURATION, Frame, Packet
-from carla_recap.records import FRAME_END, ORDER, UE4
+from carla_recap.payload import EMPTY_LIST, pack
+from carla_recap.records import FRAME_END, ORDER, UE4, Framing
 from carla_recap.replay.rows import numbers
 from carla_recap.sim.poses import CM_PER_M
 
@@ -23,13 +24,13 @@ if TYPE_CHECKING:
 
 TYPES: Final = {UE4[id].name: UE4[id] for id in ORDER}
 """The types of records in the order in which CARLA writes their packets."""
+_SLOTS: Final = {name: slot for slot, name in enumerate(TYPES)}
 _END: Final = Packet(FRAME_END, UE4[FRAME_END], b"")
 _ROLL_PITCH_YAW: Final = [2, 0, 1]
 """Where they are in the rotations of `Movers`."""
-_MOVER: Final = ("position", "rotation", "velocity", "angular_velocity")
 COLUMNS: Final = {
-    **{("vehicles", name): ("", "") for name in _MOVER},
-    **{("walkers", name): ("", "") for name in _MOVER},
+    **{(who, name): ("transforms", "") for who in ("vehicles", "walkers") for name in ("position", "rotation")},
+    **{(who, name): ("velocities", "") for who in ("vehicles", "walkers") for name in ("velocity", "angular_velocity")},
     ("signals", "frozen"): ("light_states", "frozen"),
     ("signals", "elapsed"): ("light_states", "elapsed"),
     ("signals", "state"): ("light_states", "state"),
@@ -41,32 +42,64 @@ COLUMNS: Final = {
     ("vehicles", "light_state"): ("vehicle_lights", "flags"),
     ("walkers", "speed"): ("walker_controls", "speed"),
 }
-"""Columns of a world, and the field of a record that each is told in, if it is told as it is."""
+"""Columns of a world, and the type and field of the records that each is told in; no field where it is not told as it is."""
 OTHER_POSES: Final = ("others", "pose")
 """Where those are who are neither vehicles nor walkers."""
 
 
 @dataclass(slots=True, eq=False)
-class Snapshot:
-    """A world at the end of a tick.
+class Moment:
+    """When a snapshot was taken, and what had happened by then.
 
     Attributes:
-        index: Its place in the recording, from 0.
+        index: The place of the snapshot in the recording, from 0.
         elapsed: Seconds since the recording began.
         time: Seconds since the episode began.
-        events: What happened, as packets by type; what did not is missing.
-        lineup: Who is there.
-        states: Where they are and what they do: columns of the world by their holders and names; see `COLUMNS`.
-        duration: Seconds until the next one.
+        events: What happened since the snapshot before, as packets by type; what did not is missing.
+        duration: Seconds until the next snapshot.
     """
 
     index: int
     elapsed: float
     time: float
     events: dict[str, Packet]
-    lineup: Lineup
-    states: States
     duration: float = LAST_FRAME_DURATION
+
+
+class Strip:
+    """Snapshots in a row of the same actors.
+
+    Args:
+        lineup: Who is there.
+        states: Columns like those that will be added: where everybody is, and what they do; see `COLUMNS`.
+        length: How many snapshots there is room for.
+
+    Attributes:
+        moments: When the snapshots were taken.
+    """
+
+    def __init__(self, lineup: Lineup, states: States, length: int) -> None:
+        self.moments: list[Moment] = []
+        self._lineup = lineup
+        self._length = length
+        self._states: States = {key: np.empty((length, *column.shape), column.dtype) for key, column in states.items()}
+
+    @property
+    def is_full(self) -> bool:
+        """Whether there is no more room."""
+        return len(self.moments) == self._length
+
+    def add(self, moment: Moment, states: States) -> None:
+        """Add a snapshot."""
+        place = len(self.moments)
+        for key, column in states.items():
+            self._states[key][place] = column
+        self.moments.append(moment)
+
+    def frames(self) -> Iterator[Frame]:
+        """The snapshots as frames."""
+        count = len(self.moments)
+        return self._lineup.frames(self.moments, {key: columns[:count] for key, columns in self._states.items()})
 
 
 class Lineup:
@@ -79,6 +112,9 @@ class Lineup:
         others: Those with places that are neither.
         lights: The traffic lights.
         additional_data: Tell of velocities and the platform's clock, too.
+
+    Attributes:
+        columns: Which columns of the world are told; see `COLUMNS`.
     """
 
     def __init__(
@@ -101,29 +137,46 @@ class Lineup:
             "vehicle_lights": vehicles,
             "velocities": [*vehicles, *walkers] if additional_data else [],
         }
-        self._additional = additional_data
-        self._blank: dict[str, Packet | None] = {
-            name: Packet(type.id, type, records=type.records([]))
+        self.columns = [column for column, (type, _) in COLUMNS.items() if self._ids[type]]
+        self._clocks = ["visual_time", "platform_time"] if additional_data else ["visual_time"]
+        self._blank: list[Packet | None] = [
+            Packet(type.id, type, EMPTY_LIST, type.records([]))
             if type.always and (additional_data or not type.additional)
             else None
-            for name, type in TYPES.items()
-        }
+            for type in TYPES.values()
+        ]
 
-    def frames(self, snapshots: Sequence[Snapshot]) -> Iterator[Frame]:
-        """The frames of snapshots of these actors."""
-        columns = {key: np.stack([snapshot.states[key] for snapshot in snapshots]) for key in snapshots[0].states}
-        arrays = {name: _blank(name, ids, len(snapshots)) for name, ids in self._ids.items() if ids}
+    def frames(self, moments: list[Moment], columns: States) -> Iterator[Frame]:
+        """The frames of snapshots of these actors.
+
+        Args:
+            moments: When the snapshots were taken.
+            columns: What they show, a row for each; see `COLUMNS`.
+        """
+        blocks = {name: form.repeat(len(moments)) for name, form in self._forms.items()}
+        arrays = {name: block["records"] for name, block in blocks.items()}
         self._fill(arrays, columns)
-        arrays["visual_time"] = _clock("visual_time", [snapshot.time for snapshot in snapshots])
-        if self._additional:
-            arrays["platform_time"] = _clock("platform_time", [snapshot.elapsed for snapshot in snapshots])
-        for place, snapshot in enumerate(snapshots):
-            packets = self._blank.copy()
-            for name, array in arrays.items():
-                packets[name] = Packet(TYPES[name].id, TYPES[name], records=array[place])
-            packets |= snapshot.events
-            told = [packet for packet in packets.values() if packet is not None]
-            yield Frame(snapshot.index, snapshot.index + 1, snapshot.elapsed, snapshot.duration, [*told, _END])
+        for name in self._clocks:
+            seconds = [moment.elapsed if name == "platform_time" else moment.time for moment in moments]
+            arrays[name]["seconds"][:, 0] = seconds
+        told = [
+            (_SLOTS[name], TYPES[name], block.itemsize, block.view(np.uint8).data, arrays[name])
+            for name, block in blocks.items()
+        ]
+        for place, moment in enumerate(moments):
+            packets = [*self._blank, _END]
+            for slot, type, size, payloads, records in told:
+                packets[slot] = Packet(type.id, type, payloads[place * size : (place + 1) * size], records[place])
+            for name, packet in moment.events.items():
+                packets[_SLOTS[name]] = packet
+            present = [packet for packet in packets if packet is not None]
+            yield Frame(moment.index, moment.index + 1, moment.elapsed, moment.duration, present)
+
+    @cached_property
+    def _forms(self) -> dict[str, Array]:
+        """What the payloads of all frames have in common, by type: number and ids of the records, with blanks between."""
+        forms = {name: _form(name, "id", ids) for name, ids in self._ids.items() if ids}
+        return forms | {name: _form(name, "seconds", [0.0]) for name in self._clocks}
 
     def _fill(self, arrays: dict[str, Array], columns: States) -> None:
         poses = [
@@ -142,19 +195,10 @@ class Lineup:
             arrays["walker_controls"]["speed"] *= CM_PER_M
 
 
-def _blank(name: str, ids: list[int], count: int) -> Array:
-    records = np.zeros((count, len(ids)), TYPES[name].dtype)
-    records["id"] = ids
-    return records
-
-
-def _clock(name: str, seconds: list[float]) -> Array:
-    records = np.zeros((len(seconds), 1), TYPES[name].dtype)
-    records["seconds"][:, 0] = seconds
-    return records
-
-
-def develop(snapshots: Sequence[Snapshot]) -> Iterator[Frame]:
-    """The frames of snapshots."""
-    for lineup, group in groupby(snapshots, lambda snapshot: snapshot.lineup):
-        yield from lineup.frames(list(group))
+def _form(name: str, field: str, values: Sequence[float]) -> Array:
+    """A payload as an array of one: its count, if it has one, and its records, of which one field is known."""
+    type = TYPES[name]
+    records = np.zeros(len(values), type.dtype)
+    records[field] = values
+    count = [("count", "<u2")] if type.framing is Framing.LIST else []
+    return np.frombuffer(pack(type, records), [*count, ("records", type.dtype, (len(records),))])

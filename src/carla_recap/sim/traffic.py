@@ -11,13 +11,17 @@ from carla_recap.sim.geometry import Rotation, Transform
 
 if TYPE_CHECKING:
     from carla_recap.sim.actors import Actor
+    from carla_recap.sim.geometry import Location
     from carla_recap.sim.world import World
 
 _TRIES: Final = 20  # places tried for a walker
-_OFTEN: Final = 20  # ticks between two looks at who has arrived
+_REACH: Final = 80.0  # m: what is near
+_DRAWS: Final = 10_000  # places on sidewalks that are drawn to find one that is near
 
 
-def populate(world: World, vehicles: int, walkers: int, *, hero: bool = False) -> list[Actor]:
+def populate(
+    world: World, vehicles: int, walkers: int, *, hero: bool = False, around: Location | None = None
+) -> list[Actor]:
     """Let vehicles on autopilot and strolling walkers appear, at random.
 
     Args:
@@ -25,6 +29,7 @@ def populate(world: World, vehicles: int, walkers: int, *, hero: bool = False) -
         vehicles: How many vehicles.
         walkers: How many walkers.
         hero: Whether the first vehicle is the hero, with a collision sensor.
+        around: A place near which all appear, and the walkers go first; else it is anywhere in the town.
 
     Returns:
         Who has appeared.
@@ -32,34 +37,43 @@ def populate(world: World, vehicles: int, walkers: int, *, hero: bool = False) -
     Raises:
         SimError: There is no room for so many.
     """
-    drivers, strollers = _vehicles(world, vehicles, hero=hero), _walkers(world, walkers)
+    near = _Near(around)
+    drivers, strollers = _vehicles(world, vehicles, near, hero=hero), _walkers(world, walkers, near)
     if hero and drivers:
         world.spawn("sensor.other.collision", Transform(), parent=drivers[0])
-    world.controllers.append(_Wanderlust(world, strollers))
     return [*drivers, *strollers]
 
 
-class _Wanderlust:
-    """Gives walkers that have arrived another destination."""
+class _Near:
+    """Tells which places are near enough.
 
-    def __init__(self, world: World, walkers: list[Walker]) -> None:
-        self._world = world
-        self._walkers = walkers
+    Args:
+        place: To what; None where all are.
+    """
 
-    def step(self, delta: float) -> None:
-        """Act for a tick of so many seconds."""
-        if self._world.frame % _OFTEN:
-            return
-        for walker in self._walkers:
-            if walker.is_alive and not walker.has_fallen and walker.destination is None:
-                walker.destination = self._world.strolling.random_place()
+    def __init__(self, place: Location | None) -> None:
+        self._place = place
+
+    def __call__(self, place: Location) -> bool:
+        return self._place is None or self._place.distance(place) <= _REACH
+
+    def random_walk(self, world: World) -> Location:
+        """A place on a sidewalk.
+
+        Raises:
+            SimError: There is none so near.
+        """
+        for _ in range(_DRAWS):
+            if self(place := world.strolling.random_place()):
+                return place
+        raise SimError(f"{world.town.name} has no sidewalk within {_REACH:g} m of {self._place}")
 
 
-def _vehicles(world: World, count: int, *, hero: bool) -> list[Vehicle]:
+def _vehicles(world: World, count: int, near: _Near, *, hero: bool) -> list[Vehicle]:
     models = [blueprint for blueprint in world.blueprints if blueprint.kind == ActorKind.VEHICLE]
-    places = [world.town.spawn_points[place] for place in world.random.permutation(len(world.town.spawn_points))]
+    places = [place for place in world.town.spawn_points if near(place.location)]
     found: list[Vehicle] = []
-    for place in places:
+    for place in (places[index] for index in world.random.permutation(len(places))):
         if len(found) == count:
             break
         model = models[int(world.random.integers(len(models)))]
@@ -73,16 +87,16 @@ def _vehicles(world: World, count: int, *, hero: bool) -> list[Vehicle]:
     return found
 
 
-def _walkers(world: World, count: int) -> list[Walker]:
+def _walkers(world: World, count: int, near: _Near) -> list[Walker]:
     models = [blueprint for blueprint in world.blueprints if blueprint.kind == ActorKind.WALKER]
     found: list[Walker] = []
     for _ in range(count):
         model = models[int(world.random.integers(len(models)))]
         for _ in range(_TRIES):
-            place = world.strolling.random_place()
+            place = near.random_walk(world)
             walker = world.try_spawn(model, Transform(place, Rotation(yaw=float(world.random.uniform(-180, 180)))))
             if isinstance(walker, Walker):
-                walker.destination = world.strolling.random_place()
+                walker.destination = near.random_walk(world)
                 found.append(walker)
                 break
         else:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import time
+from math import ceil
 from typing import TYPE_CHECKING, Final, Protocol, Self
 
 import numpy as np
@@ -37,7 +38,7 @@ if TYPE_CHECKING:
 
 _STRIDE: Final = 1.0  # m: nothing moves farther in a step
 _DELTA: Final = 0.05  # s, where nobody says how long a tick is
-_ROUNDING: Final = 1e-9  # s
+_ROUNDING: Final = 1e-6
 
 
 class Controller(Protocol):
@@ -75,6 +76,9 @@ class World:
         events: What happened in the latest tick, and since the one before.
         recordings: The folder of recordings, if it was told.
         maps: The folder of maps, if it was told.
+
+    Raises:
+        SimError: The seed is negative.
     """
 
     town: Town
@@ -94,7 +98,7 @@ class World:
     ) -> None:
         self.blueprints = standard_library()
         self.settings = Settings(fixed_delta_seconds=fixed_delta_seconds)
-        self.random = np.random.default_rng(seed)
+        self.random = _random(seed)
         self.date = int(os.environ.get("SOURCE_DATE_EPOCH", time.time())) if date is None else date
         self.controllers: list[Controller] = []
         self.listeners: list[Callable[[], None]] = []
@@ -242,7 +246,7 @@ class World:
             from carla_recap.sim.recorder import Recorder
 
             self._recorder = Recorder(self, self.recordings)
-            self.listeners.append(self._recorder)
+            self.listeners.insert(0, self._recorder)  # what other listeners do belongs to the next tick
         return self._recorder
 
     @property
@@ -271,9 +275,10 @@ class World:
         duration: float = 0.0,
         follow: Follow | None = None,
         replay_sensors: bool = False,
+        offset: Transform | None = None,
     ) -> Replay:
         """Re-enact a recording; see `Replayer.start`."""
-        return self.replayer.start(name, start, duration, follow, replay_sensors)
+        return self.replayer.start(name, start, duration, follow, replay_sensors, offset)
 
     def stop_replayer(self, keep_actors: bool = False) -> None:
         """End the replay, if there is one; see `Replayer.stop`."""
@@ -335,9 +340,8 @@ class World:
         return self.frame
 
     def run(self, seconds: float) -> None:
-        """Tick until so much simulated time has passed."""
-        end = self.elapsed + seconds - _ROUNDING
-        while self.elapsed < end:
+        """Tick for so much simulated time."""
+        for _ in range(ceil(seconds / (self.settings.fixed_delta_seconds or _DELTA) - _ROUNDING)):
             self.tick()
 
     def run_realtime(self, seconds: float, factor: float = 1.0) -> None:
@@ -378,6 +382,7 @@ class World:
                 walkers.pull()
         vehicles.end(delta)
         walkers.end(delta)
+        self._population.carry()
 
     def _steps(self, delta: float) -> int:
         """In how many steps a tick is simulated: in more, where something is fast."""
@@ -390,3 +395,9 @@ class World:
 
     def _blueprint(self, blueprint: Blueprint | str) -> Blueprint:
         return self.blueprints.get(blueprint) if isinstance(blueprint, str) else blueprint
+
+
+def _random(seed: int) -> np.random.Generator:
+    if seed < 0:
+        raise SimError(f"seed: 0 or a larger whole number was expected, found {seed}")
+    return np.random.default_rng(seed)

@@ -58,23 +58,23 @@ _TAIL: Final = np.dtype(
 _LEN: Final = 2  # wire type
 
 
-def color(rgb: Rgb) -> Color:
+def color(rgb: Rgb, opacity: float = 1.0) -> Color:
     """A colour of Foxglove's."""
     red, green, blue = (part / 255 for part in rgb)
-    return Color(r=red, g=green, b=blue, a=1.0)
+    return Color(r=red, g=green, b=blue, a=opacity)
 
 
-def head(entity: SceneEntity, primitive: int, size: tuple[float, float, float], rgb: Rgb) -> bytes:
+def head(entity: SceneEntity, primitive: int, size: tuple[float, float, float], shade: Color) -> bytes:
     """An entity of a `SceneUpdate` with a primitive that moves, but for its end; see `tails`.
 
     Args:
         entity: What else there is of it, without a timestamp.
         primitive: `CUBES` or `SPHERES`, which have the same fields.
         size: Of the primitive, along each of its axes, in m.
-        rgb: Its colour.
+        shade: Its colour.
     """
     start = entity.SerializeToString()
-    shape = CubePrimitive(size=Vector3(x=size[0], y=size[1], z=size[2]), color=color(rgb)).SerializeToString()
+    shape = CubePrimitive(size=Vector3(x=size[0], y=size[1], z=size[2]), color=shade).SerializeToString()
     start += _prefix(primitive, len(shape) + len(_POSE)) + shape
     return _prefix(SceneUpdate.ENTITIES_FIELD_NUMBER, len(start) + _TAIL.itemsize) + start
 

@@ -30,6 +30,7 @@ MOVED: Final = "/scene"
 STILL: Final = "/scene/still"
 
 _STIR: Final = np.array([1.0, 1.0, 1.0, 0.1, 0.1, 0.1])  # cm and degrees; whoever is farther from its first pose has moved
+_FAINT: Final = 0.35  # opacity of a box that only stands for something; Foxglove's cubes have no outlines
 _FAR: Final = 1e9  # cm and degrees; what is beyond is no place
 
 
@@ -61,13 +62,17 @@ class _Figure:
             state, shade = look.light(self.state)
             self.center = (0.0, 0.0, look.LAMP_UP)
             self.head = head(
-                _start(actor, told | {"state": state}, _pole(actor)), SPHERES, (look.LAMP, look.LAMP, look.LAMP), shade
+                _start(actor, told | {"state": state}, _pole(actor)),
+                SPHERES,
+                (look.LAMP, look.LAMP, look.LAMP),
+                color(shade),
             )
         else:
             box = look.box_of(actor)
             self.center = (box.x, box.y, box.z)
             size = (2 * box.extent_x, 2 * box.extent_y, 2 * box.extent_z)
-            self.head = head(_start(actor, told), CUBES, size, look.color_of(actor))
+            opacity = _FAINT if look.is_outlined(actor) else 1.0
+            self.head = head(_start(actor, told), CUBES, size, color(look.color_of(actor), opacity))
 
 
 def _start(actor: Present, told: Mapping[str, str], *fixed: CylinderPrimitive) -> SceneEntity:

@@ -13,7 +13,20 @@ except ImportError:
     raise MissingExtra("an export to Rerun", "rerun") from None
 
 from carla_recap.export.rerun.blueprint import View, blueprint, camera_views
-from carla_recap.export.rerun.rrd import APPLICATION, Rrd
+from carla_recap.export.rerun.live import LiveView, live_blueprint
+from carla_recap.export.rerun.rrd import APPLICATION, Rrd, piped, sent
 from carla_recap.export.rerun.writer import export_rerun, write
 
-__all__ = ["APPLICATION", "Rrd", "View", "blueprint", "camera_views", "export_rerun", "write"]
+__all__ = [
+    "APPLICATION",
+    "LiveView",
+    "Rrd",
+    "View",
+    "blueprint",
+    "camera_views",
+    "export_rerun",
+    "live_blueprint",
+    "piped",
+    "sent",
+    "write",
+]

@@ -66,6 +66,11 @@ class Actors:
         stream.always(tree.WORLD, rr.ViewCoordinates.RIGHT_HAND_Z_UP)
         stream.always(tree.MAP_ACTORS, rr.Points2D.from_fields(radii=screen(_ON_MAP)))
 
+    def follow(self, id: int) -> None:
+        """Let the camera follow somebody else."""
+        self._followed = id
+        self._boxed.add(id)
+
     def enter(self, scene: Scene, moment: Moment) -> None:
         """Take a scene in."""
         born = []
@@ -81,7 +86,16 @@ class Actors:
                 self._draw(Present(Spawn(id), scene.time), scene, moment)
         self._tracks.add(scene, moment, born)
         if self._tracks.full:
-            self._flush()
+            self.flush()
+
+    def flush(self) -> None:
+        """Write what is held back."""
+        block = self._tracks.take()
+        if block is not None:
+            self._move(block)
+            self._map(block)
+            self._follow(block)
+        self._colors = {id: color for id, color in self._colors.items() if id in self._present}
 
     def close(self) -> None:
         """Write what is held back, and where there are no roads, an edge around the map, so that it keeps its scale.
@@ -89,7 +103,7 @@ class Actors:
         Warns:
             RecapWarning: There are too many actors for all of them to have boxes.
         """
-        self._flush()
+        self.flush()
         if self._left_out:
             count = len(self._left_out)
             warnings.warn(
@@ -99,14 +113,6 @@ class Actors:
             left, top, right, bottom = self._extent + np.array((-_MARGIN, -_MARGIN, _MARGIN, _MARGIN))
             corners = [(left, top), (right, top), (right, bottom), (left, bottom), (left, top)]
             self._stream.always(tree.MAP_EDGE, rr.LineStrips2D([corners], colors=[_EDGE], radii=screen(0.5)))
-
-    def _flush(self) -> None:
-        block = self._tracks.take()
-        if block is not None:
-            self._move(block)
-            self._map(block)
-            self._follow(block)
-        self._colors = {id: color for id, color in self._colors.items() if id in self._present}
 
     def _draw(self, actor: Present, scene: Scene, moment: Moment) -> None:
         path = tree.actor(actor.id)

@@ -17,6 +17,8 @@ from carla_recap.replay import Player, camera, right_handed
 from carla_recap.replay.pose import LOCATION
 
 if TYPE_CHECKING:
+    from collections.abc import Mapping
+
     from numpy.typing import NDArray
 
 View = Literal["chase", "top"]
@@ -36,12 +38,23 @@ def blueprint(player: Player, *, view: View = "chase", followed: int | None = No
         followed: Whom they follow; None: the one that the player follows, and where that is nobody, they stand still.
             Anybody else needs the axes that `write` adds with `cameras`.
     """
-    cameras = camera_views(player, followed=followed)
+    return arranged(camera_views(player, followed=followed), view, player.followed)
+
+
+def arranged(cameras: Mapping[View, rrb.Spatial3DView], view: View, ego: int | None, *, live: bool = False) -> rrb.Blueprint:
+    """The arrangement of views around those of the cameras.
+
+    Args:
+        cameras: The views of the cameras.
+        view: Which of them is shown first.
+        ego: Who has plots.
+        live: Whether it goes on: the viewer then shows what came last.
+    """
     beside: list[rrb.View | rrb.Container] = [
         rrb.Spatial2DView(origin=tree.MAP, name="Map", background=[*look.BACKGROUND, 255])
     ]
-    if player.followed is not None:
-        beside.append(rrb.Vertical(*_plots(player.followed)))
+    if ego is not None:
+        beside.append(rrb.Vertical(*_plots(ego)))
     return rrb.Blueprint(
         rrb.Vertical(
             rrb.Horizontal(
@@ -61,7 +74,7 @@ def blueprint(player: Player, *, view: View = "chase", followed: int | None = No
         ),
         rrb.BlueprintPanel(state="collapsed"),
         rrb.SelectionPanel(state="collapsed"),
-        rrb.TimePanel(state="collapsed", timeline=SIM_TIME, play_state="playing"),
+        rrb.TimePanel(state="collapsed", timeline=SIM_TIME, play_state="following" if live else "playing"),
     )
 
 
@@ -69,17 +82,34 @@ def camera_views(player: Player, *, followed: int | None = None) -> dict[View, r
     """The views of both cameras; see `blueprint`."""
     followed = player.followed if followed is None else followed
     if followed is None:
-        (x, y, z), radius = _extent(player)
-        return {
-            "chase": _view("Overview", tree.WORLD, (x - 1.5 * radius, y, z + 1.2 * radius), (x, y, z), (0, 0, 1)),
-            "top": _view("Top", tree.WORLD, (x, y, z + 2.2 * radius), (x, y, z), (0, 1, 0)),
-        }
-    axes, whom = (tree.CHASE, "") if followed == player.followed else (tree.camera(followed), f" {followed}")
+        return overviews(first_places(player))
+    if followed == player.followed:
+        return follow_views(tree.CHASE, "", player.followed)
+    return follow_views(tree.camera(followed), f" {followed}", player.followed)
+
+
+def overviews(places: NDArray[np.float64]) -> dict[View, rrb.Spatial3DView]:
+    """The views of cameras that stand still, and see some places: (n, 3) in m, right-handed."""
+    (x, y, z), radius = _extent(places)
+    return {
+        "chase": _view("Overview", tree.WORLD, (x - 1.5 * radius, y, z + 1.2 * radius), (x, y, z), (0, 0, 1)),
+        "top": _view("Top", tree.WORLD, (x, y, z + 2.2 * radius), (x, y, z), (0, 1, 0)),
+    }
+
+
+def follow_views(axes: str, whom: str, ego: int | None) -> dict[View, rrb.Spatial3DView]:
+    """The views of cameras that stand still in axes that move.
+
+    Args:
+        axes: Where in the tree the axes are.
+        whom: Whom they follow, for the titles.
+        ego: Whose trail is shown.
+    """
     back, up = camera.CHASE_BACK * CM, camera.CHASE_UP * CM
     ahead = up + back * math.tan(math.radians(camera.CHASE_PITCH))
     return {
-        "chase": _view(f"Chase{whom}", axes, (-back, 0, up), (0, 0, ahead), (0, 0, 1), player.followed),
-        "top": _view(f"Top{whom}", axes, (0, 0, camera.TOP_UP * CM), (0, 0, 0), (1, 0, 0), player.followed),
+        "chase": _view(f"Chase{whom}", axes, (-back, 0, up), (0, 0, ahead), (0, 0, 1), ego),
+        "top": _view(f"Top{whom}", axes, (0, 0, camera.TOP_UP * CM), (0, 0, 0), (1, 0, 0), ego),
     }
 
 
@@ -123,9 +153,8 @@ def _view(
     )
 
 
-def _extent(player: Player) -> tuple[list[float], float]:
-    """Where everything is when it begins: the middle, and how far it goes from there; in m, right-handed."""
-    places = first_places(player)
+def _extent(places: NDArray[np.float64]) -> tuple[list[float], float]:
+    """The middle of some places, and how far they go from there; in m, right-handed."""
     if not len(places):
         return [0.0, 0.0, 0.0], _NEAREST
     low, high = places.min(axis=0), places.max(axis=0)

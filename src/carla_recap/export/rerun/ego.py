@@ -78,9 +78,9 @@ class Ego:
         self._controls.append(scene.frame["vehicle_controls"])
         self._count += len(self._velocities[-1]) + len(self._controls[-1])
         if len(self._moments) >= ROWS or self._count >= _RECORDS:
-            self.close()
+            self.flush()
 
-    def close(self) -> None:
+    def flush(self) -> None:
         """Write what is held back."""
         if not self._moments:
             return

@@ -63,9 +63,9 @@ class Chronicle:
         if changed:
             self._draw(moment)
         if len(self._told) >= _HELD:
-            self.close()
+            self.flush()
 
-    def close(self) -> None:
+    def flush(self) -> None:
         """Write what is held back."""
         if self._told:
             times = Times.of(moment for moment, _ in self._told)

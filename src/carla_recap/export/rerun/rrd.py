@@ -44,7 +44,7 @@ class Rrd:
     ) -> None:
         self.stream = rr.RecordingStream(application, recording_id=recording_id, send_properties=False)
         self._bytes = rr.binary_stream(self.stream)
-        _send(arrangement, self.stream)
+        send_blueprint(arrangement, self.stream)
 
     def __enter__(self) -> Self:
         return self
@@ -81,13 +81,38 @@ def piped(arrangement: rrb.Blueprint, put: Callable[[bytes], object]) -> Iterato
     try:
         drain = _connect(stream, put)
         try:
-            _send(arrangement, stream)
+            send_blueprint(arrangement, stream)
             yield stream
         finally:
             stream.disconnect()
             drain.join()
         drain.check()
     finally:
+        del stream
+        _give_back()
+
+
+@contextmanager
+def sent(arrangement: rrb.Blueprint, address: str) -> Iterator[rr.RecordingStream]:
+    """A stream to a viewer that listens; while a `with` block runs.
+
+    Args:
+        arrangement: How the viewer is to show it.
+        address: Where it listens: `rerun+http://127.0.0.1:9876/proxy`.
+
+    Raises:
+        RecapError: That is no address.
+    """
+    stream = rr.RecordingStream(APPLICATION, send_properties=False)
+    try:
+        try:
+            stream.connect_grpc(address)
+        except (RuntimeError, ValueError) as error:
+            raise RecapError(f"{address}: {' '.join(str(error).split())}") from None
+        send_blueprint(arrangement, stream)
+        yield stream
+    finally:
+        stream.disconnect()
         del stream
         _give_back()
 
@@ -139,7 +164,7 @@ def rbl(arrangement: rrb.Blueprint) -> bytes:
     """
     stream = _blueprint_stream(APPLICATION)
     data = rr.binary_stream(stream)
-    _send(arrangement, stream)
+    send_blueprint(arrangement, stream)
     content = _read(data)
     stream.disconnect()
     del stream, data
@@ -147,7 +172,7 @@ def rbl(arrangement: rrb.Blueprint) -> bytes:
     return content
 
 
-def _send(arrangement: rrb.Blueprint, stream: rr.RecordingStream) -> None:
+def send_blueprint(arrangement: rrb.Blueprint, stream: rr.RecordingStream) -> None:
     """Send an arrangement, as the one to use; `stream.send_blueprint` would keep a copy as long as the process lives."""
     drawn = _blueprint_stream(rr.get_application_id(stream) or APPLICATION)
     arrangement._log_to_stream(drawn)

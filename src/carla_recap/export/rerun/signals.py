@@ -55,9 +55,9 @@ class Signals:
             self._changes[id].append((moment, state))
             self._held += 1
         if self._held >= _HELD:
-            self.close()
+            self.flush()
 
-    def close(self) -> None:
+    def flush(self) -> None:
         """Write what is held back."""
         for id, changes in self._changes.items():
             times = Times.of(moment for moment, _ in changes)
@@ -83,7 +83,7 @@ class Signals:
         )
 
     def _put_out(self, event: Destroyed, moment: Moment) -> None:
-        self.close()
+        self.flush()
         del self._states[event.id]
         self._stream.clear(tree.lamp(event.id), moment)
         self._stream.clear(tree.state(event.id), moment)

@@ -95,8 +95,8 @@ class Part(Protocol):
     def enter(self, scene: Scene, moment: Moment) -> None:
         """Take a scene in."""
 
-    def close(self) -> None:
-        """Write what is held back, and what is known only at the end."""
+    def flush(self) -> None:
+        """Write what is held back."""
 
 
 class Stream:

@@ -7,29 +7,24 @@ from contextlib import nullcontext
 from pathlib import Path
 from typing import TYPE_CHECKING, Final
 
-import rerun as rr
-
 from carla_recap.conversion import check_destination
 from carla_recap.errors import RecapError, RecapWarning
 from carla_recap.export.rerun import roads
-from carla_recap.export.rerun.actors import MOVERS, Actors
+from carla_recap.export.rerun.actors import MOVERS
 from carla_recap.export.rerun.blueprint import View, blueprint, first_places
-from carla_recap.export.rerun.ego import Ego
-from carla_recap.export.rerun.events import Chronicle
 from carla_recap.export.rerun.rrd import piped, rbl
-from carla_recap.export.rerun.signals import Signals
-from carla_recap.export.rerun.stream import Moment, Stream
+from carla_recap.export.rerun.stage import Stage, introduce
 from carla_recap.export.whole import WholeFile
 from carla_recap.folders import check_folder, new_folder
 from carla_recap.queries.actors import actors
 from carla_recap.recording import Recording
 from carla_recap.replay import Played, Player
-from carla_recap.texts import readable
 
 if TYPE_CHECKING:
     from collections.abc import Collection, Iterable
 
-    from carla_recap.export.rerun.stream import Part
+    import rerun as rr
+
     from carla_recap.formats.base import Reader
     from carla_recap.maps import RoadMap
     from carla_recap.replay import Scene
@@ -38,8 +33,6 @@ if TYPE_CHECKING:
 
 MOST_CAMERAS: Final = 500
 """So many actors get a camera."""
-
-_LATEST: Final = 9_000_000_000  # s; what fits into 64 bits of nanoseconds
 
 
 def write(
@@ -65,37 +58,19 @@ def write(
     Raises:
         FormatError: The file contradicts its format.
     """
-    sink = Stream(stream)
-    _introduce(stream, player.reader)
+    reader = player.reader
+    introduce(stream, reader.header, reader.path.name, str(reader.path))
     if road_map is not None and roads.lies_elsewhere(road_map, first_places(player)):
         warnings.warn(f"{road_map.name}: no actor is near this map, which is left out", RecapWarning, stacklevel=2)
         road_map = None
-    if road_map is not None:
-        roads.draw(sink, road_map)
-    followed = player.followed
-    parts: list[Part] = [Actors(sink, followed, roads=road_map is not None, cameras=cameras), Signals(sink), Chronicle(sink)]
-    if followed is not None:
-        parts.append(Ego(sink, followed, ground=road_map is None))
+    stage = Stage(stream, followed=player.followed, road_map=road_map, cameras=cameras)
     scenes: Iterable[Scene] = player.scenes()
     count = 0
     for scene in progress(scenes, player) if progress else scenes:
-        moment = Moment.of(scene)
-        for part in parts:
-            part.enter(scene, moment)
+        stage.enter(scene)
         count += 1
-    for part in parts:
-        part.close()
+    stage.close()
     return Played(count, player.stop - player.start)
-
-
-def _introduce(stream: rr.RecordingStream, reader: Reader) -> None:
-    """Say what recording this is."""
-    header = reader.header
-    stream.send_recording_name(readable(reader.path.name))
-    if 0 <= header.date <= _LATEST:
-        stream.send_recording_start_time_nanos(header.date * 1_000_000_000)
-    about = rr.AnyValues(map=readable(header.map_name), source=readable(str(reader.path)), recorder_version=header.version)
-    stream.send_property("recording", about)
 
 
 def export_rerun(

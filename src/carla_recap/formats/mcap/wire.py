@@ -111,9 +111,11 @@ def read_head(data: Buffer) -> tuple[int, float] | None:
 
 def expected_size(type: RecordType, payload: Buffer) -> int | None:
     """The size of a body, where it is known without encoding: records of one size, and not a byte besides."""
-    if not type.fixed:
-        return None
-    uniform = _uniforms.get(type) or _uniform(type)
+    uniform = _uniforms.get(type)
+    if uniform is None:
+        if not type.fixed:
+            return None
+        uniform = _uniform(type)
     if uniform.single:
         return uniform.stride if len(payload) == uniform.size else None
     count = payload[0] | payload[1] << 8 if len(payload) > 1 else 0

@@ -9,6 +9,7 @@ import numpy as np
 from carla_recap.sim.autopilot.gates import inside, next_gate, survey
 from carla_recap.sim.autopilot.network import NONE
 from carla_recap.sim.autopilot.permits import Permits, Request
+from carla_recap.sim.autopilot.view import MOVING
 from carla_recap.sim.signals import GREEN
 
 if TYPE_CHECKING:
@@ -24,8 +25,6 @@ if TYPE_CHECKING:
     Floats = NDArray[np.float64]
     Integers = NDArray[np.int64]
 
-MOVING: Final = -2
-"""Instead of a leader: something that no driver of the autopilot moves, but that moves on."""
 BEFORE_LINE: Final = 0.8  # m: so far before a line vehicles stop
 _PAST: Final = 0.3  # m: who is so far beyond a line goes on
 _COMFORTABLE: Final = 3.0  # m/s²: who would have to brake harder before a light that has changed goes on

@@ -19,6 +19,7 @@ if TYPE_CHECKING:
 
 _VEHICLES_AHEAD: Final = 1.0  # s: for so long the vehicles of others are expected to go straight on
 _WALKERS_AHEAD: Final = 1.5  # s: and walkers
+_NOWHERE: Final = np.inf  # m: where those are taken to be who are carried by others, and whom all pass through
 _AROUND_WALKERS: Final = 0.3  # m
 _WALKING: Final = 0.1  # m/s
 _EVERY: Final = 1.0  # s: so often things are looked for
@@ -52,7 +53,7 @@ class Surroundings:
             self._things = _boxes([actor for actor in world.actors.values() if isinstance(actor, Prop) and actor.body])
         vehicles = world.vehicles
         cars = Boxes(
-            vehicles.position[:, 0],
+            np.where(vehicles.carried, _NOWHERE, vehicles.position[:, 0]),
             vehicles.position[:, 1],
             np.radians(vehicles.rotation[:, 1]),
             vehicles.half_length,
@@ -67,7 +68,7 @@ def _people(walkers: Walkers) -> Boxes:
     velocity_x, velocity_y = walkers.velocity[:, 0], walkers.velocity[:, 1]
     walking = np.hypot(velocity_x, velocity_y) > _WALKING
     return Boxes(
-        walkers.position[:, 0],
+        np.where(walkers.carried, _NOWHERE, walkers.position[:, 0]),
         walkers.position[:, 1],
         np.where(walking, np.arctan2(velocity_y, velocity_x), np.radians(walkers.rotation[:, 1])),
         walkers.half_length + _AROUND_WALKERS,

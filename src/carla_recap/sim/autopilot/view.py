@@ -8,7 +8,6 @@ import numpy as np
 
 from carla_recap.sim.autopilot.drift import bend_aside
 from carla_recap.sim.autopilot.following import behind, wanted_gap
-from carla_recap.sim.autopilot.junctions import MOVING
 from carla_recap.sim.autopilot.network import NONE
 from carla_recap.sim.autopilot.sight import Ways, distances, look
 
@@ -24,6 +23,8 @@ if TYPE_CHECKING:
     Floats = NDArray[np.float64]
     Integers = NDArray[np.int64]
 
+MOVING: Final = -2
+"""Instead of a leader: something that no driver of the autopilot moves, but that moves on."""
 _NEAREST: Final = 15.0  # m: how far the driver of a standing vehicle looks ahead
 _FARTHEST: Final = 120.0  # m: how far any driver does
 _FORESIGHT: Final = 1.5  # so many times the gap that a driver wants to what stands

@@ -6,15 +6,13 @@ import math
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Final
 
-import numpy as np
-
-from carla_recap.sim.actors import Vehicle, Walker
+from carla_recap.sim.actors import Walker
 from carla_recap.sim.control import VehicleControl, WalkerControl
-from carla_recap.sim.errors import SimError
 from carla_recap.sim.geometry import Location, Rotation, Transform, Vector
+from carla_recap.sim.staging.places import MARGIN, place_on, spawn_on, straight_stretch
 
 if TYPE_CHECKING:
-    from carla_recap.sim.lanes import Lane
+    from carla_recap.sim.actors import Vehicle
     from carla_recap.sim.world import World
 
 HERO: Final = "vehicle.tesla.model3"
@@ -24,8 +22,6 @@ WALKER: Final = "walker.pedestrian.0004"
 START: Final = 5.0  # s: then the hero drives off
 _RUN: Final = 70.0  # m, from the hero to the walker
 _REST: Final = 45.0  # m, from the walker to the van
-_MARGIN: Final = 8.0  # m of lane before the hero, and behind the van
-_STRAIGHT: Final = math.radians(1.0)
 _THROTTLE: Final = 0.6
 _CRUISE: Final = 14.0  # m/s
 _STEP_OUT: Final = 4.5  # m, from the middle of the lane to where the walker waits
@@ -64,12 +60,12 @@ class Crash:
 
     def __init__(self, world: World) -> None:
         self._world = world
-        lane, begin = _stage(world.town.lanes)
-        hero = self._vehicle(HERO, lane, begin, "hero")
-        van = self._vehicle(VAN, lane, begin + _RUN + _REST, "broken down")
+        lane, begin = straight_stretch(world.town, _RUN + _REST)
+        hero = spawn_on(world, HERO, lane, begin, "hero")
+        van = spawn_on(world, VAN, lane, begin + _RUN + _REST, "broken down")
         world.spawn("sensor.other.collision", Transform(), parent=hero)
         van.apply_control(VehicleControl(hand_brake=True))
-        place, heading = _on(lane, begin + _RUN)
+        place, heading = place_on(lane, begin + _RUN)
         right = heading + math.pi / 2
         self._across = Vector(-math.cos(right), -math.sin(right), 0.0)
         curb = Location(place.x + _STEP_OUT * math.cos(right), place.y + _STEP_OUT * math.sin(right), place.z + 1.0)
@@ -88,7 +84,7 @@ class Crash:
         speed = float(self._world.vehicles.speed[hero.row])
         away = self._distance(hero)
         # It brakes once it has been stopped, or should the van be gone.
-        if away < -_REST - _MARGIN or (away < -_REST / 2 and speed < _CRUISE / 2):
+        if away < -_REST - MARGIN or (away < -_REST / 2 and speed < _CRUISE / 2):
             hero.apply_control(VehicleControl(brake=1.0))
             return
         hero.apply_control(VehicleControl(throttle=_THROTTLE if speed < _CRUISE else 0.0))
@@ -101,34 +97,3 @@ class Crash:
         """How far the hero is before the walker's way, in m, along the lane."""
         place, ahead = hero.transform.location, self._way.forward()
         return (self._way.location.x - place.x) * ahead.x + (self._way.location.y - place.y) * ahead.y
-
-    def _vehicle(self, blueprint: str, lane: Lane, s: float, role_name: str) -> Vehicle:
-        place, heading = _on(lane, s)
-        place.z += 0.3
-        vehicle = self._world.spawn(blueprint, Transform(place, Rotation(yaw=math.degrees(heading))), role_name=role_name)
-        assert isinstance(vehicle, Vehicle)
-        return vehicle
-
-
-def _stage(lanes: list[Lane]) -> tuple[Lane, float]:
-    """A lane that is straight for long enough, and where on it the hero begins.
-
-    Raises:
-        SimError: There is none.
-    """
-    length = 2 * _MARGIN + _RUN + _REST
-    for lane in lanes:
-        if lane.junction is not None or lane.length < length:
-            continue
-        bends = np.flatnonzero(np.abs(np.diff(lane.heading)) > _STRAIGHT / 10)
-        ends = np.concatenate(([0.0], lane.s[bends], [lane.length]))
-        widest = int(np.argmax(np.diff(ends)))
-        if ends[widest + 1] - ends[widest] >= length:
-            return lane, float(ends[widest]) + _MARGIN
-    raise SimError(f"a straight lane of {length:g} m was expected for a staged crash; the town has none")
-
-
-def _on(lane: Lane, s: float) -> tuple[Location, float]:
-    """A place on a lane, and the direction of travel there, in radians."""
-    x, y, z = (float(np.interp(s, lane.s, lane.points[:, axis])) for axis in range(3))
-    return Location(x, y, z), float(np.interp(s, lane.s, lane.heading))

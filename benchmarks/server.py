@@ -1,0 +1,133 @@
+"""What is measured of the server: the official client in this process, the server in its own, as users have them."""
+
+from __future__ import annotations
+
+from contextlib import contextmanager
+from typing import TYPE_CHECKING
+
+from benchmarks.hour import DIRECTORY, RATE
+from benchmarks.rows import Line, Subject, cut, medians, timed
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Iterator
+
+    import carla
+
+IDLE = 100
+MANAGED = 50
+ANSWER = 20_000_000  # bytes
+
+
+def sync_ticks(_: Subject) -> Iterator[Line]:
+    with world() as (_, town):
+        vehicles = spawn(town, IDLE)
+        town.tick()
+        rate = per_second(town.tick, 4000)
+        yield goal(f"sync ticks, {len(vehicles)} idle vehicles", rate, 2500)
+
+
+def managed_ticks(_: Subject) -> Iterator[Line]:
+    with world() as (port, town):
+        client = connect(port)
+        manager = client.get_trafficmanager(8123)
+        manager.set_synchronous_mode(True)
+        vehicles = spawn(town, MANAGED)
+        for vehicle in vehicles:
+            vehicle.set_autopilot(True, 8123)
+        for _ in range(100):
+            town.tick()
+        rate = per_second(town.tick, 1000)
+        yield goal(f"sync ticks, {len(vehicles)} under traffic manager", rate, 350)
+        for vehicle in vehicles:
+            vehicle.set_autopilot(False, 8123)
+        manager.set_synchronous_mode(False)
+
+
+def controls(_: Subject) -> Iterator[Line]:
+    import carla
+
+    with world() as (_, town):
+        (vehicle,) = spawn(town, 1)
+        town.tick()
+        count = 6000
+
+        def steer() -> None:
+            for number in range(count):  # the client sends only what differs
+                vehicle.apply_control(carla.VehicleControl(steer=number / count))
+            town.tick()
+
+        yield goal("apply_control calls", count / min(timed(steer) for _ in range(3)), 1500)
+
+
+def get_world(_: Subject) -> Iterator[Line]:
+    with world() as (port, town):
+        spawn(town, IDLE)
+        town.tick()
+        (seconds,) = medians(lambda: connect(port).get_world())
+        yield Line("get_world", f"{seconds * 1e3:.1f} ms", "", "< 20 ms", seconds < 0.02)
+
+
+def long_answer(subject: Subject) -> Iterator[Line]:
+    with world() as (port, _):
+        client, frames = connect(port), 20 * RATE
+        while True:
+            log = cut(subject.log, frames).resolve()
+            size = len(client.show_recorder_file_info(str(log), True))
+            if size >= ANSWER or frames >= subject.frames:
+                break
+            frames = int(frames * 1.1 * ANSWER / size)
+        seconds = min(timed(lambda: client.show_recorder_file_info(str(log), True)) for _ in range(3))
+        each = f"{size / seconds / 1e6:.0f} MB/s"
+        yield Line(f"file info of {size / 1e6:.0f} MB", f"{seconds:.2f} s", each, "< 2 s", seconds < 2)
+
+
+ROWS = (sync_ticks, managed_ticks, controls, get_world, long_answer)
+
+
+@contextmanager
+def world() -> Iterator[tuple[int, carla.World]]:
+    """A client of a server with the built-in town, in synchronous mode."""
+    import carla
+
+    from carla_recap.server import running
+
+    with running(recordings=DIRECTORY) as port:
+        client = connect(port)
+        town = client.get_world()
+        town.apply_settings(carla.WorldSettings(synchronous_mode=True, fixed_delta_seconds=0.05))
+        yield port, town
+        town.apply_settings(carla.WorldSettings())
+
+
+def connect(port: int) -> carla.Client:
+    import carla
+
+    client = carla.Client("127.0.0.1", port)
+    client.set_timeout(60.0)
+    return client
+
+
+def spawn(town: carla.World, count: int) -> list[carla.Actor]:
+    """Vehicles, spread over the town."""
+    models = town.get_blueprint_library().filter("vehicle.*")
+    cars = [model for model in models if model.get_attribute("number_of_wheels").as_int() == 4]
+    points = town.get_map().get_spawn_points()
+    found = (
+        town.try_spawn_actor(cars[index % len(cars)], point)
+        for index, point in enumerate(points[:: max(1, len(points) // count)])
+    )
+    return [vehicle for vehicle in found if vehicle][:count]
+
+
+def per_second(work: Callable[[], object], count: int) -> float:
+    """How often some work can be done in a second: the best of three rounds."""
+
+    def rounds() -> None:
+        for _ in range(count):
+            work()
+
+    return count / min(timed(rounds) for _ in range(3))
+
+
+def goal(what: str, rate: float, least: float) -> Line:
+    return Line(what, f"{rate:,.0f} /s", "", f"≥ {least:,.0f} /s", rate >= least)

@@ -1,0 +1,178 @@
+"""What is measured of the simulator, in CARLA's own towns; they are not ours to ship, and without them nothing is."""
+
+from __future__ import annotations
+
+import resource
+import statistics
+import sys
+import time
+from functools import wraps
+from itertools import pairwise
+from pathlib import Path
+from typing import TYPE_CHECKING, Final
+
+import numpy as np
+
+from benchmarks.hour import DIRECTORY
+from benchmarks.rows import Line, Subject
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Iterator
+
+    from carla_recap.sim.world import World
+
+    Row = Callable[[Subject], Iterator[Line]]
+
+TOWN: Final = Path("../shared/data/maps/Town01.xodr")
+WARM_UP: Final = 20.0  # s
+BLOCK: Final = 320  # ticks that are timed together
+ROUNDS: Final = 12  # of blocks with and without a recorder
+CALM: Final = 0.05  # s on the clock: by then the recorder's thread has done its work
+COUNTS: Final = (50, 100, 200, 400)
+
+
+def in_town(row: Row) -> Row:
+    """Leave a row out where the town is missing, and say so."""
+
+    @wraps(row)
+    def lines(subject: Subject) -> Iterator[Line]:
+        if TOWN.exists():
+            yield from row(subject)
+        else:
+            yield Line(f"simulator: {row.__name__}", f"left out: no {TOWN}", "", "", ok=True)
+
+    return lines
+
+
+@in_town
+def driving(subject: Subject) -> Iterator[Line]:
+    world = crowded(100, 30)
+    record(world, ".mcap")
+    yield _rate("ticks, 100 vehicles, 30 walkers, recorded", world, 60.0, 300)
+
+
+@in_town
+def parked(subject: Subject) -> Iterator[Line]:
+    world = crowded(100, 0, drive=False)
+    record(world, ".mcap")
+    yield _rate("ticks, 100 parked vehicles, recorded", world, 250.0, 1_500)
+
+
+@in_town
+def recorder(subject: Subject) -> Iterator[Line]:
+    """What recording adds to a tick: with and without it in turns, in one world."""
+    for suffix in (".mcap", ".log"):
+        world = crowded(120, 30)
+        record(world, suffix)
+        recorded, bare = in_turns(world)
+        world.close()
+        tick = statistics.median(map(statistics.fmean, bare))
+        costs = [sum(block) / sum(other) - 1 for block, other in zip(recorded, bare, strict=True)]
+        share = statistics.median(costs)
+        measured = f"{share * tick * 1e6:.0f} µs of {tick * 1e3:.2f} ms"
+        yield Line(f"recorder of 150 actors, {suffix}", measured, f"{share:.1%}", "≤ 5 %", share <= 0.05)
+        longest, usual = (max(map(max, blocks)) * 1e3 for blocks in (recorded, bare))
+        measured, more = f"{longest:.1f} / {usual:.1f} ms", longest - usual
+        yield Line(f"longest tick with / without, {suffix}", measured, f"{more:+.1f} ms", "< +10 ms", more < 10)
+
+
+@in_town
+def scaling(subject: Subject) -> Iterator[Line]:
+    """What a tick costs with ever more vehicles."""
+    each = []
+    for count in COUNTS:
+        world = crowded(count, 0)
+        tick = min(statistics.fmean(ticks(world, BLOCK)) for _ in range(3))
+        each.append(tick / count)
+        yield Line(f"tick of {count} vehicles", f"{tick * 1e3:.2f} ms", f"{each[-1] * 1e6:.1f} µs each", "", ok=True)
+    ratio = each[-1] / each[0]
+    yield Line(f"cost of each of {COUNTS[-1]} / of {COUNTS[0]}", "", f"{ratio:.2f}", "≤ 1", ratio <= 1)
+
+
+@in_town
+def an_hour(subject: Subject) -> Iterator[Line]:
+    """What an hour of recording leaves in memory; the first 10 minutes do not count."""
+    world = crowded(10, 5)
+    world.settings.fixed_delta_seconds = 0.1
+    record(world, ".mcap")
+    world.run(600.0)
+    before = peak()
+    world.run(3_000.0)
+    grown = (peak() - before) / 1e6
+    world.close()
+    yield Line("memory, recording for an hour", f"{before / 1e6:.0f} MB", f"{grown:+.1f} MB", "≤ +5 MB", grown <= 5)
+
+
+@in_town
+def traffic(subject: Subject) -> Iterator[Line]:
+    """How the autopilot gets 100 cars through 10 minutes."""
+    world = crowded(100, 0)
+    world.settings.collisions_of = "all"
+    met: set[frozenset[int | None]] = set()
+    stood = longest = np.zeros(len(world.vehicles))
+    end = world.elapsed + 600.0
+    while world.elapsed < end:
+        world.tick()
+        met |= {frozenset((collision.actor1, collision.actor2)) for collision in world.events.collisions}
+        stood = np.where(np.abs(world.vehicles.speed) < 0.1, stood + world.delta, 0.0)
+        longest = np.maximum(longest, stood)
+    wait = float(longest.max())
+    yield Line("100 cars, 10 min: pairs that collide", f"{len(met)}", "", "≤ 5", len(met) <= 5)
+    yield Line("100 cars, 10 min: longest stand", f"{wait:.0f} s", "", "≤ 180 s", wait <= 180)
+
+
+ROWS: Final = (driving, parked, recorder, scaling, an_hour, traffic)
+
+
+def crowded(vehicles: int, walkers: int, *, drive: bool = True) -> World:
+    """A world with traffic that has been on its way for a while."""
+    from carla_recap.sim.town import load_town
+    from carla_recap.sim.traffic import populate
+    from carla_recap.sim.world import World
+
+    world = World(load_town(TOWN), seed=0, date=0)
+    populate(world, vehicles, walkers)
+    for vehicle in world.vehicles.actors:
+        vehicle.set_autopilot(drive)
+    world.run(WARM_UP)
+    return world
+
+
+def record(world: World, suffix: str) -> None:
+    DIRECTORY.mkdir(parents=True, exist_ok=True)
+    world.start_recorder((DIRECTORY / "simulated").with_suffix(suffix).resolve())
+
+
+def ticks(world: World, count: int) -> list[float]:
+    """How long some ticks take, in s."""
+    times = [time.perf_counter()]
+    for _ in range(count):
+        world.tick()
+        times.append(time.perf_counter())
+    return [end - begin for begin, end in pairwise(times)]
+
+
+def in_turns(world: World) -> tuple[list[list[float]], list[list[float]]]:
+    """How long ticks take while the recorder listens, and while it does not, in s: blocks of them, in turns."""
+    recorded, bare = [], []
+    for _ in range(ROUNDS):
+        recorded.append(ticks(world, BLOCK))
+        time.sleep(CALM)
+        world.listeners.remove(world.recorder)
+        bare.append(ticks(world, BLOCK))
+        world.listeners.append(world.recorder)
+    return recorded[1:], bare[1:]
+
+
+def peak() -> int:
+    """The most memory that this process has held, in bytes."""
+    return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * (1 if sys.platform == "darwin" else 1024)
+
+
+def _rate(what: str, world: World, seconds: float, goal: int) -> Line:
+    """How many ticks a second there are, up to the complete recording."""
+    first, begin = world.frame, time.perf_counter()
+    world.run(seconds)
+    world.close()
+    rate = (world.frame - first) / (time.perf_counter() - begin)
+    return Line(what, f"{seconds:.0f} s", f"{rate:,.0f} ticks/s", f"≥ {goal:,} ticks/s", rate >= goal)

@@ -1,0 +1,81 @@
+"""What the sample scripts have in common: the options of the server, and the way into synchronous mode."""
+
+from argparse import ArgumentDefaultsHelpFormatter, ArgumentParser
+from contextlib import contextmanager
+
+import carla
+
+DELTA = 0.05  # s, a tick in synchronous mode
+HEIGHT = 0.5  # m above the road, to spawn vehicles at
+
+
+def options(description):
+    """The options that every script has."""
+    parser = ArgumentParser(description=description.splitlines()[0], formatter_class=ArgumentDefaultsHelpFormatter)
+    parser.add_argument("--host", default="127.0.0.1", metavar="H", help="where the server is")
+    parser.add_argument("-p", "--port", default=2000, type=int, metavar="P", help="its port")
+    return parser
+
+
+def recording_options(description):
+    """Those of a script that is about a recording."""
+    parser = options(description)
+    parser.add_argument("-f", "--recorder-filename", default="test1.log", metavar="F", help="the recording")
+    return parser
+
+
+def traffic_options(parser):
+    """Those of a script that has vehicles driven by the traffic manager."""
+    parser.add_argument("--tm-port", default=8000, type=int, metavar="P", help="the port of the traffic manager")
+
+
+def connect(arguments):
+    """The client of a server."""
+    client = carla.Client(arguments.host, arguments.port)
+    client.set_timeout(60.0)
+    return client
+
+
+@contextmanager
+def synchronous(world, traffic=None):
+    """The world waits for `tick`, and so does the traffic manager, if there is one; afterwards all is as before."""
+    before = world.get_settings()
+    settings = world.get_settings()
+    settings.synchronous_mode = True
+    settings.fixed_delta_seconds = DELTA
+    world.apply_settings(settings)
+    if traffic is not None:
+        traffic.set_synchronous_mode(True)
+    try:
+        yield
+    finally:
+        if traffic is not None:
+            traffic.set_synchronous_mode(False)
+        world.apply_settings(before)
+
+
+def straight_roads(world, length):
+    """Where a lane goes straight on for so many meters: pairs of transforms to spawn vehicles at, at its ends."""
+    for start in world.get_map().get_spawn_points():
+        for end in world.get_map().get_waypoint(start.location).next(length):
+            place = end.transform.location + carla.Location(z=HEIGHT)
+            is_straight = abs(place.distance(start.location) - length) < 0.01 * length
+            if is_straight and start.get_forward_vector().dot(end.transform.get_forward_vector()) > 0.9999:
+                yield start, carla.Transform(place, end.transform.rotation)
+
+
+def spawn_collision_course(world, length):
+    """A hero, and a car with its hand brake on straight ahead of it, so many meters away."""
+    blueprints = world.get_blueprint_library()
+    hero_blueprint = blueprints.find("vehicle.tesla.model3")
+    hero_blueprint.set_attribute("role_name", "hero")
+    for start, end in straight_roads(world, length):
+        hero = world.try_spawn_actor(hero_blueprint, start)
+        if hero is None:
+            continue
+        obstacle = world.try_spawn_actor(blueprints.find("vehicle.audi.tt"), end)
+        if obstacle is not None:
+            obstacle.apply_control(carla.VehicleControl(hand_brake=True))
+            return hero, obstacle
+        hero.destroy()
+    raise SystemExit(f"{world.get_map().name} has no straight lane of {length:g} m that is free")

@@ -1,0 +1,13 @@
+#!/usr/bin/env bash
+# Makes the recordings of simulated traffic next to this script, or in the folder that is named: the same bytes each time.
+set -euo pipefail
+folder=${1:-$(dirname "$0")}
+export SOURCE_DATE_EPOCH=1767261600
+
+record() {
+    carla-recap record "$folder/$1" --force --additional-data "${@:2}"
+}
+
+record crash.mcap --crash --vehicles 3 --walkers 3 --duration 60 --seed 1
+record blocked.mcap --blocked --vehicles 2 --walkers 3 --duration 60 --seed 2
+record junction.mcap --junction --hero --vehicles 16 --walkers 8 --duration 30 --seed 33

@@ -1,0 +1,64 @@
+"""The commands that go to a CARLA server as its clients: one records what it does, the other one shows it."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import click
+
+from carla_recap.cli import options
+from carla_recap.cli.output import say
+
+_follow = click.option(
+    "--follow", type=options.FOLLOW, default="hero", show_default=True, metavar="ID|hero", help="Whom the camera follows."
+)
+_server = options.together(
+    click.option("--host", default="127.0.0.1", show_default=True, metavar="ADDRESS", help="Where the server is."),
+    click.option("--port", type=click.IntRange(1, 65535), default=2000, show_default=True, help="Its port."),
+)
+
+
+@click.command()
+@options.destination
+@_server
+@click.option(
+    "--duration", type=options.NUMBER, default=math.inf, metavar="S", help="How many simulated s; else until Ctrl-C."
+)
+@click.option("--additional-data", is_flag=True, help="Record velocities, boxes, physics and times, too.")
+@options.force
+def capture(destination: str, host: str, port: int, duration: float, additional_data: bool, force: bool) -> None:
+    """Record what a CARLA server does, as one of its clients, to .mcap or .log."""
+    from carla_recap.capture import capture as run
+    from carla_recap.cli.progress import watch_ticks
+
+    captured = run(
+        destination,
+        host=host,
+        port=port,
+        duration=duration,
+        additional_data=additional_data,
+        force=force,
+        progress=watch_ticks("capturing", duration),
+    )
+    missed = f", {captured.missed} ticks missed" if captured.missed else ""
+    say(f"{destination}: {captured.frames} frames, {captured.seconds:g} s{missed}: {captured.why}")
+
+
+@click.command()
+@_server
+@options.force
+@click.option(
+    "--to", metavar="FILE|URL", help="Write an .rrd, or send to the viewer at rerun+http://...; else one is opened."
+)
+@_follow
+@options.camera
+def watch(to: str | None, **where: Any) -> None:
+    """Show what a CARLA server does in Rerun's viewer, while it goes on."""
+    from carla_recap.capture.live import watch as run
+
+    why = run(to, **where)
+    say(f"{to or 'the viewer'}: {why}")
+
+
+COMMANDS = (capture, watch)

@@ -1,0 +1,24 @@
+"""Names that are imported when they are asked for."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+
+import pytest
+
+from carla_recap import sim
+
+
+def test_what_a_package_offers_is_there():
+    pytest.importorskip("pymunk", reason="the extra `sim` is not installed")
+    assert set(sim.__all__) <= set(dir(sim))
+    for name in sim.__all__:
+        assert getattr(sim, name) is getattr(sim, name)
+    with pytest.raises(AttributeError, match=r"module 'carla_recap.sim' has no attribute 'wings'"):
+        sim.wings  # noqa: B018
+
+
+def test_it_imports_nothing_before():
+    code = "import sys; from carla_recap.sim import Location; sys.exit('pymunk' in sys.modules or 'numpy' in sys.modules)"
+    assert subprocess.run([sys.executable, "-c", code], check=False, timeout=60).returncode == 0

@@ -1,0 +1,160 @@
+"""The recordings next to the documentation: what they answer is what was staged, and their script makes the same ones."""
+
+from __future__ import annotations
+
+import json
+import os
+import subprocess
+from pathlib import Path
+
+import pytest
+from numpy._core._multiarray_umath import __cpu_features__
+
+import carla_recap
+from tests.cli.command import COMMAND, ENVIRONMENT, TIMEOUT, answer
+
+SAMPLES = Path(__file__).parents[1] / "samples"
+SIMULATED = ("blocked", "crash", "junction")
+LARGEST = 512 << 10  # bytes
+RED, YELLOW, GREEN = range(3)
+
+HEAD = """\
+Version: 1
+Map: Brickfield
+Date: 01/01/26 10:00:00
+"""
+A_MINUTE = """
+Frames: 1200
+Duration: 59.95 seconds
+"""
+HALF_A_MINUTE = """
+Frames: 600
+Duration: 29.95 seconds
+"""
+COLLISIONS = """
+    Time  Types     Id Actor 1                                 Id Actor 2
+"""
+BLOCKED = """
+    Time     Id Actor                                 Duration
+"""
+
+
+def told(command: str, name: str, *options: str) -> str:
+    """What a command says of a sample, without blanks at the ends of lines."""
+    text = answer(command, SAMPLES / f"{name}.mcap", *options)
+    return "".join(f"{line.rstrip()}\n" for line in text.splitlines())
+
+
+def rows(command: str, name: str, *keys: str) -> list[tuple[object, ...]]:
+    """The answer as JSON has it, in part; times to the tick."""
+    found = json.loads(answer(command, SAMPLES / f"{name}.mcap", "--json"))
+    assert (found["map"], found["date"]) == ("Brickfield", 1767261600)
+    return [tuple(round(row[key], 3) if isinstance(row[key], float) else row[key] for key in keys) for row in found["rows"]]
+
+
+@pytest.mark.parametrize("name", SIMULATED)
+def test_they_are_small(name):
+    assert (SAMPLES / f"{name}.mcap").stat().st_size < LARGEST
+
+
+@pytest.mark.parametrize("name", SIMULATED)
+def test_info_tells_of_them(name):
+    text = told("info", name)
+    assert text.startswith(HEAD)
+    assert text.endswith(HALF_A_MINUTE if name == "junction" else A_MINUTE)
+    with carla_recap.open_recording(SAMPLES / f"{name}.mcap") as recording:
+        assert recording.info.additional_data
+        assert len(recording.heroes) == 1
+
+
+def test_in_the_crash_the_hero_hits_the_walker_and_then_the_van():
+    assert told("collisions", "crash") == (
+        HEAD
+        + COLLISIONS
+        + "      12   v w      41 vehicle.tesla.model3                    44 walker.pedestrian.0004\n"
+        + "      15   v v      41 vehicle.tesla.model3                    42 vehicle.mercedes.sprinter\n"
+        + A_MINUTE
+    )
+    assert rows("collisions", "crash", "elapsed", "frame", "id1", "hero1", "id2", "hero2") == [
+        (12.1, 243, 41, True, 44, False),
+        (15.15, 304, 41, True, 42, False),
+    ]
+
+
+def test_after_the_crash_all_three_stay_where_they_are():
+    assert told("blocked", "crash") == (
+        HEAD
+        + BLOCKED
+        + "       0      1 spectator                                   60\n"
+        + "      15     44 walker.pedestrian.0004                      45\n"
+        + "      16     41 vehicle.tesla.model3                        44\n"
+        + "      16     42 vehicle.mercedes.sprinter                   44\n"
+        + A_MINUTE
+    )
+    assert rows("blocked", "crash", "id", "start", "duration") == [
+        (1, 0.0, 59.95),
+        (44, 14.65, 45.3),
+        (41, 15.65, 44.3),
+        (42, 16.1, 43.85),
+    ]
+
+
+def test_in_the_blocked_lane_three_cars_queue_behind_the_van_one_after_another():
+    assert told("collisions", "blocked") == HEAD + COLLISIONS + A_MINUTE
+    assert rows("collisions", "blocked") == []
+    assert told("blocked", "blocked") == (
+        HEAD
+        + BLOCKED
+        + "       0      1 spectator                                   60\n"
+        + "       7     41 vehicle.mercedes.sprinter                   53\n"
+        + "      11     42 vehicle.tesla.model3                        49\n"
+        + "      15     43 vehicle.audi.a2                             45\n"
+        + "      16     44 vehicle.mini.cooper_s                       44\n"
+        + A_MINUTE
+    )
+    assert rows("blocked", "blocked", "id", "start", "duration")[1:] == [
+        (41, 6.75, 53.2),
+        (42, 11.3, 48.65),
+        (43, 14.65, 45.3),
+        (44, 15.95, 44.0),
+    ]
+    places = [x for (x,) in rows("blocked", "blocked", "x")][1:]
+    assert places == sorted(places)  # they drive towards lower x
+
+
+def test_at_the_junction_nobody_collides_and_some_wait():
+    assert told("collisions", "junction") == HEAD + COLLISIONS + HALF_A_MINUTE
+    assert told("blocked", "junction") == HEAD + BLOCKED + HALF_A_MINUTE
+    assert told("blocked", "junction", "--min-time", "10") == (
+        HEAD
+        + BLOCKED
+        + "       0      1 spectator                                   30\n"
+        + "      13     49 vehicle.audi.tt                             17\n"
+        + "      14     54 vehicle.nissan.patrol                       16\n"
+        + "      17     46 vehicle.nissan.patrol                       13\n"
+        + "      18     64 walker.pedestrian.0019                      10\n"
+        + HALF_A_MINUTE
+    )
+
+
+@pytest.mark.parametrize(("waits", "light"), [(41, 28), (49, 19), (54, 17), (46, 17), (64, 28)])
+def test_who_waits_at_the_junction_waits_for_a_light(waits, light):
+    with carla_recap.open_recording(SAMPLES / "junction.mcap") as recording:
+        (stop,) = (row for row in recording.blocked(5) if row.id == waits)
+        lights = recording.light_states(light)
+    shown = set(lights.state[(lights.time > stop.start) & (lights.time < stop.start + stop.duration - 0.5)].tolist())
+    assert shown == ({GREEN, YELLOW} if waits == 64 else {RED})  # the walker waits for the cars to have red
+
+
+@pytest.mark.skipif(__cpu_features__["AVX512_SKX"], reason="numpy rounds sines differently with AVX-512")
+def test_their_script_makes_the_same_frames(tmp_path):
+    pytest.importorskip("pymunk", reason="the extra `sim` is not installed")
+    pytest.importorskip("carla", reason="the extra `carla` is not installed")
+    environment = ENVIRONMENT | {"PATH": f"{COMMAND.parent}{os.pathsep}{os.environ['PATH']}"}
+    script = [SAMPLES / "make_recordings.sh", tmp_path]
+    subprocess.run(script, env=environment, timeout=TIMEOUT, check=True, capture_output=True)
+    for name in SIMULATED:
+        logs = [tmp_path / f"{name}.{which}.log" for which in ("anew", "sample")]
+        for recording, log in zip((tmp_path, SAMPLES), logs, strict=True):
+            carla_recap.convert(recording / f"{name}.mcap", log)
+        assert logs[0].read_bytes() == logs[1].read_bytes(), name
