@@ -2,14 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-from pathlib import Path
+from typing import TYPE_CHECKING
 
+import carla
 import pytest
 
-carla = pytest.importorskip("carla")
+from carla_recap.server import running
 
-from carla_recap.server import running  # noqa: E402
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+    from pathlib import Path
 
 
 @pytest.fixture(scope="module")
@@ -25,15 +27,19 @@ def port(recordings: Path) -> Iterator[int]:
 
 
 @pytest.fixture
-def client(port: int) -> Iterator[carla.Client]:
+def client(port: int, recordings: Path) -> Iterator[carla.Client]:
     """The official client; the world is in synchronous mode, and has nobody in it at the end."""
     client = carla.Client("127.0.0.1", port)
+    client.set_files_base_folder(str(recordings))  # where it keeps navigation meshes; else in the home folder
     client.set_timeout(10.0)
     world = client.get_world()
     before = {actor.id for actor in world.get_actors()}
     world.apply_settings(carla.WorldSettings(synchronous_mode=True, fixed_delta_seconds=0.05))
     yield client
+    client.stop_recorder()
+    client.stop_replayer(False)
     world = client.get_world()
+    world.tick()  # the client knows of nobody who has come since the latest tick
     for actor in world.get_actors():
         if actor.id not in before and not actor.type_id.startswith(("traffic.", "spectator")):
             actor.destroy()

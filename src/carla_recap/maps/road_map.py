@@ -71,8 +71,13 @@ def find_map(map_name: str, folder: Path | str | None = None) -> Path | None:
         folder: Where to look; else the environment variable CARLA_RECAP_MAPS says it. The town that comes with this
             package is found anyway.
     """
+    maps = find_maps(folder)
+    name = re.split(r"[/\\]", map_name)[-1]
+    return maps.get(name) or maps.get(name.removesuffix("_Opt"))
+
+
+def find_maps(folder: Path | str | None = None) -> dict[str, Path]:
+    """The OpenDRIVE files of all maps, by their names; see `find_map`."""
     folder = folder or os.environ.get(FOLDER)
     folders = (_BUILT_IN, *([Path(folder)] if folder else []))
-    files = {path.stem: path for folder in folders for path in folder.glob("*.xodr") if path.is_file()}
-    name = re.split(r"[/\\]", map_name)[-1]
-    return files.get(name) or files.get(name.removesuffix("_Opt"))
+    return {path.stem: path for folder in folders for path in folder.glob("*.xodr") if path.is_file()}

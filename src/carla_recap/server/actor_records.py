@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+from math import cos, radians, sin
 from typing import TYPE_CHECKING, Final
+
+import numpy as np
 
 from carla_recap.records import ActorKind
 from carla_recap.server.structs import (
@@ -13,8 +16,9 @@ from carla_recap.server.structs import (
     AttributeValue,
     BoundingBox,
 )
-from carla_recap.sim.blueprints import attribute_type
-from carla_recap.sim.geometry import Location
+from carla_recap.sim.actors import Sign
+from carla_recap.sim.attributes import attribute_type, is_modifiable, is_restricted
+from carla_recap.sim.geometry import Location, Vector
 
 if TYPE_CHECKING:
     from collections.abc import Iterable
@@ -27,6 +31,7 @@ _TYPES_FROM: Final = 1  # the wire numbers the types of attributes from 1, recor
 _STREAM: Final = 1 << 24  # streams of sensors are numbered from here, those of clients below
 _TAGS: Final = {"car": 14, "van": 14, "truck": 15, "motorcycle": 18, "bicycle": 19}
 _WALKER_TAG, _SIGN_TAG, _LIGHT_TAG, _PROP_TAG = 12, 8, 7, 20
+_TRIGGER_HEIGHT: Final = 1.0  # m: half the height of the box where a light or sign is in force
 _STREAMING: Final = "sensor."
 _CLIENT_SIDE: Final = ("sensor.other.lane_invasion",)
 
@@ -39,28 +44,12 @@ def definition(blueprint: Blueprint) -> ActorDefinition:
             attribute_type(key) + _TYPES_FROM,
             value,
             list(blueprint.choices.get(key, ())),
-            key not in _FIXED,
-            restrict_to_recommended=False,
+            is_modifiable(key),
+            is_restricted(key),
         )
         for key, value in blueprint.attributes.items()
     ]
     return ActorDefinition(blueprint.uid, blueprint.id, ",".join(blueprint.id.split(".")), attributes)
-
-
-_FIXED: Final = frozenset(
-    (
-        "number_of_wheels",
-        "generation",
-        "base_type",
-        "special_type",
-        "object_type",
-        "has_lights",
-        "has_dynamic_doors",
-        "gender",
-        "age",
-        "size",
-    )
-)
 
 
 def record(actor: Actor, streams: Streams) -> ActorRecord:
@@ -77,14 +66,40 @@ def record(actor: Actor, streams: Streams) -> ActorRecord:
 
 
 def box(actor: Actor) -> BoundingBox:
-    """The box around an actor, in its own axes."""
+    """The box around an actor, in its own axes; of a light or sign, where it is in force, as CARLA has it."""
+    if isinstance(actor, Sign) and actor.signal.stops:
+        return _trigger_volume(actor)
     centre = actor.box.location
     return BoundingBox(Location(centre.x, centre.y, centre.z), actor.box.extent, actor_id=actor.id)
+
+
+def _trigger_volume(sign: Sign) -> BoundingBox:
+    """The box around the places where one stops, on all lanes that are concerned; a lane as long as it is wide."""
+    town, there = sign.world.town, sign.transform
+    lanes, s = zip(*sign.signal.stops, strict=True)
+    halves = np.array([town.lanes[lane].width / 2 for lane in lanes])[:, None]
+    away = town.index.at(lanes, s)[0] - (there.location.x, there.location.y, there.location.z)
+    yaw = radians(there.rotation.yaw)
+    places = away[:, :2] @ ((cos(yaw), -sin(yaw)), (sin(yaw), cos(yaw)))
+    least, most = (places - halves).min(axis=0), (places + halves).max(axis=0)
+    (x, y), (width, depth) = ((least + most) / 2).tolist(), ((most - least) / 2).tolist()
+    centre = Location(x, y, float(away[:, 2].mean()) + _TRIGGER_HEIGHT)
+    return BoundingBox(centre, Vector(width, depth, _TRIGGER_HEIGHT), actor_id=sign.id)
 
 
 def stream_of(actor: Actor) -> int:
     """The number of the stream of a sensor."""
     return _STREAM + actor.id
+
+
+def sensor_of(stream: int) -> int:
+    """The id of the sensor that a stream is of; below 0, if it is that of a client."""
+    return stream - _STREAM
+
+
+def tag(actor: Actor) -> int:
+    """The semantic class of an actor; 0 where it has none."""
+    return next(iter(_tags(actor)), 0)
 
 
 def streams_data(actor: Actor) -> bool:

@@ -12,89 +12,147 @@ import msgpack
 
 from carla_recap.errors import RecapError
 from carla_recap.server.calls.table import TABLE
+from carla_recap.server.inbox import Inbox
 
 if TYPE_CHECKING:
     from collections.abc import Awaitable
 
     from carla_recap.server.calls.table import Call
     from carla_recap.server.host import Host
+    from carla_recap.server.managers import Truce
 
 _REQUEST, _REPLY = 0, 1
-_LARGEST: Final = 32 << 20  # bytes of a call: the text of a large map
-_MOST_ITEMS: Final = 1 << 20  # of an array
+_AT_ONCE: Final = 64  # calls, after which it is the others' turn
+_MOST_PENDING: Final = 32  # answers of a client that are being worked at
+_MUCH: Final = 1 << 16  # bytes of a call that has not arrived as a whole
 
 
 class Client(asyncio.Protocol):
     """A connected client.
 
+    Who does not read its replies, or has many calls pending, is not listened to until that changes.
+
     Args:
         host: Who serves it.
-        number: Its number, and that of the stream of its snapshots.
 
     Attributes:
         host: Who serves it.
-        stream: The number of the stream of its snapshots.
-        has_called: Whether it has made a call.
+        stream: The number of the stream of its snapshots; in an episode that it has begun itself, it has a new one.
+        has_spoken: Whether it has made a call.
+        truce: What keeps its traffic manager still, if something does.
     """
 
-    def __init__(self, host: Host, number: int) -> None:
+    def __init__(self, host: Host) -> None:
         self.host = host
-        self.stream = number
-        self.has_called = False
+        self.stream = host.new_stream()
+        self.has_spoken = False
+        self.truce: Truce | None = None
         self._transport: asyncio.Transport | None = None
         self._packer = msgpack.Packer(unicode_errors="surrogateescape")
-        self._unpacker = msgpack.Unpacker(
-            max_buffer_size=_LARGEST,
-            max_array_len=_MOST_ITEMS,
-            max_map_len=0,
-            max_ext_len=0,
-            unicode_errors="surrogateescape",
-        )
-        self._tasks: set[asyncio.Task[None]] = set()
+        self._inbox = Inbox()
+        self._pending: set[asyncio.Task[None]] = set()
+        self._is_refused = False
+        self._is_behind = False
+        self._is_waiting = False
+
+    @property
+    def held(self) -> int:
+        """How many bytes are kept for it: calls that have not arrived as a whole, and replies that it has not read."""
+        unsent = 0 if self._transport is None else self._transport.get_write_buffer_size()
+        return len(self._inbox.part) + unsent
 
     def connection_made(self, transport: asyncio.BaseTransport) -> None:
         """See `asyncio.Protocol`."""
         assert isinstance(transport, asyncio.Transport)
         self._transport = transport
         self.host.clients[self.stream] = self
+        self.host.connections.enter(self)
 
     def connection_lost(self, _: Exception | None) -> None:
         """See `asyncio.Protocol`."""
         self._transport = None
-        for task in self._tasks:
+        for task in self._pending:
             task.cancel()
+        self.host.connections.leave(self)
         self.host.clients.pop(self.stream, None)
         self.host.managers.leave(self)
         self.host.streams.forget(self.stream)
 
     def pause_writing(self) -> None:
-        """Whoever does not read its replies is not served."""
-        if self._transport is not None:
-            self._transport.pause_reading()
+        """See `asyncio.Protocol`."""
+        self._is_behind = True
+        self.host.connections.check_memory()
 
     def resume_writing(self) -> None:
         """See `asyncio.Protocol`."""
-        if self._transport is not None:
-            self._transport.resume_reading()
+        self._is_behind = False
+        self._go_on()
 
     def data_received(self, data: bytes) -> None:
         """Serve the calls that have arrived; whoever sends something else is cut off."""
         try:
-            self._unpacker.feed(data)
-            for request in self._unpacker:
-                self._take(request)
-        except (msgpack.UnpackException, ValueError):
-            self.close()
+            self._inbox.feed(data)
+        except ValueError:
+            return self.close()
+        self._listen()
+        if len(self._inbox.part) > _MUCH:
+            self.host.connections.check_memory()
+        return None
+
+    def refuse(self) -> None:
+        """Serve none of its calls: answer the first one with an error, and cut the connection."""
+        self._is_refused = True
 
     def close(self) -> None:
         """Cut the connection."""
         if self._transport is not None:
             self._transport.abort()
 
+    def in_background(self, work: Awaitable[None]) -> None:
+        """Let something be done after the call that is being served, and no longer than the client is there."""
+        task = asyncio.ensure_future(work)
+        self._pending.add(task)
+        task.add_done_callback(self._done)
+
+    def _listen(self) -> None:
+        """Serve calls until there are no more, or something else has to be done before."""
+        try:
+            for count, request in enumerate(self._inbox, 1):
+                self._take(request)
+                if self._is_behind or self._transport is None or len(self._pending) >= _MOST_PENDING:
+                    return self._wait()
+                if count == _AT_ONCE:
+                    asyncio.get_running_loop().call_soon(self._go_on)
+                    return self._wait()
+        except ValueError:
+            self.close()
+        return None
+
+    def _wait(self) -> None:
+        self._is_waiting = True
+        if self._transport is not None:
+            self._transport.pause_reading()
+
+    def _go_on(self) -> None:
+        if self._transport is None or not self._is_waiting or self._is_behind or len(self._pending) >= _MOST_PENDING:
+            return
+        self._is_waiting = False
+        self._transport.resume_reading()
+        self._listen()
+
+    def _done(self, task: asyncio.Task[None]) -> None:
+        self._pending.discard(task)
+        self._go_on()
+
     def _take(self, request: Any) -> None:
         match request:
             case [0, int(number), str(name), [[*_], *arguments]]:
-                self.has_called = True
+                if self._is_refused:
+                    self._send([_REPLY, number, None, [[0, [self.host.connections.refusal]]]])
+                    if self._transport is not None:
+                        self._transport.close()
+                    return
+                self.has_spoken = True
                 self._serve(number, name, arguments)
             case _:
                 raise ValueError
@@ -105,21 +163,19 @@ class Client(asyncio.Protocol):
             return self._send([_REPLY, number, f"{name}: there is no such call", None])
         try:
             answer = call(self, arguments)
+            if self.truce is not None:
+                answer = self.truce.hold(name, answer)
+            if isawaitable(answer):
+                return self.in_background(self._serve_later(number, call, answer))
+            return self._reply(number, call, answer)
         except Exception as error:
             return self._reply_error(number, call, error)
-        if isawaitable(answer):
-            task = asyncio.ensure_future(self._serve_later(number, call, answer))
-            self._tasks.add(task)
-            task.add_done_callback(self._tasks.discard)
-            return None
-        return self._reply(number, call, answer)
 
     async def _serve_later(self, number: int, call: Call, answer: Awaitable[Any]) -> None:
         try:
-            result = await answer
+            self._reply(number, call, await answer)
         except Exception as error:
-            return self._reply_error(number, call, error)
-        return self._reply(number, call, result)
+            self._reply_error(number, call, error)
 
     def _reply(self, number: int, call: Call, answer: Any) -> None:
         if call.result is None:

@@ -2,13 +2,20 @@
 
 from __future__ import annotations
 
+import asyncio
+import itertools
 from collections import OrderedDict
 from dataclasses import replace
 from typing import TYPE_CHECKING, Final
 
+from carla_recap.server.ackermann import Ackermann
 from carla_recap.server.calls.table import CallError
+from carla_recap.server.connections import Connections
 from carla_recap.server.managers import Managers
-from carla_recap.server.snapshot import Photographer
+from carla_recap.server.recordings import Recordings
+from carla_recap.server.sensors import Sensors
+from carla_recap.server.snapshot import Photographer, telling_of_map
+from carla_recap.server.steadiness import Steadiness
 from carla_recap.server.streams import Streams
 from carla_recap.server.structs import EpisodeSettings
 from carla_recap.sim.errors import DeadActor
@@ -18,6 +25,7 @@ if TYPE_CHECKING:
 
     from carla_recap.server.client import Client
     from carla_recap.sim.actors import Actor
+    from carla_recap.sim.town import Town
     from carla_recap.sim.world import World
 
 _MOST_KNOWN: Final = 100_000
@@ -29,23 +37,42 @@ class Host:
 
     Args:
         world: The world; nobody else may tick it from now on.
+        confined: Keep clients from recordings outside the folder of recordings.
 
     Attributes:
         world: The world.
+        recordings: The recordings that clients may have.
         settings: As clients have set them.
+        connections: All connections.
         streams: What is sent to subscribers.
         managers: The traffic managers of clients.
-        clients: Who is connected, by number.
+        sensors: What sends the data of sensors.
+        ackermann: What drives vehicles that are told speeds and angles.
+        steadiness: What keeps the velocities of vehicles.
+        clients: Who is connected, by the numbers of their streams.
         on_settings: Who is told when the settings change.
+        loading: Held while a map is loaded.
+        sent_town: The map that a client has sent.
     """
 
-    def __init__(self, world: World) -> None:
+    _photographer: Photographer
+    _is_new: bool
+
+    def __init__(self, world: World, *, confined: bool = False) -> None:
         self.world = world
+        self.recordings = Recordings(world, confined=confined)
         self.settings = EpisodeSettings()
-        self.streams = Streams()
+        self.connections = Connections()
+        self.streams = Streams(self.connections, telling_of_map)
         self.managers = Managers()
+        self.sensors = Sensors(self)
+        self.ackermann = Ackermann(world)
+        self.steadiness = Steadiness(world)
         self.clients: dict[int, Client] = {}
         self.on_settings: list[Callable[[], None]] = []
+        self.loading = asyncio.Lock()
+        self.sent_town: Town | None = None
+        self._stream_numbers = itertools.count(1)
         self._frames_before = 0
         self._known: OrderedDict[int, Actor] = OrderedDict()
         self._begin()
@@ -61,13 +88,33 @@ class Host:
         return self.world.episode
 
     def tick(self, delta: float | None = None) -> int:
-        """Let time pass, and send everybody the snapshot; returns the frame."""
+        """Let time pass, and send everybody what sensors noticed, and then the snapshot; returns the frame."""
         before = self.world.frame
         self.world.tick(delta)
         self._remember()
         self.notice(before)
+        self.sensors.send()
         self.publish()
         return self.frame
+
+    def begin_episode(self, town: Town, client: Client) -> None:
+        """Begin a new episode, and send everybody its first snapshot.
+
+        The client who wants it gets it in a stream of its own, which it asks for as soon as its call is answered; from the
+        old one it would learn of the new episode at a time when it has none (see `Truce`).
+        """
+        frames = self.world.frame
+        self.world.reload(town)
+        self.notice(frames)
+        self.streams.silence(client.stream)
+        del self.clients[client.stream]
+        client.stream = self.new_stream()
+        self.clients[client.stream] = client
+        self.publish()
+
+    def new_stream(self) -> int:
+        """A number for the stream of a client."""
+        return next(self._stream_numbers)
 
     def apply_settings(self, settings: EpisodeSettings) -> None:
         """Take over settings.
@@ -87,12 +134,19 @@ class Host:
         for listener in self.on_settings:
             listener()
 
-    def publish(self, *, besides: Client | None = None) -> None:
-        """Send the snapshot of the world as it is to everybody, but for one perhaps."""
+    def publish(self) -> None:
+        """Send the snapshot of the world as it is to everybody."""
         payload = self._photographer.take(self.episode, self.frame)
-        for client in self.clients.values():
-            if client is not besides:
-                self.streams.keep(client.stream, payload)
+        if self._is_new:
+            payload = telling_of_map(payload)
+            self._is_new = False
+        for stream in self.clients:
+            self.streams.keep(stream, payload)
+
+    def publish_again(self, client: Client) -> None:
+        """Send a client the snapshot of the world as it is, as a new frame."""
+        self._frames_before += 1
+        self.greet(client)
 
     def greet(self, client: Client) -> None:
         """Keep the latest snapshot ready for a client that is about to subscribe."""
@@ -102,7 +156,7 @@ class Host:
         """See whether a new episode has begun, after the given number of frames of the last one."""
         if self._seen == self.world.episode:
             return False
-        self._frames_before += frames
+        self._frames_before += frames + 1
         self._begin()
         return True
 
@@ -127,12 +181,17 @@ class Host:
         """
         return self._known[id] if id in self._known else self.actor(id)
 
+    def remember(self, actor: Actor) -> None:
+        """Know an actor beyond its end."""
+        self._known[actor.id] = actor
+
     def _remember(self) -> None:
         for actor in self.world.events.spawned:
-            self._known[actor.id] = actor
+            self.remember(actor)
         while len(self._known) > _MOST_KNOWN:
             self._known.popitem(last=False)
 
     def _begin(self) -> None:
         self._seen = self.world.episode
+        self._is_new = True
         self._photographer = Photographer(self.world)

@@ -1,11 +1,22 @@
-"""The traffic managers of clients: who runs one, and where."""
+"""The traffic managers of clients: who runs one and where, and how they are kept still while episodes change."""
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+import asyncio
+from contextlib import suppress
+from typing import TYPE_CHECKING, Any, Final
 
 if TYPE_CHECKING:
+    from collections.abc import Callable
+
     from carla_recap.server.client import Client
+
+_LAST_CALL: Final = "apply_batch"  # of a manager's cycle
+_ANY_CALL: Final = "get_vehicle_light_states"  # of a cycle, even of a manager that has no vehicles
+_CYCLE: Final = 0.25  # s: a manager has called by then, or will not call
+_SETTLING: Final = 0.1  # s: after that, its client has set up what the manager needs
+_PATIENCE: Final = 5.0  # s, for a client to subscribe
+_LOOK: Final = 0.01  # s
 
 
 class Managers:
@@ -36,3 +47,48 @@ class Managers:
     def leave(self, client: Client) -> None:
         """Forget the managers of a client."""
         self._running = {port: running for port, running in self._running.items() if running[1] is not client}
+
+
+class Truce:
+    """Keeps the traffic manager of a client still while the client goes over to a new episode.
+
+    Between the end of `load_new_episode` and the first snapshot that it gets, the client has no episode, and its manager,
+    which runs in a thread of the client's process, would take that process down if it looked. It cannot look while it
+    waits for the answer to a call: so that answer is held back.
+    """
+
+    def __init__(self) -> None:
+        self._waited_for = {_LAST_CALL}
+        self._called = asyncio.Event()
+        self._over = asyncio.Event()
+
+    def hold(self, name: str, answer: Any) -> Any:
+        """Hold back the answer to a call of the manager; that to another call is handed on."""
+        return self._hold(answer) if name in self._waited_for else answer
+
+    async def begin(self, new_frame: Callable[[], None]) -> None:
+        """Wait for a call of the manager; there is none where it waits for a tick of its client.
+
+        Args:
+            new_frame: Sends the client a snapshot, which lets a manager that does not wait begin a cycle.
+        """
+        for name in (_LAST_CALL, _ANY_CALL):
+            self._waited_for.add(name)
+            new_frame()
+            with suppress(TimeoutError):
+                await asyncio.wait_for(self._called.wait(), _CYCLE)
+                return
+
+    async def end(self, has_subscribed: Callable[[], bool]) -> None:
+        """Let the manager go on once its client has subscribed to the new episode."""
+        loop = asyncio.get_running_loop()
+        latest = loop.time() + _PATIENCE
+        while not has_subscribed() and loop.time() < latest:
+            await asyncio.sleep(_LOOK)
+        await asyncio.sleep(_SETTLING)
+        self._over.set()
+
+    async def _hold(self, answer: Any) -> Any:
+        self._called.set()
+        await self._over.wait()
+        return answer

@@ -71,5 +71,7 @@ def _port(process: subprocess.Popen[str], said: IO[str]) -> int:
     if not line:
         process.wait()
         said.seek(0)
-        raise RecapError(said.read().strip() or f"the server has ended with exit code {process.returncode}")
+        reason = said.read().strip()
+        said.truncate(0)  # it is told once
+        raise RecapError(reason or f"the server has ended with exit code {process.returncode}")
     return int(line.rsplit(":", 1)[-1])

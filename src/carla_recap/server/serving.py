@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import asyncio
-import itertools
 import signal
-from typing import TYPE_CHECKING, Final
+import sys
+from typing import TYPE_CHECKING, Any, Final
 
 import carla_recap.server.calls  # noqa: F401  (fills the table of calls)
 from carla_recap.errors import RecapError
@@ -39,8 +39,9 @@ async def serve(host: Host, address: str, port: int, ready: Callable[[int], None
     done = asyncio.Event()
     for number in (signal.SIGINT, signal.SIGTERM):
         loop.add_signal_handler(number, done.set)
-    numbers = itertools.count(1)
-    calls, streams = await _listen_both(lambda: Client(host, next(numbers)), host.streams.connection, address, port)
+    signal.signal(signal.SIGPIPE, signal.SIG_IGN)  # a client that is gone must not end the server
+    loop.set_exception_handler(_tell)
+    calls, streams = await _listen_both(lambda: Client(host), host.streams.connection, address, port)
     port, host.streams.port = (server.sockets[0].getsockname()[1] for server in (calls, streams))
     pace = asyncio.create_task(Pace(host).keep())
     ready(port)
@@ -77,3 +78,9 @@ async def _listen(make: Callable[[], asyncio.Protocol], address: str, port: int)
         return await loop.create_server(make, address, port, backlog=_BACKLOG)
     except OSError as error:
         raise RecapError(f"{address}:{port}: cannot be listened at: {error.strerror}") from None
+
+
+def _tell(_: asyncio.AbstractEventLoop, context: dict[str, Any]) -> None:
+    """Say in a line what has gone wrong with a connection; it concerns nobody else."""
+    error = context.get("exception")
+    print(f"carla-recap: {context['message']}{f': {error!r}' if error else ''}", file=sys.stderr)

@@ -27,6 +27,7 @@ _WORLD: Final = 17
 _SENSOR_HEADER: Final = struct.Struct("<QQd6f")
 # episode, platform time, delta, map origin, flags
 _EPISODE_HEADER: Final = struct.Struct("<Qdf3iI")
+_FLAGS: Final = _SENSOR_HEADER.size + struct.calcsize("<Qdf3i")
 _MAP_CHANGED: Final = 1
 _ACTIVE: Final = 1
 _SIZE: Final = 119
@@ -86,6 +87,11 @@ def sensor_header(kind: int, frame: int, seconds: float, place: Transform) -> by
     return _SENSOR_HEADER.pack(kind, frame, seconds, at.x, at.y, at.z, turn.pitch, turn.yaw, turn.roll)
 
 
+def telling_of_map(snapshot: bytes) -> bytes:
+    """A snapshot that tells whoever gets it to ask for the map anew."""
+    return snapshot[:_FLAGS] + bytes((_MAP_CHANGED,)) + snapshot[_FLAGS + 1 :]
+
+
 class Photographer:
     """Takes the snapshots of an episode.
 
@@ -104,18 +110,16 @@ class Photographer:
         self._light = np.empty(0, np.int64)
         self._born = time.monotonic()
 
-    def take(self, episode: int, frame: int, *, map_changed: bool = False) -> bytes:
+    def take(self, episode: int, frame: int) -> bytes:
         """The world as it is.
 
         Args:
             episode: The number of the episode.
             frame: The number of the frame.
-            map_changed: Whether clients have to ask for the map anew.
         """
         world = self._world
         spectator = world.spectator.transform
-        flags = _MAP_CHANGED if map_changed else 0
-        header = _EPISODE_HEADER.pack(episode, time.monotonic() - self._born, world.delta, 0, 0, 0, flags)
+        header = _EPISODE_HEADER.pack(episode, time.monotonic() - self._born, world.delta, 0, 0, 0, 0)
         begin = sensor_header(_WORLD, frame, world.elapsed, spectator)
         return b"".join((begin, header, *(array.tobytes() for array in self._rows())))
 

@@ -9,7 +9,12 @@ from __future__ import annotations
 import asyncio
 import struct
 from collections import defaultdict
-from typing import Final
+from typing import TYPE_CHECKING, Final
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+    from carla_recap.server.connections import Connections
 
 _ID: Final = struct.Struct("<I")
 _LENGTH: Final = struct.Struct("<I")
@@ -17,28 +22,49 @@ _LENGTH: Final = struct.Struct("<I")
 _TOKEN: Final = struct.Struct("<IHBB16x")
 _TCP: Final = 1
 _NO_ADDRESS: Final = 0
-_BACKLOG: Final = 4 << 20  # bytes: a subscriber who is so far behind misses frames
+_BACKLOG: Final = 256 << 10  # bytes, besides what the system keeps: a subscriber who is so far behind misses frames
+_SOON: Final = 0.25  # s: who has asked where a stream is has subscribed by then, or is not waited for any longer
 
 
 class Streams:
     """All streams and their subscribers.
 
+    Args:
+        connections: All connections of the server.
+        welcome: Makes the first frame that a subscriber gets out of the latest one.
+
     Attributes:
+        connections: All connections of the server.
         port: Where subscribers connect to.
     """
 
-    def __init__(self) -> None:
+    def __init__(self, connections: Connections, welcome: Callable[[bytes], bytes]) -> None:
+        self.connections = connections
         self.port = 0
+        self._welcome = welcome
         self._subscribers: defaultdict[int, set[Subscriber]] = defaultdict(set)
         self._latest: dict[int, bytes] = {}
+        self._expected: dict[int, tuple[object, asyncio.Future[None]]] = {}
 
     def token(self, stream: int) -> bytes:
         """What tells a client where a stream is, 24 bytes."""
         return _TOKEN.pack(stream, self.port, _TCP, _NO_ADDRESS)
 
-    def has_subscribers(self, stream: int) -> bool:
-        """Whether anybody would get a frame."""
-        return stream in self._subscribers
+    def expect(self, stream: int, client: object) -> None:
+        """Take note that a client has asked where a stream is, and is about to subscribe, over another connection."""
+        self._has_come(stream)
+        loop = asyncio.get_running_loop()
+        self._expected[stream] = client, loop.create_future()
+        loop.call_later(_SOON, self._has_come, stream)
+
+    def expected(self, client: object) -> list[asyncio.Future[None]]:
+        """What to wait for until a client has all subscriptions that it is about to have."""
+        return [subscription for who, subscription in self._expected.values() if who is client]
+
+    @property
+    def subscribed(self) -> tuple[int, ...]:
+        """The streams that have subscribers."""
+        return tuple(self._subscribers)
 
     def send(self, stream: int, payload: bytes) -> None:
         """Send a frame to the subscribers of a stream."""
@@ -52,9 +78,13 @@ class Streams:
         self._latest[stream] = payload
         self.send(stream, payload)
 
+    def silence(self, stream: int) -> None:
+        """Send nothing more to the subscribers of a stream, until they leave."""
+        self._latest.pop(stream, None)
+
     def forget(self, stream: int) -> None:
         """End a stream."""
-        self._latest.pop(stream, None)
+        self.silence(stream)
         for subscriber in tuple(self._subscribers.get(stream, ())):
             subscriber.close()
 
@@ -65,8 +95,9 @@ class Streams:
     def enter(self, stream: int, subscriber: Subscriber) -> None:
         """Take in a subscriber."""
         self._subscribers[stream].add(subscriber)
+        self._has_come(stream)
         if stream in self._latest:
-            payload = self._latest[stream]
+            payload = self._welcome(self._latest[stream])
             subscriber.send(_LENGTH.pack(len(payload)) + payload)
 
     def leave(self, stream: int, subscriber: Subscriber) -> None:
@@ -75,6 +106,12 @@ class Streams:
         subscribers.discard(subscriber)
         if not subscribers:
             del self._subscribers[stream]
+
+    def _has_come(self, stream: int) -> None:
+        """Let those go on who wait for a subscription, if anybody does."""
+        if stream in self._expected:
+            _, subscription = self._expected.pop(stream)
+            subscription.set_result(None)
 
 
 class Subscriber(asyncio.Protocol):
@@ -92,11 +129,22 @@ class Subscriber(asyncio.Protocol):
         self._is_behind = False
         self._next: bytes | None = None
 
+    @property
+    def has_spoken(self) -> bool:
+        """Whether it has told which stream it wants."""
+        return self._stream is not None
+
+    @property
+    def held(self) -> int:
+        """How many bytes are kept for it."""
+        return 0 if self._transport is None else self._transport.get_write_buffer_size()
+
     def connection_made(self, transport: asyncio.BaseTransport) -> None:
         """See `asyncio.Protocol`."""
         assert isinstance(transport, asyncio.Transport)
         transport.set_write_buffer_limits(high=_BACKLOG, low=0)
         self._transport = transport
+        self._streams.connections.enter(self)
 
     def data_received(self, data: bytes) -> None:
         """Take in the number of the stream; there is nothing else to be told."""
@@ -113,6 +161,7 @@ class Subscriber(asyncio.Protocol):
     def connection_lost(self, _: Exception | None) -> None:
         """See `asyncio.Protocol`."""
         self._transport = None
+        self._streams.connections.leave(self)
         if self._stream is not None:
             self._streams.leave(self._stream, self)
 
@@ -126,6 +175,7 @@ class Subscriber(asyncio.Protocol):
     def pause_writing(self) -> None:
         """See `asyncio.Protocol`."""
         self._is_behind = True
+        self._streams.connections.check_memory()
 
     def resume_writing(self) -> None:
         """See `asyncio.Protocol`."""
@@ -133,6 +183,10 @@ class Subscriber(asyncio.Protocol):
         if self._next is not None:
             frame, self._next = self._next, None
             self.send(frame)
+
+    def refuse(self) -> None:
+        """End it before it has begun."""
+        self.close()
 
     def close(self) -> None:
         """End the subscription."""

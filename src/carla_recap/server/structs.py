@@ -116,3 +116,77 @@ class ActorRecord:
     box: BoundingBox
     tags: bytes
     token: bytes
+
+
+@dataclass(frozen=True, slots=True)
+class VehicleLightState:
+    """The lights of a vehicle, as CARLA's light bits."""
+
+    bits: int
+
+
+@dataclass(frozen=True, slots=True)
+class WheelTelemetry:
+    """How a wheel rolls: forces in N, torque in N m, turns in rad/s."""
+
+    tire_friction: float = 0.0
+    lat_slip: float = 0.0
+    long_slip: float = 0.0
+    omega: float = 0.0
+    tire_load: float = 0.0
+    normalized_tire_load: float = 0.0
+    torque: float = 0.0
+    long_force: float = 0.0
+    lat_force: float = 0.0
+    normalized_long_force: float = 0.0
+    normalized_lat_force: float = 0.0
+
+
+@dataclass(frozen=True, slots=True)
+class Telemetry:
+    """How a vehicle moves: speed in m/s, drag in N."""
+
+    speed: float
+    steer: float
+    throttle: float
+    brake: float
+    engine_rpm: float
+    gear: int
+    drag: float
+    wheels: list[WheelTelemetry]
+
+
+@dataclass(frozen=True, slots=True)
+class BoneTransform:
+    """A bone of a walker, and where it is: in the world, in the axes of the walker, and of the bone that it hangs on."""
+
+    name: str
+    world: Transform
+    component: Transform
+    relative: Transform
+
+
+@dataclass(frozen=True, slots=True)
+class Bones:
+    """The bones of a walker."""
+
+    transforms: list[BoneTransform]
+
+
+@dataclass(frozen=True, slots=True)
+class LabelledPoint:
+    """A place, and the semantic class of what is there."""
+
+    location: Location
+    label: int
+
+
+@dataclass(frozen=True, slots=True)
+class EnvironmentObject:
+    """Something that a map has by itself."""
+
+    transform: Transform
+    box: BoundingBox
+    id: int
+    name: str
+    label: int

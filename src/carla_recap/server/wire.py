@@ -8,6 +8,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import MISSING, fields, is_dataclass
 from functools import cache
+from math import isfinite
 from types import NoneType, UnionType
 from typing import Any, Union, get_args, get_origin, get_type_hints
 
@@ -72,9 +73,9 @@ def _present(alternatives: tuple[Any, ...]) -> Any:
 
 
 def _decode_float(value: Any) -> float:
-    if isinstance(value, float):
-        return value
-    if isinstance(value, int) and not isinstance(value, bool):
+    if value.__class__ in (float, int):
+        if not isfinite(value):
+            raise WireError(f"expected a finite number, found {value}")
         return float(value)
     raise WireError(f"expected a number, found {_short(value)}")
 
@@ -90,11 +91,15 @@ def _scalar(type: type) -> Convert:
 
 def _decode_struct(type: Any) -> Convert:
     hints = get_type_hints(type)
-    parts = [decoder(hints[field.name]) for field in fields(type)]
+    kinds = [hints[field.name] for field in fields(type)]
+    parts = [decoder(kind) for kind in kinds]
+    numeric = set(kinds) <= {float, int, bool}
     least = sum(field.default is MISSING and field.default_factory is MISSING for field in fields(type))
     name = type.__name__
 
     def decode(value: Any) -> Any:
+        if numeric and value.__class__ is list and [item.__class__ for item in value] == kinds and all(map(isfinite, value)):
+            return type(*value)
         if value.__class__ is not list or len(value) < least:
             raise WireError(f"expected a {name} of {len(parts)} fields, found {_short(value)}")
         return type(*[part(item) for part, item in zip(parts, value, strict=False)])

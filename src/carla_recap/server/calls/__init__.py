@@ -1,6 +1,7 @@
 """What clients can call: a function for each remote procedure of CARLA, under its name."""
 
 from carla_recap.server.calls import (
+    accepted,
     actors,
     batches,
     episodes,
@@ -13,4 +14,16 @@ from carla_recap.server.calls import (
     world,
 )
 
-__all__ = ["actors", "batches", "episodes", "lights", "managers", "recorder", "session", "vehicles", "walkers", "world"]
+__all__ = [
+    "accepted",
+    "actors",
+    "batches",
+    "episodes",
+    "lights",
+    "managers",
+    "recorder",
+    "session",
+    "vehicles",
+    "walkers",
+    "world",
+]

@@ -2,12 +2,20 @@
 
 from __future__ import annotations
 
-from carla_recap.server import actor_records
+from math import degrees, radians
+from typing import Final, TypeVar
+
+from carla_recap.server import actor_records, limits
 from carla_recap.server.calls.table import CallError, call
 from carla_recap.server.client import Client
 from carla_recap.server.structs import ActorDefinition, ActorDescription, ActorRecord, BoundingBox
-from carla_recap.sim.actors import Actor
-from carla_recap.sim.geometry import Transform
+from carla_recap.sim.actors import Actor, Mover, Prop, Sign, Vehicle, Walker
+from carla_recap.sim.control import VehicleControl
+from carla_recap.sim.geometry import Location, Transform, Vector
+
+A = TypeVar("A", bound=Actor)
+
+_LONGEST: Final = 1000  # bytes of the value of an attribute
 
 
 @call
@@ -39,14 +47,14 @@ def spawn_actor(client: Client, description: ActorDescription, transform: Transf
 def spawn_actor_with_parent(
     client: Client, description: ActorDescription, transform: Transform, parent: int, attachment: int = 0, bone: str = ""
 ) -> ActorRecord:
-    """Let an actor appear that is fixed to another."""
+    """Let an actor appear that is fixed to another; every kind of attachment is a rigid one."""
     return actor_records.record(spawn(client, description, transform, client.host.actor(parent)), client.host.streams)
 
 
 @call
 def destroy_actor(client: Client, id: int) -> bool:
-    """Take an actor out of the world."""
-    return client.host.actor(id).destroy()
+    """Take an actor out of the world; False if it had been destroyed before."""
+    return client.host.actor_or_ghost(id).destroy()
 
 
 @call
@@ -55,15 +63,203 @@ def get_actor_bounding_box(client: Client, id: int) -> BoundingBox:
     return actor_records.box(client.host.actor_or_ghost(id))
 
 
+@call
+def set_actor_transform(client: Client, id: int, transform: Transform) -> None:
+    """Put an actor elsewhere; an attached one relative to its parent."""
+    limits.check_transform(transform)
+    _movable(client, id).transform = transform
+
+
+@call
+def set_actor_location(client: Client, id: int, location: Location) -> None:
+    """Put an actor elsewhere, turned as it is."""
+    limits.check_place(location)
+    actor = _movable(client, id)
+    actor.transform = Transform(location, actor.relative_transform.rotation)
+
+
+@call
+def set_actor_target_velocity(client: Client, id: int, velocity: Vector) -> None:
+    """Give a vehicle or walker a velocity in m/s."""
+    limits.check_speed(velocity)
+    expect(client, id, Mover).set_target_velocity(velocity)
+
+
+@call
+def set_actor_target_angular_velocity(client: Client, id: int, velocity: Vector) -> None:
+    """Have a vehicle turn: degrees/s, about z alone. A walker turns as it walks."""
+    limits.check_turning(velocity)
+    mover = expect(client, id, Mover)
+    if isinstance(mover, Vehicle):
+        rows, row = mover.rows, mover.row
+        rows.turning[row] = radians(velocity.z)
+        rows.angular_velocity[row, 2] = velocity.z
+
+
+@call
+def enable_actor_constant_velocity(client: Client, id: int, velocity: Vector) -> None:
+    """Keep the velocity of a vehicle, in its own axes and m/s."""
+    limits.check_speed(velocity)
+    client.host.steadiness.hold(expect(client, id, Vehicle), velocity)
+
+
+@call
+def disable_actor_constant_velocity(client: Client, id: int) -> None:
+    """Let a vehicle go on as it would."""
+    client.host.steadiness.release(expect(client, id, Vehicle))
+
+
+@call
+def add_actor_impulse(client: Client, id: int, impulse: Vector) -> None:
+    """Push an actor: N s, in the world."""
+    _push(expect(client, id, Mover), impulse)
+
+
+@call
+def add_actor_impulse_at_location(client: Client, id: int, impulse: Vector, location: Location) -> None:
+    """Push an actor at a place: N s and m, both in the world."""
+    mover = expect(client, id, Mover)
+    _turn(mover, _lever(mover, location, impulse))
+    _push(mover, impulse)
+
+
+@call
+def add_actor_force(client: Client, id: int, force: Vector) -> None:
+    """Push an actor during the next tick: N, in the world."""
+    _push(expect(client, id, Mover), _during_tick(client, force))
+
+
+@call
+def add_actor_force_at_location(client: Client, id: int, force: Vector, location: Location) -> None:
+    """Push an actor at a place during the next tick: N and m, both in the world."""
+    add_actor_impulse_at_location(client, id, _during_tick(client, force), location)
+
+
+@call
+def add_actor_angular_impulse(client: Client, id: int, impulse: Vector) -> None:
+    """Turn a vehicle: kg m² degrees/s, about z alone."""
+    _turn(expect(client, id, Mover), impulse.z)
+
+
+@call
+def add_actor_torque(client: Client, id: int, torque: Vector) -> None:
+    """Turn a vehicle during the next tick: kg m² degrees/s², about z alone."""
+    _turn(expect(client, id, Mover), _during_tick(client, torque).z)
+
+
+@call
+def set_actor_simulate_physics(client: Client, id: int, enabled: bool) -> None:
+    """Let forces move an actor, or have it stay; nothing is done to who has been destroyed, or never moves."""
+    actor = client.host.actor_or_ghost(id)
+    if actor.is_alive and isinstance(actor, Mover):
+        actor.set_simulate_physics(enabled)
+
+
+@call
+def set_actor_collisions(client: Client, id: int, enabled: bool) -> None:
+    """Let an actor touch others, or pass through them; nothing is done to who has been destroyed, or has no body."""
+    actor = client.host.actor_or_ghost(id)
+    if actor.is_alive and isinstance(actor, (Mover, Prop)):
+        actor.set_collisions(enabled)
+
+
+@call
+def set_actor_dead(client: Client, id: int) -> None:
+    """Have a walker fall down for good, or a vehicle stand without a driver."""
+    actor = client.host.actor(id)
+    if isinstance(actor, Walker):
+        actor.rows.fall(actor.row)
+    elif isinstance(actor, Vehicle):
+        client.host.ackermann.release(actor)
+        client.host.steadiness.release(actor)
+        actor.set_autopilot(False)
+        actor.apply_control(VehicleControl(brake=1.0))
+
+
+@call
+def get_actor_component_world_transform(client: Client, id: int, component: str) -> Transform:
+    """Where a component of an actor is: all are where the actor is."""
+    return client.host.actor_or_ghost(id).transform
+
+
 def spawn(client: Client, description: ActorDescription, transform: Transform, parent: Actor | None = None) -> Actor:
     """Let an actor appear.
 
     Raises:
-        CallError: Its place is occupied.
+        CallError: Its place is occupied, or cannot be one; or it is a camera, and its images would be too large.
         RecapError: There is no such blueprint, or no such parent.
     """
-    attributes = {attribute.id: attribute.value for attribute in description.attributes}
-    actor = client.host.world.try_spawn(description.id, transform, parent=parent, **attributes)
+    host = client.host
+    limits.check_transform(transform)
+    known = host.world.blueprints.get(description.id).attributes
+    attributes = {attribute.id: _text(attribute.value) for attribute in description.attributes if attribute.id in known}
+    host.sensors.check(description.id, attributes)
+    actor = host.world.try_spawn(description.id, transform, parent=parent, **attributes)
     if actor is None:
         raise CallError("Spawn failed because of collision at spawn position")
+    host.remember(actor)
     return actor
+
+
+def expect(client: Client, id: int, kind: type[A]) -> A:
+    """An actor that is alive, and of a kind.
+
+    Raises:
+        CallError: There is none, or it is of another kind.
+        DeadActor: It has been destroyed.
+    """
+    actor = client.host.actor(id)
+    if not isinstance(actor, kind):
+        expected = "vehicle or walker" if kind is Mover else kind.__name__
+        raise CallError(f"actor {id} is a {actor.type_id}; a {expected} was expected")
+    return actor
+
+
+def _movable(client: Client, id: int) -> Actor:
+    actor = client.host.actor(id)
+    if isinstance(actor, Sign):
+        raise CallError(f"{actor!r} belongs to the town and cannot be moved")
+    return actor
+
+
+def _text(value: str) -> str:
+    """The value of an attribute, if a recording can have it."""
+    try:
+        if len(value.encode()) <= _LONGEST:
+            return value
+    except UnicodeEncodeError:
+        pass
+    raise CallError(f"the value of an attribute: at most {_LONGEST} bytes of UTF-8 were expected")
+
+
+def _push(mover: Mover, impulse: Vector) -> None:
+    """Change the velocity of an actor by an impulse, N s."""
+    mass = mover.rows.mass[mover.row].item()
+    limits.check_speed(Vector(impulse.x / mass, impulse.y / mass, impulse.z / mass))
+    if isinstance(mover, Vehicle):
+        mover.add_impulse(impulse)
+    else:
+        velocity = mover.velocity
+        mover.set_target_velocity(Vector(velocity.x + impulse.x / mass, velocity.y + impulse.y / mass, velocity.z))
+
+
+def _turn(mover: Mover, impulse: float) -> None:
+    """Change how fast a vehicle turns by an angular impulse, kg m² degrees/s."""
+    if isinstance(mover, Vehicle):
+        change = impulse / mover.rows.moment[mover.row].item()
+        limits.check_turning(Vector(z=change))
+        mover.rows.turning[mover.row] += radians(change)
+
+
+def _lever(mover: Mover, place: Location, impulse: Vector) -> float:
+    """The angular impulse about z of a push at a place, kg m² degrees/s."""
+    limits.check_place(place)
+    middle = mover.transform.location
+    return degrees((place.x - middle.x) * impulse.y - (place.y - middle.y) * impulse.x)
+
+
+def _during_tick(client: Client, force: Vector) -> Vector:
+    """The impulse of a force that acts for a tick."""
+    world = client.host.world
+    seconds = world.settings.fixed_delta_seconds or world.delta
+    return Vector(force.x * seconds, force.y * seconds, force.z * seconds)

@@ -1,1 +1,89 @@
 """Calls that begin a new episode: another map, the same one again, or one that a client sends."""
+
+from __future__ import annotations
+
+import asyncio
+import tempfile
+from functools import partial
+from pathlib import Path
+from typing import Any, Final
+
+from carla_recap.errors import RecapError
+from carla_recap.maps.road_map import find_map, find_maps
+from carla_recap.server.calls.table import CallError, call
+from carla_recap.server.client import Client
+from carla_recap.server.managers import Truce
+from carla_recap.server.structs import EpisodeSettings
+from carla_recap.sim.town import Town, load_town
+
+_SENT: Final = "OpenDriveMap"
+"""The name of the map that a client has sent, as with CARLA."""
+_FOLDER: Final = "/Game/Carla/Maps"
+"""Where maps are, as CARLA names them."""
+
+
+@call
+def get_available_maps(client: Client) -> list[str]:
+    """The maps that can be loaded."""
+    return [f"{_FOLDER}/{name}" for name in sorted(find_maps(client.host.world.maps))]
+
+
+@call
+async def copy_opendrive_to_file(client: Client, text: str, parameters: Any = None) -> None:
+    """Take in a map for episodes to come; how CARLA is to build its roads and walls does not matter here."""
+    async with client.host.loading:
+        client.host.sent_town = await asyncio.to_thread(_parse, text)
+
+
+@call
+async def load_new_episode(client: Client, name: str, reset_settings: bool = True, layers: int = 0) -> None:
+    """Begin a new episode: the actors of the last one are gone, and a recording is completed.
+
+    Others go on in the old one while a map is read.
+
+    Args:
+        client: Who wants it.
+        name: Of a map, with or without its folder; empty for the map that is there.
+        reset_settings: Whether all settings are as at first again, so that the world is in asynchronous mode.
+        layers: What of the map is to be seen; there is nothing to be seen.
+    """
+    host = client.host
+    async with host.loading:
+        town = await _town(client, name)
+        if host.managers.owns_one(client):
+            client.truce = Truce()
+            await client.truce.begin(partial(host.publish_again, client))
+            client.in_background(_end(client.truce, client))
+        if reset_settings:
+            host.apply_settings(EpisodeSettings())
+        host.begin_episode(town, client)
+
+
+async def _town(client: Client, name: str) -> Town:
+    host = client.host
+    if not name:
+        return host.world.town
+    if name.rpartition("/")[2] == _SENT:
+        if host.sent_town is None:
+            raise CallError(f"{name}: no map has been sent to this server")
+        return host.sent_town
+    path = find_map(name, host.world.maps)
+    if path is None:
+        raise CallError(f"{name!r}: there is no such map; there are {', '.join(sorted(find_maps(host.world.maps)))}")
+    return await asyncio.to_thread(load_town, path)
+
+
+def _parse(text: str) -> Town:
+    with tempfile.TemporaryDirectory() as folder:
+        path = Path(folder) / f"{_SENT}.xodr"
+        path.write_bytes(text.encode(errors="surrogateescape"))
+        try:
+            return load_town(path)
+        except RecapError as error:
+            raise CallError(str(error).replace(str(path), _SENT)) from None
+
+
+async def _end(truce: Truce, client: Client) -> None:
+    await truce.end(lambda: client.stream in client.host.streams.subscribed)  # the new one
+    if client.truce is truce:
+        client.truce = None

@@ -2,8 +2,13 @@
 
 from __future__ import annotations
 
+import asyncio
+from typing import Any
+
+from carla_recap.server.actor_records import sensor_of
 from carla_recap.server.calls.table import CallError, call
 from carla_recap.server.client import Client
+from carla_recap.server.navmesh import NAVIGATION, navigation_files, navigation_mesh
 from carla_recap.server.structs import EpisodeInfo, EpisodeSettings, MapInfo, Token
 from carla_recap.sim.weather import Weather
 
@@ -26,7 +31,9 @@ def get_episode_info(client: Client) -> EpisodeInfo:
 
 @call
 def get_sensor_token(client: Client, stream: int) -> Token:
-    """Where a stream is."""
+    """Where a stream is; clients ask before they subscribe to it."""
+    if sensor_of(stream) in client.host.world.actors:
+        client.host.streams.expect(stream, client)
     return Token(client.host.streams.token(stream))
 
 
@@ -44,10 +51,21 @@ def set_episode_settings(client: Client, settings: EpisodeSettings) -> int:
 
 
 @call
-def tick_cue(client: Client) -> int:
-    """Let a tick pass, in synchronous mode; otherwise time passes by itself."""
+def tick_cue(client: Client) -> Any:
+    """Let a tick pass, in synchronous mode, where otherwise time passes by itself; answers the frame.
+
+    A client that ticks after it has begun to listen to a sensor hears of that very tick: it waits for the subscription.
+    """
     host = client.host
-    return host.tick() if host.settings.synchronous_mode else host.frame
+    if not host.settings.synchronous_mode:
+        return host.frame
+    subscriptions = host.streams.expected(client)
+    return _tick_after(subscriptions, client) if subscriptions else host.tick()
+
+
+async def _tick_after(subscriptions: list[asyncio.Future[None]], client: Client) -> int:
+    await asyncio.wait(subscriptions)
+    return client.host.tick()
 
 
 @call
@@ -65,14 +83,23 @@ def get_map_data(client: Client) -> str:
 
 @call
 def get_required_files(client: Client, folder: str = "", download: bool = True) -> list[str]:
-    """Files that the client needs besides: none."""
-    return []
+    """Files that the client needs besides: what walkers with AI controllers walk on; no others."""
+    return list(navigation_files(client.host.world.town)) if folder == NAVIGATION else []
 
 
 @call
 def request_file(client: Client, name: str) -> bytes:
-    """A file that the client needs: there is none."""
-    raise CallError(f"{name}: the client needs no files from this server")
+    """A file that the client needs."""
+    files = navigation_files(client.host.world.town)
+    if name not in files:
+        raise CallError(f"{name}: the client needs no such file from this server")
+    return files[name]
+
+
+@call
+def get_navigation_mesh(client: Client) -> bytes:
+    """What walkers with AI controllers walk on; clients of 0.9.16 ask for it as a file."""
+    return navigation_mesh(client.host.world.town)
 
 
 @call

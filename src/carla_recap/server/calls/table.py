@@ -44,13 +44,20 @@ class Call:
         """
         if len(arguments) < self.least:
             raise WireError(f"{self.name}: expected {self.least} arguments, found {len(arguments)}")
-        decoded = []
+        try:
+            decoded = [convert(value) for convert, value in zip(self.arguments, arguments, strict=False)]
+        except WireError:
+            raise self._misfit(arguments) from None
+        return self.handler(client, *decoded)
+
+    def _misfit(self, arguments: list[Any]) -> WireError:
+        """What is wrong with arguments that cannot be decoded."""
         for number, (convert, value) in enumerate(zip(self.arguments, arguments, strict=False), 1):
             try:
-                decoded.append(convert(value))
+                convert(value)
             except WireError as error:
-                raise WireError(f"{self.name}, argument {number}: {error}") from None
-        return self.handler(client, *decoded)
+                return WireError(f"{self.name}, argument {number}: {error}")
+        raise AssertionError
 
 
 TABLE: dict[str, Call] = {}
@@ -67,14 +74,20 @@ def bare_call(handler: Handler) -> Handler:
     return _enter(handler, bare=True)
 
 
-def _enter(handler: Handler, *, bare: bool) -> Handler:
+def row(handler: Handler, *, bare: bool = False) -> Call:
+    """The row of a handler, as it would be in the table; see `call`."""
     hints = get_type_hints(handler)
     result = hints.pop("return")
     if get_origin(result) is Awaitable:
         (result,) = get_args(result)
     arguments = tuple(decoder(type) for type in tuple(hints.values())[1:])
     least = len(arguments) - len(handler.__defaults__ or ())
-    name = handler.__name__
-    assert name not in TABLE
-    TABLE[name] = Call(name, handler, arguments, None if result is type(None) else encoder(result), least, bare)
+    encode = None if result is type(None) else encoder(result)
+    return Call(handler.__name__, handler, arguments, encode, least, bare)
+
+
+def _enter(handler: Handler, *, bare: bool) -> Handler:
+    entry = row(handler, bare=bare)
+    assert entry.name not in TABLE
+    TABLE[entry.name] = entry
     return handler

@@ -61,7 +61,7 @@ MESH_HEADER: Final = np.dtype(
     ]
 )
 CORNER: Final = np.dtype(("<f4", 3))
-# dtPoly: its corners, clockwise seen from above; beyond each side the number of the next polygon, plus 1; kind << 6 | area
+# dtPoly: its corners, going from z towards x; beyond each side the number of the next polygon, plus 1; kind << 6 | area
 POLYGON: Final = np.dtype(
     [
         ("first_link", "<u4"),
@@ -86,7 +86,7 @@ SET_VERSION: Final = 1
 MESH_MAGIC: Final = 0x444E4156  # "DNAV"
 MESH_VERSION: Final = 7
 
-# areas and their flags, from carla/nav/Navigation.h of LibCarla 0.9.16
+# areas and their flags, from carla/nav/Navigation.h of LibCarla 0.9.16; the smaller, the more it is for walkers
 SIDEWALK: Final = 1
 CROSSWALK: Final = 2
 ROAD: Final = 3
@@ -99,13 +99,9 @@ _MARGIN = 1.0  # m: between the outermost corner and the edge of the tile
 
 
 def mesh_bytes(surface: Surface) -> bytes:
-    """A surface of at least one polygon as a navigation mesh.
-
-    Raises:
-        ValueError: It has more corners or polygons than a tile can hold.
-    """
-    if max(len(surface.corners), len(surface.polygons)) > MOST:
-        raise ValueError(f"{len(surface.corners)} corners, {len(surface.polygons)} polygons: expected at most {MOST} each")
+    """A surface as a navigation mesh; nothing where it is empty, or has more corners or polygons than a tile can hold."""
+    if not 0 < len(surface.polygons) <= MOST or len(surface.corners) > MOST:
+        return b""
     corners = surface.corners[:, (0, 2, 1)].astype("<f4")
     low, high = corners.min(axis=0) - np.float32(_MARGIN), corners.max(axis=0) + np.float32(_MARGIN)
     polygons = _polygons(surface)

@@ -2,29 +2,26 @@
 
 from __future__ import annotations
 
-from collections import defaultdict
 from dataclasses import dataclass
-from math import atan2, cos, hypot, pi, sin, tau
+from math import atan2, cos, pi, sin, tau
 from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
-from carla_recap.server.navmesh.detour import CORNERS, CROSSWALK, SIDEWALK
+from carla_recap.server.navmesh.detour import CORNERS
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
     from numpy.typing import NDArray
 
-    from carla_recap.sim.town import WalkGraph
+    from carla_recap.server.navmesh.ways import Place, Ways
 
     Floats = NDArray[np.float64]
-    Place = list[float]
 
 _HALF_WIDTH: Final = 1.0  # m: of a strip; the sidewalks of CARLA's towns are 4 m and 6 m wide
 _SHARE: Final = 0.45  # of an edge that each of the meetings at its ends may take: below a half, so that they are apart
 _LEAST: Final = 0.05  # m: half the width of a passage where an edge is short or a bend is sharp
-_STRAIGHT: Final = 0.05  # m: nodes as near as that to a straight line are left out
 
 
 @dataclass(frozen=True, eq=False)
@@ -35,57 +32,13 @@ class Surface:
         corners: Places in CARLA's axes, in m, (n, 3).
         polygons: Numbers of their corners, anticlockwise seen from above: from y towards x.
         neighbours: For each side of a polygon, from its corner to the next one, the polygon beyond it, if there is one.
-        areas: What each is, `SIDEWALK` or `CROSSWALK`.
+        areas: What each is, as `detour` numbers it.
     """
 
     corners: Floats
     polygons: list[tuple[int, ...]]
     neighbours: list[tuple[int | None, ...]]
     areas: list[int]
-
-
-class Ways:
-    """A graph of places that grows and shrinks.
-
-    Attributes:
-        places: Of the nodes.
-        areas: For each node, the nodes beside it, and what the way to each is.
-    """
-
-    def __init__(self, walks: WalkGraph) -> None:
-        self.places: list[Place] = walks.nodes.tolist()
-        self.areas: dict[int, dict[int, int]] = defaultdict(dict)
-        for (one, other), crossing in zip(walks.edges.tolist(), walks.crossing.tolist(), strict=True):
-            self.link(one, other, CROSSWALK if crossing else SIDEWALK)
-
-    def link(self, one: int, other: int, area: int) -> None:
-        """A way between two nodes."""
-        self.areas[one][other] = self.areas[other][one] = area
-
-    def straighten(self) -> None:
-        """Leave out the nodes in the middle of straight ways, so that there are few and long ones.
-
-        The client finds ways over at most 256 polygons.
-        """
-        passed: dict[frozenset[int], list[int]] = defaultdict(list)
-        for node in sorted(self.areas):
-            beside = self.areas[node]
-            if len(beside) != 2 or len(set(beside.values())) != 1:
-                continue
-            one, other = beside
-            left_out = [*passed[frozenset((one, node))], node, *passed[frozenset((node, other))]]
-            if other in self.areas[one] or not all(self._is_between(one, other, middle) for middle in left_out):
-                continue
-            self.link(one, other, beside[one])
-            passed[frozenset((one, other))] = left_out
-            del self.areas[node], self.areas[one][node], self.areas[other][node]
-
-    def _is_between(self, start: int, end: int, middle: int) -> bool:
-        """Whether a node is on the straight line between two others, its height included."""
-        origin = np.array(self.places[start])
-        along, place = np.array(self.places[end]) - origin, np.array(self.places[middle]) - origin
-        share = float(place @ along / max(float(along @ along), _LEAST**2))
-        return 0 < share < 1 and float(np.linalg.norm(place - share * along)) < _STRAIGHT
 
 
 class _Meeting:
@@ -119,11 +72,9 @@ class _Meeting:
         return [[x + radius * cos(direction), y + radius * sin(direction), z] for direction in self.directions]
 
 
-def walkable_surface(walks: WalkGraph) -> Surface:
-    """The surface of a walk graph: its polygons hang together just as its edges do."""
-    ways = Ways(walks)
-    ways.straighten()
-    meetings = {node: _Meeting(ways, node) for node in sorted(ways.areas)}
+def walkable_surface(ways: Ways) -> Surface:
+    """Strips along the ways, and their meetings: polygons that hang together just as the ways do."""
+    meetings = {node: _Meeting(ways, node) for node in sorted(ways.areas) if ways.areas[node]}
     corners: list[Place] = []
     polygons: list[tuple[int, ...]] = []
     areas: list[int] = []
@@ -144,11 +95,9 @@ def walkable_surface(walks: WalkGraph) -> Surface:
 
 def _radius(ways: Ways, meetings: dict[int, _Meeting], node: int) -> float:
     """Of the circle around a node: so small that the strips to all its neighbours are convex."""
-    x, y, _ = ways.places[node]
     room = _HALF_WIDTH
     for other, facing in meetings[node].facing.items():
-        length = hypot(ways.places[other][0] - x, ways.places[other][1] - y)
-        room = min(room, _SHARE * length * min(facing, meetings[other].facing[node]))
+        room = min(room, _SHARE * ways.length(node, other) * min(facing, meetings[other].facing[node]))
     return max(room, _LEAST)
 
 

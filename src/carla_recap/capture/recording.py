@@ -1,0 +1,145 @@
+"""Records what can be seen of a server into a file, as CARLA's own recorder would."""
+
+from __future__ import annotations
+
+import math
+import time
+import warnings
+from collections import deque
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Final, NamedTuple
+
+from carla_recap.author import packets_of
+from carla_recap.capture.ending import ended_by_signals
+from carla_recap.capture.observer import HOST, PORT, Observer
+from carla_recap.conversion import check_free
+from carla_recap.errors import RecapWarning
+from carla_recap.formats import create_writer
+from carla_recap.frame import LAST_FRAME_DURATION, Frame, Header, Packet
+from carla_recap.records import FRAME_END, UE4
+from carla_recap.recovery import rescue
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Iterable, Iterator
+
+    from carla_recap.capture.observer import Sight
+
+    Progress = Callable[[Iterable[float]], Iterable[float]]
+
+_END: Final = Packet(FRAME_END, UE4[FRAME_END], b"")
+_DONE: Final = "the duration has passed"
+
+
+class Captured(NamedTuple):
+    """What was captured.
+
+    Attributes:
+        frames: How many frames.
+        seconds: How far the recording goes.
+        missed: How many ticks of the server are not in it, because they came too fast.
+        why: Why it has ended, in words.
+    """
+
+    frames: int
+    seconds: float
+    missed: int
+    why: str
+
+
+def capture(
+    destination: Path | str,
+    *,
+    host: str = HOST,
+    port: int = PORT,
+    duration: float = math.inf,
+    additional_data: bool = False,
+    force: bool = False,
+    progress: Progress | None = None,
+) -> Captured:
+    """Record what a CARLA server does, as one of its clients: it never ticks.
+
+    A hero that has no collision sensor gets one until the end; it is not in the recording. Ctrl-C, SIGTERM, a new episode
+    and the end of the server complete the recording.
+
+    Args:
+        destination: The recording; its suffix, .mcap or .log, says the format.
+        host: Where the server is.
+        port: Its port.
+        duration: After how many simulated seconds it ends.
+        additional_data: Record velocities, boxes, physics and the times of lights, too.
+        force: Overwrite what is there.
+        progress: Is given the elapsed seconds of each frame, and passes them on.
+
+    Raises:
+        RecapError: There is no server, or the recording cannot be written: what was captured until then is kept, and the
+            message says where.
+    """
+    check_free(destination, force=force)
+    with Observer(host, port, additional_data=additional_data, attach=True) as observer, ended_by_signals(observer.end):
+        header = header_of(observer)
+        writer = create_writer(Path(destination), header, live=True)
+        try:
+            sights = _until(duration, observer)
+            elapsed = _written(writer.write, frames(sights, additional_data=additional_data))
+            last = deque(enumerate(progress(elapsed) if progress else elapsed, 1), maxlen=1)
+            writer.close()
+        except Exception as error:
+            with warnings.catch_warnings(action="ignore", category=RecapWarning):  # that it was cut short is told anyway
+                told = rescue(writer, Path(destination), error, force=force)
+            raise told from None
+        except BaseException:
+            writer.abort()
+            raise
+    count, seconds = last.pop() if last else (0, 0.0)
+    return Captured(count, seconds, observer.missed, observer.why)
+
+
+def header_of(observer: Observer) -> Header:
+    """The header of a recording that begins now."""
+    return Header(observer.map.name.rpartition("/")[2], int(time.time()))
+
+
+def frames(sights: Iterable[Sight], *, additional_data: bool) -> Iterator[Frame]:
+    """The frames of a recording that tells what was seen; each comes when it is known how long it lasts.
+
+    Args:
+        sights: What was seen.
+        additional_data: Whether it tells of what CARLA calls additional data.
+    """
+    latest: Frame | None = None
+    for frame in live_frames(sights, additional_data=additional_data):
+        if latest is not None:
+            latest.duration = frame.elapsed - latest.elapsed
+            yield latest
+        latest = frame
+    if latest is not None:
+        yield latest
+
+
+def live_frames(sights: Iterable[Sight], *, additional_data: bool) -> Iterator[Frame]:
+    """The same frames as soon as they can be had; nobody knows yet how long they last."""
+    first: Sight | None = None
+    for number, sight in enumerate(sights):
+        first = first or sight
+        clocks = {"visual_time": sight.time}
+        if additional_data:
+            clocks["platform_time"] = sight.real_time - first.real_time
+        packets = packets_of(UE4, clocks | sight.records, additional_data=additional_data)
+        yield Frame(number, number + 1, sight.time - first.time, LAST_FRAME_DURATION, [*packets, _END])
+
+
+def _until(duration: float, observer: Observer) -> Iterator[Sight]:
+    """What is seen, until so many seconds have passed."""
+    begin: float | None = None
+    for sight in observer.sights():
+        yield sight
+        begin = sight.time if begin is None else begin
+        if sight.time - begin >= duration:
+            observer.end(_DONE)
+            return
+
+
+def _written(write: Callable[[Frame], Any], frames: Iterable[Frame]) -> Iterator[float]:
+    for frame in frames:
+        write(frame)
+        yield frame.elapsed

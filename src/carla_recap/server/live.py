@@ -1,0 +1,52 @@
+"""Shows the world that is served in Rerun's viewer: a client in a process of its own, which can hold up nobody."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+from typing import TYPE_CHECKING, Final, Self
+
+from carla_recap.capture.live import check_target
+from carla_recap.replay.follow import HERO, Follow
+
+if TYPE_CHECKING:
+    from types import TracebackType
+
+_EVERYWHERE: Final = {"0.0.0.0": "127.0.0.1", "::": "::1"}
+_PATIENCE: Final = 15.0  # s, for the .rrd that is completed at the end
+
+
+class Window:
+    """What shows a server, until the end of a `with` block; if it is closed before that, the server goes on.
+
+    Args:
+        to: An .rrd or the address of a viewer; else a viewer is opened. See `carla_recap.capture.live.watch`.
+        follow: Whom the camera follows as soon as it is there.
+
+    Raises:
+        RecapError: There is no display, or the file cannot be written.
+        MissingExtra: There is no viewer.
+    """
+
+    def __init__(self, to: str | None = None, follow: Follow = HERO) -> None:
+        check_target(to, force=False)
+        self._options = [f"--follow={follow}", *([f"--to={to}"] if to else [])]
+        self._process: subprocess.Popen[bytes] | None = None
+
+    def open(self, host: str, port: int) -> None:
+        """Begin to show the server that listens there."""
+        command = [sys.executable, "-m", "carla_recap", "watch", f"--host={_EVERYWHERE.get(host, host)}", f"--port={port}"]
+        self._process = subprocess.Popen([*command, *self._options], stdin=subprocess.DEVNULL, stdout=subprocess.DEVNULL)
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None) -> None:
+        if self._process is None:
+            return
+        self._process.terminate()
+        try:
+            self._process.wait(_PATIENCE)
+        except subprocess.TimeoutExpired:
+            self._process.kill()
+            self._process.wait()

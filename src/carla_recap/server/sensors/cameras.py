@@ -1,0 +1,68 @@
+"""Cameras: nothing is rendered, but whoever waits for an image gets one, of the size that was asked for, and blank."""
+
+from __future__ import annotations
+
+import struct
+from functools import lru_cache
+from typing import TYPE_CHECKING, Final
+
+from carla_recap.server.calls.table import CallError
+from carla_recap.server.sensors.feed import number
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping
+
+    from carla_recap.server.host import Host
+    from carla_recap.server.sensors.feed import Feed, Make
+    from carla_recap.sim.actors import Actor
+
+LARGEST: Final = 4096
+"""Pixels: no image is wider or higher, which keeps a frame within 64 MiB."""
+_SIDES: Final = ("image_size_x", "image_size_y")
+# width, height, field of view in degrees
+_HEADER: Final = struct.Struct("<IIf")
+
+# What each pixel is: blue, green, red, alpha
+_GREY: Final = bytes((128, 128, 128, 255))
+_FARTHEST: Final = bytes((255, 255, 255, 255))  # depth is red + 256 green + 65536 blue; all set are 1,000 m
+_UNLABELLED: Final = bytes((0, 0, 0, 255))
+_STILL: Final = struct.pack("<2f", 0.0, 0.0)  # of optical flow: along x and y
+
+
+def check_size(type_id: str, attributes: Mapping[str, str]) -> None:
+    """Make sure that the images of a camera are not too large.
+
+    Raises:
+        CallError: They are.
+    """
+    for key in _SIDES:
+        text = attributes.get(key, "")
+        if text.strip().isdecimal() and int(text) > LARGEST:
+            raise CallError(f"{type_id}: {key} of {text}: expected {LARGEST} pixels at the most")
+
+
+def _camera(pixel: bytes) -> Make:
+    """Cameras whose images are of one colour."""
+
+    def make(sensor: Actor, host: Host) -> Feed:
+        width, height = (_side(sensor, key) for key in _SIDES)
+        image = (_image(width, height, number(sensor, "fov"), pixel),)
+        return lambda: image
+
+    return make
+
+
+def _side(sensor: Actor, key: str) -> int:
+    return int(min(max(number(sensor, key), 1), LARGEST))
+
+
+@lru_cache(maxsize=4)
+def _image(width: int, height: int, fov: float, pixel: bytes) -> bytes:
+    return _HEADER.pack(width, height, fov) + pixel * (width * height)
+
+
+grey = _camera(_GREY)
+depth = _camera(_FARTHEST)
+unlabelled = _camera(_UNLABELLED)
+flow = _camera(_STILL)
+events = _camera(b"")

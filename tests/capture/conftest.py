@@ -1,0 +1,92 @@
+"""The server for the tests, and a capture of it as a process of its own, as CARLA's client needs."""
+
+from __future__ import annotations
+
+import signal
+import subprocess
+import time
+from contextlib import contextmanager
+from typing import TYPE_CHECKING
+
+import pytest
+
+from tests.cli.command import COMMAND, ENVIRONMENT
+from tests.server.conftest import client, port, recordings, world
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Iterator
+    from pathlib import Path
+
+    import carla
+
+__all__ = ["client", "port", "recordings", "world"]
+
+PATIENCE = 20.0  # s
+
+
+class Capture:
+    """A capture that runs.
+
+    Attributes:
+        path: Its destination.
+    """
+
+    def __init__(self, path: Path, process: subprocess.Popen[str]) -> None:
+        self.path = path
+        self.process = process
+
+    def end(self) -> str:
+        """End it by Ctrl-C; returns what it says."""
+        self.process.send_signal(signal.SIGINT)
+        return self.ended()
+
+    def ended(self) -> str:
+        """Wait until it has ended; returns what it says."""
+        said, _ = self.process.communicate(timeout=PATIENCE)
+        assert self.process.returncode == 0, said
+        return said
+
+
+@contextmanager
+def started(path: Path, port: int, *options: str) -> Iterator[Capture]:
+    command = [COMMAND, "capture", path, "--port", str(port), *options]
+    with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True, env=ENVIRONMENT) as process:
+        try:
+            yield Capture(path, process)
+        finally:
+            process.kill()
+
+
+@pytest.fixture
+def capturing(port: int, world: carla.World, tmp_path: Path) -> Iterator[Callable[..., Capture]]:
+    """Begins a capture of a world in which there is a hero; it is seen to run by its sensor."""
+    running = []
+
+    def begin(name: str, *options: str) -> Capture:
+        running.append(started(tmp_path / name, port, *options))
+        capture = running[-1].__enter__()
+        wait_for(world, lambda: own_sensors(world))
+        return capture
+
+    yield begin
+    for each in running:
+        each.__exit__(None, None, None)
+
+
+def wait_for(world: carla.World, condition: Callable[[], object]) -> None:
+    deadline = time.monotonic() + PATIENCE
+    while not condition():
+        assert time.monotonic() < deadline
+        world.tick()
+        time.sleep(0.05)
+
+
+def own_sensors(world: carla.World) -> list[carla.Actor]:
+    return [actor for actor in world.get_actors().filter("sensor.*") if actor.attributes["role_name"] == "carla-recap"]
+
+
+def spawn(world: carla.World, blueprint: str, place: int, **attributes: str) -> carla.Actor:
+    described = world.get_blueprint_library().find(blueprint)
+    for key, value in attributes.items():
+        described.set_attribute(key, value)
+    return world.spawn_actor(described, world.get_map().get_spawn_points()[place])

@@ -1,0 +1,216 @@
+"""Captures of a server, beside the recordings that it makes itself."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+import time
+from contextlib import ExitStack, contextmanager
+from typing import TYPE_CHECKING, Any
+
+import carla
+import numpy as np
+import pytest
+
+from carla_recap import open_recording
+from carla_recap.capture.observer import Sight
+from carla_recap.capture.recording import frames
+from carla_recap.server import running
+from tests.capture.conftest import PATIENCE, own_sensors, spawn, started, wait_for
+from tests.cli.command import error
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Iterator
+    from pathlib import Path
+
+    from carla_recap import Frame, Spawn
+    from tests.capture.conftest import Capture
+
+    Capturing = Callable[..., Capture]
+
+NEAR = {"rtol": 2e-7, "atol": 5e-4}  # float32, of metres and of centimetres
+STATES = ("transforms", "velocities", "vehicle_controls", "walker_controls", "vehicle_lights", "light_states")
+
+
+def drive(client: carla.Client, world: carla.World) -> str:
+    """A hero runs into a parked van, somebody comes and goes, a walker walks, lights change; returns the recording."""
+    hero = next(actor for actor in world.get_actors() if actor.attributes.get("role_name") == "hero")
+    ahead = hero.get_transform()
+    ahead.location += 15.0 * ahead.get_forward_vector()
+    library = world.get_blueprint_library()
+    van = world.spawn_actor(library.find("vehicle.volkswagen.t2"), ahead)
+    ahead.location += 10.0 * ahead.get_right_vector()
+    walker = world.spawn_actor(library.find("walker.pedestrian.0001"), ahead)
+    world.tick()
+    van.apply_control(carla.VehicleControl(hand_brake=True))
+    van.set_light_state(carla.VehicleLightState(carla.VehicleLightState.Brake | carla.VehicleLightState.Position))
+    light = world.get_actors().filter("traffic.traffic_light")[0]
+    light.set_state(carla.TrafficLightState.Yellow)
+    time.sleep(0.5)  # the lights of vehicles are asked for now and then
+    path = client.start_recorder("own.mcap", True)
+    hero.apply_control(carla.VehicleControl(throttle=1.0, steer=0.01))
+    walker.apply_control(carla.WalkerControl(carla.Vector3D(0.0, 1.0, 0.0), 1.5))
+    late = None
+    for tick in range(80):
+        if tick == 20:
+            late = spawn(world, "vehicle.audi.tt", 7)
+            camera = world.get_blueprint_library().find("sensor.other.imu")
+            world.spawn_actor(
+                camera, carla.Transform(carla.Location(1.0, 0.5, 2.0), carla.Rotation(yaw=30.0)), attach_to=late
+            )
+        if tick == 60 and late is not None:
+            late.destroy()
+        world.tick()
+    client.stop_recorder()
+    return path
+
+
+def test_it_is_what_the_server_records(client: carla.Client, world: carla.World, capturing: Capturing) -> None:
+    spawn(world, "vehicle.tesla.model3", 0, role_name="hero")
+    world.tick()
+    capture = capturing("captured.mcap", "--additional-data")
+    path = drive(client, world)
+    own = {actor.id for actor in own_sensors(world)}
+    assert capture.end().endswith(" s: SIGINT\n")
+    theirs, ours = frames_of(path), frames_of(capture.path)
+    begin = next(place for place, frame in enumerate(ours) if time_of(frame) == time_of(theirs[0]))
+    ours = ours[begin : begin + len(theirs)]
+    assert len(theirs) == len(ours) == 80
+    np.testing.assert_allclose([time_of(frame) for frame in ours], [time_of(frame) for frame in theirs])
+    np.testing.assert_allclose([f.duration for f in ours[:-1]], [f.duration for f in theirs[:-1]], rtol=1e-6)
+    for mine, other in zip(ours, theirs, strict=True):
+        for name in STATES:
+            assert_near(mine[name], other[name])
+    for name in ("destroyed", "collisions"):
+        assert told(name, ours) == told(name, theirs)
+    assert len(told("collisions", ours)) > 1
+    for mine, other in zip(ours[1:], theirs[1:], strict=True):  # the others began before
+        assert_near(mine["bounding_boxes"], other["bounding_boxes"])
+        assert [physics.id for physics in mine["physics"]] == [physics.id for physics in other["physics"]]
+    for mine, other in zip(spawns(ours, own), spawns(theirs, own), strict=True):
+        assert (mine.id, mine.kind, mine.type_id, mine.attributes) == (other.id, other.kind, other.type_id, other.attributes)
+        np.testing.assert_allclose(pose_of(mine), pose_of(other), atol=5e-3)  # differences of places in the world
+    assert len(spawns(ours, own)) == 2
+
+
+def frames_of(path: Path | str) -> list[Frame]:
+    with open_recording(path) as recording:
+        return list(recording)
+
+
+def time_of(frame: Frame) -> float:
+    """Seconds of the episode."""
+    return float(frame["visual_time"]["seconds"][0])
+
+
+def pose_of(spawned: Spawn) -> list[float]:
+    return [getattr(spawned, axis) for axis in ("x", "y", "z", "roll", "pitch", "yaw")]
+
+
+def told(name: str, frames: list[Frame]) -> list[tuple[int, Any]]:
+    """All records of a type, each with its place."""
+    return [(place, row.item()) for place, frame in enumerate(frames) for row in frame[name]]
+
+
+def spawns(frames: list[Frame], own: set[int]) -> list[Spawn]:
+    """Who came later, but for the sensors that the capture brings along."""
+    return [spawned for frame in frames[1:] for spawned in frame["spawned"] if spawned.id not in own]
+
+
+def assert_near(ours: Any, theirs: Any) -> None:
+    ours, theirs = np.sort(ours, order="id"), np.sort(theirs, order="id")
+    for field in theirs.dtype.names:
+        np.testing.assert_allclose(ours[field], theirs[field], err_msg=field, **NEAR)
+
+
+def test_what_is_there_at_the_beginning_is_told_with_all_its_data(
+    client: carla.Client, world: carla.World, capturing: Capturing
+) -> None:
+    hero = spawn(world, "vehicle.tesla.model3", 0, role_name="hero")
+    world.set_weather(carla.WeatherParameters.HardRainNoon)
+    world.tick()
+    capture = capturing("captured.mcap", "--additional-data")
+    box, mass = hero.bounding_box, hero.get_physics_control().mass
+    wait_for(world, lambda: world.get_snapshot().frame > 20)
+    capture.end()
+    first = frames_of(capture.path)[0]
+    (spawned,) = (spawned for spawned in first["spawned"] if spawned.id == hero.id)
+    assert (spawned.type_id, spawned.attribute("role_name")) == ("vehicle.tesla.model3", "hero")
+    assert {attribute.key: attribute.type for attribute in spawned.attributes}["number_of_wheels"] == 1
+    (row,) = first["bounding_boxes"][first["bounding_boxes"]["id"] == hero.id]
+    assert row["extent_x"] == pytest.approx(100 * box.extent.x)
+    assert [physics.mass for physics in first["physics"]] == [pytest.approx(mass)]
+    assert first["weather"]["precipitation"][0] == pytest.approx(world.get_weather().precipitation)
+    assert set(first["light_times"]["id"]) == set(first["light_states"]["id"])
+
+
+def test_its_sensor_is_taken_away_and_in_no_recording(world: carla.World, capturing: Capturing) -> None:
+    spawn(world, "vehicle.tesla.model3", 0, role_name="hero")
+    world.tick()
+    capture = capturing("captured.log")
+    capture.end()
+    world.tick()
+    assert own_sensors(world) == []
+    spawned = [each.type_id for frame in frames_of(capture.path) for each in frame["spawned"]]
+    assert not any(type_id.startswith("sensor.") for type_id in spawned)
+
+
+def test_it_ends_after_a_duration(port: int, world: carla.World, tmp_path: Path) -> None:
+    with started(tmp_path / "a.mcap", port, "--duration", "1") as capture:
+        wait_for(world, lambda: capture.process.poll() is not None)
+        assert capture.ended().endswith("a.mcap: 21 frames, 1 s: the duration has passed\n")
+    assert [frame.duration for frame in frames_of(capture.path)][-2:] == [pytest.approx(0.05), -1.0]
+
+
+def test_the_end_of_the_server_completes_it(tmp_path: Path) -> None:
+    with started_after_server(tmp_path / "a.mcap") as capture:
+        said = capture.ended()
+    assert said.endswith(" s: the server is gone\n")
+    assert len(frames_of(capture.path)) > 5
+
+
+@contextmanager
+def started_after_server(path: Path) -> Iterator[Capture]:
+    """A capture whose server ends when it has seen something."""
+    with ExitStack() as stack:
+        with running() as port:
+            capture = stack.enter_context(started(path, port))
+            world = carla.Client("127.0.0.1", port).get_world()
+            spawn(world, "vehicle.tesla.model3", 0, role_name="hero")
+            deadline = time.monotonic() + PATIENCE
+            while not own_sensors(world):
+                assert time.monotonic() < deadline
+                time.sleep(0.05)
+            time.sleep(1.0)
+        yield capture
+
+
+def test_where_no_server_is() -> None:
+    assert error("capture", "a.mcap", "--port", 1) == "127.0.0.1:1: there is no CARLA server"
+
+
+def test_frames_last_until_the_next_one() -> None:
+    sights = [Sight(frame, 2.0 + time, 7.0 + 2 * time, {}) for frame, time in ((5, 0.0), (6, 0.05), (9, 0.2))]
+    told = list(frames(sights, additional_data=True))
+    assert [(frame.id, frame.elapsed, frame.duration) for frame in told] == [
+        (1, 0.0, pytest.approx(0.05)),
+        (2, pytest.approx(0.05), pytest.approx(0.15)),
+        (3, pytest.approx(0.2), -1.0),
+    ]
+    assert [frame["platform_time"]["seconds"][0] for frame in told] == pytest.approx([0.0, 0.1, 0.4])
+    assert [frame["visual_time"]["seconds"][0] for frame in told] == pytest.approx([2.0, 2.05, 2.2])
+
+
+def test_a_full_disk_is_told_in_a_line(port: int, world: carla.World, tmp_path: Path) -> None:
+    """As on a full disk, the file cannot grow."""
+    size = 60_000
+    limit = "import resource, signal; signal.signal(signal.SIGXFSZ, signal.SIG_IGN); "
+    limit += f"resource.setrlimit(resource.RLIMIT_FSIZE, ({size}, {size})); from carla_recap.cli import main; main()"
+    command = [sys.executable, "-c", limit, "capture", tmp_path / "a.log", "--port", str(port)]
+    with subprocess.Popen(command, stderr=subprocess.PIPE, text=True) as process:
+        wait_for(world, lambda: process.poll() is not None)
+        _, said = process.communicate(timeout=PATIENCE)
+    assert process.returncode == 2
+    assert said.startswith(f"carla-recap: {tmp_path / 'a.log'}: cannot be written: File too large; the recording ends at ")
+    assert said.count("\n") == 1
+    assert len(frames_of(tmp_path / "a.log")) > 5

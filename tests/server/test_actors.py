@@ -1,0 +1,238 @@
+"""Calls about actors: spawning, what is told of them, moving and pushing them."""
+
+from __future__ import annotations
+
+import math
+
+import carla
+import pytest
+
+from carla_recap.errors import RecapError
+from tests.server.inside import Inside
+
+FAR = carla.Transform(carla.Location(500.0, 500.0, 0.5))
+"""Where nobody is, and no lane."""
+
+
+def spawn(
+    world: carla.World, name: str = "vehicle.tesla.model3", at: carla.Transform | None = None, **attributes: str
+) -> carla.Actor:
+    blueprint = world.get_blueprint_library().find(name)
+    for key, value in attributes.items():
+        blueprint.set_attribute(key, value)
+    actor = world.spawn_actor(blueprint, at or world.get_map().get_spawn_points()[0])
+    world.tick()
+    return actor
+
+
+def ticks(world: carla.World, count: int) -> None:
+    for _ in range(count):
+        world.tick()
+
+
+@pytest.fixture(scope="module")
+def inside() -> Inside:
+    return Inside()
+
+
+def test_blueprints_have_carlas_attributes(world: carla.World) -> None:
+    library = world.get_blueprint_library()
+    camera = library.find("sensor.camera.rgb")
+    camera.set_attribute("fov", "100.5")
+    camera.set_attribute("image_size_x", "320")
+    assert (camera.get_attribute("fov").as_float(), camera.get_attribute("image_size_x").as_int()) == (100.5, 320)
+    assert camera.get_attribute("exposure_mode").recommended_values == ["manual", "histogram"]
+    car = library.find("vehicle.tesla.model3")
+    assert car.get_attribute("color").type == carla.ActorAttributeType.RGBColor
+    assert len(car.get_attribute("color").recommended_values) > 3
+    assert not car.get_attribute("number_of_wheels").is_modifiable
+    assert not car.has_attribute("driver_id")
+    assert "hero" not in car.get_attribute("role_name").recommended_values
+    assert library.find("vehicle.bh.crossbike").get_attribute("driver_id").recommended_values
+    assert [float(v) for v in library.find("walker.pedestrian.0001").get_attribute("speed").recommended_values] == [
+        0,
+        1.4,
+        3,
+    ]
+    assert len(library.filter("vehicle.*")) == 20
+    assert len(library.filter("controller.ai.walker")) == 1
+
+
+def test_an_actor_is_told_of_with_its_attributes(world: carla.World) -> None:
+    place = world.get_map().get_spawn_points()[0]
+    car = spawn(world, at=place, role_name="hero", color="1,2,3")
+    assert (car.type_id, car.attributes["role_name"], car.attributes["color"]) == ("vehicle.tesla.model3", "hero", "1,2,3")
+    assert (car.semantic_tags, car.parent, car.is_alive) == ([14], None, True)
+    assert car.get_transform().location.distance(place.location) < 0.5
+    assert car.bounding_box.extent.x == pytest.approx(2.395)
+    assert [actor.id for actor in world.get_actors().filter("vehicle.*")] == [car.id]
+    assert world.get_actor(car.id).id == car.id
+
+
+def test_an_attached_actor_goes_with_its_parent(world: carla.World) -> None:
+    car = spawn(world)
+    blueprint = world.get_blueprint_library().find("sensor.camera.rgb")
+    camera = world.spawn_actor(blueprint, carla.Transform(carla.Location(1.0, 0.0, 2.0)), attach_to=car)
+    world.tick()
+    assert camera.parent.id == car.id
+    assert camera.get_location().distance(car.get_transform().transform(carla.Location(1.0, 0.0, 2.0))) < 1e-3
+    car.destroy()
+    world.tick()
+    assert not {car.id, camera.id} & {actor.id for actor in world.get_actors()}
+
+
+def test_an_occupied_place_is_refused(world: carla.World) -> None:
+    blueprint = world.get_blueprint_library().find("vehicle.audi.tt")
+    place = world.get_map().get_spawn_points()[0]
+    spawn(world, at=place)
+    assert world.try_spawn_actor(blueprint, place) is None
+    with pytest.raises(RuntimeError, match="Spawn failed because of collision at spawn position"):
+        world.spawn_actor(blueprint, place)
+
+
+def test_who_is_destroyed_can_be_asked_for_its_box_still(world: carla.World) -> None:
+    car = spawn(world)
+    other = world.get_actor(car.id)
+    extent = car.bounding_box.extent.x
+    assert car.destroy()
+    assert other.bounding_box.extent.x == extent
+    other.set_simulate_physics(False)
+    other.set_collisions(False)
+
+
+def test_who_ends_in_the_tick_in_which_it_came_is_known_still(inside: Inside) -> None:
+    id = inside.call("spawn_actor", [0, "vehicle.audi.tt", []], [[500.0, 0.0, 0.0], [0.0, 0.0, 0.0]])[0]
+    assert inside.call("destroy_actor", id) is True
+    assert inside.call("destroy_actor", id) is False
+    assert inside.call("get_actor_bounding_box", id)[3] == id
+    with pytest.raises(RecapError, match=rf"actor {id} \(vehicle.audi.tt\) has been destroyed"):
+        inside.call("set_actor_transform", id, [[0.0, 0.0, 0.0], [0.0, 0.0, 0.0]])
+    with pytest.raises(RecapError, match="actor 99999 not found"):
+        inside.call("get_actor_bounding_box", 99999)
+
+
+def test_actors_are_put_elsewhere(world: carla.World) -> None:
+    car, spectator = spawn(world), world.get_spectator()
+    car.set_transform(carla.Transform(carla.Location(500.0, 500.0, 3.0), carla.Rotation(yaw=30.0)))
+    spectator.set_transform(carla.Transform(carla.Location(1.0, 2.0, 3.0), carla.Rotation(-90.0, 4.0, 5.0)))
+    world.tick()
+    assert (car.get_location().x, car.get_transform().rotation.yaw) == pytest.approx((500.0, 30.0), abs=1e-3)
+    turn = spectator.get_transform().rotation
+    assert (spectator.get_location().z, turn.pitch, turn.yaw, turn.roll) == pytest.approx((3.0, -90.0, 4.0, 5.0))
+    car.set_location(carla.Location(510.0, 500.0, 0.0))
+    world.tick()
+    assert (car.get_location().x, car.get_transform().rotation.yaw) == pytest.approx((510.0, 30.0), abs=1e-3)
+
+
+def test_a_town_stays_where_it_is(inside: Inside) -> None:
+    light = inside.world.traffic_lights[0]
+    with pytest.raises(RecapError, match="belongs to the town"):
+        inside.call("set_actor_location", light.id, [0.0, 0.0, 0.0])
+    with pytest.raises(RecapError, match="belongs to the town"):
+        inside.call("destroy_actor", light.id)
+
+
+def test_velocities_are_taken_over(world: carla.World) -> None:
+    car = spawn(world, at=FAR)
+    car.set_target_velocity(carla.Vector3D(10.0, 0.0, 0.0))
+    world.tick()
+    assert car.get_velocity().x == pytest.approx(10.0, abs=0.1)
+    assert car.get_location().x == pytest.approx(500.5, abs=0.01)
+    car.set_target_angular_velocity(carla.Vector3D(0.0, 0.0, 20.0))
+    world.tick()
+    assert car.get_transform().rotation.yaw > 0.2
+
+
+def test_a_constant_velocity_is_kept_in_the_axes_of_the_vehicle(world: carla.World) -> None:
+    car = spawn(world, at=carla.Transform(FAR.location, carla.Rotation(yaw=90.0)))
+    car.enable_constant_velocity(carla.Vector3D(10.0, 0.0, 0.0))
+    ticks(world, 20)
+    assert (car.get_velocity().x, car.get_velocity().y) == pytest.approx((0.0, 10.0), abs=1e-4)
+    assert car.get_location().y == pytest.approx(510.0, abs=0.05)
+    car.disable_constant_velocity()
+    ticks(world, 20)
+    assert 5.0 < car.get_velocity().y < 9.8
+
+
+def test_impulses_and_forces_push(world: carla.World) -> None:
+    car = spawn(world, at=FAR)
+    mass = car.get_physics_control().mass
+    car.add_impulse(carla.Vector3D(5.0 * mass, 0.0, 0.0))
+    world.tick()
+    assert car.get_velocity().x == pytest.approx(5.0, abs=0.1)
+    car.add_force(carla.Vector3D(40.0 * mass, 0.0, 0.0))
+    world.tick()
+    assert car.get_velocity().x == pytest.approx(7.0, abs=0.2)
+
+
+def test_pushes_at_a_place_and_torques_turn(inside: Inside) -> None:
+    car = inside.world.spawn("vehicle.tesla.model3", inside.world.town.spawn_points[0])
+    rows = inside.world.vehicles
+    moment, at = rows.moment[rows.row(car.id)].item(), car.transform.location
+    inside.call("add_actor_impulse_at_location", car.id, [0.0, moment, 0.0], [at.x + 0.5, at.y, at.z])
+    assert rows.turning[rows.row(car.id)] == pytest.approx(0.5)
+    inside.call("add_actor_angular_impulse", car.id, [0.0, 0.0, math.degrees(moment)])
+    assert rows.turning[rows.row(car.id)] == pytest.approx(1.5)
+    inside.call("add_actor_torque", car.id, [0.0, 0.0, math.degrees(moment) * 20])
+    assert rows.turning[rows.row(car.id)] == pytest.approx(2.5)
+    inside.call("add_actor_force_at_location", car.id, [0.0, moment * 20, 0.0], [at.x + 0.5, at.y, at.z])
+    assert rows.turning[rows.row(car.id)] == pytest.approx(3.0)
+    car.destroy()
+
+
+def test_who_does_not_simulate_physics_stays_where_it_is_put(world: carla.World) -> None:
+    car = spawn(world, at=FAR)
+    car.set_simulate_physics(False)
+    car.set_target_velocity(carla.Vector3D(10.0, 0.0, 0.0))
+    ticks(world, 5)
+    assert car.get_location().x == pytest.approx(500.0)
+
+
+def test_the_dead_neither_walk_nor_drive(inside: Inside) -> None:
+    places = inside.world.town.spawn_points
+    car, walker = (
+        inside.world.spawn(name, places[n]) for n, name in ((3, "vehicle.audi.tt"), (4, "walker.pedestrian.0001"))
+    )
+    inside.call("apply_ackermann_control_to_vehicle", car.id, [0.0, 0.0, 9.0, 0.0, 0.0])
+    for actor in (car, walker):
+        inside.call("set_actor_dead", actor.id)
+    inside.host.tick()
+    assert walker.has_fallen  # type: ignore[attr-defined]
+    assert car.control.brake == 1.0  # type: ignore[attr-defined]
+
+
+@pytest.mark.parametrize("bad", [math.nan, math.inf, -math.inf, 3e38])
+@pytest.mark.parametrize(
+    ("name", "arguments"),
+    [
+        ("set_actor_transform", lambda n: [[[n, 0.0, 0.0], [0.0, 0.0, 0.0]]]),
+        ("set_actor_transform", lambda n: [[[0.0, 0.0, 0.0], [0.0, n, 0.0]]]),
+        ("set_actor_location", lambda n: [[0.0, 0.0, n]]),
+        ("set_actor_target_velocity", lambda n: [[0.0, 0.0, n]]),
+        ("set_actor_target_angular_velocity", lambda n: [[0.0, 0.0, n]]),
+        ("enable_actor_constant_velocity", lambda n: [[n, 0.0, 0.0]]),
+        ("add_actor_impulse", lambda n: [[n, 0.0, 0.0]]),
+        ("add_actor_force", lambda n: [[n, 0.0, 0.0]]),
+        ("add_actor_impulse_at_location", lambda n: [[1.0, 0.0, 0.0], [0.0, n, 0.0]]),
+        ("add_actor_force_at_location", lambda n: [[1.0, 0.0, 0.0], [0.0, n, 0.0]]),
+        ("add_actor_angular_impulse", lambda n: [[0.0, 0.0, n]]),
+        ("add_actor_torque", lambda n: [[0.0, 0.0, n]]),
+    ],
+)
+def test_numbers_that_are_none_or_too_large_are_refused(inside: Inside, name: str, arguments, bad: float) -> None:  # type: ignore[no-untyped-def]
+    car = inside.world.place("vehicle.tesla.model3", inside.world.town.spawn_points[9])
+    before = car.transform
+    with pytest.raises(RecapError, match=r"finite|at most"):
+        inside.call(name, car.id, *arguments(bad))
+    inside.host.tick()
+    assert car.transform.location.distance(before.location) < 1.0
+    car.destroy()
+
+
+def test_attributes_that_no_recording_could_have_are_refused(inside: Inside) -> None:
+    place = [[600.0, 0.0, 0.0], [0.0, 0.0, 0.0]]
+    for value in ("x" * 1001, "\udcff"):
+        with pytest.raises(RecapError, match="1000 bytes of UTF-8"):
+            inside.call("spawn_actor", [0, "vehicle.audi.tt", [["color", 5, value]]], place)
+    id = inside.call("spawn_actor", [0, "vehicle.audi.tt", [["parent", 4, "x"], ["blueprint", 4, "y"]]], place)[0]
+    assert "parent" not in inside.world.actors[id].attributes

@@ -1,0 +1,165 @@
+"""Batches: all 22 commands, errors of single ones, what is done with those that were just spawned, and ticks."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import carla
+import pytest
+
+from carla_recap.sim.actors import Vehicle
+from tests.server.inside import Inside
+from tests.server.test_actors import FAR, spawn
+
+if TYPE_CHECKING:
+    from carla_recap.sim.actors import Actor
+
+command = carla.command
+HERE = [[500.0, 500.0, 0.0], [0.0, 0.0, 0.0]]
+STANDING = [[500.0, 520.0, 0.9], [0.0, 90.0, 0.0]]
+
+
+@pytest.fixture
+def inside() -> Inside:
+    return Inside()
+
+
+def place(inside: Inside, name: str = "vehicle.tesla.model3", number: int = 0) -> Actor:
+    return inside.world.place(name, inside.world.town.spawn_points[number])
+
+
+def test_actors_come_and_go_in_batches(client: carla.Client, world: carla.World) -> None:
+    blueprint, places = world.get_blueprint_library().find("vehicle.audi.tt"), world.get_map().get_spawn_points()
+    answers = client.apply_batch_sync([command.SpawnActor(blueprint, place) for place in (*places[:10], places[0])], True)
+    assert [answer.has_error() for answer in answers] == [False] * 10 + [True]
+    assert answers[10].error == "Spawn failed because of collision at spawn position"
+    ids = [answer.actor_id for answer in answers[:10]]
+    assert {actor.id for actor in world.get_actors().filter("vehicle.*")} == set(ids)
+    answers = client.apply_batch_sync([command.DestroyActor(id) for id in (*ids, 99999)], True)
+    assert [answer.error for answer in answers] == [""] * 10 + ["actor 99999 not found"]
+    assert not world.get_actors().filter("vehicle.*")
+
+
+def test_a_new_actor_gets_commands_of_its_own(client: carla.Client, world: carla.World) -> None:
+    library, place = world.get_blueprint_library(), world.get_map().get_spawn_points()[0]
+    car = command.SpawnActor(library.find("vehicle.audi.tt"), place)
+    car.then(command.ApplyTargetVelocity(command.FutureActor, carla.Vector3D(1.0, 2.0, 0.0)))
+    car.then(command.SetVehicleLightState(command.FutureActor, carla.VehicleLightState.Fog))
+    (answer,) = client.apply_batch_sync([car], False)
+    camera = command.SpawnActor(library.find("sensor.camera.rgb"), carla.Transform(), answer.actor_id)
+    (other,) = client.apply_batch_sync([camera], True)
+    assert not answer.error
+    assert not other.error
+    actor = world.get_actor(answer.actor_id)
+    assert actor.get_light_state() == carla.VehicleLightState.Fog
+    assert actor.get_velocity().length() > 0.5
+    assert world.get_actor(other.actor_id).parent.id == actor.id
+
+
+def test_every_command_of_the_client_is_understood(client: carla.Client, world: carla.World) -> None:
+    car, walker = spawn(world, at=FAR), spawn(world, "walker.pedestrian.0001", carla.Transform(carla.Location(500, 520, 1)))
+    one = carla.Vector3D(1.0, 0.0, 0.0)
+    commands = [
+        command.ApplyVehicleControl(car, carla.VehicleControl(throttle=0.5)),
+        command.ApplyVehicleAckermannControl(car, carla.VehicleAckermannControl(speed=1.0)),
+        command.ApplyWalkerControl(walker, carla.WalkerControl(one, 1.0)),
+        command.ApplyVehiclePhysicsControl(car, car.get_physics_control()),
+        command.ApplyTransform(car, FAR),
+        command.ApplyWalkerState(walker, walker.get_transform(), 1.0),
+        command.ApplyTargetVelocity(car, one),
+        command.ApplyTargetAngularVelocity(car, one),
+        command.ApplyImpulse(car, one),
+        command.ApplyForce(car, one),
+        command.ApplyAngularImpulse(car, one),
+        command.ApplyTorque(car, one),
+        command.SetSimulatePhysics(car, True),
+        command.SetEnableGravity(car, True),
+        command.SetVehicleLightState(car, carla.VehicleLightState.Brake),
+        command.DestroyActor(walker),
+    ]
+    answers = client.apply_batch_sync(commands, True)
+    assert [answer.error for answer in answers] == [""] * len(commands)
+    assert [answer.actor_id for answer in answers] == [
+        walker.id if c in (2, 5, 15) else car.id for c in range(len(commands))
+    ]
+    client.apply_batch(commands[:1])
+    world.tick()
+    assert car.get_control().throttle == 0.5
+
+
+def test_all_22_commands_do_what_their_calls_do(inside: Inside) -> None:
+    car, walker = place(inside), place(inside, "walker.pedestrian.0001", 3)
+    assert isinstance(car, Vehicle)
+    light = inside.world.traffic_lights[0]
+    built = inside.call("get_physics_control", car.id)
+    built[11] = 3000.0
+    one = [1.0, 0.0, 0.0]
+    commands = [
+        [0, [[0, "vehicle.audi.tt", []], HERE, [False], 0, "", []]],
+        [2, [car.id, [0.25, 0.0, 0.0, False, False, False, 0]]],
+        [3, [car.id, [0.0, 0.0, 1.0, 0.0, 0.0]]],
+        [4, [walker.id, [one, 1.0, False]]],
+        [5, [car.id, built]],
+        [6, [car.id, HERE]],
+        [7, [walker.id, STANDING, 1.0]],
+        *([number, [car.id, one]] for number in range(8, 14)),
+        [14, [car.id, True]],
+        [15, [car.id, True]],
+        [16, [car.id, True]],
+        [17, [car.id, True]],
+        [18, [car.id, 3]],
+        [19, [car.id, [510.0, 500.0, 0.0]]],
+        [20, ["stat fps"]],
+        [21, [light.id, 1]],
+        [1, [walker.id]],
+    ]
+    answers = inside.batch(*commands)
+    ids = [car.id if number in (*range(2, 7), *range(8, 20)) else None for number, _ in commands]
+    assert [answer[0][0] for answer in answers] == [1] * 22, answers
+    assert all(
+        answer == [[1, id]] for answer, id in zip(answers, ids, strict=True) if id == car.id and answer[0][1] != walker.id
+    )
+    assert (car.light_state, light.state, walker.is_alive) == (3, 1, False)
+    assert car.physics_control.mass == 3000.0
+    assert car.transform.location.x == 510.0
+    assert not car.autopilot
+
+
+def test_what_fails_does_not_hold_up_the_others(inside: Inside) -> None:
+    car = place(inside)
+    answers = inside.batch(
+        [18, [99999, 1]],
+        [22, [car.id]],
+        [2, [car.id, [float("nan"), 0.0, 0.0, False, False, False, 0]]],
+        [2, [car.id]],
+        [2, []],
+        [0, ["nonsense"]],
+        [0, [[0, "vehicle.nobody.knows", []], HERE, [False], 0, "", []]],
+        [0, [[0, "sensor.camera.rgb", []], HERE, [True, 99999], 0, "", []]],
+        [18, [car.id, 1]],
+    )
+    texts = [answer[0][1] for answer in answers]
+    assert [answer[0][0] for answer in answers] == [0] * 8 + [1]
+    assert texts[0] == ["actor 99999 not found"]
+    assert "a command of [[number, fields]] was expected" in texts[1][0]
+    assert "argument 2: expected a finite number, found nan" in texts[2][0]
+    assert "expected 2 arguments, found 1" in texts[3][0]
+    assert "no blueprint 'vehicle.nobody.knows'" in texts[6][0]
+    assert texts[7] == ["actor 99999 not found"]
+    assert texts[8] == car.id
+    assert inside.call("apply_batch", [7, None, [], [[]], [[2]]], False)[0][0][0] == 0
+
+
+def test_what_fails_of_the_commands_for_a_new_actor_is_not_told(inside: Inside) -> None:
+    after = [[[4, [0, [[1.0, 0.0, 0.0], 1.0, False]]]], [[18, [0, 7]]], "nonsense"]
+    (answer,) = inside.batch([0, [[0, "vehicle.audi.tt", []], HERE, [False], 0, "", after]])
+    assert answer[0][0] == 1
+    assert inside.world.actors[answer[0][1]].light_state == 7  # type: ignore[attr-defined]
+
+
+def test_a_tick_passes_afterwards_in_synchronous_mode_alone(inside: Inside) -> None:
+    inside.call("apply_batch", [], True)
+    assert inside.world.frame == 0
+    inside.host.settings.synchronous_mode = True
+    inside.call("apply_batch", [], True)
+    assert inside.world.frame == 1

@@ -1,0 +1,118 @@
+"""Calls about traffic lights."""
+
+from __future__ import annotations
+
+import carla
+import pytest
+
+from carla_recap.errors import RecapError
+from tests.server.inside import Inside
+from tests.server.test_actors import ticks
+
+RED, YELLOW, GREEN = carla.TrafficLightState.Red, carla.TrafficLightState.Yellow, carla.TrafficLightState.Green
+
+
+@pytest.fixture
+def lights(world: carla.World) -> list[carla.TrafficLight]:
+    world.reset_all_traffic_lights()
+    world.tick()
+    return list(world.get_actors().filter("traffic.traffic_light"))
+
+
+@pytest.fixture
+def inside() -> Inside:
+    return Inside()
+
+
+def test_a_light_shows_what_it_is_told(world: carla.World, lights: list[carla.TrafficLight]) -> None:
+    light = next(light for light in lights if light.state == RED)
+    light.set_state(YELLOW)
+    world.tick()
+    assert (light.state, light.get_state()) == (YELLOW, YELLOW)
+
+
+def test_times_are_kept(world: carla.World, lights: list[carla.TrafficLight]) -> None:
+    light = next(light for light in lights if light.state == GREEN)
+    for set_time, seconds in ((light.set_green_time, 1.0), (light.set_yellow_time, 2.0), (light.set_red_time, 3.0)):
+        set_time(seconds)
+    world.tick()
+    assert (light.get_green_time(), light.get_yellow_time(), light.get_red_time()) == (1.0, 2.0, 3.0)
+    ticks(world, 19)
+    assert light.state == YELLOW
+    for set_time, seconds in ((light.set_green_time, 10.0), (light.set_yellow_time, 3.0), (light.set_red_time, 2.0)):
+        set_time(seconds)
+
+
+@pytest.mark.parametrize("whole", [True, False], ids=["by the world", "by a light, which the client takes for all"])
+def test_time_stands_still_for_all(world: carla.World, lights: list[carla.TrafficLight], whole: bool) -> None:
+    freeze = world.freeze_all_traffic_lights if whole else lights[0].freeze
+    freeze(True)
+    world.tick()
+    elapsed = [light.get_elapsed_time() for light in lights]
+    ticks(world, 4)
+    assert all(light.is_frozen() for light in lights)
+    assert [light.get_elapsed_time() for light in lights] == elapsed
+    freeze(False)
+    world.tick()
+    assert not any(light.is_frozen() for light in lights)
+
+
+def test_time_stands_still_for_a_group(inside: Inside) -> None:
+    light = inside.world.traffic_lights[0]
+    inside.call("freeze_traffic_light", light.id, True)
+    assert {other.id for other in inside.world.traffic_lights if other.frozen} == {other.id for other in light.group}
+
+
+def test_a_group_begins_again(world: carla.World, lights: list[carla.TrafficLight]) -> None:
+    first = {light.id: light.state for light in lights}
+    light = next(light for light in lights if light.state == GREEN)
+    group = light.get_group_traffic_lights()
+    assert light.id in [other.id for other in group]
+    ticks(world, 210)
+    assert light.state == YELLOW
+    light.reset_group()
+    world.tick()
+    assert {other.id: other.state for other in group} == {other.id: first[other.id] for other in group}
+
+
+def test_lights_are_found_from_the_map_and_back(world: carla.World, lights: list[carla.TrafficLight]) -> None:
+    light = lights[0]
+    assert world.get_traffic_light_from_opendrive_id(light.get_opendrive_id()).id == light.id
+    (landmark,) = [
+        mark for mark in world.get_map().get_all_landmarks_of_type("1000001") if mark.id == light.get_opendrive_id()
+    ]
+    assert world.get_traffic_light(landmark).id == light.id
+    lane = light.get_affected_lane_waypoints()[0]
+    assert light.id in [other.id for other in world.get_traffic_lights_from_waypoint(lane, 50.0)]
+    inside = next(
+        way
+        for way in world.get_map().generate_waypoints(2.0)
+        if way.is_junction and way.road_id == lane.next(5.0)[0].road_id
+    )
+    found = world.get_traffic_lights_in_junction(inside.get_junction().id)
+    assert {other.id for other in found} == {other.id for other in light.get_group_traffic_lights()}
+    assert light.get_pole_index() >= 0
+
+
+def test_a_trigger_volume_is_where_one_stops(lights: list[carla.TrafficLight]) -> None:
+    for light in lights:
+        middle = light.get_transform().transform(light.trigger_volume.location)
+        lanes = light.get_affected_lane_waypoints()
+        mean = sum((lane.transform.location for lane in lanes), carla.Location()) / len(lanes)
+        assert middle.distance_2d(mean) < 3.0
+        assert {(lane.road_id, lane.lane_id) for lane in lanes} & {
+            (w.road_id, w.lane_id) for w in light.get_stop_waypoints()
+        }
+        (box,) = light.get_light_boxes()
+        assert box.location.distance_2d(light.get_location()) < 1e-3
+        assert box.location.z > light.get_location().z + 2.0
+
+
+def test_what_no_light_can_show_is_refused(inside: Inside) -> None:
+    light, spectator = inside.world.traffic_lights[0], inside.world.spectator
+    with pytest.raises(RecapError, match="0 to 4 was expected, found 9"):
+        inside.call("set_traffic_light_state", light.id, 9)
+    with pytest.raises(RecapError, match="expected 0 s or more"):
+        inside.call("set_traffic_light_green_time", light.id, -1.0)
+    with pytest.raises(RecapError, match="a TrafficLight was expected"):
+        inside.call("get_group_traffic_lights", spectator.id)

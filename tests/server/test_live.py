@@ -1,0 +1,115 @@
+"""The live view of a server, without a display: written to an .rrd, and read and pictured from there."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+import time
+from contextlib import contextmanager
+from typing import TYPE_CHECKING
+
+import carla
+import pytest
+
+from carla_recap.errors import RecapError
+from tests.cli.command import COMMAND, ENVIRONMENT, error
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+    from pathlib import Path
+
+pytest.importorskip("rerun", reason="the extra `rerun` is not installed")
+
+PATIENCE = 30.0  # s
+
+
+@contextmanager
+def showing(*options: object) -> Iterator[carla.World]:
+    """The world of a server that shows itself."""
+    command = [COMMAND, "serve", "--port=0", *map(str, options)]
+    with subprocess.Popen(command, stdout=subprocess.PIPE, text=True, env=ENVIRONMENT) as process:
+        try:
+            assert process.stdout is not None
+            client = carla.Client("127.0.0.1", int(process.stdout.readline().split(":")[-1]))
+            client.set_timeout(10.0)
+            yield client.get_world()
+            process.terminate()
+            process.wait(PATIENCE)
+        finally:
+            process.kill()
+
+
+@pytest.fixture(scope="module")
+def rrd(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A hero comes, and drives until it hits something."""
+    path = tmp_path_factory.mktemp("live") / "live.rrd"
+    with showing("--rerun-to", path) as world:
+        world.apply_settings(carla.WorldSettings(synchronous_mode=True, fixed_delta_seconds=0.05))
+        deadline = time.monotonic() + PATIENCE
+        while not list(path.parent.glob(".live.rrd.*")):  # until it is written to
+            assert time.monotonic() < deadline
+            world.tick()
+            time.sleep(0.05)
+        library, place = world.get_blueprint_library(), world.get_map().get_spawn_points()[0]
+        hero = library.find("vehicle.tesla.model3")
+        hero.set_attribute("role_name", "hero")
+        driven = world.spawn_actor(hero, place)
+        world.spawn_actor(library.find("sensor.other.collision"), carla.Transform(), attach_to=driven)
+        place.location += 20.0 * place.get_forward_vector()
+        world.spawn_actor(library.find("vehicle.volkswagen.t2"), place)
+        world.tick()
+        driven.apply_control(carla.VehicleControl(throttle=1.0))
+        for _ in range(100):
+            world.tick()
+            time.sleep(0.02)
+        time.sleep(0.5)
+    return path
+
+
+def test_it_is_what_an_export_holds(rrd: Path) -> None:
+    from rerun.chunk import RrdReader
+
+    reader = RrdReader(rrd)
+    paths = {str(path) for path in reader.store().schema().entity_paths()}
+    assert {"/world/chase", "/world/map/lane_borders", "/ego/speed_kmh", "/ego/controls", "/map/actors", "/events"} <= paths
+    assert any(path.startswith("/world/actors/") for path in paths)
+    texts = [
+        text.as_py()[0]
+        for chunk in reader.stream().filter(content="/events", is_static=False).to_chunks()
+        for text in chunk.to_record_batch().column("TextLog:text")
+    ]
+    assert any("collides with vehicle.volkswagen.t2" in text for text in texts)
+
+
+def test_the_camera_follows_the_hero(rrd: Path) -> None:
+    from carla_recap.export.headless import Photographer
+
+    try:
+        with Photographer(rrd) as photographer:
+            names = {view.name for view in photographer.state.views}
+            picture = photographer.take(4.0)
+    except RecapError as failure:
+        pytest.skip(str(failure))
+    assert {"Chase", "Map", "Events", "Traffic lights"} <= names
+    assert len(picture) > 20_000
+
+
+def test_without_a_display_it_says_so(monkeypatch: pytest.MonkeyPatch) -> None:
+    for name in ("DISPLAY", "WAYLAND_DISPLAY", "WAYLAND_SOCKET"):
+        monkeypatch.delitem(ENVIRONMENT, name, raising=False)
+    expected = "there is no display for the Rerun viewer; an .rrd can be written instead"
+    for options in (("--rerun",), ("--follow", "hero")):
+        assert error("serve", "--port", 0, *options) == expected
+
+
+def test_what_it_cannot_be_written_to(tmp_path: Path) -> None:
+    assert error("serve", "--rerun-to", "live.png").startswith("live.png: an .rrd, or the address of a viewer")
+    (tmp_path / "live.rrd").touch()
+    assert "exists already" in error("serve", "--rerun-to", tmp_path / "live.rrd")
+
+
+def test_without_rerun_it_says_so() -> None:
+    code = "import sys; sys.modules['rerun'] = None; from carla_recap.cli import main; main()"
+    done = subprocess.run([sys.executable, "-c", code, "serve", "--rerun"], capture_output=True, text=True, timeout=60)
+    assert (done.returncode, done.stderr.count("\n")) == (2, 1)
+    assert "pip install 'carla-recap[rerun]'" in done.stderr

@@ -1,0 +1,330 @@
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cache
+from itertools import pairwise
+from pathlib import PurePosixPath
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import pytest
+
+from carla_recap.server.navmesh import detour, navigation_files, navigation_mesh
+from carla_recap.server.navmesh.detour import CROSSWALK, ROAD, SIDEWALK, mesh_bytes
+from carla_recap.server.navmesh.surface import walkable_surface
+from carla_recap.server.navmesh.ways import Ways
+from carla_recap.sim.town import BUILT_IN, Town, WalkGraph, load_town
+from tests.maps.towns import opendrive, road, town
+from tests.sim.flat import flat_town
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable
+
+pytest.importorskip("carla", reason="the extra carla is not installed")
+
+FROM_THE_MIDDLE = 3.0  # m: so far from the middle of a sidewalk the mesh may be, at corners
+
+
+@dataclass
+class Mesh:
+    """A navigation mesh, read back in the way of `dtNavMesh::addTile`."""
+
+    set_header: Any
+    tile_header: Any
+    header: Any
+    corners: np.ndarray
+    polygons: np.ndarray
+    details: np.ndarray
+    triangles: np.ndarray
+    boxes: np.ndarray
+
+    def outline(self, number: int) -> np.ndarray:
+        """The corners of a polygon in CARLA's axes."""
+        polygon = self.polygons[number]
+        return self.corners[polygon["corners"][: polygon["count"]]][:, (0, 2, 1)].astype(float)
+
+    def neighbours(self, number: int, areas: Iterable[int] = (SIDEWALK, CROSSWALK, ROAD)) -> list[int]:
+        polygon = self.polygons[number]
+        beyond = [int(other) - 1 for other in polygon["neighbours"][: polygon["count"]] if other]
+        return [other for other in beyond if self.polygons[other]["area"] in areas]
+
+    def of(self, *areas: int) -> list[int]:
+        return np.flatnonzero(np.isin(self.polygons["area"], areas)).tolist()
+
+    def components(self, *areas: int) -> list[set[int]]:
+        left, found = set(self.of(*areas)), []
+        while left:
+            queue = [left.pop()]
+            for number in queue:
+                new = left & set(self.neighbours(number, areas))
+                left -= new
+                queue += sorted(new)
+            found.append(set(queue))
+        return found
+
+
+def read(data: bytes) -> Mesh:
+    place = 0
+
+    def take(dtype: np.dtype, count: int = 1) -> Any:
+        nonlocal place
+        rows = np.frombuffer(data, dtype, count, place)
+        place += rows.nbytes
+        assert rows.nbytes % 4 == 0
+        return rows
+
+    (set_header,), (tile_header,) = take(detour.SET_HEADER), take(detour.TILE_HEADER)
+    assert tile_header["size"] == len(data) - place
+    (header,) = take(detour.MESH_HEADER)
+    corners, polygons = take(detour.CORNER, header["corners"]), take(detour.POLYGON, header["polygons"])
+    take(detour.LINK, header["links"])
+    details, triangles = take(detour.DETAIL, header["details"]), take(detour.TRIANGLE, header["triangles"])
+    boxes = take(detour.BOX, header["boxes"])
+    assert place == len(data)
+    return Mesh(set_header, tile_header, header, corners, polygons, details, triangles, boxes)
+
+
+@cache
+def loaded(name: str) -> Town:
+    return load_town() if name == BUILT_IN else load_town(town(name))
+
+
+@cache
+def mesh_of(name: str) -> Mesh:
+    return read(navigation_mesh(loaded(name)))
+
+
+@pytest.fixture(params=(BUILT_IN, "Town01", "Town02", "Town10HD"))
+def name(request: pytest.FixtureRequest) -> str:
+    return request.param
+
+
+@pytest.fixture
+def mesh(name: str) -> Mesh:
+    return mesh_of(name)
+
+
+def graph(nodes: list[tuple[float, ...]], *edges: tuple[int, int], crossings: Iterable[tuple[int, int]] = ()) -> WalkGraph:
+    pairs = [*edges, *crossings]
+    crossing = np.arange(len(pairs)) >= len(edges)
+    places = np.array([(*node, 0.0)[:3] for node in nodes], float).reshape(-1, 3)
+    return WalkGraph(places, np.array(pairs, np.int64).reshape(-1, 2), crossing)
+
+
+def built(walks: WalkGraph) -> Mesh:
+    ways = Ways(walks)
+    ways.loosen()
+    ways.straighten()
+    return read(mesh_bytes(walkable_surface(ways)))
+
+
+def turns(outline: np.ndarray) -> np.ndarray:
+    """The sines of the angles at the corners of a polygon, times the lengths of its sides."""
+    ahead = np.roll(outline, -1, axis=0)[:, :2] - outline[:, :2]
+    behind = np.roll(ahead, 1, axis=0)
+    return behind[:, 0] * ahead[:, 1] - behind[:, 1] * ahead[:, 0]
+
+
+def distance(outline: np.ndarray, place: np.ndarray) -> float:
+    """How far a place is from a convex polygon, seen from above."""
+    start, end = outline[:, :2], np.roll(outline, -1, axis=0)[:, :2]
+    side, away = end - start, place[:2] - start
+    if (side[:, 0] * away[:, 1] - side[:, 1] * away[:, 0] <= 0).all():
+        return 0.0
+    share = np.clip((away * side).sum(axis=1) / (side**2).sum(axis=1), 0, 1)
+    return float(np.hypot(*(away - share[:, None] * side).T).min())
+
+
+def reached(walks: WalkGraph) -> int:
+    """How many parts of a walk graph do not hang together."""
+    label = np.arange(len(walks.nodes))
+    for _ in walks.nodes:
+        before = label.copy()
+        low = np.minimum(label[walks.edges[:, 0]], label[walks.edges[:, 1]])
+        np.minimum.at(label, walks.edges[:, 0], low)
+        np.minimum.at(label, walks.edges[:, 1], low)
+        if (label == before).all():
+            break
+    return len(set(label.tolist()))
+
+
+def test_layout_is_the_one_that_the_client_reads() -> None:
+    dtypes = detour.SET_HEADER, detour.TILE_HEADER, detour.MESH_HEADER, detour.CORNER, detour.POLYGON, detour.LINK
+    assert [dtype.itemsize for dtype in dtypes] == [40, 8, 100, 12, 32, 12]
+    assert [dtype.itemsize for dtype in (detour.DETAIL, detour.TRIANGLE, detour.BOX)] == [12, 4, 16]
+    data = navigation_mesh(loaded(BUILT_IN))
+    assert data[:8] == b"TESM\1\0\0\0"
+    assert data[48:56] == b"VAND\7\0\0\0"
+
+
+def test_headers_say_what_follows(mesh: Mesh) -> None:
+    assert mesh.set_header["tiles"] == mesh.set_header["most_tiles"] == 1
+    most = int(mesh.set_header["most_polygons"])
+    assert len(mesh.polygons) <= most == 1 << (most.bit_length() - 1)
+    assert mesh.tile_header["reference"] // most == 1  # the salt; the numbers of tile and polygon are 0
+    assert mesh.header["links"] >= sum(len(mesh.neighbours(number)) for number in range(len(mesh.polygons)))
+    assert (mesh.corners > mesh.header["low"]).all()
+    assert (mesh.corners < mesh.header["high"]).all()
+
+
+def test_polygons_are_convex_and_turn_as_detour_wants(mesh: Mesh) -> None:
+    for number, polygon in enumerate(mesh.polygons):
+        assert 3 <= polygon["count"] <= detour.CORNERS
+        assert (turns(mesh.outline(number)) < 1e-3).all()
+    assert (mesh.polygons["flags"] == 1 << mesh.polygons["area"]).all()
+
+
+def test_neighbours_share_a_side(mesh: Mesh) -> None:
+    for number, polygon in enumerate(mesh.polygons):
+        corners = polygon["corners"][: polygon["count"]].tolist()
+        for side, other in zip(pairwise([*corners, corners[0]]), polygon["neighbours"], strict=False):
+            if other:
+                beyond = mesh.polygons[other - 1]
+                around = beyond["corners"][: beyond["count"]].tolist()
+                assert side[::-1] in pairwise([*around, around[0]])
+                assert number in mesh.neighbours(other - 1)
+
+
+def test_triangles_fill_the_polygons(mesh: Mesh) -> None:
+    for number, detail in enumerate(mesh.details):
+        outline = mesh.outline(number)[:, :2]
+        rows = mesh.triangles[detail["triangle"] : detail["triangle"] + detail["triangles"]]
+        area = sum(np.linalg.det(outline[row[1:3]] - outline[row[0]]) for row in rows)
+        around = np.roll(outline, -1, axis=0)
+        assert area == pytest.approx((outline[:, 0] * around[:, 1] - outline[:, 1] * around[:, 0]).sum(), rel=1e-3)
+        sides = sum(int(row[3]) >> shift & 1 for row in rows for shift in (0, 2, 4))
+        assert sides == mesh.polygons[number]["count"]
+
+
+def test_boxes_find_all_polygons_at_a_place(mesh: Mesh) -> None:
+    scale, origin = mesh.header["box_scale"], mesh.header["low"]
+    random = np.random.default_rng(1)
+    for place in mesh.corners[random.integers(len(mesh.corners), size=50)]:
+        low, high = (place - 2 - origin) * scale, (place + 2 - origin) * scale
+        found, at = set(), 0
+        while at < len(mesh.boxes):
+            box = mesh.boxes[at]
+            overlaps = (box["low"] <= high).all() and (box["high"] >= low).all()
+            if overlaps and box["number"] >= 0:
+                found.add(int(box["number"]))
+            at += 1 if overlaps or box["number"] >= 0 else -box["number"]
+        near = {
+            number
+            for number, polygon in enumerate(mesh.polygons)
+            if (mesh.corners[polygon["corners"][: polygon["count"]]].min(axis=0) <= place + 2).all()
+            and (mesh.corners[polygon["corners"][: polygon["count"]]].max(axis=0) >= place - 2).all()
+        }
+        assert near <= found
+
+
+def test_all_of_the_walks_is_there_and_hangs_together(name: str, mesh: Mesh) -> None:
+    walks = loaded(name).walks
+    assert reached(walks) == len(mesh.components(SIDEWALK, CROSSWALK)) == 1
+    outlines = [mesh.outline(number) for number in mesh.of(SIDEWALK, CROSSWALK)]
+    middles = np.array([outline.mean(axis=0) for outline in outlines])
+    reach = np.array(
+        [np.linalg.norm(outline - middle, axis=1).max() for outline, middle in zip(outlines, middles, strict=True)]
+    )
+    for node in walks.nodes:
+        near = np.flatnonzero(np.linalg.norm(middles - node, axis=1) < reach + FROM_THE_MIDDLE)
+        best = min(near, key=lambda number: distance(outlines[number], node))
+        assert distance(outlines[best], node) < FROM_THE_MIDDLE
+        assert outlines[best][:, 2].min() - 0.5 < node[2] < outlines[best][:, 2].max() + 0.5
+
+
+def test_crossings_join_both_sides(name: str, mesh: Mesh) -> None:
+    crossings = mesh.of(CROSSWALK)
+    assert len(crossings) == loaded(name).walks.crossing.sum()
+    assert all(len(set(mesh.neighbours(number))) >= 2 for number in crossings)
+    assert len(mesh.components(SIDEWALK)) > 1  # each block of houses has its own sidewalk
+
+
+def test_ways_over_roads_lead_over_lanes(name: str, mesh: Mesh) -> None:
+    roads, where = mesh.of(ROAD), loaded(name)
+    assert len(roads) > 20
+    for number in roads:
+        assert len(mesh.neighbours(number, (SIDEWALK,))) == 2
+        a, b = mesh.outline(number)[[0, 2]]
+        line = a + np.linspace(0, 1, 21)[:, None] * (b - a)
+        lanes, s = where.nearest_lane(*line[:, :2].T)
+        _, aside = where.project(lanes, *line[:, :2].T, s)
+        assert (np.abs(aside) < 2).mean() > 0.25
+
+
+def test_mesh_is_the_same_each_time(name: str) -> None:
+    assert navigation_mesh.__wrapped__(loaded(name)) == navigation_mesh.__wrapped__(loaded(name))
+
+
+def test_file_is_named_after_what_is_in_it() -> None:
+    ((name, data),) = navigation_files(loaded(BUILT_IN)).items()
+    path = PurePosixPath(name)
+    assert data == navigation_mesh(loaded(BUILT_IN))
+    assert not path.is_absolute()
+    assert path.parts[0] == "carla-recap"  # the client's folder of files is that of CARLA's own maps as well
+    ((other, _),) = navigation_files(loaded("Town01")).items()
+    assert other != name
+
+
+def test_town_without_sidewalks_has_no_mesh(tmp_path: Any) -> None:
+    path = tmp_path / "plain.xodr"
+    path.write_text(opendrive(road()))
+    plain = load_town(path)
+    assert navigation_mesh(plain) == b""
+    assert navigation_files(plain) == {}
+
+
+def test_sidewalk_that_is_but_a_place_has_no_mesh() -> None:
+    ways = Ways(graph([(0, 0), (0.5, 0)], (0, 1)))
+    ways.loosen()
+    assert mesh_bytes(walkable_surface(ways)) == b""
+
+
+def test_more_than_a_tile_can_hold_has_no_mesh() -> None:
+    count = detour.MOST // 2 + 2
+    nodes = [(4.0 * number, float(number % 2)) for number in range(count)]
+    assert mesh_bytes(walkable_surface(Ways(graph(nodes, *pairwise(range(count)))))) == b""
+    flat = flat_town()
+    flat.walks = graph(nodes * 2, *pairwise(range(2 * count)))
+    assert navigation_mesh(flat) == b""
+
+
+def test_straight_way_is_one_strip() -> None:
+    mesh = built(graph([(5.0 * number, 0) for number in range(21)], *pairwise(range(21))))
+    (outline,) = (mesh.outline(number) for number in range(len(mesh.polygons)))
+    assert np.abs(outline[:, 1]) == pytest.approx(np.ones(4))
+    assert np.sort(outline[:, 0]) == pytest.approx([0, 0, 100, 100], abs=1e-4)
+
+
+def test_slope_is_kept() -> None:
+    mesh = built(graph([(0, 0, 0), (20, 0, 0), (40, 0, 2), (60, 0, 2)], (0, 1), (1, 2), (2, 3)))
+    assert len(mesh.polygons) == 3
+    assert sorted({round(float(height), 3) for height in mesh.corners[:, 1]}) == [0, 2]
+
+
+@pytest.mark.parametrize("ways", [3, 4, 6, 7, 12])
+def test_meetings_of_many_ways(ways: int) -> None:
+    angles = np.arange(ways) * 2 * np.pi / ways
+    nodes = [(0.0, 0.0), *((30 * np.cos(angle), 30 * np.sin(angle)) for angle in angles)]
+    mesh = read(mesh_bytes(walkable_surface(Ways(graph(nodes, *((0, number + 1) for number in range(ways)))))))
+    assert len(mesh.components(SIDEWALK)) == 1
+    assert sum(len(mesh.neighbours(number)) == 1 for number in range(len(mesh.polygons))) == ways
+    assert all((turns(mesh.outline(number)) < 1e-3).all() for number in range(len(mesh.polygons)))
+
+
+def test_ways_part_where_there_is_room() -> None:
+    # A crossing goes straight on where the sidewalk turns a corner slowly.
+    corner = [(10 * np.sin(angle), 10 - 10 * np.cos(angle)) for angle in np.linspace(0, np.pi / 2, 5)]
+    nodes = [(-20.0, 0.0), *corner, (10.0, 40.0), (18.0, 0.0)]
+    mesh = built(graph(nodes, *pairwise(range(7)), crossings=[(1, 7)]))
+    (crossing,) = mesh.of(CROSSWALK)
+    (meeting,) = mesh.neighbours(crossing)
+    assert len(mesh.neighbours(meeting)) == 3
+    sides = np.linalg.norm(np.diff(mesh.outline(meeting)[[0, 1, 2, 0]], axis=0), axis=1)
+    assert sides.min() > 0.8
+
+
+def test_sharp_bends_and_places_that_are_one_stay_convex() -> None:
+    zigzag = [(0, 0), (10, 0), (1, 3), (10, 6), (0, 6), (0, 6), (0, 6.1), (-9, 6)]
+    mesh = built(graph(zigzag, *pairwise(range(len(zigzag)))))
+    assert len(mesh.components(SIDEWALK)) == 1
+    assert all((turns(mesh.outline(number)) < 1e-3).all() for number in range(len(mesh.polygons)))

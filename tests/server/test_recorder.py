@@ -1,0 +1,366 @@
+from __future__ import annotations
+
+import asyncio
+import gzip
+import re
+from functools import partial
+from typing import TYPE_CHECKING
+
+import carla
+import pytest
+
+import carla_recap
+from carla_recap import queries
+from carla_recap.errors import RecapError
+from carla_recap.server import replies, running
+from carla_recap.sim import World, load_town
+from carla_recap.sim.actors import Vehicle
+from carla_recap.sim.control import VehicleControl
+from carla_recap.sim.geometry import Transform
+from tests.samples import CARLA_LOGS
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Iterator
+    from pathlib import Path
+
+DELTA = 0.05
+CARS = {"vehicle.audi.tt", "vehicle.tesla.model3"}
+OTHER_MAP = "Otherfield"
+
+
+@pytest.fixture(scope="module")
+def recordings(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Recordings of 4 s, in both formats: a parked car, and a hero that drives off; and one of another map."""
+    folder = tmp_path_factory.mktemp("recordings")
+    world = World(load_town(), date=0)
+    places = world.town.spawn_points
+    world.spawn("vehicle.audi.tt", places[0])
+    hero = world.spawn("vehicle.tesla.model3", places[5], role_name="hero")
+    world.spawn("sensor.other.collision", Transform(), parent=hero)
+    assert isinstance(hero, Vehicle)
+    hero.apply_control(VehicleControl(throttle=0.8))
+    world.start_recorder(folder / "drive.mcap", additional_data=True)
+    world.run(4.0)
+    world.close()
+    carla_recap.convert(folder / "drive.mcap", folder / "also.log")
+    with carla_recap.create_recording(folder / "elsewhere.log", map_name=OTHER_MAP, date=0) as recording:
+        recording.add_frame(0.0)
+        recording.add_frame(5.0)
+    with carla_recap.create_recording(folder / "nowhere.log", map_name="Carla/Maps/Town42", date=0) as recording:
+        recording.add_frame(0.0)
+    (folder / "text.log").write_text("hello")
+    return folder
+
+
+@pytest.fixture(scope="module")
+def port(recordings: Path, tmp_path_factory: pytest.TempPathFactory) -> Iterator[int]:
+    """A server in UTC, which has another map."""
+    maps = tmp_path_factory.mktemp("maps")
+    (maps / f"{OTHER_MAP}.xodr").write_text(load_town().opendrive)
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setenv("TZ", "UTC")
+        with running(recordings=recordings, maps=maps) as port:
+            yield port
+
+
+@pytest.fixture(autouse=True)
+def _as_at_first(client: carla.Client) -> Iterator[None]:
+    """Nothing of what a test sets stays."""
+    yield
+    client.set_replayer_time_factor(1.0)
+    client.set_replayer_ignore_hero(False)
+    client.set_replayer_ignore_spectator(True)
+
+
+def vehicles(world: carla.World) -> dict[str, carla.Actor]:
+    return {actor.type_id: actor for actor in world.get_actors().filter("vehicle.*")}
+
+
+# --- recording -----------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(("name", "file"), [("one", "one.mcap"), ("two.mcap", "two.mcap"), ("three.log", "three.log")])
+def test_a_recording_has_the_format_of_its_suffix(
+    client: carla.Client, world: carla.World, recordings: Path, name: str, file: str
+) -> None:
+    assert client.start_recorder(name, True) == str(recordings / file)
+    for _ in range(10):
+        world.tick()
+    client.stop_recorder()
+    answer = client.show_recorder_file_info(name, True)
+    assert answer.startswith("Version: 1\nMap: Brickfield\nDate: ")
+    assert "Current platform time" in answer
+    assert answer.endswith(f"\nFrames: 10\nDuration: {9 * DELTA:g} seconds\n")
+
+
+def test_a_name_with_a_slash_is_a_path(client: carla.Client, world: carla.World, tmp_path: Path) -> None:
+    path = tmp_path / "mine.log"
+    assert client.start_recorder(str(path)) == str(path)
+    world.tick()
+    client.stop_recorder()  # which does not wait; the next call does
+    client.get_server_version()
+    assert path.read_bytes()[2:18] == b"\x0e\x00CARLA_RECORDER"
+
+
+@pytest.mark.parametrize(
+    ("name", "error"),
+    [
+        ("", "the name of a recording was expected"),
+        ("drive.rec", r"unknown format '\.rec'; \.log or \.mcap was expected"),
+        ("/nowhere/at.all/drive.log", r"/nowhere/at\.all/drive\.log: cannot be written: No such file"),
+        ("a\0b", "embedded null byte"),
+        ("long" * 100, "cannot be written: File name too long"),
+    ],
+)
+def test_a_place_that_cannot_be_recorded_to_is_an_error(client: carla.Client, name: str, error: str) -> None:
+    with pytest.raises(RuntimeError, match=error):
+        client.start_recorder(name)
+
+
+def test_what_is_being_recorded_can_be_asked_about_later(client: carla.Client, world: carla.World, recordings: Path) -> None:
+    client.start_recorder("running")
+    world.tick()
+    for ask in queries_of("running"):
+        with pytest.raises(RuntimeError, match=r"running\.mcap is being recorded; .* after stop_recorder"):
+            ask(client)
+    assert "Duration" in client.show_recorder_file_info("drive", False)
+    client.stop_recorder()
+    assert "Frames: 1\n" in client.show_recorder_file_info("running", False)
+
+
+# --- queries -------------------------------------------------------------------------------------------------------------
+
+
+def queries_of(name: str) -> list[Callable[[carla.Client], str]]:
+    return [
+        lambda client: client.show_recorder_file_info(name, False),
+        lambda client: client.show_recorder_file_info(name, True),
+        lambda client: client.show_recorder_collisions(name, "a", "a"),
+        lambda client: client.show_recorder_actors_blocked(name, 1.0, 100.0),
+    ]
+
+
+def test_both_formats_answer_alike(client: carla.Client) -> None:
+    for of_mcap, of_log in zip(queries_of("drive"), queries_of("also.log"), strict=True):
+        answer = of_mcap(client)
+        assert answer == of_log(client)
+        assert "Map: Brickfield\nDate: 01/01/70 00:00:00\n\n" in answer
+
+
+@pytest.mark.skipif(
+    not CARLA_LOGS.exists(), reason=f"{CARLA_LOGS} is not here: it is data that is not part of the repository"
+)
+@pytest.mark.parametrize("name", ["events", "collisions", "blocked", "carla-0.9.13-lane-center", "magic_bad"])
+def test_the_answers_are_those_of_carla(client: carla.Client, name: str) -> None:
+    expected, path = CARLA_LOGS / "expected", str(CARLA_LOGS / f"{name}.log")
+    assert client.show_recorder_file_info(path, False) == (expected / f"{name}.info.txt").read_text()
+    whole = gzip.decompress((expected / f"{name}.info_all.txt.gz").read_bytes())
+    assert client.show_recorder_file_info(path, True) == whole.decode()
+    for types in ("aa", "hw", "vo", "vt"):
+        answer = (expected / f"{name}.collisions_{types[0]}_{types[1]}.txt").read_text()
+        assert client.show_recorder_collisions(path, *types) == answer
+    for time, distance in ((0.5, 10), (60, 100)):
+        answer = (expected / f"{name}.blocked_{time}_{distance}.txt").read_text()
+        assert client.show_recorder_actors_blocked(path, time, distance) == answer
+
+
+def test_what_is_no_recording_has_carlas_texts(client: carla.Client, recordings: Path) -> None:
+    for ask in queries_of("absent.log"):
+        assert ask(client) == f"File {recordings / 'absent.log'} not found on server\n"
+    for ask in queries_of("text"):
+        assert ask(client) == "File is not a CARLA recorder\n"
+    for ask in queries_of("long" * 100):
+        with pytest.raises(RuntimeError, match=r"cannot be read: .*File name too long"):
+            ask(client)
+
+
+def test_a_damaged_recording_is_an_error_that_tells_where(client: carla.Client, recordings: Path) -> None:
+    data = bytearray((recordings / "also.log").read_bytes())
+    begin = 2 + 2 + len("CARLA_RECORDER") + 8 + 2 + len("Brickfield")
+    data[begin + 1] -= 1  # the size of the first frame's start
+    (recordings / "damaged.log").write_bytes(data)
+    with pytest.raises(RuntimeError, match=r"damaged\.log: byte \d+: "):
+        client.show_recorder_file_info("damaged.log", True)
+    with pytest.raises(RuntimeError, match=r"damaged\.log: byte \d+: "):
+        client.replay_file("damaged.log", 0.0, 0.0, 0)
+
+
+def test_an_answer_that_is_too_long_is_none(recordings: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(replies, "_LONGEST", 1000)
+    with pytest.raises(RecapError, match=r"drive\.mcap: the answer has more than 1000 characters"):
+        asyncio.run(replies.answer(recordings / "drive.mcap", partial(queries.info, all=True, compat=True)))
+
+
+# --- replaying -----------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("name", ["drive", "also.log"])
+def test_a_replay_is_told_as_by_carla(client: carla.Client, recordings: Path, name: str) -> None:
+    path = recordings / ("drive.mcap" if name == "drive" else name)
+    total = f"{4 - DELTA:g}"
+    assert client.replay_file(name, 0.0, 0.0, 0) == (
+        f"Replaying File: {path}\n"
+        f"Total time recorded: {total}\n"
+        f"Replaying from 0 s - {total} s ({total} s) at 1.0x\n"
+        "Ignoring Spectator camera\n"
+    )
+    client.set_replayer_time_factor(2.5)
+    client.set_replayer_ignore_hero(True)
+    client.set_replayer_ignore_spectator(False)
+    assert client.replay_file(name, -3.0, 10.0, 0) == (
+        f"Replaying File: {path}\n"
+        f"Total time recorded: {total}\n"
+        f"Replaying from 0.95 s - 10.95 s ({total} s) at 2.5x\n"
+        "Ignoring Hero vehicle\n"
+    )
+
+
+def test_what_cannot_be_replayed_has_carlas_texts(client: carla.Client, recordings: Path) -> None:
+    path = recordings / "absent.log"
+    assert client.replay_file("absent.log", 0.0, 0.0, 0) == f"Replaying File: {path}\nFile {path} not found on server\n"
+    path = recordings / "text.log"
+    assert client.replay_file("text", 0.0, 0.0, 0) == f"Replaying File: {path}\nFile is not a CARLA recorder\n"
+    answer = client.replay_file("nowhere", 0.0, 0.0, 0).splitlines()
+    assert answer[1] == "Could not load mapfile Carla/Maps/Town42"
+    assert "Town42" in answer[2]
+
+
+def test_what_carla_has_no_text_for_is_an_error(client: carla.Client) -> None:
+    with pytest.raises(RuntimeError, match=r"nothing at 99 s; the recording ends at 3\.95 s"):
+        client.replay_file("drive", 99.0, 0.0, 0)
+    with pytest.raises(RuntimeError, match="no actor 4242 to follow; near ids are"):
+        client.replay_file("drive", 0.0, 0.0, 4242)
+
+
+def test_replayed_actors_are_seen_and_go(client: carla.Client, world: carla.World) -> None:
+    before = {actor.id for actor in world.get_actors()}
+    client.replay_file("drive", 0.0, 0.0, 0)
+    frames = [world.tick() for _ in range(20)]
+    assert frames == list(range(frames[0], frames[0] + 20))
+    first = vehicles(world)
+    assert first.keys() == CARS
+    hero = first["vehicle.tesla.model3"]
+    assert hero.attributes["role_name"] == "hero"
+    assert hero.get_velocity().length() > 1.0
+    client.stop_replayer(False)
+    world.tick()
+    assert not vehicles(world)
+    client.replay_file("drive", 0.0, 0.0, 0)
+    world.tick()
+    again = vehicles(world)
+    assert {actor.id for actor in again.values()}.isdisjoint(before | {actor.id for actor in first.values()})
+    client.stop_replayer(True)
+    world.tick()
+    assert vehicles(world).keys() == again.keys()
+
+
+def test_a_replay_that_begins_ends_the_one_before(client: carla.Client, world: carla.World) -> None:
+    for _ in range(2):
+        client.replay_file("drive", 0.0, 0.0, 0)
+        world.tick()
+        assert len(world.get_actors().filter("vehicle.*")) == len(CARS)
+
+
+def test_a_recording_that_runs_is_completed_and_can_be_replayed(client: carla.Client, world: carla.World) -> None:
+    client.start_recorder("fresh")
+    for _ in range(5):
+        world.tick()
+    assert "Total time recorded: 0.2\n" in client.replay_file("fresh", 0.0, 0.0, 0)
+
+
+def test_the_time_factor_takes_effect_at_once(client: carla.Client, world: carla.World) -> None:
+    client.replay_file("drive", 1.0, 0.0, 0)
+    world.tick()
+    hero = vehicles(world)["vehicle.tesla.model3"]
+
+    def way(factor: float) -> float:
+        client.set_replayer_time_factor(factor)
+        before = hero.get_location()
+        for _ in range(10):
+            world.tick()
+        return float(before.distance(hero.get_location()))
+
+    normal = way(1.0)
+    assert normal > 0.5
+    assert way(0.0) == 0.0
+    assert way(4.0) > 3 * normal
+
+
+def test_the_hero_can_be_left_out(client: carla.Client, world: carla.World) -> None:
+    client.set_replayer_ignore_hero(True)
+    client.replay_file("drive", 0.0, 0.0, 0)
+    world.tick()
+    assert vehicles(world).keys() == {"vehicle.audi.tt"}
+
+
+def test_the_spectator_follows_at_an_offset(client: carla.Client, world: carla.World) -> None:
+    (id,) = re.findall(r"Create (\d+): vehicle\.tesla", client.show_recorder_file_info("drive", False))
+    offsets = (carla.Transform(carla.Location(-10, 0, 5), carla.Rotation(pitch=-25)), carla.Transform(carla.Location(z=40)))
+    for offset in offsets:
+        arguments = () if offset is offsets[0] else (False, offset)
+        client.replay_file("drive", 0.0, 0.0, int(id), *arguments)
+        for _ in range(10):
+            world.tick()
+        car, camera = vehicles(world)["vehicle.tesla.model3"].get_transform(), world.get_spectator().get_transform()
+        expected = carla.Transform(car.location, carla.Rotation(yaw=car.rotation.yaw)).transform(offset.location)
+        assert camera.location.distance(expected) < 0.01
+        assert camera.rotation.pitch == pytest.approx(offset.rotation.pitch, abs=1e-3)
+
+
+def test_a_recording_of_another_map_begins_an_episode(client: carla.Client, world: carla.World, port: int) -> None:
+    other = carla.Client("127.0.0.1", port)
+    other.set_timeout(10.0)
+    watched = other.get_world()
+    frame = world.tick()
+    ids = {actor.id for actor in world.get_actors()}
+    answer = client.replay_file("elsewhere.log", 0.0, 0.0, 0).splitlines()
+    assert answer[1:4] == [
+        f"Loading map {OTHER_MAP}",
+        "Replayer will start after map is loaded...",
+        "Total time recorded: 5",
+    ]
+    now = client.get_world()
+    assert now.id != world.id
+    assert now.get_map().name.endswith(OTHER_MAP)
+    assert now.tick() > frame
+    assert ids.isdisjoint(actor.id for actor in now.get_actors())
+    assert other.get_world().get_map().name.endswith(OTHER_MAP)
+    assert watched.get_snapshot().frame > frame
+    assert "Loading map Brickfield\n" in client.replay_file("drive", 0.0, 0.0, 0)
+
+
+# --- confined ------------------------------------------------------------------------------------------------------------
+
+
+@pytest.fixture(scope="module")
+def confined(recordings: Path) -> Iterator[carla.Client]:
+    with running(recordings=recordings, confine=True) as port:
+        client = carla.Client("127.0.0.1", port)
+        client.set_timeout(10.0)
+        yield client
+
+
+def test_a_confined_server_serves_its_folder(confined: carla.Client, recordings: Path) -> None:
+    for name in ("drive", "also.log", str(recordings / "drive.mcap")):
+        assert "Brickfield" in confined.show_recorder_file_info(name, False)
+        assert "Total time recorded" in confined.replay_file(name, 0.0, 0.0, 0)
+    assert confined.start_recorder(f"{recordings}/own.log") == str(recordings / "own.log")
+    confined.stop_recorder()
+    confined.get_server_version()
+    assert (recordings / "own.log").exists()
+
+
+def test_a_confined_server_keeps_to_its_folder(confined: carla.Client, recordings: Path, tmp_path: Path) -> None:
+    outside = tmp_path / "outside.log"
+    outside.write_bytes((recordings / "also.log").read_bytes())
+    (recordings / "link.log").symlink_to(outside)
+    (recordings / "links").symlink_to(tmp_path)
+    (recordings / "loop.log").symlink_to(recordings / "loop.log")
+    names = [str(outside), f"{recordings}/../{tmp_path.name}/x.log", "link", "link.log", f"{recordings}/links/outside.log"]
+    for name in [*names, ".", "..", "../x", "loop.log"]:
+        calls = [*queries_of(name), lambda client, name=name: client.replay_file(name, 0.0, 0.0, 0)]
+        if name != "link":  # a new link.mcap is as good as any
+            calls.append(lambda client, name=name: client.start_recorder(name))
+        for ask in calls:
+            with pytest.raises(RuntimeError, match="lies outside the folder of recordings"):
+                ask(confined)

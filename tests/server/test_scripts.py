@@ -1,0 +1,149 @@
+"""The sample scripts, each run as a user runs it."""
+
+from __future__ import annotations
+
+import re
+import socket
+import subprocess
+import sys
+from pathlib import Path
+import carla
+import pytest
+
+from carla_recap.sim import World, load_town
+from carla_recap.sim.staging import Crash
+
+SAMPLES = Path(__file__).parents[2] / "samples"
+SCRIPTS = sorted(path.stem for path in SAMPLES.glob("*.py") if "from common import" in path.read_text())
+BEHIND = (10.0**2 + 5.0**2) ** 0.5
+"""m: how far the camera is from whom it follows."""
+
+
+@pytest.fixture(scope="module")
+def recordings(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A recording of a hero that runs over a walker and into a van, after it has stood for 5 s."""
+    folder = tmp_path_factory.mktemp("recordings")
+    world = World(load_town(), seed=1, date=0)
+    Crash(world)
+    world.start_recorder(folder / "staged.log")
+    world.run(20.0)
+    world.close()
+    return folder
+
+
+@pytest.fixture(scope="module")
+def traffic() -> int:
+    """A port for a traffic manager."""
+    with socket.socket() as free:
+        free.bind(("127.0.0.1", 0))
+        return int(free.getsockname()[1])
+
+
+def command(port: int, script: str, *arguments: object) -> list[str]:
+    return [sys.executable, str(SAMPLES / f"{script}.py"), f"--port={port}", *map(str, arguments)]
+
+
+def output_of(port: int, script: str, *arguments: object) -> str:
+    done = subprocess.run(command(port, script, *arguments), capture_output=True, text=True, timeout=60)
+    assert not done.returncode, done.stdout + done.stderr
+    return done.stdout
+
+
+@pytest.mark.parametrize("script", SCRIPTS)
+def test_each_script_says_what_it_does(script: str) -> None:
+    text = output_of(0, script, "--help")
+    assert "--host H" in text
+    assert "-p P, --port P" in text
+
+
+def test_file_info(client: carla.Client, port: int) -> None:
+    assert (
+        output_of(port, "show_recorder_file_info", "-f", "staged.log")
+        == client.show_recorder_file_info("staged", False) + "\n"
+    )
+    everything = output_of(port, "show_recorder_file_info", "-f", "staged.log", "-a")
+    assert everything == client.show_recorder_file_info("staged.log", True) + "\n"
+    assert " Positions: " in everything
+
+
+def test_collisions(port: int) -> None:
+    everything = output_of(port, "show_recorder_collisions", "-f", "staged.log")
+    walkers = output_of(port, "show_recorder_collisions", "-f", "staged.log", "-t", "hw")
+    assert "vehicle.mercedes.sprinter" in everything
+    assert "walker.pedestrian.0004" in walkers
+    assert "vehicle.mercedes.sprinter" not in walkers
+    with pytest.raises(AssertionError, match="-t hvw: expected two letters"):
+        output_of(port, "show_recorder_collisions", "-t", "hvw")
+
+
+def test_actors_blocked(port: int) -> None:
+    assert "vehicle.mercedes.sprinter" not in output_of(port, "show_recorder_actors_blocked", "-f", "staged.log")
+    assert "vehicle.mercedes.sprinter" in output_of(port, "show_recorder_actors_blocked", "-f", "staged", "-t", 10, "-d", 50)
+
+
+def test_replaying(client: carla.Client, world: carla.World, port: int) -> None:
+    (id,) = re.findall(r"Create (\d+): vehicle\.tesla", client.show_recorder_file_info("staged", False))
+    answer = output_of(port, "start_replaying", "-f", "staged.log", "-s", 8, "-d", 5, "-c", id, "-x", 0.5)
+    assert "Replaying from 8 s - 13 s (19.95 s) at 0.5x\nIgnoring Spectator camera\n" in answer
+    for _ in range(10):
+        world.tick()
+    (hero,) = world.get_actors().filter("vehicle.tesla.*")
+    assert hero.get_location().distance(world.get_spectator().get_location()) == pytest.approx(BEHIND, abs=0.1)
+    answer = output_of(port, "start_replaying", "-f", "staged.log", "--ignore-hero", "--move-spectator", "--spawn-sensors")
+    assert "at 1.0x\nIgnoring Hero vehicle\n" in answer
+    assert "Ignoring Spectator" not in answer
+    world.tick()
+    assert not world.get_actors().filter("vehicle.tesla.*")
+    client.set_replayer_ignore_hero(False)
+
+
+def test_synchronous_mode(client: carla.Client, port: int) -> None:
+    lines = output_of(port, "synchronous_mode", "-t", 8).splitlines()
+    frames = [int(frame) for frame in re.findall(r"frame (\d+): -?\d+\.\d{6}, -?\d+\.\d{6}", "\n".join(lines))]
+    assert frames == list(range(frames[0], frames[0] + 8 * 20, 20))
+    assert any(line.endswith("collision with vehicle.audi.tt") for line in lines)
+
+
+def test_the_hero_is_driven_anew(client: carla.Client, world: carla.World, port: int, traffic: int) -> None:
+    output = output_of(port, "drive_hero_anew", "-f", "staged.log", "-s", 5, "-t", 8, "--tm-port", traffic)
+    assert "Ignoring Hero vehicle\n" in output
+    seconds = re.findall(r"^ +(\d+)\.0 s: \(-?[\d.]+, -?[\d.]+\) at (\d+) km/h$", output, re.MULTILINE)
+    assert [int(second) for second, _ in seconds] == list(range(5, 13))
+    assert max(int(speed) for _, speed in seconds) > 15
+    world.tick()
+    assert not world.get_actors().filter("vehicle.*")
+
+
+def test_a_crash_in_traffic_is_recorded_found_and_replayed(client: carla.Client, port: int, traffic: int) -> None:
+    """As a user would: 30 cars, a hero that crashes, queries, and a replay from 2 s before the crash, behind the hero."""
+    world = client.get_world()
+    world.apply_settings(carla.WorldSettings(synchronous_mode=False))
+    record = command(port, "start_recording", "-f", "crash", "-n", 30, "-t", 12, "--safe", "--tm-port", traffic)
+    with subprocess.Popen(record, stdout=subprocess.PIPE, text=True) as recording:
+        assert recording.stdout is not None
+        assert "crash.mcap" in recording.stdout.readline()
+        assert recording.stdout.readline() == "spawned 30 vehicles, press Ctrl+C to exit.\n"
+        hero = int(output_of(port, "crash_hero", "--length", 40).split()[1])
+        assert recording.stdout.read() == "Stopped recording, destroyed 30 vehicles.\n"
+    assert not recording.returncode
+
+    created = re.findall(r"Create (\d+): vehicle\.", output_of(port, "show_recorder_file_info", "-f", "crash"))
+    assert len(created) == 32
+    row = re.search(
+        rf"^ +(\d+)   v v +{hero} vehicle", output_of(port, "show_recorder_collisions", "-f", "crash", "-t", "hv"), re.M
+    )
+    assert row is not None
+    crash = int(row[1])
+
+    answer = output_of(port, "start_replaying", "-f", "crash", "-s", crash - 2, "-d", 3, "-c", hero)
+    assert f"Replaying from {crash - 2} s - {crash + 1} s" in answer
+    begin = world.wait_for_tick()
+    (car,) = (car for car in world.get_actors().filter("vehicle.*") if car.attributes["role_name"] == "hero")
+    spectator, speeds, moment = world.get_spectator(), [], begin
+    while moment.timestamp.elapsed_seconds < begin.timestamp.elapsed_seconds + 2.0:
+        moment = world.wait_for_tick()
+        hero_now, camera = moment.find(car.id), moment.find(spectator.id)
+        assert hero_now.get_transform().location.distance(camera.get_transform().location) == pytest.approx(BEHIND, abs=0.01)
+        speeds.append(hero_now.get_velocity().length())
+    assert max(speeds) > 5.0
+    assert len(world.get_actors().filter("vehicle.*")) == 32

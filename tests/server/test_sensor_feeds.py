@@ -1,0 +1,459 @@
+"""What sensors tell, byte by byte; the official client's side is in `test_sensors`."""
+
+from __future__ import annotations
+
+import struct
+from math import exp, pi, radians
+from typing import TYPE_CHECKING, Any
+
+import carla
+import msgpack
+import numpy as np
+import pytest
+
+from carla_recap.server.actor_records import stream_of
+from carla_recap.server.calls.table import CallError
+from carla_recap.server.host import Host
+from carla_recap.server.sensors import KINDS, Sensors, Support
+from carla_recap.server.sensors.georeference import GeoReference
+from carla_recap.server.sensors.rays import Boxes
+from carla_recap.server.streams import Subscriber
+from carla_recap.sim.actors import Vehicle
+from carla_recap.sim.blueprints import standard_library
+from carla_recap.sim.control import VehicleControl
+from carla_recap.sim.geometry import Location, Rotation, Transform, Vector
+from tests.maps.towns import town
+from tests.sim.flat import at, flat_town, flat_world
+
+if TYPE_CHECKING:
+    from carla_recap.sim.actors import Actor
+
+HERE = Transform()
+HEADER = struct.Struct("<QQd6f")
+
+
+class Listener(Subscriber):
+    """Somebody who listens to a sensor, without a connection."""
+
+    def __init__(self, host: Host, sensor: Actor) -> None:
+        super().__init__(host.streams)
+        self.frames: list[bytes] = []
+        self.closed = False
+        self.stream = stream_of(sensor)
+        host.streams.enter(self.stream, self)
+
+    def send(self, frame: bytes) -> None:
+        self.frames.append(bytes(frame[4:]))
+
+    def close(self) -> None:
+        self.closed = True
+
+    def take(self) -> list[tuple[tuple[Any, ...], bytes]]:
+        """Headers and payloads that have come since this was last asked."""
+        frames, self.frames = self.frames, []
+        return [(HEADER.unpack(frame[: HEADER.size]), frame[HEADER.size :]) for frame in frames]
+
+    def payload(self) -> bytes:
+        """The only frame that has come."""
+        ((_, payload),) = self.take()
+        return payload
+
+
+def served() -> Host:
+    return Host(flat_world())
+
+
+def vehicle(host: Host, x: float = 0.0, y: float = 0.0, yaw: float = 0.0) -> Vehicle:
+    actor = host.world.spawn("vehicle.tesla.model3", at(x, y, yaw))
+    assert isinstance(actor, Vehicle)
+    return actor
+
+
+def sensor(
+    host: Host, kind: str, parent: Actor | None = None, place: Transform | None = None, **attributes: str
+) -> Listener:
+    actor = host.world.spawn(f"sensor.{kind}", place or Transform(), parent=parent, **attributes)
+    return Listener(host, actor)
+
+
+def test_each_sensor_of_the_library_is_in_the_table() -> None:
+    assert {blueprint.id for blueprint in standard_library().filter("sensor.*")} == set(KINDS)
+    assert {kind.support for kind in KINDS.values()} == set(Support)
+
+
+def test_a_frame_begins_with_kind_frame_time_and_place() -> None:
+    host = served()
+    gnss = sensor(host, "other.gnss", vehicle(host, 10.0, 5.0, 90.0), at(1.0, z=2.0))
+    host.tick()
+    frame = host.tick()
+    (_, ((kind, number, seconds, *place), _)) = gnss.take()
+    assert (kind, number, seconds) == (4, frame, host.world.elapsed)
+    assert place == pytest.approx([10.0, 6.0, 2.0, 0.0, 90.0, 0.0], abs=1e-4)
+
+
+def test_nothing_is_made_for_sensors_that_nobody_listens_to() -> None:
+    host = served()
+    host.world.spawn("sensor.camera.rgb", Transform(), image_size_x="nonsense")
+    host.tick()
+    assert host.sensors._feeds == {}
+
+
+def test_a_stream_ends_with_its_sensor() -> None:
+    host = served()
+    car = vehicle(host)
+    imu, lone = sensor(host, "other.imu", car), sensor(host, "other.imu")
+    host.tick()
+    car.destroy()
+    host.tick()
+    assert imu.closed
+    assert not lone.closed
+    assert (len(imu.take()), len(lone.take())) == (1, 2)
+
+
+def test_nothing_is_kept_of_sensors_that_nobody_listens_to_any_more() -> None:
+    host = served()
+    imu = sensor(host, "other.imu", vehicle(host))
+    host.tick()
+    assert list(host.sensors._feeds) == [imu.stream]
+    host.streams.leave(imu.stream, imu)
+    host.tick()
+    assert host.sensors._feeds == {}
+
+
+def test_streams_end_with_the_episode() -> None:
+    host = served()
+    imu = sensor(host, "other.imu", vehicle(host))
+    host.tick()
+    host.world.reload()
+    host.tick()
+    assert imu.closed
+
+
+@pytest.mark.parametrize(
+    ("interval", "expected"), [("0", 20), ("0.05", 20), ("0.1", 10), ("0.25", 4), ("0.01", 20), ("1e-320", 20), ("x", 20)]
+)
+def test_sensor_tick_says_how_often(interval: str, expected: int) -> None:
+    host = served()
+    gnss = sensor(host, "other.gnss", sensor_tick=interval)
+    for _ in range(20):
+        host.tick(0.05)
+    assert len(gnss.take()) == expected
+
+
+def test_sensors_of_one_interval_tell_of_the_same_frames() -> None:
+    host = served()
+    first = sensor(host, "other.gnss", sensor_tick="0.2")
+    host.tick()
+    second = sensor(host, "other.gnss", sensor_tick="0.2")
+    for _ in range(20):
+        host.tick()
+    assert [header[1] for header, _ in first.take()] == [header[1] for header, _ in second.take()]
+
+
+def test_a_collision_tells_both_actors_and_the_impulse() -> None:
+    host = served()
+    car, other = vehicle(host), vehicle(host, 12.0)
+    collision = sensor(host, "other.collision", car, sensor_tick="1000")
+    silent = sensor(host, "other.collision", vehicle(host, 100.0))
+    car.set_target_velocity(Vector(10.0))
+    before = 10.0
+    while not collision.frames:
+        before = car.velocity.x
+        host.tick()
+    own, their, impulse = msgpack.unpackb(collision.payload())
+    assert (own[0], their[0]) == (car.id, other.id)
+    assert (own[2][1], their[2][1]) == (car.type_id, other.type_id)
+    assert impulse[0] == pytest.approx(1845 * (car.velocity.x - before), rel=0.1)
+    assert impulse[0] < -1000
+    assert silent.take() == []
+
+
+def test_a_barrier_is_static_and_no_actor() -> None:
+    wall = np.array([(20.0, -10.0, 0.0), (20.0, 10.0, 0.0)])
+    host = Host(flat_world(barriers=[wall]))
+    car = vehicle(host)
+    collision = sensor(host, "other.collision", car)
+    car.set_target_velocity(Vector(15.0))
+    while not collision.frames:
+        host.tick()
+    _, other, impulse = msgpack.unpackb(collision.payload())
+    assert other[0] == 0
+    assert other[2][1] == "static.wall"
+    assert impulse[0] < 0
+
+
+ROAD = """<OpenDRIVE><header revMajor="1" revMinor="4">{}</header><road name="" length="100" id="1" junction="-1">
+<planView><geometry s="0" x="0" y="0" hdg="0" length="100"><line/></geometry></planView><lanes><laneSection s="0">
+<center><lane id="0" type="none" level="false"/></center>
+<right><lane id="-1" type="driving" level="false"><width sOffset="0" a="3.5" b="0" c="0" d="0"/></lane></right>
+</laneSection></lanes></road></OpenDRIVE>"""
+REFERENCES = [
+    "",
+    "+proj=tmerc +lat_0=0 +lon_0=0 +k=1",
+    "+proj=tmerc +lat_0=49.5 +lon_0=-8.25 +k=0.9996 +x_0=500 +y_0=100",
+    "+proj=utm +zone=32",
+    "+lat_0=-3.3e1 +lon_0=151 ",
+    "+lat_0=49",
+]
+
+
+@pytest.mark.parametrize("reference", REFERENCES)
+@pytest.mark.parametrize("tag", ["<geoReference>{}</geoReference>", "<geoReference><![CDATA[{} ]]></geoReference>"])
+def test_places_on_the_earth_are_those_of_the_client(reference: str, tag: str) -> None:
+    text = ROAD.format(tag.format(reference))
+    there = carla.Map("Flat", text)
+    for x, y, z in ((0.0, 0.0, 0.0), (1000.0, -2000.0, 3.0), (-350.5, 20.25, -1.0)):
+        expected = there.transform_to_geolocation(carla.Location(x, y, z))
+        found = GeoReference.of(text).locate(Location(x, y, z))
+        assert found == pytest.approx((expected.latitude, expected.longitude, expected.altitude), abs=1e-10)
+
+
+@pytest.mark.parametrize("name", ["Town01", "Town10HD"])
+def test_towns_lie_where_the_client_has_them(name: str) -> None:
+    text = town(name).read_text(encoding="utf-8")
+    expected = carla.Map(name, text).transform_to_geolocation(carla.Location(100.0, 50.0, 1.0))
+    found = GeoReference.of(text).locate(Location(100.0, 50.0, 1.0))
+    assert found == pytest.approx((expected.latitude, expected.longitude, expected.altitude), abs=1e-10)
+
+
+def test_noise_of_gnss_is_what_was_asked_for() -> None:
+    host = served()
+    exact = sensor(host, "other.gnss")
+    biased = sensor(host, "other.gnss", noise_alt_bias="2", noise_lat_stddev="0.001")
+    for _ in range(200):
+        host.tick()
+    place = np.array([msgpack.unpackb(payload) for _, payload in exact.take()])
+    noisy = np.array([msgpack.unpackb(payload) for _, payload in biased.take()])
+    assert (place == place[0]).all()
+    assert noisy[:, 2] == pytest.approx(place[:, 2] + 2.0)
+    assert noisy[:, 0].std() == pytest.approx(0.001, rel=0.2)
+    assert noisy[:, 1] == pytest.approx(place[:, 1])
+
+
+def imu_of(host: Host, parent: Actor, **attributes: str) -> Listener:
+    return sensor(host, "other.imu", parent, HERE, **attributes)
+
+
+@pytest.mark.parametrize(("yaw", "expected"), [(-90.0, 0.0), (0.0, pi / 2), (90.0, pi), (180.0, 1.5 * pi)])
+def test_the_compass_counts_clockwise_from_north(yaw: float, expected: float) -> None:
+    host = served()
+    imu = imu_of(host, vehicle(host, yaw=yaw))
+    host.tick()
+    assert msgpack.unpackb(imu.payload())[2] == pytest.approx(expected, abs=1e-6)
+
+
+def test_what_stands_feels_gravity_alone() -> None:
+    host = served()
+    imu = imu_of(host, vehicle(host, yaw=30.0))
+    host.tick()
+    host.tick()
+    felt, turning, _ = msgpack.unpackb(imu.take()[-1][1])
+    assert felt == pytest.approx([0.0, 0.0, 9.81])
+    assert turning == [0.0, 0.0, 0.0]
+
+
+def test_an_imu_feels_acceleration_and_turns_in_its_own_axes() -> None:
+    host = served()
+    car = vehicle(host, yaw=90.0)
+    imu = imu_of(host, car)
+    turned = sensor(host, "other.imu", car, Transform(rotation=Rotation(yaw=90.0)))
+    car.set_target_velocity(Vector(0.0, 10.0))
+    car.apply_control(VehicleControl(throttle=0.6, steer=0.3))
+    for _ in range(20):
+        host.tick()
+    felt, turning, _ = msgpack.unpackb(imu.take()[-1][1])
+    aside, _, _ = msgpack.unpackb(turned.take()[-1][1])
+    yaw, pushed = radians(car.transform.rotation.yaw), car.acceleration
+    assert felt[0] == pytest.approx(pushed.x * np.cos(yaw) + pushed.y * np.sin(yaw), abs=1e-3)
+    assert felt[1] > 1.0  # to the right, into the bend
+    assert felt[1] == pytest.approx(aside[0], abs=1e-3)
+    assert turning[2] == pytest.approx(radians(car.angular_velocity.z))
+    assert turning[2] > 0.1
+
+
+def test_noise_of_an_imu_is_what_was_asked_for_and_the_same_for_a_seed() -> None:
+    told = []
+    for _ in range(2):
+        host = served()
+        imu = imu_of(host, vehicle(host), noise_accel_stddev_x="0.5", noise_gyro_bias_z="0.25", noise_seed="7")
+        for _ in range(200):
+            host.tick()
+        told.append([msgpack.unpackb(payload)[:2] for _, payload in imu.take()])
+    assert told[0] == told[1]
+    values = np.array(told[0])
+    assert values[:, 0, 0].std() == pytest.approx(0.5, rel=0.2)
+    assert values[:, 0, 1].std() == 0
+    assert (values[:, 1, 2] == 0.25).all()
+
+
+@pytest.mark.parametrize(
+    ("camera", "number", "pixel"),
+    [
+        ("rgb", 13, bytes((128, 128, 128, 255))),
+        ("depth", 1, bytes((255, 255, 255, 255))),
+        ("semantic_segmentation", 14, bytes((0, 0, 0, 255))),
+        ("optical_flow", 8, bytes(8)),
+        ("dvs", 3, b""),
+    ],
+)
+def test_cameras_send_blank_images_of_their_size(camera: str, number: int, pixel: bytes) -> None:
+    host = served()
+    images = sensor(host, f"camera.{camera}", image_size_x="32", image_size_y="16", fov="70")
+    host.tick()
+    ((header, payload),) = images.take()
+    assert header[0] == number
+    assert struct.unpack("<IIf", payload[:12]) == (32, 16, 70.0)
+    assert payload[12:] == pixel * 512
+
+
+def test_images_that_would_be_too_large_are_refused() -> None:
+    Sensors.check("sensor.camera.rgb", {"image_size_x": "4096", "image_size_y": "nonsense"})
+    Sensors.check("vehicle.audi.tt", {"image_size_x": "10000"})
+    with pytest.raises(CallError, match=r"sensor.camera.rgb: image_size_y of 4097: expected 4096 pixels at the most"):
+        Sensors.check("sensor.camera.rgb", {"image_size_y": "4097"})
+
+
+def radar_rows(listener: Listener) -> np.ndarray[tuple[int, int], np.dtype[np.float32]]:
+    return np.frombuffer(listener.payload(), "<f4").reshape(-1, 4)
+
+
+def test_a_radar_sees_how_far_the_next_car_is_and_how_fast_it_goes_away() -> None:
+    host = served()
+    car = vehicle(host)
+    ahead = vehicle(host, 30.0)
+    radar = sensor(host, "other.radar", car, at(2.5, z=0.8), points_per_second="20000")
+    ahead.set_target_velocity(Vector(4.0))
+    host.tick()
+    found = radar_rows(radar)
+    assert 10 < len(found) < 500
+    back = ahead.transform.location.x - 4.79 / 2 - 2.5
+    assert found[:, 3] * np.cos(found[:, 1]) * np.cos(found[:, 2]) == pytest.approx(np.full(len(found), back), abs=0.01)
+    assert found[:, 0] == pytest.approx(np.full(len(found), ahead.velocity.x), rel=0.01)
+    assert np.abs(np.tan(found[:, 1]) * back).max() <= 2.16 / 2 + 0.01
+
+
+def test_a_radar_looks_only_ahead_and_only_so_far() -> None:
+    host = served()
+    car = vehicle(host)
+    vehicle(host, -20.0)
+    vehicle(host, 50.0)
+    radar = sensor(host, "other.radar", car, at(2.5, z=0.8), range="30")
+    host.tick()
+    assert len(radar_rows(radar)) == 0
+
+
+LIDAR = {"channels": "4", "points_per_second": "80000", "upper_fov": "6", "lower_fov": "-3", "range": "50"}
+
+
+def test_a_lidar_sees_boxes_in_its_own_axes_channel_by_channel() -> None:
+    host = served()
+    car = vehicle(host, yaw=90.0)
+    vehicle(host, 0.0, 20.0, yaw=90.0)
+    lidar = sensor(host, "lidar.ray_cast", car, at(0.0, z=1.0), rotation_frequency="20", **LIDAR)
+    host.tick()
+    payload = lidar.payload()
+    _, channels = struct.unpack("<fI", payload[:8])
+    counts = np.frombuffer(payload[8:24], "<u4")
+    points = np.frombuffer(payload[24:], "<f4").reshape(-1, 4)
+    assert channels == 4
+    assert counts.sum() == len(points)
+    assert (counts > 10).tolist() == [False, False, True, True]  # the upper ones look over it
+    assert points[:, 0] == pytest.approx(np.full(len(points), 20.0 - 4.79 / 2), abs=0.01)
+    assert np.abs(points[:, 1]).max() <= 2.16 / 2 + 0.01
+    assert points[0, 3] == pytest.approx(exp(-0.004 * np.linalg.norm(points[0, :3])), abs=1e-4)
+
+
+def test_a_semantic_lidar_knows_whom_it_sees() -> None:
+    host = served()
+    walker = host.world.spawn("walker.pedestrian.0001", at(8.0, z=0.9))
+    lidar = sensor(host, "lidar.ray_cast_semantic", vehicle(host), at(0.0, z=1.0), rotation_frequency="20", **LIDAR)
+    host.tick()
+    payload = lidar.payload()
+    rows = np.frombuffer(
+        payload[8 + 4 * 4 :], np.dtype([("place", "<3f4"), ("cosine", "<f4"), ("id", "<u4"), ("tag", "<u4")])
+    )
+    assert len(rows) > 0
+    assert set(rows["id"].tolist()) == {walker.id}
+    assert set(rows["tag"].tolist()) == {12}
+    assert rows["cosine"].min() > 0.95
+
+
+def test_a_lidar_that_turns_slowly_sees_another_side_in_each_tick() -> None:
+    host = served()
+    car = vehicle(host)
+    vehicle(host, 15.0)
+    lidar = sensor(host, "lidar.ray_cast", car, at(0.0, z=1.0), rotation_frequency="5", **LIDAR)  # a quarter in a tick
+    for _ in range(4):
+        host.tick()
+    seen = [len(payload) > 24 for _, payload in lidar.take()]
+    assert 1 <= sum(seen) <= 2
+
+
+def test_an_obstacle_is_told_with_its_distance() -> None:
+    host = served()
+    car, other = vehicle(host), vehicle(host, 12.0)
+    detector = sensor(host, "other.obstacle", car, at(2.5, z=0.8), distance="10", hit_radius="0.5")
+    short = sensor(host, "other.obstacle", car, at(2.5, z=0.8), distance="3")
+    host.tick()
+    own, their, distance = msgpack.unpackb(detector.payload())
+    assert (own[0], their[0]) == (car.id, other.id)
+    assert distance == pytest.approx(12.0 - 4.79 / 2 - 2.5 - 0.5, abs=0.01)
+    assert short.take() == []
+
+
+def test_an_obstacle_detector_may_look_for_what_moves_alone() -> None:
+    wall = np.array([(20.0, -10.0, 0.0), (20.0, 10.0, 0.0)])
+    host = Host(flat_world(barriers=[wall]))
+    car = vehicle(host)
+    host.world.spawn("static.prop.container", at(12.0, 1.0))
+    everything, moving, beside = (
+        sensor(host, "other.obstacle", car, at(2.5, y, z=0.8), distance="50", only_dynamics=only)
+        for y, only in ((0.0, "False"), (0.0, "True"), (-5.0, "false"))
+    )
+    host.tick()
+    assert msgpack.unpackb(everything.payload())[1][2][1] == "static.prop.container"
+    assert moving.take() == []
+    _, other, distance = msgpack.unpackb(beside.payload())
+    assert other[2][1] == "static.wall"
+    assert distance == pytest.approx(20.0 - 2.5 - 0.5 - 0.1, abs=0.01)
+
+
+def test_rays_hit_what_is_nearest() -> None:
+    host = served()
+    near, far = vehicle(host, 10.0), vehicle(host, 20.0)
+    boxes = Boxes([far, near])
+    ahead, back = np.array([(1.0, 0.0, 0.0)]), np.array([(-1.0, 0.0, 0.0)])
+    hits = boxes.cast(np.array((0.0, 0.0, 0.5)), ahead, 100.0)
+    assert (hits.box.tolist(), hits.ray.tolist()) == ([1], [0])
+    assert hits.distance[0] == pytest.approx(10.0 - 4.79 / 2)
+    assert hits.cosine[0] == pytest.approx(1.0)
+    assert len(boxes.cast(np.array((0.0, 0.0, 0.5)), back, 100.0).ray) == 0
+    assert len(boxes.cast(np.array((0.0, 0.0, 5.0)), ahead, 100.0).ray) == 0
+    assert boxes.cast(np.array((10.0, 0.0, 0.5)), back, 100.0).distance.tolist() == [0.0]
+    assert len(Boxes([]).cast(np.zeros(3), ahead, 100.0).ray) == 0
+
+
+def test_what_is_on_the_same_vehicle_is_not_seen() -> None:
+    host = served()
+    car = vehicle(host)
+    host.world.spawn("static.prop.box01", at(4.0, z=0.5), parent=car)
+    detector = sensor(host, "other.obstacle", car, at(2.5, z=0.8), distance="10")
+    host.tick()
+    assert detector.take() == []
+
+
+@pytest.mark.parametrize("kind", sorted(KINDS))
+def test_nonsense_in_attributes_is_taken_for_the_default(kind: str) -> None:
+    host = served()
+    keys = ("image_size_x", "image_size_y", "fov", "channels", "range", "points_per_second", "distance", "noise_seed")
+    for value in ("nan", "", "-1", "1e300", "0"):
+        listener = sensor(host, kind.removeprefix("sensor."), vehicle(host), HERE, **dict.fromkeys(keys, value))
+        host.tick()
+        assert len(listener.frames) <= 1
+        for actor in list(host.world.actors.values()):
+            if isinstance(actor, Vehicle):
+                actor.destroy()
+
+
+def test_flat_town_has_no_reference_and_yet_a_place() -> None:
+    assert GeoReference.of(flat_town().opendrive) == GeoReference(42.0, 2.0)

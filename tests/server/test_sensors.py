@@ -1,0 +1,299 @@
+"""Sensors as the official client has them."""
+
+from __future__ import annotations
+
+import queue
+import socket
+import struct
+import time
+from itertools import pairwise
+from typing import Any
+
+import carla
+import numpy as np
+import pytest
+
+AHEAD = carla.Transform(carla.Location(x=2.5, z=0.8))
+PATIENCE = 5.0  # s
+
+
+def vehicle(world: carla.World, number: int = 0, ahead: float = 0.0) -> carla.Vehicle:
+    """A car at a spawn point, or so many metres ahead of it."""
+    place = world.get_map().get_spawn_points()[number]
+    way = place.get_forward_vector()
+    place.location += carla.Location(way.x * ahead, way.y * ahead, 0.0)
+    return world.spawn_actor(world.get_blueprint_library().find("vehicle.tesla.model3"), place)
+
+
+def sensor(
+    world: carla.World, kind: str, parent: carla.Actor | None = None, place: carla.Transform = AHEAD, **attributes: str
+) -> carla.Sensor:
+    blueprint = world.get_blueprint_library().find(f"sensor.{kind}")
+    for key, value in attributes.items():
+        blueprint.set_attribute(key, value)
+    return world.spawn_actor(blueprint, place, attach_to=parent)
+
+
+class Data(queue.Queue[Any]):
+    """What a sensor tells; it keeps the sensor, to which the client stops to listen once nobody has it any more."""
+
+    def __init__(self, sensor: carla.Sensor) -> None:
+        super().__init__()
+        self.sensor = sensor
+        sensor.listen(self.put)
+
+
+def settle() -> None:
+    """Let subscriptions arrive, which the client makes without waiting for them, or end."""
+    time.sleep(0.3)
+
+
+def start(world: carla.World, *sensors: Data) -> None:
+    """Tick until sensors that tell something in each frame have begun to."""
+    end = time.monotonic() + PATIENCE
+    while any(data.empty() for data in sensors) and time.monotonic() < end:
+        world.tick()
+        time.sleep(0.02)
+
+
+def tick_until(world: carla.World, data: Data, most: int = 200) -> Any:
+    """Tick until a sensor tells something."""
+    for _ in range(most):
+        world.tick()
+        try:
+            return data.get(timeout=0.02)
+        except queue.Empty:
+            continue
+    pytest.fail("the sensor has told nothing")
+
+
+def of_frame(data: Data, frame: int) -> Any:
+    """The usual loop of synchronous scripts."""
+    while True:
+        measurement = data.get(timeout=PATIENCE)
+        if measurement.frame == frame:
+            return measurement
+
+
+def test_each_frame_comes_to_queues_of_several_sensors_on_several_vehicles(world: carla.World) -> None:
+    kinds = {
+        "other.gnss": carla.GnssMeasurement,
+        "other.imu": carla.IMUMeasurement,
+        "other.radar": carla.RadarMeasurement,
+        "lidar.ray_cast": carla.LidarMeasurement,
+        "lidar.ray_cast_semantic": carla.SemanticLidarMeasurement,
+        "camera.rgb": carla.Image,
+        "camera.depth": carla.Image,
+        "camera.optical_flow": carla.OpticalFlowImage,
+        "camera.dvs": carla.DVSEventArray,
+    }
+    small = {"image_size_x": "64", "image_size_y": "48"}
+    sensors = [
+        (sensor(world, kind, car, **(small if kind.startswith("camera") else {})), expected)
+        for car in (vehicle(world, 0), vehicle(world, 10), vehicle(world, 20))
+        for kind, expected in kinds.items()
+    ]
+    queues = [(Data(actor), expected) for actor, expected in sensors]
+    start(world, *(data for data, _ in queues))
+    for _ in range(20):
+        frame = world.tick()
+        elapsed = world.get_snapshot().timestamp.elapsed_seconds
+        for (actor, _), (data, expected) in zip(sensors, queues, strict=True):
+            measurement = of_frame(data, frame)
+            assert isinstance(measurement, expected)
+            assert measurement.timestamp == pytest.approx(elapsed)
+            assert measurement.transform.location.distance(actor.get_transform().location) < 1e-3
+    assert all(data.empty() for data, _ in queues)
+
+
+def test_a_collision_is_told_with_whom_and_how_hard(world: carla.World) -> None:
+    car, other = vehicle(world), vehicle(world, ahead=15.0)
+    data = Data(sensor(world, "other.collision", car))
+    settle()
+    car.apply_control(carla.VehicleControl(throttle=1.0))
+    event = tick_until(world, data)
+    assert isinstance(event, carla.CollisionEvent)
+    assert (event.actor.id, event.other_actor.id) == (car.id, other.id)
+    assert event.other_actor.type_id == other.type_id
+    assert event.frame == world.get_snapshot().frame
+    along = car.get_transform().get_forward_vector()
+    assert event.normal_impulse.dot(along) < -1000.0  # N s, against the way of the car
+
+
+def test_a_barrier_has_a_type_too(world: carla.World) -> None:
+    car = vehicle(world)
+    data = Data(sensor(world, "other.collision", car))
+    settle()
+    world.tick()
+    place = car.get_transform()
+    place.rotation.yaw += 90.0  # to the side of the road
+    car.set_transform(place)
+    car.apply_control(carla.VehicleControl(throttle=1.0))
+    event = tick_until(world, data)
+    assert event.other_actor.type_id.startswith(("static.", "traffic."))
+
+
+def test_gnss_agrees_with_the_map(world: carla.World) -> None:
+    car = vehicle(world)
+    data = Data(sensor(world, "other.gnss", car))
+    start(world, data)
+    car.apply_control(carla.VehicleControl(throttle=0.5))
+    for _ in range(10):
+        measurement = of_frame(data, world.tick())
+        expected = world.get_map().transform_to_geolocation(measurement.transform.location)
+        assert (measurement.latitude, measurement.longitude) == pytest.approx(
+            (expected.latitude, expected.longitude), abs=1e-9
+        )
+        assert measurement.altitude == pytest.approx(expected.altitude, abs=1e-4)
+
+
+def test_an_imu_feels_gravity_and_the_throttle_and_has_a_compass(world: carla.World) -> None:
+    car = vehicle(world)
+    data = Data(sensor(world, "other.imu", car))
+    start(world, data)
+    world.tick()
+    car.apply_control(carla.VehicleControl(throttle=0.8))
+    for _ in range(10):
+        measurement = of_frame(data, world.tick())
+    assert measurement.accelerometer.z == pytest.approx(9.81, abs=0.2)
+    assert measurement.accelerometer.x > 1.0
+    assert abs(measurement.accelerometer.y) < 0.1
+    north = np.radians(car.get_transform().rotation.yaw + 90.0) % (2 * np.pi)
+    assert np.cos(measurement.compass - north) == pytest.approx(1.0)
+
+
+def test_a_lane_invasion_is_found_by_the_client(world: carla.World) -> None:
+    car = vehicle(world)
+    data = Data(sensor(world, "other.lane_invasion", car, carla.Transform()))
+    car.apply_control(carla.VehicleControl(throttle=0.5, steer=0.15))
+    event = tick_until(world, data)
+    assert isinstance(event, carla.LaneInvasionEvent)
+    assert event.frame == world.get_snapshot().frame
+    assert len(event.crossed_lane_markings) >= 1
+
+
+def test_an_obstacle_is_told_with_its_distance(world: carla.World) -> None:
+    car, other = vehicle(world), vehicle(world, ahead=12.0)
+    data = Data(sensor(world, "other.obstacle", car, distance="20", hit_radius="0.3", only_dynamics="True"))
+    start(world, data)
+    event = of_frame(data, world.tick())
+    assert isinstance(event, carla.ObstacleDetectionEvent)
+    assert (event.actor.id, event.other_actor.id) == (car.id, other.id)
+    assert event.distance == pytest.approx(12.0 - 4.79 / 2 - 2.5 - 0.3, abs=0.05)
+
+
+def test_radar_and_lidars_see_the_car_ahead(world: carla.World) -> None:
+    car, other = vehicle(world), vehicle(world, ahead=14.0)
+    radar = Data(sensor(world, "other.radar", car))
+    rays = {"range": "50", "rotation_frequency": "20", "lower_fov": "-10"}
+    lidar = Data(sensor(world, "lidar.ray_cast", car, carla.Transform(carla.Location(z=1.0)), **rays))
+    labels = Data(sensor(world, "lidar.ray_cast_semantic", car, carla.Transform(carla.Location(z=1.0)), **rays))
+    start(world, radar, lidar, labels)
+    frame = world.tick()
+    found = list(of_frame(radar, frame))
+    assert min(abs(detection.depth - (14.0 - 4.79 / 2 - 2.5)) for detection in found) < 0.1
+    cloud = of_frame(lidar, frame)
+    assert cloud.channels == 32
+    assert len(cloud) == sum(cloud.get_point_count(channel) for channel in range(32)) > 10
+    points = np.frombuffer(cloud.raw_data, "<f4").reshape(-1, 4)
+    assert points[:, 0] == pytest.approx(np.full(len(points), 14.0 - 4.79 / 2), abs=0.1)
+    assert {(point.object_idx, point.object_tag) for point in of_frame(labels, frame)} == {(other.id, 14)}
+
+
+def test_a_camera_sends_blank_images_of_the_size_that_was_asked_for(world: carla.World) -> None:
+    rgb = Data(sensor(world, "camera.rgb", vehicle(world), image_size_x="320", image_size_y="200", fov="75"))
+    start(world, rgb)
+    image = of_frame(rgb, world.tick())
+    assert (image.width, image.height, image.fov) == (320, 200, 75.0)
+    assert set(bytes(image.raw_data)) == {128, 255}
+    image.convert(carla.ColorConverter.CityScapesPalette)
+
+
+def test_large_images_arrive_whole(world: carla.World) -> None:
+    rgb = Data(sensor(world, "camera.rgb", vehicle(world), image_size_x="1920", image_size_y="1080"))
+    start(world, rgb)
+    for _ in range(5):
+        image = of_frame(rgb, world.tick())
+        assert len(image.raw_data) == 4 * 1920 * 1080
+
+
+def test_images_that_would_be_too_large_are_refused(world: carla.World) -> None:
+    with pytest.raises(RuntimeError, match="image_size_x of 5000: expected 4096 pixels at the most"):
+        sensor(world, "camera.rgb", vehicle(world), image_size_x="5000")
+
+
+def test_sensor_tick_is_honoured(world: carla.World) -> None:
+    gnss = Data(sensor(world, "other.gnss", vehicle(world), sensor_tick="0.2"))
+    settle()
+    frames = [world.tick() for _ in range(20)]
+    told = [gnss.get(timeout=PATIENCE).frame for _ in range(5)]
+    assert set(told) <= set(frames)
+    assert [later - earlier for earlier, later in pairwise(told)] == [4] * 4
+
+
+def test_a_sensor_can_be_stopped_and_listened_to_again(world: carla.World) -> None:
+    gnss = sensor(world, "other.gnss", vehicle(world))
+    assert not gnss.is_listening()
+    first = Data(gnss)
+    settle()
+    assert gnss.is_listening()
+    of_frame(first, world.tick())
+    gnss.stop()
+    assert not gnss.is_listening()
+    settle()
+    world.tick()
+    settle()
+    assert first.empty()
+    again = Data(gnss)
+    settle()
+    of_frame(again, world.tick())
+    assert gnss.destroy()
+    world.tick()
+    settle()
+    assert again.empty()
+
+
+def test_sensors_go_with_their_parent_and_harm_nobody(world: carla.World) -> None:
+    car, other = vehicle(world), vehicle(world, 10)
+    gone, there = Data(sensor(world, "other.gnss", car)), Data(sensor(world, "other.gnss", other))
+    start(world, gone, there)
+    of_frame(gone, world.tick())
+    car.destroy()
+    for _ in range(10):
+        of_frame(there, world.tick())
+    assert gone.empty()
+
+
+def test_transforms_of_attached_actors_are_those_of_their_parent_and_their_own(world: carla.World) -> None:
+    library = world.get_blueprint_library()
+    car = vehicle(world)
+    camera = world.spawn_actor(
+        library.find("sensor.camera.rgb"),
+        carla.Transform(carla.Location(x=-6.0, z=2.5), carla.Rotation(pitch=-8.0)),
+        attach_to=car,
+        attachment_type=carla.AttachmentType.SpringArm,
+    )
+    box = world.spawn_actor(library.find("static.prop.box01"), carla.Transform(carla.Location(z=1.6)), attach_to=car)
+    bike = world.spawn_actor(library.find("vehicle.vespa.zx125"), carla.Transform(carla.Location(x=-5.0)), attach_to=car)
+    car.apply_control(carla.VehicleControl(throttle=0.7, steer=0.1))
+    for _ in range(60):
+        world.tick()
+    there = car.get_transform()
+    assert car.get_velocity().length() > 5.0
+    for actor, offset in ((camera, (-6.0, 0.0, 2.5)), (box, (0.0, 0.0, 1.6)), (bike, (-5.0, 0.0, 0.0))):
+        assert actor.get_location().distance(there.transform(carla.Location(*offset))) < 0.01
+        assert actor.parent.id == car.id
+    assert camera.get_transform().rotation.pitch == pytest.approx(there.rotation.pitch - 8.0, abs=0.1)
+    assert bike.get_velocity().distance(car.get_velocity()) < 0.01
+
+
+def test_whoever_stops_reading_holds_up_nobody(world: carla.World, port: int) -> None:
+    camera = sensor(world, "camera.rgb", vehicle(world), image_size_x="1280", image_size_y="720")
+    images = Data(camera)
+    start(world, images)
+    of_frame(images, world.tick())
+    with socket.create_connection(("127.0.0.1", port + 1)) as stalled:
+        stalled.sendall(struct.pack("<I", (1 << 24) + camera.id))
+        settle()
+        for _ in range(30):
+            of_frame(images, world.tick())

@@ -1,0 +1,185 @@
+"""Calls about vehicles: driving, lights, doors, physics controls and telemetry."""
+
+from __future__ import annotations
+
+import math
+
+import carla
+import pytest
+
+from carla_recap.errors import RecapError
+from tests.server.inside import Inside
+from tests.server.test_actors import FAR, spawn, ticks
+
+
+@pytest.fixture
+def car(world: carla.World) -> carla.Vehicle:
+    return spawn(world, at=FAR)
+
+
+@pytest.fixture(scope="module")
+def inside() -> Inside:
+    return Inside()
+
+
+def test_a_car_is_driven_by_its_controls(world: carla.World, car: carla.Vehicle) -> None:
+    car.apply_control(carla.VehicleControl(throttle=0.5, steer=0.25))
+    ticks(world, 20)
+    assert car.get_velocity().x > 1.0
+    control = car.get_control()
+    assert (control.throttle, control.steer, control.gear) == (0.5, 0.25, 1)
+
+
+@pytest.mark.parametrize("speed", [8.0, -3.0, 0.0])
+def test_a_car_comes_to_the_speed_that_it_is_told(world: carla.World, car: carla.Vehicle, speed: float) -> None:
+    car.set_target_velocity(carla.Vector3D(4.0, 0.0, 0.0))
+    car.apply_ackermann_control(carla.VehicleAckermannControl(speed=speed))
+    ticks(world, 100)
+    assert car.get_velocity().x == pytest.approx(speed, abs=0.05)
+
+
+def test_acceleration_and_steering_have_limits(world: carla.World, car: carla.Vehicle) -> None:
+    told = carla.VehicleAckermannControl(steer=0.2, steer_speed=0.1, speed=20.0, acceleration=1.0)
+    car.apply_ackermann_control(told)
+    ticks(world, 20)
+    assert car.get_velocity().length() == pytest.approx(1.0, abs=0.1)
+    assert car.get_wheel_steer_angle(carla.VehicleWheelLocation.FL_Wheel) == pytest.approx(math.degrees(0.1), abs=0.5)
+    assert car.get_wheel_steer_angle(carla.VehicleWheelLocation.BL_Wheel) == 0.0
+
+
+def test_pedals_end_what_was_told_before(world: carla.World, car: carla.Vehicle) -> None:
+    car.apply_ackermann_control(carla.VehicleAckermannControl(speed=10.0))
+    ticks(world, 20)
+    car.apply_control(carla.VehicleControl(brake=1.0))
+    ticks(world, 40)
+    assert car.get_velocity().length() == 0.0
+
+
+def test_the_gains_of_controllers_are_kept(car: carla.Vehicle) -> None:
+    assert car.get_ackermann_controller_settings().speed_kp == pytest.approx(0.15)
+    gains = carla.AckermannControllerSettings(speed_kp=1, speed_ki=2, speed_kd=3, accel_kp=4, accel_ki=5, accel_kd=6)
+    car.apply_ackermann_controller_settings(gains)
+    assert car.get_ackermann_controller_settings() == gains
+
+
+def test_a_physics_control_comes_back_as_it_was_sent(world: carla.World, car: carla.Vehicle) -> None:
+    control = car.get_physics_control()
+    assert len(control.wheels) == 4
+    assert control.wheels[1].position.y / 100 > FAR.location.y
+    control.mass = 2222.0
+    control.use_sweep_wheel_collision = True
+    control.torque_curve = [carla.Vector2D(0.0, 300.0), carla.Vector2D(7000.0, 100.0)]
+    control.center_of_mass = carla.Vector3D(0.1, 0.0, 0.2)
+    wheels = control.wheels
+    wheels[0].tire_friction = 1.7
+    control.wheels = wheels
+    car.apply_physics_control(control)
+    world.tick()
+    assert str(car.get_physics_control()) == str(control)
+
+
+@pytest.mark.parametrize(
+    ("field", "value"),
+    [(11, 0.0), (11, -5.0), (11, 1e12), (12, -1.0), (1, math.nan), (0, [[0.0, math.inf]]), (15, [])],
+    ids=["no mass", "negative mass", "huge mass", "negative drag", "not a number", "infinite torque", "no wheels"],
+)
+def test_a_physics_control_that_cannot_be_is_refused(inside: Inside, field: int, value: object) -> None:
+    car = inside.world.place("vehicle.tesla.model3", inside.world.town.spawn_points[0])
+    control = inside.call("get_physics_control", car.id)
+    control[field] = value
+    with pytest.raises(RecapError):
+        inside.call("apply_physics_control", car.id, control)
+    car.destroy()
+
+
+def test_tyres_without_stiffness_are_refused(inside: Inside) -> None:
+    car = inside.world.place("vehicle.tesla.model3", inside.world.town.spawn_points[0])
+    control = inside.call("get_physics_control", car.id)
+    control[15][0][7] = 0.0
+    with pytest.raises(RecapError, match="lateral stiffness of tyres above 0"):
+        inside.call("apply_physics_control", car.id, control)
+    car.destroy()
+
+
+def test_lights_are_switched(world: carla.World, car: carla.Vehicle) -> None:
+    state = carla.VehicleLightState(carla.VehicleLightState.LowBeam | carla.VehicleLightState.LeftBlinker)
+    car.set_light_state(state)
+    world.tick()
+    assert car.get_light_state() == state
+    assert world.get_vehicles_light_states()[car.id] == state
+
+
+def test_doors_open_and_close(inside: Inside) -> None:
+    car = inside.world.place("vehicle.tesla.model3", inside.world.town.spawn_points[0])
+    inside.call("open_vehicle_door", car.id, 6)
+    inside.call("close_vehicle_door", car.id, 0)
+    assert car.open_doors == {1, 2, 3, 4, 5}  # type: ignore[attr-defined]
+    with pytest.raises(RecapError, match="a door: 0 to 6"):
+        inside.call("open_vehicle_door", car.id, 7)
+    car.destroy()
+
+
+def test_doors_are_opened_by_the_client(car: carla.Vehicle) -> None:
+    car.open_door(carla.VehicleDoor.FL)
+    car.close_door(carla.VehicleDoor.All)
+
+
+def test_telemetry_is_of_the_motion(world: carla.World, car: carla.Vehicle) -> None:
+    car.apply_control(carla.VehicleControl(throttle=1.0))
+    ticks(world, 40)
+    telemetry = car.get_telemetry_data()
+    assert telemetry.speed == pytest.approx(car.get_velocity().length(), abs=1e-3)
+    assert (telemetry.throttle, telemetry.gear, len(telemetry.wheels)) == (1.0, 1, 4)
+    assert telemetry.wheels[0].omega == pytest.approx(telemetry.speed / 0.34, rel=1e-3)
+    assert telemetry.engine_rpm == pytest.approx(telemetry.wheels[0].omega * 60 / math.tau * 9.1148, rel=1e-3)
+    assert telemetry.drag > 0
+
+
+def test_the_road_tells_the_car_its_limit_and_its_light(world: carla.World) -> None:
+    light = next(iter(world.get_actors().filter("traffic.traffic_light")))
+    stop = light.get_affected_lane_waypoints()[0]
+    back = stop.previous(2.0)[0].transform
+    car = spawn(world, at=carla.Transform(back.location + carla.Location(z=0.3), back.rotation))
+    world.tick()
+    assert car.is_at_traffic_light()
+    assert car.get_traffic_light().id == light.id
+    assert car.get_traffic_light_state() == light.state
+    assert car.get_speed_limit() in (30.0, 50.0)
+    assert car.get_failure_state() == carla.VehicleFailureState.NONE
+
+
+def test_what_cannot_be_honoured_is_accepted(world: carla.World, car: carla.Vehicle) -> None:
+    car.set_enable_gravity(False)
+    car.show_debug_telemetry(True)
+    car.set_wheel_steer_direction(carla.VehicleWheelLocation.FL_Wheel, 10.0)
+    car.set_wheel_pitch_angle(carla.VehicleWheelLocation.FL_Wheel, 10.0)
+    car.enable_carsim("")
+    car.use_carsim_road(True)
+    car.enable_chrono_physics(1, 0.1, "", "", "", "")
+    car.restore_physx_physics()
+    assert car.get_wheel_pitch_angle(carla.VehicleWheelLocation.FL_Wheel) == 0.0
+    assert (car.get_bone_names(), car.get_component_names(), car.get_socket_names()) == ([], [], [])
+    assert car.get_bone_world_transforms() == car.get_bone_relative_transforms() == []
+    assert car.get_socket_world_transforms() == car.get_socket_relative_transforms() == []
+    assert len(car.get_vehicle_bone_world_transforms()) == 0
+    assert car.get_component_world_transform("x").location.distance(car.get_location()) < 1e-3
+    assert car.get_component_relative_transform("x") == carla.Transform()
+
+
+def test_only_vehicles_are_driven(inside: Inside) -> None:
+    spectator = inside.world.spectator.id
+    with pytest.raises(RecapError, match=f"actor {spectator} is a spectator; a Vehicle was expected"):
+        inside.call("apply_control_to_vehicle", spectator, [0.0, 0.0, 0.0, False, False, False, 0])
+
+
+@pytest.mark.parametrize("bad", [math.nan, math.inf])
+def test_controls_are_numbers(inside: Inside, bad: float) -> None:
+    car = inside.world.place("vehicle.tesla.model3", inside.world.town.spawn_points[0])
+    with pytest.raises(RecapError, match="apply_control_to_vehicle, argument 2: expected a finite number"):
+        inside.call("apply_control_to_vehicle", car.id, [0.0, bad, 0.0, False, False, False, 0])
+    with pytest.raises(RecapError, match="finite"):
+        inside.call("apply_ackermann_control_to_vehicle", car.id, [0.0, 0.0, bad, 0.0, 0.0])
+    inside.call("apply_ackermann_control_to_vehicle", car.id, [3e38, 3e38, 3e38, 3e38, 3e38])
+    inside.host.tick()
+    assert math.isfinite(car.transform.location.x)
+    car.destroy()

@@ -1,0 +1,84 @@
+"""Calls about the world around the actors, and those that are accepted although there is nothing to be done."""
+
+from __future__ import annotations
+
+import math
+
+import carla
+import pytest
+
+from carla_recap.errors import RecapError
+from tests.server.inside import Inside
+from tests.server.test_actors import spawn
+
+
+def test_a_ray_meets_cars_and_the_road(world: carla.World) -> None:
+    car = spawn(world)
+    at = car.get_location()
+    met = world.cast_ray(carla.Location(at.x, at.y, 10.0), carla.Location(at.x, at.y, -5.0))
+    assert [point.label for point in met] == [carla.CityObjectLabel.Car, carla.CityObjectLabel.Roads]
+    assert [point.location.z for point in met] == pytest.approx([2 * car.bounding_box.extent.z, 0.0], abs=0.02)
+    assert world.cast_ray(at + carla.Location(z=10.0), at + carla.Location(z=20.0)) == []
+
+
+def test_places_are_projected(world: carla.World) -> None:
+    above = world.get_map().get_spawn_points()[3].location + carla.Location(z=5.0)
+    point = world.ground_projection(above, 10.0)
+    assert point.label == carla.CityObjectLabel.Roads
+    assert (point.location.x, point.location.y, point.location.z) == pytest.approx((above.x, above.y, 0.0), abs=0.01)
+    assert world.ground_projection(carla.Location(900.0, 900.0, 5.0), 10.0).label == carla.CityObjectLabel.Terrain
+    assert world.ground_projection(above, 2.0) is None
+    assert world.project_point(above, carla.Vector3D(0.0, 0.0, 1.0), 100.0) is None
+
+
+def test_the_map_has_lights_and_signs_by_itself(world: carla.World) -> None:
+    lights, signs = (world.get_actors().filter(pattern) for pattern in ("traffic.traffic_light", "traffic.*"))
+    assert len(world.get_level_bbs(carla.CityObjectLabel.TrafficLight)) == len(lights)
+    assert len(world.get_level_bbs()) == len(world.get_names_of_all_objects()) == len(signs)
+    assert world.get_level_bbs(carla.CityObjectLabel.Buildings) == []
+    objects = world.get_environment_objects(carla.CityObjectLabel.TrafficLight)
+    assert {thing.id for thing in objects} == {light.id for light in lights}
+    assert {thing.type for thing in objects} == {carla.CityObjectLabel.TrafficLight}
+    world.enable_environment_objects({objects[0].id}, False)
+
+
+def test_what_cannot_be_honoured_is_accepted(world: carla.World) -> None:
+    here, there = carla.Location(), carla.Location(1.0, 1.0, 1.0)
+    world.debug.draw_point(here)
+    world.debug.draw_line(here, there)
+    world.debug.draw_arrow(here, there)
+    world.debug.draw_box(carla.BoundingBox(here, carla.Vector3D(1, 1, 1)), carla.Rotation())
+    world.debug.draw_string(here, "text")
+    world.load_map_layer(carla.MapLayer.Buildings)
+    world.unload_map_layer(carla.MapLayer.All)
+    texture = carla.TextureColor(2, 2)
+    world.apply_color_texture_to_object("house", carla.MaterialParameter.Diffuse, texture)
+    world.apply_float_color_texture_to_object("house", carla.MaterialParameter.Diffuse, carla.TextureFloatColor(2, 2))
+    world.set_imui_sensor_gravity(1.62)
+    assert world.get_imui_sensor_gravity() == pytest.approx(9.81)
+    lights = world.get_lightmanager()
+    assert lights.get_all_lights() == []
+    lights.set_day_night_cycle(False)
+    world.set_annotations_traverse_translucency(True)
+    assert world.tick() > 0
+
+
+def test_sensors_take_what_concerns_pictures(world: carla.World) -> None:
+    car = spawn(world)
+    camera = world.spawn_actor(world.get_blueprint_library().find("sensor.camera.rgb"), carla.Transform(), attach_to=car)
+    world.tick()
+    camera.enable_for_ros()
+    assert camera.is_enabled_for_ros() is False
+    camera.disable_for_ros()
+    camera.set_ignored_vehicles([car.id])
+
+
+@pytest.mark.parametrize("bad", [math.nan, math.inf, 3e38])
+def test_places_are_numbers(bad: float) -> None:
+    inside = Inside()
+    with pytest.raises(RecapError, match=r"finite|at most"):
+        inside.call("cast_ray", [0.0, 0.0, 0.0], [bad, 0.0, 0.0])
+    with pytest.raises(RecapError, match=r"finite|at most"):
+        inside.call("project_point", [0.0, 0.0, 0.0], [0.0, 0.0, 1.0], bad)
+    with pytest.raises(RecapError, match="a direction was expected"):
+        inside.call("project_point", [0.0, 0.0, 0.0], [0.0, 0.0, 0.0], 1.0)
