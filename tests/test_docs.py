@@ -22,6 +22,7 @@ ROOT = Path(__file__).parents[1]
 PAGES = [ROOT / "README.md", *sorted((ROOT / "docs").glob("*.md"))]
 FORMAT = (ROOT / "docs" / "format.md").read_text("utf-8")
 RECORDS = (ROOT / "docs" / "records.md").read_text("utf-8")
+SERVING = (ROOT / "docs" / "serving.md").read_text("utf-8")
 ENUMS = {
     "spawned": "ActorKind",
     "wheels": "WheelLocation",
@@ -84,6 +85,25 @@ def test_the_topic_of_a_record_type_is_told(type):
     if type.topic:
         group = "state" if type.group is Group.STATE else "events"
         assert f"| `{type.topic}` | `{type.message}` | {type.id} | {group} |" in FORMAT
+
+
+def test_every_call_of_clients_has_its_place():
+    pytest.importorskip("pymunk", reason="the extra `sim` is not installed")
+    from carla_recap.server.calls.accepted import Standing, standings
+
+    supported, accepted = SERVING.split("Accepted, and nothing comes of them:")
+    accepted, refused = accepted.split("Refused:")
+    places = {Standing.SUPPORTED: supported, Standing.ACCEPTED: accepted, Standing.REFUSED: refused}
+    for name, (standing, why) in standings().items():
+        assert any(f"`{name}`" in line and why in line for line in places[standing].splitlines()), name
+
+
+def test_every_sensor_has_its_row():
+    pytest.importorskip("pymunk", reason="the extra `sim` is not installed")
+    from carla_recap.server.sensors.kinds import KINDS
+
+    for name, kind in KINDS.items():
+        assert f"| `{name}` | {kind.support} | {kind.what} |" in SERVING
 
 
 # --- what works ------------------------------------------------------------------------------------------
