@@ -3,7 +3,7 @@ node_modules := tests/node/node_modules
 protoc = $(python) -m grpc_tools.protoc --proto_path=proto $(wildcard proto/carla_recap/v1/*.proto)
 generated := src/carla_recap/v1
 
-.PHONY: help venv test lint types proto check-proto wheel check bench demo clean
+.PHONY: help venv test lint types proto check-proto wheel check bench soak demo clean
 
 help: ## List the targets
 	@awk -F ':.*## ' '/^[a-z-]+:.*## / { printf "  %-12s %s\n", $$1, $$2 }' $(MAKEFILE_LIST)
@@ -37,6 +37,9 @@ check: lint types check-proto wheel ## Everything but the tests
 
 bench: venv ## Measure the speed and the sizes that the README claims
 	$(python) -m benchmarks
+
+soak: venv ## Let clients wear a server for half an hour, and see whether anything leaks, hangs or is left over
+	$(python) -m benchmarks.soak
 
 demo: venv ## Record a simulated crash, query it, and make what shows it
 	PATH="$(CURDIR)/.venv/bin:$$PATH" samples/demo.sh

@@ -31,12 +31,12 @@ def main():
         print(f"spawned {len(vehicles)} vehicles, press Ctrl+C to exit.", flush=True)
         end = time.monotonic() + (arguments.recorder_time or float("inf"))
         while time.monotonic() < end:
-            client.get_world().wait_for_tick()
+            time.sleep(0.1)
     except KeyboardInterrupt:
         pass
     finally:
         client.apply_batch_sync([command.DestroyActor(vehicle) for vehicle in vehicles])
-        client.get_world().wait_for_tick()
+        time.sleep(0.2)  # for a tick, which records that
         client.stop_recorder()
         print(f"Stopped recording, destroyed {len(vehicles)} vehicles.")
 

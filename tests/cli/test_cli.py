@@ -523,7 +523,7 @@ def test_help_of_a_command(command):
 
 def test_version():
     assert answer("--version") == f"carla-recap, version {__version__}\n"
-    command = [sys.executable, "-m", "carla_recap.cli", "--version"]
+    command = [sys.executable, "-m", "carla_recap", "--version"]
     assert subprocess.check_output(command, timeout=TIMEOUT).decode() == answer("--version")
 
 

@@ -100,9 +100,8 @@ def test_a_trigger_volume_is_where_one_stops(lights: list[carla.TrafficLight]) -
         lanes = light.get_affected_lane_waypoints()
         mean = sum((lane.transform.location for lane in lanes), carla.Location()) / len(lanes)
         assert middle.distance_2d(mean) < 3.0
-        assert {(lane.road_id, lane.lane_id) for lane in lanes} & {
-            (w.road_id, w.lane_id) for w in light.get_stop_waypoints()
-        }
+        stops = {(stop.road_id, stop.lane_id) for stop in light.get_stop_waypoints()}
+        assert stops == {(lane.road_id, lane.lane_id) for lane in lanes}
         (box,) = light.get_light_boxes()
         assert box.location.distance_2d(light.get_location()) < 1e-3
         assert box.location.z > light.get_location().z + 2.0

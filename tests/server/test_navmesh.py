@@ -10,9 +10,9 @@ import numpy as np
 import pytest
 
 from carla_recap.server.navmesh import detour, navigation_files, navigation_mesh
-from carla_recap.server.navmesh.detour import CROSSWALK, ROAD, SIDEWALK, mesh_bytes
-from carla_recap.server.navmesh.surface import walkable_surface
-from carla_recap.server.navmesh.ways import Ways
+from carla_recap.server.navmesh.detour import mesh_bytes
+from carla_recap.server.navmesh.surface import CORNERS, walkable_surface
+from carla_recap.server.navmesh.ways import CROSSWALK, ROAD, SIDEWALK, Ways
 from carla_recap.sim.town import BUILT_IN, Town, WalkGraph, load_town
 from tests.maps.towns import opendrive, road, town
 from tests.sim.flat import flat_town
@@ -169,7 +169,7 @@ def test_headers_say_what_follows(mesh: Mesh) -> None:
 
 def test_polygons_are_convex_and_turn_as_detour_wants(mesh: Mesh) -> None:
     for number, polygon in enumerate(mesh.polygons):
-        assert 3 <= polygon["count"] <= detour.CORNERS
+        assert 3 <= polygon["count"] <= CORNERS
         assert (turns(mesh.outline(number)) < 1e-3).all()
     assert (mesh.polygons["flags"] == 1 << mesh.polygons["area"]).all()
 

@@ -7,6 +7,7 @@ import socket
 import subprocess
 import sys
 from pathlib import Path
+
 import carla
 import pytest
 
@@ -128,7 +129,7 @@ def test_a_crash_in_traffic_is_recorded_found_and_replayed(client: carla.Client,
     assert not recording.returncode
 
     created = re.findall(r"Create (\d+): vehicle\.", output_of(port, "show_recorder_file_info", "-f", "crash"))
-    assert len(created) == 32
+    assert len(created) >= 32  # a hero may have found no room for its obstacle, and tried elsewhere
     row = re.search(
         rf"^ +(\d+)   v v +{hero} vehicle", output_of(port, "show_recorder_collisions", "-f", "crash", "-t", "hv"), re.M
     )

@@ -136,7 +136,7 @@ def test_the_first_frame_has_everybody_who_is_there(tmp_path: Path) -> None:
         ActorKind.OTHER,
         ActorKind.WALKER,
     ]
-    assert (spawns[2].x, spawns[2].y, spawns[2].yaw) == (10_000, 300, 180)
+    assert (spawns[2].x, spawns[2].y, spawns[2].yaw) == (10_000, 300, -90)
     assert spawns[hero.id].attribute("role_name") == "hero"
     assert {a.key: a.type for a in spawns[hero.id].attributes}["number_of_wheels"] == 1
     assert spawns[hero.id].uid == hero.blueprint.uid

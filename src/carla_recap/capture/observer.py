@@ -9,6 +9,7 @@ from __future__ import annotations
 import socket
 from collections import defaultdict, deque
 from contextlib import suppress
+from copy import copy
 from dataclasses import dataclass
 from functools import partial
 from queue import Empty, Queue
@@ -219,8 +220,14 @@ class Observer:
 
     def _catch_up(self) -> None:
         """See the last tick before a pause, if it was left out."""
-        if self._interval:
-            self._on_tick(self._world.get_snapshot())
+        if not self._interval or self.why:
+            return
+        with self._lock:
+            before = copy(self._cast)
+            try:
+                self._see(self._world.get_snapshot())
+            except RuntimeError:  # the world has gone on meanwhile, without somebody of the snapshot; the next one tells
+                self._cast = before
 
     def _tend(self) -> None:
         """Look after what is told seldom, when it is time for that, and whether the server is there."""

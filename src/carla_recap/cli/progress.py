@@ -20,6 +20,7 @@ if TYPE_CHECKING:
 T = TypeVar("T")
 
 _REST = 256  # items between two looks at the bar
+_LIVE_REST = 10  # the same, where items come one by one
 
 
 def watch(what: str) -> Progress:
@@ -53,6 +54,11 @@ def watch_incidents(what: str) -> Callable[[Sequence[Incident]], Iterable[Incide
 def watch_ticks(what: str, seconds: float) -> Callable[[Iterable[float]], Iterable[float]]:
     """Watches a simulation, whose ticks tell the time; `what` is being done for so many seconds."""
     return lambda ticks: _bar(ticks, what, seconds, lambda elapsed: elapsed)
+
+
+def watch_live(what: str, seconds: float) -> Callable[[Iterable[float]], Iterable[float]]:
+    """Watches a world whose ticks come in their own time, and tell the time; `what` is being done for so many seconds."""
+    return lambda ticks: _bar(ticks, what, seconds, lambda elapsed: elapsed, rest=_LIVE_REST)
 
 
 def _bar(items: Iterable[T], title: str, total: float, position: Callable[[T], float], rest: int = _REST) -> Iterable[T]:

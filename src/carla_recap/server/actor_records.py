@@ -31,6 +31,7 @@ _TYPES_FROM: Final = 1  # the wire numbers the types of attributes from 1, recor
 _STREAM: Final = 1 << 24  # streams of sensors are numbered from here, those of clients below
 _TAGS: Final = {"car": 14, "van": 14, "truck": 15, "motorcycle": 18, "bicycle": 19}
 _WALKER_TAG, _SIGN_TAG, _LIGHT_TAG, _PROP_TAG = 12, 8, 7, 20
+_BEFORE: Final = 2.0  # m: before the place where one stops is the middle of the box, so that it is not in the junction
 _TRIGGER_HEIGHT: Final = 1.0  # m: half the height of the box where a light or sign is in force
 _STREAMING: Final = "sensor."
 _CLIENT_SIDE: Final = ("sensor.other.lane_invasion",)
@@ -74,11 +75,15 @@ def box(actor: Actor) -> BoundingBox:
 
 
 def _trigger_volume(sign: Sign) -> BoundingBox:
-    """The box around the places where one stops, on all lanes that are concerned; a lane as long as it is wide."""
+    """The box before the places where one stops, on all lanes that are concerned; it is as long as a lane is wide."""
     town, there = sign.world.town, sign.transform
     lanes, s = zip(*sign.signal.stops, strict=True)
     halves = np.array([town.lanes[lane].width / 2 for lane in lanes])[:, None]
-    away = town.index.at(lanes, s)[0] - (there.location.x, there.location.y, there.location.z)
+    away = town.index.at(lanes, np.maximum(np.array(s) - _BEFORE, 0.0))[0] - (
+        there.location.x,
+        there.location.y,
+        there.location.z,
+    )
     yaw = radians(there.rotation.yaw)
     places = away[:, :2] @ ((cos(yaw), -sin(yaw)), (sin(yaw), cos(yaw)))
     least, most = (places - halves).min(axis=0), (places + halves).max(axis=0)

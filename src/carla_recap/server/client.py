@@ -21,7 +21,8 @@ if TYPE_CHECKING:
     from carla_recap.server.host import Host
     from carla_recap.server.managers import Truce
 
-_REQUEST, _REPLY = 0, 1
+_REPLY: Final = 1
+_PACKER: Final = msgpack.Packer(unicode_errors="surrogateescape")  # for all: it keeps a large buffer
 _AT_ONCE: Final = 64  # calls, after which it is the others' turn
 _MOST_PENDING: Final = 32  # answers of a client that are being worked at
 _MUCH: Final = 1 << 16  # bytes of a call that has not arrived as a whole
@@ -48,7 +49,6 @@ class Client(asyncio.Protocol):
         self.has_spoken = False
         self.truce: Truce | None = None
         self._transport: asyncio.Transport | None = None
-        self._packer = msgpack.Packer(unicode_errors="surrogateescape")
         self._inbox = Inbox()
         self._pending: set[asyncio.Task[None]] = set()
         self._is_refused = False
@@ -190,7 +190,7 @@ class Client(asyncio.Protocol):
 
     def _send(self, reply: list[Any]) -> None:
         if self._transport is not None:
-            self._transport.write(self._packer.pack(reply))
+            self._transport.write(_PACKER.pack(reply))
 
 
 def describe(name: str, error: Exception) -> str:

@@ -77,4 +77,3 @@ def most_connections() -> int:
             resource.setrlimit(resource.RLIMIT_NOFILE, (soft, hard))
             return min(_MOST, max(1, soft - _SPARE))
     return _MOST
-

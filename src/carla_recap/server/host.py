@@ -65,7 +65,7 @@ class Host:
         self.connections = Connections()
         self.streams = Streams(self.connections, telling_of_map)
         self.managers = Managers()
-        self.sensors = Sensors(self)
+        self.sensors = Sensors(world, self.streams, self.actor_or_ghost)
         self.ackermann = Ackermann(world)
         self.steadiness = Steadiness(world)
         self.clients: dict[int, Client] = {}
@@ -93,7 +93,7 @@ class Host:
         self.world.tick(delta)
         self._remember()
         self.notice(before)
-        self.sensors.send()
+        self.sensors.send(self.frame)
         self.publish()
         return self.frame
 

@@ -16,7 +16,7 @@ if TYPE_CHECKING:
 _LARGEST: Final = 32 << 20  # bytes of a call: the text of a large map
 _LONG: Final = 1 << 20  # bytes: of more than that, the items are counted
 _MOST_ITEMS: Final = 2 << 20  # of all arrays that are counted: ten thousand actors to spawn
-_MOST_OF_ARRAY: Final = 1 << 16  # items: memory is taken for them before they have arrived
+_MOST_OF_ARRAY: Final = 1 << 14  # items: memory is taken for them before they have arrived
 _BUFFER: Final = 1 << 10  # bytes, to begin with
 
 

@@ -14,6 +14,8 @@ PLACE: Final = 1e6  # m
 TURN: Final = 1e6  # degrees
 SPEED: Final = 1e4  # m/s
 TURNING: Final = 1e5  # degrees/s
+LIGHTEST: Final = 1.0  # kg
+SOFTEST: Final = 0.01  # lateral stiffness of tyres, per unit of load and radian
 PHYSICS: Final = 1e9  # whatever its unit is
 
 
@@ -65,8 +67,9 @@ def check_physics(control: PhysicsControl) -> None:
     numbers += [value for wheel in wheels for value in (wheel.tire_friction, wheel.max_brake_torque, wheel.lat_stiff_value)]
     numbers += [value for wheel in wheels for value in (wheel.max_steer_angle, wheel.radius)]
     _check("a physics control", "in its numbers", PHYSICS, *numbers, centre.x, centre.y, centre.z)
-    if control.mass <= 0 or any(wheel.lat_stiff_value <= 0 for wheel in wheels):
-        raise CallError("a physics control: mass and lateral stiffness of tyres above 0 were expected")
+    if control.mass < LIGHTEST or any(wheel.lat_stiff_value < SOFTEST for wheel in wheels):
+        least = f"a mass of {LIGHTEST:g} kg and a lateral stiffness of tyres of {SOFTEST:g} or more"
+        raise CallError(f"a physics control: {least} were expected")
     if control.drag_coefficient < 0 or any(min(wheel.tire_friction, wheel.max_brake_torque) < 0 for wheel in wheels):
         raise CallError("a physics control: drag, tyre friction and brake torque of 0 or more were expected")
 

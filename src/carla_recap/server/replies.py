@@ -90,17 +90,15 @@ def replay_begins(replay: Replay, replayer: Replayer, duration: float) -> str:
         replayer: Who replays it.
         duration: How long it was told to last, in s; CARLA tells its end even where the recording is shorter.
     """
-    lines = []
-    if replay.loaded:
-        lines += [f"Loading map {readable(replay.map_name)}", "Replayer will start after map is loaded..."]
     total, start = number(replay.total), number(replay.start)
     stop = number(replay.start + duration) if duration > 0 else total
-    lines += [
-        f"Total time recorded: {total}",
-        f"Replaying from {start} s - {stop} s ({total} s) at {replay.time_factor:.1f}x",
-    ]
+    told = replaying(replay.path)
+    if replay.loaded:
+        told += f"Loading map {readable(replay.map_name)}\nReplayer will start after map is loaded...\n"
+    told += f"Total time recorded: {total}\n"
+    told += f"Replaying from {start} s - {stop} s ({total} s) at {replay.time_factor:.1f}x\n"
     if replayer.ignore_hero:
-        lines.append("Ignoring Hero vehicle")
+        told += "Ignoring Hero vehicle\n"
     if replayer.ignore_spectator:
-        lines.append("Ignoring Spectator camera")
-    return "".join(f"{line}\n" for line in (replaying(replay.path).rstrip(), *lines))
+        told += "Ignoring Spectator camera\n"
+    return told

@@ -26,7 +26,7 @@ ANY: Final = 255
 """The semantic class that stands for all."""
 ROAD, TERRAIN = 1, 10
 _LAMPS: Final = Vector(0.2, 0.2, 0.55)  # m: half the size of a light's head
-_PLATE: Final = Vector(0.05, 0.4, 0.4)  # m: of a sign
+_PLATE: Final = Vector(0.4, 0.05, 0.4)  # m: of a sign
 _LAMPS_HEIGHT: Final = 3.0  # m: of its middle above the foot of the pole
 _PLATE_HEIGHT: Final = 2.2  # m
 _STRIDE: Final = 1.0  # m: between two looks at the ground

@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 
 LOOPBACK: Final = "127.0.0.1"
 PORT: Final = 2000
-_BACKLOG: Final = 100
+_BACKLOG: Final = 512
 _TRIES: Final = 20
 
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from copy import deepcopy
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
@@ -33,6 +33,10 @@ HERO = "hero"
 """The role name of the vehicle that a test is about."""
 ALL_DOORS = 6
 """The number that stands for doors 0 to 5 together."""
+
+
+_ACROSS: Final = 90.0
+"""Degrees: CARLA turns its lights and signs so much further than the signals of the map, with x across the road."""
 
 
 class Actor:
@@ -440,7 +444,9 @@ class Sign(Actor):
     """
 
     def __init__(self, world: World, id: int, blueprint: Blueprint, signal: Signal) -> None:
-        super().__init__(world, id, blueprint, signal.transform)
+        place = signal.transform.copy()
+        place.rotation.yaw = (place.rotation.yaw + _ACROSS + 180) % 360 - 180
+        super().__init__(world, id, blueprint, place)
         self.signal = signal
 
 

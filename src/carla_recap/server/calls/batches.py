@@ -6,12 +6,11 @@ from dataclasses import dataclass, field
 from typing import Any, Final
 
 from carla_recap.server.calls import accepted, actors, lights, vehicles, walkers  # noqa: F401  (fill the table of calls)
-from carla_recap.server.calls.actors import expect, spawn
+from carla_recap.server.calls.actors import spawn
 from carla_recap.server.calls.table import TABLE, Call, bare_call, row
 from carla_recap.server.client import Client, describe
-from carla_recap.server.structs import ActorDescription
+from carla_recap.server.structs import ActorDescription, VehicleLightState
 from carla_recap.server.wire import WireError, decoder
-from carla_recap.sim.actors import Vehicle
 from carla_recap.sim.geometry import Transform
 
 
@@ -38,7 +37,7 @@ class Spawn:
 
 def set_light_state(client: Client, id: int, bits: int) -> None:
     """Switch the lights of a vehicle."""
-    expect(client, id, Vehicle).light_state = bits & 0xFFFFFFFF
+    vehicles.set_vehicle_light_state(client, id, VehicleLightState(bits))
 
 
 _CONSOLE: Final = 20
@@ -125,7 +124,7 @@ def _opened(command: Any) -> tuple[int, list[Any]]:
     """The number of a command, and its fields."""
     try:
         ((number, fields),) = command
-        if number.__class__ is int and 0 <= number < len(_COMMANDS) and fields.__class__ is list:
+        if number.__class__ is int and 0 <= number < len(_COMMANDS) and fields.__class__ is list and fields:
             return number, fields
     except (TypeError, ValueError):
         pass

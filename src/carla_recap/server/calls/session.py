@@ -52,13 +52,14 @@ def set_episode_settings(client: Client, settings: EpisodeSettings) -> int:
 
 @call
 def tick_cue(client: Client) -> Any:
-    """Let a tick pass, in synchronous mode, where otherwise time passes by itself; answers the frame.
+    """Let a tick pass, in synchronous mode; answers the frame that the client then waits for.
 
-    A client that ticks after it has begun to listen to a sensor hears of that very tick: it waits for the subscription.
+    In asynchronous mode, where time passes by itself, that is the next one. A client that ticks after it has begun to
+    listen to a sensor hears of that very tick: it waits for the subscription.
     """
     host = client.host
     if not host.settings.synchronous_mode:
-        return host.frame
+        return host.frame + 1
     subscriptions = host.streams.expected(client)
     return _tick_after(subscriptions, client) if subscriptions else host.tick()
 

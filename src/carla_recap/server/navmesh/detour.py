@@ -10,6 +10,9 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
+from carla_recap.server.navmesh.surface import CORNERS
+from carla_recap.server.navmesh.ways import CROSSWALK, ROAD, SIDEWALK
+
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
@@ -17,8 +20,6 @@ if TYPE_CHECKING:
 
     Integers = NDArray[np.int64]
 
-CORNERS: Final = 6
-"""The most corners that a polygon may have."""
 MOST: Final = 0xFFFF
 """The most corners, and the most polygons, that a tile may have: they are numbered with 16 bits."""
 
@@ -86,10 +87,7 @@ SET_VERSION: Final = 1
 MESH_MAGIC: Final = 0x444E4156  # "DNAV"
 MESH_VERSION: Final = 7
 
-# areas and their flags, from carla/nav/Navigation.h of LibCarla 0.9.16; the smaller, the more it is for walkers
-SIDEWALK: Final = 1
-CROSSWALK: Final = 2
-ROAD: Final = 3
+# of areas, from carla/nav/Navigation.h of LibCarla 0.9.16
 FLAGS: Final = {SIDEWALK: 0x02, CROSSWALK: 0x04, ROAD: 0x08}
 
 _HEIGHT, _RADIUS = 1.8, 0.3  # m: of CARLA's walkers, from carla/nav/Navigation.cpp

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
-from carla_recap.server.navmesh.detour import ROAD, SIDEWALK
+from carla_recap.server.navmesh.ways import ROAD, SIDEWALK
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray

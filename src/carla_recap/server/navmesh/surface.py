@@ -8,8 +8,6 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
-from carla_recap.server.navmesh.detour import CORNERS
-
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
@@ -19,6 +17,8 @@ if TYPE_CHECKING:
 
     Floats = NDArray[np.float64]
 
+CORNERS: Final = 6
+"""The most corners that a polygon may have."""
 _HALF_WIDTH: Final = 1.0  # m: of a strip; the sidewalks of CARLA's towns are 4 m and 6 m wide
 _SHARE: Final = 0.45  # of an edge that each of the meetings at its ends may take: below a half, so that they are apart
 _LEAST: Final = 0.05  # m: half the width of a passage where an edge is short or a bend is sharp
@@ -32,7 +32,7 @@ class Surface:
         corners: Places in CARLA's axes, in m, (n, 3).
         polygons: Numbers of their corners, anticlockwise seen from above: from y towards x.
         neighbours: For each side of a polygon, from its corner to the next one, the polygon beyond it, if there is one.
-        areas: What each is, as `detour` numbers it.
+        areas: What each is, as `ways` numbers it.
     """
 
     corners: Floats

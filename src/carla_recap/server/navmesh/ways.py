@@ -7,13 +7,13 @@ from itertools import combinations
 from math import cos, dist, hypot, pi
 from typing import TYPE_CHECKING, Final
 
-from carla_recap.server.navmesh.detour import CROSSWALK, SIDEWALK
-
 if TYPE_CHECKING:
     from carla_recap.sim.town import WalkGraph
 
     Place = list[float]
 
+SIDEWALK, CROSSWALK, ROAD = 1, 2, 3
+"""Areas, as carla/nav/Navigation.h of LibCarla 0.9.16 numbers them; the smaller, the more it is for walkers."""
 _STRAIGHT: Final = 0.05  # m: nodes as near as that to a straight line are left out
 _APART: Final = 2.3  # m: nodes that are nearer to each other are one, so that strips are as wide as they should be
 _SHARP: Final = cos(pi / 3.5)  # the cosine of the least angle between ways that part; of at most 60 degrees

@@ -12,8 +12,7 @@ from carla_recap.server.sensors.feed import number
 if TYPE_CHECKING:
     from collections.abc import Mapping
 
-    from carla_recap.server.host import Host
-    from carla_recap.server.sensors.feed import Feed, Make
+    from carla_recap.server.sensors.feed import Feed, Make, Tell
     from carla_recap.sim.actors import Actor
 
 LARGEST: Final = 4096
@@ -44,7 +43,7 @@ def check_size(type_id: str, attributes: Mapping[str, str]) -> None:
 def _camera(pixel: bytes) -> Make:
     """Cameras whose images are of one colour."""
 
-    def make(sensor: Actor, host: Host) -> Feed:
+    def make(sensor: Actor, tell: Tell) -> Feed:
         width, height = (_side(sensor, key) for key in _SIDES)
         image = (_image(width, height, number(sensor, "fov"), pixel),)
         return lambda: image

@@ -11,14 +11,15 @@ import numpy as np
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-    from carla_recap.server.host import Host
     from carla_recap.sim.actors import Actor
 
 _TOO_LARGE: Final = 1e10  # for any number that a sensor is meant to have
 
 Feed = Callable[[], Iterable[bytes]]
 """Tells what a sensor has noticed in the latest tick: the frames to send, without the header that all have."""
-Make = Callable[["Actor", "Host"], Feed]
+Tell = Callable[[int | None], object]
+"""An actor as clients are told of it in an event, for msgpack, by its id; None for a barrier, which is no actor."""
+Make = Callable[["Actor", Tell], Feed]
 """Makes the feed of a sensor, once somebody listens to it."""
 
 
@@ -61,6 +62,6 @@ class Noise:
         return measured
 
 
-def silent(sensor: Actor, host: Host) -> Feed:
+def silent(sensor: Actor, tell: Tell) -> Feed:
     """A sensor that tells nothing."""
     return lambda: ()

@@ -13,14 +13,13 @@ from carla_recap.server.sensors.georeference import GeoReference
 if TYPE_CHECKING:
     from collections.abc import Iterable
 
-    from carla_recap.server.host import Host
-    from carla_recap.server.sensors.feed import Feed
+    from carla_recap.server.sensors.feed import Feed, Tell
     from carla_recap.sim.actors import Actor
 
 
-def gnss(sensor: Actor, host: Host) -> Feed:
+def gnss(sensor: Actor, tell: Tell) -> Feed:
     """Latitude and longitude in degrees, and altitude in m, with the bias and the noise that the attributes ask for."""
-    reference = GeoReference.of(host.world.town.opendrive)
+    reference = GeoReference.of(sensor.world.town.opendrive)
     noise = Noise(sensor, *([f"noise_{part}_{kind}" for part in ("lat", "lon", "alt")] for kind in ("bias", "stddev")))
 
     def frames() -> Iterable[bytes]:

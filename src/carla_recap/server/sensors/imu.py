@@ -14,15 +14,14 @@ from carla_recap.server.sensors.rays import axes, row
 if TYPE_CHECKING:
     from collections.abc import Iterable
 
-    from carla_recap.server.host import Host
-    from carla_recap.server.sensors.feed import Feed
+    from carla_recap.server.sensors.feed import Feed, Tell
     from carla_recap.sim.actors import Actor
 
 _GRAVITY: Final = (0.0, 0.0, 9.81)  # m/s²: what rests feels itself pushed upwards
 _NORTH: Final = radians(-90.0)  # the yaw of the compass's north in CARLA
 
 
-def imu(sensor: Actor, host: Host) -> Feed:
+def imu(sensor: Actor, tell: Tell) -> Feed:
     """Acceleration in m/s² with gravity, rate of turn in rad/s, and the compass: radians from north, clockwise.
 
     The motion is that of the parent's origin, wherever on the parent the sensor is.

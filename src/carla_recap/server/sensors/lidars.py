@@ -17,8 +17,7 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    from carla_recap.server.host import Host
-    from carla_recap.server.sensors.feed import Feed
+    from carla_recap.server.sensors.feed import Feed, Tell
     from carla_recap.server.sensors.rays import Hits
     from carla_recap.sim.actors import Actor
 
@@ -38,13 +37,11 @@ class _Lidar:
 
     Args:
         sensor: The lidar.
-        host: Who serves it.
         points: What makes the points of hits, which are given in m, in the axes of the sensor, too.
     """
 
-    def __init__(self, sensor: Actor, host: Host, points: Points) -> None:
+    def __init__(self, sensor: Actor, points: Points) -> None:
         self._sensor = sensor
-        self._host = host
         self._points = points
         self._channels = int(np.clip(number(sensor, "channels"), 1, _MOST_CHANNELS))
         self._heights = np.radians(np.linspace(number(sensor, "upper_fov"), number(sensor, "lower_fov"), self._channels))
@@ -64,7 +61,7 @@ class _Lidar:
     def _sweep(self) -> Floats:
         """Turn for a tick; returns the yaws of the rays of each channel, in radians."""
         sensor = self._sensor
-        seconds = max(self._host.world.delta, number(sensor, "sensor_tick"))
+        seconds = max(sensor.world.delta, number(sensor, "sensor_tick"))
         count = int(np.clip(number(sensor, "points_per_second") * seconds, 0, _MOST)) // self._channels
         turn = tau * number(sensor, "rotation_frequency") * seconds
         begin, self._angle = self._angle, (self._angle + turn) % tau
@@ -73,14 +70,14 @@ class _Lidar:
         return yaws
 
 
-def plain(sensor: Actor, host: Host) -> Feed:
+def plain(sensor: Actor, tell: Tell) -> Feed:
     """A lidar whose points have an intensity."""
-    return _Lidar(sensor, host, _with_intensity)
+    return _Lidar(sensor, _with_intensity)
 
 
-def semantic(sensor: Actor, host: Host) -> Feed:
+def semantic(sensor: Actor, tell: Tell) -> Feed:
     """A lidar whose points tell of whom they are."""
-    return _Lidar(sensor, host, _with_owner)
+    return _Lidar(sensor, _with_owner)
 
 
 def _directions(heights: Floats, yaws: Floats) -> Floats:

@@ -7,7 +7,6 @@ from typing import TYPE_CHECKING, Final
 import msgpack
 import pymunk
 
-from carla_recap.server.sensors.collisions import told
 from carla_recap.server.sensors.feed import flag, number
 from carla_recap.server.sensors.rays import Boxes, row, seen_by
 from carla_recap.sim.actors import Mover
@@ -16,14 +15,13 @@ from carla_recap.sim.plane import WALL
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator
 
-    from carla_recap.server.host import Host
-    from carla_recap.server.sensors.feed import Feed
+    from carla_recap.server.sensors.feed import Feed, Tell
     from carla_recap.sim.actors import Actor
 
 _WALLS: Final = pymunk.ShapeFilter(mask=WALL)
 
 
-def obstacles(sensor: Actor, host: Host) -> Feed:
+def obstacles(sensor: Actor, tell: Tell) -> Feed:
     """A frame where there is an obstacle: who carries the sensor, the obstacle, and how far away it is, in m."""
     reach, radius = max(number(sensor, "distance"), 0.0), max(number(sensor, "hit_radius"), 0.0)
     only_dynamics = flag(sensor, "only_dynamics")
@@ -35,7 +33,7 @@ def obstacles(sensor: Actor, host: Host) -> Feed:
         if found:
             distance, other = min(found, key=lambda pair: pair[0])
             own = (sensor.parent or sensor).id
-            yield msgpack.packb([told(host, own), told(host, other), distance], unicode_errors="surrogateescape")
+            yield msgpack.packb([tell(own), tell(other), distance], unicode_errors="surrogateescape")
 
     return frames
 

@@ -15,8 +15,7 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    from carla_recap.server.host import Host
-    from carla_recap.server.sensors.feed import Feed
+    from carla_recap.server.sensors.feed import Feed, Tell
     from carla_recap.sim.actors import Actor
 
     Floats = NDArray[np.float64]
@@ -24,14 +23,14 @@ if TYPE_CHECKING:
 _MOST: Final = 100_000  # rays in a tick
 
 
-def radar(sensor: Actor, host: Host) -> Feed:
+def radar(sensor: Actor, tell: Tell) -> Feed:
     """For each detection: velocity in m/s (positive: it goes away), azimuth and altitude in radians, depth in m."""
     width, height = (tan(radians(min(number(sensor, f"{way}_fov"), 179.0)) / 2) for way in ("horizontal", "vertical"))
     reach = number(sensor, "range")
     random = np.random.default_rng(sensor.id)
 
     def frames() -> Iterable[bytes]:
-        count = int(np.clip(number(sensor, "points_per_second") * host.world.delta, 0, _MOST))
+        count = int(np.clip(number(sensor, "points_per_second") * sensor.world.delta, 0, _MOST))
         aside, angle = random.random(count), random.random(count) * tau
         own = np.stack((np.ones(count), width * aside * np.cos(angle), height * aside * np.sin(angle)), axis=1)
         own /= np.linalg.norm(own, axis=1, keepdims=True)

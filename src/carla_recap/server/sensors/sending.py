@@ -10,27 +10,41 @@ from carla_recap.server.sensors.cameras import check_size
 from carla_recap.server.sensors.feed import number
 from carla_recap.server.sensors.kinds import KINDS
 from carla_recap.server.snapshot import sensor_header
+from carla_recap.server.structs import ActorDescription, ActorRecord, BoundingBox
+from carla_recap.server.wire import encoder
+from carla_recap.sim.geometry import Location, Vector
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping
+    from collections.abc import Callable, Mapping
 
-    from carla_recap.server.host import Host
     from carla_recap.server.sensors.feed import Feed
     from carla_recap.server.sensors.kinds import Kind
+    from carla_recap.server.streams import Streams
     from carla_recap.sim.actors import Actor
+    from carla_recap.sim.world import World
 
 _ROUNDING: Final = 1e-6  # s
+_ENCODE: Final = encoder(ActorRecord)
+_WALL_TAG: Final = 4
+# A barrier is no actor; CARLA tells what is none as an actor whose id is 0 and whose name begins with static.
+_WALL: Final = ActorRecord(
+    0, 0, ActorDescription(0, "static.wall", []), BoundingBox(Location(), Vector()), bytes((_WALL_TAG,)), b""
+)
 
 
 class Sensors:
     """The sensors of a world.
 
     Args:
-        host: Who serves it.
+        world: The world.
+        streams: Where their data goes.
+        find: Finds an actor by its id, even one that has been destroyed.
     """
 
-    def __init__(self, host: Host) -> None:
-        self._host = host
+    def __init__(self, world: World, streams: Streams, find: Callable[[int], Actor]) -> None:
+        self._world = world
+        self._streams = streams
+        self._find = find
         self._feeds: dict[int, Feed] = {}
 
     @staticmethod
@@ -43,29 +57,31 @@ class Sensors:
         if type_id.startswith("sensor.camera."):
             check_size(type_id, attributes)
 
-    def send(self) -> None:
-        """Send what was noticed in the latest tick; the streams of sensors that are gone end."""
-        world, streams = self._host.world, self._host.streams
-        subscribed = streams.subscribed
+    def send(self, frame: int) -> None:
+        """Send what was noticed in the latest tick, the one of a frame; the streams of sensors that are gone end."""
+        subscribed = self._streams.subscribed
         for stream in self._feeds.keys() - set(subscribed):
             del self._feeds[stream]
         for stream in subscribed:
-            sensor = world.actors.get(actor_records.sensor_of(stream))
+            sensor = self._world.actors.get(actor_records.sensor_of(stream))
             kind = KINDS.get(sensor.type_id) if sensor is not None else None
             if sensor is not None and kind is not None:
-                self._send(stream, sensor, kind)
+                self._send(stream, sensor, kind, frame)
             elif self._feeds.pop(stream, None) is not None:
-                streams.forget(stream)
+                self._streams.forget(stream)
 
-    def _send(self, stream: int, sensor: Actor, kind: Kind) -> None:
+    def _send(self, stream: int, sensor: Actor, kind: Kind, frame: int) -> None:
         if stream not in self._feeds:
-            self._feeds[stream] = kind.make(sensor, self._host)
+            self._feeds[stream] = kind.make(sensor, self._tell)
         if not kind.by_event and not _is_due(sensor):
             return
         header = b""
         for payload in self._feeds[stream]():
-            header = header or sensor_header(kind.number, self._host.frame, sensor.world.elapsed, sensor.transform)
-            self._host.streams.send(stream, header + payload)
+            header = header or sensor_header(kind.number, frame, self._world.elapsed, sensor.transform)
+            self._streams.send(stream, header + payload)
+
+    def _tell(self, id: int | None) -> object:
+        return _ENCODE(_WALL if id is None else actor_records.record(self._find(id), self._streams))
 
 
 def _is_due(sensor: Actor) -> bool:

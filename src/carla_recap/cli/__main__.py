@@ -1,5 +1,0 @@
-"""`python -m carla_recap.cli`."""
-
-from carla_recap.cli import main
-
-main()
