@@ -83,11 +83,16 @@ class Soak:
         try:
             done = subprocess.run(command, timeout=PATIENCE, capture_output=True, text=True, check=False)
         except subprocess.TimeoutExpired:
-            self.failures.append(f"round {number}, {name}: hangs")
-            return
+            return self.fail(f"round {number}, {name}: hangs")
         if done.returncode != CRASHED.get(name, 0):
             said = " ".join(done.stderr.split())[-300:]
-            self.failures.append(f"round {number}, {name}: ended with exit code {done.returncode}: {said}")
+            self.fail(f"round {number}, {name}: ended with exit code {done.returncode}: {said}")
+        return None
+
+    def fail(self, what: str) -> None:
+        """Take note of what has gone wrong."""
+        print(what, flush=True)
+        self.failures.append(what)
 
     def look(self) -> Figures:
         """What the server has, once everybody is gone and the actors of those who crashed have been destroyed."""
@@ -104,7 +109,7 @@ class Soak:
         process = FILES / str(self.process)
         status = dict(line.split(":", 1) for line in (process / "status").read_text().splitlines())
         memory = int(status["VmRSS"].split()[0]) << 10
-        return Figures(memory, len(os.listdir(process / "fd")), int(status["Threads"]), actors)
+        return Figures(memory, sum(1 for _ in (process / "fd").iterdir()), int(status["Threads"]), actors)
 
     def tell(self, number: int) -> None:
         latest = self.seen[-1]

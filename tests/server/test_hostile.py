@@ -1,0 +1,242 @@
+from __future__ import annotations
+
+import os
+import socket
+import struct
+import subprocess
+import sys
+import time
+from contextlib import ExitStack, closing, suppress
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import carla
+import msgpack
+import pytest
+
+from carla_recap.server.inbox import Inbox
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+
+VERSION = [0, 1, "version", [[False]]]
+QUICK = 1.0  # s
+
+
+@pytest.fixture(scope="module")
+def server(recordings: Path) -> Iterator[tuple[int, Path]]:
+    """A server's port, and what the system tells of its process; it must say nothing on stderr, and end in peace."""
+    command = [sys.executable, "-m", "carla_recap", "serve", "--port=0", f"--recordings={recordings}"]
+    with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as process:
+        assert process.stdout is not None
+        yield int(process.stdout.readline().rsplit(":", 1)[1]), Path("/proc", str(process.pid))
+        process.terminate()
+        _, said = process.communicate(timeout=20)
+    assert process.returncode == 0
+    assert "Traceback" not in said
+
+
+@pytest.fixture(scope="module")
+def port(server: tuple[int, Path]) -> int:
+    return server[0]
+
+
+@pytest.fixture
+def memory(server: tuple[int, Path]) -> int:
+    """The memory that the server has, in bytes."""
+    return used(server[1])
+
+
+def used(process: Path) -> int:
+    with suppress(FileNotFoundError):
+        return int((process / "statm").read_text().split()[1]) * os.sysconf("SC_PAGE_SIZE")
+    return pytest.skip("needs /proc")
+
+
+def connect(port: int) -> socket.socket:
+    return socket.create_connection(("127.0.0.1", port), timeout=10)
+
+
+def send(connection: socket.socket, data: bytes) -> None:
+    """Send something to somebody who may well hang up."""
+    with suppress(OSError):
+        connection.sendall(data)
+
+
+def ask(connection: socket.socket, *call: Any) -> Any:
+    connection.sendall(msgpack.packb(list(call)))
+    unpacker = msgpack.Unpacker()
+    while data := connection.recv(1 << 16):
+        unpacker.feed(data)
+        for reply in unpacker:
+            return reply
+    return None
+
+
+def ticks_quickly(world: carla.World) -> None:
+    start = time.monotonic()
+    world.tick()
+    assert time.monotonic() - start < QUICK
+
+
+@pytest.mark.parametrize(
+    "data",
+    [
+        b"\xc1",
+        b"GET / HTTP/1.1\r\n\r\n",
+        b"\xdd\xff\xff\xff\xff",
+        b"\x91" * 10_000,
+        b"\xdc\x3f\xff" * 1100,
+        b"\x81\x01\x02",
+        b"\xc7\x01\x02\x03",
+        msgpack.packb([0, 1]),
+        msgpack.packb([0, 1, "version", []]),
+        msgpack.packb([1, 1, None, None]),
+        bytes(range(256)) * 100,
+    ],
+)
+def test_garbage_is_cut_off(world: carla.World, port: int, data: bytes) -> None:
+    with closing(connect(port)) as connection:
+        send(connection, data)
+        with suppress(ConnectionResetError):
+            assert connection.recv(1) == b""
+    ticks_quickly(world)
+
+
+def test_garbage_at_the_streams_is_cut_off(world: carla.World, port: int) -> None:
+    with closing(connect(port + 1)) as connection:
+        send(connection, b"much too long")
+        with suppress(ConnectionResetError):
+            assert connection.recv(1) == b""
+    ticks_quickly(world)
+
+
+def test_half_a_message_and_a_promise_of_4_gb_cost_nothing(
+    world: carla.World, server: tuple[int, Path], memory: int
+) -> None:
+    port, process = server
+    connections = [connect(port) for _ in range(20)]
+    for number, connection in enumerate(connections):
+        send(connection, msgpack.packb(VERSION)[:7] if number % 2 else b"\xc6\xff\xff\xff\xff" + bytes(100_000))
+    ticks_quickly(world)
+    assert used(process) < memory + (32 << 20)
+    for connection in connections:
+        connection.close()
+
+
+def test_long_calls_of_many_do_not_fill_the_memory(world: carla.World, server: tuple[int, Path], memory: int) -> None:
+    port, process = server
+    part = msgpack.packb([0, 1, "version", [[False], bytes(31 << 20)]])[:-1]
+    connections = [connect(port) for _ in range(10)]
+    for connection in connections:
+        send(connection, part)
+    ticks_quickly(world)
+    assert used(process) < memory + (400 << 20)
+    for connection in connections:
+        connection.close()
+
+
+def test_a_call_in_single_bytes_is_served(port: int) -> None:
+    with closing(connect(port)) as connection:
+        call = msgpack.packb(VERSION)
+        for index in range(len(call) - 1):
+            connection.sendall(call[index : index + 1])
+        connection.setblocking(False)
+        with pytest.raises(BlockingIOError):
+            connection.recv(1)
+        connection.settimeout(5)
+        connection.sendall(call[-1:])
+        assert msgpack.unpackb(connection.recv(100)) == [1, 1, None, [[1, "0.9.16"]]]
+
+
+def test_who_does_not_read_replies_is_not_served_on(world: carla.World, server: tuple[int, Path], memory: int) -> None:
+    port, process = server
+    calls = msgpack.packb([0, 1, "get_map_data", [[False]]]) * 20_000
+    connections = [connect(port) for _ in range(10)]
+    for connection in connections:
+        connection.setblocking(False)
+        with suppress(BlockingIOError):
+            for _ in range(20):
+                connection.send(calls)
+    for _ in range(5):
+        ticks_quickly(world)
+    assert used(process) < memory + (160 << 20)
+    for connection in connections:
+        connection.close()
+
+
+def test_calls_without_end_leave_time_for_others(world: carla.World, port: int) -> None:
+    with closing(connect(port)) as connection:
+        calls = msgpack.packb(VERSION) * 5000
+        connection.setblocking(False)
+        for _ in range(50):
+            with suppress(BlockingIOError):
+                connection.send(calls)
+            with suppress(BlockingIOError):
+                connection.recv(1 << 20)
+            ticks_quickly(world)
+
+
+def test_a_stalled_subscriber_holds_up_nobody(world: carla.World, port: int) -> None:
+    connections = [connect(port + 1) for _ in range(50)]
+    for connection in connections:
+        connection.sendall(struct.pack("<I", 1))
+    for _ in range(500):
+        ticks_quickly(world)
+    for connection in connections:
+        connection.close()
+
+
+def test_wrong_types_are_told_in_every_call(world: carla.World, port: int) -> None:
+    from carla_recap.server.calls.table import TABLE
+
+    changing = {"load_new_episode", "stop_recorder", "tick_cue"}
+    with closing(connect(port)) as connection:
+        for name in sorted(TABLE.keys() - changing):
+            for arguments in (["text"] * 8, [[[]]] * 8, [None] * 8, [-1] * 8, [2**64 - 1] * 8, [1e300] * 8):
+                reply = ask(connection, 0, 1, name, [[False], *arguments])
+                assert reply is not None, (name, arguments)
+                assert reply[:2] == [1, 1]
+    ticks_quickly(world)
+
+
+def test_an_unknown_call_is_named(port: int) -> None:
+    with closing(connect(port)) as connection:
+        assert ask(connection, 0, 7, "make_coffee", [[False]]) == [1, 7, "make_coffee: there is no such call", None]
+
+
+def test_silent_connections_give_way(world: carla.World, port: int) -> None:
+    with ExitStack() as stack:
+        for _ in range(2200):
+            stack.enter_context(closing(connect(port)))
+        client = carla.Client("127.0.0.1", port)
+        client.set_timeout(5.0)
+        assert client.get_server_version() == "0.9.16"
+        ticks_quickly(world)
+
+
+def test_where_all_connections_are_used_new_ones_are_refused_politely(world: carla.World, port: int) -> None:
+    with ExitStack() as stack:
+        replies = [ask(stack.enter_context(closing(connect(port))), *VERSION) for _ in range(2005)]
+        assert replies[0] == [1, 1, None, [[1, "0.9.16"]]]
+        assert replies[-1] == [1, 1, None, [[0, ["the server has 2000 connections, which is as many as it can have"]]]]
+        ticks_quickly(world)
+
+
+def test_a_client_can_go_in_the_middle_of_a_call(world: carla.World, port: int) -> None:
+    for call in (["get_map_data", [False]], ["show_recorder_file_info", [False], "nothing", True]):
+        with closing(connect(port)) as connection:
+            connection.sendall(msgpack.packb([0, 1, call[0], call[1:]]))
+    ticks_quickly(world)
+
+
+def test_an_inbox_gives_back_calls_however_they_arrive() -> None:
+    calls = [VERSION, [0, 2, "apply_batch", [[False], [[1, [number]] for number in range(1000)]]], [0, 3, "x", [[True]]]]
+    data = b"".join(map(msgpack.packb, calls))
+    for size in (1, 7, 1000, len(data)):
+        inbox, found = Inbox(), []
+        for start in range(0, len(data), size):
+            inbox.feed(data[start : start + size])
+            found += list(inbox)
+        assert found == calls
+        assert not inbox.part
