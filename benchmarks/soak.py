@@ -158,7 +158,8 @@ def drive(client: carla.Client, world: carla.World, seed: int) -> None:
     for sensor in sensors:
         sensor.stop()
     destroy = carla.command.DestroyActor
-    client.apply_batch_sync([destroy(actor) for actor in (*sensors, *vehicles)], True)
+    client.apply_batch_sync([destroy(actor) for actor in (*sensors, *vehicles)], False)
+    world.tick()
     manager.set_synchronous_mode(False)
     manager.shut_down()
     world.apply_settings(settings(synchronous=False))

@@ -119,7 +119,9 @@ class Client(asyncio.Protocol):
         try:
             for count, request in enumerate(self._inbox, 1):
                 self._take(request)
-                if self._is_behind or self._transport is None or len(self._pending) >= _MOST_PENDING:
+                if self._transport is None or self._transport.is_closing():
+                    return None
+                if self._is_behind or len(self._pending) >= _MOST_PENDING:
                     return self._wait()
                 if count == _AT_ONCE:
                     asyncio.get_running_loop().call_soon(self._go_on)
@@ -189,8 +191,9 @@ class Client(asyncio.Protocol):
         self._send([_REPLY, number, None, [[call.result is None or 0, [text]]]])
 
     def _send(self, reply: list[Any]) -> None:
-        if self._transport is not None:
-            self._transport.write(_PACKER.pack(reply))
+        data = _PACKER.pack(reply)
+        if self._transport is not None and not self._transport.is_closing():
+            self._transport.write(data)
 
 
 def describe(name: str, error: Exception) -> str:

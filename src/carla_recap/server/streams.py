@@ -169,7 +169,7 @@ class Subscriber(asyncio.Protocol):
         """Send a frame; while the subscriber is behind, only the latest one waits."""
         if self._is_behind:
             self._next = frame
-        elif self._transport is not None:
+        elif self._transport is not None and not self._transport.is_closing():
             self._transport.write(frame)
 
     def pause_writing(self) -> None:

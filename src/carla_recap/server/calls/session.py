@@ -10,6 +10,7 @@ from carla_recap.server.calls.table import CallError, call
 from carla_recap.server.client import Client
 from carla_recap.server.navmesh import NAVIGATION, navigation_files, navigation_mesh
 from carla_recap.server.structs import EpisodeInfo, EpisodeSettings, MapInfo, Token
+from carla_recap.sim.checks import expect_between
 from carla_recap.sim.weather import Weather
 
 VERSION = "0.9.16"
@@ -32,6 +33,7 @@ def get_episode_info(client: Client) -> EpisodeInfo:
 @call
 def get_sensor_token(client: Client, stream: int) -> Token:
     """Where a stream is; clients ask before they subscribe to it."""
+    expect_between("the number of a stream", stream, 0, 0xFFFFFFFF)
     if sensor_of(stream) in client.host.world.actors:
         client.host.streams.expect(stream, client)
     return Token(client.host.streams.token(stream))

@@ -1,0 +1,96 @@
+from __future__ import annotations
+
+import subprocess
+import sys
+import time
+
+import carla
+import pytest
+
+DYING = """
+import os, sys, carla
+client = carla.Client("127.0.0.1", int(sys.argv[1]))
+client.set_timeout(10.0)
+world = client.get_world()
+world.apply_settings(carla.WorldSettings(synchronous_mode=True, fixed_delta_seconds=0.05))
+world.tick()
+os.kill(os.getpid(), 9)
+"""
+
+
+def another(port: int) -> carla.Client:
+    client = carla.Client("127.0.0.1", port)
+    client.set_timeout(10.0)
+    return client
+
+
+def eventually(is_so: object) -> bool:
+    end = time.monotonic() + 5
+    while time.monotonic() < end:
+        if is_so():  # type: ignore[operator]
+            return True
+        time.sleep(0.01)
+    return False
+
+
+def test_two_clients_tick_one_world(world: carla.World, port: int) -> None:
+    theirs = another(port).get_world()
+    frames = [ticking.tick() for _ in range(20) for ticking in (world, theirs)]
+    assert frames == list(range(frames[0], frames[0] + 40))
+
+
+def test_callbacks_are_called_at_each_tick_until_they_are_removed(world: carla.World) -> None:
+    seen: list[int] = []
+    number = world.on_tick(lambda snapshot: seen.append(snapshot.frame))
+    frames = [world.tick() for _ in range(10)]
+    assert eventually(lambda: seen[-10:] == frames)
+    world.remove_on_tick(number)
+    world.tick()
+    world.tick()
+    assert seen[-10:] == frames
+
+
+def test_in_asynchronous_mode_a_tick_waits_for_the_next_frame(world: carla.World) -> None:
+    world.apply_settings(carla.WorldSettings())
+    frames = [world.tick() for _ in range(5)]
+    assert frames == sorted(set(frames))
+    assert world.get_snapshot().frame >= frames[-1]
+
+
+@pytest.mark.parametrize("delta", [0.02, 0.1])
+def test_a_change_of_the_length_of_ticks_is_seen_at_once(world: carla.World, delta: float) -> None:
+    start = time.monotonic()
+    world.apply_settings(carla.WorldSettings(synchronous_mode=False, fixed_delta_seconds=delta))
+    assert time.monotonic() - start < 2.0  # the client asks 30 times if need be
+    assert world.wait_for_tick(5.0).delta_seconds == pytest.approx(delta)
+
+
+def test_variable_ticks_are_as_long_as_the_clock_says(world: carla.World) -> None:
+    world.apply_settings(carla.WorldSettings())
+    first, start = world.wait_for_tick(5.0), time.monotonic()
+    for _ in range(20):
+        last = world.wait_for_tick(5.0)
+    assert last.elapsed_seconds - first.elapsed_seconds == pytest.approx(time.monotonic() - start, abs=0.3)
+
+
+def test_a_world_stays_synchronous_when_its_client_dies_as_with_carla(port: int) -> None:
+    subprocess.run([sys.executable, "-c", DYING, str(port)], timeout=30, check=False)
+    world = another(port).get_world()
+    assert world.get_settings().synchronous_mode
+    frame = world.get_snapshot().frame
+    time.sleep(0.2)
+    assert world.tick() == frame + 1
+    world.apply_settings(carla.WorldSettings())
+
+
+def test_a_port_in_use_is_told_in_a_line(port: int) -> None:
+    done = subprocess.run(
+        [sys.executable, "-m", "carla_recap", "serve", f"--port={port}"],
+        capture_output=True,
+        text=True,
+        timeout=30,
+        check=False,
+    )
+    assert done.returncode == 2
+    assert len(done.stderr.strip().splitlines()) == 1
+    assert f":{port}: cannot be listened at" in done.stderr

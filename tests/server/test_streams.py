@@ -1,0 +1,72 @@
+from __future__ import annotations
+
+import asyncio
+import struct
+
+from carla_recap.server.connections import Connections
+from carla_recap.server.streams import Streams
+
+
+class Wire(asyncio.Transport):
+    """A transport that keeps what is written."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.written: list[bytes] = []
+
+    def write(self, data: bytes) -> None:
+        self.written.append(data)
+
+    def set_write_buffer_limits(self, high: int | None = None, low: int | None = None) -> None:
+        pass
+
+    def get_write_buffer_size(self) -> int:
+        return sum(map(len, self.written))
+
+    def is_closing(self) -> bool:
+        return False
+
+
+def subscribe(streams: Streams, stream: int) -> tuple[asyncio.Protocol, Wire]:
+    wire, subscriber = Wire(), streams.connection()
+    subscriber.connection_made(wire)
+    subscriber.data_received(struct.pack("<I", stream))
+    return subscriber, wire
+
+
+def new_streams() -> Streams:
+    return Streams(Connections(), lambda payload: b"first " + payload)
+
+
+def test_each_frame_is_preceded_by_its_length() -> None:
+    streams = new_streams()
+    _, wire = subscribe(streams, 3)
+    streams.send(3, b"frame")
+    assert wire.written == [b"\x05\x00\x00\x00frame"]
+
+
+def test_a_late_subscriber_is_welcomed_with_the_latest_frame() -> None:
+    streams = new_streams()
+    streams.keep(3, b"old")
+    streams.keep(3, b"new")
+    _, wire = subscribe(streams, 3)
+    assert wire.written == [b"\x09\x00\x00\x00first new"]
+
+
+def test_who_is_behind_misses_all_frames_but_the_latest() -> None:
+    streams = new_streams()
+    subscriber, wire = subscribe(streams, 3)
+    subscriber.pause_writing()
+    for payload in (b"a", b"b", b"c"):
+        streams.send(3, payload)
+    assert not wire.written
+    subscriber.resume_writing()
+    assert wire.written == [b"\x01\x00\x00\x00c"]
+
+
+def test_a_stream_that_is_silent_welcomes_nobody() -> None:
+    streams = new_streams()
+    streams.keep(3, b"frame")
+    streams.silence(3)
+    _, wire = subscribe(streams, 3)
+    assert not wire.written

@@ -1,0 +1,140 @@
+from __future__ import annotations
+
+import json
+import subprocess
+import sys
+from typing import TYPE_CHECKING
+
+import pytest
+
+if TYPE_CHECKING:
+    import carla
+
+BEGIN = """
+import json, math, os, sys
+import carla
+port, *arguments = sys.argv[1:]
+client = carla.Client("127.0.0.1", int(port))
+client.set_timeout(20.0)
+world = client.get_world()
+synchronous = carla.WorldSettings(synchronous_mode=True, fixed_delta_seconds=0.05)
+MANAGER = int(port) + 10
+def spawn(count):
+    points = world.get_map().get_spawn_points()
+    model = world.get_blueprint_library().find("vehicle.tesla.model3")
+    vehicles = [world.try_spawn_actor(model, point) for point in points[::len(points) // count]]
+    return [vehicle for vehicle in vehicles if vehicle][:count]
+def manage(count, synchronous=True):
+    manager = client.get_trafficmanager(MANAGER)
+    manager.set_synchronous_mode(synchronous)
+    vehicles = spawn(count)
+    for vehicle in vehicles:
+        vehicle.set_autopilot(True, MANAGER)
+    return manager, vehicles
+"""
+DRIVE = """
+world.apply_settings(synchronous)
+manager, vehicles = manage(12)
+roads = world.get_map()
+aside, too_fast, driven, waits, runs, before = [], [], 0.0, 0, 0, {}
+for number in range(1200):
+    world.tick()
+    for vehicle in vehicles if number % 5 == 0 else ():
+        place, velocity = vehicle.get_transform(), vehicle.get_velocity()
+        lane = roads.get_waypoint(place.location)
+        speed = math.hypot(velocity.x, velocity.y)
+        driven += speed * 0.25
+        if number > 200:
+            too_fast.append(speed * 3.6 - vehicle.get_speed_limit())
+            if not lane.is_junction:
+                aside.append(place.location.distance_2d(lane.transform.location))
+        red = vehicle.is_at_traffic_light() and vehicle.get_traffic_light_state() == carla.TrafficLightState.Red
+        waits += red and speed < 0.1
+        runs += before.get(vehicle.id, False) and lane.is_junction and speed > 3.0
+        before[vehicle.id] = red and not lane.is_junction
+most = lambda values: sorted(values)[len(values) * 95 // 100]
+print(json.dumps({"driven": driven, "aside": most(aside), "too_fast": most(too_fast), "waits": waits, "runs": runs}))
+for vehicle in vehicles:
+    vehicle.set_autopilot(False, MANAGER)
+manager.set_synchronous_mode(False)
+manager.shut_down()
+world.apply_settings(carla.WorldSettings())
+"""
+RELOAD = """
+ticks = []
+in_step = arguments[0] == "synchronous"
+for number in range(6):
+    world.apply_settings(synchronous if in_step else carla.WorldSettings())
+    manage(int(arguments[1]), in_step)
+    world.on_tick(lambda snapshot: ticks.append(snapshot.frame))
+    for _ in range(10):
+        world.tick()
+    world = client.load_world("Brickfield", number % 2 == 0) if number % 3 == 0 else client.reload_world(number % 2 == 0)
+assert ticks == sorted(ticks)
+world.apply_settings(carla.WorldSettings())
+print("done")
+"""
+LIVE = """
+world.apply_settings(carla.WorldSettings())
+manage(5, False)
+print("driving", flush=True)
+sys.stdin.readline()
+world = client.get_world()
+world.tick()
+print(world.id)
+"""
+DIE = """
+world.apply_settings(synchronous)
+manage(5)
+for _ in range(20):
+    world.tick()
+os.kill(os.getpid(), 9)
+"""
+
+
+def run(script: str, port: int, *arguments: str, code: int = 0) -> str:
+    command = [sys.executable, "-c", BEGIN + script, str(port), *arguments]
+    done = subprocess.run(command, capture_output=True, text=True, timeout=60, check=False)
+    assert done.returncode == code, done.stderr
+    return done.stdout
+
+
+def test_it_drives_as_it_should(client: carla.Client, port: int) -> None:
+    told = json.loads(run(DRIVE, port))
+    assert told["driven"] > 1500
+    assert told["aside"] < 1.0
+    assert told["too_fast"] < 1
+    assert told["waits"] > 0
+    assert told["runs"] == 0
+
+
+@pytest.mark.parametrize("count", ["4", "0"])
+@pytest.mark.parametrize("mode", ["synchronous", "asynchronous"])
+def test_episodes_begin_while_it_lives(client: carla.Client, port: int, mode: str, count: str) -> None:
+    if count == "0":
+        script = RELOAD.replace("manage(int(arguments[1]), in_step)", "client.get_trafficmanager(MANAGER)")
+    else:
+        script = RELOAD
+    assert "done" in run(script, port, mode, count)
+
+
+def test_another_client_begins_episodes_while_it_lives(client: carla.Client, port: int) -> None:
+    command = [sys.executable, "-c", BEGIN + LIVE, str(port)]
+    with subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True) as process:
+        assert process.stdout is not None
+        assert process.stdout.readline() == "driving\n"
+        for _ in range(5):
+            world = client.reload_world()
+            world.wait_for_tick(5.0)
+        told, _ = process.communicate("go on\n", timeout=30)
+    assert process.returncode == 0
+    assert int(told) == world.id
+
+
+def test_a_client_that_dies_takes_its_manager_along_and_nothing_else(client: carla.Client, port: int) -> None:
+    run(DIE, port, code=-9)
+    world = client.get_world()
+    for _ in range(20):
+        world.tick()
+    run(DIE, port, code=-9)  # at the same port, at once
+    client.get_world().tick()
