@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import struct
 
 import pytest
@@ -233,3 +234,11 @@ def test_a_recovery_tells_in_words(recovery, words):
 
 def test_a_recovery_of_a_file_without_an_end_tells_so():
     assert str(Recovery(5, 0, 0, 1.5, False)).endswith("never finished, or its end is damaged")
+
+
+def test_of_a_recording_that_was_never_finished_the_message_says_where_it_is(tmp_path):
+    partial = tmp_path / ".k.mcap.0123abcd.partial"
+    partial.write_bytes(b"")
+    told = f"was never finished; what was written of it until then lies in {partial}"
+    with pytest.raises(RecapError, match=re.escape(told)):
+        recover(tmp_path / "k.mcap", tmp_path / "b.mcap")

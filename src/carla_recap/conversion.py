@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from carla_recap.errors import RecapError
-from carla_recap.formats import create_writer, open_reader
+from carla_recap.formats import create_writer, format_of, open_reader
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable
@@ -41,7 +41,7 @@ def convert(
     check_destination(source, destination, force=force)
     reader = open_reader(source)
     try:
-        with create_writer(destination, reader.header) as writer:
+        with create_writer(destination, reader.header, force=force) as writer:
             frames: Iterable[Frame] = reader.frames()
             for frame in progress(frames, reader) if progress else frames:
                 writer.write(frame)
@@ -62,7 +62,7 @@ def check_destination(source: Path | str, destination: Path | str, *, force: boo
     try:
         same = target.exists() and Path(source).exists() and target.samefile(source)
     except (OSError, ValueError) as error:
-        raise RecapError(f"{str(destination)[:200]}: cannot be written: {error}") from None
+        raise RecapError(f"{str(destination)[:200]}: cannot be written: {_reason(error)}") from None
     if same:
         raise RecapError(f"{destination}: is the source itself")
     check_free(destination, force=force)
@@ -75,8 +75,27 @@ def check_free(destination: Path | str, *, force: bool) -> None:
         RecapError: That would happen.
     """
     try:
-        exists = Path(destination).exists()
+        exists = Path(destination).exists() or Path(destination).is_symlink()
     except (OSError, ValueError) as error:
-        raise RecapError(f"{str(destination)[:200]}: cannot be written: {error}") from None
+        raise RecapError(f"{str(destination)[:200]}: cannot be written: {_reason(error)}") from None
     if exists and not force:
         raise RecapError(f"{destination}: exists already; --force (in Python, force=True) overwrites it")
+
+
+def check_new(destination: Path | str, *, force: bool) -> None:
+    """Refuse, before any work is done, where no recording can be written; see `check_free`.
+
+    Raises:
+        RecapError: The suffix is of no format, there is no such folder, or something is there.
+    """
+    format_of(destination)
+    check_free(destination, force=force)
+    path = Path(destination)
+    if path.is_dir():
+        raise RecapError(f"{destination}: cannot be written: is a directory")
+    if not path.parent.is_dir():
+        raise RecapError(f"{destination}: cannot be written: there is no folder {path.parent}")
+
+
+def _reason(error: OSError | ValueError) -> str:
+    return str(getattr(error, "strerror", None) or error)

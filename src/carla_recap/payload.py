@@ -103,7 +103,7 @@ def pack(type: RecordType, records: Records) -> bytes:
         try:
             _pack_object(steps, record, parts)
         except (struct.error, TypeError, AttributeError, ValueError, OverflowError) as error:
-            raise RecordError(f"{type.name}: {error} in {record!r:.200}") from None
+            raise RecordError(f"{type.name}: {error} in {record!r:.60}") from None
     return b"".join(parts)
 
 

@@ -2,13 +2,17 @@
 
 from __future__ import annotations
 
+import os
+import re
+import warnings
 from contextlib import suppress
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 from carla_recap.conversion import check_destination
-from carla_recap.errors import RecapError
+from carla_recap.errors import RecapError, RecapWarning
 from carla_recap.formats import create_writer, read_start
+from carla_recap.formats.atomic import partials
 from carla_recap.formats.carla_log import LogReader, is_log
 
 if TYPE_CHECKING:
@@ -70,10 +74,11 @@ def recover(
         RecapError: Nothing can be saved, or the destination cannot be written.
     """
     check_destination(source, destination, force=force)
+    _expect_source(source)
     reader, finished, lost_bytes, headless = _open(source)
     frames, last, duration = 0, -1, 0.0
     try:
-        with create_writer(destination, reader.header) as writer:
+        with create_writer(destination, reader.header, force=force) as writer:
             stream: Iterable[Frame] = reader.frames()
             for frame in progress(stream, reader) if progress else stream:
                 writer.write(frame)
@@ -102,6 +107,10 @@ def rescue(writer: Writer, path: Path, error: Exception, *, force: bool = False)
         What to tell: why it failed, and where what was recorded is.
     """
     partial = writer.abandon()
+    if not partial.exists():
+        return RecapError(f"{error}; nothing of what was recorded is left")
+    # That it was cut short is told anyway. A context with other filters would be that of all threads.
+    warnings.filterwarnings("ignore", re.escape(f"{partial}: "), RecapWarning)
     try:
         saved = recover(partial, path, force=force)
     except Exception:  # whatever it is: the frames are safe where they are
@@ -109,6 +118,13 @@ def rescue(writer: Writer, path: Path, error: Exception, *, force: bool = False)
     with suppress(OSError):
         partial.unlink()
     return RecapError(f"{error}; the recording ends at {saved.duration:g} s")
+
+
+def _expect_source(source: Path | str) -> None:
+    """Tell whoever asks for a recording that was never finished where its writer has left it."""
+    if not os.path.lexists(source) and (left := partials(source)):
+        there = " and ".join(map(str, left))
+        raise RecapError(f"{source}: was never finished; what was written of it until then lies in {there}")
 
 
 def _stated_frames(reader: Reader) -> int:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import shlex
 import signal
 import subprocess
@@ -52,10 +53,41 @@ def test_what_cannot_be_recorded(tmp_path):
     assert "unknown format" in error("record", tmp_path / "a.txt", *FEW)
     assert "has room for" in error("record", tmp_path / "a.log", "--vehicles", "1000", "--walkers", "0")
     assert "'--seed': -1" in error("record", tmp_path / "a.log", "--seed", "-1")
+    assert "is not a number of more than 0" in error("record", tmp_path / "a.log", "--duration", "0")
+    assert "found an empty text" in error("record", tmp_path / "a.log", "--town", "")
+    assert "--crash and --blocked" in error("record", tmp_path / "a.log", "--crash", "--blocked")
     (tmp_path / "b.xodr").write_text("<OpenDRIVE/>")
     assert "b.xodr: " in error("record", tmp_path / "a.log", "--town", tmp_path / "b.xodr")
     (tmp_path / "b.xodr").unlink()
     assert list(tmp_path.iterdir()) == []
+
+
+def test_where_nothing_can_be_recorded(tmp_path):
+    (tmp_path / "folder.log").mkdir()
+    without = "no suffix, which says the format; .log or .mcap was expected"
+    town = ("--town", "Atlantis")  # the destination is looked at first
+    for name in ("bare", "-", "/dev/null"):
+        assert error("record", name, "--force", *town, cwd=tmp_path) == f"{name}: {without}"
+    assert "cannot be written: is a directory" in error("record", tmp_path / "folder.log", "--force", *town)
+    assert "there is no folder" in error("record", tmp_path / "no" / "a.log", *town)
+    assert error("replay", CROSSING, "bare", "--force", *town, cwd=tmp_path) == f"bare: {without}"
+    assert [path.name for path in tmp_path.iterdir()] == ["folder.log"]
+
+
+def test_the_message_says_where_maps_were_looked_for(tmp_path):
+    for folder, told in (
+        ("", "is not set"),
+        (tmp_path / "no", f"{tmp_path / 'no'}, which is missing"),
+        (tmp_path, tmp_path),
+    ):
+        done = subprocess.run(
+            [COMMAND, "record", tmp_path / "a.log", "--town", "Atlantis"],
+            env=ENVIRONMENT | {"CARLA_RECAP_MAPS": str(folder)},
+            capture_output=True,
+            timeout=TIMEOUT,
+            check=False,
+        )
+        assert the_line(done.stderr).endswith(str(told))
 
 
 def test_as_many_ticks_as_the_time_takes(tmp_path):
@@ -101,7 +133,7 @@ def test_who_ends_it_early_has_what_was_recorded(tmp_path, number):
         process.send_signal(number)
         _, stderr = process.communicate(timeout=TIMEOUT)
     assert process.returncode == 128 + number
-    assert stderr.strip() == b""
+    assert re.fullmatch(rf"{re.escape(str(path))}: \d+ frames, [\d.]+ s", stderr.decode().strip())
     with open_recording(path) as recording:
         assert recording.info.frames > 0
 
@@ -114,7 +146,7 @@ def test_a_full_disk_ends_it_and_leaves_what_was_recorded(tmp_path, suffix):
         ["bash", "-c", f"ulimit -f 100; {record}"], env=ENVIRONMENT, capture_output=True, timeout=TIMEOUT, check=False
     )
     assert done.returncode == 2
-    assert b"warning: the recording has ended: " in done.stderr
+    assert the_line(done.stderr).startswith("warning: the recording has ended: ")
     assert b"cannot be written: File too large; " in done.stderr
     (left,) = tmp_path.iterdir()
     assert left.stat().st_size <= 100 << 10
@@ -185,6 +217,25 @@ def test_a_recording_of_carlas_goes_on_in_our_town(tmp_path):
     with open_recording(tmp_path / "a.mcap") as recording:
         assert recording.info.map_name == "Town01"
         assert recording.info.frames == 81
+
+
+def test_a_town_that_is_named_is_the_one_of_the_replay(tmp_path):
+    done = run("replay", CROSSING, tmp_path / "a.mcap", "--town", "Brickfield", "--duration", "1", "--then", "0")
+    assert done.returncode == 0
+    first, second = done.stderr.decode().splitlines()
+    assert first.endswith("crossing.log: is a recording of the map 'Crossing', and replayed in 'Brickfield'")
+    assert "21 frames" in second
+    with open_recording(tmp_path / "a.mcap") as recording:
+        assert recording.info.map_name == "Brickfield"
+
+
+def test_a_recording_is_not_replayed_onto_itself(crash, tmp_path):
+    (tmp_path / "link.mcap").symlink_to(crash)
+    before = crash.read_bytes()
+    for source in (crash, crash.with_suffix("")):
+        for destination in (crash, tmp_path / "link.mcap"):
+            assert error("replay", source, destination, "--force") == f"{destination}: is the source itself"
+    assert crash.read_bytes() == before
 
 
 def test_what_cannot_be_replayed(crash, tmp_path):

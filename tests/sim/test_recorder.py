@@ -9,6 +9,7 @@ import sys
 import textwrap
 import time
 import warnings
+from dataclasses import replace
 from itertools import pairwise
 from typing import TYPE_CHECKING, Any
 
@@ -21,6 +22,7 @@ from carla_recap.formats.mcap.writer import McapWriter
 from carla_recap.records import NO_ACTOR, ActorKind
 from carla_recap.sim.actors import Vehicle, Walker
 from carla_recap.sim.control import VehicleControl, WalkerControl
+from carla_recap.sim.errors import SimError
 from carla_recap.sim.geometry import Location, Transform, Vector
 from carla_recap.sim.recorder import recording_path, recordings_folder
 from carla_recap.sim.weather import PRESETS
@@ -364,7 +366,7 @@ def test_an_actor_that_cannot_be_told_of_is_an_error_at_the_start_and_ends_a_rec
     world = flat_world()
     world.start_recorder(tmp_path / f"a{suffix}")
     world.tick()
-    car(world, role_name="x" * 70_000)
+    car(world).attributes["role_name"] = "x" * 70_000
     with pytest.warns(RecapWarning, match="the recording has ended"):
         run_until_it_fails(world)
     with pytest.raises(RecapError):
@@ -549,3 +551,59 @@ def test_a_slow_disk_makes_no_tick_wait(tmp_path: Path, monkeypatch: pytest.Monk
     assert longest < 0.2
     world.close()
     assert len(frames(tmp_path / "a.mcap")) == 220
+
+
+def test_what_appeared_meanwhile_stays_if_it_must(tmp_path: Path) -> None:
+    world = flat_world()
+    path = world.start_recorder(tmp_path / "a.mcap", force=False)
+    world.run(1.0)
+    path.write_text("mine")
+    with pytest.warns(RecapWarning, match=r"File exists; what was recorded until then lies in .*\.partial"):
+        world.stop_recorder()
+    assert path.read_text() == "mine"
+    (partial,) = set(tmp_path.iterdir()) - {path}
+    assert len(frames(partial)) == 20
+    with pytest.raises(RecapError, match="exists already"):
+        world.start_recorder(path, force=False)
+
+
+@pytest.mark.parametrize("name", [".", "..", "./", "a/", "a/..", "a\\", "nul\0.log", "./folder", "./" + "x" * 300])
+def test_names_that_no_recording_can_have(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, name: str) -> None:
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "folder").mkdir()
+    with pytest.raises(RecapError, match=r"the name of a recording was expected|File name too long"):
+        flat_world().start_recorder(name)
+    assert [path.name for path in tmp_path.iterdir()] == ["folder"]
+
+
+def test_what_cannot_be_told_is_refused_and_the_recording_goes_on(tmp_path: Path) -> None:
+    world = flat_world()
+    audi = car(world)
+    world.start_recorder(tmp_path / "a.mcap", True)
+    world.tick()
+    for refused in (
+        lambda: world.spawn("static.prop.barrel", at(1e39)),
+        lambda: world.spawn("vehicle.audi.tt", at(20.0), role_name="x" * 1001),
+        lambda: setattr(audi, "transform", at(1e300)),
+        lambda: setattr(world, "weather", replace(world.weather, wetness=1e39)),
+    ):
+        with pytest.raises(SimError):
+            refused()
+    world.tick()
+    world.stop_recorder()
+    assert world.recorder.error is None
+    assert len(frames(tmp_path / "a.mcap")) == 2
+
+
+def test_the_date_is_when_the_recording_begins(tmp_path, monkeypatch):
+    monkeypatch.delenv("SOURCE_DATE_EPOCH", raising=False)
+    dates = []
+    with World(flat_town()) as world:
+        for now in (1_000_000_000, 1_000_000_060):
+            monkeypatch.setattr("carla_recap.sim.world.time.time", lambda now=now: now)
+            path = world.start_recorder(tmp_path / f"{now}.log")
+            world.tick()
+            world.stop_recorder()
+            with carla_recap.open_recording(path) as recording:
+                dates.append(int(recording.info.date.timestamp()))
+    assert dates == [1_000_000_000, 1_000_000_060]

@@ -652,3 +652,18 @@ def test_poses_that_are_no_numbers_move_nobody(tmp_path: Path) -> None:
         assert played(world, 9).transform.location.x == pytest.approx(10)
         assert played(world, 10).transform.location.x == pytest.approx(20)
     assert played(world, 9).transform.rotation == Rotation()
+
+
+def test_what_is_being_replayed_is_not_recorded_over(tmp_path: Path) -> None:
+    world = flat_world()
+    path = world.start_recorder(tmp_path / "a.mcap")
+    world.run(1.0)
+    world.stop_recorder()
+    world.replay_file(path)
+    (tmp_path / "link.mcap").symlink_to(path)
+    for name in (path, tmp_path / "a", tmp_path / "link.mcap"):
+        with pytest.raises(RecapError, match="is being replayed"):
+            world.start_recorder(name)
+    world.stop_replayer()
+    world.start_recorder(path)
+    world.close()

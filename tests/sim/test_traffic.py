@@ -8,6 +8,7 @@ from carla_recap.records import ActorKind
 from carla_recap.sim import Location, World, load_town
 from carla_recap.sim.errors import SimError
 from carla_recap.sim.traffic import populate
+from tests.sim.flat import flat_world, lane
 
 pytest.importorskip("carla", reason="the extra `carla` is not installed")
 
@@ -55,3 +56,15 @@ def test_there_is_less_room_around_a_place(town):
         populate(World(town, date=0), 200, 0, around=Location(120, -110, 0))
     with pytest.raises(SimError, match="Brickfield has no sidewalk within 80 m of"):
         populate(World(town, date=0), 0, 1, around=Location(5000, 0, 0))
+
+
+@pytest.mark.parametrize("counts", [(-1, 0), (0, -1), (float("nan"), 0)])
+def test_there_are_no_such_numbers(counts: tuple[int, int]) -> None:
+    with pytest.raises(SimError, match="0 or a larger whole number was expected"):
+        populate(flat_world(), *counts)
+
+
+def test_a_town_whose_lanes_lead_nowhere_says_so() -> None:
+    world = flat_world(lanes=[lane(junction=1)])
+    with pytest.raises(SimError, match="Flat has no place for a vehicle: no lanes for cars that lead anywhere"):
+        populate(world, 1, 0)

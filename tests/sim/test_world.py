@@ -12,6 +12,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from carla_recap.errors import RecapError
 from carla_recap.records import ActorKind
 from carla_recap.sim.actors import Prop, Sensor, Vehicle, Walker
 from carla_recap.sim.control import VehicleControl, WalkerControl
@@ -202,7 +203,7 @@ def test_controllers_come_first_and_listeners_last() -> None:
     assert world.delta == 0.1
 
 
-@pytest.mark.parametrize("delta", [0.0, -1.0, float("nan"), float("inf")])
+@pytest.mark.parametrize("delta", [0.0, -1.0, float("nan"), float("inf"), 11.0])
 def test_a_tick_takes_time(delta: float) -> None:
     with pytest.raises(SimError, match="expected more than 0 s"):
         flat_world().tick(delta)
@@ -272,7 +273,7 @@ def test_doors_lights_and_weather_are_kept() -> None:
     assert len(astuple(Weather())) == 14
 
 
-@pytest.mark.parametrize("number", [float("nan"), float("inf")])
+@pytest.mark.parametrize("number", [float("nan"), float("inf"), 1e39, 1e300])
 def test_what_is_no_number_is_refused(number: float) -> None:
     world = flat_world(signals=[light(0, (0,))])
     car, walker = vehicle(world), world.spawn("walker.pedestrian.0001", at(20.0))
@@ -286,13 +287,12 @@ def test_what_is_no_number_is_refused(number: float) -> None:
         lambda: car.set_target_velocity(Vector(number)),
         lambda: car.add_impulse(Vector(0.0, number)),
         lambda: car.add_force(Vector(number)),
-        lambda: car.apply_control(VehicleControl(throttle=number)),
         lambda: setattr(car, "physics_control", replace(car.physics_control, mass=number)),
         lambda: walker.apply_control(WalkerControl(Vector(number), 1.0)),
         lambda: setattr(world.traffic_lights[0], "green_time", number),
     ]
     for attempt in attempts:
-        with pytest.raises(SimError, match=r"finite numbers were expected|expected 0 s or more"):
+        with pytest.raises(SimError, match=r"expected 0 s or more|at most 10+ .* expected"):
             attempt()
     world.tick()
     assert car.transform == at(0.0)
@@ -407,3 +407,69 @@ def test_the_same_seed_makes_the_same_world_in_any_process() -> None:
         for hash_seed in ("1", "2")
     }
     assert answers == {state_after_a_pile_up()}
+
+
+def test_what_no_vehicle_can_be_like_or_do() -> None:
+    world = flat_world()
+    car = vehicle(world)
+    control = car.physics_control
+    attempts = [
+        lambda: car.add_impulse(Vector(1.1e4 * control.mass)),
+        lambda: car.add_force(Vector(1.1e4 * control.mass / world.delta)),
+        lambda: setattr(car, "physics_control", replace(control, mass=0.0)),
+        lambda: setattr(car, "physics_control", replace(control, wheels=[])),
+        lambda: setattr(car, "physics_control", replace(control, forward_gears=[])),
+        lambda: setattr(car, "physics_control", replace(control, max_rpm=0.0)),
+        lambda: setattr(car, "physics_control", replace(control, clutch_strength=1e39)),
+        lambda: car.apply_control(VehicleControl(manual_gear_shift=True, gear=99)),
+        lambda: car.apply_control(VehicleControl(throttle=float("nan"))),
+        lambda: setattr(car, "light_state", -1),
+    ]
+    for attempt in attempts:
+        with pytest.raises(SimError, match=r"Vehicle\(.*, 'vehicle.audi.tt'\)"):
+            attempt()
+    car.apply_control(VehicleControl(throttle=7.0, steer=-7.0, gear=99))
+    assert (car.control.throttle, car.control.steer) == (1.0, -1.0)
+
+
+@pytest.mark.parametrize(
+    ("name", "value"),
+    [
+        ("fixed_delta_seconds", 0.0),
+        ("fixed_delta_seconds", 10.1),
+        ("max_substep_delta_time", 0.0),
+        ("max_substep_delta_time", float("nan")),
+        ("collisions_of", "everybody"),
+    ],
+)
+def test_settings_that_are_not_to_be_had(name: str, value: object) -> None:
+    world = flat_world()
+    before = getattr(world.settings, name)
+    with pytest.raises(SimError, match=name):
+        setattr(world.settings, name, value)
+    assert getattr(world.settings, name) == before
+
+
+def test_time_that_cannot_pass() -> None:
+    world = flat_world()
+    for seconds in (-1.0, float("nan"), float("inf")):
+        with pytest.raises(SimError, match="0 s or more was expected"):
+            world.run(seconds)
+    for factor in (0.0, -1.0, float("nan")):
+        with pytest.raises(SimError, match="a factor above 0"):
+            world.run_realtime(1.0, factor)
+    assert world.frame == 0
+
+
+def test_attributes_are_those_of_the_blueprint() -> None:
+    with pytest.raises(SpawnError, match=r"vehicle.audi.tt has no attribute 'rolename'; it has role_name"):
+        flat_world().spawn("vehicle.audi.tt", at(0.0), rolename="hero")
+
+
+def test_a_town_by_its_name() -> None:
+    world = World("Brickfield")
+    assert world.town.name == "Brickfield"
+    with pytest.raises(RecapError, match="town 'Atlantis': expected"):
+        world.reload("Atlantis")
+    world.reload("Brickfield")
+    assert world.episode == 2

@@ -19,21 +19,23 @@ class _Number(click.ParamType[Any]):
 
     Args:
         least: The smallest that makes sense.
+        exclusive: Whether even that one makes none.
     """
 
     name = "number"
 
-    def __init__(self, least: float = -math.inf) -> None:
+    def __init__(self, least: float = -math.inf, *, exclusive: bool = False) -> None:
         self._least = least
+        self._exclusive = exclusive
 
     def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Any:
         try:
             number = float(value)
         except ValueError:
             number = math.nan
-        if not number >= self._least:
-            least = "" if self._least == -math.inf else f" of {self._least:g} or more"
-            self.fail(f"{value!r} is not a number{least}.", param, ctx)
+        if not number >= self._least or (self._exclusive and number == self._least):
+            least = f" of more than {self._least:g}" if self._exclusive else f" of {self._least:g} or more"
+            self.fail(f"{value!r} is not a number{'' if self._least == -math.inf else least}.", param, ctx)
         return number
 
 
@@ -63,6 +65,7 @@ class _Size(click.ParamType[Any]):
 
 
 NUMBER = _Number(0)
+POSITIVE = _Number(0, exclusive=True)
 TIME = _Number()
 FOLLOW = _Follow()
 SIZE = _Size()

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import sys
+from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -18,6 +20,13 @@ if TYPE_CHECKING:
 _ROUNDING = 1e-6  # of a tick
 _FAILED = 2  # the exit code for bad input
 
+
+def _no_blank(context: click.Context, option: click.Parameter, value: str | None) -> str | None:
+    if value == "":
+        raise click.BadParameter("the name of a map or an .xodr was expected, found an empty text.", context, option)
+    return value
+
+
 _seed = click.option(
     "--seed",
     type=click.IntRange(min=0),
@@ -31,59 +40,55 @@ _additional_data = click.option("--additional-data", is_flag=True, help="Record 
 
 @click.command()
 @options.destination
-@click.option("--town", default="", metavar="NAME", help="A map's name or an .xodr; else the built-in town.")
+@click.option("--town", callback=_no_blank, metavar="NAME", help="A map's name or an .xodr; else the built-in town.")
 @click.option("--vehicles", type=click.IntRange(0, 1000), default=30, show_default=True, metavar="N", help="On autopilot.")
 @click.option("--walkers", type=click.IntRange(0, 1000), default=10, show_default=True, metavar="N", help="Who stroll.")
-@click.option("--duration", type=options.NUMBER, default=60, show_default=True, metavar="S", help="How long, in s.")
+@click.option("--duration", type=options.POSITIVE, default=60, show_default=True, metavar="S", help="How long, in s.")
 @click.option("--hero", is_flag=True, help="The first vehicle is the hero, with a collision sensor.")
 @click.option("--junction", is_flag=True, help="All begin around the town's largest junction with traffic lights.")
-@click.option(
-    "--crash", "scene", flag_value="Crash", help="Stage one: the hero hits a walker, then a van that blocks its lane."
-)
-@click.option(
-    "--blocked",
-    "scene",
-    flag_value="Blockage",
-    help="Stage one: a van breaks down; the hero and others queue behind it.",
-)
+@click.option("--crash", is_flag=True, help="Stage one: the hero hits a walker, then a van that blocks its lane.")
+@click.option("--blocked", is_flag=True, help="Stage one: a van breaks down; the hero and others queue behind it.")
 @_seed
 @_additional_data
 @options.force
 def record(
     destination: str,
-    town: str,
+    town: str | None,
     vehicles: int,
     walkers: int,
     duration: float,
     hero: bool,
     junction: bool,
-    scene: str | None,
+    crash: bool,
+    blocked: bool,
     seed: int,
     additional_data: bool,
     force: bool,
 ) -> None:
     """Record simulated traffic, to .mcap or .log."""
-    from carla_recap.conversion import check_free
+    from carla_recap.conversion import check_new
 
-    check_free(destination, force=force)
+    if crash and blocked:
+        raise click.UsageError("--crash and --blocked are two scenes; one recording has one of them.")
+    check_new(destination, force=force)
     with _world(town, seed) as world:
         from carla_recap.sim import staging
         from carla_recap.sim.traffic import populate
 
-        if scene:
-            getattr(staging, scene)(world)
+        if crash:
+            staging.Crash(world)
+        if blocked:
+            staging.Blockage(world)
         around = staging.largest_junction(world.town) if junction else None
-        populate(world, vehicles, walkers, hero=hero and not scene, around=around)
-        world.start_recorder(Path(destination).absolute(), additional_data)
-        _watch("simulating", duration, _ticks(world, duration))
-        _finish(world)
-    say(f"{destination}: {world.frame} frames, {world.elapsed:g} s")
+        populate(world, vehicles, walkers, hero=hero and not (crash or blocked), around=around)
+        with _recording(world, destination, additional_data=additional_data, force=force):
+            _watch("simulating", duration, _ticks(world, duration))
 
 
 @click.command()
 @options.source
 @options.destination
-@click.option("--town", default="", metavar="NAME", help="A map's name or an .xodr; else that of the recording.")
+@click.option("--town", callback=_no_blank, metavar="NAME", help="A map's name or an .xodr; else that of the recording.")
 @options.start
 @options.duration
 @click.option(
@@ -95,7 +100,7 @@ def record(
 def replay(
     source: str,
     destination: str,
-    town: str,
+    town: str | None,
     start: float,
     duration: float,
     then: float,
@@ -107,29 +112,60 @@ def replay(
 
     What would have become of it? End the replay before the crash, and see.
     """
-    from carla_recap.conversion import check_free
+    from carla_recap.conversion import check_destination, check_new
 
-    check_free(destination, force=force)
+    check_new(destination, force=True)
+    path = _found(source)
+    check_destination(path, destination, force=force)
     with _world(town) as world:
         world.set_replayer_ignore_hero(ignore_hero)
-        played = world.replay_file(Path(source).absolute(), start, duration)
-        world.start_recorder(Path(destination).absolute(), additional_data)
-        _watch("replaying", played.duration, _replayed(world))
-        taken_over = world.frame  # the replay ends in the first tick that it does not tell of
-        _watch("simulating", then, _ticks(world, then))
-        _finish(world)
-    say(f"{destination}: {world.frame} frames, {world.elapsed:g} s, by autopilot from frame {taken_over} on")
+        played = world.replay_file(path, start, duration, keep_town=town is not None)
+        with _recording(world, destination, additional_data=additional_data, force=force) as told:
+            _watch("replaying", played.duration, _replayed(world))
+            # the replay ends in the first tick that it does not tell of
+            told.append(f"by autopilot from frame {world.frame} on")
+            _watch("simulating", then, _ticks(world, then))
 
 
-def _world(town: str, seed: int = 0) -> World:
+def _found(source: str) -> Path:
+    """Where the recording lies that is to be replayed.
+
+    Raises:
+        MissingExtra: There is no physics engine.
+    """
+    from carla_recap.sim.replayer import find_recording
+
+    return find_recording(Path(source).absolute())
+
+
+def _world(town: str | None, seed: int = 0) -> World:
     """A town in which nobody is.
 
     Raises:
         MissingExtra: There is no physics engine.
     """
-    from carla_recap.sim import World, load_town
+    from carla_recap.sim import World
 
-    return World(load_town(town), seed=seed)
+    return World(town, seed=seed)
+
+
+@contextmanager
+def _recording(world: World, destination: str, *, additional_data: bool, force: bool) -> Iterator[list[str]]:
+    """Record what happens, and say what was recorded, also to who ends it by a signal; it fails if it ended before.
+
+    Yields:
+        What else to say of it.
+    """
+    told: list[str] = []
+    world.start_recorder(Path(destination).absolute(), additional_data, force=force)
+    try:
+        yield told
+    finally:
+        world.stop_recorder()
+        if world.recorder.error is None:
+            say(", ".join((f"{destination}: {world.frame} frames", f"{world.elapsed:g} s", *told)))
+        elif sys.exc_info()[0] is None:  # a warning has told of it
+            click.get_current_context().exit(_FAILED)
 
 
 def _watch(what: str, seconds: float, ticks: Iterator[float]) -> None:
@@ -153,13 +189,6 @@ def _replayed(world: World) -> Iterator[float]:
     while world.replayer.is_playing and world.recorder.path:
         world.tick()
         yield world.elapsed - begin
-
-
-def _finish(world: World) -> None:
-    """Complete the recording; the command fails if it has ended early, which a warning tells of."""
-    world.stop_recorder()
-    if world.recorder.error is not None:
-        click.get_current_context().exit(_FAILED)
 
 
 COMMANDS = (record, replay)

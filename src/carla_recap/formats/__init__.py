@@ -55,7 +55,20 @@ def read_start(path: Path | str) -> bytes:
         raise RecapError(f"{path!r}: {error}") from None
 
 
-def create_writer(path: Path | str, header: Header, *, live: bool = False) -> Writer:
+def format_of(path: Path | str) -> str:
+    """The suffix of a destination, which says its format.
+
+    Raises:
+        RecapError: It is of no format.
+    """
+    suffix = Path(path).suffix.lower()
+    if suffix not in SUFFIXES:
+        found = f"unknown format {suffix!r}" if suffix else "no suffix, which says the format"
+        raise RecapError(f"{path}: {found}; {' or '.join(SUFFIXES)} was expected")
+    return suffix
+
+
+def create_writer(path: Path | str, header: Header, *, live: bool = False, force: bool = True) -> Writer:
     """Begin a recording in the format of a path's suffix.
 
     Args:
@@ -63,18 +76,15 @@ def create_writer(path: Path | str, header: Header, *, live: bool = False) -> Wr
         header: The header.
         live: Put the data on the disk as it comes, so that a crash costs 5 s of recording at the most. What cannot be
             finished is left beside the destination, where `recover` takes it.
+        force: Take the place of what is at the destination by the end; else that is an error.
 
     Raises:
         RecapError: The suffix is of no format, or the place cannot be written to.
     """
-    suffix = Path(path).suffix.lower()
-    if suffix == ".log":
+    if format_of(path) == ".log":
         from carla_recap.formats.carla_log import LogWriter
 
-        return LogWriter(path, header, live=live)
-    if suffix == ".mcap":
-        from carla_recap.formats.mcap.writer import McapWriter
+        return LogWriter(path, header, live=live, force=force)
+    from carla_recap.formats.mcap.writer import McapWriter
 
-        return McapWriter(path, header, live=live)
-    found = f"unknown format {suffix!r}" if suffix else "no suffix, which says the format"
-    raise RecapError(f"{path}: {found}; {' or '.join(SUFFIXES)} was expected")
+    return McapWriter(path, header, live=live, force=force)

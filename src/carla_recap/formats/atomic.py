@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import os
 from contextlib import suppress
+from errno import EEXIST
+from glob import escape
 from pathlib import Path
 from typing import TYPE_CHECKING, Self
 
@@ -16,6 +18,9 @@ if TYPE_CHECKING:
     from carla_recap.payload import Buffer
 
 
+_NAME = 200  # characters of the destination's name that are in the name of what is beside it
+
+
 class AtomicFile:
     """Base of the writers: writes beside the destination, and moves there on `close`.
 
@@ -24,15 +29,17 @@ class AtomicFile:
     Args:
         path: The destination.
         live: Leave what was written beside the destination, too, when the file cannot be finished.
+        force: Take the place of what is at the destination by the end; else that is an error.
 
     Raises:
         RecapError: The place cannot be written to.
     """
 
-    def __init__(self, path: Path | str, *, live: bool = False) -> None:
+    def __init__(self, path: Path | str, *, live: bool = False, force: bool = True) -> None:
         self.path = Path(path)
         self._live = live
-        self._partial = self.path.with_name(f".{self.path.name[:200]}.{os.urandom(4).hex()}.partial")
+        self._force = force
+        self._partial = self.path.with_name(f".{self.path.name[:_NAME]}.{os.urandom(4).hex()}.partial")
 
     def _begin(self, write: Callable[[], None]) -> None:
         """Open the file, and let what comes first be written; whatever interrupts that leaves nothing behind."""
@@ -55,7 +62,7 @@ class AtomicFile:
         try:
             self._finish()
             self._file.close()
-            self._partial.replace(self.path)
+            self._appear()
         except OSError as error:
             self._give_up()
             raise self._unwritable(error) from None
@@ -75,6 +82,22 @@ class AtomicFile:
             if hasattr(self, "_file"):
                 self._file.close()
         return self._partial
+
+    def _appear(self) -> None:
+        """Put the file under its name."""
+        if self._force:
+            self._partial.replace(self.path)
+            return
+        try:
+            os.link(self._partial, self.path)  # no rename leaves alone what is there
+        except FileExistsError:
+            raise
+        except OSError:  # a file system without links
+            if os.path.lexists(self.path):
+                raise FileExistsError(EEXIST, os.strerror(EEXIST)) from None
+            self._partial.replace(self.path)
+        else:
+            self._partial.unlink()
 
     def _give_up(self) -> None:
         if self._live:
@@ -119,3 +142,9 @@ class AtomicFile:
             self.close()
         else:
             self.abort()
+
+
+def partials(path: Path | str) -> list[Path]:
+    """What lies beside a destination and was left by writers that died."""
+    path = Path(path)
+    return sorted(path.parent.glob(f".{escape(path.name[:_NAME])}.*.partial"))

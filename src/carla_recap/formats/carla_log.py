@@ -454,14 +454,15 @@ class LogWriter(AtomicFile):
         path: The destination.
         header: The header.
         live: Put the frames on the disk every `SYNC_SECONDS` of recording.
+        force: See `AtomicFile`.
 
     Raises:
         RecapError: The place cannot be written to.
     """
 
-    def __init__(self, path: Path | str, header: Header, *, live: bool = False) -> None:
+    def __init__(self, path: Path | str, header: Header, *, live: bool = False, force: bool = True) -> None:
         start = pack_header(header)
-        super().__init__(path, live=live)
+        super().__init__(path, live=live, force=force)
         self._shift = UNSHIFT if header.shifted else {}
         self._sync_at = 0.0
         self._begin(lambda: self._put(start))

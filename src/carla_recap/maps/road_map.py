@@ -76,6 +76,15 @@ def find_map(map_name: str, folder: Path | str | None = None) -> Path | None:
     return maps.get(name) or maps.get(name.removesuffix("_Opt"))
 
 
+def described_folder(folder: Path | str | None = None) -> str:
+    """The folder of maps, for messages, and what is wrong with it; see `find_map`."""
+    path = folder or os.environ.get(FOLDER)
+    if not path:
+        return f"the folder that {FOLDER} names, which is not set"
+    told = f"the folder {path}" if folder else f"the folder that {FOLDER} names, {path}"
+    return told if Path(path).is_dir() else f"{told}, which is missing"
+
+
 def find_maps(folder: Path | str | None = None) -> dict[str, Path]:
     """The OpenDRIVE files of all maps, by their names; see `find_map`."""
     folder = folder or os.environ.get(FOLDER)

@@ -120,16 +120,14 @@ class Host:
         """Take over settings.
 
         Raises:
-            CallError: The length of a tick is not to be had.
+            SimError: The length of a tick is not to be had.
         """
-        delta = settings.fixed_delta_seconds
-        if delta is not None and not 0 <= delta < float("inf"):
-            raise CallError(f"fixed_delta_seconds of {delta:g}: expected more than 0 s")
-        self.settings = replace(settings, fixed_delta_seconds=delta or None)
+        delta = settings.fixed_delta_seconds or None
         mine = self.world.settings
+        mine.fixed_delta_seconds = delta
+        self.settings = replace(settings, fixed_delta_seconds=delta)
         mine.synchronous_mode = settings.synchronous_mode
         mine.no_rendering_mode = settings.no_rendering_mode
-        mine.fixed_delta_seconds = delta or None
         mine.substepping = settings.substepping
         for listener in self.on_settings:
             listener()

@@ -33,7 +33,8 @@ _ACTIVE: Final = 1
 _SIZE: Final = 119
 _BASE: Final = [("id", "<u4"), ("activity", "u1"), ("numbers", "<(15,)f4")]
 _KM_PER_H: Final = 3.6
-_FAR: Final = 1.0  # m: after so much, it is found out anew what the road tells a vehicle
+_FAR: Final = 3.0  # m: a vehicle that has come so far is looked up on the lanes anew,
+_NEAR: Final = 1.0  # m: and so are, with it, those that have come so far
 
 
 def _dtype(*fields: tuple[str, str]) -> np.dtype[np.void]:
@@ -106,8 +107,7 @@ class Photographer:
         self._population: object = None
         self._arrays: list[NDArray[np.void]] = []
         self._others: list[Actor] = []
-        self._looked = np.empty((0, 3))  # where vehicles were when it was last found out what the road tells them there
-        self._light = np.empty(0, np.int64)
+        self._drives = Drives(world)
         self._born = time.monotonic()
 
     def take(self, episode: int, frame: int) -> bytes:
@@ -146,8 +146,7 @@ class Photographer:
         world = self._world
         signs = [actor for actor in actors if isinstance(actor, Sign) and not isinstance(actor, TrafficLight)]
         self._others = [actor for actor in actors if not isinstance(actor, (Mover, Sign))]
-        self._looked = np.full((len(world.vehicles), 3), np.inf)
-        self._light = np.full(len(world.vehicles), NO_LIGHT)
+        self._drives = Drives(world)
         self._arrays = [
             _blank(VEHICLE, world.vehicles.actors),
             _blank(WALKER, world.walkers.actors),
@@ -162,15 +161,44 @@ class Photographer:
             return
         for name in _CONTROLS:
             rows[name] = getattr(vehicles, name)
-        moved = np.flatnonzero((np.abs(vehicles.position - self._looked) > _FAR).any(axis=1))
-        if len(moved):
-            self._looked[moved] = vehicles.position[moved]
-            notice = self._rules.at(vehicles.position[moved], np.radians(vehicles.rotation[moved, 1]))
-            self._light[moved] = notice.light
-            rows["speed_limit"][moved] = notice.speed_limit * _KM_PER_H
-            rows["at_light"][moved] = notice.light != NO_LIGHT
-            rows["light"][moved] = self._light_ids[notice.light]
-        rows["shown"] = np.append(self._world.signals.state, GREEN)[self._light]
+        notice = self._rules.at(*self._drives.now())
+        rows["speed_limit"] = notice.speed_limit * _KM_PER_H
+        rows["at_light"] = notice.light != NO_LIGHT
+        rows["light"] = self._light_ids[notice.light]
+        rows["shown"] = np.append(self._world.signals.state, GREEN)[notice.light]
+
+
+class Drives:
+    """Where vehicles are on their lanes: looked up now and then, and reckoned from how far they have come since.
+
+    Args:
+        world: The world; as long as nobody comes or goes.
+    """
+
+    def __init__(self, world: World) -> None:
+        self._world = world
+        count = len(world.vehicles)
+        self._from = np.full((count, 3), np.inf)
+        self._ahead = np.zeros((count, 2))
+        self._lane = np.zeros(count, np.int64)
+        self._s = np.zeros(count)
+
+    def now(self) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
+        """The lanes, and how far along each vehicle is, in m."""
+        vehicles = self._world.vehicles
+        gone = np.abs(vehicles.position - self._from).max(axis=1, initial=0)
+        if gone.max(initial=0) > _FAR:
+            self._look(np.flatnonzero(gone > _NEAR))
+        come = (vehicles.position - self._from)[:, :2]
+        return self._lane, self._s + (come * self._ahead).sum(axis=1)
+
+    def _look(self, rows: NDArray[np.int64]) -> None:
+        vehicles = self._world.vehicles
+        position, heading = vehicles.position[rows], np.radians(vehicles.rotation[rows, 1])
+        self._from[rows] = position
+        self._ahead[rows] = np.stack((np.cos(heading), np.sin(heading)), axis=1)
+        x, y, z = position.T
+        self._lane[rows], self._s[rows] = self._world.town.nearest_lane(x, y, z=z, heading=heading)
 
 
 def _blank(dtype: np.dtype[np.void], actors: Iterable[Actor]) -> NDArray[np.void]:

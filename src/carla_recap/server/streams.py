@@ -9,7 +9,7 @@ from __future__ import annotations
 import asyncio
 import struct
 from collections import defaultdict
-from typing import TYPE_CHECKING, Final
+from typing import TYPE_CHECKING, Final, cast
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -141,9 +141,8 @@ class Subscriber(asyncio.Protocol):
 
     def connection_made(self, transport: asyncio.BaseTransport) -> None:
         """See `asyncio.Protocol`."""
-        assert isinstance(transport, asyncio.Transport)
-        transport.set_write_buffer_limits(high=_BACKLOG, low=0)
-        self._transport = transport
+        self._transport = cast(asyncio.Transport, transport)
+        self._transport.set_write_buffer_limits(high=_BACKLOG, low=0)
         self._streams.connections.enter(self)
 
     def data_received(self, data: bytes) -> None:

@@ -7,12 +7,20 @@ from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
-from carla_recap.sim.checks import expect_between, expect_finite
+from carla_recap.sim.checks import (
+    LARGEST,
+    expect_between,
+    expect_finite,
+    expect_physics,
+    expect_place,
+    expect_push,
+    expect_transform,
+    expect_velocity,
+)
 from carla_recap.sim.control import VehicleControl, WalkerControl
 from carla_recap.sim.errors import DeadActor, SimError
 from carla_recap.sim.geometry import Location, Rotation, Transform, Vector
 from carla_recap.sim.plane import PROP, VEHICLE, WALKER
-from carla_recap.sim.poses import pose
 from carla_recap.sim.signals import RED, UNKNOWN
 
 if TYPE_CHECKING:
@@ -33,8 +41,7 @@ HERO = "hero"
 """The role name of the vehicle that a test is about."""
 ALL_DOORS = 6
 """The number that stands for doors 0 to 5 together."""
-
-
+_LIGHT_BITS: Final = 0xFFFFFFFF
 _ACROSS: Final = 90.0
 """Degrees: CARLA turns its lights and signs so much further than the signals of the map, with x across the road."""
 
@@ -104,7 +111,7 @@ class Actor:
     @transform.setter
     def transform(self, value: Transform) -> None:
         self.check()
-        expect_finite(f"the transform of {self!r}", *pose(value))
+        expect_transform(f"the transform of {self!r}", value)
         self._transform = value.copy()
 
     @property
@@ -182,7 +189,7 @@ class Mover(Actor):
 
     @transform.setter
     def transform(self, value: Transform) -> None:
-        expect_finite(f"the transform of {self!r}", *pose(value))
+        expect_transform(f"the transform of {self!r}", value)
         if self.parent is not None:
             self._transform = value.copy()
             return self.ride(self.parent)
@@ -220,7 +227,7 @@ class Mover(Actor):
 
     def set_target_velocity(self, velocity: Vector) -> None:
         """Give it a velocity in m/s, from which it goes on."""
-        expect_finite(f"the velocity of {self!r}", velocity.x, velocity.y, velocity.z)
+        expect_velocity(f"the velocity of {self!r}", velocity)
         self.rows.set_velocity(self.row, velocity.x, velocity.y, velocity.z)
 
     def ride(self, parent: Actor) -> None:
@@ -275,8 +282,17 @@ class Vehicle(Mover):
         self.apply_control(control)
 
     def apply_control(self, control: VehicleControl) -> None:
-        """Tell its driver what to do from now on."""
+        """Tell its driver what to do from now on.
+
+        Throttle and brake beyond 0 to 1, and steering beyond -1 to 1, count as these; the gear counts where it is shifted
+        by hand.
+
+        Raises:
+            SimError: A number is none, or there is no such gear.
+        """
         expect_finite(f"the control of {self!r}", control.throttle, control.steer, control.brake)
+        if control.manual_gear_shift:
+            expect_between(f"the gear of {self!r}", control.gear, -1, len(self._physics_control.forward_gears))
         rows, row = self.rows, self.row
         rows.throttle[row] = min(max(control.throttle, 0.0), 1.0)
         rows.steer[row] = min(max(control.steer, -1.0), 1.0)
@@ -285,7 +301,7 @@ class Vehicle(Mover):
         rows.reverse[row] = control.reverse
         rows.manual[row] = control.manual_gear_shift
         if control.manual_gear_shift:
-            rows.gear[row] = min(max(control.gear, -1), len(self._physics_control.forward_gears))
+            rows.gear[row] = control.gear
 
     @property
     def light_state(self) -> int:
@@ -294,6 +310,7 @@ class Vehicle(Mover):
 
     @light_state.setter
     def light_state(self, bits: int) -> None:
+        expect_between(f"the lights of {self!r}", bits, 0, _LIGHT_BITS)
         self.rows.light_state[self.row] = bits
 
     @property
@@ -319,7 +336,7 @@ class Vehicle(Mover):
 
     @physics_control.setter
     def physics_control(self, control: PhysicsControl) -> None:
-        expect_finite(f"mass and drag of {self!r}", control.mass, control.drag_coefficient)
+        expect_physics(f"the physics control of {self!r}", control)
         row = self.row
         self._physics_control = deepcopy(control)
         self.rows.set_physics(row, self._physics_control, self.box)
@@ -327,16 +344,18 @@ class Vehicle(Mover):
 
     def add_impulse(self, impulse: Vector) -> None:
         """Push it: N s, in the world."""
-        expect_finite(f"an impulse on {self!r}", impulse.x, impulse.y)
         rows, row = self.rows, self.row
+        expect_push(f"an impulse on {self!r}", impulse, rows.mass[row].item())
         change = np.zeros((len(rows), 2))
         change[row] = np.array((impulse.x, impulse.y)) / rows.mass[row]
         rows.kick(change)
 
     def add_force(self, force: Vector) -> None:
         """Push it during the next tick: N, in the world."""
-        expect_finite(f"a force on {self!r}", force.x, force.y)
-        self.rows.force[self.row] += (force.x, force.y)
+        rows, row, seconds = self.rows, self.row, self.world.settings.fixed_delta_seconds or self.world.delta
+        impulse = Vector(force.x * seconds, force.y * seconds, force.z * seconds)
+        expect_push(f"a force on {self!r}", impulse, rows.mass[row].item())
+        rows.force[row] += (force.x, force.y)
 
     def set_door(self, door: int, open: bool) -> None:
         """Open or close a door: 0 front left, 1 front right, 2 rear left, 3 rear right, 4 hood, 5 trunk, 6 all."""
@@ -370,7 +389,8 @@ class Walker(Mover):
     def apply_control(self, control: WalkerControl) -> None:
         """Have it walk in a direction; a destination is forgotten."""
         direction = control.direction
-        expect_finite(f"the control of {self!r}", direction.x, direction.y, direction.z, control.speed)
+        expect_velocity(f"the direction of {self!r}", direction)
+        expect_velocity(f"the speed of {self!r}", Vector(control.speed))
         rows, row = self.rows, self.row
         self.world.strolling.forget(self.id)
         length = direction.length()
@@ -390,6 +410,7 @@ class Walker(Mover):
         if place is None:
             self.world.strolling.forget(self.id)
         else:
+            expect_place(f"the destination of {self!r}", place)
             self.world.strolling.send(self, place)
 
     @property
@@ -415,7 +436,7 @@ class Prop(Actor):
     @transform.setter
     def transform(self, value: Transform) -> None:
         self.check()
-        expect_finite(f"the transform of {self!r}", *pose(value))
+        expect_transform(f"the transform of {self!r}", value)
         self._transform = value.copy()
         if self.body is not None:
             x, y = value.location.x, value.location.y
@@ -483,6 +504,7 @@ class TrafficLight(Sign):
 
     @elapsed_time.setter
     def elapsed_time(self, seconds: float) -> None:
+        self._expect_time("time", seconds)
         self._signals.elapsed[self.row] = seconds
 
     @property
@@ -541,10 +563,13 @@ class TrafficLight(Sign):
         return self.signal.stops
 
     def _set_time(self, name: str, seconds: float) -> None:
-        if not 0 <= seconds < np.inf:
-            raise SimError(f"a {name.replace('_', ' ')} of {seconds} s: expected 0 s or more")
+        self._expect_time(name.replace("_", " "), seconds)
         getattr(self._signals, name)[self.row] = seconds
         self.world.pending.light_times.append(self)
+
+    def _expect_time(self, what: str, seconds: float) -> None:
+        if not 0 <= seconds <= LARGEST:
+            raise SimError(f"{self!r}: a {what} of {seconds:g} s: expected 0 s or more, and at most {LARGEST:g} s")
 
 
 def upon(parent: Actor, relative: Transform) -> Transform:

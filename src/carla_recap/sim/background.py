@@ -32,6 +32,7 @@ class BackgroundWriter:
         path: The destination; the suffix says the format.
         header: The header.
         introduction: Packets of the first frame, with which all that takes long is done at once.
+        force: Take the place of what is at the destination by the end; else it stays, as does what was recorded, beside it.
 
     Attributes:
         path: The destination.
@@ -41,10 +42,10 @@ class BackgroundWriter:
         RecapError: The suffix is of no format, the place cannot be written to, or a packet cannot be written.
     """
 
-    def __init__(self, path: Path, header: Header, introduction: Iterable[Packet]) -> None:
+    def __init__(self, path: Path, header: Header, introduction: Iterable[Packet], *, force: bool = True) -> None:
         self.path = path
         self.error: RecapError | None = None
-        self._writer = _prepared(create_writer(path, header, live=True), introduction)
+        self._writer = _prepared(create_writer(path, header, live=True, force=force), introduction)
         self._strip: Strip | None = None
         self._strips: Queue[Strip | None] = Queue(QUEUE)
         self._thread = Thread(target=self._run, name="carla-recap-recorder", daemon=True)

@@ -16,7 +16,7 @@ from carla_recap.sim.geometry import Box, Location, Vector
 from carla_recap.sim.physics_control import Gear, PhysicsControl, WheelPhysics
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator, Mapping
+    from collections.abc import Iterable, Iterator, Mapping
 
 
 @dataclass(frozen=True)
@@ -42,6 +42,17 @@ class Blueprint:
     wheelbase: float = 0.0
     choices: Mapping[str, tuple[str, ...]] = field(default_factory=lambda: MappingProxyType({}))
     uid: int = 0
+
+    def expect(self, attributes: Iterable[str]) -> None:
+        """Make sure that it has attributes of some names.
+
+        Raises:
+            SpawnError: It has not; the message has names that are like it.
+        """
+        for key in attributes:
+            if key not in self.attributes:
+                near = get_close_matches(key, self.attributes, n=3, cutoff=0.5)
+                raise SpawnError(f"{self.id} has no attribute {key!r}; it has {', '.join(near or self.attributes)}")
 
 
 _FAMILIES: Final = "there are vehicle.*, walker.*, static.prop.*, sensor.* and controller.*"

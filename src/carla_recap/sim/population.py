@@ -10,12 +10,11 @@ import numpy as np
 from carla_recap.records import ActorKind
 from carla_recap.sim import blueprints
 from carla_recap.sim.actors import Actor, Mover, Prop, Sensor, Sign, Spectator, TrafficLight, Vehicle, Walker, upon
-from carla_recap.sim.checks import expect_finite
+from carla_recap.sim.checks import expect_text, expect_transform
 from carla_recap.sim.errors import SimError, SpawnError
 from carla_recap.sim.events import TickEvents
 from carla_recap.sim.geometry import Transform
 from carla_recap.sim.plane import PROP, VEHICLE, WALKER, WALL, Plane
-from carla_recap.sim.poses import pose
 from carla_recap.sim.town import SignalKind
 from carla_recap.sim.vehicles import Vehicles
 from carla_recap.sim.walkers import Walkers
@@ -83,7 +82,9 @@ class Population:
         self, blueprint: Blueprint, transform: Transform, parent: Actor | None, attributes: Mapping[str, str]
     ) -> Actor:
         """Let an actor appear, even where others are; see `World.spawn`."""
-        expect_finite(f"the transform of {blueprint.id}", *pose(transform))
+        expect_transform(f"the transform of {blueprint.id}", transform)
+        for key, value in attributes.items():
+            expect_text(f"{key} of {blueprint.id}", value)
         if parent is not None:
             parent.check()
         make = _CLASSES.get(blueprint.kind, Prop)
@@ -111,7 +112,12 @@ class Population:
         return self.place(blueprint, transform, parent, attributes)
 
     def occupants(self, blueprint: Blueprint, transform: Transform) -> Iterator[Actor]:
-        """Who is where an actor would be; nobody, if it has no box."""
+        """Who is where an actor would be; nobody, if it has no box.
+
+        Raises:
+            SimError: Nobody can be there, so far away.
+        """
+        expect_transform(f"the transform of {blueprint.id}", transform)
         if blueprint.box.extent.length() == 0:
             return
         place, yaw = transform.location, np.radians(transform.rotation.yaw).item()

@@ -9,6 +9,7 @@ import weakref
 from pathlib import Path
 from typing import TYPE_CHECKING, Final
 
+from carla_recap.conversion import check_free
 from carla_recap.errors import RecapError, RecapWarning
 from carla_recap.formats import SUFFIXES
 from carla_recap.frame import Header
@@ -21,6 +22,8 @@ if TYPE_CHECKING:
 FOLDER: Final = "CARLA_RECAP_RECORDINGS"
 """The environment variable that names the folder of recordings."""
 DEFAULT_FOLDER: Final = "recordings"
+_FOLDER: Final = re.compile(r"(^|[/\\])\.{0,2}$")
+"""What names end with that can be none but those of folders."""
 
 
 def recordings_folder(folder: Path | str | None = None) -> Path:
@@ -78,29 +81,30 @@ class Recorder:
         """What is being recorded to; None between recordings."""
         return self._writer.path if self._writer else None
 
-    def start(self, name: Path | str, additional_data: bool = False) -> Path:
+    def start(self, name: Path | str, additional_data: bool = False, *, force: bool = True) -> Path:
         """Begin a recording; one that is running is completed first.
+
+        It takes the place of an older one of that name when it is complete, as with CARLA.
 
         Args:
             name: `crash` or `crash.mcap`; `crash.log` for CARLA's format; see `recording_path`.
             additional_data: Tell of velocities, boxes, physics and the times of lights, too.
+            force: Overwrite what is there; else what is there at the start is an error, and what is there at the end
+                stays: the new recording lies beside it then, and a warning says where.
 
         Returns:
             Where it will be, once it is complete.
 
         Raises:
-            RecapError: The suffix is of no format, the place cannot be written to, or an actor cannot be told of.
+            RecapError: The suffix is of no format, the place cannot be written to, or an actor cannot be told of; or it
+                is the recording that is being replayed.
         """
         self.stop()
         self.error = None
-        path = recording_path(name, self._folder)
-        if not path.suffix:
-            path = path.with_name(path.name + SUFFIXES[-1])
-        if not _is_path(name):
-            _make(path.parent)
+        path = self._destination(name, force=force)
         header = Header(self._world.town.name, self._world.date)
         sampler = Sampler(self._world, additional_data=additional_data)
-        self._writer = BackgroundWriter(path, header, sampler.introduction.values())
+        self._writer = BackgroundWriter(path, header, sampler.introduction.values(), force=force)
         self._sampler = sampler
         # Whoever forgets to stop, or to close the world, finds a whole recording.
         self._finish = weakref.finalize(self, self._writer.close)
@@ -124,6 +128,28 @@ class Recorder:
             self.stop()
             return
         self._writer.write(self._sampler.snapshot(self._world.delta))
+
+    def _destination(self, name: Path | str, *, force: bool) -> Path:
+        """Where a recording of a name goes; its folder is made, unless the name is a path.
+
+        Raises:
+            RecapError: No recording can be there.
+        """
+        named = recording_path(name, self._folder)
+        if "\0" in str(name):
+            raise RecapError(f"{str(name)!r:.200}: the name of a recording was expected, found an embedded null byte")
+        if _FOLDER.search(str(name)):
+            raise RecapError(f"{str(name)!r:.200}: the name of a recording was expected, and this is that of a folder")
+        path = named if named.suffix else named.with_name(named.name + SUFFIXES[-1])
+        check_free(path, force=force)
+        if named.is_dir():
+            raise RecapError(f"{named}: the name of a recording was expected, and this is a folder")
+        source = self._world.replayed
+        if source is not None and path.exists() and path.samefile(source):
+            raise RecapError(f"{path}: is being replayed; the recorder needs another name")
+        if not _is_path(name):
+            _make(path.parent)
+        return path
 
 
 def _make(folder: Path) -> None:

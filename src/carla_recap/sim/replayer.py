@@ -92,6 +92,7 @@ class Replayer:
         self._follow: int | None = None
         self._offset = CHASE
         self._player: Player | None = None
+        self._path: Path | None = None
         self._close: Callable[[], object] = lambda: None
         self._cast = Cast(world, replay_sensors=False)
         self._puppets = Puppets(world, self._cast)
@@ -103,6 +104,11 @@ class Replayer:
     def is_playing(self) -> bool:
         """Whether a replay is running."""
         return self._player is not None
+
+    @property
+    def path(self) -> Path | None:
+        """What is being replayed; None between replays."""
+        return self._path if self.is_playing else None
 
     @property
     def mapping(self) -> Mapping[int, int]:
@@ -138,6 +144,8 @@ class Replayer:
         follow: Follow | None = None,
         replay_sensors: bool = False,
         offset: Transform | None = None,
+        *,
+        keep_town: bool = False,
     ) -> Replay:
         """Begin a replay; a recording that is running is completed, and a replay ends: who was spawned for it disappears.
 
@@ -151,6 +159,7 @@ class Replayer:
             replay_sensors: Spawn the sensors of the recording, too.
             offset: Where the spectator is that follows, in the axes of whom it follows, which stay level: it neither
                 rolls nor pitches with them; None: `CHASE`.
+            keep_town: Stay in the town, whatever the map of the recording is; a warning tells of another one.
 
         Raises:
             RecapError: There is no such recording, it is damaged, or there is no such start or actor.
@@ -174,7 +183,8 @@ class Replayer:
             )
             self._follow = player.followed if follow else None
             self._offset = offset or CHASE
-            loaded = self._load(reader)
+            loaded = self._load(reader, keep_town=keep_town)
+            self._path = path
             self._begin(player, replay_sensors)
         except BaseException:
             self.stop()
@@ -228,10 +238,14 @@ class Replayer:
             self.stop(keep_actors=True)
             warnings.warn(f"the replay has ended: {error}", RecapWarning, stacklevel=3)
 
-    def _load(self, reader: Reader) -> bool:
-        """Make the world that of the recording's map; returns whether it was another one."""
-        name = _plain(reader.header.map_name)
-        if name == _plain(self._world.town.name):
+    def _load(self, reader: Reader, *, keep_town: bool) -> bool:
+        """Make the world that of the recording's map, unless it has to stay; returns whether it was another one."""
+        name, town_name = _plain(reader.header.map_name), _plain(self._world.town.name)
+        if name == town_name:
+            return False
+        if keep_town:
+            told = f"{reader.path}: is a recording of the map {name!r}, and replayed in {town_name!r}"
+            warnings.warn(told, RecapWarning, stacklevel=4)
             return False
         maps = None if self._world.maps is None else Path(self._world.maps)
         try:

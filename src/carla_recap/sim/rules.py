@@ -44,7 +44,6 @@ class Rules:
     """
 
     def __init__(self, town: Town) -> None:
-        self._town = town
         self._limit = np.array([lane.speed_limit for lane in town.lanes])
         zones = sorted(set(_zones(town)))
         self._begin = np.array([zone[1] for zone in zones])
@@ -54,14 +53,13 @@ class Rules:
         self._first = np.searchsorted(lanes, np.arange(len(town.lanes)))
         self._count = np.searchsorted(lanes, np.arange(len(town.lanes)), side="right") - self._first
 
-    def at(self, position: Floats, heading: Floats) -> Notice:
+    def at(self, lane: Integers, s: Floats) -> Notice:
         """What is told at some places.
 
         Args:
-            position: In m, (n, 3).
-            heading: In radians, (n,).
+            lane: The lanes that they are on, (n,).
+            s: How far along, in m, (n,).
         """
-        lane, s = self._town.nearest_lane(position[:, 0], position[:, 1], z=position[:, 2], heading=heading)
         light = np.full(len(lane), NO_LIGHT)
         for place in range(self._count.max(initial=0)):
             some = np.flatnonzero(self._count[lane] > place)

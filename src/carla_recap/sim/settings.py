@@ -3,7 +3,12 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Literal
+from typing import Any, Literal
+
+from carla_recap.sim.checks import expect_seconds
+from carla_recap.sim.errors import SimError
+
+_COLLISIONS_OF = ("heroes", "all")
 
 
 @dataclass(slots=True)
@@ -13,11 +18,14 @@ class Settings:
     Attributes:
         synchronous_mode: Whether only `tick` moves the world; `run_realtime` is what does it otherwise.
         no_rendering_mode: Accepted; nothing is ever rendered.
-        fixed_delta_seconds: The length of a tick; None for one as long as the caller says.
+        fixed_delta_seconds: The length of a tick, above 0 and at most 10 s; None for one as long as the caller says.
         substepping: Whether long ticks are simulated in several steps.
-        max_substep_delta_time: The longest step, in s.
+        max_substep_delta_time: The longest step, in s, above 0.
         max_substeps: The most steps of a tick.
         collisions_of: Whose collisions are noticed, besides those of actors with a collision sensor.
+
+    Raises:
+        SimError: One of them is not to be had, when it is set.
     """
 
     synchronous_mode: bool = True
@@ -27,3 +35,10 @@ class Settings:
     max_substep_delta_time: float = 0.05
     max_substeps: int = 10
     collisions_of: Literal["heroes", "all"] = "heroes"
+
+    def __setattr__(self, name: str, value: Any) -> None:
+        if name == "max_substep_delta_time" or (name == "fixed_delta_seconds" and value is not None):
+            expect_seconds(name, value)
+        if name == "collisions_of" and value not in _COLLISIONS_OF:
+            raise SimError(f"{name}: {' or '.join(_COLLISIONS_OF)} was expected, found {value!r}")
+        object.__setattr__(self, name, value)

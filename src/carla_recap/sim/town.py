@@ -11,7 +11,7 @@ import numpy as np
 
 from carla_recap.errors import RecapError
 from carla_recap.maps.child import ask
-from carla_recap.maps.road_map import FOLDER, find_map
+from carla_recap.maps.road_map import described_folder, find_map
 from carla_recap.sim.geometry import Location, Rotation, Transform
 from carla_recap.sim.lanes import Lane, LaneIndex
 from carla_recap.sim.parse.packing import from_bytes
@@ -251,9 +251,7 @@ def _find(name: str, maps: Path | None) -> Path:
         return Path(name)
     path = find_map(name or BUILT_IN, maps)
     if path is None:
-        raise RecapError(
-            f"town {name!r}: expected {BUILT_IN}, an {_SUFFIX} file, or a map in the folder that {FOLDER} names"
-        )
+        raise RecapError(f"town {name!r}: expected {BUILT_IN}, an {_SUFFIX} file, or a map in {described_folder(maps)}")
     return path
 
 

@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING, Final
 
 from carla_recap.records import ActorKind
 from carla_recap.sim.actors import Vehicle, Walker
+from carla_recap.sim.checks import expect_count
 from carla_recap.sim.errors import SimError
 from carla_recap.sim.geometry import Rotation, Transform
 
@@ -35,8 +36,10 @@ def populate(
         Who has appeared.
 
     Raises:
-        SimError: There is no room for so many.
+        SimError: There is no room for so many, or there cannot be so many.
     """
+    expect_count("vehicles", vehicles)
+    expect_count("walkers", walkers)
     near = _Near(around)
     drivers, strollers = _vehicles(world, vehicles, near, hero=hero), _walkers(world, walkers, near)
     if hero and drivers:
@@ -71,6 +74,8 @@ class _Near:
 
 def _vehicles(world: World, count: int, near: _Near, *, hero: bool) -> list[Vehicle]:
     models = [blueprint for blueprint in world.blueprints if blueprint.kind == ActorKind.VEHICLE]
+    if count and not world.town.spawn_points:
+        raise SimError(f"{world.town.name} has no place for a vehicle: no lanes for cars that lead anywhere")
     places = [place for place in world.town.spawn_points if near(place.location)]
     found: list[Vehicle] = []
     for place in (places[index] for index in world.random.permutation(len(places))):

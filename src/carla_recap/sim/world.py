@@ -5,23 +5,24 @@ from __future__ import annotations
 import os
 import time
 from math import ceil
+from pathlib import Path
 from typing import TYPE_CHECKING, Final, Protocol, Self
 
 import numpy as np
 
 from carla_recap.sim.blueprints import standard_library
+from carla_recap.sim.checks import expect_numbers, expect_seconds
 from carla_recap.sim.collisions import Collisions
 from carla_recap.sim.errors import SimError
 from carla_recap.sim.events import TickEvents
 from carla_recap.sim.population import Population
 from carla_recap.sim.settings import Settings
 from carla_recap.sim.signals import Signals
-from carla_recap.sim.town import load_town
+from carla_recap.sim.town import Town, load_town
 from carla_recap.sim.weather import Weather
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping
-    from pathlib import Path
 
     from carla_recap.replay.follow import Follow
     from carla_recap.sim.actors import Actor, Spectator, TrafficLight
@@ -32,7 +33,6 @@ if TYPE_CHECKING:
     from carla_recap.sim.recorder import Recorder
     from carla_recap.sim.replayer import Replay, Replayer
     from carla_recap.sim.strolling import Strolling
-    from carla_recap.sim.town import Town
     from carla_recap.sim.vehicles import Vehicles
     from carla_recap.sim.walkers import Walkers
 
@@ -52,12 +52,12 @@ class World:
     """A town and its actors.
 
     Args:
-        town: The town; the built-in one unless told otherwise.
+        town: The town, or its name or file; see `load_town`. The built-in one unless told otherwise.
         seed: Of everything random in it: the same seed and steps make the same world, in any process.
         fixed_delta_seconds: The length of a tick; None for ticks as long as the caller says.
         date: In Unix seconds, for recordings; else SOURCE_DATE_EPOCH, else now.
         recordings: The folder of recordings that have a name and no place; see `recorder.recordings_folder`.
-        maps: The folder of maps, for replays of recordings of other towns; else CARLA_RECAP_MAPS says it.
+        maps: The folder of maps, for towns that are named; else CARLA_RECAP_MAPS says it.
 
     Attributes:
         town: The town.
@@ -67,10 +67,8 @@ class World:
         frame: The number of ticks so far in this episode.
         elapsed: The time they took, in s.
         delta: How long the latest one was, in s.
-        weather: The weather; set it to change it.
         signals: All traffic lights, as arrays.
         random: Where all that is random comes from.
-        date: In Unix seconds.
         controllers: Who acts at the beginning of each tick.
         listeners: Who is called at the end of each tick.
         events: What happened in the latest tick, and since the one before.
@@ -78,17 +76,17 @@ class World:
         maps: The folder of maps, if it was told.
 
     Raises:
-        SimError: The seed is negative.
+        SimError: The seed is negative, or there are no ticks of that length.
+        RecapError: There is no such town.
     """
 
     town: Town
-    weather: Weather
     signals: Signals
     events: TickEvents
 
     def __init__(
         self,
-        town: Town | None = None,
+        town: Town | str | Path | None = None,
         *,
         seed: int = 0,
         fixed_delta_seconds: float | None = _DELTA,
@@ -99,7 +97,7 @@ class World:
         self.blueprints = standard_library()
         self.settings = Settings(fixed_delta_seconds=fixed_delta_seconds)
         self.random = _random(seed)
-        self.date = int(os.environ.get("SOURCE_DATE_EPOCH", time.time())) if date is None else date
+        self._date = date
         self.controllers: list[Controller] = []
         self.listeners: list[Callable[[], None]] = []
         self.delta = fixed_delta_seconds or _DELTA
@@ -108,7 +106,7 @@ class World:
         self._recorder: Recorder | None = None
         self._replayer: Replayer | None = None
         self.episode = 0
-        self._begin(load_town() if town is None else town, 1)
+        self._begin(self._loaded("" if town is None else town), 1)
 
     def _begin(self, town: Town, first: int) -> None:
         """Start an episode, whose first actor gets the id `first`."""
@@ -116,13 +114,32 @@ class World:
         self.episode += 1
         self.frame = 0
         self.elapsed = 0.0
-        self.weather = Weather()
+        self._weather = Weather()
         self.signals = Signals(town)
         self.events = TickEvents()
         self._population = Population(self, town, first)
         self._collisions = Collisions(self)
         self._autopilot: Autopilot | None = None
         self._strolling: Strolling | None = None
+
+    @property
+    def weather(self) -> Weather:
+        """The weather; set it to change it.
+
+        Raises:
+            SimError: A number is too large for a recording, when it is set.
+        """
+        return self._weather
+
+    @weather.setter
+    def weather(self, weather: Weather) -> None:
+        expect_numbers("the weather", weather)
+        self._weather = weather
+
+    @property
+    def date(self) -> int:
+        """The date of a recording that begins now, in Unix seconds."""
+        return int(os.environ.get("SOURCE_DATE_EPOCH", time.time())) if self._date is None else self._date
 
     # --- who is there -------------------------------------------------------------------------------------------------
 
@@ -170,13 +187,14 @@ class World:
             blueprint: What, or its name.
             transform: Where in the world; relative to the parent, if there is one.
             parent: What it is attached to.
-            **attributes: What it has besides what its blueprint says, such as `role_name="hero"`.
+            **attributes: What of its blueprint's attributes is otherwise, such as `role_name="hero"`.
 
         Raises:
-            SpawnError: There is no such blueprint, or the place is occupied.
+            SpawnError: There is no such blueprint or attribute, or the place is occupied.
+            SimError: The place is too far away for a recording, or an attribute is too long for one.
             DeadActor: The parent has been destroyed.
         """
-        return self._population.place_where_free(self._blueprint(blueprint), transform, parent, attributes)
+        return self._population.place_where_free(self._blueprint(blueprint, attributes), transform, parent, attributes)
 
     def try_spawn(
         self, blueprint: Blueprint | str, transform: Transform, *, parent: Actor | None = None, **attributes: str
@@ -184,10 +202,11 @@ class World:
         """Let an actor appear if its place is free; see `spawn`.
 
         Raises:
-            SpawnError: There is no such blueprint.
+            SpawnError: There is no such blueprint or attribute.
+            SimError: As of `spawn`.
             DeadActor: The parent has been destroyed.
         """
-        blueprint = self._blueprint(blueprint)
+        blueprint = self._blueprint(blueprint, attributes)
         if parent is None and any(self._population.occupants(blueprint, transform)):
             return None
         return self._population.place(blueprint, transform, parent, attributes)
@@ -196,7 +215,7 @@ class World:
         self, blueprint: Blueprint | str, transform: Transform, *, parent: Actor | None = None, **attributes: str
     ) -> Actor:
         """Let an actor appear, even where others are; see `spawn`."""
-        return self._population.place(self._blueprint(blueprint), transform, parent, attributes)
+        return self._population.place(self._blueprint(blueprint, attributes), transform, parent, attributes)
 
     def destroy(self, actor: Actor) -> bool:
         """Take an actor, and what is attached to it, out of the world.
@@ -259,9 +278,14 @@ class World:
             self.controllers.append(self._replayer)
         return self._replayer
 
-    def start_recorder(self, name: Path | str, additional_data: bool = False) -> Path:
-        """Begin a recording; see `Recorder.start`."""
-        return self.recorder.start(name, additional_data)
+    @property
+    def replayed(self) -> Path | None:
+        """The recording that is being replayed."""
+        return None if self._replayer is None else self._replayer.path
+
+    def start_recorder(self, name: Path | str, additional_data: bool = False, *, force: bool = True) -> Path:
+        """Begin a recording, which takes the place of an older one of that name, as with CARLA; see `Recorder.start`."""
+        return self.recorder.start(name, additional_data, force=force)
 
     def stop_recorder(self) -> None:
         """Complete the recording, if there is one."""
@@ -276,9 +300,11 @@ class World:
         follow: Follow | None = None,
         replay_sensors: bool = False,
         offset: Transform | None = None,
+        *,
+        keep_town: bool = False,
     ) -> Replay:
         """Re-enact a recording; see `Replayer.start`."""
-        return self.replayer.start(name, start, duration, follow, replay_sensors, offset)
+        return self.replayer.start(name, start, duration, follow, replay_sensors, offset, keep_town=keep_town)
 
     def stop_replayer(self, keep_actors: bool = False) -> None:
         """End the replay, if there is one; see `Replayer.stop`."""
@@ -320,12 +346,11 @@ class World:
             The number of the tick, from 1.
 
         Raises:
-            SimError: The time is not above 0.
+            SimError: The time is not above 0, or more than 10 s.
         """
         if delta is None:
             delta = self.settings.fixed_delta_seconds or _DELTA
-        if not 0 < delta < np.inf:
-            raise SimError(f"a tick of {delta} s: expected more than 0 s")
+        expect_seconds("a tick", delta)
         self.delta = delta
         for controller in tuple(self.controllers):
             controller.step(delta)
@@ -340,7 +365,13 @@ class World:
         return self.frame
 
     def run(self, seconds: float) -> None:
-        """Tick for so much simulated time."""
+        """Tick for so much simulated time.
+
+        Raises:
+            SimError: It is negative, or endless.
+        """
+        if not 0 <= seconds < np.inf:
+            raise SimError(f"run: 0 s or more was expected, found {seconds:g} s")
         for _ in range(ceil(seconds / (self.settings.fixed_delta_seconds or _DELTA) - _ROUNDING)):
             self.tick()
 
@@ -350,24 +381,34 @@ class World:
         Args:
             seconds: For how long, in simulated time.
             factor: How much faster than the clock; ticks that come late are not skipped.
+
+        Raises:
+            SimError: The time is negative, or the factor not above 0.
         """
+        if not (seconds >= 0 and factor > 0):
+            expected = "0 s or more, and a factor above 0"
+            raise SimError(f"run_realtime: {expected} were expected, found {seconds:g} s and {factor:g}")
         begin, start = time.monotonic(), self.elapsed
         while (passed := self.elapsed - start) < seconds - _ROUNDING:
             time.sleep(max(0.0, begin + passed / factor - time.monotonic()))
             self.tick()
 
-    def reload(self, town: Town | None = None) -> None:
+    def reload(self, town: Town | str | Path | None = None) -> None:
         """Begin a new episode: the actors of the last one are gone, and time begins anew.
 
         Args:
-            town: The town; by default the same.
+            town: The town, or its name or file; by default the same.
+
+        Raises:
+            RecapError: There is no such town; the episode goes on.
         """
+        town = self.town if town is None else self._loaded(town)
         self.stop_recorder()
         self.stop_replayer(keep_actors=True)
         self._population.disperse()
         mine = (self._autopilot, self._strolling)
         self.controllers = [controller for controller in self.controllers if controller not in mine]
-        self._begin(self.town if town is None else town, self._population.next_id)
+        self._begin(town, self._population.next_id)
 
     def _move(self, delta: float) -> None:
         vehicles, walkers = self.vehicles, self.walkers
@@ -393,8 +434,13 @@ class World:
         wanted = max(delta / settings.max_substep_delta_time, fastest * delta / _STRIDE)
         return int(np.clip(np.ceil(wanted - _ROUNDING), 1, max(1, settings.max_substeps)))
 
-    def _blueprint(self, blueprint: Blueprint | str) -> Blueprint:
-        return self.blueprints.get(blueprint) if isinstance(blueprint, str) else blueprint
+    def _blueprint(self, blueprint: Blueprint | str, attributes: Mapping[str, str]) -> Blueprint:
+        found = self.blueprints.get(blueprint) if isinstance(blueprint, str) else blueprint
+        found.expect(attributes)
+        return found
+
+    def _loaded(self, town: Town | str | Path) -> Town:
+        return town if isinstance(town, Town) else load_town(town, None if self.maps is None else Path(self.maps))
 
 
 def _random(seed: int) -> np.random.Generator:

@@ -149,14 +149,15 @@ class McapWriter(AtomicFile):
         path: The destination.
         header: The header.
         live: Put every chunk on the disk when it is cut, so that a crash loses no more than 5 s of recording.
+        force: See `AtomicFile`.
 
     Raises:
         RecapError: The place cannot be written to.
     """
 
-    def __init__(self, path: Path | str, header: Header, *, live: bool = False) -> None:
+    def __init__(self, path: Path | str, header: Header, *, live: bool = False, force: bool = True) -> None:
         metadata = header_metadata(header)
-        super().__init__(path, live=live)
+        super().__init__(path, live=live, force=force)
         self._specs = channel_specs(header.table)
         by_topic = {spec.topic: id for id, spec in enumerate(self._specs, 1)}
         self._frame_channel, self._raw_channel, self._tail_channel, self._stretches_channel = (

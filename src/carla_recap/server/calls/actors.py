@@ -3,19 +3,18 @@
 from __future__ import annotations
 
 from math import degrees, radians
-from typing import Final, TypeVar
+from typing import TypeVar
 
-from carla_recap.server import actor_records, limits
+from carla_recap.server import actor_records
 from carla_recap.server.calls.table import CallError, call
 from carla_recap.server.client import Client
 from carla_recap.server.structs import ActorDefinition, ActorDescription, ActorRecord, BoundingBox
 from carla_recap.sim.actors import Actor, Mover, Prop, Sign, Vehicle, Walker
+from carla_recap.sim.checks import expect_place, expect_push, expect_turning, expect_velocity
 from carla_recap.sim.control import VehicleControl
 from carla_recap.sim.geometry import Location, Transform, Vector
 
 A = TypeVar("A", bound=Actor)
-
-_LONGEST: Final = 1000  # bytes of the value of an attribute
 
 
 @call
@@ -66,14 +65,12 @@ def get_actor_bounding_box(client: Client, id: int) -> BoundingBox:
 @call
 def set_actor_transform(client: Client, id: int, transform: Transform) -> None:
     """Put an actor elsewhere; an attached one relative to its parent."""
-    limits.check_transform(transform)
     _movable(client, id).transform = transform
 
 
 @call
 def set_actor_location(client: Client, id: int, location: Location) -> None:
     """Put an actor elsewhere, turned as it is."""
-    limits.check_place(location)
     actor = _movable(client, id)
     actor.transform = Transform(location, actor.relative_transform.rotation)
 
@@ -81,15 +78,14 @@ def set_actor_location(client: Client, id: int, location: Location) -> None:
 @call
 def set_actor_target_velocity(client: Client, id: int, velocity: Vector) -> None:
     """Give a vehicle or walker a velocity in m/s."""
-    limits.check_speed(velocity)
     expect(client, id, Mover).set_target_velocity(velocity)
 
 
 @call
 def set_actor_target_angular_velocity(client: Client, id: int, velocity: Vector) -> None:
     """Have a vehicle turn: degrees/s, about z alone. A walker turns as it walks."""
-    limits.check_turning(velocity)
     mover = expect(client, id, Mover)
+    expect_turning(f"the turning of {mover!r}", velocity)
     if isinstance(mover, Vehicle):
         rows, row = mover.rows, mover.row
         rows.turning[row] = radians(velocity.z)
@@ -99,8 +95,9 @@ def set_actor_target_angular_velocity(client: Client, id: int, velocity: Vector)
 @call
 def enable_actor_constant_velocity(client: Client, id: int, velocity: Vector) -> None:
     """Keep the velocity of a vehicle, in its own axes and m/s."""
-    limits.check_speed(velocity)
-    client.host.steadiness.hold(expect(client, id, Vehicle), velocity)
+    vehicle = expect(client, id, Vehicle)
+    expect_velocity(f"the velocity of {vehicle!r}", velocity)
+    client.host.steadiness.hold(vehicle, velocity)
 
 
 @call
@@ -190,9 +187,8 @@ def spawn(client: Client, description: ActorDescription, transform: Transform, p
         RecapError: There is no such blueprint, or no such parent.
     """
     host = client.host
-    limits.check_transform(transform)
     known = host.world.blueprints.get(description.id).attributes
-    attributes = {attribute.id: _text(attribute.value) for attribute in description.attributes if attribute.id in known}
+    attributes = {attribute.id: attribute.value for attribute in description.attributes if attribute.id in known}
     host.sensors.check(description.id, attributes)
     actor = host.world.try_spawn(description.id, transform, parent=parent, **attributes)
     if actor is None:
@@ -222,20 +218,10 @@ def _movable(client: Client, id: int) -> Actor:
     return actor
 
 
-def _text(value: str) -> str:
-    """The value of an attribute, if a recording can have it."""
-    try:
-        if len(value.encode()) <= _LONGEST:
-            return value
-    except UnicodeEncodeError:
-        pass
-    raise CallError(f"the value of an attribute: at most {_LONGEST} bytes of UTF-8 were expected")
-
-
 def _push(mover: Mover, impulse: Vector) -> None:
     """Change the velocity of an actor by an impulse, N s."""
     mass = mover.rows.mass[mover.row].item()
-    limits.check_speed(Vector(impulse.x / mass, impulse.y / mass, impulse.z / mass))
+    expect_push(f"an impulse on {mover!r}", impulse, mass)
     if isinstance(mover, Vehicle):
         mover.add_impulse(impulse)
     else:
@@ -247,13 +233,13 @@ def _turn(mover: Mover, impulse: float) -> None:
     """Change how fast a vehicle turns by an angular impulse, kg m² degrees/s."""
     if isinstance(mover, Vehicle):
         change = impulse / mover.rows.moment[mover.row].item()
-        limits.check_turning(Vector(z=change))
+        expect_turning(f"the turning of {mover!r}", Vector(z=change))
         mover.rows.turning[mover.row] += radians(change)
 
 
 def _lever(mover: Mover, place: Location, impulse: Vector) -> float:
     """The angular impulse about z of a push at a place, kg m² degrees/s."""
-    limits.check_place(place)
+    expect_place(f"where {mover!r} is pushed", place)
     middle = mover.transform.location
     return degrees((place.x - middle.x) * impulse.y - (place.y - middle.y) * impulse.x)
 

@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-from carla_recap.server import limits
 from carla_recap.server.calls.actors import expect
 from carla_recap.server.calls.table import call
 from carla_recap.server.client import Client
 from carla_recap.sim.actors import Walker
+from carla_recap.sim.checks import expect_velocity
 from carla_recap.sim.control import WalkerControl
 from carla_recap.sim.geometry import Transform, Vector
 
@@ -14,8 +14,6 @@ from carla_recap.sim.geometry import Transform, Vector
 @call
 def apply_control_to_walker(client: Client, id: int, control: WalkerControl) -> None:
     """Have a walker walk in a direction."""
-    limits.check_speed(Vector(control.speed))
-    limits.check_speed(control.direction)
     expect(client, id, Walker).apply_control(control)
 
 
@@ -24,9 +22,8 @@ def set_walker_state(client: Client, id: int, transform: Transform, speed: float
 
     One that forces do not move goes nowhere by itself, and is only said to be so fast.
     """
-    limits.check_transform(transform)
-    limits.check_speed(Vector(speed))
     walker = expect(client, id, Walker)
+    expect_velocity(f"the speed of {walker!r}", Vector(speed))
     transform.location.z += walker.box.extent.z  # the client says where its feet are
     walker.transform = transform
     ahead = transform.forward()

@@ -4,10 +4,11 @@ from __future__ import annotations
 
 from typing import Final
 
-from carla_recap.server import limits, scenery
+from carla_recap.server import scenery
 from carla_recap.server.calls.table import CallError, call
 from carla_recap.server.client import Client
 from carla_recap.server.structs import BoundingBox, EnvironmentObject, LabelledPoint
+from carla_recap.sim.checks import expect_place
 from carla_recap.sim.geometry import Location, Vector
 
 _GRAVITY: Final = 9.81  # m/s²
@@ -16,21 +17,21 @@ _GRAVITY: Final = 9.81  # m/s²
 @call
 def cast_ray(client: Client, start: Location, end: Location) -> list[LabelledPoint]:
     """What a ray meets on its way, the nearest first."""
-    limits.check_place(start)
-    limits.check_place(end)
+    expect_place("the start of a ray", start)
+    expect_place("the end of a ray", end)
     return scenery.ray(client.host.world, start, end)
 
 
 @call
 def project_point(client: Client, location: Location, direction: Vector, distance: float) -> tuple[bool, LabelledPoint]:
     """What a place meets first in a direction, within a distance in m; whether there is anything, and what."""
-    limits.check_place(location)
+    expect_place("the start of a ray", location)
     length = direction.length()
     if not length:
         raise CallError("project_point: a direction was expected, found none")
     far = distance / length
     end = Location(location.x + direction.x * far, location.y + direction.y * far, location.z + direction.z * far)
-    limits.check_place(end)
+    expect_place("the end of a ray", end)
     met = scenery.ray(client.host.world, location, end)
     return (True, met[0]) if met else (False, LabelledPoint(Location(), 0))
 
