@@ -41,6 +41,8 @@ def managed_ticks(_: Subject) -> Iterator[Line]:
         for vehicle in vehicles:
             vehicle.set_autopilot(False, 8123)
         manager.set_synchronous_mode(False)
+        manager.shut_down()
+        town.tick()
 
 
 def controls(_: Subject) -> Iterator[Line]:
@@ -63,7 +65,8 @@ def get_world(_: Subject) -> Iterator[Line]:
     with world() as (port, town):
         spawn(town, IDLE)
         town.tick()
-        (seconds,) = medians(lambda: connect(port).get_world())
+        worlds: list[carla.World] = []  # the client does not bear that one is dropped at once
+        (seconds,) = medians(lambda: worlds.append(connect(port).get_world()))
         yield Line("get_world", f"{seconds * 1e3:.1f} ms", "", "< 20 ms", seconds < 0.02)
 
 
