@@ -233,6 +233,6 @@ def test_attributes_that_no_recording_could_have_are_refused(inside: Inside) -> 
     place = [[600.0, 0.0, 0.0], [0.0, 0.0, 0.0]]
     for value in ("x" * 1001, "\udcff"):
         with pytest.raises(RecapError, match="1000 bytes of UTF-8"):
-            inside.call("spawn_actor", [0, "vehicle.audi.tt", [["color", 5, value]]], place)
+            inside.call("spawn_actor", [0, "vehicle.audi.tt", [["role_name", 4, value]]], place)
     id = inside.call("spawn_actor", [0, "vehicle.audi.tt", [["parent", 4, "x"], ["blueprint", 4, "y"]]], place)[0]
     assert "parent" not in inside.world.actors[id].attributes

@@ -11,7 +11,7 @@ import pytest
 
 import carla_recap.server.calls  # noqa: F401  (fills the table of calls)
 from carla_recap.server.calls.accepted import Standing, standings
-from carla_recap.server.calls.table import TABLE
+from carla_recap.server.table import TABLE
 
 CALLS = {
     "AddActorAngularImpulse": ("add_actor_angular_impulse",),

@@ -188,7 +188,7 @@ def test_a_stalled_subscriber_holds_up_nobody(world: carla.World, port: int) -> 
 
 
 def test_wrong_types_are_told_in_every_call(world: carla.World, port: int) -> None:
-    from carla_recap.server.calls.table import TABLE
+    from carla_recap.server.table import TABLE
 
     changing = {"load_new_episode", "stop_recorder", "tick_cue"}
     with closing(connect(port)) as connection:

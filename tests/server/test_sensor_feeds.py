@@ -12,12 +12,12 @@ import numpy as np
 import pytest
 
 from carla_recap.server.actor_records import stream_of
-from carla_recap.server.calls.table import CallError
 from carla_recap.server.host import Host
 from carla_recap.server.sensors import KINDS, Sensors, Support
 from carla_recap.server.sensors.georeference import GeoReference
 from carla_recap.server.sensors.rays import Boxes
 from carla_recap.server.streams import Subscriber
+from carla_recap.server.table import CallError
 from carla_recap.sim.actors import Vehicle
 from carla_recap.sim.blueprints import standard_library
 from carla_recap.sim.control import VehicleControl
@@ -306,11 +306,22 @@ def test_cameras_send_blank_images_of_their_size(camera: str, number: int, pixel
     assert payload[12:] == pixel * 512
 
 
-def test_images_that_would_be_too_large_are_refused() -> None:
-    Sensors.check("sensor.camera.rgb", {"image_size_x": "4096", "image_size_y": "nonsense"})
-    Sensors.check("vehicle.audi.tt", {"image_size_x": "10000"})
-    with pytest.raises(CallError, match=r"sensor.camera.rgb: image_size_y of 4097: expected 4096 pixels at the most"):
-        Sensors.check("sensor.camera.rgb", {"image_size_y": "4097"})
+def test_a_feed_that_fails_costs_nobody_else_the_tick(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    def failing(sensor: Actor, tell: Tell) -> Feed:
+        raise ZeroDivisionError("no way")
+
+    host = served()
+    monkeypatch.setitem(KINDS, "sensor.other.gnss", replace(KINDS["sensor.other.gnss"], make=failing))
+    first, second = sensor(host, "other.gnss"), sensor(host, "other.gnss")
+    images = sensor(host, "camera.rgb", image_size_x="8", image_size_y="8")
+    for _ in range(3):
+        host.tick()
+    assert len(images.take()) == 3
+    assert not first.take() + second.take()
+    (line,) = capsys.readouterr().err.splitlines()
+    assert line == "carla-recap: a sensor.other.gnss has failed, and tells nothing more: ZeroDivisionError('no way')"
 
 
 def radar_rows(listener: Listener) -> np.ndarray[tuple[int, int], np.dtype[np.float32]]:

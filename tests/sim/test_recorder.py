@@ -553,8 +553,18 @@ def test_a_slow_disk_makes_no_tick_wait(tmp_path: Path, monkeypatch: pytest.Monk
     assert len(frames(tmp_path / "a.mcap")) == 220
 
 
-def test_what_appeared_meanwhile_stays_if_it_must(tmp_path: Path) -> None:
+@pytest.mark.parametrize("links", [True, False])
+def test_what_appeared_meanwhile_stays_if_it_must(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, *, links: bool) -> None:
+    def refuse(*_: object) -> None:
+        raise PermissionError(1, "Operation not permitted")
+
+    if not links:  # as on FAT
+        monkeypatch.setattr(os, "link", refuse)
     world = flat_world()
+    free = world.start_recorder(tmp_path / "free.mcap", force=False)
+    world.stop_recorder()
+    assert list(tmp_path.iterdir()) == [free]
+    free.unlink()
     path = world.start_recorder(tmp_path / "a.mcap", force=False)
     world.run(1.0)
     path.write_text("mine")

@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+import warnings
 from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
+from carla_recap.capture.asking import parent_of, readable
 from carla_recap.capture.describing import CM_PER_M, attribute_types, kind_of, spawn
+from carla_recap.errors import RecapWarning
 from carla_recap.records import UE4, ActorKind
 from carla_recap.replay.pose import detach
 
@@ -56,13 +59,16 @@ class Cast:
 
         Returns:
             Who came, and the ids of those who went.
+
+        Warns:
+            RecapWarning: Of somebody new the server tells what the client does not understand; that one is left out.
         """
         if found.keys() == self._ids:
             return [], []
         new = sorted(found.keys() - self._ids)
         self._ids = set(found)
         gone = [id for id in reversed(self.actors) if id not in found]  # children before their parents
-        came = [actor for actor in self._world.get_actors(new) if not _is_own(actor)] if new else []
+        came = [actor for actor in self._told_of(new) if not _is_own(actor)] if new else []
         stay = {id: actor for id, actor in self.actors.items() if id in found}
         self.actors = stay | {actor.id: actor for actor in came}
         self.seen |= {actor.id for actor in came}
@@ -86,7 +92,7 @@ class Cast:
             attached: Whether those with parents are placed upon these, as those are who come while it is recorded.
         """
         poses = {actor.id: _pose(found[actor.id]) for actor in came}
-        parents = {actor.id: actor.parent.id for actor in came if actor.parent is not None}
+        parents = {actor.id: parent.id for actor in came if (parent := parent_of(actor)) is not None}
         if attached:
             for id, parent in parents.items():
                 if parent in found:
@@ -118,6 +124,16 @@ class Cast:
         if self._additional and (vehicles or walkers):
             rows["velocities"] = [_velocity(id, found[id]) for id in (*vehicles, *walkers)]
         return {name: np.array(told, UE4.named(name).dtype) for name, told in rows.items()}
+
+    def _told_of(self, ids: list[int]) -> list[carla.Actor]:
+        """Those of some ids whom the client can make out."""
+        listed = self._world.get_actors(ids)
+        actors = readable(listed)
+        if len(actors) < len(listed):
+            odd = ", ".join(map(str, sorted(set(ids) - {actor.id for actor in actors})))
+            told = f"actors that CARLA's client cannot make out are left out: {odd}"
+            warnings.warn(told, RecapWarning, stacklevel=2)
+        return actors
 
 
 _EACH_FRAME: Final = (ActorKind.VEHICLE, ActorKind.WALKER, ActorKind.TRAFFIC_LIGHT)

@@ -7,8 +7,9 @@ from typing import TYPE_CHECKING, Final
 
 import carla
 
+from carla_recap.capture.asking import UNANSWERED, UNREADABLE, parent_of
 from carla_recap.capture.cast import OWN
-from carla_recap.records import ActorKind
+from carla_recap.records import NO_ACTOR, ActorKind
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -50,7 +51,7 @@ class Contacts:
 
     def close(self) -> None:
         """Stop listening, and take our own sensors away."""
-        with suppress(RuntimeError):  # the server is gone, and with it all of them
+        with suppress(*UNANSWERED):  # the server is gone, and with it all of them
             for sensor in self._heard.values():
                 if sensor.is_alive and sensor.is_listening:
                     sensor.stop()
@@ -62,9 +63,9 @@ class Contacts:
         heroes = cast.heroes & cast.actors.keys()
         for hero in self._own.keys() - heroes:
             self._release(hero)
-        watched = {sensor.parent.id for sensor in self._heard.values() if sensor.parent is not None}
+        watched = {parent.id for sensor in self._heard.values() if (parent := parent_of(sensor)) is not None}
         for hero in heroes - watched - self._own.keys():
-            with suppress(RuntimeError):  # it is gone
+            with suppress(*UNANSWERED):  # it is gone
                 self._own[hero] = self._spawn(cast.actors[hero])
 
     def _spawn(self, hero: carla.Actor) -> carla.Sensor:
@@ -76,10 +77,17 @@ class Contacts:
 
     def _release(self, hero: int) -> None:
         sensor = self._own.pop(hero)
-        with suppress(RuntimeError):  # it is gone already, with its hero or with the server
+        with suppress(*UNANSWERED):  # it is gone already, with its hero or with the server
             sensor.stop()
             sensor.destroy()
 
     def _listen(self, sensor: carla.Sensor) -> None:
         tell = self._tell
-        sensor.listen(lambda event: tell(event.frame, event.actor.id, event.other_actor.id))
+        sensor.listen(lambda event: tell(event.frame, event.actor.id, _other(event)))
+
+
+def _other(event: carla.CollisionEvent) -> int:
+    try:
+        return int(event.other_actor.id)
+    except UNREADABLE:
+        return NO_ACTOR

@@ -12,10 +12,10 @@ from tempfile import TemporaryDirectory
 from time import monotonic
 from typing import TYPE_CHECKING, Final
 
-from carla_recap.capture.ending import ended_by_signals
 from carla_recap.capture.observer import HOST, PORT, Observer
 from carla_recap.capture.recording import header_of, live_frames
 from carla_recap.conversion import check_free
+from carla_recap.ending import ended_by_signals
 from carla_recap.errors import RecapError
 from carla_recap.export.program import HOST as LOOPBACK
 from carla_recap.export.program import LISTENING, Program
@@ -118,7 +118,7 @@ def _opened(to: Path | str | None, arrangement: rrb.Blueprint) -> Iterator[tuple
         elif str(to).startswith(_ADDRESS):
             yield stack.enter_context(sent(arrangement, str(to))), lambda: True
         else:
-            file = stack.enter_context(WholeFile(to))
+            file = stack.enter_context(WholeFile(to, live=True))
             yield stack.enter_context(piped(arrangement, file.write)), lambda: True
 
 

@@ -20,6 +20,7 @@ from typing import TYPE_CHECKING, Any, Final, Self
 import carla
 
 from carla_recap.capture import describing
+from carla_recap.capture.asking import UNANSWERED, readable
 from carla_recap.capture.cast import Cast
 from carla_recap.capture.contacts import Contacts
 from carla_recap.errors import RecapError
@@ -110,7 +111,7 @@ class Observer:
         self._connect()
         self._cast = Cast(self._world, additional_data=self._additional)
         self._contacts = Contacts(self._world, self._note_contact, attach=self._attach)
-        actors = list(self._world.get_actors())
+        actors = readable(self._world.get_actors())
         self._present = {actor.id for actor in actors}
         self._newcomers.extend((0, actor) for actor in actors)
         if self._additional:
@@ -122,7 +123,7 @@ class Observer:
 
     def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None) -> None:
         self.end("it is over")
-        with suppress(RuntimeError):
+        with suppress(*UNANSWERED):
             self._world.remove_on_tick(self._callback)
         self._contacts.close()
 
@@ -171,7 +172,7 @@ class Observer:
             self._world = self._client.get_world()
             self._episode = self._world.id
             self.map = self._world.get_map()
-        except RuntimeError as error:
+        except UNANSWERED as error:
             raise RecapError(f"{self._place}: {' '.join(str(error).split())}") from None
         self._client.set_timeout(_ANSWER)
 
@@ -226,7 +227,7 @@ class Observer:
             before = copy(self._cast)
             try:
                 self._see(self._world.get_snapshot())
-            except RuntimeError:  # the world has gone on meanwhile, without somebody of the snapshot; the next one tells
+            except UNANSWERED:  # the world has gone on meanwhile, without somebody of the snapshot; the next one tells
                 self._cast = before
 
     def _tend(self) -> None:
@@ -245,7 +246,7 @@ class Observer:
         self._asked_at = monotonic()
 
     def _ask(self) -> None:
-        with suppress(RuntimeError):  # the server does not answer; it will be asked again
+        with suppress(*UNANSWERED):  # the server does not answer; it will be asked again
             lights = self._world.get_vehicles_light_states()
             self._vehicle_lights = {id: int(state) for id, state in lights.items()}
             weather = self._world.get_weather()
@@ -253,16 +254,17 @@ class Observer:
             if row != self._weather:
                 self._weather = row
                 self._later.append((0, "weather", row))
-        if self._additional:
-            for light in self._cast.of(ActorKind.TRAFFIC_LIGHT).values():
-                self._note_light_times(0, light)
-        self._contacts.attend(self._cast)
+        with suppress(*UNANSWERED):  # an actor is gone, and will be known to be
+            if self._additional:
+                for light in self._cast.of(ActorKind.TRAFFIC_LIGHT).values():
+                    self._note_light_times(0, light)
+            self._contacts.attend(self._cast)
 
     def _answer(self, question: Callable[[], Any], default: Any) -> Any:
         """What the server answers; a default where it does not, as an actor is gone, or all of the server."""
         try:
             return question()
-        except RuntimeError:
+        except UNANSWERED:
             if not self._is_there():
                 self.end(_GONE)
             return default
@@ -273,7 +275,7 @@ class Observer:
             frame, actor = self._newcomers.popleft()
             kind = describing.kind_of(actor.type_id)
             if kind == ActorKind.TRAFFIC_LIGHT:
-                self._note_light_times(frame, actor)
+                self._answer(partial(self._note_light_times, frame, actor), None)
             tellers: dict[str, Callable[[Any], list[Any]]] = {}
             if kind in (ActorKind.TRAFFIC_LIGHT, ActorKind.TRAFFIC_SIGN):
                 tellers["trigger_volumes"] = describing.trigger_volume

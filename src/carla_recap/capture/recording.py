@@ -10,9 +10,9 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final, NamedTuple
 
 from carla_recap.author import packets_of
-from carla_recap.capture.ending import ended_by_signals
 from carla_recap.capture.observer import HOST, PORT, Observer
 from carla_recap.conversion import check_free
+from carla_recap.ending import ended_by_signals
 from carla_recap.errors import RecapWarning
 from carla_recap.formats import create_writer
 from carla_recap.frame import LAST_FRAME_DURATION, Frame, Header, Packet

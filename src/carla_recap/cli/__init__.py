@@ -5,6 +5,7 @@ Exit codes: 0; 1 if an assertion fails (`--max-rows`); 2 for bad input, with one
 
 from __future__ import annotations
 
+import atexit
 import signal
 import sys
 import warnings
@@ -14,6 +15,7 @@ import click
 
 from carla_recap.cli import capture, files, queries, serve, show, simulate
 from carla_recap.cli.output import say, warn
+from carla_recap.ending import ENDING, handled, heeded, is_ending
 from carla_recap.errors import RecapError, RecapWarning
 
 if TYPE_CHECKING:
@@ -21,7 +23,6 @@ if TYPE_CHECKING:
 
 BAD_INPUT = 2
 INTERRUPTED = 130
-_ENDS = [signal.Signals[name] for name in ("SIGTERM", "SIGHUP") if name in signal.Signals.__members__]
 
 
 @click.group(context_settings={"help_option_names": ["-h", "--help"]})
@@ -45,9 +46,8 @@ def main() -> None:
     warnings.showwarning = _print_warning
     if hasattr(signal, "SIGPIPE"):
         signal.signal(signal.SIGPIPE, signal.SIG_DFL)
-    for number in _ENDS:
-        if signal.getsignal(number) != signal.SIG_IGN:  # as under nohup
-            signal.signal(number, _stop)
+    atexit.register(_ignore_more)  # as the first, so that it is called as the last
+    handled(_stop)
     try:
         sys.exit(cli(standalone_mode=False))
     except RecapError as error:
@@ -75,4 +75,15 @@ def _print_warning(message: Warning | str, *_: object, **__: object) -> None:
 
 
 def _stop(number: int, _: FrameType | None) -> None:
+    if not heeded(number):
+        return
+    if number == signal.SIGINT:
+        raise KeyboardInterrupt
     sys.exit(128 + number)
+
+
+def _ignore_more() -> None:
+    """Ignore more signals where one has come: all is done but for the interpreter's own end, which resets handlers."""
+    if is_ending():
+        for number in ENDING:
+            signal.signal(number, signal.SIG_IGN)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import warnings
 from contextlib import nullcontext
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -11,19 +12,22 @@ import click
 
 from carla_recap.cli import options
 from carla_recap.cli.output import warn
+from carla_recap.errors import RecapError, RecapWarning
 
 if TYPE_CHECKING:
     from carla_recap.replay.follow import Follow
     from carla_recap.server.live import Window
 
 _LOOPBACK = "127.0.0.1"
+_EVERYWHERE = ("0.0.0.0", "::")
+_FOLDER = click.Path(exists=True, file_okay=False, path_type=Path)
 
 
 @click.command()
 @click.option("--host", default=_LOOPBACK, show_default=True, metavar="ADDRESS", help="Where to listen.")
 @click.option("--port", type=click.IntRange(0, 65534), default=2000, show_default=True, help="And the next, for streams.")
 @click.option("--town", default="", metavar="NAME", help="A map's name or an .xodr; else the built-in town.")
-@click.option("--maps", type=click.Path(path_type=Path), metavar="DIR", help="The folder of maps.")
+@click.option("--maps", type=_FOLDER, metavar="DIR", help="The folder of maps.")
 @click.option("--recordings", type=click.Path(path_type=Path), metavar="DIR", help="The folder of recordings.")
 @click.option("--confine", is_flag=True, help="Refuse recordings outside that folder.")
 @click.option("--seed", type=click.IntRange(min=0), default=0, show_default=True, metavar="K", help="Of all that is random.")
@@ -49,6 +53,8 @@ def serve(
     from carla_recap.server.serving import serve as serve_clients
     from carla_recap.sim import World, load_town
 
+    if recordings is not None:
+        _make(recordings)
     if host not in (_LOOPBACK, "localhost", "::1"):
         warn(f"{host} can be reached by others, and the protocol asks nobody who they are")
     window = _window(rerun_to, follow) if rerun or rerun_to or follow is not None else nullcontext()
@@ -59,6 +65,7 @@ def serve(
             if shown is not None:
                 shown.open(host, port)
 
+        warnings.simplefilter("once", RecapWarning)  # however often a client asks about a damaged recording
         asyncio.run(serve_clients(Host(world, confined=confine), host, port, ready))
 
 
@@ -68,9 +75,20 @@ def _window(to: str | None, follow: Follow | None) -> Window:
     return Window(to, "hero" if follow is None else follow)
 
 
+def _make(folder: Path) -> None:
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+    except (OSError, ValueError) as error:
+        reason = getattr(error, "strerror", None) or error
+        raise RecapError(f"{folder}: the folder of recordings cannot be made: {reason}") from None
+
+
 def _tell(town: str, host: str, port: int) -> None:
     click.echo(f"{town} is served at {host}:{port}")
-    click.echo(f"connect to it: carla.Client({host!r}, {port}); Ctrl-C ends it")
+    if host in _EVERYWHERE:
+        click.echo(f"connect to it: carla.Client('HOST', {port}), with the name or address of this machine; Ctrl-C ends it")
+    else:
+        click.echo(f"connect to it: carla.Client({host!r}, {port}); Ctrl-C ends it")
 
 
 COMMANDS = (serve,)

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Final
+from weakref import WeakKeyDictionary
 
 from carla_recap.sim.control import VehicleControl
 from carla_recap.sim.drivetrain import SPEEDS
@@ -70,7 +71,7 @@ class Ackermann:
 
     def __init__(self, world: World) -> None:
         self._drives: dict[Vehicle, _Drive] = {}
-        self._settings: dict[Vehicle, AckermannSettings] = {}
+        self._settings: WeakKeyDictionary[Vehicle, AckermannSettings] = WeakKeyDictionary()
         world.controllers.append(self)
 
     def step(self, delta: float) -> None:
@@ -80,7 +81,6 @@ class Ackermann:
                 vehicle.apply_control(_control(vehicle, drive, delta))
             else:
                 del self._drives[vehicle]
-                self._settings.pop(vehicle, None)
 
     def drive(self, vehicle: Vehicle, control: AckermannControl) -> None:
         """Drive a vehicle from now on."""

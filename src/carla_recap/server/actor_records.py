@@ -8,6 +8,8 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 
 from carla_recap.records import ActorKind
+from carla_recap.server.attributes import told_attributes
+from carla_recap.server.ghosts import Ghost
 from carla_recap.server.structs import (
     ActorDefinition,
     ActorDescription,
@@ -53,12 +55,17 @@ def definition(blueprint: Blueprint) -> ActorDefinition:
     return ActorDefinition(blueprint.uid, blueprint.id, ",".join(blueprint.id.split(".")), attributes)
 
 
-def record(actor: Actor, streams: Streams) -> ActorRecord:
-    """An actor, as clients see it."""
-    values = [AttributeValue(key, attribute_type(key) + _TYPES_FROM, value) for key, value in actor.attributes.items()]
+def record(actor: Actor | Ghost, streams: Streams) -> ActorRecord:
+    """An actor, as clients see it; also one that has been destroyed."""
+    if isinstance(actor, Ghost):
+        attributes, parent = actor.attributes, None
+    else:
+        attributes = told_attributes(actor.blueprint, actor.attributes, actor.world.blueprints)
+        parent = actor.parent
+    values = [AttributeValue(key, attribute_type(key) + _TYPES_FROM, value) for key, value in attributes.items()]
     return ActorRecord(
         actor.id,
-        actor.parent.id if actor.parent else 0,
+        parent.id if parent else 0,
         ActorDescription(actor.blueprint.uid, actor.type_id, values),
         box(actor),
         bytes(_tags(actor)),
@@ -66,7 +73,7 @@ def record(actor: Actor, streams: Streams) -> ActorRecord:
     )
 
 
-def box(actor: Actor) -> BoundingBox:
+def box(actor: Actor | Ghost) -> BoundingBox:
     """The box around an actor, in its own axes; of a light or sign, where it is in force, as CARLA has it."""
     if isinstance(actor, Sign) and actor.signal.stops:
         return _trigger_volume(actor)
@@ -92,7 +99,7 @@ def _trigger_volume(sign: Sign) -> BoundingBox:
     return BoundingBox(centre, Vector(width, depth, _TRIGGER_HEIGHT), actor_id=sign.id)
 
 
-def stream_of(actor: Actor) -> int:
+def stream_of(actor: Actor | Ghost) -> int:
     """The number of the stream of a sensor."""
     return _STREAM + actor.id
 
@@ -107,12 +114,12 @@ def tag(actor: Actor) -> int:
     return next(iter(_tags(actor)), 0)
 
 
-def streams_data(actor: Actor) -> bool:
+def streams_data(actor: Actor | Ghost) -> bool:
     """Whether an actor has a stream; lane invasions are found by the client."""
     return actor.type_id.startswith(_STREAMING) and actor.type_id not in _CLIENT_SIDE
 
 
-def _tags(actor: Actor) -> Iterable[int]:
+def _tags(actor: Actor | Ghost) -> Iterable[int]:
     match actor.kind:
         case ActorKind.VEHICLE:
             yield _TAGS.get(actor.attributes.get("base_type", ""), _TAGS["car"])

@@ -11,15 +11,15 @@ from typing import TYPE_CHECKING, Any, Final, cast
 import msgpack
 
 from carla_recap.errors import RecapError
-from carla_recap.server.calls.table import TABLE
 from carla_recap.server.inbox import Inbox
+from carla_recap.server.table import TABLE
 
 if TYPE_CHECKING:
     from collections.abc import Awaitable
 
-    from carla_recap.server.calls.table import Call
     from carla_recap.server.host import Host
     from carla_recap.server.managers import Truce
+    from carla_recap.server.table import Call
 
 _REPLY: Final = 1
 _PACKER: Final = msgpack.Packer(unicode_errors="surrogateescape")  # for all: it keeps a large buffer
@@ -63,7 +63,7 @@ class Client(asyncio.Protocol):
 
     def connection_made(self, transport: asyncio.BaseTransport) -> None:
         """See `asyncio.Protocol`."""
-        self._transport = cast(asyncio.Transport, transport)
+        self._transport = cast("asyncio.Transport", transport)
         self.host.clients[self.stream] = self
         self.host.connections.enter(self)
 

@@ -4,13 +4,12 @@ from __future__ import annotations
 
 import asyncio
 import itertools
-from collections import OrderedDict
 from dataclasses import replace
-from typing import TYPE_CHECKING, Final
+from typing import TYPE_CHECKING, Protocol
 
 from carla_recap.server.ackermann import Ackermann
-from carla_recap.server.calls.table import CallError
 from carla_recap.server.connections import Connections
+from carla_recap.server.ghosts import Memory
 from carla_recap.server.managers import Managers
 from carla_recap.server.recordings import Recordings
 from carla_recap.server.sensors import Sensors
@@ -18,18 +17,26 @@ from carla_recap.server.snapshot import Photographer, telling_of_map
 from carla_recap.server.steadiness import Steadiness
 from carla_recap.server.streams import Streams
 from carla_recap.server.structs import EpisodeSettings
+from carla_recap.server.table import CallError
 from carla_recap.sim.errors import DeadActor
 
 if TYPE_CHECKING:
     from collections.abc import Callable
 
-    from carla_recap.server.client import Client
+    from carla_recap.server.ghosts import Ghost
     from carla_recap.sim.actors import Actor
     from carla_recap.sim.town import Town
     from carla_recap.sim.world import World
 
-_MOST_KNOWN: Final = 100_000
-"""Actors that are remembered after their end, for clients that still ask for them."""
+
+class Spectator(Protocol):
+    """Who is sent snapshots.
+
+    Attributes:
+        stream: The number of the stream of these.
+    """
+
+    stream: int
 
 
 class Host:
@@ -68,13 +75,13 @@ class Host:
         self.sensors = Sensors(world, self.streams, self.actor_or_ghost)
         self.ackermann = Ackermann(world)
         self.steadiness = Steadiness(world)
-        self.clients: dict[int, Client] = {}
+        self.clients: dict[int, Spectator] = {}
         self.on_settings: list[Callable[[], None]] = []
         self.loading = asyncio.Lock()
         self.sent_town: Town | None = None
         self._stream_numbers = itertools.count(1)
         self._frames_before = 0
-        self._known: OrderedDict[int, Actor] = OrderedDict()
+        self._memory = Memory()
         self._begin()
 
     @property
@@ -97,7 +104,7 @@ class Host:
         self.publish()
         return self.frame
 
-    def begin_episode(self, town: Town, client: Client) -> None:
+    def begin_episode(self, town: Town, client: Spectator) -> None:
         """Begin a new episode, and send everybody its first snapshot.
 
         The client who wants it gets it in a stream of its own, which it asks for as soon as its call is answered; from the
@@ -141,12 +148,12 @@ class Host:
         for stream in self.clients:
             self.streams.keep(stream, payload)
 
-    def publish_again(self, client: Client) -> None:
+    def publish_again(self, client: Spectator) -> None:
         """Send a client the snapshot of the world as it is, as a new frame."""
         self._frames_before += 1
         self.greet(client)
 
-    def greet(self, client: Client) -> None:
+    def greet(self, client: Spectator) -> None:
         """Keep the latest snapshot ready for a client that is about to subscribe."""
         self.streams.keep(client.stream, self._photographer.take(self.episode, self.frame))
 
@@ -167,29 +174,31 @@ class Host:
         """
         if id in self.world.actors:
             return self.world.actors[id]
-        if id in self._known:
-            raise DeadActor(f"actor {id} ({self._known[id].type_id}) has been destroyed")
+        ghost = self._memory.find(id)
+        if ghost is not None:
+            raise DeadActor(f"actor {id} ({ghost.type_id}) has been destroyed")
         raise CallError(f"actor {id} not found")
 
-    def actor_or_ghost(self, id: int) -> Actor:
+    def actor_or_ghost(self, id: int) -> Actor | Ghost:
         """An actor, even one that has been destroyed.
 
         Raises:
-            CallError: There has never been one.
+            CallError: There has never been one, or many have been destroyed since.
         """
-        return self._known[id] if id in self._known else self.actor(id)
+        return self._memory.find(id) or self.actor(id)
 
     def remember(self, actor: Actor) -> None:
         """Know an actor beyond its end."""
-        self._known[actor.id] = actor
+        self._memory.enter(actor)
 
     def _remember(self) -> None:
         for actor in self.world.events.spawned:
             self.remember(actor)
-        while len(self._known) > _MOST_KNOWN:
-            self._known.popitem(last=False)
+        for id in self.world.events.destroyed:
+            self._memory.bury(id)
 
     def _begin(self) -> None:
         self._seen = self.world.episode
         self._is_new = True
+        self._memory.bury_all()
         self._photographer = Photographer(self.world)

@@ -4,9 +4,11 @@ from __future__ import annotations
 
 import subprocess
 import sys
+from pathlib import Path
 from typing import TYPE_CHECKING, Final, Self
 
 from carla_recap.capture.live import check_target
+from carla_recap.errors import RecapError
 from carla_recap.replay.follow import HERO, Follow
 
 if TYPE_CHECKING:
@@ -30,6 +32,8 @@ class Window:
 
     def __init__(self, to: str | None = None, follow: Follow = HERO) -> None:
         check_target(to, force=False)
+        if to is not None and "://" not in to and not Path(to).parent.is_dir():
+            raise RecapError(f"{to}: cannot be written: there is no folder {Path(to).parent}")
         self._options = [f"--follow={follow}", *([f"--to={to}"] if to else [])]
         self._process: subprocess.Popen[bytes] | None = None
 

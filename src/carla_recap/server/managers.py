@@ -9,8 +9,6 @@ from typing import TYPE_CHECKING, Any, Final
 if TYPE_CHECKING:
     from collections.abc import Callable
 
-    from carla_recap.server.client import Client
-
 _LAST_CALL: Final = "apply_batch"  # of a manager's cycle
 _ANY_CALL: Final = "get_vehicle_light_states"  # of a cycle, even of a manager that has no vehicles
 _CYCLE: Final = 0.25  # s: a manager has called by then, or will not call
@@ -23,9 +21,9 @@ class Managers:
     """The traffic managers by their ports; each is gone with its client, which alone could answer for it."""
 
     def __init__(self) -> None:
-        self._running: dict[int, tuple[str, Client]] = {}
+        self._running: dict[int, tuple[str, object]] = {}
 
-    def add(self, host: str, port: int, client: Client) -> bool:
+    def add(self, host: str, port: int, client: object) -> bool:
         """Enter a manager; False if there is one at this port."""
         if port in self._running:
             return False
@@ -40,11 +38,11 @@ class Managers:
         """Where the manager of a port runs; None if there is none."""
         return self._running[port][0] if port in self._running else None
 
-    def owns_one(self, client: Client) -> bool:
+    def owns_one(self, client: object) -> bool:
         """Whether a client runs a manager."""
         return any(owner is client for _, owner in self._running.values())
 
-    def leave(self, client: Client) -> None:
+    def leave(self, client: object) -> None:
         """Forget the managers of a client."""
         self._running = {port: running for port, running in self._running.items() if running[1] is not client}
 

@@ -6,6 +6,8 @@ import asyncio
 import time
 from typing import TYPE_CHECKING, Final
 
+from carla_recap.server.mishaps import tell
+
 if TYPE_CHECKING:
     from carla_recap.server.host import Host
 
@@ -45,5 +47,8 @@ class Pace:
             if self._changed.is_set():
                 return
             now = time.monotonic()
-            self._host.tick(fixed or min(now - last, _LONGEST))
+            try:
+                self._host.tick(fixed or min(now - last, _LONGEST))
+            except Exception as error:  # the next tick may go well
+                tell("a tick has failed", error)
             last = now

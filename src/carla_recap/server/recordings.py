@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Final
 
-from carla_recap.server.calls.table import CallError
+from carla_recap.server.table import CallError
 from carla_recap.sim.recorder import recording_path, recordings_folder
 from carla_recap.sim.replayer import find_recording
 
@@ -12,6 +12,8 @@ if TYPE_CHECKING:
     from pathlib import Path
 
     from carla_recap.sim.world import World
+
+_SHOWN: Final = 200  # characters of a name in a message
 
 
 class Recordings:
@@ -35,6 +37,7 @@ class Recordings:
         Raises:
             RecapError: It cannot be recorded there.
         """
+        _expect_name(name)
         self._check(name, recording_path(name, self._world.recordings))
         return self._world.start_recorder(name, additional_data).absolute()
 
@@ -44,10 +47,13 @@ class Recordings:
         Raises:
             CallError: It must not be read, or cannot be.
         """
+        _expect_name(name)
         try:
             path = find_recording(name, self._world.recordings).absolute()
-        except (OSError, ValueError) as error:
-            raise CallError(f"{name!r}: cannot be read: {error}") from None
+        except OSError as error:
+            raise CallError(f"{_shown(name)}: cannot be read: {error.strerror}") from None
+        except ValueError:  # as of the root, or the working directory
+            raise _no_name(name) from None
         self._check(name, path)
         return path
 
@@ -72,4 +78,17 @@ class Recordings:
         except (OSError, ValueError, RuntimeError):  # what it leads to cannot be told, as of a loop of links
             is_within = False
         if not is_within:
-            raise CallError(f"{name!r}: lies outside the folder of recordings, {folder}, and this server is confined to it")
+            raise CallError(f"{_shown(name)}: lies outside the folder of recordings, {folder}; this server is confined to it")
+
+
+def _expect_name(name: str) -> None:
+    if "\0" in name:
+        raise _no_name(name)
+
+
+def _no_name(name: str) -> CallError:
+    return CallError(f"{_shown(name)}: the name of a recording was expected")
+
+
+def _shown(name: str) -> str:
+    return f"{name!r:.{_SHOWN}}"

@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import asyncio
 import signal
-import sys
 from typing import TYPE_CHECKING, Any, Final
 
 import carla_recap.server.calls  # noqa: F401  (fills the table of calls)
 from carla_recap.errors import RecapError
 from carla_recap.server.client import Client
+from carla_recap.server.mishaps import tell
 from carla_recap.server.pace import Pace
 
 if TYPE_CHECKING:
@@ -82,5 +82,4 @@ async def _listen(make: Callable[[], asyncio.Protocol], address: str, port: int)
 
 def _tell(_: asyncio.AbstractEventLoop, context: dict[str, Any]) -> None:
     """Say in a line what has gone wrong with a connection; it concerns nobody else."""
-    error = context.get("exception")
-    print(f"carla-recap: {context['message']}{f': {error!r}' if error else ''}", file=sys.stderr)
+    tell(context["message"], context.get("exception"))

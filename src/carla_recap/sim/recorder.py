@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 FOLDER: Final = "CARLA_RECAP_RECORDINGS"
 """The environment variable that names the folder of recordings."""
 DEFAULT_FOLDER: Final = "recordings"
-_FOLDER: Final = re.compile(r"(^|[/\\])\.{0,2}$")
+_OF_FOLDERS: Final = re.compile(r"(^|[/\\])\.{0,2}$")
 """What names end with that can be none but those of folders."""
 
 
@@ -138,7 +138,7 @@ class Recorder:
         named = recording_path(name, self._folder)
         if "\0" in str(name):
             raise RecapError(f"{str(name)!r:.200}: the name of a recording was expected, found an embedded null byte")
-        if _FOLDER.search(str(name)):
+        if _OF_FOLDERS.search(str(name)):
             raise RecapError(f"{str(name)!r:.200}: the name of a recording was expected, and this is that of a folder")
         path = named if named.suffix else named.with_name(named.name + SUFFIXES[-1])
         check_free(path, force=force)

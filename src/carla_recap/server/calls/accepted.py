@@ -6,9 +6,9 @@ from dataclasses import dataclass
 from enum import StrEnum
 from typing import Any, Final
 
-from carla_recap.server.calls.table import TABLE, Call, CallError
 from carla_recap.server.client import Client
 from carla_recap.server.structs import Bones
+from carla_recap.server.table import TABLE, Call, CallError
 from carla_recap.server.wire import encoder
 from carla_recap.sim.geometry import Transform
 

@@ -6,9 +6,10 @@ from math import degrees, radians
 from typing import TypeVar
 
 from carla_recap.server import actor_records
-from carla_recap.server.calls.table import CallError, call
+from carla_recap.server.attributes import check_attributes
 from carla_recap.server.client import Client
 from carla_recap.server.structs import ActorDefinition, ActorDescription, ActorRecord, BoundingBox
+from carla_recap.server.table import CallError, call
 from carla_recap.sim.actors import Actor, Mover, Prop, Sign, Vehicle, Walker
 from carla_recap.sim.checks import expect_place, expect_push, expect_turning, expect_velocity
 from carla_recap.sim.control import VehicleControl
@@ -33,7 +34,7 @@ def get_spectator(client: Client) -> ActorRecord:
 def get_actors_by_id(client: Client, ids: list[int]) -> list[ActorRecord]:
     """Those of some actors that are there."""
     actors = client.host.world.actors
-    return [actor_records.record(actors[id], client.host.streams) for id in ids if id in actors]
+    return [actor_records.record(actors[id], client.host.streams) for id in dict.fromkeys(ids) if id in actors]
 
 
 @call
@@ -53,7 +54,8 @@ def spawn_actor_with_parent(
 @call
 def destroy_actor(client: Client, id: int) -> bool:
     """Take an actor out of the world; False if it had been destroyed before."""
-    return client.host.actor_or_ghost(id).destroy()
+    actor = client.host.actor_or_ghost(id)
+    return isinstance(actor, Actor) and actor.destroy()
 
 
 @call
@@ -148,7 +150,7 @@ def add_actor_torque(client: Client, id: int, torque: Vector) -> None:
 def set_actor_simulate_physics(client: Client, id: int, enabled: bool) -> None:
     """Let forces move an actor, or have it stay; nothing is done to who has been destroyed, or never moves."""
     actor = client.host.actor_or_ghost(id)
-    if actor.is_alive and isinstance(actor, Mover):
+    if isinstance(actor, Mover) and actor.is_alive:
         actor.set_simulate_physics(enabled)
 
 
@@ -156,7 +158,7 @@ def set_actor_simulate_physics(client: Client, id: int, enabled: bool) -> None:
 def set_actor_collisions(client: Client, id: int, enabled: bool) -> None:
     """Let an actor touch others, or pass through them; nothing is done to who has been destroyed, or has no body."""
     actor = client.host.actor_or_ghost(id)
-    if actor.is_alive and isinstance(actor, (Mover, Prop)):
+    if isinstance(actor, (Mover, Prop)) and actor.is_alive:
         actor.set_collisions(enabled)
 
 
@@ -183,13 +185,13 @@ def spawn(client: Client, description: ActorDescription, transform: Transform, p
     """Let an actor appear.
 
     Raises:
-        CallError: Its place is occupied, or cannot be one; or it is a camera, and its images would be too large.
+        CallError: Its place is occupied, or cannot be one; or an attribute has a value that it cannot have.
         RecapError: There is no such blueprint, or no such parent.
     """
     host = client.host
-    known = host.world.blueprints.get(description.id).attributes
-    attributes = {attribute.id: attribute.value for attribute in description.attributes if attribute.id in known}
-    host.sensors.check(description.id, attributes)
+    blueprint = host.world.blueprints.get(description.id)
+    attributes = {a.id: a.value for a in description.attributes if a.id in blueprint.attributes}
+    check_attributes(blueprint, attributes)
     actor = host.world.try_spawn(description.id, transform, parent=parent, **attributes)
     if actor is None:
         raise CallError("Spawn failed because of collision at spawn position")

@@ -7,9 +7,9 @@ from typing import Any, Final
 
 from carla_recap.server.calls import accepted, actors, lights, vehicles, walkers  # noqa: F401  (fill the table of calls)
 from carla_recap.server.calls.actors import spawn
-from carla_recap.server.calls.table import TABLE, Call, bare_call, row
 from carla_recap.server.client import Client, describe
 from carla_recap.server.structs import ActorDescription, VehicleLightState
+from carla_recap.server.table import TABLE, Call, bare_call, row
 from carla_recap.server.wire import WireError, decoder
 from carla_recap.sim.geometry import Transform
 

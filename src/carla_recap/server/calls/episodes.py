@@ -10,10 +10,10 @@ from typing import Any, Final
 
 from carla_recap.errors import RecapError
 from carla_recap.maps.road_map import find_map, find_maps
-from carla_recap.server.calls.table import CallError, call
 from carla_recap.server.client import Client
 from carla_recap.server.managers import Truce
 from carla_recap.server.structs import EpisodeSettings
+from carla_recap.server.table import CallError, call
 from carla_recap.sim.town import Town, load_town
 
 _SENT: Final = "OpenDriveMap"
@@ -67,10 +67,15 @@ async def _town(client: Client, name: str) -> Town:
         if host.sent_town is None:
             raise CallError(f"{name}: no map has been sent to this server")
         return host.sent_town
-    path = find_map(name, host.world.maps)
+    path = find_map(name, host.world.maps) or _find_in_any_case(name, host.world.maps)
     if path is None:
         raise CallError(f"{name!r}: there is no such map; there are {', '.join(sorted(find_maps(host.world.maps)))}")
     return await asyncio.to_thread(load_town, path)
+
+
+def _find_in_any_case(name: str, folder: Path | str | None) -> Path | None:
+    wanted = name.rpartition("/")[2].casefold()
+    return next((path for known, path in find_maps(folder).items() if known.casefold() == wanted), None)
 
 
 def _parse(text: str) -> Town:

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from carla_recap.server import scenery
 from carla_recap.server.calls.actors import expect
-from carla_recap.server.calls.table import call
 from carla_recap.server.client import Client
 from carla_recap.server.structs import BoundingBox
+from carla_recap.server.table import call
 from carla_recap.sim.actors import TrafficLight
 
 

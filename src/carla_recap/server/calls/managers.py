@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from carla_recap.server.calls.table import call
 from carla_recap.server.client import Client
+from carla_recap.server.table import call
 
 
 @call

@@ -14,8 +14,8 @@ from typing import Final
 from carla_recap import queries
 from carla_recap.errors import NotARecording
 from carla_recap.server import replies
-from carla_recap.server.calls.table import call
 from carla_recap.server.client import Client
+from carla_recap.server.table import call
 from carla_recap.sim.errors import MapMissing
 from carla_recap.sim.geometry import Transform
 from carla_recap.sim.replayer import CHASE, Replay

@@ -3,18 +3,20 @@
 from __future__ import annotations
 
 import asyncio
-from typing import Any
+from typing import Any, Final
 
 from carla_recap.server.actor_records import sensor_of
-from carla_recap.server.calls.table import CallError, call
 from carla_recap.server.client import Client
 from carla_recap.server.navmesh import NAVIGATION, navigation_files, navigation_mesh
 from carla_recap.server.structs import EpisodeInfo, EpisodeSettings, MapInfo, Token
+from carla_recap.server.table import CallError, call
 from carla_recap.sim.checks import expect_between
 from carla_recap.sim.weather import Weather
 
 VERSION = "0.9.16"
 """The version of the client that is served."""
+_FOLDER: Final = "Carla/Maps"
+"""Where the map is, as CARLA names it: not as among those that are available."""
 
 
 @call
@@ -75,7 +77,7 @@ async def _tick_after(subscriptions: list[asyncio.Future[None]], client: Client)
 def get_map_info(client: Client) -> MapInfo:
     """The town, and where vehicles can be spawned."""
     town = client.host.world.town
-    return MapInfo(town.name, town.spawn_points)
+    return MapInfo(f"{_FOLDER}/{town.name}", town.spawn_points)
 
 
 @call

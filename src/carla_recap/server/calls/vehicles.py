@@ -2,19 +2,21 @@
 
 from __future__ import annotations
 
+from copy import deepcopy
 from dataclasses import replace
 from math import degrees, pi
 from typing import Final
 
 from carla_recap.server.ackermann import AckermannControl, AckermannSettings
 from carla_recap.server.calls.actors import expect
-from carla_recap.server.calls.table import CallError, call
 from carla_recap.server.client import Client
+from carla_recap.server.ghosts import Ghost
 from carla_recap.server.structs import Telemetry, VehicleLightState, WheelTelemetry
+from carla_recap.server.table import CallError, call
 from carla_recap.sim.actors import Vehicle
 from carla_recap.sim.control import VehicleControl
 from carla_recap.sim.drivetrain import GRAVITY
-from carla_recap.sim.geometry import Location, Vector
+from carla_recap.sim.geometry import Location, Transform, Vector
 from carla_recap.sim.physics_control import PhysicsControl
 
 _CM: Final = 100.0  # in a m
@@ -52,8 +54,7 @@ def apply_ackermann_controller_settings(client: Client, id: int, settings: Acker
 @call
 def get_physics_control(client: Client, id: int) -> PhysicsControl:
     """How a vehicle is built; where its wheels are is told in the world and in cm, as by CARLA."""
-    vehicle = _known(client, id)
-    control, there = vehicle.physics_control, vehicle.transform
+    control, there = _built(client, id)
     for wheel in control.wheels:
         at = wheel.position
         place = there.transform(Location(at.x / _CM, at.y / _CM, at.z / _CM))
@@ -129,7 +130,10 @@ def get_telemetry_data(client: Client, id: int) -> Telemetry:
     return Telemetry(speed, control.steer, control.throttle, control.brake, rpm, control.gear, drag, wheels)
 
 
-def _known(client: Client, id: int) -> Vehicle:
-    """A vehicle, even one that has been destroyed."""
+def _built(client: Client, id: int) -> tuple[PhysicsControl, Transform]:
+    """How a vehicle is built, and where it is; of one that has been destroyed, what its model is like, and where it was."""
     actor = client.host.actor_or_ghost(id)
-    return actor if isinstance(actor, Vehicle) else expect(client, id, Vehicle)
+    if isinstance(actor, Ghost) and actor.blueprint.physics is not None:
+        return deepcopy(actor.blueprint.physics), actor.transform
+    vehicle = actor if isinstance(actor, Vehicle) else expect(client, id, Vehicle)
+    return vehicle.physics_control, vehicle.transform

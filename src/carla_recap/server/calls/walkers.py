@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 from carla_recap.server.calls.actors import expect
-from carla_recap.server.calls.table import call
 from carla_recap.server.client import Client
+from carla_recap.server.table import call
 from carla_recap.sim.actors import Walker
 from carla_recap.sim.checks import expect_velocity
 from carla_recap.sim.control import WalkerControl

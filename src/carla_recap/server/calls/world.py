@@ -5,9 +5,9 @@ from __future__ import annotations
 from typing import Final
 
 from carla_recap.server import scenery
-from carla_recap.server.calls.table import CallError, call
 from carla_recap.server.client import Client
 from carla_recap.server.structs import BoundingBox, EnvironmentObject, LabelledPoint
+from carla_recap.server.table import CallError, call
 from carla_recap.sim.checks import expect_place
 from carla_recap.sim.geometry import Location, Vector
 

@@ -6,17 +6,13 @@ import struct
 from functools import lru_cache
 from typing import TYPE_CHECKING, Final
 
-from carla_recap.server.calls.table import CallError
+from carla_recap.server.attributes import LARGEST_SIDE
 from carla_recap.server.sensors.feed import number
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping
-
     from carla_recap.server.sensors.feed import Feed, Make, Tell
     from carla_recap.sim.actors import Actor
 
-LARGEST: Final = 4096
-"""Pixels: no image is wider or higher, which keeps a frame within 64 MiB."""
 _SIDES: Final = ("image_size_x", "image_size_y")
 # width, height, field of view in degrees
 _HEADER: Final = struct.Struct("<IIf")
@@ -26,18 +22,6 @@ _GREY: Final = bytes((128, 128, 128, 255))
 _FARTHEST: Final = bytes((255, 255, 255, 255))  # depth is red + 256 green + 65536 blue; all set are 1,000 m
 _UNLABELLED: Final = bytes((0, 0, 0, 255))
 _STILL: Final = struct.pack("<2f", 0.0, 0.0)  # of optical flow: along x and y
-
-
-def check_size(type_id: str, attributes: Mapping[str, str]) -> None:
-    """Make sure that the images of a camera are not too large.
-
-    Raises:
-        CallError: They are.
-    """
-    for key in _SIDES:
-        text = attributes.get(key, "")
-        if text.strip().isdecimal() and int(text) > LARGEST:
-            raise CallError(f"{type_id}: {key} of {text}: expected {LARGEST} pixels at the most")
 
 
 def _camera(pixel: bytes) -> Make:
@@ -52,7 +36,7 @@ def _camera(pixel: bytes) -> Make:
 
 
 def _side(sensor: Actor, key: str) -> int:
-    return int(min(max(number(sensor, key), 1), LARGEST))
+    return int(min(max(number(sensor, key), 1), LARGEST_SIDE))
 
 
 @lru_cache(maxsize=4)

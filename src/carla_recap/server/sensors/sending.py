@@ -6,8 +6,8 @@ from math import floor
 from typing import TYPE_CHECKING, Final
 
 from carla_recap.server import actor_records
-from carla_recap.server.sensors.cameras import check_size
-from carla_recap.server.sensors.feed import number
+from carla_recap.server.mishaps import tell
+from carla_recap.server.sensors.feed import number, silent
 from carla_recap.server.sensors.kinds import KINDS
 from carla_recap.server.snapshot import sensor_header
 from carla_recap.server.structs import ActorDescription, ActorRecord, BoundingBox
@@ -15,8 +15,9 @@ from carla_recap.server.wire import encoder
 from carla_recap.sim.geometry import Location, Vector
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Mapping
+    from collections.abc import Callable
 
+    from carla_recap.server.ghosts import Ghost
     from carla_recap.server.sensors.feed import Feed
     from carla_recap.server.sensors.kinds import Kind
     from carla_recap.server.streams import Streams
@@ -41,21 +42,11 @@ class Sensors:
         find: Finds an actor by its id, even one that has been destroyed.
     """
 
-    def __init__(self, world: World, streams: Streams, find: Callable[[int], Actor]) -> None:
+    def __init__(self, world: World, streams: Streams, find: Callable[[int], Actor | Ghost]) -> None:
         self._world = world
         self._streams = streams
         self._find = find
         self._feeds: dict[int, Feed] = {}
-
-    @staticmethod
-    def check(type_id: str, attributes: Mapping[str, str]) -> None:
-        """Make sure that a sensor can be served.
-
-        Raises:
-            CallError: Its images would be too large.
-        """
-        if type_id.startswith("sensor.camera."):
-            check_size(type_id, attributes)
 
     def send(self, frame: int) -> None:
         """Send what was noticed in the latest tick, the one of a frame; the streams of sensors that are gone end."""
@@ -66,7 +57,11 @@ class Sensors:
             sensor = self._world.actors.get(actor_records.sensor_of(stream))
             kind = KINDS.get(sensor.type_id) if sensor is not None else None
             if sensor is not None and kind is not None:
-                self._send(stream, sensor, kind, frame)
+                try:
+                    self._send(stream, sensor, kind, frame)
+                except Exception as error:  # it must cost nobody else the tick
+                    tell(f"a {sensor.type_id} has failed, and tells nothing more", error)
+                    self._feeds[stream] = silent(sensor, self._tell)  # whoever is cut off connects anew at once
             elif self._feeds.pop(stream, None) is not None:
                 self._streams.forget(stream)
 
