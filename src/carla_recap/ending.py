@@ -55,7 +55,7 @@ def handled(handler: Any) -> dict[signal.Signals, Any]:
 
 
 @contextmanager
-def ended_by_signals(end: Callable[[str], None]) -> Iterator[None]:
+def ended_by_signals(end: Callable[[str], object]) -> Iterator[None]:
     """Have signals end something else than the process, while a `with` block runs; outside the main thread, do nothing.
 
     Args:

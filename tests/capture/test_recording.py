@@ -6,6 +6,7 @@ import subprocess
 import sys
 import time
 from contextlib import ExitStack, contextmanager
+from types import SimpleNamespace
 from typing import TYPE_CHECKING, Any
 
 import carla
@@ -14,7 +15,7 @@ import pytest
 
 from carla_recap import open_recording
 from carla_recap.capture.observer import Sight
-from carla_recap.capture.recording import frames
+from carla_recap.capture.recording import frames, header_of
 from carla_recap.server import running
 from tests.capture.conftest import PATIENCE, own_sensors, spawn, started, wait_for
 from tests.cli.command import error
@@ -187,6 +188,12 @@ def started_after_server(path: Path) -> Iterator[Capture]:
 
 def test_where_no_server_is() -> None:
     assert error("capture", "a.mcap", "--port", 1) == "127.0.0.1:1: there is no CARLA server"
+
+
+@pytest.mark.parametrize("told", ["Carla/Maps/Town01", "Town01", "/Game/Carla/Maps/Town01"])
+def test_the_map_has_its_plain_name(told: str) -> None:
+    observer: Any = SimpleNamespace(map=SimpleNamespace(name=told))
+    assert header_of(observer).map_name == "Town01"
 
 
 def test_frames_last_until_the_next_one() -> None:

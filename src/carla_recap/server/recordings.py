@@ -78,7 +78,9 @@ class Recordings:
         except (OSError, ValueError, RuntimeError):  # what it leads to cannot be told, as of a loop of links
             is_within = False
         if not is_within:
-            raise CallError(f"{_shown(name)}: lies outside the folder of recordings, {folder}; this server is confined to it")
+            raise CallError(
+                f"{_shown(name)}: lies outside the folder of recordings, {folder}; this server is confined to it"
+            )
 
 
 def _expect_name(name: str) -> None:

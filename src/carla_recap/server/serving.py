@@ -7,6 +7,7 @@ import signal
 from typing import TYPE_CHECKING, Any, Final
 
 import carla_recap.server.calls  # noqa: F401  (fills the table of calls)
+from carla_recap.ending import ended_by_signals
 from carla_recap.errors import RecapError
 from carla_recap.server.client import Client
 from carla_recap.server.mishaps import tell
@@ -17,14 +18,12 @@ if TYPE_CHECKING:
 
     from carla_recap.server.host import Host
 
-LOOPBACK: Final = "127.0.0.1"
-PORT: Final = 2000
 _BACKLOG: Final = 512
 _TRIES: Final = 20
 
 
 async def serve(host: Host, address: str, port: int, ready: Callable[[int], None]) -> None:
-    """Serve a world until SIGINT or SIGTERM.
+    """Serve a world until SIGINT, SIGTERM or SIGHUP.
 
     Args:
         host: The world and what is served of it.
@@ -37,24 +36,23 @@ async def serve(host: Host, address: str, port: int, ready: Callable[[int], None
     """
     loop = asyncio.get_running_loop()
     done = asyncio.Event()
-    for number in (signal.SIGINT, signal.SIGTERM):
-        loop.add_signal_handler(number, done.set)
     signal.signal(signal.SIGPIPE, signal.SIG_IGN)  # a client that is gone must not end the server
     loop.set_exception_handler(_tell)
-    calls, streams = await _listen_both(lambda: Client(host), host.streams.connection, address, port)
-    port, host.streams.port = (server.sockets[0].getsockname()[1] for server in (calls, streams))
-    pace = asyncio.create_task(Pace(host).keep())
-    ready(port)
-    try:
-        stopped = asyncio.create_task(done.wait())
-        await asyncio.wait((stopped, pace), return_when=asyncio.FIRST_COMPLETED)
-        if pace.done():
-            pace.result()
-    finally:
-        pace.cancel()
-        calls.close()
-        streams.close()
-        host.world.close()
+    with ended_by_signals(lambda _: loop.call_soon_threadsafe(done.set)):
+        calls, streams = await _listen_both(lambda: Client(host), host.streams.connection, address, port)
+        port, host.streams.port = (server.sockets[0].getsockname()[1] for server in (calls, streams))
+        pace = asyncio.create_task(Pace(host).keep())
+        ready(port)
+        try:
+            stopped = asyncio.create_task(done.wait())
+            await asyncio.wait((stopped, pace), return_when=asyncio.FIRST_COMPLETED)
+            if pace.done():
+                pace.result()
+        finally:
+            pace.cancel()
+            calls.close()
+            streams.close()
+            host.world.close()
 
 
 async def _listen_both(

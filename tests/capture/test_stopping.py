@@ -1,0 +1,150 @@
+"""How captures and live views end, as their processes do."""
+
+from __future__ import annotations
+
+import signal
+import subprocess
+import sys
+import time
+from contextlib import contextmanager
+from typing import TYPE_CHECKING
+
+import carla
+import pytest
+
+from carla_recap import create_recording, open_recording
+from carla_recap.formats.atomic import partials
+from carla_recap.records import Attribute, Spawn
+from carla_recap.recovery import recover
+from tests.capture.conftest import PATIENCE, wait_for
+from tests.cli.command import COMMAND, ENVIRONMENT
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+    from pathlib import Path
+
+KEPT = 5.0  # s of a recording that may be lost
+GHOST, SOUND = 500, 501
+
+
+@contextmanager
+def running(path: Path, port: int) -> Iterator[subprocess.Popen[str]]:
+    """What records a server to a path, or shows it there, once it writes."""
+    arguments = ["watch", "--to", path] if path.suffix == ".rrd" else ["capture", path]
+    command = [COMMAND, *arguments, "--port", str(port)]
+    with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True, env=ENVIRONMENT) as process:
+        try:
+            deadline = time.monotonic() + PATIENCE
+            while not partials(path):
+                assert time.monotonic() < deadline
+                time.sleep(0.05)
+            yield process
+        finally:
+            process.kill()
+
+
+@pytest.mark.parametrize("gap", [0.001, 0.05])
+@pytest.mark.parametrize("name", ["a.mcap", "a.log", "a.rrd"])
+def test_it_is_completed_though_more_signals_come(port: int, tmp_path: Path, name: str, gap: float) -> None:
+    if name.endswith(".rrd"):
+        pytest.importorskip("rerun", reason="the extra `rerun` is not installed")
+    with running(tmp_path / name, port) as process:
+        time.sleep(0.5)
+        for number in (signal.SIGINT, signal.SIGTERM, signal.SIGINT, signal.SIGTERM):
+            process.send_signal(number)
+            time.sleep(gap)
+        said, _ = process.communicate(timeout=PATIENCE)
+    assert process.returncode == 0, said
+    assert said.endswith(": SIGINT\n")
+    assert "Traceback" not in said
+    assert [path.name for path in tmp_path.iterdir()] == [name]
+    assert (tmp_path / name).stat().st_size > 1000
+
+
+@pytest.mark.parametrize("name", ["a.mcap", "a.log"])
+def test_what_was_recorded_outlives_the_process(world: carla.World, port: int, tmp_path: Path, name: str) -> None:
+    path = tmp_path / name
+    with running(path, port) as process:
+        begin = world.tick()
+        while world.get_snapshot().frame - begin < 12.0 / 0.05:
+            world.tick()
+        time.sleep(0.5)
+        process.kill()
+        process.wait(PATIENCE)
+    (left,) = partials(path)
+    assert recover(left, path).duration > 12.0 - KEPT - 1.0
+
+
+def test_a_live_file_is_on_the_disk_while_it_is_written(port: int, tmp_path: Path) -> None:
+    chunk = pytest.importorskip("rerun.chunk", reason="the extra `rerun` is not installed")
+    with running(tmp_path / "a.rrd", port) as process:
+        time.sleep(5.0)
+        process.kill()
+        process.wait(PATIENCE)
+    (left,) = partials(tmp_path / "a.rrd")
+    saved = left.rename(tmp_path / "saved.rrd")
+    with pytest.warns(Warning, match="no footer"):
+        chunks = list(chunk.RrdReader(saved).stream().to_chunks())
+    assert len(chunks) > 20
+
+
+@pytest.mark.parametrize("name", ["a.mcap", "a.rrd"])
+def test_an_actor_that_the_client_cannot_make_out_is_left_out(tmp_path: Path, name: str) -> None:
+    with showing_a_ghost(tmp_path) as (port, world), running(tmp_path / name, port) as process:
+        wait_for(world, lambda: "vehicle.tesla.model3" in types(world))
+        with pytest.raises(ValueError, match="color"):
+            list(world.get_actors())
+        for _ in range(10):
+            world.tick()
+        time.sleep(0.5)
+        process.send_signal(signal.SIGINT)
+        said, _ = process.communicate(timeout=PATIENCE)
+    assert process.returncode == 0, said
+    warning, last = said.splitlines()[-2:]
+    assert "warning: actors that CARLA's client cannot make out are left out: " in warning
+    assert last.endswith(": SIGINT")
+    if name.endswith(".mcap"):
+        with open_recording(tmp_path / name) as recording:
+            recorded = {spawned.type_id for frame in recording for spawned in frame["spawned"]}
+        assert "vehicle.tesla.model3" in recorded
+        assert "vehicle.audi.tt" not in recorded
+
+
+def types(world: carla.World) -> list[str]:
+    """The blueprints of all actors that can be made out."""
+    listed, found = world.get_actors(), []
+    for place in range(len(listed)):
+        try:
+            found.append(listed[place].type_id)
+        except ValueError:
+            continue
+    return found
+
+
+@contextmanager
+def showing_a_ghost(folder: Path) -> Iterator[tuple[int, carla.World]]:
+    """A server that tells what it finds in a recording, where somebody has a color that is none; in synchronous mode."""
+    path = folder / "ghost.log"
+    with create_recording(path, map_name="Brickfield") as recorder:
+        ghost = Spawn(GHOST, 1, 1000.0, type_id="vehicle.audi.tt", attributes=[Attribute(4, "color", "256,0,0")])
+        sound = Spawn(SOUND, 1, type_id="vehicle.tesla.model3")
+        places = {"id": [GHOST, SOUND], "x": [1000.0, 0.0]}
+        recorder.add_frame(0.0, spawned=[ghost, sound], transforms=places)
+        recorder.add_frame(60.0, transforms=places)
+    code = "from carla_recap.server import actor_records; actor_records.told_attributes = lambda _, told, __: told; "
+    code += "from carla_recap.cli import main; main()"
+    command = [sys.executable, "-c", code, "serve", "--port=0"]
+    with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as process:
+        try:
+            assert process.stdout is not None
+            port = int(process.stdout.readline().split(":")[-1])
+            client = carla.Client("127.0.0.1", port)
+            client.set_timeout(10.0)
+            world = client.get_world()
+            world.apply_settings(carla.WorldSettings(synchronous_mode=True, fixed_delta_seconds=0.05))
+            client.replay_file(str(path), 0.0, 0.0, 0)
+            yield port, world
+            path.unlink()
+        finally:
+            process.terminate()
+            process.wait(PATIENCE)

@@ -1,0 +1,84 @@
+from __future__ import annotations
+
+import signal
+import subprocess
+import sys
+
+import pytest
+
+from carla_recap import ending
+from carla_recap.ending import ended_by_signals
+
+
+def test_the_first_signal_is_told_and_others_are_ignored() -> None:
+    told: list[str] = []
+    before = signal.getsignal(signal.SIGTERM)
+    with ended_by_signals(told.append):
+        for number in (signal.SIGTERM, signal.SIGINT, signal.SIGTERM):
+            signal.raise_signal(number)
+    assert told == ["SIGTERM"]
+    assert signal.getsignal(signal.SIGTERM) is before
+
+
+def test_each_block_has_a_first_signal() -> None:
+    told: list[str] = []
+    for _ in range(2):
+        with ended_by_signals(told.append):
+            signal.raise_signal(signal.SIGINT)
+    assert told == ["SIGINT", "SIGINT"]
+
+
+def test_what_is_ignored_stays_so() -> None:
+    told: list[str] = []
+    before = signal.signal(signal.SIGHUP, signal.SIG_IGN)
+    try:
+        with ended_by_signals(told.append):
+            signal.raise_signal(signal.SIGHUP)
+    finally:
+        signal.signal(signal.SIGHUP, before)
+    assert told == []
+
+
+def test_a_late_signal_ends_the_process() -> None:
+    code = """
+import signal, time
+from carla_recap import ending
+ending.GRACE = 0.1
+with ending.ended_by_signals(print):
+    for _ in range(2):
+        signal.raise_signal(signal.SIGINT)
+    print("still there", flush=True)
+    time.sleep(0.2)
+    signal.raise_signal(signal.SIGINT)
+"""
+    assert outcome(code) == (-signal.SIGINT, "SIGINT\nstill there\n")
+
+
+@pytest.mark.parametrize("number", ending.ENDING)
+def test_a_command_that_is_stopped_finishes_though_more_signals_come(number: int) -> None:
+    """They come while it tidies up, and while the interpreter ends."""
+    code = f"""
+import atexit, signal, sys
+from carla_recap import cli
+
+@cli.cli.command()
+def work():
+    atexit.register(lambda: signal.raise_signal({int(number)}) or print("at exit", flush=True))
+    try:
+        signal.raise_signal({int(number)})
+    finally:
+        signal.raise_signal({int(number)})
+        signal.raise_signal(signal.SIGTERM)
+        print("finished", flush=True)
+
+sys.argv = ["carla-recap", "work"]
+cli.main()
+"""
+    assert outcome(code) == (128 + number, "finished\nat exit\n")
+
+
+def outcome(code: str) -> tuple[int, str]:
+    """With what a process ends, and what it prints."""
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=30)
+    assert done.stderr.strip() == ""
+    return done.returncode, done.stdout
