@@ -111,6 +111,11 @@ def test_who_ends_in_the_tick_in_which_it_came_is_known_still(inside: Inside) ->
         inside.call("get_actor_bounding_box", 99999)
 
 
+def test_who_is_asked_for_twice_is_told_of_once(inside: Inside) -> None:
+    id = inside.world.spectator.id
+    assert [record[0] for record in inside.call("get_actors_by_id", [id, 99999, id])] == [id]
+
+
 def test_actors_are_put_elsewhere(world: carla.World) -> None:
     car, spectator = spawn(world), world.get_spectator()
     car.set_transform(carla.Transform(carla.Location(500.0, 500.0, 3.0), carla.Rotation(yaw=30.0)))

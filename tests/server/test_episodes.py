@@ -17,7 +17,7 @@ def test_the_maps_are_named_as_carla_names_them(client: carla.Client) -> None:
     assert "/Game/Carla/Maps/Brickfield" in client.get_available_maps()
 
 
-@pytest.mark.parametrize("name", ["Brickfield", "/Game/Carla/Maps/Brickfield", "Carla/Maps/Brickfield"])
+@pytest.mark.parametrize("name", ["Brickfield", "/Game/Carla/Maps/Brickfield", "Carla/Maps/Brickfield", "brickfield"])
 def test_a_map_is_loaded_by_its_name(client: carla.Client, world: carla.World, name: str) -> None:
     before = world.id
     after = client.load_world(name)

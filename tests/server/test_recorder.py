@@ -108,7 +108,7 @@ def test_a_name_with_a_slash_is_a_path(client: carla.Client, world: carla.World,
         ("", "the name of a recording was expected"),
         ("drive.rec", r"unknown format '\.rec'; \.log or \.mcap was expected"),
         ("/nowhere/at.all/drive.log", r"/nowhere/at\.all/drive\.log: cannot be written: No such file"),
-        ("a\0b", "the name of a recording was expected"),
+        *((name, "the name of a recording was expected") for name in ("a\0b", "/", "./", ".", "..")),
         ("long" * 100, "cannot be written: File name too long"),
     ],
 )
@@ -172,6 +172,10 @@ def test_what_is_no_recording_has_carlas_texts(client: carla.Client, recordings:
     for ask in queries_of("long" * 100):
         with pytest.raises(RuntimeError, match=r"cannot be read: .*File name too long"):
             ask(client)
+    for name in ("/", "./", "a\0b"):
+        for ask in queries_of(name):
+            with pytest.raises(RuntimeError, match=r"^'[^']+': the name of a recording was expected$"):
+                ask(client)
 
 
 def test_a_damaged_recording_is_an_error_that_tells_where(client: carla.Client, recordings: Path) -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import struct
+from dataclasses import replace
 from math import exp, pi, radians
 from typing import TYPE_CHECKING, Any
 
@@ -13,11 +14,10 @@ import pytest
 
 from carla_recap.server.actor_records import stream_of
 from carla_recap.server.host import Host
-from carla_recap.server.sensors import KINDS, Sensors, Support
+from carla_recap.server.sensors import KINDS, Support, sending
 from carla_recap.server.sensors.georeference import GeoReference
 from carla_recap.server.sensors.rays import Boxes
 from carla_recap.server.streams import Subscriber
-from carla_recap.server.table import CallError
 from carla_recap.sim.actors import Vehicle
 from carla_recap.sim.blueprints import standard_library
 from carla_recap.sim.control import VehicleControl
@@ -26,6 +26,7 @@ from tests.maps.towns import town
 from tests.sim.flat import at, flat_town, flat_world
 
 if TYPE_CHECKING:
+    from carla_recap.server.sensors.feed import Feed, Tell
     from carla_recap.sim.actors import Actor
 
 HERE = Transform()
@@ -153,7 +154,7 @@ def test_sensors_of_one_interval_tell_of_the_same_frames() -> None:
 def test_a_collision_tells_both_actors_and_the_impulse() -> None:
     host = served()
     car, other = vehicle(host), vehicle(host, 12.0)
-    collision = sensor(host, "other.collision", car, sensor_tick="1000")
+    collision = sensor(host, "other.collision", car)
     silent = sensor(host, "other.collision", vehicle(host, 100.0))
     car.set_target_velocity(Vector(10.0))
     before = 10.0
@@ -313,7 +314,8 @@ def test_a_feed_that_fails_costs_nobody_else_the_tick(
         raise ZeroDivisionError("no way")
 
     host = served()
-    monkeypatch.setitem(KINDS, "sensor.other.gnss", replace(KINDS["sensor.other.gnss"], make=failing))
+    kinds = {**KINDS, "sensor.other.gnss": replace(KINDS["sensor.other.gnss"], make=failing)}
+    monkeypatch.setattr(sending, "KINDS", kinds)
     first, second = sensor(host, "other.gnss"), sensor(host, "other.gnss")
     images = sensor(host, "camera.rgb", image_size_x="8", image_size_y="8")
     for _ in range(3):
@@ -458,7 +460,8 @@ def test_nonsense_in_attributes_is_taken_for_the_default(kind: str) -> None:
     host = served()
     keys = ("image_size_x", "image_size_y", "fov", "channels", "range", "points_per_second", "distance", "noise_seed")
     for value in ("nan", "", "-1", "1e300", "0"):
-        listener = sensor(host, kind.removeprefix("sensor."), vehicle(host), HERE, **dict.fromkeys(keys, value))
+        values = {key: value for key in keys if key in host.world.blueprints.get(kind).attributes}
+        listener = sensor(host, kind.removeprefix("sensor."), vehicle(host), HERE, **values)
         host.tick()
         assert len(listener.frames) <= 1
         for actor in list(host.world.actors.values()):

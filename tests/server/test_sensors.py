@@ -218,7 +218,7 @@ def test_large_images_arrive_whole(world: carla.World) -> None:
 
 
 def test_images_that_would_be_too_large_are_refused(world: carla.World) -> None:
-    with pytest.raises(RuntimeError, match="image_size_x of .5000.: expected 1 to 4096 pixels"):
+    with pytest.raises(RuntimeError, match=r"image_size_x of .5000.: expected 1 to 4096 pixels"):
         sensor(world, "camera.rgb", vehicle(world), image_size_x="5000")
 
 

@@ -1,9 +1,19 @@
 from __future__ import annotations
 
 import socket
+import subprocess
+import sys
+from typing import TYPE_CHECKING
 
 import carla
 import msgpack
+import pytest
+
+from carla_recap.sim import World, load_town
+from tests.cli.command import error
+
+if TYPE_CHECKING:
+    from pathlib import Path
 
 
 def test_who_leaves_in_the_middle_of_the_answers_ends_nothing(port: int) -> None:
@@ -14,3 +24,47 @@ def test_who_leaves_in_the_middle_of_the_answers_ends_nothing(port: int) -> None
     client = carla.Client("127.0.0.1", port)
     client.set_timeout(5.0)
     assert client.get_server_version() == "0.9.16"
+
+
+@pytest.mark.parametrize("module", ["client", "host", "managers", "calls", "table", "actor_records"])
+def test_each_module_can_be_the_first(module: str) -> None:
+    subprocess.run([sys.executable, "-c", f"import carla_recap.server.{module}"], timeout=30, check=True)
+
+
+def test_folders_that_are_none_are_told_at_once_in_a_line(tmp_path: Path) -> None:
+    (tmp_path / "file").touch()
+    absent = tmp_path / "absent"
+    assert f"Directory '{absent}' does not exist" in error("serve", "--port=0", "--maps", absent)
+    assert "the folder of recordings cannot be made" in error("serve", "--port=0", "--recordings", tmp_path / "file" / "x")
+    told = error("serve", "--port=0", "--rerun-to", absent / "x.rrd")
+    assert told == f"{absent / 'x.rrd'}: cannot be written: there is no folder {absent}"
+
+
+def test_who_serves_everybody_is_told_how_others_connect() -> None:
+    command = [sys.executable, "-m", "carla_recap", "serve", "--port=0", "--host=0.0.0.0"]
+    with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, text=True) as process:
+        assert process.stdout is not None
+        told = [process.stdout.readline() for _ in range(2)]
+        process.terminate()
+    port = told[0].rsplit(":", 1)[1].strip()
+    assert f"carla.Client('HOST', {port}), with the name or address of this machine" in told[1]
+
+
+def test_a_warning_is_told_once(tmp_path: Path) -> None:
+    with World(load_town(), recordings=tmp_path) as world:
+        world.start_recorder("cut.log")
+        for _ in range(10):
+            world.tick()
+    path = tmp_path / "cut.log"
+    path.write_bytes(path.read_bytes()[:-100])
+    command = [sys.executable, "-m", "carla_recap", "serve", "--port=0", f"--recordings={tmp_path}"]
+    with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as process:
+        assert process.stdout is not None
+        client = carla.Client("127.0.0.1", int(process.stdout.readline().rsplit(":", 1)[1]))
+        client.set_timeout(10.0)
+        for _ in range(3):
+            assert "Frames: " in client.show_recorder_file_info("cut.log", False)
+        process.terminate()
+        _, told = process.communicate(timeout=20)
+    (line,) = told.splitlines()
+    assert line.startswith(f"carla-recap: warning: {path}")
