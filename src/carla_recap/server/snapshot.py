@@ -108,6 +108,7 @@ class Photographer:
         self._arrays: list[NDArray[np.void]] = []
         self._others: list[Actor] = []
         self._drives = Drives(world)
+        self._light = np.empty(0, np.int64)
         self._born = time.monotonic()
 
     def take(self, episode: int, frame: int) -> bytes:
@@ -161,11 +162,13 @@ class Photographer:
             return
         for name in _CONTROLS:
             rows[name] = getattr(vehicles, name)
-        notice = self._rules.at(*self._drives.now())
-        rows["speed_limit"] = notice.speed_limit * _KM_PER_H
-        rows["at_light"] = notice.light != NO_LIGHT
-        rows["light"] = self._light_ids[notice.light]
-        rows["shown"] = np.append(self._world.signals.state, GREEN)[notice.light]
+        if self._drives.have_moved():
+            notice = self._rules.at(*self._drives.now())
+            rows["speed_limit"] = notice.speed_limit * _KM_PER_H
+            rows["at_light"] = notice.light != NO_LIGHT
+            rows["light"] = self._light_ids[notice.light]
+            self._light = notice.light
+        rows["shown"] = np.append(self._world.signals.state, GREEN)[self._light]
 
 
 class Drives:
@@ -182,6 +185,15 @@ class Drives:
         self._ahead = np.zeros((count, 2))
         self._lane = np.zeros(count, np.int64)
         self._s = np.zeros(count)
+        self._last = np.full((count, 3), np.inf)
+
+    def have_moved(self) -> bool:
+        """Whether anybody is elsewhere than when this was last asked."""
+        position = self._world.vehicles.position
+        if np.array_equal(position, self._last):
+            return False
+        self._last = position.copy()
+        return True
 
     def now(self) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
         """The lanes, and how far along each vehicle is, in m."""
