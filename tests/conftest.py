@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import signal
 from datetime import timedelta
 from typing import TYPE_CHECKING
 
@@ -14,6 +15,11 @@ from tests.samples import drive, save, small_log, write
 
 if TYPE_CHECKING:
     from pathlib import Path
+
+# Whoever runs the suite in the background, or under nohup, ignores signals, and commands take that over; tests send them.
+for _signal, _handler in ((signal.SIGINT, signal.default_int_handler), (signal.SIGHUP, signal.SIG_DFL)):
+    if signal.getsignal(_signal) is signal.SIG_IGN:
+        signal.signal(_signal, _handler)
 
 # The same examples in every run; HYPOTHESIS_PROFILE=search looks for new ones, and longer.
 _CALM = {

@@ -131,7 +131,10 @@ def test_who_ends_it_early_has_what_was_recorded(tmp_path, number):
             time.sleep(0.05)
         time.sleep(0.3)
         process.send_signal(number)
-        _, stderr = process.communicate(timeout=TIMEOUT)
+        try:
+            _, stderr = process.communicate(timeout=TIMEOUT)
+        finally:
+            process.kill()
     assert process.returncode == 128 + number
     assert re.fullmatch(rf"{re.escape(str(path))}: \d+ frames, [\d.]+ s", stderr.decode().strip())
     with open_recording(path) as recording:
