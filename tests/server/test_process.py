@@ -18,7 +18,7 @@ import carla
 
 def test_the_town(carla_server):
     client = carla.Client("127.0.0.1", carla_server)
-    client.set_timeout(10.0)
+    client.set_timeout(30.0)
     assert client.get_world().get_map().name.endswith("Brickfield")
 """
 
@@ -26,7 +26,7 @@ def test_the_town(carla_server):
 def test_the_end_of_the_block_completes_the_recording(tmp_path: Path) -> None:
     with running(recordings=tmp_path) as port:
         client = carla.Client("127.0.0.1", port)
-        client.set_timeout(10.0)
+        client.set_timeout(30.0)
         world = client.get_world()
         world.apply_settings(carla.WorldSettings(synchronous_mode=True, fixed_delta_seconds=0.05))
         client.start_recorder("drive.mcap")

@@ -45,7 +45,7 @@ def command(port: int, script: str, *arguments: object) -> list[str]:
 
 
 def output_of(port: int, script: str, *arguments: object) -> str:
-    done = subprocess.run(command(port, script, *arguments), capture_output=True, text=True, timeout=60)
+    done = subprocess.run(command(port, script, *arguments), capture_output=True, text=True, timeout=180)
     assert not done.returncode, done.stdout + done.stderr
     return done.stdout
 
