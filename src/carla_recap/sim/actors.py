@@ -292,7 +292,7 @@ class Vehicle(Mover):
         """
         expect_finite(f"the control of {self!r}", control.throttle, control.steer, control.brake)
         if control.manual_gear_shift:
-            expect_between(f"the gear of {self!r}", control.gear, -1, len(self._physics_control.forward_gears))
+            expect_between(f"the gear of {self!r}", control.gear, -1, self.gears)
         rows, row = self.rows, self.row
         rows.throttle[row] = min(max(control.throttle, 0.0), 1.0)
         rows.steer[row] = min(max(control.steer, -1.0), 1.0)
@@ -328,6 +328,11 @@ class Vehicle(Mover):
         if enabled:
             _ = self.world.autopilot
         self.rows.autopilot[row] = enabled
+
+    @property
+    def gears(self) -> int:
+        """How many forward gears it has."""
+        return len(self._physics_control.forward_gears)
 
     @property
     def physics_control(self) -> PhysicsControl:

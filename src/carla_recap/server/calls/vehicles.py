@@ -29,8 +29,8 @@ def apply_control_to_vehicle(client: Client, id: int, control: VehicleControl) -
     """Tell the driver of a vehicle what to do from now on."""
     vehicle = expect(client, id, Vehicle)
     client.host.ackermann.release(vehicle)
-    gears = len(vehicle.physics_control.forward_gears)
-    vehicle.apply_control(replace(control, gear=min(max(control.gear, -1), gears)))
+    control.gear = min(max(control.gear, -1), vehicle.gears)
+    vehicle.apply_control(control)
 
 
 @call

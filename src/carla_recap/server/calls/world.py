@@ -2,16 +2,13 @@
 
 from __future__ import annotations
 
-from typing import Final
-
 from carla_recap.server import scenery
 from carla_recap.server.client import Client
 from carla_recap.server.structs import BoundingBox, EnvironmentObject, LabelledPoint
 from carla_recap.server.table import CallError, call
 from carla_recap.sim.checks import expect_place
+from carla_recap.sim.drivetrain import GRAVITY
 from carla_recap.sim.geometry import Location, Vector
-
-_GRAVITY: Final = 9.81  # m/s²
 
 
 @call
@@ -57,4 +54,4 @@ def get_names_of_all_objects(client: Client) -> list[str]:
 @call
 def get_imui_gravity(client: Client) -> float:
     """The gravity that IMUs feel, in m/s²."""
-    return _GRAVITY
+    return GRAVITY
