@@ -12,6 +12,7 @@ import msgpack
 
 from carla_recap.errors import RecapError
 from carla_recap.server.inbox import Inbox
+from carla_recap.server.managers import Round
 from carla_recap.server.table import TABLE
 
 if TYPE_CHECKING:
@@ -40,6 +41,7 @@ class Client(asyncio.Protocol):
         host: Who serves it.
         stream: The number of the stream of its snapshots; in an episode that it has begun itself, it has a new one.
         has_spoken: Whether it has made a call.
+        round: What its traffic manager is at.
         truce: What keeps its traffic manager still, if something does.
     """
 
@@ -47,6 +49,7 @@ class Client(asyncio.Protocol):
         self.host = host
         self.stream = host.new_stream()
         self.has_spoken = False
+        self.round = Round()
         self.truce: Truce | None = None
         self._transport: asyncio.Transport | None = None
         self._inbox = Inbox()
@@ -162,6 +165,7 @@ class Client(asyncio.Protocol):
         call = TABLE.get(name)
         if call is None:
             return self._send([_REPLY, number, f"{name}: there is no such call", None])
+        self.round.hear(name)
         try:
             answer = call(self, arguments)
             if self.truce is not None:

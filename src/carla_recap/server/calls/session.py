@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import asyncio
-from typing import Any, Final
+from typing import TYPE_CHECKING, Any, Final
 
 from carla_recap.server.actor_records import sensor_of
 from carla_recap.server.client import Client
@@ -12,6 +12,9 @@ from carla_recap.server.structs import EpisodeInfo, EpisodeSettings, MapInfo, To
 from carla_recap.server.table import CallError, call
 from carla_recap.sim.checks import expect_between
 from carla_recap.sim.weather import Weather
+
+if TYPE_CHECKING:
+    from carla_recap.server.host import Host
 
 VERSION = "0.9.16"
 """The version of the client that is served."""
@@ -59,18 +62,18 @@ def tick_cue(client: Client) -> Any:
     """Let a tick pass, in synchronous mode; answers the frame that the client then waits for.
 
     In asynchronous mode, where time passes by itself, that is the next one. A client that ticks after it has begun to
-    listen to a sensor hears of that very tick: it waits for the subscription.
+    listen to a sensor hears of that very tick: it waits for the subscription, as it does for traffic managers (`Round`).
     """
     host = client.host
     if not host.settings.synchronous_mode:
         return host.frame + 1
-    subscriptions = host.streams.expected(client)
-    return _tick_after(subscriptions, client) if subscriptions else host.tick()
+    pending = host.streams.expected(client) + host.managers.under_way()
+    return _tick_after(pending, host) if pending else host.tick()
 
 
-async def _tick_after(subscriptions: list[asyncio.Future[None]], client: Client) -> int:
-    await asyncio.wait(subscriptions)
-    return client.host.tick()
+async def _tick_after(pending: list[asyncio.Future[None]], host: Host) -> int:
+    await asyncio.wait(pending)
+    return host.tick()
 
 
 @call
