@@ -1,22 +1,14 @@
 from __future__ import annotations
 
 import json
-import socket
 import subprocess
 import sys
-from typing import TYPE_CHECKING, Any, Final
+from typing import TYPE_CHECKING
 
-import msgpack
 import pytest
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator
-
     import carla
-
-ROUND: Final = (("get_vehicle_light_states",), ("get_weather_parameters",), ("apply_batch", [], False))
-TICK: Final = ("tick_cue",)
-SETTINGS: Final = ("get_episode_settings",)
 
 BEGIN = """
 import json, math, os, sys
@@ -105,40 +97,6 @@ def run(script: str, port: int, *arguments: str, code: int = 0) -> str:
     done = subprocess.run(command, capture_output=True, text=True, timeout=240, check=False)
     assert done.returncode == code, done.stderr
     return done.stdout
-
-
-@pytest.fixture
-def wire(client: carla.Client, port: int) -> Iterator[socket.socket]:
-    """A bare connection; the world is in synchronous mode."""
-    with socket.create_connection(("127.0.0.1", port), timeout=10) as wire:
-        yield wire
-
-
-def answered(wire: socket.socket, *calls: tuple[Any, ...]) -> list[str]:
-    """Send calls at once; returns their names in the order of the answers."""
-    wire.sendall(b"".join(msgpack.packb([0, number, name, [[False], *rest]]) for number, (name, *rest) in enumerate(calls)))
-    unpacker, names = msgpack.Unpacker(), list[str]()
-    while len(names) < len(calls):
-        unpacker.feed(wire.recv(1 << 16))
-        names += [calls[number][0] for _, number, _, _ in unpacker]
-    return names
-
-
-def test_a_tick_passes_once_the_manager_waits_for_it(wire: socket.socket) -> None:
-    answered(wire, ("add_traffic_manager_running", ["127.0.0.1", 8777]))
-    for _ in range(3):
-        assert answered(wire, *ROUND, TICK, SETTINGS)[-2:] == [SETTINGS[0], TICK[0]]
-        assert answered(wire, *ROUND, SETTINGS, TICK)[-2:] == [SETTINGS[0], TICK[0]]
-
-
-def test_a_tick_passes_even_if_the_manager_goes_no_further(wire: socket.socket) -> None:
-    answered(wire, ("add_traffic_manager_running", ["127.0.0.1", 8777]))
-    for _ in range(3):
-        assert answered(wire, *ROUND, TICK)[-1] == TICK[0]
-
-
-def test_who_has_no_manager_gets_answers_in_order(wire: socket.socket) -> None:
-    assert answered(wire, *ROUND, TICK, SETTINGS)[-2:] == [TICK[0], SETTINGS[0]]
 
 
 def test_it_drives_as_it_should(client: carla.Client, port: int) -> None:

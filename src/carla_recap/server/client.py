@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import asyncio
-import sys
-import traceback
 from inspect import isawaitable
 from typing import TYPE_CHECKING, Any, Final, cast
 
@@ -12,7 +10,8 @@ import msgpack
 
 from carla_recap.errors import RecapError
 from carla_recap.server.inbox import Inbox
-from carla_recap.server.managers import Round
+from carla_recap.server.mishaps import tell
+from carla_recap.server.rounds import Round
 from carla_recap.server.table import TABLE
 
 if TYPE_CHECKING:
@@ -59,6 +58,12 @@ class Client(asyncio.Protocol):
         self._is_waiting = False
 
     @property
+    def address(self) -> str:
+        """The address of the machine that it is on."""
+        peer = None if self._transport is None else self._transport.get_extra_info("peername")
+        return peer[0] if peer else ""
+
+    @property
     def held(self) -> int:
         """How many bytes are kept for it: calls that have not arrived as a whole, and replies that it has not read."""
         unsent = 0 if self._transport is None else self._transport.get_write_buffer_size()
@@ -75,6 +80,7 @@ class Client(asyncio.Protocol):
         self._transport = None
         for task in self._pending:
             task.cancel()
+        self.round.leave()
         self.host.connections.leave(self)
         self.host.clients.pop(self.stream, None)
         self.host.managers.leave(self)
@@ -203,5 +209,5 @@ def describe(name: str, error: Exception) -> str:
     """What a client is told of an error; what should not have happened is told on stderr, too."""
     if isinstance(error, RecapError):
         return str(error)
-    print(f"carla-recap: {name} has failed", *traceback.format_exception(error), sep="\n", file=sys.stderr)
+    tell(f"{name} has failed", error)
     return f"{name}: {type(error).__name__}: {error}"

@@ -15,8 +15,6 @@ _LAST_CALL: Final = "apply_batch"  # of a manager's cycle
 _ANY_CALL: Final = "get_vehicle_light_states"  # of a cycle, even of a manager that has no vehicles
 _CYCLE: Final = 0.25  # s: a manager has called by then, or will not call
 _SETTLING: Final = 0.1  # s: after that, its client has set up what the manager needs
-_ROUND: Final = (_ANY_CALL, "get_weather_parameters", _LAST_CALL, "get_episode_settings")  # and whatever else in between
-_TURN: Final = 0.01  # s: from one call of a round, a manager has come to the next
 _PATIENCE: Final = 5.0  # s, for a client to subscribe
 _LOOK: Final = 0.01  # s
 
@@ -46,6 +44,11 @@ class Managers:
         """What to wait for until all managers wait for a tick, as far as they do; see `Round`."""
         return [rest for _, owner in self._running.values() for rest in owner.round.under_way()]
 
+    def tick(self) -> None:
+        """Expect all managers to begin a round, now that their clients have been told of a tick."""
+        for port, (_, owner) in self._running.items():
+            owner.round.expect((owner.address, port))
+
     def owns_one(self, client: Client) -> bool:
         """Whether a client runs a manager."""
         return any(owner is client for _, owner in self._running.values())
@@ -53,45 +56,6 @@ class Managers:
     def leave(self, client: Client) -> None:
         """Forget the managers of a client."""
         self._running = {port: running for port, running in self._running.items() if running[1] is not client}
-
-
-class Round:
-    """Follows the traffic manager of a client from call to call.
-
-    In synchronous mode a round ends with a batch. Then the client goes on, and ticks; the manager asks for the settings,
-    and sets out to wait for the client's signal that the tick has passed. The official client gives it without holding the
-    manager's lock: at the very moment when the manager sets out it is lost, and both wait for each other for ever. A tick
-    that passed before the manager has been answered would bring the two together there, so it had better wait.
-    """
-
-    def __init__(self) -> None:
-        self._next = 0
-        self._rest: asyncio.Future[None] | None = None
-        self._limit: asyncio.TimerHandle | None = None
-
-    def hear(self, name: str) -> None:
-        """Take note of a call of the client, or of its manager: they share a connection."""
-        if name == _ROUND[self._next]:
-            self._next = (self._next + 1) % len(_ROUND)
-            self._let_go()
-        elif name == _ROUND[0]:
-            self._next = 1
-
-    def under_way(self) -> tuple[asyncio.Future[None], ...]:
-        """What to wait for, if the manager is about to ask for the settings; it is not waited for long."""
-        if _ROUND[self._next] != _ROUND[-1]:
-            return ()
-        if self._rest is None:
-            loop = asyncio.get_running_loop()
-            self._rest = loop.create_future()
-            self._limit = loop.call_later(_TURN, self._let_go)
-        return (self._rest,)
-
-    def _let_go(self) -> None:
-        if self._rest is not None and self._limit is not None:
-            self._rest.set_result(None)
-            self._limit.cancel()
-            self._rest = self._limit = None
 
 
 class Truce:

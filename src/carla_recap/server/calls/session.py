@@ -68,12 +68,18 @@ def tick_cue(client: Client) -> Any:
     if not host.settings.synchronous_mode:
         return host.frame + 1
     pending = host.streams.expected(client) + host.managers.under_way()
-    return _tick_after(pending, host) if pending else host.tick()
+    return _tick_after(pending, host) if pending else _tick(host)
 
 
 async def _tick_after(pending: list[asyncio.Future[None]], host: Host) -> int:
     await asyncio.wait(pending)
-    return host.tick()
+    return _tick(host)
+
+
+def _tick(host: Host) -> int:
+    frame = host.tick()
+    host.managers.tick()
+    return frame
 
 
 @call

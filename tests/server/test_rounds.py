@@ -1,0 +1,79 @@
+from __future__ import annotations
+
+import socket
+from typing import TYPE_CHECKING, Any, Final
+
+import msgpack
+import pytest
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+
+    import carla
+
+ROUND: Final = (("get_vehicle_light_states",), ("get_weather_parameters",), ("apply_batch", [], False))
+TICK: Final = ("tick_cue",)
+SETTINGS: Final = ("get_episode_settings",)
+
+
+@pytest.fixture
+def wire(client: carla.Client, port: int) -> Iterator[socket.socket]:
+    """A bare connection; the world is in synchronous mode."""
+    with socket.create_connection(("127.0.0.1", port), timeout=10) as wire:
+        yield wire
+
+
+@pytest.fixture
+def manager(wire: socket.socket) -> Iterator[socket.socket]:
+    """Where the traffic manager listens that is told of over that connection."""
+    with socket.create_server(("127.0.0.1", 0)) as manager:
+        manager.settimeout(6.0)
+        answered(wire, ("add_traffic_manager_running", list(manager.getsockname())))
+        yield manager
+
+
+def answered(wire: socket.socket, *calls: tuple[Any, ...]) -> list[str]:
+    """Send calls at once; returns their names in the order of the answers."""
+    wire.sendall(b"".join(msgpack.packb([0, number, name, [[False], *rest]]) for number, (name, *rest) in enumerate(calls)))
+    unpacker, names = msgpack.Unpacker(), list[str]()
+    while len(names) < len(calls):
+        unpacker.feed(wire.recv(1 << 16))
+        names += [calls[number][0] for _, number, _, _ in unpacker]
+    return names
+
+
+def test_a_tick_passes_once_the_manager_waits_for_it(wire: socket.socket, manager: socket.socket) -> None:
+    for _ in range(3):
+        assert answered(wire, *ROUND, TICK, SETTINGS)[-2:] == [SETTINGS[0], TICK[0]]
+        assert answered(wire, *ROUND, SETTINGS, TICK)[-2:] == [SETTINGS[0], TICK[0]]
+
+
+def test_a_tick_passes_even_if_the_manager_goes_no_further(wire: socket.socket, manager: socket.socket) -> None:
+    for _ in range(3):
+        assert answered(wire, *ROUND, TICK)[-1] == TICK[0]
+
+
+def test_who_has_no_manager_gets_answers_in_order(wire: socket.socket) -> None:
+    assert answered(wire, *ROUND, TICK, SETTINGS)[-2:] == [TICK[0], SETTINGS[0]]
+
+
+def test_a_manager_that_has_missed_a_tick_is_woken(wire: socket.socket, manager: socket.socket) -> None:
+    answered(wire, *ROUND, SETTINGS, TICK)
+    caller, _ = manager.accept()
+    with caller:
+        caller.settimeout(6.0)
+        assert [told(caller), told(caller)] == [["set_synchronous_mode", [False]], ["set_synchronous_mode", [True]]]
+
+
+def test_a_manager_that_begins_a_round_is_let_alone(wire: socket.socket, manager: socket.socket) -> None:
+    answered(wire, *ROUND, SETTINGS, TICK, ROUND[0])
+    manager.settimeout(3.0)
+    with pytest.raises(TimeoutError):
+        manager.accept()
+
+
+def told(caller: socket.socket) -> list[Any]:
+    """What a caller wants; it is told that it is done."""
+    _, number, *wanted = msgpack.unpackb(caller.recv(1 << 10))
+    caller.sendall(msgpack.packb([1, number, None, None]))
+    return wanted
