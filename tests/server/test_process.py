@@ -1,7 +1,10 @@
 from __future__ import annotations
 
+import socket
 import subprocess
 import sys
+import time
+from contextlib import suppress
 from typing import TYPE_CHECKING
 
 import carla
@@ -21,6 +24,39 @@ def test_the_town(carla_server):
     client.set_timeout(30.0)
     assert client.get_world().get_map().name.endswith("Brickfield")
 """
+
+KILLED = """
+import os, sys
+import carla
+from carla_recap.server import running
+
+with running(recordings=sys.argv[1]) as port:
+    client = carla.Client("127.0.0.1", port)
+    client.set_timeout(30.0)
+    client.get_world()
+    client.start_recorder("drive.mcap")
+    client.get_world().wait_for_tick()
+    print(port, flush=True)
+    os.kill(os.getpid(), 9)
+"""
+SOON = 20.0  # s
+
+
+def test_a_server_does_not_outlive_whoever_is_killed(tmp_path: Path) -> None:
+    done = subprocess.run(
+        [sys.executable, "-c", KILLED, tmp_path], stdout=subprocess.PIPE, text=True, timeout=60, check=False
+    )
+    port, end = int(done.stdout), time.monotonic() + SOON
+    with suppress(ConnectionRefusedError):
+        while time.monotonic() < end:
+            socket.create_connection(("127.0.0.1", port)).close()
+            time.sleep(0.05)
+    with pytest.raises(ConnectionRefusedError):
+        socket.create_connection(("127.0.0.1", port))
+    while not (tmp_path / "drive.mcap").exists() and time.monotonic() < end:
+        time.sleep(0.05)
+    with open_recording(tmp_path / "drive.mcap") as recording:
+        assert recording.info.frames > 0
 
 
 def test_the_end_of_the_block_completes_the_recording(tmp_path: Path) -> None:

@@ -36,6 +36,7 @@ _FOLDER = click.Path(exists=True, file_okay=False, path_type=Path)
     "--rerun-to", metavar="FILE|URL", help="The same in an .rrd, or in the viewer that listens at rerun+http://..."
 )
 @click.option("--follow", type=options.FOLLOW, metavar="ID|hero", help="Whom its camera follows; else the hero.")
+@click.option("--attached", is_flag=True, hidden=True, help="End when the standard input does.")
 def serve(
     host: str,
     port: int,
@@ -47,6 +48,7 @@ def serve(
     rerun: bool,
     rerun_to: str | None,
     follow: Follow | None,
+    attached: bool,
 ) -> None:
     """Serve a simulated town to CARLA's own client."""
     from carla_recap.server.host import Host
@@ -66,7 +68,7 @@ def serve(
                 shown.open(host, port)
 
         warnings.simplefilter("once", RecapWarning)  # however often a client asks about a damaged recording
-        asyncio.run(serve_clients(Host(world, confined=confine), host, port, ready))
+        asyncio.run(serve_clients(Host(world, confined=confine), host, port, ready, attached=attached))
 
 
 def _window(to: str | None, follow: Follow | None) -> Window:

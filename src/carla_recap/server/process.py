@@ -31,7 +31,7 @@ def running(
     seed: int = 0,
     confine: bool = False,
 ) -> Iterator[int]:
-    """Have a server run; it ends, and completes its recording, when the block does.
+    """Have a server run; it ends, and completes its recording, when the block does, or the process, however that ends.
 
     Args:
         town: The name of a map or an .xodr file; the built-in town unless told otherwise.
@@ -51,8 +51,12 @@ def running(
     arguments = [f"--{name}={value}" for name, value in options.items() if value not in (None, "")]
     if confine:
         arguments.append("--confine")
-    command = [sys.executable, "-m", "carla_recap", "serve", *arguments]
-    with TemporaryFile("w+") as said, subprocess.Popen(command, stdout=subprocess.PIPE, stderr=said, text=True) as process:
+    command = [sys.executable, "-m", "carla_recap", "serve", "--attached", *arguments]
+    pipe = subprocess.PIPE
+    with (
+        TemporaryFile("w+") as said,
+        subprocess.Popen(command, stdin=pipe, stdout=pipe, stderr=said, text=True) as process,
+    ):
         try:
             yield _port(process, said)
         finally:

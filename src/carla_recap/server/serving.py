@@ -3,7 +3,10 @@
 from __future__ import annotations
 
 import asyncio
+import os
 import signal
+from contextlib import suppress
+from threading import Thread
 from typing import TYPE_CHECKING, Any, Final
 
 import carla_recap.server.calls  # noqa: F401  (fills the table of calls)
@@ -20,9 +23,10 @@ if TYPE_CHECKING:
 
 _BACKLOG: Final = 512
 _TRIES: Final = 20
+_STDIN: Final = 0
 
 
-async def serve(host: Host, address: str, port: int, ready: Callable[[int], None]) -> None:
+async def serve(host: Host, address: str, port: int, ready: Callable[[int], None], *, attached: bool = False) -> None:
     """Serve a world until SIGINT, SIGTERM or SIGHUP.
 
     Args:
@@ -30,6 +34,7 @@ async def serve(host: Host, address: str, port: int, ready: Callable[[int], None
         address: Where to listen.
         port: Where to listen for calls; streams are at the next one. 0 for two ports that are free.
         ready: Is told the port of the calls once clients can connect.
+        attached: End, too, when the standard input ends or says something: whoever holds its other end may be killed.
 
     Raises:
         RecapError: The ports are not to be had.
@@ -38,7 +43,14 @@ async def serve(host: Host, address: str, port: int, ready: Callable[[int], None
     done = asyncio.Event()
     signal.signal(signal.SIGPIPE, signal.SIG_IGN)  # a client that is gone must not end the server
     loop.set_exception_handler(_tell)
-    with ended_by_signals(lambda _: loop.call_soon_threadsafe(done.set)):
+
+    def end() -> None:
+        with suppress(RuntimeError):  # the loop has ended by itself
+            loop.call_soon_threadsafe(done.set)
+
+    if attached:
+        Thread(target=_wait_for_input, args=(end,), name="carla-recap-attached", daemon=True).start()
+    with ended_by_signals(lambda _: end()):
         calls, streams = await _listen_both(lambda: Client(host), host.streams.connection, address, port)
         port, host.streams.port = (server.sockets[0].getsockname()[1] for server in (calls, streams))
         pace = asyncio.create_task(Pace(host).keep())
@@ -53,6 +65,11 @@ async def serve(host: Host, address: str, port: int, ready: Callable[[int], None
             calls.close()
             streams.close()
             host.world.close()
+
+
+def _wait_for_input(end: Callable[[], None]) -> None:
+    os.read(_STDIN, 1)
+    end()
 
 
 async def _listen_both(
