@@ -59,6 +59,8 @@ def encoder(type: Any) -> Convert:
         return _as_is if each is _as_is else lambda values: [each(value) for value in values]
     if origin is tuple:
         parts = tuple(map(encoder, inner))
+        if all(part is _as_is for part in parts):
+            return _as_is
         return lambda values: [part(value) for part, value in zip(parts, values, strict=True)]
     raise TypeError(f"{type} does not go over the wire")
 
