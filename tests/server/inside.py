@@ -5,6 +5,8 @@ from __future__ import annotations
 from functools import cache
 from typing import Any
 
+import msgpack
+
 import carla_recap.server.calls  # noqa: F401  (fills the table of calls)
 from carla_recap.server.client import Client
 from carla_recap.server.host import Host
@@ -30,7 +32,10 @@ class Inside:
         """The answer to a call as it goes over the wire, without what CARLA wraps it in; errors are raised."""
         row = TABLE[name]
         answer = row(self._client, list(arguments))
-        return None if row.result is None else row.result(answer)
+        if row.result is None:
+            return None
+        data = msgpack.packb(row.result(answer), unicode_errors="surrogateescape")
+        return msgpack.unpackb(data, unicode_errors="surrogateescape")
 
     def batch(self, *commands: Any) -> list[Any]:
         """The answers to a batch of commands, each [number, fields]."""
