@@ -3,19 +3,13 @@
 from __future__ import annotations
 
 import argparse
-import multiprocessing
 import sys
 import traceback
-from concurrent.futures import ProcessPoolExecutor
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
 
 from benchmarks import exports, rows, server, simulator
 from benchmarks.hour import FRAMES, cached
-from benchmarks.rows import Subject, measure
-
-if TYPE_CHECKING:
-    from collections.abc import Callable
+from benchmarks.rows import Subject, in_new_process, measure
 
 REAL = Path("../shared/data/carla-logs/carla-0.9.13-lane-center.log")
 ROWS = (*rows.ROWS, *exports.ROWS, *simulator.ROWS, *server.ROWS)
@@ -53,12 +47,6 @@ def main() -> None:
         for line in lines:
             show(line.what, line.measured, line.ratio, line.goal, "ok" if line.ok else "MISSED")
     sys.exit(crashed)
-
-
-def in_new_process(work: Callable[..., Any], *arguments: Any) -> Any:
-    """Let a fresh process do some work, so that its memory and caches are no other's."""
-    with ProcessPoolExecutor(1, multiprocessing.get_context("spawn")) as pool:
-        return pool.submit(work, *arguments).result()
 
 
 def tell(what: str) -> None:

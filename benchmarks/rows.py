@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import filecmp
 import mmap
+import multiprocessing
 import os
 import re
 import statistics
@@ -14,11 +15,12 @@ import struct
 import subprocess
 import sys
 import time
+from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass
 from functools import partial
 from itertools import islice
 from pathlib import Path
-from typing import TYPE_CHECKING, Final
+from typing import TYPE_CHECKING, Any, Final
 
 from benchmarks.hour import DIRECTORY, RATE, cached
 
@@ -179,6 +181,12 @@ def convert(source: Path, target: Path) -> Run:
     """Convert a recording in a process of its own; to remove what is in its place does not count."""
     target.unlink(missing_ok=True)
     return run(sys.executable, "-c", CONVERT, source, target)
+
+
+def in_new_process(work: Callable[..., Any], *arguments: Any) -> Any:
+    """Let a fresh process do some work, so that its memory and caches are no other's."""
+    with ProcessPoolExecutor(1, multiprocessing.get_context("spawn")) as pool:
+        return pool.submit(work, *arguments).result()
 
 
 def timed(work: Callable[[], object]) -> float:

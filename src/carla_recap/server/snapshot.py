@@ -131,11 +131,12 @@ class Photographer:
             self._population = actors
             self._assemble(list(world.actors.values()))
         vehicles, walkers, lights, _, others = self._arrays
-        _move(vehicles, world.vehicles)
-        _move(walkers, world.walkers)
-        self._fill_vehicles(vehicles)
-        for name in ("direction", "speed", "jump"):
-            walkers[name] = getattr(world.walkers, name)
+        if len(vehicles):
+            self._fill_vehicles(vehicles)
+        if len(walkers):
+            _move(walkers, world.walkers)
+            for name in ("direction", "speed", "jump"):
+                walkers[name] = getattr(world.walkers, name)
         for name in _TIMES:
             lights[name] = getattr(world.signals, name)
         lights["state"] = world.signals.state
@@ -158,8 +159,7 @@ class Photographer:
 
     def _fill_vehicles(self, rows: NDArray[np.void]) -> None:
         vehicles = self._world.vehicles
-        if not len(rows):
-            return
+        _move(rows, vehicles)
         for name in _CONTROLS:
             rows[name] = getattr(vehicles, name)
         if self._drives.have_moved():

@@ -48,9 +48,8 @@ class Signals:
         self.state = np.full(count, RED, np.int64)
         self.elapsed = np.zeros(count)
         self.frozen = np.zeros(count, np.bool_)
-        self.green_time = np.full(count, GREEN_TIME)
-        self.yellow_time = np.full(count, YELLOW_TIME)
-        self.red_time = np.full(count, RED_TIME)
+        self._times = np.repeat([[RED_TIME], [YELLOW_TIME], [GREEN_TIME]], count, axis=1)  # a row for each stage
+        self.red_time, self.yellow_time, self.green_time = self._times
         self._groups = self._grouped(town)
         self._group_of = np.zeros(count, np.int64)
         for number, group in enumerate(self._groups):
@@ -71,10 +70,10 @@ class Signals:
         """Let time pass."""
         if self.held:
             return
-        self.elapsed[~self.frozen] += seconds
-        self._clock[~self._halted] += seconds
-        times = np.stack((self.red_time, self.yellow_time, self.green_time))[self._stage, self._leader]
-        for number in np.flatnonzero(self._clock >= times - _ROUNDING).tolist():
+        self.elapsed += seconds * ~self.frozen
+        self._clock += seconds * ~self._halted
+        times = self._times[self._stage, self._leader]
+        for number in (self._clock >= times - _ROUNDING).nonzero()[0].tolist():
             stage, phase = int(self._stage[number]), int(self._phase[number])
             if stage == RED:
                 self._enter(number, (phase + 1) % len(self._groups[number]), GREEN)
