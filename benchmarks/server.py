@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import subprocess
 import sys
+import time
 from contextlib import contextmanager
 from typing import TYPE_CHECKING
 
@@ -41,8 +42,9 @@ def sync_ticks(_: Subject) -> Iterator[Line]:
 
 def managed_ticks(_: Subject) -> Iterator[Line]:
     with running(recordings=DIRECTORY) as port:
-        rate = in_new_process(managed_rate, port)
-    yield goal(f"sync ticks, {MANAGED} under traffic manager", rate, 350)
+        rate, own = in_new_process(managed_rate, port)
+    what, measured = f"sync ticks, {MANAGED} under traffic manager", f"{rate:,.0f} /s"
+    yield Line(what, measured, f"client's: {own * 1e3:.1f} ms", "≥ 350 /s", rate >= 350)
 
 
 def controls(_: Subject) -> Iterator[Line]:
@@ -122,8 +124,11 @@ def idle_rate(port: int) -> float:
     return per_second(town.tick, 500)
 
 
-def managed_rate(port: int) -> float:
-    """Ticks a second of a client whose traffic manager drives; beside a tape, client and manager would miss each other."""
+def managed_rate(port: int) -> tuple[float, float]:
+    """Ticks a second of a client whose traffic manager drives, and how long its own processor works for one, in s.
+
+    There is no tape of that: the answers come so fast that client and manager would miss each other (see `rounds`).
+    """
     import carla
 
     client = connect(port)
@@ -136,14 +141,16 @@ def managed_rate(port: int) -> float:
         vehicle.set_autopilot(True, 8123)
     for _ in range(100):
         town.tick()
+    begin = time.process_time()
     rate = per_second(town.tick, 200)
+    own = (time.process_time() - begin) / (200 * ROUNDS)
     for vehicle in vehicles:
         vehicle.set_autopilot(False, 8123)
     manager.set_synchronous_mode(False)
     manager.shut_down()
     town.tick()
     town.apply_settings(carla.WorldSettings())
-    return rate
+    return rate, own
 
 
 def connect(port: int) -> carla.Client:

@@ -51,6 +51,7 @@ def serve(
     attached: bool,
 ) -> None:
     """Serve a simulated town to CARLA's own client."""
+    from carla_recap.server.attention import attentive_loop
     from carla_recap.server.host import Host
     from carla_recap.server.serving import serve as serve_clients
     from carla_recap.sim import World, load_town
@@ -68,7 +69,8 @@ def serve(
                 shown.open(host, port)
 
         warnings.simplefilter("once", RecapWarning)  # however often a client asks about a damaged recording
-        asyncio.run(serve_clients(Host(world, confined=confine), host, port, ready, attached=attached))
+        with asyncio.Runner(loop_factory=attentive_loop) as runner:
+            runner.run(serve_clients(Host(world, confined=confine), host, port, ready, attached=attached))
 
 
 def _window(to: str | None, follow: Follow | None) -> Window:
