@@ -219,3 +219,69 @@ class Frame:
         """Name and records of every type that has any, in file order of the first."""
         names = dict.fromkeys(p.type.name for p in self.packets if p.type is not None and p.type.id > 1)
         return ((name, records) for name in names if len(records := self[name]))
+
+
+class Block:
+    """Packets of one type, one for each of some frames in a row, all with the same number of records.
+
+    Args:
+        type: The row of the table.
+        payloads: Their payloads, one after the other.
+        size: The bytes of each.
+        records: Their records, (frames, records of each).
+    """
+
+    __slots__ = ("_payloads", "records", "size", "type")
+
+    def __init__(self, type: RecordType, payloads: memoryview, size: int, records: NDArray[np.void]) -> None:
+        self.type = type
+        self.size = size
+        self.records = records
+        self._payloads = payloads
+
+    def packet(self, place: int) -> Packet:
+        """The packet of one of the frames."""
+        at = place * self.size
+        return Packet(self.type.id, self.type, self._payloads[at : at + self.size], self.records[place])
+
+
+class Run:
+    """Frames in a row whose packets are of the same types in the same order: whoever can, writes them all at once.
+
+    Args:
+        indices: The positions of the frames in the recording; the id of each frame is one more.
+        elapsed: Seconds since the recording began, of each.
+        durations: Seconds until the next frame, of each.
+        packets: What each frame has: packets that are the same in all of them, and blocks.
+        first: Where in the blocks the frames begin.
+    """
+
+    __slots__ = ("durations", "elapsed", "first", "indices", "packets")
+
+    def __init__(
+        self,
+        indices: list[int],
+        elapsed: list[float],
+        durations: list[float],
+        packets: list[Packet | Block],
+        first: int = 0,
+    ) -> None:
+        self.indices = indices
+        self.elapsed = elapsed
+        self.durations = durations
+        self.packets = packets
+        self.first = first
+
+    def __len__(self) -> int:
+        return len(self.indices)
+
+    def __iter__(self) -> Iterator[Frame]:
+        for place in range(len(self)):
+            yield self.frame(place)
+
+    def frame(self, place: int) -> Frame:
+        """One of the frames."""
+        at = self.first + place
+        packets = [packet if isinstance(packet, Packet) else packet.packet(at) for packet in self.packets]
+        index = self.indices[place]
+        return Frame(index, index + 1, self.elapsed[place], self.durations[place], packets)

@@ -25,7 +25,8 @@ if TYPE_CHECKING:
 
 MIN_TIME: Final = 30.0  # s
 MIN_DISTANCE: Final = 10.0  # cm
-TYPES: Final = ("spawned", "destroyed", "transforms")
+TRANSFORMS: Final = "transforms"
+TYPES: Final = ("spawned", "destroyed", TRANSFORMS)
 """The record types that tell of it."""
 
 _ROUNDING: Final = 1e-6  # more than sums of the lengths of frames ever differ by, as a share
@@ -109,8 +110,8 @@ class Standing:
             name = packet.type.name if packet.type else ""
             if name not in TYPES or not len(packet.records):
                 continue
-            if name == "transforms":
-                self._move(frame, packet.records)  # type: ignore[arg-type]
+            if name == TRANSFORMS:
+                self.move(frame.elapsed, frame.duration, packet.records)  # type: ignore[arg-type]
                 continue
             self._put_back()
             if name == "spawned":
@@ -137,8 +138,15 @@ class Standing:
         if actor and actor.duration >= self._min_time and not self._compat:
             self._rows.append(actor.row())
 
-    def _move(self, frame: Frame, records: NDArray[np.void]) -> None:
-        length = frame.duration if self._compat or frame.duration > 0.0 else 0.0
+    def move(self, elapsed: float, duration: float, records: NDArray[np.void]) -> None:
+        """Take in the transforms of a frame.
+
+        Args:
+            elapsed: Seconds from the beginning of the recording to the frame.
+            duration: Seconds until the next one.
+            records: The transforms: at least one.
+        """
+        length = duration if self._compat or duration > 0.0 else 0.0
         ids = records["id"]
         key = ids.tobytes()
         group = self._group
@@ -146,10 +154,10 @@ class Standing:
             if key != self._rounds[0]:
                 self._rounds = key, _rounds(ids) if self._compat else [_latest(ids)]
             if len(self._rounds[1][0]) < len(ids):
-                self._move_repeated(frame.elapsed, length, records)
+                self._move_repeated(elapsed, length, records)
                 return
             group = self._take_out(key, ids)
-        group.add(records, frame.elapsed, length)
+        group.add(records, elapsed, length)
         if group.full:
             self._rows += [row for _, row in group.settle()]
 

@@ -10,7 +10,7 @@ if TYPE_CHECKING:
     from pathlib import Path
     from types import TracebackType
 
-    from carla_recap.frame import Extent, Frame, Header, Packet
+    from carla_recap.frame import Extent, Frame, Header, Packet, Run
     from carla_recap.standing import BlockedRow
 
 PIECE = 1 << 20
@@ -82,6 +82,10 @@ class Writer(Protocol):
 
     def write(self, frame: Frame) -> None:
         """Add a frame."""
+        ...
+
+    def write_run(self, run: Run) -> None:
+        """Add the frames of a run."""
         ...
 
     def write_tail(self, piece: bytes) -> None:

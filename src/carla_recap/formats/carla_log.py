@@ -22,7 +22,7 @@ import numpy as np
 from carla_recap.errors import FormatError, NotARecording, RecapError, RecapWarning, RecordError
 from carla_recap.formats.atomic import AtomicFile
 from carla_recap.formats.base import PIECE
-from carla_recap.frame import Extent, Frame, Header, Packet
+from carla_recap.frame import Extent, Frame, Header, Packet, Run
 from carla_recap.payload import EMPTY_LIST, U16, Buffer, PayloadError, check
 from carla_recap.records import FRAME_END, FRAME_START, UE4, UE5, Framing, RecordType
 
@@ -483,6 +483,11 @@ class LogWriter(AtomicFile):
         if self._live and frame.elapsed >= self._sync_at:
             self._sync()
             self._sync_at = frame.elapsed + SYNC_SECONDS
+
+    def write_run(self, run: Run) -> None:
+        """See `Writer.write_run`."""
+        for frame in run:
+            self.write(frame)
 
     def write_tail(self, piece: bytes) -> None:
         """Add bytes behind the last complete packet."""

@@ -72,8 +72,8 @@ class BackgroundWriter:
         strip: Strip | None = None
         try:
             while (strip := self._strips.get()) is not None:
-                for frame in strip.frames():
-                    self._writer.write(frame)
+                for run in strip.runs():
+                    self._writer.write_run(run)
             self._writer.close()
         except Exception as error:
             self.error = rescue(self._writer, self.path, error)

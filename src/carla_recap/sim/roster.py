@@ -30,6 +30,7 @@ class Roster:
     def __init__(self, world: World, *, additional_data: bool) -> None:
         actors = [actor for actor in world.actors.values() if actor.kind in _WITH_PLACE]
         self._others = [actor for actor in actors if not isinstance(actor, Mover)]
+        self._poses = np.empty((len(self._others), 6))
         self._lineup = Lineup(
             placed=[actor.id for actor in actors],
             vehicles=world.vehicles.id.tolist(),
@@ -52,5 +53,7 @@ class Roster:
     def _states(self) -> States:
         """All columns that are told; what others than vehicles and walkers have is asked of them one by one."""
         states: States = {column: getattr(holder, column[1]) for column, holder in self._columns}
-        states[OTHER_POSES] = np.array([pose(actor.transform) for actor in self._others])
+        for row, actor in zip(self._poses, self._others, strict=True):
+            row[:] = pose(actor.transform)
+        states[OTHER_POSES] = self._poses
         return states

@@ -4,11 +4,12 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cached_property
+from itertools import groupby
 from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
-from carla_recap.frame import LAST_FRAME_DURATION, Frame, Packet
+from carla_recap.frame import LAST_FRAME_DURATION, Block, Packet, Run
 from carla_recap.payload import EMPTY_LIST, pack
 from carla_recap.records import FRAME_END, ORDER, UE4, Framing
 from carla_recap.replay.rows import numbers
@@ -96,10 +97,10 @@ class Strip:
             self._states[key][place] = column
         self.moments.append(moment)
 
-    def frames(self) -> Iterator[Frame]:
+    def runs(self) -> Iterator[Run]:
         """The snapshots as frames."""
         count = len(self.moments)
-        return self._lineup.frames(self.moments, {key: columns[:count] for key, columns in self._states.items()})
+        return self._lineup.runs(self.moments, {key: columns[:count] for key, columns in self._states.items()})
 
 
 class Lineup:
@@ -146,31 +147,31 @@ class Lineup:
             for type in TYPES.values()
         ]
 
-    def frames(self, moments: list[Moment], columns: States) -> Iterator[Frame]:
-        """The frames of snapshots of these actors.
+    def runs(self, moments: list[Moment], columns: States) -> Iterator[Run]:
+        """The frames of snapshots of these actors: where something happened, a frame is a run of its own.
 
         Args:
             moments: When the snapshots were taken.
             columns: What they show, a row for each; see `COLUMNS`.
         """
-        blocks = {name: form.repeat(len(moments)) for name, form in self._forms.items()}
-        arrays = {name: block["records"] for name, block in blocks.items()}
+        packets = self._packets(moments, columns)
+        for eventful, group in groupby(range(len(moments)), key=lambda place: bool(moments[place].events)):
+            places = list(group)
+            for part in [[place] for place in places] if eventful else [places]:
+                yield _run(moments, part, packets)
+
+    def _packets(self, moments: list[Moment], columns: States) -> list[Packet | Block | None]:
+        """What is told in all frames, in the order of `TYPES`; None where only events are told."""
+        forms = {name: form.repeat(len(moments)) for name, form in self._forms.items()}
+        arrays = {name: form["records"] for name, form in forms.items()}
         self._fill(arrays, columns)
         for name in self._clocks:
             seconds = [moment.elapsed if name == "platform_time" else moment.time for moment in moments]
             arrays[name]["seconds"][:, 0] = seconds
-        told = [
-            (_SLOTS[name], TYPES[name], block.itemsize, block.view(np.uint8).data, arrays[name])
-            for name, block in blocks.items()
-        ]
-        for place, moment in enumerate(moments):
-            packets = [*self._blank, _END]
-            for slot, type, size, payloads, records in told:
-                packets[slot] = Packet(type.id, type, payloads[place * size : (place + 1) * size], records[place])
-            for name, packet in moment.events.items():
-                packets[_SLOTS[name]] = packet
-            present = [packet for packet in packets if packet is not None]
-            yield Frame(moment.index, moment.index + 1, moment.elapsed, moment.duration, present)
+        packets: list[Packet | Block | None] = list(self._blank)
+        for name, form in forms.items():
+            packets[_SLOTS[name]] = Block(TYPES[name], form.view(np.uint8).data, form.itemsize, arrays[name])
+        return packets
 
     @cached_property
     def _forms(self) -> dict[str, Array]:
@@ -193,6 +194,21 @@ class Lineup:
                 arrays[type][field] = columns[holder, name]
         if "walker_controls" in arrays:
             arrays["walker_controls"]["speed"] *= CM_PER_M
+
+
+def _run(moments: list[Moment], places: list[int], told: list[Packet | Block | None]) -> Run:
+    """Frames in a row, in which the same happened: nothing, if they are more than one."""
+    packets = list(told)
+    for name, packet in moments[places[0]].events.items():
+        packets[_SLOTS[name]] = packet
+    mine = [moments[place] for place in places]
+    return Run(
+        [moment.index for moment in mine],
+        [moment.elapsed for moment in mine],
+        [moment.duration for moment in mine],
+        [*(packet for packet in packets if packet is not None), _END],
+        places[0],
+    )
 
 
 def _form(name: str, field: str, values: Sequence[float]) -> Array:

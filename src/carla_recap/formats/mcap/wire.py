@@ -14,7 +14,7 @@ from __future__ import annotations
 import struct
 from array import array
 from dataclasses import asdict, dataclass
-from functools import cache
+from functools import cache, lru_cache
 from importlib import import_module
 from itertools import accumulate, pairwise
 from operator import attrgetter
@@ -63,6 +63,7 @@ def frame_body(duration: float, ids: bytes, kinds: bytes) -> bytes:
     return FRAME_BODY.pack(DURATION_TAG, duration) + frame_packets(ids, kinds)
 
 
+@lru_cache(maxsize=64)
 def frame_packets(ids: bytes, kinds: bytes) -> bytes:
     """The part of a `Frame` that seldom changes: the id and kind of each packet."""
     return b"\x22" + _varint(len(ids)) + ids + b"\x2a" + _varint(len(kinds)) + kinds
@@ -120,6 +121,22 @@ def expected_size(type: RecordType, payload: Buffer) -> int | None:
         return uniform.stride if len(payload) == uniform.size else None
     count = payload[0] | payload[1] << 8 if len(payload) > 1 else 0
     return count * uniform.stride if len(payload) == U16.size + count * uniform.size else None
+
+
+def uniform_body(type: RecordType, count: int) -> tuple[bytes, np.dtype[np.void]]:
+    """The body of a message of so many records of one size, all of them zero, and the layout of a record in it."""
+    uniform = _uniform(type)
+    return uniform.blank.tobytes() * count, uniform.wire
+
+
+def fits(type: RecordType, records: NDArray[np.void]) -> bool:
+    """Whether all numbers of records of one size have the size that they have in `uniform_body`."""
+    return _uniform(type).fits(records)
+
+
+def fill(type: RecordType, body: NDArray[np.void], records: NDArray[np.void]) -> None:
+    """Put records that fit where their bodies are, of the layout of `uniform_body`."""
+    _uniform(type).fill(body, records)
 
 
 def encode(type: RecordType, payload: Buffer) -> bytes:
@@ -244,6 +261,8 @@ class _Uniform:
     Attributes:
         single: Whether a payload is one record, without a count.
         size, stride: Bytes of a record in a payload, and in a message.
+        blank: A record in a message, all of whose numbers are zero.
+        wire: Where the numbers stand in it.
     """
 
     def __init__(self, type: RecordType) -> None:
@@ -256,7 +275,7 @@ class _Uniform:
         self.stride = len(index)
         fields: Mapping[str, Any] = type.dtype.fields or {}
         offsets = {name: int(np.flatnonzero(index == _LEAF + place)[0]) for name, (_, place, *_) in fields.items()}
-        self._wire = np.dtype(
+        self.wire = np.dtype(
             {
                 "names": list(fields),
                 "formats": [dtype for dtype, *_ in fields.values()],
@@ -265,7 +284,7 @@ class _Uniform:
             }
         )
         self._setting = [(int(place), index[place].astype(np.uint8)) for place in np.flatnonzero(mask == 0xFF)]
-        self._blank = np.where(mask == 0xFF, index, 0).astype(np.uint8).view(np.void(self.stride).dtype)
+        self.blank = np.where(mask == 0xFF, index, 0).astype(np.uint8).view(np.void(self.stride).dtype)
         # The bits that a one-byte number must leave alone, or it would not fit a varint of one byte.
         self._loose = {name: mask[offset] for name, offset in offsets.items() if mask[offset]}
 
@@ -275,16 +294,21 @@ class _Uniform:
             return None
         start = 0 if self.single else U16.size
         records = np.frombuffer(b"".join([memoryview(payload)[start:] for payload in payloads]), self._type.dtype)
-        if any((records[name].view(np.uint8) & loose).any() for name, loose in self._loose.items()):
+        if not self.fits(records):
             return None
-        rows = np.empty(len(records), self._blank.dtype)
-        rows[:] = self._blank
-        wire = rows.view(self._wire)
-        for name in self._wire.names or ():
-            wire[name] = records[name]
+        rows = np.empty(len(records), self.blank.dtype)
+        rows[:] = self.blank
+        self.fill(rows.view(self.wire), records)
         data = rows.view(np.uint8).data if len(rows) else memoryview(b"")
         ends = [0, *accumulate(size or 0 for size in sizes)]
         return [data[at:end] for at, end in pairwise(ends)]
+
+    def fits(self, records: NDArray[np.void]) -> bool:
+        return not any((records[name].view(np.uint8) & loose).any() for name, loose in self._loose.items())
+
+    def fill(self, body: NDArray[np.void], records: NDArray[np.void]) -> None:
+        for name in self.wire.names or ():
+            body[name] = records[name]
 
     def decode(self, messages: Sequence[Buffer]) -> Payloads | None:
         sizes = [len(message) - HEAD.size for message in messages]
@@ -295,14 +319,14 @@ class _Uniform:
         heads = np.frombuffer(b"".join([message[: HEAD.size] for message in messages]), _HEAD)
         if (heads["frame_tag"] != FRAME_TAG).any() or (heads["elapsed_tag"] != ELAPSED_TAG).any():
             return None
-        wire = np.frombuffer(b"".join([message[HEAD.size :] for message in messages]), self._wire)
+        wire = np.frombuffer(b"".join([message[HEAD.size :] for message in messages]), self.wire)
         columns = wire.view(np.uint8).reshape(-1, self.stride)
         if any((columns[:, place] != value).any() for place, value in self._setting):
             return None
         if any((wire[name].view(np.uint8) & loose).any() for name, loose in self._loose.items()):
             return None
         records = np.empty(len(wire), self._type.dtype)
-        for name in self._wire.names or ():
+        for name in self.wire.names or ():
             records[name] = wire[name]
         ends = list(accumulate(size // self.stride for size in sizes))
         return Payloads(records, ends, counts=not self.single)

@@ -15,8 +15,10 @@ from dataclasses import dataclass
 from functools import cache
 from importlib.metadata import version
 from itertools import groupby
+from math import ceil
 from typing import TYPE_CHECKING, Final
 
+import numpy as np
 import zstandard
 from mcap import records
 from mcap.data_stream import RecordBuilder
@@ -49,13 +51,17 @@ from carla_recap.formats.mcap.container import (
     checked,
     header_metadata,
 )
-from carla_recap.frame import Extent, Frame, Header, Packet
+from carla_recap.formats.mcap.rows import RowForm, has_form
+from carla_recap.formats.mcap.rows import key as key_of
+from carla_recap.frame import Block, Extent, Frame, Header, Packet, Run
 from carla_recap.payload import EMPTY_LIST, OBJECTS_LIMIT, Buffer, PayloadError, check
 from carla_recap.records import FRAME_END, FRAME_START, Group, RecordType
-from carla_recap.standing import MIN_DISTANCE, TYPES, Standing
+from carla_recap.standing import MIN_DISTANCE, TRANSFORMS, TYPES, Standing
 
 if TYPE_CHECKING:
     from pathlib import Path
+
+    from numpy.typing import NDArray
 
     from carla_recap.standing import BlockedRow
 
@@ -87,10 +93,18 @@ class _Chunk:
         self.start = self.end = 0
         self.messages: list[tuple[int, int, int, int, bytes, bytes]] = []
         self.waiting: dict[RecordType, tuple[list[int], list[Buffer]]] = {}
+        self._parts: list[Buffer] = []
+        self._index: dict[int, array[int]] = {}
+        self._sealed = 0
+
+    @property
+    def is_empty(self) -> bool:
+        """Whether there is nothing in it."""
+        return not self.messages and not self._parts
 
     def add(self, channel: int, sequence: int, times: tuple[int, int], head: bytes, body: bytes) -> None:
         """Add a message."""
-        if not self.messages:
+        if self.is_empty:
             self.start = times[0]
         self.end = times[0]
         self.size += MESSAGE.size + len(head) + len(body)
@@ -101,18 +115,34 @@ class _Chunk:
         waiting = self.waiting.get(type)
         if waiting is None:
             waiting = self.waiting[type] = ([], [])
-        waiting[0].append(len(self.messages) - 1)
-        waiting[1].append(payload)
+        places, payloads = waiting
+        places.append(len(self.messages) - 1)
+        payloads.append(payload)
         self.size += size
+
+    def add_rows(self, data: bytes, index: dict[int, NDArray[np.uint64]], start: int, end: int) -> None:
+        """Add messages that are encoded already; see `RowForm.rows`."""
+        if self.is_empty:
+            self.start = start
+        self.end = end
+        self._seal_messages()
+        for channel, entries in index.items():
+            entries[:, 1] += np.uint64(self._sealed)
+            self._index.setdefault(channel, array("Q")).frombytes(entries.tobytes())
+        self._parts.append(data)
+        self._sealed += len(data)
+        self.size += len(data)
 
     def seal(self) -> tuple[bytes, dict[int, array[int]]]:
         """The records, and by channel the log time and offset of each message."""
+        self._seal_messages()
+        return b"".join(self._parts), self._index
+
+    def _seal_messages(self) -> None:
         bodies: dict[int, Buffer] = {}
         for type, (places, payloads) in self.waiting.items():
             bodies.update(zip(places, wire.encode_many(type, payloads), strict=True))
-        parts: list[Buffer] = []
-        index: dict[int, array[int]] = {}
-        at, pack = 0, MESSAGE.pack
+        parts, index, at, pack = self._parts, self._index, self._sealed, MESSAGE.pack
         for place, (channel, sequence, log_time, publish_time, head, body) in enumerate(self.messages):
             data = bodies.get(place, body)
             length = MESSAGE_FIELDS + len(head) + len(data)
@@ -123,7 +153,9 @@ class _Chunk:
             entries.append(at)
             parts += (pack(Opcode.MESSAGE, length, channel, sequence, log_time, publish_time), head, data)
             at += RECORD.size + length
-        return b"".join(parts), index
+        self._sealed = at
+        self.messages.clear()
+        self.waiting.clear()
 
 
 @dataclass(frozen=True)
@@ -176,6 +208,8 @@ class McapWriter(AtomicFile):
         self._stretches: list[BlockedRow] = []
         self._stretch_count = 0
         self._prepared: dict[Packet, bytes] = {}
+        self._form: RowForm | None = None
+        self._form_key: object = None
         self._pool = ThreadPoolExecutor(_WORKERS, "carla-recap-compress")
         self._sealed: deque[_Sealed] = deque()
         self._position = self._crc = 0
@@ -201,13 +235,8 @@ class McapWriter(AtomicFile):
             RecapError: The disk is full, or broken.
             FormatError: A packet contradicts its layout.
         """
-        self._sequence += 1
         times = self._clock.times(frame.elapsed)
-        if times[0] >= self._cut_at or self._sequence >= self._cut_at_frame:
-            for group in Group:
-                self._cut(group)
-            self._cut_at = times[0] + CHUNK_SECONDS * SECOND
-            self._cut_at_frame = self._sequence + CHUNK_FRAMES
+        self._begin_frame(times[0])
         if not frame.preamble:
             self._extent = Extent(self._extent.frames + 1, frame.id, frame.elapsed)
         head = wire.head(frame.id, frame.elapsed)
@@ -219,12 +248,44 @@ class McapWriter(AtomicFile):
         if self._standing:
             telling = [packet for packet in frame.packets if packet.id in self._telling and packet.payload != EMPTY_LIST]
             self._standing.frame(frame, telling)
-            self._stretches += self._standing.take()
-            if len(self._stretches) >= STRETCHES_TOGETHER:
-                self._add_stretches(head, times)
-        for group, chunk in self._chunks.items():
-            if chunk.size >= CHUNK_SIZE:
-                self._cut(group)
+            self._take_stretches(head, times)
+        self._cut_large()
+
+    def write_run(self, run: Run) -> None:
+        """Add the frames of a run.
+
+        Raises:
+            RecapError: The disk is full, or broken.
+            FormatError: A packet contradicts its layout.
+        """
+        form = self._form_of(run)
+        if form is None:
+            for frame in run:
+                self.write(frame)
+            return
+        times = [self._clock.times(elapsed) for elapsed in run.elapsed]
+        place = 0
+        while place < len(run):
+            place = self._write_rows(run, place, form, times)
+
+    def _write_rows(self, run: Run, place: int, form: RowForm, times: list[tuple[int, int]]) -> int:
+        """Add the frames of a run from a place on, as many as go in the same chunk; returns how far that is."""
+        self._begin_frame(times[place][0])
+        chunk = self._chunks[Group.STATE]
+        room = max(1, ceil((CHUNK_SIZE - chunk.size) / form.size))
+        end = min(place + room, len(run), place + self._cut_at_frame - self._sequence)
+        end = next((later for later in range(place + 1, end) if times[later][0] >= self._cut_at), end)
+        part = slice(place, end)
+        rows = form.rows(run, part, self._sequence, np.array(times[part], np.uint64))
+        chunk.add_rows(*rows, times[place][0], times[end - 1][0])
+        self._sequence += end - place - 1
+        last = end - 1
+        self._extent = Extent(self._extent.frames + end - place, run.indices[last] + 1, run.elapsed[last])
+        self._additional = self._additional or form.additional
+        if self._standing:
+            self._follow(run, part, times)
+        self._cut_large()
+        return end
 
     def write_tail(self, piece: bytes) -> None:
         """Add bytes behind the last complete packet."""
@@ -240,15 +301,42 @@ class McapWriter(AtomicFile):
 
     # --- frames to messages --------------------------------------------------------------------------------------------
 
+    def _begin_frame(self, time: int) -> None:
+        """Count a frame; cut the chunks where it is late enough."""
+        self._sequence += 1
+        if time >= self._cut_at or self._sequence >= self._cut_at_frame:
+            for group in Group:
+                self._cut(group)
+            self._cut_at = time + CHUNK_SECONDS * SECOND
+            self._cut_at_frame = self._sequence + CHUNK_FRAMES
+
+    def _form_of(self, run: Run) -> RowForm | None:
+        """The form of the frames of a run, if they have one."""
+        if not has_form(run):
+            return None
+        key = key_of(run)
+        if key != self._form_key:
+            self._form_key = key
+            self._form = RowForm(self._channel_of, self._frame_channel, run.packets)
+        return self._form
+
+    def _follow(self, run: Run, part: slice, times: list[tuple[int, int]]) -> None:
+        """See who stands still in some frames of a run."""
+        assert self._standing is not None
+        for packet in run.packets:
+            if isinstance(packet, Block) and packet.type.name == TRANSFORMS:
+                for place in range(part.start, part.stop):
+                    elapsed = run.elapsed[place]
+                    self._standing.move(elapsed, run.durations[place], packet.records[run.first + place])
+                    self._take_stretches(wire.head(run.indices[place] + 1, elapsed), times[place])
+
     def _add(self, packet: Packet, head: bytes, times: tuple[int, int]) -> int:
         """Add a packet's messages; returns what the frame is to say of it."""
-        type, id = packet.type, packet.id
-        if id == FRAME_END and not packet.payload:
-            return EMPTY
-        payload = packet.payload
-        self._additional = self._additional or (type is not None and type.additional)
-        if payload is EMPTY_LIST or (type is not None and payload == EMPTY_LIST):
-            return EMPTY
+        type, id, payload = packet.type, packet.id, packet.payload
+        if type is not None:
+            self._additional = self._additional or type.additional
+            if payload is EMPTY_LIST or payload == EMPTY_LIST or (id == FRAME_END and not payload):
+                return EMPTY
         if type is None or type.opaque or not type.topic or len(payload) > OBJECTS_LIMIT:
             return self._add_raw(packet, head, times)
         chunk, channel = self._chunks[type.group], self._channel_of[id]
@@ -293,6 +381,19 @@ class McapWriter(AtomicFile):
         self._chunks[Group.EVENTS].add(self._stretches_channel, self._sequence, times, head, body)
         self._stretches = []
 
+    def _take_stretches(self, head: bytes, times: tuple[int, int]) -> None:
+        """Take over the stretches that have ended; add them once there are many."""
+        if self._standing:
+            self._stretches += self._standing.take()
+            if len(self._stretches) >= STRETCHES_TOGETHER:
+                self._add_stretches(head, times)
+
+    def _cut_large(self) -> None:
+        """Cut the chunks that are large enough."""
+        for group, chunk in self._chunks.items():
+            if chunk.size >= CHUNK_SIZE:
+                self._cut(group)
+
     def _cut_within_frame(self, group: Group) -> None:
         """Cut a group's chunk, should a single frame make it too large to be read."""
         if self._chunks[group].size >= FRAME_SIZE:
@@ -303,7 +404,7 @@ class McapWriter(AtomicFile):
     def _cut(self, group: Group) -> None:
         """Send a group's chunk off to be compressed; chunks that are ready go to the file."""
         chunk = self._chunks[group]
-        if not chunk.messages:
+        if chunk.is_empty:
             return
         self._chunks[group] = _Chunk()
         data, index = chunk.seal()
