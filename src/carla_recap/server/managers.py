@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import asyncio
 from contextlib import suppress
-from typing import TYPE_CHECKING, Any, Final
+from typing import TYPE_CHECKING, Any, Final, Protocol
 
 if TYPE_CHECKING:
     from collections.abc import Callable
 
-    from carla_recap.server.client import Client
+    from carla_recap.server.rounds import Round
 
 _LAST_CALL: Final = "apply_batch"  # of a manager's cycle
 _ANY_CALL: Final = "get_vehicle_light_states"  # of a cycle, even of a manager that has no vehicles
@@ -19,13 +19,25 @@ _PATIENCE: Final = 5.0  # s, for a client to subscribe
 _LOOK: Final = 0.01  # s
 
 
+class Owner(Protocol):
+    """A client that runs a traffic manager."""
+
+    @property
+    def address(self) -> str:
+        """The address of the machine that it is on."""
+
+    @property
+    def round(self) -> Round:
+        """What its traffic manager is at."""
+
+
 class Managers:
     """The traffic managers by their ports; each is gone with its client, which alone could answer for it."""
 
     def __init__(self) -> None:
-        self._running: dict[int, tuple[str, Client]] = {}
+        self._running: dict[int, tuple[str, Owner]] = {}
 
-    def add(self, host: str, port: int, client: Client) -> bool:
+    def add(self, host: str, port: int, client: Owner) -> bool:
         """Enter a manager; False if there is one at this port."""
         if port in self._running:
             return False
@@ -49,11 +61,11 @@ class Managers:
         for port, (_, owner) in self._running.items():
             owner.round.expect((owner.address, port))
 
-    def owns_one(self, client: Client) -> bool:
+    def owns_one(self, client: Owner) -> bool:
         """Whether a client runs a manager."""
         return any(owner is client for _, owner in self._running.values())
 
-    def leave(self, client: Client) -> None:
+    def leave(self, client: Owner) -> None:
         """Forget the managers of a client."""
         self._running = {port: running for port, running in self._running.items() if running[1] is not client}
 

@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import struct
 import zlib
-from array import array
 from collections import Counter, deque
 from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import dataclass
@@ -26,6 +25,7 @@ from mcap.opcode import Opcode
 
 from carla_recap.formats.atomic import AtomicFile
 from carla_recap.formats.mcap import wire
+from carla_recap.formats.mcap.chunk import Chunk
 from carla_recap.formats.mcap.container import (
     CHUNK,
     EMPTY,
@@ -35,8 +35,6 @@ from carla_recap.formats.mcap.container import (
     FRAME_TOPIC,
     HEADER_METADATA,
     MAGIC,
-    MESSAGE,
-    MESSAGE_FIELDS,
     MESSAGE_INDEX,
     RAW,
     RAW_TOPIC,
@@ -54,14 +52,13 @@ from carla_recap.formats.mcap.container import (
 from carla_recap.formats.mcap.rows import RowForm, has_form
 from carla_recap.formats.mcap.rows import key as key_of
 from carla_recap.frame import Block, Extent, Frame, Header, Packet, Run
-from carla_recap.payload import EMPTY_LIST, OBJECTS_LIMIT, Buffer, PayloadError, check
+from carla_recap.payload import EMPTY_LIST, OBJECTS_LIMIT, PayloadError, check
 from carla_recap.records import FRAME_END, FRAME_START, Group, RecordType
 from carla_recap.standing import MIN_DISTANCE, TRANSFORMS, TYPES, Standing
 
 if TYPE_CHECKING:
+    from array import array
     from pathlib import Path
-
-    from numpy.typing import NDArray
 
     from carla_recap.standing import BlockedRow
 
@@ -76,86 +73,6 @@ STRETCHES_TOGETHER: Final = 1_000
 LEVEL: Final = 3
 _WORKERS: Final = 2
 _QUEUE: Final = 4  # chunks that are being compressed, or wait for it
-
-
-class _Chunk:
-    """A chunk being filled: messages, some of them with bodies that are encoded together at the end.
-
-    Attributes:
-        size: About how many bytes it will have.
-        start, end: First and last log time.
-        messages: Channel, sequence, log and publish time, head and body of each.
-        waiting: Messages whose bodies are to come, by type: their places, and their payloads.
-    """
-
-    def __init__(self) -> None:
-        self.size = 0
-        self.start = self.end = 0
-        self.messages: list[tuple[int, int, int, int, bytes, bytes]] = []
-        self.waiting: dict[RecordType, tuple[list[int], list[Buffer]]] = {}
-        self._parts: list[Buffer] = []
-        self._index: dict[int, array[int]] = {}
-        self._sealed = 0
-
-    @property
-    def is_empty(self) -> bool:
-        """Whether there is nothing in it."""
-        return not self.messages and not self._parts
-
-    def add(self, channel: int, sequence: int, times: tuple[int, int], head: bytes, body: bytes) -> None:
-        """Add a message."""
-        if self.is_empty:
-            self.start = times[0]
-        self.end = times[0]
-        self.size += MESSAGE.size + len(head) + len(body)
-        self.messages.append((channel, sequence, *times, head, body))
-
-    def wait_for(self, type: RecordType, payload: Buffer, size: int) -> None:
-        """Let the body of the latest message, of some size, come with its like."""
-        waiting = self.waiting.get(type)
-        if waiting is None:
-            waiting = self.waiting[type] = ([], [])
-        places, payloads = waiting
-        places.append(len(self.messages) - 1)
-        payloads.append(payload)
-        self.size += size
-
-    def add_rows(self, data: bytes, index: dict[int, NDArray[np.uint64]], start: int, end: int) -> None:
-        """Add messages that are encoded already; see `RowForm.rows`."""
-        if self.is_empty:
-            self.start = start
-        self.end = end
-        self._seal_messages()
-        for channel, entries in index.items():
-            entries[:, 1] += np.uint64(self._sealed)
-            self._index.setdefault(channel, array("Q")).frombytes(entries.tobytes())
-        self._parts.append(data)
-        self._sealed += len(data)
-        self.size += len(data)
-
-    def seal(self) -> tuple[bytes, dict[int, array[int]]]:
-        """The records, and by channel the log time and offset of each message."""
-        self._seal_messages()
-        return b"".join(self._parts), self._index
-
-    def _seal_messages(self) -> None:
-        bodies: dict[int, Buffer] = {}
-        for type, (places, payloads) in self.waiting.items():
-            bodies.update(zip(places, wire.encode_many(type, payloads), strict=True))
-        parts, index, at, pack = self._parts, self._index, self._sealed, MESSAGE.pack
-        for place, (channel, sequence, log_time, publish_time, head, body) in enumerate(self.messages):
-            data = bodies.get(place, body)
-            length = MESSAGE_FIELDS + len(head) + len(data)
-            entries = index.get(channel)
-            if entries is None:
-                entries = index[channel] = array("Q")
-            entries.append(log_time)
-            entries.append(at)
-            parts += (pack(Opcode.MESSAGE, length, channel, sequence, log_time, publish_time), head, data)
-            at += RECORD.size + length
-        self._sealed = at
-        self.messages.clear()
-        self.waiting.clear()
 
 
 @dataclass(frozen=True)
@@ -196,7 +113,7 @@ class McapWriter(AtomicFile):
             by_topic[topic] for topic in (FRAME_TOPIC, RAW_TOPIC, TAIL_TOPIC, STRETCHES_TOPIC)
         )
         self._channel_of = {spec.type.id: id for id, spec in enumerate(self._specs, 1) if spec.type}
-        self._chunks = {group: _Chunk() for group in Group}
+        self._chunks = {group: Chunk() for group in Group}
         self._clock = LogClock(header)
         self._sequence = -1
         self._cut_at = self._cut_at_frame = 0
@@ -406,7 +323,7 @@ class McapWriter(AtomicFile):
         chunk = self._chunks[group]
         if chunk.is_empty:
             return
-        self._chunks[group] = _Chunk()
+        self._chunks[group] = Chunk()
         data, index = chunk.seal()
         self._sealed.append(_Sealed(chunk.start, chunk.end, len(data), index, self._compress(data)))
         self._settle(0 if self._live else _QUEUE)
