@@ -28,6 +28,7 @@ if TYPE_CHECKING:
 
 _END: Final = Packet(FRAME_END, UE4[FRAME_END], b"")
 _DONE: Final = "the duration has passed"
+_ROUNDING: Final = 1e-6  # s: sums of ticks are not exact
 
 
 class Captured(NamedTuple):
@@ -134,7 +135,7 @@ def _until(duration: float, observer: Observer) -> Iterator[Sight]:
     for sight in observer.sights():
         yield sight
         begin = sight.time if begin is None else begin
-        if sight.time - begin >= duration:
+        if sight.time - begin >= duration - _ROUNDING:
             observer.end(_DONE)
             return
 
