@@ -72,6 +72,20 @@ def test_a_manager_that_begins_a_round_is_let_alone(wire: socket.socket, manager
         manager.accept()
 
 
+def test_of_several_managers_the_one_is_woken_whose_turn_it_is(wire: socket.socket) -> None:
+    with socket.create_server(("127.0.0.1", 0)) as one, socket.create_server(("127.0.0.1", 0)) as other:
+        for manager in (one, other):
+            manager.settimeout(6.0)
+            answered(wire, ("add_traffic_manager_running", list(manager.getsockname())))
+        first, second = sorted((one, other), key=lambda manager: manager.getsockname()[1])
+        answered(wire, *ROUND, SETTINGS, TICK, ROUND[0])
+        caller, _ = second.accept()
+        caller.close()
+        first.settimeout(0.1)
+        with pytest.raises(TimeoutError):
+            first.accept()
+
+
 def told(caller: socket.socket) -> list[Any]:
     """What a caller wants; it is told that it is done."""
     _, number, *wanted = msgpack.unpackb(caller.recv(1 << 10))

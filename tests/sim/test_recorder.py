@@ -113,6 +113,16 @@ def test_frames_count_from_1_and_time_from_0_and_the_last_one_has_no_duration(tm
     assert told[0]["visual_time"]["seconds"][0] == pytest.approx(1.05)
 
 
+@pytest.mark.parametrize("suffix", [".log", ".mcap"])
+def test_time_may_be_told_in_numbers_of_numpy(tmp_path: Path, suffix: str) -> None:
+    with flat_world() as world:
+        path = world.start_recorder(tmp_path / f"x{suffix}")
+        for _ in range(4):
+            world.tick(np.float32(0.25))  # type: ignore[arg-type]
+    with carla_recap.open_recording(path) as recording:
+        assert [frame.elapsed for frame in recording] == [0.0, 0.25, 0.5, 0.75]
+
+
 def test_the_header_has_the_town_and_the_date_of_the_world(tmp_path: Path) -> None:
     world = World(flat_town(), date=1_700_000_000)
     record(world, tmp_path / "a.log", 1)

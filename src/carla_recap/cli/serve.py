@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import sys
 import warnings
 from contextlib import nullcontext
 from pathlib import Path
@@ -56,6 +57,8 @@ def serve(
     from carla_recap.server.serving import serve as serve_clients
     from carla_recap.sim import World, load_town
 
+    if attached and sys.stdin is None:
+        raise RecapError("--attached: a standard input was expected")
     if recordings is not None:
         _make(recordings)
     if host not in (_LOOPBACK, "localhost", "::1"):

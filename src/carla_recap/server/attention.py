@@ -9,6 +9,7 @@ from __future__ import annotations
 import asyncio
 import os
 import selectors
+import sys
 import time
 from typing import TYPE_CHECKING, Any, Final
 
@@ -29,11 +30,15 @@ class _Attentive(selectors.DefaultSelector):
     def select(self, timeout: float | None = None) -> Ready:
         """See `selectors.BaseSelector.select`."""
         ready = super().select(0)
-        if not ready and (timeout is None or timeout > 0):
+        if ready:
+            self._is_busy = True
+        elif timeout is None or timeout > 0:
             if self._is_busy:
+                begin = time.monotonic()
                 ready = self._watch(_MOMENT if timeout is None else min(_MOMENT, timeout))
+                timeout = None if timeout is None else max(0.0, timeout - (time.monotonic() - begin))
             ready = ready or super().select(timeout)
-        self._is_busy = bool(ready)
+            self._is_busy = bool(ready)
         return ready
 
     def _watch(self, seconds: float) -> Ready:
@@ -46,5 +51,7 @@ class _Attentive(selectors.DefaultSelector):
 
 
 def attentive_loop() -> asyncio.AbstractEventLoop:
-    """An event loop that stays awake for a moment."""
+    """An event loop that stays awake for a moment; Windows has its own, which takes more connections."""
+    if sys.platform == "win32":
+        return asyncio.new_event_loop()
     return asyncio.SelectorEventLoop(_Attentive())

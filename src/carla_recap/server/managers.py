@@ -56,10 +56,11 @@ class Managers:
         """What to wait for until all managers wait for a tick, as far as they do; see `Round`."""
         return [rest for _, owner in self._running.values() for rest in owner.round.under_way()]
 
-    def tick(self) -> None:
-        """Expect all managers to begin a round, now that their clients have been told of a tick."""
-        for port, (_, owner) in self._running.items():
-            owner.round.expect((owner.address, port))
+    def tick(self, client: Owner) -> None:
+        """Expect the managers of a client to begin their rounds, now that it is told of a tick: it signals them itself."""
+        ports = sorted(port for port, (_, owner) in self._running.items() if owner is client)
+        if ports:
+            client.round.expect([(client.address, port) for port in ports])
 
     def owns_one(self, client: Owner) -> bool:
         """Whether a client runs a manager."""

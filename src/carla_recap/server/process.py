@@ -33,6 +33,8 @@ def running(
 ) -> Iterator[int]:
     """Have a server run; it ends, and completes its recording, when the block does, or the process, however that ends.
 
+    Processes that this one has forked, and that go on, keep the server, too.
+
     Args:
         town: The name of a map or an .xodr file; the built-in town unless told otherwise.
         port: Where it listens; 0 for a port that is free. Streams are at the next one.

@@ -34,6 +34,7 @@ class Round:
         self._has_ended_one = False
         self._rest: asyncio.Future[None] | None = None
         self._limit: asyncio.TimerHandle | None = None
+        self._expected: list[tuple[str, int]] = []
         self._alarm: asyncio.TimerHandle | None = None
         self._waking: asyncio.Task[None] | None = None
 
@@ -45,8 +46,8 @@ class Round:
             self._let_go()
         elif name == _FIRST:
             self._next = 1
-        if name == _FIRST:
-            self.leave()
+        if name == _FIRST and self._expected:
+            self.expect(self._expected[1:])
 
     def under_way(self) -> tuple[asyncio.Future[None], ...]:
         """What to wait for, if the manager is about to ask for the settings; it is not waited for long."""
@@ -58,14 +59,20 @@ class Round:
             self._limit = loop.call_later(_TURN, self._let_go)
         return (self._rest,)
 
-    def expect(self, address: tuple[str, int]) -> None:
-        """Wake the manager at an address, if it does not begin a round before long; not if it has never ended one."""
+    def expect(self, managers: list[tuple[str, int]]) -> None:
+        """Wake managers that do not begin a round before long; not if none has ever ended one.
+
+        Args:
+            managers: Their addresses, in the order in which the client signals to them: to each when the one before is done.
+        """
         self.leave()
-        if self._has_ended_one:
-            self._alarm = asyncio.get_running_loop().call_later(_LATE, self._wake, address)
+        if managers and self._has_ended_one:
+            self._expected = managers
+            self._alarm = asyncio.get_running_loop().call_later(_LATE, self._wake)
 
     def leave(self) -> None:
         """Expect nothing any more."""
+        self._expected = []
         if self._alarm is not None:
             self._alarm.cancel()
             self._alarm = None
@@ -76,13 +83,13 @@ class Round:
             self._limit.cancel()
             self._rest = self._limit = None
 
-    def _wake(self, address: tuple[str, int]) -> None:
-        self._waking = asyncio.get_running_loop().create_task(_wake(*address))
+    def _wake(self) -> None:
+        self._waking = asyncio.get_running_loop().create_task(_wake(*self._expected[0]))
 
 
 async def _wake(host: str, port: int) -> None:
     """Have a traffic manager look up, as it does when told to leave synchronous mode; then it is told to enter it again."""
-    with suppress(OSError, TimeoutError, asyncio.IncompleteReadError):
+    with suppress(OSError, OverflowError, TimeoutError, asyncio.IncompleteReadError):
         async with asyncio.timeout(_PATIENCE):
             reader, writer = await asyncio.open_connection(host, port)
             try:

@@ -68,7 +68,8 @@ async def serve(host: Host, address: str, port: int, ready: Callable[[int], None
 
 
 def _wait_for_input(end: Callable[[], None]) -> None:
-    os.read(_STDIN, 1)
+    with suppress(OSError):
+        os.read(_STDIN, 1)
     end()
 
 

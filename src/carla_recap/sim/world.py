@@ -351,7 +351,7 @@ class World:
         if delta is None:
             delta = self.settings.fixed_delta_seconds or _DELTA
         expect_seconds("a tick", delta)
-        self.delta = delta
+        delta = self.delta = float(delta)
         for controller in tuple(self.controllers):
             controller.step(delta)
         self.signals.step(delta)

@@ -83,8 +83,8 @@ class RowForm:
                 wire.fill(packet.type, rows[packet.type.name], packet.records[blocks])
         rows["duration"] = run.durations[part]
         log_times = times[:, 0]
-        numbers = np.arange(sequence, sequence + count, dtype=np.uint32)
-        ids, elapsed = np.array(run.indices[part], np.uint64) + 1, np.array(run.elapsed[part])
+        numbers = np.arange(sequence, sequence + count, dtype="<u4")
+        ids, elapsed = np.array(run.indices[part], "<u8") + 1, np.array(run.elapsed[part], "<f8")
         index = {}
         begins = np.arange(0, count * self.size, self.size, dtype=np.uint64)
         for channel, at in self._offsets:
@@ -111,7 +111,7 @@ def has_form(run: Run) -> bool:
     return all(
         packet.type.group is Group.STATE and packet.size <= OBJECTS_LIMIT and wire.fits(packet.type, packet.records)
         if isinstance(packet, Block)
-        else packet.payload == EMPTY_LIST or (packet.id == FRAME_END and not packet.payload)
+        else (packet.type is not None and packet.payload == EMPTY_LIST) or (packet.id == FRAME_END and not packet.payload)
         for packet in run.packets
     )
 

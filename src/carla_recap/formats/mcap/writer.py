@@ -165,7 +165,7 @@ class McapWriter(AtomicFile):
         if self._standing:
             telling = [packet for packet in frame.packets if packet.id in self._telling and packet.payload != EMPTY_LIST]
             self._standing.frame(frame, telling)
-            self._take_stretches(head, times)
+            self._take_stretches(self._sequence, head, times)
         self._cut_large()
 
     def write_run(self, run: Run) -> None:
@@ -195,12 +195,12 @@ class McapWriter(AtomicFile):
         part = slice(place, end)
         rows = form.rows(run, part, self._sequence, np.array(times[part], np.uint64))
         chunk.add_rows(*rows, times[place][0], times[end - 1][0])
-        self._sequence += end - place - 1
-        last = end - 1
+        first, last = self._sequence, end - 1
+        self._sequence += last - place
         self._extent = Extent(self._extent.frames + end - place, run.indices[last] + 1, run.elapsed[last])
         self._additional = self._additional or form.additional
         if self._standing:
-            self._follow(run, part, times)
+            self._follow(run, part, first, times)
         self._cut_large()
         return end
 
@@ -237,15 +237,15 @@ class McapWriter(AtomicFile):
             self._form = RowForm(self._channel_of, self._frame_channel, run.packets)
         return self._form
 
-    def _follow(self, run: Run, part: slice, times: list[tuple[int, int]]) -> None:
-        """See who stands still in some frames of a run."""
+    def _follow(self, run: Run, part: slice, sequence: int, times: list[tuple[int, int]]) -> None:
+        """See who stands still in some frames of a run, of which the first has the given number in the sequence."""
         assert self._standing is not None
         for packet in run.packets:
             if isinstance(packet, Block) and packet.type.name == TRANSFORMS:
-                for place in range(part.start, part.stop):
+                for number, place in enumerate(range(part.start, part.stop), sequence):
                     elapsed = run.elapsed[place]
                     self._standing.move(elapsed, run.durations[place], packet.records[run.first + place])
-                    self._take_stretches(wire.head(run.indices[place] + 1, elapsed), times[place])
+                    self._take_stretches(number, wire.head(run.indices[place] + 1, elapsed), times[place])
 
     def _add(self, packet: Packet, head: bytes, times: tuple[int, int]) -> int:
         """Add a packet's messages; returns what the frame is to say of it."""
@@ -291,19 +291,19 @@ class McapWriter(AtomicFile):
             self._cut_within_frame(Group.STATE)
         return RAW
 
-    def _add_stretches(self, head: bytes, times: tuple[int, int]) -> None:
+    def _add_stretches(self, sequence: int, head: bytes, times: tuple[int, int]) -> None:
         """Add the stretches in which actors stood still that have ended since this was last done."""
         body = wire.stretches(self._stretches)
         self._stretch_count += len(self._stretches)
-        self._chunks[Group.EVENTS].add(self._stretches_channel, self._sequence, times, head, body)
+        self._chunks[Group.EVENTS].add(self._stretches_channel, sequence, times, head, body)
         self._stretches = []
 
-    def _take_stretches(self, head: bytes, times: tuple[int, int]) -> None:
+    def _take_stretches(self, sequence: int, head: bytes, times: tuple[int, int]) -> None:
         """Take over the stretches that have ended; add them once there are many."""
         if self._standing:
             self._stretches += self._standing.take()
             if len(self._stretches) >= STRETCHES_TOGETHER:
-                self._add_stretches(head, times)
+                self._add_stretches(sequence, head, times)
 
     def _cut_large(self) -> None:
         """Cut the chunks that are large enough."""
@@ -347,7 +347,7 @@ class McapWriter(AtomicFile):
         if self._standing and self._stretches:
             self._sequence += 1
             time = self._clock.next()
-            self._add_stretches(wire.head(self._extent.last_id, self._extent.duration), (time, time))
+            self._add_stretches(self._sequence, wire.head(self._extent.last_id, self._extent.duration), (time, time))
         for group in Group:
             self._cut(group)
         self._settle(0)

@@ -14,7 +14,7 @@ from carla_recap.sim.checks import expect_between
 from carla_recap.sim.weather import Weather
 
 if TYPE_CHECKING:
-    from carla_recap.server.host import Host
+    from collections.abc import Callable
 
 VERSION = "0.9.16"
 """The version of the client that is served."""
@@ -51,10 +51,15 @@ def get_episode_settings(client: Client) -> EpisodeSettings:
 
 
 @call
-def set_episode_settings(client: Client, settings: EpisodeSettings) -> int:
-    """Change how the world runs; the client then waits for the frame that is returned."""
-    client.host.apply_settings(settings)
-    return client.host.frame
+def set_episode_settings(client: Client, settings: EpisodeSettings) -> Any:
+    """Change how the world runs; answers the frame that the client then waits for, and signals to its traffic managers."""
+    host = client.host
+
+    def apply() -> int:
+        host.apply_settings(settings)
+        return _signalled(client, host.frame)
+
+    return _after(host.managers.under_way(), apply)
 
 
 @call
@@ -68,17 +73,22 @@ def tick_cue(client: Client) -> Any:
     if not host.settings.synchronous_mode:
         return host.frame + 1
     pending = host.streams.expected(client) + host.managers.under_way()
-    return _tick_after(pending, host) if pending else _tick(host)
+    return _after(pending, lambda: _signalled(client, host.tick()))
 
 
-async def _tick_after(pending: list[asyncio.Future[None]], host: Host) -> int:
-    await asyncio.wait(pending)
-    return _tick(host)
+def _after(pending: list[asyncio.Future[None]], work: Callable[[], int]) -> Any:
+    """Do something after some others, at once if there are none."""
+
+    async def later() -> int:
+        await asyncio.wait(pending)
+        return work()
+
+    return later() if pending else work()
 
 
-def _tick(host: Host) -> int:
-    frame = host.tick()
-    host.managers.tick()
+def _signalled(client: Client, frame: int) -> int:
+    """A frame, of which the client is about to signal to its traffic managers."""
+    client.host.managers.tick(client)
     return frame
 
 
