@@ -64,8 +64,9 @@ def straight_roads(world, length):
                 yield start, carla.Transform(place, end.transform.rotation)
 
 
-def spawn_collision_course(world, length):
+def spawn_collision_course(client, length):
     """A hero, and a car with its hand brake on straight ahead of it, so many meters away."""
+    world = client.get_world()
     blueprints = world.get_blueprint_library()
     hero_blueprint = blueprints.find("vehicle.tesla.model3")
     hero_blueprint.set_attribute("role_name", "hero")
@@ -77,5 +78,6 @@ def spawn_collision_course(world, length):
         if obstacle is not None:
             obstacle.apply_control(carla.VehicleControl(hand_brake=True))
             return hero, obstacle
-        hero.destroy()
+        # `destroy` does nothing to an actor that no tick has shown to the client yet.
+        client.apply_batch_sync([carla.command.DestroyActor(hero)], False)
     raise SystemExit(f"{world.get_map().name} has no straight lane of {length:g} m that is free")

@@ -13,8 +13,9 @@ def main():
     parser.add_argument("--patience", default=30.0, type=float, metavar="T", help="how many seconds to wait for the crash")
     arguments = parser.parse_args()
 
-    world = connect(arguments).get_world()
-    hero, obstacle = spawn_collision_course(world, arguments.length)
+    client = connect(arguments)
+    world = client.get_world()
+    hero, obstacle = spawn_collision_course(client, arguments.length)
     sensor = world.spawn_actor(world.get_blueprint_library().find("sensor.other.collision"), carla.Transform(), hero)
     collisions = queue.Queue()
     sensor.listen(collisions.put)

@@ -16,9 +16,10 @@ def main():
     parser.add_argument("-t", "--time", default=10.0, type=float, metavar="T", help="how many seconds to drive")
     arguments = parser.parse_args()
 
-    world = connect(arguments).get_world()
+    client = connect(arguments)
+    world = client.get_world()
     with synchronous(world):
-        hero, obstacle = spawn_collision_course(world, 50.0)
+        hero, obstacle = spawn_collision_course(client, 50.0)
         gnss, places = listen(world, "sensor.other.gnss", hero)
         detector, collisions = listen(world, "sensor.other.collision", hero)
         try:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import importlib
 import re
 import socket
 import subprocess
@@ -113,6 +114,21 @@ def test_the_hero_is_driven_anew(client: carla.Client, world: carla.World, port:
     assert max(int(speed) for _, speed in seconds) > 15
     world.tick()
     assert not world.get_actors().filter("vehicle.*")
+
+
+def test_a_hero_that_finds_no_room_for_its_obstacle_is_gone(
+    client: carla.Client, port: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.syspath_prepend(SAMPLES)
+    straight_roads = importlib.import_module("common").straight_roads
+    world = client.get_world()
+    world.apply_settings(carla.WorldSettings(synchronous_mode=False))
+    _, end = next(straight_roads(world, 40.0))
+    assert world.try_spawn_actor(world.get_blueprint_library().find("vehicle.audi.tt"), end) is not None
+    world.wait_for_tick()
+    assert "has run into vehicle.audi.tt" in output_of(port, "crash_hero", "--length", 40)
+    world.wait_for_tick()
+    assert len(world.get_actors().filter("vehicle.*")) == 1
 
 
 def test_a_crash_in_traffic_is_recorded_found_and_replayed(client: carla.Client, port: int, traffic: int) -> None:
