@@ -6,13 +6,13 @@ import asyncio
 from contextlib import suppress
 from typing import TYPE_CHECKING, Any, Final, Protocol
 
+from carla_recap.server.rounds import BATCH, FIRST_CALL
+
 if TYPE_CHECKING:
     from collections.abc import Callable
 
     from carla_recap.server.rounds import Round
 
-_LAST_CALL: Final = "apply_batch"  # of a manager's cycle
-_ANY_CALL: Final = "get_vehicle_light_states"  # of a cycle, even of a manager that has no vehicles
 _CYCLE: Final = 0.25  # s: a manager has called by then, or will not call
 _SETTLING: Final = 0.1  # s: after that, its client has set up what the manager needs
 _PATIENCE: Final = 5.0  # s, for a client to subscribe
@@ -80,7 +80,7 @@ class Truce:
     """
 
     def __init__(self) -> None:
-        self._waited_for = {_LAST_CALL}
+        self._waited_for = {BATCH}
         self._called = asyncio.Event()
         self._over = asyncio.Event()
 
@@ -94,7 +94,7 @@ class Truce:
         Args:
             new_frame: Sends the client a snapshot, which lets a manager that does not wait begin a cycle.
         """
-        for name in (_LAST_CALL, _ANY_CALL):
+        for name in (BATCH, FIRST_CALL):
             self._waited_for.add(name)
             new_frame()
             with suppress(TimeoutError):

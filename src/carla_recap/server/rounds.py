@@ -13,8 +13,11 @@ from typing import Final
 
 import msgpack
 
-_FIRST: Final = "get_vehicle_light_states"
-_CALLS: Final = (_FIRST, "get_weather_parameters", "apply_batch", "get_episode_settings")  # and some others in between
+FIRST_CALL: Final = "get_vehicle_light_states"
+"""What a round begins with, even that of a manager that has no vehicles."""
+BATCH: Final = "apply_batch"
+"""What a round ends with."""
+_CALLS: Final = (FIRST_CALL, "get_weather_parameters", BATCH, "get_episode_settings")  # and some others in between
 _TURN: Final = 0.1  # s: from its batch, a manager has come to asking for the settings
 _LATE: Final = 2.0  # s: a manager that has not begun a round by then has missed the signal
 _PATIENCE: Final = 2.0  # s, for a manager to answer
@@ -44,9 +47,9 @@ class Round:
             self._next = (self._next + 1) % len(_CALLS)
             self._has_ended_one = self._has_ended_one or not self._next
             self._let_go()
-        elif name == _FIRST:
+        elif name == FIRST_CALL:
             self._next = 1
-        if name == _FIRST and self._expected:
+        if name == FIRST_CALL and self._expected:
             self.expect(self._expected[1:])
 
     def under_way(self) -> tuple[asyncio.Future[None], ...]:

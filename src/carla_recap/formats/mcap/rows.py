@@ -8,7 +8,7 @@ import numpy as np
 from mcap.opcode import Opcode
 
 from carla_recap.formats.mcap import wire
-from carla_recap.formats.mcap.container import EMPTY, FILLED, MESSAGE, MESSAGE_FIELDS, RECORD
+from carla_recap.formats.mcap.container import EMPTY, FILLED, MESSAGE, MESSAGE_FIELDS
 from carla_recap.frame import Block
 from carla_recap.payload import EMPTY_LIST, OBJECTS_LIMIT
 from carla_recap.records import FRAME_END, FRAME_START, Group
@@ -20,8 +20,23 @@ if TYPE_CHECKING:
 
     from carla_recap.frame import Packet, Run
 
-_SEQUENCE, _LOG_TIME, _PUBLISH_TIME = (RECORD.size + at for at in (2, 6, 14))
-_BODY: Final = MESSAGE.size + wire.HEAD.size
+_HEADER: Final = np.dtype(
+    [
+        ("opcode", "u1"),
+        ("length", "<u8"),
+        ("channel", "<u2"),
+        ("sequence", "<u4"),
+        ("log_time", "<u8"),
+        ("publish_time", "<u8"),
+        ("frame_tag", "u1"),
+        ("frame", "<u8"),
+        ("elapsed_tag", "u1"),
+        ("elapsed", "<f8"),
+    ]
+)
+"""What each message begins with: `MESSAGE`, and then `wire.HEAD`."""
+_OWN: Final = ("sequence", "log_time", "publish_time", "frame", "elapsed")
+"""What is each frame's own in it."""
 
 
 class RowForm:
@@ -34,19 +49,19 @@ class RowForm:
 
     def __init__(self, channels: Mapping[int, int], frame_channel: int, packets: Sequence[Packet | Block]) -> None:
         self.additional = any(packet.type is not None and packet.type.additional for packet in packets)
-        self._offsets: list[tuple[int, int]] = []
+        self._messages: list[tuple[int, int]] = []  # channel and place of each
         self._fields: dict[str, tuple[DTypeLike, int]] = {}
         template = bytearray()
         for packet in packets:
             if isinstance(packet, Block):
                 count = packet.records.shape[1]
                 body, dtype = wire.uniform_body(packet.type, count)
-                self._fields[packet.type.name] = (dtype, (count,)), len(template) + _BODY
+                self._fields[packet.type.name] = (dtype, (count,)), len(template) + _HEADER.itemsize
                 self._add(template, channels[packet.type.id], body)
         start = bytes((FRAME_START,))
         ids = start + bytes([_id(packet) for packet in packets])
         kinds = start + bytes([FILLED if isinstance(packet, Block) else EMPTY for packet in packets])
-        self._fields["duration"] = "<f8", len(template) + _BODY + 1
+        self._fields["duration"] = "<f8", len(template) + _HEADER.itemsize + 1  # behind its tag
         self._add(template, frame_channel, wire.frame_body(0.0, ids, kinds))
         self.size = len(template)
         self._template = np.frombuffer(bytes(template), np.uint8)
@@ -82,28 +97,30 @@ class RowForm:
             if isinstance(packet, Block):
                 wire.fill(packet.type, rows[packet.type.name], packet.records[blocks])
         rows["duration"] = run.durations[part]
-        log_times = times[:, 0]
-        numbers = np.arange(sequence, sequence + count, dtype="<u4")
-        ids, elapsed = np.array(run.indices[part], "<u8") + 1, np.array(run.elapsed[part], "<f8")
+        header = np.empty(count, _HEADER)
+        header["sequence"] = np.arange(sequence, sequence + count)
+        header["log_time"], header["publish_time"] = times.T
+        header["frame"] = np.array(run.indices[part]) + 1
+        header["elapsed"] = run.elapsed[part]
         index = {}
         begins = np.arange(0, count * self.size, self.size, dtype=np.uint64)
-        for channel, at in self._offsets:
-            for place, values in (
-                (_SEQUENCE, numbers),
-                (_LOG_TIME, log_times),
-                (_PUBLISH_TIME, times[:, 1]),
-                (MESSAGE.size + 1, ids),
-                (MESSAGE.size + 10, elapsed),
-            ):
-                values = np.ascontiguousarray(values)
-                data[:, at + place : at + place + values.itemsize] = values.view(np.uint8).reshape(count, -1)
-            index[channel] = np.stack((log_times, begins + np.uint64(at)), axis=1)
+        for channel, at in self._messages:
+            headers = rows[_header_at(at)]
+            for name in _OWN:
+                headers[name] = header[name]
+            index[channel] = np.stack((times[:, 0], begins + np.uint64(at)), axis=1)
         return data.tobytes(), index
 
     def _add(self, template: bytearray, channel: int, body: bytes) -> None:
-        self._offsets.append((channel, len(template)))
+        self._messages.append((channel, len(template)))
+        self._fields[_header_at(len(template))] = _HEADER, len(template)
         length = MESSAGE_FIELDS + wire.HEAD.size + len(body)
         template += MESSAGE.pack(Opcode.MESSAGE, length, channel, 0, 0, 0) + wire.head(0, 0.0) + body
+
+
+def _header_at(place: int) -> str:
+    """The name of the field of the header of the message at a place."""
+    return f"header at {place}"
 
 
 def has_form(run: Run) -> bool:
