@@ -48,6 +48,13 @@ def test_a_tick_passes_once_the_manager_waits_for_it(wire: socket.socket, manage
         assert answered(wire, *ROUND, SETTINGS, TICK)[-2:] == [SETTINGS[0], TICK[0]]
 
 
+def test_settings_are_taken_once_the_manager_waits_for_the_next_tick(wire: socket.socket, manager: socket.socket) -> None:
+    wire.sendall(msgpack.packb([0, 0, *SETTINGS, [[False]]]))
+    _, _, _, ((_, settings),) = msgpack.unpackb(wire.recv(1 << 16))
+    names = answered(wire, *ROUND, ("set_episode_settings", settings), SETTINGS)
+    assert names[-2:] == [SETTINGS[0], "set_episode_settings"]
+
+
 def test_a_tick_passes_even_if_the_manager_goes_no_further(wire: socket.socket, manager: socket.socket) -> None:
     for _ in range(3):
         assert answered(wire, *ROUND, TICK)[-1] == TICK[0]
