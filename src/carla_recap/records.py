@@ -9,7 +9,7 @@ field's comment in `proto/` says otherwise.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from enum import Enum, IntEnum
 from typing import Any, Final
@@ -316,6 +316,10 @@ class RecordType:
         dtype = np.dtype([]) if self.layout.make else self.layout.dtype(self.wide)
         object.__setattr__(self, "dtype", dtype)
 
+    def __reduce__(self) -> tuple[Callable[[int, bool], RecordType], tuple[int, bool]]:
+        """Other processes have the same table."""
+        return _of_table, (self.id, self.wide)
+
     @property
     def fixed(self) -> bool:
         """Whether every record has the same size, so that records are the rows of a structured array."""
@@ -491,5 +495,12 @@ class Table(Sequence[RecordType]):
 
 UE4: Final = Table(wide=False)
 UE5: Final = Table(wide=True)
+
+
+def _of_table(id: int, wide: bool) -> RecordType:
+    type: RecordType = (UE5 if wide else UE4)[id]
+    return type
+
+
 FRAME_START: Final = 0
 FRAME_END: Final = 1

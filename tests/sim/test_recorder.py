@@ -4,11 +4,14 @@ from __future__ import annotations
 
 import gc
 import os
+import resource
+import signal
 import subprocess
 import sys
 import textwrap
 import time
 import warnings
+from contextlib import contextmanager
 from dataclasses import replace
 from itertools import pairwise
 from typing import TYPE_CHECKING, Any
@@ -18,7 +21,6 @@ import pytest
 
 import carla_recap
 from carla_recap.errors import RecapError, RecapWarning
-from carla_recap.formats.mcap.writer import McapWriter
 from carla_recap.records import NO_ACTOR, ActorKind
 from carla_recap.sim.actors import Vehicle, Walker
 from carla_recap.sim.control import VehicleControl, WalkerControl
@@ -30,6 +32,7 @@ from carla_recap.sim.world import World
 from tests.sim.flat import at, flat_town, flat_world, light
 
 if TYPE_CHECKING:
+    from collections.abc import Iterator
     from pathlib import Path
 
     from carla_recap.frame import Frame
@@ -456,120 +459,186 @@ def test_a_script_that_ends_completes_the_recording(tmp_path: Path, suffix: str)
 
 
 @pytest.mark.parametrize("suffix", [".mcap", ".log"])
-def test_a_crash_costs_no_more_than_5_seconds(tmp_path: Path, suffix: str) -> None:
-    end = "\nimport time\ntime.sleep(1)\nos._exit(0)"  # what has been handed over by then is on the disk
+def test_a_process_that_is_killed_leaves_its_recording_complete_but_for_the_last_moments(
+    tmp_path: Path, suffix: str
+) -> None:
+    path = tmp_path / f"a{suffix}"
+    end = "\nimport time\ntime.sleep(1)\nos.kill(os.getpid(), 9)"  # what has been handed over by then is not lost
     script = textwrap.dedent(_SCRIPT) + end
-    subprocess.run([sys.executable, "-c", script, str(tmp_path / f"a{suffix}")], check=True)
-    (partial,) = tmp_path.iterdir()
-    assert partial.name.endswith(".partial")
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore", RecapWarning)
-        recovery = carla_recap.recover(partial, tmp_path / "b.mcap")
-    assert recovery.duration > 12 - 5 - 0.1
+    subprocess.run([sys.executable, "-c", script, str(path)], stderr=subprocess.PIPE)  # kept open by who writes
+    told = frames(path)
+    assert list(tmp_path.iterdir()) == [path]
+    assert told[-1].elapsed > 12 - 5 - 0.1
+    assert [frame.id for frame in told] == list(range(1, len(told) + 1))
+
+
+def test_ctrl_c_does_not_reach_who_writes(tmp_path: Path) -> None:
+    script = """
+        import os, signal, sys
+        from pathlib import Path
+        from tests.sim.flat import flat_world
+        world = flat_world()
+        world.start_recorder(Path(sys.argv[1]))
+        world.run(1.0)
+        try:
+            os.killpg(0, signal.SIGINT)
+            signal.pause()
+        except KeyboardInterrupt:
+            world.run(1.0)
+    """
+    command = [sys.executable, "-c", textwrap.dedent(script), str(tmp_path / "a.mcap")]
+    done = subprocess.run(command, start_new_session=True, capture_output=True, text=True)
+    assert (done.returncode, done.stderr) == (0, "")
+    assert len(frames(tmp_path / "a.mcap")) == 40
+
+
+def test_recordings_are_written_by_one_process_after_the_other_as_long_as_there_is_one_at_a_time(tmp_path: Path) -> None:
+    ids = []
+    for name in ("a.mcap", "b.log"):
+        with flat_world() as world:
+            world.start_recorder(tmp_path / name)
+            ids.append(pid(world))
+            world.tick()
+    assert ids[0] == ids[1]
+    with flat_world() as world, flat_world() as other:
+        for count, recorded in enumerate((world, other), 3):
+            recorded.start_recorder(tmp_path / f"{count}.mcap")
+            recorded.run(0.05 * count)
+        assert pid(world) != pid(other)
+    assert [len(frames(tmp_path / f"{count}.mcap")) for count in (3, 4)] == [3, 4]
+
+
+def test_a_script_may_go_to_another_folder_while_it_records(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    for name in ("first", "second"):
+        (tmp_path / name).mkdir()
+        monkeypatch.chdir(tmp_path / name)
+        world = flat_world()
+        assert str(world.start_recorder("./a.log")) == "a.log"
+        world.tick()
+        monkeypatch.chdir(tmp_path)
+        world.stop_recorder()
+        assert len(frames(tmp_path / name / "a.log")) == 1
 
 
 # --- trouble -----------------------------------------------------------------------------------------------------------
 
 
-def broken_after(monkeypatch: pytest.MonkeyPatch, chunks: int, *, for_good: bool) -> None:
-    """Let the disk fail at some chunk of the next recording, once or for good."""
-    write, left = McapWriter._write_chunk, [chunks]
+def pid(world: World) -> int:
+    """Of the process that writes."""
+    assert world.recorder._writer is not None
+    return world.recorder._writer.pid
 
-    def failing(self: McapWriter, chunk: Any) -> None:
-        left[0] -= 1
-        if left[0] < 0 and (for_good or left[0] == -1):
-            raise RecapError(f"{self.path}: cannot be written: No space left on device")
-        write(self, chunk)
 
-    monkeypatch.setattr(McapWriter, "_write_chunk", failing)
+@contextmanager
+def disk_of(world: World, size: int) -> Iterator[None]:
+    """Let no file that the world's recorder writes grow beyond a size, in bytes."""
+    writer = pid(world)
+    before = resource.prlimit(writer, resource.RLIMIT_FSIZE)
+    resource.prlimit(writer, resource.RLIMIT_FSIZE, (size, before[1]))
+    yield
+    resource.prlimit(writer, resource.RLIMIT_FSIZE, before)
 
 
 def run_until_it_fails(world: World) -> None:
-    deadline = time.monotonic() + 10
+    deadline = time.monotonic() + 20
     while world.recorder.path and time.monotonic() < deadline:
         world.tick()
 
 
-def test_a_disk_that_fails_ends_the_recording_and_not_the_simulation(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    world, path = flat_world(), tmp_path / "a.mcap"
-    broken_after(monkeypatch, 2, for_good=False)
-    world.start_recorder(path)
-    with pytest.warns(RecapWarning, match="the recording has ended: .* No space left on device; the recording ends at"):
+@pytest.mark.skipif(not hasattr(resource, "prlimit"), reason="limits of other processes are Linux's")
+def test_a_full_disk_ends_the_recording_and_not_the_simulation(tmp_path: Path) -> None:
+    world = flat_world()
+    world.start_recorder(tmp_path / "a.mcap")
+    told = r"has ended: .*a.mcap: cannot be written: File too large; what was recorded until then lies in .*\.partial"
+    with disk_of(world, 60_000), pytest.warns(RecapWarning, match=told):
         run_until_it_fails(world)
     error = world.recorder.error
     assert isinstance(error, RecapError)
     world.tick()
     world.stop_recorder()
     assert world.recorder.error is error
-    assert len(frames(path)) == 100
-    assert list(tmp_path.iterdir()) == [path]
-    monkeypatch.undo()
-    assert len(record(world, tmp_path / "b.mcap", 3)) == 3
+    (partial,) = tmp_path.iterdir()
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", RecapWarning)
+        assert carla_recap.recover(partial, tmp_path / "b.mcap").frames > 100
+    assert len(record(world, tmp_path / "c.mcap", 3)) == 3
     assert world.recorder.error is None
 
 
-def test_a_full_disk_leaves_what_was_written_to_be_recovered(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    world = flat_world()
-    broken_after(monkeypatch, 2, for_good=True)
-    world.start_recorder(tmp_path / "a.mcap")
-    with pytest.warns(RecapWarning, match=r"what was recorded until then lies in .*\.partial, for carla-recap recover"):
+@pytest.mark.skipif(not hasattr(resource, "prlimit"), reason="limits of other processes are Linux's")
+def test_what_a_full_disk_has_room_for_is_a_recording(tmp_path: Path) -> None:
+    world, path = flat_world(), tmp_path / "a.log"
+    world.start_recorder(path)
+    told = r"has ended: .*a.log: cannot be written: File too large; the recording ends at [\d.]+ s"
+    with disk_of(world, 60_000), pytest.warns(RecapWarning, match=told):
         run_until_it_fails(world)
-    (partial,) = tmp_path.iterdir()
-    monkeypatch.undo()
-    assert carla_recap.recover(partial, tmp_path / "b.mcap").frames == 100
+    assert len(frames(path)) > 100
+    assert list(tmp_path.iterdir()) == [path]
 
 
-def test_a_recording_that_cannot_be_finished_is_told_of_at_the_end(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    def full(self: McapWriter) -> None:
-        raise RecapError(f"{self.path}: cannot be written: No space left on device")
-
+def test_who_writes_may_be_killed(tmp_path: Path) -> None:
     world = flat_world()
     world.start_recorder(tmp_path / "a.mcap")
     world.run(12.0)
-    monkeypatch.setattr(McapWriter, "_write_end", full)
-    with pytest.warns(RecapWarning, match="for carla-recap recover"):
-        world.stop_recorder()
+    deadline = time.monotonic() + 20
     (partial,) = tmp_path.iterdir()
-    monkeypatch.undo()
-    assert carla_recap.recover(partial, tmp_path / "b.mcap").frames == 240
-
-
-def test_an_older_recording_outlasts_a_failure(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    world = flat_world()
-    record(world, tmp_path / "a.mcap", 3)
-    broken_after(monkeypatch, 2, for_good=False)
-    world.start_recorder(tmp_path / "a.mcap")
-    with pytest.warns(RecapWarning, match="for carla-recap recover"):
+    while partial.stat().st_size < 10_000 and time.monotonic() < deadline:
+        time.sleep(0.01)
+    os.kill(pid(world), signal.SIGKILL)
+    with pytest.warns(RecapWarning, match=r"the recording has ended: .*a.mcap: the process that writes it has ended"):
         run_until_it_fails(world)
-    assert len(frames(tmp_path / "a.mcap")) == 3
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", RecapWarning)
+        assert carla_recap.recover(partial, tmp_path / "b.mcap").frames >= 100
+    assert len(record(world, tmp_path / "c.mcap", 3)) == 3
 
 
-def test_a_slow_disk_makes_no_tick_wait(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    def slow(self: McapWriter) -> None:
-        time.sleep(0.3)
+def test_processes_that_are_forked_have_their_own(tmp_path: Path) -> None:
+    script = """
+        import os, sys
+        from pathlib import Path
+        from tests.sim.flat import flat_world
+        folder = Path(sys.argv[1])
+        with flat_world() as world:
+            world.start_recorder(folder / "a.mcap")
+            world.run(1.0)
+        child = os.fork()
+        with flat_world() as world:
+            world.start_recorder(folder / ("b.mcap" if child else "c.mcap"))
+            world.run(2.0 if child else 3.0)
+        if child:
+            assert os.waitstatus_to_exitcode(os.waitpid(child, 0)[1]) == 0
+    """
+    subprocess.run([sys.executable, "-c", textwrap.dedent(script), str(tmp_path)], check=True, timeout=60)
+    assert {path.name: len(frames(path)) for path in tmp_path.iterdir()} == {"a.mcap": 20, "b.mcap": 40, "c.mcap": 60}
 
-    monkeypatch.setattr(McapWriter, "_sync", slow)
+
+def test_who_rests_may_be_killed(tmp_path: Path) -> None:
     world = flat_world()
     world.start_recorder(tmp_path / "a.mcap")
+    writer = pid(world)
+    world.stop_recorder()
+    os.kill(writer, signal.SIGKILL)
+    time.sleep(0.1)
+    assert len(record(world, tmp_path / "b.mcap", 3)) == 3
+
+
+def test_a_slow_disk_makes_no_tick_wait(tmp_path: Path) -> None:
+    world = flat_world()
+    world.start_recorder(tmp_path / "a.mcap")
+    os.kill(pid(world), signal.SIGSTOP)
     longest = 0.0
     for _ in range(220):
         begin = time.monotonic()
         world.tick()
         longest = max(longest, time.monotonic() - begin)
+    os.kill(pid(world), signal.SIGCONT)
     assert longest < 0.2
     world.close()
     assert len(frames(tmp_path / "a.mcap")) == 220
 
 
-@pytest.mark.parametrize("links", [True, False])
-def test_what_appeared_meanwhile_stays_if_it_must(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, *, links: bool) -> None:
-    def refuse(*_: object) -> None:
-        raise PermissionError(1, "Operation not permitted")
-
-    if not links:  # as on FAT
-        monkeypatch.setattr(os, "link", refuse)
+def test_what_appeared_meanwhile_stays_if_it_must(tmp_path: Path) -> None:
     world = flat_world()
     free = world.start_recorder(tmp_path / "free.mcap", force=False)
     world.stop_recorder()
@@ -585,6 +654,17 @@ def test_what_appeared_meanwhile_stays_if_it_must(tmp_path: Path, monkeypatch: p
     assert len(frames(partial)) == 20
     with pytest.raises(RecapError, match="exists already"):
         world.start_recorder(path, force=False)
+
+
+def test_a_folder_that_is_gone_is_an_error_for_names_that_are_relative(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    (tmp_path / "gone").mkdir()
+    monkeypatch.chdir(tmp_path / "gone")
+    (tmp_path / "gone").rmdir()
+    with pytest.raises(RecapError, match=r"a.log: the working directory cannot be told: No such file or directory"):
+        flat_world().start_recorder("./a.log")
+    assert len(record(flat_world(), tmp_path / "a.log", 2)) == 2
 
 
 @pytest.mark.parametrize("name", [".", "..", "./", "a/", "a/..", "a\\", "nul\0.log", "./folder", "./" + "x" * 300])

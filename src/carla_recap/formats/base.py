@@ -10,7 +10,7 @@ if TYPE_CHECKING:
     from pathlib import Path
     from types import TracebackType
 
-    from carla_recap.frame import Extent, Frame, Header, Packet, Run
+    from carla_recap.frame import Extent, Frame, Header, Run
     from carla_recap.standing import BlockedRow
 
 PIECE = 1 << 20
@@ -75,10 +75,6 @@ class Reader(Protocol):
 
 class Writer(Protocol):
     """A recording being written; complete after `close`, removed after `abort`, left as it is after `abandon`."""
-
-    def prepare(self, packet: Packet) -> None:
-        """Do what takes long with a packet before its frame is written, while there is time."""
-        ...
 
     def write(self, frame: Frame) -> None:
         """Add a frame."""

@@ -467,10 +467,6 @@ class LogWriter(AtomicFile):
         self._sync_at = 0.0
         self._begin(lambda: self._put(start))
 
-    def prepare(self, packet: Packet) -> None:
-        """Pack a packet before its frame is written."""
-        _ = packet.payload
-
     def write(self, frame: Frame) -> None:
         """Add a frame."""
         parts: list[Buffer] = []

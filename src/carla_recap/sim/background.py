@@ -1,51 +1,65 @@
-"""Writes the frames of a running recording in a thread of its own, so that no tick waits for a disk."""
+"""Has the frames of a running recording written in a process of its own, so that no tick waits for a disk."""
 
 from __future__ import annotations
 
+import atexit
+import os
+import pickle
+import subprocess
+import sys
+from contextlib import suppress
+from pathlib import Path
 from queue import Queue
 from threading import Thread
-from typing import TYPE_CHECKING, Final
+from typing import TYPE_CHECKING, Any, ClassVar, Final
 
-from carla_recap.formats import create_writer
-from carla_recap.recovery import rescue
+from carla_recap.errors import RecapError
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable
-    from pathlib import Path
-
-    from carla_recap.errors import RecapError
-    from carla_recap.formats.base import Writer
-    from carla_recap.frame import Header, Packet
+    from carla_recap.frame import Header
     from carla_recap.sim.snapshots import Strip
 
 QUEUE: Final = 16
 """So many strips may wait; only a disk that is that far behind makes the simulation wait."""
+_COMMAND: Final = """
+import pickle, sys
+sys.path[:] = pickle.load(sys.stdin.buffer)
+from carla_recap.sim.scribe import main
+main()
+"""
 
 
 class BackgroundWriter:
-    """Takes strips of snapshots in without delay, and writes the frames of each when it is complete.
+    """Takes strips of snapshots in without delay, and has the frames of each written when it is complete.
 
-    A disk that is full or broken ends the recording, and nothing else: what is on the disk by then is made a whole
-    recording if that can be done, and else left beside the destination, where `recover` takes it.
+    What goes wrong with that ends the recording, and nothing else. Should this process be killed, the recording is completed
+    all the same, but for what has not been handed over: the last strip, and those that wait for a slow disk.
 
     Args:
         path: The destination; the suffix says the format.
         header: The header.
-        introduction: Packets of the first frame, with which all that takes long is done at once.
         force: Take the place of what is at the destination by the end; else it stays, as does what was recorded, beside it.
 
     Attributes:
         path: The destination.
         error: What went wrong, and where the frames are that came before; None as long as nothing did.
+        pid: The process that writes.
 
     Raises:
-        RecapError: The suffix is of no format, the place cannot be written to, or a packet cannot be written.
+        RecapError: The suffix is of no format, or the place cannot be written to.
     """
 
-    def __init__(self, path: Path, header: Header, introduction: Iterable[Packet], *, force: bool = True) -> None:
+    def __init__(self, path: Path, header: Header, *, force: bool = True) -> None:
         self.path = path
         self.error: RecapError | None = None
-        self._writer = _prepared(create_writer(path, header, live=True, force=force), introduction)
+        folder = _folder(path)
+        self._scribe = _Scribe.found()
+        self.pid = self._scribe.pid
+        try:
+            self._scribe.ask(path, "begin", folder, path, header, force)
+        except RecapError:
+            self._scribe.rest()
+            raise
         self._strip: Strip | None = None
         self._strips: Queue[Strip | None] = Queue(QUEUE)
         self._thread = Thread(target=self._run, name="carla-recap-recorder", daemon=True)
@@ -72,20 +86,99 @@ class BackgroundWriter:
         strip: Strip | None = None
         try:
             while (strip := self._strips.get()) is not None:
-                for run in strip.runs():
-                    self._writer.write_run(run)
-            self._writer.close()
-        except Exception as error:
-            self.error = rescue(self._writer, self.path, error)
+                self._scribe.ask(self.path, "write", strip)
+            self._scribe.ask(self.path, "close")
+        except RecapError as error:
+            self.error = error
             while strip is not None:  # whoever waits for a place in the queue must not wait for ever
                 strip = self._strips.get()
+        self._scribe.rest()
 
 
-def _prepared(writer: Writer, packets: Iterable[Packet]) -> Writer:
+class _Scribe:
+    """A process that writes recordings, one after the other; see `scribe`. It ends when this one does, however that ends."""
+
+    _resting: ClassVar[list[_Scribe]] = []
+
+    def __init__(self) -> None:
+        self._owner = os.getpid()
+        pipe = subprocess.PIPE
+        command = [sys.executable, "-c", _COMMAND]
+        try:  # in a session of its own, Ctrl-C does not reach it
+            self._process = subprocess.Popen(command, stdin=pipe, stdout=pipe, start_new_session=True)
+        except OSError as error:
+            raise RecapError(f"the process that writes recordings cannot be started: {error}") from None
+        self._send(sys.path)
+
+    @classmethod
+    def found(cls) -> _Scribe:
+        """One that rests, or a new one."""
+        while cls._resting:
+            scribe = cls._resting.pop()
+            if scribe.is_there:
+                return scribe
+            scribe.end()
+        return cls()
+
+    @property
+    def is_there(self) -> bool:
+        """Whether it has not ended, and is not that of a process that this one was forked from."""
+        return self._owner == os.getpid() and self._process.poll() is None
+
+    @property
+    def pid(self) -> int:
+        """The id of the process."""
+        return self._process.pid
+
+    def ask(self, path: Path, deed: str, *arguments: Any) -> None:
+        """Have something done for the recording at a path, and wait until it is.
+
+        Raises:
+            RecapError: It has failed, as the message says.
+        """
+        try:
+            self._send((deed, arguments))
+            assert self._process.stdout is not None
+            trouble = pickle.load(self._process.stdout)
+        except (OSError, EOFError, pickle.UnpicklingError):
+            code = self._process.wait()
+            end = f"the process that writes it has ended with exit code {code}"
+            raise RecapError(
+                f"{path}: {end}; what was recorded until then lies beside it, for carla-recap recover"
+            ) from None
+        if trouble is not None:
+            raise RecapError(trouble)
+
+    def rest(self) -> None:
+        """Be there for the next recording, or end if another one is."""
+        if self._resting or not self.is_there:
+            self.end()
+        else:
+            self._resting.append(self)
+
+    def end(self) -> None:
+        """End, and wait until that is done."""
+        with suppress(OSError), self._process:
+            pass
+
+    @classmethod
+    def end_all(cls) -> None:
+        """End those that rest."""
+        while cls._resting:
+            cls._resting.pop().end()
+
+    def _send(self, message: Any) -> None:
+        assert self._process.stdin is not None
+        pickle.dump(message, self._process.stdin, pickle.HIGHEST_PROTOCOL)
+        self._process.stdin.flush()
+
+
+def _folder(path: Path) -> Path:
+    """What a path is relative to."""
     try:
-        for packet in packets:
-            writer.prepare(packet)
-    except BaseException:
-        writer.abort()
-        raise
-    return writer
+        return Path(path.anchor) if path.is_absolute() else Path.cwd()
+    except OSError as error:
+        raise RecapError(f"{path}: the working directory cannot be told: {error.strerror}") from None
+
+
+atexit.register(_Scribe.end_all)

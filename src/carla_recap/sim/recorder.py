@@ -104,7 +104,7 @@ class Recorder:
         path = self._destination(name, force=force)
         header = Header(self._world.town.name, self._world.date)
         sampler = Sampler(self._world, additional_data=additional_data)
-        self._writer = BackgroundWriter(path, header, sampler.introduction.values(), force=force)
+        self._writer = BackgroundWriter(path, header, force=force)
         self._sampler = sampler
         # Whoever forgets to stop, or to close the world, finds a whole recording.
         self._finish = weakref.finalize(self, self._writer.close)

@@ -46,8 +46,8 @@ class Sampler:
         world: The world; whoever is in it by now is told as spawned in the first frame.
         additional_data: Tell of velocities, boxes, physics, and the times of lights, too.
 
-    Attributes:
-        introduction: The packets that tell of those who were there from the beginning.
+    Raises:
+        RecapError: An actor cannot be told of.
     """
 
     def __init__(self, world: World, *, additional_data: bool) -> None:
@@ -65,7 +65,9 @@ class Sampler:
         first = self._introduce(actors)
         first["parented"] = [(actor.id, actor.parent.id) for actor in actors if actor.parent is not None]
         first["doors"] = [(v.id, door, True) for v in world.vehicles.actors for door in sorted(v.open_doors)]
-        self.introduction = _packets(first)
+        self._introduction = _packets(first)
+        for packet in self._introduction.values():
+            _ = packet.payload  # who cannot be told of is to be known now
 
     def snapshot(self, delta: float) -> Strip:
         """Take in the world at the end of a tick.
@@ -79,7 +81,7 @@ class Sampler:
         events = self._events()
         told = _packets(self._told(events))
         if self._strip is None:
-            told = _joined(self.introduction, told)
+            told = _joined(self._introduction, told)
         else:
             self._strip.moments[-1].duration = delta
             self._elapsed += delta

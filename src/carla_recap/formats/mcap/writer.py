@@ -124,7 +124,6 @@ class McapWriter(AtomicFile):
         self._telling = {header.table.named(name).id for name in TYPES}
         self._stretches: list[BlockedRow] = []
         self._stretch_count = 0
-        self._prepared: dict[Packet, bytes] = {}
         self._form: RowForm | None = None
         self._form_key: object = None
         self._pool = ThreadPoolExecutor(_WORKERS, "carla-recap-compress")
@@ -139,11 +138,6 @@ class McapWriter(AtomicFile):
             for spec in self._specs:
                 _schema(spec.module, spec.message)  # takes long once; frames are not to wait for it
         self._begin(lambda: self._write_start(metadata))
-
-    def prepare(self, packet: Packet) -> None:
-        """Encode a packet whose records vary in size before its frame is written."""
-        if packet.type is not None and not packet.type.fixed and not packet.type.opaque:
-            self._prepared[packet] = wire.encode(packet.type, packet.payload)
 
     def write(self, frame: Frame) -> None:
         """Add a frame.
@@ -267,7 +261,7 @@ class McapWriter(AtomicFile):
             if type.fixed:
                 packet.warn_of(check(type, payload))
                 self._distrust(type)
-            body = self._prepared.pop(packet, None) or wire.encode(type, payload)
+            body = wire.encode(type, payload)
         except PayloadError as error:
             raise packet.error(error) from None
         if len(head) + len(body) > OBJECTS_LIMIT:
