@@ -2,12 +2,16 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import carla
 import pytest
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
 
+from carla_recap.server.ackermann import AckermannControl
 from carla_recap.sim.actors import Vehicle
+from carla_recap.sim.control import VehicleControl
 from tests.server.inside import Inside
 from tests.server.test_actors import FAR, spawn
 
@@ -26,6 +30,11 @@ def inside() -> Inside:
 
 def place(inside: Inside, name: str = "vehicle.tesla.model3", number: int = 0) -> Actor:
     return inside.world.place(name, inside.world.town.spawn_points[number])
+
+
+def place_many(inside: Inside, count: int) -> list[Vehicle]:
+    cars = [place(inside, number=number) for number in range(count)]
+    return [car for car in cars if isinstance(car, Vehicle)]
 
 
 def test_actors_come_and_go_in_batches(client: carla.Client, world: carla.World) -> None:
@@ -148,6 +157,58 @@ def test_what_fails_does_not_hold_up_the_others(inside: Inside) -> None:
     assert texts[7] == ["actor 99999 not found"]
     assert texts[8] == car.id
     assert inside.call("apply_batch", [7, None, [], [[]], [[2]]], False)[0][0][0] == 0
+
+
+numbers = st.floats(-2.0, 2.0)
+controls = st.tuples(numbers, numbers, numbers, st.booleans(), st.booleans(), st.just(False), st.integers(-3, 9))
+
+
+@settings(suppress_health_check=[HealthCheck.function_scoped_fixture], deadline=None, max_examples=50)
+@given(told=st.lists(st.tuples(st.integers(0, 2), controls.map(list)), min_size=1, max_size=6))
+def test_controls_of_many_do_what_they_do_one_by_one(inside: Inside, told: list[tuple[int, list[Any]]]) -> None:
+    cars = place_many(inside, 3)
+    commands = [[2, [cars[which].id, control]] for which, control in told]
+    found = []
+    for batches in ([commands], [[command, [18, [cars[0].id, 0]]] for command in commands]):
+        for car in cars:
+            inside.host.ackermann.drive(car, AckermannControl(speed=1.0))
+            car.apply_control(VehicleControl(manual_gear_shift=True, gear=-1))
+        for batch in batches:
+            assert inside.batch(*batch) == [[[1, fields[0]]] for _, fields in batch]
+        found.append([(car.control, car in inside.host.ackermann._drives) for car in cars])
+    for car in cars:
+        car.destroy()
+    assert found[0] == found[1]
+
+
+@pytest.mark.parametrize(
+    "odd",
+    [
+        [2, [99999, [0.5, 0.0, 0.0, False, False, False, 0]]],
+        [2, [1, [0.5, 0.0, 0.0, False, False, False, 0]]],
+        [2, [[], [0.5, 0.0, 0.0, False, False, False, 0]]],
+        [2, [0.5, [0.5, 0.0, 0.0, False, False, False, 0]]],
+        [2, ["car", [0.5, 0.0, float("inf"), False, False, False, 0]]],
+        [2, ["car", [0.5, 0.0, 0.0, False, False, 0, 0]]],
+        [2, ["car", 7]],
+        [2, ["car", None, None]],
+    ],
+)
+def test_an_odd_control_does_not_hold_up_the_others(inside: Inside, odd: Any) -> None:
+    cars = place_many(inside, 2)
+    number, (id, *control) = odd
+    odd = [number, [cars[0].id if id == "car" else id, *control]]
+    usual = [2, [cars[1].id, [0.5, 0.0, 0.0, False, False, False, 0]]]
+    answers = inside.batch(usual, odd, usual)
+    assert [answer[0][0] for answer in answers] == [1, 0, 1], answers
+    assert cars[1].control.throttle == 0.5
+
+
+def test_gears_that_are_shifted_by_hand_are_told_with_the_others(inside: Inside) -> None:
+    cars = place_many(inside, 2)
+    inside.batch(*([2, [car.id, [0.5, 0.0, 0.0, False, False, number > 0, -1]]] for number, car in enumerate(cars)))
+    assert [car.control.manual_gear_shift for car in cars] == [False, True]
+    assert cars[1].control.gear == -1
 
 
 def test_what_fails_of_the_commands_for_a_new_actor_is_not_told(inside: Inside) -> None:

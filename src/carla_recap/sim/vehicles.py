@@ -10,6 +10,8 @@ from carla_recap.sim import drivetrain, dynamics
 from carla_recap.sim.movers import Movers
 
 if TYPE_CHECKING:
+    from collections.abc import Sequence
+
     from numpy.typing import NDArray
 
     from carla_recap.sim.actors import Vehicle  # noqa: F401
@@ -22,6 +24,7 @@ if TYPE_CHECKING:
     Flags = NDArray[np.bool_]
 
 _TABLE: Final = np.zeros(len(drivetrain.SPEEDS))
+_LEAST: Final = np.array([[0.0], [-1.0], [0.0]])  # of throttle, steering and brake
 
 
 class Vehicles(Movers["Vehicle"]):
@@ -132,6 +135,20 @@ class Vehicles(Movers["Vehicle"]):
         yaw = np.radians(self.rotation[row, 1])
         self.speed[row] = np.cos(yaw) * x + np.sin(yaw) * y
         self.sideways[row] = np.cos(yaw) * y - np.sin(yaw) * x
+
+    def drive(self, rows: list[int], pedals: Floats, hand_brake: Sequence[bool], reverse: Sequence[bool]) -> None:
+        """Tell some drivers what to do, as `Vehicle.apply_control` does, with gears that shift by themselves.
+
+        Args:
+            rows: Their rows.
+            pedals: Throttle, steering and brake, all finite, (3, n).
+            hand_brake: Whether it is drawn.
+            reverse: Whether the throttle drives backwards.
+        """
+        self.throttle[rows], self.steer[rows], self.brake[rows] = np.clip(pedals, _LEAST, 1.0)
+        self.hand_brake[rows] = hand_brake
+        self.reverse[rows] = reverse
+        self.manual[rows] = False
 
     def _moment(self, row: int) -> float:
         return float(self.moment[row])

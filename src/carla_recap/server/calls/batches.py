@@ -67,6 +67,7 @@ _COMMANDS: Final[tuple[Call | None, ...]] = (
     TABLE["set_traffic_light_state"],
 )
 """The commands as they are numbered: each is a call, but for spawning and for what is meant for the console."""
+_CONTROL: Final = _COMMANDS.index(TABLE["apply_control_to_vehicle"])
 _decode_spawn: Final = decoder(Spawn)
 
 
@@ -82,10 +83,21 @@ def apply_batch(client: Client, commands: list[Any], do_tick: bool = False) -> l
     Returns:
         For each command the id of its actor, or an error, as CARLA's `Response`.
     """
-    answers = [_answer(client, command) for command in commands]
+    answers = _driven(client, commands) or [_answer(client, command) for command in commands]
     if do_tick and client.host.settings.synchronous_mode:
         client.host.tick()
     return answers
+
+
+def _driven(client: Client, commands: list[Any]) -> list[Any] | None:
+    """Execute commands that are all controls of vehicles, as a traffic manager's are; None, and nothing is done, if not."""
+    try:
+        told = [(id, control) for ((number, (id, control)),) in commands if number == _CONTROL]
+    except (TypeError, ValueError):
+        return None
+    if not told or len(told) < len(commands) or not vehicles.apply_controls_to_vehicles(client, told):
+        return None
+    return [[[1, id]] for id, _ in told]
 
 
 def _answer(client: Client, command: Any, spawned: int | None = None) -> list[Any]:
