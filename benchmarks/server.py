@@ -6,6 +6,7 @@ import subprocess
 import sys
 import time
 from contextlib import contextmanager
+from itertools import islice
 from typing import TYPE_CHECKING
 
 from benchmarks.hour import DIRECTORY, RATE
@@ -170,7 +171,7 @@ def spawn(town: carla.World, count: int) -> list[carla.Actor]:
         town.try_spawn_actor(cars[index % len(cars)], point)
         for index, point in enumerate(points[:: max(1, len(points) // count)])
     )
-    return [vehicle for vehicle in found if vehicle][:count]
+    return list(islice((vehicle for vehicle in found if vehicle), count))  # no more are spawned
 
 
 def per_second(work: Callable[[], object], count: int) -> float:
