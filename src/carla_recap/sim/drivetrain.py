@@ -22,6 +22,7 @@ DRY_ASPHALT: Final = 3.5  # the tyre friction of CARLA's cars, in the scale of i
 _AIR: Final = 1.2  # kg/m³
 _FRONT_AREA: Final = 0.85  # of the rectangle around it (Hucho, Aerodynamics of Road Vehicles)
 _EFFICIENCY: Final = 0.9  # between engine and wheels
+_DRIVEN: Final = 0.6  # the share of the weight that the driven wheels carry in acceleration
 _IDLE: Final = 0.12  # of the most revolutions: below, the clutch slips
 _FASTEST_REVERSE: Final = 12.0  # m/s, where the gears would allow more
 _CM: Final = 0.01  # m
@@ -43,14 +44,20 @@ def columns(control: PhysicsControl, box: Box) -> dict[str, Any]:
     mass = max(control.mass, 1.0)
     forces, gear = _forces(control, radius)
     speeds, shares = zip(*(control.steering_curve or ((0.0, 1.0),)), strict=True)
+    wheelbase = max(front + rear, 0.1)
+    grip = _mean([wheel.tire_friction for wheel in wheels], DRY_ASPHALT) / DRY_ASPHALT
+    stiffness = _mean([wheel.lat_stiff_value for wheel in wheels], 20.0)
+    weight = mass * GRAVITY / wheelbase
     return {
         "mass": mass,
         "moment": mass * ((2 * box.extent.x) ** 2 + (2 * box.extent.y) ** 2) / 12,
-        "wheelbase": max(front + rear, 0.1),
+        "wheelbase": wheelbase,
         "front": front,
         "rear": rear,
-        "grip": _mean([wheel.tire_friction for wheel in wheels], DRY_ASPHALT) / DRY_ASPHALT,
-        "stiffness": _mean([wheel.lat_stiff_value for wheel in wheels], 20.0),
+        "traction": _DRIVEN * grip * mass * GRAVITY,
+        "front_grip": weight * rear * grip,
+        "rear_grip": weight * front * grip,
+        "softness": wheelbase / (stiffness * GRAVITY * mass),
         "air": 0.5 * _AIR * control.drag_coefficient * _FRONT_AREA * 4 * box.extent.y * box.extent.z,
         "front_brake": _braking(steering, radius),
         "rear_brake": _braking(fixed, radius),

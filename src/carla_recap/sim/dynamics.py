@@ -25,7 +25,6 @@ if TYPE_CHECKING:
 STILL: Final = 0.02  # m/s and rad/s: what is slower stands
 _ROLLING: Final = 0.013  # rolling resistance of car tyres on asphalt, as a share of the weight
 _ENGINE_BRAKE: Final = 0.5  # m/s², without throttle
-_DRIVEN: Final = 0.6  # the share of the weight that the driven wheels carry in acceleration
 _STEER_RATE: Final = 2.5  # full locks per second, as fast as CARLA's steering input rises
 _LEAST_GRIP: Final = 0.4  # the share of the grip that brakes with anti-lock leave for steering
 _SIDEWAYS: Final = 1.5  # of the grip ahead: CARLA's traffic manager enters bends of 8 m at 11 m/s, and stays in its lane
@@ -38,9 +37,7 @@ def advance(fleet: Vehicles, seconds: float) -> None:
     every = np.arange(len(fleet))
     _steer(fleet, fleet.lock_share[every, speed], seconds)
     drive = _drive(fleet, every, speed)
-    weight = fleet.mass * GRAVITY / fleet.wheelbase
-    grip = weight * fleet.rear * fleet.grip, weight * fleet.front * fleet.grip
-    forward, right, turning = _slide(fleet, drive, grip, seconds)
+    forward, right, turning = _slide(fleet, drive, seconds)
     np.copyto(fleet.speed, forward, where=fleet.awake)
     np.copyto(fleet.sideways, right, where=fleet.awake)
     np.copyto(fleet.turning, turning, where=fleet.awake)
@@ -59,20 +56,20 @@ def _drive(fleet: Vehicles, every: Integers, speed: Integers) -> Floats:
     np.copyto(fleet.gear, automatic, where=~fleet.manual)
     backwards = fleet.reverse | (fleet.gear < 0)
     force = np.where(fleet.manual | backwards, fleet.forces[every, fleet.gear, speed], fleet.best_force[every, speed])
-    force = np.minimum(_within(fleet.throttle, 0, 1) * force, _DRIVEN * fleet.grip * fleet.mass * GRAVITY)
+    force = np.minimum(_within(fleet.throttle, 0, 1) * force, fleet.traction)
     return np.where(backwards, -force, force)
 
 
-def _slide(fleet: Vehicles, drive: Floats, grip: tuple[Floats, Floats], seconds: float) -> tuple[Floats, Floats, Floats]:
+def _slide(fleet: Vehicles, drive: Floats, seconds: float) -> tuple[Floats, Floats, Floats]:
     """The speeds after a step.
 
     Args:
         fleet: The vehicles.
         drive: The forces of the engines in N.
-        grip: The greatest forces of front and rear tyres in N.
         seconds: How long the step is.
     """
     mass, front, rear = fleet.mass, fleet.front, fleet.rear
+    grip = fleet.front_grip, fleet.rear_grip
     brake = _within(fleet.brake, 0, 1)
     front_brake, rear_brake = np.minimum(brake * fleet.front_brake, grip[0]), np.minimum(brake * fleet.rear_brake, grip[1])
     turned = fleet.turning * seconds
@@ -97,7 +94,7 @@ def _slide(fleet: Vehicles, drive: Floats, grip: tuple[Floats, Floats], seconds:
     cos, sin = np.cos(fleet.steer_angle), np.sin(fleet.steer_angle)
     nose = right + front * turning
     front_slip = cos * nose - sin * forward
-    soft = fleet.wheelbase / (fleet.stiffness * GRAVITY * mass)  # m/N: slip angle by force, times the speed of rolling
+    soft = fleet.softness
     a = (np.abs(cos * forward + sin * nose) + _SLIP_SPEED) * soft / rear + per_mass + seconds * (cos * front) ** 2 / moment
     b = cos * (per_mass - seconds * front * rear / moment)
     c = (np.abs(forward) + _SLIP_SPEED) * soft / front + per_mass + seconds * rear**2 / moment

@@ -195,7 +195,8 @@ class LaneIndex:
             return np.full(np.shape(x), self._level)
         places = np.stack((np.asarray(x, np.float64), np.asarray(y, np.float64)), axis=-1)
         point = self._terrain.nearest(places)
-        along = np.clip(((places - self._flat[point]) * self._ahead[point]).sum(axis=-1), -_CELL, _CELL)
+        along = ((places - self._flat[point]) * self._ahead[point]).sum(axis=-1)
+        along = np.minimum(np.maximum(along, -_CELL), _CELL)
         height: Floats = self.points[point, 2] + self._slope[point] * along
         return height
 
@@ -241,14 +242,14 @@ class _Terrain:
         self._origin = points.min(axis=0) - 10 * self._cell
         shape = (extent / self._cell).astype(np.int64) + 21
         self._nearest = np.full(shape, -1)
+        self._last = shape - 1
         cells = np.floor((points - self._origin) / self._cell).astype(np.int64)
         self._nearest[cells[:, 0], cells[:, 1]] = np.arange(len(points))
         self._flood(points)
 
     def nearest(self, places: Floats) -> Integers:
         """The number of a point near each place, (k, 2); beyond the grid, of one near its edge."""
-        bounded = np.clip((places - self._origin) / self._cell, 0, np.array(self._nearest.shape) - 1)
-        cells = np.nan_to_num(bounded).astype(np.int64)
+        cells = np.fmin(np.fmax((places - self._origin) / self._cell, 0), self._last).astype(np.int64)  # nan becomes 0
         nearest: Integers = self._nearest[cells[..., 0], cells[..., 1]]
         return nearest
 

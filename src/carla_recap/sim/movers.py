@@ -140,6 +140,22 @@ class Movers(Columns, Generic[M]):
         rows = np.flatnonzero(which)
         self.plane.tell([self.bodies[row] for row in rows.tolist()], motions[rows])
 
+    def begin(self, seconds: float) -> bool:
+        """Start a tick; returns whether any of them moves, or is about to."""
+        raise NotImplementedError
+
+    def push(self, seconds: float) -> None:
+        """Tell the bodies how fast they are in the next step."""
+        raise NotImplementedError
+
+    def pull(self) -> None:
+        """Take over how the bodies move after a step."""
+        raise NotImplementedError
+
+    def end(self, seconds: float) -> None:
+        """Finish a tick: heights, and what is told of the motion, for those that moved."""
+        raise NotImplementedError
+
     def _moment(self, row: int) -> float:
         """The moment of inertia of an actor's body."""
         raise NotImplementedError

@@ -51,6 +51,10 @@ class Vehicles(Movers["Vehicle"]):
         front: From its origin to the front axle, in m.
         rear: From its origin to the rear axle, in m.
         full_lock: The greatest angle of the front wheels, in radians.
+        traction: The greatest force of the driven wheels, in N.
+        front_grip: The greatest force of the front tyres, in N.
+        rear_grip: The greatest force of the rear tyres, in N.
+        softness: Of the tyres, in m/N: their slip angle by the force sideways, times the speed of rolling.
     """
 
     COLUMNS: ClassVar[dict[str, Any]] = {
@@ -75,8 +79,10 @@ class Vehicles(Movers["Vehicle"]):
         "front": 0.5,
         "rear": 0.5,
         "moment": 1.0,
-        "grip": 1.0,
-        "stiffness": 20.0,
+        "traction": 0.0,
+        "front_grip": 0.0,
+        "rear_grip": 0.0,
+        "softness": 1.0,
         "air": 0.0,
         "front_brake": 0.0,
         "rear_brake": 0.0,
@@ -106,8 +112,10 @@ class Vehicles(Movers["Vehicle"]):
     front: Floats
     rear: Floats
     moment: Floats
-    grip: Floats
-    stiffness: Floats
+    traction: Floats
+    front_grip: Floats
+    rear_grip: Floats
+    softness: Floats
     air: Floats
     front_brake: Floats
     rear_brake: Floats
@@ -154,7 +162,7 @@ class Vehicles(Movers["Vehicle"]):
         return float(self.moment[row])
 
     def begin(self, seconds: float) -> bool:
-        """Start a tick: what pushes the vehicles does; returns whether any is awake."""
+        """See `Movers.begin`; what pushes the vehicles does so now."""
         if self.force.any():
             self.kick(self.force * seconds / self.mass[:, None])
             self.force[:] = 0
@@ -172,7 +180,7 @@ class Vehicles(Movers["Vehicle"]):
         self.sideways += cos * change[:, 1] - sin * change[:, 0]
 
     def push(self, seconds: float) -> None:
-        """Tell the bodies how fast they are in the next step."""
+        """See `Movers.push`."""
         dynamics.advance(self, seconds)
         stirring = self._stirring()
         for column in (self.speed, self.sideways, self.turning):
@@ -186,7 +194,7 @@ class Vehicles(Movers["Vehicle"]):
         self.awake = stirring
 
     def pull(self) -> None:
-        """Take over how the bodies move after a step."""
+        """See `Movers.pull`."""
         states = self.plane.states(self.body_id)
         moving = self.simulated
         self.position[moving, :2] = states[moving, :2]
@@ -201,7 +209,7 @@ class Vehicles(Movers["Vehicle"]):
         self._moved |= self.awake
 
     def end(self, seconds: float) -> None:
-        """Finish a tick: heights and what is told of the motion, for those that moved."""
+        """See `Movers.end`."""
         rows = np.flatnonzero(self._moved)
         if not len(rows):
             self.acceleration[:] = 0

@@ -55,8 +55,8 @@ class Walkers(Movers["Walker"]):
         self._moved = np.empty(0, np.bool_)
         self._walking = np.empty(0, np.bool_)
 
-    def begin(self) -> bool:
-        """Start a tick; returns whether any walker moves."""
+    def begin(self, seconds: float) -> bool:
+        """See `Movers.begin`."""
         self._before = self.velocity.copy()
         self._walking = self.simulated & ~self.fallen & (self.speed > _STILL)
         moving = self._walking | self.drift.any(axis=1) & self.simulated
@@ -64,7 +64,7 @@ class Walkers(Movers["Walker"]):
         return bool(moving.any())
 
     def push(self, seconds: float) -> None:
-        """Tell the bodies how fast they are in the next step."""
+        """See `Movers.push`."""
         walking = self._walking & ~self.fallen
         drift = np.hypot(*self.drift.T)
         slower = np.maximum(drift - _SLIDING * seconds, 0) / np.maximum(drift, _STILL)
@@ -74,7 +74,7 @@ class Walkers(Movers["Walker"]):
         self.drift = told
 
     def pull(self) -> None:
-        """Take over how the bodies move after a step."""
+        """See `Movers.pull`."""
         states = self.plane.states(self.body_id)
         moving = self.simulated
         self.position[moving, :2] = states[moving, :2]
@@ -95,7 +95,7 @@ class Walkers(Movers["Walker"]):
         self.plane.set_touching(self.bodies[row], WALKER, False)
 
     def end(self, seconds: float) -> None:
-        """Finish a tick: heights, and what is told of the motion."""
+        """See `Movers.end`."""
         moved = self._moved
         if not moved.any():
             self.acceleration[:] = 0

@@ -411,18 +411,18 @@ class World:
         self._begin(town, self._population.next_id)
 
     def _move(self, delta: float) -> None:
-        vehicles, walkers = self.vehicles, self.walkers
-        driving, walking = vehicles.begin(delta), walkers.begin()
-        if driving or walking or self.plane.disturbed:
+        movers = [group for group in (self.vehicles, self.walkers) if len(group)]
+        moving = [group.begin(delta) for group in movers]
+        if any(moving) or self.plane.disturbed:
             steps = self._steps(delta)
             for _ in range(steps):
-                vehicles.push(delta / steps)
-                walkers.push(delta / steps)
+                for group in movers:
+                    group.push(delta / steps)
                 self._collisions.add(self.plane.step(delta / steps))
-                vehicles.pull()
-                walkers.pull()
-        vehicles.end(delta)
-        walkers.end(delta)
+                for group in movers:
+                    group.pull()
+        for group in movers:
+            group.end(delta)
         self._population.carry()
 
     def _steps(self, delta: float) -> int:
@@ -430,9 +430,9 @@ class World:
         settings = self.settings
         if not settings.substepping:
             return 1
-        fastest = max(np.abs(self.vehicles.speed).max(initial=0), np.abs(self.vehicles.sideways).max(initial=0))
+        fastest: float = max(np.abs(speeds).max(initial=0).item() for speeds in (self.vehicles.speed, self.vehicles.sideways))
         wanted = max(delta / settings.max_substep_delta_time, fastest * delta / _STRIDE)
-        return int(np.clip(np.ceil(wanted - _ROUNDING), 1, max(1, settings.max_substeps)))
+        return min(max(ceil(wanted - _ROUNDING), 1), max(1, settings.max_substeps))
 
     def _blueprint(self, blueprint: Blueprint | str, attributes: Mapping[str, str]) -> Blueprint:
         found = self.blueprints.get(blueprint) if isinstance(blueprint, str) else blueprint
