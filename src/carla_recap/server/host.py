@@ -148,6 +148,10 @@ class Host:
         for stream in self.clients:
             self.streams.keep(stream, payload)
 
+    def look_ahead(self) -> None:
+        """Do some of the work of the next tick, while clients are busy with the latest one."""
+        self._photographer.look_ahead()
+
     def publish_again(self, client: Spectator) -> None:
         """Send a client the snapshot of the world as it is, as a new frame."""
         self._frames_before += 1

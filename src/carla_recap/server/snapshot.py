@@ -33,8 +33,8 @@ _ACTIVE: Final = 1
 _SIZE: Final = 119
 _BASE: Final = [("id", "<u4"), ("activity", "u1"), ("numbers", "<(15,)f4")]
 _KM_PER_H: Final = 3.6
-_FAR: Final = 3.0  # m: a vehicle that has come so far is looked up on the lanes anew,
-_NEAR: Final = 1.0  # m: and so are, with it, those that have come so far
+_FAR: Final = 3.0  # m: a vehicle that has come so far is looked up on the lanes anew before the next snapshot,
+_NEAR: Final = 2.0  # m: one that has come so far when there is time
 
 
 def _dtype(*fields: tuple[str, str]) -> np.dtype[np.void]:
@@ -124,6 +124,11 @@ class Photographer:
         begin = sensor_header(_WORLD, frame, world.elapsed, spectator)
         return b"".join((begin, header, *(array.tobytes() for array in self._rows())))
 
+    def look_ahead(self) -> None:
+        """Do some of what the next snapshot takes."""
+        if tuple(self._world.actors) == self._population:
+            self._drives.look(_NEAR)
+
     def _rows(self) -> Sequence[NDArray[np.void]]:
         world = self._world
         actors = tuple(world.actors)
@@ -198,14 +203,16 @@ class Drives:
     def now(self) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
         """The lanes, and how far along each vehicle is, in m."""
         vehicles = self._world.vehicles
-        gone = np.abs(vehicles.position - self._from).max(axis=1, initial=0)
-        if gone.max(initial=0) > _FAR:
-            self._look(np.flatnonzero(gone > _NEAR))
+        self.look(_FAR)
         come = (vehicles.position - self._from)[:, :2]
         return self._lane, self._s + (come * self._ahead).sum(axis=1)
 
-    def _look(self, rows: NDArray[np.int64]) -> None:
+    def look(self, distance: float) -> None:
+        """Look those up who have come farther than so many metres."""
         vehicles = self._world.vehicles
+        rows = np.flatnonzero(np.abs(vehicles.position - self._from).max(axis=1, initial=0) > distance)
+        if not len(rows):
+            return
         position, heading = vehicles.position[rows], np.radians(vehicles.rotation[rows, 1])
         self._from[rows] = position
         self._ahead[rows] = np.stack((np.cos(heading), np.sin(heading)), axis=1)

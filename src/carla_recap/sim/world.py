@@ -430,7 +430,9 @@ class World:
         settings = self.settings
         if not settings.substepping:
             return 1
-        fastest: float = max(np.abs(speeds).max(initial=0).item() for speeds in (self.vehicles.speed, self.vehicles.sideways))
+        fastest: float = max(
+            np.abs(speeds).max(initial=0).item() for speeds in (self.vehicles.speed, self.vehicles.sideways)
+        )
         wanted = max(delta / settings.max_substep_delta_time, fastest * delta / _STRIDE)
         return min(max(ceil(wanted - _ROUNDING), 1), max(1, settings.max_substeps))
 

@@ -72,8 +72,13 @@ def tick_cue(client: Client) -> Any:
     host = client.host
     if not host.settings.synchronous_mode:
         return host.frame + 1
-    pending = host.streams.expected(client) + host.managers.under_way()
-    return _after(pending, lambda: _signalled(client, host.tick()))
+
+    def tick() -> int:
+        frame = host.tick()
+        asyncio.get_running_loop().call_soon(host.look_ahead)
+        return _signalled(client, frame)
+
+    return _after(host.streams.expected(client) + host.managers.under_way(), tick)
 
 
 def _after(pending: list[asyncio.Future[None]], work: Callable[[], int]) -> Any:
