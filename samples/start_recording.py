@@ -37,7 +37,8 @@ def main():
     finally:
         client.apply_batch_sync([command.DestroyActor(vehicle) for vehicle in vehicles])
         time.sleep(0.2)  # for a tick, which records that
-        client.stop_recorder()
+        client.stop_recorder()  # for which the client does not wait
+        client.get_server_version()  # but for this, which comes after it
         print(f"Stopped recording, destroyed {len(vehicles)} vehicles.")
 
 

@@ -73,6 +73,31 @@ def ask(connection: socket.socket, *call: Any) -> Any:
     return None
 
 
+def reset(connection: socket.socket) -> None:
+    """Hang up as a process that ends does, which has not read all that it was sent."""
+    connection.setsockopt(socket.SOL_SOCKET, socket.SO_LINGER, struct.pack("ii", 1, 0))
+    connection.close()
+
+
+@pytest.mark.parametrize("pause", [0.0, 0.002, 0.01])
+def test_the_last_calls_of_a_client_that_is_gone_are_served(port: int, recordings: Path, pause: float) -> None:
+    long, stop = [0, 2, "get_actor_definitions", [[False]]], [0, 3, "stop_recorder", [[False]]]
+    for _ in range(20):
+        path = recordings / f"last words {pause}.log"
+        path.unlink(missing_ok=True)
+        connection = connect(port)
+        connection.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+        ask(connection, 0, 1, "start_recorder", [[False], str(path), False])
+        connection.sendall(msgpack.packb(long) * 3)
+        time.sleep(pause)
+        connection.sendall(msgpack.packb(stop))
+        reset(connection)
+        deadline = time.monotonic() + QUICK
+        while not path.exists() and time.monotonic() < deadline:
+            time.sleep(0.01)
+        assert path.exists()
+
+
 def ticks_quickly(world: carla.World) -> None:
     start = time.monotonic()
     world.tick()

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+from contextlib import suppress
 from inspect import isawaitable
 from typing import TYPE_CHECKING, Any, Final, cast
 
@@ -25,13 +26,15 @@ _REPLY: Final = 1
 _PACKER: Final = msgpack.Packer(unicode_errors="surrogateescape")  # for all: it keeps a large buffer
 _AT_ONCE: Final = 64  # calls, after which it is the others' turn
 _MOST_PENDING: Final = 32  # answers of a client that are being worked at
+_LAST: Final = 1 << 16  # bytes that are heard of who is gone
 _MUCH: Final = 1 << 16  # bytes of a call that has not arrived as a whole
 
 
 class Client(asyncio.Protocol):
     """A connected client.
 
-    Who does not read its replies, or has many calls pending, is not listened to until that changes.
+    Who does not read its replies, or has many calls pending, is not listened to until that changes. Of one who is gone, the
+    calls that have arrived are served: the last one of a script is often to stop the recorder, and no script waits for it.
 
     Args:
         host: Who serves it.
@@ -54,6 +57,7 @@ class Client(asyncio.Protocol):
         self._inbox = Inbox()
         self._pending: set[asyncio.Task[None]] = set()
         self._is_refused = False
+        self._is_cut = False
         self._is_behind = False
         self._is_waiting = False
 
@@ -75,9 +79,11 @@ class Client(asyncio.Protocol):
         self.host.clients[self.stream] = self
         self.host.connections.enter(self)
 
-    def connection_lost(self, _: Exception | None) -> None:
+    def connection_lost(self, error: Exception | None) -> None:
         """See `asyncio.Protocol`."""
-        self._transport = None
+        transport, self._transport = self._transport, None
+        if error is not None and transport is not None:
+            self._hear_out(transport)
         for task in self._pending:
             task.cancel()
         self.round.leave()
@@ -113,6 +119,7 @@ class Client(asyncio.Protocol):
 
     def close(self) -> None:
         """Cut the connection."""
+        self._is_cut = True
         if self._transport is not None:
             self._transport.abort()
 
@@ -127,7 +134,7 @@ class Client(asyncio.Protocol):
         try:
             for count, request in enumerate(self._inbox, 1):
                 self._take(request)
-                if self._transport is None or self._transport.is_closing():
+                if self._is_cut:
                     return None
                 if self._is_behind or len(self._pending) >= _MOST_PENDING:
                     return self._wait()
@@ -137,6 +144,15 @@ class Client(asyncio.Protocol):
         except ValueError:
             self.close()
         return None
+
+    def _hear_out(self, transport: asyncio.Transport) -> None:
+        """Serve the calls that arrived over a connection before it broke; a reply that nobody takes breaks it earlier."""
+        self._is_behind = self._is_waiting = False
+        self._listen()
+        with suppress(OSError), transport.get_extra_info("socket").dup() as rest:
+            data = rest.recv(_LAST)
+            if not self._is_waiting:
+                self.data_received(data)
 
     def _wait(self) -> None:
         self._is_waiting = True
@@ -159,6 +175,7 @@ class Client(asyncio.Protocol):
             case [0, int(number), str(name), [[*_], *arguments]]:
                 if self._is_refused:
                     self._send([_REPLY, number, None, [[0, [self.host.connections.refusal]]]])
+                    self._is_cut = True
                     if self._transport is not None:
                         self._transport.close()
                     return
