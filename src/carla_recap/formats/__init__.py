@@ -74,7 +74,7 @@ def create_writer(path: Path | str, header: Header, *, live: bool = False, force
     Args:
         path: The destination, ending in .log or .mcap.
         header: The header.
-        live: Put the data on the disk as it comes, so that a crash costs 5 s of recording at the most. What cannot be
+        live: Write the data as it comes, so that a crash costs 5 s of recording at the most. What cannot be
             finished is left beside the destination, where `recover` takes it.
         force: Take the place of what is at the destination by the end; else that is an error.
 

@@ -7,6 +7,7 @@ from contextlib import suppress
 from errno import EEXIST
 from glob import escape
 from pathlib import Path
+from time import monotonic
 from typing import TYPE_CHECKING, Self
 
 from carla_recap.errors import RecapError
@@ -18,13 +19,15 @@ if TYPE_CHECKING:
     from carla_recap.payload import Buffer
 
 
+_SYNC_SECONDS = 1.0  # on the clock: a simulation that is fast must not have the disk written to all the time
 _NAME = 200  # characters of the destination's name that are in the name of what is beside it
 
 
 class AtomicFile:
     """Base of the writers: writes beside the destination, and moves there on `close`.
 
-    A crash leaves the file beside the destination, where `recover` finds what it holds.
+    A crash leaves the file beside the destination, where `recover` finds what it holds: of a live file, all that was handed
+    over to the system, or, should that go down, what was on the disk, which is not more than `_SYNC_SECONDS` behind.
 
     Args:
         path: The destination.
@@ -38,6 +41,7 @@ class AtomicFile:
     def __init__(self, path: Path | str, *, live: bool = False, force: bool = True) -> None:
         self.path = Path(path)
         self._live = live
+        self._next_sync = 0.0
         self._force = force
         self._partial = self.path.with_name(f".{self.path.name[:_NAME]}.{os.urandom(4).hex()}.partial")
 
@@ -123,14 +127,16 @@ class AtomicFile:
         """Write what comes last."""
 
     def _sync(self) -> None:
-        """Put what was written on the disk.
+        """Hand what was written over to the system, which outlives this process; now and then, have it put on the disk.
 
         Raises:
             RecapError: The disk is full, or broken.
         """
         try:
             self._file.flush()
-            os.fdatasync(self._file.fileno())
+            if monotonic() >= self._next_sync:
+                os.fdatasync(self._file.fileno())
+                self._next_sync = monotonic() + _SYNC_SECONDS
         except OSError as error:
             raise self._unwritable(error) from None
 

@@ -453,7 +453,7 @@ class LogWriter(AtomicFile):
     Args:
         path: The destination.
         header: The header.
-        live: Put the frames on the disk every `SYNC_SECONDS` of recording.
+        live: Write the frames every `SYNC_SECONDS` of recording; see `AtomicFile`.
         force: See `AtomicFile`.
 
     Raises:

@@ -169,7 +169,7 @@ class _Scribe:
 
     def _send(self, message: Any) -> None:
         assert self._process.stdin is not None
-        pickle.dump(message, self._process.stdin, pickle.HIGHEST_PROTOCOL)
+        self._process.stdin.write(pickle.dumps(message, pickle.HIGHEST_PROTOCOL))  # in one piece: each wakes up the other
         self._process.stdin.flush()
 
 

@@ -33,7 +33,7 @@ if TYPE_CHECKING:
 
     Told = dict[str, list[Any]]  # records by type
 
-LENGTH: Final = 48
+LENGTH: Final = 50
 """So many snapshots go together at the most: two threads that take turns too often slow each other down."""
 SECONDS: Final = 5.0
 """The formats put so much of a recording on the disk at a time; no strip goes on beyond that."""

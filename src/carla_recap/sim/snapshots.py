@@ -46,6 +46,12 @@ COLUMNS: Final = {
 """Columns of a world, and the type and field of the records that each is told in; no field where it is not told as it is."""
 OTHER_POSES: Final = ("others", "pose")
 """Where those are who are neither vehicles nor walkers."""
+_REAL: Final = np.dtype(np.float32)
+_DTYPES: Final = {column: UE4.named(type).dtype[field] if field else _REAL for column, (type, field) in COLUMNS.items()} | {
+    OTHER_POSES: _REAL
+}
+"""What records have, which is less than what a world reckons with."""
+_IN_CM: Final = "position"
 
 
 @dataclass(slots=True, eq=False)
@@ -83,7 +89,16 @@ class Strip:
         self.moments: list[Moment] = []
         self._lineup = lineup
         self._length = length
-        self._states: States = {key: np.empty((length, *column.shape), column.dtype) for key, column in states.items()}
+        self._states: States = {key: np.empty((length, *column.shape), _DTYPES[key]) for key, column in states.items()}
+
+    def __getstate__(self) -> tuple[Any, ...]:
+        """What another process needs, in few and small pieces."""
+        moments = [(told.index, told.elapsed, told.time, told.events, told.duration) for told in self.moments]
+        return self._lineup, self._length, self._columns, moments
+
+    def __setstate__(self, state: tuple[Any, ...]) -> None:
+        self._lineup, self._length, self._states, moments = state
+        self.moments = [Moment(*moment) for moment in moments]
 
     @property
     def is_full(self) -> bool:
@@ -94,13 +109,19 @@ class Strip:
         """Add a snapshot."""
         place = len(self.moments)
         for key, column in states.items():
-            self._states[key][place] = column
+            if key[1] == _IN_CM:
+                np.multiply(column, CM_PER_M, out=self._states[key][place], casting="same_kind")
+            else:
+                self._states[key][place] = column
         self.moments.append(moment)
 
     def runs(self) -> Iterator[Run]:
         """The snapshots as frames."""
-        count = len(self.moments)
-        return self._lineup.runs(self.moments, {key: columns[:count] for key, columns in self._states.items()})
+        return self._lineup.runs(self.moments, self._columns)
+
+    @property
+    def _columns(self) -> States:
+        return {key: columns[: len(self.moments)] for key, columns in self._states.items()}
 
 
 class Lineup:
@@ -139,13 +160,7 @@ class Lineup:
             "velocities": [*vehicles, *walkers] if additional_data else [],
         }
         self.columns = [column for column, (type, _) in COLUMNS.items() if self._ids[type]]
-        self._clocks = ["visual_time", "platform_time"] if additional_data else ["visual_time"]
-        self._blank: list[Packet | None] = [
-            Packet(type.id, type, EMPTY_LIST, type.records([]))
-            if type.always and (additional_data or not type.additional)
-            else None
-            for type in TYPES.values()
-        ]
+        self._additional = additional_data
 
     def runs(self, moments: list[Moment], columns: States) -> Iterator[Run]:
         """The frames of snapshots of these actors: where something happened, a frame is a run of its own.
@@ -173,6 +188,20 @@ class Lineup:
             packets[_SLOTS[name]] = Block(TYPES[name], form.view(np.uint8).data, form.itemsize, arrays[name])
         return packets
 
+    @property
+    def _clocks(self) -> list[str]:
+        return ["visual_time", "platform_time"] if self._additional else ["visual_time"]
+
+    @cached_property
+    def _blank(self) -> list[Packet | None]:
+        """What each frame has when nothing has happened, in the order of `TYPES`."""
+        return [
+            Packet(type.id, type, EMPTY_LIST, type.records([]))
+            if type.always and (self._additional or not type.additional)
+            else None
+            for type in TYPES.values()
+        ]
+
     @cached_property
     def _forms(self) -> dict[str, Array]:
         """What the payloads of all frames have in common, by type: number and ids of the records, with blanks between."""
@@ -181,7 +210,7 @@ class Lineup:
 
     def _fill(self, arrays: dict[str, Array], columns: States) -> None:
         poses = [
-            np.concatenate((columns[who, "position"] * CM_PER_M, columns[who, "rotation"][..., _ROLL_PITCH_YAW]), axis=-1)
+            np.concatenate((columns[who, "position"], columns[who, "rotation"][..., _ROLL_PITCH_YAW]), axis=-1)
             for who in ("vehicles", "walkers")
         ]
         numbers(arrays["transforms"])[:, self._places] = np.concatenate((*poses, columns[OTHER_POSES]), axis=1)

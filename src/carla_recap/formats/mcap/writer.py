@@ -97,7 +97,7 @@ class McapWriter(AtomicFile):
     Args:
         path: The destination.
         header: The header.
-        live: Put every chunk on the disk when it is cut, so that a crash loses no more than 5 s of recording.
+        live: Write every chunk when it is cut, so that a crash loses no more than 5 s of recording; see `AtomicFile`.
         force: See `AtomicFile`.
 
     Raises:
