@@ -23,6 +23,7 @@ import carla_recap
 from carla_recap.errors import RecapError, RecapWarning
 from carla_recap.records import NO_ACTOR, ActorKind
 from carla_recap.sim.actors import Vehicle, Walker
+from carla_recap.sim.background import _Scribe
 from carla_recap.sim.control import VehicleControl, WalkerControl
 from carla_recap.sim.errors import SimError
 from carla_recap.sim.geometry import Location, Transform, Vector
@@ -506,6 +507,15 @@ def test_recordings_are_written_by_one_process_after_the_other_as_long_as_there_
             recorded.run(0.05 * count)
         assert pid(world) != pid(other)
     assert [len(frames(tmp_path / f"{count}.mcap")) for count in (3, 4)] == [3, 4]
+
+
+def test_modules_in_the_working_directory_are_nobodys(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    for name in ("pickle", "carla_recap", "numpy"):
+        (tmp_path / f"{name}.py").write_text("raise SystemExit(7)")
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr(_Scribe, "_resting", [])
+    assert len(record(flat_world(), tmp_path / "a.log", 2)) == 2
+    _Scribe.end_all()
 
 
 def test_a_script_may_go_to_another_folder_while_it_records(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -103,7 +103,7 @@ class _Scribe:
     def __init__(self) -> None:
         self._owner = os.getpid()
         pipe = subprocess.PIPE
-        command = [sys.executable, "-c", _COMMAND]
+        command = [sys.executable, "-P", "-c", _COMMAND]  # whatever modules lie in the working directory
         try:  # in a session of its own, Ctrl-C does not reach it
             self._process = subprocess.Popen(command, stdin=pipe, stdout=pipe, start_new_session=True)
         except OSError as error:
