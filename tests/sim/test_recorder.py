@@ -23,11 +23,11 @@ import carla_recap
 from carla_recap.errors import RecapError, RecapWarning
 from carla_recap.records import NO_ACTOR, ActorKind
 from carla_recap.sim.actors import Vehicle, Walker
-from carla_recap.sim.background import _Scribe
 from carla_recap.sim.control import VehicleControl, WalkerControl
 from carla_recap.sim.errors import SimError
 from carla_recap.sim.geometry import Location, Transform, Vector
 from carla_recap.sim.recorder import recording_path, recordings_folder
+from carla_recap.sim.scribes import ScribeProcess
 from carla_recap.sim.weather import PRESETS
 from carla_recap.sim.world import World
 from tests.sim.flat import at, flat_town, flat_world, light
@@ -513,9 +513,9 @@ def test_modules_in_the_working_directory_are_nobodys(tmp_path: Path, monkeypatc
     for name in ("pickle", "carla_recap", "numpy"):
         (tmp_path / f"{name}.py").write_text("raise SystemExit(7)")
     monkeypatch.chdir(tmp_path)
-    monkeypatch.setattr(_Scribe, "_resting", [])
+    monkeypatch.setattr(ScribeProcess, "_resting", [])
     assert len(record(flat_world(), tmp_path / "a.log", 2)) == 2
-    _Scribe.end_all()
+    ScribeProcess.end_all()
 
 
 def test_a_script_may_go_to_another_folder_while_it_records(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -621,6 +621,18 @@ def test_processes_that_are_forked_have_their_own(tmp_path: Path) -> None:
     """
     subprocess.run([sys.executable, "-c", textwrap.dedent(script), str(tmp_path)], check=True, timeout=60)
     assert {path.name: len(frames(path)) for path in tmp_path.iterdir()} == {"a.mcap": 20, "b.mcap": 40, "c.mcap": 60}
+
+
+def test_what_cannot_be_handed_over_ends_the_recording(tmp_path: Path) -> None:
+    world, path = flat_world(), tmp_path / "a.mcap"
+    world.start_recorder(path)
+    world.tick()
+    world.spawn("static.prop.barrel", at(20.0)).attributes["role_name"] = lambda: None  # type: ignore[assignment]
+    with pytest.warns(RecapWarning, match=r"the recording has ended: .*a.mcap: has ended early: \w+: .*lambda"):
+        run_until_it_fails(world)
+    assert len(frames(path)) == 1
+    assert list(tmp_path.iterdir()) == [path]
+    assert len(record(flat_world(), tmp_path / "b.mcap", 3)) == 3
 
 
 def test_who_rests_may_be_killed(tmp_path: Path) -> None:

@@ -20,6 +20,7 @@ if TYPE_CHECKING:
 
 
 _SYNC_SECONDS = 1.0  # on the clock: a simulation that is fast must not have the disk written to all the time
+_put_on_disk = getattr(os, "fdatasync", os.fsync)  # not every system knows both
 _NAME = 200  # characters of the destination's name that are in the name of what is beside it
 
 
@@ -135,7 +136,7 @@ class AtomicFile:
         try:
             self._file.flush()
             if monotonic() >= self._next_sync:
-                os.fdatasync(self._file.fileno())
+                _put_on_disk(self._file.fileno())
                 self._next_sync = monotonic() + _SYNC_SECONDS
         except OSError as error:
             raise self._unwritable(error) from None
