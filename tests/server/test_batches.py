@@ -190,6 +190,7 @@ def test_controls_of_many_do_what_they_do_one_by_one(inside: Inside, told: list[
         [2, [0.5, [0.5, 0.0, 0.0, False, False, False, 0]]],
         [2, ["car", [0.5, 0.0, float("inf"), False, False, False, 0]]],
         [2, ["car", [0.5, 0.0, 0.0, False, False, 0, 0]]],
+        [2.0, ["car", [0.5, 0.0, 0.0, False, False, False, 0]]],
         [2, ["car", 7]],
         [2, ["car", None, None]],
     ],

@@ -14,6 +14,7 @@ import warnings
 from contextlib import contextmanager
 from dataclasses import replace
 from itertools import pairwise
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -34,7 +35,6 @@ from tests.sim.flat import at, flat_town, flat_world, light
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
-    from pathlib import Path
 
     from carla_recap.frame import Frame
 
@@ -493,6 +493,105 @@ def test_ctrl_c_does_not_reach_who_writes(tmp_path: Path) -> None:
     assert len(frames(tmp_path / "a.mcap")) == 40
 
 
+_INTERRUPTED = """
+    import os, signal, sys, threading, time
+    from pathlib import Path
+    from tests.sim.flat import flat_world
+    path = Path(sys.argv[1])
+    with flat_world() as world:
+        world.start_recorder(path)
+        world.run(1.0)
+    for hundredths in range(0, 40, 3):
+        ScribeProcess.end_all()
+        try:
+            threading.Timer(hundredths / 100, os.kill, (os.getpid(), signal.SIGINT)).start()
+            world.start_recorder(path)
+            time.sleep(10)
+        except KeyboardInterrupt:
+            if world.recorder.path:
+                world.tick()
+                world.stop_recorder()
+                break
+"""
+
+
+def test_ctrl_c_while_a_recording_is_started_leaves_the_older_one(tmp_path: Path) -> None:
+    script = "from carla_recap.sim.scribes import ScribeProcess\n" + textwrap.dedent(_INTERRUPTED)
+    command = [sys.executable, "-X", "dev", "-c", script, str(tmp_path / "a.mcap")]
+    done = subprocess.run(command, capture_output=True, text=True, timeout=60)
+    assert (done.returncode, done.stderr) == (0, "")
+    assert len(frames(tmp_path / "a.mcap")) in (1, 20)  # the one that was not interrupted, or the older one
+    assert list(tmp_path.iterdir()) == [tmp_path / "a.mcap"]
+
+
+def test_a_signal_to_the_whole_group_completes_the_recording(tmp_path: Path) -> None:
+    script = (
+        textwrap.dedent(_SCRIPT)
+        + "\nimport time\ntime.sleep(1)\nos.kill(world.recorder._writer.pid, 15)\nos.kill(os.getpid(), 15)"
+    )
+    subprocess.run([sys.executable, "-c", script, str(tmp_path / "a.mcap")], stderr=subprocess.PIPE)
+    assert len(frames(tmp_path / "a.mcap")) > 100
+    assert list(tmp_path.iterdir()) == [tmp_path / "a.mcap"]
+
+
+def test_what_else_is_printed_when_an_interpreter_starts_is_passed_over(tmp_path: Path) -> None:
+    (tmp_path / "site").mkdir()
+    (tmp_path / "site" / "sitecustomize.py").write_text("print('hello')")
+    path, paths = tmp_path / "a.mcap", os.pathsep.join([str(tmp_path / "site"), str(Path.cwd())])
+    environment = {**os.environ, "PYTHONPATH": paths}
+    command = [sys.executable, "-c", textwrap.dedent(_SCRIPT), str(path)]
+    subprocess.run(command, env=environment, check=True, timeout=30, stdout=subprocess.DEVNULL)
+    assert len(frames(path)) == 240
+
+
+def test_forked_processes_that_go_on_hold_nobody_up(tmp_path: Path) -> None:
+    script = """
+        import os, signal, sys, time
+        from pathlib import Path
+        from tests.sim.flat import flat_world
+        folder = Path(sys.argv[1])
+        with flat_world() as world, flat_world() as other:
+            world.start_recorder(folder / "a.mcap")
+            other.start_recorder(folder / "b.mcap")
+            for recorded in (world, other):
+                recorded.run(1.0)
+            if not (child := os.fork()):
+                time.sleep(30)
+                os._exit(0)
+        print(child, flush=True)
+    """
+    command = [sys.executable, "-c", textwrap.dedent(script), str(tmp_path)]
+    with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as process:
+        assert process.stdout is not None
+        child = int(process.stdout.readline())
+        assert process.wait(10) == 0
+        os.kill(child, signal.SIGKILL)
+    assert {path.name: len(frames(path)) for path in tmp_path.iterdir()} == {"a.mcap": 20, "b.mcap": 20}
+
+
+def test_a_process_that_is_killed_has_its_recording_completed_even_while_forked_ones_go_on(tmp_path: Path) -> None:
+    path = tmp_path / "a.mcap"
+    end = """
+        import time
+        time.sleep(1)
+        child = os.fork()
+        if not child:
+            time.sleep(30)
+            os._exit(0)
+        print(child, flush=True)
+        os.kill(os.getpid(), 9)
+    """
+    command = [sys.executable, "-c", textwrap.dedent(_SCRIPT) + textwrap.dedent(end), str(path)]
+    with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as process:
+        assert process.stdout is not None
+        child = int(process.stdout.readline())
+        deadline = time.monotonic() + 10
+        while not path.exists() and time.monotonic() < deadline:
+            time.sleep(0.01)
+        os.kill(child, signal.SIGKILL)
+    assert len(frames(path)) > 100
+
+
 def test_recordings_are_written_by_one_process_after_the_other_as_long_as_there_is_one_at_a_time(tmp_path: Path) -> None:
     ids = []
     for name in ("a.mcap", "b.log"):
@@ -640,9 +739,23 @@ def test_who_rests_may_be_killed(tmp_path: Path) -> None:
     world.start_recorder(tmp_path / "a.mcap")
     writer = pid(world)
     world.stop_recorder()
+    os.kill(writer, signal.SIGKILL)  # which may be known at once, or not
+    assert len(record(world, tmp_path / "b.mcap", 3)) == 3
+    world.start_recorder(tmp_path / "c.mcap")
+    writer = pid(world)
+    world.stop_recorder()
     os.kill(writer, signal.SIGKILL)
     time.sleep(0.1)
-    assert len(record(world, tmp_path / "b.mcap", 3)) == 3
+    assert len(record(world, tmp_path / "d.mcap", 3)) == 3
+
+
+def test_without_an_interpreter_nothing_is_recorded(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(ScribeProcess, "_resting", [])
+    for executable, told in (("/absent", "No such file"), ("/bin/true", "ended with exit code 0"), ("/bin/false", "code 1")):
+        monkeypatch.setattr(sys, "executable", executable)
+        with pytest.raises(RecapError, match=f"the process that writes recordings cannot be started: .*{told}"):
+            flat_world().start_recorder(tmp_path / "a.mcap")
+    assert not list(tmp_path.iterdir())
 
 
 def test_a_slow_disk_makes_no_tick_wait(tmp_path: Path) -> None:

@@ -115,6 +115,17 @@ def test_a_recording_is_completed_when_nobody_asks_any_more(tmp_path: Path, more
     assert list(tmp_path.iterdir()) == [path]
 
 
+def test_a_recording_of_nothing_is_given_up_when_nobody_asks_any_more(tmp_path: Path) -> None:
+    write(tmp_path / "a.mcap", 3)
+    assert list(answers(("begin", tmp_path, tmp_path / "a.mcap", HEADER, True))) == [None]
+    assert frames(tmp_path / "a.mcap") == 3
+    assert [path.name for path in tmp_path.iterdir()] == ["a.mcap"]
+
+
+def test_none_is_the_last_request(tmp_path: Path) -> None:
+    assert list(answers(("begin", tmp_path, tmp_path / "a.mcap", HEADER, True), more=pickle.dumps(None) + b"x")) == [None]
+
+
 def test_what_is_written_before_a_disk_fails_becomes_a_recording(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     broken_after(monkeypatch, 2, for_good=False)
     path = tmp_path / "a.mcap"

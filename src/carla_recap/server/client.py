@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import asyncio
 from contextlib import suppress
-from inspect import isawaitable
+from inspect import isawaitable, iscoroutine
 from typing import TYPE_CHECKING, Any, Final, cast
 
 import msgpack
@@ -191,6 +191,8 @@ class Client(asyncio.Protocol):
         self.round.hear(name)
         try:
             answer = call(self, arguments)
+            if self._transport is None and iscoroutine(answer):
+                return answer.close()  # who is gone waits for nothing
             if self.truce is not None:
                 answer = self.truce.hold(name, answer)
             if isawaitable(answer):

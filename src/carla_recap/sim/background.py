@@ -5,10 +5,10 @@ from __future__ import annotations
 from pathlib import Path
 from queue import Queue
 from threading import Thread
-from typing import TYPE_CHECKING, Final
+from typing import TYPE_CHECKING, Any, Final
 
 from carla_recap.errors import RecapError
-from carla_recap.sim.scribes import ScribeProcess
+from carla_recap.sim.scribes import ScribeEnded, ScribeProcess
 
 if TYPE_CHECKING:
     from carla_recap.frame import Header
@@ -41,18 +41,16 @@ class BackgroundWriter:
     def __init__(self, path: Path, header: Header, *, force: bool = True) -> None:
         self.path = path
         self.error: RecapError | None = None
-        folder = _folder(path)
-        self._scribe = ScribeProcess.found()
-        self.pid = self._scribe.pid
-        try:
-            self._scribe.ask(path, "begin", folder, path, header, force)
-        except RecapError:
-            self._scribe.rest()
-            raise
         self._strip: Strip | None = None
         self._strips: Queue[Strip | None] = Queue(QUEUE)
         self._thread = Thread(target=self._run, name="carla-recap-recorder", daemon=True)
-        self._thread.start()
+        self._scribe = _begun(path, (_folder(path), path, header, force))
+        self.pid = self._scribe.pid
+        try:
+            self._thread.start()
+        except BaseException:
+            self._scribe.end()
+            raise
 
     def write(self, strip: Strip) -> None:
         """Add a strip, which is complete when another one comes; what goes wrong is told by `error`, sooner or later."""
@@ -77,6 +75,8 @@ class BackgroundWriter:
             while (strip := self._strips.get()) is not None:
                 self._scribe.ask(self.path, "write", strip)
             self._scribe.ask(self.path, "close")
+        except ScribeEnded as error:
+            self.error = RecapError(f"{error}; what was recorded until then lies beside it, for carla-recap recover")
         except RecapError as error:
             self.error = error
         except Exception as error:
@@ -85,6 +85,24 @@ class BackgroundWriter:
         while strip is not None:  # whoever waits for a place in the queue must not wait for ever
             strip = self._strips.get()
         self._scribe.rest()
+
+
+def _begun(path: Path, arguments: tuple[Any, ...]) -> ScribeProcess:
+    """Who has begun a recording: one that rested, unless it has just died, or a new one."""
+    scribe = ScribeProcess.found()
+    try:
+        try:
+            scribe.ask(path, "begin", *arguments)
+        except ScribeEnded:
+            scribe = ScribeProcess()
+            scribe.ask(path, "begin", *arguments)
+    except RecapError:
+        scribe.rest()
+        raise
+    except BaseException:  # as by Ctrl-C: an answer is still to come
+        scribe.end()
+        raise
+    return scribe
 
 
 def _folder(path: Path) -> Path:

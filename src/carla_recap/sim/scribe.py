@@ -15,6 +15,7 @@ from typing import TYPE_CHECKING, Any, Final
 from carla_recap.errors import RecapError
 from carla_recap.formats import create_writer
 from carla_recap.recovery import rescue
+from carla_recap.sim.scribes import HELLO
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -50,6 +51,7 @@ class Scribe:
         """
         os.chdir(folder)
         self._writer, self._path = create_writer(path, header, live=True, force=force), path
+        self._is_empty = True
 
     def write(self, strip: Strip) -> None:
         """Add the frames of a strip.
@@ -58,6 +60,7 @@ class Scribe:
             RecapError: The recording has ended; the message says why, and where what was recorded is.
         """
         assert self._writer is not None
+        self._is_empty = False
         try:
             for run in strip.runs():
                 self._writer.write_run(run)
@@ -78,6 +81,17 @@ class Scribe:
             raise self._rescued(error) from None
         self._writer = None
 
+    def leave(self) -> None:
+        """Complete what has been begun, since nobody says what else is to be done; what nothing has come of is given up.
+
+        Raises:
+            RecapError: As of `write`.
+        """
+        if self._writer is not None and self._is_empty:
+            self._writer.abort()
+        else:
+            self.close()
+
     def _rescued(self, error: Exception) -> RecapError:
         assert self._writer is not None
         writer, self._writer = self._writer, None
@@ -89,20 +103,20 @@ DEEDS: Final[dict[str, Callable[..., None]]] = {"begin": Scribe.begin, "write": 
 
 
 def serve(requests: BinaryIO, answers: BinaryIO) -> None:
-    """Do what is asked for until nobody can ask any more; then complete what has been begun.
+    """Do what is asked for until nobody asks any more; then complete what has been begun.
 
     Args:
-        requests: Pickles of the name of a deed and its arguments.
+        requests: Pickles of the name of a deed and its arguments; None is the last one.
         answers: Where a pickle goes when each is done: None, or what went wrong.
     """
     scribe = Scribe()
     with suppress(EOFError, OSError, pickle.UnpicklingError):
-        while True:
-            name, arguments = pickle.load(requests)
+        while (request := pickle.load(requests)) is not None:
+            name, arguments = request
             pickle.dump(_outcome(DEEDS[name], scribe, arguments), answers)
             answers.flush()
     with suppress(RecapError):
-        scribe.close()
+        scribe.leave()
 
 
 def _outcome(deed: Callable[..., None], scribe: Scribe, arguments: tuple[Any, ...]) -> str | None:
@@ -117,6 +131,10 @@ def _outcome(deed: Callable[..., None], scribe: Scribe, arguments: tuple[Any, ..
 
 def main() -> None:
     """Be that process."""
-    serve(sys.stdin.buffer, sys.stdout.buffer)
-    sys.stderr.flush()
+    answers = sys.stdout.buffer
+    sys.stdout = sys.stderr
+    with suppress(OSError):  # whoever started it may be gone by now
+        answers.write(HELLO)
+        answers.flush()
+    serve(sys.stdin.buffer, answers)
     os._exit(0)  # whoever is still there may be waiting for it

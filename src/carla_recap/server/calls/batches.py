@@ -92,7 +92,7 @@ def apply_batch(client: Client, commands: list[Any], do_tick: bool = False) -> l
 def _driven(client: Client, commands: list[Any]) -> list[Any] | None:
     """Execute commands that are all controls of vehicles, as a traffic manager's are; None, and nothing is done, if not."""
     try:
-        told = [(id, control) for ((number, (id, control)),) in commands if number == _CONTROL]
+        told = [(id, control) for ((number, (id, control)),) in commands if number.__class__ is int and number == _CONTROL]
     except (TypeError, ValueError):
         return None
     if not told or len(told) < len(commands) or not vehicles.apply_controls_to_vehicles(client, told):
