@@ -98,6 +98,7 @@ class Scribe:
         return rescue(writer, self._path, error)
 
 
+_NICE: Final = 5  # where processors are few, the simulation comes first; this needs a tenth of one
 DEEDS: Final[dict[str, Callable[..., None]]] = {"begin": Scribe.begin, "write": Scribe.write, "close": Scribe.close}
 """What a scribe can be told to do."""
 
@@ -131,6 +132,8 @@ def _outcome(deed: Callable[..., None], scribe: Scribe, arguments: tuple[Any, ..
 
 def main() -> None:
     """Be that process."""
+    if hasattr(os, "nice"):
+        os.nice(_NICE)
     answers = sys.stdout.buffer
     sys.stdout = sys.stderr
     with suppress(OSError):  # whoever started it may be gone by now
