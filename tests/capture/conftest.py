@@ -22,6 +22,7 @@ if TYPE_CHECKING:
 __all__ = ["client", "port", "recordings", "world"]
 
 PATIENCE = 20.0  # s
+BEHIND = 0.5  # s: a world may tick faster than a client can follow
 
 
 class Capture:
@@ -36,7 +37,8 @@ class Capture:
         self.process = process
 
     def end(self) -> str:
-        """End it by Ctrl-C; returns what it says."""
+        """End it by Ctrl-C, when it has seen what there is to see; returns what it says."""
+        time.sleep(BEHIND)
         self.process.send_signal(signal.SIGINT)
         return self.ended()
 
