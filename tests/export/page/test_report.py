@@ -8,8 +8,10 @@ from xml.etree import ElementTree
 import pytest
 
 from carla_recap import RecapError, open_recording
+from carla_recap.cli.maps import road_map_of
 from carla_recap.export.page import report as module
 from carla_recap.export.page import write_report
+from carla_recap.export.page.drawing import _ROAD
 from carla_recap.queries.incidents import incidents
 from tests.export.page.conftest import CROSSING, NASTY, data, record, report, spawn
 from tests.samples import names_in
@@ -121,3 +123,15 @@ def test_hostile_words_stay_words_in_pictures_and_scripts(tmp_path: Path) -> Non
 def test_a_span_that_makes_no_sense_is_refused(tmp_path: Path, span: dict[str, float]) -> None:
     with pytest.raises(RecapError, match="0 or more were expected"):
         report(CROSSING, tmp_path / "page", **span)
+
+
+def test_a_road_whose_points_lie_all_beside_a_picture_is_drawn(tmp_path: Path) -> None:
+    with open_recording("samples/blocked.mcap") as recording:
+        write_report(recording, tmp_path / "page", road_map=road_map_of(recording, None))
+    pictures = sorted((tmp_path / "page" / "pictures").iterdir())
+    assert pictures
+    for picture in pictures:
+        styles = [
+            node.get("stroke") for node in ElementTree.parse(picture).getroot().iter("{http://www.w3.org/2000/svg}path")
+        ]
+        assert _ROAD in styles, picture.name

@@ -199,7 +199,9 @@ class _Picture:
     def _visible(self, line: Floats) -> Iterator[Floats]:
         thin = thinned(line, _NEAR)
         reach = np.array((self._width, self._height)) / 2 + ROAD_WIDTH
-        return runs(thin, np.asarray((np.abs(thin) < reach).all(axis=1)))
+        least, most = np.minimum(thin[:-1], thin[1:]), np.maximum(thin[:-1], thin[1:])
+        crosses = ((least < reach) & (most > -reach)).all(axis=1)  # both ends of what does may be far away
+        return runs(thin, np.append(crosses, False))
 
 
 def _color(life: Life) -> str:
