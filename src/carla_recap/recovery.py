@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import os
-import re
 import warnings
 from contextlib import suppress
 from dataclasses import dataclass
@@ -109,10 +108,9 @@ def rescue(writer: Writer, path: Path, error: Exception, *, force: bool = False)
     partial = writer.abandon()
     if not partial.exists():
         return RecapError(f"{error}; nothing of what was recorded is left")
-    # That it was cut short is told anyway. A context with other filters would be that of all threads.
-    warnings.filterwarnings("ignore", re.escape(f"{partial}: "), RecapWarning)
     try:
-        saved = recover(partial, path, force=force)
+        with warnings.catch_warnings(action="ignore", category=RecapWarning):  # that it was cut short is told anyway
+            saved = recover(partial, path, force=force)
     except Exception:  # whatever it is: the frames are safe where they are
         return RecapError(f"{error}; what was recorded until then lies in {partial}, for carla-recap recover")
     with suppress(OSError):

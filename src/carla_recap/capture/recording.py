@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 import time
-import warnings
 from collections import deque
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final, NamedTuple
@@ -13,7 +12,6 @@ from carla_recap.author import packets_of
 from carla_recap.capture.observer import HOST, PORT, Observer
 from carla_recap.conversion import check_free
 from carla_recap.ending import ended_by_signals
-from carla_recap.errors import RecapWarning
 from carla_recap.formats import create_writer
 from carla_recap.frame import LAST_FRAME_DURATION, Frame, Header, Packet
 from carla_recap.records import FRAME_END, UE4
@@ -85,9 +83,7 @@ def capture(
             last = deque(enumerate(progress(elapsed) if progress else elapsed, 1), maxlen=1)
             writer.close()
         except Exception as error:
-            with warnings.catch_warnings(action="ignore", category=RecapWarning):  # that it was cut short is told anyway
-                told = rescue(writer, Path(destination), error, force=force)
-            raise told from None
+            raise rescue(writer, Path(destination), error, force=force) from None
         except BaseException:
             writer.abort()
             raise

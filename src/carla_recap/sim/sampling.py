@@ -34,7 +34,7 @@ if TYPE_CHECKING:
     Told = dict[str, list[Any]]  # records by type
 
 LENGTH: Final = 50
-"""So many snapshots go together at the most: two threads that take turns too often slow each other down."""
+"""So many snapshots go together at the most: each handing over costs, and what was not handed over may be lost."""
 SECONDS: Final = 5.0
 """The formats put so much of a recording on the disk at a time; no strip goes on beyond that."""
 
