@@ -124,6 +124,8 @@ class Movers(Columns, Generic[M]):
         """Let forces move an actor, or have it stay where it is put."""
         body = self.bodies[row]
         self.simulated[row] = simulated
+        if body.is_sleeping:  # Chipmunk corrupts its lists when the type of a sleeping body changes
+            body.activate()
         if simulated:
             body.body_type = pymunk.Body.DYNAMIC
             body.mass, body.moment = self.mass[row].item(), self._moment(row)
