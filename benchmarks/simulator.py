@@ -127,8 +127,8 @@ ROWS: Final = (driving, parked, recorder, scaling, an_hour, traffic)
 
 def crowded(vehicles: int, walkers: int, *, drive: bool = True) -> World:
     """A world with traffic that has been on its way for a while."""
-    from carla_recap.sim.town import load_town
-    from carla_recap.sim.traffic import populate
+    from carla_recap.sim.town.town import load_town
+    from carla_recap.sim.traffic.spawning import populate
     from carla_recap.sim.world import World
 
     world = World(load_town(TOWN), seed=0, date=0)

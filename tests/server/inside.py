@@ -11,7 +11,7 @@ import carla_recap.server.calls  # noqa: F401  (fills the table of calls)
 from carla_recap.server.client import Client
 from carla_recap.server.host import Host
 from carla_recap.server.table import TABLE
-from carla_recap.sim.town import Town, load_town
+from carla_recap.sim.town.town import Town, load_town
 from carla_recap.sim.world import World
 
 

@@ -9,8 +9,8 @@ import pytest
 
 from carla_recap.errors import RecapError
 from carla_recap.server.attributes import check_attributes
-from carla_recap.sim.blueprints import standard_library
-from carla_recap.sim.town import load_town
+from carla_recap.sim.actors.blueprints import standard_library
+from carla_recap.sim.town.town import load_town
 from carla_recap.sim.world import World
 from tests.server.inside import Inside
 

@@ -5,7 +5,7 @@ from typing import TYPE_CHECKING
 import carla
 import pytest
 
-from carla_recap.sim.town import load_town
+from carla_recap.sim.town.town import load_town
 
 if TYPE_CHECKING:
     from pathlib import Path

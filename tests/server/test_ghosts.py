@@ -12,12 +12,12 @@ from carla_recap.server import actor_records, ghosts
 from carla_recap.server.ackermann import AckermannSettings
 from carla_recap.server.ghosts import Ghost
 from carla_recap.server.host import Host
-from carla_recap.sim.actors import Vehicle
+from carla_recap.sim.actors.actors import Vehicle
 from carla_recap.sim.errors import DeadActor
 from tests.sim.flat import at, flat_world
 
 if TYPE_CHECKING:
-    from carla_recap.sim.actors import Actor
+    from carla_recap.sim.actors.actors import Actor
 
 
 def spawned(host: Host, x: float = 0.0, role_name: str = "autopilot") -> Actor:

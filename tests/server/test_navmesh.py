@@ -13,7 +13,7 @@ from carla_recap.server.navmesh import detour, navigation_files, navigation_mesh
 from carla_recap.server.navmesh.detour import mesh_bytes
 from carla_recap.server.navmesh.surface import CORNERS, walkable_surface
 from carla_recap.server.navmesh.ways import CROSSWALK, ROAD, SIDEWALK, Ways
-from carla_recap.sim.town import BUILT_IN, Town, WalkGraph, load_town
+from carla_recap.sim.town.town import BUILT_IN, Town, WalkwayGraph, load_town
 from tests.maps.towns import opendrive, road, town
 from tests.sim.flat import flat_town
 
@@ -104,14 +104,16 @@ def mesh(name: str) -> Mesh:
     return mesh_of(name)
 
 
-def graph(nodes: list[tuple[float, ...]], *edges: tuple[int, int], crossings: Iterable[tuple[int, int]] = ()) -> WalkGraph:
+def graph(
+    nodes: list[tuple[float, ...]], *edges: tuple[int, int], crossings: Iterable[tuple[int, int]] = ()
+) -> WalkwayGraph:
     pairs = [*edges, *crossings]
     crossing = np.arange(len(pairs)) >= len(edges)
     places = np.array([(*node, 0.0)[:3] for node in nodes], float).reshape(-1, 3)
-    return WalkGraph(places, np.array(pairs, np.int64).reshape(-1, 2), crossing)
+    return WalkwayGraph(places, np.array(pairs, np.int64).reshape(-1, 2), crossing)
 
 
-def built(walks: WalkGraph) -> Mesh:
+def built(walks: WalkwayGraph) -> Mesh:
     ways = Ways(walks)
     ways.loosen()
     ways.straighten()
@@ -135,7 +137,7 @@ def distance(outline: np.ndarray, place: np.ndarray) -> float:
     return float(np.hypot(*(away - share[:, None] * side).T).min())
 
 
-def reached(walks: WalkGraph) -> int:
+def reached(walks: WalkwayGraph) -> int:
     """How many parts of a walk graph do not hang together."""
     label = np.arange(len(walks.nodes))
     for _ in walks.nodes:

@@ -13,7 +13,7 @@ import carla
 import pytest
 
 from carla_recap.sim import World, load_town
-from carla_recap.sim.staging import Crash
+from carla_recap.sim.scenarios import Crash
 
 SAMPLES = Path(__file__).parents[2] / "samples"
 SCRIPTS = sorted(path.stem for path in SAMPLES.glob("*.py") if "from common import" in path.read_text())

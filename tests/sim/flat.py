@@ -7,8 +7,8 @@ from typing import Any
 import numpy as np
 
 from carla_recap.sim.geometry import Location, Rotation, Transform
-from carla_recap.sim.lanes import Lane
-from carla_recap.sim.town import Junction, Signal, SignalKind, Town, WalkGraph
+from carla_recap.sim.town.lanes import Lane
+from carla_recap.sim.town.town import Junction, Signal, SignalKind, Town, WalkwayGraph
 from carla_recap.sim.world import World
 
 LENGTH = 8000.0
@@ -48,9 +48,9 @@ def flat_town(
     signals: list[Signal] | None = None,
     phases: tuple[tuple[int, ...], ...] = (),
     barriers: list[Any] | None = None,
-    walks: WalkGraph | None = None,
+    walks: WalkwayGraph | None = None,
 ) -> Town:
-    nowhere = WalkGraph(np.empty((0, 3)), np.empty((0, 2), np.int64), np.empty(0, np.bool_))
+    nowhere = WalkwayGraph(np.empty((0, 3)), np.empty((0, 2), np.int64), np.empty(0, np.bool_))
     return Town(
         name="Flat",
         opendrive="",

@@ -7,14 +7,14 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from carla_recap.sim.lanes import Lane
-from carla_recap.sim.town import Town, WalkGraph
+from carla_recap.sim.town.lanes import Lane
+from carla_recap.sim.town.town import Town, WalkwayGraph
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    from carla_recap.sim.lanes import Turn
-    from carla_recap.sim.town import Junction, Signal
+    from carla_recap.sim.town.lanes import Turn
+    from carla_recap.sim.town.town import Junction, Signal
 
 LIMIT = 12.0  # m/s
 
@@ -58,5 +58,5 @@ def small_town(lanes: Sequence[Lane], *, signals: Sequence[Signal] = (), junctio
         for other in one.successors:
             before[other].append(one.index)
     linked = [replace(one, predecessors=tuple(before[one.index])) for one in lanes]
-    walks = WalkGraph(np.empty((0, 3)), np.empty((0, 2), np.int64), np.empty(0, np.bool_))
+    walks = WalkwayGraph(np.empty((0, 3)), np.empty((0, 2), np.int64), np.empty(0, np.bool_))
     return Town("Small", "", linked, list(signals), list(junctions), [], [], walks, [])

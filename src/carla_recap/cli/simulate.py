@@ -72,14 +72,14 @@ def record(
         raise click.UsageError("--crash and --blocked are two scenes; one recording has one of them.")
     check_new(destination, force=force)
     with _world(town, seed) as world:
-        from carla_recap.sim import staging
-        from carla_recap.sim.traffic import populate
+        from carla_recap.sim import scenarios
+        from carla_recap.sim.traffic.spawning import populate
 
         if crash:
-            staging.Crash(world)
+            scenarios.Crash(world)
         if blocked:
-            staging.Blockage(world)
-        around = staging.largest_junction(world.town) if junction else None
+            scenarios.Blockage(world)
+        around = scenarios.largest_junction(world.town) if junction else None
         populate(world, vehicles, walkers, hero=hero and not (crash or blocked), around=around)
         with _recording(world, destination, additional_data=additional_data, force=force):
             _watch("simulating", duration, _ticks(world, duration))
@@ -133,7 +133,7 @@ def _found(source: str) -> Path:
     Raises:
         MissingExtra: There is no physics engine.
     """
-    from carla_recap.sim.replayer import find_recording
+    from carla_recap.sim.replaying.replayer import find_recording
 
     return find_recording(Path(source).absolute())
 

@@ -10,11 +10,11 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Final
 from weakref import WeakKeyDictionary
 
-from carla_recap.sim.control import VehicleControl
-from carla_recap.sim.drivetrain import SPEEDS
+from carla_recap.sim.actors.control import VehicleControl
+from carla_recap.sim.physics.drivetrain import SPEEDS
 
 if TYPE_CHECKING:
-    from carla_recap.sim.actors import Vehicle
+    from carla_recap.sim.actors.actors import Vehicle
     from carla_recap.sim.world import World
 
 _RESPONSE: Final = 0.3  # s: in about so much a vehicle reaches a speed that is near

@@ -18,16 +18,16 @@ from carla_recap.server.structs import (
     AttributeValue,
     BoundingBox,
 )
-from carla_recap.sim.actors import Sign
-from carla_recap.sim.attributes import attribute_type, is_modifiable, is_restricted
+from carla_recap.sim.actors.actors import Sign
+from carla_recap.sim.actors.attributes import attribute_type, is_modifiable, is_restricted
 from carla_recap.sim.geometry import Location, Vector
 
 if TYPE_CHECKING:
     from collections.abc import Iterable
 
     from carla_recap.server.streams import Streams
-    from carla_recap.sim.actors import Actor
-    from carla_recap.sim.blueprints import Blueprint
+    from carla_recap.sim.actors.actors import Actor
+    from carla_recap.sim.actors.blueprints import Blueprint
 
 _TYPES_FROM: Final = 1  # the wire numbers the types of attributes from 1, recordings from 0
 _STREAM: Final = 1 << 24  # streams of sensors are numbered from here, those of clients below

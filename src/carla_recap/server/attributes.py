@@ -11,12 +11,12 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Final
 
 from carla_recap.server.table import CallError
-from carla_recap.sim.attributes import attribute_type
+from carla_recap.sim.actors.attributes import attribute_type
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping
 
-    from carla_recap.sim.blueprints import Blueprint, BlueprintLibrary
+    from carla_recap.sim.actors.blueprints import Blueprint, BlueprintLibrary
 
 _WHOLE: Final = re.compile(r"[+-]?[0-9]{1,10}(\.0*)?")
 _NUMBER: Final = re.compile(r"[+-]?([0-9]+\.?[0-9]*|\.[0-9]+)(e[+-]?[0-9]+)?", re.IGNORECASE)

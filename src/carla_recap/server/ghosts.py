@@ -10,8 +10,8 @@ from carla_recap.server.attributes import told_attributes
 
 if TYPE_CHECKING:
     from carla_recap.records import ActorKind
-    from carla_recap.sim.actors import Actor
-    from carla_recap.sim.blueprints import Blueprint
+    from carla_recap.sim.actors.actors import Actor
+    from carla_recap.sim.actors.blueprints import Blueprint
     from carla_recap.sim.geometry import Box, Transform
 
 _MOST: Final = 10_000

@@ -24,8 +24,8 @@ if TYPE_CHECKING:
     from collections.abc import Callable
 
     from carla_recap.server.ghosts import Ghost
-    from carla_recap.sim.actors import Actor
-    from carla_recap.sim.town import Town
+    from carla_recap.sim.actors.actors import Actor
+    from carla_recap.sim.town.town import Town
     from carla_recap.sim.world import World
 
 

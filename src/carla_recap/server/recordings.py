@@ -5,8 +5,8 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Final
 
 from carla_recap.server.table import CallError
-from carla_recap.sim.recorder import recording_path, recordings_folder
-from carla_recap.sim.replayer import find_recording
+from carla_recap.sim.recording.recorder import recording_path, recordings_folder
+from carla_recap.sim.replaying.replayer import find_recording
 
 if TYPE_CHECKING:
     from pathlib import Path

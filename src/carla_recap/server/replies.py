@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     from pathlib import Path
 
     from carla_recap.sim.errors import MapMissing
-    from carla_recap.sim.replayer import Replay, Replayer
+    from carla_recap.sim.replaying.replayer import Replay, Replayer
 
 Query = Callable[[Reader], Blocked | Collisions | Info]
 

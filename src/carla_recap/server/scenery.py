@@ -9,7 +9,7 @@ import numpy as np
 from carla_recap.server import actor_records
 from carla_recap.server.sensors.rays import Boxes
 from carla_recap.server.structs import BoundingBox, EnvironmentObject, LabelledPoint
-from carla_recap.sim.actors import Mover, Prop, Sign, TrafficLight
+from carla_recap.sim.actors.actors import Mover, Prop, Sign, TrafficLight
 from carla_recap.sim.geometry import Location, Vector
 
 if TYPE_CHECKING:
@@ -17,7 +17,7 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    from carla_recap.sim.actors import Actor
+    from carla_recap.sim.actors.actors import Actor
     from carla_recap.sim.world import World
 
     Floats = NDArray[np.float64]

@@ -8,18 +8,18 @@ from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
-from carla_recap.sim.actors import Mover, Sign, TrafficLight
-from carla_recap.sim.rules import NO_LIGHT, Rules
-from carla_recap.sim.signals import GREEN
+from carla_recap.sim.actors.actors import Mover, Sign, TrafficLight
+from carla_recap.sim.town.rules import NO_LIGHT, Rules
+from carla_recap.sim.traffic.lights import GREEN
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Sequence
 
     from numpy.typing import NDArray
 
-    from carla_recap.sim.actors import Actor
+    from carla_recap.sim.actors.actors import Actor
     from carla_recap.sim.geometry import Transform
-    from carla_recap.sim.movers import Movers
+    from carla_recap.sim.physics.movers import Movers
     from carla_recap.sim.world import World
 
 _WORLD: Final = 17
@@ -104,7 +104,7 @@ class Photographer:
         self._world = world
         self._rules = Rules(world.town)
         self._light_ids = np.array([*(light.id for light in world.traffic_lights), 0])  # row NO_LIGHT is the last
-        self._population: object = None
+        self._registry: object = None
         self._arrays: list[NDArray[np.void]] = []
         self._others: list[Actor] = []
         self._drives = Drives(world)
@@ -126,14 +126,14 @@ class Photographer:
 
     def look_ahead(self) -> None:
         """Do some of what the next snapshot takes."""
-        if tuple(self._world.actors) == self._population:
+        if tuple(self._world.actors) == self._registry:
             self._drives.look(_NEAR)
 
     def _rows(self) -> Sequence[NDArray[np.void]]:
         world = self._world
         actors = tuple(world.actors)
-        if actors != self._population:
-            self._population = actors
+        if actors != self._registry:
+            self._registry = actors
             self._assemble(list(world.actors.values()))
         vehicles, walkers, lights, _, others = self._arrays
         if len(vehicles):

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 from carla_recap.sim.geometry import Location, Transform, Vector
 
 if TYPE_CHECKING:
-    from carla_recap.sim.actors import Vehicle
+    from carla_recap.sim.actors.actors import Vehicle
     from carla_recap.sim.world import World
 
 

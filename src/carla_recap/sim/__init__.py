@@ -7,15 +7,15 @@ from typing import TYPE_CHECKING
 from carla_recap.lazy import lazily
 
 if TYPE_CHECKING:
-    from carla_recap.sim.actors import Actor, Prop, Sensor, Sign, Spectator, TrafficLight, Vehicle, Walker
-    from carla_recap.sim.blueprints import Blueprint, BlueprintLibrary
-    from carla_recap.sim.control import VehicleControl, WalkerControl
+    from carla_recap.sim.actors.actors import Actor, Prop, Sensor, Sign, Spectator, TrafficLight, Vehicle, Walker
+    from carla_recap.sim.actors.blueprints import Blueprint, BlueprintLibrary
+    from carla_recap.sim.actors.control import VehicleControl, WalkerControl
+    from carla_recap.sim.actors.events import Collision, TickEvents
     from carla_recap.sim.errors import DeadActor, SimError, SpawnError
-    from carla_recap.sim.events import Collision, TickEvents
     from carla_recap.sim.geometry import Box, Location, Rotation, Transform, Vector
-    from carla_recap.sim.physics_control import Gear, PhysicsControl, WheelPhysics
+    from carla_recap.sim.physics.physics_control import Gear, PhysicsControl, WheelPhysics
     from carla_recap.sim.settings import Settings
-    from carla_recap.sim.town import Town, load_town
+    from carla_recap.sim.town.town import Town, load_town
     from carla_recap.sim.weather import PRESETS, Weather
     from carla_recap.sim.world import Controller, World
 
@@ -58,15 +58,15 @@ __all__ = [
 __getattr__, __dir__ = lazily(
     __name__,
     {
-        "actors": ("Actor", "Prop", "Sensor", "Sign", "Spectator", "TrafficLight", "Vehicle", "Walker"),
-        "blueprints": ("Blueprint", "BlueprintLibrary"),
-        "control": ("VehicleControl", "WalkerControl"),
+        "actors.actors": ("Actor", "Prop", "Sensor", "Sign", "Spectator", "TrafficLight", "Vehicle", "Walker"),
+        "actors.blueprints": ("Blueprint", "BlueprintLibrary"),
+        "actors.control": ("VehicleControl", "WalkerControl"),
         "errors": ("DeadActor", "SimError", "SpawnError"),
-        "events": ("Collision", "TickEvents"),
+        "actors.events": ("Collision", "TickEvents"),
         "geometry": ("Box", "Location", "Rotation", "Transform", "Vector"),
-        "physics_control": ("Gear", "PhysicsControl", "WheelPhysics"),
+        "physics.physics_control": ("Gear", "PhysicsControl", "WheelPhysics"),
         "settings": ("Settings",),
-        "town": ("Town", "load_town"),
+        "town.town": ("Town", "load_town"),
         "weather": ("PRESETS", "Weather"),
         "world": ("Controller", "World"),
     },

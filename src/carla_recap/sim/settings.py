@@ -5,8 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Any, Literal
 
-from carla_recap.sim.checks import expect_seconds
 from carla_recap.sim.errors import SimError
+from carla_recap.sim.validation import expect_seconds
 
 _COLLISIONS_OF = ("heroes", "all")
 

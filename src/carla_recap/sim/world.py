@@ -10,31 +10,31 @@ from typing import TYPE_CHECKING, Final, Protocol, Self
 
 import numpy as np
 
-from carla_recap.sim.blueprints import standard_library
-from carla_recap.sim.checks import expect_numbers, expect_seconds
-from carla_recap.sim.collisions import Collisions
+from carla_recap.sim.actors.blueprints import standard_library
+from carla_recap.sim.actors.events import TickEvents
+from carla_recap.sim.actors.registry import ActorRegistry
 from carla_recap.sim.errors import SimError
-from carla_recap.sim.events import TickEvents
-from carla_recap.sim.population import Population
+from carla_recap.sim.physics.collisions import Collisions
 from carla_recap.sim.settings import Settings
-from carla_recap.sim.signals import Signals
-from carla_recap.sim.town import Town, load_town
+from carla_recap.sim.town.town import Town, load_town
+from carla_recap.sim.traffic.lights import Signals
+from carla_recap.sim.validation import expect_numbers, expect_seconds
 from carla_recap.sim.weather import Weather
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping
 
     from carla_recap.replay.follow import Follow
-    from carla_recap.sim.actors import Actor, Spectator, TrafficLight
-    from carla_recap.sim.autopilot import Autopilot
-    from carla_recap.sim.blueprints import Blueprint
+    from carla_recap.sim.actors.actors import Actor, Spectator, TrafficLight
+    from carla_recap.sim.actors.blueprints import Blueprint
     from carla_recap.sim.geometry import Transform
-    from carla_recap.sim.plane import Plane
-    from carla_recap.sim.recorder import Recorder
-    from carla_recap.sim.replayer import Replay, Replayer
-    from carla_recap.sim.strolling import Strolling
-    from carla_recap.sim.vehicles import Vehicles
-    from carla_recap.sim.walkers import Walkers
+    from carla_recap.sim.physics.plane import Plane
+    from carla_recap.sim.physics.vehicles import Vehicles
+    from carla_recap.sim.physics.walkers import Walkers
+    from carla_recap.sim.recording.recorder import Recorder
+    from carla_recap.sim.replaying.replayer import Replay, Replayer
+    from carla_recap.sim.traffic.autopilot import Autopilot
+    from carla_recap.sim.traffic.pedestrians import PedestrianNavigation
 
 _STRIDE: Final = 1.0  # m: nothing moves farther in a step
 _DELTA: Final = 0.05  # s, where nobody says how long a tick is
@@ -117,10 +117,10 @@ class World:
         self._weather = Weather()
         self.signals = Signals(town)
         self.events = TickEvents()
-        self._population = Population(self, town, first)
+        self._registry = ActorRegistry(self, town, first)
         self._collisions = Collisions(self)
         self._autopilot: Autopilot | None = None
-        self._strolling: Strolling | None = None
+        self._pedestrians: PedestrianNavigation | None = None
 
     @property
     def weather(self) -> Weather:
@@ -146,37 +146,37 @@ class World:
     @property
     def actors(self) -> Mapping[int, Actor]:
         """All actors by id, in the order in which they came."""
-        return self._population.actors
+        return self._registry.actors
 
     @property
     def vehicles(self) -> Vehicles:
         """All vehicles, as arrays."""
-        return self._population.vehicles
+        return self._registry.vehicles
 
     @property
     def walkers(self) -> Walkers:
         """All walkers, as arrays."""
-        return self._population.walkers
+        return self._registry.walkers
 
     @property
     def traffic_lights(self) -> list[TrafficLight]:
         """All traffic lights; light i is row i of `signals`."""
-        return self._population.traffic_lights
+        return self._registry.traffic_lights
 
     @property
     def spectator(self) -> Spectator:
         """Who looks at the world."""
-        return self._population.spectator
+        return self._registry.spectator
 
     @property
     def plane(self) -> Plane:
         """The bodies of the actors."""
-        return self._population.plane
+        return self._registry.plane
 
     @property
     def pending(self) -> TickEvents:
         """What has happened since the latest tick; `events` tells it at the end of the next one."""
-        return self._population.pending
+        return self._registry.pending
 
     def spawn(
         self, blueprint: Blueprint | str, transform: Transform, *, parent: Actor | None = None, **attributes: str
@@ -194,7 +194,7 @@ class World:
             SimError: The place is too far away for a recording, or an attribute is too long for one.
             DeadActor: The parent has been destroyed.
         """
-        return self._population.place_where_free(self._blueprint(blueprint, attributes), transform, parent, attributes)
+        return self._registry.place_where_free(self._blueprint(blueprint, attributes), transform, parent, attributes)
 
     def try_spawn(
         self, blueprint: Blueprint | str, transform: Transform, *, parent: Actor | None = None, **attributes: str
@@ -207,15 +207,15 @@ class World:
             DeadActor: The parent has been destroyed.
         """
         blueprint = self._blueprint(blueprint, attributes)
-        if parent is None and any(self._population.occupants(blueprint, transform)):
+        if parent is None and any(self._registry.occupants(blueprint, transform)):
             return None
-        return self._population.place(blueprint, transform, parent, attributes)
+        return self._registry.place(blueprint, transform, parent, attributes)
 
     def place(
         self, blueprint: Blueprint | str, transform: Transform, *, parent: Actor | None = None, **attributes: str
     ) -> Actor:
         """Let an actor appear, even where others are; see `spawn`."""
-        return self._population.place(self._blueprint(blueprint, attributes), transform, parent, attributes)
+        return self._registry.place(self._blueprint(blueprint, attributes), transform, parent, attributes)
 
     def destroy(self, actor: Actor) -> bool:
         """Take an actor, and what is attached to it, out of the world.
@@ -226,11 +226,11 @@ class World:
         Raises:
             SimError: It belongs to the town.
         """
-        return self._population.destroy(actor)
+        return self._registry.destroy(actor)
 
     def owner(self, body: int) -> Actor | None:
         """Whose a body of the plane is; None for a barrier."""
-        return self._population.owner(body)
+        return self._registry.owner(body)
 
     def height(self, x: float, y: float) -> float:
         """How high the road near a place is, in m."""
@@ -242,27 +242,27 @@ class World:
     def autopilot(self) -> Autopilot:
         """Who drives the vehicles whose autopilot is on; made when first asked for."""
         if self._autopilot is None:
-            from carla_recap.sim.autopilot import Autopilot
+            from carla_recap.sim.traffic.autopilot import Autopilot
 
             self._autopilot = Autopilot(self)
             self.controllers.append(self._autopilot)
         return self._autopilot
 
     @property
-    def strolling(self) -> Strolling:
+    def pedestrians(self) -> PedestrianNavigation:
         """Who leads the walkers that have destinations; made when first asked for."""
-        if self._strolling is None:
-            from carla_recap.sim.strolling import Strolling
+        if self._pedestrians is None:
+            from carla_recap.sim.traffic.pedestrians import PedestrianNavigation
 
-            self._strolling = Strolling(self)
-            self.controllers.append(self._strolling)
-        return self._strolling
+            self._pedestrians = PedestrianNavigation(self)
+            self.controllers.append(self._pedestrians)
+        return self._pedestrians
 
     @property
     def recorder(self) -> Recorder:
         """The recorder; made when first asked for."""
         if self._recorder is None:
-            from carla_recap.sim.recorder import Recorder
+            from carla_recap.sim.recording.recorder import Recorder
 
             self._recorder = Recorder(self, self.recordings)
             self.listeners.insert(0, self._recorder)  # what other listeners do belongs to the next tick
@@ -272,7 +272,7 @@ class World:
     def replayer(self) -> Replayer:
         """The replayer; made when first asked for."""
         if self._replayer is None:
-            from carla_recap.sim.replayer import Replayer
+            from carla_recap.sim.replaying.replayer import Replayer
 
             self._replayer = Replayer(self)
             self.controllers.append(self._replayer)
@@ -358,7 +358,7 @@ class World:
         self._move(delta)
         self.frame += 1
         self.elapsed += delta
-        self.events = self._population.take_events()
+        self.events = self._registry.take_events()
         self.events.collisions = self._collisions.take()
         for listener in tuple(self.listeners):
             listener()
@@ -405,10 +405,10 @@ class World:
         town = self.town if town is None else self._loaded(town)
         self.stop_recorder()
         self.stop_replayer(keep_actors=True)
-        self._population.disperse()
-        mine = (self._autopilot, self._strolling)
+        self._registry.disperse()
+        mine = (self._autopilot, self._pedestrians)
         self.controllers = [controller for controller in self.controllers if controller not in mine]
-        self._begin(town, self._population.next_id)
+        self._begin(town, self._registry.next_id)
 
     def _move(self, delta: float) -> None:
         movers = [group for group in (self.vehicles, self.walkers) if len(group)]
@@ -423,7 +423,7 @@ class World:
                     group.pull()
         for group in movers:
             group.end(delta)
-        self._population.carry()
+        self._registry.carry()
 
     def _steps(self, delta: float) -> int:
         """In how many steps a tick is simulated: in more, where something is fast."""

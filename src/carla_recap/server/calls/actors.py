@@ -10,10 +10,10 @@ from carla_recap.server.attributes import check_attributes
 from carla_recap.server.client import Client
 from carla_recap.server.structs import ActorDefinition, ActorDescription, ActorRecord, BoundingBox
 from carla_recap.server.table import CallError, call
-from carla_recap.sim.actors import Actor, Mover, Prop, Sign, Vehicle, Walker
-from carla_recap.sim.checks import expect_place, expect_push, expect_turning, expect_velocity
-from carla_recap.sim.control import VehicleControl
+from carla_recap.sim.actors.actors import Actor, Mover, Prop, Sign, Vehicle, Walker
+from carla_recap.sim.actors.control import VehicleControl
 from carla_recap.sim.geometry import Location, Transform, Vector
+from carla_recap.sim.validation import expect_place, expect_push, expect_turning, expect_velocity
 
 A = TypeVar("A", bound=Actor)
 

@@ -14,7 +14,7 @@ from carla_recap.server.client import Client
 from carla_recap.server.managers import Truce
 from carla_recap.server.structs import EpisodeSettings
 from carla_recap.server.table import CallError, call
-from carla_recap.sim.town import Town, load_town
+from carla_recap.sim.town.town import Town, load_town
 
 _SENT: Final = "OpenDriveMap"
 """The name of the map that a client has sent, as with CARLA."""

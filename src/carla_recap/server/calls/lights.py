@@ -7,7 +7,7 @@ from carla_recap.server.calls.actors import expect
 from carla_recap.server.client import Client
 from carla_recap.server.structs import BoundingBox
 from carla_recap.server.table import call
-from carla_recap.sim.actors import TrafficLight
+from carla_recap.sim.actors.actors import TrafficLight
 
 
 @call

@@ -18,7 +18,7 @@ from carla_recap.server.client import Client
 from carla_recap.server.table import call
 from carla_recap.sim.errors import MapMissing
 from carla_recap.sim.geometry import Transform
-from carla_recap.sim.replayer import CHASE, Replay
+from carla_recap.sim.replaying.replayer import CHASE, Replay
 
 _NEWS: Final = 0.1
 """s, until a client that has just been sent a new episode knows of it, and takes its calls to be of that."""

@@ -10,7 +10,7 @@ from carla_recap.server.client import Client
 from carla_recap.server.navmesh import NAVIGATION, navigation_files, navigation_mesh
 from carla_recap.server.structs import EpisodeInfo, EpisodeSettings, MapInfo, Token
 from carla_recap.server.table import CallError, call
-from carla_recap.sim.checks import expect_between
+from carla_recap.sim.validation import expect_between
 from carla_recap.sim.weather import Weather
 
 if TYPE_CHECKING:

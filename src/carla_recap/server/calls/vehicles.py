@@ -15,11 +15,11 @@ from carla_recap.server.client import Client
 from carla_recap.server.ghosts import Ghost
 from carla_recap.server.structs import Telemetry, VehicleLightState, WheelTelemetry
 from carla_recap.server.table import CallError, call
-from carla_recap.sim.actors import Vehicle
-from carla_recap.sim.control import VehicleControl
-from carla_recap.sim.drivetrain import GRAVITY
+from carla_recap.sim.actors.actors import Vehicle
+from carla_recap.sim.actors.control import VehicleControl
 from carla_recap.sim.geometry import Location, Transform, Vector
-from carla_recap.sim.physics_control import PhysicsControl
+from carla_recap.sim.physics.drivetrain import GRAVITY
+from carla_recap.sim.physics.physics_control import PhysicsControl
 
 _CM: Final = 100.0  # in a m
 _CONTROL: Final = list(get_type_hints(VehicleControl).values())

@@ -5,10 +5,10 @@ from __future__ import annotations
 from carla_recap.server.calls.actors import expect
 from carla_recap.server.client import Client
 from carla_recap.server.table import call
-from carla_recap.sim.actors import Walker
-from carla_recap.sim.checks import expect_velocity
-from carla_recap.sim.control import WalkerControl
+from carla_recap.sim.actors.actors import Walker
+from carla_recap.sim.actors.control import WalkerControl
 from carla_recap.sim.geometry import Transform, Vector
+from carla_recap.sim.validation import expect_velocity
 
 
 @call

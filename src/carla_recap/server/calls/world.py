@@ -6,9 +6,9 @@ from carla_recap.server import scenery
 from carla_recap.server.client import Client
 from carla_recap.server.structs import BoundingBox, EnvironmentObject, LabelledPoint
 from carla_recap.server.table import CallError, call
-from carla_recap.sim.checks import expect_place
-from carla_recap.sim.drivetrain import GRAVITY
 from carla_recap.sim.geometry import Location, Vector
+from carla_recap.sim.physics.drivetrain import GRAVITY
+from carla_recap.sim.validation import expect_place
 
 
 @call

@@ -12,7 +12,7 @@ from carla_recap.server.navmesh.surface import walkable_surface
 from carla_recap.server.navmesh.ways import Ways
 
 if TYPE_CHECKING:
-    from carla_recap.sim.town import Town
+    from carla_recap.sim.town.town import Town
 
 NAVIGATION: Final = "Nav"
 """The folder of which clients ask what files they need to steer walkers."""

@@ -12,7 +12,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from carla_recap.server.navmesh.ways import Ways
-    from carla_recap.sim.town import Town
+    from carla_recap.sim.town.town import Town
 
     Floats = NDArray[np.float64]
 

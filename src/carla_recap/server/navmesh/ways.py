@@ -8,7 +8,7 @@ from math import cos, dist, hypot, pi
 from typing import TYPE_CHECKING, Final
 
 if TYPE_CHECKING:
-    from carla_recap.sim.town import WalkGraph
+    from carla_recap.sim.town.town import WalkwayGraph
 
     Place = list[float]
 
@@ -29,7 +29,7 @@ class Ways:
         areas: For each node, the nodes beside it, and what the way to each is.
     """
 
-    def __init__(self, walks: WalkGraph) -> None:
+    def __init__(self, walks: WalkwayGraph) -> None:
         self.places: list[Place] = walks.nodes.tolist()
         self.areas: dict[int, dict[int, int]] = defaultdict(dict)
         for (one, other), crossing in zip(walks.edges.tolist(), walks.crossing.tolist(), strict=True):

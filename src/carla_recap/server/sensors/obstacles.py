@@ -9,14 +9,14 @@ import pymunk
 
 from carla_recap.server.sensors.feed import flag, number
 from carla_recap.server.sensors.rays import Boxes, row, seen_by
-from carla_recap.sim.actors import Mover
-from carla_recap.sim.plane import WALL
+from carla_recap.sim.actors.actors import Mover
+from carla_recap.sim.physics.plane import WALL
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator
 
     from carla_recap.server.sensors.feed import Feed, Tell
-    from carla_recap.sim.actors import Actor
+    from carla_recap.sim.actors.actors import Actor
 
 _WALLS: Final = pymunk.ShapeFilter(mask=WALL)
 

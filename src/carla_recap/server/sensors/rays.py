@@ -7,14 +7,14 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
-from carla_recap.sim.actors import Mover, Prop
+from carla_recap.sim.actors.actors import Mover, Prop
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Sequence
 
     from numpy.typing import NDArray
 
-    from carla_recap.sim.actors import Actor
+    from carla_recap.sim.actors.actors import Actor
     from carla_recap.sim.geometry import Location, Transform, Vector
 
     Floats = NDArray[np.float64]

@@ -1,0 +1,239 @@
+"""Who is in a world: actors come with their bodies, and go with what is attached to them."""
+
+from __future__ import annotations
+
+from types import MappingProxyType
+from typing import TYPE_CHECKING, Final
+
+import numpy as np
+
+from carla_recap.records import ActorKind
+from carla_recap.sim.actors import blueprints
+from carla_recap.sim.actors.actors import Actor, Mover, Prop, Sensor, Sign, Spectator, TrafficLight, Vehicle, Walker, upon
+from carla_recap.sim.actors.events import TickEvents
+from carla_recap.sim.errors import SimError, SpawnError
+from carla_recap.sim.geometry import Transform
+from carla_recap.sim.physics.plane import PROP, VEHICLE, WALKER, WALL, Plane
+from carla_recap.sim.physics.vehicles import Vehicles
+from carla_recap.sim.physics.walkers import Walkers
+from carla_recap.sim.town.town import SignalKind
+from carla_recap.sim.validation import expect_text, expect_transform
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator, Mapping
+
+    import pymunk
+
+    from carla_recap.sim.actors.blueprints import Blueprint
+    from carla_recap.sim.geometry import Location
+    from carla_recap.sim.town.town import Signal, Town
+    from carla_recap.sim.world import World
+
+_WALKER_MASS: Final = 75.0  # kg
+_WALKER_RADIUS: Final = 0.25  # m: shoulders
+_POLE_RADIUS: Final = 0.15  # m
+_CLASSES: Final[dict[ActorKind, type[Actor]]] = {
+    ActorKind.VEHICLE: Vehicle,
+    ActorKind.WALKER: Walker,
+    ActorKind.SENSOR: Sensor,
+}
+
+
+class ActorRegistry:
+    """The actors of an episode; the spectator and the signs of the town are there from the beginning.
+
+    Args:
+        world: The world.
+        town: Its town.
+        first: The id of the first actor.
+
+    Attributes:
+        actors: By id, in the order in which they came.
+        plane: Their bodies, and the barriers of the town.
+        vehicles: All vehicles.
+        walkers: All walkers.
+        spectator: Who looks at the world.
+        traffic_lights: All lights.
+        pending: What has happened since the latest tick.
+        next_id: The id of who comes next.
+    """
+
+    def __init__(self, world: World, town: Town, first: int) -> None:
+        self._world = world
+        self._town = town
+        self._actors: dict[int, Actor] = {}
+        self._owners: dict[int, Actor] = {}
+        self._riders: dict[Mover, Actor] = {}
+        self.actors: Mapping[int, Actor] = MappingProxyType(self._actors)
+        self.plane = Plane()
+        self.vehicles = Vehicles(self.plane, town.height)
+        self.walkers = Walkers(self.plane, town.height)
+        self.pending = TickEvents()
+        self.next_id = first
+        for barrier in town.barriers:
+            self.plane.add_wall(barrier[:, :2])
+        self.spectator = Spectator(world, self._new_id(), blueprints.SPECTATOR, Transform())
+        self._enter(self.spectator)
+        self.traffic_lights: list[TrafficLight] = []
+        for signal in town.signals:
+            self._put_up(signal)
+
+    def place(
+        self, blueprint: Blueprint, transform: Transform, parent: Actor | None, attributes: Mapping[str, str]
+    ) -> Actor:
+        """Let an actor appear, even where others are; see `World.spawn`."""
+        expect_transform(f"the transform of {blueprint.id}", transform)
+        for key, value in attributes.items():
+            expect_text(f"{key} of {blueprint.id}", value)
+        if parent is not None:
+            parent.check()
+        make = _CLASSES.get(blueprint.kind, Prop)
+        actor = make(self._world, self._new_id(), blueprint, transform, dict(attributes), parent)
+        self._enter(actor)
+        if isinstance(actor, Mover):
+            self._embody(actor, transform if parent is None else upon(parent, transform))
+        elif isinstance(actor, Prop) and parent is None and actor.box.extent.length() > 0:
+            actor.body = self._own(actor, self.plane.add_box(PROP, _corners(blueprint), None))
+            actor.transform = transform
+        if parent is not None:
+            self.pending.parented.append((actor.id, parent.id))
+            if isinstance(actor, Mover):
+                self._fix(actor, parent)
+        return actor
+
+    def place_where_free(
+        self, blueprint: Blueprint, transform: Transform, parent: Actor | None, attributes: Mapping[str, str]
+    ) -> Actor:
+        """Let an actor appear; see `World.spawn`."""
+        if parent is None and (other := next(self.occupants(blueprint, transform), None)):
+            place = transform.location
+            where = f"({place.x:.1f}, {place.y:.1f}, {place.z:.1f})"
+            raise SpawnError(f"{blueprint.id} cannot be spawned at {where}: {other!r} is there")
+        return self.place(blueprint, transform, parent, attributes)
+
+    def occupants(self, blueprint: Blueprint, transform: Transform) -> Iterator[Actor]:
+        """Who is where an actor would be; nobody, if it has no box.
+
+        Raises:
+            SimError: Nobody can be there, so far away.
+        """
+        expect_transform(f"the transform of {blueprint.id}", transform)
+        if blueprint.box.extent.length() == 0:
+            return
+        place, yaw = transform.location, np.radians(transform.rotation.yaw).item()
+        for body in self.plane.overlapping(_corners(blueprint), place.x, place.y, yaw):
+            if body in self._owners:
+                yield self._owners[body]
+
+    def destroy(self, actor: Actor) -> bool:
+        """See `World.destroy`."""
+        if not actor.is_alive:
+            return False
+        if isinstance(actor, (Spectator, Sign)):
+            raise SimError(f"{actor!r} belongs to the town and cannot be destroyed")
+        for child in list(actor.children):
+            self.destroy(child)
+        if actor.parent is not None:
+            actor.parent.children.remove(actor)
+        actor.die()
+        if isinstance(actor, (Vehicle, Walker)):
+            self._riders.pop(actor, None)
+            del self._owners[actor.rows.leave(actor.id).id]
+        elif isinstance(actor, Prop) and actor.body is not None:
+            del self._owners[actor.body.id]
+            self.plane.remove(actor.body)
+        del self._actors[actor.id]
+        self.pending.destroyed.append(actor.id)
+        return True
+
+    def carry(self) -> None:
+        """Have vehicles and walkers that are attached to others go where these have gone."""
+        for rider, parent in self._riders.items():
+            rider.ride(parent)
+
+    def take_events(self) -> TickEvents:
+        """What has happened since they were last taken."""
+        events, self.pending = self.pending, TickEvents()
+        return events
+
+    def owner(self, body: int) -> Actor | None:
+        """Whose a body of the plane is; None for a barrier."""
+        return self._owners.get(body)
+
+    def disperse(self) -> None:
+        """Let all actors end with their episode."""
+        for actor in self._actors.values():
+            actor.die()
+
+    def _new_id(self) -> int:
+        self.next_id += 1
+        return self.next_id - 1
+
+    def _enter(self, actor: Actor) -> None:
+        self._actors[actor.id] = actor
+        self.pending.spawned.append(actor)
+
+    def _own(self, actor: Actor, body: pymunk.Body) -> pymunk.Body:
+        self._owners[body.id] = actor
+        return body
+
+    def _embody(self, mover: Mover, transform: Transform) -> None:
+        columns = _columns(mover, transform)
+        if isinstance(mover, Vehicle):
+            physics = mover.physics_control
+            body = self._own(mover, self.plane.add_box(VEHICLE, _corners(mover.blueprint), physics.mass))
+            row = self.vehicles.enter(mover, body, **columns)
+            self.vehicles.set_physics(row, physics, mover.box)
+        elif isinstance(mover, Walker):
+            body = self._own(mover, self.plane.add_disc(WALKER, _WALKER_RADIUS, _WALKER_MASS))
+            self.walkers.enter(mover, body, **columns, half_height=mover.box.extent.z, mass=_WALKER_MASS)
+
+    def _fix(self, rider: Mover, parent: Actor) -> None:
+        """Fix a vehicle or walker to another actor: it goes along, and touches nobody, as attached props do."""
+        self._riders[rider] = parent
+        rider.rows.carried[rider.row] = True
+        rider.set_simulate_physics(False)
+        rider.set_collisions(False)
+        rider.ride(parent)
+
+    def _put_up(self, signal: Signal) -> None:
+        """Put up a light or a sign of the town; it has a pole, unless it hangs over the road."""
+        if signal.kind is SignalKind.LIGHT:
+            light = TrafficLight(self._world, self._new_id(), blueprints.TRAFFIC_LIGHT, signal, len(self.traffic_lights))
+            self.traffic_lights.append(light)
+            sign: Sign = light
+        else:
+            sign = Sign(self._world, self._new_id(), _sign_blueprint(signal), signal)
+        self._enter(sign)
+        place = signal.transform.location
+        if not self._is_on_road(place):
+            body = self._own(sign, self.plane.add_disc(WALL, _POLE_RADIUS, None))
+            self.plane.move(body, place.x, place.y, 0.0)
+
+    def _is_on_road(self, place: Location) -> bool:
+        x, y = np.array([place.x]), np.array([place.y])
+        lane, s = self._town.nearest_lane(x, y)
+        aside = abs(self._town.project(lane, x, y, s)[1][0])
+        return bool(aside < self._town.lanes[lane[0]].width / 2 + _POLE_RADIUS)
+
+
+def _sign_blueprint(signal: Signal) -> Blueprint:
+    if signal.kind is SignalKind.SPEED_LIMIT:
+        return blueprints.speed_limit((signal.speed_limit or 0.0) * 3.6)
+    return blueprints.STOP_SIGN if signal.kind is SignalKind.STOP else blueprints.YIELD_SIGN
+
+
+def _corners(blueprint: Blueprint) -> list[tuple[float, float]]:
+    """The outline of a box from above."""
+    centre, extent = blueprint.box.location, blueprint.box.extent
+    return [(centre.x + x * extent.x, centre.y + y * extent.y) for x, y in ((1, 1), (1, -1), (-1, -1), (-1, 1))]
+
+
+def _columns(mover: Mover, transform: Transform) -> dict[str, float | tuple[float, float, float]]:
+    place, turn, extent = transform.location, transform.rotation, mover.box.extent
+    return {
+        "position": (place.x, place.y, place.z),
+        "rotation": (turn.pitch, turn.yaw, turn.roll),
+        "half_length": extent.x,
+        "half_width": extent.y,
+    }

@@ -1,5 +1,0 @@
-"""The autopilot: drives vehicles along the lanes, with regard for everybody else."""
-
-from carla_recap.sim.autopilot.pilot import Autopilot
-
-__all__ = ["Autopilot"]

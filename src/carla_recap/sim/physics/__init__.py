@@ -1,0 +1,1 @@
+"""Planar rigid bodies of vehicles and walkers: engines, tyres and contacts."""

@@ -1,0 +1,167 @@
+"""What vehicles and walkers have in common: where they are, how they move, and their bodies in the plane."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import TYPE_CHECKING, Any, ClassVar, Generic, TypeVar
+
+import numpy as np
+from numpy.typing import NDArray
+
+from carla_recap.errors import MissingExtra
+from carla_recap.sim.columns import Columns
+
+try:
+    import pymunk
+except ModuleNotFoundError:
+    raise MissingExtra("the simulator", "sim") from None
+
+if TYPE_CHECKING:
+    from carla_recap.sim.actors.actors import Mover
+    from carla_recap.sim.physics.plane import Plane
+
+Floats = NDArray[np.float64]
+M = TypeVar("M", bound="Mover")
+Height = Callable[[Floats, Floats], Floats]
+"""Tells how high the road is at places x, y."""
+
+
+class Movers(Columns, Generic[M]):
+    """Actors with bodies that move; row i of each array belongs to `actors[i]`.
+
+    Attributes:
+        actors: In the order of spawning.
+        bodies: Their bodies in the plane.
+        id: Of the actors.
+        body_id: Of the bodies.
+        position: In m, (n, 3).
+        rotation: Pitch, yaw and roll in degrees, (n, 3).
+        velocity: In m/s, (n, 3).
+        angular_velocity: In degrees/s about x, y and z, (n, 3).
+        acceleration: In m/s², (n, 3).
+        half_length: Half of the length of the box in m.
+        half_width: Half of its width.
+        mass: In kg.
+        simulated: Whether forces move it; else it stays where it is put.
+        unsettled: Whether it was put somewhere and is not on the ground yet.
+        carried: Whether it is attached to another actor, and goes where that goes.
+    """
+
+    COLUMNS: ClassVar[dict[str, Any]] = {
+        "id": np.int64(0),
+        "body_id": np.uintp(0),
+        "position": np.zeros(3),
+        "rotation": np.zeros(3),
+        "velocity": np.zeros(3),
+        "angular_velocity": np.zeros(3),
+        "acceleration": np.zeros(3),
+        "half_length": 0.0,
+        "half_width": 0.0,
+        "mass": 1.0,
+        "simulated": True,
+        "unsettled": True,
+        "carried": False,
+    }
+    id: NDArray[np.int64]
+    body_id: NDArray[np.uintp]
+    position: Floats
+    rotation: Floats
+    velocity: Floats
+    angular_velocity: Floats
+    acceleration: Floats
+    half_length: Floats
+    half_width: Floats
+    mass: Floats
+    simulated: NDArray[np.bool_]
+    unsettled: NDArray[np.bool_]
+    carried: NDArray[np.bool_]
+
+    def __init__(self, plane: Plane, height: Height) -> None:
+        super().__init__()
+        self.plane = plane
+        self.actors: list[M] = []
+        self.bodies: list[pymunk.Body] = []
+        self._height = height
+        self._rows: dict[int, int] = {}
+        self._before = self.velocity
+
+    @property
+    def yaw(self) -> Floats:
+        """In degrees, (n,): a view."""
+        return self.rotation[:, 1]
+
+    def row(self, actor: int) -> int:
+        """The row of an actor."""
+        return self._rows[actor]
+
+    def enter(self, actor: M, body: pymunk.Body, **values: Any) -> int:
+        """Add an actor, which stands where its columns say; returns its row."""
+        row = self.append_row(id=actor.id, body_id=body.id, **values)
+        self.actors.append(actor)
+        self.bodies.append(body)
+        self._rows[actor.id] = row
+        self._move_body(row)
+        return row
+
+    def leave(self, actor: int) -> pymunk.Body:
+        """Take an actor out; returns the body that it had."""
+        row = self._rows[actor]
+        body = self.bodies[row]
+        self.plane.remove(body)
+        self.remove_row(row)
+        del self.actors[row], self.bodies[row]
+        self._rows = {other.id: index for index, other in enumerate(self.actors)}
+        return body
+
+    def put(self, row: int, position: tuple[float, float, float], rotation: tuple[float, float, float]) -> None:
+        """Put an actor elsewhere: m, and pitch, yaw, roll in degrees."""
+        self.position[row] = position
+        self.rotation[row] = rotation
+        self.unsettled[row] = True
+        self._move_body(row)
+
+    def set_simulated(self, row: int, simulated: bool) -> None:
+        """Let forces move an actor, or have it stay where it is put."""
+        body = self.bodies[row]
+        self.simulated[row] = simulated
+        if body.is_sleeping:  # Chipmunk corrupts its lists when the type of a sleeping body changes
+            body.activate()
+        if simulated:
+            body.body_type = pymunk.Body.DYNAMIC
+            body.mass, body.moment = self.mass[row].item(), self._moment(row)
+        else:
+            body.body_type = pymunk.Body.KINEMATIC
+            body.velocity, body.angular_velocity = (0.0, 0.0), 0.0
+
+    def set_velocity(self, row: int, x: float, y: float, z: float) -> None:
+        """Give an actor a velocity in m/s, from which it goes on."""
+        self.velocity[row] = x, y, z
+
+    def tell(self, which: NDArray[np.bool_], motions: Floats) -> None:
+        """Tell the bodies of some actors how fast they are; see `Plane.tell`."""
+        rows = np.flatnonzero(which)
+        self.plane.tell([self.bodies[row] for row in rows.tolist()], motions[rows])
+
+    def begin(self, seconds: float) -> bool:
+        """Start a tick; returns whether any of them moves, or is about to."""
+        raise NotImplementedError
+
+    def push(self, seconds: float) -> None:
+        """Tell the bodies how fast they are in the next step."""
+        raise NotImplementedError
+
+    def pull(self) -> None:
+        """Take over how the bodies move after a step."""
+        raise NotImplementedError
+
+    def end(self, seconds: float) -> None:
+        """Finish a tick: heights, and what is told of the motion, for those that moved."""
+        raise NotImplementedError
+
+    def _moment(self, row: int) -> float:
+        """The moment of inertia of an actor's body."""
+        raise NotImplementedError
+
+    def _move_body(self, row: int) -> None:
+        x, y, _ = self.position[row].tolist()
+        self.plane.move(self.bodies[row], x, y, np.radians(self.rotation[row, 1]).item())

@@ -1,0 +1,248 @@
+"""All vehicles as a struct of arrays: their controls, what their physics controls make of them, and how they move."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any, ClassVar, Final
+
+import numpy as np
+
+from carla_recap.sim.physics import drivetrain, dynamics
+from carla_recap.sim.physics.movers import Movers
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from numpy.typing import NDArray
+
+    from carla_recap.sim.actors.actors import Vehicle  # noqa: F401
+    from carla_recap.sim.geometry import Box
+    from carla_recap.sim.physics.movers import Height
+    from carla_recap.sim.physics.physics_control import PhysicsControl
+    from carla_recap.sim.physics.plane import Plane
+
+    Floats = NDArray[np.float64]
+    Flags = NDArray[np.bool_]
+
+_TABLE: Final = np.zeros(len(drivetrain.SPEEDS))
+_LEAST: Final = np.array([[0.0], [-1.0], [0.0]])  # of throttle, steering and brake
+
+
+class Vehicles(Movers["Vehicle"]):
+    """The vehicles; row i of each array belongs to `actors[i]`.
+
+    Attributes:
+        throttle: 0 to 1.
+        steer: -1 (left) to 1 (right), of `steer_limit`.
+        brake: 0 to 1.
+        hand_brake: Whether it is drawn, which locks the rear wheels.
+        reverse: Whether the throttle drives backwards.
+        gear: The gear as reported: from 1, 0 neutral, -1 reverse.
+        manual: Whether `gear` is chosen by whoever drives.
+        light_state: CARLA's light bits.
+        autopilot: Whether the autopilot drives.
+        speed: Forward, in m/s; negative backwards.
+        sideways: The speed to the right, in m/s.
+        turning: In rad/s, positive to the right.
+        steer_angle: Of the front wheels, in radians, positive to the right.
+        steer_limit: The angle of the front wheels at full steering and the present speed, in radians.
+        awake: Whether it moves, or is about to.
+        force: What else pushes it in the next tick, in N, (n, 2).
+        wheelbase: Between the axles, in m.
+        front: From its origin to the front axle, in m.
+        rear: From its origin to the rear axle, in m.
+        full_lock: The greatest angle of the front wheels, in radians.
+        traction: The greatest force of the driven wheels, in N.
+        front_grip: The greatest force of the front tyres, in N.
+        rear_grip: The greatest force of the rear tyres, in N.
+        softness: Of the tyres, in m/N: their slip angle by the force sideways, times the speed of rolling.
+    """
+
+    COLUMNS: ClassVar[dict[str, Any]] = {
+        **Movers.COLUMNS,
+        "throttle": 0.0,
+        "steer": 0.0,
+        "brake": 0.0,
+        "hand_brake": False,
+        "reverse": False,
+        "gear": np.int64(1),
+        "manual": False,
+        "light_state": np.uint32(0),
+        "autopilot": False,
+        "speed": 0.0,
+        "sideways": 0.0,
+        "turning": 0.0,
+        "steer_angle": 0.0,
+        "steer_limit": 1.0,
+        "awake": False,
+        "force": np.zeros(2),
+        "wheelbase": 1.0,
+        "front": 0.5,
+        "rear": 0.5,
+        "moment": 1.0,
+        "traction": 0.0,
+        "front_grip": 0.0,
+        "rear_grip": 0.0,
+        "softness": 1.0,
+        "air": 0.0,
+        "front_brake": 0.0,
+        "rear_brake": 0.0,
+        "full_lock": 1.0,
+        "forces": np.zeros((drivetrain.GEARS, len(_TABLE))),
+        "best_force": _TABLE,
+        "usual_gear": _TABLE.astype(np.int64),
+        "lock_share": _TABLE,
+    }
+    throttle: Floats
+    steer: Floats
+    brake: Floats
+    hand_brake: Flags
+    reverse: Flags
+    gear: NDArray[np.int64]
+    manual: Flags
+    light_state: NDArray[np.uint32]
+    autopilot: Flags
+    speed: Floats
+    sideways: Floats
+    turning: Floats
+    steer_angle: Floats
+    steer_limit: Floats
+    awake: Flags
+    force: Floats
+    wheelbase: Floats
+    front: Floats
+    rear: Floats
+    moment: Floats
+    traction: Floats
+    front_grip: Floats
+    rear_grip: Floats
+    softness: Floats
+    air: Floats
+    front_brake: Floats
+    rear_brake: Floats
+    full_lock: Floats
+    forces: Floats
+    best_force: Floats
+    usual_gear: NDArray[np.int64]
+    lock_share: Floats
+
+    def __init__(self, plane: Plane, height: Height) -> None:
+        super().__init__(plane, height)
+        self._told = np.empty((0, 3))
+        self._moved = np.empty(0, np.bool_)
+
+    def set_physics(self, row: int, control: PhysicsControl, box: Box) -> None:
+        """Take over a physics control."""
+        for name, value in drivetrain.columns(control, box).items():
+            getattr(self, name)[row] = value
+        if self.simulated[row]:
+            self.bodies[row].mass, self.bodies[row].moment = self.mass[row].item(), self.moment[row].item()
+
+    def set_velocity(self, row: int, x: float, y: float, z: float) -> None:
+        """See `Movers.set_velocity`."""
+        super().set_velocity(row, x, y, z)
+        yaw = np.radians(self.rotation[row, 1])
+        self.speed[row] = np.cos(yaw) * x + np.sin(yaw) * y
+        self.sideways[row] = np.cos(yaw) * y - np.sin(yaw) * x
+
+    def drive(self, rows: list[int], pedals: Floats, hand_brake: Sequence[bool], reverse: Sequence[bool]) -> None:
+        """Tell some drivers what to do, as `Vehicle.apply_control` does, with gears that shift by themselves.
+
+        Args:
+            rows: Their rows.
+            pedals: Throttle, steering and brake, all finite, (3, n).
+            hand_brake: Whether it is drawn.
+            reverse: Whether the throttle drives backwards.
+        """
+        self.throttle[rows], self.steer[rows], self.brake[rows] = np.clip(pedals, _LEAST, 1.0)
+        self.hand_brake[rows] = hand_brake
+        self.reverse[rows] = reverse
+        self.manual[rows] = False
+
+    def _moment(self, row: int) -> float:
+        return float(self.moment[row])
+
+    def begin(self, seconds: float) -> bool:
+        """See `Movers.begin`; what pushes the vehicles does so now."""
+        if self.force.any():
+            self.kick(self.force * seconds / self.mass[:, None])
+            self.force[:] = 0
+        slow = (self.speed != 0) | (self.sideways != 0) | (self.turning != 0)  # what is too slow to go on has yet to stop
+        self.awake = self._stirring() | slow & self.simulated
+        self._before = self.velocity.copy()
+        self._moved = self.awake | self.unsettled & self.simulated
+        return bool(self.awake.any())
+
+    def kick(self, change: Floats) -> None:
+        """Change the velocities: m/s in the world, (n, 2)."""
+        yaw = np.radians(self.rotation[:, 1])
+        cos, sin = np.cos(yaw), np.sin(yaw)
+        self.speed += cos * change[:, 0] + sin * change[:, 1]
+        self.sideways += cos * change[:, 1] - sin * change[:, 0]
+
+    def push(self, seconds: float) -> None:
+        """See `Movers.push`."""
+        dynamics.advance(self, seconds)
+        stirring = self._stirring()
+        for column in (self.speed, self.sideways, self.turning):
+            column[self.awake & ~stirring] = 0
+        yaw = np.radians(self.rotation[:, 1]) + self.turning * seconds / 2
+        cos, sin = np.cos(yaw), np.sin(yaw)
+        x, y = cos * self.speed - sin * self.sideways, sin * self.speed + cos * self.sideways
+        told = self._told = np.stack((x, y, self.turning), axis=1)
+        told[~self.simulated] = 0
+        self.tell(self.awake, told)
+        self.awake = stirring
+
+    def pull(self) -> None:
+        """See `Movers.pull`."""
+        states = self.plane.states(self.body_id)
+        moving = self.simulated
+        self.position[moving, :2] = states[moving, :2]
+        self.rotation[moving, 1] = (np.degrees(states[moving, 2]) + 180) % 360 - 180
+        change = states[:, 3:] - self._told
+        hit = moving & change.any(axis=1)
+        if hit.any():
+            change[~hit] = 0
+            self.kick(change[:, :2])
+            self.turning += change[:, 2]
+            self.awake |= hit
+        self._moved |= self.awake
+
+    def end(self, seconds: float) -> None:
+        """See `Movers.end`."""
+        rows = np.flatnonzero(self._moved)
+        if not len(rows):
+            self.acceleration[:] = 0
+            return
+        self._settle(rows, seconds)
+        yaw = np.radians(self.rotation[:, 1])
+        cos, sin = np.cos(yaw), np.sin(yaw)
+        moved = self._moved
+        self.velocity[moved, 0] = (cos * self.speed - sin * self.sideways)[moved]
+        self.velocity[moved, 1] = (sin * self.speed + cos * self.sideways)[moved]
+        self.angular_velocity[moved, 2] = np.degrees(self.turning)[moved]
+        self.acceleration = (self.velocity - self._before) / seconds
+        self.unsettled[moved] = False
+
+    def _settle(self, rows: NDArray[np.intp], seconds: float) -> None:
+        """Put vehicles on the road: their heights and pitches."""
+        yaw = np.radians(self.rotation[rows, 1])
+        cos, sin = np.cos(yaw), np.sin(yaw)
+        front, rear = self.front[rows], self.rear[rows]
+        x, y = self.position[rows, 0], self.position[rows, 1]
+        heights = self._height(
+            np.concatenate((x + cos * front, x - cos * rear)), np.concatenate((y + sin * front, y - sin * rear))
+        )
+        high, low = heights[: len(rows)], heights[len(rows) :]
+        wheelbase = self.wheelbase[rows]
+        before = self.position[rows, 2]
+        self.position[rows, 2] = low + (high - low) * rear / wheelbase
+        self.velocity[rows, 2] = np.where(self.unsettled[rows], 0.0, (self.position[rows, 2] - before) / seconds)
+        self.rotation[rows, 0] = np.degrees(np.arctan2(high - low, wheelbase))
+        self.rotation[rows, 2] = 0
+
+    def _stirring(self) -> Flags:
+        moving = (np.abs(self.speed) > dynamics.STILL) | (np.abs(self.sideways) > dynamics.STILL)
+        moving |= (np.abs(self.turning) > dynamics.STILL) | (self.throttle > 0)
+        stirring: Flags = moving & self.simulated
+        return stirring

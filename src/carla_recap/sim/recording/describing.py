@@ -1,0 +1,105 @@
+"""What a recording tells once of an actor, when it appears: blueprint, attributes, place, box, physics, times of lights."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Final
+
+import numpy as np
+
+from carla_recap.records import UE4, Attribute, Physics, RecordType, Spawn
+from carla_recap.sim.actors.attributes import attribute_type
+from carla_recap.sim.geometry import Location
+from carla_recap.sim.recording.poses import CM_PER_M, pose
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+    from carla_recap.records import Layout
+    from carla_recap.sim.actors.actors import Actor, Sign, TrafficLight, Vehicle
+    from carla_recap.sim.geometry import Transform
+    from carla_recap.sim.physics.physics_control import WheelPhysics
+
+Row = tuple[float, ...]
+
+_PHYSICS: Final[RecordType] = UE4.named("physics")
+_RAISED: Final = 1.0  # m: trigger volumes stand on the road, and are twice as high
+
+
+def spawn(actor: Actor) -> Spawn:
+    """The spawn of an actor: in the world, or upon its parent."""
+    x, y, z, roll, pitch, yaw = pose(actor.relative_transform)
+    attributes = [Attribute(attribute_type(key), key, value) for key, value in actor.attributes.items() if key]
+    return Spawn(actor.id, actor.kind, x, y, z, roll, pitch, yaw, actor.blueprint.uid, actor.type_id, attributes)
+
+
+def box(actor: Actor) -> Row:
+    """The box of an actor, in its own axes."""
+    centre, extent = actor.box.location, actor.box.extent
+    return (actor.id, *(CM_PER_M * value for value in (centre.x, centre.y, centre.z, extent.x, extent.y, extent.z)))
+
+
+def trigger_volumes(sign: Sign) -> list[Row]:
+    """Where a light or sign is in force: as wide as the lane, around the place where one stops."""
+    town = sign.world.town
+    rows = []
+    for lane, s in sign.signal.stops:
+        (x, y, z), half = town.index.at([lane], [s])[0][0].tolist(), town.lanes[lane].width / 2
+        rows.append((sign.id, *(CM_PER_M * value for value in (x, y, z + _RAISED, half, half, _RAISED))))
+    return rows
+
+
+def light_times(light: TrafficLight) -> Row:
+    """The times of a traffic light."""
+    return light.id, light.green_time, light.yellow_time, light.red_time
+
+
+def physics(vehicle: Vehicle) -> Physics:
+    """The physics of a vehicle; where its wheels are is told in the world, as by CARLA."""
+    control, transform = vehicle.physics_control, vehicle.transform
+    centre = control.center_of_mass
+    wheels = [_wheel(wheel, transform) for wheel in control.wheels]
+    gears: list[Row] = [(gear.ratio, gear.down_ratio, gear.up_ratio) for gear in control.forward_gears]
+    return Physics(
+        id=vehicle.id,
+        max_rpm=control.max_rpm,
+        moi=control.moi,
+        damping_rate_full_throttle=control.damping_rate_full_throttle,
+        damping_rate_zero_throttle_clutch_engaged=control.damping_rate_zero_throttle_clutch_engaged,
+        damping_rate_zero_throttle_clutch_disengaged=control.damping_rate_zero_throttle_clutch_disengaged,
+        use_gear_auto_box=int(control.use_gear_autobox),
+        clutch_strength=control.clutch_strength,
+        final_ratio=control.final_ratio,
+        mass=control.mass,
+        drag_coefficient=control.drag_coefficient,
+        center_of_mass_x=centre.x,
+        center_of_mass_y=centre.y,
+        center_of_mass_z=centre.z,
+        torque_curve=_rows("torque_curve", list(control.torque_curve)),
+        forward_gears=_rows("forward_gears", gears),
+        steering_curve=_rows("steering_curve", list(control.steering_curve)),
+        wheels=_rows("wheels", wheels),
+    )
+
+
+def _wheel(wheel: WheelPhysics, transform: Transform) -> Row:
+    place = wheel.position
+    there = transform.transform(Location(place.x / CM_PER_M, place.y / CM_PER_M, place.z / CM_PER_M))
+    return (
+        wheel.tire_friction,
+        wheel.damping_rate,
+        wheel.max_steer_angle,
+        wheel.radius,
+        wheel.max_brake_torque,
+        wheel.max_handbrake_torque,
+        wheel.lat_stiff_max_load,
+        wheel.lat_stiff_value,
+        wheel.long_stiff_value,
+        *(CM_PER_M * value for value in (there.x, there.y, there.z)),
+    )
+
+
+def _rows(field: str, rows: list[Row]) -> NDArray[np.void]:
+    many = _PHYSICS.layout.fields[field]
+    assert not isinstance(many, str)
+    layout: Layout = many.layouts[0]
+    return np.array(rows, layout.dtype(wide=False))

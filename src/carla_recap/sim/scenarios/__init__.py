@@ -1,0 +1,9 @@
+"""Staged scenes: an accident, and a lane that somebody blocks."""
+
+from __future__ import annotations
+
+from carla_recap.sim.scenarios.blockage import Blockage
+from carla_recap.sim.scenarios.crash import Crash
+from carla_recap.sim.scenarios.places import largest_junction
+
+__all__ = ["Blockage", "Crash", "largest_junction"]

@@ -1,0 +1,1 @@
+"""The town: roads, lanes, signals and walkways, out of an OpenDRIVE file."""

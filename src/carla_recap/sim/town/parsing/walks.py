@@ -1,0 +1,242 @@
+"""Where pedestrians walk: sidewalks, the corners between them, and crossings, as one connected graph."""
+
+from __future__ import annotations
+
+from collections import defaultdict
+from dataclasses import dataclass, field
+from itertools import pairwise
+from typing import TYPE_CHECKING, Final
+
+import numpy as np
+
+from carla_recap.maps.opendrive import NO_JUNCTION
+from carla_recap.sim.town.parsing.ground import SIDEWALK, Ground, left_handed
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from numpy.typing import NDArray
+
+    from carla_recap.maps import opendrive
+
+    Floats = NDArray[np.float64]
+    Ends = tuple[int, int]
+
+_SPACING: Final = 5.0  # m: between nodes along a sidewalk
+_SAME: Final = 1.0  # m: ends of sidewalks as near as that are one
+_CORNER: Final = 25.0  # m: at most, between the ends of two sidewalks around a corner
+_TO_SIDEWALK: Final = 10.0  # m: at most, from the end of a crossing
+_WIDTH: Final = 3.0  # m: of a crossing that the map does not have
+_BEYOND: Final = 2.5  # m: between the line where cars stop and the middle of such a crossing
+_SAME_MOUTH: Final = 15.0  # m: a crossing of the map as near as that to where a road meets a junction is the one there
+_WIDEST: Final = 40.0  # m: roads wider than that are not crossed
+_MOST_NODES: Final = 200_000
+
+
+@dataclass
+class Walks:
+    """The graph while it is made.
+
+    Attributes:
+        sidewalks: The middles of sidewalks.
+        crossings: The outlines of crossings, closed.
+        nodes: Places.
+        edges: Pairs of numbers of nodes, the smaller one first, and whether they lead over a road.
+    """
+
+    sidewalks: list[Floats]
+    crossings: list[Floats]
+    nodes: list[Floats] = field(default_factory=list)
+    edges: dict[tuple[int, int], bool] = field(default_factory=dict)
+
+    def add(self, place: Floats) -> int:
+        """A new node."""
+        self.nodes.append(place)
+        return len(self.nodes) - 1
+
+    def link(self, one: int, other: int, *, crossing: bool = False) -> None:
+        """A new edge, if there is none."""
+        if one != other:
+            self.edges.setdefault((min(one, other), max(one, other)), crossing)
+
+
+def parse_walks(roads: opendrive.Roads) -> Walks:
+    """The walks of a town; empty where it has no sidewalk.
+
+    Raises:
+        ValueError: There are too many sidewalks for a town.
+    """
+    lanes = [lane for lane in roads.lanes if lane.kind == SIDEWALK and np.isfinite(lane.centre).all()]
+    lanes.sort(key=lambda lane: (lane.road, lane.section, lane.id))
+    given = [left_handed(crossing) for crossing in roads.crossings if np.isfinite(crossing).all()]
+    walks = Walks([left_handed(lane.centre) for lane in lanes], given)
+    if sum(len(line) for line in walks.sidewalks) > _MOST_NODES:
+        raise ValueError("its sidewalks are longer than those of any town")
+    road = Ground([lane for lane in roads.lanes if lane.is_driving])
+    ends = _along_sidewalks(walks)
+    _around_corners(walks, road)
+    sidewalks = np.array(walks.nodes).reshape(-1, 3)
+    for crossing in given:
+        _over(walks, crossing, sidewalks)
+    _over_mouths(walks, roads, lanes, ends)
+    _connect(walks, road)
+    return walks
+
+
+def _along_sidewalks(walks: Walks) -> list[Ends]:
+    """Nodes and edges along the sidewalks; returns the nodes at the ends of each."""
+    tips = np.array([line[end] for line in walks.sidewalks for end in (0, -1)]).reshape(-1, 3)
+    near = np.linalg.norm(tips[:, None] - tips, axis=2) < _SAME
+    nodes: list[int] = []
+    for number, tip in enumerate(tips):
+        first = int(near[number].argmax())  # of those that are one
+        nodes.append(walks.add(tip) if first == number else nodes[first])
+    ends = list(zip(nodes[::2], nodes[1::2], strict=True))
+    for line, (first, last) in zip(walks.sidewalks, ends, strict=True):
+        at = np.concatenate(((0.0,), np.cumsum(np.linalg.norm(np.diff(line, axis=0), axis=1))))
+        even = np.linspace(0, at[-1], int(at[-1] / _SPACING) + 2)[1:-1]
+        between = np.stack([np.interp(even, at, column) for column in line.T], axis=1)
+        for one, other in pairwise((first, *map(walks.add, between), last)):
+            walks.link(one, other)
+    return ends
+
+
+def _around_corners(walks: Walks, road: Ground) -> None:
+    """Link the open ends of sidewalks in pairs, the nearest first, where no lane for cars is between them."""
+    counts = np.bincount(np.array(list(walks.edges), np.int64).ravel(), minlength=len(walks.nodes))
+    ends = np.flatnonzero(counts == 1)
+    places = np.array(walks.nodes).reshape(-1, 3)[ends]
+    distances = np.linalg.norm(places[:, None] - places, axis=2)
+    pairs = np.argwhere(np.triu(distances < _CORNER, 1))
+    linked: set[int] = set()
+    for one, other in pairs[np.argsort(distances[tuple(pairs.T)], kind="stable")].tolist():
+        if not linked & {one, other} and not road.crossed_by(places[one], places[other]):
+            walks.link(int(ends[one]), int(ends[other]))
+            linked |= {one, other}
+
+
+def _over(walks: Walks, outline: Floats, sidewalks: Floats) -> None:
+    """A crossing of the map: from the middle of one of its short sides to the other, and to the nodes of sidewalks."""
+    corners = outline[:-1]
+    middle = corners.mean(axis=0)
+    _, _, axes = np.linalg.svd(corners[:, :2] - middle[:2], full_matrices=False)
+    along = (corners[:, :2] - middle[:2]) @ axes[0]
+    if not (along < 0).any():
+        return  # it is a point
+    nodes = [walks.add(corners[side].mean(axis=0)) for side in (along < 0, along >= 0)]
+    walks.link(nodes[0], nodes[1], crossing=True)
+    for node in nodes:
+        distances = np.linalg.norm(sidewalks - walks.nodes[node], axis=1)
+        if (distances < _TO_SIDEWALK).any():
+            walks.link(int(distances.argmin()), node)
+
+
+def _over_mouths(walks: Walks, roads: opendrive.Roads, lanes: Sequence[opendrive.Lane], ends: Sequence[Ends]) -> None:
+    """Crossings where a road with sidewalks on both sides meets a junction: just beyond the line where cars stop."""
+    given = np.array([crossing[:-1].mean(axis=0) for crossing in walks.crossings]).reshape(-1, 3)
+    sides = {
+        (lane.road, lane.section, lane.id > 0): (line, pair, float(np.linalg.norm(lane.left - lane.right, axis=1).mean()))
+        for lane, line, pair in zip(lanes, walks.sidewalks, ends, strict=True)
+    }
+    for road, section, at_end in sorted(_mouths(roads)):
+        if (road, section, True) not in sides or (road, section, False) not in sides:
+            continue
+        (line, pair, width), (other_line, other_pair, other_width) = (sides[road, section, left] for left in (True, False))
+        end = -1 if at_end else 0
+        one, other = line[end], other_line[end]
+        apart = float(np.linalg.norm(other - one))
+        middle = (one + other) / 2
+        if not width < apart < _WIDEST or (np.linalg.norm(given - middle, axis=1) < _SAME_MOUTH).any():
+            continue
+        ahead = one - line[-2 if at_end else 1]
+        ahead /= max(float(np.linalg.norm(ahead)), 1e-6)
+        nodes = [walks.add(place + _BEYOND * ahead) for place in (one, other)]
+        walks.link(nodes[0], nodes[1], crossing=True)
+        walks.link(nodes[0], pair[end])
+        walks.link(nodes[1], other_pair[end])
+        walks.crossings.append(_stripe(one + _BEYOND * ahead, other + _BEYOND * ahead, width / 2, other_width / 2))
+
+
+def _mouths(roads: opendrive.Roads) -> set[tuple[int, int, bool]]:
+    """Where roads meet junctions: road, section, and whether at its end, or at its beginning."""
+    driving = {(lane.road, lane.section, lane.id): lane for lane in roads.lanes if lane.is_driving}
+    mouths = set()
+    for lane in driving.values():
+        for name in lane.successors:
+            after = driving.get(name)
+            if after is None or (lane.junction == NO_JUNCTION) == (after.junction == NO_JUNCTION):
+                continue
+            if lane.junction == NO_JUNCTION:
+                mouths.add((lane.road, lane.section, not lane.reverse))
+            else:
+                mouths.add((after.road, after.section, after.reverse))
+    return mouths
+
+
+def _stripe(start: Floats, stop: Floats, before: float = 0.0, after: float = 0.0) -> Floats:
+    """The outline of a crossing from one place to another, shortened at both ends, closed."""
+    along = (stop - start) / max(float(np.linalg.norm(stop - start)), 1e-6)
+    start, stop = start + before * along, stop - after * along
+    aside = np.array((-along[1], along[0], 0.0)) * _WIDTH / 2
+    return np.array((start - aside, start + aside, stop + aside, stop - aside, start - aside))
+
+
+def _connect(walks: Walks, road: Ground) -> None:
+    """Make one graph of several: by crossings between the nearest nodes; what is too far away from all is left out."""
+    places = np.array(walks.nodes).reshape(-1, 3)
+    apart = _components(len(places), list(walks.edges))
+    if not apart:
+        return
+    whole, *apart = sorted(apart, key=len, reverse=True)
+    ways = [_nearest(places, whole, part) for part in apart]
+    while apart:
+        number = ways.index(min(ways))
+        (distance, one, other), part = ways.pop(number), apart.pop(number)
+        if distance > _WIDEST:
+            break
+        over = road.crossed_by(places[one], places[other])
+        walks.link(one, other, crossing=over)
+        if over:
+            walks.crossings.append(_stripe(places[one], places[other]))
+        whole += part
+        ways = [min(way, _nearest(places, part, rest)) for way, rest in zip(ways, apart, strict=True)]
+    _keep(walks, sorted(whole))
+
+
+def _nearest(places: Floats, whole: list[int], part: list[int]) -> tuple[float, int, int]:
+    """The two nodes of two sets that are nearest to each other, and how near."""
+    best = (np.inf, 0, 0)
+    for number in part:
+        distances = np.linalg.norm(places[whole] - places[number], axis=1)
+        nearest = int(distances.argmin())
+        best = min(best, (float(distances[nearest]), whole[nearest], number))
+    return best
+
+
+def _components(count: int, edges: list[tuple[int, int]]) -> list[list[int]]:
+    """The nodes that hang together."""
+    beside = defaultdict(list)
+    for one, other in edges:
+        beside[one].append(other)
+        beside[other].append(one)
+    components, seen = [], set()
+    for start in range(count):
+        if start in seen:
+            continue
+        seen.add(start)
+        component = [start]
+        for node in component:  # grows
+            new = [other for other in beside[node] if other not in seen]
+            seen.update(new)
+            component += new
+        components.append(component)
+    return components
+
+
+def _keep(walks: Walks, kept: list[int]) -> None:
+    """Leave out all other nodes."""
+    numbers = {node: number for number, node in enumerate(kept)}
+    walks.nodes = [walks.nodes[node] for node in kept]
+    walks.edges = {
+        (numbers[one], numbers[other]): crossing for (one, other), crossing in walks.edges.items() if one in numbers
+    }

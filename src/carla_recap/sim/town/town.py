@@ -1,0 +1,289 @@
+"""A town to drive in: lanes, signals, junctions, walks and what stops a car, out of an OpenDRIVE file."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from enum import StrEnum
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Final
+
+import numpy as np
+
+from carla_recap.errors import RecapError
+from carla_recap.maps.child import ask
+from carla_recap.maps.road_map import described_folder, find_map
+from carla_recap.sim.geometry import Location, Rotation, Transform
+from carla_recap.sim.town.lanes import Lane, LaneIndex
+from carla_recap.sim.town.parsing.packing import from_bytes
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from numpy.typing import ArrayLike, NDArray
+
+    Floats = NDArray[np.float64]
+    Integers = NDArray[np.int64]
+
+BUILT_IN: Final = "Brickfield"
+"""The name of the town that comes with this package."""
+_SUFFIX: Final = ".xodr"
+_ABOVE: Final = 0.3  # m: so high above the road vehicles are spawned, as CARLA's own spawn points are
+_APART: Final = 10.0  # m: between spawn points; longer than any of the vehicles
+_FROM_ENDS: Final = 5.0  # m: between a spawn point and the end of its lane
+
+
+class SignalKind(StrEnum):
+    """What a signal is."""
+
+    LIGHT = "light"
+    STOP = "stop"
+    YIELD = "yield"
+    SPEED_LIMIT = "speed_limit"
+
+
+@dataclass(frozen=True, slots=True)
+class Signal:
+    """A traffic light or sign.
+
+    Attributes:
+        index: Its place in the list of signals.
+        opendrive_id: Its id in the file.
+        kind: What it is.
+        transform: Where it stands; it faces those whom it concerns.
+        speed_limit: What is on it, in m/s, if it is a speed-limit sign.
+        junction: The id of the junction before which it stands, if it does.
+        controller: The id of the controller of a light; lights of one controller change together.
+        stops: Where it is in force: lanes, and how far along each one stops, or the speed limit begins.
+        governs: The lanes beyond, in the junction, that one enters only as it says.
+    """
+
+    index: int
+    opendrive_id: str
+    kind: SignalKind
+    transform: Transform
+    speed_limit: float | None
+    junction: int | None
+    controller: str | None
+    stops: tuple[tuple[int, float], ...]
+    governs: tuple[int, ...]
+
+
+@dataclass(frozen=True, slots=True)
+class Conflict:
+    """A stretch of a lane in a junction where another lane crosses it, or comes to it.
+
+    Every conflict is there twice, once for each of the two lanes.
+
+    Attributes:
+        lane: The lane.
+        other: The other lane.
+        begin: How far along the lane the stretch begins, in m.
+        end: How far along it ends.
+        merging: Whether both lanes lead to the same one; otherwise they cross.
+        yields: Whether who drives on the lane has to let go whoever comes along the other one.
+    """
+
+    lane: int
+    other: int
+    begin: float
+    end: float
+    merging: bool
+    yields: bool
+
+
+@dataclass(frozen=True, slots=True)
+class Junction:
+    """A junction.
+
+    Attributes:
+        id: Its id in the file.
+        lanes: The lanes through it.
+        conflicts: Where two of them are in each other's way.
+        phases: The lights that are green together, as indices of signals: one phase after another; empty without lights.
+    """
+
+    id: int
+    lanes: tuple[int, ...]
+    conflicts: tuple[Conflict, ...]
+    phases: tuple[tuple[int, ...], ...]
+
+
+@dataclass(frozen=True, eq=False)
+class WalkwayGraph:
+    """Where one can walk: along sidewalks and over crossings.
+
+    Attributes:
+        nodes: Places, (n, 3).
+        edges: Pairs of the numbers of nodes, each once, (m, 2).
+        crossing: Whether an edge leads over a road, (m,).
+    """
+
+    nodes: Floats
+    edges: Integers
+    crossing: NDArray[np.bool_]
+
+
+@dataclass(eq=False)
+class Town:
+    """A town: immutable. All is in m, in CARLA's axes: x forward, y right, z up.
+
+    Attributes:
+        name: What it is called.
+        opendrive: The text of its OpenDRIVE file.
+        lanes: The lanes for cars.
+        signals: Traffic lights and signs.
+        junctions: The junctions.
+        sidewalks: The middles of sidewalks, (n, 3) each.
+        crossings: The outlines of pedestrian crossings, closed, (n, 3) each.
+        walks: Where one can walk.
+        barriers: Lines beyond the sidewalks that stop cars, (n, 3) each.
+        spawn_points: Places on the lanes from which one gets to all others, somewhat above the road.
+        index: Where places are on the lanes.
+    """
+
+    name: str
+    opendrive: str = field(repr=False)
+    lanes: list[Lane] = field(repr=False)
+    signals: list[Signal] = field(repr=False)
+    junctions: list[Junction] = field(repr=False)
+    sidewalks: list[Floats] = field(repr=False)
+    crossings: list[Floats] = field(repr=False)
+    walks: WalkwayGraph = field(repr=False)
+    barriers: list[Floats] = field(repr=False)
+    spawn_points: list[Transform] = field(init=False, repr=False)
+    index: LaneIndex = field(init=False, repr=False)
+
+    def __post_init__(self) -> None:
+        self.index = LaneIndex(self.lanes)
+        self.spawn_points = [place for lane in main_lanes(self.lanes) for place in _spawn_points(self.lanes[lane])]
+
+    def height(self, x: ArrayLike, y: ArrayLike) -> Floats:
+        """See `LaneIndex.height`."""
+        return self.index.height(x, y)
+
+    def nearest_lane(
+        self, x: ArrayLike, y: ArrayLike, *, z: ArrayLike | None = None, heading: ArrayLike | None = None
+    ) -> tuple[Integers, Floats]:
+        """See `LaneIndex.nearest_lane`."""
+        return self.index.nearest_lane(x, y, z=z, heading=heading)
+
+    def project(self, lane: ArrayLike, x: ArrayLike, y: ArrayLike, s_hint: ArrayLike) -> tuple[Floats, Floats]:
+        """See `LaneIndex.project`."""
+        return self.index.project(lane, x, y, s_hint)
+
+
+def load_town(name_or_path: str | Path = "", maps: Path | None = None) -> Town:
+    """A town, out of an OpenDRIVE file.
+
+    Args:
+        name_or_path: Nothing for the built-in town; else its name, a file, or the name of a map, such as `Town01`.
+        maps: The folder of maps; else the environment variable CARLA_RECAP_MAPS says it.
+
+    Raises:
+        RecapError: There is no such town, or the file cannot be read or is no OpenDRIVE map with lanes for cars.
+        MissingExtra: CARLA's client library is not installed.
+    """
+    path = _find(str(name_or_path), maps)
+    text, answer = ask("carla_recap.sim.town.parsing", path)
+    parsed = from_bytes(answer)
+    edges = parsed.facts["walk_edges"]
+    (nodes,) = parsed.lines["walks"]
+    return Town(
+        path.stem,
+        text,
+        [_lane(row, rows) for row, rows in zip(parsed.facts["lanes"], parsed.lines["lanes"], strict=True)],
+        [_signal(row) for row in parsed.facts["signals"]],
+        [_junction(row) for row in parsed.facts["junctions"]],
+        parsed.lines["sidewalks"],
+        parsed.lines["crossings"],
+        WalkwayGraph(
+            nodes,
+            np.array([edge["nodes"] for edge in edges], np.int64).reshape(-1, 2),
+            np.array([edge["crossing"] for edge in edges], np.bool_),
+        ),
+        parsed.lines["barriers"],
+    )
+
+
+def main_lanes(lanes: Sequence[Lane]) -> list[int]:
+    """The indices of the largest set of lanes of which each leads to all others (Tarjan's strong components)."""
+    order = _postorder([lane.successors for lane in lanes], range(len(lanes)))
+    components = []
+    left = set(order)
+    for start in reversed(order):
+        if start in left:
+            component = _reached([lane.predecessors for lane in lanes], start, left)
+            components.append(sorted(component))
+    return max(components, key=len)
+
+
+def _postorder(following: Sequence[tuple[int, ...]], starts: range) -> list[int]:
+    order, seen = [], set()
+    for start in starts:
+        stack = [(start, iter(following[start]))] if start not in seen else []
+        seen.add(start)
+        while stack:
+            node, rest = stack[-1]
+            unseen = next((other for other in rest if other not in seen), None)
+            if unseen is None:
+                order.append(node)
+                stack.pop()
+            else:
+                seen.add(unseen)
+                stack.append((unseen, iter(following[unseen])))
+    return order
+
+
+def _reached(following: Sequence[tuple[int, ...]], start: int, left: set[int]) -> list[int]:
+    """What can be reached within a set; it is taken out of the set."""
+    left.discard(start)
+    reached = [start]
+    for node in reached:  # grows
+        for other in following[node]:
+            if other in left:
+                left.discard(other)
+                reached.append(other)
+    return reached
+
+
+def _find(name: str, maps: Path | None) -> Path:
+    if name.endswith(_SUFFIX):
+        return Path(name)
+    path = find_map(name or BUILT_IN, maps)
+    if path is None:
+        raise RecapError(f"town {name!r}: expected {BUILT_IN}, an {_SUFFIX} file, or a map in {described_folder(maps)}")
+    return path
+
+
+def _spawn_points(lane: Lane) -> list[Transform]:
+    if lane.junction is not None:
+        return []
+    at = np.arange(_FROM_ENDS, lane.length - _FROM_ENDS, _APART)
+    columns = [np.interp(at, lane.s, column).tolist() for column in (*lane.points.T, lane.heading)]
+    return [
+        Transform(Location(x, y, z + _ABOVE), Rotation(yaw=float(np.degrees(heading))))
+        for x, y, z, heading in zip(*columns, strict=True)
+    ]
+
+
+def _lane(row: dict[str, Any], rows: Floats) -> Lane:
+    length = row.pop("length")
+    row["successors"], row["predecessors"] = tuple(row["successors"]), tuple(row["predecessors"])
+    return Lane(points=rows[:, :3].copy(), s=np.linspace(0, length, len(rows)), heading=rows[:, 3].copy(), **row)
+
+
+def _signal(row: dict[str, Any]) -> Signal:
+    x, y, z, yaw = row.pop("place")
+    row["kind"] = SignalKind(row["kind"])
+    row["stops"] = tuple((lane, s) for lane, s in row["stops"])
+    row["governs"] = tuple(row["governs"])
+    return Signal(transform=Transform(Location(x, y, z), Rotation(yaw=yaw)), **row)
+
+
+def _junction(row: dict[str, Any]) -> Junction:
+    return Junction(
+        row["id"],
+        tuple(row["lanes"]),
+        tuple(Conflict(**conflict) for conflict in row["conflicts"]),
+        tuple(tuple(phase) for phase in row["phases"]),
+    )

@@ -1,0 +1,14 @@
+"""What moves the actors of a town by itself: the autopilot, pedestrian navigation and traffic lights."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+from carla_recap.lazy import lazily
+
+if TYPE_CHECKING:
+    from carla_recap.sim.traffic.spawning import populate
+
+__all__ = ["populate"]
+
+__getattr__, __dir__ = lazily(__name__, {"spawning": ("populate",)})

@@ -1,0 +1,109 @@
+"""Traffic: vehicles that drive by themselves, and walkers that stroll."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Final
+
+from carla_recap.records import ActorKind
+from carla_recap.sim.actors.actors import Vehicle, Walker
+from carla_recap.sim.errors import SimError
+from carla_recap.sim.geometry import Rotation, Transform
+from carla_recap.sim.validation import expect_count
+
+if TYPE_CHECKING:
+    from carla_recap.sim.actors.actors import Actor
+    from carla_recap.sim.geometry import Location
+    from carla_recap.sim.world import World
+
+_TRIES: Final = 20  # places tried for a walker
+_REACH: Final = 80.0  # m: what is near
+_DRAWS: Final = 10_000  # places on sidewalks that are drawn to find one that is near
+
+
+def populate(
+    world: World, vehicles: int, walkers: int, *, hero: bool = False, around: Location | None = None
+) -> list[Actor]:
+    """Let vehicles on autopilot and strolling walkers appear, at random.
+
+    Args:
+        world: The world; its seed says who appears, and where.
+        vehicles: How many vehicles.
+        walkers: How many walkers.
+        hero: Whether the first vehicle is the hero, with a collision sensor.
+        around: A place near which all appear, and the walkers go first; else it is anywhere in the town.
+
+    Returns:
+        Who has appeared.
+
+    Raises:
+        SimError: There is no room for so many, or there cannot be so many.
+    """
+    expect_count("vehicles", vehicles)
+    expect_count("walkers", walkers)
+    near = _Near(around)
+    drivers, strollers = _vehicles(world, vehicles, near, hero=hero), _walkers(world, walkers, near)
+    if hero and drivers:
+        world.spawn("sensor.other.collision", Transform(), parent=drivers[0])
+    return [*drivers, *strollers]
+
+
+class _Near:
+    """Tells which places are near enough.
+
+    Args:
+        place: To what; None where all are.
+    """
+
+    def __init__(self, place: Location | None) -> None:
+        self._place = place
+
+    def __call__(self, place: Location) -> bool:
+        return self._place is None or self._place.distance(place) <= _REACH
+
+    def random_walk(self, world: World) -> Location:
+        """A place on a sidewalk.
+
+        Raises:
+            SimError: There is none so near.
+        """
+        for _ in range(_DRAWS):
+            if self(place := world.pedestrians.random_place()):
+                return place
+        raise SimError(f"{world.town.name} has no sidewalk within {_REACH:g} m of {self._place}")
+
+
+def _vehicles(world: World, count: int, near: _Near, *, hero: bool) -> list[Vehicle]:
+    models = [blueprint for blueprint in world.blueprints if blueprint.kind == ActorKind.VEHICLE]
+    if count and not world.town.spawn_points:
+        raise SimError(f"{world.town.name} has no place for a vehicle: no lanes for cars that lead anywhere")
+    places = [place for place in world.town.spawn_points if near(place.location)]
+    found: list[Vehicle] = []
+    for place in (places[index] for index in world.random.permutation(len(places))):
+        if len(found) == count:
+            break
+        model = models[int(world.random.integers(len(models)))]
+        role = "hero" if hero and not found else "autopilot"
+        vehicle = world.try_spawn(model, place.copy(), role_name=role)
+        if isinstance(vehicle, Vehicle):
+            vehicle.set_autopilot()
+            found.append(vehicle)
+    if len(found) < count:
+        raise SimError(f"{world.town.name} has room for {len(found)} more vehicles, {count} were expected")
+    return found
+
+
+def _walkers(world: World, count: int, near: _Near) -> list[Walker]:
+    models = [blueprint for blueprint in world.blueprints if blueprint.kind == ActorKind.WALKER]
+    found: list[Walker] = []
+    for _ in range(count):
+        model = models[int(world.random.integers(len(models)))]
+        for _ in range(_TRIES):
+            place = near.random_walk(world)
+            walker = world.try_spawn(model, Transform(place, Rotation(yaw=float(world.random.uniform(-180, 180)))))
+            if isinstance(walker, Walker):
+                walker.destination = near.random_walk(world)
+                found.append(walker)
+                break
+        else:
+            raise SimError(f"{world.town.name} has room for {len(found)} more walkers, {count} were expected")
+    return found

@@ -1,0 +1,126 @@
+"""Actors that are attached to others go where these go."""
+
+from __future__ import annotations
+
+from dataclasses import astuple
+from typing import TYPE_CHECKING
+
+import numpy as np
+import pytest
+
+from carla_recap.sim.actors.actors import Mover, Vehicle, Walker
+from carla_recap.sim.actors.control import VehicleControl
+from carla_recap.sim.geometry import Location, Transform, Vector
+from tests.sim.flat import at, flat_world
+
+if TYPE_CHECKING:
+    from carla_recap.sim.world import World
+
+
+def truck(world: World, x: float = 0.0) -> Vehicle:
+    actor = world.spawn("vehicle.carlamotors.firetruck", at(x))
+    assert isinstance(actor, Vehicle)
+    actor.apply_control(VehicleControl(throttle=0.8, steer=0.1))
+    return actor
+
+
+def place(transform: Transform) -> tuple[float, ...]:
+    location, rotation = transform.location, transform.rotation
+    return *astuple(location), *astuple(rotation)
+
+
+@pytest.mark.parametrize("blueprint", ["vehicle.mini.cooper_s", "walker.pedestrian.0001", "static.prop.box01"])
+def test_what_is_attached_to_a_vehicle_follows_it(blueprint: str) -> None:
+    world = flat_world()
+    parent = truck(world)
+    child = world.spawn(blueprint, at(-9.0, 1.0, yaw=10.0), parent=parent)
+    for _ in range(60):
+        world.tick()
+        there = parent.transform.transform(Location(-9.0, 1.0))
+        assert astuple(child.transform.location) == pytest.approx(astuple(there), abs=1e-6)
+        assert np.cos(np.radians(child.transform.rotation.yaw - parent.transform.rotation.yaw - 10.0)) == pytest.approx(1.0)
+        assert astuple(child.velocity) == pytest.approx(astuple(parent.velocity))
+        assert astuple(child.acceleration) == pytest.approx(astuple(parent.acceleration))
+    assert parent.transform.location.x > 5.0
+    assert place(child.relative_transform) == place(at(-9.0, 1.0, yaw=10.0))
+
+
+def test_whoever_is_attached_neither_pushes_nor_holds_up_its_parent() -> None:
+    world, alone = flat_world(), flat_world()
+    parent, other = truck(world), truck(alone)
+    world.spawn("vehicle.vespa.zx125", at(0.0, z=3.8), parent=parent)
+    world.spawn("walker.pedestrian.0001", at(2.0, z=1.0), parent=parent)
+    world.run(3)
+    alone.run(3)
+    assert place(parent.transform) == place(other.transform)
+
+
+def test_it_follows_whatever_it_is_told() -> None:
+    world = flat_world()
+    parent = truck(world)
+    car = world.spawn("vehicle.mini.cooper_s", at(-9.0), parent=parent)
+    assert isinstance(car, Vehicle)
+    car.set_simulate_physics(True)
+    car.set_collisions(True)
+    car.set_target_velocity(Vector(0.0, 50.0))
+    car.apply_control(VehicleControl(throttle=1.0, steer=1.0))
+    world.run(1)
+    assert not car.simulates_physics
+    assert car.transform.location.distance(parent.transform.transform(Location(-9.0))) < 1e-6
+
+
+def test_its_transform_is_set_relative_to_its_parent() -> None:
+    world = flat_world()
+    parent = truck(world, 50.0)
+    walker = world.spawn("walker.pedestrian.0001", at(0.0, z=4.0), parent=parent)
+    walker.transform = at(-2.0, z=4.0)
+    assert walker.transform.location.x == pytest.approx(48.0)
+    world.run(1)
+    assert walker.transform.location.distance(parent.transform.transform(Location(-2.0, 0.0, 4.0))) < 1e-6
+
+
+def test_chains_hang_together_and_end_with_their_first() -> None:
+    world = flat_world()
+    parent = truck(world)
+    trailer = world.spawn("vehicle.mini.cooper_s", at(-9.0), parent=parent)
+    rider = world.spawn("walker.pedestrian.0001", at(0.0, z=1.5), parent=trailer)
+    camera = world.spawn("sensor.camera.rgb", at(0.5, z=0.5), parent=rider)
+    world.run(2)
+    assert isinstance(rider, Walker)
+    assert rider.transform.location.distance(trailer.transform.transform(Location(0.0, 0.0, 1.5))) < 1e-6
+    assert camera.transform.location.distance(rider.transform.transform(Location(0.5, 0.0, 0.5))) < 1e-6
+    parent.destroy()
+    assert not any(actor.is_alive for actor in (parent, trailer, rider, camera))
+    world.tick()
+    assert len(world.vehicles) == len(world.walkers) == 0
+
+
+def test_it_can_go_before_its_parent() -> None:
+    world = flat_world()
+    parent = truck(world)
+    trailer = world.spawn("vehicle.mini.cooper_s", at(-9.0), parent=parent)
+    trailer.destroy()
+    world.run(1)
+    assert parent.is_alive
+    assert parent.children == []
+
+
+def test_a_parent_that_is_put_elsewhere_takes_it_along() -> None:
+    world = flat_world()
+    parent = truck(world)
+    car = world.spawn("vehicle.mini.cooper_s", at(-9.0), parent=parent)
+    assert isinstance(parent, Mover)
+    parent.transform = at(500.0, 20.0, yaw=90.0)
+    world.tick()
+    assert car.transform.location.distance(parent.transform.transform(Location(-9.0))) < 1e-6
+
+
+def test_the_autopilot_of_a_parent_is_not_held_up_by_what_it_carries() -> None:
+    world = flat_world()
+    parent = truck(world, 10.0)
+    world.spawn("vehicle.vespa.zx125", at(1.0, z=3.8), parent=parent)
+    world.spawn("vehicle.mini.cooper_s", at(-9.0), parent=parent)
+    world.spawn("walker.pedestrian.0001", at(2.0, z=4.0), parent=parent)
+    parent.set_autopilot(True)
+    world.run(5)
+    assert parent.velocity.length() > 3.0

@@ -1,0 +1,204 @@
+"""Who hits whom, with how much, and what comes of it."""
+
+from __future__ import annotations
+
+from math import hypot
+from typing import TYPE_CHECKING
+
+import numpy as np
+import pytest
+
+from carla_recap.sim.actors.actors import Vehicle, Walker
+from carla_recap.sim.actors.control import VehicleControl, WalkerControl
+from carla_recap.sim.geometry import Vector
+from tests.sim.flat import at, flat_world, light
+
+if TYPE_CHECKING:
+    from carla_recap.sim.actors.events import Collision
+    from carla_recap.sim.world import World
+
+
+def car(world: World, x: float, speed: float = 0.0, **place: float) -> Vehicle:
+    return fast("vehicle.tesla.model3", world, x, speed, **place)
+
+
+def fast(name: str, world: World, x: float, speed: float, *, y: float = 0.0, yaw: float = 0.0, **attributes: str) -> Vehicle:
+    actor = world.spawn(name, at(x, y, yaw=yaw), **attributes)
+    assert isinstance(actor, Vehicle)
+    actor.set_target_velocity(Vector(speed * np.cos(np.radians(yaw)), speed * np.sin(np.radians(yaw))))
+    return actor
+
+
+def collisions(world: World, seconds: float) -> list[Collision]:
+    found = []
+    for _ in range(round(seconds / 0.05)):
+        world.tick()
+        found += world.events.collisions
+    return found
+
+
+def test_a_rear_end_collision_is_told_of_the_hero_and_moves_both() -> None:
+    world = flat_world()
+    hero = fast("vehicle.tesla.model3", world, 0.0, 15.0, role_name="hero")
+    other = car(world, 10.0)
+    found = collisions(world, 1.0)
+    assert {(c.actor1, c.actor2) for c in found} == {(hero.id, other.id)}
+    first = found[0]
+    assert first.hero1
+    assert not first.hero2
+    assert first.number == 0
+    assert first.location.x == pytest.approx(10.0 - 2.4, abs=0.8)
+    assert first.impulse.x < 0
+    assert hero.velocity.x < 9
+    assert other.velocity.x > 6
+
+
+def test_the_impulse_is_the_change_of_momentum() -> None:
+    world = flat_world()
+    hero = fast("vehicle.tesla.model3", world, 0.0, 10.0, role_name="hero")
+    car(world, 8.0)
+    before = hero.velocity.x
+    while not world.events.collisions:
+        before = hero.velocity.x
+        world.tick()
+    (collision,) = world.events.collisions
+    mass = hero.physics_control.mass
+    assert collision.impulse.x == pytest.approx((hero.velocity.x - before) * mass, rel=0.05)
+
+
+def test_momentum_is_kept() -> None:
+    world = flat_world()
+    world.settings.collisions_of = "all"
+    a, b = car(world, 0.0, 12.0), fast("vehicle.carlamotors.firetruck", world, 14.0, 0.0)
+    while not world.events.collisions:
+        before = a.velocity.x
+        world.tick()
+    told = {(c.actor1, c.actor2): c.impulse for c in world.events.collisions}
+    assert told[a.id, b.id].x == pytest.approx(-told[b.id, a.id].x)
+    assert 0 < b.velocity.x < 3 < before
+
+
+def test_only_heroes_and_those_with_a_sensor_are_told_of() -> None:
+    for sensor in (False, True):
+        world = flat_world()
+        one, other = car(world, 0.0, 10.0), car(world, 8.0)
+        if sensor:
+            world.spawn("sensor.other.collision", at(0.0), parent=one)
+            world.spawn("sensor.camera.rgb", at(0.0), parent=other)
+        found = collisions(world, 1.0)
+        assert {(c.actor1, c.actor2) for c in found} == ({(one.id, other.id)} if sensor else set())
+
+
+def test_of_two_heroes_both_sides_are_told_and_each_pair_once_in_a_tick() -> None:
+    world = flat_world()
+    a = fast("vehicle.audi.tt", world, 0.0, 10.0, role_name="hero")
+    b = fast("vehicle.audi.tt", world, 8.0, 0.0, role_name="hero")
+    world.settings.max_substep_delta_time = 0.01
+    for _ in range(20):
+        world.tick()
+        pairs = [(c.actor1, c.actor2) for c in world.events.collisions]
+        assert len(pairs) == len(set(pairs))
+        if pairs:
+            assert sorted(pairs) == [(a.id, b.id), (b.id, a.id)]
+            break
+    else:
+        pytest.fail("they never met")
+
+
+def test_a_barrier_stops_even_a_fast_car_and_is_no_actor() -> None:
+    world = flat_world(barriers=[np.array(((50.0, -30.0, 0.0), (50.0, 30.0, 0.0)))])
+    hero = fast("vehicle.tesla.model3", world, 0.0, 60.0, role_name="hero")
+    found = collisions(world, 2.0)
+    assert {(c.actor1, c.actor2) for c in found} == {(hero.id, None)}
+    assert hero.transform.location.x < 50
+
+
+def test_a_light_pole_is_an_actor() -> None:
+    world = flat_world(signals=[light(0, (0,))], phases=((0,),))
+    (pole,) = world.traffic_lights
+    hero = fast("vehicle.tesla.model3", world, 80.0, 15.0, y=3.0, role_name="hero")
+    found = collisions(world, 2.0)
+    assert (found[0].actor1, found[0].actor2) == (hero.id, pole.id)
+
+
+def test_a_light_above_the_road_has_no_pole() -> None:
+    world = flat_world(signals=[light(0, (0,), y=0.5)], phases=((0,),))
+    hero = fast("vehicle.tesla.model3", world, 80.0, 15.0, role_name="hero")
+    assert not collisions(world, 2.0)
+    assert hero.transform.location.x > 100
+
+
+def test_a_prop_stands_firm() -> None:
+    world = flat_world()
+    prop = world.spawn("static.prop.container", at(30.0))
+    hero = fast("vehicle.tesla.model3", world, 0.0, 10.0, role_name="hero")
+    assert (hero.id, prop.id) in {(c.actor1, c.actor2) for c in collisions(world, 4.0)}
+    assert prop.transform == at(30.0)
+    assert hero.transform.location.x < 30
+
+
+def test_a_walker_that_is_hit_falls_and_stays() -> None:
+    world = flat_world()
+    walker = world.spawn("walker.pedestrian.0001", at(20.0))
+    assert isinstance(walker, Walker)
+    walker.apply_control(WalkerControl(Vector(0.0, 1.0), 0.5))
+    hero = fast("vehicle.tesla.model3", world, 5.0, 10.0, role_name="hero", y=1.0)
+    found = collisions(world, 1.5)
+    assert {(c.actor1, c.actor2) for c in found} == {(hero.id, walker.id)}
+    assert walker.has_fallen
+    world.run(5)
+    assert walker.velocity.length() == 0
+    place = walker.transform
+    world.run(1)
+    assert walker.transform == place
+    assert hero.transform.location.x > 20
+
+
+def test_a_slow_push_lets_a_walker_stand() -> None:
+    world = flat_world()
+    walker = world.spawn("walker.pedestrian.0001", at(20.0))
+    fast("vehicle.tesla.model3", world, 17.0, 1.0)
+    world.run(3)
+    assert isinstance(walker, Walker)
+    assert not walker.has_fallen
+    assert walker.transform.location.x > 20
+
+
+def test_a_crash_turns_who_is_hit_off_centre() -> None:
+    world = flat_world()
+    hit = car(world, 0.0, 0.0, yaw=90.0)
+    fast("vehicle.tesla.model3", world, -15.0, 15.0, y=1.8)
+    world.run(3)
+    assert abs(hit.transform.rotation.yaw - 90) > 10
+
+
+def test_after_a_crash_one_drives_on() -> None:
+    world = flat_world()
+    hero = fast("vehicle.tesla.model3", world, 0.0, 5.0, role_name="hero")
+    other = car(world, 8.0)
+    world.run(5)
+    world.destroy(other)
+    hero.apply_control(VehicleControl(throttle=0.5))
+    before = hero.transform.location.x
+    world.run(4)
+    assert hero.transform.location.x > before + 8
+
+
+def test_who_does_not_collide_passes_through() -> None:
+    world = flat_world()
+    hero = fast("vehicle.tesla.model3", world, 0.0, 10.0, role_name="hero")
+    ghost = car(world, 8.0)
+    ghost.set_collisions(False)
+    assert not collisions(world, 1.5)
+    assert hero.transform.location.x > 12
+    assert ghost.transform.location.x == 8
+
+
+def test_a_parked_car_that_is_hit_wakes_up() -> None:
+    world = flat_world()
+    parked = car(world, 40.0)
+    world.run(3)
+    fast("vehicle.tesla.model3", world, 20.0, 12.0)
+    world.run(2.5)
+    assert hypot(parked.velocity.x, parked.velocity.y) > 1
+    assert parked.transform.location.x > 40

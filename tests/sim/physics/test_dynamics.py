@@ -1,0 +1,273 @@
+"""Whether vehicles move as their weights, engines and tyres say."""
+
+from __future__ import annotations
+
+import itertools
+from dataclasses import replace
+from math import hypot, radians, tan
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import pytest
+
+from carla_recap.sim.actors.actors import Vehicle
+from carla_recap.sim.actors.control import VehicleControl
+from carla_recap.sim.geometry import Vector
+from tests.sim.flat import at, flat_world
+
+if TYPE_CHECKING:
+    from carla_recap.sim.world import World
+
+KMH = 1 / 3.6
+
+
+def vehicle(world: World, name: str, **place: Any) -> Vehicle:
+    actor = world.spawn(f"vehicle.{name}", at(**{"x": 10.0, **place}))
+    assert isinstance(actor, Vehicle)
+    return actor
+
+
+def seconds_to(world: World, car: Vehicle, speed: float, limit: float = 120.0) -> float:
+    start = world.elapsed
+    while car.velocity.length() < speed:
+        world.tick()
+        assert world.elapsed - start < limit
+    return world.elapsed - start
+
+
+@pytest.mark.parametrize(
+    ("name", "least", "most"),
+    [
+        ("tesla.model3", 4.5, 7.5),
+        ("audi.tt", 4.5, 8.0),
+        ("audi.a2", 7.0, 14.0),
+        ("volkswagen.t2", 14.0, 35.0),
+        ("mercedes.sprinter", 8.0, 20.0),
+        ("harley-davidson.low_rider", 4.0, 8.0),
+    ],
+)
+def test_it_takes_a_plausible_time_from_0_to_100(name: str, least: float, most: float) -> None:
+    world = flat_world()
+    car = vehicle(world, name)
+    car.apply_control(VehicleControl(throttle=1.0))
+    assert least < seconds_to(world, car, 100 * KMH) < most
+
+
+@pytest.mark.parametrize(
+    ("name", "least", "most"),
+    [
+        ("tesla.model3", 190, 235),
+        ("volkswagen.t2", 100, 130),
+        ("carlamotors.firetruck", 85, 115),
+        ("bh.crossbike", 25, 40),
+        ("vespa.zx125", 70, 95),
+    ],
+)
+def test_top_speeds_are_plausible(name: str, least: float, most: float) -> None:
+    world = flat_world()
+    car = vehicle(world, name)
+    world.settings.substepping = False
+    car.set_target_velocity(Vector(0.9 * least * KMH))
+    car.apply_control(VehicleControl(throttle=1.0))
+    world.run(40)
+    assert least * KMH < car.velocity.x < most * KMH
+
+
+@pytest.mark.parametrize("name", ["tesla.model3", "nissan.patrol", "carlamotors.firetruck", "kawasaki.ninja"])
+def test_it_brakes_from_100_within_a_plausible_distance(name: str) -> None:
+    world = flat_world()
+    car = vehicle(world, name)
+    car.set_target_velocity(Vector(100 * KMH))
+    car.apply_control(VehicleControl(brake=1.0))
+    start = car.transform.location.x
+    world.run(8)
+    assert 35 < car.transform.location.x - start < 55
+    assert car.velocity.length() == 0
+
+
+def test_less_grip_makes_the_way_longer() -> None:
+    ways = []
+    for friction in (3.5, 1.4):
+        world = flat_world()
+        car = vehicle(world, "tesla.model3")
+        control = car.physics_control
+        for wheel in control.wheels:
+            wheel.tire_friction = friction
+        car.physics_control = control
+        car.set_target_velocity(Vector(20.0))
+        car.apply_control(VehicleControl(brake=1.0))
+        world.run(10)
+        ways.append(car.transform.location.x)
+    assert ways[1] - 10 > 2 * (ways[0] - 10)
+
+
+@pytest.mark.parametrize("name", ["tesla.model3", "mini.cooper_s", "mercedes.sprinter", "bh.crossbike"])
+@pytest.mark.parametrize("steer", [0.1, -0.3])
+def test_at_low_speed_the_radius_is_wheelbase_by_tangent(name: str, steer: float) -> None:
+    world = flat_world()
+    car = vehicle(world, name, y=50.0)
+    car.set_target_velocity(Vector(2.0))
+    car.apply_control(VehicleControl(throttle=0.06, steer=steer))
+    world.run(2)
+    fleet = world.vehicles
+    rear = [rear_axle(world)]
+    for _ in range(40):
+        world.tick()
+        rear.append(rear_axle(world))
+    way = sum(hypot(*(b - a)) for a, b in itertools.pairwise(rear))
+    turned = fleet.turning[0] * 2.0  # the speed is about constant
+    angles = np.unwrap([np.arctan2(*(b - a)[::-1]) for a, b in itertools.pairwise(rear)])
+    radius = way / (angles[-1] - angles[0]) * 39 / 40
+    assert np.sign(turned) == np.sign(steer)
+    assert radius == pytest.approx(fleet.wheelbase[0] / tan(fleet.steer_angle[0]), rel=0.03)
+
+
+def rear_axle(world: World) -> np.ndarray[Any, Any]:
+    yaw = radians(world.vehicles.yaw[0])
+    return world.vehicles.position[0, :2] - world.vehicles.rear[0] * np.array((np.cos(yaw), np.sin(yaw)))
+
+
+def test_sideways_it_never_pulls_more_than_its_tyres_hold() -> None:
+    world = flat_world()
+    car = vehicle(world, "bmw.grandtourer", y=200.0)
+    car.set_target_velocity(Vector(30.0))
+    car.apply_control(VehicleControl(throttle=0.5, steer=1.0))
+    world.tick()
+    for _ in range(60):
+        world.tick()
+        assert hypot(car.acceleration.x, car.acceleration.y) < 9.81 * 1.25
+
+
+def test_a_drawn_hand_brake_makes_the_rear_slide() -> None:
+    drifts = []
+    for drawn in (False, True):
+        world = flat_world()
+        car = vehicle(world, "audi.tt", y=100.0)
+        car.set_target_velocity(Vector(15.0))
+        car.apply_control(VehicleControl(steer=0.3, hand_brake=drawn))
+        world.run(1)
+        drifts.append(abs(world.vehicles.sideways[0] - world.vehicles.rear[0] * world.vehicles.turning[0]))
+    assert drifts[1] > 4 * drifts[0]
+
+
+def test_the_hand_brake_holds_it_against_the_engine() -> None:
+    world = flat_world()
+    car = vehicle(world, "audi.a2")
+    car.apply_control(VehicleControl(throttle=0.3, hand_brake=True))
+    world.run(2)
+    assert car.velocity.length() == pytest.approx(0, abs=0.01)
+
+
+def test_reverse_drives_backwards_and_slower() -> None:
+    world = flat_world()
+    car = vehicle(world, "seat.leon", x=2000.0)
+    car.apply_control(VehicleControl(throttle=1.0, reverse=True))
+    world.run(20)
+    assert -60 * KMH < car.velocity.x < -20 * KMH
+    assert car.control.gear == -1
+
+
+def test_gears_shift_up_with_the_speed_and_can_be_chosen() -> None:
+    world = flat_world()
+    car = vehicle(world, "audi.tt")
+    car.apply_control(VehicleControl(throttle=1.0))
+    gears = []
+    for _ in range(400):
+        world.tick()
+        gears.append(car.control.gear)
+    assert gears == sorted(gears)
+    assert set(gears) >= {1, 2, 3, 4, 5}
+
+    car.apply_control(VehicleControl(throttle=1.0, manual_gear_shift=True, gear=0))
+    fast = car.velocity.x
+    world.run(1)
+    assert car.velocity.x < fast
+    assert car.control.gear == 0
+
+
+def test_in_first_gear_it_is_no_faster_than_its_revolutions_allow() -> None:
+    world = flat_world()
+    car = vehicle(world, "audi.tt")
+    car.apply_control(VehicleControl(throttle=1.0, manual_gear_shift=True, gear=1))
+    world.run(20)
+    assert 10 < car.velocity.x < 20
+
+
+def test_without_throttle_it_rolls_out_and_stays() -> None:
+    world = flat_world()
+    car = vehicle(world, "toyota.prius")
+    car.set_target_velocity(Vector(10.0))
+    world.run(60)
+    assert 30 < car.transform.location.x - 10 < 300
+    place = car.transform
+    world.run(10)
+    assert car.transform == place
+    assert not world.vehicles.awake.any()
+
+
+def test_the_wheels_turn_no_faster_than_a_driver_can_steer() -> None:
+    world = flat_world()
+    car = vehicle(world, "tesla.model3")
+    car.set_target_velocity(Vector(5.0))
+    car.apply_control(VehicleControl(steer=1.0))
+    world.tick()
+    assert 0 < world.vehicles.steer_angle[0] < world.vehicles.full_lock[0] / 4
+    world.run(1)
+    assert world.vehicles.steer_angle[0] == pytest.approx(world.vehicles.steer_limit[0])
+
+
+def test_a_step_of_any_length_is_stable() -> None:
+    ends = []
+    for delta in (0.01, 0.1):
+        world = flat_world()
+        world.settings.max_substep_delta_time = delta
+        world.settings.fixed_delta_seconds = delta
+        car = vehicle(world, "tesla.model3", y=50.0)
+        car.set_target_velocity(Vector(12.0))
+        car.apply_control(VehicleControl(throttle=0.2, steer=0.1))
+        world.run(4)
+        ends.append(car.transform.location)
+    assert ends[0].distance(ends[1]) < 2.0
+
+
+def test_impulse_and_force_change_the_velocity() -> None:
+    world = flat_world()
+    car = vehicle(world, "tesla.model3")
+    car.add_impulse(Vector(1845.0 * 3))
+    world.tick()
+    assert car.velocity.x == pytest.approx(3, abs=0.1)
+    before = car.velocity.x
+    car.add_force(Vector(1845.0 * 20))
+    world.tick()
+    assert car.velocity.x - before == pytest.approx(1, abs=0.1)
+    world.tick()
+    assert car.velocity.x < before + 1
+
+
+def test_a_heavier_car_with_the_same_engine_is_slower() -> None:
+    times = []
+    for mass in (1.0, 2.0):
+        world = flat_world()
+        car = vehicle(world, "tesla.model3")
+        control = car.physics_control
+        car.physics_control = replace(control, mass=control.mass * mass)
+        car.apply_control(VehicleControl(throttle=1.0))
+        times.append(seconds_to(world, car, 20.0))
+    assert times[1] == pytest.approx(2 * times[0], rel=0.15)
+
+
+def test_without_physics_it_stays_where_it_is_put() -> None:
+    world = flat_world()
+    car = vehicle(world, "tesla.model3")
+    car.set_simulate_physics(False)
+    car.apply_control(VehicleControl(throttle=1.0))
+    world.run(1)
+    assert car.transform.location.x == 10
+    car.transform = at(50.0, 3.0, yaw=30.0, z=7.0)
+    world.run(1)
+    assert car.transform == at(50.0, 3.0, yaw=30.0, z=7.0)
+    car.set_target_velocity(Vector(8.0))
+    car.set_simulate_physics(True)
+    world.run(1)
+    assert car.transform.location.z == 0
+    assert car.transform.location.x > 52

@@ -1,0 +1,844 @@
+"""What a recorder tells of a world, where, and what happens when something goes wrong."""
+
+from __future__ import annotations
+
+import gc
+import os
+import resource
+import signal
+import subprocess
+import sys
+import textwrap
+import time
+import warnings
+from contextlib import contextmanager
+from dataclasses import replace
+from itertools import pairwise
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import pytest
+
+import carla_recap
+from carla_recap.errors import RecapError, RecapWarning
+from carla_recap.records import NO_ACTOR, ActorKind
+from carla_recap.sim.actors.actors import Vehicle, Walker
+from carla_recap.sim.actors.control import VehicleControl, WalkerControl
+from carla_recap.sim.errors import SimError
+from carla_recap.sim.geometry import Location, Transform, Vector
+from carla_recap.sim.recording.recorder import recording_path, recordings_folder
+from carla_recap.sim.recording.scribes import ScribeProcess
+from carla_recap.sim.weather import PRESETS
+from carla_recap.sim.world import World
+from tests.sim.flat import at, flat_town, flat_world, light
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+
+    from carla_recap.frame import Frame
+
+
+def car(world: World, x: float = 10.0, *, role_name: str = "autopilot") -> Vehicle:
+    actor = world.spawn("vehicle.tesla.model3", at(x), role_name=role_name)
+    assert isinstance(actor, Vehicle)
+    return actor
+
+
+def walker(world: World, x: float = 50.0, y: float = 5.0) -> Walker:
+    actor = world.spawn("walker.pedestrian.0001", at(x, y, z=0.9))
+    assert isinstance(actor, Walker)
+    return actor
+
+
+def lit_world() -> World:
+    return flat_world(signals=[light(0, (0,)), light(1, (0,), y=-3.0)], phases=((0,), (1,)))
+
+
+def frames(path: Path) -> list[Frame]:
+    with carla_recap.open_recording(path) as recording:
+        return list(recording.frames())
+
+
+def record(world: World, path: Path, ticks: int, *, additional_data: bool = False) -> list[Frame]:
+    world.start_recorder(path, additional_data)
+    for _ in range(ticks):
+        world.tick()
+    world.stop_recorder()
+    return frames(path)
+
+
+def named(frame: Frame, name: str) -> list[dict[str, Any]]:
+    records = frame[name]
+    assert isinstance(records, np.ndarray)
+    assert records.dtype.names
+    return [dict(zip(records.dtype.names, row, strict=True)) for row in records.tolist()]
+
+
+# --- what is told ------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("additional_data", "first", "later"),
+    [
+        (False, [20, 2, 3, 4, 5, 23, 6, 7, 8, 9, 10, 21, 22, 24, 1], [20, 2, 3, 4, 5, 23, 6, 7, 8, 9, 10, 21, 22, 1]),
+        (
+            True,
+            [20, 2, 3, 4, 5, 23, 6, 7, 8, 9, 10, 21, 22, 24, 12, 13, 17, 14, 15, 16, 19, 1],
+            [20, 2, 3, 4, 5, 23, 6, 7, 8, 9, 10, 21, 22, 12, 13, 14, 19, 1],
+        ),
+    ],
+)
+def test_packets_stand_in_the_order_of_carla(
+    tmp_path: Path, additional_data: bool, first: list[int], later: list[int]
+) -> None:
+    world = lit_world()
+    car(world)
+    told = record(world, tmp_path / "a.log", 2, additional_data=additional_data)
+    assert [packet.id for packet in told[0].packets] == first
+    assert [packet.id for packet in told[1].packets] == later
+
+
+def test_frames_count_from_1_and_time_from_0_and_the_last_one_has_no_duration(tmp_path: Path) -> None:
+    world = flat_world()
+    world.run(1.0)
+    world.start_recorder(tmp_path / "a.mcap", True)
+    deltas = (0.05, 0.1, 0.007, 0.3)
+    for delta in deltas:
+        world.tick(delta)
+    world.close()
+    told = frames(tmp_path / "a.mcap")
+    assert [frame.id for frame in told] == [1, 2, 3, 4]
+    assert [frame.duration for frame in told] == [*deltas[1:], -1]
+    assert told[0].elapsed == 0
+    for frame, following in pairwise(told):
+        assert frame.elapsed + frame.duration == following.elapsed
+    assert [frame["platform_time"]["seconds"][0] for frame in told] == [frame.elapsed for frame in told]
+    assert told[0]["visual_time"]["seconds"][0] == pytest.approx(1.05)
+
+
+@pytest.mark.parametrize("suffix", [".log", ".mcap"])
+def test_time_may_be_told_in_numbers_of_numpy(tmp_path: Path, suffix: str) -> None:
+    with flat_world() as world:
+        path = world.start_recorder(tmp_path / f"x{suffix}")
+        for _ in range(4):
+            world.tick(np.float32(0.25))  # type: ignore[arg-type]
+    with carla_recap.open_recording(path) as recording:
+        assert [frame.elapsed for frame in recording] == [0.0, 0.25, 0.5, 0.75]
+
+
+def test_the_header_has_the_town_and_the_date_of_the_world(tmp_path: Path) -> None:
+    world = World(flat_town(), date=1_700_000_000)
+    record(world, tmp_path / "a.log", 1)
+    with carla_recap.open_recording(tmp_path / "a.log") as recording:
+        assert (recording.header.map_name, recording.header.date, recording.header.version) == ("Flat", 1_700_000_000, 1)
+
+
+def test_the_first_frame_has_everybody_who_is_there(tmp_path: Path) -> None:
+    world = lit_world()
+    hero = car(world, 20.0, role_name="hero")
+    camera = world.spawn("sensor.camera.rgb", Transform(Location(1.0, 0.0, 2.0)), parent=hero)
+    barrel = world.spawn("static.prop.barrel", at(80.0))
+    person = walker(world)
+    world.tick()
+    first, second = record(world, tmp_path / "a.log", 2, additional_data=True)
+    assert [spawn.id for spawn in first["spawned"]] == list(world.actors)
+    spawns = {spawn.id: spawn for spawn in first["spawned"]}
+    assert [spawns[id].kind for id in (1, 2, hero.id, camera.id, barrel.id, person.id)] == [
+        ActorKind.OTHER,
+        ActorKind.TRAFFIC_LIGHT,
+        ActorKind.VEHICLE,
+        ActorKind.SENSOR,
+        ActorKind.OTHER,
+        ActorKind.WALKER,
+    ]
+    assert (spawns[2].x, spawns[2].y, spawns[2].yaw) == (10_000, 300, -90)
+    assert spawns[hero.id].attribute("role_name") == "hero"
+    assert {a.key: a.type for a in spawns[hero.id].attributes}["number_of_wheels"] == 1
+    assert spawns[hero.id].uid == hero.blueprint.uid
+    assert (spawns[camera.id].x, spawns[camera.id].z) == (100, 200)
+    assert first["parented"].tolist() == [(camera.id, hero.id)]
+    assert [row["id"] for row in named(first, "bounding_boxes")] == [hero.id, barrel.id, person.id]
+    assert named(first, "bounding_boxes")[0]["extent_x"] == pytest.approx(hero.box.extent.x * 100)
+    assert [physics.id for physics in first["physics"]] == [hero.id]
+    assert first["light_times"].tolist() == [(2, 10, 3, 2), (3, 10, 3, 2)]
+    assert first["trigger_volumes"].tolist() == [(id, 9500, 0, 100, 175, 175, 100) for id in (2, 3)]
+    assert [row["sun_altitude_angle"] for row in named(first, "weather")] == [45]
+    for name in ("spawned", "parented", "bounding_boxes", "physics", "light_times", "trigger_volumes", "weather"):
+        assert len(second[name]) == 0, name
+
+
+def test_physics_are_told_in_the_units_of_carla(tmp_path: Path) -> None:
+    world = flat_world()
+    hero = car(world, 20.0)
+    (first,) = record(world, tmp_path / "a.log", 1, additional_data=True)
+    (physics,) = first["physics"]
+    control = hero.physics_control
+    assert physics.mass == pytest.approx(control.mass)
+    assert np.array(physics.torque_curve.tolist()) == pytest.approx(np.array(control.torque_curve))
+    assert len(physics.wheels) == 4
+    assert physics.wheels["position_x"][0] == pytest.approx(2000 + control.wheels[0].position.x)
+    assert physics.wheels["radius"][0] == pytest.approx(control.wheels[0].radius)
+
+
+def test_comings_and_goings_are_told_when_they_happen(tmp_path: Path) -> None:
+    world = flat_world()
+    early = car(world, 10.0)
+    world.destroy(early)
+    stays = car(world, 10.0)
+    world.start_recorder(tmp_path / "a.mcap", True)
+    world.tick()
+    late = car(world, 30.0)
+    sensor = world.spawn("sensor.other.collision", Transform(Location(1.0)), parent=late)
+    world.tick()
+    world.tick()
+    world.destroy(late)
+    world.tick()
+    world.close()
+    told = frames(tmp_path / "a.mcap")
+    assert [[spawn.id for spawn in frame["spawned"]] for frame in told] == [[1, stays.id], [late.id, sensor.id], [], []]
+    assert told[1]["spawned"][1].x == 100
+    assert [frame["parented"].tolist() for frame in told] == [[], [(sensor.id, late.id)], [], []]
+    assert [frame["destroyed"]["id"].tolist() for frame in told] == [[], [], [], [sensor.id, late.id]]
+    assert [len(frame["physics"]) for frame in told] == [1, 1, 0, 0]
+    assert [frame["transforms"]["id"].tolist() for frame in told] == [
+        [1, stays.id],
+        *[[1, stays.id, late.id]] * 2,
+        [1, stays.id],
+    ]
+
+
+def test_what_happened_between_the_last_tick_and_the_start_is_told_once(tmp_path: Path) -> None:
+    world = lit_world()
+    hero = car(world, 20.0)
+    world.tick()
+    camera = world.spawn("sensor.camera.rgb", Transform(), parent=hero)
+    hero.set_door(0, True)
+    hero.physics_control = hero.physics_control
+    world.traffic_lights[0].green_time = 7.0
+    world.start_recorder(tmp_path / "a.log", True)
+    hero.set_door(1, True)
+    other = car(world, 40.0)
+    world.tick()
+    world.close()
+    (first,) = frames(tmp_path / "a.log")
+    assert [spawn.id for spawn in first["spawned"]] == [1, 2, 3, hero.id, camera.id, other.id]
+    assert first["parented"].tolist() == [(camera.id, hero.id)]
+    assert first["doors"].tolist() == [(hero.id, 0, 1), (hero.id, 1, 1)]
+    assert [physics.id for physics in first["physics"]] == [hero.id, other.id]
+    assert first["light_times"]["green"].tolist() == [7, 10]
+
+
+def test_what_listeners_do_is_told_in_the_next_frame(tmp_path: Path) -> None:
+    world = lit_world()
+    world.listeners.append(lambda: car(world, 10.0 * world.frame))
+    counts = [(len(frame["spawned"]), len(frame["transforms"])) for frame in record(world, tmp_path / "a.mcap", 3)]
+    placed = counts[0][1]
+    assert counts[1:] == [(1, placed + 1), (1, placed + 2)]
+
+
+def test_where_everybody_is_and_what_they_do(tmp_path: Path) -> None:
+    world = lit_world()
+    person, hero = walker(world), car(world, 20.0)
+    hero.light_state = 0b1010
+    hero.apply_control(VehicleControl(throttle=0.75, steer=0.125, hand_brake=False))
+    person.apply_control(WalkerControl(Vector(0.0, 1.0, 0.0), 1.5))
+    last = record(world, tmp_path / "a.mcap", 20, additional_data=True)[-1]
+    rows = {row["id"]: row for row in named(last, "transforms")}
+    assert list(rows) == [1, person.id, hero.id]
+    for actor in (person, hero):
+        there, row = actor.transform, rows[actor.id]
+        expected = (there.location.x * 100, there.location.y * 100, there.location.z * 100)
+        assert (row["x"], row["y"], row["z"]) == pytest.approx(expected, abs=1e-3)
+        angles = (there.rotation.roll, there.rotation.pitch, there.rotation.yaw)
+        assert (row["roll"], row["pitch"], row["yaw"]) == pytest.approx(angles, abs=1e-4)
+    (control,) = named(last, "vehicle_controls")
+    assert (control["steer"], control["throttle"], control["brake"]) == (0.125, 0.75, 0)
+    assert control["gear"] == hero.control.gear
+    assert last["vehicle_lights"].tolist() == [(hero.id, 0b1010)]
+    assert last["walker_controls"].tolist() == [(person.id, 150)]
+    velocities = {row["id"]: row for row in named(last, "velocities")}
+    assert list(velocities) == [hero.id, person.id]
+    assert velocities[hero.id]["x"] == pytest.approx(hero.velocity.x)
+    assert velocities[hero.id]["angular_z"] == pytest.approx(hero.angular_velocity.z)
+    assert velocities[person.id]["y"] == pytest.approx(1.5)
+    green = world.traffic_lights[0]
+    assert named(last, "light_states")[0] == {
+        "id": green.id,
+        "frozen": 0,
+        "elapsed": pytest.approx(green.elapsed_time),
+        "state": 2,
+    }
+
+
+def test_changes_are_told_when_they_happen(tmp_path: Path) -> None:
+    world = lit_world()
+    hero = car(world, 20.0)
+    world.start_recorder(tmp_path / "a.mcap", True)
+    world.tick()
+    world.weather = PRESETS["HardRainNoon"]
+    hero.set_door(2, True)
+    world.tick()
+    control = hero.physics_control
+    control.mass = 1234.0
+    hero.physics_control = control
+    hero.set_door(2, False)
+    world.traffic_lights[1].red_time = 9.0
+    world.tick()
+    world.tick()
+    world.close()
+    told = frames(tmp_path / "a.mcap")
+    assert [[row["precipitation"] for row in named(frame, "weather")] for frame in told] == [[0], [100], [], []]
+    assert [frame["doors"].tolist() for frame in told] == [[], [(hero.id, 2, 1)], [(hero.id, 2, 0)], []]
+    assert [[physics.mass for physics in frame["physics"]] for frame in told][1:] == [[], [1234], []]
+    assert [frame["light_times"].tolist() for frame in told][1:] == [[], [(3, 10, 3, 9)], []]
+
+
+def test_collisions_are_numbered_from_0_in_each_recording(tmp_path: Path) -> None:
+    world = flat_world(barriers=[np.array([[60.0, -5.0, 0.0], [60.0, 5.0, 0.0]])])
+    hero, other = car(world, 20.0, role_name="hero"), car(world, 30.0)
+    hero.set_target_velocity(Vector(15.0))
+    told = record(world, tmp_path / "a.mcap", 60)
+    collided = [tuple(row) for frame in told for row in frame["collisions"].tolist()]
+    assert [number for number, *_ in collided] == list(range(len(collided)))
+    assert {tuple(rest) for _, *rest in collided} == {(hero.id, other.id, 1, 0)}
+    hero.transform = at(50.0)
+    hero.set_target_velocity(Vector(15.0))
+    collided = [tuple(row) for frame in record(world, tmp_path / "b.mcap", 20) for row in frame["collisions"].tolist()]
+    assert collided[0] == (0, hero.id, NO_ACTOR, 1, 0)
+
+
+def test_both_formats_hold_the_same(tmp_path: Path) -> None:
+    def run(path: Path) -> bytes:
+        world = lit_world()
+        car(world).set_autopilot(True)
+        walker(world).apply_control(WalkerControl(Vector(1.0), 1.0))
+        record(world, path, 250, additional_data=True)
+        return path.read_bytes()
+
+    log = run(tmp_path / "a.log")
+    run(tmp_path / "a.mcap")
+    carla_recap.convert(tmp_path / "a.mcap", tmp_path / "b.log")
+    assert (tmp_path / "b.log").read_bytes() == log
+
+
+_RUN = """
+    import sys
+    from pathlib import Path
+    from tests.sim.recording.test_recorder import car, lit_world, record, walker
+    world = lit_world()
+    for x in (10.0, 30.0, 50.0):
+        car(world, x).set_autopilot(True)
+    walker(world)
+    record(world, Path(sys.argv[1]), 150, additional_data=True)
+"""
+
+
+@pytest.mark.parametrize("suffix", [".mcap", ".log"])
+def test_the_same_seed_and_steps_give_the_same_bytes_in_any_process(tmp_path: Path, suffix: str) -> None:
+    paths = [tmp_path / f"{seed}{suffix}" for seed in (1, 2)]
+    for seed, path in enumerate(paths, 1):
+        script = [sys.executable, "-c", textwrap.dedent(_RUN), str(path)]
+        subprocess.run(script, check=True, env={**os.environ, "PYTHONHASHSEED": str(seed)})
+    assert paths[0].read_bytes() == paths[1].read_bytes()
+
+
+# --- where it goes, and until when -------------------------------------------------------------------------------------
+
+
+def test_names_go_to_the_folder_of_recordings_and_paths_do_not(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.delenv("CARLA_RECAP_RECORDINGS", raising=False)
+    assert str(recordings_folder()) == "recordings"
+    monkeypatch.setenv("CARLA_RECAP_RECORDINGS", str(tmp_path / "of the environment"))
+    assert recording_path("crash.log") == tmp_path / "of the environment" / "crash.log"
+    assert recording_path("crash.log", tmp_path) == tmp_path / "crash.log"
+    for path in ("./crash.log", "a/crash.log", "C:crash.log", r"a\crash.log", str(tmp_path / "crash.log")):
+        assert str(recording_path(path, tmp_path / "b")) == path.removeprefix("./")
+    with pytest.raises(RecapError, match="the name of a recording was expected"):
+        recording_path("")
+
+
+def test_the_folder_of_recordings_is_made_and_others_are_not(tmp_path: Path) -> None:
+    world = World(flat_town(), recordings=tmp_path / "new" / "folder")
+    assert world.start_recorder("crash") == tmp_path / "new" / "folder" / "crash.mcap"
+    assert world.start_recorder("v.log") == tmp_path / "new" / "folder" / "v.log"
+    world.close()
+    assert sorted(path.name for path in (tmp_path / "new" / "folder").iterdir()) == ["crash.mcap", "v.log"]
+    with pytest.raises(RecapError, match="No such file or directory"):
+        world.start_recorder(tmp_path / "absent" / "a.mcap")
+    with pytest.raises(RecapError, match=r"unknown format '.rec'"):
+        world.start_recorder("a.rec")
+    (tmp_path / "file").touch()
+    with pytest.raises(RecapError, match="the folder of recordings cannot be made: Not a directory"):
+        World(flat_town(), recordings=tmp_path / "file" / "x").start_recorder("a")
+    assert world.recorder.path is None
+    world.tick()
+
+
+@pytest.mark.parametrize("suffix", [".mcap", ".log"])
+def test_an_actor_that_cannot_be_told_of_is_an_error_at_the_start_and_ends_a_recording(tmp_path: Path, suffix: str) -> None:
+    world = flat_world()
+    world.start_recorder(tmp_path / f"a{suffix}")
+    world.tick()
+    car(world).attributes["role_name"] = "x" * 70_000
+    with pytest.warns(RecapWarning, match="the recording has ended"):
+        run_until_it_fails(world)
+    with pytest.raises(RecapError):
+        world.start_recorder(tmp_path / f"b{suffix}")
+    assert world.recorder.path is None
+    world.tick()
+    assert not [path for path in tmp_path.iterdir() if path.name.startswith((".b", "b"))]
+
+
+def test_a_file_appears_when_it_is_complete(tmp_path: Path) -> None:
+    world = flat_world()
+    path = world.start_recorder(tmp_path / "a.mcap")
+    world.tick()
+    assert world.recorder.path == path
+    assert not path.exists()
+    world.stop_recorder()
+    assert len(frames(path)) == 1
+    assert world.recorder.path is None
+    world.stop_recorder()
+    world.tick()
+    assert list(tmp_path.iterdir()) == [path]
+
+
+def test_starting_again_completes_the_first(tmp_path: Path) -> None:
+    world = flat_world()
+    for name, ticks in (("a.log", 2), ("b.log", 3)):
+        world.start_recorder(tmp_path / name)
+        for _ in range(ticks):
+            world.tick()
+    assert len(frames(tmp_path / "a.log")) == 2
+    world.start_recorder(tmp_path / "b.log")
+    world.tick()
+    world.close()
+    assert len(frames(tmp_path / "b.log")) == 1
+
+
+def test_a_new_episode_completes_the_recording_and_can_be_recorded(tmp_path: Path) -> None:
+    world = flat_world()
+    world.start_recorder(tmp_path / "a.log")
+    world.tick()
+    world.reload()
+    assert len(frames(tmp_path / "a.log")) == 1
+    assert len(record(world, tmp_path / "b.log", 2)) == 2
+
+
+def test_a_world_as_a_context_completes_the_recording(tmp_path: Path) -> None:
+    with flat_world() as world:
+        world.start_recorder(tmp_path / "a.log")
+        world.tick()
+    assert len(frames(tmp_path / "a.log")) == 1
+
+
+def test_a_forgotten_world_completes_the_recording(tmp_path: Path) -> None:
+    world = flat_world()
+    world.start_recorder(tmp_path / "a.mcap")
+    world.tick()
+    del world
+    gc.collect()
+    assert len(frames(tmp_path / "a.mcap")) == 1
+
+
+_SCRIPT = """
+    import os, sys
+    from pathlib import Path
+    from tests.sim.flat import flat_world
+    world = flat_world()
+    world.start_recorder(Path(sys.argv[1]))
+    world.run(12.0)
+"""
+
+
+@pytest.mark.parametrize("suffix", [".mcap", ".log"])
+def test_a_script_that_ends_completes_the_recording(tmp_path: Path, suffix: str) -> None:
+    path = tmp_path / f"a{suffix}"
+    subprocess.run([sys.executable, "-c", textwrap.dedent(_SCRIPT), str(path)], check=True)
+    assert len(frames(path)) == 240
+
+
+@pytest.mark.parametrize("suffix", [".mcap", ".log"])
+def test_a_process_that_is_killed_leaves_its_recording_complete_but_for_the_last_moments(
+    tmp_path: Path, suffix: str
+) -> None:
+    path = tmp_path / f"a{suffix}"
+    end = "\nimport time\ntime.sleep(1)\nos.kill(os.getpid(), 9)"  # what has been handed over by then is not lost
+    script = textwrap.dedent(_SCRIPT) + end
+    subprocess.run([sys.executable, "-c", script, str(path)], stderr=subprocess.PIPE)  # kept open by who writes
+    told = frames(path)
+    assert list(tmp_path.iterdir()) == [path]
+    assert told[-1].elapsed > 12 - 5 - 0.1
+    assert [frame.id for frame in told] == list(range(1, len(told) + 1))
+
+
+def test_ctrl_c_does_not_reach_who_writes(tmp_path: Path) -> None:
+    script = """
+        import os, signal, sys
+        from pathlib import Path
+        from tests.sim.flat import flat_world
+        world = flat_world()
+        world.start_recorder(Path(sys.argv[1]))
+        world.run(1.0)
+        try:
+            os.killpg(0, signal.SIGINT)
+            signal.pause()
+        except KeyboardInterrupt:
+            world.run(1.0)
+    """
+    command = [sys.executable, "-c", textwrap.dedent(script), str(tmp_path / "a.mcap")]
+    done = subprocess.run(command, start_new_session=True, capture_output=True, text=True)
+    assert (done.returncode, done.stderr) == (0, "")
+    assert len(frames(tmp_path / "a.mcap")) == 40
+
+
+_INTERRUPTED = """
+    import os, signal, sys, threading, time
+    from pathlib import Path
+    from tests.sim.flat import flat_world
+    path = Path(sys.argv[1])
+    with flat_world() as world:
+        world.start_recorder(path)
+        world.run(1.0)
+    for hundredths in range(0, 40, 3):
+        ScribeProcess.end_all()
+        try:
+            threading.Timer(hundredths / 100, os.kill, (os.getpid(), signal.SIGINT)).start()
+            world.start_recorder(path)
+            time.sleep(10)
+        except KeyboardInterrupt:
+            if world.recorder.path:
+                world.tick()
+                world.stop_recorder()
+                break
+"""
+
+
+def test_ctrl_c_while_a_recording_is_started_leaves_the_older_one(tmp_path: Path) -> None:
+    script = "from carla_recap.sim.recording.scribes import ScribeProcess\n" + textwrap.dedent(_INTERRUPTED)
+    command = [sys.executable, "-X", "dev", "-c", script, str(tmp_path / "a.mcap")]
+    done = subprocess.run(command, capture_output=True, text=True, timeout=60)
+    assert (done.returncode, done.stderr) == (0, "")
+    assert len(frames(tmp_path / "a.mcap")) in (1, 20)  # the one that was not interrupted, or the older one
+    assert list(tmp_path.iterdir()) == [tmp_path / "a.mcap"]
+
+
+def test_a_signal_to_the_whole_group_completes_the_recording(tmp_path: Path) -> None:
+    script = (
+        textwrap.dedent(_SCRIPT)
+        + "\nimport time\ntime.sleep(1)\nos.kill(world.recorder._writer.pid, 15)\nos.kill(os.getpid(), 15)"
+    )
+    subprocess.run([sys.executable, "-c", script, str(tmp_path / "a.mcap")], stderr=subprocess.PIPE)
+    assert len(frames(tmp_path / "a.mcap")) > 100
+    assert list(tmp_path.iterdir()) == [tmp_path / "a.mcap"]
+
+
+def test_what_else_is_printed_when_an_interpreter_starts_is_passed_over(tmp_path: Path) -> None:
+    (tmp_path / "site").mkdir()
+    (tmp_path / "site" / "sitecustomize.py").write_text("print('hello')")
+    path, paths = tmp_path / "a.mcap", os.pathsep.join([str(tmp_path / "site"), str(Path.cwd())])
+    environment = {**os.environ, "PYTHONPATH": paths}
+    command = [sys.executable, "-c", textwrap.dedent(_SCRIPT), str(path)]
+    subprocess.run(command, env=environment, check=True, timeout=30, stdout=subprocess.DEVNULL)
+    assert len(frames(path)) == 240
+
+
+def test_forked_processes_that_go_on_hold_nobody_up(tmp_path: Path) -> None:
+    script = """
+        import os, signal, sys, time
+        from pathlib import Path
+        from tests.sim.flat import flat_world
+        folder = Path(sys.argv[1])
+        with flat_world() as world, flat_world() as other:
+            world.start_recorder(folder / "a.mcap")
+            other.start_recorder(folder / "b.mcap")
+            for recorded in (world, other):
+                recorded.run(1.0)
+            if not (child := os.fork()):
+                time.sleep(30)
+                os._exit(0)
+        print(child, flush=True)
+    """
+    command = [sys.executable, "-c", textwrap.dedent(script), str(tmp_path)]
+    with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as process:
+        assert process.stdout is not None
+        child = int(process.stdout.readline())
+        assert process.wait(10) == 0
+        os.kill(child, signal.SIGKILL)
+    assert {path.name: len(frames(path)) for path in tmp_path.iterdir()} == {"a.mcap": 20, "b.mcap": 20}
+
+
+def test_a_process_that_is_killed_has_its_recording_completed_even_while_forked_ones_go_on(tmp_path: Path) -> None:
+    path = tmp_path / "a.mcap"
+    end = """
+        import time
+        time.sleep(1)
+        child = os.fork()
+        if not child:
+            time.sleep(30)
+            os._exit(0)
+        print(child, flush=True)
+        os.kill(os.getpid(), 9)
+    """
+    command = [sys.executable, "-c", textwrap.dedent(_SCRIPT) + textwrap.dedent(end), str(path)]
+    with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as process:
+        assert process.stdout is not None
+        child = int(process.stdout.readline())
+        deadline = time.monotonic() + 10
+        while not path.exists() and time.monotonic() < deadline:
+            time.sleep(0.01)
+        os.kill(child, signal.SIGKILL)
+    assert len(frames(path)) > 100
+
+
+def test_recordings_are_written_by_one_process_after_the_other_as_long_as_there_is_one_at_a_time(tmp_path: Path) -> None:
+    ids = []
+    for name in ("a.mcap", "b.log"):
+        with flat_world() as world:
+            world.start_recorder(tmp_path / name)
+            ids.append(pid(world))
+            world.tick()
+    assert ids[0] == ids[1]
+    with flat_world() as world, flat_world() as other:
+        for count, recorded in enumerate((world, other), 3):
+            recorded.start_recorder(tmp_path / f"{count}.mcap")
+            recorded.run(0.05 * count)
+        assert pid(world) != pid(other)
+    assert [len(frames(tmp_path / f"{count}.mcap")) for count in (3, 4)] == [3, 4]
+
+
+def test_modules_in_the_working_directory_are_nobodys(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    for name in ("pickle", "carla_recap", "numpy"):
+        (tmp_path / f"{name}.py").write_text("raise SystemExit(7)")
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr(ScribeProcess, "_resting", [])
+    assert len(record(flat_world(), tmp_path / "a.log", 2)) == 2
+    ScribeProcess.end_all()
+
+
+def test_a_script_may_go_to_another_folder_while_it_records(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    for name in ("first", "second"):
+        (tmp_path / name).mkdir()
+        monkeypatch.chdir(tmp_path / name)
+        world = flat_world()
+        assert str(world.start_recorder("./a.log")) == "a.log"
+        world.tick()
+        monkeypatch.chdir(tmp_path)
+        world.stop_recorder()
+        assert len(frames(tmp_path / name / "a.log")) == 1
+
+
+# --- trouble -----------------------------------------------------------------------------------------------------------
+
+
+def pid(world: World) -> int:
+    """Of the process that writes."""
+    assert world.recorder._writer is not None
+    return world.recorder._writer.pid
+
+
+@contextmanager
+def disk_of(world: World, size: int) -> Iterator[None]:
+    """Let no file that the world's recorder writes grow beyond a size, in bytes."""
+    writer = pid(world)
+    before = resource.prlimit(writer, resource.RLIMIT_FSIZE)
+    resource.prlimit(writer, resource.RLIMIT_FSIZE, (size, before[1]))
+    yield
+    resource.prlimit(writer, resource.RLIMIT_FSIZE, before)
+
+
+def run_until_it_fails(world: World) -> None:
+    deadline = time.monotonic() + 20
+    while world.recorder.path and time.monotonic() < deadline:
+        world.tick()
+
+
+@pytest.mark.skipif(not hasattr(resource, "prlimit"), reason="limits of other processes are Linux's")
+def test_a_full_disk_ends_the_recording_and_not_the_simulation(tmp_path: Path) -> None:
+    world = flat_world()
+    world.start_recorder(tmp_path / "a.mcap")
+    told = r"has ended: .*a.mcap: cannot be written: File too large; what was recorded until then lies in .*\.partial"
+    with disk_of(world, 60_000), pytest.warns(RecapWarning, match=told):
+        run_until_it_fails(world)
+    error = world.recorder.error
+    assert isinstance(error, RecapError)
+    world.tick()
+    world.stop_recorder()
+    assert world.recorder.error is error
+    (partial,) = tmp_path.iterdir()
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", RecapWarning)
+        assert carla_recap.recover(partial, tmp_path / "b.mcap").frames > 100
+    assert len(record(world, tmp_path / "c.mcap", 3)) == 3
+    assert world.recorder.error is None
+
+
+@pytest.mark.skipif(not hasattr(resource, "prlimit"), reason="limits of other processes are Linux's")
+def test_what_a_full_disk_has_room_for_is_a_recording(tmp_path: Path) -> None:
+    world, path = flat_world(), tmp_path / "a.log"
+    world.start_recorder(path)
+    told = r"has ended: .*a.log: cannot be written: File too large; the recording ends at [\d.]+ s"
+    with disk_of(world, 60_000), pytest.warns(RecapWarning, match=told):
+        run_until_it_fails(world)
+    assert len(frames(path)) > 100
+    assert list(tmp_path.iterdir()) == [path]
+
+
+def test_who_writes_may_be_killed(tmp_path: Path) -> None:
+    world = flat_world()
+    world.start_recorder(tmp_path / "a.mcap")
+    world.run(12.0)
+    deadline = time.monotonic() + 20
+    (partial,) = tmp_path.iterdir()
+    while partial.stat().st_size < 10_000 and time.monotonic() < deadline:
+        time.sleep(0.01)
+    os.kill(pid(world), signal.SIGKILL)
+    with pytest.warns(RecapWarning, match=r"the recording has ended: .*a.mcap: the process that writes it has ended"):
+        run_until_it_fails(world)
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", RecapWarning)
+        assert carla_recap.recover(partial, tmp_path / "b.mcap").frames >= 100
+    assert len(record(world, tmp_path / "c.mcap", 3)) == 3
+
+
+def test_processes_that_are_forked_have_their_own(tmp_path: Path) -> None:
+    script = """
+        import os, sys
+        from pathlib import Path
+        from tests.sim.flat import flat_world
+        folder = Path(sys.argv[1])
+        with flat_world() as world:
+            world.start_recorder(folder / "a.mcap")
+            world.run(1.0)
+        child = os.fork()
+        with flat_world() as world:
+            world.start_recorder(folder / ("b.mcap" if child else "c.mcap"))
+            world.run(2.0 if child else 3.0)
+        if child:
+            assert os.waitstatus_to_exitcode(os.waitpid(child, 0)[1]) == 0
+    """
+    subprocess.run([sys.executable, "-c", textwrap.dedent(script), str(tmp_path)], check=True, timeout=60)
+    assert {path.name: len(frames(path)) for path in tmp_path.iterdir()} == {"a.mcap": 20, "b.mcap": 40, "c.mcap": 60}
+
+
+def test_what_cannot_be_handed_over_ends_the_recording(tmp_path: Path) -> None:
+    world, path = flat_world(), tmp_path / "a.mcap"
+    world.start_recorder(path)
+    world.tick()
+    world.spawn("static.prop.barrel", at(20.0)).attributes["role_name"] = lambda: None  # type: ignore[assignment]
+    with pytest.warns(RecapWarning, match=r"the recording has ended: .*a.mcap: has ended early: \w+: .*lambda"):
+        run_until_it_fails(world)
+    assert len(frames(path)) == 1
+    assert list(tmp_path.iterdir()) == [path]
+    assert len(record(flat_world(), tmp_path / "b.mcap", 3)) == 3
+
+
+def test_who_rests_may_be_killed(tmp_path: Path) -> None:
+    world = flat_world()
+    world.start_recorder(tmp_path / "a.mcap")
+    writer = pid(world)
+    world.stop_recorder()
+    os.kill(writer, signal.SIGKILL)  # which may be known at once, or not
+    assert len(record(world, tmp_path / "b.mcap", 3)) == 3
+    world.start_recorder(tmp_path / "c.mcap")
+    writer = pid(world)
+    world.stop_recorder()
+    os.kill(writer, signal.SIGKILL)
+    time.sleep(0.1)
+    assert len(record(world, tmp_path / "d.mcap", 3)) == 3
+
+
+def test_without_an_interpreter_nothing_is_recorded(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(ScribeProcess, "_resting", [])
+    for executable, told in (("/absent", "No such file"), ("/bin/true", "ended with exit code 0"), ("/bin/false", "code 1")):
+        monkeypatch.setattr(sys, "executable", executable)
+        with pytest.raises(RecapError, match=f"the process that writes recordings cannot be started: .*{told}"):
+            flat_world().start_recorder(tmp_path / "a.mcap")
+    assert not list(tmp_path.iterdir())
+
+
+def test_a_slow_disk_makes_no_tick_wait(tmp_path: Path) -> None:
+    world = flat_world()
+    world.start_recorder(tmp_path / "a.mcap")
+    os.kill(pid(world), signal.SIGSTOP)
+    longest = 0.0
+    for _ in range(220):
+        begin = time.monotonic()
+        world.tick()
+        longest = max(longest, time.monotonic() - begin)
+    os.kill(pid(world), signal.SIGCONT)
+    assert longest < 0.2
+    world.close()
+    assert len(frames(tmp_path / "a.mcap")) == 220
+
+
+def test_what_appeared_meanwhile_stays_if_it_must(tmp_path: Path) -> None:
+    world = flat_world()
+    free = world.start_recorder(tmp_path / "free.mcap", force=False)
+    world.stop_recorder()
+    assert list(tmp_path.iterdir()) == [free]
+    free.unlink()
+    path = world.start_recorder(tmp_path / "a.mcap", force=False)
+    world.run(1.0)
+    path.write_text("mine")
+    with pytest.warns(RecapWarning, match=r"File exists; what was recorded until then lies in .*\.partial"):
+        world.stop_recorder()
+    assert path.read_text() == "mine"
+    (partial,) = set(tmp_path.iterdir()) - {path}
+    assert len(frames(partial)) == 20
+    with pytest.raises(RecapError, match="exists already"):
+        world.start_recorder(path, force=False)
+
+
+def test_a_folder_that_is_gone_is_an_error_for_names_that_are_relative(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    (tmp_path / "gone").mkdir()
+    monkeypatch.chdir(tmp_path / "gone")
+    (tmp_path / "gone").rmdir()
+    with pytest.raises(RecapError, match=r"a.log: the working directory cannot be told: No such file or directory"):
+        flat_world().start_recorder("./a.log")
+    assert len(record(flat_world(), tmp_path / "a.log", 2)) == 2
+
+
+@pytest.mark.parametrize("name", [".", "..", "./", "a/", "a/..", "a\\", "nul\0.log", "./folder", "./" + "x" * 300])
+def test_names_that_no_recording_can_have(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, name: str) -> None:
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "folder").mkdir()
+    with pytest.raises(RecapError, match=r"the name of a recording was expected|File name too long"):
+        flat_world().start_recorder(name)
+    assert [path.name for path in tmp_path.iterdir()] == ["folder"]
+
+
+def test_what_cannot_be_told_is_refused_and_the_recording_goes_on(tmp_path: Path) -> None:
+    world = flat_world()
+    audi = car(world)
+    world.start_recorder(tmp_path / "a.mcap", True)
+    world.tick()
+    for refused in (
+        lambda: world.spawn("static.prop.barrel", at(1e39)),
+        lambda: world.spawn("vehicle.audi.tt", at(20.0), role_name="x" * 1001),
+        lambda: setattr(audi, "transform", at(1e300)),
+        lambda: setattr(world, "weather", replace(world.weather, wetness=1e39)),
+    ):
+        with pytest.raises(SimError):
+            refused()
+    world.tick()
+    world.stop_recorder()
+    assert world.recorder.error is None
+    assert len(frames(tmp_path / "a.mcap")) == 2
+
+
+def test_the_date_is_when_the_recording_begins(tmp_path, monkeypatch):
+    monkeypatch.delenv("SOURCE_DATE_EPOCH", raising=False)
+    dates = []
+    with World(flat_town()) as world:
+        for now in (1_000_000_000, 1_000_000_060):
+            monkeypatch.setattr("carla_recap.sim.world.time.time", lambda now=now: now)
+            path = world.start_recorder(tmp_path / f"{now}.log")
+            world.tick()
+            world.stop_recorder()
+            with carla_recap.open_recording(path) as recording:
+                dates.append(int(recording.info.date.timestamp()))
+    assert dates == [1_000_000_000, 1_000_000_060]

@@ -1,0 +1,184 @@
+"""The process that writes recordings: what it is told, what it answers, and what it does when the disk fails."""
+
+from __future__ import annotations
+
+import io
+import os
+import pickle
+from typing import TYPE_CHECKING, Any
+
+import pytest
+
+import carla_recap
+from carla_recap.errors import RecapError
+from carla_recap.formats.mcap.writer import McapWriter
+from carla_recap.frame import Header
+from carla_recap.sim.recording.sampling import Sampler
+from carla_recap.sim.recording.scribe import Scribe, serve
+from tests.sim.flat import flat_world
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+    from pathlib import Path
+
+    from carla_recap.sim.recording.snapshots import Strip
+
+HEADER = Header("Flat", 0)
+
+
+@pytest.fixture(autouse=True)
+def elsewhere(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    """Scribes go where recordings are."""
+    monkeypatch.chdir(tmp_path)
+
+
+def strips(ticks: int) -> list[Strip]:
+    """Some frames of a world, 0.05 s each."""
+    world = flat_world()
+    sampler = Sampler(world, additional_data=False)
+    found: list[Strip] = []
+    for _ in range(ticks):
+        world.tick()
+        strip = sampler.snapshot(world.delta)
+        if strip not in found:
+            found.append(strip)
+    return found
+
+
+def write(path: Path, ticks: int, *, force: bool = True) -> None:
+    """Have a scribe write a recording."""
+    scribe = Scribe()
+    scribe.begin(path.parent, path, HEADER, force)
+    for strip in strips(ticks):
+        scribe.write(strip)
+    scribe.close()
+
+
+def frames(path: Path) -> int:
+    with carla_recap.open_recording(path) as recording:
+        return recording.info.frames
+
+
+def broken_after(monkeypatch: pytest.MonkeyPatch, chunks: int, *, for_good: bool) -> None:
+    """Let the disk fail at some chunk of the next recording, once or for good."""
+    write, left = McapWriter._write_chunk, [chunks]
+
+    def failing(self: McapWriter, chunk: Any) -> None:
+        left[0] -= 1
+        if left[0] < 0 and (for_good or left[0] == -1):
+            raise RecapError(f"{self.path}: cannot be written: No space left on device")
+        write(self, chunk)
+
+    monkeypatch.setattr(McapWriter, "_write_chunk", failing)
+
+
+def answers(*requests: tuple[Any, ...], more: bytes = b"") -> Iterator[str | None]:
+    """What a process answers to requests."""
+    said = io.BytesIO()
+    serve(io.BytesIO(b"".join(pickle.dumps((name, rest)) for name, *rest in requests) + more), said)
+    said.seek(0)
+    while said.tell() < len(said.getvalue()):
+        yield pickle.load(said)
+
+
+def test_each_request_is_answered(tmp_path: Path) -> None:
+    requests = [
+        ("begin", tmp_path, tmp_path / "a.log", HEADER, True),
+        *(("write", strip) for strip in strips(60)),
+        ("close",),
+    ]
+    assert list(answers(*requests)) == [None] * len(requests)
+    assert frames(tmp_path / "a.log") == 60
+
+
+def test_what_cannot_be_done_is_the_answer_and_the_next_recording_can(tmp_path: Path) -> None:
+    absent = tmp_path / "absent" / "a.mcap"
+    first, second, third, fourth = answers(
+        ("begin", tmp_path, absent, HEADER, True),
+        ("write", None),
+        ("begin", tmp_path, tmp_path / "b.mcap", HEADER, True),
+        ("close",),
+    )
+    assert first == f"{absent}: cannot be written: No such file or directory"
+    assert second
+    assert second.startswith("AssertionError: ")
+    assert (third, fourth) == (None, None)
+    assert [path.name for path in tmp_path.iterdir()] == ["b.mcap"]
+
+
+@pytest.mark.parametrize("more", [b"", pickle.dumps(("close", ()))[:-3], pickle.dumps(("write", [b"x" * 1000]))[:500]])
+def test_a_recording_is_completed_when_nobody_asks_any_more(tmp_path: Path, more: bytes) -> None:
+    path = tmp_path / "a.mcap"
+    begun = [("begin", tmp_path, path, HEADER, True), *(("write", strip) for strip in strips(60))]
+    assert list(answers(*begun, more=more)) == [None] * len(begun)
+    assert frames(path) == 60
+    assert list(tmp_path.iterdir()) == [path]
+
+
+def test_a_recording_of_nothing_is_given_up_when_nobody_asks_any_more(tmp_path: Path) -> None:
+    write(tmp_path / "a.mcap", 3)
+    assert list(answers(("begin", tmp_path, tmp_path / "a.mcap", HEADER, True))) == [None]
+    assert frames(tmp_path / "a.mcap") == 3
+    assert [path.name for path in tmp_path.iterdir()] == ["a.mcap"]
+
+
+def test_none_is_the_last_request(tmp_path: Path) -> None:
+    assert list(answers(("begin", tmp_path, tmp_path / "a.mcap", HEADER, True), more=pickle.dumps(None) + b"x")) == [None]
+
+
+def test_what_is_written_before_a_disk_fails_becomes_a_recording(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    broken_after(monkeypatch, 2, for_good=False)
+    path = tmp_path / "a.mcap"
+    with pytest.raises(RecapError, match=r"No space left on device; the recording ends at 4.95 s"):
+        write(path, 300)
+    assert frames(path) == 100
+    assert list(tmp_path.iterdir()) == [path]
+
+
+def test_what_a_full_disk_holds_is_left_to_be_recovered(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    broken_after(monkeypatch, 2, for_good=True)
+    with pytest.raises(RecapError, match=r"what was recorded until then lies in .*\.partial, for carla-recap recover"):
+        write(tmp_path / "a.mcap", 300)
+    (partial,) = tmp_path.iterdir()
+    monkeypatch.undo()
+    assert carla_recap.recover(partial, tmp_path / "b.mcap").frames == 100
+
+
+def test_what_cannot_be_finished_is_left_to_be_recovered(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def full(self: McapWriter) -> None:
+        raise RecapError(f"{self.path}: cannot be written: No space left on device")
+
+    monkeypatch.setattr(McapWriter, "_write_end", full)
+    with pytest.raises(RecapError, match="for carla-recap recover"):
+        write(tmp_path / "a.mcap", 240)
+    (partial,) = tmp_path.iterdir()
+    monkeypatch.undo()
+    assert carla_recap.recover(partial, tmp_path / "b.mcap").frames == 240
+
+
+def test_an_older_recording_outlasts_a_failure(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    write(tmp_path / "a.mcap", 3)
+    broken_after(monkeypatch, 2, for_good=False)
+    with pytest.raises(RecapError, match="for carla-recap recover"):
+        write(tmp_path / "a.mcap", 300)
+    assert frames(tmp_path / "a.mcap") == 3
+
+
+def test_what_appeared_meanwhile_stays_if_it_must_even_where_there_are_no_links(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def refuse(*_: object) -> None:
+        raise PermissionError(1, "Operation not permitted")
+
+    monkeypatch.setattr(os, "link", refuse)  # as on FAT
+    path = tmp_path / "a.mcap"
+    scribe = Scribe()
+    scribe.begin(tmp_path, path, HEADER, False)
+    for strip in strips(20):
+        scribe.write(strip)
+    path.write_text("mine")
+    with pytest.raises(RecapError, match=r"File exists; what was recorded until then lies in .*\.partial"):
+        scribe.close()
+    assert path.read_text() == "mine"
+    (partial,) = set(tmp_path.iterdir()) - {path}
+    assert frames(partial) == 20

@@ -1,0 +1,669 @@
+"""What a world shows of a recording, who plays whom, and how the actors go on afterwards."""
+
+from __future__ import annotations
+
+import shutil
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import pytest
+
+import carla_recap
+from carla_recap.errors import FormatError, RecapError, RecapWarning
+from carla_recap.records import Attribute, Spawn
+from carla_recap.replay import Player
+from carla_recap.sim.actors.actors import Prop, TrafficLight, Vehicle, Walker
+from carla_recap.sim.actors.control import VehicleControl, WalkerControl
+from carla_recap.sim.errors import SimError
+from carla_recap.sim.geometry import Location, Rotation, Transform, Vector
+from carla_recap.sim.town.town import load_town
+from carla_recap.sim.weather import PRESETS
+from carla_recap.sim.world import World
+from tests.maps.towns import town
+from tests.samples import carla_log
+from tests.sim.flat import at, flat_world, light
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+    from carla_recap.frame import Frame
+
+DELTA = 0.05
+SIGNALS: dict[str, Any] = {"signals": [light(0, (0,)), light(1, (0,), y=-3.0)], "phases": ((0,), (1,))}
+
+
+def new_world() -> World:
+    return flat_world(**SIGNALS)
+
+
+def spawn_car(world: World, x: float, y: float = 0.0, blueprint: str = "vehicle.audi.tt", **attributes: Any) -> Vehicle:
+    actor = world.spawn(blueprint, at(x, y), **attributes)
+    assert isinstance(actor, Vehicle)
+    return actor
+
+
+def spawn_walker(world: World, x: float, y: float) -> Walker:
+    actor = world.spawn("walker.pedestrian.0002", at(x, y, z=0.9))
+    assert isinstance(actor, Walker)
+    return actor
+
+
+@pytest.fixture(scope="module")
+def drive(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Ten seconds: a hero that swerves and brakes, a motorcycle, a walker, a barrel, and a car that comes and goes.
+
+    The ids are 4, 5, 6, 7, and 8 from 2 s to 6 s; the spectator has 1, the lights have 2 and 3.
+    """
+    world = new_world()
+    hero = spawn_car(world, 20.0, role_name="hero", color="1,2,3")
+    rider = spawn_car(world, 60.0, 8.0, "vehicle.kawasaki.ninja")
+    walker = spawn_walker(world, 80.0, 4.0)
+    world.spawn("static.prop.barrel", at(90.0, 6.0))
+    path = tmp_path_factory.mktemp("drive") / "drive.mcap"
+    world.start_recorder(path, True)
+    guest = None
+    for tick in range(200):
+        braking, steer = tick >= 120, 0.1 * np.sin(tick / 15)
+        hero.apply_control(VehicleControl(throttle=0.0 if braking else 0.6, steer=steer, brake=float(braking)))
+        rider.apply_control(VehicleControl(throttle=0.3))
+        walker.apply_control(WalkerControl(Vector(1.0, -0.2, 0.0), 1.4))
+        hero.light_state = 0b1000 if braking else 0b1
+        if tick == 40:
+            guest = spawn_car(world, 200.0, 4.0)
+            hero.set_door(5, True)
+            world.weather = PRESETS["HardRainNoon"]
+        if tick == 120:
+            assert guest is not None
+            world.destroy(guest)
+        world.spectator.transform = at(tick / 10, -10.0, z=5.0)
+        world.tick()
+    world.close()
+    return path
+
+
+def play(world: World, path: Path, ticks: int, **kwargs: Any) -> None:
+    world.replay_file(path, **kwargs)
+    for _ in range(ticks):
+        world.tick()
+
+
+def play_out(world: World) -> int:
+    ticks = 0
+    while world.replayer.is_playing:
+        world.tick()
+        ticks += 1
+    return ticks
+
+
+def played(world: World, id: int) -> Any:
+    """The actor that plays one of the recording."""
+    return world.actors[world.replayer.mapping[id]]
+
+
+def state(world: World) -> dict[str, Any]:
+    """Everything that a replay says, without ids of the world."""
+    players = {id: world.actors[other] for id, other in world.replayer.mapping.items()}
+    return {
+        "transforms": {id: actor.transform for id, actor in players.items()},
+        "velocities": {id: actor.velocity for id, actor in players.items() if isinstance(actor, Vehicle)},
+        "controls": {id: actor.control for id, actor in players.items() if isinstance(actor, (Vehicle, Walker))},
+        "lights": {id: actor.light_state for id, actor in players.items() if isinstance(actor, Vehicle)},
+        "doors": {id: actor.open_doors for id, actor in players.items() if isinstance(actor, Vehicle)},
+        "signals": {id: (a.state, a.elapsed_time, a.frozen) for id, a in players.items() if isinstance(a, TrafficLight)},
+        "weather": world.weather,
+    }
+
+
+def frames(path: Path) -> list[Frame]:
+    with carla_recap.open_recording(path) as recording:
+        return list(recording.frames())
+
+
+def yaw_between(a: Any, b: Any) -> Any:
+    return np.abs((a - b + 180) % 360 - 180)
+
+
+# --- what is shown -----------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("suffix", [".mcap", ".log"])
+def test_a_replay_that_is_recorded_is_the_recording(tmp_path: Path, drive: Path, suffix: str) -> None:
+    source = tmp_path / f"a{suffix}"
+    carla_recap.convert(drive, source)
+    world = new_world()
+    world.replay_file(source)
+    world.start_recorder(tmp_path / f"b{suffix}", True)
+    assert play_out(world) == 200
+    world.close()
+    ids = world.replayer.mapping
+    first, second = frames(source), frames(tmp_path / f"b{suffix}")
+    assert len(second) == 200
+    for then, now in zip(first[1:], second[:-1], strict=True):  # the first tick of a replay leads to the second frame
+        _agree(then, now, ids)
+    spawns = {spawn.id: spawn for spawn in second[0]["spawned"]}
+    for spawn in first[0]["spawned"]:
+        again = spawns[ids[spawn.id]] if spawn.type_id != "spectator" else spawns[world.spectator.id]
+        assert (again.type_id, again.kind, again.uid) == (spawn.type_id, spawn.kind, spawn.uid)
+        assert sorted((a.key, a.value) for a in again.attributes) == sorted((a.key, a.value) for a in spawn.attributes)
+    assert [spawn.type_id for spawn in second[39]["spawned"]] == ["vehicle.audi.tt"]
+    assert second[119]["destroyed"]["id"].tolist() == [second[39]["spawned"][0].id]
+
+
+def _agree(then: Frame, now: Frame, ids: Any) -> None:
+    rows = {row["id"]: row for row in now["transforms"]}
+    for row in then["transforms"]:
+        if row["id"] not in ids:  # the spectator, and who has gone by the end of the replay
+            continue
+        other = rows[ids[row["id"]]]
+        assert np.linalg.norm([row[axis] - other[axis] for axis in "xyz"]) < 1, row["id"]
+        assert max(yaw_between(row[angle], other[angle]) for angle in ("roll", "pitch", "yaw")) < 0.1
+    for name in ("vehicle_controls", "walker_controls", "vehicle_lights", "light_states"):
+        told = {row[0]: row[1:] for row in now[name].tolist()}
+        for id, *values in then[name].tolist():
+            assert id not in ids or told[ids[id]] == tuple(values), name
+    assert [row.tolist()[1:] for row in now["doors"]] == [row.tolist()[1:] for row in then["doors"]]
+    if now.index:  # the first frame of a recording tells of it anyway
+        assert now["weather"].tolist() == then["weather"].tolist()
+
+
+def test_start_in_the_middle_is_playing_there(drive: Path) -> None:
+    there, from_start = new_world(), new_world()
+    play(there, drive, 30, start=4.0)
+    play(from_start, drive, 110)
+    assert there.replayer.mapping.keys() == from_start.replayer.mapping.keys() == {2, 3, 4, 5, 6, 7, 8}
+    expected = state(from_start)
+    for name, value in state(there).items():
+        assert _close(value, expected[name]), name
+
+
+def _close(a: Any, b: Any) -> bool:
+    """Whether two states are one, but for rounding."""
+    return _numbers(a) == pytest.approx(_numbers(b), abs=1e-4)
+
+
+def _numbers(value: Any) -> list[float]:
+    if isinstance(value, dict):
+        return [number for key in sorted(value) for number in [key, *_numbers(value[key])]]
+    if isinstance(value, (set, frozenset)):
+        return sorted(value)
+    if isinstance(value, (tuple, list)):
+        return [number for item in value for number in _numbers(item)]
+    if hasattr(value, "__dataclass_fields__"):
+        return [number for name in value.__dataclass_fields__ for number in _numbers(getattr(value, name))]
+    return [float(value)]
+
+
+def test_everybody_is_at_the_start_before_the_first_tick(drive: Path) -> None:
+    world = new_world()
+    replay = world.replay_file(drive, start=5.0, duration=2.0)
+    assert (replay.map_name, replay.loaded, replay.start, replay.duration) == ("Flat", False, 5.0, 2.0)
+    assert (replay.path, replay.followed, replay.time_factor) == (drive, None, 1.0)
+    assert replay.total == pytest.approx(9.95)
+    with carla_recap.open_recording(drive) as recording:
+        way = recording.trajectory(4, axes="carla")
+    where = np.searchsorted(way.time, 5.0 - 1e-6)
+    assert played(world, 4).transform.location.x == pytest.approx(way.x[where], abs=1e-4)
+    assert play_out(world) == 41
+    assert played(world, 4).transform.location.x > way.x[where] + 5
+
+
+def test_a_start_may_count_from_the_end(drive: Path) -> None:
+    assert new_world().replay_file(drive, start=-2.0).start == pytest.approx(7.95)
+    assert new_world().replay_file(drive, start=-20.0).start == 0
+    with pytest.raises(RecapError, match="nothing at 20 s"):
+        new_world().replay_file(drive, start=20.0)
+
+
+def test_between_frames_poses_are_interpolated_unless_time_flies(drive: Path) -> None:
+    with carla_recap.open_recording(drive) as recording:
+        way = recording.trajectory(4, axes="carla")
+    world = new_world()
+    world.replay_file(drive, start=5.0)
+    world.tick(DELTA / 2)
+    where = np.searchsorted(way.time, 5.0 - 1e-6)
+    assert played(world, 4).transform.location.x == pytest.approx(way.x[where : where + 2].mean(), abs=1e-3)
+    world = new_world()
+    world.set_replayer_time_factor(20.0)
+    assert world.replay_file(drive).time_factor == 20
+    seen = []
+    for _ in range(9):
+        world.tick(0.0512)
+        seen.append(played(world, 4).transform.location.x)
+    shown = way.x[np.searchsorted(way.time, np.arange(1, 10) * 0.0512 * 20, side="right") - 1]
+    assert seen == pytest.approx(shown.tolist(), abs=1e-4)
+
+
+def test_the_time_factor_can_change_on_the_way(drive: Path) -> None:
+    world = new_world()
+    world.replay_file(drive)
+    for factor, ticks in ((0.5, 40), (1.5, 40), (0.0, 20), (1.0, 20)):
+        world.set_replayer_time_factor(factor)
+        for _ in range(ticks):
+            world.tick()
+    with carla_recap.open_recording(drive) as recording:
+        way = recording.trajectory(4, axes="carla")
+    assert played(world, 4).transform.location.x == pytest.approx(np.interp(5.0, way.time, way.x), abs=1e-3)
+    for factor in (-1.0, float("nan"), float("inf")):
+        with pytest.raises(SimError, match="a time factor of"):
+            world.set_replayer_time_factor(factor)
+    assert world.replayer.time_factor == 1
+
+
+def test_the_spectator_stays_unless_it_is_asked_for(drive: Path) -> None:
+    world = new_world()
+    world.spectator.transform = at(1.0, 2.0, z=3.0)
+    play(world, drive, 100)
+    assert world.spectator.transform == at(1.0, 2.0, z=3.0)
+    world.stop_replayer()
+    world.set_replayer_ignore_spectator(False)
+    play(world, drive, 100)
+    place = world.spectator.transform.location
+    assert (place.x, place.y, place.z) == pytest.approx((10.0, -10.0, 5.0), abs=1e-4)
+
+
+@pytest.mark.parametrize("follow", [4, "hero"])
+def test_the_spectator_follows(drive: Path, follow: Any) -> None:
+    world = new_world()
+    assert world.replay_file(drive, follow=follow).followed == 4
+    for _ in range(50):
+        world.tick()
+        hero, camera = played(world, 4).transform, world.spectator.transform
+        behind = hero.transform(Location(-10.0))
+        assert (camera.location.x, camera.location.y) == pytest.approx((behind.x, behind.y), abs=1e-3)
+        assert camera.location.z == pytest.approx(hero.location.z + 5)
+        assert (camera.rotation.pitch, camera.rotation.roll) == (-25, 0)
+
+
+def test_the_spectator_follows_where_it_is_told_to(drive: Path) -> None:
+    world = new_world()
+    world.replay_file(drive, follow=4, offset=Transform(Location(0.0, 3.0, 40.0), Rotation(pitch=-90.0)))
+    world.run(5.0)
+    hero, camera = played(world, 4).transform, world.spectator.transform
+    beside = hero.transform(Location(0.0, 3.0))
+    assert (camera.location.x, camera.location.y) == pytest.approx((beside.x, beside.y), abs=1e-3)
+    assert camera.location.z == pytest.approx(hero.location.z + 40)
+    assert camera.rotation.pitch == pytest.approx(-90)
+
+
+def test_nobody_or_somebody_unknown_to_follow(drive: Path) -> None:
+    assert new_world().replay_file(drive, follow=0).followed is None
+    world = new_world()
+    with pytest.raises(RecapError, match="no actor 99 to follow"):
+        world.replay_file(drive, follow=99)
+    assert not world.replayer.is_playing
+    assert len(world.vehicles) == 0
+
+
+def test_the_hero_can_be_left_out(drive: Path) -> None:
+    world = new_world()
+    world.set_replayer_ignore_hero(True)
+    play(world, drive, 60)
+    assert world.replayer.mapping.keys() == {2, 3, 5, 6, 7, 8}
+
+
+def test_sensors_come_when_they_are_asked_for(tmp_path: Path) -> None:
+    world = new_world()
+    world.spawn("sensor.other.collision", Transform(Location(1.0, 0.0, 2.0)), parent=spawn_car(world, 20.0))
+    world.start_recorder(tmp_path / "a.log")
+    world.run(1.0)
+    world.close()
+    world = new_world()
+    play(world, tmp_path / "a.log", 5)
+    assert 5 not in world.replayer.mapping
+    play(world, tmp_path / "a.log", 5, replay_sensors=True)
+    assert played(world, 5).parent is played(world, 4)
+    assert played(world, 5).relative_transform == Transform(Location(1.0, 0.0, 2.0))
+
+
+def test_the_sensors_of_a_hero_that_is_left_out_are_left_out(tmp_path: Path) -> None:
+    world = new_world()
+    world.spawn("sensor.other.collision", Transform(), parent=spawn_car(world, 20.0, role_name="hero"))
+    world.start_recorder(tmp_path / "a.log")
+    world.run(1.0)
+    world.close()
+    world = new_world()
+    world.set_replayer_ignore_hero(True)
+    play(world, tmp_path / "a.log", 5, replay_sensors=True)
+    assert world.replayer.mapping.keys() == {2, 3}
+
+
+# --- who plays whom ----------------------------------------------------------------------------------------------------
+
+
+def test_actors_are_spawned_with_what_they_had(drive: Path) -> None:
+    world = new_world()
+    play(world, drive, 1)
+    assert world.replayer.mapping == {2: 2, 3: 3, 4: 4, 5: 5, 6: 6, 7: 7}
+    hero = played(world, 4)
+    assert (hero.type_id, hero.attributes["color"], hero.is_hero) == ("vehicle.audi.tt", "1,2,3", True)
+    assert not hero.simulates_physics
+    assert isinstance(played(world, 7), Prop)
+    assert world.replayer.substitutes == {}
+
+
+def test_an_actor_of_the_same_id_and_blueprint_is_moved_and_others_are_not(drive: Path) -> None:
+    world = new_world()
+    mine = spawn_car(world, 500.0)
+    wrong = spawn_car(world, 510.0)
+    play(world, drive, 10)
+    assert played(world, 4) is mine
+    assert mine.transform.location.x < 100
+    assert played(world, 5) is not wrong
+    assert wrong.transform.location.x == 510
+
+
+def test_who_is_destroyed_in_the_recording_is_destroyed(drive: Path) -> None:
+    world = new_world()
+    play(world, drive, 60)
+    guest = played(world, 8)
+    for _ in range(60):
+        assert guest.is_alive
+        world.tick()
+    assert not guest.is_alive
+    assert 8 not in world.replayer.mapping
+
+
+def test_a_replay_goes_on_without_those_whom_somebody_destroys(drive: Path) -> None:
+    world = new_world()
+    play(world, drive, 20)
+    world.destroy(played(world, 4))
+    world.destroy(played(world, 7))
+    world.tick()
+    assert world.replayer.mapping.keys() == {2, 3, 5, 6}
+    assert play_out(world) > 100
+
+
+def test_ids_that_time_has_passed_over_leave_nobody_behind(drive: Path) -> None:
+    world = new_world()
+    world.set_replayer_time_factor(100.0)
+    world.replay_file(drive, start=1.5)
+    world.tick()  # from 1.5 s to 6.5 s: actor 8 has come and gone
+    assert world.replayer.mapping.keys() == {2, 3, 4, 5, 6, 7}
+    assert len(world.vehicles) == 2
+
+
+@pytest.mark.parametrize(
+    ("type_id", "kind", "wheels", "kin"),
+    [
+        ("vehicle.bmw.isetta", 1, "4", 4),
+        ("vehicle.yamaha.yzf", 1, "2", 2),
+        ("vehicle.martian", 1, None, None),
+        ("walker.martian", 2, None, None),
+        ("static.prop.martian", 0, None, None),
+        ("martian", 17, None, None),
+    ],
+)
+def test_unknown_blueprints_have_substitutes(
+    tmp_path: Path, type_id: str, kind: int, wheels: str | None, kin: int | None
+) -> None:
+    spawn = Spawn(9, kind, x=5000.0, type_id=type_id)
+    if wheels:
+        spawn.attributes = [Attribute(1, "number_of_wheels", wheels)]
+    with carla_recap.create_recording(tmp_path / "a.log", map_name="Flat", date=0) as recording:
+        recording.add_frame(0, spawned=[spawn], bounding_boxes={"id": 9, "extent_x": 150, "extent_y": 70, "extent_z": 80})
+        recording.add_frame(1, transforms={"id": 9, "x": 5500.0})
+    world = new_world()
+    play(world, tmp_path / "a.log", 10)
+    actor = played(world, 9)
+    assert actor.type_id == type_id
+    extent = actor.box.extent
+    if type_id != "martian":
+        assert (extent.x, extent.y, extent.z) == pytest.approx((1.5, 0.7, 0.8), abs=1e-6)
+        assert world.replayer.substitutes[type_id] in world.blueprints
+        assert world.blueprints.get(world.replayer.substitutes[type_id]).kind == kind
+    else:
+        assert world.replayer.substitutes == {"martian": ""}
+    if kin:
+        assert len(actor.physics_control.wheels) == kin
+
+
+def test_lights_are_the_nearest_ones_and_show_what_is_recorded(tmp_path: Path) -> None:
+    light_at = {"kind": 3, "type_id": "traffic.traffic_light"}
+    spawns = [
+        Spawn(31, x=9900, y=-290, **light_at),  # type: ignore[arg-type]
+        Spawn(32, x=9900, y=290, **light_at),  # type: ignore[arg-type]
+        Spawn(33, x=90_000, y=0, **light_at),  # type: ignore[arg-type]
+    ]
+    states = [(31, 0, 3.5, 1), (32, 1, 4.5, 3), (33, 0, 1.0, 2)]
+    with carla_recap.create_recording(tmp_path / "a.log", map_name="Flat", date=0) as recording:
+        for second in range(11):
+            recording.add_frame(second, spawned=spawns if second == 0 else [], light_states=states)
+    world = new_world()
+    play(world, tmp_path / "a.log", 100)
+    left, right = world.traffic_lights
+    assert world.replayer.mapping == {31: right.id, 32: left.id}
+    assert [(a.state, a.elapsed_time, a.frozen) for a in (right, left)] == [(1, 3.5, False), (3, 4.5, True)]
+    play_out(world)
+    assert not left.frozen
+    world.run(20.0)
+    assert left.state in (0, 1, 2)
+    assert {left.state, right.state} != {3, 1}
+
+
+# --- others, and what comes after --------------------------------------------------------------------------------------
+
+
+def test_others_go_on_as_if_nothing_happened(drive: Path) -> None:
+    def drive_other(world: World) -> list[float]:
+        other = spawn_car(world, 20.0, 300.0, "vehicle.audi.a2")
+        other.apply_control(VehicleControl(throttle=0.5, steer=0.05))
+        places = []
+        for _ in range(100):
+            world.tick()
+            places.append(other.transform.location.x)
+        return places
+
+    alone, beside = new_world(), new_world()
+    beside.replay_file(drive)
+    # A world in which something is fast takes shorter steps.
+    assert drive_other(beside) == pytest.approx(drive_other(alone), abs=0.1)
+
+
+def test_who_stands_in_the_way_is_pushed_and_nothing_pushes_back(drive: Path) -> None:
+    world = new_world()
+    victim = spawn_car(world, 45.0, 9.0, "vehicle.audi.a2", role_name="hero")
+    world.run(2.0)
+    world.replay_file(drive)
+    begin, collisions = victim.transform.location.x, []
+    for _ in range(150):
+        world.tick()
+        collisions += world.events.collisions
+        here = played(world, 4).transform.location
+    assert victim.transform.location.x > begin + 3
+    assert {(c.actor1, c.actor2) for c in collisions} >= {(victim.id, played(world, 4).id)}
+    undisturbed = new_world()
+    play(undisturbed, drive, 150)
+    assert here.distance(played(undisturbed, 4).transform.location) < 1e-6
+
+
+def test_a_jump_pushes_nobody_on_its_way(tmp_path: Path) -> None:
+    with carla_recap.create_recording(tmp_path / "a.log", map_name="Flat", date=0) as recording:
+        spawn = Spawn(9, 1, x=1000, type_id="vehicle.audi.tt")
+        for frame in range(20):
+            x = 1000.0 if frame < 10 else 30_000.0
+            recording.add_frame(frame * DELTA, spawned=[spawn] if not frame else [], transforms={"id": 9, "x": x})
+    world = new_world()
+    standing = spawn_car(world, 100.0)
+    world.run(1.0)
+    play(world, tmp_path / "a.log", 15)
+    assert played(world, 9).transform.location.x == pytest.approx(300)
+    assert standing.transform.location.x == pytest.approx(100, abs=1e-6)
+
+
+def test_at_the_end_vehicles_go_on_by_autopilot_and_walkers_stop(drive: Path) -> None:
+    world = new_world()
+    world.replay_file(drive, duration=5.0)
+    play_out(world)
+    hero, rider, walker = played(world, 4), played(world, 5), played(world, 6)
+    for vehicle in (hero, rider):
+        assert vehicle.autopilot
+        assert vehicle.simulates_physics
+    with carla_recap.open_recording(drive) as recording:
+        for id, actor in ((4, hero), (5, rider)):
+            way = recording.trajectory(id)
+            then = np.searchsorted(way.time, 5.0)
+            speed = np.hypot(way.vx[then], way.vy[then])
+            assert actor.velocity.length() == pytest.approx(speed, rel=0.1)
+    place = walker.transform.location
+    begin = hero.transform.location.x
+    world.run(2.0)
+    assert walker.transform.location.distance(place) < 0.01
+    assert hero.transform.location.x > begin + 10
+    assert not world.signals.held
+
+
+@pytest.mark.parametrize("factor", [0.5, 3.0])
+def test_the_speed_afterwards_is_the_recorded_one_whatever_the_time_factor(drive: Path, factor: float) -> None:
+    world = new_world()
+    world.set_replayer_time_factor(factor)
+    world.replay_file(drive, duration=5.0)
+    play_out(world)
+    with carla_recap.open_recording(drive) as recording:
+        way = recording.trajectory(4)
+    then = np.searchsorted(way.time, 5.0)
+    assert played(world, 4).velocity.length() == pytest.approx(np.hypot(way.vx[then], way.vy[then]), rel=0.1)
+
+
+def test_stopping_takes_back_what_was_spawned_or_keeps_it(drive: Path) -> None:
+    world = new_world()
+    mine = spawn_car(world, 500.0)
+    play(world, drive, 60)
+    guest = played(world, 8)
+    world.stop_replayer()
+    assert not world.replayer.is_playing
+    assert mine.is_alive
+    assert mine.autopilot
+    assert not guest.is_alive
+    assert [actor for actor in world.actors.values() if isinstance(actor, (Vehicle, Walker, Prop))] == [mine]
+    world.stop_replayer()
+    play(world, drive, 60)
+    guest = played(world, 8)
+    world.stop_replayer(keep_actors=True)
+    assert guest.is_alive
+    assert guest.simulates_physics
+    world.run(1.0)
+
+
+def test_a_new_replay_ends_the_one_before_and_a_recording(tmp_path: Path, drive: Path) -> None:
+    world = new_world()
+    world.start_recorder(tmp_path / "a.log")
+    world.run(1.0)
+    world.replay_file(drive)
+    assert len(frames(tmp_path / "a.log")) == 20
+    first = played(world, 4)
+    world.tick()
+    world.replay_file(tmp_path / "a.log")
+    assert not first.is_alive
+    assert world.replayer.mapping.keys() == {2, 3}
+
+
+def test_a_new_episode_ends_the_replay(drive: Path) -> None:
+    world = new_world()
+    play(world, drive, 10)
+    world.reload()
+    assert not world.replayer.is_playing
+    assert not world.signals.held
+    play(world, drive, 10)
+    assert world.replayer.mapping.keys() == {2, 3, 4, 5, 6, 7}
+
+
+# --- which recording ---------------------------------------------------------------------------------------------------
+
+
+def test_a_recording_is_found_by_its_name(tmp_path: Path, drive: Path) -> None:
+    shutil.copy(drive, tmp_path / "one.mcap")
+    carla_recap.convert(drive, tmp_path / "two.log")
+    world = World(new_world().town, recordings=tmp_path)
+    for name, found in (("one", "one.mcap"), ("two", "two.log"), ("two.log", "two.log"), (str(tmp_path / "two"), "two.log")):
+        assert world.replay_file(name).path == tmp_path / found
+    with pytest.raises(RecapError, match="absent: No such file"):
+        world.replay_file("absent")
+    (tmp_path / "text.log").write_text("hello")
+    with pytest.raises(RecapError, match="is not a recording"):
+        world.replay_file("text")
+
+
+def test_a_recording_of_another_map_needs_that_map(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.delenv("CARLA_RECAP_MAPS", raising=False)
+    with carla_recap.create_recording(tmp_path / "a.log", map_name="Carla/Maps/Town42", date=0) as recording:
+        recording.add_frame(0)
+    world = new_world()
+    mine = spawn_car(world, 500.0)
+    with pytest.raises(
+        SimError, match=r"a\.log: is a recording of the map 'Carla/Maps/Town42', which cannot be loaded: .*Town42"
+    ):
+        world.replay_file(tmp_path / "a.log")
+    assert mine.is_alive
+    assert not world.replayer.is_playing
+
+
+@pytest.mark.parametrize(("name", "spectator", "hero"), [("0.9.10", 86, 259), ("0.9.13", 1, 234)])
+def test_recordings_of_carla_replay_in_their_town(name: str, spectator: int, hero: int) -> None:
+    path = carla_log(f"carla-{name}-lane-center.log")
+    world = World(load_town(), seed=1, date=0, maps=town("Town01").parent)
+    world.set_replayer_ignore_spectator(False)
+    replay = world.replay_file(path)
+    assert replay.loaded
+    assert world.town.name == "Town01"
+    with carla_recap.open_recording(path) as recording:
+        lights = {id for id, actor in recording.actors.items() if actor.kind == "traffic_light"}
+        way = recording.trajectory(hero, axes="carla")
+    assert len(lights) == 36
+    assert lights | {spectator, hero} <= world.replayer.mapping.keys()
+    car, elapsed = played(world, hero), 0.0
+    assert car.is_hero
+    while world.replayer.is_playing:
+        world.tick()
+        elapsed += DELTA
+        if car.is_alive and elapsed <= way.time[-1]:
+            place = car.transform.location
+            expected = [np.interp(elapsed, way.time, along) for along in (way.x, way.y, way.z)]
+            assert (place.x, place.y, place.z) == pytest.approx(expected, abs=1e-3)
+    assert elapsed == pytest.approx(replay.total, abs=0.2)
+
+
+def test_a_recording_that_turns_out_to_be_damaged_ends_the_replay(drive: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def fail(self: Player, delta: float) -> None:
+        raise FormatError(drive, 1234, "a chunk is damaged")
+
+    world = new_world()
+    play(world, drive, 10)
+    hero = played(world, 4)
+    monkeypatch.setattr(Player, "tick", fail)
+    with pytest.warns(RecapWarning, match="the replay has ended: .*byte 1234: a chunk is damaged"):
+        world.tick()
+    assert isinstance(world.replayer.error, FormatError)
+    assert hero.is_alive
+    assert hero.autopilot
+    world.run(0.5)
+
+
+def test_poses_that_are_no_numbers_move_nobody(tmp_path: Path) -> None:
+    with carla_recap.create_recording(tmp_path / "a.log", map_name="Flat", date=0) as recording:
+        spawns = [Spawn(9, 1, x=1000, type_id="vehicle.audi.tt"), Spawn(10, 0, x=3000, type_id="static.prop.barrel")]
+        for frame in range(5):
+            x = np.nan if frame > 1 else 1000.0
+            rows = {"id": [9, 10], "x": [x, 2 * x]}
+            recording.add_frame(frame * DELTA, spawned=spawns if not frame else [], transforms=rows)
+    world = new_world()
+    world.replay_file(tmp_path / "a.log")
+    for _ in range(4):
+        world.tick()
+        assert played(world, 9).transform.location.x == pytest.approx(10)
+        assert played(world, 10).transform.location.x == pytest.approx(20)
+    assert played(world, 9).transform.rotation == Rotation()
+
+
+def test_what_is_being_replayed_is_not_recorded_over(tmp_path: Path) -> None:
+    world = flat_world()
+    path = world.start_recorder(tmp_path / "a.mcap")
+    world.run(1.0)
+    world.stop_recorder()
+    world.replay_file(path)
+    (tmp_path / "link.mcap").symlink_to(path)
+    for name in (path, tmp_path / "a", tmp_path / "link.mcap"):
+        with pytest.raises(RecapError, match="is being replayed"):
+            world.start_recorder(name)
+    world.stop_replayer()
+    world.start_recorder(path)
+    world.close()

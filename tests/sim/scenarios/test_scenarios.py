@@ -1,0 +1,160 @@
+"""The staged scenes: what happens is what was staged, and what the queries answer."""
+
+from __future__ import annotations
+
+from collections import Counter
+from itertools import pairwise
+
+import pytest
+
+import carla_recap
+from carla_recap.sim import Location, World, load_town
+from carla_recap.sim.errors import SimError, SpawnError
+from carla_recap.sim.scenarios import Blockage, Crash, largest_junction
+from carla_recap.sim.scenarios.blockage import BREAKDOWN
+from carla_recap.sim.scenarios.crash import START
+from carla_recap.sim.scenarios.places import straight_stretch
+from carla_recap.sim.traffic.autopilot.handling import LEFT_BLINKER, RIGHT_BLINKER
+from tests.maps.towns import town as map_of
+from tests.sim.flat import flat_town
+
+pytest.importorskip("carla", reason="the extra `carla` is not installed")
+
+
+@pytest.fixture(scope="module")
+def town():
+    return load_town()
+
+
+# --- the accident ------------------------------------------------------------------------------------------------------
+
+
+@pytest.fixture(scope="module")
+def crash(town, tmp_path_factory):
+    """A crash: its cast, what the world told of it, and its recordings."""
+    paths = [tmp_path_factory.mktemp("crash") / f"crash{suffix}" for suffix in (".mcap", ".log")]
+    seen = []
+    with World(town, date=0) as world:
+        cast = Crash(world).cast
+        world.start_recorder(paths[0], additional_data=True)
+        for frame in range(1, 1001):
+            world.tick()
+            seen += [(frame, hit.actor1, hit.actor2, hit.hero1, hit.hero2) for hit in world.events.collisions]
+    carla_recap.convert(*paths)
+    return cast, seen, paths
+
+
+def test_the_hero_hits_the_walker_and_then_the_van(crash):
+    cast, seen, _ = crash
+    assert list(dict.fromkeys(hit[1:] for hit in seen)) == [
+        (cast.hero.id, cast.walker.id, True, False),
+        (cast.hero.id, cast.van.id, True, False),
+    ]
+    assert seen[0][0] * 0.05 > START
+    assert cast.walker.has_fallen
+
+
+@pytest.mark.parametrize("format", [0, 1], ids=["mcap", "log"])
+def test_the_recording_has_every_collision_of_the_world(crash, format):
+    _, seen, paths = crash
+    with carla_recap.open_recording(paths[format]) as recording:
+        found = [
+            (frame.id, row["actor1"], row["actor2"], bool(row["hero1"]), bool(row["hero2"]))
+            for frame in recording
+            for row in frame["collisions"]
+        ]
+    assert found == seen
+
+
+@pytest.mark.parametrize("format", [0, 1], ids=["mcap", "log"])
+def test_the_queries_answer_what_was_staged(crash, format):
+    cast, seen, paths = crash
+    first = {}
+    for frame, *pair in seen:
+        first.setdefault(tuple(pair), frame)
+    with carla_recap.open_recording(paths[format]) as recording:
+        rows = [(row.frame, row.id1, row.id2, row.hero1, row.hero2) for row in recording.collisions()]
+        assert rows == [(frame, *pair) for pair, frame in first.items()]
+        assert [row.id2 for row in recording.collisions("h", "v")] == [cast.van.id]
+        assert [row.id2 for row in recording.collisions("h", "w")] == [cast.walker.id]
+        stood = {row.id: row.start for row in recording.blocked(30)}
+        assert stood.keys() == {1, cast.hero.id, cast.van.id, cast.walker.id}
+        assert min(stood[cast.hero.id], stood[cast.van.id]) > rows[1][0] * 0.05
+        assert stood[cast.walker.id] > rows[0][0] * 0.05
+
+
+def test_all_collisions_can_be_told_of_from_both_sides(town):
+    world = World(town, date=0)
+    world.settings.collisions_of = "all"
+    cast = Crash(world).cast
+    pairs = Counter()
+    for _ in range(400):
+        world.tick()
+        pairs.update((hit.actor1, hit.actor2) for hit in world.events.collisions)
+    hero, walker, van = (actor.id for actor in (cast.hero, cast.walker, cast.van))
+    assert pairs.keys() == {(hero, walker), (walker, hero), (hero, van), (van, hero)}
+    assert pairs[hero, walker] == pairs[walker, hero]
+    assert pairs[hero, van] == pairs[van, hero]
+
+
+# --- the blocked lane --------------------------------------------------------------------------------------------------
+
+
+def test_a_van_breaks_down_and_others_queue_behind_it(town):
+    world = World(town, date=0)
+    world.settings.collisions_of = "all"
+    cast = Blockage(world).cast
+    world.run(BREAKDOWN)
+    assert world.vehicles.speed.min() > 3
+    hits = []
+    for _ in range(400):
+        world.tick()
+        hits += world.events.collisions
+    assert not hits
+    assert abs(world.vehicles.speed).max() < 0.05
+    assert cast.van.light_state == LEFT_BLINKER | RIGHT_BLINKER
+    places = [cast.van, *cast.queue]
+    gaps = [
+        front.transform.location.distance(rear.transform.location) - front.box.extent.x - rear.box.extent.x
+        for front, rear in pairwise(places)
+    ]
+    assert all(0.5 < gap < 5 for gap in gaps)
+    assert [car.is_hero for car in cast.queue] == [True, False, False]
+
+
+def test_when_the_van_is_gone_they_go_on(town):
+    world = World(town, date=0)
+    cast = Blockage(world).cast
+    world.run(25)
+    world.destroy(cast.van)
+    world.run(8)
+    assert world.vehicles.speed.min() > 2
+
+
+# --- where it can be staged --------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("name", ["Town01", "Town02"])
+@pytest.mark.parametrize("scene", [Crash, Blockage])
+def test_towns_of_carlas_have_a_stage(name, scene):
+    world = World(load_town(map_of(name)), date=0)
+    scene(world)
+    world.run(1)
+
+
+def test_a_town_without_a_straight_street_has_no_stage(town):
+    with pytest.raises(SimError, match="a straight lane of 1016 m was expected to stage it on; Brickfield has none"):
+        straight_stretch(town, 1000)
+
+
+def test_one_scene_at_a_place(town):
+    world = World(town, date=0)
+    Crash(world)
+    with pytest.raises(SpawnError, match="cannot be spawned"):
+        Crash(world)
+
+
+def test_the_largest_junction_is_one_with_lights(town):
+    assert largest_junction(town).distance(Location(120, -110, 0)) < 3
+    with pytest.raises(SimError, match="a junction with traffic lights was expected; Flat has none"):
+        largest_junction(flat_town())

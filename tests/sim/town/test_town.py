@@ -1,0 +1,479 @@
+from __future__ import annotations
+
+import random
+import subprocess
+import sys
+import time
+from contextlib import suppress
+from functools import cache
+from itertools import combinations, pairwise
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from carla_recap.errors import RecapError
+from carla_recap.maps import find_map, load_map
+from carla_recap.sim.town.town import BUILT_IN, SignalKind, Town, load_town, main_lanes
+from tests.maps.towns import lane, opendrive, road, section, town
+from tests.samples import time_limit
+
+pytest.importorskip("carla", reason="the extra carla is not installed")
+
+ROOT = Path(__file__).parents[3]
+NAMES = (BUILT_IN, "Town01", "Town02", "Town10HD")
+LIGHT = (
+    '<signals><signal name="" id="7" s="{s}" t="-5" zOffset="0" hOffset="0" orientation="{way}" dynamic="yes" country=""'
+    ' type="{kind}" subtype="-1" value="{value}"/></signals>'
+)
+
+
+@cache
+def loaded(name: str) -> Town:
+    return load_town() if name == BUILT_IN else load_town(town(name))
+
+
+@pytest.fixture(params=NAMES)
+def any_town(request: pytest.FixtureRequest) -> Town:
+    return loaded(request.param)
+
+
+@pytest.fixture
+def brickfield() -> Town:
+    return loaded(BUILT_IN)
+
+
+def made_of(tmp_path: Path, *roads: str) -> Town:
+    path = tmp_path / "small.xodr"
+    path.write_text(opendrive(*roads))
+    return load_town(path)
+
+
+def sign(kind: str, *, s: float, way: str = "+", value: float = -1) -> str:
+    return LIGHT.format(kind=kind, s=s, way=way, value=value)
+
+
+def gap_to_lanes(place: Town, points: np.ndarray) -> np.ndarray:
+    """How far points are from the middle of the nearest lane."""
+    on_lane, _ = place.index.at(*place.nearest_lane(points[:, 0], points[:, 1]))
+    return np.linalg.norm(on_lane[:, :2] - points[:, :2], axis=1)
+
+
+# --- lanes ---------------------------------------------------------------------------------------------
+
+
+def test_lanes_follow_each_other_without_a_gap(any_town: Town) -> None:
+    for one in any_town.lanes:
+        assert one.successors
+        for number in one.successors:
+            after = any_town.lanes[number]
+            assert one.index in after.predecessors
+            assert np.linalg.norm(one.points[-1] - after.points[0]) < 0.3
+            assert np.cos(one.heading[-1] - after.heading[0]) > np.cos(np.radians(10))
+
+
+def test_points_are_evenly_spaced_and_headings_point_along_them(any_town: Town) -> None:
+    for one in any_town.lanes:
+        steps = np.diff(one.points, axis=0)
+        lengths = np.linalg.norm(steps, axis=1)
+        assert lengths == pytest.approx(np.diff(one.s), rel=0.02)
+        assert lengths.max() < 1.01
+        middle = (one.heading[1:] + one.heading[:-1]) / 2
+        assert (np.cos(middle - np.arctan2(steps[:, 1], steps[:, 0])) > np.cos(np.radians(8))).all()
+        assert (np.abs(np.diff(one.heading)) < 0.6).all()
+
+
+def test_from_every_spawn_point_one_gets_to_every_other(any_town: Town) -> None:
+    main = set(main_lanes(any_town.lanes))
+    assert len(main) > 0.85 * len(any_town.lanes)
+    places = np.array([(point.location.x, point.location.y, point.location.z) for point in any_town.spawn_points])
+    yaw = np.array([point.rotation.yaw for point in any_town.spawn_points])
+    lanes, s = any_town.nearest_lane(places[:, 0], places[:, 1], heading=np.radians(yaw))
+    assert set(lanes.tolist()) <= main
+    on_lane, heading = any_town.index.at(lanes, s)
+    assert places == pytest.approx(on_lane + np.array((0, 0, 0.3)), abs=0.05)
+    assert (np.cos(heading - np.radians(yaw)) > 0.999).all()
+    assert len(places) >= 150
+    apart = [np.sort(np.linalg.norm(places - place, axis=1))[1] for place in places]
+    assert min(apart) > 2.9  # beside each other, on neighbouring lanes
+
+
+def test_turns_in_junctions(brickfield: Town) -> None:
+    turns = [one.turn for one in brickfield.lanes if one.junction is not None]
+    assert {turn: turns.count(turn) for turn in turns} == {"straight": 24, "left": 20, "right": 20}
+    for one in brickfield.lanes:
+        bend = one.heading[-1] - one.heading[0]
+        if one.turn == "right":
+            assert bend == pytest.approx(np.pi / 2, abs=0.01)  # from x to y
+        if one.junction is None:
+            assert one.turn == "straight"
+
+
+def test_lanes_beside_each_other_where_the_marks_allow_to_change(brickfield: Town) -> None:
+    pairs = [(one, brickfield.lanes[one.right]) for one in brickfield.lanes if one.right is not None]
+    assert len(pairs) == 6
+    for one, right in pairs:
+        assert right.left == one.index
+        assert one.left is None
+        s, aside = brickfield.project([one.index], right.points[5:6, 0], right.points[5:6, 1], [5.0])
+        assert s == pytest.approx(right.s[5], abs=0.01)
+        assert aside == pytest.approx(3.5, abs=0.01)
+
+
+def test_speed_limits(brickfield: Town) -> None:
+    limits = {round(one.speed_limit * 3.6) for one in brickfield.lanes if one.junction is None}
+    assert limits == {30, 50}
+    assert [one.speed_limit for one in loaded("Town01").lanes] == pytest.approx([25 * 0.44704] * 124)
+
+
+def test_without_records_a_sign_tells_the_speed_limit_and_else_it_is_that_of_carla(tmp_path: Path) -> None:
+    told = made_of(tmp_path, road(sections=section(0, right=lane(-1)), inside=sign("274", s=5, value=70)))
+    assert told.lanes[0].speed_limit == pytest.approx(70 / 3.6)
+    (limit,) = told.signals
+    assert (limit.kind, limit.speed_limit) == (SignalKind.SPEED_LIMIT, pytest.approx(70 / 3.6))
+    assert limit.stops == ((0, pytest.approx(5, abs=0.1)),)
+    assert made_of(tmp_path, road()).lanes[0].speed_limit == pytest.approx(30 / 3.6)
+
+
+@pytest.mark.parametrize(
+    ("speed", "limit"),
+    [
+        ('max="10"', 10.0),
+        ('max="36" unit="km/h"', 10.0),
+        ('max="20" unit="mph"', 8.9408),
+        ('max="no limit"', 30 / 3.6),
+        ('max="nan"', 30 / 3.6),
+        ('max="-5"', 30 / 3.6),
+    ],
+)
+def test_units_of_speed_limits(tmp_path: Path, speed: str, limit: float) -> None:
+    plain = road(sections=section(0, right=lane(-1)))
+    fast = plain.replace("<planView>", f'<type s="0" type="town"><speed {speed}/></type><planView>')
+    assert made_of(tmp_path, fast).lanes[0].speed_limit == pytest.approx(limit)
+    lane_alone = plain.replace("</lane></right>", f'<speed sOffset="0" {speed}/></lane></right>')
+    assert made_of(tmp_path, lane_alone).lanes[0].speed_limit == pytest.approx(limit)
+
+
+# --- places on lanes -----------------------------------------------------------------------------------
+
+
+def test_places_beside_lanes_are_found_again(any_town: Town) -> None:
+    dice = np.random.default_rng(7)
+    lanes = dice.integers(0, len(any_town.lanes), 500)
+    s = dice.random(500) * any_town.index.length[lanes]
+    place, heading = any_town.index.at(lanes, s)
+    aside = dice.uniform(-1.5, 1.5, 500)
+    x, y = place[:, 0] - np.sin(heading) * aside, place[:, 1] + np.cos(heading) * aside
+    along, right = any_town.project(lanes, x, y, s + dice.uniform(-3, 3, 500))
+    assert along == pytest.approx(s, abs=0.3)
+    assert right == pytest.approx(aside, abs=0.1)
+    found, _ = any_town.index.at(*any_town.nearest_lane(x, y))
+    assert (np.hypot(found[:, 0] - x, found[:, 1] - y) <= np.abs(aside) + 0.05).all()
+    _, direction = any_town.index.at(*any_town.nearest_lane(x, y, heading=heading))
+    assert (np.cos(direction - heading) > 0.5).all()
+
+
+def test_a_lane_goes_on_straight_before_and_after_its_ends(brickfield: Town) -> None:
+    one = brickfield.lanes[0]
+    ahead = np.array((np.cos(one.heading[-1]), np.sin(one.heading[-1])))
+    x, y = one.points[-1, :2] + 5 * ahead
+    s, right = brickfield.project([0], [x], [y], [one.length])
+    assert (s[0], right[0]) == (pytest.approx(one.length + 5, abs=0.01), pytest.approx(0, abs=0.1))
+    place, _ = brickfield.index.at([0, 0], [-3.0, one.length + 3])
+    assert place == pytest.approx(one.points[[0, -1]])
+
+
+def test_far_from_all_roads_there_still_is_a_lane(any_town: Town) -> None:
+    x, y = np.array((0.0, 1e7, -1e4)), np.array((-1e6, 1e7, 3.0))
+    lanes, s = any_town.nearest_lane(x, y, z=np.zeros(3))
+    assert ((lanes >= 0) & (lanes < len(any_town.lanes))).all()
+    assert ((s >= 0) & (s <= any_town.index.length[lanes])).all()
+    assert np.isfinite(any_town.height(x, y)).all()
+
+
+def test_heights_are_those_of_the_road(brickfield: Town) -> None:
+    summit = brickfield.height([180.0, 180.0], [-220.0, -223.0])
+    assert summit == pytest.approx([2.5, 2.5], abs=0.05)
+    assert brickfield.height([60.0], [-110.0]) == pytest.approx([0.0], abs=0.01)
+    points = brickfield.index.points
+    assert brickfield.height(points[:, 0] + 0.4, points[:, 1] - 0.4) == pytest.approx(points[:, 2], abs=0.1)
+
+
+def test_lanes_above_each_other_are_told_apart_by_height(tmp_path: Path) -> None:
+    below = road(1, sections=section(0, right=lane(-1)))
+    above = road(2, x=50, y=-50, heading=np.pi / 2, height=6, sections=section(0, right=lane(-1)))
+    both = made_of(tmp_path, below, above)
+    (cross,) = ({(round(x), round(y)) for x, y in both.lanes[0].points[:, :2]}) & {(52, 2)}
+    for z, expected in ((0.0, 1), (6.0, 2)):
+        lanes, _ = both.nearest_lane([cross[0]], [cross[1]], z=[z])
+        assert both.lanes[lanes[0]].road_id == expected
+
+
+# --- signals and junctions -----------------------------------------------------------------------------
+
+
+def test_lights_stand_before_the_junctions_that_they_govern(any_town: Town) -> None:
+    lights = [signal for signal in any_town.signals if signal.kind is SignalKind.LIGHT]
+    assert lights
+    for light in lights:
+        assert light.stops
+        assert light.controller
+        for number, s in light.stops:
+            one = any_town.lanes[number]
+            assert one.junction is None
+            assert s == pytest.approx(one.length)
+            assert set(one.successors) <= set(light.governs)
+            ahead = np.degrees(one.heading[-1]) - light.transform.rotation.yaw
+            if any_town.name == BUILT_IN:
+                assert np.cos(np.radians(ahead)) == pytest.approx(1, abs=1e-3)
+        assert {any_town.lanes[number].junction for number in light.governs} == {light.junction}
+
+
+def test_every_light_is_in_one_phase_of_its_junction(any_town: Town) -> None:
+    phased = [light for junction in any_town.junctions for phase in junction.phases for light in phase]
+    lights = [signal.index for signal in any_town.signals if signal.kind is SignalKind.LIGHT]
+    assert sorted(phased) == lights
+    for junction in any_town.junctions:
+        assert {any_town.signals[light].junction for phase in junction.phases for light in phase} <= {junction.id}
+
+
+def test_numbers_of_signals() -> None:
+    counts = {name: [signal.kind.value for signal in loaded(name).signals] for name in NAMES}
+    assert {name: kinds.count("light") for name, kinds in counts.items()} == {
+        BUILT_IN: 17,
+        "Town01": 36,
+        "Town02": 24,
+        "Town10HD": 17,
+    }
+    assert (counts["Town10HD"].count("stop"), counts["Town10HD"].count("yield")) == (3, 1)
+    assert (counts[BUILT_IN].count("stop"), counts[BUILT_IN].count("yield")) == (1, 1)
+
+
+def test_lights_of_one_phase_never_let_two_streams_cross_of_which_none_turns(brickfield: Town) -> None:
+    signalised = [junction for junction in brickfield.junctions if junction.phases]
+    assert len(signalised) == 5
+    for junction in signalised:
+        assert len(junction.phases) == 2
+        for phase in junction.phases:
+            green = {number for light in phase for number in brickfield.signals[light].governs}
+            for conflict in junction.conflicts:
+                if {conflict.lane, conflict.other} <= green:
+                    turns = {brickfield.lanes[conflict.lane].turn, brickfield.lanes[conflict.other].turn}
+                    assert "left" in turns
+
+
+def test_conflicts_have_two_sides_of_which_one_yields(any_town: Town) -> None:
+    for junction in any_town.junctions:
+        sides = {(conflict.lane, conflict.other): conflict for conflict in junction.conflicts}
+        assert len(sides) == len(junction.conflicts)
+        for (one, other), conflict in sides.items():
+            assert sides[other, one].yields is not conflict.yields
+            assert sides[other, one].merging is conflict.merging
+            assert 0 <= conflict.begin < conflict.end <= any_town.lanes[one].length + 1e-6
+            if conflict.merging:
+                assert conflict.end == pytest.approx(any_town.lanes[one].length, abs=0.01)
+
+
+def test_lanes_that_come_close_are_in_conflict_and_no_others(any_town: Town) -> None:
+    for junction in any_town.junctions:
+        known = {frozenset((conflict.lane, conflict.other)) for conflict in junction.conflicts}
+        for one, other in combinations([any_town.lanes[number] for number in junction.lanes], 2):
+            gap = np.linalg.norm(one.points[:, None] - other.points, axis=2).min()
+            parting = bool(set(one.predecessors) & set(other.predecessors))
+            assert (frozenset((one.index, other.index)) in known) == (gap < 0.35 * (one.width + other.width) and not parting)
+
+
+def test_a_left_turn_yields_to_oncoming_traffic(any_town: Town) -> None:
+    seen = 0
+    slowed = {one for signal in any_town.signals if signal.kind in ("stop", "yield") for one in signal.governs}
+    for junction in any_town.junctions:
+        for conflict in junction.conflicts:
+            one, other = any_town.lanes[conflict.lane], any_town.lanes[conflict.other]
+            oncoming = np.cos(one.heading[0] - other.heading[0]) < -0.9
+            if oncoming and (one.turn, other.turn) == ("left", "straight") and not slowed & {one.index, other.index}:
+                assert conflict.yields
+                seen += 1
+    assert seen or any_town.name == "Town10HD"
+
+
+def test_stop_signs_yield_and_without_any_the_right_goes_first(brickfield: Town) -> None:
+    (stop,) = (signal for signal in brickfield.signals if signal.kind is SignalKind.STOP)
+    junctions = {junction.id: junction for junction in brickfield.junctions}
+    before_sign = [conflict for conflict in junctions[stop.junction or 0].conflicts if conflict.lane in stop.governs]
+    assert before_sign
+    assert all(conflict.yields or conflict.other in stop.governs for conflict in before_sign)
+    seen = set()
+    for conflict in junctions[208].conflicts:
+        one, other = brickfield.lanes[conflict.lane], brickfield.lanes[conflict.other]
+        if np.sin(other.heading[0] - one.heading[0]) < -0.9:  # it heads to the left, so it comes from the right
+            seen.add(conflict.yields)
+    assert seen == {True}
+
+
+def test_priorities_of_the_file_decide(tmp_path: Path) -> None:
+    text = (find_map(BUILT_IN) or Path()).read_text()
+    junction = text.index('<junction id="208"')
+    crossing = [(one, other) for one, other in _crossings(loaded(BUILT_IN), 208)]
+    one, other = crossing[0]
+    priority = f'<priority high="{other}" low="{one}"/><connection'
+    reverse = f'<priority high="{one}" low="{other}"/><connection'
+    for words, yields in ((priority, True), (reverse, False)):
+        path = tmp_path / "ruled.xodr"
+        path.write_text(text[:junction] + text[junction:].replace("<connection", words, 1))
+        ruled = load_town(path)
+        (conflict,) = (
+            conflict
+            for junction in ruled.junctions
+            for conflict in junction.conflicts
+            if (ruled.lanes[conflict.lane].road_id, ruled.lanes[conflict.other].road_id) == (one, other)
+        )
+        assert conflict.yields is yields
+
+
+def _crossings(place: Town, id: int) -> list[tuple[int, int]]:
+    (junction,) = (junction for junction in place.junctions if junction.id == id)
+    return [
+        (place.lanes[conflict.lane].road_id, place.lanes[conflict.other].road_id)
+        for conflict in junction.conflicts
+        if not conflict.merging
+    ]
+
+
+def test_lights_without_controllers_change_with_those_opposite(tmp_path: Path) -> None:
+    text = (find_map(BUILT_IN) or Path()).read_text()
+    path = tmp_path / "uncontrolled.xodr"
+    path.write_text(text.replace("<control ", "<nothing "))
+    phases = {junction.id: {frozenset(phase) for phase in junction.phases} for junction in load_town(path).junctions}
+    assert phases == {
+        junction.id: {frozenset(phase) for phase in junction.phases} for junction in loaded(BUILT_IN).junctions
+    }
+
+
+def test_a_light_that_names_no_lane_is_for_those_who_drive_its_way(tmp_path: Path) -> None:
+    both = made_of(tmp_path, road(inside=sign("1000001", s=60, way="-")))
+    (light,) = both.signals
+    ((number, s),) = light.stops
+    assert both.lanes[number].lane_id == 1
+    assert s == pytest.approx(40, abs=0.5)
+    assert light.junction is None
+
+
+# --- walks and barriers --------------------------------------------------------------------------------
+
+
+def test_walks_are_one_graph_with_crossings(any_town: Town) -> None:
+    walks = any_town.walks
+    assert walks.crossing.sum() >= 20
+    assert len(any_town.crossings) >= 20
+    assert len(any_town.sidewalks) >= 40
+    reached = np.zeros(len(walks.nodes), np.bool_)
+    reached[0] = True
+    for _ in range(len(walks.nodes)):
+        before = reached.sum()
+        reached[walks.edges[reached[walks.edges].any(axis=1)]] = True
+        if reached.sum() == before:
+            break
+    assert reached.all()
+
+
+def test_one_walks_on_roads_over_crossings_only(any_town: Town) -> None:
+    start, stop = any_town.walks.nodes[any_town.walks.edges].transpose(1, 0, 2)
+    gaps = gap_to_lanes(any_town, np.linspace(start, stop, 20).reshape(-1, 3)).reshape(20, -1).min(axis=0)
+    assert (gaps[any_town.walks.crossing] < 0.5).all()
+    width = max(one.width for one in any_town.lanes)
+    assert (gaps[~any_town.walks.crossing] > width / 2 - 0.6).all()
+
+
+def test_barriers_are_beyond_the_roads(any_town: Town) -> None:
+    assert len(any_town.barriers) >= 40
+    posts = [np.linspace(one, other, 100) for line in any_town.barriers for one, other in pairwise(line)]
+    assert gap_to_lanes(any_town, np.concatenate(posts)).min() > 4.0
+
+
+# --- the built-in town, and other files ----------------------------------------------------------------
+
+
+def test_the_built_in_town_is_what_its_tool_writes(brickfield: Town) -> None:
+    done = subprocess.run([sys.executable, ROOT / "tools" / "make-town"], capture_output=True, check=True, text=True)
+    assert done.stdout == brickfield.opendrive
+    assert len(done.stdout) < 200_000
+    assert (brickfield.name, load_town(BUILT_IN).name) == (BUILT_IN, BUILT_IN)
+
+
+def test_the_built_in_town_can_be_drawn() -> None:
+    drawn = load_map(find_map(BUILT_IN) or "")
+    assert len(drawn.junctions) == 8
+    assert len(drawn.crossings) == 26
+    assert len(drawn.stop_lines) == 19
+
+
+def test_towns_are_found_by_name_or_file(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    (tmp_path / "Hamlet.xodr").write_text(opendrive(road()))
+    assert load_town("Hamlet", tmp_path).name == "Hamlet"
+    assert load_town(tmp_path / "Hamlet.xodr").name == "Hamlet"
+    monkeypatch.setenv("CARLA_RECAP_MAPS", str(tmp_path))
+    assert load_town("Carla/Maps/Hamlet").name == "Hamlet"
+    with pytest.raises(RecapError, match=f"town 'Nowhere': expected {BUILT_IN}, an .xodr file, or a map"):
+        load_town("Nowhere")
+    with pytest.raises(RecapError, match="No such file"):
+        load_town(tmp_path / "none.xodr")
+
+
+def test_two_loads_are_alike(brickfield: Town) -> None:
+    again = load_town()
+    for one, other in zip(brickfield.lanes, again.lanes, strict=True):
+        assert np.array_equal(one.points, other.points)
+    assert np.array_equal(brickfield.walks.edges, again.walks.edges)
+    assert brickfield.signals == again.signals
+    assert brickfield.junctions == again.junctions
+
+
+def test_loading_takes_no_time_to_speak_of() -> None:
+    path = town("Town01")
+    started = time.perf_counter()
+    load_town(path)
+    assert time.perf_counter() - started < 5.0
+
+
+def test_a_town_may_lack_all_but_a_lane(tmp_path: Path) -> None:
+    bare = made_of(tmp_path, road(length=30, sections=section(0, right=lane(-1))))
+    assert len(bare.lanes) == 1
+    assert len(bare.spawn_points) == 2
+    assert (bare.signals, bare.junctions, bare.sidewalks, bare.crossings) == ([], [], [], [])
+    assert len(bare.walks.nodes) == len(bare.walks.edges) == 0
+
+
+NOT_TOWNS = {
+    "empty": "",
+    "no map": "hello",
+    "no roads": opendrive(),
+    "no lane for cars": opendrive(road(sections=section(0, right=lane(-1, kind="sidewalk")))),
+    "nowhere": opendrive(road(x="nan")),
+    "far away": opendrive(road(x="1e300")),
+    "endless": opendrive(road(length="1e300")),
+    "no planView": opendrive(road()).replace("planView", "plan"),  # ends CARLA's process
+}
+
+
+@pytest.mark.parametrize("content", NOT_TOWNS.values(), ids=NOT_TOWNS)
+def test_what_is_no_town_is_told_in_one_line(tmp_path: Path, content: str) -> None:
+    path = tmp_path / "odd.xodr"
+    path.write_text(content)
+    with time_limit(20), pytest.raises(RecapError) as caught:
+        load_town(path)
+    assert str(caught.value).startswith(f"{path}: ")
+    assert "\n" not in str(caught.value)
+
+
+@pytest.mark.parametrize("seed", range(8))
+def test_a_damaged_town_is_loaded_or_refused(tmp_path: Path, seed: int) -> None:
+    dice = random.Random(seed)
+    content = bytearray((find_map(BUILT_IN) or Path()).read_bytes())
+    for _ in range(dice.randrange(1, 4)):
+        content[dice.randrange(400, len(content))] = dice.choice(b"0123456789.e-")
+    path = tmp_path / "damaged.xodr"
+    path.write_bytes(content)
+    with time_limit(60), suppress(RecapError):
+        odd = load_town(path)
+        assert np.isfinite(odd.index.points).all()
+        assert np.isfinite(odd.walks.nodes).all()

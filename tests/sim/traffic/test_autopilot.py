@@ -1,0 +1,370 @@
+"""Who drives by itself: keeps its lane and its distance, stops where it must, and hits nobody."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+import pytest
+
+from carla_recap.sim.actors.actors import Vehicle, Walker
+from carla_recap.sim.actors.control import VehicleControl, WalkerControl
+from carla_recap.sim.geometry import Location, Transform, Vector
+from carla_recap.sim.town.town import Conflict, Junction, Signal, SignalKind, Town, load_town
+from carla_recap.sim.traffic.lights import GREEN, RED, YELLOW
+from carla_recap.sim.world import World
+from tests.maps.towns import town as carla_town
+from tests.sim.flat import at
+from tests.sim.lanes import LIMIT, lane, ring, small_town
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+
+    from carla_recap.sim.town.lanes import Lane
+
+MODEL3 = "vehicle.tesla.model3"
+BRAKE, RIGHT_BLINKER, LEFT_BLINKER = 8, 16, 32
+
+
+def world_of(*lanes: Lane, signals: tuple[Signal, ...] = (), junctions: tuple[Junction, ...] = ()) -> World:
+    world = World(small_town(lanes, signals=signals, junctions=junctions), seed=3, date=0)
+    world.settings.collisions_of = "all"
+    return world
+
+
+def car(
+    world: World, x: float, y: float = 0.0, *, yaw: float = 0.0, speed: float = 0.0, name: str = MODEL3, drives: bool = True
+) -> Vehicle:
+    actor = world.spawn(name, at(x, y, yaw=yaw))
+    assert isinstance(actor, Vehicle)
+    actor.set_target_velocity(Vector(speed * np.cos(np.radians(yaw)), speed * np.sin(np.radians(yaw))))
+    actor.set_autopilot(drives)
+    return actor
+
+
+def ticks(world: World, seconds: float) -> Iterator[None]:
+    """Tick for so long, and let nobody collide."""
+    for _ in range(round(seconds / world.delta)):
+        world.tick()
+        assert not world.events.collisions
+        yield
+
+
+def front(vehicle: Vehicle) -> float:
+    return vehicle.transform.location.x + vehicle.box.extent.x
+
+
+def speed(vehicle: Vehicle) -> float:
+    return vehicle.velocity.length()
+
+
+def beside(world: World) -> list[float]:
+    """How far from the middles of the nearest lanes the vehicles are."""
+    x, y, _ = world.vehicles.position.T
+    index, s = world.town.nearest_lane(x, y, heading=np.radians(world.vehicles.yaw))
+    return [abs(offset) for offset in world.town.project(index, x, y, s)[1].tolist()]
+
+
+def light(s: float, on: int = 0, governs: tuple[int, ...] = (), kind: SignalKind = SignalKind.LIGHT) -> Signal:
+    junction = 1 if governs else None
+    return Signal(0, "0", kind, Transform(Location(s, 4.0, 0.0)), None, junction, "0", ((on, s),), governs)
+
+
+def crossing() -> tuple[list[Lane], Junction]:
+    """Two lanes that cross in a junction without lights: along x at y = 0, and along y at x = 110."""
+    lanes = [
+        lane(0, (100, 0), successors=(1,)),
+        lane(1, (20, 0), start=(100, 0), successors=(2,), junction=1),
+        lane(2, (300, 0), start=(120, 0)),
+        lane(3, (100, 0), start=(110, -110), yaw=90, successors=(4,)),
+        lane(4, (20, 0), start=(110, -10), yaw=90, successors=(5,), junction=1),
+        lane(5, (300, 0), start=(110, 10), yaw=90),
+    ]
+    conflicts = Conflict(1, 4, 8, 12, False, True), Conflict(4, 1, 8, 12, False, False)
+    return lanes, Junction(1, (1, 4), conflicts, ())
+
+
+@pytest.mark.parametrize(
+    ("name", "radius", "most"),
+    [(MODEL3, 7.0, 0.5), ("vehicle.carlamotors.firetruck", 12.0, 0.9), ("vehicle.bh.crossbike", 7.0, 0.5)],
+)
+def test_keeps_its_lane_in_tight_turns_and_is_no_faster_there_than_passengers_like(
+    name: str, radius: float, most: float
+) -> None:
+    arc = radius * np.pi / 2
+    world = world_of(*ring((40, 0), (arc, 90), (30, 0), (arc, 90)))
+    vehicle = car(world, 5.0, name=name)
+    errors, sideways, fastest = [], [], 0.0
+    for _ in ticks(world, 30.0):
+        errors += beside(world)
+        sideways.append(abs(speed(vehicle) * np.radians(vehicle.angular_velocity.z)))
+        fastest = max(fastest, speed(vehicle))
+    assert max(errors) < most
+    assert max(sideways) < 3.5
+    assert 6.0 < fastest < 1.06 * LIMIT
+
+
+def test_drives_about_as_fast_as_it_may() -> None:
+    world = world_of(lane(0, (600, 0)))
+    vehicle = car(world, 10.0)
+    speeds = [speed(vehicle) for _ in ticks(world, 25.0)]
+    assert max(speeds) < 1.06 * LIMIT
+    assert speeds[-1] > 0.8 * LIMIT
+
+
+def test_stops_at_red_with_its_brake_lights_on_and_goes_at_green() -> None:
+    world = world_of(lane(0, (300, 0)), signals=(light(120.0),))
+    vehicle, (signal,) = car(world, 10.0), world.traffic_lights
+    signal.freeze()
+    signal.set_state(RED)
+    for _ in ticks(world, 20.0):
+        assert front(vehicle) < 120.0
+    stands = front(vehicle)
+    for _ in ticks(world, 10.0):
+        pass
+    assert front(vehicle) == stands
+    assert stands > 117.0
+    assert speed(vehicle) < 0.01
+    assert vehicle.light_state & BRAKE
+    signal.set_state(GREEN)
+    for _ in ticks(world, 5.0):
+        pass
+    assert front(vehicle) > 125.0
+    assert not vehicle.light_state & BRAKE
+
+
+@pytest.mark.parametrize(("distance", "stops"), [(8.0, False), (60.0, True)])
+def test_stops_at_yellow_only_if_there_is_room_for_it(distance: float, stops: bool) -> None:
+    world = world_of(lane(0, (300, 0)), signals=(light(120.0),))
+    vehicle, (signal,) = car(world, 10.0), world.traffic_lights
+    signal.freeze()
+    signal.set_state(GREEN)
+    for _ in ticks(world, 30.0):
+        if front(vehicle) > 120.0 - distance:
+            signal.set_state(YELLOW)
+    assert (front(vehicle) < 120.0) == stops
+
+
+def test_stops_at_a_stop_sign_and_then_goes_on() -> None:
+    lanes, junction = crossing()
+    world = world_of(*lanes, signals=(light(100.0, 0, (1,), SignalKind.STOP),), junctions=(junction,))
+    vehicle = car(world, 20.0)
+    slowest_at_line = min(speed(vehicle) for _ in ticks(world, 25.0) if 96.0 < front(vehicle) < 100.0)
+    assert slowest_at_line < 0.3
+    assert front(vehicle) > 130.0
+
+
+def test_keeps_a_distance_that_grows_with_the_speed() -> None:
+    world = world_of(lane(0, (900, 0)))
+    leader, vehicle = car(world, 60.0, drives=False), car(world, 10.0)
+    leader.set_simulate_physics(False)
+    x, gaps = 60.0, []
+    for number, _ in enumerate(ticks(world, 40.0)):
+        pace = 8.0 if number < 500 else 0.0
+        x += pace * world.delta
+        leader.transform = at(x)
+        leader.set_target_velocity(Vector(pace, 0.0, 0.0))
+        gaps.append(x - leader.box.extent.x - front(vehicle))
+    assert min(gaps) > 1.0
+    assert 8.0 < gaps[499] < 22.0
+    assert 1.0 < gaps[-1] < 4.0
+
+
+def test_lets_a_walker_cross_and_drives_on() -> None:
+    world = world_of(lane(0, (300, 0)))
+    vehicle = car(world, 10.0)
+    walker = world.spawn("walker.pedestrian.0001", at(70.0, -6.0, z=0.9))
+    assert isinstance(walker, Walker)
+    for _ in ticks(world, 25.0):
+        if front(vehicle) > 35.0 and walker.transform.location.y < 6.0:
+            walker.apply_control(WalkerControl(Vector(0.0, 1.0, 0.0), 1.2))
+        elif walker.transform.location.y >= 6.0:
+            walker.apply_control(WalkerControl())
+    assert walker.transform.location.y >= 6.0
+    assert not walker.has_fallen
+    assert front(vehicle) > 90.0
+
+
+def test_stops_before_a_thing_on_the_road() -> None:
+    world = world_of(lane(0, (300, 0)))
+    vehicle = car(world, 10.0)
+    world.spawn("static.prop.streetbarrier", at(90.0))
+    for _ in ticks(world, 20.0):
+        pass
+    assert 85.0 < front(vehicle) < 90.0
+    assert speed(vehicle) < 0.05
+
+
+def test_crosses_a_junction_one_after_the_other_without_contact() -> None:
+    lanes, junction = crossing()
+    world = world_of(*lanes, junctions=(junction,))
+    cars = [car(world, 80.0 - 12.0 * n) for n in range(3)]
+    cars += [car(world, 110.0, -30.0 - 12.0 * n, yaw=90.0) for n in range(3)]
+    for _ in ticks(world, 35.0):
+        pass
+    assert all(vehicle.transform.location.x > 125.0 for vehicle in cars[:3])
+    assert all(vehicle.transform.location.y > 15.0 for vehicle in cars[3:])
+
+
+def test_does_not_enter_a_junction_that_it_could_not_leave() -> None:
+    lanes, junction = crossing()
+    world = world_of(*lanes, junctions=(junction,))
+    blocking = car(world, 124.0, drives=False)
+    waiting, crossing_car = car(world, 60.0), car(world, 110.0, -60.0, yaw=90.0)
+    for _ in ticks(world, 20.0):
+        pass
+    assert 95.0 < front(waiting) < 100.0
+    assert crossing_car.transform.location.y > 15.0
+    blocking.destroy()
+    for _ in ticks(world, 15.0):
+        pass
+    assert front(waiting) > 125.0
+
+
+def test_a_destroyed_vehicle_holds_nobody_up() -> None:
+    lanes, junction = crossing()
+    world = world_of(*lanes, junctions=(junction,))
+    inside, waiting = car(world, 106.0), car(world, 110.0, -25.0, yaw=90.0)
+    world.tick()
+    inside.destroy()
+    for _ in ticks(world, 15.0):
+        pass
+    assert waiting.transform.location.y > 15.0
+
+
+@pytest.mark.parametrize(("side", "bit"), [("left", LEFT_BLINKER), ("right", RIGHT_BLINKER)])
+def test_indicates_turns(side: str, bit: int) -> None:
+    sign = 1 if side == "right" else -1
+    lanes = [
+        lane(0, (80, 0), successors=(1,)),
+        lane(1, (16, 90 * sign), start=(80, 0), successors=(2,), junction=1, turn="right" if sign > 0 else "left"),
+    ]
+    x, y, _ = lanes[1].points[-1].tolist()
+    world = world_of(*lanes, lane(2, (100, 0), start=(x, y), yaw=90.0 * sign), junctions=(Junction(1, (1,), (), ()),))
+    vehicle = car(world, 10.0)
+    vehicle.light_state = 3
+    seen = {}
+    for _ in ticks(world, 20.0):
+        seen[round(vehicle.transform.location.x), round(sign * vehicle.transform.location.y)] = vehicle.light_state & ~BRAKE
+    assert seen[30, 0] == 3
+    assert seen[70, 0] == 3 | bit
+    assert vehicle.light_state & ~BRAKE == 3
+    assert vehicle.transform.rotation.yaw == pytest.approx(90.0 * sign, abs=1.0)
+
+
+def test_passes_what_stands_on_the_next_lane() -> None:
+    world = world_of(lane(0, (500, 0), right=1), lane(1, (500, 0), start=(0, 3.5), left=0))
+    standing, vehicle = car(world, 150.0, 3.5, drives=False), car(world, 20.0, 3.5)
+    standing.apply_control(VehicleControl(hand_brake=True))
+    bits = 0
+    for _ in ticks(world, 30.0):
+        bits |= vehicle.light_state
+    assert vehicle.transform.location.x > 180.0
+    assert vehicle.transform.location.y == pytest.approx(0.0, abs=0.3)
+    assert bits & LEFT_BLINKER
+    assert not bits & RIGHT_BLINKER
+
+
+def test_takes_over_at_speed_without_a_jerk() -> None:
+    world = world_of(lane(0, (600, 0)))
+    vehicle = car(world, 50.0, 0.8, yaw=4.0, speed=11.0, drives=False)
+    vehicle.apply_control(VehicleControl(throttle=0.3))
+    world.tick()
+    vehicle.set_autopilot()
+    along, sideways = [], []
+    for _ in ticks(world, 8.0):
+        along.append(vehicle.acceleration.x)
+        sideways.append(abs(speed(vehicle) * np.radians(vehicle.angular_velocity.z)))
+    assert max(map(abs, along)) < 2.0
+    assert max(sideways) < 2.5
+    assert abs(vehicle.transform.location.y) < 0.1
+    assert speed(vehicle) > 9.0
+
+
+@pytest.mark.parametrize(("y", "yaw"), [(9.0, 0.0), (-6.0, 60.0), (4.0, 100.0)])
+def test_finds_back_to_the_road(y: float, yaw: float) -> None:
+    world = world_of(lane(0, (600, 0)))
+    vehicle = car(world, 50.0, y, yaw=yaw)
+    for _ in ticks(world, 20.0):
+        pass
+    assert abs(vehicle.transform.location.y) < 0.2
+    assert vehicle.transform.location.x > 80.0
+
+
+def test_stands_where_there_is_no_road_and_at_its_end() -> None:
+    world = world_of(lane(0, (100, 0)))
+    lost, driving = car(world, 50.0, 90.0, speed=8.0), car(world, 10.0)
+    for _ in ticks(world, 25.0):
+        pass
+    assert lost.transform.location.x < 70.0
+    assert speed(lost) == pytest.approx(0.0, abs=0.01)
+    assert 95.0 < front(driving) < 100.0
+    assert speed(driving) < 0.05
+
+
+def test_leaves_a_vehicle_alone_that_it_does_not_drive_any_more() -> None:
+    world = world_of(lane(0, (600, 0)))
+    vehicle = car(world, 10.0)
+    for _ in ticks(world, 3.0):
+        pass
+    vehicle.set_autopilot(False)
+    vehicle.apply_control(VehicleControl(brake=1.0))
+    for _ in ticks(world, 5.0):
+        pass
+    assert speed(vehicle) == pytest.approx(0.0, abs=0.01)
+    assert vehicle.control.brake == 1.0
+
+
+def test_goes_on_when_a_replay_lets_a_vehicle_go() -> None:
+    world = world_of(lane(0, (600, 0)))
+    vehicle = car(world, 10.0)
+    vehicle.set_simulate_physics(False)
+    for number, _ in enumerate(ticks(world, 3.0)):
+        vehicle.transform = at(10.0 + 0.5 * number)
+    vehicle.set_simulate_physics()
+    vehicle.set_target_velocity(Vector(10.0, 0.0, 0.0))
+    for _ in ticks(world, 3.0):
+        assert abs(vehicle.acceleration.x) < 2.0
+    assert speed(vehicle) > 9.0
+
+
+def fill(town: Town, count: int) -> World:
+    world = World(town, seed=5, date=0)
+    world.settings.collisions_of = "all"
+    names = [blueprint.id for blueprint in world.blueprints.filter("vehicle.*")]
+    order = np.random.default_rng(5).permutation(len(town.spawn_points)).tolist()
+    for number in order:
+        vehicle = world.try_spawn(names[number % len(names)], town.spawn_points[number])
+        if isinstance(vehicle, Vehicle):
+            vehicle.set_autopilot()
+        if len(world.vehicles) == count:
+            return world
+    raise AssertionError(f"there is no room for {count}")
+
+
+def test_the_traffic_of_a_town_flows_and_is_the_same_every_time() -> None:
+    town = load_town()
+    worlds = [fill(town, 40) for _ in range(2)]
+    start = worlds[0].vehicles.position.copy()
+    for _ in range(300):
+        for world in worlds:
+            world.tick()
+            assert not world.events.collisions
+    one, other = (world.vehicles for world in worlds)
+    assert one.position.tobytes() == other.position.tobytes()
+    assert one.light_state.tobytes() == other.light_state.tobytes()
+    moved = np.linalg.norm(one.position - start, axis=1)
+    assert (moved > 10.0).mean() > 0.8
+
+
+def test_a_hundred_cars_drive_through_carlas_first_town() -> None:
+    world = fill(load_town(carla_town("Town01")), 100)
+    errors, travelled = [], np.zeros(100)
+    for number in range(300):
+        world.tick()
+        assert not world.events.collisions
+        travelled += world.vehicles.speed * world.delta
+        if number % 20 == 0:
+            errors += beside(world)
+    assert np.percentile(errors, 99) < 0.5
+    assert travelled.mean() > 20.0

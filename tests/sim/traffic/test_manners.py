@@ -1,0 +1,71 @@
+"""How sixty cars drive through a town: in their lanes, and not through red lights."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from carla_recap.sim import World, load_town
+from carla_recap.sim.traffic.lights import RED
+from carla_recap.sim.traffic.spawning import populate
+from tests.maps.towns import town
+
+pytest.importorskip("carla", reason="the extra `carla` is not installed")
+
+SECONDS = 45
+NEAR = 6.0  # m: so far from a line a crossing of it is looked for
+
+
+class Lines:
+    """The lines at which lights are in force, and which fronts of cars cross them."""
+
+    def __init__(self, world: World) -> None:
+        found = [
+            (lane, s, row)
+            for row, index in enumerate(world.signals.signal.tolist())
+            for lane, s in world.town.signals[index].stops
+        ]
+        lane, s, self._light = (np.array(column) for column in zip(*found, strict=True))
+        self._places, heading = world.town.index.at(lane, s)
+        self._ahead = np.stack((np.cos(heading), np.sin(heading)))
+        self._half = np.array([each.width / 2 for each in world.town.lanes])[lane]
+        self._world = world
+        self._half_length = np.array([car.box.extent.x for car in world.vehicles.actors])
+        self._before = np.full((len(self._half_length), len(found)), np.inf)
+
+    def crossed(self) -> np.ndarray:
+        """The lights of the lines that were crossed since the last look, as rows of the signals."""
+        vehicles = self._world.vehicles
+        yaw = np.radians(vehicles.rotation[:, 1])
+        nose = np.stack((np.cos(yaw), np.sin(yaw)))
+        away = vehicles.position[:, :2, None] + (nose * self._half_length).T[:, :, None] - self._places[:, :2].T
+        beyond = (away * self._ahead).sum(axis=1)
+        aside = np.abs(away[:, 1] * self._ahead[0] - away[:, 0] * self._ahead[1])
+        along = (nose.T @ self._ahead > 0.8) & (aside < self._half) & (np.abs(beyond) < NEAR)
+        crossed = along & (self._before < 0) & (beyond >= 0)
+        self._before = beyond
+        return self._light[np.nonzero(crossed)[1]]
+
+
+@pytest.mark.parametrize("name", ["Brickfield", "Town01", "Town02", "Town10HD"])
+def test_cars_keep_their_lanes_and_stop_at_red(name):
+    world = World(load_town(name if name == "Brickfield" else town(name)), seed=3, date=0)
+    populate(world, 60, 0)
+    lines, passed, ran, beside = Lines(world), 0, 0, []
+    index, vehicles = world.town.index, world.vehicles
+    width = np.array([lane.width for lane in world.town.lanes])
+    for tick in range(SECONDS * 20):
+        world.tick()
+        lights = lines.crossed()
+        passed += len(lights)
+        ran += int((world.signals.state[lights] == RED).sum())
+        if tick % 10 == 0:
+            x, y, _ = vehicles.position.T
+            lane, s = index.nearest_lane(x, y, heading=np.radians(vehicles.rotation[:, 1]))
+            _, right = index.project(lane, x, y, s)
+            beside.append(np.abs(right) / (width[lane] / 2))
+    shares = np.concatenate(beside)
+    assert passed > 20
+    assert ran == 0
+    assert shares.max() <= 1
+    assert np.mean(shares < 0.25) > 0.97  # within half a metre of the middle, but for changes of lane

@@ -1,0 +1,151 @@
+"""Walkers that find their way."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+import pytest
+
+from carla_recap.sim.actors.actors import Vehicle, Walker
+from carla_recap.sim.actors.control import WalkerControl
+from carla_recap.sim.errors import SimError
+from carla_recap.sim.geometry import Location, Vector
+from carla_recap.sim.town.paths import Paths
+from carla_recap.sim.town.town import WalkwayGraph
+from carla_recap.sim.traffic.lights import GREEN, RED
+from tests.sim.flat import at, flat_world, light
+
+if TYPE_CHECKING:
+    from carla_recap.sim.world import World
+
+# Sidewalks on both sides of the road, a crossing between them, and an island far away.
+NODES = [(80.0, 5.0), (100.0, 5.0), (100.0, -5.0), (80.0, -5.0), (500.0, 50.0), (510.0, 50.0)]
+EDGES = [(0, 1), (1, 2), (2, 3), (4, 5)]
+
+
+def graph() -> WalkwayGraph:
+    nodes = np.array([(x, y, 0.0) for x, y in NODES])
+    return WalkwayGraph(nodes, np.array(EDGES), np.array([False, True, False, False]))
+
+
+def walker(world: World, x: float, y: float) -> Walker:
+    actor = world.spawn("walker.pedestrian.0015", at(x, y))
+    assert isinstance(actor, Walker)
+    return actor
+
+
+def test_the_shortest_way_is_found() -> None:
+    paths = Paths(graph())
+    assert paths.find(0, 3) == [0, 1, 2, 3]
+    assert paths.find(2, 2) == [2]
+    assert paths.find(0, 4) == []
+    assert paths.nearest(81.0, 2.0) == 0
+
+
+def test_a_walker_gets_to_its_destination_and_goes_on() -> None:
+    world = flat_world(walks=graph())
+    person = walker(world, 80.0, 5.0)
+    person.destination = Location(80.0, -5.0)
+    assert person.destination == Location(80.0, -5.0)
+    way = []
+    for _ in range(1200):
+        world.tick()
+        way.append(person.transform.location)
+        if person.destination != Location(80.0, -5.0):
+            break
+    assert way[-1].distance(Location(80.0, -5.0, 0.9)) < 1
+    assert max(place.x for place in way) == pytest.approx(100, abs=0.5)
+    assert world.elapsed == pytest.approx(50 / 1.4, rel=0.1)
+
+
+def test_it_waits_for_cars_to_have_red() -> None:
+    world = flat_world(walks=graph(), signals=[light(0, (0,), y=9.0)], phases=((0,),))
+    person = walker(world, 95.0, 5.0)
+    person.destination = Location(80.0, -5.0)
+    world.traffic_lights[0].freeze()
+    assert world.traffic_lights[0].state == GREEN
+    world.run(20)
+    assert person.transform.location.y == pytest.approx(5, abs=0.1)
+    assert person.velocity.length() == 0
+    world.traffic_lights[0].state = RED
+    world.run(9)
+    assert person.transform.location.y == pytest.approx(-5, abs=0.3)
+
+
+def test_it_lets_a_car_pass() -> None:
+    world = flat_world(walks=graph())
+    person = walker(world, 99.0, 5.0)
+    person.destination = Location(80.0, -5.0)
+    car = world.spawn("vehicle.audi.tt", at(60.0), role_name="hero")
+    assert isinstance(car, Vehicle)
+    for _ in range(400):
+        car.set_target_velocity(Vector(12.0))
+        world.tick()
+        assert not world.events.collisions
+        if person.transform.location.y < -4.5:
+            break
+    assert person.transform.location.y < -4
+    assert car.transform.location.x > 100
+
+
+@pytest.mark.parametrize(("x", "y", "yaw"), [(100.5, 0.0, 0.0), (99.7, 0.0, 180.0), (100.1, 0.5, 90.0), (100.0, 0.0, 40.0)])
+def test_it_walks_around_a_car_that_stands_on_the_crossing(x: float, y: float, yaw: float) -> None:
+    world = flat_world(walks=graph())
+    world.settings.collisions_of = "all"
+    person = walker(world, 99.0, 5.0)
+    person.destination = Location(80.0, -5.0)
+    world.spawn("vehicle.audi.tt", at(x, y, yaw=yaw))
+    for _ in range(500):
+        world.tick()
+        assert not world.events.collisions
+    assert person.transform.location.y < -4
+
+
+def test_it_stops_for_a_car_that_moves_across() -> None:
+    world = flat_world(walks=graph())
+    person = walker(world, 100.0, 5.0)
+    person.destination = Location(80.0, -5.0)
+    car = world.spawn("vehicle.audi.tt", at(99.5))
+    assert isinstance(car, Vehicle)
+    stood = False
+    for _ in range(200):
+        car.set_target_velocity(Vector(0.4))
+        world.tick()
+        stood |= person.velocity.length() == 0 and 1 < person.transform.location.y < 2
+    assert stood
+    assert not person.has_fallen
+
+
+def test_being_told_where_to_walk_ends_it() -> None:
+    world = flat_world(walks=graph())
+    person = walker(world, 80.0, 5.0)
+    person.destination = Location(100.0, 5.0)
+    person.apply_control(WalkerControl(Vector(-1.0), 1.0))
+    assert person.destination is None
+    world.run(2)
+    assert person.transform.location.x == pytest.approx(78)
+    person.destination = Location(100.0, 5.0)
+    person.destination = None
+    assert person.destination is None
+
+
+def test_a_place_that_cannot_be_reached_is_refused() -> None:
+    world = flat_world(walks=graph())
+    person = walker(world, 80.0, 5.0)
+    with pytest.raises(SimError, match=r"no sidewalk leads from \(80\.0, 5\.0\) to \(505\.0, 60\.0\)"):
+        person.destination = Location(505.0, 60.0)
+    with pytest.raises(SimError, match="Flat has no sidewalks"):
+        walker(flat_world(), 0.0, 0.0).destination = Location(1.0, 1.0)
+
+
+def test_who_is_gone_or_has_fallen_walks_no_more() -> None:
+    world = flat_world(walks=graph())
+    gone, fallen = walker(world, 80.0, 5.0), walker(world, 80.0, -5.0)
+    for person in (gone, fallen):
+        person.destination = Location(100.0, 5.0)
+    gone.destroy()
+    fallen.rows.fall(fallen.row)
+    world.run(1)
+    assert fallen.destination is None
+    assert fallen.transform.location.x == 80
