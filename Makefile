@@ -3,7 +3,7 @@ node_modules := tests/node/node_modules
 protoc = $(python) -m grpc_tools.protoc --proto_path=proto $(wildcard proto/carla_recap/v1/*.proto)
 generated := src/carla_recap/v1
 
-.PHONY: help venv test lint types proto check-proto wheel check bench soak demo clean
+.PHONY: help venv test lint types proto check-proto wheel check bench soak search demo clean
 
 help: ## List the targets
 	@awk -F ':.*## ' '/^[a-z-]+:.*## / { printf "  %-12s %s\n", $$1, $$2 }' $(MAKEFILE_LIST)
@@ -40,6 +40,10 @@ bench: venv ## Measure the speed and the sizes that the README claims
 
 soak: venv ## Let clients wear a server for half an hour, and see whether anything leaks, hangs or is left over
 	$(python) -m benchmarks.soak
+
+search: venv ## Try 10,000 random sequences of world operations, for crashes and for damage to the physics space
+	@mkdir -p build
+	$(python) -X faulthandler -m tests.sim.sequences --random --trace build/operations.txt
 
 demo: venv ## Record a simulated crash, query it, and make what shows it
 	PATH="$(CURDIR)/.venv/bin:$$PATH" samples/demo.sh
