@@ -60,7 +60,7 @@ def record(actor: Actor | Ghost, streams: Streams) -> ActorRecord:
     if isinstance(actor, Ghost):
         attributes, parent = actor.attributes, None
     else:
-        attributes = told_attributes(actor.blueprint, actor.attributes, actor.world.blueprints)
+        attributes = told_attributes(actor.blueprint, actor.attributes, actor.context.blueprints)
         parent = actor.parent
     values = [AttributeValue(key, attribute_type(key) + _TYPES_FROM, value) for key, value in attributes.items()]
     return ActorRecord(
@@ -83,7 +83,7 @@ def box(actor: Actor | Ghost) -> BoundingBox:
 
 def _trigger_volume(sign: Sign) -> BoundingBox:
     """The box before the places where one stops, on all lanes that are concerned; it is as long as a lane is wide."""
-    town, there = sign.world.town, sign.transform
+    town, there = sign.context.town, sign.transform
     lanes, s = zip(*sign.signal.stops, strict=True)
     halves = np.array([town.lanes[lane].width / 2 for lane in lanes])[:, None]
     away = town.index.at(lanes, np.maximum(np.array(s) - _BEFORE, 0.0))[0] - (

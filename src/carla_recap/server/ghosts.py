@@ -86,6 +86,6 @@ class Memory:
 
 
 def _ghost(actor: Actor) -> Ghost:
-    told = told_attributes(actor.blueprint, actor.attributes, actor.world.blueprints)
+    told = told_attributes(actor.blueprint, actor.attributes, actor.context.blueprints)
     changes = tuple((key, value) for key, value in told.items() if actor.blueprint.attributes.get(key) != value)
     return Ghost(actor.id, actor.blueprint, changes, actor.transform)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import struct
 import time
-from typing import TYPE_CHECKING, Any, Final
+from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
@@ -236,7 +236,7 @@ def _blank_signs(dtype: np.dtype[np.void], signs: Sequence[Sign]) -> NDArray[np.
     return rows
 
 
-def _move(rows: NDArray[np.void], movers: Movers[Any]) -> None:
+def _move(rows: NDArray[np.void], movers: Movers) -> None:
     numbers = rows["numbers"]
     for column, name in enumerate(("position", "rotation", "velocity", "angular_velocity", "acceleration")):
         numbers[:, 3 * column : 3 * column + 3] = getattr(movers, name)

@@ -7,17 +7,21 @@ from typing import TYPE_CHECKING
 from carla_recap.lazy import lazily
 
 if TYPE_CHECKING:
-    from carla_recap.sim.actors.actors import Actor, Prop, Sensor, Sign, Spectator, TrafficLight, Vehicle, Walker
+    from carla_recap.sim.actors.actor import Actor, Prop, Sensor, Spectator
     from carla_recap.sim.actors.blueprints import Blueprint, BlueprintLibrary
     from carla_recap.sim.actors.control import VehicleControl, WalkerControl
-    from carla_recap.sim.actors.events import Collision, TickEvents
+    from carla_recap.sim.actors.events import Collision
+    from carla_recap.sim.actors.lights import Sign, TrafficLight
+    from carla_recap.sim.actors.moving import Vehicle, Walker
+    from carla_recap.sim.actors.registry import TickEvents
     from carla_recap.sim.errors import DeadActor, SimError, SpawnError
     from carla_recap.sim.geometry import Box, Location, Rotation, Transform, Vector
+    from carla_recap.sim.interfaces import Controller
     from carla_recap.sim.physics.physics_control import Gear, PhysicsControl, WheelPhysics
     from carla_recap.sim.settings import Settings
     from carla_recap.sim.town.town import Town, load_town
     from carla_recap.sim.weather import PRESETS, Weather
-    from carla_recap.sim.world import Controller, World
+    from carla_recap.sim.world import World
 
 __all__ = [
     "PRESETS",
@@ -58,16 +62,20 @@ __all__ = [
 __getattr__, __dir__ = lazily(
     __name__,
     {
-        "actors.actors": ("Actor", "Prop", "Sensor", "Sign", "Spectator", "TrafficLight", "Vehicle", "Walker"),
+        "actors.actor": ("Actor", "Prop", "Sensor", "Spectator"),
         "actors.blueprints": ("Blueprint", "BlueprintLibrary"),
         "actors.control": ("VehicleControl", "WalkerControl"),
+        "actors.events": ("Collision",),
+        "actors.lights": ("Sign", "TrafficLight"),
+        "actors.moving": ("Vehicle", "Walker"),
+        "actors.registry": ("TickEvents",),
         "errors": ("DeadActor", "SimError", "SpawnError"),
-        "actors.events": ("Collision", "TickEvents"),
         "geometry": ("Box", "Location", "Rotation", "Transform", "Vector"),
+        "interfaces": ("Controller",),
         "physics.physics_control": ("Gear", "PhysicsControl", "WheelPhysics"),
         "settings": ("Settings",),
         "town.town": ("Town", "load_town"),
         "weather": ("PRESETS", "Weather"),
-        "world": ("Controller", "World"),
+        "world": ("World",),
     },
 )

@@ -13,14 +13,11 @@ if TYPE_CHECKING:
     from collections.abc import Iterator
 
     from carla_recap.sim.geometry import Location, Transform, Vector
-    from carla_recap.sim.physics.physics_control import PhysicsControl
 
 PLACE: Final = 1e6  # m
 TURN: Final = 1e6  # degrees
 SPEED: Final = 1e4  # m/s
 TURNING: Final = 1e5  # degrees/s
-LIGHTEST: Final = 1.0  # kg
-SOFTEST: Final = 0.01  # lateral stiffness of tyres, per unit of load and radian
 LARGEST: Final = 1e9  # of all other numbers, whatever the unit
 LONGEST_TICK: Final = 10.0  # s
 LONGEST_TEXT: Final = 1000  # bytes of the value of an attribute
@@ -124,25 +121,6 @@ def expect_numbers(what: str, record: Any) -> None:
         SimError: One is too large.
     """
     _expect_at_most(what, "in its numbers", LARGEST, *_numbers(record))
-
-
-def expect_physics(what: str, control: PhysicsControl) -> None:
-    """Make sure that a vehicle can be like that.
-
-    Raises:
-        SimError: It has no gear or no wheel, or a number is too large, or too small.
-    """
-    expect_numbers(what, control)
-    wheels = control.wheels
-    if not wheels or not control.forward_gears:
-        raise SimError(f"{what}: a forward gear and a wheel at least were expected")
-    if control.mass < LIGHTEST or any(wheel.lat_stiff_value < SOFTEST for wheel in wheels):
-        least = f"a mass of {LIGHTEST:g} kg and a lateral stiffness of tyres of {SOFTEST:g} or more"
-        raise SimError(f"{what}: {least} were expected")
-    if control.drag_coefficient < 0 or any(min(wheel.tire_friction, wheel.max_brake_torque) < 0 for wheel in wheels):
-        raise SimError(f"{what}: drag, tyre friction and brake torque of 0 or more were expected")
-    if control.max_rpm <= 0:
-        raise SimError(f"{what}: a max_rpm of more than 0 was expected, found {control.max_rpm:g}")
 
 
 def expect_text(what: str, value: str) -> None:

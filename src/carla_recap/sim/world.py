@@ -6,18 +6,18 @@ import os
 import time
 from math import ceil
 from pathlib import Path
-from typing import TYPE_CHECKING, Final, Protocol, Self
+from typing import TYPE_CHECKING, Final, Self
 
 import numpy as np
 
 from carla_recap.sim.actors.blueprints import standard_library
-from carla_recap.sim.actors.events import TickEvents
+from carla_recap.sim.actors.collisions import Collisions
 from carla_recap.sim.actors.registry import ActorRegistry
+from carla_recap.sim.clock import Clock
 from carla_recap.sim.errors import SimError
-from carla_recap.sim.physics.collisions import Collisions
 from carla_recap.sim.settings import Settings
 from carla_recap.sim.town.town import Town, load_town
-from carla_recap.sim.traffic.lights import Signals
+from carla_recap.sim.traffic.controllers import Traffic
 from carla_recap.sim.validation import expect_numbers, expect_seconds
 from carla_recap.sim.weather import Weather
 
@@ -25,9 +25,12 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Mapping
 
     from carla_recap.replay.follow import Follow
-    from carla_recap.sim.actors.actors import Actor, Spectator, TrafficLight
+    from carla_recap.sim.actors.actor import Actor, Spectator
     from carla_recap.sim.actors.blueprints import Blueprint
+    from carla_recap.sim.actors.lights import Signals, TrafficLight
+    from carla_recap.sim.actors.registry import TickEvents
     from carla_recap.sim.geometry import Transform
+    from carla_recap.sim.interfaces import Controller
     from carla_recap.sim.physics.plane import Plane
     from carla_recap.sim.physics.vehicles import Vehicles
     from carla_recap.sim.physics.walkers import Walkers
@@ -41,48 +44,31 @@ _DELTA: Final = 0.05  # s, where nobody says how long a tick is
 _ROUNDING: Final = 1e-6
 
 
-class Controller(Protocol):
-    """Something that acts at the beginning of each tick."""
-
-    def step(self, delta: float) -> None:
-        """Act for a tick of so many seconds."""
-
-
 class World:
-    """A town and its actors.
+    """A town, its actors, and what moves them.
 
     Args:
-        town: The town, or its name or file; see `load_town`. The built-in one unless told otherwise.
-        seed: Of everything random in it: the same seed and steps make the same world, in any process.
-        fixed_delta_seconds: The length of a tick; None for ticks as long as the caller says.
-        date: In Unix seconds, for recordings; else SOURCE_DATE_EPOCH, else now.
-        recordings: The folder of recordings that have a name and no place; see `recorder.recordings_folder`.
-        maps: The folder of maps, for towns that are named; else CARLA_RECAP_MAPS says it.
+        town: The town, or its name or file, as of `load_town`; by default the built-in one.
+        seed: The seed of all randomness: the same seed and steps make the same world, in any process.
+        fixed_delta_seconds: The length of a tick; None for ticks of a length that the caller chooses.
+        date: The date of recordings in Unix seconds; by default SOURCE_DATE_EPOCH, else the current time.
+        recordings: The folder of recordings whose names are no paths; see `recorder.recordings_folder`.
+        maps: The folder of the maps that are loaded by name; by default that of CARLA_RECAP_MAPS.
 
     Attributes:
-        town: The town.
-        blueprints: What can be spawned.
-        settings: How it runs.
-        episode: Which episode this is, from 1: `reload` begins the next one.
-        frame: The number of ticks so far in this episode.
-        elapsed: The time they took, in s.
-        delta: How long the latest one was, in s.
-        signals: All traffic lights, as arrays.
-        random: Where all that is random comes from.
-        controllers: Who acts at the beginning of each tick.
-        listeners: Who is called at the end of each tick.
-        events: What happened in the latest tick, and since the one before.
-        recordings: The folder of recordings, if it was told.
-        maps: The folder of maps, if it was told.
+        blueprints: The blueprint library.
+        settings: The settings of the simulation.
+        episode: The number of the episode, from 1: `reload` begins the next one.
+        random: The source of all randomness.
+        controllers: What acts at the beginning of each tick.
+        listeners: What is called at the end of each tick.
+        recordings: The folder of recordings, if one was given.
+        maps: The folder of maps, if one was given.
 
     Raises:
-        SimError: The seed is negative, or there are no ticks of that length.
+        SimError: The seed is negative, or the length of a tick out of range.
         RecapError: There is no such town.
     """
-
-    town: Town
-    signals: Signals
-    events: TickEvents
 
     def __init__(
         self,
@@ -94,33 +80,48 @@ class World:
         recordings: Path | str | None = None,
         maps: Path | str | None = None,
     ) -> None:
+        if seed < 0:
+            raise SimError(f"seed: 0 or a larger whole number was expected, found {seed}")
         self.blueprints = standard_library()
         self.settings = Settings(fixed_delta_seconds=fixed_delta_seconds)
-        self.random = _random(seed)
+        self.random = np.random.default_rng(seed)
         self._date = date
         self.controllers: list[Controller] = []
         self.listeners: list[Callable[[], None]] = []
-        self.delta = fixed_delta_seconds or _DELTA
         self.recordings = recordings
         self.maps = maps
         self._recorder: Recorder | None = None
         self._replayer: Replayer | None = None
         self.episode = 0
-        self._begin(self._loaded("" if town is None else town), 1)
+        self._begin(self._loaded("" if town is None else town), Clock(delta=fixed_delta_seconds or _DELTA), 1)
 
-    def _begin(self, town: Town, first: int) -> None:
-        """Start an episode, whose first actor gets the id `first`."""
-        self.town = town
+    def _begin(self, town: Town, clock: Clock, first: int) -> None:
+        """Begin an episode, whose first actor gets the id `first`."""
         self.episode += 1
-        self.frame = 0
-        self.elapsed = 0.0
         self._weather = Weather()
-        self.signals = Signals(town)
-        self.events = TickEvents()
-        self._registry = ActorRegistry(self, town, first)
-        self._collisions = Collisions(self)
-        self._autopilot: Autopilot | None = None
-        self._pedestrians: PedestrianNavigation | None = None
+        self._registry = ActorRegistry(town, clock, self.settings, self.blueprints, first)
+        self._traffic = self._registry.traffic = Traffic(self._registry, self.random, self.controllers)
+        self._collisions = Collisions(self._registry)
+
+    @property
+    def town(self) -> Town:
+        """The town."""
+        return self._registry.town
+
+    @property
+    def frame(self) -> int:
+        """The number of ticks in this episode."""
+        return self._registry.clock.frame
+
+    @property
+    def elapsed(self) -> float:
+        """The simulated time of this episode, in s."""
+        return self._registry.clock.elapsed
+
+    @property
+    def delta(self) -> float:
+        """The length of the latest tick, in s."""
+        return self._registry.clock.delta
 
     @property
     def weather(self) -> Weather:
@@ -141,11 +142,11 @@ class World:
         """The date of a recording that begins now, in Unix seconds."""
         return int(os.environ.get("SOURCE_DATE_EPOCH", time.time())) if self._date is None else self._date
 
-    # --- who is there -------------------------------------------------------------------------------------------------
+    # --- actors -------------------------------------------------------------------------------------------------------
 
     @property
     def actors(self) -> Mapping[int, Actor]:
-        """All actors by id, in the order in which they came."""
+        """All actors by id, in the order of spawning."""
         return self._registry.actors
 
     @property
@@ -159,13 +160,18 @@ class World:
         return self._registry.walkers
 
     @property
+    def signals(self) -> Signals:
+        """All traffic lights, as arrays."""
+        return self._registry.signals
+
+    @property
     def traffic_lights(self) -> list[TrafficLight]:
         """All traffic lights; light i is row i of `signals`."""
         return self._registry.traffic_lights
 
     @property
     def spectator(self) -> Spectator:
-        """Who looks at the world."""
+        """The spectator."""
         return self._registry.spectator
 
     @property
@@ -174,20 +180,25 @@ class World:
         return self._registry.plane
 
     @property
+    def events(self) -> TickEvents:
+        """The events of the latest tick, and between it and the one before."""
+        return self._registry.events
+
+    @property
     def pending(self) -> TickEvents:
-        """What has happened since the latest tick; `events` tells it at the end of the next one."""
+        """The events since the latest tick, which the next one will add to `events`."""
         return self._registry.pending
 
     def spawn(
         self, blueprint: Blueprint | str, transform: Transform, *, parent: Actor | None = None, **attributes: str
     ) -> Actor:
-        """Let an actor appear.
+        """Spawn an actor.
 
         Args:
-            blueprint: What, or its name.
-            transform: Where in the world; relative to the parent, if there is one.
-            parent: What it is attached to.
-            **attributes: What of its blueprint's attributes is otherwise, such as `role_name="hero"`.
+            blueprint: The blueprint, or its name.
+            transform: The transform in the world; relative to the parent, if there is one.
+            parent: The actor that it is attached to.
+            **attributes: Attributes that differ from those of the blueprint, such as `role_name="hero"`.
 
         Raises:
             SpawnError: There is no such blueprint or attribute, or the place is occupied.
@@ -199,11 +210,11 @@ class World:
     def try_spawn(
         self, blueprint: Blueprint | str, transform: Transform, *, parent: Actor | None = None, **attributes: str
     ) -> Actor | None:
-        """Let an actor appear if its place is free; see `spawn`.
+        """Spawn an actor if its place is free; see `spawn`.
 
         Raises:
             SpawnError: There is no such blueprint or attribute.
-            SimError: As of `spawn`.
+            SimError: See `spawn`.
             DeadActor: The parent has been destroyed.
         """
         blueprint = self._blueprint(blueprint, attributes)
@@ -214,14 +225,14 @@ class World:
     def place(
         self, blueprint: Blueprint | str, transform: Transform, *, parent: Actor | None = None, **attributes: str
     ) -> Actor:
-        """Let an actor appear, even where others are; see `spawn`."""
+        """Spawn an actor, even where others are; see `spawn`."""
         return self._registry.place(self._blueprint(blueprint, attributes), transform, parent, attributes)
 
     def destroy(self, actor: Actor) -> bool:
-        """Take an actor, and what is attached to it, out of the world.
+        """Destroy an actor and what is attached to it.
 
         Returns:
-            False if it was destroyed before.
+            False if it had been destroyed before.
 
         Raises:
             SimError: It belongs to the town.
@@ -229,34 +240,24 @@ class World:
         return self._registry.destroy(actor)
 
     def owner(self, body: int) -> Actor | None:
-        """Whose a body of the plane is; None for a barrier."""
+        """Return the actor that a body of the plane belongs to; None for a barrier."""
         return self._registry.owner(body)
 
     def height(self, x: float, y: float) -> float:
-        """How high the road near a place is, in m."""
+        """Return the height of the road at the nearest lane, in m."""
         return float(self.town.height(np.array([x]), np.array([y]))[0])
 
-    # --- who acts in it -----------------------------------------------------------------------------------------------
+    # --- controllers, the recorder and the replayer -------------------------------------------------------------------
 
     @property
     def autopilot(self) -> Autopilot:
-        """Who drives the vehicles whose autopilot is on; made when first asked for."""
-        if self._autopilot is None:
-            from carla_recap.sim.traffic.autopilot import Autopilot
-
-            self._autopilot = Autopilot(self)
-            self.controllers.append(self._autopilot)
-        return self._autopilot
+        """The autopilot, which drives the vehicles that have it switched on; made when first used."""
+        return self._traffic.autopilot
 
     @property
     def pedestrians(self) -> PedestrianNavigation:
-        """Who leads the walkers that have destinations; made when first asked for."""
-        if self._pedestrians is None:
-            from carla_recap.sim.traffic.pedestrians import PedestrianNavigation
-
-            self._pedestrians = PedestrianNavigation(self)
-            self.controllers.append(self._pedestrians)
-        return self._pedestrians
+        """The navigation of the walkers that have destinations; made when first used."""
+        return self._traffic.pedestrians
 
     @property
     def recorder(self) -> Recorder:
@@ -351,15 +352,13 @@ class World:
         if delta is None:
             delta = self.settings.fixed_delta_seconds or _DELTA
         expect_seconds("a tick", delta)
-        delta = self.delta = float(delta)
+        delta = self._registry.clock.delta = float(delta)
         for controller in tuple(self.controllers):
             controller.step(delta)
         self.signals.step(delta)
         self._move(delta)
-        self.frame += 1
-        self.elapsed += delta
-        self.events = self._registry.take_events()
-        self.events.collisions = self._collisions.take()
+        self._registry.clock.advance()
+        self._registry.end_tick(self._collisions.take())
         for listener in tuple(self.listeners):
             listener()
         return self.frame
@@ -406,9 +405,8 @@ class World:
         self.stop_recorder()
         self.stop_replayer(keep_actors=True)
         self._registry.disperse()
-        mine = (self._autopilot, self._pedestrians)
-        self.controllers = [controller for controller in self.controllers if controller not in mine]
-        self._begin(town, self._registry.next_id)
+        self._traffic.end()
+        self._begin(town, Clock(delta=self.delta), self._registry.next_id)
 
     def _move(self, delta: float) -> None:
         movers = [group for group in (self.vehicles, self.walkers) if len(group)]
@@ -443,9 +441,3 @@ class World:
 
     def _loaded(self, town: Town | str | Path) -> Town:
         return town if isinstance(town, Town) else load_town(town, None if self.maps is None else Path(self.maps))
-
-
-def _random(seed: int) -> np.random.Generator:
-    if seed < 0:
-        raise SimError(f"seed: 0 or a larger whole number was expected, found {seed}")
-    return np.random.default_rng(seed)

@@ -17,7 +17,7 @@ def collisions(sensor: Actor, tell: Tell) -> Feed:
     """A frame for each collision of the parent: both actors, and what the parent got, in N s."""
 
     def frames() -> Iterable[bytes]:
-        for collision in sensor.world.events.collisions:
+        for collision in sensor.context.collisions:
             if sensor.parent is not None and collision.actor1 == sensor.parent.id:
                 impulse = collision.impulse
                 actors = tell(collision.actor1), tell(collision.actor2)

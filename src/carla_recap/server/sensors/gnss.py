@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 
 def gnss(sensor: Actor, tell: Tell) -> Feed:
     """Latitude and longitude in degrees, and altitude in m, with the bias and the noise that the attributes ask for."""
-    reference = GeoReference.of(sensor.world.town.opendrive)
+    reference = GeoReference.of(sensor.context.town.opendrive)
     noise = Noise(sensor, *([f"noise_{part}_{kind}" for part in ("lat", "lon", "alt")] for kind in ("bias", "stddev")))
 
     def frames() -> Iterable[bytes]:

@@ -61,7 +61,7 @@ class _Lidar:
     def _sweep(self) -> Floats:
         """Turn for a tick; returns the yaws of the rays of each channel, in radians."""
         sensor = self._sensor
-        seconds = max(sensor.world.delta, number(sensor, "sensor_tick"))
+        seconds = max(sensor.context.clock.delta, number(sensor, "sensor_tick"))
         count = int(np.clip(number(sensor, "points_per_second") * seconds, 0, _MOST)) // self._channels
         turn = tau * number(sensor, "rotation_frequency") * seconds
         begin, self._angle = self._angle, (self._angle + turn) % tau

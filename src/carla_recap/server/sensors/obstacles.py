@@ -48,9 +48,9 @@ def _actors(sensor: Actor, reach: float, radius: float, *, only_dynamics: bool) 
 
 
 def _barriers(sensor: Actor, reach: float, radius: float) -> Iterator[tuple[float, int | None]]:
-    world, place, ahead = sensor.world, sensor.transform.location, sensor.transform.forward()
+    context, place, ahead = sensor.context, sensor.transform.location, sensor.transform.forward()
     end = place.x + reach * ahead.x, place.y + reach * ahead.y
-    hit = world.plane.space.segment_query_first((place.x, place.y), end, radius, _WALLS)
+    hit = context.plane.space.segment_query_first((place.x, place.y), end, radius, _WALLS)
     if hit is not None and hit.shape is not None and hit.shape.body is not None:
-        owner = world.owner(hit.shape.body.id)
+        owner = context.owner(hit.shape.body.id)
         yield hit.alpha * reach, None if owner is None else owner.id

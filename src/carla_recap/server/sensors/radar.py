@@ -30,7 +30,7 @@ def radar(sensor: Actor, tell: Tell) -> Feed:
     random = np.random.default_rng(sensor.id)
 
     def frames() -> Iterable[bytes]:
-        count = int(np.clip(number(sensor, "points_per_second") * sensor.world.delta, 0, _MOST))
+        count = int(np.clip(number(sensor, "points_per_second") * sensor.context.clock.delta, 0, _MOST))
         aside, angle = random.random(count), random.random(count) * tau
         own = np.stack((np.ones(count), width * aside * np.cos(angle), height * aside * np.sin(angle)), axis=1)
         own /= np.linalg.norm(own, axis=1, keepdims=True)

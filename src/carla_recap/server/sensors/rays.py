@@ -44,7 +44,7 @@ def seen_by(sensor: Actor) -> list[Actor]:
     while carrier.parent is not None:
         carrier = carrier.parent
     own = _family(carrier)
-    others = sensor.world.actors.values()
+    others = sensor.context.actors.values()
     return [other for other in others if isinstance(other, (Mover, Prop)) and other.box.extent.length() and other not in own]
 
 

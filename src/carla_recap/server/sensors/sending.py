@@ -82,7 +82,7 @@ class Sensors:
 def _is_due(sensor: Actor) -> bool:
     """Whether a multiple of the interval of a sensor has passed in the latest tick: those of one interval tell together."""
     interval = number(sensor, "sensor_tick")
-    if interval <= sensor.world.delta:
+    if interval <= sensor.context.clock.delta:
         return True
-    now = sensor.world.elapsed + _ROUNDING
-    return floor(now / interval) > floor((now - sensor.world.delta) / interval)
+    now = sensor.context.clock.elapsed + _ROUNDING
+    return floor(now / interval) > floor((now - sensor.context.clock.delta) / interval)

@@ -1,7 +1,8 @@
-"""Who is in a world: actors come with their bodies, and go with what is attached to them."""
+"""The actors of an episode: spawned with their bodies, destroyed with what is attached to them."""
 
 from __future__ import annotations
 
+from dataclasses import dataclass, field
 from types import MappingProxyType
 from typing import TYPE_CHECKING, Final
 
@@ -9,8 +10,9 @@ import numpy as np
 
 from carla_recap.records import ActorKind
 from carla_recap.sim.actors import blueprints
-from carla_recap.sim.actors.actors import Actor, Mover, Prop, Sensor, Sign, Spectator, TrafficLight, Vehicle, Walker, upon
-from carla_recap.sim.actors.events import TickEvents
+from carla_recap.sim.actors.actor import Actor, Prop, Sensor, Spectator, attached_transform
+from carla_recap.sim.actors.lights import Sign, Signals, TrafficLight
+from carla_recap.sim.actors.moving import MovingActor, Vehicle, Walker
 from carla_recap.sim.errors import SimError, SpawnError
 from carla_recap.sim.geometry import Transform
 from carla_recap.sim.physics.plane import PROP, VEHICLE, WALKER, WALL, Plane
@@ -24,10 +26,13 @@ if TYPE_CHECKING:
 
     import pymunk
 
-    from carla_recap.sim.actors.blueprints import Blueprint
+    from carla_recap.sim.actors.blueprints import Blueprint, BlueprintLibrary
+    from carla_recap.sim.actors.events import Collision
+    from carla_recap.sim.actors.moving import TrafficControllers
+    from carla_recap.sim.clock import Clock
     from carla_recap.sim.geometry import Location
+    from carla_recap.sim.settings import Settings
     from carla_recap.sim.town.town import Signal, Town
-    from carla_recap.sim.world import World
 
 _WALKER_MASS: Final = 75.0  # kg
 _WALKER_RADIUS: Final = 0.25  # m: shoulders
@@ -39,44 +44,104 @@ _CLASSES: Final[dict[ActorKind, type[Actor]]] = {
 }
 
 
+@dataclass(slots=True)
+class TickEvents:
+    """What happened between the end of the previous tick and the end of this one.
+
+    Attributes:
+        spawned: The actors that were spawned, in order.
+        destroyed: The ids of the actors that were destroyed.
+        parented: Ids of attached actors and of their parents.
+        collisions: The collisions, one for each pair of actors.
+        physics: The vehicles whose physics control was changed.
+        light_times: The lights whose times were changed.
+        doors: Vehicle id, door, and whether it is open now.
+    """
+
+    spawned: list[Actor] = field(default_factory=list)
+    destroyed: list[int] = field(default_factory=list)
+    parented: list[tuple[int, int]] = field(default_factory=list)
+    collisions: list[Collision] = field(default_factory=list)
+    physics: list[Vehicle] = field(default_factory=list)
+    light_times: list[TrafficLight] = field(default_factory=list)
+    doors: list[tuple[int, int, bool]] = field(default_factory=list)
+
+
 class ActorRegistry:
-    """The actors of an episode; the spectator and the signs of the town are there from the beginning.
+    """The actors of an episode; the spectator, the traffic lights and the signs of the town exist from the beginning.
 
     Args:
-        world: The world.
-        town: Its town.
+        town: The town.
+        clock: The simulated time.
+        settings: The settings of the simulation.
+        library: The blueprint library.
         first: The id of the first actor.
 
     Attributes:
-        actors: By id, in the order in which they came.
-        plane: Their bodies, and the barriers of the town.
-        vehicles: All vehicles.
-        walkers: All walkers.
-        spectator: Who looks at the world.
-        traffic_lights: All lights.
-        pending: What has happened since the latest tick.
-        next_id: The id of who comes next.
+        town: The town.
+        clock: The simulated time.
+        settings: The settings of the simulation.
+        blueprints: The blueprint library.
+        traffic: The autopilot and the pedestrian navigation; set before the first tick.
+        actors: All actors by id, in the order of spawning.
+        plane: The bodies of the actors, and the barriers of the town.
+        vehicles: All vehicles, as arrays.
+        walkers: All walkers, as arrays.
+        signals: All traffic lights, as arrays.
+        spectator: The spectator.
+        traffic_lights: All traffic lights; light i is row i of `signals`.
+        events: The events of the latest tick.
+        pending: The events since the latest tick.
+        next_id: The id of the next actor.
     """
 
-    def __init__(self, world: World, town: Town, first: int) -> None:
-        self._world = world
-        self._town = town
+    traffic: TrafficControllers
+
+    def __init__(self, town: Town, clock: Clock, settings: Settings, library: BlueprintLibrary, first: int) -> None:
+        self.town = town
+        self.clock = clock
+        self.settings = settings
+        self.blueprints = library
         self._actors: dict[int, Actor] = {}
         self._owners: dict[int, Actor] = {}
-        self._riders: dict[Mover, Actor] = {}
+        self._attached: dict[MovingActor, Actor] = {}
         self.actors: Mapping[int, Actor] = MappingProxyType(self._actors)
         self.plane = Plane()
         self.vehicles = Vehicles(self.plane, town.height)
         self.walkers = Walkers(self.plane, town.height)
+        self.signals = Signals(town)
+        self.events = TickEvents()
         self.pending = TickEvents()
         self.next_id = first
         for barrier in town.barriers:
             self.plane.add_wall(barrier[:, :2])
-        self.spectator = Spectator(world, self._new_id(), blueprints.SPECTATOR, Transform())
+        self.spectator = Spectator(self, self._new_id(), blueprints.SPECTATOR, Transform())
         self._enter(self.spectator)
         self.traffic_lights: list[TrafficLight] = []
         for signal in town.signals:
             self._put_up(signal)
+
+    @property
+    def collisions(self) -> list[Collision]:
+        """The collisions of the latest tick."""
+        return self.events.collisions
+
+    def end_tick(self, collisions: list[Collision]) -> None:
+        """Make the pending events, and the collisions of a tick, the events of that tick."""
+        self.events, self.pending = self.pending, TickEvents()
+        self.events.collisions = collisions
+
+    def report_physics_control(self, vehicle: Vehicle) -> None:
+        """Add a changed physics control to the pending events."""
+        self.pending.physics.append(vehicle)
+
+    def report_door(self, vehicle: Vehicle, door: int, open: bool) -> None:
+        """Add a door that was opened or closed to the pending events."""
+        self.pending.doors.append((vehicle.id, door, open))
+
+    def report_light_times(self, light: TrafficLight) -> None:
+        """Add changed times of a light to the pending events."""
+        self.pending.light_times.append(light)
 
     def place(
         self, blueprint: Blueprint, transform: Transform, parent: Actor | None, attributes: Mapping[str, str]
@@ -88,16 +153,16 @@ class ActorRegistry:
         if parent is not None:
             parent.check()
         make = _CLASSES.get(blueprint.kind, Prop)
-        actor = make(self._world, self._new_id(), blueprint, transform, dict(attributes), parent)
+        actor = make(self, self._new_id(), blueprint, transform, dict(attributes), parent)
         self._enter(actor)
-        if isinstance(actor, Mover):
-            self._embody(actor, transform if parent is None else upon(parent, transform))
+        if isinstance(actor, MovingActor):
+            self._embody(actor, transform if parent is None else attached_transform(parent, transform))
         elif isinstance(actor, Prop) and parent is None and actor.box.extent.length() > 0:
             actor.body = self._own(actor, self.plane.add_box(PROP, _corners(blueprint), None))
             actor.transform = transform
         if parent is not None:
             self.pending.parented.append((actor.id, parent.id))
-            if isinstance(actor, Mover):
+            if isinstance(actor, MovingActor):
                 self._fix(actor, parent)
         return actor
 
@@ -135,9 +200,9 @@ class ActorRegistry:
             self.destroy(child)
         if actor.parent is not None:
             actor.parent.children.remove(actor)
-        actor.die()
+        actor.mark_destroyed()
         if isinstance(actor, (Vehicle, Walker)):
-            self._riders.pop(actor, None)
+            self._attached.pop(actor, None)
             del self._owners[actor.rows.leave(actor.id).id]
         elif isinstance(actor, Prop) and actor.body is not None:
             del self._owners[actor.body.id]
@@ -148,22 +213,17 @@ class ActorRegistry:
 
     def carry(self) -> None:
         """Have vehicles and walkers that are attached to others go where these have gone."""
-        for rider, parent in self._riders.items():
-            rider.ride(parent)
-
-    def take_events(self) -> TickEvents:
-        """What has happened since they were last taken."""
-        events, self.pending = self.pending, TickEvents()
-        return events
+        for rider, parent in self._attached.items():
+            rider.follow_parent(parent)
 
     def owner(self, body: int) -> Actor | None:
-        """Whose a body of the plane is; None for a barrier."""
+        """Return the actor that a body of the plane belongs to; None for a barrier."""
         return self._owners.get(body)
 
     def disperse(self) -> None:
         """Let all actors end with their episode."""
         for actor in self._actors.values():
-            actor.die()
+            actor.mark_destroyed()
 
     def _new_id(self) -> int:
         self.next_id += 1
@@ -177,7 +237,7 @@ class ActorRegistry:
         self._owners[body.id] = actor
         return body
 
-    def _embody(self, mover: Mover, transform: Transform) -> None:
+    def _embody(self, mover: MovingActor, transform: Transform) -> None:
         columns = _columns(mover, transform)
         if isinstance(mover, Vehicle):
             physics = mover.physics_control
@@ -188,22 +248,22 @@ class ActorRegistry:
             body = self._own(mover, self.plane.add_disc(WALKER, _WALKER_RADIUS, _WALKER_MASS))
             self.walkers.enter(mover, body, **columns, half_height=mover.box.extent.z, mass=_WALKER_MASS)
 
-    def _fix(self, rider: Mover, parent: Actor) -> None:
+    def _fix(self, rider: MovingActor, parent: Actor) -> None:
         """Fix a vehicle or walker to another actor: it goes along, and touches nobody, as attached props do."""
-        self._riders[rider] = parent
+        self._attached[rider] = parent
         rider.rows.carried[rider.row] = True
         rider.set_simulate_physics(False)
         rider.set_collisions(False)
-        rider.ride(parent)
+        rider.follow_parent(parent)
 
     def _put_up(self, signal: Signal) -> None:
         """Put up a light or a sign of the town; it has a pole, unless it hangs over the road."""
         if signal.kind is SignalKind.LIGHT:
-            light = TrafficLight(self._world, self._new_id(), blueprints.TRAFFIC_LIGHT, signal, len(self.traffic_lights))
+            light = TrafficLight(self, self._new_id(), blueprints.TRAFFIC_LIGHT, signal, len(self.traffic_lights))
             self.traffic_lights.append(light)
             sign: Sign = light
         else:
-            sign = Sign(self._world, self._new_id(), _sign_blueprint(signal), signal)
+            sign = Sign(self, self._new_id(), _sign_blueprint(signal), signal)
         self._enter(sign)
         place = signal.transform.location
         if not self._is_on_road(place):
@@ -212,9 +272,9 @@ class ActorRegistry:
 
     def _is_on_road(self, place: Location) -> bool:
         x, y = np.array([place.x]), np.array([place.y])
-        lane, s = self._town.nearest_lane(x, y)
-        aside = abs(self._town.project(lane, x, y, s)[1][0])
-        return bool(aside < self._town.lanes[lane[0]].width / 2 + _POLE_RADIUS)
+        lane, s = self.town.nearest_lane(x, y)
+        aside = abs(self.town.project(lane, x, y, s)[1][0])
+        return bool(aside < self.town.lanes[lane[0]].width / 2 + _POLE_RADIUS)
 
 
 def _sign_blueprint(signal: Signal) -> Blueprint:
@@ -229,7 +289,7 @@ def _corners(blueprint: Blueprint) -> list[tuple[float, float]]:
     return [(centre.x + x * extent.x, centre.y + y * extent.y) for x, y in ((1, 1), (1, -1), (-1, -1), (-1, 1))]
 
 
-def _columns(mover: Mover, transform: Transform) -> dict[str, float | tuple[float, float, float]]:
+def _columns(mover: MovingActor, transform: Transform) -> dict[str, float | tuple[float, float, float]]:
     place, turn, extent = transform.location, transform.rotation, mover.box.extent
     return {
         "position": (place.x, place.y, place.z),

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import TYPE_CHECKING, Any, ClassVar, Generic, TypeVar
+from typing import TYPE_CHECKING, Any, ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,20 +17,18 @@ except ModuleNotFoundError:
     raise MissingExtra("the simulator", "sim") from None
 
 if TYPE_CHECKING:
-    from carla_recap.sim.actors.actors import Mover
     from carla_recap.sim.physics.plane import Plane
 
 Floats = NDArray[np.float64]
-M = TypeVar("M", bound="Mover")
 Height = Callable[[Floats, Floats], Floats]
 """Tells how high the road is at places x, y."""
 
 
-class Movers(Columns, Generic[M]):
+class Movers(Columns):
     """Actors with bodies that move; row i of each array belongs to `actors[i]`.
 
     Attributes:
-        actors: In the order of spawning.
+        actors: The vehicles or walkers, in the order of spawning; of a class that physics knows nothing of but its `id`.
         bodies: Their bodies in the plane.
         id: Of the actors.
         body_id: Of the bodies.
@@ -79,7 +77,7 @@ class Movers(Columns, Generic[M]):
     def __init__(self, plane: Plane, height: Height) -> None:
         super().__init__()
         self.plane = plane
-        self.actors: list[M] = []
+        self.actors: list[Any] = []
         self.bodies: list[pymunk.Body] = []
         self._height = height
         self._rows: dict[int, int] = {}
@@ -94,7 +92,7 @@ class Movers(Columns, Generic[M]):
         """The row of an actor."""
         return self._rows[actor]
 
-    def enter(self, actor: M, body: pymunk.Body, **values: Any) -> int:
+    def enter(self, actor: Any, body: pymunk.Body, **values: Any) -> int:
         """Add an actor, which stands where its columns say; returns its row."""
         row = self.append_row(id=actor.id, body_id=body.id, **values)
         self.actors.append(actor)

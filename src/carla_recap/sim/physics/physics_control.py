@@ -5,9 +5,14 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 from typing import Final
 
+from carla_recap.sim.errors import SimError
 from carla_recap.sim.geometry import Vector
+from carla_recap.sim.validation import expect_numbers
 
 Curve = tuple[tuple[float, float], ...]
+
+LEAST_MASS: Final = 1.0  # kg
+LEAST_STIFFNESS: Final = 0.01  # lateral stiffness of tyres, per unit of load and radian
 
 DEFAULT_STEERING: Final[Curve] = ((0.0, 1.0), (20.0, 0.9), (60.0, 0.8), (120.0, 0.7))
 """How much of the steering angle is left at a speed in km/h, as CARLA's cars have it."""
@@ -90,3 +95,26 @@ class PhysicsControl:
     steering_curve: Curve = DEFAULT_STEERING
     wheels: list[WheelPhysics] = field(default_factory=list)
     use_sweep_wheel_collision: bool = False
+
+
+def expect_physics(what: str, control: PhysicsControl) -> None:
+    """Make sure that a physics control can be simulated.
+
+    Args:
+        what: The control's name in the error text.
+        control: The physics control.
+
+    Raises:
+        SimError: It has no gear or no wheel, or a number is too large, or too small.
+    """
+    expect_numbers(what, control)
+    wheels = control.wheels
+    if not wheels or not control.forward_gears:
+        raise SimError(f"{what}: a forward gear and a wheel at least were expected")
+    if control.mass < LEAST_MASS or any(wheel.lat_stiff_value < LEAST_STIFFNESS for wheel in wheels):
+        least = f"a mass of {LEAST_MASS:g} kg and a lateral stiffness of tyres of {LEAST_STIFFNESS:g} or more"
+        raise SimError(f"{what}: {least} were expected")
+    if control.drag_coefficient < 0 or any(min(wheel.tire_friction, wheel.max_brake_torque) < 0 for wheel in wheels):
+        raise SimError(f"{what}: drag, tyre friction and brake torque of 0 or more were expected")
+    if control.max_rpm <= 0:
+        raise SimError(f"{what}: a max_rpm of more than 0 was expected, found {control.max_rpm:g}")

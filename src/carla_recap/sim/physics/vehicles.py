@@ -14,7 +14,6 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    from carla_recap.sim.actors.actors import Vehicle  # noqa: F401
     from carla_recap.sim.geometry import Box
     from carla_recap.sim.physics.movers import Height
     from carla_recap.sim.physics.physics_control import PhysicsControl
@@ -27,7 +26,7 @@ _TABLE: Final = np.zeros(len(drivetrain.SPEEDS))
 _LEAST: Final = np.array([[0.0], [-1.0], [0.0]])  # of throttle, steering and brake
 
 
-class Vehicles(Movers["Vehicle"]):
+class Vehicles(Movers):
     """The vehicles; row i of each array belongs to `actors[i]`.
 
     Attributes:

@@ -13,7 +13,6 @@ from carla_recap.sim.physics.plane import WALKER
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-    from carla_recap.sim.actors.actors import Walker  # noqa: F401
     from carla_recap.sim.physics.movers import Floats, Height
     from carla_recap.sim.physics.plane import Plane
 
@@ -22,7 +21,7 @@ _SLIDING: Final = 5.0  # m/s²: so fast a fallen walker comes to rest
 FALL: Final = 1.5  # m/s: a push that changes the velocity by more throws a walker down
 
 
-class Walkers(Movers["Walker"]):
+class Walkers(Movers):
     """The walkers; row i of each array belongs to `actors[i]`.
 
     Attributes:

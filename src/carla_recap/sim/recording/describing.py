@@ -40,7 +40,7 @@ def box(actor: Actor) -> Row:
 
 def trigger_volumes(sign: Sign) -> list[Row]:
     """Where a light or sign is in force: as wide as the lane, around the place where one stops."""
-    town = sign.world.town
+    town = sign.context.town
     rows = []
     for lane, s in sign.signal.stops:
         (x, y, z), half = town.index.at([lane], [s])[0][0].tolist(), town.lanes[lane].width / 2

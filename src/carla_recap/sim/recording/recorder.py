@@ -17,7 +17,7 @@ from carla_recap.sim.recording.background import BackgroundWriter
 from carla_recap.sim.recording.sampling import Sampler
 
 if TYPE_CHECKING:
-    from carla_recap.sim.world import World
+    from carla_recap.sim.interfaces import RecordedWorld
 
 FOLDER: Final = "CARLA_RECAP_RECORDINGS"
 """The environment variable that names the folder of recordings."""
@@ -68,7 +68,7 @@ class Recorder:
         error: Why the latest recording ended early; None where it did not.
     """
 
-    def __init__(self, world: World, folder: Path | str | None = None) -> None:
+    def __init__(self, world: RecordedWorld, folder: Path | str | None = None) -> None:
         self.error: RecapError | None = None
         self._world = world
         self._folder = folder

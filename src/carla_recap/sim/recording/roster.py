@@ -12,8 +12,8 @@ from carla_recap.sim.recording.poses import pose
 from carla_recap.sim.recording.snapshots import OTHER_POSES, Lineup, Strip
 
 if TYPE_CHECKING:
+    from carla_recap.sim.interfaces import RecordedWorld
     from carla_recap.sim.recording.snapshots import Moment, States
-    from carla_recap.sim.world import World
 
 _WITH_PLACE: Final = (ActorKind.OTHER, ActorKind.VEHICLE, ActorKind.WALKER)
 """The kinds of actors whose transforms are told in each frame, as by CARLA 0.9.13 and later."""
@@ -27,7 +27,7 @@ class Roster:
         additional_data: See `Lineup`.
     """
 
-    def __init__(self, world: World, *, additional_data: bool) -> None:
+    def __init__(self, world: RecordedWorld, *, additional_data: bool) -> None:
         actors = [actor for actor in world.actors.values() if actor.kind in _WITH_PLACE]
         self._others = [actor for actor in actors if not isinstance(actor, Mover)]
         self._poses = np.empty((len(self._others), 6))

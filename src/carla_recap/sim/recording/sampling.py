@@ -18,7 +18,7 @@ from typing import TYPE_CHECKING, Any, Final
 from carla_recap.frame import Packet
 from carla_recap.records import NO_ACTOR
 from carla_recap.sim.actors.actors import Sign, TrafficLight, Vehicle
-from carla_recap.sim.actors.events import TickEvents
+from carla_recap.sim.actors.registry import TickEvents
 from carla_recap.sim.recording import describing
 from carla_recap.sim.recording.roster import Roster
 from carla_recap.sim.recording.snapshots import TYPES, Moment
@@ -27,9 +27,9 @@ if TYPE_CHECKING:
     from collections.abc import Collection
 
     from carla_recap.sim.actors.actors import Actor
+    from carla_recap.sim.interfaces import RecordedWorld
     from carla_recap.sim.recording.snapshots import Strip
     from carla_recap.sim.weather import Weather
-    from carla_recap.sim.world import World
 
     Told = dict[str, list[Any]]  # records by type
 
@@ -50,7 +50,7 @@ class Sampler:
         RecapError: An actor cannot be told of.
     """
 
-    def __init__(self, world: World, *, additional_data: bool) -> None:
+    def __init__(self, world: RecordedWorld, *, additional_data: bool) -> None:
         self._world = world
         self._additional = additional_data
         self._count = 0

@@ -16,7 +16,7 @@ if TYPE_CHECKING:
 
     from carla_recap.replay import Present, Scene
     from carla_recap.sim.actors.actors import Actor
-    from carla_recap.sim.world import World
+    from carla_recap.sim.interfaces import ReplayWorld
 
 _NEAR: Final = 15.0  # m: a light or sign of the recording is none of the town's that is farther away
 _SPECTATOR: Final = "spectator"
@@ -40,7 +40,7 @@ class Cast:
         changes: How often somebody came or went.
     """
 
-    def __init__(self, world: World, *, replay_sensors: bool) -> None:
+    def __init__(self, world: ReplayWorld, *, replay_sensors: bool) -> None:
         self._world = world
         self._replay_sensors = replay_sensors
         self._spawned: set[int] = set()

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, Final
+from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
@@ -16,9 +16,9 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from carla_recap.replay import Scene
+    from carla_recap.sim.interfaces import ReplayWorld
     from carla_recap.sim.physics.movers import Movers
     from carla_recap.sim.replaying.actor_mapping import Cast
-    from carla_recap.sim.world import World
 
     Floats = NDArray[np.float64]
     Rows = NDArray[np.intp]
@@ -57,7 +57,7 @@ class KinematicReplay:
         cast: Who plays whom.
     """
 
-    def __init__(self, world: World, cast: Cast) -> None:
+    def __init__(self, world: ReplayWorld, cast: Cast) -> None:
         self._world = world
         self._cast = cast
         self._lights = np.array([light.id for light in world.traffic_lights], np.int64)
@@ -87,7 +87,7 @@ class KinematicReplay:
         """How fast an actor was in the recording, in m/s along the world's axes."""
         return self._speeds.get(actor.id, [0.0, 0.0, 0.0])
 
-    def _send(self, movers: Movers[Any], rows: Rows, poses: Floats, delta: float, seconds: float) -> None:
+    def _send(self, movers: Movers, rows: Rows, poses: Floats, delta: float, seconds: float) -> None:
         position, rotation = poses[:, :3] / CM_PER_M, poses[:, _PITCH_YAW_ROLL]
         way = position - movers.position[rows]
         turn = wrap(rotation - movers.rotation[rows])[:, 1]

@@ -31,7 +31,7 @@ if TYPE_CHECKING:
 
     from carla_recap.formats.base import Reader
     from carla_recap.replay import Follow, Scene
-    from carla_recap.sim.world import World
+    from carla_recap.sim.interfaces import ReplayWorld
 
 
 CHASE: Final = Transform(Location(-CHASE_BACK / CM_PER_M, 0.0, CHASE_UP / CM_PER_M), Rotation(pitch=CHASE_PITCH))
@@ -83,7 +83,7 @@ class Replayer:
         error: Why the latest replay ended early; None where it did not.
     """
 
-    def __init__(self, world: World) -> None:
+    def __init__(self, world: ReplayWorld) -> None:
         self.ignore_hero = False
         self.ignore_spectator = True
         self.error: RecapError | None = None

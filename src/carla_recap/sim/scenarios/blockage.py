@@ -11,8 +11,8 @@ from carla_recap.sim.scenarios.places import spawn_on, straight_stretch
 from carla_recap.sim.traffic.autopilot.handling import LEFT_BLINKER, RIGHT_BLINKER
 
 if TYPE_CHECKING:
-    from carla_recap.sim.actors.actors import Vehicle
-    from carla_recap.sim.world import World
+    from carla_recap.sim.actors.moving import Vehicle
+    from carla_recap.sim.interfaces import ScenarioWorld
 
 VAN: Final = "vehicle.mercedes.sprinter"
 QUEUE: Final = ("vehicle.tesla.model3", "vehicle.audi.a2", "vehicle.mini.cooper_s")
@@ -53,7 +53,7 @@ class Blockage:
         SimError: The town has no single straight lane that is long enough, or the place is occupied.
     """
 
-    def __init__(self, world: World) -> None:
+    def __init__(self, world: ScenarioWorld) -> None:
         self._world = world
         lane, begin = straight_stretch(world.town, len(QUEUE) * _APART + _RUN, single=True)
         van = spawn_on(world, VAN, lane, begin + len(QUEUE) * _APART, "broken down")

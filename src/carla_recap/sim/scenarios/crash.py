@@ -6,14 +6,14 @@ import math
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Final
 
-from carla_recap.sim.actors.actors import Walker
 from carla_recap.sim.actors.control import VehicleControl, WalkerControl
+from carla_recap.sim.actors.moving import Walker
 from carla_recap.sim.geometry import Location, Rotation, Transform, Vector
 from carla_recap.sim.scenarios.places import MARGIN, place_on, spawn_on, straight_stretch
 
 if TYPE_CHECKING:
-    from carla_recap.sim.actors.actors import Vehicle
-    from carla_recap.sim.world import World
+    from carla_recap.sim.actors.moving import Vehicle
+    from carla_recap.sim.interfaces import ScenarioWorld
 
 HERO: Final = "vehicle.tesla.model3"
 VAN: Final = "vehicle.mercedes.sprinter"
@@ -58,7 +58,7 @@ class Crash:
         SimError: The town has no straight lane that is long enough, or the place is occupied.
     """
 
-    def __init__(self, world: World) -> None:
+    def __init__(self, world: ScenarioWorld) -> None:
         self._world = world
         lane, begin = straight_stretch(world.town, _RUN + _REST)
         hero = spawn_on(world, HERO, lane, begin, "hero")

@@ -9,17 +9,17 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
+from carla_recap.sim.actors.lights import OFF, RED
 from carla_recap.sim.errors import SimError
 from carla_recap.sim.geometry import Location
 from carla_recap.sim.town.paths import Paths
 from carla_recap.sim.traffic.avoidance import evade
-from carla_recap.sim.traffic.lights import OFF, RED
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-    from carla_recap.sim.actors.actors import Walker
-    from carla_recap.sim.world import World
+    from carla_recap.sim.actors.moving import Walker
+    from carla_recap.sim.actors.registry import ActorRegistry
 
     Floats = NDArray[np.float64]
 
@@ -58,12 +58,15 @@ class PedestrianNavigation:
     """Leads walkers that have destinations; a controller of the world.
 
     Args:
-        world: The world.
+        registry: The actors.
+        random: What chooses the next destinations.
     """
 
-    def __init__(self, world: World) -> None:
-        self._world = world
-        self._graph = world.town.walks
+    def __init__(self, registry: ActorRegistry, random: np.random.Generator) -> None:
+        self._registry = registry
+        self._random = random
+        self._town = registry.town
+        self._graph = self._town.walks
         self._paths = Paths(self._graph)
         self._crossing = {
             frozenset(edge) for edge, over in zip(self._graph.edges.tolist(), self._graph.crossing, strict=True) if over
@@ -72,22 +75,22 @@ class PedestrianNavigation:
         self._minds: dict[int, _Mind] = {}
 
     def destination(self, walker: int) -> Location | None:
-        """Where a walker walks."""
+        """Return the destination of a walker; None if it has none."""
         mind = self._minds.get(walker)
         return None if mind is None else mind.place
 
-    def forget(self, walker: int) -> None:
+    def clear_destination(self, walker: int) -> None:
         """Leave a walker to its control."""
         self._minds.pop(walker, None)
 
-    def send(self, walker: Walker, place: Location) -> None:
+    def set_destination(self, walker: Walker, place: Location) -> None:
         """Have a walker walk somewhere, and then on to other places.
 
         Raises:
             SimError: The town has no sidewalks, or none leads there.
         """
         if not len(self._graph.nodes):
-            raise SimError(f"{self._world.town.name} has no sidewalks: walkers can only be steered")
+            raise SimError(f"{self._town.name} has no sidewalks: walkers can only be steered")
         here = walker.transform.location
         path = self._paths.find(self._paths.nearest(here.x, here.y), self._paths.nearest(place.x, place.y))
         if not path:
@@ -98,14 +101,14 @@ class PedestrianNavigation:
 
     def random_place(self) -> Location:
         """Somewhere on a sidewalk."""
-        return self._place(int(self._world.random.integers(len(self._graph.nodes))))
+        return self._place(int(self._random.integers(len(self._graph.nodes))))
 
     def step(self, delta: float) -> None:
         """Turn everybody towards the next corner of the way."""
         self._minds = {id: mind for id, mind in self._minds.items() if self._can_walk(id)}
         if not self._minds:
             return
-        walkers, minds = self._world.walkers, list(self._minds.values())
+        walkers, minds = self._registry.walkers, list(self._minds.values())
         rows = np.searchsorted(walkers.id, list(self._minds))
         speed = np.array([mind.speed for mind in minds])
         places = walkers.position[rows, :2]
@@ -128,13 +131,13 @@ class PedestrianNavigation:
         if not on_road:
             return
         turns = np.array([minds[index].turn for index in on_road])
-        ahead[on_road] = evade(places[on_road], ahead[on_road], turns, self._world.vehicles)
+        ahead[on_road] = evade(places[on_road], ahead[on_road], turns, self._registry.vehicles)
         for index, turn in zip(on_road, turns.tolist(), strict=True):
             minds[index].turn = turn
 
     def _can_walk(self, walker: int) -> bool:
-        walkers = self._world.walkers
-        return walker in self._world.actors and not walkers.fallen[walkers.row(walker)]
+        walkers = self._registry.walkers
+        return walker in self._registry.actors and not walkers.fallen[walkers.row(walker)]
 
     def _go_on(self, mind: _Mind) -> None:
         """Let a walker that is at a corner turn to the next one; at its destination, to another one."""
@@ -142,7 +145,7 @@ class PedestrianNavigation:
         mind.crossings.pop(0)
         if not mind.corners:
             here = self._paths.nearest(*mind.kerb)
-            there = int(self._world.random.choice(self._paths.reachable(here)))
+            there = int(self._random.choice(self._paths.reachable(here)))
             mind.place = self._place(there)
             self._lead(mind, self._paths.find(here, there))
         mind.waits, mind.turn = mind.crossings[0], 0
@@ -159,12 +162,12 @@ class PedestrianNavigation:
         if (start, end) not in self._lanes:
             share = np.linspace(0, 1, max(2, int(2 * dist(start, end))))[:, None]
             places = np.array(start) + share * (np.array(end) - start)
-            self._lanes[start, end] = np.unique(self._world.town.nearest_lane(*places.T)[0])
-        shown = self._world.signals.state_of_lane(self._lanes[start, end])
+            self._lanes[start, end] = np.unique(self._town.nearest_lane(*places.T)[0])
+        shown = self._registry.signals.state_of_lane(self._lanes[start, end])
         return bool(((shown == RED) | (shown == OFF)).all()) and not self._is_approached(np.array((start, end)))
 
     def _is_approached(self, ends: Floats) -> bool:
-        vehicles = self._world.vehicles
+        vehicles = self._registry.vehicles
         middle, half = ends.mean(axis=0), dist(*ends) / 2
         yaw = np.radians(vehicles.yaw)
         x, y = (middle - vehicles.position[:, :2]).T

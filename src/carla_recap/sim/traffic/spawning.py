@@ -5,15 +5,15 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Final
 
 from carla_recap.records import ActorKind
-from carla_recap.sim.actors.actors import Vehicle, Walker
+from carla_recap.sim.actors.moving import Vehicle, Walker
 from carla_recap.sim.errors import SimError
 from carla_recap.sim.geometry import Rotation, Transform
 from carla_recap.sim.validation import expect_count
 
 if TYPE_CHECKING:
-    from carla_recap.sim.actors.actors import Actor
+    from carla_recap.sim.actors.actor import Actor
     from carla_recap.sim.geometry import Location
-    from carla_recap.sim.world import World
+    from carla_recap.sim.interfaces import ScenarioWorld
 
 _TRIES: Final = 20  # places tried for a walker
 _REACH: Final = 80.0  # m: what is near
@@ -21,7 +21,7 @@ _DRAWS: Final = 10_000  # places on sidewalks that are drawn to find one that is
 
 
 def populate(
-    world: World, vehicles: int, walkers: int, *, hero: bool = False, around: Location | None = None
+    world: ScenarioWorld, vehicles: int, walkers: int, *, hero: bool = False, around: Location | None = None
 ) -> list[Actor]:
     """Let vehicles on autopilot and strolling walkers appear, at random.
 
@@ -60,7 +60,7 @@ class _Near:
     def __call__(self, place: Location) -> bool:
         return self._place is None or self._place.distance(place) <= _REACH
 
-    def random_walk(self, world: World) -> Location:
+    def random_walk(self, world: ScenarioWorld) -> Location:
         """A place on a sidewalk.
 
         Raises:
@@ -72,7 +72,7 @@ class _Near:
         raise SimError(f"{world.town.name} has no sidewalk within {_REACH:g} m of {self._place}")
 
 
-def _vehicles(world: World, count: int, near: _Near, *, hero: bool) -> list[Vehicle]:
+def _vehicles(world: ScenarioWorld, count: int, near: _Near, *, hero: bool) -> list[Vehicle]:
     models = [blueprint for blueprint in world.blueprints if blueprint.kind == ActorKind.VEHICLE]
     if count and not world.town.spawn_points:
         raise SimError(f"{world.town.name} has no place for a vehicle: no lanes for cars that lead anywhere")
@@ -92,7 +92,7 @@ def _vehicles(world: World, count: int, near: _Near, *, hero: bool) -> list[Vehi
     return found
 
 
-def _walkers(world: World, count: int, near: _Near) -> list[Walker]:
+def _walkers(world: ScenarioWorld, count: int, near: _Near) -> list[Walker]:
     models = [blueprint for blueprint in world.blueprints if blueprint.kind == ActorKind.WALKER]
     found: list[Walker] = []
     for _ in range(count):

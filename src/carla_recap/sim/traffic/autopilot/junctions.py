@@ -6,11 +6,11 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
+from carla_recap.sim.actors.lights import GREEN
 from carla_recap.sim.traffic.autopilot.gates import inside, next_gate, survey
 from carla_recap.sim.traffic.autopilot.network import NONE
 from carla_recap.sim.traffic.autopilot.permits import Permits, Request
 from carla_recap.sim.traffic.autopilot.view import MOVING
-from carla_recap.sim.traffic.lights import GREEN
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray

@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
+from carla_recap.sim.actors.lights import GREEN
 from carla_recap.sim.traffic.autopilot import drift
 from carla_recap.sim.traffic.autopilot.cars import find
 from carla_recap.sim.traffic.autopilot.drivers import Drivers
@@ -19,14 +20,13 @@ from carla_recap.sim.traffic.autopilot.speeds import wishes
 from carla_recap.sim.traffic.autopilot.steering import wrap
 from carla_recap.sim.traffic.autopilot.surroundings import Surroundings
 from carla_recap.sim.traffic.autopilot.view import see
-from carla_recap.sim.traffic.lights import GREEN
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
+    from carla_recap.sim.actors.registry import ActorRegistry
     from carla_recap.sim.traffic.autopilot.cars import Cars
     from carla_recap.sim.traffic.autopilot.view import View
-    from carla_recap.sim.world import World
 
     Flags = NDArray[np.bool_]
     Floats = NDArray[np.float64]
@@ -46,16 +46,20 @@ class Autopilot:
     Whoever has it switched on while it drives goes on from where it is, at the speed that it has.
 
     Args:
-        world: The world; its `random` chooses the ways and the characters of the drivers.
+        registry: The actors.
+        random: What chooses the ways and the characters of the drivers.
     """
 
-    def __init__(self, world: World) -> None:
-        self._world = world
-        self._network = Network(world.town)
-        self._surroundings = Surroundings(world)
+    def __init__(self, registry: ActorRegistry, random: np.random.Generator) -> None:
+        self._registry = registry
+        self._random = random
+        self._town = registry.town
+        self._clock = registry.clock
+        self._network = Network(self._town)
+        self._surroundings = Surroundings(registry)
         self._drivers = Drivers()
-        self._routes = Routes(self._network, world.random)
-        self._junctions = Junctions(world.town, self._network, self._drivers, self._routes)
+        self._routes = Routes(self._network, random)
+        self._junctions = Junctions(self._town, self._network, self._drivers, self._routes)
         self._wishes: Floats | None = None
         self._looked = 0.0
         self._looks = 0
@@ -66,8 +70,8 @@ class Autopilot:
         Args:
             delta: The time until the next step, in s.
         """
-        world, drivers, routes, network = self._world, self._drivers, self._routes, self._network
-        vehicles = world.vehicles
+        clock, drivers, routes, network = self._clock, self._drivers, self._routes, self._network
+        vehicles = self._registry.vehicles
         rows = np.flatnonzero(self._driven())
         if not np.array_equal(vehicles.id[rows], drivers.id):
             self._change_drivers(rows)
@@ -75,33 +79,33 @@ class Autopilot:
             return
         cars = find(vehicles, rows)
         self._follow(cars, delta)
-        if self._wishes is None or world.elapsed + delta / 2 >= self._looked + _REACTION:
-            self._wishes, self._looked = wishes(cars, self._look(cars), drivers, routes, network), world.elapsed
+        if self._wishes is None or clock.elapsed + delta / 2 >= self._looked + _REACTION:
+            self._wishes, self._looked = wishes(cars, self._look(cars), drivers, routes, network), clock.elapsed
             indicate(cars, drivers, routes, network, vehicles)
         press(cars, drivers, vehicles, self._wishes, delta)
         turn_wheel(cars, drivers, routes, network, vehicles)
 
     def _driven(self) -> Flags:
-        vehicles = self._world.vehicles
+        vehicles = self._registry.vehicles
         driven: Flags = vehicles.autopilot & vehicles.simulated
         return driven
 
     def _change_drivers(self, rows: Integers) -> None:
         """Let drivers come and go, so that they are those of some vehicles, in their order."""
         drivers, routes = self._drivers, self._routes
-        ids: list[int] = self._world.vehicles.id[rows].tolist()
+        ids: list[int] = self._registry.vehicles.id[rows].tolist()
         place = {id: number for number, id in enumerate(drivers.id.tolist())}
         new = [number for number, id in enumerate(ids) if id not in place]
         for id in [id for id in place if id not in set(ids)]:
             self._junctions.leave(id)
         for number in new:
             place[ids[number]] = len(drivers)
-            drivers.add(ids[number], self._world.random)
+            drivers.add(ids[number], self._random)
             routes.add()
         order = np.array([place[id] for id in ids], np.int64)
         drivers.choose(order)
         routes.choose(order)
-        cars = find(self._world.vehicles, rows)
+        cars = find(self._registry.vehicles, rows)
         self._junctions.set_drivers(cars.half_length)
         for number in new:
             self._begin(cars, number)
@@ -109,7 +113,7 @@ class Autopilot:
 
     def _begin(self, cars: Cars, row: int) -> None:
         """Begin to drive a vehicle from where it is, on the nearest lane."""
-        z = float(self._world.vehicles.position[cars.rows[row], 2])
+        z = float(self._registry.vehicles.position[cars.rows[row], 2])
         lane, s = self._network.nearest(float(cars.x[row]), float(cars.y[row]), z, float(cars.yaw[row]))
         self._take_lane(cars, row, lane, s)
         away = abs(float(self._drivers.beside[row]))
@@ -118,7 +122,7 @@ class Autopilot:
     def _change_lane(self, cars: Cars, row: int, lane: int) -> None:
         """Drive on another lane, beside the present one."""
         hint = self._routes.along[row] - self._routes.starts[row, 0]
-        s, _ = self._world.town.project([lane], [cars.x[row]], [cars.y[row]], [hint])
+        s, _ = self._town.project([lane], [cars.x[row]], [cars.y[row]], [hint])
         self._take_lane(cars, row, lane, float(np.clip(s[0], 0, self._network.length[lane])))
 
     def _take_lane(self, cars: Cars, row: int, lane: int, s: float) -> None:
@@ -150,33 +154,33 @@ class Autopilot:
         self._junctions.pass_on()
         expected = drift.aside(drivers.offset, drivers.slope, drift.share(drivers, routes.along))
         stray = (np.abs(ahead) > _STRAY) | (np.abs(drivers.beside - expected) > _STRAY)
-        searching = self._world.elapsed % _SEARCH < delta
+        searching = self._clock.elapsed % _SEARCH < delta
         for row in np.flatnonzero(np.where(drivers.lost, searching, stray)).tolist():
             self._begin(cars, row)
 
     def _look(self, cars: Cars) -> View:
         """Look ahead, and decide what follows: who goes through which junction, and who changes lanes."""
-        world, drivers, routes, network = self._world, self._drivers, self._routes, self._network
+        registry, drivers, routes, network = self._registry, self._drivers, self._routes, self._network
         driven = self._driven()
         self._looks += 1
         view = see(cars, drivers, routes, network, self._surroundings.boxes(driven))
-        states = np.full(len(world.town.signals) + 1, GREEN)
-        states[world.signals.signal] = world.signals.state
+        states = np.full(len(self._town.signals) + 1, GREEN)
+        states[registry.signals.signal] = registry.signals.state
         braking = wanted_gap(cars.speed, cars.speed, drivers)
-        self._junctions.decide(world.elapsed, states, cars.speed, view, braking, self._tails(cars, driven))
-        changes = lane_changes(cars, view, drivers, routes, network, world.vehicles, self._looks)
+        self._junctions.decide(self._clock.elapsed, states, cars.speed, view, braking, self._tails(cars, driven))
+        changes = lane_changes(cars, view, drivers, routes, network, registry.vehicles, self._looks)
         for row, lane in list(changes):
             self._change_lane(cars, row, lane)
         return view
 
     def _tails(self, cars: Cars, driven: Flags) -> Tails:
         """The last vehicles on the lanes, whoever drives them."""
-        routes, vehicles, others = self._routes, self._world.vehicles, np.flatnonzero(~driven)
+        routes, vehicles, others = self._routes, self._registry.vehicles, np.flatnonzero(~driven)
         lane, s = routes.lanes[:, 0], routes.along - routes.starts[:, 0]
         speed, half = cars.speed, cars.half_length
         if len(others):
             x, y, yaw = vehicles.position[others, 0], vehicles.position[others, 1], np.radians(vehicles.rotation[others, 1])
-            near, place = self._world.town.nearest_lane(x, y, heading=yaw)
+            near, place = self._town.nearest_lane(x, y, heading=yaw)
             at_x, at_y, _ = self._network.places(self._network.spot(near, place))
             there = np.hypot(x - at_x, y - at_y) < _BESIDE
             others = others[there]

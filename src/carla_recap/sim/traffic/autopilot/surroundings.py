@@ -6,14 +6,14 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
-from carla_recap.sim.actors.actors import Prop
+from carla_recap.sim.actors.actor import Prop
 from carla_recap.sim.traffic.autopilot.sight import Boxes, join
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
+    from carla_recap.sim.actors.registry import ActorRegistry
     from carla_recap.sim.physics.walkers import Walkers
-    from carla_recap.sim.world import World
 
     Flags = NDArray[np.bool_]
 
@@ -29,11 +29,11 @@ class Surroundings:
     """Knows where everything in a world is.
 
     Args:
-        world: The world.
+        registry: The actors.
     """
 
-    def __init__(self, world: World) -> None:
-        self._world = world
+    def __init__(self, registry: ActorRegistry) -> None:
+        self._registry = registry
         self._things = _boxes([])
         self._due = 0.0
         self._actors = 0
@@ -47,11 +47,11 @@ class Surroundings:
         Returns:
             The boxes of the vehicles, in their order, then all others.
         """
-        world = self._world
-        if world.elapsed >= self._due or len(world.actors) != self._actors:
-            self._due, self._actors = world.elapsed + _EVERY, len(world.actors)
-            self._things = _boxes([actor for actor in world.actors.values() if isinstance(actor, Prop) and actor.body])
-        vehicles = world.vehicles
+        registry, elapsed = self._registry, self._registry.clock.elapsed
+        if elapsed >= self._due or len(registry.actors) != self._actors:
+            self._due, self._actors = elapsed + _EVERY, len(registry.actors)
+            self._things = _boxes([actor for actor in registry.actors.values() if isinstance(actor, Prop) and actor.body])
+        vehicles = registry.vehicles
         cars = Boxes(
             np.where(vehicles.carried, _NOWHERE, vehicles.position[:, 0]),
             vehicles.position[:, 1],
@@ -61,7 +61,7 @@ class Surroundings:
             vehicles.velocity[:, 0],
             vehicles.velocity[:, 1],
         )
-        return join(cars.swept(np.where(driven, 0.0, _VEHICLES_AHEAD)), _people(world.walkers), self._things)
+        return join(cars.swept(np.where(driven, 0.0, _VEHICLES_AHEAD)), _people(registry.walkers), self._things)
 
 
 def _people(walkers: Walkers) -> Boxes:

@@ -1,4 +1,4 @@
-"""Whose collisions are noticed, and what a tick's contacts make of them."""
+"""Collisions of actors, made from the contacts of their bodies."""
 
 from __future__ import annotations
 
@@ -6,26 +6,28 @@ from dataclasses import dataclass
 from math import hypot
 from typing import TYPE_CHECKING, Final
 
-from carla_recap.sim.actors.actors import Vehicle, Walker
+import numpy as np
+
 from carla_recap.sim.actors.blueprints import COLLISION_SENSOR
 from carla_recap.sim.actors.events import Collision
+from carla_recap.sim.actors.moving import Vehicle, Walker
 from carla_recap.sim.geometry import Location, Vector
 from carla_recap.sim.physics.walkers import FALL
 
 if TYPE_CHECKING:
     from collections.abc import Iterable
 
-    from carla_recap.sim.actors.actors import Actor
+    from carla_recap.sim.actors.actor import Actor
+    from carla_recap.sim.actors.registry import ActorRegistry
     from carla_recap.sim.physics.plane import Contact
-    from carla_recap.sim.world import World
 
-_LEAST: Final = 1e-6  # N s: who only touches does not collide
-_HEIGHT: Final = 0.5  # m: a bumper's, above the road
+_LEAST_IMPULSE: Final = 1e-6  # N s: less is a touch, no collision
+_BUMPER_HEIGHT: Final = 0.5  # m above the road
 
 
 @dataclass(slots=True)
 class _Push:
-    """What an actor got from another in a tick: where it was pushed first, and all impulses."""
+    """The first point of contact of a pair of actors in a tick, and the sum of the impulses."""
 
     point: tuple[float, float]
     x: float = 0.0
@@ -33,32 +35,32 @@ class _Push:
 
 
 class Collisions:
-    """Makes collisions out of contacts.
+    """Makes collisions out of the contacts of an episode.
 
-    Each is told from the side of who is watched; of two that are, from both sides, as two collision sensors would tell it.
+    A collision is reported for an actor that is watched; if both are, once for each, as by two collision sensors.
 
     Args:
-        world: The world.
+        registry: The actors.
     """
 
-    def __init__(self, world: World) -> None:
-        self._world = world
+    def __init__(self, registry: ActorRegistry) -> None:
+        self._registry = registry
         self._pushes: dict[tuple[int, int | None], _Push] = {}
         self._watched: dict[int, bool] = {}
         self._number = 0
 
     def add(self, contacts: Iterable[Contact]) -> None:
-        """Take in the contacts of a step; walkers that are hit hard fall."""
+        """Add the contacts of a step; walkers that are hit hard by a vehicle fall."""
         for contact in contacts:
             x, y = contact.impulse
-            if hypot(x, y) <= _LEAST:
+            if hypot(x, y) <= _LEAST_IMPULSE:
                 continue
-            a, b = self._world.owner(contact.a), self._world.owner(contact.b)
+            a, b = self._registry.owner(contact.a), self._registry.owner(contact.b)
             self._pushed(a, b, (x, y), contact.point)
             self._pushed(b, a, (-x, -y), contact.point)
 
     def take(self) -> list[Collision]:
-        """The collisions of the tick, in the order in which they began."""
+        """Return the collisions of the tick, in the order in which they began, and begin the next one."""
         self._watched.clear()
         collisions = [self._collision(pair, push) for pair, push in self._pushes.items()]
         self._pushes = {}
@@ -79,21 +81,22 @@ class Collisions:
                 walkers.fall(row)
 
     def _collision(self, pair: tuple[int, int | None], push: _Push) -> Collision:
-        first, second = (None if id is None else self._world.actors[id] for id in pair)
+        first, second = (None if id is None else self._registry.actors[id] for id in pair)
         number, self._number = self._number, self._number + 1
         x, y = push.point
-        place = Location(x, y, self._world.height(x, y) + _HEIGHT)
+        height = self._registry.town.height(np.array([x]), np.array([y])).item()
+        place = Location(x, y, height + _BUMPER_HEIGHT)
         impulse = Vector(push.x, push.y, 0.0)
         return Collision(*pair, place, impulse, _is_hero(first), _is_hero(second), number)
 
     def _is_watched(self, actor: Actor) -> bool:
-        """Whether collisions of an actor are noticed, decided once a tick."""
+        """Return whether the collisions of an actor are reported; decided once per tick."""
         if actor.id not in self._watched:
-            self._watched[actor.id] = self._is_to_be_watched(actor)
+            self._watched[actor.id] = self._should_watch(actor)
         return self._watched[actor.id]
 
-    def _is_to_be_watched(self, actor: Actor) -> bool:
-        if self._world.settings.collisions_of == "all" and isinstance(actor, (Vehicle, Walker)):
+    def _should_watch(self, actor: Actor) -> bool:
+        if self._registry.settings.collisions_of == "all" and isinstance(actor, (Vehicle, Walker)):
             return True
         return actor.is_hero or any(child.type_id == COLLISION_SENSOR for child in actor.children)
 

@@ -1,0 +1,218 @@
+"""Actors with CARLA's vocabulary: what all of them have in common, and those that do not move by themselves."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Protocol
+
+import numpy as np
+
+from carla_recap.sim.errors import DeadActor
+from carla_recap.sim.geometry import Transform, Vector
+from carla_recap.sim.physics.plane import PROP
+from carla_recap.sim.validation import expect_transform
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping, Sequence
+
+    import pymunk
+
+    from carla_recap.records import ActorKind
+    from carla_recap.sim.actors.blueprints import Blueprint, BlueprintLibrary
+    from carla_recap.sim.actors.events import Collision
+    from carla_recap.sim.clock import Clock
+    from carla_recap.sim.geometry import Box
+    from carla_recap.sim.physics.plane import Plane
+    from carla_recap.sim.settings import Settings
+    from carla_recap.sim.town.town import Town
+
+HERO = "hero"
+"""The role name of the vehicle under test."""
+
+
+class ActorContext(Protocol):
+    """What an actor asks of the episode that it belongs to."""
+
+    @property
+    def town(self) -> Town:
+        """The town."""
+
+    @property
+    def clock(self) -> Clock:
+        """The simulated time."""
+
+    @property
+    def settings(self) -> Settings:
+        """The settings of the simulation."""
+
+    @property
+    def blueprints(self) -> BlueprintLibrary:
+        """The blueprint library."""
+
+    @property
+    def plane(self) -> Plane:
+        """The bodies of all actors."""
+
+    @property
+    def actors(self) -> Mapping[int, Actor]:
+        """All actors by id."""
+
+    @property
+    def collisions(self) -> Sequence[Collision]:
+        """The collisions of the latest tick."""
+
+    def owner(self, body: int) -> Actor | None:
+        """Return the actor that a body of the plane belongs to; None for a barrier."""
+
+    def destroy(self, actor: Actor) -> bool:
+        """Destroy an actor and what is attached to it; return False if it had been destroyed before."""
+
+
+class Actor:
+    """Something in a world. `World.spawn` makes them.
+
+    Attributes:
+        context: The episode that it belongs to.
+        id: Its number, never used again.
+        blueprint: The blueprint that it was made from.
+        attributes: Its attributes, as text.
+        parent: The actor that it is attached to.
+        children: The actors that are attached to it.
+        is_alive: Whether it has not been destroyed.
+    """
+
+    def __init__(
+        self,
+        context: ActorContext,
+        id: int,
+        blueprint: Blueprint,
+        transform: Transform,
+        attributes: dict[str, str] | None = None,
+        parent: Actor | None = None,
+    ) -> None:
+        self.context = context
+        self.id = id
+        self.blueprint = blueprint
+        self.attributes = {**blueprint.attributes, **(attributes or {})}
+        self.parent = parent
+        self.children: list[Actor] = []
+        self.is_alive = True
+        self._transform = transform.copy()
+        if parent is not None:
+            parent.children.append(self)
+
+    def __repr__(self) -> str:
+        return f"{type(self).__name__}({self.id}, {self.type_id!r})"
+
+    @property
+    def type_id(self) -> str:
+        """The name of its blueprint."""
+        return self.blueprint.id
+
+    @property
+    def kind(self) -> ActorKind:
+        """Its kind, as recordings number kinds."""
+        return self.blueprint.kind
+
+    @property
+    def box(self) -> Box:
+        """The box around it, in its own axes."""
+        return self.blueprint.box
+
+    @property
+    def is_hero(self) -> bool:
+        """Whether its role name is hero."""
+        return self.attributes.get("role_name") == HERO
+
+    @property
+    def transform(self) -> Transform:
+        """A copy of its transform in the world. Setting it moves the actor; an attached one, relative to its parent."""
+        if self.parent is not None and self.is_alive:
+            return attached_transform(self.parent, self._transform)
+        return self._transform.copy()
+
+    @transform.setter
+    def transform(self, value: Transform) -> None:
+        self.check()
+        expect_transform(f"the transform of {self!r}", value)
+        self._transform = value.copy()
+
+    @property
+    def relative_transform(self) -> Transform:
+        """Its transform relative to its parent; in the world, if it has none."""
+        return self._transform.copy() if self.parent is not None else self.transform
+
+    @property
+    def velocity(self) -> Vector:
+        """Its velocity in m/s."""
+        return self.parent.velocity if self.parent is not None else Vector()
+
+    @property
+    def angular_velocity(self) -> Vector:
+        """Its angular velocity in degrees/s."""
+        return self.parent.angular_velocity if self.parent is not None else Vector()
+
+    @property
+    def acceleration(self) -> Vector:
+        """Its acceleration in m/s²."""
+        return self.parent.acceleration if self.parent is not None else Vector()
+
+    def destroy(self) -> bool:
+        """Destroy it and what is attached to it; return False if it had been destroyed before."""
+        return self.context.destroy(self)
+
+    def mark_destroyed(self) -> None:
+        """Keep its last transform, and let everything that needs a live actor raise `DeadActor` from now on."""
+        self._transform = self.transform
+        self.is_alive = False
+
+    def check(self) -> None:
+        """Make sure that it is alive.
+
+        Raises:
+            DeadActor: It has been destroyed.
+        """
+        if not self.is_alive:
+            raise DeadActor(f"actor {self.id} ({self.type_id}) has been destroyed")
+
+
+class Prop(Actor):
+    """A static object.
+
+    Attributes:
+        body: Its body in the plane; None if it is attached to something, or has no size.
+    """
+
+    body: pymunk.Body | None = None
+
+    @property
+    def transform(self) -> Transform:
+        """A copy of its transform in the world. Setting it moves the prop; an attached one, relative to its parent."""
+        return super().transform
+
+    @transform.setter
+    def transform(self, value: Transform) -> None:
+        self.check()
+        expect_transform(f"the transform of {self!r}", value)
+        self._transform = value.copy()
+        if self.body is not None:
+            x, y = value.location.x, value.location.y
+            self.context.plane.move(self.body, x, y, np.radians(value.rotation.yaw).item())
+
+    def set_collisions(self, enabled: bool = True) -> None:
+        """Let it collide with others, or be passed through."""
+        self.check()
+        if self.body is not None:
+            self.context.plane.set_touching(self.body, PROP, enabled)
+
+
+class Sensor(Actor):
+    """A sensor: a collision sensor has the collisions of its parent recorded, the others do nothing by themselves."""
+
+
+class Spectator(Actor):
+    """The viewpoint of the person who watches the world."""
+
+
+def attached_transform(parent: Actor, relative: Transform) -> Transform:
+    """Return the transform in the world of something attached to a parent."""
+    return parent.transform.attached(relative)

@@ -1,0 +1,287 @@
+"""Traffic signs and traffic lights: the lights of a town as arrays, their cycle, and the actors that stand for them."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Final, Protocol
+
+import numpy as np
+
+from carla_recap.sim.actors.actor import Actor, ActorContext
+from carla_recap.sim.errors import SimError
+from carla_recap.sim.town.town import SignalKind
+from carla_recap.sim.validation import LARGEST, expect_between
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from numpy.typing import ArrayLike, NDArray
+
+    from carla_recap.sim.actors.blueprints import Blueprint
+    from carla_recap.sim.town.town import Signal, Town
+
+    Floats = NDArray[np.float64]
+    Integers = NDArray[np.int64]
+
+RED, YELLOW, GREEN, OFF, UNKNOWN = range(5)
+GREEN_TIME, YELLOW_TIME, RED_TIME = 10.0, 3.0, 2.0
+"""How long a light is green and yellow, and then all are red, in s: CARLA's defaults."""
+_ROUNDING: Final = 1e-9  # s
+_ACROSS: Final = 90.0
+"""Degrees: CARLA turns its lights and signs so much further than the signals of the map, with x across the road."""
+
+
+class Signals:
+    """The lights as a struct of arrays; row i is `world.traffic_lights[i]`.
+
+    A phase is the lights of a junction that are green together. Its times are those of its first light.
+
+    Args:
+        town: The town.
+
+    Attributes:
+        signal: The index of each light among the town's signals, (n,).
+        state: 0 red, 1 yellow, 2 green, 3 off, 4 unknown, (n,).
+        elapsed: For how long each has been in its state, in s.
+        frozen: Whether its time stands still.
+        green_time: How long it is green, in s.
+        yellow_time: How long it is yellow, in s.
+        red_time: How long all are red after it, in s.
+        held: Whether somebody else says what all of them show, as a replay does: time then does nothing.
+    """
+
+    def __init__(self, town: Town) -> None:
+        self.signal = np.array([s.index for s in town.signals if s.kind is SignalKind.LIGHT], np.int64)
+        count = len(self.signal)
+        self.held = False
+        self.state = np.full(count, RED, np.int64)
+        self.elapsed = np.zeros(count)
+        self.frozen = np.zeros(count, np.bool_)
+        self._times = np.repeat([[RED_TIME], [YELLOW_TIME], [GREEN_TIME]], count, axis=1)  # a row for each stage
+        self.red_time, self.yellow_time, self.green_time = self._times
+        self._groups = self._grouped(town)
+        self._group_of = np.zeros(count, np.int64)
+        for number, group in enumerate(self._groups):
+            for phase in group:
+                self._group_of[phase] = number
+        self._phase = np.zeros(len(self._groups), np.int64)
+        self._stage = np.full(len(self._groups), GREEN)
+        self._clock = np.zeros(len(self._groups))
+        self._halted = np.zeros(len(self._groups), np.bool_)
+        self._leader = np.zeros(len(self._groups), np.int64)
+        self._governing = self._lanes(town)
+        self.reset_all()
+
+    def __len__(self) -> int:
+        return len(self.signal)
+
+    def step(self, seconds: float) -> None:
+        """Let time pass."""
+        if self.held:
+            return
+        self.elapsed += seconds * ~self.frozen
+        self._clock += seconds * ~self._halted
+        times = self._times[self._stage, self._leader]
+        for number in (self._clock >= times - _ROUNDING).nonzero()[0].tolist():
+            stage, phase = int(self._stage[number]), int(self._phase[number])
+            if stage == RED:
+                self._enter(number, (phase + 1) % len(self._groups[number]), GREEN)
+            else:
+                self._enter(number, phase, YELLOW if stage == GREEN else RED)
+
+    def state_of_lane(self, lane: ArrayLike) -> Integers:
+        """What the lights show for lanes: of several that govern one, the strictest; off where none does.
+
+        Args:
+            lane: Indices of lanes, (k,).
+        """
+        shown = np.append(self.state, OFF)[self._governing[np.asarray(lane)]]
+        states: Integers = np.where(shown == UNKNOWN, OFF, shown).min(axis=-1)
+        return states
+
+    def group_of(self, row: int) -> list[int]:
+        """The rows of the lights that take turns with a light, itself included."""
+        return sorted(row for phase in self._groups[self._group_of[row]] for row in phase)
+
+    def set_state(self, row: int, state: int) -> None:
+        """Show something until the group changes the light the next time."""
+        if state != self.state[row]:
+            self.elapsed[row] = 0.0
+        self.state[row] = state
+
+    def freeze(self, row: int, frozen: bool) -> None:
+        """Stop the time of a light's group, or let it go on."""
+        group = self._group_of[row]
+        self._halted[group] = frozen
+        self.frozen[self.group_of(row)] = frozen
+
+    def freeze_all(self, frozen: bool) -> None:
+        """Stop the time of all lights, or let it go on."""
+        self._halted[:] = frozen
+        self.frozen[:] = frozen
+
+    def reset(self, row: int) -> None:
+        """Let the group of a light begin its cycle again."""
+        self._enter(int(self._group_of[row]), 0, GREEN)
+
+    def reset_all(self) -> None:
+        """Let all groups begin their cycles again."""
+        for number in range(len(self._groups)):
+            self._enter(number, 0, GREEN)
+
+    def _enter(self, number: int, phase: int, stage: int) -> None:
+        """Begin a stage of a group's cycle: a phase is green, then yellow, then red like the others."""
+        group = self._groups[number]
+        self._phase[number], self._stage[number], self._clock[number] = phase, stage, 0.0
+        self._leader[number] = group[phase][0]
+        for other, rows in enumerate(group):
+            for row in rows:
+                self.set_state(row, stage if other == phase else RED)
+
+    def _grouped(self, town: Town) -> list[list[list[int]]]:
+        """The rows of the lights by group and phase; who is in none takes turns with itself."""
+        row_of = {index: row for row, index in enumerate(self.signal.tolist())}
+        groups = [[[row_of[index] for index in phase] for phase in j.phases] for j in town.junctions if j.phases]
+        grouped = {row for group in groups for phase in group for row in phase}
+        return groups + [[[row]] for row in row_of.values() if row not in grouped]
+
+    def _lanes(self, town: Town) -> Integers:
+        """The rows of the lights that govern each lane, filled up with a row beyond the last, (lanes, most)."""
+        governing: list[list[int]] = [[] for _ in town.lanes]
+        for row, index in enumerate(self.signal.tolist()):
+            signal = town.signals[index]
+            for lane in dict.fromkeys((*(lane for lane, _ in signal.stops), *signal.governs)):
+                governing[lane].append(row)
+        most = max(1, *(len(rows) for rows in governing)) if governing else 1
+        return np.array([rows + [len(self)] * (most - len(rows)) for rows in governing], np.int64).reshape(-1, most)
+
+
+class SignalContext(ActorContext, Protocol):
+    """What a traffic light asks of the episode that it belongs to."""
+
+    @property
+    def signals(self) -> Signals:
+        """All traffic lights, as arrays."""
+
+    @property
+    def traffic_lights(self) -> Sequence[TrafficLight]:
+        """All traffic lights; light i is row i of `signals`."""
+
+    def report_light_times(self, light: TrafficLight) -> None:
+        """Add changed times of a light to the events of the tick."""
+
+
+class Sign(Actor):
+    """A stop, yield or speed-limit sign.
+
+    Attributes:
+        signal: What the town says of it.
+    """
+
+    def __init__(self, context: ActorContext, id: int, blueprint: Blueprint, signal: Signal) -> None:
+        place = signal.transform.copy()
+        place.rotation.yaw = (place.rotation.yaw + _ACROSS + 180) % 360 - 180
+        super().__init__(context, id, blueprint, place)
+        self.signal = signal
+
+
+class TrafficLight(Sign):
+    """A traffic light; its numbers are those of row `row` of `World.signals`."""
+
+    context: SignalContext
+
+    def __init__(self, context: SignalContext, id: int, blueprint: Blueprint, signal: Signal, row: int) -> None:
+        super().__init__(context, id, blueprint, signal)
+        self.row = row
+
+    @property
+    def _signals(self) -> Signals:
+        self.check()
+        return self.context.signals
+
+    @property
+    def state(self) -> int:
+        """0 red, 1 yellow, 2 green, 3 off, 4 unknown; setting it lasts until the group's next change."""
+        return int(self._signals.state[self.row])
+
+    @state.setter
+    def state(self, state: int) -> None:
+        expect_between("the state of a traffic light", state, RED, UNKNOWN)
+        self._signals.set_state(self.row, state)
+
+    def set_state(self, state: int) -> None:
+        """See `state`."""
+        self.state = state
+
+    @property
+    def elapsed_time(self) -> float:
+        """For how long it has had its state, in s."""
+        return float(self._signals.elapsed[self.row])
+
+    @elapsed_time.setter
+    def elapsed_time(self, seconds: float) -> None:
+        self._expect_time("time", seconds)
+        self._signals.elapsed[self.row] = seconds
+
+    @property
+    def frozen(self) -> bool:
+        """Whether the time of its group stands still."""
+        return bool(self._signals.frozen[self.row])
+
+    @frozen.setter
+    def frozen(self, frozen: bool) -> None:
+        self._signals.freeze(self.row, frozen)
+
+    def freeze(self, frozen: bool = True) -> None:
+        """Stop the time of its group, or let it go on."""
+        self.frozen = frozen
+
+    @property
+    def green_time(self) -> float:
+        """How long it is green, in s."""
+        return float(self._signals.green_time[self.row])
+
+    @green_time.setter
+    def green_time(self, seconds: float) -> None:
+        self._set_time("green_time", seconds)
+
+    @property
+    def yellow_time(self) -> float:
+        """How long it is yellow, in s."""
+        return float(self._signals.yellow_time[self.row])
+
+    @yellow_time.setter
+    def yellow_time(self, seconds: float) -> None:
+        self._set_time("yellow_time", seconds)
+
+    @property
+    def red_time(self) -> float:
+        """How long all are red after it, in s."""
+        return float(self._signals.red_time[self.row])
+
+    @red_time.setter
+    def red_time(self, seconds: float) -> None:
+        self._set_time("red_time", seconds)
+
+    @property
+    def group(self) -> list[TrafficLight]:
+        """All lights that take turns with it, itself included."""
+        lights = self.context.traffic_lights
+        return [lights[row] for row in self._signals.group_of(self.row)]
+
+    def reset_group(self) -> None:
+        """Let its group begin its cycle again."""
+        self._signals.reset(self.row)
+
+    @property
+    def affected_lanes(self) -> tuple[tuple[int, float], ...]:
+        """The lanes that it governs, and how far along each one stops, in m."""
+        return self.signal.stops
+
+    def _set_time(self, name: str, seconds: float) -> None:
+        self._expect_time(name.replace("_", " "), seconds)
+        getattr(self._signals, name)[self.row] = seconds
+        self.context.report_light_times(self)
+
+    def _expect_time(self, what: str, seconds: float) -> None:
+        if not 0 <= seconds <= LARGEST:
+            raise SimError(f"{self!r}: a {what} of {seconds:g} s: expected 0 s or more, and at most {LARGEST:g} s")

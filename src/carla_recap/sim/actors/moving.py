@@ -1,0 +1,351 @@
+"""Actors that move by themselves: vehicles and walkers, each a row of a struct of arrays."""
+
+from __future__ import annotations
+
+from copy import deepcopy
+from typing import TYPE_CHECKING, Any, Final, Protocol
+
+import numpy as np
+
+from carla_recap.sim.actors.actor import Actor, ActorContext, attached_transform
+from carla_recap.sim.actors.control import VehicleControl, WalkerControl
+from carla_recap.sim.geometry import Location, Rotation, Transform, Vector
+from carla_recap.sim.physics.physics_control import expect_physics
+from carla_recap.sim.physics.plane import VEHICLE, WALKER
+from carla_recap.sim.validation import (
+    expect_between,
+    expect_finite,
+    expect_place,
+    expect_push,
+    expect_transform,
+    expect_velocity,
+)
+
+if TYPE_CHECKING:
+    from carla_recap.sim.physics.movers import Movers
+    from carla_recap.sim.physics.physics_control import PhysicsControl
+    from carla_recap.sim.physics.vehicles import Vehicles
+    from carla_recap.sim.physics.walkers import Walkers
+
+ALL_DOORS = 6
+"""The number that stands for doors 0 to 5 together."""
+_LIGHT_BITS: Final = 0xFFFFFFFF
+
+
+class WalkerDestinations(Protocol):
+    """The destinations of walkers that find their way by themselves, by actor id."""
+
+    def destination(self, walker: int) -> Location | None:
+        """Return the destination of a walker; None if it has none."""
+
+    def set_destination(self, walker: Walker, place: Location) -> None:
+        """Let a walker find its way to a place, and then on to others."""
+
+    def clear_destination(self, walker: int) -> None:
+        """Leave a walker to its control."""
+
+
+class TrafficControllers(Protocol):
+    """What moves vehicles and walkers by itself, made when first used."""
+
+    def start_autopilot(self) -> None:
+        """Make sure that there is an autopilot, for the vehicles that have it switched on."""
+
+    @property
+    def pedestrians(self) -> WalkerDestinations:
+        """The navigation of the walkers that have destinations."""
+
+
+class MovingContext(ActorContext, Protocol):
+    """What a vehicle or walker asks of the episode that it belongs to."""
+
+    @property
+    def vehicles(self) -> Vehicles:
+        """All vehicles, as arrays."""
+
+    @property
+    def walkers(self) -> Walkers:
+        """All walkers, as arrays."""
+
+    @property
+    def traffic(self) -> TrafficControllers:
+        """The autopilot and the pedestrian navigation."""
+
+    def report_physics_control(self, vehicle: Vehicle) -> None:
+        """Add a changed physics control to the events of the tick."""
+
+    def report_door(self, vehicle: Vehicle, door: int, open: bool) -> None:
+        """Add a door that was opened or closed to the events of the tick."""
+
+
+class MovingActor(Actor):
+    """An actor whose numbers are a row of a struct of arrays."""
+
+    context: MovingContext
+    _group = VEHICLE
+
+    @property
+    def rows(self) -> Movers:
+        """The struct of arrays that it is in."""
+        raise NotImplementedError
+
+    @property
+    def row(self) -> int:
+        """Its row there.
+
+        Raises:
+            DeadActor: It has been destroyed.
+        """
+        self.check()
+        return self.rows.row(self.id)
+
+    @property
+    def transform(self) -> Transform:
+        """Where it is in the world: a copy. Setting it puts it elsewhere, at the speed that it has.
+
+        Of an attached one, it is set relative to its parent.
+        """
+        if not self.is_alive:
+            return self._transform.copy()
+        row = self.rows.row(self.id)
+        return Transform(
+            Location(*self.rows.position[row].tolist()),
+            Rotation(*self.rows.rotation[row].tolist()),
+        )
+
+    @transform.setter
+    def transform(self, value: Transform) -> None:
+        expect_transform(f"the transform of {self!r}", value)
+        if self.parent is not None:
+            self._transform = value.copy()
+            return self.follow_parent(self.parent)
+        place, turn = value.location, value.rotation
+        return self.rows.put(self.row, (place.x, place.y, place.z), (turn.pitch, turn.yaw, turn.roll))
+
+    @property
+    def velocity(self) -> Vector:
+        """In m/s."""
+        return self._vector("velocity")
+
+    @property
+    def angular_velocity(self) -> Vector:
+        """In degrees/s."""
+        return self._vector("angular_velocity")
+
+    @property
+    def acceleration(self) -> Vector:
+        """In m/s²."""
+        return self._vector("acceleration")
+
+    @property
+    def simulates_physics(self) -> bool:
+        """Whether forces move it; else it stays where it is put."""
+        return bool(self.rows.simulated[self.row])
+
+    def set_simulate_physics(self, enabled: bool = True) -> None:
+        """Let forces move it, or have it stay where it is put; an attached one goes where its parent does."""
+        self.rows.set_simulated(self.row, enabled and self.parent is None)
+
+    def set_collisions(self, enabled: bool = True) -> None:
+        """Let it touch others, or pass through them; an attached one always passes."""
+        rows = self.rows
+        rows.plane.set_touching(rows.bodies[self.row], self._group, enabled and self.parent is None)
+
+    def set_target_velocity(self, velocity: Vector) -> None:
+        """Give it a velocity in m/s, from which it goes on."""
+        expect_velocity(f"the velocity of {self!r}", velocity)
+        self.rows.set_velocity(self.row, velocity.x, velocity.y, velocity.z)
+
+    def follow_parent(self, parent: Actor) -> None:
+        """Go where a parent has gone that it is fixed to, and as fast."""
+        place, velocity = attached_transform(parent, self._transform), parent.velocity
+        turning, acceleration = parent.angular_velocity, parent.acceleration
+        rows, row = self.rows, self.row
+        rows.position[row] = place.location.x, place.location.y, place.location.z
+        rows.rotation[row] = place.rotation.pitch, place.rotation.yaw, place.rotation.roll
+        rows.set_velocity(row, velocity.x, velocity.y, velocity.z)
+        rows.angular_velocity[row] = turning.x, turning.y, turning.z
+        rows.acceleration[row] = acceleration.x, acceleration.y, acceleration.z
+
+    def _vector(self, column: str) -> Vector:
+        return Vector(*getattr(self.rows, column)[self.row].tolist()) if self.is_alive else Vector()
+
+
+class Vehicle(MovingActor):
+    """A vehicle.
+
+    Attributes:
+        open_doors: The numbers of the doors that are open; `set_door` moves them.
+    """
+
+    def __init__(self, *args: Any, **kwargs: Any) -> None:
+        super().__init__(*args, **kwargs)
+        assert self.blueprint.physics is not None
+        self.open_doors: set[int] = set()
+        self._physics_control = deepcopy(self.blueprint.physics)
+
+    @property
+    def rows(self) -> Vehicles:
+        """All vehicles."""
+        return self.context.vehicles
+
+    @property
+    def control(self) -> VehicleControl:
+        """What its driver does: a copy; setting it is `apply_control`."""
+        rows, row = self.rows, self.row
+        return VehicleControl(
+            rows.throttle[row].item(),
+            rows.steer[row].item(),
+            rows.brake[row].item(),
+            rows.hand_brake[row].item(),
+            rows.reverse[row].item(),
+            rows.manual[row].item(),
+            rows.gear[row].item(),
+        )
+
+    @control.setter
+    def control(self, control: VehicleControl) -> None:
+        self.apply_control(control)
+
+    def apply_control(self, control: VehicleControl) -> None:
+        """Tell its driver what to do from now on.
+
+        Throttle and brake beyond 0 to 1, and steering beyond -1 to 1, count as these; the gear counts where it is shifted
+        by hand.
+
+        Raises:
+            SimError: A number is none, or there is no such gear.
+        """
+        expect_finite(f"the control of {self!r}", control.throttle, control.steer, control.brake)
+        if control.manual_gear_shift:
+            expect_between(f"the gear of {self!r}", control.gear, -1, self.gears)
+        rows, row = self.rows, self.row
+        rows.throttle[row] = min(max(control.throttle, 0.0), 1.0)
+        rows.steer[row] = min(max(control.steer, -1.0), 1.0)
+        rows.brake[row] = min(max(control.brake, 0.0), 1.0)
+        rows.hand_brake[row] = control.hand_brake
+        rows.reverse[row] = control.reverse
+        rows.manual[row] = control.manual_gear_shift
+        if control.manual_gear_shift:
+            rows.gear[row] = control.gear
+
+    @property
+    def light_state(self) -> int:
+        """CARLA's light bits."""
+        return int(self.rows.light_state[self.row])
+
+    @light_state.setter
+    def light_state(self, bits: int) -> None:
+        expect_between(f"the lights of {self!r}", bits, 0, _LIGHT_BITS)
+        self.rows.light_state[self.row] = bits
+
+    @property
+    def autopilot(self) -> bool:
+        """Whether the autopilot drives it."""
+        return bool(self.rows.autopilot[self.row])
+
+    @autopilot.setter
+    def autopilot(self, enabled: bool) -> None:
+        self.set_autopilot(enabled)
+
+    def set_autopilot(self, enabled: bool = True) -> None:
+        """Have the autopilot drive it, or leave it to its controls."""
+        row = self.row
+        if enabled:
+            self.context.traffic.start_autopilot()
+        self.rows.autopilot[row] = enabled
+
+    @property
+    def gears(self) -> int:
+        """How many forward gears it has."""
+        return len(self._physics_control.forward_gears)
+
+    @property
+    def physics_control(self) -> PhysicsControl:
+        """How it moves: a copy; set it to change anything."""
+        return deepcopy(self._physics_control)
+
+    @physics_control.setter
+    def physics_control(self, control: PhysicsControl) -> None:
+        expect_physics(f"the physics control of {self!r}", control)
+        row = self.row
+        self._physics_control = deepcopy(control)
+        self.rows.set_physics(row, self._physics_control, self.box)
+        self.context.report_physics_control(self)
+
+    def add_impulse(self, impulse: Vector) -> None:
+        """Push it: N s, in the world."""
+        rows, row = self.rows, self.row
+        expect_push(f"an impulse on {self!r}", impulse, rows.mass[row].item())
+        change = np.zeros((len(rows), 2))
+        change[row] = np.array((impulse.x, impulse.y)) / rows.mass[row]
+        rows.kick(change)
+
+    def add_force(self, force: Vector) -> None:
+        """Push it during the next tick: N, in the world."""
+        rows, row = self.rows, self.row
+        seconds = self.context.settings.fixed_delta_seconds or self.context.clock.delta
+        impulse = Vector(force.x * seconds, force.y * seconds, force.z * seconds)
+        expect_push(f"a force on {self!r}", impulse, rows.mass[row].item())
+        rows.force[row] += (force.x, force.y)
+
+    def set_door(self, door: int, open: bool) -> None:
+        """Open or close a door: 0 front left, 1 front right, 2 rear left, 3 rear right, 4 hood, 5 trunk, 6 all."""
+        self.check()
+        expect_between("a door", door, 0, ALL_DOORS)
+        doors = {door} if door < ALL_DOORS else set(range(ALL_DOORS))
+        self.open_doors = self.open_doors | doors if open else self.open_doors - doors
+        self.context.report_door(self, door, open)
+
+
+class Walker(MovingActor):
+    """A pedestrian."""
+
+    _group = WALKER
+
+    @property
+    def rows(self) -> Walkers:
+        """All walkers."""
+        return self.context.walkers
+
+    @property
+    def control(self) -> WalkerControl:
+        """Where it is told to walk: a copy; setting it is `apply_control`."""
+        rows, row = self.rows, self.row
+        return WalkerControl(Vector(*rows.direction[row].tolist()), rows.speed[row].item(), rows.jump[row].item())
+
+    @control.setter
+    def control(self, control: WalkerControl) -> None:
+        self.apply_control(control)
+
+    def apply_control(self, control: WalkerControl) -> None:
+        """Have it walk in a direction; a destination is forgotten."""
+        direction = control.direction
+        expect_velocity(f"the direction of {self!r}", direction)
+        expect_velocity(f"the speed of {self!r}", Vector(control.speed))
+        rows, row = self.rows, self.row
+        self.context.traffic.pedestrians.clear_destination(self.id)
+        length = direction.length()
+        if length:
+            rows.direction[row] = direction.x / length, direction.y / length, direction.z / length
+        rows.speed[row] = max(control.speed, 0.0) if length else 0.0
+        rows.jump[row] = control.jump
+
+    @property
+    def destination(self) -> Location | None:
+        """Where it walks by itself; None where it does not. Setting it has it walk there, and then on to other places."""
+        return self.context.traffic.pedestrians.destination(self.id)
+
+    @destination.setter
+    def destination(self, place: Location | None) -> None:
+        self.check()
+        if place is None:
+            self.context.traffic.pedestrians.clear_destination(self.id)
+        else:
+            expect_place(f"the destination of {self!r}", place)
+            self.context.traffic.pedestrians.set_destination(self, place)
+
+    @property
+    def has_fallen(self) -> bool:
+        """Whether a vehicle has thrown it down."""
+        return bool(self.rows.fallen[self.row])
