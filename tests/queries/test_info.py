@@ -1,5 +1,6 @@
 from __future__ import annotations
 
+import struct
 from itertools import islice
 from typing import TYPE_CHECKING, Any, cast
 
@@ -95,6 +96,22 @@ def test_nan_keeps_its_sign(make: Make) -> None:
     reader = make({"walker_controls": [(1, nan), (2, -nan), (3, 1e-7), (4, -inf)]})
     lines = printed(reader, all=True).splitlines()
     assert [line.rpartition(" ")[2] for line in lines if "speed" in line] == ["nan", "-nan", "1e-07", "-inf"]
+
+
+@pytest.mark.parametrize("compat", [False, True])
+@pytest.mark.parametrize(("value", "shown"), [(float("nan"), "nan"), (-float("nan"), "-nan"), (float("inf"), "inf")])
+def test_nan_in_a_record_of_one_field(make: Make, compat: bool, value: float, shown: str) -> None:
+    reader = make({"visual_time": [(value,)], "platform_time": [(value,)]})
+    assert f" Current platform time: {shown}\n" in printed(reader, all=True, compat=compat)
+    names = [row.type for row in info(reader, all=True)]
+    assert names == ["frame", "visual_time", "platform_time"]
+
+
+@pytest.mark.parametrize(("compat", "shown"), [(True, "0.123456, -0.5, nan"), (False, "0.123457, -0.5, nan")])
+def test_carla_takes_the_center_of_mass_to_cm_and_back(make: Make, compat: bool, shown: str) -> None:
+    physics = struct.pack("<I5fB7f4I", 7, *[1.0] * 5, 1, *[1.0] * 4, 0.1234565, -0.5, float("nan"), 0, 0, 0, 0)
+    reader = make({"physics": struct.pack("<H", 1) + physics})
+    assert f"   center_of_mass = ({shown})\n" in printed(reader, all=True, compat=compat)
 
 
 def test_nan_in_a_name_is_none(make: Make) -> None:

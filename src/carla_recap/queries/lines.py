@@ -36,7 +36,7 @@ class _Template:
         words: For some fields, what to print for a value.
     """
 
-    def __init__(self, layout: Layout, line: str, **words: Callable[[Any], str]) -> None:
+    def __init__(self, layout: Layout, line: str, **words: Callable[[Any], Any]) -> None:
         self._fields = _FIELD.findall(line)
         kinds = {"index": "u4", **layout.fields}
         texts = {field: readable for field in self._fields if kinds[field] == TEXT}
@@ -70,7 +70,10 @@ class _Template:
         if names != self._names:
             self._names, places = names, ("index", *names)
             self._of_row = itemgetter(*map(places.index, self._fields))
-        return map(self._of_row, [(index, *row) for index, row in enumerate(records.tolist())])
+        rows = [(index, *row) for index, row in enumerate(records.tolist())]
+        if len(self._fields) == 1:  # of which `itemgetter` makes no tuple
+            return [(self._of_row(row),) for row in rows]
+        return map(self._of_row, rows)
 
     def _column(self, field: str, records: NDArray[np.void]) -> Iterable[Any]:
         return range(len(records)) if field == "index" else records[field].tolist()
@@ -166,6 +169,12 @@ def _hero(flag: int) -> str:
     return " (hero) " if flag else ""
 
 
+def _there_and_back(metres: float) -> float:
+    """Return a length as CARLA shows it, which takes it from m to cm and back in 32 bits."""
+    with np.errstate(all="ignore"):
+        return float(np.float32(0.01) * (np.float32(100.0) * np.float32(metres)))
+
+
 def _true(flag: int) -> str:
     return "true" if flag else "false"
 
@@ -210,7 +219,7 @@ def _curve(points: NDArray[np.void]) -> str:
 # --- the table -------------------------------------------------------------------------------------------
 
 
-def _row(type: str, heading: str | None, line: str, end: str = "", **words: Callable[[Any], str]) -> tuple[str, PacketLines]:
+def _row(type: str, heading: str | None, line: str, end: str = "", **words: Callable[[Any], Any]) -> tuple[str, PacketLines]:
     return type, PacketLines(_Template(UE4.named(type).layout, line, **words), heading, end)
 
 
@@ -237,6 +246,15 @@ _PHYSICS: Final = """\
    forward_gears:
 {forward_gears}   wheels:
 {wheels}"""
+_PHYSICS_ROW: Final = ("physics", "Physics Control events", _PHYSICS)
+_PHYSICS_WORDS: Final[dict[str, Callable[[Any], Any]]] = {
+    "use_gear_auto_box": _true,
+    "torque_curve": _curve,
+    "steering_curve": _curve,
+    "forward_gears": _GEAR.text,
+    "wheels": _WHEEL.text,
+}
+_CENTER_OF_CARLA: Final = dict.fromkeys((f"center_of_mass_{axis}" for axis in "xyz"), _there_and_back)
 
 _ROWS: Final = (
     _row(
@@ -283,16 +301,7 @@ _ROWS: Final = (
     _row("bounding_boxes", "Actor bounding boxes", _BOX),
     _row("trigger_volumes", "Actor trigger volumes", _BOX),
     _row("platform_time", None, " Current platform time: {seconds}\n"),
-    _row(
-        "physics",
-        "Physics Control events",
-        _PHYSICS,
-        use_gear_auto_box=_true,
-        torque_curve=_curve,
-        steering_curve=_curve,
-        forward_gears=_GEAR.text,
-        wheels=_WHEEL.text,
-    ),
+    _row(*_PHYSICS_ROW, **_PHYSICS_WORDS),
     _row(
         "light_times",
         "Traffic Light time events",
@@ -301,7 +310,11 @@ _ROWS: Final = (
     _row("walker_bones", "Walkers Bones", "  Id: {id}\n{bones}", end="\n", bones=_BONE.text),
 )
 _LINES: Final = dict(_ROWS)
-_LINES_OF_CARLA: Final = dict((*_ROWS, _row(*_DOORS_ROW, door=_door_of_carla)))
+_ROWS_OF_CARLA: Final = (
+    _row(*_DOORS_ROW, door=_door_of_carla),
+    _row(*_PHYSICS_ROW, **_PHYSICS_WORDS, **_CENTER_OF_CARLA),
+)
+_LINES_OF_CARLA: Final = dict((*_ROWS, *_ROWS_OF_CARLA))
 
 
 def packet_lines(*, compat: bool) -> Mapping[str, PacketLines]:
