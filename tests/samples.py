@@ -24,6 +24,7 @@ if TYPE_CHECKING:
     from carla_recap.frame import Header
 
 CARLA_LOGS = Path(__file__).parents[2] / "shared" / "data" / "carla-logs"
+RANDOM_LOGS = CARLA_LOGS.with_name("random-logs")
 DATE = 1_637_671_165
 
 

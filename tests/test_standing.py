@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import sys
 from typing import Any
 
 import numpy as np
@@ -32,6 +33,19 @@ def test_stretches_can_be_taken_as_they_end() -> None:
     assert [(row.start, row.duration, row.x) for row in rows] == (
         [(0.0, 4.0, 0.0)] + [(4.0 * stop + 1, 3.0, 100.0 * stop) for stop in range(1, 250)]
     )
+
+
+def test_frames_that_are_held() -> None:
+    """A profiler holds the frames of what runs, with all that their variables refer to."""
+    held = []
+    standing = Standing(TABLE, min_time=2)
+    sys.setprofile(lambda frame, *_: held.append(frame))
+    try:
+        for number in range(1000):
+            standing.frame(frame(number, 100.0 * (number // 4)))
+    finally:
+        sys.setprofile(None)
+    assert len(standing.finish()) == 250
 
 
 @pytest.mark.parametrize(("real", "width"), [("f4", 32), ("f8", 64)])

@@ -3,18 +3,17 @@
 from __future__ import annotations
 
 import math
-from array import array
 from dataclasses import dataclass
 from itertools import accumulate
 from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
-from carla_recap.roster import Roster
+from carla_recap.roster import HashOrder, Roster
 from carla_recap.texts import readable
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable
+    from collections.abc import Iterable, Sequence
 
     from numpy.typing import NDArray
 
@@ -32,6 +31,7 @@ TYPES: Final = ("spawned", "destroyed", TRANSFORMS)
 _ROUNDING: Final = 1e-6  # more than sums of the lengths of frames ever differ by, as a share
 _PACKETS: Final = 64  # so many, or so many records, are taken together
 _RECORDS: Final = 1 << 17
+_ROUNDS: Final = 8  # a packet that lists an actor more often than that is followed record by record
 
 
 @dataclass(frozen=True, slots=True)
@@ -92,6 +92,7 @@ class Standing:
         self._square_of_reach = _square_of_reach(min_distance, table.named("transforms").dtype["x"])
         self._compat = compat
         self._roster = Roster[_Actor](compat=compat)
+        self._order = HashOrder() if compat else None
         self._rows: list[BlockedRow] = []
         self._group: _Group | None = None
         self._rounds: tuple[bytes, list[NDArray[np.intp]]] = (b"", [])  # of the ids of the last packet
@@ -117,6 +118,8 @@ class Standing:
             if name == "spawned":
                 for spawn in packet.records:
                     self._roster.spawn(spawn.id, _Actor(spawn.id, readable(spawn.type_id)))
+                    if self._order is not None:
+                        self._order.add(spawn.id)
             else:
                 for (id,) in packet.records.tolist():  # type: ignore[union-attr]
                     self._destroy(id)
@@ -129,14 +132,27 @@ class Standing:
     def finish(self) -> list[BlockedRow]:
         """The rest: stretches that have ended, then those that last until the end."""
         self._put_back()
-        last = [actor.row() for actor in self._roster.actors.values() if actor.duration >= self._min_time]
-        # CARLA goes through a hash table, whose latest entry comes first.
-        return self.take() + (last[::-1] if self._compat else last)
+        actors = self._roster.actors
+        left = actors.values() if self._order is None else [actors[id] for id in self._order.ids()]
+        return self.take() + [actor.row() for actor in left if actor.duration >= self._min_time]
 
     def _destroy(self, id: int) -> None:
         actor = self._roster.destroy(id)
-        if actor and actor.duration >= self._min_time and not self._compat:
+        if actor is None:
+            return
+        if self._order is not None:
+            self._order.remove(actor.id)
+        elif actor.duration >= self._min_time:
             self._rows.append(actor.row())
+
+    def _actor(self, id: int) -> _Actor:
+        """Return the actor of an id; one whose spawn is not recorded begins with its first transform."""
+        actor = self._roster.actors.get(id)
+        if actor is None:
+            actor = self._roster.actors[id] = _Actor(id, "")
+            if self._order is not None:
+                self._order.add(id)
+        return actor
 
     def move(self, elapsed: float, duration: float, records: NDArray[np.void]) -> None:
         """Take in the transforms of a frame.
@@ -149,39 +165,68 @@ class Standing:
         length = duration if self._compat or duration > 0.0 else 0.0
         ids = records["id"]
         key = ids.tobytes()
-        group = self._group
-        if group is None or group.key != key:
+        if self._group is None or self._group.key != key:
             if key != self._rounds[0]:
                 self._rounds = key, _rounds(ids) if self._compat else [_latest(ids)]
-            if len(self._rounds[1][0]) < len(ids):
-                self._move_repeated(elapsed, length, records)
+            rounds = self._rounds[1]
+            if len(rounds) != 1:
+                self._move_repeated(elapsed, length, records, rounds)
                 return
-            group = self._take_out(key, ids)
+            if len(rounds[0]) < len(ids):  # the last record of each actor counts
+                records = records[rounds[0]]
+        group = self._group_of(records)
         group.add(records, elapsed, length)
         if group.full:
             self._rows += [row for _, row in group.settle()]
 
-    def _move_repeated(self, elapsed: float, length: float, records: NDArray[np.void]) -> None:
-        """Take in a packet that lists actors repeatedly, as some builds do.
+    def _move_repeated(
+        self, elapsed: float, length: float, records: NDArray[np.void], rounds: list[NDArray[np.intp]]
+    ) -> None:
+        """Follow a packet that lists actors repeatedly as CARLA does: the first record of each counts, then the second.
 
-        The last record of each counts; in CARLA's queries, the first one does, then the second.
+        Args:
+            elapsed: The beginning of the frame, in seconds.
+            length: The length of the frame, in seconds.
+            records: The transforms.
+            rounds: See `_rounds`.
         """
+        if not rounds:
+            self._put_back()
+            self._move_one_by_one(elapsed, length, records)
+            return
+        if self._group:  # what ended in earlier frames comes before all that ends in this one
+            self._rows += [row for _, row in self._group.settle()]
         ended = []
-        for places in self._rounds[1]:
+        for places in rounds:
             part = records[places]
-            key = part["id"].tobytes()
-            group = self._group
-            if group is None or group.key != key:
-                group = self._take_out(key, part["id"])
+            group = self._group_of(part)
             group.add(part, elapsed, length)
             ended += [(places[number], row) for number, row in group.settle()]
         self._rows += [row for _, row in sorted(ended, key=lambda item: item[0])]
 
-    def _take_out(self, key: bytes, ids: NDArray[np.uint32]) -> _Group:
-        self._put_back()
-        known = self._roster.actors
-        actors = [known.get(id) or known.setdefault(id, _Actor(id, "")) for id in ids.tolist()]
-        self._group = _Group(key, actors, self._min_time, self._square_of_reach)
+    @np.errstate(all="ignore")
+    def _move_one_by_one(self, elapsed: float, length: float, records: NDArray[np.void]) -> None:
+        real = self._square_of_reach.dtype.type
+        for id, *place in zip(*(records[name].tolist() for name in ("id", "x", "y", "z")), strict=True):
+            actor = self._actor(id)
+            x, y, z = (real(now) - real(before) for now, before in zip(place, actor.place, strict=True))
+            if x * x + y * y + z * z < self._square_of_reach:
+                if actor.duration == 0.0:
+                    actor.start = elapsed
+                actor.duration += length
+            else:
+                if actor.duration >= self._min_time:
+                    self._rows.append(actor.row())
+                actor.duration = 0.0
+                actor.place = tuple(place)
+
+    def _group_of(self, records: NDArray[np.void]) -> _Group:
+        """Return the group of the actors of some transforms; it is the one that is followed from then on."""
+        key = records["id"].tobytes()
+        if self._group is None or self._group.key != key:
+            self._put_back()
+            actors = [self._actor(id) for id in records["id"].tolist()]
+            self._group = _Group(key, actors, self._min_time, self._square_of_reach)
         return self._group
 
     def _put_back(self) -> None:
@@ -211,12 +256,12 @@ class _Group:
         self._square_of_reach = square_of_reach
         self._places = np.array([actor.place for actor in actors], square_of_reach.dtype).T.copy()
         self._waiting: list[tuple[NDArray[np.void], float, float]] = []
-        self._elapsed, self._lengths = array("d"), array("d")  # of the packets so far
+        self._elapsed, self._lengths = _Series(), _Series()  # of the packets so far
         # The first packet from which on a stretch's duration may come back to 0.
         self._first_odd = 0 if any(actor.duration < 0.0 for actor in actors) else None
         self._moved_at = np.full(len(actors), -1)  # the packet in which each last moved
         # A clock that only goes forward: no stretch is longer than the time on it since the actor moved.
-        self._clocks = array("d", (0.0,))  # before each packet
+        self._clocks = _Series((0.0,))  # before each packet
         self._origins = np.array([-max(actor.duration, 0.0) for actor in actors])  # what it showed when each last moved
 
     @property
@@ -252,7 +297,8 @@ class _Group:
         first = len(self._lengths)
         self._elapsed.extend(elapsed)
         self._lengths.extend(lengths)
-        self._clocks.extend(accumulate((max(length, 0.0) for length in lengths), initial=self._clocks.pop()))
+        clock = accumulate((max(length, 0.0) for length in lengths), initial=self._clocks.values[-1].item())
+        self._clocks.extend(tuple(clock)[1:])
         if self._first_odd is None:
             self._first_odd = next((first + place for place, length in enumerate(lengths) if not length > 0.0), None)
         records = np.frombuffer(b"".join(packets), packets[0].dtype)
@@ -294,7 +340,7 @@ class _Group:
             moves: Of each packet, which of the movers move in it.
             paths: Of each packet, where the movers are.
         """
-        clocks = np.frombuffer(self._clocks)[first:]
+        clocks = self._clocks.values[first:]
         # The clock has other roundings than the sum of a stretch, which decides in the end.
         least = self._min_time - _ROUNDING * (1.0 + clocks[-1])
         rows = []
@@ -315,18 +361,45 @@ class _Group:
     def _update(self, number: int, moved_at: int, until: int) -> None:
         """Sum up what an actor has stood since a packet, packet by packet, as CARLA does: the sum depends on the order."""
         actor, first = self._actors[number], moved_at + 1
+        elapsed, lengths = self._elapsed.values, self._lengths.values
         if first:
             actor.duration = 0.0
         at = until if self._first_odd is None else min(max(self._first_odd, first), until)
         if at > first:
             if actor.duration == 0.0:
-                actor.start = self._elapsed[first]
-            lengths = np.frombuffer(self._lengths)[first:at]
-            actor.duration = np.add.accumulate(np.append(actor.duration, lengths))[-1].item()
+                actor.start = elapsed[first].item()
+            actor.duration = np.add.accumulate(np.append(actor.duration, lengths[first:at]))[-1].item()
         for place in range(max(at, first), until):
             if actor.duration == 0.0:
-                actor.start = self._elapsed[place]
-            actor.duration += self._lengths[place]
+                actor.start = elapsed[place].item()
+            actor.duration += lengths[place].item()
+
+
+class _Series:
+    """Numbers of which there come more and more, as an array."""
+
+    def __init__(self, values: Sequence[float] = ()) -> None:
+        self._room = np.empty(_PACKETS)
+        self._count = 0
+        self.extend(values)
+
+    def __len__(self) -> int:
+        return self._count
+
+    @property
+    def values(self) -> NDArray[np.float64]:
+        """The numbers so far."""
+        return self._room[: self._count]
+
+    def extend(self, values: Sequence[float]) -> None:
+        """Add numbers."""
+        count = self._count + len(values)
+        if count > len(self._room):
+            room = np.empty(2 * count)
+            room[: self._count] = self.values
+            self._room = room
+        self._room[self._count : count] = values
+        self._count = count
 
 
 def _stops(
@@ -361,13 +434,14 @@ def _squares(steps: _Paths, axes: tuple[_Paths, ...]) -> _Paths:
 
 
 def _rounds(ids: NDArray[np.uint32]) -> list[NDArray[np.intp]]:
-    """The places of the first record of each id, of the second one, and so on."""
+    """Return the places of the first record of each id, of the second one, and so on; nothing if there are too many."""
     order = np.argsort(ids, kind="stable")
     ranks = np.arange(len(ids))
     first = np.append(True, np.diff(ids[order]) != 0)
     number = np.empty_like(ranks)
     number[order] = ranks - np.maximum.accumulate(np.where(first, ranks, 0))
-    return np.split(np.argsort(number, kind="stable"), np.cumsum(np.bincount(number))[:-1])
+    counts = np.bincount(number)
+    return np.split(np.argsort(number, kind="stable"), np.cumsum(counts)[:-1]) if len(counts) <= _ROUNDS else []
 
 
 def _latest(ids: NDArray[np.uint32]) -> NDArray[np.intp]:

@@ -157,6 +157,12 @@ def test_compat_is_what_carla_prints(arguments, expected):
     assert done.stdout.splitlines() == wanted.splitlines()
 
 
+def test_carla_takes_a_negative_time():
+    rows = answer("blocked", CROSSING, "--compat", "--min-time", "-1").splitlines()
+    assert len(rows) > len(answer("blocked", CROSSING, "--compat", "--min-time", "0.5").splitlines())
+    assert "'--min-time': '-1'" in error("blocked", CROSSING, "--min-time", "-1")
+
+
 # --- JSON --------------------------------------------------------------------------------------------------
 
 

@@ -13,6 +13,7 @@ from carla_recap.frame import Header
 from carla_recap.queries import BlockedRow, blocked
 from carla_recap.queries.report import text
 from carla_recap.records import Spawn
+from tests.samples import time_limit
 
 if TYPE_CHECKING:
     from carla_recap.formats.base import Reader
@@ -129,6 +130,54 @@ def test_ties(make: Make) -> None:
     assert carla == [(0.0, 5), (1.0, 4), (0.0, 9), (0.0, 1), (1.5, 9), (1.5, 1), (1.5, 5)]
 
 
+@pytest.mark.parametrize(
+    ("spawned", "order"),
+    [
+        ((5, 1, 9, 4), (4, 9, 1, 5)),
+        ((1, 2, 6), (2, 6, 1)),
+        ((1, 2, 6, 11, 3, 4), (4, 3, 2, 11, 6, 1)),
+        ((4294967295, 10, 21, 32, 1), (32, 1, 21, 10, 4294967295)),
+    ],
+)
+def test_carla_goes_through_a_hash_table(make: Make, spawned: tuple[int, ...], order: tuple[int, ...]) -> None:
+    """Of stretches of one length, those that last until the end come in the order of libc++'s `unordered_map`."""
+    standing = at(*((id, 1) for id in sorted(spawned)))
+    reader = make({"spawned": [spawn(id) for id in spawned], **standing}, standing, {})
+    assert tuple(row.id for row in blocked(reader, 0.5, compat=True)) == order
+    unknown = make(at(*((id, 1) for id in spawned)), at(*((id, 1) for id in spawned)), {})
+    assert tuple(row.id for row in blocked(unknown, 0.5, compat=True)) == order
+
+
+def test_without_a_spawn_carla_forgets_actor_0(make: Make) -> None:
+    both = at((0, 1), (5, 1))
+    reader = make(both, [{"destroyed": [(9,)]}, at((5, 1))], {})
+    assert [row.id for row in blocked(reader, 0.5, compat=True)] == [5]
+    assert [row.id for row in blocked(reader, 0.5)] == [5, 0]
+
+
+def test_a_repeated_record_behind_packets_without_one(make: Make) -> None:
+    """Stretches of one length that end in different frames come in the order of the frames."""
+    reader = make(
+        at((1, 100), (2, 0)),
+        at((1, 100), (2, 100)),
+        at((1, 200), (2, 200), (1, 300)),
+        {},
+    )
+    rows = blocked(reader, 0.5, compat=True)
+    assert [(row.id, row.start) for row in rows] == [(2, 0.0), (1, 0.5)]
+
+
+def test_an_actor_that_is_listed_thousands_of_times(make: Make) -> None:
+    count = 60_000
+    transforms = np.zeros(count, Header("Town01", 0).table.named("transforms").dtype)
+    transforms["id"] = 7
+    transforms["x"] = np.where(np.arange(count) % 3 == 2, 100.0, 0.0)
+    with time_limit(10):
+        reader = make(*[{"transforms": transforms}] * 3, {})
+        rows = blocked(reader, 0.5, compat=True)
+    assert [row.duration for row in rows] == [1.0] + [0.5] * (count - 1)
+
+
 @pytest.mark.parametrize("compat", [False, True])
 def test_the_footer_keeps_its_decimals(make: Make, compat: bool) -> None:
     printed = "".join(text(blocked(make(at((1, 1)), {}), 0.5, compat=compat)))
@@ -217,7 +266,7 @@ frames = st.lists(st.lists(packets, max_size=4), min_size=1, max_size=12)
 lasting = st.sampled_from([0.5, 0.5, 0.1, 1.0, 0.0, -1.0, 30.0])
 
 
-@pytest.mark.parametrize("compat", [False, True])
+@pytest.mark.parametrize(("compat", "rounds"), [(False, 8), (True, 8), (True, 1)])
 @given(
     frames=frames,
     data=st.data(),
@@ -225,8 +274,16 @@ lasting = st.sampled_from([0.5, 0.5, 0.1, 1.0, 0.0, -1.0, 30.0])
     min_distance=st.sampled_from([10.0, 0.3, 5.0, 0.0, 1e30, math.inf]),
 )
 def test_by_definition(
-    make: Make, compat: bool, frames: Any, data: st.DataObject, min_time: float, min_distance: float
+    make: Make,
+    monkeypatch: pytest.MonkeyPatch,
+    compat: bool,
+    rounds: int,
+    frames: Any,
+    data: st.DataObject,
+    min_time: float,
+    min_distance: float,
 ) -> None:
+    monkeypatch.setattr("carla_recap.standing._ROUNDS", rounds)
     durations = data.draw(st.lists(lasting, min_size=len(frames), max_size=len(frames)))
     reader = make(*frames, durations=durations)
     rows = blocked(reader, min_time, min_distance, compat=compat)

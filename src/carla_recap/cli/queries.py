@@ -46,7 +46,9 @@ def collisions(file: str, types: str, form: str | None, compat: bool, max_rows: 
 
 @click.command()
 @_report
-@options.min_time
+@click.option(
+    "--min-time", type=options.TIME, default=30, show_default=True, metavar="S", help="Shortest stop to report, in s."
+)
 @options.min_distance
 @options.max_rows
 def blocked(file: str, min_time: float, min_distance: float, form: str | None, compat: bool, max_rows: int | None) -> None:
@@ -55,6 +57,8 @@ def blocked(file: str, min_time: float, min_distance: float, form: str | None, c
     from carla_recap.formats import open_reader
     from carla_recap.queries import blocked as query
 
+    if min_time < 0 and not compat:  # CARLA takes it
+        raise click.BadParameter(f"'{min_time:g}' is not a number of 0 or more.", param_hint="'--min-time'")
     show(query(open_reader(file), min_time, min_distance, compat=compat), form, max_rows)
 
 
