@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections import defaultdict
 from math import isqrt
 from typing import TYPE_CHECKING, Generic, TypeVar
 
@@ -15,7 +14,7 @@ A = TypeVar("A")
 class Roster(Generic[A]):
     """The actors by id, in the order in which they came.
 
-    CARLA, given a destroyed actor, forgets the one that was spawned last instead, or id 0 before any spawn; so does `compat`.
+    Of a destroyed actor, CARLA forgets the one that was spawned last instead, or id 0 before any spawn; so does `compat`.
     """
 
     def __init__(self, *, compat: bool) -> None:
