@@ -36,7 +36,7 @@ class _Template:
         words: For some fields, what to print for a value.
     """
 
-    def __init__(self, layout: Layout, line: str, **words: Callable[[Any], Any]) -> None:
+    def __init__(self, layout: Layout, line: str, /, **words: Callable[[Any], Any]) -> None:
         self._fields = _FIELD.findall(line)
         kinds = {"index": "u4", **layout.fields}
         texts = {field: readable for field in self._fields if kinds[field] == TEXT}
@@ -246,7 +246,6 @@ _PHYSICS: Final = """\
    forward_gears:
 {forward_gears}   wheels:
 {wheels}"""
-_PHYSICS_ROW: Final = ("physics", "Physics Control events", _PHYSICS)
 _PHYSICS_WORDS: Final[dict[str, Callable[[Any], Any]]] = {
     "use_gear_auto_box": _true,
     "torque_curve": _curve,
@@ -254,7 +253,14 @@ _PHYSICS_WORDS: Final[dict[str, Callable[[Any], Any]]] = {
     "forward_gears": _GEAR.text,
     "wheels": _WHEEL.text,
 }
-_CENTER_OF_CARLA: Final = dict.fromkeys((f"center_of_mass_{axis}" for axis in "xyz"), _there_and_back)
+_CENTER_OF_CARLA: Final[dict[str, Callable[[Any], Any]]] = dict.fromkeys(
+    (f"center_of_mass_{axis}" for axis in "xyz"), _there_and_back
+)
+
+
+def _physics_row(**words: Callable[[Any], Any]) -> tuple[str, PacketLines]:
+    return "physics", PacketLines(_Template(UE4.named("physics").layout, _PHYSICS, **words), "Physics Control events")
+
 
 _ROWS: Final = (
     _row(
@@ -301,7 +307,7 @@ _ROWS: Final = (
     _row("bounding_boxes", "Actor bounding boxes", _BOX),
     _row("trigger_volumes", "Actor trigger volumes", _BOX),
     _row("platform_time", None, " Current platform time: {seconds}\n"),
-    _row(*_PHYSICS_ROW, **_PHYSICS_WORDS),
+    _physics_row(**_PHYSICS_WORDS),
     _row(
         "light_times",
         "Traffic Light time events",
@@ -312,7 +318,7 @@ _ROWS: Final = (
 _LINES: Final = dict(_ROWS)
 _ROWS_OF_CARLA: Final = (
     _row(*_DOORS_ROW, door=_door_of_carla),
-    _row(*_PHYSICS_ROW, **_PHYSICS_WORDS, **_CENTER_OF_CARLA),
+    _physics_row(**_PHYSICS_WORDS, **_CENTER_OF_CARLA),
 )
 _LINES_OF_CARLA: Final = dict((*_ROWS, *_ROWS_OF_CARLA))
 
