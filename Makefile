@@ -13,9 +13,10 @@ venv: .venv/stamp ## Make .venv with everything a developer needs
 test: venv $(node_modules) ## Run the whole test suite
 	$(python) -m pytest -n 2
 
-lint: venv ## Check style and format
+lint: venv ## Check style, format, and which modules import which
 	$(python) -m ruff check
 	$(python) -m ruff format --check
+	.venv/bin/lint-imports --no-cache --no-logo
 
 types: venv ## Check types
 	$(python) -m mypy

@@ -13,7 +13,7 @@ from carla_recap.sim.errors import SimError, SpawnError
 from carla_recap.sim.scenarios import Blockage, Crash, largest_junction
 from carla_recap.sim.scenarios.blockage import BREAKDOWN
 from carla_recap.sim.scenarios.crash import START
-from carla_recap.sim.scenarios.places import straight_stretch
+from carla_recap.sim.scenarios.places import straight_section
 from carla_recap.sim.traffic.autopilot.handling import LEFT_BLINKER, RIGHT_BLINKER
 from tests.maps.towns import town as map_of
 from tests.sim.flat import flat_town
@@ -31,27 +31,27 @@ def town():
 
 @pytest.fixture(scope="module")
 def crash(town, tmp_path_factory):
-    """A crash: its cast, what the world told of it, and its recordings."""
+    """A crash: its actors, what the world told of it, and its recordings."""
     paths = [tmp_path_factory.mktemp("crash") / f"crash{suffix}" for suffix in (".mcap", ".log")]
     seen = []
     with World(town, date=0) as world:
-        cast = Crash(world).cast
+        actors = Crash(world).actors
         world.start_recorder(paths[0], additional_data=True)
         for frame in range(1, 1001):
             world.tick()
             seen += [(frame, hit.actor1, hit.actor2, hit.hero1, hit.hero2) for hit in world.events.collisions]
     carla_recap.convert(*paths)
-    return cast, seen, paths
+    return actors, seen, paths
 
 
 def test_the_hero_hits_the_walker_and_then_the_van(crash):
-    cast, seen, _ = crash
+    actors, seen, _ = crash
     assert list(dict.fromkeys(hit[1:] for hit in seen)) == [
-        (cast.hero.id, cast.walker.id, True, False),
-        (cast.hero.id, cast.van.id, True, False),
+        (actors.hero.id, actors.walker.id, True, False),
+        (actors.hero.id, actors.van.id, True, False),
     ]
     assert seen[0][0] * 0.05 > START
-    assert cast.walker.has_fallen
+    assert actors.walker.has_fallen
 
 
 @pytest.mark.parametrize("format", [0, 1], ids=["mcap", "log"])
@@ -68,30 +68,30 @@ def test_the_recording_has_every_collision_of_the_world(crash, format):
 
 @pytest.mark.parametrize("format", [0, 1], ids=["mcap", "log"])
 def test_the_queries_answer_what_was_staged(crash, format):
-    cast, seen, paths = crash
+    actors, seen, paths = crash
     first = {}
     for frame, *pair in seen:
         first.setdefault(tuple(pair), frame)
     with carla_recap.open_recording(paths[format]) as recording:
         rows = [(row.frame, row.id1, row.id2, row.hero1, row.hero2) for row in recording.collisions()]
         assert rows == [(frame, *pair) for pair, frame in first.items()]
-        assert [row.id2 for row in recording.collisions("h", "v")] == [cast.van.id]
-        assert [row.id2 for row in recording.collisions("h", "w")] == [cast.walker.id]
+        assert [row.id2 for row in recording.collisions("h", "v")] == [actors.van.id]
+        assert [row.id2 for row in recording.collisions("h", "w")] == [actors.walker.id]
         stood = {row.id: row.start for row in recording.blocked(30)}
-        assert stood.keys() == {1, cast.hero.id, cast.van.id, cast.walker.id}
-        assert min(stood[cast.hero.id], stood[cast.van.id]) > rows[1][0] * 0.05
-        assert stood[cast.walker.id] > rows[0][0] * 0.05
+        assert stood.keys() == {1, actors.hero.id, actors.van.id, actors.walker.id}
+        assert min(stood[actors.hero.id], stood[actors.van.id]) > rows[1][0] * 0.05
+        assert stood[actors.walker.id] > rows[0][0] * 0.05
 
 
 def test_all_collisions_can_be_told_of_from_both_sides(town):
     world = World(town, date=0)
     world.settings.collisions_of = "all"
-    cast = Crash(world).cast
+    actors = Crash(world).actors
     pairs = Counter()
     for _ in range(400):
         world.tick()
         pairs.update((hit.actor1, hit.actor2) for hit in world.events.collisions)
-    hero, walker, van = (actor.id for actor in (cast.hero, cast.walker, cast.van))
+    hero, walker, van = (actor.id for actor in (actors.hero, actors.walker, actors.van))
     assert pairs.keys() == {(hero, walker), (walker, hero), (hero, van), (van, hero)}
     assert pairs[hero, walker] == pairs[walker, hero]
     assert pairs[hero, van] == pairs[van, hero]
@@ -103,7 +103,7 @@ def test_all_collisions_can_be_told_of_from_both_sides(town):
 def test_a_van_breaks_down_and_others_queue_behind_it(town):
     world = World(town, date=0)
     world.settings.collisions_of = "all"
-    cast = Blockage(world).cast
+    actors = Blockage(world).actors
     world.run(BREAKDOWN)
     assert world.vehicles.speed.min() > 3
     hits = []
@@ -112,21 +112,21 @@ def test_a_van_breaks_down_and_others_queue_behind_it(town):
         hits += world.events.collisions
     assert not hits
     assert abs(world.vehicles.speed).max() < 0.05
-    assert cast.van.light_state == LEFT_BLINKER | RIGHT_BLINKER
-    places = [cast.van, *cast.queue]
+    assert actors.van.light_state == LEFT_BLINKER | RIGHT_BLINKER
+    places = [actors.van, *actors.queue]
     gaps = [
         front.transform.location.distance(rear.transform.location) - front.box.extent.x - rear.box.extent.x
         for front, rear in pairwise(places)
     ]
     assert all(0.5 < gap < 5 for gap in gaps)
-    assert [car.is_hero for car in cast.queue] == [True, False, False]
+    assert [car.is_hero for car in actors.queue] == [True, False, False]
 
 
 def test_when_the_van_is_gone_they_go_on(town):
     world = World(town, date=0)
-    cast = Blockage(world).cast
+    actors = Blockage(world).actors
     world.run(25)
-    world.destroy(cast.van)
+    world.destroy(actors.van)
     world.run(8)
     assert world.vehicles.speed.min() > 2
 
@@ -144,7 +144,7 @@ def test_towns_of_carlas_have_a_stage(name, scene):
 
 def test_a_town_without_a_straight_street_has_no_stage(town):
     with pytest.raises(SimError, match="a straight lane of 1016 m was expected to stage it on; Brickfield has none"):
-        straight_stretch(town, 1000)
+        straight_section(town, 1000)
 
 
 def test_one_scene_at_a_place(town):

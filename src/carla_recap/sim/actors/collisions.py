@@ -34,7 +34,7 @@ class _Push:
     y: float = 0.0
 
 
-class Collisions:
+class CollisionDetector:
     """Makes collisions out of the contacts of an episode.
 
     A collision is reported for an actor that is watched; if both are, once for each, as by two collision sensors.

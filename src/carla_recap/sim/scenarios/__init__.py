@@ -1,4 +1,4 @@
-"""Staged scenes: an accident, and a lane that somebody blocks."""
+"""Scenarios: an accident, and a breakdown that blocks a lane."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Where in a town there is a stage."""
+"""Places in a town for scenarios, and vehicles spawned there."""
 
 from __future__ import annotations
 
@@ -18,19 +18,19 @@ if TYPE_CHECKING:
 
 MARGIN: Final = 8.0  # m of lane before the first vehicle, and behind the last one
 _STRAIGHT: Final = math.radians(0.1)  # between two points of a lane
-_ABOVE: Final = 0.3  # m: so high above the road vehicles are spawned
+_ABOVE: Final = 0.3  # m above the road, where vehicles are spawned
 
 
-def straight_stretch(town: Town, length: float, *, single: bool = False) -> tuple[Lane, float]:
-    """A lane that is straight for long enough, and where on it the first vehicle stands, in m.
+def straight_section(town: Town, length: float, *, single: bool = False) -> tuple[Lane, float]:
+    """Return a lane with a straight section, and the distance along it at which the first vehicle stands, in m.
 
     Args:
         town: The town.
-        length: How far apart the first and the last vehicle are, in m.
-        single: Whether there must be no lane beside it on which one could pass.
+        length: The distance between the first and the last vehicle, in m.
+        single: Whether the lane must have no other beside it on which a vehicle could pass.
 
     Raises:
-        SimError: There is none.
+        SimError: There is no such lane.
     """
     length += 2 * MARGIN
     for lane in town.lanes:
@@ -45,10 +45,10 @@ def straight_stretch(town: Town, length: float, *, single: bool = False) -> tupl
 
 
 def largest_junction(town: Town) -> Location:
-    """The middle of the junction that most lanes lead through, of those with traffic lights.
+    """Return the centre of the junction with the most lanes, of those with traffic lights.
 
     Raises:
-        SimError: There is none.
+        SimError: The town has no junction with traffic lights.
     """
     junctions = [junction for junction in town.junctions if junction.phases]
     if not junctions:
@@ -57,19 +57,19 @@ def largest_junction(town: Town) -> Location:
     return Location(*np.mean([town.lanes[lane].points.mean(axis=0) for lane in junction.lanes], axis=0).tolist())
 
 
-def place_on(lane: Lane, s: float) -> tuple[Location, float]:
-    """A place on a lane, and the direction of travel there, in radians."""
+def point_on_lane(lane: Lane, s: float) -> tuple[Location, float]:
+    """Return the point at a distance along a lane in m, and the direction of travel there in radians."""
     x, y, z = (float(np.interp(s, lane.s, lane.points[:, axis])) for axis in range(3))
     return Location(x, y, z), float(np.interp(s, lane.s, lane.heading))
 
 
-def spawn_on(world: ScenarioWorld, blueprint: str, lane: Lane, s: float, role_name: str) -> Vehicle:
-    """A vehicle that stands on a lane.
+def spawn_on_lane(world: ScenarioWorld, blueprint: str, lane: Lane, s: float, role_name: str) -> Vehicle:
+    """Spawn a vehicle that stands on a lane, at a distance along it in m.
 
     Raises:
         SpawnError: The place is occupied.
     """
-    place, heading = place_on(lane, s)
+    place, heading = point_on_lane(lane, s)
     place.z += _ABOVE
     vehicle = world.spawn(blueprint, Transform(place, Rotation(yaw=math.degrees(heading))), role_name=role_name)
     assert isinstance(vehicle, Vehicle)
