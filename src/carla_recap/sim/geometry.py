@@ -122,3 +122,11 @@ class Box:
 
     location: Location
     extent: Vector
+
+    def heights(self, transform: Transform) -> tuple[float, float]:
+        """Return the z of its lowest and of its highest point in m, around an actor with a transform."""
+        _, _, (x, y, z) = transform.rotation.matrix()
+        centre, extent = self.location, self.extent
+        middle = transform.location.z + x * centre.x + y * centre.y + z * centre.z
+        half = abs(x) * extent.x + abs(y) * extent.y + abs(z) * extent.z
+        return middle - half, middle + half

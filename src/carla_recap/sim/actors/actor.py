@@ -118,6 +118,10 @@ class Actor:
         """The box around it, in its own axes."""
         return self.blueprint.box
 
+    def heights(self) -> tuple[float, float]:
+        """Return the z of the lowest and of the highest point of its box in the world, in m."""
+        return self.box.heights(self.transform)
+
     @property
     def is_hero(self) -> bool:
         """Whether its role name is hero."""

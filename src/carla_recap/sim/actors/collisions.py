@@ -6,8 +6,6 @@ from dataclasses import dataclass
 from math import hypot
 from typing import TYPE_CHECKING, Final
 
-import numpy as np
-
 from carla_recap.sim.actors.blueprints import COLLISION_SENSOR
 from carla_recap.sim.actors.events import Collision
 from carla_recap.sim.actors.moving import Vehicle, Walker
@@ -84,7 +82,8 @@ class CollisionDetector:
         first, second = (None if id is None else self._registry.actors[id] for id in pair)
         number, self._number = self._number, self._number + 1
         x, y = push.point
-        height = self._registry.town.height(np.array([x]), np.array([y])).item()
+        z = None if first is None else [first.transform.location.z]
+        height = self._registry.town.height([x], [y], z).item()
         place = Location(x, y, height + _BUMPER_HEIGHT)
         impulse = Vector(push.x, push.y, 0.0)
         return Collision(*pair, place, impulse, _is_hero(first), _is_hero(second), number)

@@ -37,6 +37,7 @@ if TYPE_CHECKING:
 _WALKER_MASS: Final = 75.0  # kg
 _WALKER_RADIUS: Final = 0.25  # m: shoulders
 _POLE_RADIUS: Final = 0.15  # m
+_POLE_BELOW, _POLE_ABOVE = 1.0, 3.0  # m: how far a pole reaches below the road and above its sign
 _CLASSES: Final[dict[ActorKind, type[Actor]]] = {
     ActorKind.VEHICLE: Vehicle,
     ActorKind.WALKER: Walker,
@@ -114,7 +115,7 @@ class ActorRegistry:
         self.pending = TickEvents()
         self.next_id = first
         for barrier in town.barriers:
-            self.plane.add_wall(barrier[:, :2])
+            self.plane.add_wall(barrier)
         self.spectator = Spectator(self, self._new_id(), blueprints.SPECTATOR, Transform())
         self._enter(self.spectator)
         self.traffic_lights: list[TrafficLight] = []
@@ -186,7 +187,8 @@ class ActorRegistry:
         if blueprint.box.extent.length() == 0:
             return
         place, yaw = transform.location, np.radians(transform.rotation.yaw).item()
-        for body in self.plane.overlapping(_corners(blueprint), place.x, place.y, yaw):
+        heights = blueprint.box.heights(transform)
+        for body in self.plane.overlapping(_corners(blueprint), place.x, place.y, yaw, heights):
             if body in self._owners:
                 yield self._owners[body]
 
@@ -235,6 +237,7 @@ class ActorRegistry:
 
     def _own(self, actor: Actor, body: pymunk.Body) -> pymunk.Body:
         self._owners[body.id] = actor
+        self.plane.set_heights(body, actor.heights)
         return body
 
     def _embody(self, mover: MovingActor, transform: Transform) -> None:
@@ -268,6 +271,9 @@ class ActorRegistry:
         place = signal.transform.location
         if not self._is_on_road(place):
             body = self._own(sign, self.plane.add_disc(WALL, _POLE_RADIUS, None))
+            ground = self.town.height([place.x], [place.y], [place.z])[0].item()
+            pole = ground - _POLE_BELOW, max(ground, place.z) + _POLE_ABOVE
+            self.plane.set_heights(body, lambda: pole)
             self.plane.move(body, place.x, place.y, 0.0)
 
     def _is_on_road(self, place: Location) -> bool:
@@ -296,4 +302,6 @@ def _columns(mover: MovingActor, transform: Transform) -> dict[str, float | tupl
         "rotation": (turn.pitch, turn.yaw, turn.roll),
         "half_length": extent.x,
         "half_width": extent.y,
+        "bottom": mover.box.location.z - extent.z,
+        "top": mover.box.location.z + extent.z,
     }

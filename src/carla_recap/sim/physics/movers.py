@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import TYPE_CHECKING, Any, ClassVar
+from typing import TYPE_CHECKING, Any, ClassVar, Final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,8 +20,10 @@ if TYPE_CHECKING:
     from carla_recap.sim.physics.plane import Plane
 
 Floats = NDArray[np.float64]
-Height = Callable[[Floats, Floats], Floats]
-"""Tells how high the road is at places x, y."""
+Height = Callable[[Floats, Floats, Floats], Floats]
+"""Returns the height of the road at x and y of what stands there at z."""
+GRAVITY: Final = 9.81  # m/s²
+_REACH: Final = 3.0  # m: actors that are farther from the road are not put on it
 
 
 class Movers(Columns):
@@ -39,6 +41,8 @@ class Movers(Columns):
         acceleration: In m/s², (n, 3).
         half_length: Half of the length of the box in m.
         half_width: Half of its width.
+        bottom: Of the box, in m above the origin.
+        top: Of the box, in m above the origin.
         mass: In kg.
         simulated: Whether forces move it; else it stays where it is put.
         unsettled: Whether it was put somewhere and is not on the ground yet.
@@ -55,6 +59,8 @@ class Movers(Columns):
         "acceleration": np.zeros(3),
         "half_length": 0.0,
         "half_width": 0.0,
+        "bottom": 0.0,
+        "top": 0.0,
         "mass": 1.0,
         "simulated": True,
         "unsettled": True,
@@ -69,6 +75,8 @@ class Movers(Columns):
     acceleration: Floats
     half_length: Floats
     half_width: Floats
+    bottom: Floats
+    top: Floats
     mass: Floats
     simulated: NDArray[np.bool_]
     unsettled: NDArray[np.bool_]
@@ -139,6 +147,40 @@ class Movers(Columns):
         """Tell the bodies of some actors how fast they are; see `Plane.tell`."""
         rows = np.flatnonzero(which)
         self.plane.tell([self.bodies[row] for row in rows.tolist()], motions[rows])
+
+    def heights(self) -> tuple[Floats, Floats]:
+        """Return the z of the lowest and of the highest point of each actor in m, as if it stood upright, (n,) each."""
+        z = self.position[:, 2]
+        return z + self.bottom, z + self.top
+
+    def _stand(self, rows: NDArray[np.intp], road: Floats, seconds: float) -> NDArray[np.bool_]:
+        """Put actors on the road, where it is near.
+
+        An actor far above the road falls, one far below it stays where it is.
+
+        Args:
+            rows: Their rows.
+            road: The z of their origins on the road, (rows,).
+            seconds: The length of the tick.
+
+        Returns:
+            Which of them are on the road, (rows,).
+        """
+        z = self.position[rows, 2]
+        above = z - road
+        near: NDArray[np.bool_] = np.abs(above) <= _REACH
+        if near.all():
+            self.position[rows, 2] = road
+            self.velocity[rows, 2] = np.where(self.unsettled[rows], 0.0, (road - z) / seconds)
+            self.unsettled[rows] = False
+            return near
+        falls = above > _REACH
+        speed = np.where(falls, self.velocity[rows, 2] - GRAVITY * seconds, 0.0)
+        fallen = np.maximum(road, z + speed * seconds)
+        self.position[rows, 2] = np.where(near, road, np.where(falls, fallen, z))
+        self.velocity[rows, 2] = np.where(near & ~self.unsettled[rows], (road - z) / seconds, speed)
+        self.unsettled[rows] = falls
+        return near
 
     def begin(self, seconds: float) -> bool:
         """Start a tick; returns whether any of them moves, or is about to."""

@@ -1,13 +1,14 @@
 """The plane in which bodies push each other: pymunk's space. Its x and y are CARLA's, in m; its angles are yaws in radians.
 
-Bodies know nothing of engines and tyres: they are told their velocities before each step, and where these are others after
-it, contacts have changed them.
+Bodies have no engines and tyres: their velocities are set before each step, and where these are different after it,
+contacts have changed them. A body also has a height band, the range of z that it fills: bodies touch only where their bands
+overlap, so that cars on a bridge and below it pass each other.
 """
 
 from __future__ import annotations
 
 import math
-from typing import TYPE_CHECKING, Final, NamedTuple
+from typing import TYPE_CHECKING, Any, Final, NamedTuple
 
 import numpy as np
 
@@ -25,6 +26,8 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     Floats = NDArray[np.float64]
+    Heights = tuple[float, float]
+    """The lowest and the highest z of something, in m."""
 
 VEHICLE, WALKER, PROP, WALL = (1 << bit for bit in range(4))
 _MEETS: Final = {  # walkers pass each other, and whatever stands at the roadside
@@ -37,6 +40,9 @@ _FRICTION: Final = 0.4  # metal on metal, about
 _ELASTICITY: Final = 0.1  # cars hardly bounce
 _WALL_RADIUS: Final = 0.1  # m
 _SLEEPY: Final = 0.5  # s without motion until a body sleeps
+_CLEARANCE: Final = 0.2  # m: bodies whose heights overlap by less pass over each other, as a car does over debris
+_BELOW_WALL, _ABOVE_WALL = 1.0, 3.0  # m: how far a barrier reaches below and above its line
+_UNBOUNDED: Final = (-math.inf, math.inf)
 # The setters themselves: by way of the attributes, it takes twice as long.
 _SET_VELOCITY: Final[Callable[[pymunk.Body, tuple[float, float]], None]] = vars(pymunk.Body)["velocity"].fset
 _SET_ANGULAR_VELOCITY: Final[Callable[[pymunk.Body, float], None]] = vars(pymunk.Body)["angular_velocity"].fset
@@ -74,6 +80,10 @@ class Plane:
         self.space = pymunk.Space()
         self.space.sleep_time_threshold = _SLEEPY
         self.disturbed = False
+        self._fixed_heights: dict[pymunk.Shape, Heights] = {}  # of barriers
+        self._heights: dict[pymunk.Shape, Callable[[], Heights]] = {}
+        self._known_heights: dict[pymunk.Shape, Heights] = {}  # of this step
+        self.space.on_collision(None, None, pre_solve=self._check_heights)
         self._bodies = Buffer()
         self._contacts = Buffer()
         self._ids = np.empty(0, np.uintp)
@@ -102,10 +112,18 @@ class Plane:
         return self._add(group, body, pymunk.Circle(body, radius))
 
     def add_wall(self, points: Floats) -> None:
-        """A line that vehicles do not pass: its corners, (n, 2) in m."""
+        """Add a line that vehicles do not pass: its corners, (n, 3) in m."""
         body = self.space.static_body
         for start, end in zip(points[:-1].tolist(), points[1:].tolist(), strict=True):
-            self._add(WALL, body, pymunk.Segment(body, tuple(start), tuple(end), _WALL_RADIUS))
+            segment = pymunk.Segment(body, tuple(start[:2]), tuple(end[:2]), _WALL_RADIUS)
+            self._add(WALL, body, segment)
+            band = min(start[2], end[2]) - _BELOW_WALL, max(start[2], end[2]) + _ABOVE_WALL
+            self._fixed_heights[segment] = band
+
+    def set_heights(self, body: pymunk.Body, heights: Callable[[], Heights]) -> None:
+        """Set what returns the height band of a body; without it, a body touches others at any height."""
+        for shape in body.shapes:
+            self._heights[shape] = heights
 
     def _add(self, group: int, body: pymunk.Body, shape: pymunk.Shape) -> pymunk.Body:
         shape.friction = _FRICTION
@@ -119,6 +137,9 @@ class Plane:
 
     def remove(self, body: pymunk.Body) -> None:
         """Take a body out."""
+        for shape in body.shapes:
+            self._heights.pop(shape, None)
+        self._known_heights.clear()
         self.space.remove(body, *body.shapes)
 
     def move(self, body: pymunk.Body, x: float, y: float, yaw: float) -> None:
@@ -142,18 +163,28 @@ class Plane:
         for shape in body.shapes:
             shape.filter = pymunk.ShapeFilter(categories=group if touching else 0, mask=mask)
 
-    def overlapping(self, corners: Iterable[tuple[float, float]], x: float, y: float, yaw: float) -> list[int]:
-        """The ids of the bodies that a convex shape at a place would overlap."""
+    def overlapping(
+        self, corners: Iterable[tuple[float, float]], x: float, y: float, yaw: float, heights: Heights = _UNBOUNDED
+    ) -> list[int]:
+        """Return the ids of the bodies that a convex shape of some height band would overlap."""
         probe = pymunk.Body(body_type=pymunk.Body.KINEMATIC)
         probe.position = x, y
         probe.angle = yaw
         shape = pymunk.Poly(probe, list(corners))
         shape.filter = pymunk.ShapeFilter(mask=VEHICLE | WALKER | PROP)
         found = [info.shape for info in self.space.shape_query(shape)]
-        return sorted({other.body.id for other in found if other is not None and other.body is not None})
+        self._known_heights.clear()
+        return sorted(
+            {
+                other.body.id
+                for other in found
+                if other is not None and other.body is not None and _overlap(heights, self._heights_of(other))
+            }
+        )
 
     def step(self, seconds: float) -> list[Contact]:
         """Move all bodies, and take over how they move by then; returns who pushed whom."""
+        self._known_heights.clear()
         self.space.step(seconds)
         self.disturbed = False
         self._read()
@@ -167,6 +198,19 @@ class Plane:
             Contact(a, b, (value[0], value[1]), (value[2], value[3]))
             for (a, b), value in zip(ids.tolist(), values.tolist(), strict=True)
         ]
+
+    def _check_heights(self, arbiter: pymunk.Arbiter, _space: pymunk.Space, _data: Any) -> None:
+        """Let two bodies touch only where their height bands overlap."""
+        one, other = arbiter.shapes
+        arbiter.process_collision = _overlap(self._heights_of(one), self._heights_of(other))
+
+    def _heights_of(self, shape: pymunk.Shape) -> Heights:
+        band = self._known_heights.get(shape)
+        if band is None:
+            heights = self._heights.get(shape)
+            band = self._fixed_heights.get(shape, _UNBOUNDED) if heights is None else heights()
+            self._known_heights[shape] = band
+        return band
 
     def _read(self) -> None:
         """Take over how all bodies move by now."""
@@ -183,3 +227,7 @@ class Plane:
         found = self._order[np.searchsorted(self._ids, ids, sorter=self._order)]
         states: Floats = self._state[found]
         return states
+
+
+def _overlap(one: Heights, other: Heights) -> bool:
+    return min(one[1], other[1]) - max(one[0], other[0]) > _CLEARANCE

@@ -23,6 +23,7 @@ if TYPE_CHECKING:
     Flags = NDArray[np.bool_]
 
 _TABLE: Final = np.zeros(len(drivetrain.SPEEDS))
+_STEEPEST: Final = 0.5  # the slope of a road, rise by run
 _LEAST: Final = np.array([[0.0], [-1.0], [0.0]])  # of throttle, steering and brake
 
 
@@ -221,7 +222,6 @@ class Vehicles(Movers):
         self.velocity[moved, 1] = (sin * self.speed + cos * self.sideways)[moved]
         self.angular_velocity[moved, 2] = np.degrees(self.turning)[moved]
         self.acceleration = (self.velocity - self._before) / seconds
-        self.unsettled[moved] = False
 
     def _settle(self, rows: NDArray[np.intp], seconds: float) -> None:
         """Put vehicles on the road: their heights and pitches."""
@@ -229,15 +229,21 @@ class Vehicles(Movers):
         cos, sin = np.cos(yaw), np.sin(yaw)
         front, rear = self.front[rows], self.rear[rows]
         x, y = self.position[rows, 0], self.position[rows, 1]
+        z = self.position[rows, 2]
         heights = self._height(
-            np.concatenate((x + cos * front, x - cos * rear)), np.concatenate((y + sin * front, y - sin * rear))
+            np.concatenate((x + cos * front, x - cos * rear)),
+            np.concatenate((y + sin * front, y - sin * rear)),
+            np.concatenate((z, z)),
         )
         high, low = heights[: len(rows)], heights[len(rows) :]
         wheelbase = self.wheelbase[rows]
-        before = self.position[rows, 2]
-        self.position[rows, 2] = low + (high - low) * rear / wheelbase
-        self.velocity[rows, 2] = np.where(self.unsettled[rows], 0.0, (self.position[rows, 2] - before) / seconds)
-        self.rotation[rows, 0] = np.degrees(np.arctan2(high - low, wheelbase))
+        steep = np.abs(high - low) > _STEEPEST * wheelbase  # one axle is beyond the edge of a bridge
+        if steep.any():
+            nearer = np.where(np.abs(high - z) < np.abs(low - z), high, low)
+            high, low = np.where(steep, nearer, high), np.where(steep, nearer, low)
+        near = self._stand(rows, low + (high - low) * rear / wheelbase, seconds)
+        rows = rows[near]
+        self.rotation[rows, 0] = np.degrees(np.arctan2(high - low, wheelbase))[near]
         self.rotation[rows, 2] = 0
 
     def _stirring(self) -> Flags:

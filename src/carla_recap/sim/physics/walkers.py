@@ -100,8 +100,11 @@ class Walkers(Movers):
             self.acceleration[:] = 0
             return
         walking = self._walking
-        self.position[moved, 2] = self._height(*self.position[moved, :2].T) + self.half_height[moved]
+        rows = np.flatnonzero(moved)
+        x, y, z = self.position[rows].T
+        half_height = self.half_height[rows]
+        near = self._stand(rows, self._height(x, y, z - half_height) + half_height, seconds)
+        self.velocity[rows[near], 2] = 0.0
         self.rotation[walking, 1] = np.degrees(np.arctan2(self.direction[walking, 1], self.direction[walking, 0]))
         self.velocity[moved, :2] = self.drift[moved]
         self.acceleration = (self.velocity - self._before) / seconds
-        self.unsettled[moved] = False

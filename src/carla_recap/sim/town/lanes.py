@@ -22,6 +22,11 @@ _STOREY: Final = 4.0  # a metre above or below a lane counts as two beside it
 _STEPS: Final = 8  # at most, from a hint to the nearest point of a lane
 _TERRAIN: Final = 2.0  # m: the side of a cell of the table of heights
 _MOST_CELLS: Final = 500  # along a side of that table
+_LEVEL_GAP: Final = 3.5  # m: roads that differ by more in height are on different levels
+_LEVEL_REACH: Final = 10.0  # m: how far beside the middle of a lane its level is known where levels overlap
+_MOST_LEVELS: Final = 4  # above or below the one that is nearest
+_CHUNK: Final = 4096  # cells of that table that are looked at together
+_UNDER: Final = 1.0  # m: a vehicle this far below the surface of a road still stands on it
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -101,6 +106,7 @@ class LaneIndex:
         self._slope = np.concatenate([np.gradient(lane.points[:, 2], lane.s) for lane in lanes])
         self._grid = _Grid(self._flat)
         self._terrain = _Terrain(self._flat)
+        self._levels = _Levels(self.points, self._terrain)
         heights = self.points[:, 2]
         self._level = float(heights[0]) if np.ptp(heights) == 0 else None
 
@@ -184,17 +190,32 @@ class LaneIndex:
         s, _ = self.project(lane, places[:, 0], places[:, 1], (best - self.first[lane]) * self.spacing[lane])
         return lane, np.clip(s, 0, self.length[lane])
 
-    def height(self, x: ArrayLike, y: ArrayLike) -> Floats:
-        """How high the road near some places is; of several above each other, any.
+    def height(self, x: ArrayLike, y: ArrayLike, z: ArrayLike | None = None) -> Floats:
+        """Return the height of the road near some places.
 
         Args:
             x: Of the places, (k,).
             y: Of the places, (k,).
+            z: Of what stands there, (k,): of several roads above each other, the highest one counts that is not above it, or
+                else the lowest. Without it, any of them does.
         """
         if self._level is not None:
             return np.full(np.shape(x), self._level)
         places = np.stack((np.asarray(x, np.float64), np.asarray(y, np.float64)), axis=-1)
-        point = self._terrain.nearest(places)
+        height = self._height_by(self._terrain.nearest(places), places)
+        if z is None or self._levels.is_empty:
+            return height
+        some, others = self._levels.near(places)
+        if len(some):
+            below = np.asarray(z, np.float64)[some] + _UNDER
+            heights = np.column_stack((height[some], self._height_by(others, places[some, None])))
+            heights[:, 1:][others < 0] = np.inf
+            best = np.where(heights <= below[:, None], heights, -np.inf).max(axis=1)
+            height[some] = np.where(best == -np.inf, heights.min(axis=1), best)
+        return height
+
+    def _height_by(self, point: Integers, places: Floats) -> Floats:
+        """Return the heights at some places of the roads that points near them are on."""
         along = ((places - self._flat[point]) * self._ahead[point]).sum(axis=-1)
         along = np.minimum(np.maximum(along, -_CELL), _CELL)
         height: Floats = self.points[point, 2] + self._slope[point] * along
@@ -212,9 +233,10 @@ class LaneIndex:
 class _Grid:
     """Points in the cells of a grid, sorted by cell."""
 
-    def __init__(self, points: Floats) -> None:
-        self._origin = points.min(axis=0) - 2 * _CELL
-        cells = np.floor((points - self._origin) / _CELL).astype(np.int64)
+    def __init__(self, points: Floats, cell: float = _CELL) -> None:
+        self._cell = cell
+        self._origin = points.min(axis=0) - 2 * cell
+        cells = np.floor((points - self._origin) / cell).astype(np.int64)
         self._shape = cells.max(axis=0) + 3
         keys = cells[:, 0] * self._shape[1] + cells[:, 1]
         self._order = np.argsort(keys, kind="stable")
@@ -222,7 +244,7 @@ class _Grid:
 
     def around(self, places: Floats) -> tuple[Integers, Integers]:
         """The points in the cell of each place and the eight around it, as pairs of the numbers of place and point."""
-        cells = np.floor((places - self._origin) / _CELL).astype(np.int64)
+        cells = np.floor((places - self._origin) / self._cell).astype(np.int64)
         inside = np.flatnonzero(((cells > 0) & (cells < self._shape - 1)).all(axis=1))
         columns = cells[inside, 0, None] + np.array((-1, 0, 1))
         keys = columns * self._shape[1] + cells[inside, 1, None]
@@ -249,9 +271,24 @@ class _Terrain:
 
     def nearest(self, places: Floats) -> Integers:
         """The number of a point near each place, (k, 2); beyond the grid, of one near its edge."""
-        cells = np.fmin(np.fmax((places - self._origin) / self._cell, 0), self._last).astype(np.int64)  # nan becomes 0
-        nearest: Integers = self._nearest[cells[..., 0], cells[..., 1]]
+        nearest: Integers = self._nearest.ravel()[self.cells(places)]
         return nearest
+
+    def cells(self, places: Floats) -> Integers:
+        """Return the number of the cell of each place, (k, 2); beyond the grid, of one at its edge."""
+        cells = np.fmin(np.fmax((places - self._origin) / self._cell, 0), self._last).astype(np.int64)  # nan becomes 0
+        numbers: Integers = cells[..., 0] * self._nearest.shape[1] + cells[..., 1]
+        return numbers
+
+    def middles(self, cells: Integers) -> Floats:
+        """Return the middles of some cells, (k, 2)."""
+        middles: Floats = self._origin + (np.stack(np.divmod(cells, self._nearest.shape[1]), axis=-1) + 0.5) * self._cell
+        return middles
+
+    @property
+    def size(self) -> int:
+        """The number of cells."""
+        return self._nearest.size
 
     def _flood(self, points: Floats) -> None:
         """Let each cell look at ever nearer cells, whether they know a nearer point."""
@@ -273,3 +310,68 @@ class _Terrain:
     def _distance(points: Floats, numbers: Integers, middles: Floats) -> Floats:
         distance: Floats = np.where(numbers < 0, np.inf, ((points[numbers] - middles) ** 2).sum(axis=-1))
         return distance
+
+
+class _Levels:
+    """The further levels of roads in the cells of a terrain where several are above each other.
+
+    Args:
+        points: Of the lanes, (n, 3).
+        terrain: The nearest of them, for each cell.
+
+    Attributes:
+        is_empty: Whether no road is above another.
+    """
+
+    def __init__(self, points: Floats, terrain: _Terrain) -> None:
+        self._terrain = terrain
+        stacked = terrain.middles(np.unique(terrain.cells(points[_stacked(points), :2])))
+        cells = np.unique(terrain.cells(stacked[:, None] + _around(_LEVEL_REACH, _TERRAIN)))
+        grid = _Grid(points[:, :2], _LEVEL_REACH)
+        parts = [cells[start : start + _CHUNK] for start in range(0, len(cells), _CHUNK)]
+        levels = np.concatenate([np.empty((0, _MOST_LEVELS), np.int64), *(self._find(points, grid, part) for part in parts)])
+        several = np.flatnonzero(levels[:, 0] >= 0)
+        self.is_empty = not len(several)
+        self._points = levels[several]
+        self._row = np.full(0 if self.is_empty else terrain.size, -1)
+        self._row[cells[several]] = np.arange(len(several))
+
+    def _find(self, points: Floats, grid: _Grid, cells: Integers) -> Integers:
+        """Return the nearest point of each further level of some cells, (cells, levels); -1 is none."""
+        middles = self._terrain.middles(cells)
+        latest = self._terrain.nearest(middles)
+        levels = np.full((len(cells), _MOST_LEVELS), -1)
+        query, point = grid.around(middles)
+        away = ((middles[query] - points[point, :2]) ** 2).sum(axis=1)
+        left = away < _LEVEL_REACH**2
+        for level in levels.T:
+            left &= np.abs(points[point, 2] - points[latest[query], 2]) > _LEVEL_GAP
+            query, point, away = query[left], point[left], away[left]
+            left = np.ones(len(query), np.bool_)
+            order = np.lexsort((away, query))
+            first = order[np.flatnonzero(np.diff(query[order], prepend=-1))]
+            level[query[first]] = latest[query[first]] = point[first]
+        return levels
+
+    def near(self, places: Floats) -> tuple[Integers, Integers]:
+        """Return which of some places have several levels, and points on the further ones, (m, levels); -1 is none."""
+        row = self._row[self._terrain.cells(places)]
+        some = np.flatnonzero(row >= 0)
+        return some, self._points[row[some]]
+
+
+def _stacked(points: Floats) -> Integers:
+    """Return the numbers of points near which others are on another level."""
+    cells = np.floor((points[:, :2] - points[:, :2].min(axis=0)) / _LEVEL_REACH).astype(np.int64) + 1
+    lowest, highest = np.full(cells.max(axis=0) + 2, np.inf), np.full(cells.max(axis=0) + 2, -np.inf)
+    np.minimum.at(lowest, (cells[:, 0], cells[:, 1]), points[:, 2])
+    np.maximum.at(highest, (cells[:, 0], cells[:, 1]), points[:, 2])
+    beside = [(cells[:, 0] + x, cells[:, 1] + y) for x in (-1, 0, 1) for y in (-1, 0, 1)]
+    gap = np.max([highest[cell] for cell in beside], axis=0) - np.min([lowest[cell] for cell in beside], axis=0)
+    return np.flatnonzero(gap > _LEVEL_GAP)
+
+
+def _around(reach: float, step: float) -> Floats:
+    """Return offsets that cover a square, (n, 2)."""
+    steps = np.arange(-reach, reach + step, step)
+    return np.stack(np.meshgrid(steps, steps), axis=-1).reshape(-1, 2)

@@ -157,9 +157,9 @@ class Town:
         self.index = LaneIndex(self.lanes)
         self.spawn_points = [place for lane in main_lanes(self.lanes) for place in _spawn_points(self.lanes[lane])]
 
-    def height(self, x: ArrayLike, y: ArrayLike) -> Floats:
+    def height(self, x: ArrayLike, y: ArrayLike, z: ArrayLike | None = None) -> Floats:
         """See `LaneIndex.height`."""
-        return self.index.height(x, y)
+        return self.index.height(x, y, z)
 
     def nearest_lane(
         self, x: ArrayLike, y: ArrayLike, *, z: ArrayLike | None = None, heading: ArrayLike | None = None

@@ -72,6 +72,11 @@ class Network:
         x, y, heading = (column[point] + share * (column[point + 1] - column[point]) for column in self._columns)
         return x, y, heading
 
+    def height(self, point: Integers) -> Floats:
+        """Return the z of some points of lanes."""
+        height: Floats = self._points[point, 2]
+        return height
+
     def bend(self, spot: tuple[Integers, Floats]) -> Floats:
         """The curvature at some spots in 1/m, positive to the right."""
         bend: Floats = self._curvature[spot[0]]

@@ -179,10 +179,12 @@ class Autopilot:
         lane, s = routes.lanes[:, 0], routes.along - routes.starts[:, 0]
         speed, half = cars.speed, cars.half_length
         if len(others):
-            x, y, yaw = vehicles.position[others, 0], vehicles.position[others, 1], np.radians(vehicles.rotation[others, 1])
-            near, place = self._town.nearest_lane(x, y, heading=yaw)
-            at_x, at_y, _ = self._network.places(self._network.spot(near, place))
+            (x, y, z), yaw = vehicles.position[others].T, np.radians(vehicles.rotation[others, 1])
+            near, place = self._town.nearest_lane(x, y, z=z, heading=yaw)
+            spot = self._network.spot(near, place)
+            at_x, at_y, _ = self._network.places(spot)
             there = np.hypot(x - at_x, y - at_y) < _BESIDE
+            there &= np.abs(z - self._network.height(spot[0])) < _BESIDE
             others = others[there]
             lane, s = np.concatenate((lane, near[there])), np.concatenate((s, place[there]))
             speed = np.concatenate((speed, vehicles.speed[others]))

@@ -15,6 +15,8 @@ if TYPE_CHECKING:
 
 SAMPLES: Final = 28
 _CLOSER_NEARBY: Final = 1.5  # exponent that puts the places of a way closer together near the vehicle
+_HEADROOM: Final = 4.0  # m above the road: what is higher is not in the way
+_CLEARANCE: Final = 0.2  # m: what is lower lies between the wheels
 _BUMPER: Final = 0.3  # m behind the front end, where the way ahead begins
 
 
@@ -30,6 +32,8 @@ class Boxes:
         half_width: Across.
         velocity_x: In m/s.
         velocity_y: In m/s.
+        low: The z of the bottom, in m.
+        high: The z of the top, in m.
     """
 
     x: Floats
@@ -39,6 +43,8 @@ class Boxes:
     half_width: Floats
     velocity_x: Floats
     velocity_y: Floats
+    low: Floats
+    high: Floats
 
     def __len__(self) -> int:
         return len(self.x)
@@ -55,6 +61,8 @@ class Boxes:
             self.half_width,
             self.velocity_x,
             self.velocity_y,
+            self.low,
+            self.high,
         )
 
 
@@ -95,12 +103,24 @@ class Hits:
         box: What is on its way: the number of a box.
         gap: From the front end to that, along the way, in m; negative where they overlap.
         speed: How fast that moves along the way, in m/s.
+        place: The number of the place on the way that it is at.
     """
 
     vehicle: Integers
     box: Integers
     gap: Floats
     speed: Floats
+    place: Integers
+
+    def at_height(self, road: Floats, boxes: Boxes) -> Hits:
+        """Return the hits that are not above or below the way, nor so low that vehicles pass over them.
+
+        Args:
+            road: The z of the road at each hit, in m.
+            boxes: The boxes.
+        """
+        kept = (boxes.low[self.box] < road + _HEADROOM) & (boxes.high[self.box] > road + _CLEARANCE)
+        return self if kept.all() else Hits(*(getattr(self, name)[kept] for name in Hits.__dataclass_fields__))
 
 
 def look(ways: Ways, own: Integers, boxes: Boxes, room: Floats) -> Hits:
@@ -132,7 +152,7 @@ def look(ways: Ways, own: Integers, boxes: Boxes, room: Floats) -> Hits:
     gap = middle + ahead - reach - (ways.distance[vehicle, 0] + _BUMPER)
     speed = boxes.velocity_x[box] * cos + boxes.velocity_y[box] * sin
     in_front = middle + ahead > 0  # what is beside, and not farther ahead than the vehicle itself, has to give way
-    return Hits(vehicle[in_front], box[in_front], gap[in_front], speed[in_front])
+    return Hits(vehicle[in_front], box[in_front], gap[in_front], speed[in_front], place[in_front])
 
 
 def _near(ways: Ways, boxes: Boxes, room: Floats) -> tuple[Integers, Integers]:

@@ -60,6 +60,7 @@ class Surroundings:
             vehicles.half_width,
             vehicles.velocity[:, 0],
             vehicles.velocity[:, 1],
+            *vehicles.heights(),
         )
         return join(cars.swept(np.where(driven, 0.0, _VEHICLES_AHEAD)), _people(registry.walkers), self._things)
 
@@ -75,6 +76,7 @@ def _people(walkers: Walkers) -> Boxes:
         walkers.half_width + _AROUND_WALKERS,
         velocity_x,
         velocity_y,
+        *walkers.heights(),
     ).swept(np.full(len(walkers), _WALKERS_AHEAD))
 
 
@@ -83,5 +85,6 @@ def _boxes(things: list[Prop]) -> Boxes:
     for thing in things:
         transform, box = thing.transform, thing.box
         middle = transform.transform(box.location)
-        rows.append((middle.x, middle.y, np.radians(transform.rotation.yaw), box.extent.x, box.extent.y, 0.0, 0.0))
-    return Boxes(*np.array(rows, np.float64).reshape(-1, 7).T)
+        yaw, extent = np.radians(transform.rotation.yaw), box.extent
+        rows.append((middle.x, middle.y, yaw, extent.x, extent.y, 0.0, 0.0, *thing.heights()))
+    return Boxes(*np.array(rows, np.float64).reshape(-1, 9).T)

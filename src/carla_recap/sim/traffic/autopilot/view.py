@@ -62,11 +62,11 @@ def see(cars: Cars, drivers: Drivers, routes: Routes, network: Network, boxes: B
     """
     horizon = np.minimum(_NEAREST + _FORESIGHT * wanted_gap(cars.speed, cars.speed, drivers), _FARTHEST)
     distance = distances(cars.half_length, horizon)
-    ways = Ways(
-        distance, *bend_aside(drivers, routes.along, distance, network.places(network.spot(*routes.locate(distance))))
-    )
+    point, share = network.spot(*routes.locate(distance))
+    ways = Ways(distance, *bend_aside(drivers, routes.along, distance, network.places((point, share))))
     margin = np.maximum(_MARGIN - (_MARGIN - _LEAST_MARGIN) * drivers.stood / _SQUEEZE, _LEAST_MARGIN)
     hits = look(ways, cars.rows, boxes, cars.half_width + margin)
+    hits = hits.at_height(network.height(point[hits.vehicle, hits.place]), boxes)
     driver = np.full(len(boxes), NONE)
     driver[cars.rows] = np.arange(len(cars.rows))
     return _sum_up(cars, drivers, hits, driver)
