@@ -1,6 +1,7 @@
-"""Wears a server: for half an hour clients connect, drive, reload, replay and crash; nothing may leak, hang or be left over.
+"""Runs a server for half an hour under clients that connect, drive, reload, record, replay and crash.
 
-`python -m benchmarks.soak --minutes 30` prints figures every minute, and ends with exit code 1 if anything is wrong.
+`python -m benchmarks.soak --minutes 30` prints figures every minute, and ends with exit code 1 if the server crashes, leaks
+or hangs, or if anything is left over.
 """
 
 from __future__ import annotations
@@ -8,50 +9,56 @@ from __future__ import annotations
 import argparse
 import os
 import random
+import shutil
 import subprocess
 import sys
 import tempfile
+import threading
 import time
 from dataclasses import dataclass, field
 from pathlib import Path
 
 import carla
 
-PATIENCE = 90.0  # s: a round that takes longer hangs
-WARM = 2  # rounds of each kind, before it is measured from where things start
-GROWTH = 1.15  # of memory from the first half to the second, and a little more for what is small
-SLACK = 24 << 20  # bytes
+TIMEOUT = 90.0  # s: a round that takes longer hangs
+WARM_UP = 2  # rounds of each kind at least
+GROWTH = 1.15  # allowed factor of memory from the first half to the second
+SLACK = 24 << 20  # bytes, allowed on top of that
 DELTA = 0.05  # s
-MANAGERS = range(20_000, 30_000)
-FILES = Path("/proc")
+MANAGERS = range(20_000, 30_000)  # ports of traffic managers
+PROC = Path("/proc")
+MAPS = ("Town01", "Town02", "Town10HD")
+"""Names under which copies of the built-in town are served where no folder of maps is given."""
 
 
 @dataclass(frozen=True, slots=True)
 class Figures:
-    """What a server has.
+    """Resources of a server.
 
     Attributes:
-        memory: In bytes.
-        files: Open files, connections among them.
-        threads: Threads.
-        actors: Actors that do not belong to the town.
+        memory: Resident memory in bytes.
+        files: Number of open files, connections among them.
+        threads: Number of threads.
+        children: Number of child processes.
+        actors: Number of actors that do not belong to the town and could not be destroyed.
     """
 
     memory: int
     files: int
     threads: int
+    children: int
     actors: int
 
 
 @dataclass
 class Soak:
-    """A server that is worn.
+    """A run of rounds on one server.
 
     Attributes:
-        port: Its port.
-        process: Its process.
-        failures: What has gone wrong.
-        seen: The figures, after each round.
+        port: Port of the server.
+        process: Process id of the server.
+        failures: What has gone wrong, a line each.
+        seen: Figures after each series of rounds.
     """
 
     port: int
@@ -60,44 +67,53 @@ class Soak:
     seen: list[Figures] = field(default_factory=list)
 
     def run(self, minutes: float, seed: int) -> None:
-        """Have rounds of all kinds, in an order of chance, for so long."""
+        """Run rounds of all kinds in random order for some minutes; ends early when the server has crashed."""
         chance = random.Random(seed)
         end = time.monotonic() + 60 * minutes
-        told = time.monotonic()
+        printed = time.monotonic()
         number = 0
-        while time.monotonic() < end or number < WARM * len(ROUNDS):
+        while time.monotonic() < end or number < WARM_UP * len(ROUNDS):
             names = list(ROUNDS)
             chance.shuffle(names)
             for name in names:
                 number += 1
                 self.round(number, name, chance.choice(MANAGERS))
+                if not (PROC / str(self.process) / "fd").exists() or not self.is_running():
+                    self.fail(f"round {number}, {name}: the server has crashed")
+                    return
             self.seen.append(self.look())
-            if time.monotonic() - told > 60 or len(self.seen) == 1:
-                told = time.monotonic()
-                self.tell(number)
-        self.tell(number)
+            if time.monotonic() - printed > 60 or len(self.seen) == 1:
+                printed = time.monotonic()
+                self.print_figures(number)
+        self.print_figures(number)
 
     def round(self, number: int, name: str, seed: int) -> None:
-        """Have a client of its own process do something, and see whether it ends as it should."""
+        """Run a client in a process of its own, and check how it ends."""
         command = [sys.executable, "-m", "benchmarks.soak", "--round", name, "--port", str(self.port), "--chance", str(seed)]
         try:
-            done = subprocess.run(command, timeout=PATIENCE, capture_output=True, text=True, check=False)
+            done = subprocess.run(command, timeout=TIMEOUT, capture_output=True, text=True, check=False)
         except subprocess.TimeoutExpired:
             return self.fail(f"round {number}, {name}: hangs")
-        if done.returncode != CRASHED.get(name, 0):
-            said = " ".join(done.stderr.split())[-300:]
-            self.fail(f"round {number}, {name}: ended with exit code {done.returncode}: {said}")
+        if done.returncode != KILLED.get(name, 0):
+            printed = " ".join(done.stderr.split())[-300:]
+            self.fail(f"round {number}, {name}: ended with exit code {done.returncode}: {printed}")
         return None
 
-    def fail(self, what: str) -> None:
-        """Take note of what has gone wrong."""
-        print(what, flush=True)
-        self.failures.append(what)
+    def fail(self, failure: str) -> None:
+        """Take note of a failure, and print it."""
+        print(failure, flush=True)
+        self.failures.append(failure)
+
+    def is_running(self) -> bool:
+        """Return whether the server has not ended."""
+        return "\nState:\tZ" not in (PROC / str(self.process) / "status").read_text()
 
     def look(self) -> Figures:
-        """What the server has, once everybody is gone and the actors of those who crashed have been destroyed."""
+        """Return the figures of the server, after destroying the actors that killed clients have left."""
         client, world = connect(self.port)
+        client.stop_recorder()
         world.apply_settings(settings())
+        world.tick()
         for actor in world.get_actors():
             if not belongs_to_town(actor):
                 actor.destroy()
@@ -106,39 +122,45 @@ class Soak:
         world.apply_settings(settings(synchronous=False))
         del client, world
         time.sleep(0.5)
-        process = FILES / str(self.process)
+        process = PROC / str(self.process)
         status = dict(line.split(":", 1) for line in (process / "status").read_text().splitlines())
         memory = int(status["VmRSS"].split()[0]) << 10
-        return Figures(memory, sum(1 for _ in (process / "fd").iterdir()), int(status["Threads"]), actors)
+        files = sum(1 for _ in (process / "fd").iterdir())
+        children = sum(len(path.read_text().split()) for path in process.glob("task/*/children"))
+        return Figures(memory, files, int(status["Threads"]), children, actors)
 
-    def tell(self, number: int) -> None:
+    def print_figures(self, number: int) -> None:
         latest = self.seen[-1]
         print(
             f"{number:6} rounds  {latest.memory / 1e6:7.1f} MB  {latest.files:4} files  {latest.threads:3} threads  "
-            f"{latest.actors:3} actors left  {len(self.failures):3} failures",
+            f"{latest.children:2} children  {latest.actors:3} actors left  {len(self.failures):3} failures",
             flush=True,
         )
 
     def judge(self) -> list[str]:
-        """What is wrong."""
+        """Return what is wrong, a line each."""
+        if not self.seen:
+            return self.failures
         settled = self.seen[len(self.seen) // 3 :] or self.seen
         first, last = settled[: len(settled) // 2] or settled, settled[len(settled) // 2 :]
         before, after = max(figures.memory for figures in first), max(figures.memory for figures in last)
         wrong = list(self.failures)
         if after > before * GROWTH + SLACK:
             wrong.append(f"memory has grown from {before / 1e6:.0f} to {after / 1e6:.0f} MB")
-        if last[-1].files > min(figures.files for figures in self.seen) + 2:
-            wrong.append(f"{last[-1].files} files are open, {min(figures.files for figures in self.seen)} were")
+        for name, allowed in (("files", 2), ("threads", 2), ("children", 1)):
+            least = min(getattr(figures, name) for figures in self.seen)
+            if getattr(last[-1], name) > least + allowed:
+                wrong.append(f"{name}: {getattr(last[-1], name)} at the end, {least} at the least")
         if any(figures.actors for figures in self.seen):
-            wrong.append("there were actors that could not be destroyed")
+            wrong.append("actors were left that could not be destroyed")
         return wrong
 
 
-# --- what clients do ------------------------------------------------------------------------------------------------------
+# --- rounds ---------------------------------------------------------------------------------------------------------------
 
 
 def visit(client: carla.Client, world: carla.World, seed: int) -> None:
-    """Look at the world, and go."""
+    """Look at the world, and leave."""
     world.wait_for_tick(10.0)
     world.get_map()
     client.get_available_maps()
@@ -146,118 +168,200 @@ def visit(client: carla.Client, world: carla.World, seed: int) -> None:
 
 
 def drive(client: carla.Client, world: carla.World, seed: int) -> None:
-    """Have the traffic manager drive, with a sensor on each car, and leave a clean world."""
+    """Drive with the traffic manager and a sensor on each car, and leave a clean world."""
     world.apply_settings(settings())
-    manager, vehicles = managed(client, world, seed)
-    blueprint = world.get_blueprint_library().find("sensor.other.collision")
-    sensors = [world.spawn_actor(blueprint, carla.Transform(), attach_to=vehicle) for vehicle in vehicles]
-    for sensor in sensors:
-        sensor.listen(lambda _: None)
-    for _ in range(100):
-        world.tick()
+    manager, vehicles = managed(client, world, seed, 15)
+    sensors = listening(world, vehicles, "sensor.other.collision")
+    ticks(world, 100)
     for sensor in sensors:
         sensor.stop()
     destroy = carla.command.DestroyActor
     client.apply_batch_sync([destroy(actor) for actor in (*sensors, *vehicles)], False)
     world.tick()
-    manager.set_synchronous_mode(False)
-    manager.shut_down()
-    world.apply_settings(settings(synchronous=False))
+    shut_down(world, manager)
 
 
-def die(client: carla.Client, world: carla.World, seed: int) -> None:
-    """Crash with a live traffic manager."""
+def drive_hybrid(client: carla.Client, world: carla.World, seed: int) -> None:
+    """Drive 60 cars with hybrid physics around a hero, and reload while they drive."""
+    for turn in range(2):
+        world.apply_settings(settings())
+        manager, _ = managed(client, world, seed, 60, hybrid=True)
+        ticks(world, 60)
+        world = client.reload_world(reset_settings=turn % 2 == 0)
+    shut_down(world, manager)
+
+
+def sleep_and_freeze(client: carla.Client, world: carla.World, seed: int) -> None:
+    """Let cars fall asleep, switch off their physics, hide some below the street, and destroy all."""
     world.apply_settings(settings())
-    managed(client, world, seed)
-    for _ in range(40):
-        world.tick()
+    vehicles = spawn(world, 15)
+    vehicles[0].apply_control(carla.VehicleControl(throttle=0.3))
+    ticks(world, 60)
+    for vehicle in vehicles[1:]:
+        vehicle.set_simulate_physics(False)
+    for vehicle in vehicles[1::3]:
+        vehicle.set_location(vehicle.get_location() - carla.Location(z=500.0))
+    world.tick()
+    client.apply_batch_sync([carla.command.DestroyActor(vehicle) for vehicle in vehicles], True)
     world.apply_settings(settings(synchronous=False))
-    os.kill(os.getpid(), 9)
+
+
+def be_killed(client: carla.Client, world: carla.World, seed: int) -> None:
+    """Die by SIGKILL with a live traffic manager, sensors and a recording, at a random moment."""
+    world.apply_settings(settings())
+    _, vehicles = managed(client, world, seed, 15, hybrid=seed % 2 == 0)
+    listening(world, vehicles, "sensor.lidar.ray_cast")
+    client.start_recorder("killed.log", True)
+    threading.Timer(random.Random(seed).uniform(0.0, 1.5), os.kill, (os.getpid(), 9)).start()
+    ticks(world, 100_000)
+
+
+def be_killed_while_loading(client: carla.Client, world: carla.World, seed: int) -> None:
+    """Die by SIGKILL while a map is loaded."""
+    maps = client.get_available_maps()
+    threading.Timer(random.Random(seed).uniform(0.0, 1.0), os.kill, (os.getpid(), 9)).start()
+    for number in range(100_000):
+        client.load_world(maps[(seed + number) % len(maps)])
 
 
 def reload(client: carla.Client, world: carla.World, seed: int) -> None:
     """Begin episodes while a traffic manager lives."""
     for turn in range(3):
         world.apply_settings(settings())
-        managed(client, world, seed)
-        for _ in range(20):
-            world.tick()
+        managed(client, world, seed, 15)
+        ticks(world, 20)
         world = client.reload_world(reset_settings=turn % 2 == 0)
     world.apply_settings(settings(synchronous=False))
 
 
 def load(client: carla.Client, world: carla.World, seed: int) -> None:
-    """Go to another map and back, and to one that is sent."""
-    maps = client.get_available_maps()
-    world = client.load_world(maps[seed % len(maps)])
+    """Load two of the maps in turn, one that is sent, and the built-in one."""
+    maps = sorted(client.get_available_maps())
+    for number in range(2):
+        world = client.load_world(maps[(seed + number) % len(maps)])
+        world.wait_for_tick(10.0)
     client.generate_opendrive_world(world.get_map().to_opendrive())
     client.load_world("Brickfield")
 
 
 def record(client: carla.Client, world: carla.World, seed: int) -> None:
-    """Record, ask about the recording, and replay it twice."""
+    """Record, query the recording, and replay it twice."""
     world.apply_settings(settings())
-    name = client.start_recorder(f"soak{seed % 4}.mcap", True)
+    name = client.start_recorder(f"soak{seed % 4}.{'mcap' if seed % 2 else 'log'}", True)
     vehicles = spawn(world, 15)
     for vehicle in vehicles:
         vehicle.apply_control(carla.VehicleControl(throttle=0.5))
-    for _ in range(100):
-        world.tick()
+    ticks(world, 100)
     client.stop_recorder()
     client.show_recorder_file_info(name, True)
     client.show_recorder_collisions(name, "a", "a")
     client.show_recorder_actors_blocked(name, 1.0, 10.0)
     for keep in (True, False):
         client.replay_file(name, 1.0, 0.0, vehicles[0].id, False)
-        for _ in range(30):
-            world.tick()
+        ticks(world, 30)
         client.stop_replayer(keep)
     world.apply_settings(settings(synchronous=False))
 
 
-ROUNDS = {work.__name__: work for work in (visit, drive, die, reload, load, record)}
-CRASHED = {"die": -9}
+ROUNDS = {
+    work.__name__: work
+    for work in (
+        visit,
+        drive,
+        drive_hybrid,
+        sleep_and_freeze,
+        be_killed,
+        be_killed_while_loading,
+        reload,
+        load,
+        record,
+    )
+}
+KILLED = {"be_killed": -9, "be_killed_while_loading": -9}
 
 
-def managed(client: carla.Client, world: carla.World, seed: int) -> tuple[carla.TrafficManager, list[carla.Actor]]:
-    """Vehicles under a traffic manager in synchronous mode."""
+def managed(
+    client: carla.Client, world: carla.World, seed: int, count: int, *, hybrid: bool = False
+) -> tuple[carla.TrafficManager, list[carla.Actor]]:
+    """Return a traffic manager in synchronous mode, and its vehicles; with hybrid physics, the first one is the hero."""
     manager = client.get_trafficmanager(seed)
     manager.set_synchronous_mode(True)
-    vehicles = spawn(world, 15)
+    manager.set_hybrid_physics_mode(hybrid)
+    manager.set_hybrid_physics_radius(50.0)
+    vehicles = spawn(world, count, role_name="hero" if hybrid else "autopilot")
     for vehicle in vehicles:
         vehicle.set_autopilot(True, seed)
     return manager, vehicles
 
 
-def spawn(world: carla.World, count: int) -> list[carla.Actor]:
-    """Vehicles wherever there is room."""
+def shut_down(world: carla.World, manager: carla.TrafficManager) -> None:
+    """Shut a traffic manager down, and leave the world in asynchronous mode."""
+    manager.set_synchronous_mode(False)
+    manager.shut_down()
+    world.apply_settings(settings(synchronous=False))
+
+
+def listening(world: carla.World, parents: list[carla.Actor], sensor: str) -> list[carla.Sensor]:
+    """Return a sensor on each of some actors, with a listener."""
+    blueprint, place = world.get_blueprint_library().find(sensor), carla.Transform(carla.Location(z=2.0))
+    sensors = [world.spawn_actor(blueprint, place, attach_to=parent) for parent in parents]
+    for each in sensors:
+        each.listen(lambda _: None)
+    return sensors
+
+
+def spawn(world: carla.World, count: int, role_name: str = "autopilot") -> list[carla.Actor]:
+    """Return new vehicles at spawn points that are free; the role name is that of the first one."""
     blueprint = world.get_blueprint_library().find("vehicle.tesla.model3")
     points = world.get_map().get_spawn_points()[:: max(1, len(world.get_map().get_spawn_points()) // count)]
-    return [vehicle for vehicle in (world.try_spawn_actor(blueprint, point) for point in points) if vehicle]
+    vehicles = []
+    for point in points:
+        blueprint.set_attribute("role_name", "autopilot" if vehicles else role_name)
+        if vehicle := world.try_spawn_actor(blueprint, point):
+            vehicles.append(vehicle)
+    return vehicles
+
+
+def ticks(world: carla.World, count: int) -> None:
+    """Tick some times."""
+    for _ in range(count):
+        world.tick()
 
 
 def belongs_to_town(actor: carla.Actor) -> bool:
-    """Whether an actor is there without anybody's having spawned it."""
+    """Return whether an actor is there without a client's having spawned it."""
     return actor.type_id.startswith(("traffic.", "spectator"))
 
 
 def settings(*, synchronous: bool = True) -> carla.WorldSettings:
-    """The settings of a world."""
+    """Return the settings of a world."""
     return carla.WorldSettings(synchronous_mode=synchronous, fixed_delta_seconds=DELTA if synchronous else 0.0)
 
 
 def connect(port: int) -> tuple[carla.Client, carla.World]:
-    """A client, and its world."""
+    """Return a client, and its world."""
     client = carla.Client("127.0.0.1", port)
     client.set_timeout(30.0)
     return client, client.get_world()
 
 
+def copied_maps(folder: Path) -> Path:
+    """Fill a folder with copies of the built-in town under the names of others."""
+    from carla_recap.maps.road_map import find_map
+
+    built_in = find_map("Brickfield")
+    assert built_in is not None
+    folder.mkdir()
+    for name in MAPS:
+        shutil.copy(built_in, folder / f"{name}.xodr")
+    return folder
+
+
 def main() -> None:
     parser = argparse.ArgumentParser(prog="python -m benchmarks.soak", description=__doc__)
-    parser.add_argument("--minutes", type=float, default=30.0, help="how long (default: %(default)g)")
-    parser.add_argument("--seed", type=int, default=0, help="of the order of things (default: %(default)s)")
-    parser.add_argument("--maps", type=Path, help="a folder of maps, besides the built-in one")
+    parser.add_argument("--minutes", type=float, default=30.0, help="duration (default: %(default)g)")
+    parser.add_argument("--seed", type=int, default=0, help="seed of the order of rounds (default: %(default)s)")
+    parser.add_argument("--maps", type=Path, help="folder of maps; else copies of the built-in one")
     parser.add_argument("--round", choices=ROUNDS, help=argparse.SUPPRESS)
     parser.add_argument("--port", type=int, help=argparse.SUPPRESS)
     parser.add_argument("--chance", type=int, default=MANAGERS[0], help=argparse.SUPPRESS)
@@ -266,9 +370,9 @@ def main() -> None:
         ROUNDS[options.round](*connect(options.port), options.chance)
         return
     with tempfile.TemporaryDirectory() as folder:
-        command = [sys.executable, "-m", "carla_recap", "serve", "--port=0", f"--recordings={folder}"]
-        if options.maps:
-            command.append(f"--maps={options.maps}")
+        maps = options.maps or copied_maps(Path(folder) / "maps")
+        command = [sys.executable, "-X", "faulthandler", "-m", "carla_recap", "serve", "--port=0"]
+        command += [f"--recordings={folder}/recordings", f"--maps={maps}"]
         with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as server:
             assert server.stdout is not None
             soak = Soak(int(server.stdout.readline().rsplit(":", 1)[1]), server.pid)
@@ -276,10 +380,10 @@ def main() -> None:
                 soak.run(options.minutes, options.seed)
             finally:
                 server.terminate()
-            if server.wait(PATIENCE):
+            if server.wait(TIMEOUT):
                 soak.failures.append(f"the server has ended with exit code {server.returncode}")
     wrong = soak.judge()
-    print("\n".join(wrong) or "nothing leaks, hangs or is left over")
+    print("\n".join(wrong) or "no crash, no leak, no hang")
     sys.exit(bool(wrong))
 
 
