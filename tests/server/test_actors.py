@@ -41,7 +41,7 @@ def test_blueprints_have_carlas_attributes(world: carla.World) -> None:
     camera.set_attribute("fov", "100.5")
     camera.set_attribute("image_size_x", "320")
     assert (camera.get_attribute("fov").as_float(), camera.get_attribute("image_size_x").as_int()) == (100.5, 320)
-    assert camera.get_attribute("exposure_mode").recommended_values == ["manual", "histogram"]
+    assert camera.get_attribute("exposure_mode").recommended_values == ["histogram", "manual"]
     car = library.find("vehicle.tesla.model3")
     assert car.get_attribute("color").type == carla.ActorAttributeType.RGBColor
     assert len(car.get_attribute("color").recommended_values) > 3
@@ -51,11 +51,37 @@ def test_blueprints_have_carlas_attributes(world: carla.World) -> None:
     assert library.find("vehicle.bh.crossbike").get_attribute("driver_id").recommended_values
     assert [float(v) for v in library.find("walker.pedestrian.0001").get_attribute("speed").recommended_values] == [
         0,
-        1.4,
-        3,
+        1.8,
+        4,
     ]
-    assert len(library.filter("vehicle.*")) == 20
+    assert len(library.filter("vehicle.*")) == 41
     assert len(library.filter("controller.ai.walker")) == 1
+
+
+def test_each_attribute_that_can_be_changed_has_recommended_values(world: carla.World) -> None:
+    for blueprint in world.get_blueprint_library():
+        for attribute in blueprint:
+            assert bool(attribute.recommended_values) is attribute.is_modifiable, (blueprint.id, attribute.id)
+
+
+def test_all_blueprints_can_be_spawned_and_their_attributes_read_back(client: carla.Client, world: carla.World) -> None:
+    blueprints = list(world.get_blueprint_library())
+    spots = [
+        carla.Transform(carla.Location(1000.0 + 30 * (i % 15), 1000.0 + 30 * (i // 15), 1.0)) for i in range(len(blueprints))
+    ]
+    commands = [carla.command.SpawnActor(*pair) for pair in zip(blueprints, spots, strict=True)]
+    answers = client.apply_batch_sync(commands, True)
+    assert [answer.error for answer in answers if answer.has_error()] == []
+    actors = {actor.id: actor for actor in world.get_actors([answer.actor_id for answer in answers])}
+    assert len(actors) == len(blueprints) == 214
+    for blueprint, answer in zip(blueprints, answers, strict=True):
+        actor = actors[answer.actor_id]
+        assert actor.type_id == blueprint.id
+        assert actor.attributes.keys() == {attribute.id for attribute in blueprint}
+        for attribute in blueprint:
+            if attribute.is_modifiable:
+                assert actor.attributes[attribute.id] == attribute.recommended_values[0], (blueprint.id, attribute.id)
+    client.apply_batch_sync([carla.command.DestroyActor(id) for id in actors], True)
 
 
 def test_an_actor_is_told_of_with_its_attributes(world: carla.World) -> None:

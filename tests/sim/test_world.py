@@ -224,7 +224,7 @@ def test_a_car_is_put_on_the_road_when_time_begins() -> None:
     assert car.transform.location.z == 0.3
     world.tick()
     assert car.transform.location.z == 0
-    assert walker.transform.location.z == pytest.approx(0.9)
+    assert walker.transform.location.z == pytest.approx(0.93)
     assert car.velocity == Vector()
 
 

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+from functools import lru_cache
 from math import cos, radians, sin
-from typing import TYPE_CHECKING, Final
+from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
 from carla_recap.records import ActorKind
-from carla_recap.server.attributes import told_attributes
+from carla_recap.server.attributes import readable_attributes
 from carla_recap.server.ghosts import Ghost
 from carla_recap.server.structs import (
     ActorDefinition,
@@ -18,8 +19,9 @@ from carla_recap.server.structs import (
     AttributeValue,
     BoundingBox,
 )
+from carla_recap.server.wire import encoder
 from carla_recap.sim.actors.actors import Sign
-from carla_recap.sim.actors.attributes import attribute_type, is_modifiable, is_restricted
+from carla_recap.sim.actors.attributes import attribute_type, is_restricted
 from carla_recap.sim.geometry import Location, Vector
 
 if TYPE_CHECKING:
@@ -27,11 +29,11 @@ if TYPE_CHECKING:
 
     from carla_recap.server.streams import Streams
     from carla_recap.sim.actors.actors import Actor
-    from carla_recap.sim.actors.blueprints import Blueprint
+    from carla_recap.sim.actors.blueprints import Blueprint, BlueprintLibrary
 
 _TYPES_FROM: Final = 1  # the wire numbers the types of attributes from 1, recordings from 0
 _STREAM: Final = 1 << 24  # streams of sensors are numbered from here, those of clients below
-_TAGS: Final = {"car": 14, "van": 14, "truck": 15, "motorcycle": 18, "bicycle": 19}
+_TAGS: Final = {"car": 14, "van": 14, "truck": 15, "bus": 16, "motorcycle": 18, "bicycle": 19}
 _WALKER_TAG, _SIGN_TAG, _LIGHT_TAG, _PROP_TAG = 12, 8, 7, 20
 _BEFORE: Final = 2.0  # m: before the place where one stops is the middle of the box, so that it is not in the junction
 _TRIGGER_HEIGHT: Final = 1.0  # m: half the height of the box where a light or sign is in force
@@ -40,14 +42,14 @@ _CLIENT_SIDE: Final = ("sensor.other.lane_invasion",)
 
 
 def definition(blueprint: Blueprint) -> ActorDefinition:
-    """A blueprint, as clients see it."""
+    """Return a blueprint, as clients see it."""
     attributes = [
         Attribute(
             key,
             attribute_type(key) + _TYPES_FROM,
             value,
             list(blueprint.choices.get(key, ())),
-            is_modifiable(key),
+            key in blueprint.choices,
             is_restricted(key),
         )
         for key, value in blueprint.attributes.items()
@@ -55,12 +57,18 @@ def definition(blueprint: Blueprint) -> ActorDefinition:
     return ActorDefinition(blueprint.uid, blueprint.id, ",".join(blueprint.id.split(".")), attributes)
 
 
+@lru_cache(maxsize=1)
+def encoded_definitions(library: BlueprintLibrary) -> Any:
+    """Return all blueprints as they go over the wire: the same for every client, and asked for again and again."""
+    return encoder(list[ActorDefinition])([definition(blueprint) for blueprint in library])
+
+
 def record(actor: Actor | Ghost, streams: Streams) -> ActorRecord:
     """An actor, as clients see it; also one that has been destroyed."""
     if isinstance(actor, Ghost):
         attributes, parent = actor.attributes, None
     else:
-        attributes = told_attributes(actor.blueprint, actor.attributes, actor.context.blueprints)
+        attributes = readable_attributes(actor.blueprint, actor.attributes, actor.context.blueprints)
         parent = actor.parent
     values = [AttributeValue(key, attribute_type(key) + _TYPES_FROM, value) for key, value in attributes.items()]
     return ActorRecord(

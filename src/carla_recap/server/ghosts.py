@@ -6,7 +6,7 @@ from collections import OrderedDict
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Final
 
-from carla_recap.server.attributes import told_attributes
+from carla_recap.server.attributes import readable_attributes
 
 if TYPE_CHECKING:
     from carla_recap.records import ActorKind
@@ -86,6 +86,6 @@ class Memory:
 
 
 def _ghost(actor: Actor) -> Ghost:
-    told = told_attributes(actor.blueprint, actor.attributes, actor.context.blueprints)
+    told = readable_attributes(actor.blueprint, actor.attributes, actor.context.blueprints)
     changes = tuple((key, value) for key, value in told.items() if actor.blueprint.attributes.get(key) != value)
     return Ghost(actor.id, actor.blueprint, changes, actor.transform)

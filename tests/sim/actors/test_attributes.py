@@ -1,11 +1,18 @@
-"""The attributes of blueprints: what they are by default is of their type."""
+"""The attributes of blueprints: names, types, defaults and recommended values are CARLA 0.9.16's."""
 
 from __future__ import annotations
 
-import pytest
+import csv
+from fnmatch import fnmatchcase
+from pathlib import Path
+from typing import TYPE_CHECKING
 
-from carla_recap.sim.actors.attributes import SENSORS, attribute_type, is_modifiable, is_restricted
+from carla_recap.sim.actors.attributes import ATTRIBUTE_TYPES, attribute_type, is_restricted
 from carla_recap.sim.actors.blueprints import standard_library
+from carla_recap.sim.actors.sensors import SENSORS
+
+if TYPE_CHECKING:
+    from carla_recap.sim.actors.blueprints import Blueprint
 
 READERS = (
     {"true": True, "false": False}.__getitem__,
@@ -14,28 +21,67 @@ READERS = (
     str,
     lambda text: tuple(map(int, text.split(","))),
 )
+LIBRARY = standard_library()
+with Path(__file__).with_name("attributes-0.9.16.csv").open(newline="", encoding="utf-8") as file:
+    FACTS = list(csv.DictReader(file))
+"""CARLA's attributes: name, type, C if constant, values (the default first if it can be chosen), and blueprints."""
+KINDS = ("bool", "int", "float", "string", "color")
 
 
-@pytest.mark.parametrize("blueprint", standard_library(), ids=lambda blueprint: blueprint.id)
-def test_defaults_and_choices_are_of_their_type(blueprint) -> None:  # type: ignore[no-untyped-def]
-    for key, value in blueprint.attributes.items():
-        for text in (value, *blueprint.choices.get(key, ())):
-            READERS[attribute_type(key)](text)
-    assert blueprint.choices.keys() <= blueprint.attributes.keys()
-    assert all(is_modifiable(key) for key in blueprint.choices)
+def test_defaults_and_choices_are_of_their_type() -> None:
+    for blueprint in LIBRARY:
+        for key, value in blueprint.attributes.items():
+            for text in (value, *blueprint.choices.get(key, ())):
+                READERS[attribute_type(key)](text)
+                assert ATTRIBUTE_TYPES[attribute_type(key)].accepts(text), (blueprint.id, key)
+        assert blueprint.choices.keys() <= blueprint.attributes.keys()
+
+
+def test_each_attribute_that_can_be_chosen_has_recommended_values_with_the_default_first() -> None:
+    for blueprint in LIBRARY:
+        for key, values in blueprint.choices.items():
+            assert values, (blueprint.id, key)
+            assert blueprint.attributes[key] == values[0], (blueprint.id, key)
+
+
+def having(fact: dict[str, str]) -> list[Blueprint]:
+    patterns = fact["blueprints"].split()
+    is_of_mesh = "static.prop.mesh" in patterns or "*" in patterns  # which is no prop with a size
+    found = [blueprint for blueprint in LIBRARY if any(fnmatchcase(blueprint.id, pattern) for pattern in patterns)]
+    return [blueprint for blueprint in found if blueprint.id != "static.prop.mesh" or is_of_mesh]
+
+
+def test_attributes_are_those_of_carla() -> None:
+    assert len(FACTS) == 203
+    for fact in FACTS:
+        key, values = fact["attribute"], fact["values"].split()
+        blueprints = having(fact)
+        assert blueprints, fact
+        for blueprint in blueprints:
+            assert KINDS[attribute_type(key)] == fact["type"]
+            assert (key in blueprint.choices) is (fact["constant"] != "C"), (blueprint.id, key)
+            if fact["constant"]:
+                assert blueprint.attributes[key] in ("", *values), (blueprint.id, key)
+            elif values:
+                assert list(blueprint.choices[key]) == values, (blueprint.id, key)
+
+
+def test_no_blueprint_has_another_attribute() -> None:
+    expected: dict[str, set[str]] = {blueprint.id: set() for blueprint in LIBRARY}
+    for fact in FACTS:
+        for blueprint in having(fact):
+            expected[blueprint.id].add(fact["attribute"])
+    assert {blueprint.id: set(blueprint.attributes) for blueprint in LIBRARY} == expected
 
 
 def test_sensors_have_what_their_pictures_need() -> None:
     assert {id for id, attributes in SENSORS.items() if "fov" in attributes} == {
         id for id in SENSORS if id.startswith("sensor.camera.")
     }
-    assert SENSORS["sensor.camera.rgb"].items() >= {"image_size_x": "800", "image_size_y": "600", "fov": "90.0"}.items()
-    assert SENSORS["sensor.lidar.ray_cast"].items() >= {"channels": "32", "range": "10.0", "lower_fov": "-30.0"}.items()
+    assert LIBRARY.get("sensor.other.radar").attributes["noise_seed"] == "0"
     assert [attribute_type(key) for key in ("fov", "image_size_x", "exposure_mode", "use_log")] == [2, 1, 3, 0]
 
 
-def test_what_a_blueprint_is_cannot_be_changed() -> None:
-    assert not any(map(is_modifiable, ("number_of_wheels", "generation", "base_type", "gender", "age", "size")))
-    assert all(map(is_modifiable, ("color", "role_name", "speed", "fov", "driver_id")))
-    assert is_restricted("driver_id")
-    assert not is_restricted("color")
+def test_some_attributes_are_restricted_to_their_recommended_values() -> None:
+    keys = {key for blueprint in LIBRARY for key in blueprint.attributes if is_restricted(key)}
+    assert keys == {"driver_id", "use_wheelchair", "exposure_mode", "scenario", "path_loss_model"}

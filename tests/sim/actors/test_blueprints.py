@@ -17,8 +17,21 @@ def test_names_are_carlas_and_uids_are_places_in_the_list() -> None:
     assert names == sorted(set(names))
     assert [blueprint.uid for blueprint in LIBRARY] == list(range(1, len(LIBRARY) + 1))
     assert {"vehicle.tesla.model3", "walker.pedestrian.0001", "sensor.other.collision", "static.prop.barrel"} <= set(names)
-    assert len(LIBRARY.filter("vehicle.*")) >= 14
-    assert {b.attributes["number_of_wheels"] for b in LIBRARY.filter("vehicle.*")} == {"2", "4"}
+    assert len(names) == 214
+    assert {
+        "sensor.camera.cosmos_visualization",
+        "sensor.other.v2x",
+        "sensor.other.v2x_custom",
+        "static.prop.dirtdebris02",
+        "static.prop.warningaccident",
+        "static.prop.warningconstruction",
+        "static.trigger.friction",
+        "vehicle.lincoln.mkz_2017",
+        "walker.pedestrian.0052",
+    } <= set(names)
+    families = ("vehicle.*", "walker.*", "static.prop.*", "sensor.*")
+    assert [len(LIBRARY.filter(family)) for family in families] == [41, 52, 99, 19]
+    assert {b.attributes["number_of_wheels"] for b in LIBRARY.filter("vehicle.*")} == {"2", "4", "6"}
 
 
 def test_patterns_find_blueprints() -> None:
@@ -32,14 +45,45 @@ def test_vehicles_are_of_one_piece(blueprint) -> None:  # type: ignore[no-untype
     physics, extent = blueprint.physics, blueprint.box.extent
     assert 0.5 * extent.x < blueprint.wheelbase < 2 * extent.x
     assert blueprint.box.location.z == extent.z
-    assert len(physics.wheels) == int(blueprint.attributes["number_of_wheels"])
+    assert len(physics.wheels) == max(4, int(blueprint.attributes["number_of_wheels"]))
     front, rear = physics.wheels[0], physics.wheels[-1]
-    assert front.position.x - rear.position.x == pytest.approx(100 * blueprint.wheelbase)
+    behind = [wheel.position.x for wheel in physics.wheels if not wheel.max_steer_angle]
+    assert front.position.x - sum(behind) / len(behind) == pytest.approx(100 * blueprint.wheelbase)
+    assert all(
+        left.position.y < 0 < right.position.y for left, right in zip(physics.wheels[::2], physics.wheels[1::2], strict=True)
+    )
     assert front.max_steer_angle > 0 == rear.max_steer_angle
     assert front.max_handbrake_torque == 0 < rear.max_handbrake_torque
     assert [speed for speed, _ in physics.torque_curve] == sorted(speed for speed, _ in physics.torque_curve)
     assert [gear.ratio for gear in physics.forward_gears] == sorted((g.ratio for g in physics.forward_gears), reverse=True)
-    assert blueprint.attributes["color"] in blueprint.choices["color"]
+
+
+@pytest.mark.parametrize(
+    ("name", "length", "width", "height"),
+    [
+        ("static.prop.container", 1.9318, 1.0124, 1.7142),
+        ("static.prop.streetbarrier", 1.2149, 0.3717, 1.0691),
+        ("static.prop.busstop", 3.8761, 1.8936, 2.7389),
+        ("static.prop.bench01", 1.5441, 0.7359, 0.9698),
+        ("static.prop.dirtdebris01", 1.8574, 1.5139, 0.1490),
+        ("static.prop.gnome", 0.3666, 0.3756, 0.8830),
+        ("vehicle.lincoln.mkz_2017", 4.9017, 2.1283, 1.5107),
+        ("vehicle.carlamotors.european_hgv", 7.9357, 2.8911, 3.4619),
+        ("vehicle.gazelle.omafiets", 1.8434, 0.6590, 1.7758),
+        ("vehicle.tesla.model3", 4.7918, 2.1635, 1.4877),
+        ("walker.pedestrian.0001", 0.3754, 0.3754, 1.86),
+        ("walker.pedestrian.0010", 0.5, 0.5, 1.1),
+    ],
+)
+def test_sizes_are_those_of_carla(name: str, length: float, width: float, height: float) -> None:
+    extent = LIBRARY.get(name).box.extent
+    assert (2 * extent.x, 2 * extent.y, 2 * extent.z) == pytest.approx((length, width, height), rel=0.01)
+
+
+def test_random_traffic_consists_of_the_same_models_as_ever() -> None:
+    vehicles, walkers = (LIBRARY.traffic(kind) for kind in (ActorKind.VEHICLE, ActorKind.WALKER))
+    assert (len(vehicles), len(walkers)) == (20, 51)
+    assert [vehicles[0].id, vehicles[-1].id] == ["vehicle.audi.a2", "vehicle.volkswagen.t2"]
 
 
 def test_the_box_of_a_walker_is_around_its_middle() -> None:

@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 from math import degrees, radians
-from typing import TypeVar
+from typing import Any, TypeVar
 
 from carla_recap.server import actor_records
 from carla_recap.server.attributes import check_attributes
 from carla_recap.server.client import Client
-from carla_recap.server.structs import ActorDefinition, ActorDescription, ActorRecord, BoundingBox
+from carla_recap.server.structs import ActorDescription, ActorRecord, BoundingBox
 from carla_recap.server.table import CallError, call
 from carla_recap.sim.actors.actors import Actor, Mover, Prop, Sign, Vehicle, Walker
 from carla_recap.sim.actors.control import VehicleControl
@@ -19,9 +19,9 @@ A = TypeVar("A", bound=Actor)
 
 
 @call
-def get_actor_definitions(client: Client) -> list[ActorDefinition]:
-    """All blueprints."""
-    return [actor_records.definition(blueprint) for blueprint in client.host.world.blueprints]
+def get_actor_definitions(client: Client) -> Any:
+    """Return all blueprints."""
+    return actor_records.encoded_definitions(client.host.world.blueprints)
 
 
 @call

@@ -52,6 +52,7 @@ _BOXES: Final = "the boxes of vehicles, walkers and props; neither the ground no
 
 KINDS: Final[Mapping[str, Kind]] = MappingProxyType(
     {
+        "sensor.camera.cosmos_visualization": Kind(16, Support.BLANK, "grey", cameras.grey),
         "sensor.camera.depth": Kind(1, Support.BLANK, "all is 1,000 m away", cameras.depth),
         "sensor.camera.dvs": Kind(3, Support.BLANK, "no events", cameras.events),
         "sensor.camera.instance_segmentation": Kind(15, Support.BLANK, "all is unlabelled", cameras.unlabelled),
@@ -68,6 +69,8 @@ KINDS: Final[Mapping[str, Kind]] = MappingProxyType(
         "sensor.other.obstacle": Kind(7, Support.LIVE, f"{_BOXES}, but barriers", obstacles),
         "sensor.other.radar": Kind(9, Support.LIVE, _BOXES, radar),
         "sensor.other.rss": Kind(12, Support.SILENT, "needs a client that is built with RSS"),
+        "sensor.other.v2x": Kind(20, Support.SILENT, "cooperative awareness messages"),
+        "sensor.other.v2x_custom": Kind(21, Support.SILENT, "messages"),
     }
 )
 """All sensors by the names of their blueprints."""

@@ -1,187 +1,97 @@
-"""The attributes of blueprints: their types, who may change them, and those of sensors with CARLA's defaults.
-
-Names and defaults are those of CARLA 0.9.16 (its reference of sensors, and `ActorBlueprintFunctionLibrary`).
-"""
+"""The attributes of actors: their types, which values are of a type, and which are restricted."""
 
 from __future__ import annotations
 
-from typing import Final
+import re
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Final
 
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+_WHOLE: Final = re.compile(r"[+-]?[0-9]{1,10}(\.0*)?")
+_NUMBER: Final = re.compile(r"[+-]?([0-9]+\.?[0-9]*|\.[0-9]+)(e[+-]?[0-9]+)?", re.IGNORECASE)
+_LONGEST: Final = 64  # characters of a number
+_LARGEST_INT: Final = 2**31 - 1
+_LARGEST_FLOAT: Final = 3.4028234663852886e38
+_LARGEST_SHADE: Final = 255
 _BOOL, _INT, _FLOAT, _STRING, _COLOUR = range(5)
 
-_FIXED: Final = frozenset(
-    (
-        "number_of_wheels",
-        "generation",
-        "base_type",
-        "special_type",
-        "object_type",
-        "has_lights",
-        "has_dynamic_doors",
-        "gender",
-        "age",
-        "size",
-        "can_use_wheelchair",
-    )
+
+@dataclass(frozen=True, slots=True)
+class AttributeType:
+    """The type of an attribute.
+
+    Attributes:
+        accepts: Whether a text is a value of the type.
+        expected: A description of the values, for error messages.
+        neutral: The value to fall back to.
+    """
+
+    accepts: Callable[[str], bool]
+    expected: str
+    neutral: str
+
+
+def _is_bool(text: str) -> bool:
+    return text.lower() in ("true", "false")
+
+
+def _is_int(text: str) -> bool:
+    return _WHOLE.fullmatch(text.strip(" ")) is not None and -_LARGEST_INT - 1 <= float(text) <= _LARGEST_INT
+
+
+def _is_float(text: str) -> bool:
+    is_number = len(text) <= _LONGEST and _NUMBER.fullmatch(text.strip(" ")) is not None
+    return is_number and abs(float(text)) <= _LARGEST_FLOAT
+
+
+def _is_colour(text: str) -> bool:
+    shades = text.split(",")
+    return len(shades) == 3 and all(_is_int(shade) and 0 <= float(shade) <= _LARGEST_SHADE for shade in shades)
+
+
+ATTRIBUTE_TYPES: Final = (
+    AttributeType(_is_bool, "true or false", "false"),
+    AttributeType(_is_int, "a whole number of 32 bits", "0"),
+    AttributeType(_is_float, "a finite number of 32 bits", "0.0"),
+    AttributeType(lambda _: True, "a text", ""),
+    AttributeType(_is_colour, "three whole numbers from 0 to 255, as in 255,0,0", "0,0,0"),
 )
-_RESTRICTED: Final = frozenset(("driver_id", "use_wheelchair", "exposure_mode"))
+"""The types by their codes in recordings: bool, int, float, string and colour."""
 
-_LENS: Final = {
-    "image_size_x": "800",
-    "image_size_y": "600",
-    "fov": "90.0",
-    "lens_circle_falloff": "5.0",
-    "lens_circle_multiplier": "0.0",
-    "lens_k": "-1.0",
-    "lens_kcube": "0.0",
-    "lens_x_size": "0.08",
-    "lens_y_size": "0.08",
-    "sensor_tick": "0.0",
+_KEYS: Final = {
+    _BOOL: "sticky_control terramechanics has_lights has_dynamic_doors is_invincible can_use_wheelchair use_wheelchair"
+    " ros_publish_tf enable_postprocess_effects use_log only_dynamics debug_linetrace use_etsi_fading fixed_rate",
+    _INT: "number_of_wheels generation driver_id image_size_x image_size_y blade_count refractory_period_ns channels"
+    " points_per_second noise_seed",
+    _STRING: "role_name ros_name ros_frame_id base_type special_type object_type gender age size exposure_mode scenario"
+    " path_loss_model mesh_path",
+    _FLOAT: "speed sensor_tick fov lens_circle_falloff lens_circle_multiplier lens_k lens_kcube lens_x_size lens_y_size"
+    " bloom_intensity black_clip blur_amount blur_radius calibration_constant chromatic_aberration_intensity"
+    " chromatic_aberration_offset exposure_compensation exposure_max_bright exposure_min_bright exposure_speed_down"
+    " exposure_speed_up focal_distance fstop gamma iso lens_flare_intensity min_fstop motion_blur_intensity"
+    " motion_blur_max_distortion motion_blur_min_object_screen_size shoulder shutter_speed slope temp tint toe white_clip"
+    " positive_threshold negative_threshold sigma_positive_threshold sigma_negative_threshold log_eps range"
+    " rotation_frequency upper_fov lower_fov horizontal_fov vertical_fov atmosphere_attenuation_rate"
+    " dropoff_general_rate dropoff_intensity_limit dropoff_zero_intensity noise_stddev distance hit_radius"
+    " transmit_power receiver_sensitivity frequency_ghz combined_antenna_gain path_loss_exponent d_ref filter_distance"
+    " custom_fading_stddev gen_cam_min gen_cam_max friction extent_x extent_y extent_z mass scale"
+    " noise_lat_bias noise_lat_stddev noise_lon_bias noise_lon_stddev noise_alt_bias noise_alt_stddev"
+    " noise_head_bias noise_head_stddev noise_yawrate_bias noise_yawrate_stddev noise_vel_stddev_x"
+    " noise_accel_stddev_x noise_accel_stddev_y noise_accel_stddev_z noise_gyro_stddev_x noise_gyro_stddev_y"
+    " noise_gyro_stddev_z noise_gyro_bias_x noise_gyro_bias_y noise_gyro_bias_z",
+    _COLOUR: "color",
 }
-_FILM: Final = {
-    "enable_postprocess_effects": "true",
-    "bloom_intensity": "0.675",
-    "black_clip": "0.0",
-    "blade_count": "5",
-    "blur_amount": "1.0",
-    "blur_radius": "0.0",
-    "calibration_constant": "16.0",
-    "chromatic_aberration_intensity": "0.0",
-    "chromatic_aberration_offset": "0.0",
-    "exposure_compensation": "0.0",
-    "exposure_max_bright": "12.0",
-    "exposure_min_bright": "10.0",
-    "exposure_mode": "histogram",
-    "exposure_speed_down": "1.0",
-    "exposure_speed_up": "3.0",
-    "focal_distance": "1000.0",
-    "fstop": "1.4",
-    "gamma": "2.2",
-    "iso": "100.0",
-    "lens_flare_intensity": "0.1",
-    "min_fstop": "1.2",
-    "motion_blur_intensity": "0.45",
-    "motion_blur_max_distortion": "0.35",
-    "motion_blur_min_object_screen_size": "0.1",
-    "shoulder": "0.26",
-    "shutter_speed": "200.0",
-    "slope": "0.88",
-    "temp": "6500.0",
-    "tint": "0.0",
-    "toe": "0.55",
-    "white_clip": "0.04",
-}
-_EVENTS: Final = {
-    "positive_threshold": "0.3",
-    "negative_threshold": "0.3",
-    "sigma_positive_threshold": "0.0",
-    "sigma_negative_threshold": "0.0",
-    "refractory_period_ns": "0",
-    "use_log": "true",
-    "log_eps": "0.001",
-}
-_RAYS: Final = {
-    "channels": "32",
-    "range": "10.0",
-    "points_per_second": "56000",
-    "rotation_frequency": "10.0",
-    "upper_fov": "10.0",
-    "lower_fov": "-30.0",
-    "horizontal_fov": "360.0",
-    "sensor_tick": "0.0",
-}
-_ECHOES: Final = {
-    "atmosphere_attenuation_rate": "0.004",
-    "dropoff_general_rate": "0.45",
-    "dropoff_intensity_limit": "0.8",
-    "dropoff_zero_intensity": "0.4",
-    "noise_stddev": "0.0",
-    "noise_seed": "0",
-}
-_NOISE: Final = {"noise_seed": "0", "sensor_tick": "0.0"}
-
-SENSORS: Final[dict[str, dict[str, str]]] = {
-    "sensor.camera.depth": _LENS,
-    "sensor.camera.dvs": {**_LENS, **_FILM, **_EVENTS},
-    "sensor.camera.instance_segmentation": _LENS,
-    "sensor.camera.normals": _LENS,
-    "sensor.camera.optical_flow": _LENS,
-    "sensor.camera.rgb": {**_LENS, **_FILM},
-    "sensor.camera.semantic_segmentation": _LENS,
-    "sensor.lidar.ray_cast": {**_RAYS, **_ECHOES},
-    "sensor.lidar.ray_cast_semantic": _RAYS,
-    "sensor.other.collision": {},
-    "sensor.other.gnss": {
-        **{f"noise_{axis}_{kind}": "0.0" for axis in ("alt", "lat", "lon") for kind in ("bias", "stddev")},
-        **_NOISE,
-    },
-    "sensor.other.imu": {
-        **{f"noise_{kind}_{axis}": "0.0" for kind in ("accel_stddev", "gyro_bias", "gyro_stddev") for axis in "xyz"},
-        **_NOISE,
-    },
-    "sensor.other.lane_invasion": {},
-    "sensor.other.obstacle": {
-        "distance": "5.0",
-        "hit_radius": "0.5",
-        "only_dynamics": "false",
-        "debug_linetrace": "false",
-        "sensor_tick": "0.0",
-    },
-    "sensor.other.radar": {
-        "horizontal_fov": "30.0",
-        "vertical_fov": "30.0",
-        "points_per_second": "1500",
-        "range": "100.0",
-        "sensor_tick": "0.0",
-    },
-    "sensor.other.rss": {},
-}
-"""The sensors, and what each has besides its role name."""
-
-CHOICES: Final = {
-    "enable_postprocess_effects": ("true", "false"),
-    "exposure_mode": ("manual", "histogram"),
-}
-"""What attributes of sensors are meant to be."""
-
-_TYPES: Final = {
-    "number_of_wheels": _INT,
-    "generation": _INT,
-    "sticky_control": _BOOL,
-    "has_lights": _BOOL,
-    "has_dynamic_doors": _BOOL,
-    "is_invincible": _BOOL,
-    "can_use_wheelchair": _BOOL,
-    "use_wheelchair": _BOOL,
-    "speed": _FLOAT,
-    "color": _COLOUR,
-    "driver_id": _INT,
-    "image_size_x": _INT,
-    "image_size_y": _INT,
-    "blade_count": _INT,
-    "refractory_period_ns": _INT,
-    "channels": _INT,
-    "points_per_second": _INT,
-    "noise_seed": _INT,
-    "enable_postprocess_effects": _BOOL,
-    "use_log": _BOOL,
-    "only_dynamics": _BOOL,
-    "debug_linetrace": _BOOL,
-    "exposure_mode": _STRING,
-}
-_OF_SENSORS: Final = frozenset(key for attributes in SENSORS.values() for key in attributes)
+_TYPES: Final = {key: code for code, keys in _KEYS.items() for key in keys.split()}
+_RESTRICTED: Final = frozenset(("driver_id", "use_wheelchair", "exposure_mode", "scenario", "path_loss_model"))
 
 
 def attribute_type(key: str) -> int:
-    """The type code of an attribute in a recording: 0 bool, 1 int, 2 float, 3 string, 4 colour."""
-    return _TYPES.get(key, _FLOAT if key in _OF_SENSORS else _STRING)
-
-
-def is_modifiable(key: str) -> bool:
-    """Whether who spawns an actor says what this attribute is."""
-    return key not in _FIXED
+    """Return the code of an attribute's type in recordings; that of a string for an unknown attribute."""
+    return _TYPES.get(key, _STRING)
 
 
 def is_restricted(key: str) -> bool:
-    """Whether an attribute is meant to have none but the recommended values."""
+    """Return whether an attribute is meant to have recommended values only."""
     return key in _RESTRICTED

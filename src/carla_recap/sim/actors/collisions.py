@@ -6,9 +6,9 @@ from dataclasses import dataclass
 from math import hypot
 from typing import TYPE_CHECKING, Final
 
-from carla_recap.sim.actors.blueprints import COLLISION_SENSOR
 from carla_recap.sim.actors.events import Collision
 from carla_recap.sim.actors.moving import Vehicle, Walker
+from carla_recap.sim.actors.sensors import COLLISION_SENSOR
 from carla_recap.sim.geometry import Location, Vector
 from carla_recap.sim.physics.walkers import FALL
 

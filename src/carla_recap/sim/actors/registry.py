@@ -36,6 +36,7 @@ if TYPE_CHECKING:
 
 _WALKER_MASS: Final = 75.0  # kg
 _WALKER_RADIUS: Final = 0.25  # m: shoulders
+_WALKER_HALF: Final = 0.19  # m: half of the room that vehicles leave to a walker, whatever the size of its box
 _POLE_RADIUS: Final = 0.15  # m
 _POLE_BELOW, _POLE_ABOVE = 1.0, 3.0  # m: how far a pole reaches below the road and above its sign
 _CLASSES: Final[dict[ActorKind, type[Actor]]] = {
@@ -297,11 +298,12 @@ def _corners(blueprint: Blueprint) -> list[tuple[float, float]]:
 
 def _columns(mover: MovingActor, transform: Transform) -> dict[str, float | tuple[float, float, float]]:
     place, turn, extent = transform.location, transform.rotation, mover.box.extent
+    half = (_WALKER_HALF, _WALKER_HALF) if isinstance(mover, Walker) else (extent.x, extent.y)
     return {
         "position": (place.x, place.y, place.z),
         "rotation": (turn.pitch, turn.yaw, turn.roll),
-        "half_length": extent.x,
-        "half_width": extent.y,
+        "half_length": half[0],
+        "half_width": half[1],
         "bottom": mover.box.location.z - extent.z,
         "top": mover.box.location.z + extent.z,
     }

@@ -73,7 +73,7 @@ class _Near:
 
 
 def _vehicles(world: ScenarioWorld, count: int, near: _Near, *, hero: bool) -> list[Vehicle]:
-    models = [blueprint for blueprint in world.blueprints if blueprint.kind == ActorKind.VEHICLE]
+    models = world.blueprints.traffic(ActorKind.VEHICLE)
     if count and not world.town.spawn_points:
         raise SimError(f"{world.town.name} has no place for a vehicle: no lanes for cars that lead anywhere")
     places = [place for place in world.town.spawn_points if near(place.location)]
@@ -93,7 +93,7 @@ def _vehicles(world: ScenarioWorld, count: int, near: _Near, *, hero: bool) -> l
 
 
 def _walkers(world: ScenarioWorld, count: int, near: _Near) -> list[Walker]:
-    models = [blueprint for blueprint in world.blueprints if blueprint.kind == ActorKind.WALKER]
+    models = world.blueprints.traffic(ActorKind.WALKER)
     found: list[Walker] = []
     for _ in range(count):
         model = models[int(world.random.integers(len(models)))]
