@@ -89,12 +89,12 @@ def test_the_topic_of_a_record_type_is_told(type):
 
 def test_every_call_of_clients_has_its_place():
     pytest.importorskip("pymunk", reason="the extra `sim` is not installed")
-    from carla_recap.server.calls.accepted import Standing, standings
+    from carla_recap.server.calls.unsupported import CallSupport, call_support
 
     supported, accepted = SERVING.split("Accepted, and nothing comes of them:")
     accepted, refused = accepted.split("Refused:")
-    places = {Standing.SUPPORTED: supported, Standing.ACCEPTED: accepted, Standing.REFUSED: refused}
-    for name, (standing, why) in standings().items():
+    places = {CallSupport.SUPPORTED: supported, CallSupport.ACCEPTED: accepted, CallSupport.REFUSED: refused}
+    for name, (standing, why) in call_support().items():
         assert any(f"`{name}`" in line and why in line for line in places[standing].splitlines()), name
 
 

@@ -1,4 +1,4 @@
-"""A fixture of pytest for those who test with CARLA's client."""
+"""A pytest fixture for tests with CARLA's client."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ if TYPE_CHECKING:
 
 @pytest.fixture(scope="session")
 def carla_server(tmp_path_factory: pytest.TempPathFactory) -> Iterator[int]:
-    """The port of a server with the built-in town, for `carla.Client("localhost", port)`; one for all tests."""
+    """Yield the port of a server with the built-in town, for `carla.Client("localhost", port)`; one for all tests."""
     from carla_recap.server import running
 
     with running(recordings=tmp_path_factory.mktemp("recordings")) as port:

@@ -1,4 +1,4 @@
-"""Calls without a network: what a client would be answered, straight from the table."""
+"""Calls without a network."""
 
 from __future__ import annotations
 
@@ -7,10 +7,11 @@ from typing import Any
 
 import msgpack
 
-import carla_recap.server.calls  # noqa: F401  (fills the table of calls)
+import carla_recap.server.calls  # noqa: F401  (registers the calls)
 from carla_recap.server.client import Client
 from carla_recap.server.host import Host
-from carla_recap.server.table import TABLE
+from carla_recap.server.rpc.connection import ClientConnection
+from carla_recap.server.rpc.registry import CALLS
 from carla_recap.sim.town.town import Town, load_town
 from carla_recap.sim.world import World
 
@@ -19,26 +20,26 @@ class Inside:
     """A client inside the server.
 
     Attributes:
-        world: The world that is served.
-        host: Who serves it.
+        world: The served world.
+        host: The host of that world.
     """
 
     def __init__(self) -> None:
         self.world = World(_town())
         self.host = Host(self.world)
-        self._client = Client(self.host)
+        self._client = Client(self.host, ClientConnection(CALLS, self.host.connections, lambda _: self._client))
 
     def call(self, name: str, *arguments: Any) -> Any:
-        """The answer to a call as it goes over the wire, without what CARLA wraps it in; errors are raised."""
-        row = TABLE[name]
-        answer = row(self._client, list(arguments))
-        if row.result is None:
+        """Return the encoded answer to a call, without CARLA's `Response` around it; errors are raised."""
+        entry = CALLS[name]
+        answer = entry(self._client, list(arguments))
+        if entry.result is None:
             return None
-        data = msgpack.packb(row.result(answer), unicode_errors="surrogateescape")
+        data = msgpack.packb(entry.result(answer), unicode_errors="surrogateescape")
         return msgpack.unpackb(data, unicode_errors="surrogateescape")
 
     def batch(self, *commands: Any) -> list[Any]:
-        """The answers to a batch of commands, each [number, fields]."""
+        """Return the answers to a batch of commands, each [number, fields]."""
         answers: list[Any] = self.call("apply_batch", [[command] for command in commands], False)
         return answers
 

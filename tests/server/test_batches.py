@@ -9,7 +9,7 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from carla_recap.server.ackermann import AckermannControl
+from carla_recap.server.controllers import AckermannControl
 from carla_recap.sim.actors.actors import Vehicle
 from carla_recap.sim.actors.control import VehicleControl
 from tests.server.inside import Inside
@@ -175,7 +175,7 @@ def test_controls_of_many_do_what_they_do_one_by_one(inside: Inside, told: list[
             car.apply_control(VehicleControl(manual_gear_shift=True, gear=-1))
         for batch in batches:
             assert inside.batch(*batch) == [[[1, fields[0]]] for _, fields in batch]
-        found.append([(car.control, car in inside.host.ackermann._drives) for car in cars])
+        found.append([(car.control, car in inside.host.ackermann._states) for car in cars])
     for car in cars:
         car.destroy()
     assert found[0] == found[1]

@@ -10,8 +10,8 @@ import carla
 import pytest
 
 import carla_recap.server.calls  # noqa: F401  (fills the table of calls)
-from carla_recap.server.calls.accepted import Standing, standings
-from carla_recap.server.table import TABLE
+from carla_recap.server.calls.unsupported import CallSupport, call_support
+from carla_recap.server.rpc.registry import CALLS as REGISTRY
 
 CALLS = {
     "AddActorAngularImpulse": ("add_actor_angular_impulse",),
@@ -162,13 +162,13 @@ def test_every_method_of_the_client_is_known() -> None:
 
 @pytest.mark.parametrize("name", sorted({name for names in CALLS.values() for name in names}))
 def test_every_call_of_the_client_is_served(name: str) -> None:
-    assert name in TABLE
+    assert name in REGISTRY
 
 
 def test_every_call_has_a_standing_and_a_reason_where_it_is_not_supported() -> None:
-    told = standings()
-    assert set(told) == set(TABLE)
-    assert all(bool(reason) == (standing is not Standing.SUPPORTED) for standing, reason in told.values())
-    assert told["draw_debug_shape"] == (Standing.ACCEPTED, "nothing is drawn")
-    assert told["tick_cue"] == (Standing.SUPPORTED, "")
-    assert [name for name, (standing, _) in told.items() if standing is Standing.REFUSED] == ["get_gbuffer_token"]
+    told = call_support()
+    assert set(told) == set(REGISTRY)
+    assert all(bool(reason) == (standing is not CallSupport.SUPPORTED) for standing, reason in told.values())
+    assert told["draw_debug_shape"] == (CallSupport.ACCEPTED, "nothing is drawn")
+    assert told["tick_cue"] == (CallSupport.SUPPORTED, "")
+    assert [name for name, (standing, _) in told.items() if standing is CallSupport.REFUSED] == ["get_gbuffer_token"]

@@ -14,7 +14,7 @@ import carla
 import msgpack
 import pytest
 
-from carla_recap.server.inbox import Inbox
+from carla_recap.server.rpc.message_buffer import MessageBuffer
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -213,11 +213,11 @@ def test_a_stalled_subscriber_holds_up_nobody(world: carla.World, port: int) -> 
 
 
 def test_wrong_types_are_told_in_every_call(world: carla.World, port: int) -> None:
-    from carla_recap.server.table import TABLE
+    from carla_recap.server.rpc.registry import CALLS
 
     changing = {"load_new_episode", "stop_recorder", "tick_cue"}
     with closing(connect(port)) as connection:
-        for name in sorted(TABLE.keys() - changing):
+        for name in sorted(CALLS.keys() - changing):
             for arguments in (["text"] * 8, [[[]]] * 8, [None] * 8, [-1] * 8, [2**64 - 1] * 8, [1e300] * 8):
                 reply = ask(connection, 0, 1, name, [[False], *arguments])
                 assert reply is not None, (name, arguments)
@@ -259,7 +259,7 @@ def test_an_inbox_gives_back_calls_however_they_arrive() -> None:
     calls = [VERSION, [0, 2, "apply_batch", [[False], [[1, [number]] for number in range(1000)]]], [0, 3, "x", [[True]]]]
     data = b"".join(map(msgpack.packb, calls))
     for size in (1, 7, 1000, len(data)):
-        inbox, found = Inbox(), []
+        inbox, found = MessageBuffer(), []
         for start in range(0, len(data), size):
             inbox.feed(data[start : start + size])
             found += list(inbox)

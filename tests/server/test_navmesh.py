@@ -12,7 +12,7 @@ import pytest
 from carla_recap.server.navmesh import detour, navigation_files, navigation_mesh
 from carla_recap.server.navmesh.detour import mesh_bytes
 from carla_recap.server.navmesh.surface import CORNERS, walkable_surface
-from carla_recap.server.navmesh.ways import CROSSWALK, ROAD, SIDEWALK, Ways
+from carla_recap.server.navmesh.walkways import CROSSWALK, ROAD, SIDEWALK, WalkwayEditor
 from carla_recap.sim.town.town import BUILT_IN, Town, WalkwayGraph, load_town
 from tests.maps.towns import opendrive, road, town
 from tests.sim.flat import flat_town
@@ -114,7 +114,7 @@ def graph(
 
 
 def built(walks: WalkwayGraph) -> Mesh:
-    ways = Ways(walks)
+    ways = WalkwayEditor(walks)
     ways.loosen()
     ways.straighten()
     return read(mesh_bytes(walkable_surface(ways)))
@@ -276,7 +276,7 @@ def test_town_without_sidewalks_has_no_mesh(tmp_path: Any) -> None:
 
 
 def test_sidewalk_that_is_but_a_place_has_no_mesh() -> None:
-    ways = Ways(graph([(0, 0), (0.5, 0)], (0, 1)))
+    ways = WalkwayEditor(graph([(0, 0), (0.5, 0)], (0, 1)))
     ways.loosen()
     assert mesh_bytes(walkable_surface(ways)) == b""
 
@@ -284,7 +284,7 @@ def test_sidewalk_that_is_but_a_place_has_no_mesh() -> None:
 def test_more_than_a_tile_can_hold_has_no_mesh() -> None:
     count = detour.MOST // 2 + 2
     nodes = [(4.0 * number, float(number % 2)) for number in range(count)]
-    assert mesh_bytes(walkable_surface(Ways(graph(nodes, *pairwise(range(count)))))) == b""
+    assert mesh_bytes(walkable_surface(WalkwayEditor(graph(nodes, *pairwise(range(count)))))) == b""
     flat = flat_town()
     flat.walks = graph(nodes * 2, *pairwise(range(2 * count)))
     assert navigation_mesh(flat) == b""
@@ -307,7 +307,7 @@ def test_slope_is_kept() -> None:
 def test_meetings_of_many_ways(ways: int) -> None:
     angles = np.arange(ways) * 2 * np.pi / ways
     nodes = [(0.0, 0.0), *((30 * np.cos(angle), 30 * np.sin(angle)) for angle in angles)]
-    mesh = read(mesh_bytes(walkable_surface(Ways(graph(nodes, *((0, number + 1) for number in range(ways)))))))
+    mesh = read(mesh_bytes(walkable_surface(WalkwayEditor(graph(nodes, *((0, number + 1) for number in range(ways)))))))
     assert len(mesh.components(SIDEWALK)) == 1
     assert sum(len(mesh.neighbours(number)) == 1 for number in range(len(mesh.polygons))) == ways
     assert all((turns(mesh.outline(number)) < 1e-3).all() for number in range(len(mesh.polygons)))

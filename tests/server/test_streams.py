@@ -3,8 +3,8 @@ from __future__ import annotations
 import asyncio
 import struct
 
-from carla_recap.server.connections import Connections
-from carla_recap.server.streams import Streams
+from carla_recap.server.rpc.connection import ConnectionPool
+from carla_recap.server.streaming.streams import Streams
 
 
 class Wire(asyncio.Transport):
@@ -35,7 +35,7 @@ def subscribe(streams: Streams, stream: int) -> tuple[asyncio.Protocol, Wire]:
 
 
 def new_streams() -> Streams:
-    return Streams(Connections(), lambda payload: b"first " + payload)
+    return Streams(ConnectionPool(), lambda payload: b"first " + payload)
 
 
 def test_each_frame_is_preceded_by_its_length() -> None:

@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING
 import click
 
 from carla_recap.cli import capture, files, queries, serve, show, simulate
-from carla_recap.cli.output import say, warn
+from carla_recap.cli.output import log_to_stderr, say, warn
 from carla_recap.ending import ENDING, handled, heeded, is_ending
 from carla_recap.errors import RecapError, RecapWarning
 
@@ -44,6 +44,7 @@ def main() -> None:
         sys.exit(BAD_INPUT)  # nobody would see an answer
     warnings.simplefilter("always", RecapWarning)
     warnings.showwarning = _print_warning
+    log_to_stderr()
     if hasattr(signal, "SIGPIPE"):
         signal.signal(signal.SIGPIPE, signal.SIG_DFL)
     atexit.register(_ignore_more)  # as the first, so that it is called as the last

@@ -1,4 +1,4 @@
-"""The command that stands in for CARLA's server."""
+"""The command that serves a town to CARLA's client."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from carla_recap.errors import RecapError, RecapWarning
 
 if TYPE_CHECKING:
     from carla_recap.replay.follow import Follow
-    from carla_recap.server.live import Window
+    from carla_recap.server.viewer import ViewerProcess
 
 _LOOPBACK = "127.0.0.1"
 _EVERYWHERE = ("0.0.0.0", "::")
@@ -52,8 +52,8 @@ def serve(
     attached: bool,
 ) -> None:
     """Serve a simulated town to CARLA's own client."""
-    from carla_recap.server.attention import attentive_loop
     from carla_recap.server.host import Host
+    from carla_recap.server.quirks import busy_polling_loop
     from carla_recap.server.serving import serve as serve_clients
     from carla_recap.sim import World, load_town
 
@@ -72,14 +72,14 @@ def serve(
                 shown.open(host, port)
 
         warnings.simplefilter("once", RecapWarning)  # however often a client asks about a damaged recording
-        with asyncio.Runner(loop_factory=attentive_loop) as runner:
+        with asyncio.Runner(loop_factory=busy_polling_loop) as runner:
             runner.run(serve_clients(Host(world, confined=confine), host, port, ready, attached=attached))
 
 
-def _window(to: str | None, follow: Follow | None) -> Window:
-    from carla_recap.server.live import Window
+def _window(to: str | None, follow: Follow | None) -> ViewerProcess:
+    from carla_recap.server.viewer import ViewerProcess
 
-    return Window(to, "hero" if follow is None else follow)
+    return ViewerProcess(to, "hero" if follow is None else follow)
 
 
 def _make(folder: Path) -> None:

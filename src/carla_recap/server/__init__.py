@@ -1,4 +1,4 @@
-"""CARLA's server without CARLA: the official client connects to a simulated town, records, replays and queries."""
+"""A server for the official CARLA client: it simulates a town, records, replays and answers queries."""
 
 from carla_recap.errors import MissingExtra
 

@@ -1,7 +1,9 @@
-"""What clients are told of actors and blueprints."""
+"""The records of actors and blueprints that clients get, and a cache of destroyed actors, for which clients still ask."""
 
 from __future__ import annotations
 
+from collections import OrderedDict
+from dataclasses import dataclass
 from functools import lru_cache
 from math import cos, radians, sin
 from typing import TYPE_CHECKING, Any, Final
@@ -10,16 +12,15 @@ import numpy as np
 
 from carla_recap.records import ActorKind
 from carla_recap.server.attributes import readable_attributes
-from carla_recap.server.ghosts import Ghost
-from carla_recap.server.structs import (
+from carla_recap.server.rpc.codec import encoder
+from carla_recap.server.rpc.structs import (
     ActorDefinition,
     ActorDescription,
     ActorRecord,
-    Attribute,
+    AttributeDefinition,
     AttributeValue,
-    BoundingBox,
+    BoxStruct,
 )
-from carla_recap.server.wire import encoder
 from carla_recap.sim.actors.actors import Sign
 from carla_recap.sim.actors.attributes import attribute_type, is_restricted
 from carla_recap.sim.geometry import Location, Vector
@@ -27,26 +28,95 @@ from carla_recap.sim.geometry import Location, Vector
 if TYPE_CHECKING:
     from collections.abc import Iterable
 
-    from carla_recap.server.streams import Streams
+    from carla_recap.server.streaming.streams import Streams
     from carla_recap.sim.actors.actors import Actor
     from carla_recap.sim.actors.blueprints import Blueprint, BlueprintLibrary
+    from carla_recap.sim.geometry import Box, Transform
 
-_TYPES_FROM: Final = 1  # the wire numbers the types of attributes from 1, recordings from 0
-_STREAM: Final = 1 << 24  # streams of sensors are numbered from here, those of clients below
+_FIRST_TYPE: Final = 1  # the protocol numbers the types of attributes from 1, recordings from 0
+_FIRST_SENSOR_STREAM: Final = 1 << 24  # streams of sensors are numbered from here, those of snapshots below
 _TAGS: Final = {"car": 14, "van": 14, "truck": 15, "bus": 16, "motorcycle": 18, "bicycle": 19}
 _WALKER_TAG, _SIGN_TAG, _LIGHT_TAG, _PROP_TAG = 12, 8, 7, 20
-_BEFORE: Final = 2.0  # m: before the place where one stops is the middle of the box, so that it is not in the junction
-_TRIGGER_HEIGHT: Final = 1.0  # m: half the height of the box where a light or sign is in force
+_BEFORE: Final = 2.0  # m, from the stop line back to the middle of the trigger volume, so that it is not in the junction
+_TRIGGER_HEIGHT: Final = 1.0  # m: half the height of a trigger volume
 _STREAMING: Final = "sensor."
 _CLIENT_SIDE: Final = ("sensor.other.lane_invasion",)
+_MOST_DESTROYED: Final = 10_000  # actors in the cache
+
+
+@dataclass(frozen=True, slots=True)
+class DestroyedActor:
+    """What is kept of a destroyed actor.
+
+    Attributes:
+        id: Its id.
+        blueprint: Its blueprint.
+        changes: The attributes that differ from the blueprint's.
+        transform: Its last transform.
+    """
+
+    id: int
+    blueprint: Blueprint
+    changes: tuple[tuple[str, str], ...]
+    transform: Transform
+
+    @property
+    def type_id(self) -> str:
+        """The id of its blueprint."""
+        return self.blueprint.id
+
+    @property
+    def kind(self) -> ActorKind:
+        """The kind of actor, as recordings number it."""
+        return self.blueprint.kind
+
+    @property
+    def box(self) -> Box:
+        """The box around it, in its own axes."""
+        return self.blueprint.box
+
+    @property
+    def attributes(self) -> dict[str, str]:
+        """Its attributes."""
+        return {**self.blueprint.attributes, **dict(self.changes)}
+
+
+class ActorCache:
+    """The actors of a world, and the latest of the destroyed ones."""
+
+    def __init__(self) -> None:
+        self._alive: dict[int, Actor] = {}
+        self._destroyed: OrderedDict[int, DestroyedActor] = OrderedDict()
+
+    def add(self, actor: Actor) -> None:
+        """Add an actor."""
+        self._alive[actor.id] = actor
+
+    def evict(self, id: int) -> None:
+        """Replace an actor that has been destroyed by the little that is kept of it."""
+        actor = self._alive.pop(id, None)
+        if actor is not None:
+            self._destroyed[id] = _destroyed(actor)
+            if len(self._destroyed) > _MOST_DESTROYED:
+                self._destroyed.popitem(last=False)
+
+    def evict_destroyed(self) -> None:
+        """Evict all actors that have been destroyed."""
+        for actor in tuple(self._alive.values()):
+            if not actor.is_alive:
+                self.evict(actor.id)
+
+    def find(self, id: int) -> Actor | DestroyedActor | None:
+        """Return the actor of an id; None if it is unknown."""
+        return self._alive.get(id) or self._destroyed.get(id)
 
 
 def definition(blueprint: Blueprint) -> ActorDefinition:
-    """Return a blueprint, as clients see it."""
+    """Return the record of a blueprint."""
     attributes = [
-        Attribute(
+        AttributeDefinition(
             key,
-            attribute_type(key) + _TYPES_FROM,
+            attribute_type(key) + _FIRST_TYPE,
             value,
             list(blueprint.choices.get(key, ())),
             key in blueprint.choices,
@@ -59,18 +129,18 @@ def definition(blueprint: Blueprint) -> ActorDefinition:
 
 @lru_cache(maxsize=1)
 def encoded_definitions(library: BlueprintLibrary) -> Any:
-    """Return all blueprints as they go over the wire: the same for every client, and asked for again and again."""
+    """Return the encoded records of all blueprints: the same for every client."""
     return encoder(list[ActorDefinition])([definition(blueprint) for blueprint in library])
 
 
-def record(actor: Actor | Ghost, streams: Streams) -> ActorRecord:
-    """An actor, as clients see it; also one that has been destroyed."""
-    if isinstance(actor, Ghost):
+def record(actor: Actor | DestroyedActor, streams: Streams) -> ActorRecord:
+    """Return the record of an actor, or of a destroyed one."""
+    if isinstance(actor, DestroyedActor):
         attributes, parent = actor.attributes, None
     else:
         attributes = readable_attributes(actor.blueprint, actor.attributes, actor.context.blueprints)
         parent = actor.parent
-    values = [AttributeValue(key, attribute_type(key) + _TYPES_FROM, value) for key, value in attributes.items()]
+    values = [AttributeValue(key, attribute_type(key) + _FIRST_TYPE, value) for key, value in attributes.items()]
     return ActorRecord(
         actor.id,
         parent.id if parent else 0,
@@ -81,53 +151,50 @@ def record(actor: Actor | Ghost, streams: Streams) -> ActorRecord:
     )
 
 
-def box(actor: Actor | Ghost) -> BoundingBox:
-    """The box around an actor, in its own axes; of a light or sign, where it is in force, as CARLA has it."""
+def box(actor: Actor | DestroyedActor) -> BoxStruct:
+    """Return the box around an actor, in its own axes; for a light or sign, the trigger volume, as in CARLA."""
     if isinstance(actor, Sign) and actor.signal.stops:
         return _trigger_volume(actor)
     centre = actor.box.location
-    return BoundingBox(Location(centre.x, centre.y, centre.z), actor.box.extent, actor_id=actor.id)
+    return BoxStruct(Location(centre.x, centre.y, centre.z), actor.box.extent, actor_id=actor.id)
 
 
-def _trigger_volume(sign: Sign) -> BoundingBox:
-    """The box before the places where one stops, on all lanes that are concerned; it is as long as a lane is wide."""
-    town, there = sign.context.town, sign.transform
+def _trigger_volume(sign: Sign) -> BoxStruct:
+    """Return the box before the stop lines, across all lanes concerned; it is as long as a lane is wide."""
+    town, transform = sign.context.town, sign.transform
     lanes, s = zip(*sign.signal.stops, strict=True)
     halves = np.array([town.lanes[lane].width / 2 for lane in lanes])[:, None]
-    away = town.index.at(lanes, np.maximum(np.array(s) - _BEFORE, 0.0))[0] - (
-        there.location.x,
-        there.location.y,
-        there.location.z,
-    )
-    yaw = radians(there.rotation.yaw)
-    places = away[:, :2] @ ((cos(yaw), -sin(yaw)), (sin(yaw), cos(yaw)))
-    least, most = (places - halves).min(axis=0), (places + halves).max(axis=0)
+    location = transform.location
+    offsets = town.index.at(lanes, np.maximum(np.array(s) - _BEFORE, 0.0))[0] - (location.x, location.y, location.z)
+    yaw = radians(transform.rotation.yaw)
+    local = offsets[:, :2] @ ((cos(yaw), -sin(yaw)), (sin(yaw), cos(yaw)))
+    least, most = (local - halves).min(axis=0), (local + halves).max(axis=0)
     (x, y), (width, depth) = ((least + most) / 2).tolist(), ((most - least) / 2).tolist()
-    centre = Location(x, y, float(away[:, 2].mean()) + _TRIGGER_HEIGHT)
-    return BoundingBox(centre, Vector(width, depth, _TRIGGER_HEIGHT), actor_id=sign.id)
+    centre = Location(x, y, float(offsets[:, 2].mean()) + _TRIGGER_HEIGHT)
+    return BoxStruct(centre, Vector(width, depth, _TRIGGER_HEIGHT), actor_id=sign.id)
 
 
-def stream_of(actor: Actor | Ghost) -> int:
-    """The number of the stream of a sensor."""
-    return _STREAM + actor.id
+def stream_of(actor: Actor | DestroyedActor) -> int:
+    """Return the number of the stream of a sensor."""
+    return _FIRST_SENSOR_STREAM + actor.id
 
 
 def sensor_of(stream: int) -> int:
-    """The id of the sensor that a stream is of; below 0, if it is that of a client."""
-    return stream - _STREAM
+    """Return the id of the sensor of a stream; it is below 0 for a stream of snapshots."""
+    return stream - _FIRST_SENSOR_STREAM
 
 
 def tag(actor: Actor) -> int:
-    """The semantic class of an actor; 0 where it has none."""
+    """Return the semantic class of an actor; 0 if it has none."""
     return next(iter(_tags(actor)), 0)
 
 
-def streams_data(actor: Actor | Ghost) -> bool:
-    """Whether an actor has a stream; lane invasions are found by the client."""
+def streams_data(actor: Actor | DestroyedActor) -> bool:
+    """Return whether an actor has a stream; the client detects lane invasions itself."""
     return actor.type_id.startswith(_STREAMING) and actor.type_id not in _CLIENT_SIDE
 
 
-def _tags(actor: Actor | Ghost) -> Iterable[int]:
+def _tags(actor: Actor | DestroyedActor) -> Iterable[int]:
     match actor.kind:
         case ActorKind.VEHICLE:
             yield _TAGS.get(actor.attributes.get("base_type", ""), _TAGS["car"])
@@ -139,3 +206,9 @@ def _tags(actor: Actor | Ghost) -> Iterable[int]:
             yield _SIGN_TAG
         case _ if actor.type_id.startswith("static.prop."):
             yield _PROP_TAG
+
+
+def _destroyed(actor: Actor) -> DestroyedActor:
+    attributes = readable_attributes(actor.blueprint, actor.attributes, actor.context.blueprints)
+    changes = tuple((key, value) for key, value in attributes.items() if actor.blueprint.attributes.get(key) != value)
+    return DestroyedActor(actor.id, actor.blueprint, changes, actor.transform)

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Final
 
-from carla_recap.server.table import CallError
+from carla_recap.server.rpc.registry import CallError
 from carla_recap.sim.actors.attributes import ATTRIBUTE_TYPES, attribute_type
 
 if TYPE_CHECKING:

@@ -1,92 +1,83 @@
-"""The world that is served: its time, its episodes, and those who are connected."""
+"""The served world: its time, its episodes, and what clients get of it."""
 
 from __future__ import annotations
 
 import asyncio
-import itertools
 from dataclasses import replace
-from typing import TYPE_CHECKING, Protocol
+from typing import TYPE_CHECKING
 
-from carla_recap.server.ackermann import Ackermann
-from carla_recap.server.connections import Connections
-from carla_recap.server.ghosts import Memory
-from carla_recap.server.managers import Managers
+from carla_recap.server.actor_records import ActorCache
+from carla_recap.server.controllers import AckermannController, ConstantVelocity
+from carla_recap.server.quirks import SnapshotStreams
 from carla_recap.server.recordings import Recordings
+from carla_recap.server.rpc.connection import ConnectionPool
+from carla_recap.server.rpc.registry import CallError
+from carla_recap.server.rpc.structs import EpisodeSettings
 from carla_recap.server.sensors import Sensors
-from carla_recap.server.snapshot import Photographer, telling_of_map
-from carla_recap.server.steadiness import Steadiness
-from carla_recap.server.streams import Streams
-from carla_recap.server.structs import EpisodeSettings
-from carla_recap.server.table import CallError
+from carla_recap.server.streaming.snapshots import SnapshotEncoder, with_map_changed
+from carla_recap.server.streaming.streams import Streams
+from carla_recap.server.traffic_manager.registry import TrafficManagerRegistry
 from carla_recap.sim.errors import DeadActor
 
 if TYPE_CHECKING:
     from collections.abc import Callable
 
-    from carla_recap.server.ghosts import Ghost
+    from carla_recap.server.actor_records import DestroyedActor
+    from carla_recap.server.quirks import SnapshotReceiver
     from carla_recap.sim.actors.actors import Actor
     from carla_recap.sim.town.town import Town
     from carla_recap.sim.world import World
-
-
-class Spectator(Protocol):
-    """Who is sent snapshots.
-
-    Attributes:
-        stream: The number of the stream of these.
-    """
-
-    stream: int
 
 
 class Host:
     """Serves a world.
 
     Args:
-        world: The world; nobody else may tick it from now on.
-        confined: Keep clients from recordings outside the folder of recordings.
+        world: The world; from now on, only the host ticks it.
+        confined: Refuse recordings outside the folder of recordings.
 
     Attributes:
         world: The world.
-        recordings: The recordings that clients may have.
-        settings: As clients have set them.
+        recordings: The recordings that clients may read and write.
+        settings: The settings that clients have made.
         connections: All connections.
-        streams: What is sent to subscribers.
-        managers: The traffic managers of clients.
-        sensors: What sends the data of sensors.
-        ackermann: What drives vehicles that are told speeds and angles.
-        steadiness: What keeps the velocities of vehicles.
-        clients: Who is connected, by the numbers of their streams.
-        on_settings: Who is told when the settings change.
-        loading: Held while a map is loaded.
+        streams: The streams of the server.
+        snapshots: The streams of snapshots among them.
+        traffic_managers: The traffic managers of clients.
+        sensors: The sensors that clients listen to.
+        ackermann: The controller of vehicles with a desired speed and steering angle.
+        constant_velocity: The controller of vehicles with a constant velocity.
+        on_settings: Callbacks for a change of the settings.
+        loading: A lock that is held while a map is loaded.
         sent_town: The map that a client has sent.
     """
 
-    _photographer: Photographer
+    _encoder: SnapshotEncoder
     _is_new: bool
 
     def __init__(self, world: World, *, confined: bool = False) -> None:
         self.world = world
         self.recordings = Recordings(world, confined=confined)
         self.settings = EpisodeSettings()
-        self.connections = Connections()
-        self.streams = Streams(self.connections, telling_of_map)
-        self.managers = Managers()
-        self.sensors = Sensors(world, self.streams, self.actor_or_ghost)
-        self.ackermann = Ackermann(world)
-        self.steadiness = Steadiness(world)
-        self.clients: dict[int, Spectator] = {}
+        self.connections = ConnectionPool()
+        self.streams = Streams(self.connections, with_map_changed)
+        self.snapshots = SnapshotStreams(self.streams)
+        self.traffic_managers = TrafficManagerRegistry()
+        self.sensors = Sensors(world, self.streams, self.known_actor)
+        self.ackermann = AckermannController()
+        self.constant_velocity = ConstantVelocity()
+        world.controllers.append(self.ackermann)
+        world.listeners.append(self.constant_velocity)
         self.on_settings: list[Callable[[], None]] = []
         self.loading = asyncio.Lock()
         self.sent_town: Town | None = None
-        self._stream_numbers = itertools.count(1)
         self._frames_before = 0
-        self._memory = Memory()
+        self._actors = ActorCache()
         self._begin()
 
     @property
     def frame(self) -> int:
-        """The number of the latest frame: it never goes back, not even in a new episode."""
+        """The number of the latest frame; it never goes back, not even in a new episode."""
         return self._frames_before + self.world.frame
 
     @property
@@ -95,39 +86,28 @@ class Host:
         return self.world.episode
 
     def tick(self, delta: float | None = None) -> int:
-        """Let time pass, and send everybody what sensors noticed, and then the snapshot; returns the frame."""
+        """Tick the world, send the data of sensors and the snapshot, and return the number of the frame."""
         before = self.world.frame
         self.world.tick(delta)
-        self._remember()
-        self.notice(before)
+        self._update_cache()
+        self.check_episode(before)
         self.sensors.send(self.frame)
         self.publish()
         return self.frame
 
-    def begin_episode(self, town: Town, client: Spectator) -> None:
-        """Begin a new episode, and send everybody its first snapshot.
-
-        The client who wants it gets it in a stream of its own, which it asks for as soon as its call is answered; from the
-        old one it would learn of the new episode at a time when it has none (see `Truce`).
-        """
+    def begin_episode(self, town: Town, client: SnapshotReceiver) -> None:
+        """Begin a new episode for a client, and send its first snapshot to all; see `SnapshotStreams.renew`."""
         frames = self.world.frame
         self.world.reload(town)
-        self.notice(frames)
-        self.streams.silence(client.stream)
-        del self.clients[client.stream]
-        client.stream = self.new_stream()
-        self.clients[client.stream] = client
+        self.check_episode(frames)
+        self.snapshots.renew(client)
         self.publish()
 
-    def new_stream(self) -> int:
-        """A number for the stream of a client."""
-        return next(self._stream_numbers)
-
     def apply_settings(self, settings: EpisodeSettings) -> None:
-        """Take over settings.
+        """Apply settings.
 
         Raises:
-            SimError: The length of a tick is not to be had.
+            SimError: The length of a tick is out of range.
         """
         delta = settings.fixed_delta_seconds or None
         mine = self.world.settings
@@ -136,73 +116,72 @@ class Host:
         mine.synchronous_mode = settings.synchronous_mode
         mine.no_rendering_mode = settings.no_rendering_mode
         mine.substepping = settings.substepping
-        for listener in self.on_settings:
-            listener()
+        for callback in self.on_settings:
+            callback()
 
     def publish(self) -> None:
-        """Send the snapshot of the world as it is to everybody."""
-        payload = self._photographer.take(self.episode, self.frame)
+        """Send a snapshot to all clients."""
+        payload = self._encoder.encode(self.episode, self.frame)
         if self._is_new:
-            payload = telling_of_map(payload)
+            payload = with_map_changed(payload)
             self._is_new = False
-        for stream in self.clients:
-            self.streams.keep(stream, payload)
+        self.snapshots.publish(payload)
 
     def look_ahead(self) -> None:
         """Do some of the work of the next tick, while clients are busy with the latest one."""
-        self._photographer.look_ahead()
+        self._encoder.look_ahead()
 
-    def publish_again(self, client: Spectator) -> None:
-        """Send a client the snapshot of the world as it is, as a new frame."""
+    def publish_again(self, client: SnapshotReceiver) -> None:
+        """Send a client a snapshot of the unchanged world as a new frame."""
         self._frames_before += 1
-        self.greet(client)
+        self.prepare_snapshot(client)
 
-    def greet(self, client: Spectator) -> None:
-        """Keep the latest snapshot ready for a client that is about to subscribe."""
-        self.streams.keep(client.stream, self._photographer.take(self.episode, self.frame))
+    def prepare_snapshot(self, client: SnapshotReceiver) -> None:
+        """Keep a snapshot for a client that is about to subscribe."""
+        self.snapshots.send(client, self._encoder.encode(self.episode, self.frame))
 
-    def notice(self, frames: int) -> bool:
-        """See whether a new episode has begun, after the given number of frames of the last one."""
-        if self._seen == self.world.episode:
+    def check_episode(self, frames: int) -> bool:
+        """Return whether a new episode has begun, after the given number of frames of the last one."""
+        if self._episode == self.world.episode:
             return False
         self._frames_before += frames + 1
         self._begin()
         return True
 
     def actor(self, id: int) -> Actor:
-        """An actor that is alive.
+        """Return an actor that is alive.
 
         Raises:
             DeadActor: It has been destroyed.
-            CallError: There is none.
+            CallError: There is no such actor.
         """
         if id in self.world.actors:
             return self.world.actors[id]
-        ghost = self._memory.find(id)
-        if ghost is not None:
-            raise DeadActor(f"actor {id} ({ghost.type_id}) has been destroyed")
+        destroyed = self._actors.find(id)
+        if destroyed is not None:
+            raise DeadActor(f"actor {id} ({destroyed.type_id}) has been destroyed")
         raise CallError(f"actor {id} not found")
 
-    def actor_or_ghost(self, id: int) -> Actor | Ghost:
-        """An actor, even one that has been destroyed.
+    def known_actor(self, id: int) -> Actor | DestroyedActor:
+        """Return an actor, even a destroyed one.
 
         Raises:
-            CallError: There has never been one, or many have been destroyed since.
+            CallError: There has never been one, or it has been evicted.
         """
-        return self._memory.find(id) or self.actor(id)
+        return self._actors.find(id) or self.actor(id)
 
     def remember(self, actor: Actor) -> None:
-        """Know an actor beyond its end."""
-        self._memory.enter(actor)
+        """Keep an actor known after its destruction."""
+        self._actors.add(actor)
 
-    def _remember(self) -> None:
+    def _update_cache(self) -> None:
         for actor in self.world.events.spawned:
             self.remember(actor)
         for id in self.world.events.destroyed:
-            self._memory.bury(id)
+            self._actors.evict(id)
 
     def _begin(self) -> None:
-        self._seen = self.world.episode
+        self._episode = self.world.episode
         self._is_new = True
-        self._memory.bury_all()
-        self._photographer = Photographer(self.world)
+        self._actors.evict_destroyed()
+        self._encoder = SnapshotEncoder(self.world)

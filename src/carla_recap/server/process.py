@@ -1,7 +1,6 @@
 """The server as a process of its own, for tests and notebooks.
 
-It has to be one: calls of the official client hold Python's global lock, so that a server in the client's own process
-could never answer.
+It cannot run in the client's process: calls of the official client hold Python's global interpreter lock.
 """
 
 from __future__ import annotations
@@ -18,7 +17,7 @@ if TYPE_CHECKING:
     from collections.abc import Iterator
     from pathlib import Path
 
-_PATIENCE: Final = 30.0  # s, for the recording that is completed at the end
+_TO_END: Final = 30.0  # s, for the recording to be completed
 
 
 @contextmanager
@@ -31,23 +30,23 @@ def running(
     seed: int = 0,
     confine: bool = False,
 ) -> Iterator[int]:
-    """Have a server run; it ends, and completes its recording, when the block does, or the process, however that ends.
+    """Run a server until the end of a `with` block or of this process, however that ends; a recording is completed.
 
-    Processes that this one has forked, and that go on, keep the server, too.
+    Processes that have been forked from this one keep the server running, too.
 
     Args:
-        town: The name of a map or an .xodr file; the built-in town unless told otherwise.
-        port: Where it listens; 0 for a port that is free. Streams are at the next one.
+        town: The name of a map or an .xodr file; by default the built-in town.
+        port: The port for calls, 0 for a free one; the next one is for streams.
         maps: The folder of maps.
         recordings: The folder of recordings.
-        seed: Of everything random.
+        seed: The seed of everything random.
         confine: Refuse recordings outside the folder of recordings.
 
     Yields:
         The port, for `carla.Client("localhost", port)`.
 
     Raises:
-        RecapError: It does not start; the message is the server's.
+        RecapError: The server does not start; the message is the server's.
     """
     options = {"town": town, "port": port, "maps": maps, "recordings": recordings, "seed": seed}
     arguments = [f"--{name}={value}" for name, value in options.items() if value not in (None, "")]
@@ -56,28 +55,28 @@ def running(
     command = [sys.executable, "-m", "carla_recap", "serve", "--attached", *arguments]
     pipe = subprocess.PIPE
     with (
-        TemporaryFile("w+") as said,
-        subprocess.Popen(command, stdin=pipe, stdout=pipe, stderr=said, text=True) as process,
+        TemporaryFile("w+") as errors,
+        subprocess.Popen(command, stdin=pipe, stdout=pipe, stderr=errors, text=True) as process,
     ):
         try:
-            yield _port(process, said)
+            yield _port(process, errors)
         finally:
             process.terminate()
             try:
-                process.wait(_PATIENCE)
+                process.wait(_TO_END)
             except subprocess.TimeoutExpired:
                 process.kill()
-            said.seek(0)
-            print(said.read(), end="", file=sys.stderr)
+            errors.seek(0)
+            print(errors.read(), end="", file=sys.stderr)
 
 
-def _port(process: subprocess.Popen[str], said: IO[str]) -> int:
+def _port(process: subprocess.Popen[str], errors: IO[str]) -> int:
     assert process.stdout is not None
     line = process.stdout.readline()
     if not line:
         process.wait()
-        said.seek(0)
-        reason = said.read().strip()
-        said.truncate(0)  # it is told once
+        errors.seek(0)
+        reason = errors.read().strip()
+        errors.truncate(0)  # it is printed only once
         raise RecapError(reason or f"the server has ended with exit code {process.returncode}")
     return int(line.rsplit(":", 1)[-1])

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Final
 
-from carla_recap.server.table import CallError
+from carla_recap.server.rpc.registry import CallError
 from carla_recap.sim.recording.recorder import recording_path, recordings_folder
 from carla_recap.sim.replaying.replayer import find_recording
 

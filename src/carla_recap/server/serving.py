@@ -3,46 +3,53 @@
 from __future__ import annotations
 
 import asyncio
+import logging
 import os
 import signal
+import time
 from contextlib import suppress
+from functools import partial
 from threading import Thread
 from typing import TYPE_CHECKING, Any, Final
 
-import carla_recap.server.calls  # noqa: F401  (fills the table of calls)
+import carla_recap.server.calls  # noqa: F401  (registers the calls)
 from carla_recap.ending import ended_by_signals
 from carla_recap.errors import RecapError
 from carla_recap.server.client import Client
-from carla_recap.server.mishaps import tell
-from carla_recap.server.pace import Pace
+from carla_recap.server.rpc.connection import ClientConnection
+from carla_recap.server.rpc.registry import CALLS
 
 if TYPE_CHECKING:
     from collections.abc import Callable
 
     from carla_recap.server.host import Host
 
+_LOG: Final = logging.getLogger("carla_recap.server")
 _BACKLOG: Final = 512
 _TRIES: Final = 20
 _STDIN: Final = 0
+_TICK: Final = 0.05  # s: the time between two ticks without a fixed time step
+_LONGEST: Final = 0.25  # s: a longer tick, because something took its time, is this long
+_BEHIND: Final = 1.0  # s: a longer delay is not made up for
 
 
 async def serve(host: Host, address: str, port: int, ready: Callable[[int], None], *, attached: bool = False) -> None:
     """Serve a world until SIGINT, SIGTERM or SIGHUP.
 
     Args:
-        host: The world and what is served of it.
-        address: Where to listen.
-        port: Where to listen for calls; streams are at the next one. 0 for two ports that are free.
-        ready: Is told the port of the calls once clients can connect.
-        attached: End, too, when the standard input ends or says something: whoever holds its other end may be killed.
+        host: The served world.
+        address: The address to listen on.
+        port: The port for calls; the next one is for streams. 0 for two free ports.
+        ready: A callback that gets the port for calls when clients can connect.
+        attached: End, too, when the standard input ends or has data: its other end belongs to a process that may be killed.
 
     Raises:
-        RecapError: The ports are not to be had.
+        RecapError: The ports are unavailable.
     """
     loop = asyncio.get_running_loop()
     done = asyncio.Event()
-    signal.signal(signal.SIGPIPE, signal.SIG_IGN)  # a client that is gone must not end the server
-    loop.set_exception_handler(_tell)
+    signal.signal(signal.SIGPIPE, signal.SIG_IGN)  # a client that has left must not end the server
+    loop.set_exception_handler(_log_exception)
 
     def end() -> None:
         with suppress(RuntimeError):  # the loop has ended by itself
@@ -51,20 +58,59 @@ async def serve(host: Host, address: str, port: int, ready: Callable[[int], None
     if attached:
         Thread(target=_wait_for_input, args=(end,), name="carla-recap-attached", daemon=True).start()
     with ended_by_signals(lambda _: end()):
-        calls, streams = await _listen_both(lambda: Client(host), host.streams.connection, address, port)
+        connect = partial(ClientConnection, CALLS, host.connections, partial(Client, host))
+        calls, streams = await _listen_both(connect, host.streams.connection, address, port)
         port, host.streams.port = (server.sockets[0].getsockname()[1] for server in (calls, streams))
-        pace = asyncio.create_task(Pace(host).keep())
+        ticker = asyncio.create_task(Ticker(host).run())
         ready(port)
         try:
             stopped = asyncio.create_task(done.wait())
-            await asyncio.wait((stopped, pace), return_when=asyncio.FIRST_COMPLETED)
-            if pace.done():
-                pace.result()
+            await asyncio.wait((stopped, ticker), return_when=asyncio.FIRST_COMPLETED)
+            if ticker.done():
+                ticker.result()
         finally:
-            pace.cancel()
+            ticker.cancel()
             calls.close()
             streams.close()
             host.world.close()
+
+
+class Ticker:
+    """Ticks a world in asynchronous mode, at the pace of the clock.
+
+    Args:
+        host: The served world.
+    """
+
+    def __init__(self, host: Host) -> None:
+        self._host = host
+        self._changed = asyncio.Event()
+        host.on_settings.append(self._changed.set)
+
+    async def run(self) -> None:
+        """Tick for ever."""
+        while True:
+            self._changed.clear()
+            if self._host.settings.synchronous_mode:
+                await self._changed.wait()
+            else:
+                await self._run_until_changed()
+
+    async def _run_until_changed(self) -> None:
+        """Tick until the settings change."""
+        fixed = self._host.settings.fixed_delta_seconds
+        due = last = time.monotonic()
+        while not self._changed.is_set():
+            due = max(due + (fixed or _TICK), time.monotonic() - _BEHIND)
+            await asyncio.sleep(due - time.monotonic())
+            if self._changed.is_set():
+                return
+            now = time.monotonic()
+            try:
+                self._host.tick(fixed or min(now - last, _LONGEST))
+            except Exception as error:  # the next tick may succeed
+                _LOG.error("a tick has failed: %r", error)
+            last = now
 
 
 def _wait_for_input(end: Callable[[], None]) -> None:
@@ -76,7 +122,7 @@ def _wait_for_input(end: Callable[[], None]) -> None:
 async def _listen_both(
     call: Callable[[], asyncio.Protocol], stream: Callable[[], asyncio.Protocol], address: str, port: int
 ) -> tuple[asyncio.Server, asyncio.Server]:
-    """Listen at a port and the next one; where any will do, until both are free."""
+    """Listen on a port and the next one; for port 0, try until both are free."""
     for left in reversed(range(_TRIES)):
         calls = await _listen(call, address, port)
         try:
@@ -96,6 +142,7 @@ async def _listen(make: Callable[[], asyncio.Protocol], address: str, port: int)
         raise RecapError(f"{address}:{port}: cannot be listened at: {error.strerror}") from None
 
 
-def _tell(_: asyncio.AbstractEventLoop, context: dict[str, Any]) -> None:
-    """Say in a line what has gone wrong with a connection; it concerns nobody else."""
-    tell(context["message"], context.get("exception"))
+def _log_exception(_: asyncio.AbstractEventLoop, context: dict[str, Any]) -> None:
+    """Log in a line what has gone wrong with a connection; the others go on."""
+    error = context.get("exception")
+    _LOG.error("%s", context["message"] if error is None else f"{context['message']}: {error!r}")

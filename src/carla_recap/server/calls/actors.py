@@ -1,4 +1,4 @@
-"""Calls about actors: what there is, spawning and destroying, where they are and what pushes them."""
+"""Calls about actors: listing, spawning and destroying them, their transforms, and the forces on them."""
 
 from __future__ import annotations
 
@@ -8,8 +8,8 @@ from typing import Any, TypeVar
 from carla_recap.server import actor_records
 from carla_recap.server.attributes import check_attributes
 from carla_recap.server.client import Client
-from carla_recap.server.structs import ActorDescription, ActorRecord, BoundingBox
-from carla_recap.server.table import CallError, call
+from carla_recap.server.rpc.registry import CallError, call
+from carla_recap.server.rpc.structs import ActorDescription, ActorRecord, BoxStruct
 from carla_recap.sim.actors.actors import Actor, Mover, Prop, Sign, Vehicle, Walker
 from carla_recap.sim.actors.control import VehicleControl
 from carla_recap.sim.geometry import Location, Transform, Vector
@@ -26,20 +26,20 @@ def get_actor_definitions(client: Client) -> Any:
 
 @call
 def get_spectator(client: Client) -> ActorRecord:
-    """Who looks at the world."""
+    """Return the spectator."""
     return actor_records.record(client.host.world.spectator, client.host.streams)
 
 
 @call
 def get_actors_by_id(client: Client, ids: list[int]) -> list[ActorRecord]:
-    """Those of some actors that are there."""
+    """Return the records of actors; unknown ids are left out."""
     actors = client.host.world.actors
     return [actor_records.record(actors[id], client.host.streams) for id in dict.fromkeys(ids) if id in actors]
 
 
 @call
 def spawn_actor(client: Client, description: ActorDescription, transform: Transform) -> ActorRecord:
-    """Let an actor appear."""
+    """Spawn an actor."""
     return actor_records.record(spawn(client, description, transform), client.host.streams)
 
 
@@ -47,47 +47,47 @@ def spawn_actor(client: Client, description: ActorDescription, transform: Transf
 def spawn_actor_with_parent(
     client: Client, description: ActorDescription, transform: Transform, parent: int, attachment: int = 0, bone: str = ""
 ) -> ActorRecord:
-    """Let an actor appear that is fixed to another; every kind of attachment is a rigid one."""
+    """Spawn an actor that is attached to another; every kind of attachment is a rigid one."""
     return actor_records.record(spawn(client, description, transform, client.host.actor(parent)), client.host.streams)
 
 
 @call
 def destroy_actor(client: Client, id: int) -> bool:
-    """Take an actor out of the world; False if it had been destroyed before."""
-    actor = client.host.actor_or_ghost(id)
+    """Destroy an actor; return False if it had been destroyed before."""
+    actor = client.host.known_actor(id)
     return isinstance(actor, Actor) and actor.destroy()
 
 
 @call
-def get_actor_bounding_box(client: Client, id: int) -> BoundingBox:
-    """The box around an actor; also of one that has been destroyed, for which traffic managers ask."""
-    return actor_records.box(client.host.actor_or_ghost(id))
+def get_actor_bounding_box(client: Client, id: int) -> BoxStruct:
+    """Return the box around an actor, even a destroyed one, for which traffic managers ask."""
+    return actor_records.box(client.host.known_actor(id))
 
 
 @call
 def set_actor_transform(client: Client, id: int, transform: Transform) -> None:
-    """Put an actor elsewhere; an attached one relative to its parent."""
+    """Set the transform of an actor; for an attached one, relative to its parent."""
     _movable(client, id).transform = transform
 
 
 @call
 def set_actor_location(client: Client, id: int, location: Location) -> None:
-    """Put an actor elsewhere, turned as it is."""
+    """Set the location of an actor; it keeps its rotation."""
     actor = _movable(client, id)
     actor.transform = Transform(location, actor.relative_transform.rotation)
 
 
 @call
 def set_actor_target_velocity(client: Client, id: int, velocity: Vector) -> None:
-    """Give a vehicle or walker a velocity in m/s."""
+    """Set the velocity of a vehicle or walker, in m/s."""
     expect(client, id, Mover).set_target_velocity(velocity)
 
 
 @call
 def set_actor_target_angular_velocity(client: Client, id: int, velocity: Vector) -> None:
-    """Have a vehicle turn: degrees/s, about z alone. A walker turns as it walks."""
+    """Set the angular velocity of a vehicle, in degrees/s about z; a walker turns as it walks."""
     mover = expect(client, id, Mover)
-    expect_turning(f"the turning of {mover!r}", velocity)
+    expect_turning(f"the angular velocity of {mover!r}", velocity)
     if isinstance(mover, Vehicle):
         rows, row = mover.rows, mover.row
         rows.turning[row] = radians(velocity.z)
@@ -96,97 +96,97 @@ def set_actor_target_angular_velocity(client: Client, id: int, velocity: Vector)
 
 @call
 def enable_actor_constant_velocity(client: Client, id: int, velocity: Vector) -> None:
-    """Keep the velocity of a vehicle, in its own axes and m/s."""
+    """Hold the velocity of a vehicle constant, in its own axes and m/s."""
     vehicle = expect(client, id, Vehicle)
     expect_velocity(f"the velocity of {vehicle!r}", velocity)
-    client.host.steadiness.hold(vehicle, velocity)
+    client.host.constant_velocity.hold(vehicle, velocity)
 
 
 @call
 def disable_actor_constant_velocity(client: Client, id: int) -> None:
-    """Let a vehicle go on as it would."""
-    client.host.steadiness.release(expect(client, id, Vehicle))
+    """Stop holding the velocity of a vehicle."""
+    client.host.constant_velocity.release(expect(client, id, Vehicle))
 
 
 @call
 def add_actor_impulse(client: Client, id: int, impulse: Vector) -> None:
-    """Push an actor: N s, in the world."""
-    _push(expect(client, id, Mover), impulse)
+    """Apply an impulse to an actor, in N s and the world's axes."""
+    _apply_impulse(expect(client, id, Mover), impulse)
 
 
 @call
 def add_actor_impulse_at_location(client: Client, id: int, impulse: Vector, location: Location) -> None:
-    """Push an actor at a place: N s and m, both in the world."""
+    """Apply an impulse to an actor at a location, in N s and m and the world's axes."""
     mover = expect(client, id, Mover)
-    _turn(mover, _lever(mover, location, impulse))
-    _push(mover, impulse)
+    _apply_angular_impulse(mover, _angular_impulse(mover, location, impulse))
+    _apply_impulse(mover, impulse)
 
 
 @call
 def add_actor_force(client: Client, id: int, force: Vector) -> None:
-    """Push an actor during the next tick: N, in the world."""
-    _push(expect(client, id, Mover), _during_tick(client, force))
+    """Apply a force to an actor during the next tick, in N and the world's axes."""
+    _apply_impulse(expect(client, id, Mover), _during_tick(client, force))
 
 
 @call
 def add_actor_force_at_location(client: Client, id: int, force: Vector, location: Location) -> None:
-    """Push an actor at a place during the next tick: N and m, both in the world."""
+    """Apply a force to an actor at a location during the next tick, in N and m and the world's axes."""
     add_actor_impulse_at_location(client, id, _during_tick(client, force), location)
 
 
 @call
 def add_actor_angular_impulse(client: Client, id: int, impulse: Vector) -> None:
-    """Turn a vehicle: kg m² degrees/s, about z alone."""
-    _turn(expect(client, id, Mover), impulse.z)
+    """Apply an angular impulse to a vehicle, in kg m² degrees/s about z."""
+    _apply_angular_impulse(expect(client, id, Mover), impulse.z)
 
 
 @call
 def add_actor_torque(client: Client, id: int, torque: Vector) -> None:
-    """Turn a vehicle during the next tick: kg m² degrees/s², about z alone."""
-    _turn(expect(client, id, Mover), _during_tick(client, torque).z)
+    """Apply a torque to a vehicle during the next tick, in kg m² degrees/s² about z."""
+    _apply_angular_impulse(expect(client, id, Mover), _during_tick(client, torque).z)
 
 
 @call
 def set_actor_simulate_physics(client: Client, id: int, enabled: bool) -> None:
-    """Let forces move an actor, or have it stay; nothing is done to who has been destroyed, or never moves."""
-    actor = client.host.actor_or_ghost(id)
+    """Switch the physics of an actor on or off; this has no effect on destroyed and static actors."""
+    actor = client.host.known_actor(id)
     if isinstance(actor, Mover) and actor.is_alive:
         actor.set_simulate_physics(enabled)
 
 
 @call
 def set_actor_collisions(client: Client, id: int, enabled: bool) -> None:
-    """Let an actor touch others, or pass through them; nothing is done to who has been destroyed, or has no body."""
-    actor = client.host.actor_or_ghost(id)
+    """Switch the collisions of an actor on or off; this has no effect on destroyed actors and those without a body."""
+    actor = client.host.known_actor(id)
     if isinstance(actor, (Mover, Prop)) and actor.is_alive:
         actor.set_collisions(enabled)
 
 
 @call
 def set_actor_dead(client: Client, id: int) -> None:
-    """Have a walker fall down for good, or a vehicle stand without a driver."""
+    """Let a walker fall down for good, or stop a vehicle for good."""
     actor = client.host.actor(id)
     if isinstance(actor, Walker):
         actor.rows.fall(actor.row)
     elif isinstance(actor, Vehicle):
         client.host.ackermann.release(actor)
-        client.host.steadiness.release(actor)
+        client.host.constant_velocity.release(actor)
         actor.set_autopilot(False)
         actor.apply_control(VehicleControl(brake=1.0))
 
 
 @call
 def get_actor_component_world_transform(client: Client, id: int, component: str) -> Transform:
-    """Where a component of an actor is: all are where the actor is."""
-    return client.host.actor_or_ghost(id).transform
+    """Return the transform of a component, which is the actor's own."""
+    return client.host.known_actor(id).transform
 
 
 def spawn(client: Client, description: ActorDescription, transform: Transform, parent: Actor | None = None) -> Actor:
-    """Let an actor appear.
+    """Spawn an actor and keep it known after its destruction.
 
     Raises:
-        CallError: Its place is occupied, or cannot be one; or an attribute has a value that it cannot have.
-        RecapError: There is no such blueprint, or no such parent.
+        CallError: The location is occupied or impossible, or an attribute has an invalid value.
+        RecapError: There is no such blueprint or parent.
     """
     host = client.host
     blueprint = host.world.blueprints.get(description.id)
@@ -200,10 +200,10 @@ def spawn(client: Client, description: ActorDescription, transform: Transform, p
 
 
 def expect(client: Client, id: int, kind: type[A]) -> A:
-    """An actor that is alive, and of a kind.
+    """Return an actor that is alive and of a kind.
 
     Raises:
-        CallError: There is none, or it is of another kind.
+        CallError: There is no such actor, or it is of another kind.
         DeadActor: It has been destroyed.
     """
     actor = client.host.actor(id)
@@ -220,8 +220,8 @@ def _movable(client: Client, id: int) -> Actor:
     return actor
 
 
-def _push(mover: Mover, impulse: Vector) -> None:
-    """Change the velocity of an actor by an impulse, N s."""
+def _apply_impulse(mover: Mover, impulse: Vector) -> None:
+    """Change the velocity of an actor by an impulse, in N s."""
     mass = mover.rows.mass[mover.row].item()
     expect_push(f"an impulse on {mover!r}", impulse, mass)
     if isinstance(mover, Vehicle):
@@ -231,23 +231,23 @@ def _push(mover: Mover, impulse: Vector) -> None:
         mover.set_target_velocity(Vector(velocity.x + impulse.x / mass, velocity.y + impulse.y / mass, velocity.z))
 
 
-def _turn(mover: Mover, impulse: float) -> None:
-    """Change how fast a vehicle turns by an angular impulse, kg m² degrees/s."""
+def _apply_angular_impulse(mover: Mover, impulse: float) -> None:
+    """Change the angular velocity of a vehicle by an angular impulse, in kg m² degrees/s."""
     if isinstance(mover, Vehicle):
         change = impulse / mover.rows.moment[mover.row].item()
-        expect_turning(f"the turning of {mover!r}", Vector(z=change))
+        expect_turning(f"the angular velocity of {mover!r}", Vector(z=change))
         mover.rows.turning[mover.row] += radians(change)
 
 
-def _lever(mover: Mover, place: Location, impulse: Vector) -> float:
-    """The angular impulse about z of a push at a place, kg m² degrees/s."""
-    expect_place(f"where {mover!r} is pushed", place)
-    middle = mover.transform.location
-    return degrees((place.x - middle.x) * impulse.y - (place.y - middle.y) * impulse.x)
+def _angular_impulse(mover: Mover, location: Location, impulse: Vector) -> float:
+    """Return the angular impulse about z of an impulse at a location, in kg m² degrees/s."""
+    expect_place(f"the location of an impulse on {mover!r}", location)
+    centre = mover.transform.location
+    return degrees((location.x - centre.x) * impulse.y - (location.y - centre.y) * impulse.x)
 
 
 def _during_tick(client: Client, force: Vector) -> Vector:
-    """The impulse of a force that acts for a tick."""
+    """Return the impulse of a force that acts for a tick."""
     world = client.host.world
     seconds = world.settings.fixed_delta_seconds or world.delta
     return Vector(force.x * seconds, force.y * seconds, force.z * seconds)

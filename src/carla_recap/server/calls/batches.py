@@ -1,29 +1,30 @@
-"""Batches of commands, which clients send at once."""
+"""Batches of commands."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass, field
 from typing import Any, Final
 
-from carla_recap.server.calls import accepted, actors, lights, vehicles, walkers  # noqa: F401  (fill the table of calls)
+from carla_recap.server.calls import actors, unsupported, vehicles, world  # noqa: F401  (register the calls)
 from carla_recap.server.calls.actors import spawn
-from carla_recap.server.client import Client, describe
-from carla_recap.server.structs import ActorDescription, VehicleLightState
-from carla_recap.server.table import TABLE, Call, bare_call, row
-from carla_recap.server.wire import WireError, decoder
+from carla_recap.server.client import Client
+from carla_recap.server.rpc.codec import DecodeError, decoder
+from carla_recap.server.rpc.connection import error_text
+from carla_recap.server.rpc.registry import CALLS, Call, bare_call, unregistered_call
+from carla_recap.server.rpc.structs import ActorDescription, VehicleLightState
 from carla_recap.sim.geometry import Transform
 
 
 @dataclass(frozen=True, slots=True)
-class Spawn:
-    """The command that lets an actor appear.
+class SpawnCommand:
+    """The command that spawns an actor.
 
     Attributes:
-        description: What.
-        transform: Where; relative to the parent, if there is one.
-        parent: The id of what it is attached to.
-        attachment: How.
-        socket: Where on the parent.
+        description: The blueprint and the attributes.
+        transform: The transform; relative to the parent, if there is one.
+        parent: The id of the parent.
+        attachment: The kind of attachment, which has no effect.
+        socket: The socket of the parent, which has no effect.
         do_after: Commands for the new actor.
     """
 
@@ -36,81 +37,83 @@ class Spawn:
 
 
 def set_light_state(client: Client, id: int, bits: int) -> None:
-    """Switch the lights of a vehicle."""
+    """Set the lights of a vehicle."""
     vehicles.set_vehicle_light_state(client, id, VehicleLightState(bits))
 
 
 _CONSOLE: Final = 20
-"""A command for the console of Unreal Engine, which there is none of."""
+"""The command for the console of Unreal Engine, which has no effect."""
 _COMMANDS: Final[tuple[Call | None, ...]] = (
     None,
-    TABLE["destroy_actor"],
-    TABLE["apply_control_to_vehicle"],
-    TABLE["apply_ackermann_control_to_vehicle"],
-    TABLE["apply_control_to_walker"],
-    TABLE["apply_physics_control"],
-    TABLE["set_actor_transform"],
-    row(walkers.set_walker_state),
-    TABLE["set_actor_target_velocity"],
-    TABLE["set_actor_target_angular_velocity"],
-    TABLE["add_actor_impulse"],
-    TABLE["add_actor_force"],
-    TABLE["add_actor_angular_impulse"],
-    TABLE["add_actor_torque"],
-    TABLE["set_actor_simulate_physics"],
-    TABLE["set_actor_enable_gravity"],
-    TABLE["set_actor_autopilot"],
-    TABLE["show_vehicle_debug_telemetry"],
-    row(set_light_state),
-    TABLE["set_actor_location"],
+    CALLS["destroy_actor"],
+    CALLS["apply_control_to_vehicle"],
+    CALLS["apply_ackermann_control_to_vehicle"],
+    CALLS["apply_control_to_walker"],
+    CALLS["apply_physics_control"],
+    CALLS["set_actor_transform"],
+    unregistered_call(vehicles.set_walker_state),
+    CALLS["set_actor_target_velocity"],
+    CALLS["set_actor_target_angular_velocity"],
+    CALLS["add_actor_impulse"],
+    CALLS["add_actor_force"],
+    CALLS["add_actor_angular_impulse"],
+    CALLS["add_actor_torque"],
+    CALLS["set_actor_simulate_physics"],
+    CALLS["set_actor_enable_gravity"],
+    CALLS["set_actor_autopilot"],
+    CALLS["show_vehicle_debug_telemetry"],
+    unregistered_call(set_light_state),
+    CALLS["set_actor_location"],
     None,
-    TABLE["set_traffic_light_state"],
+    CALLS["set_traffic_light_state"],
 )
-"""The commands as they are numbered: each is a call, but for spawning and for what is meant for the console."""
-_CONTROL: Final = _COMMANDS.index(TABLE["apply_control_to_vehicle"])
-_decode_spawn: Final = decoder(Spawn)
+"""The commands in the order of their numbers: all but the spawn and the console command are calls."""
+_CONTROL: Final = _COMMANDS.index(CALLS["apply_control_to_vehicle"])
+_decode_spawn: Final = decoder(SpawnCommand)
 
 
 @bare_call
 def apply_batch(client: Client, commands: list[Any], do_tick: bool = False) -> list[Any]:
-    """Execute commands one after the other; what goes wrong with one is told, and the others are executed all the same.
+    """Execute commands one after the other; an error of one does not keep the others from being executed.
 
     Args:
-        client: Who has sent them.
-        commands: Each `[[number, fields]]`.
-        do_tick: Whether a tick passes afterwards, in synchronous mode.
+        client: The client.
+        commands: The commands, each `[[number, fields]]`.
+        do_tick: Whether to tick afterwards, in synchronous mode.
 
     Returns:
         For each command the id of its actor, or an error, as CARLA's `Response`.
     """
-    answers = _driven(client, commands) or [_answer(client, command) for command in commands]
+    answers = _apply_controls(client, commands) or [_answer(client, command) for command in commands]
     if do_tick and client.host.settings.synchronous_mode:
         client.host.tick()
     return answers
 
 
-def _driven(client: Client, commands: list[Any]) -> list[Any] | None:
-    """Execute commands that are all controls of vehicles, as a traffic manager's are; None, and nothing is done, if not."""
+def _apply_controls(client: Client, commands: list[Any]) -> list[Any] | None:
+    """Execute commands that are all controls of vehicles, as a traffic manager's are; else return None and do nothing."""
     try:
-        told = [(id, control) for ((number, (id, control)),) in commands if number.__class__ is int and number == _CONTROL]
+        controls = [
+            (id, control) for ((number, (id, control)),) in commands if number.__class__ is int and number == _CONTROL
+        ]
     except (TypeError, ValueError):
         return None
-    if not told or len(told) < len(commands) or not vehicles.apply_controls_to_vehicles(client, told):
+    if not controls or len(controls) < len(commands) or not vehicles.apply_controls_to_vehicles(client, controls):
         return None
-    return [[[1, id]] for id, _ in told]
+    return [[[1, id]] for id, _ in controls]
 
 
 def _answer(client: Client, command: Any, spawned: int | None = None) -> list[Any]:
-    """Execute a command, for an actor that was just spawned perhaps; returns CARLA's `Response`."""
+    """Execute a command, for an actor that was just spawned if there is one; return CARLA's `Response`."""
     try:
         return [[1, _execute(client, command, spawned)]]
     except Exception as error:
-        return [[0, [describe("apply_batch", error)]]]
+        return [[0, [error_text("apply_batch", error)]]]
 
 
 def _execute(client: Client, command: Any, spawned: int | None) -> int:
-    """Execute a command; returns the id of its actor."""
-    number, fields = _opened(command)
+    """Execute a command and return the id of its actor."""
+    number, fields = _unpacked(command)
     if number == _CONSOLE:
         return 0
     call = _COMMANDS[number]
@@ -123,8 +126,8 @@ def _execute(client: Client, command: Any, spawned: int | None) -> int:
     return id
 
 
-def _spawn(client: Client, command: Spawn) -> int:
-    """Let an actor appear, and execute what is to be done with it then; what goes wrong with that is not told."""
+def _spawn(client: Client, command: SpawnCommand) -> int:
+    """Spawn an actor and execute the commands for it; their errors are not reported, as in CARLA."""
     parent = None if command.parent is None else client.host.actor(command.parent)
     id = spawn(client, command.description, command.transform, parent).id
     for after in command.do_after:
@@ -132,12 +135,12 @@ def _spawn(client: Client, command: Spawn) -> int:
     return id
 
 
-def _opened(command: Any) -> tuple[int, list[Any]]:
-    """The number of a command, and its fields."""
+def _unpacked(command: Any) -> tuple[int, list[Any]]:
+    """Return the number of a command and its fields."""
     try:
         ((number, fields),) = command
         if number.__class__ is int and 0 <= number < len(_COMMANDS) and fields.__class__ is list and fields:
             return number, fields
     except (TypeError, ValueError):
         pass
-    raise WireError("apply_batch: a command of [[number, fields]] was expected")
+    raise DecodeError("apply_batch: a command of [[number, fields]] was expected")

@@ -1,4 +1,4 @@
-"""Calls that begin a new episode: another map, the same one again, or one that a client sends."""
+"""Calls that begin a new episode: with another map, the same one, or one that a client sends."""
 
 from __future__ import annotations
 
@@ -11,55 +11,55 @@ from typing import Any, Final
 from carla_recap.errors import RecapError
 from carla_recap.maps.road_map import find_map, find_maps
 from carla_recap.server.client import Client
-from carla_recap.server.managers import Truce
-from carla_recap.server.structs import EpisodeSettings
-from carla_recap.server.table import CallError, call
+from carla_recap.server.rpc.registry import CallError, call
+from carla_recap.server.rpc.structs import EpisodeSettings
+from carla_recap.server.traffic_manager.pause import TrafficManagerPause
 from carla_recap.sim.town.town import Town, load_town
 
 _SENT: Final = "OpenDriveMap"
 """The name of the map that a client has sent, as with CARLA."""
 _FOLDER: Final = "/Game/Carla/Maps"
-"""Where maps are, as CARLA names them."""
+"""The folder of maps in CARLA's names."""
 
 
 @call
 def get_available_maps(client: Client) -> list[str]:
-    """The maps that can be loaded."""
+    """Return the maps that can be loaded."""
     return [f"{_FOLDER}/{name}" for name in sorted(find_maps(client.host.world.maps))]
 
 
 @call
 async def copy_opendrive_to_file(client: Client, text: str, parameters: Any = None) -> None:
-    """Take in a map for episodes to come; how CARLA is to build its roads and walls does not matter here."""
+    """Parse a map for later episodes; the parameters for CARLA's meshes have no effect."""
     async with client.host.loading:
         client.host.sent_town = await asyncio.to_thread(_parse, text)
 
 
 @call
 async def load_new_episode(client: Client, name: str, reset_settings: bool = True, layers: int = 0) -> None:
-    """Begin a new episode: the actors of the last one are gone, and a recording is completed.
+    """Begin a new episode, which destroys all actors and completes a recording.
 
-    Others go on in the old one while a map is read.
+    Other clients go on in the old episode while a map is loaded.
 
     Args:
-        client: Who wants it.
-        name: Of a map, with or without its folder; empty for the map that is there.
-        reset_settings: Whether all settings are as at first again, so that the world is in asynchronous mode.
-        layers: What of the map is to be seen; there is nothing to be seen.
+        client: The client.
+        name: The name of a map, with or without its folder; empty for the current map.
+        reset_settings: Whether to reset all settings, so that the world is in asynchronous mode.
+        layers: The layers of the map, which have no effect.
     """
     host = client.host
     async with host.loading:
-        town = await _town(client, name)
-        if host.managers.owns_one(client):
-            client.truce = Truce()
-            await client.truce.begin(partial(host.publish_again, client))
-            client.in_background(_end(client.truce, client))
+        town = await _load(client, name)
+        if host.traffic_managers.has_one(client):
+            client.pause = TrafficManagerPause()
+            await client.pause.begin(partial(host.publish_again, client))
+            client.in_background(_end_pause(client.pause, client))
         if reset_settings:
             host.apply_settings(EpisodeSettings())
         host.begin_episode(town, client)
 
 
-async def _town(client: Client, name: str) -> Town:
+async def _load(client: Client, name: str) -> Town:
     host = client.host
     if not name:
         return host.world.town
@@ -88,7 +88,7 @@ def _parse(text: str) -> Town:
             raise CallError(str(error).replace(str(path), _SENT)) from None
 
 
-async def _end(truce: Truce, client: Client) -> None:
-    await truce.end(lambda: client.stream in client.host.streams.subscribed)  # the new one
-    if client.truce is truce:
-        client.truce = None
+async def _end_pause(pause: TrafficManagerPause, client: Client) -> None:
+    await pause.end(lambda: client.stream in client.host.streams.subscribed)  # the new one
+    if client.pause is pause:
+        client.pause = None

@@ -15,7 +15,7 @@ from carla_recap import queries
 from carla_recap.errors import NotARecording
 from carla_recap.server import replies
 from carla_recap.server.client import Client
-from carla_recap.server.table import call
+from carla_recap.server.rpc.registry import call
 from carla_recap.sim.errors import MapMissing
 from carla_recap.sim.geometry import Transform
 from carla_recap.sim.replaying.replayer import CHASE, Replay
@@ -127,5 +127,5 @@ def _replay(
     try:
         return host.world.replay_file(path, start, duration, follow, sensors, offset)
     finally:
-        if host.notice(frames):
+        if host.check_episode(frames):
             host.publish()

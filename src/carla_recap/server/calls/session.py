@@ -1,4 +1,4 @@
-"""Calls about the session: version, episode, settings, time and the map."""
+"""Calls about the session: version, episode, settings, ticks, the map and traffic managers."""
 
 from __future__ import annotations
 
@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING, Any, Final
 from carla_recap.server.actor_records import sensor_of
 from carla_recap.server.client import Client
 from carla_recap.server.navmesh import NAVIGATION, navigation_files, navigation_mesh
-from carla_recap.server.structs import EpisodeInfo, EpisodeSettings, MapInfo, Token
-from carla_recap.server.table import CallError, call
+from carla_recap.server.rpc.registry import CallError, call
+from carla_recap.server.rpc.structs import EpisodeInfo, EpisodeSettings, MapInfo, Token
 from carla_recap.sim.validation import expect_between
 from carla_recap.sim.weather import Weather
 
@@ -17,57 +17,56 @@ if TYPE_CHECKING:
     from collections.abc import Callable
 
 VERSION = "0.9.16"
-"""The version of the client that is served."""
+"""The version of the supported client."""
 _FOLDER: Final = "Carla/Maps"
-"""Where the map is, as CARLA names it: not as among those that are available."""
+"""The folder in the name of the current map; `get_available_maps` uses another one, as in CARLA."""
 
 
 @call
 def version(client: Client) -> str:
-    """The version of CARLA that this stands in for."""
+    """Return the version of CARLA."""
     return VERSION
 
 
 @call
 def get_episode_info(client: Client) -> EpisodeInfo:
-    """The episode, and a stream of its snapshots for this client alone."""
-    client.host.greet(client)
+    """Return the episode, and a stream of snapshots for this client alone."""
+    client.host.prepare_snapshot(client)
     return EpisodeInfo(client.host.episode, Token(client.host.streams.token(client.stream)))
 
 
 @call
 def get_sensor_token(client: Client, stream: int) -> Token:
-    """Where a stream is; clients ask before they subscribe to it."""
+    """Return the address of a stream; clients ask for it before they subscribe."""
     expect_between("the number of a stream", stream, 0, 0xFFFFFFFF)
     if sensor_of(stream) in client.host.world.actors:
-        client.host.streams.expect(stream, client)
+        client.host.streams.pending.expect(stream, client)
     return Token(client.host.streams.token(stream))
 
 
 @call
 def get_episode_settings(client: Client) -> EpisodeSettings:
-    """How the world runs."""
+    """Return the settings."""
     return client.host.settings
 
 
 @call
 def set_episode_settings(client: Client, settings: EpisodeSettings) -> Any:
-    """Change how the world runs; answers the frame that the client then waits for, and signals to its traffic managers."""
+    """Apply settings; return the frame that the client waits for and signals to its traffic managers."""
     host = client.host
 
     def apply() -> int:
         host.apply_settings(settings)
         return _signalled(client, host.frame)
 
-    return _after(host.managers.under_way(), apply)
+    return _after(host.traffic_managers.unsettled(), apply)
 
 
 @call
 def tick_cue(client: Client) -> Any:
-    """Let a tick pass, in synchronous mode; answers the frame that the client then waits for.
+    """Tick in synchronous mode; return the frame that the client waits for, in asynchronous mode the next one.
 
-    In asynchronous mode, where time passes by itself, that is the next one. A client that ticks after it has begun to
-    listen to a sensor hears of that very tick: it waits for the subscription, as it does for traffic managers (`Round`).
+    The tick waits for the client's subscriptions and traffic managers; see `PendingSubscriptions` and `TrafficManagerCycle`.
     """
     host = client.host
     if not host.settings.synchronous_mode:
@@ -78,11 +77,11 @@ def tick_cue(client: Client) -> Any:
         asyncio.get_running_loop().call_soon(host.look_ahead)
         return _signalled(client, frame)
 
-    return _after(host.streams.expected(client) + host.managers.under_way(), tick)
+    return _after(host.streams.pending.of(client) + host.traffic_managers.unsettled(), tick)
 
 
 def _after(pending: list[asyncio.Future[None]], work: Callable[[], int]) -> Any:
-    """Do something after some others, at once if there are none."""
+    """Do something when pending futures are done; at once if there are none."""
 
     async def later() -> int:
         await asyncio.wait(pending)
@@ -92,33 +91,33 @@ def _after(pending: list[asyncio.Future[None]], work: Callable[[], int]) -> Any:
 
 
 def _signalled(client: Client, frame: int) -> int:
-    """A frame, of which the client is about to signal to its traffic managers."""
-    client.host.managers.tick(client)
+    """Return a frame that the client is about to signal to its traffic managers."""
+    client.host.traffic_managers.expect_cycles(client)
     return frame
 
 
 @call
 def get_map_info(client: Client) -> MapInfo:
-    """The town, and where vehicles can be spawned."""
+    """Return the name of the map and its spawn points."""
     town = client.host.world.town
     return MapInfo(f"{_FOLDER}/{town.name}", town.spawn_points)
 
 
 @call
 def get_map_data(client: Client) -> str:
-    """The town's OpenDRIVE file."""
+    """Return the map as OpenDRIVE."""
     return client.host.world.town.opendrive
 
 
 @call
 def get_required_files(client: Client, folder: str = "", download: bool = True) -> list[str]:
-    """Files that the client needs besides: what walkers with AI controllers walk on; no others."""
+    """Return the names of the files that the client needs: the navigation mesh for walkers with AI controllers."""
     return list(navigation_files(client.host.world.town)) if folder == NAVIGATION else []
 
 
 @call
 def request_file(client: Client, name: str) -> bytes:
-    """A file that the client needs."""
+    """Return a file that the client needs."""
     files = navigation_files(client.host.world.town)
     if name not in files:
         raise CallError(f"{name}: the client needs no such file from this server")
@@ -127,23 +126,48 @@ def request_file(client: Client, name: str) -> bytes:
 
 @call
 def get_navigation_mesh(client: Client) -> bytes:
-    """What walkers with AI controllers walk on; clients of 0.9.16 ask for it as a file."""
+    """Return the navigation mesh; clients of 0.9.16 ask for it as a file."""
     return navigation_mesh(client.host.world.town)
 
 
 @call
 def get_weather_parameters(client: Client) -> Weather:
-    """The weather."""
+    """Return the weather."""
     return client.host.world.weather
 
 
 @call
 def set_weather_parameters(client: Client, weather: Weather) -> None:
-    """Change the weather."""
+    """Set the weather."""
     client.host.world.weather = weather
 
 
 @call
 def query_lights_state(client: Client, address: str = "") -> list[bytes]:
-    """The street lights of the town: it has none."""
+    """Return the street lights: there are none."""
     return []
+
+
+@call
+def is_traffic_manager_running(client: Client, port: int) -> bool:
+    """Return whether a client runs a traffic manager at a port."""
+    return client.host.traffic_managers.host(port) is not None
+
+
+@call
+def get_traffic_manager_running(client: Client, port: int) -> tuple[str, int]:
+    """Return the address of the traffic manager of a port."""
+    host = client.host.traffic_managers.host(port)
+    return ("", 0) if host is None else (host, port)
+
+
+@call
+def add_traffic_manager_running(client: Client, address: tuple[str, int]) -> bool:
+    """Register a traffic manager that the client runs."""
+    return client.host.traffic_managers.add(*address, client)
+
+
+@call
+def destroy_traffic_manager(client: Client, port: int) -> None:
+    """Unregister a traffic manager."""
+    client.host.traffic_managers.remove(port)

@@ -1,4 +1,4 @@
-"""Calls about vehicles: driving them, their lights and doors, how they are built and how they move."""
+"""Calls about vehicles, their controls, lights, doors, physics and telemetry, and about walkers."""
 
 from __future__ import annotations
 
@@ -9,17 +9,18 @@ from typing import Any, Final, get_type_hints
 
 import numpy as np
 
-from carla_recap.server.ackermann import AckermannControl, AckermannSettings
+from carla_recap.server.actor_records import DestroyedActor
 from carla_recap.server.calls.actors import expect
 from carla_recap.server.client import Client
-from carla_recap.server.ghosts import Ghost
-from carla_recap.server.structs import Telemetry, VehicleLightState, WheelTelemetry
-from carla_recap.server.table import CallError, call
-from carla_recap.sim.actors.actors import Vehicle
-from carla_recap.sim.actors.control import VehicleControl
+from carla_recap.server.controllers import AckermannControl, AckermannSettings
+from carla_recap.server.rpc.registry import CallError, call
+from carla_recap.server.rpc.structs import Telemetry, VehicleLightState, WheelTelemetry
+from carla_recap.sim.actors.actors import Vehicle, Walker
+from carla_recap.sim.actors.control import VehicleControl, WalkerControl
 from carla_recap.sim.geometry import Location, Transform, Vector
 from carla_recap.sim.physics.drivetrain import GRAVITY
 from carla_recap.sim.physics.physics_control import PhysicsControl
+from carla_recap.sim.validation import expect_velocity
 
 _CM: Final = 100.0  # in a m
 _CONTROL: Final = list(get_type_hints(VehicleControl).values())
@@ -29,33 +30,32 @@ _LIGHT_BITS: Final = 0xFFFFFFFF
 
 @call
 def apply_control_to_vehicle(client: Client, id: int, control: VehicleControl) -> None:
-    """Tell the driver of a vehicle what to do from now on."""
+    """Apply a control to a vehicle."""
     vehicle = expect(client, id, Vehicle)
     client.host.ackermann.release(vehicle)
     control.gear = min(max(control.gear, -1), vehicle.gears)
     vehicle.apply_control(control)
 
 
-def apply_controls_to_vehicles(client: Client, told: list[tuple[Any, Any]]) -> bool:
-    """Tell many drivers at once what to do from now on, as `apply_control_to_vehicle` would one by one, but faster.
+def apply_controls_to_vehicles(client: Client, controls: list[tuple[Any, Any]]) -> bool:
+    """Apply controls to many vehicles, like `apply_control_to_vehicle` but faster.
 
     Args:
-        client: Who tells it.
-        told: Ids of vehicles, and the fields of their controls, as they came over the wire.
+        client: The client.
+        controls: Ids of vehicles, and the fields of their controls, not yet decoded.
 
     Returns:
-        Whether it is done. It is not, and nothing is, where something is not as usual: a gear that is shifted by hand, or
-        what is no control, or no vehicle.
+        Whether it is done. If a control is invalid or has a manual gear, or an actor is no vehicle, nothing is done.
     """
     fleet = client.host.world.vehicles
     try:
-        rows = [fleet.row(id) for id, _ in told]
-        usual = all(id.__class__ is int and [part.__class__ for part in control] == _CONTROL for id, control in told)
+        rows = [fleet.row(id) for id, _ in controls]
+        valid = all(id.__class__ is int and [part.__class__ for part in control] == _CONTROL for id, control in controls)
     except (KeyError, TypeError):
         return False
-    if not usual:
+    if not valid:
         return False
-    *pedals, hand_brake, reverse, manual, _ = zip(*(control for _, control in told), strict=True)
+    *pedals, hand_brake, reverse, manual, _ = zip(*(control for _, control in controls), strict=True)
     values = np.array(pedals)
     if any(manual) or not np.isfinite(values).all():
         return False
@@ -67,36 +67,36 @@ def apply_controls_to_vehicles(client: Client, told: list[tuple[Any, Any]]) -> b
 
 @call
 def apply_ackermann_control_to_vehicle(client: Client, id: int, control: AckermannControl) -> None:
-    """Tell how fast a vehicle shall go, and where its wheels shall point, until it is told controls."""
+    """Drive a vehicle to a speed and a steering angle, until it gets a control."""
     client.host.ackermann.drive(expect(client, id, Vehicle), control)
 
 
 @call
 def get_ackermann_controller_settings(client: Client, id: int) -> AckermannSettings:
-    """The gains that a client has set."""
+    """Return the gains of a vehicle's Ackermann controller."""
     return client.host.ackermann.settings(expect(client, id, Vehicle))
 
 
 @call
 def apply_ackermann_controller_settings(client: Client, id: int, settings: AckermannSettings) -> None:
-    """Keep gains; the simulator's own controller needs none."""
+    """Set the gains of a vehicle's Ackermann controller; they have no effect."""
     client.host.ackermann.set_settings(expect(client, id, Vehicle), settings)
 
 
 @call
 def get_physics_control(client: Client, id: int) -> PhysicsControl:
-    """How a vehicle is built; where its wheels are is told in the world and in cm, as by CARLA."""
-    control, there = _built(client, id)
+    """Return the physics of a vehicle; the positions of the wheels are in the world and in cm, as in CARLA."""
+    control, transform = _physics(client, id)
     for wheel in control.wheels:
-        at = wheel.position
-        place = there.transform(Location(at.x / _CM, at.y / _CM, at.z / _CM))
-        wheel.position = Vector(place.x * _CM, place.y * _CM, place.z * _CM)
+        local = wheel.position
+        position = transform.transform(Location(local.x / _CM, local.y / _CM, local.z / _CM))
+        wheel.position = Vector(position.x * _CM, position.y * _CM, position.z * _CM)
     return control
 
 
 @call
 def apply_physics_control(client: Client, id: int, control: PhysicsControl) -> None:
-    """Build a vehicle anew; its wheels stay where they are, as in CARLA."""
+    """Set the physics of a vehicle; its wheels keep their positions, as in CARLA."""
     vehicle = expect(client, id, Vehicle)
     mine = vehicle.physics_control.wheels
     if len(control.wheels) != len(mine):
@@ -107,45 +107,45 @@ def apply_physics_control(client: Client, id: int, control: PhysicsControl) -> N
 
 @call
 def get_vehicle_light_state(client: Client, id: int) -> VehicleLightState:
-    """The lights of a vehicle."""
+    """Return the lights of a vehicle."""
     return VehicleLightState(expect(client, id, Vehicle).light_state)
 
 
 @call
 def get_vehicle_light_states(client: Client) -> list[tuple[int, int]]:
-    """The lights of all vehicles, by their ids."""
+    """Return the lights of all vehicles with their ids."""
     vehicles = client.host.world.vehicles
     return list(zip(vehicles.id.tolist(), vehicles.light_state.tolist(), strict=True))
 
 
 @call
 def set_vehicle_light_state(client: Client, id: int, state: VehicleLightState) -> None:
-    """Switch the lights of a vehicle."""
+    """Set the lights of a vehicle."""
     expect(client, id, Vehicle).light_state = state.bits & _LIGHT_BITS
 
 
 @call
 def open_vehicle_door(client: Client, id: int, door: int) -> None:
-    """Open a door, or all."""
+    """Open a door, or all doors."""
     expect(client, id, Vehicle).set_door(door, open=True)
 
 
 @call
 def close_vehicle_door(client: Client, id: int, door: int) -> None:
-    """Close a door, or all."""
+    """Close a door, or all doors."""
     expect(client, id, Vehicle).set_door(door, open=False)
 
 
 @call
 def get_wheel_steer_angle(client: Client, id: int, wheel: int) -> float:
-    """How far a wheel is turned, in degrees."""
+    """Return the steering angle of a wheel, in degrees."""
     vehicle = expect(client, id, Vehicle)
     return degrees(vehicle.rows.steer_angle[vehicle.row].item()) if wheel in _FRONT_WHEELS else 0.0
 
 
 @call
 def get_telemetry_data(client: Client, id: int) -> Telemetry:
-    """How a vehicle moves; its wheels roll, and carry the same."""
+    """Return the telemetry of a vehicle, whose wheels roll without slip under equal loads."""
     vehicle = expect(client, id, Vehicle)
     rows, row, control, built = vehicle.rows, vehicle.row, vehicle.control, vehicle.physics_control
     speed = rows.speed[row].item()
@@ -162,10 +162,32 @@ def get_telemetry_data(client: Client, id: int) -> Telemetry:
     return Telemetry(speed, control.steer, control.throttle, control.brake, rpm, control.gear, drag, wheels)
 
 
-def _built(client: Client, id: int) -> tuple[PhysicsControl, Transform]:
-    """How a vehicle is built, and where it is; of one that has been destroyed, what its model is like, and where it was."""
-    actor = client.host.actor_or_ghost(id)
-    if isinstance(actor, Ghost) and actor.blueprint.physics is not None:
+def _physics(client: Client, id: int) -> tuple[PhysicsControl, Transform]:
+    """Return the physics and the transform of a vehicle; for a destroyed one, its blueprint's and its last."""
+    actor = client.host.known_actor(id)
+    if isinstance(actor, DestroyedActor) and actor.blueprint.physics is not None:
         return deepcopy(actor.blueprint.physics), actor.transform
     vehicle = actor if isinstance(actor, Vehicle) else expect(client, id, Vehicle)
     return vehicle.physics_control, vehicle.transform
+
+
+@call
+def apply_control_to_walker(client: Client, id: int, control: WalkerControl) -> None:
+    """Apply a control to a walker."""
+    expect(client, id, Walker).apply_control(control)
+
+
+def set_walker_state(client: Client, id: int, transform: Transform, speed: float) -> None:
+    """Set the transform and speed of a walker, as the client's pedestrian navigation does in batches.
+
+    A walker without physics does not move by itself; its speed is only reported.
+    """
+    walker = expect(client, id, Walker)
+    expect_velocity(f"the speed of {walker!r}", Vector(speed))
+    transform.location.z += walker.box.extent.z  # the client sends the location of its feet
+    walker.transform = transform
+    ahead = transform.forward()
+    if walker.simulates_physics:
+        walker.apply_control(WalkerControl(ahead, speed))
+    else:
+        walker.set_target_velocity(Vector(ahead.x * speed, ahead.y * speed, ahead.z * speed))

@@ -11,17 +11,17 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 
 from carla_recap.server.navmesh.surface import CORNERS
-from carla_recap.server.navmesh.ways import CROSSWALK, ROAD, SIDEWALK
+from carla_recap.server.navmesh.walkways import CROSSWALK, ROAD, SIDEWALK
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-    from carla_recap.server.navmesh.surface import Surface
+    from carla_recap.server.navmesh.surface import WalkableSurface
 
     Integers = NDArray[np.int64]
 
 MOST: Final = 0xFFFF
-"""The most corners, and the most polygons, that a tile may have: they are numbered with 16 bits."""
+"""The most corners, and the most polygons, of a tile: their indices have 16 bits."""
 
 # magic, version, tiles, then dtNavMeshParams: origin, size of a tile along x and z, tiles and polygons at most
 SET_HEADER: Final = np.dtype(
@@ -96,8 +96,8 @@ _STEP = 0.1  # m: the grid of boxes, where 16 bits hold the town
 _MARGIN = 1.0  # m: between the outermost corner and the edge of the tile
 
 
-def mesh_bytes(surface: Surface) -> bytes:
-    """A surface as a navigation mesh; nothing where it is empty, or has more corners or polygons than a tile can hold."""
+def mesh_bytes(surface: WalkableSurface) -> bytes:
+    """Return a surface as a navigation mesh; no bytes if it is empty, or too large for a tile."""
     if not 0 < len(surface.polygons) <= MOST or len(surface.corners) > MOST:
         return b""
     corners = surface.corners[:, (0, 2, 1)].astype("<f4")
@@ -128,7 +128,7 @@ def _set_of_one(tile: bytes, low: NDArray[np.float32], high: NDArray[np.float32]
     return header.tobytes() + tile_header.tobytes() + tile
 
 
-def _polygons(surface: Surface) -> NDArray[np.void]:
+def _polygons(surface: WalkableSurface) -> NDArray[np.void]:
     rows = np.zeros(len(surface.polygons), POLYGON)
     for row, corners, neighbours in zip(rows, surface.polygons, surface.neighbours, strict=True):
         row["corners"][: len(corners)] = corners
@@ -140,7 +140,7 @@ def _polygons(surface: Surface) -> NDArray[np.void]:
 
 
 def _details(counts: NDArray[np.uint8]) -> tuple[NDArray[np.void], NDArray[np.uint8]]:
-    """The triangles of the polygons: fans around their first corners."""
+    """Return the triangles of the polygons: fans around their first corners."""
     fans = {count: _fan(count) for count in set(counts.tolist())}
     details = np.zeros(len(counts), DETAIL)
     details["triangles"] = counts - 2
@@ -156,14 +156,14 @@ def _fan(count: int) -> NDArray[np.uint8]:
 
 
 def _boxes(polygons: list[tuple[int, ...]], corners: NDArray[np.float32]) -> NDArray[np.void]:
-    """A tree of boxes around the polygons, each before what is in it; the corners are in steps of the grid of boxes."""
+    """Return a tree of boxes around the polygons, each before its children; the corners are in steps of the boxes' grid."""
     low = np.array([np.floor(corners[list(polygon)].min(axis=0)) for polygon in polygons], np.uint16)
     high = np.array([np.ceil(corners[list(polygon)].max(axis=0)) for polygon in polygons], np.uint16)
     boxes = np.zeros(2 * len(polygons) - 1, BOX)
     rest: list[tuple[int, Integers]] = [(0, np.arange(len(polygons)))]
     while rest:
-        place, inside = rest.pop()
-        box = boxes[place]
+        index, inside = rest.pop()
+        box = boxes[index]
         box["low"], box["high"] = low[inside].min(axis=0), high[inside].max(axis=0)
         if len(inside) == 1:
             box["number"] = inside[0]
@@ -172,5 +172,5 @@ def _boxes(polygons: list[tuple[int, ...]], corners: NDArray[np.float32]) -> NDA
         axis = int(np.argmax(box["high"] - box["low"]))
         inside = inside[np.argsort(low[inside, axis], kind="stable")]
         half = len(inside) // 2
-        rest += [(place + 1, inside[:half]), (place + 2 * half, inside[half:])]
+        rest += [(index + 1, inside[:half]), (index + 2 * half, inside[half:])]
     return boxes

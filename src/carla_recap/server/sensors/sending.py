@@ -2,34 +2,35 @@
 
 from __future__ import annotations
 
+import logging
 from math import floor
 from typing import TYPE_CHECKING, Final
 
 from carla_recap.server import actor_records
-from carla_recap.server.mishaps import tell
+from carla_recap.server.rpc.codec import encoder
+from carla_recap.server.rpc.structs import ActorDescription, ActorRecord, BoxStruct
 from carla_recap.server.sensors.feed import number, silent
 from carla_recap.server.sensors.kinds import KINDS
-from carla_recap.server.snapshot import sensor_header
-from carla_recap.server.structs import ActorDescription, ActorRecord, BoundingBox
-from carla_recap.server.wire import encoder
+from carla_recap.server.streaming.snapshots import sensor_header
 from carla_recap.sim.geometry import Location, Vector
 
 if TYPE_CHECKING:
     from collections.abc import Callable
 
-    from carla_recap.server.ghosts import Ghost
+    from carla_recap.server.actor_records import DestroyedActor
     from carla_recap.server.sensors.feed import Feed
     from carla_recap.server.sensors.kinds import Kind
-    from carla_recap.server.streams import Streams
+    from carla_recap.server.streaming.streams import Streams
     from carla_recap.sim.actors.actors import Actor
     from carla_recap.sim.world import World
 
+_LOG: Final = logging.getLogger("carla_recap.server")
 _ROUNDING: Final = 1e-6  # s
 _ENCODE: Final = encoder(ActorRecord)
 _WALL_TAG: Final = 4
 # A barrier is no actor; CARLA tells what is none as an actor whose id is 0 and whose name begins with static.
 _WALL: Final = ActorRecord(
-    0, 0, ActorDescription(0, "static.wall", []), BoundingBox(Location(), Vector()), bytes((_WALL_TAG,)), b""
+    0, 0, ActorDescription(0, "static.wall", []), BoxStruct(Location(), Vector()), bytes((_WALL_TAG,)), b""
 )
 
 
@@ -42,7 +43,7 @@ class Sensors:
         find: Finds an actor by its id, even one that has been destroyed.
     """
 
-    def __init__(self, world: World, streams: Streams, find: Callable[[int], Actor | Ghost]) -> None:
+    def __init__(self, world: World, streams: Streams, find: Callable[[int], Actor | DestroyedActor]) -> None:
         self._world = world
         self._streams = streams
         self._find = find
@@ -60,10 +61,10 @@ class Sensors:
                 try:
                     self._send(stream, sensor, kind, frame)
                 except Exception as error:  # it must cost nobody else the tick
-                    tell(f"a {sensor.type_id} has failed, and tells nothing more", error)
+                    _LOG.error("a %s has failed, and sends nothing more: %r", sensor.type_id, error)
                     self._feeds[stream] = silent(sensor, self._tell)  # whoever is cut off connects anew at once
             elif self._feeds.pop(stream, None) is not None:
-                self._streams.forget(stream)
+                self._streams.close(stream)
 
     def _send(self, stream: int, sensor: Actor, kind: Kind, frame: int) -> None:
         if stream not in self._feeds:

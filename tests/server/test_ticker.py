@@ -1,4 +1,4 @@
-"""Time that passes by itself, and what may go wrong with it."""
+"""The ticks of the asynchronous mode."""
 
 from __future__ import annotations
 
@@ -6,15 +6,15 @@ import asyncio
 from typing import TYPE_CHECKING
 
 from carla_recap.server.host import Host
-from carla_recap.server.pace import Pace
-from carla_recap.server.structs import EpisodeSettings
+from carla_recap.server.rpc.structs import EpisodeSettings
+from carla_recap.server.serving import Ticker
 from tests.sim.flat import flat_world
 
 if TYPE_CHECKING:
     import pytest
 
 
-def test_a_tick_that_fails_is_told_in_a_line_and_others_follow(capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_failing_tick_is_logged_and_others_follow(caplog: pytest.LogCaptureFixture) -> None:
     host = Host(flat_world())
     host.apply_settings(EpisodeSettings(fixed_delta_seconds=0.002))
     failures = iter(range(3))
@@ -26,11 +26,11 @@ def test_a_tick_that_fails_is_told_in_a_line_and_others_follow(capsys: pytest.Ca
     host.world.listeners.append(listener)
 
     async def wait() -> None:
-        pace = asyncio.create_task(Pace(host).keep())
+        pace = asyncio.create_task(Ticker(host).run())
         while host.frame < 6:
             assert not pace.done()
             await asyncio.sleep(0.005)
         pace.cancel()
 
     asyncio.run(asyncio.wait_for(wait(), 10))
-    assert capsys.readouterr().err == "carla-recap: a tick has failed: KeyError('lost')\n"
+    assert caplog.messages == ["a tick has failed: KeyError('lost')"] * 3

@@ -1,4 +1,4 @@
-"""Calls that the simulator cannot honour: most are accepted and answered harmlessly, some are refused, all with a reason."""
+"""Calls without effect in this simulator: most are accepted, some are refused; each has a reason."""
 
 from __future__ import annotations
 
@@ -7,14 +7,14 @@ from enum import StrEnum
 from typing import Any, Final
 
 from carla_recap.server.client import Client
-from carla_recap.server.structs import Bones
-from carla_recap.server.table import TABLE, Call, CallError
-from carla_recap.server.wire import encoder
+from carla_recap.server.rpc.codec import encoder
+from carla_recap.server.rpc.registry import CALLS, Call, CallError
+from carla_recap.server.rpc.structs import WalkerBones
 from carla_recap.sim.geometry import Transform
 
 
-class Standing(StrEnum):
-    """What becomes of a call."""
+class CallSupport(StrEnum):
+    """Whether a call is supported."""
 
     SUPPORTED = "supported"
     ACCEPTED = "accepted"
@@ -23,7 +23,7 @@ class Standing(StrEnum):
 
 @dataclass(frozen=True, slots=True)
 class _Answer:
-    """Why nothing is done, and what is answered: nothing but that it is done, unless there is a type."""
+    """The answer to an accepted call, and the reason why it has no effect; without a type, the answer is that it is done."""
 
     reason: str
     type: Any = None
@@ -31,7 +31,7 @@ class _Answer:
 
 
 _GROUND: Final = "vehicles and walkers always follow the ground"
-_MANAGER: Final = "the traffic manager, which runs in the client, is what drives"
+_MANAGER: Final = "the traffic manager, which runs in the client, drives"
 _NOTHING_DRAWN: Final = "nothing is drawn"
 _NO_BONES: Final = "actors are boxes, without bones, sockets or components"
 _PHYSICS: Final = "the simulator has physics of its own"
@@ -64,7 +64,7 @@ _ACCEPTED: Final[dict[str, _Answer]] = {
     "get_actor_socket_names": _Answer(_NO_BONES, list[str], []),
     "get_actor_socket_world_transforms": _Answer(_NO_BONES, list[Transform], []),
     "get_actor_socket_relative_transforms": _Answer(_NO_BONES, list[Transform], []),
-    "get_bones_transform": _Answer(_NO_BONES, Bones, Bones([])),
+    "get_bones_transform": _Answer(_NO_BONES, WalkerBones, WalkerBones([])),
     "set_bones_transform": _Answer(_NO_BONES),
     "blend_pose": _Answer(_NO_BONES),
     "get_pose_from_animation": _Answer(_NO_BONES),
@@ -86,11 +86,11 @@ _ACCEPTED: Final[dict[str, _Answer]] = {
 _REFUSED: Final = {"get_gbuffer_token": _NO_GBUFFERS}
 
 
-def standings() -> dict[str, tuple[Standing, str]]:
-    """All calls by name: what becomes of each, and why, where it is not supported."""
-    supported = dict.fromkeys(TABLE, (Standing.SUPPORTED, ""))
-    accepted = {name: (Standing.ACCEPTED, answer.reason) for name, answer in _ACCEPTED.items()}
-    refused = {name: (Standing.REFUSED, reason) for name, reason in _REFUSED.items()}
+def call_support() -> dict[str, tuple[CallSupport, str]]:
+    """Return for all calls by name whether they are supported, and the reason if not."""
+    supported = dict.fromkeys(CALLS, (CallSupport.SUPPORTED, ""))
+    accepted = {name: (CallSupport.ACCEPTED, answer.reason) for name, answer in _ACCEPTED.items()}
+    refused = {name: (CallSupport.REFUSED, reason) for name, reason in _REFUSED.items()}
     return dict(sorted((supported | accepted | refused).items()))
 
 
@@ -108,6 +108,6 @@ def _refuse(name: str, reason: str) -> Call:
     return Call(name, handler, (), encoder(bytes), 0)
 
 
-assert not TABLE.keys() & (_ACCEPTED.keys() | _REFUSED.keys())
-TABLE.update({name: _accept(name, answer) for name, answer in _ACCEPTED.items()})
-TABLE.update({name: _refuse(name, reason) for name, reason in _REFUSED.items()})
+assert not CALLS.keys() & (_ACCEPTED.keys() | _REFUSED.keys())
+CALLS.update({name: _accept(name, answer) for name, answer in _ACCEPTED.items()})
+CALLS.update({name: _refuse(name, reason) for name, reason in _REFUSED.items()})

@@ -1,4 +1,4 @@
-"""Shows the world that is served in Rerun's viewer: a client in a process of its own, which can hold up nobody."""
+"""Rerun's viewer on the served world, as a client in a process of its own."""
 
 from __future__ import annotations
 
@@ -14,20 +14,20 @@ from carla_recap.replay.follow import HERO, Follow
 if TYPE_CHECKING:
     from types import TracebackType
 
-_EVERYWHERE: Final = {"0.0.0.0": "127.0.0.1", "::": "::1"}
-_PATIENCE: Final = 15.0  # s, for the .rrd that is completed at the end
+_WILDCARDS: Final = {"0.0.0.0": "127.0.0.1", "::": "::1"}
+_TO_END: Final = 15.0  # s, for the .rrd to be completed
 
 
-class Window:
-    """What shows a server, until the end of a `with` block; if it is closed before that, the server goes on.
+class ViewerProcess:
+    """A viewer of the server until the end of a `with` block; closing its window does not end the server.
 
     Args:
         to: An .rrd or the address of a viewer; else a viewer is opened. See `carla_recap.capture.live.watch`.
-        follow: Whom the camera follows as soon as it is there.
+        follow: The actor that the camera follows.
 
     Raises:
         RecapError: There is no display, or the file cannot be written.
-        MissingExtra: There is no viewer.
+        MissingExtra: No viewer is installed.
     """
 
     def __init__(self, to: str | None = None, follow: Follow = HERO) -> None:
@@ -38,8 +38,8 @@ class Window:
         self._process: subprocess.Popen[bytes] | None = None
 
     def open(self, host: str, port: int) -> None:
-        """Begin to show the server that listens there."""
-        command = [sys.executable, "-m", "carla_recap", "watch", f"--host={_EVERYWHERE.get(host, host)}", f"--port={port}"]
+        """Show the server at an address."""
+        command = [sys.executable, "-m", "carla_recap", "watch", f"--host={_WILDCARDS.get(host, host)}", f"--port={port}"]
         self._process = subprocess.Popen([*command, *self._options], stdin=subprocess.DEVNULL, stdout=subprocess.DEVNULL)
 
     def __enter__(self) -> Self:
@@ -50,7 +50,7 @@ class Window:
             return
         self._process.terminate()
         try:
-            self._process.wait(_PATIENCE)
+            self._process.wait(_TO_END)
         except subprocess.TimeoutExpired:
             self._process.kill()
             self._process.wait()

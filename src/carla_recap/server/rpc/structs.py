@@ -1,4 +1,4 @@
-"""The structs of CARLA's protocol that the simulator has none of its own for: fields in the order of the wire."""
+"""The structs of CARLA's protocol that the simulator does not have itself; the fields are in the order of the protocol."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from carla_recap.sim.geometry import Location, Rotation, Transform, Vector
 
 @dataclass(frozen=True, slots=True)
 class Token:
-    """Where a stream is: see `streams.token`."""
+    """The address of a stream; see `Streams.token`."""
 
     data: bytes
 
@@ -24,7 +24,7 @@ class EpisodeInfo:
 
 @dataclass(frozen=True, slots=True)
 class MapInfo:
-    """A map, and where vehicles can be spawned on it."""
+    """A map and its spawn points."""
 
     name: str
     spawn_points: list[Transform]
@@ -32,7 +32,7 @@ class MapInfo:
 
 @dataclass(slots=True)
 class EpisodeSettings:
-    """How the world runs, as clients set it; lengths in m and times in s."""
+    """The settings of the world; lengths in m and times in s."""
 
     synchronous_mode: bool = False
     no_rendering_mode: bool = False
@@ -48,8 +48,8 @@ class EpisodeSettings:
 
 
 @dataclass(frozen=True, slots=True)
-class BoundingBox:
-    """A box, in m: its centre, half its size, and how it is turned."""
+class BoxStruct:
+    """CARLA's BoundingBox, in m: centre, half the size, rotation."""
 
     location: Location
     extent: Vector
@@ -58,8 +58,8 @@ class BoundingBox:
 
 
 @dataclass(frozen=True, slots=True)
-class Attribute:
-    """What an actor of a blueprint can have."""
+class AttributeDefinition:
+    """An attribute of a blueprint."""
 
     id: str
     type: int
@@ -76,12 +76,12 @@ class ActorDefinition:
     uid: int
     id: str
     tags: str
-    attributes: list[Attribute]
+    attributes: list[AttributeDefinition]
 
 
 @dataclass(frozen=True, slots=True)
 class AttributeValue:
-    """What an actor has."""
+    """An attribute of an actor."""
 
     id: str
     type: int
@@ -90,7 +90,7 @@ class AttributeValue:
 
 @dataclass(frozen=True, slots=True)
 class ActorDescription:
-    """What to spawn, or what was spawned."""
+    """The blueprint and the attributes of an actor."""
 
     uid: int
     id: str
@@ -99,35 +99,35 @@ class ActorDescription:
 
 @dataclass(frozen=True, slots=True)
 class ActorRecord:
-    """An actor, as clients know it for ever.
+    """An actor, as clients cache it for as long as they run.
 
     Attributes:
-        id: Its number.
-        parent: That of what it is attached to; 0 where it is not.
-        description: What it is.
-        box: Around it, in its own axes.
+        id: Its id.
+        parent: The id of its parent; 0 for none.
+        description: Its blueprint and attributes.
+        box: The box around it, in its own axes.
         tags: The semantic classes of its parts, a byte each.
-        token: Of its stream; empty where it has none.
+        token: The address of its stream; empty if it has none.
     """
 
     id: int
     parent: int
     description: ActorDescription
-    box: BoundingBox
+    box: BoxStruct
     tags: bytes
     token: bytes
 
 
 @dataclass(frozen=True, slots=True)
 class VehicleLightState:
-    """The lights of a vehicle, as CARLA's light bits."""
+    """The lights of a vehicle as CARLA's bits."""
 
     bits: int
 
 
 @dataclass(frozen=True, slots=True)
 class WheelTelemetry:
-    """How a wheel rolls: forces in N, torque in N m, turns in rad/s."""
+    """The telemetry of a wheel: forces in N, torque in N m, angular velocity in rad/s."""
 
     tire_friction: float = 0.0
     lat_slip: float = 0.0
@@ -144,7 +144,7 @@ class WheelTelemetry:
 
 @dataclass(frozen=True, slots=True)
 class Telemetry:
-    """How a vehicle moves: speed in m/s, drag in N."""
+    """The telemetry of a vehicle: speed in m/s, drag in N."""
 
     speed: float
     steer: float
@@ -158,7 +158,7 @@ class Telemetry:
 
 @dataclass(frozen=True, slots=True)
 class BoneTransform:
-    """A bone of a walker, and where it is: in the world, in the axes of the walker, and of the bone that it hangs on."""
+    """A bone of a walker: its transform in the world, in the walker's axes, and relative to its parent bone."""
 
     name: str
     world: Transform
@@ -167,7 +167,7 @@ class BoneTransform:
 
 
 @dataclass(frozen=True, slots=True)
-class Bones:
+class WalkerBones:
     """The bones of a walker."""
 
     transforms: list[BoneTransform]
@@ -175,7 +175,7 @@ class Bones:
 
 @dataclass(frozen=True, slots=True)
 class LabelledPoint:
-    """A place, and the semantic class of what is there."""
+    """A point on a surface, and the semantic class of the surface."""
 
     location: Location
     label: int
@@ -183,10 +183,10 @@ class LabelledPoint:
 
 @dataclass(frozen=True, slots=True)
 class EnvironmentObject:
-    """Something that a map has by itself."""
+    """An object of the map itself."""
 
     transform: Transform
-    box: BoundingBox
+    box: BoxStruct
     id: int
     name: str
     label: int

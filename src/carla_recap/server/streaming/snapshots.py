@@ -33,14 +33,14 @@ _ACTIVE: Final = 1
 _SIZE: Final = 119
 _BASE: Final = [("id", "<u4"), ("activity", "u1"), ("numbers", "<(15,)f4")]
 _KM_PER_H: Final = 3.6
-_FAR: Final = 3.0  # m: a vehicle that has come so far is looked up on the lanes anew before the next snapshot,
-_NEAR: Final = 2.0  # m: one that has come so far when there is time
+_FAR: Final = 3.0  # m: a vehicle that has moved as far is assigned to a lane anew before the next snapshot
+_NEAR: Final = 2.0  # m: the same, between two ticks
 
 
 def _dtype(*fields: tuple[str, str]) -> np.dtype[np.void]:
-    """The layout of an actor: what all have, then what its kind has, then nothing up to the size of all."""
-    told = [*_BASE, *fields]
-    return np.dtype([*told, ("nothing", f"V{_SIZE - np.dtype(told).itemsize}")])
+    """Return the layout of a kind of actor: the fields of all actors, its own fields, and padding."""
+    used = [*_BASE, *fields]
+    return np.dtype([*used, ("padding", f"V{_SIZE - np.dtype(used).itemsize}")])
 
 
 VEHICLE: Final = _dtype(
@@ -75,26 +75,25 @@ _CONTROLS: Final = ("throttle", "steer", "brake", "hand_brake", "reverse", "manu
 _TIMES: Final = ("green_time", "yellow_time", "red_time", "elapsed", "frozen")
 
 
-def sensor_header(kind: int, frame: int, seconds: float, place: Transform) -> bytes:
-    """What each frame of a sensor begins with.
+def sensor_header(kind: int, frame: int, seconds: float, transform: Transform) -> bytes:
+    """Return the header of a sensor's frame.
 
     Args:
-        kind: Of the sensor, as CARLA numbers them.
-        frame: The frame.
-        seconds: Since the episode began.
-        place: Where the sensor is.
+        kind: CARLA's number of the kind of sensor.
+        frame: The number of the frame.
+        seconds: The time since the episode began.
+        transform: The transform of the sensor.
     """
-    at, turn = place.location, place.rotation
-    return _SENSOR_HEADER.pack(kind, frame, seconds, at.x, at.y, at.z, turn.pitch, turn.yaw, turn.roll)
+    return _SENSOR_HEADER.pack(kind, frame, seconds, *_pose(transform))
 
 
-def telling_of_map(snapshot: bytes) -> bytes:
-    """A snapshot that tells whoever gets it to ask for the map anew."""
+def with_map_changed(snapshot: bytes) -> bytes:
+    """Return a snapshot with the flag that makes a client ask for the map anew."""
     return snapshot[:_FLAGS] + bytes((_MAP_CHANGED,)) + snapshot[_FLAGS + 1 :]
 
 
-class Photographer:
-    """Takes the snapshots of an episode.
+class SnapshotEncoder:
+    """Encodes the snapshots of an episode.
 
     Args:
         world: The world.
@@ -104,15 +103,15 @@ class Photographer:
         self._world = world
         self._rules = Rules(world.town)
         self._light_ids = np.array([*(light.id for light in world.traffic_lights), 0])  # row NO_LIGHT is the last
-        self._registry: object = None
+        self._ids: object = None
         self._arrays: list[NDArray[np.void]] = []
         self._others: list[Actor] = []
-        self._drives = Drives(world)
+        self._tracker = LaneTracker(world)
         self._light = np.empty(0, np.int64)
-        self._born = time.monotonic()
+        self._start = time.monotonic()
 
-    def take(self, episode: int, frame: int) -> bytes:
-        """The world as it is.
+    def encode(self, episode: int, frame: int) -> bytes:
+        """Return a snapshot of the world.
 
         Args:
             episode: The number of the episode.
@@ -120,20 +119,20 @@ class Photographer:
         """
         world = self._world
         spectator = world.spectator.transform
-        header = _EPISODE_HEADER.pack(episode, time.monotonic() - self._born, world.delta, 0, 0, 0, 0)
+        header = _EPISODE_HEADER.pack(episode, time.monotonic() - self._start, world.delta, 0, 0, 0, 0)
         begin = sensor_header(_WORLD, frame, world.elapsed, spectator)
         return b"".join((begin, header, *(array.tobytes() for array in self._rows())))
 
     def look_ahead(self) -> None:
-        """Do some of what the next snapshot takes."""
-        if tuple(self._world.actors) == self._registry:
-            self._drives.look(_NEAR)
+        """Do some of the work of the next snapshot."""
+        if tuple(self._world.actors) == self._ids:
+            self._tracker.update(_NEAR)
 
     def _rows(self) -> Sequence[NDArray[np.void]]:
         world = self._world
         actors = tuple(world.actors)
-        if actors != self._registry:
-            self._registry = actors
+        if actors != self._ids:
+            self._ids = actors
             self._assemble(list(world.actors.values()))
         vehicles, walkers, lights, _, others = self._arrays
         if len(vehicles):
@@ -153,7 +152,7 @@ class Photographer:
         world = self._world
         signs = [actor for actor in actors if isinstance(actor, Sign) and not isinstance(actor, TrafficLight)]
         self._others = [actor for actor in actors if not isinstance(actor, (Mover, Sign))]
-        self._drives = Drives(world)
+        self._tracker = LaneTracker(world)
         self._arrays = [
             _blank(VEHICLE, world.vehicles.actors),
             _blank(WALKER, world.walkers.actors),
@@ -167,55 +166,55 @@ class Photographer:
         _move(rows, vehicles)
         for name in _CONTROLS:
             rows[name] = getattr(vehicles, name)
-        if self._drives.have_moved():
-            notice = self._rules.at(*self._drives.now())
-            rows["speed_limit"] = notice.speed_limit * _KM_PER_H
-            rows["at_light"] = notice.light != NO_LIGHT
-            rows["light"] = self._light_ids[notice.light]
-            self._light = notice.light
+        if self._tracker.moved():
+            rules = self._rules.at(*self._tracker.positions())
+            rows["speed_limit"] = rules.speed_limit * _KM_PER_H
+            rows["at_light"] = rules.light != NO_LIGHT
+            rows["light"] = self._light_ids[rules.light]
+            self._light = rules.light
         rows["shown"] = np.append(self._world.signals.state, GREEN)[self._light]
 
 
-class Drives:
-    """Where vehicles are on their lanes: looked up now and then, and reckoned from how far they have come since.
+class LaneTracker:
+    """The positions of vehicles on their lanes: looked up now and then, and extrapolated in between.
 
     Args:
-        world: The world; as long as nobody comes or goes.
+        world: The world; a tracker is valid until an actor is spawned or destroyed.
     """
 
     def __init__(self, world: World) -> None:
         self._world = world
         count = len(world.vehicles)
-        self._from = np.full((count, 3), np.inf)
-        self._ahead = np.zeros((count, 2))
+        self._reference = np.full((count, 3), np.inf)
+        self._forward = np.zeros((count, 2))
         self._lane = np.zeros(count, np.int64)
         self._s = np.zeros(count)
         self._last = np.full((count, 3), np.inf)
 
-    def have_moved(self) -> bool:
-        """Whether anybody is elsewhere than when this was last asked."""
+    def moved(self) -> bool:
+        """Return whether a vehicle has moved since the last call."""
         position = self._world.vehicles.position
         if np.array_equal(position, self._last):
             return False
         self._last = position.copy()
         return True
 
-    def now(self) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
-        """The lanes, and how far along each vehicle is, in m."""
+    def positions(self) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
+        """Return the lanes of all vehicles, and how far along each vehicle is, in m."""
         vehicles = self._world.vehicles
-        self.look(_FAR)
-        come = (vehicles.position - self._from)[:, :2]
-        return self._lane, self._s + (come * self._ahead).sum(axis=1)
+        self.update(_FAR)
+        moved = (vehicles.position - self._reference)[:, :2]
+        return self._lane, self._s + (moved * self._forward).sum(axis=1)
 
-    def look(self, distance: float) -> None:
-        """Look those up who have come farther than so many metres."""
+    def update(self, distance: float) -> None:
+        """Look up the vehicles that have moved farther than a distance, in m."""
         vehicles = self._world.vehicles
-        rows = np.flatnonzero(np.abs(vehicles.position - self._from).max(axis=1, initial=0) > distance)
+        rows = np.flatnonzero(np.abs(vehicles.position - self._reference).max(axis=1, initial=0) > distance)
         if not len(rows):
             return
         position, heading = vehicles.position[rows], np.radians(vehicles.rotation[rows, 1])
-        self._from[rows] = position
-        self._ahead[rows] = np.stack((np.cos(heading), np.sin(heading)), axis=1)
+        self._reference[rows] = position
+        self._forward[rows] = np.stack((np.cos(heading), np.sin(heading)), axis=1)
         x, y, z = position.T
         self._lane[rows], self._s[rows] = self._world.town.nearest_lane(x, y, z=z, heading=heading)
 
@@ -243,5 +242,5 @@ def _move(rows: NDArray[np.void], movers: Movers) -> None:
 
 
 def _pose(transform: Transform) -> tuple[float, ...]:
-    place, turn = transform.location, transform.rotation
-    return place.x, place.y, place.z, turn.pitch, turn.yaw, turn.roll
+    location, rotation = transform.location, transform.rotation
+    return location.x, location.y, location.z, rotation.pitch, rotation.yaw, rotation.roll

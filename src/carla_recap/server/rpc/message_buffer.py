@@ -1,7 +1,7 @@
-"""What a stranger sends, taken apart into calls, at a bounded cost of memory.
+"""A buffer that splits what a client sends into messages, at a bounded cost of memory.
 
-MessagePack does not say how long a value is: one has to look. What has arrived of a call is kept as bytes, and objects are
-made of it only once it is whole, since an object takes up to eighty times the memory of its bytes.
+A MessagePack value does not begin with its length: one has to scan it. The bytes of an incomplete message are kept as they
+are, and objects are made only when it is complete, since an object takes up to eighty times the memory of its bytes.
 """
 
 from __future__ import annotations
@@ -13,18 +13,18 @@ import msgpack
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
 
-_LARGEST: Final = 32 << 20  # bytes of a call: the text of a large map
-_LONG: Final = 1 << 20  # bytes: of more than that, the items are counted
-_MOST_ITEMS: Final = 2 << 20  # of all arrays that are counted: ten thousand actors to spawn
-_MOST_OF_ARRAY: Final = 1 << 14  # items: memory is taken for them before they have arrived
-_BUFFER: Final = 1 << 10  # bytes, to begin with
+_LARGEST: Final = 32 << 20  # bytes of a message: the text of a large map
+_LONG: Final = 1 << 20  # bytes: in longer messages, the items are counted
+_MOST_ITEMS: Final = 2 << 20  # of all counted arrays together: ten thousand actors to spawn
+_LONGEST_ARRAY: Final = 1 << 14  # items: memory is allocated for them before they have arrived
+_BUFFER: Final = 1 << 10  # bytes, at first
 
 
-class Inbox:
-    """The calls that have arrived over a connection.
+class MessageBuffer:
+    """The messages that have arrived over a connection.
 
     Attributes:
-        part: What has arrived of a call of which more is to come.
+        part: The bytes of an incomplete message.
     """
 
     def __init__(self) -> None:
@@ -32,14 +32,14 @@ class Inbox:
         self._scanner: msgpack.Unpacker | None = None
         self._chunk = b""
         self._unpacker = _unpacker()
-        self._taken = 0
+        self._consumed = 0
         self._items = 0
 
     def feed(self, data: bytes) -> None:
-        """Take in what has arrived; the calls that had arrived before must have been taken out.
+        """Add data; all complete messages must have been taken out before.
 
         Raises:
-            ValueError: It is no MessagePack, or too large.
+            ValueError: The data is not MessagePack, or too large.
         """
         if self._scanner is None:
             self._open(data)
@@ -47,29 +47,29 @@ class Inbox:
             self._collect(data)
 
     def __iter__(self) -> Iterator[Any]:
-        """Take out the calls that are whole; one can stop in between, and go on with a new iterator.
+        """Take out the complete messages; one can stop in between and go on with a new iterator.
 
         Raises:
-            ValueError: What has arrived is no MessagePack, or too large.
+            ValueError: The data is not MessagePack, or too large.
         """
         for value in self._unpacker:
-            self._taken = self._unpacker.tell()
+            self._consumed = self._unpacker.tell()
             yield value
-        if self._taken < len(self._chunk):
-            part = self._chunk[self._taken :]
+        if self._consumed < len(self._chunk):
+            part = self._chunk[self._consumed :]
             self._open(b"")
             self._scanner = _unpacker()
             self._collect(part)
 
     def _open(self, chunk: bytes) -> None:
-        """Begin with some bytes, the first of which is the first of a call."""
+        """Start with a chunk that begins with a message."""
         self._chunk = chunk
-        self._taken = self._items = 0
+        self._consumed = self._items = 0
         self._unpacker = _unpacker(self._count if len(chunk) > _LONG else None)
         self._unpacker.feed(chunk)
 
     def _collect(self, data: bytes) -> None:
-        """Add to what has arrived of a call, and see whether it is whole now."""
+        """Add to an incomplete message, and open it if it is complete now."""
         assert self._scanner is not None
         self.part += data
         self._scanner.feed(data)
@@ -95,7 +95,7 @@ def _unpacker(list_hook: Callable[[list[Any]], list[Any]] | None = None) -> msgp
     return msgpack.Unpacker(
         read_size=_BUFFER,
         max_buffer_size=2 * _LARGEST,
-        max_array_len=_MOST_OF_ARRAY,
+        max_array_len=_LONGEST_ARRAY,
         max_map_len=0,
         max_ext_len=0,
         list_hook=list_hook,

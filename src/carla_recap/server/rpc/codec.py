@@ -1,6 +1,7 @@
-"""How values go over the wire: types of Python, and what msgpack makes of them in CARLA's protocol.
+"""Conversion between Python's types and the MessagePack values of CARLA's protocol.
 
-A struct is an array of its fields, in order; so is a dataclass here. An optional value is `[false]` or `[true, value]`.
+A struct, here a dataclass, is an array of its fields in order. An optional value is `[false]` or `[true, value]`. A struct
+may have more fields than expected, as newer clients send them, and fewer if fields have defaults.
 """
 
 from __future__ import annotations
@@ -17,13 +18,13 @@ from carla_recap.errors import RecapError
 Convert = Callable[[Any], Any]
 
 
-class WireError(RecapError):
-    """A value of a stranger is not of the type that was expected."""
+class DecodeError(RecapError):
+    """A received value is not of the expected type."""
 
 
 @cache
 def decoder(type: Any) -> Convert:
-    """What makes a value of a type out of what msgpack has unpacked; it raises `WireError` for all else."""
+    """Return a function that converts an unpacked value to a type; it raises `DecodeError` for a value of another type."""
     origin, inner = get_origin(type), get_args(type)
     if type is Any:
         return _as_is
@@ -41,12 +42,12 @@ def decoder(type: Any) -> Convert:
         return _decode_list(decoder(inner[0]), tuple)
     if origin is tuple:
         return _decode_tuple(tuple(map(decoder, inner)))
-    raise TypeError(f"{type} does not go over the wire")
+    raise TypeError(f"{type}: no type of the protocol")
 
 
 @cache
 def encoder(type: Any) -> Convert:
-    """What makes something that msgpack can pack out of a value of a type."""
+    """Return a function that converts a value of a type to one that can be packed."""
     origin, inner = get_origin(type), get_args(type)
     if type in (Any, float, int, bool, str, bytes):
         return _as_is
@@ -62,7 +63,7 @@ def encoder(type: Any) -> Convert:
         if all(part is _as_is for part in parts):
             return _as_is
         return lambda values: [part(value) for part, value in zip(parts, values, strict=True)]
-    raise TypeError(f"{type} does not go over the wire")
+    raise TypeError(f"{type}: no type of the protocol")
 
 
 def _as_is(value: Any) -> Any:
@@ -77,15 +78,15 @@ def _present(alternatives: tuple[Any, ...]) -> Any:
 def _decode_float(value: Any) -> float:
     if value.__class__ in (float, int):
         if not isfinite(value):
-            raise WireError(f"expected a finite number, found {value}")
+            raise DecodeError(f"expected a finite number, found {value}")
         return float(value)
-    raise WireError(f"expected a number, found {_short(value)}")
+    raise DecodeError(f"expected a number, found {_shown(value)}")
 
 
 def _scalar(type: type) -> Convert:
     def decode(value: Any) -> Any:
         if value.__class__ is not type:
-            raise WireError(f"expected {type.__name__}, found {_short(value)}")
+            raise DecodeError(f"expected {type.__name__}, found {_shown(value)}")
         return value
 
     return decode
@@ -103,7 +104,7 @@ def _decode_struct(type: Any) -> Convert:
         if numeric and value.__class__ is list and [item.__class__ for item in value] == kinds and all(map(isfinite, value)):
             return type(*value)
         if value.__class__ is not list or len(value) < least:
-            raise WireError(f"expected a {name} of {len(parts)} fields, found {_short(value)}")
+            raise DecodeError(f"expected a {name} of {len(parts)} fields, found {_shown(value)}")
         return type(*[part(item) for part, item in zip(parts, value, strict=False)])
 
     return decode
@@ -126,7 +127,7 @@ def _decode_optional(type: Any) -> Convert:
             return None
         if value.__class__ is list and len(value) == 2 and value[0] is True:
             return inner(value[1])
-        raise WireError(f"expected an optional value, found {_short(value)}")
+        raise DecodeError(f"expected an optional value, found {_shown(value)}")
 
     return decode
 
@@ -139,7 +140,7 @@ def _encode_optional(type: Any) -> Convert:
 def _decode_list(each: Convert, make: Callable[[Any], Any]) -> Convert:
     def decode(value: Any) -> Any:
         if value.__class__ is not list:
-            raise WireError(f"expected an array, found {_short(value)}")
+            raise DecodeError(f"expected an array, found {_shown(value)}")
         return make(each(item) for item in value)
 
     return decode
@@ -148,13 +149,13 @@ def _decode_list(each: Convert, make: Callable[[Any], Any]) -> Convert:
 def _decode_tuple(parts: tuple[Convert, ...]) -> Convert:
     def decode(value: Any) -> Any:
         if value.__class__ is not list or len(value) != len(parts):
-            raise WireError(f"expected an array of {len(parts)}, found {_short(value)}")
+            raise DecodeError(f"expected an array of {len(parts)}, found {_shown(value)}")
         return tuple(part(item) for part, item in zip(parts, value, strict=True))
 
     return decode
 
 
-def _short(value: Any) -> str:
+def _shown(value: Any) -> str:
     if isinstance(value, (list, dict, str, bytes)):
         return f"{type(value).__name__} of {len(value)}"
     return repr(value)

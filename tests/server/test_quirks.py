@@ -5,7 +5,7 @@ import socket
 import time
 from contextlib import closing
 
-from carla_recap.server.attention import attentive_loop
+from carla_recap.server.quirks import busy_polling_loop
 
 
 def test_what_is_due_later_is_done_in_time() -> None:
@@ -15,7 +15,7 @@ def test_what_is_due_later_is_done_in_time() -> None:
             await asyncio.sleep(0.01)
         return time.monotonic() - begin
 
-    with closing(attentive_loop()) as loop:
+    with closing(busy_polling_loop()) as loop:
         assert 0.2 <= loop.run_until_complete(wait()) < 1.0
 
 
@@ -31,5 +31,5 @@ def test_who_waits_takes_no_processor_time() -> None:
             writer.close()
             return time.process_time() - begin
 
-    with socket.create_server(("127.0.0.1", 0)) as there, closing(attentive_loop()) as loop:
+    with socket.create_server(("127.0.0.1", 0)) as there, closing(busy_polling_loop()) as loop:
         assert loop.run_until_complete(wait()) < 0.1

@@ -1,7 +1,7 @@
-"""Streams: what the server sends by itself, a frame after the other, to whoever has subscribed.
+"""Streams: what the server sends by itself to its subscribers, frame after frame.
 
-A subscription is a connection of its own: the client sends the number of the stream, and then only reads. A subscriber who
-reads too slowly misses frames, and holds up nobody.
+A subscription is a connection of its own: the client sends the number of the stream, and then only reads. A subscriber that
+reads too slowly misses frames, and holds up nothing.
 """
 
 from __future__ import annotations
@@ -11,10 +11,12 @@ import struct
 from collections import defaultdict
 from typing import TYPE_CHECKING, Final, cast
 
+from carla_recap.server.quirks import PendingSubscriptions
+
 if TYPE_CHECKING:
     from collections.abc import Callable
 
-    from carla_recap.server.connections import Connections
+    from carla_recap.server.rpc.connection import ConnectionPool
 
 _ID: Final = struct.Struct("<I")
 _LENGTH: Final = struct.Struct("<I")
@@ -22,8 +24,7 @@ _LENGTH: Final = struct.Struct("<I")
 _TOKEN: Final = struct.Struct("<IHBB16x")
 _TCP: Final = 1
 _NO_ADDRESS: Final = 0
-_BACKLOG: Final = 256 << 10  # bytes, besides what the system keeps: a subscriber who is so far behind misses frames
-_SOON: Final = 0.25  # s: who has asked where a stream is has subscribed by then, or is not waited for any longer
+_BACKLOG: Final = 256 << 10  # bytes, besides the system's buffer: a subscriber that is farther behind misses frames
 
 
 class Streams:
@@ -31,35 +32,25 @@ class Streams:
 
     Args:
         connections: All connections of the server.
-        welcome: Makes the first frame that a subscriber gets out of the latest one.
+        mark_first: Turns the latest frame into the first frame of a subscriber.
 
     Attributes:
         connections: All connections of the server.
-        port: Where subscribers connect to.
+        pending: The subscriptions that clients are about to make.
+        port: The port to which subscribers connect.
     """
 
-    def __init__(self, connections: Connections, welcome: Callable[[bytes], bytes]) -> None:
+    def __init__(self, connections: ConnectionPool, mark_first: Callable[[bytes], bytes]) -> None:
         self.connections = connections
+        self.pending = PendingSubscriptions()
         self.port = 0
-        self._welcome = welcome
+        self._mark_first = mark_first
         self._subscribers: defaultdict[int, set[Subscriber]] = defaultdict(set)
         self._latest: dict[int, bytes] = {}
-        self._expected: dict[int, tuple[object, asyncio.Future[None]]] = {}
 
     def token(self, stream: int) -> bytes:
-        """What tells a client where a stream is, 24 bytes."""
+        """Return the address of a stream for a client, 24 bytes."""
         return _TOKEN.pack(stream, self.port, _TCP, _NO_ADDRESS)
-
-    def expect(self, stream: int, client: object) -> None:
-        """Take note that a client has asked where a stream is, and is about to subscribe, over another connection."""
-        self._has_come(stream)
-        loop = asyncio.get_running_loop()
-        self._expected[stream] = client, loop.create_future()
-        loop.call_later(_SOON, self._has_come, stream)
-
-    def expected(self, client: object) -> list[asyncio.Future[None]]:
-        """What to wait for until a client has all subscriptions that it is about to have."""
-        return [subscription for who, subscription in self._expected.values() if who is client]
 
     @property
     def subscribed(self) -> tuple[int, ...]:
@@ -74,44 +65,38 @@ class Streams:
                 subscriber.send(frame)
 
     def keep(self, stream: int, payload: bytes) -> None:
-        """Send a frame, and send it to whoever subscribes later, too, until there is a newer one."""
+        """Send a frame now, and to later subscribers until there is a newer one."""
         self._latest[stream] = payload
         self.send(stream, payload)
 
     def silence(self, stream: int) -> None:
-        """Send nothing more to the subscribers of a stream, until they leave."""
+        """Send nothing more to the subscribers of a stream."""
         self._latest.pop(stream, None)
 
-    def forget(self, stream: int) -> None:
+    def close(self, stream: int) -> None:
         """End a stream."""
         self.silence(stream)
         for subscriber in tuple(self._subscribers.get(stream, ())):
             subscriber.close()
 
     def connection(self) -> Subscriber:
-        """For a new connection."""
+        """Return the protocol of a new connection."""
         return Subscriber(self)
 
-    def enter(self, stream: int, subscriber: Subscriber) -> None:
-        """Take in a subscriber."""
+    def add(self, stream: int, subscriber: Subscriber) -> None:
+        """Add a subscriber to a stream."""
         self._subscribers[stream].add(subscriber)
-        self._has_come(stream)
+        self.pending.arrived(stream)
         if stream in self._latest:
-            payload = self._welcome(self._latest[stream])
+            payload = self._mark_first(self._latest[stream])
             subscriber.send(_LENGTH.pack(len(payload)) + payload)
 
-    def leave(self, stream: int, subscriber: Subscriber) -> None:
-        """Let a subscriber go."""
+    def remove(self, stream: int, subscriber: Subscriber) -> None:
+        """Remove a subscriber from a stream."""
         subscribers = self._subscribers[stream]
         subscribers.discard(subscriber)
         if not subscribers:
             del self._subscribers[stream]
-
-    def _has_come(self, stream: int) -> None:
-        """Let those go on who wait for a subscription, if anybody does."""
-        if stream in self._expected:
-            _, subscription = self._expected.pop(stream)
-            subscription.set_result(None)
 
 
 class Subscriber(asyncio.Protocol):
@@ -124,48 +109,48 @@ class Subscriber(asyncio.Protocol):
     def __init__(self, streams: Streams) -> None:
         self._streams = streams
         self._transport: asyncio.Transport | None = None
-        self._hello = b""
+        self._received = b""
         self._stream: int | None = None
         self._is_behind = False
         self._next: bytes | None = None
 
     @property
     def has_spoken(self) -> bool:
-        """Whether it has told which stream it wants."""
+        """Whether it has sent the number of a stream."""
         return self._stream is not None
 
     @property
     def held(self) -> int:
-        """How many bytes are kept for it."""
+        """The bytes that are kept for it."""
         return 0 if self._transport is None else self._transport.get_write_buffer_size()
 
     def connection_made(self, transport: asyncio.BaseTransport) -> None:
         """See `asyncio.Protocol`."""
         self._transport = cast("asyncio.Transport", transport)
         self._transport.set_write_buffer_limits(high=_BACKLOG, low=0)
-        self._streams.connections.enter(self)
+        self._streams.connections.add(self)
 
     def data_received(self, data: bytes) -> None:
-        """Take in the number of the stream; there is nothing else to be told."""
+        """Read the number of the stream; close the connection if there is anything else."""
         if self._stream is not None:
             return self.close()
-        self._hello += data
-        if len(self._hello) > _ID.size:
+        self._received += data
+        if len(self._received) > _ID.size:
             return self.close()
-        if len(self._hello) == _ID.size:
-            (self._stream,) = _ID.unpack(self._hello)
-            self._streams.enter(self._stream, self)
+        if len(self._received) == _ID.size:
+            (self._stream,) = _ID.unpack(self._received)
+            self._streams.add(self._stream, self)
         return None
 
     def connection_lost(self, _: Exception | None) -> None:
         """See `asyncio.Protocol`."""
         self._transport = None
-        self._streams.connections.leave(self)
+        self._streams.connections.remove(self)
         if self._stream is not None:
-            self._streams.leave(self._stream, self)
+            self._streams.remove(self._stream, self)
 
     def send(self, frame: bytes) -> None:
-        """Send a frame; while the subscriber is behind, only the latest one waits."""
+        """Send a frame; while the subscriber is behind, only the latest one is kept."""
         if self._is_behind:
             self._next = frame
         elif self._transport is not None and not self._transport.is_closing():
@@ -184,10 +169,10 @@ class Subscriber(asyncio.Protocol):
             self.send(frame)
 
     def refuse(self) -> None:
-        """End it before it has begun."""
+        """Close the connection: there is no way to send an error."""
         self.close()
 
     def close(self) -> None:
-        """End the subscription."""
+        """Close the connection."""
         if self._transport is not None:
             self._transport.abort()

@@ -1,0 +1,158 @@
+"""Controllers of vehicles on behalf of clients: Ackermann control and constant velocity.
+
+CARLA runs PID controllers for Ackermann control. The simulator knows its vehicles well enough to compute the throttle or
+brake that gives the desired acceleration, so that there is nothing to tune; the gains that clients set are only kept.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Final
+from weakref import WeakKeyDictionary
+
+from carla_recap.sim.actors.control import VehicleControl
+from carla_recap.sim.geometry import Location, Transform, Vector
+from carla_recap.sim.physics.drivetrain import SPEEDS
+
+if TYPE_CHECKING:
+    from carla_recap.sim.actors.actors import Vehicle
+
+_RESPONSE: Final = 0.3  # s: the time constant of the speed
+_MOST: Final = 8.0  # m/s²: the default limit
+_RESISTANCE: Final = 0.013 * 9.81  # m/s², of rolling tyres
+_COASTING: Final = 0.5 + _RESISTANCE  # m/s²: the deceleration without throttle
+_HALT: Final = 0.1  # m/s: below it, a vehicle that is to stand is braked
+
+
+@dataclass(slots=True)
+class AckermannControl:
+    """CARLA's VehicleAckermannControl.
+
+    Attributes:
+        steer: The angle of the front wheels in radians, positive to the right.
+        steer_speed: The rate of the angle, in rad/s; 0 for an immediate change.
+        speed: The desired speed in m/s; negative backwards.
+        acceleration: The largest acceleration, in m/s²; 0 for the default.
+        jerk: The rate of the acceleration, in m/s³; 0 for an immediate change.
+    """
+
+    steer: float = 0.0
+    steer_speed: float = 0.0
+    speed: float = 0.0
+    acceleration: float = 0.0
+    jerk: float = 0.0
+
+
+@dataclass(slots=True)
+class AckermannSettings:
+    """The gains of CARLA's controllers, with CARLA's defaults."""
+
+    speed_kp: float = 0.15
+    speed_ki: float = 0.0
+    speed_kd: float = 0.25
+    accel_kp: float = 0.01
+    accel_ki: float = 0.0
+    accel_kd: float = 0.01
+
+
+@dataclass(slots=True)
+class _AckermannState:
+    control: AckermannControl
+    angle: float = 0.0
+    acceleration: float = 0.0
+
+
+class AckermannController:
+    """Drives vehicles to a speed and a steering angle."""
+
+    def __init__(self) -> None:
+        self._states: dict[Vehicle, _AckermannState] = {}
+        self._settings: WeakKeyDictionary[Vehicle, AckermannSettings] = WeakKeyDictionary()
+
+    def step(self, delta: float) -> None:
+        """Act at the beginning of a tick; see `World.controllers`."""
+        for vehicle, state in tuple(self._states.items()):
+            if vehicle.is_alive:
+                vehicle.apply_control(_control(vehicle, state, delta))
+            else:
+                del self._states[vehicle]
+
+    def drive(self, vehicle: Vehicle, control: AckermannControl) -> None:
+        """Drive a vehicle from now on."""
+        if vehicle in self._states:
+            self._states[vehicle].control = control
+        else:
+            self._states[vehicle] = _AckermannState(control, vehicle.rows.steer_angle[vehicle.row].item())
+
+    def release(self, vehicle: Vehicle) -> None:
+        """Stop driving a vehicle."""
+        self._states.pop(vehicle, None)
+
+    def settings(self, vehicle: Vehicle) -> AckermannSettings:
+        """Return the gains of a vehicle."""
+        return self._settings.get(vehicle, AckermannSettings())
+
+    def set_settings(self, vehicle: Vehicle, settings: AckermannSettings) -> None:
+        """Set the gains of a vehicle; they have no effect."""
+        self._settings[vehicle] = settings
+
+
+def _control(vehicle: Vehicle, state: _AckermannState, delta: float) -> VehicleControl:
+    """Return the control that gives a vehicle the desired acceleration."""
+    rows, row, wanted = vehicle.rows, vehicle.row, state.control
+    speed, mass = rows.speed[row].item(), rows.mass[row].item()
+    most = wanted.acceleration or _MOST
+    acceleration = _limited((wanted.speed - speed) / _RESPONSE, 0.0, abs(most))
+    state.acceleration = _limited(acceleration, state.acceleration, abs(wanted.jerk) * delta or float("inf"))
+    state.angle = _limited(wanted.steer, state.angle, abs(wanted.steer_speed) * delta or float("inf"))
+    limit = rows.steer_limit[row].item()
+    steer = state.angle / limit if limit else 0.0
+    backwards = wanted.speed < 0
+    forward = -state.acceleration if backwards else state.acceleration  # in the desired direction
+    if wanted.speed == 0 and abs(speed) < _HALT:
+        return VehicleControl(steer=steer, brake=1.0)
+    air = rows.air[row].item() * speed * speed / mass
+    if forward > -_COASTING - air:
+        column = min(int(abs(speed) / SPEEDS[1]), len(SPEEDS) - 1)
+        force = (rows.forces[row, -1, column] if backwards else rows.best_force[row, column]).item()
+        throttle = max(forward + _RESISTANCE + air, 0.0) * mass / force if force else 0.0
+        return VehicleControl(throttle, steer, reverse=backwards)
+    brakes = (rows.front_brake[row] + rows.rear_brake[row]).item() / mass
+    brake = (-forward - _COASTING - air) / brakes if brakes else 0.0
+    return VehicleControl(steer=steer, brake=brake, reverse=backwards)
+
+
+def _limited(value: float, around: float, most: float) -> float:
+    return min(max(value, around - most), around + most)
+
+
+class ConstantVelocity:
+    """Holds the velocity of vehicles constant, as CARLA's `enable_constant_velocity` does.
+
+    At the end of each tick, the vehicles get back the velocity that brakes, tyres and drag have taken.
+    """
+
+    def __init__(self) -> None:
+        self._velocities: dict[Vehicle, Vector] = {}
+
+    def __call__(self) -> None:
+        """Act at the end of a tick; see `World.listeners`."""
+        for vehicle, velocity in tuple(self._velocities.items()):
+            if vehicle.is_alive:
+                _set_velocity(vehicle, velocity)
+            else:
+                del self._velocities[vehicle]
+
+    def hold(self, vehicle: Vehicle, velocity: Vector) -> None:
+        """Hold the velocity of a vehicle, in its own axes and m/s."""
+        self._velocities[vehicle] = velocity
+        _set_velocity(vehicle, velocity)
+
+    def release(self, vehicle: Vehicle) -> None:
+        """Stop holding the velocity of a vehicle."""
+        self._velocities.pop(vehicle, None)
+
+
+def _set_velocity(vehicle: Vehicle, velocity: Vector) -> None:
+    rotated = Transform(rotation=vehicle.transform.rotation).transform(Location(velocity.x, velocity.y, velocity.z))
+    vehicle.set_target_velocity(Vector(rotated.x, rotated.y, rotated.z))

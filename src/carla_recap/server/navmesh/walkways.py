@@ -1,0 +1,161 @@
+"""Where pedestrians walk, as a graph that is prepared for strips along its edges, and some paths across roads."""
+
+from __future__ import annotations
+
+from collections import defaultdict
+from itertools import combinations
+from math import cos, dist, hypot, pi
+from typing import TYPE_CHECKING, Final
+
+import numpy as np
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+    from carla_recap.sim.town.town import Town, WalkwayGraph
+
+    Point = list[float]
+    Floats = NDArray[np.float64]
+
+SIDEWALK, CROSSWALK, ROAD = 1, 2, 3
+"""Areas as carla/nav/Navigation.h of LibCarla 0.9.16 numbers them, in the order of preference."""
+_STRAIGHT: Final = 0.05  # m: nodes nearer to a straight line are removed
+_APART: Final = 2.3  # m: nodes nearer to each other are merged, so that strips have their full width
+_SHARP: Final = cos(pi / 3.5)  # the cosine of the least angle between two paths of a fork
+_MOST_REMOVED: Final = 40  # nodes of a straight path: it stays shorter than about 200 m
+_TINY: Final = 1e-12  # m²
+
+_SPACING: Final = 20.0  # m: between paths across roads, at least
+_FACING: Final = 3.0  # m: the offset of points on both sides of a road, at most; their spacing is 5 m
+_NARROWEST, _WIDEST = 5.0, 40.0  # m: between the sidewalks of a road
+_LEVEL: Final = 1.5  # m: the difference in height, at most; else one is on a bridge
+_LANES: Final = 0.3  # the share of lanes in a road, at least; the rest is verges, medians and half of both sidewalks
+_SAMPLES: Final = 21  # along a line across a road
+
+
+class WalkwayEditor:
+    """An editable copy of a walkway graph.
+
+    Attributes:
+        points: The locations of the nodes, in m.
+        areas: For each node, its neighbours, and the area of the path to each.
+    """
+
+    def __init__(self, walks: WalkwayGraph) -> None:
+        self.points: list[Point] = walks.nodes.tolist()
+        self.areas: dict[int, dict[int, int]] = defaultdict(dict)
+        for (one, other), crossing in zip(walks.edges.tolist(), walks.crossing.tolist(), strict=True):
+            self.link(one, other, CROSSWALK if crossing else SIDEWALK)
+
+    def link(self, one: int, other: int, area: int) -> None:
+        """Add a path between two nodes."""
+        self.areas[one][other] = self.areas[other][one] = area
+
+    def loosen(self) -> None:
+        """Merge nodes that are close together, and move sharp forks to a later node.
+
+        Walkers keep a distance from walls: they would not get through a narrow passage, nor past the tip of a sharp fork.
+        Each change leaves fewer nodes or shorter paths, so this ends.
+        """
+        queue = sorted(self.areas)
+        for node in queue:  # grows
+            if node not in self.areas:
+                continue
+            beside = sorted(self.areas[node], key=lambda other: (self.length(node, other), other))
+            if beside and self.length(node, beside[0]) < _APART:
+                self._merge(beside[0], node)
+                queue += [node, *beside[1:]]
+            elif fork := self._fork(node, beside):
+                queue += [node, *fork]
+
+    def _merge(self, node: int, into: int) -> None:
+        for other, area in self.areas.pop(node).items():
+            del self.areas[other][node]
+            if other != into:
+                self.link(into, other, min(area, self.areas[into].get(other, area)))
+
+    def _fork(self, node: int, beside: list[int]) -> list[int]:
+        """Let one of two paths in about the same direction begin where the nearer of them, a sidewalk, ends."""
+        for near, far in combinations(beside, 2):
+            if self.areas[node][near] == SIDEWALK and self._is_sharp(node, near, far):
+                area = self.areas[node].pop(far)
+                del self.areas[far][node]
+                self.areas[near].setdefault(far, area)
+                self.areas[far].setdefault(near, area)
+                return [near, far]
+        return []
+
+    def length(self, one: int, other: int) -> float:
+        """Return the horizontal distance of two nodes, in m."""
+        return dist(self.points[one][:2], self.points[other][:2])
+
+    def _is_sharp(self, node: int, one: int, other: int) -> bool:
+        x, y, _ = self.points[node]
+        (ax, ay, _), (bx, by, _) = self.points[one], self.points[other]
+        along = (ax - x) * (bx - x) + (ay - y) * (by - y)
+        return along > _SHARP * self.length(node, one) * self.length(node, other)
+
+    def straighten(self) -> None:
+        """Remove nodes in the middle of straight paths: the client finds paths over at most 256 polygons."""
+        passed: dict[frozenset[int], list[int]] = defaultdict(list)
+        for node in sorted(self.areas):
+            beside = self.areas[node]
+            if len(beside) != 2 or len(set(beside.values())) != 1:
+                continue
+            one, other = beside
+            removed = [*passed[frozenset((one, node))], node, *passed[frozenset((node, other))]]
+            if other in self.areas[one] or len(removed) > _MOST_REMOVED:
+                continue
+            if all(self._is_between(one, other, middle) for middle in removed):
+                self.link(one, other, beside[one])
+                passed[frozenset((one, other))] = removed
+                del self.areas[node], self.areas[one][node], self.areas[other][node]
+
+    def _is_between(self, start: int, end: int, middle: int) -> bool:
+        """Return whether a node is on the straight line between two others, height included."""
+        (ax, ay, az), (bx, by, bz), (x, y, z) = self.points[start], self.points[end], self.points[middle]
+        bx, by, bz, x, y, z = bx - ax, by - ay, bz - az, x - ax, y - ay, z - az
+        share = (x * bx + y * by + z * bz) / max(bx * bx + by * by + bz * bz, _TINY)
+        return 0 < share < 1 and hypot(x - share * bx, y - share * by, z - share * bz) < _STRAIGHT
+
+
+def cross_roads(walkways: WalkwayEditor, town: Town) -> None:
+    """Add paths across roads beside the crossings; `World.set_pedestrians_cross_factor` says how many walkers take them."""
+    nodes = [node for node in sorted(walkways.areas) if list(walkways.areas[node].values()) == [SIDEWALK, SIDEWALK]]
+    nodes.sort(key=lambda node: walkways.points[node][0])
+    points = np.array([walkways.points[node] for node in nodes]).reshape(-1, 3)
+    starts = np.searchsorted(points[:, 0], points[:, 0] - _WIDEST)
+    ends = np.searchsorted(points[:, 0], points[:, 0] + _WIDEST)
+    free = np.ones(len(nodes), np.bool_)
+    for number, node in enumerate(nodes):
+        if not free[number]:
+            continue
+        near = slice(starts[number], ends[number])
+        one, other = (np.array(walkways.points[neighbour]) for neighbour in walkways.areas[node])
+        across = _across(points[near] - points[number], other - one)
+        if across is None or not free[near][across]:
+            continue
+        opposite = near.start + across
+        if _is_road(town, points[number], points[opposite]):
+            walkways.link(node, nodes[opposite], ROAD)
+            for end in (number, opposite):
+                around = slice(starts[end], ends[end])
+                free[around] &= np.linalg.norm(points[around] - points[end], axis=1) >= _SPACING
+
+
+def _across(away: Floats, along: Floats) -> int | None:
+    """Return the nearest of some points that is perpendicular to a sidewalk and on its level."""
+    distance = np.hypot(away[:, 0], away[:, 1])
+    beside = np.abs(away[:, :2] @ along[:2]) / max(float(np.hypot(*along[:2])), _FACING)
+    level = np.abs(away[:, 2]) < _LEVEL
+    facing = np.flatnonzero(level & (beside < _FACING) & (distance > _NARROWEST) & (distance < _WIDEST))
+    return int(facing[distance[facing].argmin()]) if len(facing) else None
+
+
+def _is_road(town: Town, start: Floats, end: Floats) -> bool:
+    """Return whether enough of the line between two points is on lanes for cars."""
+    x, y, z = (start + np.linspace(0, 1, _SAMPLES)[:, None] * (end - start)).T
+    lanes, s = town.nearest_lane(x, y, z=z)
+    _, aside = town.project(lanes, x, y, s)
+    half = np.array([town.lanes[lane].width / 2 for lane in lanes.tolist()])
+    return float((np.abs(aside) < half).mean()) >= _LANES

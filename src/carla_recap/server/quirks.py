@@ -1,0 +1,185 @@
+"""What the server does only because of how the official client 0.9.16, or the machine under it, behaves.
+
+| quirk | symptom without it | where | test |
+|---|---|---|---|
+| the next call of a client comes within microseconds, while a sleeping processor takes tens of them to wake | a third \
+fewer ticks per second | `busy_polling_loop` | `tests/server/test_quirks.py` |
+| a script ends right after its last call, and resets the connection | that call, often `stop_recorder`, is lost \
+| `unread_bytes` | `tests/server/test_quirks.py` |
+| a client learns of a new episode from its stream before its own call has returned | the process of a client with a \
+traffic manager aborts in `load_world` | `SnapshotStreams` | `tests/server/test_episodes.py` |
+| `listen` returns before the client has subscribed | the datum of the tick that follows is lost | `PendingSubscriptions` \
+| `tests/server/test_quirks.py` |
+| the client signals a tick to its traffic manager without holding the manager's lock | client and manager wait for each \
+other for ever | `traffic_manager.cycle` | `tests/server/test_traffic_manager_cycle.py` |
+| a traffic manager's thread looks at the episode while the client has none | the process of the client aborts in \
+`reload_world` | `traffic_manager.pause` | `tests/server/test_traffic_manager.py` |
+"""
+
+from __future__ import annotations
+
+import asyncio
+import itertools
+import os
+import selectors
+import sys
+import time
+from contextlib import suppress
+from typing import TYPE_CHECKING, Any, Final, Protocol
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+    Ready = list[tuple[selectors.SelectorKey, int]]
+
+# --- busy polling -------------------------------------------------------------------------------------------------------
+
+_BUSY: Final = 0.002  # s: a traffic manager of 50 vehicles mostly makes its next call within that time
+_yield_processor: Final[Callable[[], Any]] = getattr(os, "sched_yield", lambda: None)
+
+
+class _BusySelector(selectors.DefaultSelector):
+    """Polls for a moment after each event before it blocks, and yields the processor between two polls."""
+
+    _is_busy = False
+
+    def select(self, timeout: float | None = None) -> Ready:
+        """See `selectors.BaseSelector.select`."""
+        ready = super().select(0)
+        if ready:
+            self._is_busy = True
+        elif timeout is None or timeout > 0:
+            if self._is_busy:
+                begin = time.monotonic()
+                ready = self._poll(_BUSY if timeout is None else min(_BUSY, timeout))
+                timeout = None if timeout is None else max(0.0, timeout - (time.monotonic() - begin))
+            ready = ready or super().select(timeout)
+            self._is_busy = bool(ready)
+        return ready
+
+    def _poll(self, seconds: float) -> Ready:
+        end = time.monotonic() + seconds
+        ready: Ready = []
+        while not ready and time.monotonic() < end:
+            _yield_processor()
+            ready = super().select(0)
+        return ready
+
+
+def busy_polling_loop() -> asyncio.AbstractEventLoop:
+    """Return an event loop that polls for 2 ms after each event; on Windows, the loop that takes most connections."""
+    if sys.platform == "win32":
+        return asyncio.new_event_loop()
+    return asyncio.SelectorEventLoop(_BusySelector())
+
+
+# --- unread calls -------------------------------------------------------------------------------------------------------
+
+_MOST_UNREAD: Final = 1 << 16  # bytes
+
+
+def unread_bytes(transport: asyncio.Transport) -> bytes:
+    """Return what had arrived over a connection that broke while a reply was written.
+
+    asyncio closes its socket without reading the rest, so this reads from a duplicate.
+    """
+    with suppress(OSError), transport.get_extra_info("socket").dup() as duplicate:
+        data: bytes = duplicate.recv(_MOST_UNREAD)
+        return data
+    return b""
+
+
+# --- subscriptions that are about to come -------------------------------------------------------------------------------
+
+_SUBSCRIBED_BY: Final = 0.25  # s: a client that has asked for a token subscribes by then, or not at all
+
+
+class PendingSubscriptions:
+    """The subscriptions that clients are about to make: they have asked for the token of a stream."""
+
+    def __init__(self) -> None:
+        self._pending: dict[int, tuple[object, asyncio.Future[None]]] = {}
+
+    def expect(self, stream: int, client: object) -> None:
+        """Expect a client to subscribe to a stream, over another connection."""
+        self.arrived(stream)
+        loop = asyncio.get_running_loop()
+        self._pending[stream] = client, loop.create_future()
+        loop.call_later(_SUBSCRIBED_BY, self.arrived, stream)
+
+    def of(self, client: object) -> list[asyncio.Future[None]]:
+        """Return the subscriptions that a client is about to make; a tick of this client waits for them."""
+        return [subscription for subscriber, subscription in self._pending.values() if subscriber is client]
+
+    def arrived(self, stream: int) -> None:
+        """End the wait for a subscription, if there is one."""
+        if stream in self._pending:
+            _, subscription = self._pending.pop(stream)
+            subscription.set_result(None)
+
+
+# --- a stream of snapshots for each connection --------------------------------------------------------------------------
+
+
+class SnapshotReceiver(Protocol):
+    """A client that gets snapshots.
+
+    Attributes:
+        stream: The number of its stream of snapshots.
+    """
+
+    stream: int
+
+
+class FrameSender(Protocol):
+    """The streams of a server, as far as snapshots need them."""
+
+    def keep(self, stream: int, payload: bytes) -> None:
+        """Send a frame now, and to later subscribers."""
+
+    def silence(self, stream: int) -> None:
+        """Send nothing more to the subscribers of a stream."""
+
+    def close(self, stream: int) -> None:
+        """End a stream."""
+
+
+class SnapshotStreams:
+    """The streams of snapshots: one for each connection, and a new one when its client begins an episode.
+
+    Args:
+        streams: All streams of the server.
+    """
+
+    def __init__(self, streams: FrameSender) -> None:
+        self._streams = streams
+        self._numbers = itertools.count(1)
+        self._receivers: dict[int, SnapshotReceiver] = {}
+
+    def open(self, client: SnapshotReceiver) -> None:
+        """Give a new client its stream."""
+        client.stream = next(self._numbers)
+        self._receivers[client.stream] = client
+
+    def renew(self, client: SnapshotReceiver) -> None:
+        """Give a client that begins an episode a new stream, which it asks for when its call has been answered.
+
+        The old one stays open and silent: through it, the client would learn of the episode while it has none.
+        """
+        self._streams.silence(client.stream)
+        del self._receivers[client.stream]
+        self.open(client)
+
+    def close(self, client: SnapshotReceiver) -> None:
+        """End the stream of a client that has left."""
+        self._receivers.pop(client.stream, None)
+        self._streams.close(client.stream)
+
+    def publish(self, payload: bytes) -> None:
+        """Send a snapshot to all clients."""
+        for stream in self._receivers:
+            self._streams.keep(stream, payload)
+
+    def send(self, client: SnapshotReceiver, payload: bytes) -> None:
+        """Send a snapshot to one client."""
+        self._streams.keep(client.stream, payload)

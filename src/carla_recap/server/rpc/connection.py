@@ -1,0 +1,333 @@
+"""Connections of clients: the calls that arrive over one, the replies, and the limits of all connections together."""
+
+from __future__ import annotations
+
+import asyncio
+import logging
+from contextlib import suppress
+from inspect import isawaitable, iscoroutine
+from typing import TYPE_CHECKING, Any, Final, Protocol, cast
+
+import msgpack
+
+from carla_recap.errors import RecapError
+from carla_recap.server.quirks import unread_bytes
+from carla_recap.server.rpc.message_buffer import MessageBuffer
+
+if TYPE_CHECKING:
+    from collections.abc import Awaitable, Callable, Mapping
+
+    from carla_recap.server.rpc.registry import Call
+
+_LOG: Final = logging.getLogger("carla_recap.server")
+_REPLY: Final = 1
+_PACKER: Final = msgpack.Packer(unicode_errors="surrogateescape")  # shared: it keeps a large buffer
+_CALLS_AT_ONCE: Final = 64  # before other connections are served
+_MOST_PENDING: Final = 32  # replies of a client that are being prepared
+_LARGE_PART: Final = 1 << 16  # bytes of an incomplete message
+_MOST_CONNECTIONS: Final = 2000  # each sensor that a client listens to is one
+_RESERVED_FILES: Final = 100  # files that the process needs besides
+_MOST_HELD: Final = 128 << 20  # bytes
+_SHOWN: Final = 200  # characters of an unknown name in an error
+
+
+class PooledConnection(Protocol):
+    """A connection as the pool sees it."""
+
+    @property
+    def has_spoken(self) -> bool:
+        """Whether it has sent a call, or the number of a stream."""
+
+    @property
+    def held(self) -> int:
+        """The bytes that are kept for it."""
+
+    def refuse(self) -> None:
+        """Report that there are too many connections, and close."""
+
+    def close(self) -> None:
+        """Close the connection."""
+
+
+class ConnectionPool:
+    """The connections of a server.
+
+    When the pool is full, a connection that has never sent anything is closed in favour of a new one; if there is none, the
+    new one is refused.
+    """
+
+    def __init__(self) -> None:
+        self._limit = connection_limit()
+        self._members: dict[PooledConnection, None] = {}
+
+    @property
+    def refusal(self) -> str:
+        """The error text for a refused connection."""
+        return f"the server has {self._limit} connections, which is as many as it can have"
+
+    def add(self, connection: PooledConnection) -> None:
+        """Add a new connection, or refuse it."""
+        if len(self._members) >= self._limit:
+            silent = next((member for member in self._members if not member.has_spoken), None)
+            if silent is None:
+                connection.refuse()
+            else:
+                del self._members[silent]
+                silent.close()
+        self._members[connection] = None
+
+    def remove(self, connection: PooledConnection) -> None:
+        """Remove a connection."""
+        self._members.pop(connection, None)
+
+    def check_memory(self) -> None:
+        """Close the connection that holds most memory if all together hold too much."""
+        if sum(member.held for member in self._members) > _MOST_HELD:
+            max(self._members, key=lambda member: member.held).close()
+
+
+def connection_limit() -> int:
+    """Return the number of possible connections, after raising the process' limit of open files as far as needed."""
+    with suppress(ImportError, OSError, ValueError):  # not on Windows
+        import resource
+
+        soft, hard = resource.getrlimit(resource.RLIMIT_NOFILE)
+        wanted = _MOST_CONNECTIONS + _RESERVED_FILES
+        if soft != resource.RLIM_INFINITY and soft < wanted:
+            soft = wanted if hard == resource.RLIM_INFINITY else min(wanted, hard)
+            resource.setrlimit(resource.RLIMIT_NOFILE, (soft, hard))
+            return min(_MOST_CONNECTIONS, max(1, soft - _RESERVED_FILES))
+    return _MOST_CONNECTIONS
+
+
+class CallContext(Protocol):
+    """The state of a client, which calls get as their first argument."""
+
+    def begin_call(self, name: str) -> None:
+        """Take note of a call before it is served."""
+
+    def hold(self, name: str, answer: Any) -> Any:
+        """Return the answer to a call, or an awaitable of it."""
+
+    def leave(self) -> None:
+        """Release everything when the connection is closed."""
+
+
+class ClientConnection(asyncio.Protocol):
+    """A connection over which a client makes calls.
+
+    Reading pauses while the client does not read its replies or has many calls pending. The calls that arrived before a
+    client left are served: the last call of a script is often to stop the recorder, and no script waits for its reply.
+
+    Args:
+        calls: The calls by name.
+        pool: All connections of the server.
+        open_context: Returns the context of the calls of a new connection.
+
+    Attributes:
+        has_spoken: Whether it has made a call.
+    """
+
+    def __init__(
+        self,
+        calls: Mapping[str, Call],
+        pool: ConnectionPool,
+        open_context: Callable[[ClientConnection], CallContext],
+    ) -> None:
+        self.has_spoken = False
+        self._calls = calls
+        self._pool = pool
+        self._open_context = open_context
+        self._context: CallContext | None = None
+        self._transport: asyncio.Transport | None = None
+        self._buffer = MessageBuffer()
+        self._pending: set[asyncio.Future[Any]] = set()
+        self._is_refused = False
+        self._is_closed = False
+        self._is_behind = False
+        self._is_paused = False
+
+    @property
+    def address(self) -> str:
+        """The address of the client's machine."""
+        peer = None if self._transport is None else self._transport.get_extra_info("peername")
+        return peer[0] if peer else ""
+
+    @property
+    def held(self) -> int:
+        """The bytes that are kept for it: of incomplete calls, and of replies that it has not read."""
+        unsent = 0 if self._transport is None else self._transport.get_write_buffer_size()
+        return len(self._buffer.part) + unsent
+
+    def connection_made(self, transport: asyncio.BaseTransport) -> None:
+        """See `asyncio.Protocol`."""
+        self._transport = cast("asyncio.Transport", transport)
+        self._context = self._open_context(self)
+        self._pool.add(self)
+
+    def connection_lost(self, error: Exception | None) -> None:
+        """See `asyncio.Protocol`."""
+        transport, self._transport = self._transport, None
+        if error is not None and transport is not None:
+            self._serve_rest(transport)
+        for pending in self._pending:
+            pending.cancel()
+        self._pool.remove(self)
+        if self._context is not None:
+            self._context.leave()
+
+    def pause_writing(self) -> None:
+        """See `asyncio.Protocol`."""
+        self._is_behind = True
+        self._pool.check_memory()
+
+    def resume_writing(self) -> None:
+        """See `asyncio.Protocol`."""
+        self._is_behind = False
+        self._resume()
+
+    def data_received(self, data: bytes) -> None:
+        """Serve the calls that have arrived; close the connection if the data is anything else."""
+        try:
+            self._buffer.feed(data)
+        except ValueError:
+            return self.close()
+        self._serve_buffered()
+        if len(self._buffer.part) > _LARGE_PART:
+            self._pool.check_memory()
+        return None
+
+    def refuse(self) -> None:
+        """Answer the first call with an error, and close."""
+        self._is_refused = True
+
+    def close(self) -> None:
+        """Close the connection at once."""
+        self._is_closed = True
+        if self._transport is not None:
+            self._transport.abort()
+
+    def in_background(self, work: Awaitable[None]) -> None:
+        """Run something after the current call; it is cancelled when the client leaves."""
+        self._watch(asyncio.ensure_future(work))
+
+    def _watch(self, task: asyncio.Future[Any]) -> None:
+        self._pending.add(task)
+        task.add_done_callback(self._forget)
+
+    def _serve_buffered(self) -> None:
+        """Serve calls until there are no more, or reading has to pause."""
+        try:
+            for count, request in enumerate(self._buffer, 1):
+                self._take(request)
+                if self._is_closed:
+                    return None
+                if self._is_behind or len(self._pending) >= _MOST_PENDING:
+                    return self._pause()
+                if count == _CALLS_AT_ONCE:
+                    asyncio.get_running_loop().call_soon(self._resume)
+                    return self._pause()
+        except ValueError:
+            self.close()
+        return None
+
+    def _serve_rest(self, transport: asyncio.Transport) -> None:
+        """Serve the calls that arrived before the connection broke; see `unread_bytes`."""
+        self._is_behind = self._is_paused = False
+        self._serve_buffered()
+        data = unread_bytes(transport)
+        if data and not self._is_paused:
+            self.data_received(data)
+
+    def _pause(self) -> None:
+        self._is_paused = True
+        if self._transport is not None:
+            self._transport.pause_reading()
+
+    def _resume(self) -> None:
+        if self._transport is None or not self._is_paused or self._is_behind or len(self._pending) >= _MOST_PENDING:
+            return
+        self._is_paused = False
+        self._transport.resume_reading()
+        self._serve_buffered()
+
+    def _forget(self, task: asyncio.Future[Any]) -> None:
+        self._pending.discard(task)
+        self._resume()
+
+    def _take(self, request: Any) -> None:
+        match request:
+            case [0, int(number), str(name), [[*_], *arguments]]:
+                if self._is_refused:
+                    self._send([_REPLY, number, None, [[0, [self._pool.refusal]]]])
+                    self._is_closed = True
+                    if self._transport is not None:
+                        self._transport.close()
+                    return
+                self.has_spoken = True
+                self._serve(number, name, arguments)
+            case _:
+                raise ValueError
+
+    def _serve(self, number: int, name: str, arguments: list[Any]) -> None:
+        call = self._calls.get(name)
+        context = self._context
+        assert context is not None
+        if call is None:
+            return self._send([_REPLY, number, unknown_call(name), None])
+        context.begin_call(name)
+        try:
+            answer = call(context, arguments)
+            if self._transport is None and iscoroutine(answer):
+                return answer.close()  # nobody waits for the answer
+            answer = context.hold(name, answer)
+            if isawaitable(answer):
+                return self._reply_later(number, call, answer)
+            return self._reply(number, call, answer)
+        except Exception as error:
+            return self._reply_error(number, call, error)
+
+    def _reply_later(self, number: int, call: Call, answer: Awaitable[Any]) -> None:
+        """Reply when an answer is ready; it is a task itself, so that it is not left unawaited when the client leaves."""
+
+        def reply(task: asyncio.Future[Any]) -> None:
+            if task.cancelled():
+                return
+            try:
+                self._reply(number, call, task.result())
+            except Exception as error:
+                self._reply_error(number, call, error)
+
+        task = asyncio.ensure_future(answer)
+        task.add_done_callback(reply)
+        self._watch(task)
+
+    def _reply(self, number: int, call: Call, answer: Any) -> None:
+        if call.result is None:
+            self._send([_REPLY, number, None, [[False]]])
+        else:
+            value = call.result(answer)
+            self._send([_REPLY, number, None, value if call.bare else [[1, value]]])
+
+    def _reply_error(self, number: int, call: Call, error: Exception) -> None:
+        text = error_text(call.name, error)
+        self._send([_REPLY, number, None, [[call.result is None or 0, [text]]]])
+
+    def _send(self, reply: list[Any]) -> None:
+        data = _PACKER.pack(reply)
+        if self._transport is not None and not self._transport.is_closing():
+            self._transport.write(data)
+
+
+def error_text(name: str, error: Exception) -> str:
+    """Return the text of an error for a client; an unexpected one is logged, too."""
+    if isinstance(error, RecapError):
+        return str(error)
+    _LOG.error("%s has failed: %r", name, error)
+    return f"{name}: {type(error).__name__}: {error}"
+
+
+def unknown_call(name: str) -> str:
+    """Return the error text for an unknown call; only a name that is no call of any client is shortened."""
+    shown = name if len(name) <= _SHOWN else f"{name[:_SHOWN]}… ({len(name)} characters)"
+    return f"{shown}: there is no such call"
