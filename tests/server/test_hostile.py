@@ -255,13 +255,13 @@ def test_a_client_can_go_in_the_middle_of_a_call(world: carla.World, port: int) 
     ticks_quickly(world)
 
 
-def test_an_inbox_gives_back_calls_however_they_arrive() -> None:
+def test_a_message_buffer_returns_calls_in_whatever_pieces_they_arrive() -> None:
     calls = [VERSION, [0, 2, "apply_batch", [[False], [[1, [number]] for number in range(1000)]]], [0, 3, "x", [[True]]]]
     data = b"".join(map(msgpack.packb, calls))
     for size in (1, 7, 1000, len(data)):
-        inbox, found = MessageBuffer(), []
+        buffer, found = MessageBuffer(), []
         for start in range(0, len(data), size):
-            inbox.feed(data[start : start + size])
-            found += list(inbox)
+            buffer.feed(data[start : start + size])
+            found += list(buffer)
         assert found == calls
-        assert not inbox.part
+        assert not buffer.part

@@ -116,7 +116,7 @@ def test_nothing_is_kept_of_sensors_that_nobody_listens_to_any_more() -> None:
     imu = sensor(host, "other.imu", vehicle(host))
     host.tick()
     assert list(host.sensors._feeds) == [imu.stream]
-    host.streams.leave(imu.stream, imu)
+    host.streams.remove(imu.stream, imu)
     host.tick()
     assert host.sensors._feeds == {}
 

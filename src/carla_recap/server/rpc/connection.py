@@ -175,6 +175,7 @@ class ClientConnection(asyncio.Protocol):
         self._pool.remove(self)
         if self._context is not None:
             self._context.leave()
+            self._context = None  # else the two would keep each other, and the buffer, until a garbage collection
 
     def pause_writing(self) -> None:
         """See `asyncio.Protocol`."""
