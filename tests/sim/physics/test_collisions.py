@@ -202,3 +202,17 @@ def test_a_parked_car_that_is_hit_wakes_up() -> None:
     world.run(2.5)
     assert hypot(parked.velocity.x, parked.velocity.y) > 1
     assert parked.transform.location.x > 40
+
+
+def test_a_car_whose_physics_is_switched_off_stays_where_its_body_is() -> None:
+    """Chipmunk pushes overlapping bodies apart in the step after the one in which it finds them."""
+    world = flat_world()
+    cars = [world.place("vehicle.tesla.model3", at(x)) for x in (20.0, 21.0)]
+    world.tick()
+    for car in cars:
+        assert isinstance(car, Vehicle)
+        car.set_simulate_physics(False)
+    fast("vehicle.tesla.model3", world, 100.0, 12.0)
+    world.run(0.5)
+    for position, body in zip(world.vehicles.position, world.vehicles.bodies, strict=True):
+        assert body.position == pytest.approx(tuple(position[:2]), abs=1e-6)

@@ -138,6 +138,7 @@ class Movers(Columns):
         else:
             body.body_type = pymunk.Body.KINEMATIC
             body.velocity, body.angular_velocity = (0.0, 0.0), 0.0
+            pymunk.Body.update_position(body, 0.0)  # clears what is left of pushing overlapping bodies apart
 
     def set_velocity(self, row: int, x: float, y: float, z: float) -> None:
         """Give an actor a velocity in m/s, from which it goes on."""
