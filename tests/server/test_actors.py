@@ -267,3 +267,19 @@ def test_attributes_that_no_recording_could_have_are_refused(inside: Inside) -> 
             inside.call("spawn_actor", [0, "vehicle.audi.tt", [["role_name", 4, value]]], place)
     id = inside.call("spawn_actor", [0, "vehicle.audi.tt", [["parent", 4, "x"], ["blueprint", 4, "y"]]], place)[0]
     assert "parent" not in inside.world.actors[id].attributes
+
+
+def test_a_friction_trigger_acts_on_the_tyres_of_vehicles_inside(world: carla.World) -> None:
+    blueprint = world.get_blueprint_library().find("static.trigger.friction")
+    for key, value in {"friction": "0.25", "extent_x": "500", "extent_y": "500", "extent_z": "500"}.items():
+        blueprint.set_attribute(key, value)
+    car = spawn(world, "vehicle.lincoln.mkz_2017", carla.Transform(carla.Location(600.0, 0.0, 0.5)))
+    before = [wheel.tire_friction for wheel in car.get_physics_control().wheels]
+    trigger = world.spawn_actor(blueprint, carla.Transform(carla.Location(600.0, 0.0, 0.0)))
+    world.tick()
+    assert [wheel.tire_friction for wheel in car.get_physics_control().wheels] == [0.25] * 4
+    car.set_location(carla.Location(650.0, 0.0, 0.5))
+    ticks(world, 2)
+    assert [wheel.tire_friction for wheel in car.get_physics_control().wheels] == before
+    trigger.destroy()
+    car.destroy()

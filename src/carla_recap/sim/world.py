@@ -357,6 +357,8 @@ class World:
             controller.step(delta)
         self.signals.step(delta)
         self._move(delta)
+        for trigger in self._registry.triggers:
+            trigger.update(self._registry.vehicles)
         self._registry.clock.advance()
         self._registry.end_tick(self._collisions.take())
         for listener in tuple(self.listeners):

@@ -13,6 +13,7 @@ from carla_recap.sim.actors import blueprints
 from carla_recap.sim.actors.actor import Actor, Prop, Sensor, Spectator, attached_transform
 from carla_recap.sim.actors.lights import Sign, Signals, TrafficLight
 from carla_recap.sim.actors.moving import MovingActor, Vehicle, Walker
+from carla_recap.sim.actors.triggers import FrictionTrigger
 from carla_recap.sim.errors import SimError, SpawnError
 from carla_recap.sim.geometry import Transform
 from carla_recap.sim.physics.plane import PROP, VEHICLE, WALKER, WALL, Plane
@@ -94,6 +95,7 @@ class ActorRegistry:
         traffic_lights: All traffic lights; light i is row i of `signals`.
         events: The events of the latest tick.
         pending: The events since the latest tick.
+        triggers: All friction triggers.
         next_id: The id of the next actor.
     """
 
@@ -114,6 +116,7 @@ class ActorRegistry:
         self.signals = Signals(town)
         self.events = TickEvents()
         self.pending = TickEvents()
+        self.triggers: list[FrictionTrigger] = []
         self.next_id = first
         for barrier in town.barriers:
             self.plane.add_wall(barrier)
@@ -154,10 +157,12 @@ class ActorRegistry:
             expect_text(f"{key} of {blueprint.id}", value)
         if parent is not None:
             parent.check()
-        make = _CLASSES.get(blueprint.kind, Prop)
+        make = _CLASSES.get(blueprint.kind, Prop) if blueprint.id != blueprints.FRICTION_TRIGGER else FrictionTrigger
         actor = make(self, self._new_id(), blueprint, transform, dict(attributes), parent)
         self._enter(actor)
-        if isinstance(actor, MovingActor):
+        if isinstance(actor, FrictionTrigger):
+            self.triggers.append(actor)
+        elif isinstance(actor, MovingActor):
             self._embody(actor, transform if parent is None else attached_transform(parent, transform))
         elif isinstance(actor, Prop) and parent is None and actor.box.extent.length() > 0:
             actor.body = self._own(actor, self.plane.add_box(PROP, _corners(blueprint), None))
@@ -203,6 +208,9 @@ class ActorRegistry:
             self.destroy(child)
         if actor.parent is not None:
             actor.parent.children.remove(actor)
+        if isinstance(actor, FrictionTrigger):
+            self.triggers.remove(actor)
+            actor.release()
         actor.mark_destroyed()
         if isinstance(actor, (Vehicle, Walker)):
             self._attached.pop(actor, None)

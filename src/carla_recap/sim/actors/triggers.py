@@ -1,0 +1,82 @@
+"""Friction triggers: boxes within which the tyres of vehicles have another friction."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Final
+
+import numpy as np
+
+from carla_recap.sim.actors.actor import Actor
+from carla_recap.sim.validation import LARGEST
+
+if TYPE_CHECKING:
+    from carla_recap.sim.actors.moving import Vehicle
+    from carla_recap.sim.physics.vehicles import Vehicles
+
+_CM: Final = 0.01  # m
+_DEFAULTS: Final = {"friction": 3.5, "extent_x": 1.0, "extent_y": 1.0, "extent_z": 1.0}
+
+
+class FrictionTrigger(Actor):
+    """A box that sets the tyre friction of vehicles when they enter, and restores it when they leave.
+
+    Its attributes are the friction and half the size of the box, in cm.
+    """
+
+    _restored: dict[Vehicle, list[float]] | None = None
+
+    def update(self, vehicles: Vehicles) -> None:
+        """Set the friction of vehicles that have entered, and restore that of vehicles that have left."""
+        before = self._restored or {}
+        inside = self._inside(vehicles)
+        for vehicle in [vehicle for vehicle in before if vehicle not in inside]:
+            _set_friction(vehicle, before.pop(vehicle))
+        for vehicle in inside:
+            if vehicle not in before:
+                before[vehicle] = [wheel.tire_friction for wheel in vehicle.physics_control.wheels]
+                _set_friction(vehicle, [self._number("friction")] * len(before[vehicle]))
+        self._restored = before
+
+    def release(self) -> None:
+        """Restore the friction of the vehicles inside."""
+        for vehicle, frictions in (self._restored or {}).items():
+            _set_friction(vehicle, frictions)
+        self._restored = None
+
+    def _inside(self, vehicles: Vehicles) -> list[Vehicle]:
+        """Return the vehicles whose boxes overlap that of the trigger, by the axes of both boxes."""
+        if not len(vehicles):
+            return []
+        length, width, height = (self._number(f"extent_{axis}") * _CM for axis in "xyz")
+        place = self.transform
+        x, y, z = (vehicles.position - (place.location.x, place.location.y, place.location.z)).T
+        own, their = np.radians(place.rotation.yaw), np.radians(vehicles.rotation[:, 1])
+        cos, sin = np.abs(np.cos(their - own)), np.abs(np.sin(their - own))
+        half_length, half_width = vehicles.half_length, vehicles.half_width
+        overlaps = (
+            (np.abs(np.cos(own) * x + np.sin(own) * y) < length + half_length * cos + half_width * sin)
+            & (np.abs(np.cos(own) * y - np.sin(own) * x) < width + half_length * sin + half_width * cos)
+            & (np.abs(np.cos(their) * x + np.sin(their) * y) < half_length + length * cos + width * sin)
+            & (np.abs(np.cos(their) * y - np.sin(their) * x) < half_width + length * sin + width * cos)
+            & (z + vehicles.top > -height)
+            & (z + vehicles.bottom < height)
+        )
+        return [vehicles.actors[row] for row in np.flatnonzero(overlaps)]
+
+    def _number(self, key: str) -> float:
+        """Return an attribute, in CARLA's notation as well: 3.5f."""
+        try:
+            value = float(self.attributes.get(key, "").removesuffix("f"))
+        except ValueError:
+            return _DEFAULTS[key]
+        return value if 0 <= value <= LARGEST else _DEFAULTS[key]
+
+
+def _set_friction(vehicle: Vehicle, frictions: list[float]) -> None:
+    """Set the friction of each tyre of a vehicle, if it still exists."""
+    if not vehicle.is_alive:
+        return
+    control = vehicle.physics_control
+    for wheel, friction in zip(control.wheels, frictions, strict=False):
+        wheel.tire_friction = friction
+    vehicle.physics_control = control

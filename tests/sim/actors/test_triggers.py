@@ -1,0 +1,118 @@
+"""Friction triggers set the tyre friction of vehicles inside, and restore it when they leave."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import pytest
+
+from carla_recap.sim.actors.control import VehicleControl
+from carla_recap.sim.actors.moving import Vehicle
+from carla_recap.sim.geometry import Vector
+from tests.sim.flat import at, flat_world
+
+if TYPE_CHECKING:
+    from carla_recap.sim.world import World
+
+TRIGGER = "static.trigger.friction"
+
+
+def car(world: World, x: float = 0.0, y: float = 0.0) -> Vehicle:
+    vehicle = world.spawn("vehicle.tesla.model3", at(x, y))
+    assert isinstance(vehicle, Vehicle)
+    return vehicle
+
+
+def frictions(vehicle: Vehicle) -> list[float]:
+    return [wheel.tire_friction for wheel in vehicle.physics_control.wheels]
+
+
+def trigger(world: World, x: float = 0.0, y: float = 0.0, yaw: float = 0.0, friction: str = "0.5", **extent: str) -> None:
+    size = {"extent_x": "1000", "extent_y": "300", "extent_z": "300", **extent}
+    world.spawn(TRIGGER, at(x, y, yaw), friction=friction, **size)
+
+
+def test_friction_is_set_inside_and_restored_outside() -> None:
+    world = flat_world()
+    vehicle = car(world)
+    control = vehicle.physics_control
+    for wheel, friction in zip(control.wheels, (1.0, 2.0, 3.0, 4.0), strict=True):
+        wheel.tire_friction = friction
+    vehicle.physics_control = control
+    trigger(world, 100.0)
+    world.tick()
+    assert frictions(vehicle) == [1.0, 2.0, 3.0, 4.0]
+    vehicle.transform = at(88.0)  # the front bumper is inside
+    world.tick()
+    assert frictions(vehicle) == [0.5] * 4
+    vehicle.transform = at(80.0)
+    world.tick()
+    assert frictions(vehicle) == [1.0, 2.0, 3.0, 4.0]
+
+
+@pytest.mark.parametrize(
+    ("x", "y", "z", "yaw", "is_inside"),
+    [
+        (0.0, 3.9, 0.0, 0.0, True),  # the box is 3 m to each side, and the car 1.08 m
+        (0.0, 4.2, 0.0, 0.0, False),
+        (12.3, 0.0, 0.0, 0.0, True),
+        (12.5, 0.0, 0.0, 0.0, False),
+        (0.0, 12.3, 0.0, 90.0, False),
+        (0.0, 5.3, 0.0, 90.0, True),
+        (11.5, 5.0, 0.0, 45.0, False),  # beside the corner
+        (0.0, 0.0, 3.5, 0.0, False),
+        (0.0, 0.0, -4.6, 0.0, False),
+        (0.0, 0.0, -4.4, 0.0, True),
+    ],
+)
+def test_the_box_has_a_place_a_rotation_and_a_height(x: float, y: float, z: float, yaw: float, is_inside: bool) -> None:
+    world = flat_world()
+    vehicle = world.spawn("vehicle.tesla.model3", at(x, y, yaw, z=z))
+    assert isinstance(vehicle, Vehicle)
+    vehicle.set_simulate_physics(False)
+    trigger(world)
+    world.tick()
+    assert (frictions(vehicle)[0] == 0.5) is is_inside
+
+
+def test_a_trigger_that_is_turned_has_its_axes() -> None:
+    world = flat_world()
+    beside, ahead = car(world, 0.0, 9.0), car(world, 9.0)
+    trigger(world, yaw=90.0)
+    world.tick()
+    assert (frictions(beside)[0], frictions(ahead)[0]) == (0.5, 3.5)
+
+
+def test_vehicles_brake_worse_where_it_is_slippery() -> None:
+    distances = []
+    for friction in ("0.35", "3.5"):
+        world = flat_world()
+        vehicle = car(world)
+        trigger(world, friction=friction, extent_x="50000")
+        vehicle.set_target_velocity(Vector(15.0))
+        vehicle.apply_control(VehicleControl(brake=1.0))
+        world.run(10)
+        distances.append(vehicle.transform.location.x)
+    assert distances[0] > 3 * distances[1]
+
+
+def test_a_destroyed_trigger_restores_the_friction() -> None:
+    world = flat_world()
+    vehicle, gone = car(world), car(world, 8.0)
+    area = world.spawn(TRIGGER, at(0.0), friction="1.5", extent_x="1000", extent_y="1000", extent_z="1000")
+    world.tick()
+    gone.destroy()
+    world.tick()
+    assert frictions(vehicle) == [1.5] * 4
+    area.destroy()
+    assert frictions(vehicle) == [3.5] * 4
+    world.tick()
+
+
+@pytest.mark.parametrize(("text", "friction"), [("1.25f", 1.25), ("0", 0.0), ("much", 3.5), ("-1", 3.5), ("nan", 3.5)])
+def test_friction_is_read_as_carla_writes_it(text: str, friction: float) -> None:
+    world = flat_world()
+    vehicle = car(world)
+    trigger(world, friction=text)
+    world.tick()
+    assert frictions(vehicle) == [friction] * 4
