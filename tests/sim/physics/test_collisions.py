@@ -216,3 +216,18 @@ def test_a_car_whose_physics_is_switched_off_stays_where_its_body_is() -> None:
     world.run(0.5)
     for position, body in zip(world.vehicles.position, world.vehicles.bodies, strict=True):
         assert body.position == pytest.approx(tuple(position[:2]), abs=1e-6)
+
+
+@pytest.mark.parametrize(("yaw", "pitch"), [(0.0, -90.0), (180.0, 90.0)])
+def test_a_walker_that_is_hit_lies_on_its_face_or_on_its_back(yaw: float, pitch: float) -> None:
+    world = flat_world()
+    walker = world.spawn("walker.pedestrian.0001", at(20.0, z=0.9, yaw=yaw))
+    car(world, 5.0, 10.0)
+    world.run(3.0)
+    assert isinstance(walker, Walker)
+    assert walker.has_fallen
+    assert walker.transform.rotation.pitch == pitch
+    assert walker.transform.rotation.yaw == pytest.approx(yaw)
+    assert walker.transform.location.z == pytest.approx(walker.box.extent.x)
+    low, high = walker.heights()
+    assert (low, high) == pytest.approx((0.0, 2 * walker.box.extent.x))

@@ -271,3 +271,111 @@ def test_without_physics_it_stays_where_it_is_put() -> None:
     world.run(1)
     assert car.transform.location.z == 0
     assert car.transform.location.x > 52
+
+
+def rebuilt(car: Vehicle, *, drag: float = 0.0, **values: float | list[float]) -> None:
+    """Change a vehicle's drag, and a value of all wheels, or of each."""
+    control = car.physics_control
+    control.drag_coefficient = drag
+    for name, value in values.items():
+        for number, wheel in enumerate(control.wheels):
+            setattr(wheel, name, value[number] if isinstance(value, list) else value)
+    car.physics_control = control
+
+
+def test_every_vehicle_has_four_wheels_or_more_that_brake_with_1_g_together() -> None:
+    for blueprint in flat_world().blueprints.filter("vehicle.*"):
+        physics = blueprint.physics
+        assert physics is not None
+        assert len(physics.wheels) >= 4
+        assert [wheel.max_steer_angle > 0 for wheel in physics.wheels[:4]] == [True, True, False, False]
+        force = sum(100 * wheel.max_brake_torque / wheel.radius for wheel in physics.wheels)
+        assert force == pytest.approx(9.81 * physics.mass, rel=0.01)
+
+
+@pytest.mark.parametrize("name", ["tesla.model3", "bh.crossbike", "carlamotors.firetruck"])
+def test_without_friction_and_drag_the_speed_stays(name: str) -> None:
+    world = flat_world()
+    car = vehicle(world, name)
+    rebuilt(car, tire_friction=0.0)
+    car.set_target_velocity(Vector(27.0))
+    car.apply_control(VehicleControl(brake=1.0, throttle=1.0))
+    world.run(5)
+    assert car.velocity.x == pytest.approx(27.0, abs=1e-6)
+
+
+def test_without_gravity_a_vehicle_floats_and_keeps_its_speed() -> None:
+    world = flat_world()
+    car = vehicle(world, "tesla.model3", z=0.7)
+    car.set_enable_gravity(False)
+    rebuilt(car)
+    car.set_target_velocity(Vector(27.0))
+    world.run(5)
+    assert car.velocity.x == pytest.approx(27.0, abs=1e-6)
+    assert car.transform.location.z == 0.7
+    car.set_enable_gravity(True)
+    world.run(1)
+    assert car.velocity.x < 26.9
+    assert car.transform.location.z == 0
+
+
+def test_friction_acts_on_each_axle() -> None:
+    ways = []
+    for friction in ([3.5] * 4, [3.5, 3.5, 0.0, 0.0], [3.5, 0.0, 3.5, 0.0], [0.5] * 4, [0.0] * 4):
+        world = flat_world()
+        car = vehicle(world, "tesla.model3")
+        rebuilt(car, tire_friction=friction)
+        car.set_target_velocity(Vector(20.0))
+        car.apply_control(VehicleControl(brake=1.0))
+        world.run(5)
+        ways.append(car.transform.location.x - 10)
+    assert ways[0] < 0.6 * ways[1]
+    assert ways[1] == pytest.approx(ways[2], rel=0.01)
+    assert ways[2] < 0.75 * ways[3] < 0.75 * 0.85 * ways[4]
+
+
+def test_a_slippery_front_axle_steers_less() -> None:
+    turns = []
+    for friction in ([3.5] * 4, [0.3, 0.3, 3.5, 3.5]):
+        world = flat_world()
+        car = vehicle(world, "tesla.model3", y=100.0)
+        rebuilt(car, tire_friction=friction)
+        car.set_target_velocity(Vector(15.0))
+        car.apply_control(VehicleControl(steer=0.3))
+        world.run(1.5)
+        turns.append(car.transform.rotation.yaw)
+    assert turns[1] < 0.5 * turns[0]
+
+
+def test_soft_tyres_accelerate_and_brake_less() -> None:
+    speeds = []
+    for stiffness in (50.0, 150.0, 3000.0):
+        world = flat_world()
+        car = vehicle(world, "tesla.model3")
+        rebuilt(car, long_stiff_value=stiffness)
+        car.apply_control(VehicleControl(throttle=1.0))
+        world.run(2)
+        fast = car.velocity.x
+        car.apply_control(VehicleControl(brake=1.0))
+        world.run(0.5)
+        speeds.append((fast, fast - car.velocity.x))
+    assert speeds[0][0] < 0.7 * speeds[1][0] < 0.7 * speeds[2][0]
+    assert speeds[0][1] < speeds[1][1] < 1.01 * speeds[2][1]
+
+
+@pytest.mark.parametrize("sticky", ["false", "False", "true"])
+def test_a_control_that_is_not_sticky_holds_for_one_tick(sticky: str) -> None:
+    world = flat_world()
+    actor = world.spawn("vehicle.tesla.model3", at(10.0), sticky_control=sticky)
+    assert isinstance(actor, Vehicle)
+    full = VehicleControl(throttle=1.0, steer=0.5, hand_brake=False)
+    actor.apply_control(full)
+    world.tick()
+    assert actor.control.throttle == 1.0
+    world.tick()
+    held = VehicleControl(throttle=1.0, steer=0.5, gear=actor.control.gear)
+    assert actor.control == (held if sticky == "true" else VehicleControl(gear=actor.control.gear))
+    for _ in range(20):
+        actor.apply_control(full)
+        world.tick()
+    assert actor.velocity.length() > 3

@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
+import numpy as np
 import pytest
 
 from carla_recap.records import ActorKind
 from carla_recap.sim import Location, World, load_town
 from carla_recap.sim.errors import SimError
+from carla_recap.sim.town.town import WalkwayGraph
 from carla_recap.sim.traffic.spawning import populate
-from tests.sim.flat import flat_world, lane
+from tests.sim.flat import at, flat_world, lane
 
 pytest.importorskip("carla", reason="the extra `carla` is not installed")
 
@@ -68,3 +70,18 @@ def test_a_town_whose_lanes_lead_nowhere_says_so() -> None:
     world = flat_world(lanes=[lane(junction=1)])
     with pytest.raises(SimError, match="Flat has no place for a vehicle: no lanes for cars that lead anywhere"):
         populate(world, 1, 0)
+
+
+def test_walkers_for_whom_there_is_no_room_are_left_out_with_a_warning(caplog: pytest.LogCaptureFixture) -> None:
+    nodes = np.array([(10.0 * number, 5.0, 0.0) for number in range(3)])
+    walks = WalkwayGraph(nodes, np.array(((0, 1), (1, 2))), np.zeros(2, np.bool_))
+    world = flat_world(walks=walks)
+    for number in range(3):
+        world.spawn("static.prop.container", at(10.0 * number, 5.0))
+    assert len(populate(world, 2, 20)) == 2
+    assert caplog.messages == ["Flat has room for 0 more walkers, 20 were expected"]
+
+
+def test_without_sidewalks_there_is_a_warning(caplog: pytest.LogCaptureFixture) -> None:
+    assert len(populate(flat_world(), 2, 5)) == 2
+    assert caplog.messages == ["Flat has no sidewalks, 5 walkers were expected"]

@@ -155,6 +155,14 @@ def set_actor_simulate_physics(client: Client, id: int, enabled: bool) -> None:
 
 
 @call
+def set_actor_enable_gravity(client: Client, id: int, enabled: bool) -> None:
+    """Let a vehicle or walker stand on the road, or keep its height; other actors have no weight."""
+    actor = client.host.actor_or_ghost(id)
+    if isinstance(actor, Mover) and actor.is_alive:
+        actor.set_enable_gravity(enabled)
+
+
+@call
 def set_actor_collisions(client: Client, id: int, enabled: bool) -> None:
     """Switch the collisions of an actor on or off; this has no effect on destroyed actors and those without a body."""
     actor = client.host.known_actor(id)

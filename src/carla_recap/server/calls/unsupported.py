@@ -30,7 +30,6 @@ class _Answer:
     value: Any = None
 
 
-_GROUND: Final = "vehicles and walkers always follow the ground"
 _MANAGER: Final = "the traffic manager, which runs in the client, drives"
 _NOTHING_DRAWN: Final = "nothing is drawn"
 _NO_BONES: Final = "actors are boxes, without bones, sockets or components"
@@ -40,7 +39,6 @@ _NO_ROS: Final = "there is no ROS 2 bridge"
 _NO_GBUFFERS: Final = "cameras do not render"
 
 _ACCEPTED: Final[dict[str, _Answer]] = {
-    "set_actor_enable_gravity": _Answer(_GROUND),
     "set_actor_autopilot": _Answer(_MANAGER),
     "show_vehicle_debug_telemetry": _Answer(_NOTHING_DRAWN),
     "set_wheel_steer_direction": _Answer(_NOTHING_DRAWN),

@@ -76,7 +76,7 @@ class CollisionDetector:
         if isinstance(actor, Walker) and isinstance(by, Vehicle):
             walkers, row = actor.rows, actor.row
             if hypot(*impulse) / walkers.mass[row] > FALL:
-                walkers.fall(row)
+                walkers.fall(row, impulse)
 
     def _collision(self, pair: tuple[int, int | None], push: _Push) -> Collision:
         first, second = (None if id is None else self._registry.actors[id] for id in pair)

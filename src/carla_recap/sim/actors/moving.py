@@ -146,6 +146,11 @@ class MovingActor(Actor):
         """Let forces move it, or have it stay where it is put; an attached one goes where its parent does."""
         self.rows.set_simulated(self.row, enabled and self.parent is None)
 
+    def set_enable_gravity(self, enabled: bool = True) -> None:
+        """Let it stand on the road, or keep its height."""
+        self.rows.weightless[self.row] = not enabled
+        self.rows.unsettled[self.row] = True
+
     def set_collisions(self, enabled: bool = True) -> None:
         """Let it touch others, or pass through them; an attached one always passes."""
         rows = self.rows
@@ -226,6 +231,7 @@ class Vehicle(MovingActor):
         rows.hand_brake[row] = control.hand_brake
         rows.reverse[row] = control.reverse
         rows.manual[row] = control.manual_gear_shift
+        rows.controlled[row] = True
         if control.manual_gear_shift:
             rows.gear[row] = control.gear
 
@@ -272,6 +278,11 @@ class Vehicle(MovingActor):
         self._physics_control = deepcopy(control)
         self.rows.set_physics(row, self._physics_control, self.box)
         self.context.report_physics_control(self)
+
+    def set_enable_gravity(self, enabled: bool = True) -> None:
+        """Let it stand on the road, or float at its height, without grip."""
+        super().set_enable_gravity(enabled)
+        self.rows.set_physics(self.row, self._physics_control, self.box)
 
     def add_impulse(self, impulse: Vector) -> None:
         """Push it: N s, in the world."""

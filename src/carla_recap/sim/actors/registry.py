@@ -39,6 +39,7 @@ _WALKER_MASS: Final = 75.0  # kg
 _WALKER_RADIUS: Final = 0.25  # m: shoulders
 _WALKER_HALF: Final = 0.19  # m: half of the room that vehicles leave to a walker, whatever the size of its box
 _POLE_RADIUS: Final = 0.15  # m
+_FALSE: Final = ("false", "0", "no", "off")
 _POLE_BELOW, _POLE_ABOVE = 1.0, 3.0  # m: how far a pole reaches below the road and above its sign
 _CLASSES: Final[dict[ActorKind, type[Actor]]] = {
     ActorKind.VEHICLE: Vehicle,
@@ -254,7 +255,8 @@ class ActorRegistry:
         if isinstance(mover, Vehicle):
             physics = mover.physics_control
             body = self._own(mover, self.plane.add_box(VEHICLE, _corners(mover.blueprint), physics.mass))
-            row = self.vehicles.enter(mover, body, **columns)
+            sticky = mover.attributes.get("sticky_control", "true").lower() not in _FALSE
+            row = self.vehicles.enter(mover, body, **columns, sticky=sticky)
             self.vehicles.set_physics(row, physics, mover.box)
         elif isinstance(mover, Walker):
             body = self._own(mover, self.plane.add_disc(WALKER, _WALKER_RADIUS, _WALKER_MASS))

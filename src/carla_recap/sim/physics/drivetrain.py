@@ -1,4 +1,8 @@
-"""What a physics control means for a vehicle as a whole: forces of engine and brakes, grip, drag, steering."""
+"""The forces that follow from a physics control: of engine and brakes, grip, drag, steering.
+
+The wheels of an axle act as one: each adds the load that it carries times its own friction, and its own brake. Along the
+vehicle, a tyre also gives no more than its longitudinal stiffness allows at a large slip.
+"""
 
 from __future__ import annotations
 
@@ -25,15 +29,17 @@ _EFFICIENCY: Final = 0.9  # between engine and wheels
 _DRIVEN: Final = 0.6  # the share of the weight that the driven wheels carry in acceleration
 _IDLE: Final = 0.12  # of the most revolutions: below, the clutch slips
 _FASTEST_REVERSE: Final = 12.0  # m/s, where the gears would allow more
+_MOST_SLIP: Final = 2.0  # of a wheel that spins, relative to the speed of the vehicle
 _CM: Final = 0.01  # m
 
 
-def columns(control: PhysicsControl, box: Box) -> dict[str, Any]:
-    """The columns of `Vehicles` that follow from a physics control, which may be incomplete.
+def columns(control: PhysicsControl, box: Box, *, weightless: bool = False) -> dict[str, Any]:
+    """Return the columns of `Vehicles` that follow from a physics control, which may be incomplete.
 
     Args:
         control: The physics control.
-        box: The box of the vehicle: where no wheels are named, its size tells where they are; and how large its front is.
+        box: The box of the vehicle: it has the area of the front, and the positions of the wheels if there are none.
+        weightless: Whether there is no gravity, so that the tyres have no grip.
     """
     wheels = control.wheels
     steering = [wheel for wheel in wheels if wheel.max_steer_angle]
@@ -45,7 +51,9 @@ def columns(control: PhysicsControl, box: Box) -> dict[str, Any]:
     forces, gear = _forces(control, radius)
     speeds, shares = zip(*(control.steering_curve or ((0.0, 1.0),)), strict=True)
     wheelbase = max(front + rear, 0.1)
-    grip = _mean([wheel.tire_friction for wheel in wheels], DRY_ASPHALT) / DRY_ASPHALT
+    load = 0.0 if weightless else 1.0
+    front_grip, rear_grip = load * _grip(steering or wheels), load * _grip(fixed or wheels)
+    hold = load * _mean([min(_grip([wheel]), _stiffness(wheel) / mass * len(wheels)) for wheel in wheels], 1.0)
     stiffness = _mean([wheel.lat_stiff_value for wheel in wheels], 20.0)
     weight = mass * GRAVITY / wheelbase
     return {
@@ -54,9 +62,9 @@ def columns(control: PhysicsControl, box: Box) -> dict[str, Any]:
         "wheelbase": wheelbase,
         "front": front,
         "rear": rear,
-        "traction": _DRIVEN * grip * mass * GRAVITY,
-        "front_grip": weight * rear * grip,
-        "rear_grip": weight * front * grip,
+        "traction": _DRIVEN * hold * mass * GRAVITY,
+        "front_grip": weight * rear * front_grip,
+        "rear_grip": weight * front * rear_grip,
         "softness": wheelbase / (stiffness * GRAVITY * mass),
         "air": 0.5 * _AIR * control.drag_coefficient * _FRONT_AREA * 4 * box.extent.y * box.extent.z,
         "front_brake": _braking(steering, radius),
@@ -86,7 +94,20 @@ def _forces(control: PhysicsControl, radius: float) -> tuple[Floats, NDArray[np.
 
 
 def _braking(wheels: list[WheelPhysics], radius: float) -> float:
-    return sum(wheel.max_brake_torque for wheel in wheels) / radius
+    """Return the greatest force of the brakes of an axle, in N."""
+    if all(wheel.max_brake_torque <= _stiffness(wheel) * GRAVITY * radius for wheel in wheels):
+        return sum(wheel.max_brake_torque for wheel in wheels) / radius
+    return sum(min(wheel.max_brake_torque / radius, _stiffness(wheel) * GRAVITY) for wheel in wheels)
+
+
+def _grip(wheels: list[WheelPhysics]) -> float:
+    """Return the friction coefficient of an axle."""
+    return _mean([wheel.tire_friction for wheel in wheels], DRY_ASPHALT) / DRY_ASPHALT
+
+
+def _stiffness(wheel: WheelPhysics) -> float:
+    """Return the greatest force along a tyre per unit of gravity, in kg."""
+    return wheel.long_stiff_value * _MOST_SLIP
 
 
 def _mean(values: list[float], otherwise: float) -> float:

@@ -84,7 +84,7 @@ def _slide(fleet: Vehicles, drive: Floats, seconds: float) -> tuple[Floats, Floa
 
     engine_brake = np.where(fleet.throttle > 0, 0.0, _ENGINE_BRAKE * mass)
     resistance = np.minimum(front_brake + rear_brake + engine_brake, grip[0] + grip[1])
-    resistance += _ROLLING * GRAVITY * mass + fleet.air * forward * forward
+    resistance += np.minimum(_ROLLING * GRAVITY * mass, grip[0] + grip[1]) + fleet.air * forward * forward
     forward = forward + drive / mass * seconds
     forward = np.sign(forward) * np.maximum(np.abs(forward) - resistance / mass * seconds, 0.0)
 

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from carla_recap.errors import MissingExtra
 from carla_recap.sim.columns import Columns
+from carla_recap.sim.physics.drivetrain import GRAVITY
 
 try:
     import pymunk
@@ -22,7 +23,6 @@ if TYPE_CHECKING:
 Floats = NDArray[np.float64]
 Height = Callable[[Floats, Floats, Floats], Floats]
 """Returns the height of the road at x and y of what stands there at z."""
-GRAVITY: Final = 9.81  # m/s²
 _REACH: Final = 3.0  # m: actors that are farther from the road are not put on it
 
 
@@ -46,6 +46,7 @@ class Movers(Columns):
         mass: In kg.
         simulated: Whether forces move it; else it stays where it is put.
         unsettled: Whether it was put somewhere and is not on the ground yet.
+        weightless: Whether there is no gravity for it: it keeps its height.
         carried: Whether it is attached to another actor, and goes where that goes.
     """
 
@@ -64,6 +65,7 @@ class Movers(Columns):
         "mass": 1.0,
         "simulated": True,
         "unsettled": True,
+        "weightless": False,
         "carried": False,
     }
     id: NDArray[np.int64]
@@ -80,6 +82,7 @@ class Movers(Columns):
     mass: Floats
     simulated: NDArray[np.bool_]
     unsettled: NDArray[np.bool_]
+    weightless: NDArray[np.bool_]
     carried: NDArray[np.bool_]
 
     def __init__(self, plane: Plane, height: Height) -> None:
@@ -169,13 +172,14 @@ class Movers(Columns):
         """
         z = self.position[rows, 2]
         above = z - road
-        near: NDArray[np.bool_] = np.abs(above) <= _REACH
+        weightless = self.weightless[rows]
+        near: NDArray[np.bool_] = (np.abs(above) <= _REACH) & ~weightless
         if near.all():
             self.position[rows, 2] = road
             self.velocity[rows, 2] = np.where(self.unsettled[rows], 0.0, (road - z) / seconds)
             self.unsettled[rows] = False
             return near
-        falls = above > _REACH
+        falls = (above > _REACH) & ~weightless
         speed = np.where(falls, self.velocity[rows, 2] - GRAVITY * seconds, 0.0)
         fallen = np.maximum(road, z + speed * seconds)
         self.position[rows, 2] = np.where(near, road, np.where(falls, fallen, z))

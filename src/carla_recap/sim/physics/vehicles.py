@@ -40,6 +40,8 @@ class Vehicles(Movers):
         manual: Whether `gear` is chosen by whoever drives.
         light_state: CARLA's light bits.
         autopilot: Whether the autopilot drives.
+        sticky: Whether a control holds until the next one; else it holds for a tick.
+        controlled: Whether a control was applied since the latest tick.
         speed: Forward, in m/s; negative backwards.
         sideways: The speed to the right, in m/s.
         turning: In rad/s, positive to the right.
@@ -68,6 +70,8 @@ class Vehicles(Movers):
         "manual": False,
         "light_state": np.uint32(0),
         "autopilot": False,
+        "sticky": True,
+        "controlled": False,
         "speed": 0.0,
         "sideways": 0.0,
         "turning": 0.0,
@@ -101,6 +105,8 @@ class Vehicles(Movers):
     manual: Flags
     light_state: NDArray[np.uint32]
     autopilot: Flags
+    sticky: Flags
+    controlled: Flags
     speed: Floats
     sideways: Floats
     turning: Floats
@@ -132,7 +138,7 @@ class Vehicles(Movers):
 
     def set_physics(self, row: int, control: PhysicsControl, box: Box) -> None:
         """Take over a physics control."""
-        for name, value in drivetrain.columns(control, box).items():
+        for name, value in drivetrain.columns(control, box, weightless=bool(self.weightless[row])).items():
             getattr(self, name)[row] = value
         if self.simulated[row]:
             self.bodies[row].mass, self.bodies[row].moment = self.mass[row].item(), self.moment[row].item()
@@ -157,12 +163,15 @@ class Vehicles(Movers):
         self.hand_brake[rows] = hand_brake
         self.reverse[rows] = reverse
         self.manual[rows] = False
+        self.controlled[rows] = True
 
     def _moment(self, row: int) -> float:
         return float(self.moment[row])
 
     def begin(self, seconds: float) -> bool:
-        """See `Movers.begin`; what pushes the vehicles does so now."""
+        """See `Movers.begin`; forces act now."""
+        if not self.sticky.all():
+            self._release_controls()
         if self.force.any():
             self.kick(self.force * seconds / self.mass[:, None])
             self.force[:] = 0
@@ -171,6 +180,13 @@ class Vehicles(Movers):
         self._before = self.velocity.copy()
         self._moved = self.awake | self.unsettled & self.simulated
         return bool(self.awake.any())
+
+    def _release_controls(self) -> None:
+        """Reset the controls that held for the latest tick alone."""
+        released = ~self.sticky & ~self.controlled
+        for column in (self.throttle, self.steer, self.brake, self.hand_brake, self.reverse, self.manual):
+            column[released] = 0
+        self.controlled[:] = False
 
     def kick(self, change: Floats) -> None:
         """Change the velocities: m/s in the world, (n, 2)."""

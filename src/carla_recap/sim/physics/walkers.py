@@ -18,6 +18,7 @@ if TYPE_CHECKING:
 
 _STILL: Final = 0.01  # m/s
 _SLIDING: Final = 5.0  # m/s²: so fast a fallen walker comes to rest
+_FLAT: Final = 90.0  # degrees: the pitch of one that lies on its back
 FALL: Final = 1.5  # m/s: a push that changes the velocity by more throws a walker down
 
 
@@ -29,7 +30,7 @@ class Walkers(Movers):
         speed: How fast each is told to walk, in m/s.
         jump: Whether each is told to jump.
         fallen: Whether a vehicle has thrown it down; it does not get up.
-        half_height: Of the box, in m: so high above the ground is its origin.
+        half_height: The height of its origin above the ground, in m: half of the box's, or of its depth where it lies.
         drift: The velocity of its body, in m/s, (n, 2).
     """
 
@@ -88,9 +89,23 @@ class Walkers(Movers):
     def _moment(self, row: int) -> float:
         return math.inf
 
-    def fall(self, row: int) -> None:
-        """Throw a walker down: it slides, and lies where others pass over it."""
+    def fall(self, row: int, push: tuple[float, float] = (0.0, 0.0)) -> None:
+        """Throw a walker down: it slides, lies, and touches no others.
+
+        Args:
+            row: Its row.
+            push: The direction of the push: it falls on its face if that came from behind, else on its back.
+        """
+        if self.fallen[row]:
+            return
+        yaw = math.radians(self.rotation[row, 1])
+        from_behind = math.cos(yaw) * push[0] + math.sin(yaw) * push[1] > 0
+        depth = self.half_width[row]
         self.fallen[row] = True
+        self.rotation[row] = (-_FLAT if from_behind else _FLAT), self.rotation[row, 1], 0.0
+        self.position[row, 2] -= self.half_height[row] - depth
+        self.half_height[row], self.bottom[row], self.top[row] = depth, -depth, depth
+        self.unsettled[row] = True
         self.plane.set_touching(self.bodies[row], WALKER, False)
 
     def end(self, seconds: float) -> None:
