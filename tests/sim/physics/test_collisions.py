@@ -228,6 +228,6 @@ def test_a_walker_that_is_hit_lies_on_its_face_or_on_its_back(yaw: float, pitch:
     assert walker.has_fallen
     assert walker.transform.rotation.pitch == pitch
     assert walker.transform.rotation.yaw == pytest.approx(yaw)
-    assert walker.transform.location.z == pytest.approx(walker.box.extent.x)
+    assert walker.transform.location.z == pytest.approx(walker.box.extent.x, abs=0.01)
     low, high = walker.heights()
-    assert (low, high) == pytest.approx((0.0, 2 * walker.box.extent.x))
+    assert (low, high) == pytest.approx((0.0, 2 * walker.box.extent.x), abs=0.02)

@@ -156,8 +156,8 @@ def set_actor_simulate_physics(client: Client, id: int, enabled: bool) -> None:
 
 @call
 def set_actor_enable_gravity(client: Client, id: int, enabled: bool) -> None:
-    """Let a vehicle or walker stand on the road, or keep its height; other actors have no weight."""
-    actor = client.host.actor_or_ghost(id)
+    """Switch the gravity of a vehicle or walker on or off; without it, the actor keeps its height and has no grip."""
+    actor = client.host.known_actor(id)
     if isinstance(actor, Mover) and actor.is_alive:
         actor.set_enable_gravity(enabled)
 

@@ -100,7 +100,7 @@ class Walkers(Movers):
             return
         yaw = math.radians(self.rotation[row, 1])
         from_behind = math.cos(yaw) * push[0] + math.sin(yaw) * push[1] > 0
-        depth = self.half_width[row]
+        depth = self.half_length[row]
         self.fallen[row] = True
         self.rotation[row] = (-_FLAT if from_behind else _FLAT), self.rotation[row, 1], 0.0
         self.position[row, 2] -= self.half_height[row] - depth
