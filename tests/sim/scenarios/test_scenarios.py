@@ -14,7 +14,7 @@ from carla_recap.sim.scenarios import Blockage, Crash, largest_junction
 from carla_recap.sim.scenarios.blockage import BREAKDOWN
 from carla_recap.sim.scenarios.crash import START
 from carla_recap.sim.scenarios.places import straight_section
-from carla_recap.sim.traffic.autopilot.handling import LEFT_BLINKER, RIGHT_BLINKER
+from carla_recap.sim.traffic.autopilot.controls import LEFT_BLINKER, RIGHT_BLINKER
 from tests.maps.towns import town as map_of
 from tests.sim.flat import flat_town
 

@@ -1,5 +1,5 @@
-"""The autopilot: drives vehicles along the lanes, with regard for everybody else."""
+"""The autopilot: drives vehicles along the lanes, with regard for other road users."""
 
-from carla_recap.sim.traffic.autopilot.pilot import Autopilot
+from carla_recap.sim.traffic.autopilot.autopilot import Autopilot
 
 __all__ = ["Autopilot"]

@@ -1,104 +1,176 @@
-"""Those who drive: what they are like, and what they are at."""
+"""The drivers of the autopilot, and the vehicles that they drive, as arrays with a value for each driver.
+
+Drivers follow what is ahead by the Intelligent Driver Model of Treiber, Hennecke and Helbing (2000): a driver accelerates
+towards a desired speed, and keeps a gap that grows with the own speed, and with the difference to the speed ahead.
+"""
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any, ClassVar
+from typing import TYPE_CHECKING, Any, ClassVar, Final, NamedTuple
 
 import numpy as np
 
 from carla_recap.sim.columns import Columns
-from carla_recap.sim.traffic.autopilot.network import NONE
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
+
+    from carla_recap.sim.physics.vehicles import Vehicles
 
     Floats = NDArray[np.float64]
     Flags = NDArray[np.bool_]
     Integers = NDArray[np.int64]
 
+NONE: Final = -1
+"""The index that stands for no lane, junction, signal or driver."""
+STANDING_GAP: Final = 2.0  # m between standing vehicles
+EMERGENCY_BRAKING: Final = -8.0  # m/s²
+_LEAST_GAP: Final = 0.1  # m
 
-class Drivers(Columns):
-    """One driver for each vehicle that the autopilot drives; distances are along its route.
+
+class DrivenVehicles(NamedTuple):
+    """The state of the driven vehicles at the beginning of a step, in the order of their drivers.
 
     Attributes:
-        id: The vehicle.
-        eagerness: The share of the speed limit that the driver drives.
-        headway: The time that the driver keeps to what is ahead, in s.
-        acceleration: What the driver accelerates with at most, in m/s².
-        comfort: The geometric mean of that and of what the driver likes to brake with.
-        wish: The acceleration that was last asked for.
-        stood: For how long the vehicle has stood, in s.
-        lost: Whether there is no lane to drive on.
-        cautious: Whether the vehicle has to find back to the road.
-        beside: How far to the right of the middle of its lane the vehicle is, in m.
-        drift_from: Where the way back to the middle of the lane begins.
-        drift_length: How long it is.
-        offset: How far to the right of the middle it begins, in m.
-        slope: See `drift.aside`.
-        line: Where to stop at the next gate; infinity where there is none.
-        light: The signal that is in force there, or `NONE`.
-        must_stop: Whether there is a stop sign, and the vehicle has not stopped yet.
-        permitted: Whether the gate may be passed.
-        since: When the vehicle first asked for it, in s; infinity as long as it has not.
-        clear_at: What the rear end has to have passed to be out of a junction; infinity when it is in none.
+        rows: Their rows in `Vehicles`.
+        x: X of the origin, in m.
+        y: Y of the origin, in m.
+        yaw: The yaw in radians.
+        cos: The cosine of the yaw.
+        sin: The sine of the yaw.
+        speed: The forward speed in m/s, at least 0.
+        half_length: Half of the length in m.
+        half_width: Half of the width in m.
+        wheelbase: The distance between the axles in m.
+    """
+
+    rows: Integers
+    x: Floats
+    y: Floats
+    yaw: Floats
+    cos: Floats
+    sin: Floats
+    speed: Floats
+    half_length: Floats
+    half_width: Floats
+    wheelbase: Floats
+
+    @classmethod
+    def of(cls, vehicles: Vehicles, rows: Integers) -> DrivenVehicles:
+        """Return the state of some rows of `Vehicles`."""
+        yaw = np.radians(vehicles.rotation[rows, 1])
+        return cls(
+            rows,
+            vehicles.position[rows, 0],
+            vehicles.position[rows, 1],
+            yaw,
+            np.cos(yaw),
+            np.sin(yaw),
+            np.maximum(vehicles.speed[rows], 0),
+            vehicles.half_length[rows],
+            vehicles.half_width[rows],
+            vehicles.wheelbase[rows],
+        )
+
+
+class Drivers(Columns):
+    """The drivers, one for each vehicle that the autopilot drives; positions are along its route, in m.
+
+    Attributes:
+        id: The id of the vehicle.
+        speed_factor: The share of the speed limit that the driver drives.
+        headway: The time gap that the driver keeps, in s.
+        max_acceleration: The greatest acceleration of the driver, in m/s².
+        comfort: The geometric mean of that and of the driver's comfortable braking, in m/s².
+        acceleration: The acceleration that was last asked of the vehicle, in m/s².
+        standing_time: How long the vehicle has been standing, in s.
+        off_road: Whether no lane is near enough to drive on.
+        returning: Whether the vehicle has to return to the road.
+        lateral_offset: The offset of the vehicle to the right of the lane's centre, in m.
+        transition_start: The position at which the transition to the lane's centre begins.
+        transition_length: The length of that transition.
+        transition_offset: The lateral offset at its start, in m.
+        transition_slope: The slope at its start, see `lane_changes.lateral_offset`.
+        stop_line: The position of the next stop line; infinity if there is none.
+        signal: The index of the signal in force there, or `NONE`.
+        must_stop: Whether there is a stop sign at which the vehicle has not stopped yet.
+        has_reservation: Whether the vehicle may pass the stop line.
+        waiting_since: The time at which it first asked for that, in s; infinity if it has not.
+        junction_end: The position that the rear end must pass to leave the junction; infinity outside of junctions.
     """
 
     COLUMNS: ClassVar[dict[str, Any]] = {
         "id": np.int64(0),
-        "eagerness": 1.0,
+        "speed_factor": 1.0,
         "headway": 1.5,
-        "acceleration": 2.0,
+        "max_acceleration": 2.0,
         "comfort": 2.0,
-        "wish": 0.0,
-        "stood": 0.0,
-        "lost": False,
-        "cautious": False,
-        "beside": 0.0,
-        "drift_from": 0.0,
-        "drift_length": 1.0,
-        "offset": 0.0,
-        "slope": 0.0,
-        "line": np.inf,
-        "light": np.int64(NONE),
+        "acceleration": 0.0,
+        "standing_time": 0.0,
+        "off_road": False,
+        "returning": False,
+        "lateral_offset": 0.0,
+        "transition_start": 0.0,
+        "transition_length": 1.0,
+        "transition_offset": 0.0,
+        "transition_slope": 0.0,
+        "stop_line": np.inf,
+        "signal": np.int64(NONE),
         "must_stop": False,
-        "permitted": False,
-        "since": np.inf,
-        "clear_at": np.inf,
+        "has_reservation": False,
+        "waiting_since": np.inf,
+        "junction_end": np.inf,
     }
     id: Integers
-    eagerness: Floats
+    speed_factor: Floats
     headway: Floats
-    acceleration: Floats
+    max_acceleration: Floats
     comfort: Floats
-    wish: Floats
-    stood: Floats
-    lost: Flags
-    cautious: Flags
-    beside: Floats
-    drift_from: Floats
-    drift_length: Floats
-    offset: Floats
-    slope: Floats
-    line: Floats
-    light: Integers
+    acceleration: Floats
+    standing_time: Floats
+    off_road: Flags
+    returning: Flags
+    lateral_offset: Floats
+    transition_start: Floats
+    transition_length: Floats
+    transition_offset: Floats
+    transition_slope: Floats
+    stop_line: Floats
+    signal: Integers
     must_stop: Flags
-    permitted: Flags
-    since: Floats
-    clear_at: Floats
+    has_reservation: Flags
+    waiting_since: Floats
+    junction_end: Floats
 
     def add(self, id: int, random: np.random.Generator) -> None:
-        """Add a driver of a random character, for a vehicle."""
+        """Add a driver of random characteristics for a vehicle."""
         acceleration, braking = random.uniform(1.6, 2.4), random.uniform(2.5, 3.5)
         self.append_row(
             id=id,
-            eagerness=random.uniform(0.85, 1.05),
+            speed_factor=random.uniform(0.85, 1.05),
             headway=random.uniform(1.1, 1.8),
-            acceleration=acceleration,
+            max_acceleration=acceleration,
             comfort=(acceleration * braking) ** 0.5,
         )
 
-    def choose(self, rows: Integers) -> None:
-        """Go on with some of the drivers, in a new order."""
+    def select(self, rows: Integers) -> None:
+        """Keep some of the drivers, in a new order."""
         for name in self.COLUMNS:
             setattr(self, name, getattr(self, name)[rows])
         self.count = len(rows)
+
+    def desired_gap(self, speed: Floats, closing_speed: Floats, rows: Integers | slice = slice(None)) -> Floats:
+        """Return the gap to an obstacle ahead that drivers desire, in m.
+
+        Args:
+            speed: The own speed in m/s.
+            closing_speed: The own speed less that of the obstacle, in m/s.
+            rows: The rows of the drivers in question.
+        """
+        dynamic = speed * self.headway[rows] + speed * closing_speed / (2 * self.comfort[rows])
+        return STANDING_GAP + np.maximum(dynamic, 0)
+
+    def following_acceleration(self, gap: Floats, desired_gap: Floats, rows: Integers | slice = slice(None)) -> Floats:
+        """Return the acceleration that a gap allows drivers, in m/s²; gaps are in m."""
+        share = desired_gap / np.maximum(gap, _LEAST_GAP)
+        return np.maximum(self.max_acceleration[rows] * (1 - share**2), EMERGENCY_BRAKING)

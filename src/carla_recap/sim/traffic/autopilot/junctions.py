@@ -1,4 +1,4 @@
-"""How drivers come through junctions: they ask for permission in time, stop without it, and give it back behind."""
+"""How vehicles pass junctions: they ask for a reservation in time, stop without one, and release it behind the junction."""
 
 from __future__ import annotations
 
@@ -7,192 +7,203 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 
 from carla_recap.sim.actors.lights import GREEN
-from carla_recap.sim.traffic.autopilot.gates import inside, next_gate, survey
-from carla_recap.sim.traffic.autopilot.network import NONE
-from carla_recap.sim.traffic.autopilot.permits import Permits, Request
-from carla_recap.sim.traffic.autopilot.view import MOVING
+from carla_recap.sim.traffic.autopilot.acceleration import BEFORE_LINE
+from carla_recap.sim.traffic.autopilot.drivers import NONE
+from carla_recap.sim.traffic.autopilot.perception import UNCONTROLLED
+from carla_recap.sim.traffic.autopilot.reservations import (
+    JunctionRules,
+    ReservationRequest,
+    Reservations,
+    current_junction,
+    next_stop_line,
+)
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from carla_recap.sim.town.town import Town
     from carla_recap.sim.traffic.autopilot.drivers import Drivers
-    from carla_recap.sim.traffic.autopilot.gates import Gate
-    from carla_recap.sim.traffic.autopilot.network import Network
-    from carla_recap.sim.traffic.autopilot.routes import Routes
-    from carla_recap.sim.traffic.autopilot.view import View
+    from carla_recap.sim.traffic.autopilot.perception import Perception
+    from carla_recap.sim.traffic.autopilot.reservations import StopLine
+    from carla_recap.sim.traffic.autopilot.routes import LaneNetwork, Routes
 
     Floats = NDArray[np.float64]
     Integers = NDArray[np.int64]
 
-BEFORE_LINE: Final = 0.8  # m: so far before a line vehicles stop
-_PAST: Final = 0.3  # m: who is so far beyond a line goes on
-_COMFORTABLE: Final = 3.0  # m/s²: who would have to brake harder before a light that has changed goes on
-_AT_SIGN: Final = 3.5  # m: so near to the line one has to have stopped
+_PASSED: Final = 0.3  # m beyond a line, from where on a vehicle goes on
+_COMFORTABLE: Final = 3.0  # m/s²: vehicles that would have to brake harder for a light that has changed go on
+_AT_SIGN: Final = 3.5  # m before the line of a stop sign, where vehicles have to have stopped
 _STANDING: Final = 0.3  # m/s
-_ROOM: Final = 3.0  # m more than its length: what a vehicle needs to wait between two junctions
-_ASK: Final = 1.3  # so many times the distance at which a driver would begin to brake
-_EARLIER: Final = 6.0  # m more than that
-_FLOW: Final = 2.0  # s: for so long the last vehicle behind a junction is expected to go on as it does
-_FAR: Final = 30.0  # m: nobody needs more room behind a junction
+_ROOM: Final = 3.0  # m that a vehicle needs to wait between two junctions, in addition to its length
+_REQUEST: Final = 1.3  # vehicles ask within so many times the distance at which they would begin to brake,
+_REQUEST_MARGIN: Final = 6.0  # m more than that
+_FLOW: Final = 2.0  # s for which the last vehicle behind a junction is expected to go on at its speed
+_FAR: Final = 30.0  # m: no vehicle needs more room behind a junction
 
 
-class Junctions:
-    """Gates and permits of all drivers.
+class JunctionControl:
+    """The stop lines and reservations of all drivers.
 
     Args:
         town: The town.
         network: Its lanes.
-        drivers: The drivers; the columns on gates are kept by this class.
+        drivers: The drivers; this class maintains the columns about stop lines.
         routes: Their routes.
     """
 
-    def __init__(self, town: Town, network: Network, drivers: Drivers, routes: Routes) -> None:
+    def __init__(self, town: Town, network: LaneNetwork, drivers: Drivers, routes: Routes) -> None:
         self._network, self._drivers, self._routes = network, drivers, routes
-        self._crossings = survey(town)
+        self._rules = JunctionRules.of(town)
         self._rows: dict[int, int] = {}
-        self._half = np.empty(0)
+        self._half_length = np.empty(0)
         self._rear: list[float] = []
-        self._permits = Permits(
-            self._crossings,
+        self._reservations = Reservations(
+            self._rules,
             lambda id: self._rear[self._rows[id]],
-            lambda id: float(drivers.stood[self._rows[id]]),
+            lambda id: float(drivers.standing_time[self._rows[id]]),
         )
-        self._gates: dict[int, Gate | None] = {}
-        self._held: dict[int, list[Gate]] = {}
+        self._next: dict[int, StopLine | None] = {}
+        self._passed: dict[int, list[StopLine]] = {}
 
     def set_drivers(self, half_length: Floats) -> None:
-        """Note that there are other drivers, or in another order, and half the lengths of their vehicles, in m."""
+        """Adopt a new order of the drivers, and half of the lengths of their vehicles in m."""
         self._rows = {id: row for row, id in enumerate(self._drivers.id.tolist())}
-        self._half = half_length
+        self._half_length = half_length
         self._locate()
 
     def enter(self, row: int) -> None:
-        """Begin with a driver, or anew after its route has changed."""
-        id, along, half = int(self._drivers.id[row]), float(self._routes.along[row]), float(self._half[row])
+        """Begin with a driver, or again after its route has changed."""
+        id, position = int(self._drivers.id[row]), float(self._routes.position[row])
+        half = float(self._half_length[row])
         self.leave(id)
         self._locate()
-        gate = inside(self._network, self._routes, row, along - half, along + half)
-        if gate is not None:
-            self._permits.hold(id, gate, 2 * half)
-            self._held[id] = [gate]
-        self._look_ahead(row, along + half)
+        line = current_junction(self._network, self._routes, row, position - half, position + half)
+        if line is not None:
+            self._reservations.reserve(id, line, 2 * half)
+            self._passed[id] = [line]
+        self._find_next(row, position + half)
 
     def leave(self, id: int) -> None:
-        """Forget a driver."""
-        for gate in self._held.pop(id, []):
-            self._permits.release(id, gate)
-        coming = self._gates.pop(id, None)
-        if coming is not None:
-            self._permits.release(id, coming)
+        """Release the reservations of a driver."""
+        for line in self._passed.pop(id, []):
+            self._reservations.release(id, line)
+        line = self._next.pop(id, None)
+        if line is not None:
+            self._reservations.release(id, line)
 
-    def pass_on(self) -> None:
-        """Move the vehicles that have passed a line, or left a junction, on to what comes next."""
-        drivers, along = self._drivers, self._routes.along
+    def update_passed(self) -> None:
+        """Find the next stop lines of vehicles that have passed one, and release the junctions that vehicles have left."""
+        drivers, position = self._drivers, self._routes.position
         self._locate()
-        front, rear = along + self._half, along - self._half
-        for row in np.flatnonzero(drivers.permitted & (front > drivers.line + _PAST)).tolist():
-            gate = self._gates[int(drivers.id[row])]
-            assert gate is not None
-            self._held.setdefault(int(drivers.id[row]), []).append(gate)
-            self._look_ahead(row, max(float(front[row]), gate.leave))
-        for row in np.flatnonzero(rear > drivers.clear_at).tolist():
+        front, rear = position + self._half_length, position - self._half_length
+        for row in np.flatnonzero(drivers.has_reservation & (front > drivers.stop_line + _PASSED)).tolist():
+            line = self._next[int(drivers.id[row])]
+            assert line is not None
+            self._passed.setdefault(int(drivers.id[row]), []).append(line)
+            self._find_next(row, max(float(front[row]), line.end))
+        for row in np.flatnonzero(rear > drivers.junction_end).tolist():
             id = int(drivers.id[row])
-            held = self._held[id]
-            self._permits.release(id, held.pop(0))
-            drivers.clear_at[row] = held[0].leave if held else np.inf
+            passed = self._passed[id]
+            self._reservations.release(id, passed.pop(0))
+            drivers.junction_end[row] = passed[0].end if passed else np.inf
 
-    def decide(self, now: float, states: Integers, speed: Floats, view: View, braking: Floats, tails: Tails) -> None:
-        """Take back permits for lights that have changed, and give new ones.
+    def decide(
+        self, now: float, states: Integers, speed: Floats, perception: Perception, braking: Floats, queues: QueueEnds
+    ) -> None:
+        """Release reservations for lights that have changed, and grant new ones.
 
         Args:
-            now: In s.
-            states: Of the signals, and behind them green, for where there is none.
-            speed: Of the vehicles, in m/s.
-            view: What the drivers see.
-            braking: From which distance each driver brakes before something that stands, in m.
-            tails: The last vehicles on the lanes.
+            now: The time in s.
+            states: The states of the town's signals, and green as the last one, for `NONE`.
+            speed: The speeds of the vehicles in m/s.
+            perception: What the drivers perceive.
+            braking: The distance from which each driver brakes for a standing obstacle, in m.
+            queues: The last vehicles on the lanes.
         """
         drivers = self._drivers
-        distance = drivers.line - self._routes.along - self._half
-        state = states[drivers.light]
+        distance = drivers.stop_line - self._routes.position - self._half_length
+        state = states[drivers.signal]
         self._revoke(state, distance, speed)
-        waiting = ~drivers.permitted & (distance < _ASK * braking + _EARLIER) & ~drivers.lost
-        arrived = waiting & drivers.must_stop & (distance < _AT_SIGN) & (speed < _STANDING)
-        drivers.must_stop[arrived] = False
-        leader = np.maximum(view.leader, 0)
-        leading = drivers.permitted[leader] | (view.free + 2 * self._half[leader] > distance)
-        ahead = np.where(view.leader >= 0, leading, view.leader == MOVING)
-        first = ahead | (view.free > distance - BEFORE_LINE)
-        able = waiting & first & ~drivers.must_stop & (state >= GREEN)
-        rows = np.flatnonzero(able)
+        near = distance < _REQUEST * braking + _REQUEST_MARGIN
+        waiting = ~drivers.has_reservation & near & ~drivers.off_road
+        stopped = waiting & drivers.must_stop & (distance < _AT_SIGN) & (speed < _STANDING)
+        drivers.must_stop[stopped] = False
+        leader = np.maximum(perception.leader, 0)
+        leader_goes = drivers.has_reservation[leader]
+        leader_goes |= perception.free_distance + 2 * self._half_length[leader] > distance
+        first = np.where(perception.leader >= 0, leader_goes, perception.leader == UNCONTROLLED)
+        first |= perception.free_distance > distance - BEFORE_LINE
+        rows = np.flatnonzero(waiting & first & ~drivers.must_stop & (state >= GREEN))
         if not len(rows):
             return
-        drivers.since[rows] = np.minimum(drivers.since[rows], now)
+        drivers.waiting_since[rows] = np.minimum(drivers.waiting_since[rows], now)
         requests = []
         for row in rows.tolist():
-            gate = self._gates[int(drivers.id[row])]
-            assert gate is not None
-            id, length = int(drivers.id[row]), 2 * float(self._half[row])
-            requests.append(
-                Request(id, gate, float(drivers.since[row]), float(distance[row]), length, float(view.free[row]))
-            )
-        for request in self._permits.grant(requests, now, tails.room):
-            drivers.permitted[self._rows[request.id]] = True
+            id, length = int(drivers.id[row]), 2 * float(self._half_length[row])
+            line, since = self._next[id], float(drivers.waiting_since[row])
+            assert line is not None
+            free = float(perception.free_distance[row])
+            requests.append(ReservationRequest(id, line, since, float(distance[row]), length, free))
+        for request in self._reservations.grant(requests, now, queues.free_length):
+            drivers.has_reservation[self._rows[request.id]] = True
 
     def _revoke(self, state: Integers, distance: Floats, speed: Floats) -> None:
         drivers = self._drivers
-        stoppable = speed**2 < 2 * _COMFORTABLE * np.maximum(distance - BEFORE_LINE, 0)
-        for row in np.flatnonzero(drivers.permitted & (state < GREEN) & stoppable).tolist():
-            gate = self._gates[int(drivers.id[row])]
-            assert gate is not None
-            self._permits.release(int(drivers.id[row]), gate)
-            drivers.permitted[row] = False
-            drivers.since[row] = np.inf
+        can_stop = speed**2 < 2 * _COMFORTABLE * np.maximum(distance - BEFORE_LINE, 0)
+        for row in np.flatnonzero(drivers.has_reservation & (state < GREEN) & can_stop).tolist():
+            line = self._next[int(drivers.id[row])]
+            assert line is not None
+            self._reservations.release(int(drivers.id[row]), line)
+            drivers.has_reservation[row] = False
+            drivers.waiting_since[row] = np.inf
 
-    def look_farther(self, row: int) -> None:
-        """Look anew for the next gate of a driver who has not asked for it yet: more of the route is known."""
-        if not self._drivers.permitted[row] and np.isinf(self._drivers.since[row]):
-            held = self._held.get(int(self._drivers.id[row]))
-            front = float(self._routes.along[row] + self._half[row])
-            self._look_ahead(row, max(front, held[-1].leave) if held else front)
+    def update_next(self, row: int) -> None:
+        """Find the next stop line of a driver again, unless it has asked to pass it: the route was extended."""
+        if not self._drivers.has_reservation[row] and np.isinf(self._drivers.waiting_since[row]):
+            passed = self._passed.get(int(self._drivers.id[row]))
+            front = float(self._routes.position[row] + self._half_length[row])
+            self._find_next(row, max(front, passed[-1].end) if passed else front)
 
-    def _look_ahead(self, row: int, front: float) -> None:
-        """Find the next gate of a driver."""
+    def _find_next(self, row: int, front: float) -> None:
+        """Find the next stop line of a driver."""
         drivers, id = self._drivers, int(self._drivers.id[row])
-        gate = next_gate(self._network, self._crossings, self._routes, row, front, 2 * float(self._half[row]) + _ROOM)
-        self._gates[id] = gate
-        held = self._held.get(id)
-        drivers.clear_at[row] = held[0].leave if held else np.inf
-        drivers.permitted[row], drivers.since[row] = False, np.inf
-        drivers.line[row] = np.inf if gate is None else gate.line if gate.line > front - _PAST else gate.begin
-        drivers.light[row] = NONE if gate is None else gate.light
-        drivers.must_stop[row] = gate is not None and gate.stop_sign
+        room = 2 * float(self._half_length[row]) + _ROOM
+        line = next_stop_line(self._network, self._rules, self._routes, row, front, room)
+        self._next[id] = line
+        passed = self._passed.get(id)
+        drivers.junction_end[row] = passed[0].end if passed else np.inf
+        drivers.has_reservation[row], drivers.waiting_since[row] = False, np.inf
+        drivers.signal[row] = NONE if line is None else line.signal
+        drivers.must_stop[row] = line is not None and line.has_stop_sign
+        if line is None:
+            drivers.stop_line[row] = np.inf
+        else:
+            drivers.stop_line[row] = line.position if line.position > front - _PASSED else line.start
 
     def _locate(self) -> None:
-        self._rear = (self._routes.along - self._half).tolist()
+        self._rear = (self._routes.position - self._half_length).tolist()
 
 
-class Tails:
+class QueueEnds:
     """The last vehicle on each lane.
 
     Args:
         network: The lanes.
-        lane: The lanes that vehicles are on.
-        rear: How far along these their rear ends are.
+        lane: The lanes of the vehicles.
+        rear: The distances of their rear ends along these, in m.
         speed: Their speeds in m/s.
     """
 
-    def __init__(self, network: Network, lane: Integers, rear: Floats, speed: Floats) -> None:
+    def __init__(self, network: LaneNetwork, lane: Integers, rear: Floats, speed: Floats) -> None:
         order = np.lexsort((rear, lane))[::-1]
         self._network = network
         self._last = dict(zip(lane[order].tolist(), (rear + _FLOW * speed)[order].tolist(), strict=True))
 
-    def room(self, gate: Gate) -> float:
-        """How much room there is behind a gate, or soon will be, in m."""
-        for lane, start in gate.exits:
+    def free_length(self, line: StopLine) -> float:
+        """Return the length behind the junction of a stop line that is free, or soon will be, in m."""
+        for lane, start in line.exits:
             if lane in self._last:
-                return float(start - gate.leave + self._last[lane])
-            if self._network.junction[lane] != NONE or start - gate.leave > _FAR:
-                return max(start - gate.leave, 0.0)
+                return float(start - line.end + self._last[lane])
+            if self._network.junction[lane] != NONE or start - line.end > _FAR:
+                return max(start - line.end, 0.0)
         return _FAR

@@ -1,4 +1,4 @@
-"""The ways that vehicles are on: for each, the lanes ahead, and how far along them it has come."""
+"""The lanes of a town as drivers need them, and the routes of the driven vehicles over them."""
 
 from __future__ import annotations
 
@@ -6,92 +6,210 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
-from carla_recap.sim.traffic.autopilot.network import NONE
+from carla_recap.sim.town.town import main_lanes
+from carla_recap.sim.traffic.autopilot.drivers import NONE
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-    from carla_recap.sim.traffic.autopilot.network import Network
+    from carla_recap.sim.town.lanes import Lane
+    from carla_recap.sim.town.town import Town
 
     Floats = NDArray[np.float64]
     Integers = NDArray[np.int64]
+    Points = tuple[Integers, Floats]
 
-DEPTH: Final = 24
-"""The most lanes of a route that are known at a time, the current one first."""
-_LEAST_AHEAD: Final = 160.0  # m of every route that are known, if so many lanes are enough
-_AHEAD: Final = 200.0  # m: so far a route is continued when it has become shorter than that
+CURVE_BRAKING: Final = 1.8  # m/s², before a curve or a lower limit
+_CURVE_ACCELERATION: Final = 2.4  # m/s² sideways: what drivers of cars accept in town
+_SMOOTHING: Final = 5.0  # m: the length over which the curvature is averaged
+_STRAIGHT_SPEED: Final = 70.0  # m/s, where a lane is straight
+_WRONG_WAY_COST: Final = 60.0  # m²: the cost of a lane in the opposite direction, when the nearest one is looked for
+_MAX_LANES: Final = 24  # lanes of a route that are known at a time, the current one first
+_LEAST_AHEAD: Final = 160.0  # m of a route that are known, if the number of lanes allows it
+_AHEAD: Final = 200.0  # m to which a route is extended when it has become shorter than that
+
+
+class LaneNetwork:
+    """The lanes of a town as arrays, with a row for each lane or each of its points.
+
+    A position on a lane is given by two values: the index of the lane point at or before it, and the share of the distance to
+    the next point; `points` finds them.
+
+    Args:
+        town: The town.
+
+    Attributes:
+        length: The length of each lane in m.
+        limit: The speed limit of each lane in m/s.
+        entry_speed: The speed that the curves of each lane allow at its beginning, in m/s.
+        junction: The junction that each lane belongs to, or `NONE`.
+        left: The adjacent lane on the left that vehicles may change to, or `NONE`.
+        right: The same on the right.
+        turn: The turn on each lane that drivers indicate: -1 left, 0 none, 1 right.
+        successors: The lanes that follow each lane, without those that lead to a dead end, if there are others.
+    """
+
+    def __init__(self, town: Town) -> None:
+        lanes = town.lanes
+        self._count = np.array([len(lane.points) for lane in lanes])
+        self._first = np.cumsum(self._count) - self._count
+        self._lane_of = np.repeat(np.arange(len(lanes)), self._count)
+        self._points = np.concatenate([lane.points for lane in lanes])
+        self._heading = np.concatenate([lane.heading for lane in lanes])
+        self._columns = self._points[:, 0].copy(), self._points[:, 1].copy(), self._heading
+        curvature = [_curvature(lane) for lane in lanes]
+        self._curvature = np.concatenate(curvature)
+        self._safe_speed = np.concatenate([_safe_speed(lane, bend) for lane, bend in zip(lanes, curvature, strict=True)])
+        self.length = np.array([lane.length for lane in lanes])
+        self._spacing = self.length / (self._count - 1)
+        self.limit = np.array([lane.speed_limit for lane in lanes])
+        self.entry_speed = self._safe_speed[self._first]
+        self.junction = _optional([lane.junction for lane in lanes])
+        self.left = _optional([lane.left for lane in lanes])
+        self.right = _optional([lane.right for lane in lanes])
+        self.turn = np.array([{"left": -1, "straight": 0, "right": 1}[lane.turn] for lane in lanes])
+        self.successors = _successors(lanes)
+
+    def points(self, lane: Integers, s: Floats) -> Points:
+        """Return the points for distances along lanes."""
+        steps = np.minimum(np.maximum(s / self._spacing[lane], 0), self._count[lane] - 1.0)
+        whole = np.minimum(steps.astype(np.int64), self._count[lane] - 2)
+        return self._first[lane] + whole, steps - whole
+
+    def poses(self, points: Points) -> tuple[Floats, Floats, Floats]:
+        """Return x, y and heading of points."""
+        index, share = points
+        x, y, heading = (column[index] + share * (column[index + 1] - column[index]) for column in self._columns)
+        return x, y, heading
+
+    def height(self, index: Integers) -> Floats:
+        """Return the z of lane points by their indices, in m."""
+        height: Floats = self._points[index, 2]
+        return height
+
+    def curvature(self, points: Points) -> Floats:
+        """Return the curvature at points in 1/m, positive to the right."""
+        curvature: Floats = self._curvature[points[0]]
+        return curvature
+
+    def safe_speed(self, points: Points) -> Floats:
+        """Return the speed at points that the curves there and ahead on the same lane allow, in m/s."""
+        index, share = points
+        speed: Floats = self._safe_speed[index] + share * (self._safe_speed[index + 1] - self._safe_speed[index])
+        return speed
+
+    def nearest(self, x: float, y: float, z: float, heading: float) -> tuple[int, float]:
+        """Return the nearest lane that leads about in the direction of a heading, and the distance along it in m."""
+        direction = _WRONG_WAY_COST * (1 - np.cos(self._heading - heading))
+        cost = ((self._points - (x, y, z)) ** 2) @ (1.0, 1.0, 0.5) + direction
+        point = int(cost.argmin())
+        lane = int(self._lane_of[point])
+        away = np.array((x, y)) - self._points[point, :2]
+        along = away @ (np.cos(self._heading[point]), np.sin(self._heading[point]))
+        s = (point - self._first[lane]) * self._spacing[lane] + along
+        return lane, float(np.clip(s, 0, self.length[lane]))
+
+
+def _optional(values: list[int | None]) -> Integers:
+    return np.array([NONE if value is None else value for value in values], np.int64)
+
+
+def _curvature(lane: Lane) -> Floats:
+    """Return the curvature at the points of a lane, averaged over some metres."""
+    bend = np.gradient(lane.heading, lane.s)
+    half = min(int(_SMOOTHING / 2 / (lane.length / (len(lane.s) - 1))), (len(bend) - 1) // 2)
+    padded = np.pad(bend, half, mode="edge")
+    smooth: Floats = np.convolve(padded, np.full(2 * half + 1, 1 / (2 * half + 1)), mode="valid")
+    return smooth
+
+
+def _safe_speed(lane: Lane, curvature: Floats) -> Floats:
+    """Return the speeds from which vehicles can slow down for every curve on the rest of a lane."""
+    squares = np.minimum(_CURVE_ACCELERATION / np.maximum(np.abs(curvature), 1e-6), _STRAIGHT_SPEED**2)
+    reach = squares + 2 * CURVE_BRAKING * lane.s
+    return np.sqrt(np.minimum.accumulate(reach[::-1])[::-1] - 2 * CURVE_BRAKING * lane.s)
+
+
+def _successors(lanes: list[Lane]) -> list[tuple[int, ...]]:
+    """Return the successors of each lane, without those that do not lead everywhere, if there are others."""
+    main = set(main_lanes(lanes))
+    return [tuple(other for other in lane.successors if other in main) or lane.successors for lane in lanes]
 
 
 class Routes:
-    """The routes of some vehicles; the distances along each count on and on, from where it began.
+    """The routes of the driven vehicles; positions along a route count on from where it began, in m.
+
+    Args:
+        network: The lanes.
+        random: What chooses the lanes.
 
     Attributes:
-        lanes: The lanes, the current one first, then `NONE`, (vehicles, DEPTH).
-        starts: Where these lanes begin, then infinity, (vehicles, DEPTH).
-        ends: Where the last of these lanes ends, (vehicles,).
-        dead: Whether nothing follows there, (vehicles,).
-        along: Where the vehicles are, (vehicles,).
-        known: How many lanes the longest of the routes has.
+        lanes: The lanes of the routes, the current one first, then `NONE`, (vehicles, most lanes).
+        starts: The positions where these lanes begin, then infinity, (vehicles, most lanes).
+        ends: The positions where the last of these lanes end, (vehicles,).
+        dead_end: Whether no lane follows there, (vehicles,).
+        position: The positions of the vehicles, (vehicles,).
+        known: The number of lanes of the longest route.
     """
 
-    def __init__(self, network: Network, random: np.random.Generator) -> None:
+    def __init__(self, network: LaneNetwork, random: np.random.Generator) -> None:
         self._network = network
         self._random = random
-        self.lanes: Integers = np.empty((0, DEPTH), np.int64)
-        self.starts: Floats = np.empty((0, DEPTH))
+        self.lanes: Integers = np.empty((0, _MAX_LANES), np.int64)
+        self.starts: Floats = np.empty((0, _MAX_LANES))
         self.ends: Floats = np.empty(0)
-        self.dead: NDArray[np.bool_] = np.empty(0, np.bool_)
-        self.along: Floats = np.empty(0)
+        self.dead_end: NDArray[np.bool_] = np.empty(0, np.bool_)
+        self.position: Floats = np.empty(0)
         self.known = 1
 
     def __len__(self) -> int:
-        return len(self.along)
+        return len(self.position)
 
-    def choose(self, rows: Integers) -> None:
-        """Go on with some of the vehicles, in a new order."""
-        for name in ("lanes", "starts", "ends", "dead", "along"):
+    def select(self, rows: Integers) -> None:
+        """Keep the routes of some of the vehicles, in a new order."""
+        for name in ("lanes", "starts", "ends", "dead_end", "position"):
             setattr(self, name, getattr(self, name)[rows])
         self._count()
 
     def add(self) -> None:
-        """Add a route that is not known yet."""
-        self.lanes = np.concatenate((self.lanes, np.full((1, DEPTH), NONE)))
-        self.starts = np.concatenate((self.starts, np.full((1, DEPTH), np.inf)))
+        """Add an empty route."""
+        self.lanes = np.concatenate((self.lanes, np.full((1, _MAX_LANES), NONE)))
+        self.starts = np.concatenate((self.starts, np.full((1, _MAX_LANES), np.inf)))
         self.ends = np.append(self.ends, 0.0)
-        self.dead = np.append(self.dead, False)
-        self.along = np.append(self.along, 0.0)
+        self.dead_end = np.append(self.dead_end, False)
+        self.position = np.append(self.position, 0.0)
 
-    def begin(self, row: int, lane: int, s: float) -> None:
-        """Begin the route of a vehicle anew, on a lane; the distances go on from where it is."""
+    def restart(self, row: int, lane: int, s: float) -> None:
+        """Begin a new route at a distance along a lane; positions count on from the present one."""
         self.lanes[row], self.starts[row] = NONE, np.inf
-        self.lanes[row, 0], self.starts[row, 0] = lane, self.along[row] - s
+        self.lanes[row, 0], self.starts[row, 0] = lane, self.position[row] - s
         self.ends[row] = self.starts[row, 0] + self._network.length[lane]
         self._extend(row)
         self._count()
 
-    def move(self, along: Floats) -> Integers:
-        """Put the vehicles where they have come to; returns the rows of those of whose route more is known by now."""
-        self.along = along
-        come = np.flatnonzero(along >= self.starts[:, 1])
-        for row in come.tolist():
-            while along[row] >= self.starts[row, 1]:
+    def advance(self, position: Floats) -> Integers:
+        """Set the positions of the vehicles, and return the rows of the routes that were extended."""
+        self.position = position
+        passed = np.flatnonzero(position >= self.starts[:, 1])
+        for row in passed.tolist():
+            while position[row] >= self.starts[row, 1]:
                 self.lanes[row] = np.append(self.lanes[row, 1:], NONE)
                 self.starts[row] = np.append(self.starts[row, 1:], np.inf)
-        short = np.flatnonzero((self.ends < along + _LEAST_AHEAD) & ~self.dead & (self.lanes[:, -1] == NONE))
+        short = np.flatnonzero((self.ends < position + _LEAST_AHEAD) & ~self.dead_end & (self.lanes[:, -1] == NONE))
         for row in short.tolist():
             self._extend(row)
-        if len(come) or len(short):
+        if len(passed) or len(short):
             self._count()
         return short
 
     def locate(self, ahead: Floats) -> tuple[Integers, Floats]:
-        """The lanes that some distances ahead of the vehicles lie on, and how far along these: for `Network.spot`.
+        """Return the lanes at distances ahead of the vehicles, and the distances along these, for `LaneNetwork.points`.
 
         Args:
-            ahead: Distances from where they are, (vehicles, any).
+            ahead: Distances from the positions of the vehicles, (vehicles, any).
         """
-        target = self.along[:, None] + ahead
-        rows = np.arange(len(self.along))[:, None]
+        target = self.position[:, None] + ahead
+        rows = np.arange(len(self.position))[:, None]
         number = np.zeros(target.shape, np.int64)
         for start in range(1, self.known):
             number += target >= self.starts[:, start, None]
@@ -104,9 +222,9 @@ class Routes:
         lanes, starts, length = self.lanes[row], self.starts[row], self._network.length
         used = int((lanes != NONE).sum())
         end = self.ends[row]
-        while used < DEPTH and end < self.along[row] + _AHEAD:
-            choices = self._network.onward[lanes[used - 1]]
-            self.dead[row] = not choices
+        while used < _MAX_LANES and end < self.position[row] + _AHEAD:
+            choices = self._network.successors[lanes[used - 1]]
+            self.dead_end[row] = not choices
             if not choices:
                 break
             choice = choices[0] if len(choices) == 1 else choices[int(self._random.integers(len(choices)))]

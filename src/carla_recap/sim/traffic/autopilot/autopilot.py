@@ -1,0 +1,193 @@
+"""The autopilot: drives all vehicles that have it switched on."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Final
+
+import numpy as np
+
+from carla_recap.sim.actors.lights import GREEN
+from carla_recap.sim.traffic.autopilot.acceleration import desired_acceleration
+from carla_recap.sim.traffic.autopilot.controls import set_lights, set_pedals, set_steering, wrap_angle
+from carla_recap.sim.traffic.autopilot.drivers import DrivenVehicles, Drivers
+from carla_recap.sim.traffic.autopilot.junctions import JunctionControl, QueueEnds
+from carla_recap.sim.traffic.autopilot.lane_changes import (
+    lane_changes,
+    lateral_offset,
+    start_transition,
+    transition_progress,
+)
+from carla_recap.sim.traffic.autopilot.perception import ObstacleTracker, perceive
+from carla_recap.sim.traffic.autopilot.routes import LaneNetwork, Routes
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+    from carla_recap.sim.actors.registry import ActorRegistry
+    from carla_recap.sim.traffic.autopilot.perception import Perception
+
+    Flags = NDArray[np.bool_]
+    Floats = NDArray[np.float64]
+    Integers = NDArray[np.int64]
+
+_DECISION_INTERVAL: Final = 0.1  # s between two decisions of the drivers
+_STRAY: Final = 4.0  # m off its route, from where on a vehicle begins a new one
+_OFF_ROAD: Final = 40.0  # m from every lane, from where on a vehicle does not drive
+_SEARCH_INTERVAL: Final = 1.0  # s between two attempts to find a lane
+_ON_LANE: Final = 2.2  # m from the centre of a lane: vehicles farther away are not on it
+_MAX_ANGLE: Final = 1.2  # radians to the direction of the lane, at the start of a transition
+
+
+class Autopilot:
+    """Drives the vehicles that have it switched on, as long as physics moves them; a controller of the world.
+
+    A vehicle that has it switched on while it drives goes on from its place and at its speed.
+
+    Args:
+        registry: The actors.
+        random: What chooses the routes and the characteristics of the drivers.
+    """
+
+    def __init__(self, registry: ActorRegistry, random: np.random.Generator) -> None:
+        self._registry = registry
+        self._random = random
+        self._town = registry.town
+        self._clock = registry.clock
+        self._network = LaneNetwork(self._town)
+        self._tracker = ObstacleTracker(registry)
+        self._drivers = Drivers()
+        self._routes = Routes(self._network, random)
+        self._junctions = JunctionControl(self._town, self._network, self._drivers, self._routes)
+        self._desired: Floats | None = None
+        self._decided = 0.0
+        self._decisions = 0
+
+    def step(self, delta: float) -> None:
+        """Set the controls and lights of all driven vehicles.
+
+        Args:
+            delta: The time until the next step, in s.
+        """
+        elapsed, drivers, routes, network = self._clock.elapsed, self._drivers, self._routes, self._network
+        vehicles = self._registry.vehicles
+        rows = np.flatnonzero(self._driven())
+        if not np.array_equal(vehicles.id[rows], drivers.id):
+            self._change_drivers(rows)
+        if not len(rows):
+            return
+        cars = DrivenVehicles.of(vehicles, rows)
+        self._update_routes(cars, delta)
+        if self._desired is None or elapsed + delta / 2 >= self._decided + _DECISION_INTERVAL:
+            perception = self._decide(cars)
+            self._desired, self._decided = desired_acceleration(cars, perception, drivers, routes, network), elapsed
+            set_lights(cars, drivers, routes, network, vehicles)
+        set_pedals(cars, drivers, vehicles, self._desired, delta)
+        set_steering(cars, drivers, routes, network, vehicles)
+
+    def _driven(self) -> Flags:
+        vehicles = self._registry.vehicles
+        driven: Flags = vehicles.autopilot & vehicles.simulated
+        return driven
+
+    def _change_drivers(self, rows: Integers) -> None:
+        """Add and remove drivers, so that there is one for each of these vehicles, in their order."""
+        drivers, routes = self._drivers, self._routes
+        ids: list[int] = self._registry.vehicles.id[rows].tolist()
+        driver = {id: number for number, id in enumerate(drivers.id.tolist())}
+        new = [number for number, id in enumerate(ids) if id not in driver]
+        for id in [id for id in driver if id not in set(ids)]:
+            self._junctions.leave(id)
+        for number in new:
+            driver[ids[number]] = len(drivers)
+            drivers.add(ids[number], self._random)
+            routes.add()
+        order = np.array([driver[id] for id in ids], np.int64)
+        drivers.select(order)
+        routes.select(order)
+        cars = DrivenVehicles.of(self._registry.vehicles, rows)
+        self._junctions.set_drivers(cars.half_length)
+        for number in new:
+            self._start(cars, number)
+        self._desired = None
+
+    def _start(self, cars: DrivenVehicles, row: int) -> None:
+        """Start to drive a vehicle from its place, on the nearest lane."""
+        z = float(self._registry.vehicles.position[cars.rows[row], 2])
+        lane, s = self._network.nearest(float(cars.x[row]), float(cars.y[row]), z, float(cars.yaw[row]))
+        self._take_lane(cars, row, lane, s)
+        distance = abs(float(self._drivers.lateral_offset[row]))
+        self._drivers.returning[row], self._drivers.off_road[row] = distance > _ON_LANE, distance > _OFF_ROAD
+
+    def _change_lane(self, cars: DrivenVehicles, row: int, lane: int) -> None:
+        """Drive on an adjacent lane from now on."""
+        hint = self._routes.position[row] - self._routes.starts[row, 0]
+        s, _ = self._town.project([lane], [cars.x[row]], [cars.y[row]], [hint])
+        self._take_lane(cars, row, lane, float(np.clip(s[0], 0, self._network.length[lane])))
+
+    def _take_lane(self, cars: DrivenVehicles, row: int, lane: int, s: float) -> None:
+        """Drive on a lane from now on, from the distance along it that is nearest to the vehicle."""
+        drivers, position = self._drivers, float(self._routes.position[row])
+        self._routes.restart(row, lane, s)
+        pose = self._network.poses(self._network.points(np.array([lane]), np.array([s])))
+        x, y, heading = (float(column[0]) for column in pose)
+        away_x, away_y = float(cars.x[row]) - x, float(cars.y[row]) - y
+        offset = away_y * np.cos(heading) - away_x * np.sin(heading)
+        angle = float(np.clip(wrap_angle(cars.yaw[row] - heading), -_MAX_ANGLE, _MAX_ANGLE))
+        drivers.lateral_offset[row], drivers.returning[row] = offset, False
+        start_transition(drivers, row, position, float(cars.speed[row]), offset, float(np.tan(angle)))
+        self._junctions.enter(row)
+
+    def _update_routes(self, cars: DrivenVehicles, delta: float) -> None:
+        """Update the positions of the vehicles along their routes, and start anew with those that have left theirs."""
+        drivers, routes, network = self._drivers, self._routes, self._network
+        guess = cars.speed * delta
+        lane, s = routes.locate(guess[:, None])
+        x, y, heading = network.poses(network.points(lane[:, 0], s[:, 0]))
+        cos, sin = np.cos(heading), np.sin(heading)
+        away_x, away_y = cars.x - x, cars.y - y
+        ahead = away_x * cos + away_y * sin
+        drivers.lateral_offset = away_y * cos - away_x * sin
+        position = np.minimum(routes.position + guess + np.clip(ahead, -_STRAY, _STRAY), routes.ends)
+        for row in routes.advance(position).tolist():
+            self._junctions.update_next(row)
+        self._junctions.update_passed()
+        progress = transition_progress(drivers, routes.position)
+        expected = lateral_offset(drivers.transition_offset, drivers.transition_slope, progress)
+        stray = (np.abs(ahead) > _STRAY) | (np.abs(drivers.lateral_offset - expected) > _STRAY)
+        searching = self._clock.elapsed % _SEARCH_INTERVAL < delta
+        for row in np.flatnonzero(np.where(drivers.off_road, searching, stray)).tolist():
+            self._start(cars, row)
+
+    def _decide(self, cars: DrivenVehicles) -> Perception:
+        """Decide which vehicles pass their stop lines, and which change lanes; return what the drivers perceive."""
+        registry, drivers, routes, network = self._registry, self._drivers, self._routes, self._network
+        driven = self._driven()
+        self._decisions += 1
+        perception = perceive(cars, drivers, routes, network, self._tracker.obstacles(driven))
+        states = np.full(len(self._town.signals) + 1, GREEN)
+        states[registry.signals.signal] = registry.signals.state
+        braking = drivers.desired_gap(cars.speed, cars.speed)
+        queues = self._queue_ends(cars, driven)
+        self._junctions.decide(self._clock.elapsed, states, cars.speed, perception, braking, queues)
+        changes = lane_changes(cars, perception, drivers, routes, network, registry.vehicles, self._decisions)
+        for row, lane in list(changes):
+            self._change_lane(cars, row, lane)
+        return perception
+
+    def _queue_ends(self, cars: DrivenVehicles, driven: Flags) -> QueueEnds:
+        """Return the last vehicles on the lanes, driven by the autopilot or not."""
+        routes, vehicles, others = self._routes, self._registry.vehicles, np.flatnonzero(~driven)
+        lane, s = routes.lanes[:, 0], routes.position - routes.starts[:, 0]
+        speed, half = cars.speed, cars.half_length
+        if len(others):
+            (x, y, z), yaw = vehicles.position[others].T, np.radians(vehicles.rotation[others, 1])
+            near, along = self._town.nearest_lane(x, y, z=z, heading=yaw)
+            points = self._network.points(near, along)
+            lane_x, lane_y, _ = self._network.poses(points)
+            on_lane = np.hypot(x - lane_x, y - lane_y) < _ON_LANE
+            on_lane &= np.abs(z - self._network.height(points[0])) < _ON_LANE
+            others = others[on_lane]
+            lane, s = np.concatenate((lane, near[on_lane])), np.concatenate((s, along[on_lane]))
+            speed = np.concatenate((speed, vehicles.speed[others]))
+            half = np.concatenate((half, vehicles.half_length[others]))
+        return QueueEnds(self._network, lane, s - half, speed)

@@ -1,0 +1,131 @@
+"""From desired accelerations and routes to the controls of vehicles: pedals, steering and lights."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Final
+
+import numpy as np
+
+from carla_recap.sim.physics.drivetrain import GRAVITY, SPEEDS
+from carla_recap.sim.traffic.autopilot.lane_changes import shift_poses, transition_progress
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+    from carla_recap.sim.physics.vehicles import Vehicles
+    from carla_recap.sim.traffic.autopilot.drivers import DrivenVehicles, Drivers
+    from carla_recap.sim.traffic.autopilot.routes import LaneNetwork, Routes
+
+    Floats = NDArray[np.float64]
+    Integers = NDArray[np.int64]
+
+BRAKE, RIGHT_BLINKER, LEFT_BLINKER = 8, 16, 32
+"""Bits of CARLA's VehicleLightState."""
+_OWN_LIGHTS: Final = np.uint32(BRAKE | RIGHT_BLINKER | LEFT_BLINKER)
+_INDICATION: Final = 30.0  # m before a turn
+_LANE_CHANGE: Final = 1.0  # m: transitions from a greater lateral offset are indicated
+_JERK: Final = 3.0  # m/s³ of the throttle
+_BRAKE_JERK: Final = 25.0  # m/s³
+_RELEASE: Final = -1.0  # m/s²: from harder braking, drivers release the brake at once
+_STANDING: Final = 0.15  # m/s
+_START: Final = 0.25  # m/s²: standing vehicles start for no smaller desired acceleration
+_HOLD: Final = 0.4  # brake of standing vehicles
+_ROLLING_RESISTANCE: Final = 0.013  # share of the weight
+_COASTING: Final = -0.4  # m/s²: about what a vehicle slows down by without any pedal
+_PREVIEW: Final = 0.12  # s: the delay of the front wheels
+_CROSS_TRACK_GAIN: Final = 1.5  # 1/s
+_SOFTENING: Final = 1.0  # m/s: keeps the steering calm at low speed
+_MAX_SWING: Final = 0.8  # m that the front axle swings out at most, so that the rear does not cut the curve
+_LONG_WHEELBASE: Final = 3.1  # m, from which on a vehicle counts as long
+_LATERAL_ACCELERATION: Final = 3.0  # m/s² at most, to return to the path
+
+
+def set_pedals(cars: DrivenVehicles, drivers: Drivers, vehicles: Vehicles, desired: Floats, delta: float) -> None:
+    """Set throttle and brake, and count how long vehicles have been standing.
+
+    Args:
+        cars: The driven vehicles.
+        drivers: Their drivers.
+        vehicles: All vehicles.
+        desired: The desired accelerations in m/s².
+        delta: The time since the previous call, in s.
+    """
+    least = drivers.acceleration - _BRAKE_JERK * delta
+    most = np.maximum(drivers.acceleration, _RELEASE) + _JERK * delta
+    drivers.acceleration = np.minimum(np.maximum(desired, least), most)
+    throttle, brake = _pedals(vehicles, cars.rows, drivers.acceleration)
+    standing = cars.speed < _STANDING
+    drivers.standing_time = np.where(standing, drivers.standing_time + delta, 0.0)
+    held = standing & (desired < _START)
+    throttle[held], brake[held] = 0.0, _HOLD
+    vehicles.throttle[cars.rows] = throttle
+    vehicles.brake[cars.rows] = brake
+    for flag in (vehicles.hand_brake, vehicles.reverse, vehicles.manual):
+        flag[cars.rows] = False
+
+
+def _pedals(vehicles: Vehicles, rows: Integers, acceleration: Floats) -> tuple[Floats, Floats]:
+    """Return throttle and brake, from 0 to 1 each, for accelerations in m/s²; one of the two is 0."""
+    speed, mass = np.maximum(vehicles.speed[rows], 0), vehicles.mass[rows]
+    column = np.minimum((speed / SPEEDS[1]).astype(np.int64), len(SPEEDS) - 1)
+    resistance = vehicles.air[rows] * speed * speed + mass * (GRAVITY * _ROLLING_RESISTANCE)
+    coasting = mass * _COASTING - resistance
+    force = mass * acceleration
+    best = np.maximum(vehicles.best_force[rows, column], 1.0)
+    throttle = np.clip((force + resistance) / best, 0, 1)
+    brakes = np.maximum(vehicles.front_brake[rows] + vehicles.rear_brake[rows], 1.0)
+    brake = np.clip((coasting - force) / brakes, 0, 1)
+    slowing = acceleration < 0
+    return np.where(slowing, np.where(force > coasting, throttle, 0), throttle), np.where(slowing, brake, 0)
+
+
+def set_steering(cars: DrivenVehicles, drivers: Drivers, routes: Routes, network: LaneNetwork, vehicles: Vehicles) -> None:
+    """Steer the driven vehicles along their routes."""
+    front = cars.wheelbase / 2
+    ahead = np.stack((front, front + _PREVIEW * cars.speed), axis=1)
+    points = network.points(*routes.locate(ahead))
+    x, y, heading = shift_poses(drivers, routes.position, ahead, network.poses(points))
+    away_x, away_y = cars.x + front * cars.cos - x[:, 0], cars.y + front * cars.sin - y[:, 0]
+    offset = away_y * np.cos(heading[:, 0]) - away_x * np.sin(heading[:, 0])
+    angle = _steering_angle(cars, offset, heading[:, 1] - cars.yaw, network.curvature(points)[:, 1])
+    vehicles.steer[cars.rows] = np.clip(angle / vehicles.steer_limit[cars.rows], -1, 1)
+
+
+def _steering_angle(cars: DrivenVehicles, offset: Floats, heading_error: Floats, curvature: Floats) -> Floats:
+    """Return the angle of the front wheels in radians, positive to the right.
+
+    This is the control law of Stanley (Hoffmann and others, 2007). In a curve, the middle of a car runs on the path. A long
+    vehicle takes as much room on one side of the path as on the other.
+
+    Args:
+        cars: The driven vehicles.
+        offset: The offset of the front axle to the right of the path, in m.
+        heading_error: The heading of the path less that of the vehicle, in radians.
+        curvature: The curvature of the path in 1/m, positive to the right.
+    """
+    # If the rear axle runs at a radius of r, a point at a distance of d ahead of it runs at about r + d² / 2r.
+    speed, wheelbase = cars.speed, cars.wheelbase
+    axle, middle, bumper = wheelbase**2 / 2, wheelbase**2 / 8, (wheelbase / 2 + cars.half_length) ** 2 / 2
+    swing = -curvature * (axle - np.where(wheelbase < _LONG_WHEELBASE, middle, bumper / 2))
+    swing = np.clip(swing, -_MAX_SWING, _MAX_SWING)
+    correction = np.arctan2(_CROSS_TRACK_GAIN * (offset - swing), np.abs(speed) + _SOFTENING)
+    most = np.arctan(_LATERAL_ACCELERATION * wheelbase / np.maximum(speed * speed, 1.0))
+    angle: Floats = wrap_angle(heading_error) - np.clip(correction, -most, most)
+    return angle
+
+
+def wrap_angle(angle: Floats) -> Floats:
+    """Return angles in radians as equal ones within ±π."""
+    wrapped: Floats = (angle + np.pi) % (2 * np.pi) - np.pi
+    return wrapped
+
+
+def set_lights(cars: DrivenVehicles, drivers: Drivers, routes: Routes, network: LaneNetwork, vehicles: Vehicles) -> None:
+    """Switch brake lights and blinkers; other lights stay as they are."""
+    turns = network.turn[routes.lanes[:, : routes.known]]
+    near = (turns != 0) & (routes.starts[:, : routes.known] < (routes.position + cars.half_length + _INDICATION)[:, None])
+    side = np.where(near.any(axis=1), turns[np.arange(len(turns)), near.argmax(axis=1)], 0)
+    changing = (transition_progress(drivers, routes.position) < 1) & (np.abs(drivers.transition_offset) > _LANE_CHANGE)
+    side = np.where(changing, -np.sign(drivers.transition_offset), side)
+    lights = BRAKE * (vehicles.brake[cars.rows] > 0) + RIGHT_BLINKER * (side > 0) + LEFT_BLINKER * (side < 0)
+    vehicles.light_state[cars.rows] = (vehicles.light_state[cars.rows] & ~_OWN_LIGHTS) | lights.astype(np.uint32)
