@@ -169,7 +169,8 @@ class Autopilot:
         braking = drivers.desired_gap(cars.speed, cars.speed)
         queues = self._queue_ends(cars, driven)
         self._junctions.decide(self._clock.elapsed, states, cars.speed, perception, braking, queues)
-        changes = lane_changes(cars, perception, drivers, routes, network, registry.vehicles, self._decisions)
+        leader = perception.free_distance, perception.leader_speed
+        changes = lane_changes(cars, leader, drivers, routes, network, registry.vehicles, self._decisions)
         for row, lane in list(changes):
             self._change_lane(cars, row, lane)
         return perception

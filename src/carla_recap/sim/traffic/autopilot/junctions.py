@@ -85,11 +85,9 @@ class JunctionControl:
 
     def leave(self, id: int) -> None:
         """Release the reservations of a driver."""
-        for line in self._passed.pop(id, []):
-            self._reservations.release(id, line)
-        line = self._next.pop(id, None)
-        if line is not None:
-            self._reservations.release(id, line)
+        for line in (*self._passed.pop(id, []), self._next.pop(id, None)):
+            if line is not None:
+                self._reservations.release(id, line)
 
     def update_passed(self) -> None:
         """Find the next stop lines of vehicles that have passed one, and release the junctions that vehicles have left."""

@@ -20,7 +20,6 @@ if TYPE_CHECKING:
 
     from carla_recap.sim.physics.vehicles import Vehicles
     from carla_recap.sim.traffic.autopilot.drivers import DrivenVehicles, Drivers
-    from carla_recap.sim.traffic.autopilot.perception import Perception
     from carla_recap.sim.traffic.autopilot.routes import LaneNetwork, Routes
 
     Flags = NDArray[np.bool_]
@@ -116,7 +115,7 @@ def shift_poses(
 
 def lane_changes(
     cars: DrivenVehicles,
-    perception: Perception,
+    leader: tuple[Floats, Floats],
     drivers: Drivers,
     routes: Routes,
     network: LaneNetwork,
@@ -127,7 +126,7 @@ def lane_changes(
 
     Args:
         cars: The driven vehicles.
-        perception: What their drivers perceive.
+        leader: The distances to the nearest obstacles on their paths in m, and the speeds of these in m/s.
         drivers: The drivers.
         routes: Their routes.
         network: The lanes.
@@ -145,8 +144,9 @@ def lane_changes(
     able = (
         able & np.isinf(drivers.junction_end) & (np.abs(drivers.lateral_offset) < _CENTRED) & _is_straight(routes, network)
     )
-    slowed = perception.free_distance < _NEAR * drivers.desired_gap(cars.speed, cars.speed)
-    for row in np.flatnonzero(able & slowed & (perception.leader_speed < _SLOW * network.limit[lane])).tolist():
+    distance, speed = leader
+    slowed = (distance < _NEAR * drivers.desired_gap(cars.speed, cars.speed)) & (speed < _SLOW * network.limit[lane])
+    for row in np.flatnonzero(able & slowed).tolist():
         for side, other in ((-1, int(left[row])), (1, int(right[row]))):
             if other != NONE and _has_room(cars, row, side, vehicles):
                 yield row, other

@@ -1,4 +1,4 @@
-"""Stop lines on routes, and the reservations of the junctions behind them: by lights, signs, priority and order of arrival."""
+"""Stop lines on routes, and the reservations of the junctions behind them: by signs, priority and order of arrival."""
 
 from __future__ import annotations
 

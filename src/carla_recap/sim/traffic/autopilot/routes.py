@@ -32,8 +32,8 @@ _AHEAD: Final = 200.0  # m to which a route is extended when it has become short
 class LaneNetwork:
     """The lanes of a town as arrays, with a row for each lane or each of its points.
 
-    A position on a lane is given by two values: the index of the lane point at or before it, and the share of the distance to
-    the next point; `points` finds them.
+    A position on a lane is given by two values: the index of the lane point at or before it, and the share of the distance
+    to the next point; `points` finds them.
 
     Args:
         town: The town.
