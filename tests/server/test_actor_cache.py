@@ -12,12 +12,12 @@ from carla_recap.server import actor_records
 from carla_recap.server.actor_records import DestroyedActor
 from carla_recap.server.controllers import AckermannSettings
 from carla_recap.server.host import Host
-from carla_recap.sim.actors.actors import Vehicle
+from carla_recap.sim.actors.moving import Vehicle
 from carla_recap.sim.errors import DeadActor
 from tests.sim.flat import at, flat_world
 
 if TYPE_CHECKING:
-    from carla_recap.sim.actors.actors import Actor
+    from carla_recap.sim.actors.actor import Actor
 
 
 def spawned(host: Host, x: float = 0.0, role_name: str = "autopilot") -> Actor:

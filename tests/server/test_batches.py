@@ -10,13 +10,13 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from carla_recap.server.controllers import AckermannControl
-from carla_recap.sim.actors.actors import Vehicle
 from carla_recap.sim.actors.control import VehicleControl
+from carla_recap.sim.actors.moving import Vehicle
 from tests.server.inside import Inside
 from tests.server.test_actors import FAR, spawn
 
 if TYPE_CHECKING:
-    from carla_recap.sim.actors.actors import Actor
+    from carla_recap.sim.actors.actor import Actor
 
 command = carla.command
 HERE = [[500.0, 500.0, 0.0], [0.0, 0.0, 0.0]]

@@ -14,8 +14,8 @@ from carla_recap import queries
 from carla_recap.errors import RecapError
 from carla_recap.server import replies, running
 from carla_recap.sim import World, load_town
-from carla_recap.sim.actors.actors import Vehicle
 from carla_recap.sim.actors.control import VehicleControl
+from carla_recap.sim.actors.moving import Vehicle
 from carla_recap.sim.geometry import Transform
 from tests.samples import CARLA_LOGS
 

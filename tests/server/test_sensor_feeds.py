@@ -18,16 +18,16 @@ from carla_recap.server.sensors import KINDS, Support, sending
 from carla_recap.server.sensors.georeference import GeoReference
 from carla_recap.server.sensors.rays import Boxes
 from carla_recap.server.streaming.streams import Subscriber
-from carla_recap.sim.actors.actors import Vehicle
 from carla_recap.sim.actors.blueprints import standard_library
 from carla_recap.sim.actors.control import VehicleControl
+from carla_recap.sim.actors.moving import Vehicle
 from carla_recap.sim.geometry import Location, Rotation, Transform, Vector
 from tests.maps.towns import town
 from tests.sim.flat import at, flat_town, flat_world
 
 if TYPE_CHECKING:
     from carla_recap.server.sensors.feed import Feed, Tell
-    from carla_recap.sim.actors.actors import Actor
+    from carla_recap.sim.actors.actor import Actor
 
 HERE = Transform()
 HEADER = struct.Struct("<QQd6f")

@@ -22,8 +22,10 @@ from hypothesis import strategies as st
 from hypothesis.stateful import RuleBasedStateMachine, initialize, invariant, precondition, rule, run_state_machine_as_test
 from pymunk.batch import BodyFields, Buffer, get_space_bodies
 
-from carla_recap.sim.actors.actors import Actor, Mover, Prop, Sensor, Sign, Spectator, Vehicle, Walker
+from carla_recap.sim.actors.actor import Actor, Prop, Sensor, Spectator
 from carla_recap.sim.actors.control import VehicleControl, WalkerControl
+from carla_recap.sim.actors.lights import Sign
+from carla_recap.sim.actors.moving import MovingActor, Vehicle, Walker
 from carla_recap.sim.geometry import Location, Rotation, Transform, Vector
 from carla_recap.sim.town.town import load_town
 from carla_recap.sim.world import World
@@ -113,7 +115,7 @@ class WorldMachine(RuleBasedStateMachine):
     @rule(actor=actors, enabled=flags)
     def simulate_physics(self, actor: int, enabled: bool) -> None:
         self.note("simulate_physics", actor, enabled)
-        if isinstance(found := self.pick(actor), Mover):
+        if isinstance(found := self.pick(actor), MovingActor):
             found.set_simulate_physics(enabled)
 
     @rule(enabled=flags)
@@ -125,7 +127,7 @@ class WorldMachine(RuleBasedStateMachine):
     @rule(actor=actors, enabled=flags)
     def collide(self, actor: int, enabled: bool) -> None:
         self.note("collide", actor, enabled)
-        if isinstance(found := self.pick(actor), (Mover, Prop)):
+        if isinstance(found := self.pick(actor), (MovingActor, Prop)):
             found.set_collisions(enabled)
 
     @rule(actor=actors, index=indices, z=heights)
@@ -144,7 +146,7 @@ class WorldMachine(RuleBasedStateMachine):
     @rule(actor=actors, speed=st.sampled_from((-5.0, 0.0, 20.0, 90.0)))
     def push(self, actor: int, speed: float) -> None:
         self.note("push", actor, speed)
-        if isinstance(found := self.pick(actor), Mover):
+        if isinstance(found := self.pick(actor), MovingActor):
             found.set_target_velocity(Vector(speed, 0.5 * speed))
 
     @rule(actor=actors, throttle=st.sampled_from((0.0, 1.0)), steer=st.sampled_from((-1.0, 0.0)), reverse=flags)
@@ -259,7 +261,7 @@ class WorldMachine(RuleBasedStateMachine):
     def rows_agree_with_actors(self) -> None:
         for movers in (self.world.vehicles, self.world.walkers):
             self.check_rows(movers)
-        of_world = [actor for actor in self.world.actors.values() if isinstance(actor, Mover)]
+        of_world = [actor for actor in self.world.actors.values() if isinstance(actor, MovingActor)]
         assert set(of_world) == {*self.world.vehicles.actors, *self.world.walkers.actors}
 
     def check_rows(self, movers: Movers[Any]) -> None:
@@ -297,8 +299,8 @@ class WorldMachine(RuleBasedStateMachine):
     def spawned(self) -> Iterator[Actor]:
         return (actor for actor in self.world.actors.values() if not isinstance(actor, (Sign, Spectator)))
 
-    def movers(self) -> Iterator[Mover]:
-        return (actor for actor in self.spawned() if isinstance(actor, Mover))
+    def movers(self) -> Iterator[MovingActor]:
+        return (actor for actor in self.spawned() if isinstance(actor, MovingActor))
 
     def pick(self, number: int) -> Actor | None:
         found = [actor for actor in self.spawned() if not isinstance(actor, Sensor)] or list(self.spawned())

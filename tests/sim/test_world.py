@@ -14,8 +14,9 @@ import pytest
 
 from carla_recap.errors import RecapError
 from carla_recap.records import ActorKind
-from carla_recap.sim.actors.actors import Prop, Sensor, Vehicle, Walker
+from carla_recap.sim.actors.actor import Prop, Sensor
 from carla_recap.sim.actors.control import VehicleControl, WalkerControl
+from carla_recap.sim.actors.moving import Vehicle, Walker
 from carla_recap.sim.errors import DeadActor, SimError, SpawnError
 from carla_recap.sim.geometry import Location, Transform, Vector
 from carla_recap.sim.town.town import SignalKind

@@ -21,15 +21,15 @@ from carla_recap.server.rpc.structs import (
     AttributeValue,
     BoxStruct,
 )
-from carla_recap.sim.actors.actors import Sign
 from carla_recap.sim.actors.attributes import attribute_type, is_restricted
+from carla_recap.sim.actors.lights import Sign
 from carla_recap.sim.geometry import Location, Vector
 
 if TYPE_CHECKING:
     from collections.abc import Iterable
 
     from carla_recap.server.streaming.streams import Streams
-    from carla_recap.sim.actors.actors import Actor
+    from carla_recap.sim.actors.actor import Actor
     from carla_recap.sim.actors.blueprints import Blueprint, BlueprintLibrary
     from carla_recap.sim.geometry import Box, Transform
 

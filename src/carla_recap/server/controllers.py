@@ -15,7 +15,7 @@ from carla_recap.sim.geometry import Location, Transform, Vector
 from carla_recap.sim.physics.drivetrain import SPEEDS
 
 if TYPE_CHECKING:
-    from carla_recap.sim.actors.actors import Vehicle
+    from carla_recap.sim.actors.moving import Vehicle
 
 _RESPONSE: Final = 0.3  # s: the time constant of the speed
 _MOST: Final = 8.0  # m/s²: the default limit

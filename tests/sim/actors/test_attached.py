@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 import pytest
 
-from carla_recap.sim.actors.actors import Mover, Vehicle, Walker
 from carla_recap.sim.actors.control import VehicleControl
+from carla_recap.sim.actors.moving import MovingActor, Vehicle, Walker
 from carla_recap.sim.geometry import Location, Transform, Vector
 from tests.sim.flat import at, flat_world
 
@@ -109,7 +109,7 @@ def test_a_parent_that_is_put_elsewhere_takes_it_along() -> None:
     world = flat_world()
     parent = truck(world)
     car = world.spawn("vehicle.mini.cooper_s", at(-9.0), parent=parent)
-    assert isinstance(parent, Mover)
+    assert isinstance(parent, MovingActor)
     parent.transform = at(500.0, 20.0, yaw=90.0)
     world.tick()
     assert car.transform.location.distance(parent.transform.transform(Location(-9.0))) < 1e-6

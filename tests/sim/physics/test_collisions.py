@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 import pytest
 
-from carla_recap.sim.actors.actors import Vehicle, Walker
 from carla_recap.sim.actors.control import VehicleControl, WalkerControl
+from carla_recap.sim.actors.moving import Vehicle, Walker
 from carla_recap.sim.geometry import Vector
 from tests.sim.flat import at, flat_world, light
 

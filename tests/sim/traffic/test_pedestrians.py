@@ -7,13 +7,13 @@ from typing import TYPE_CHECKING
 import numpy as np
 import pytest
 
-from carla_recap.sim.actors.actors import Vehicle, Walker
 from carla_recap.sim.actors.control import WalkerControl
+from carla_recap.sim.actors.lights import GREEN, RED
+from carla_recap.sim.actors.moving import Vehicle, Walker
 from carla_recap.sim.errors import SimError
 from carla_recap.sim.geometry import Location, Vector
 from carla_recap.sim.town.paths import Paths
 from carla_recap.sim.town.town import WalkwayGraph
-from carla_recap.sim.traffic.lights import GREEN, RED
 from tests.sim.flat import at, flat_world, light
 
 if TYPE_CHECKING:

@@ -10,8 +10,10 @@ from carla_recap.server.attributes import check_attributes
 from carla_recap.server.client import Client
 from carla_recap.server.rpc.registry import CallError, call
 from carla_recap.server.rpc.structs import ActorDescription, ActorRecord, BoxStruct
-from carla_recap.sim.actors.actors import Actor, Mover, Prop, Sign, Vehicle, Walker
+from carla_recap.sim.actors.actor import Actor, Prop
 from carla_recap.sim.actors.control import VehicleControl
+from carla_recap.sim.actors.lights import Sign
+from carla_recap.sim.actors.moving import MovingActor, Vehicle, Walker
 from carla_recap.sim.geometry import Location, Transform, Vector
 from carla_recap.sim.validation import expect_place, expect_push, expect_turning, expect_velocity
 
@@ -80,13 +82,13 @@ def set_actor_location(client: Client, id: int, location: Location) -> None:
 @call
 def set_actor_target_velocity(client: Client, id: int, velocity: Vector) -> None:
     """Set the velocity of a vehicle or walker, in m/s."""
-    expect(client, id, Mover).set_target_velocity(velocity)
+    expect(client, id, MovingActor).set_target_velocity(velocity)
 
 
 @call
 def set_actor_target_angular_velocity(client: Client, id: int, velocity: Vector) -> None:
     """Set the angular velocity of a vehicle, in degrees/s about z; a walker turns as it walks."""
-    mover = expect(client, id, Mover)
+    mover = expect(client, id, MovingActor)
     expect_turning(f"the angular velocity of {mover!r}", velocity)
     if isinstance(mover, Vehicle):
         rows, row = mover.rows, mover.row
@@ -111,13 +113,13 @@ def disable_actor_constant_velocity(client: Client, id: int) -> None:
 @call
 def add_actor_impulse(client: Client, id: int, impulse: Vector) -> None:
     """Apply an impulse to an actor, in N s and the world's axes."""
-    _apply_impulse(expect(client, id, Mover), impulse)
+    _apply_impulse(expect(client, id, MovingActor), impulse)
 
 
 @call
 def add_actor_impulse_at_location(client: Client, id: int, impulse: Vector, location: Location) -> None:
     """Apply an impulse to an actor at a location, in N s and m and the world's axes."""
-    mover = expect(client, id, Mover)
+    mover = expect(client, id, MovingActor)
     _apply_angular_impulse(mover, _angular_impulse(mover, location, impulse))
     _apply_impulse(mover, impulse)
 
@@ -125,7 +127,7 @@ def add_actor_impulse_at_location(client: Client, id: int, impulse: Vector, loca
 @call
 def add_actor_force(client: Client, id: int, force: Vector) -> None:
     """Apply a force to an actor during the next tick, in N and the world's axes."""
-    _apply_impulse(expect(client, id, Mover), _during_tick(client, force))
+    _apply_impulse(expect(client, id, MovingActor), _during_tick(client, force))
 
 
 @call
@@ -137,20 +139,20 @@ def add_actor_force_at_location(client: Client, id: int, force: Vector, location
 @call
 def add_actor_angular_impulse(client: Client, id: int, impulse: Vector) -> None:
     """Apply an angular impulse to a vehicle, in kg m² degrees/s about z."""
-    _apply_angular_impulse(expect(client, id, Mover), impulse.z)
+    _apply_angular_impulse(expect(client, id, MovingActor), impulse.z)
 
 
 @call
 def add_actor_torque(client: Client, id: int, torque: Vector) -> None:
     """Apply a torque to a vehicle during the next tick, in kg m² degrees/s² about z."""
-    _apply_angular_impulse(expect(client, id, Mover), _during_tick(client, torque).z)
+    _apply_angular_impulse(expect(client, id, MovingActor), _during_tick(client, torque).z)
 
 
 @call
 def set_actor_simulate_physics(client: Client, id: int, enabled: bool) -> None:
     """Switch the physics of an actor on or off; this has no effect on destroyed and static actors."""
     actor = client.host.known_actor(id)
-    if isinstance(actor, Mover) and actor.is_alive:
+    if isinstance(actor, MovingActor) and actor.is_alive:
         actor.set_simulate_physics(enabled)
 
 
@@ -158,7 +160,7 @@ def set_actor_simulate_physics(client: Client, id: int, enabled: bool) -> None:
 def set_actor_enable_gravity(client: Client, id: int, enabled: bool) -> None:
     """Switch the gravity of a vehicle or walker on or off; without it, the actor keeps its height and has no grip."""
     actor = client.host.known_actor(id)
-    if isinstance(actor, Mover) and actor.is_alive:
+    if isinstance(actor, MovingActor) and actor.is_alive:
         actor.set_enable_gravity(enabled)
 
 
@@ -166,7 +168,7 @@ def set_actor_enable_gravity(client: Client, id: int, enabled: bool) -> None:
 def set_actor_collisions(client: Client, id: int, enabled: bool) -> None:
     """Switch the collisions of an actor on or off; this has no effect on destroyed actors and those without a body."""
     actor = client.host.known_actor(id)
-    if isinstance(actor, (Mover, Prop)) and actor.is_alive:
+    if isinstance(actor, (MovingActor, Prop)) and actor.is_alive:
         actor.set_collisions(enabled)
 
 
@@ -216,7 +218,7 @@ def expect(client: Client, id: int, kind: type[A]) -> A:
     """
     actor = client.host.actor(id)
     if not isinstance(actor, kind):
-        expected = "vehicle or walker" if kind is Mover else kind.__name__
+        expected = "vehicle or walker" if kind is MovingActor else kind.__name__
         raise CallError(f"actor {id} is a {actor.type_id}; a {expected} was expected")
     return actor
 
@@ -228,7 +230,7 @@ def _movable(client: Client, id: int) -> Actor:
     return actor
 
 
-def _apply_impulse(mover: Mover, impulse: Vector) -> None:
+def _apply_impulse(mover: MovingActor, impulse: Vector) -> None:
     """Change the velocity of an actor by an impulse, in N s."""
     mass = mover.rows.mass[mover.row].item()
     expect_push(f"an impulse on {mover!r}", impulse, mass)
@@ -239,7 +241,7 @@ def _apply_impulse(mover: Mover, impulse: Vector) -> None:
         mover.set_target_velocity(Vector(velocity.x + impulse.x / mass, velocity.y + impulse.y / mass, velocity.z))
 
 
-def _apply_angular_impulse(mover: Mover, impulse: float) -> None:
+def _apply_angular_impulse(mover: MovingActor, impulse: float) -> None:
     """Change the angular velocity of a vehicle by an angular impulse, in kg m² degrees/s."""
     if isinstance(mover, Vehicle):
         change = impulse / mover.rows.moment[mover.row].item()
@@ -247,7 +249,7 @@ def _apply_angular_impulse(mover: Mover, impulse: float) -> None:
         mover.rows.turning[mover.row] += radians(change)
 
 
-def _angular_impulse(mover: Mover, location: Location, impulse: Vector) -> float:
+def _angular_impulse(mover: MovingActor, location: Location, impulse: Vector) -> float:
     """Return the angular impulse about z of an impulse at a location, in kg m² degrees/s."""
     expect_place(f"the location of an impulse on {mover!r}", location)
     centre = mover.transform.location

@@ -15,8 +15,8 @@ from carla_recap.server.client import Client
 from carla_recap.server.controllers import AckermannControl, AckermannSettings
 from carla_recap.server.rpc.registry import CallError, call
 from carla_recap.server.rpc.structs import Telemetry, VehicleLightState, WheelTelemetry
-from carla_recap.sim.actors.actors import Vehicle, Walker
 from carla_recap.sim.actors.control import VehicleControl, WalkerControl
+from carla_recap.sim.actors.moving import Vehicle, Walker
 from carla_recap.sim.geometry import Location, Transform, Vector
 from carla_recap.sim.physics.drivetrain import GRAVITY
 from carla_recap.sim.physics.physics_control import PhysicsControl

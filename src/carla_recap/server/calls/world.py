@@ -12,7 +12,9 @@ from carla_recap.server.client import Client
 from carla_recap.server.rpc.registry import CallError, call
 from carla_recap.server.rpc.structs import BoxStruct, EnvironmentObject, LabelledPoint
 from carla_recap.server.sensors.rays import Boxes
-from carla_recap.sim.actors.actors import Mover, Prop, Sign, TrafficLight
+from carla_recap.sim.actors.actor import Prop
+from carla_recap.sim.actors.lights import Sign, TrafficLight
+from carla_recap.sim.actors.moving import MovingActor
 from carla_recap.sim.geometry import Location, Vector
 from carla_recap.sim.physics.drivetrain import GRAVITY
 from carla_recap.sim.validation import expect_place
@@ -22,7 +24,7 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    from carla_recap.sim.actors.actors import Actor
+    from carla_recap.sim.actors.actor import Actor
     from carla_recap.sim.world import World
 
     Floats = NDArray[np.float64]
@@ -178,7 +180,7 @@ def _ray(world: World, start: Location, end: Location) -> list[LabelledPoint]:
 
 
 def _actor_hits(world: World, origin: Floats, direction: Floats, reach: float) -> Iterator[tuple[float, int]]:
-    left: list[Actor] = [actor for actor in world.actors.values() if isinstance(actor, (Mover, Prop))]
+    left: list[Actor] = [actor for actor in world.actors.values() if isinstance(actor, (MovingActor, Prop))]
     while left:
         hits = Boxes(left).cast(origin, direction[None], reach)
         if not len(hits.box):

@@ -11,7 +11,7 @@ from carla_recap.server.sensors.feed import number
 
 if TYPE_CHECKING:
     from carla_recap.server.sensors.feed import Feed, Make, Tell
-    from carla_recap.sim.actors.actors import Actor
+    from carla_recap.sim.actors.actor import Actor
 
 _SIDES: Final = ("image_size_x", "image_size_y")
 # width, height, field of view in degrees

@@ -10,7 +10,7 @@ if TYPE_CHECKING:
     from collections.abc import Iterable
 
     from carla_recap.server.sensors.feed import Feed, Tell
-    from carla_recap.sim.actors.actors import Actor
+    from carla_recap.sim.actors.actor import Actor
 
 
 def collisions(sensor: Actor, tell: Tell) -> Feed:

@@ -15,7 +15,7 @@ if TYPE_CHECKING:
     from collections.abc import Iterable
 
     from carla_recap.server.sensors.feed import Feed, Tell
-    from carla_recap.sim.actors.actors import Actor
+    from carla_recap.sim.actors.actor import Actor
 
 _GRAVITY: Final = (0.0, 0.0, 9.81)  # m/s²: what rests feels itself pushed upwards
 _NORTH: Final = radians(-90.0)  # the yaw of the compass's north in CARLA

@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 
     from carla_recap.server.sensors.feed import Feed, Tell
     from carla_recap.server.sensors.rays import Hits
-    from carla_recap.sim.actors.actors import Actor
+    from carla_recap.sim.actors.actor import Actor
 
     Floats = NDArray[np.float64]
     Points = Callable[[Actor, Boxes, Hits, Floats], NDArray[np.void]]

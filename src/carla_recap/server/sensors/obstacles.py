@@ -9,14 +9,14 @@ import pymunk
 
 from carla_recap.server.sensors.feed import flag, number
 from carla_recap.server.sensors.rays import Boxes, row, seen_by
-from carla_recap.sim.actors.actors import Mover
+from carla_recap.sim.actors.moving import MovingActor
 from carla_recap.sim.physics.plane import WALL
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator
 
     from carla_recap.server.sensors.feed import Feed, Tell
-    from carla_recap.sim.actors.actors import Actor
+    from carla_recap.sim.actors.actor import Actor
 
 _WALLS: Final = pymunk.ShapeFilter(mask=WALL)
 
@@ -39,7 +39,7 @@ def obstacles(sensor: Actor, tell: Tell) -> Feed:
 
 
 def _actors(sensor: Actor, reach: float, radius: float, *, only_dynamics: bool) -> Iterator[tuple[float, int | None]]:
-    actors = [actor for actor in seen_by(sensor) if not only_dynamics or isinstance(actor, Mover)]
+    actors = [actor for actor in seen_by(sensor) if not only_dynamics or isinstance(actor, MovingActor)]
     boxes = Boxes(actors, margin=radius)
     place = sensor.transform
     hits = boxes.cast(row(place.location), row(place.forward())[None], reach)

@@ -16,7 +16,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from carla_recap.server.sensors.feed import Feed, Tell
-    from carla_recap.sim.actors.actors import Actor
+    from carla_recap.sim.actors.actor import Actor
 
     Floats = NDArray[np.float64]
 

@@ -7,14 +7,15 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
-from carla_recap.sim.actors.actors import Mover, Prop
+from carla_recap.sim.actors.actor import Prop
+from carla_recap.sim.actors.moving import MovingActor
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Sequence
 
     from numpy.typing import NDArray
 
-    from carla_recap.sim.actors.actors import Actor
+    from carla_recap.sim.actors.actor import Actor
     from carla_recap.sim.geometry import Location, Transform, Vector
 
     Floats = NDArray[np.float64]
@@ -45,7 +46,11 @@ def seen_by(sensor: Actor) -> list[Actor]:
         carrier = carrier.parent
     own = _family(carrier)
     others = sensor.context.actors.values()
-    return [other for other in others if isinstance(other, (Mover, Prop)) and other.box.extent.length() and other not in own]
+    return [
+        other
+        for other in others
+        if isinstance(other, (MovingActor, Prop)) and other.box.extent.length() and other not in own
+    ]
 
 
 def _family(actor: Actor) -> set[Actor]:

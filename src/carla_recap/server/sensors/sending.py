@@ -21,7 +21,7 @@ if TYPE_CHECKING:
     from carla_recap.server.sensors.feed import Feed
     from carla_recap.server.sensors.kinds import Kind
     from carla_recap.server.streaming.streams import Streams
-    from carla_recap.sim.actors.actors import Actor
+    from carla_recap.sim.actors.actor import Actor
     from carla_recap.sim.world import World
 
 _LOG: Final = logging.getLogger("carla_recap.server")

@@ -8,16 +8,16 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
-from carla_recap.sim.actors.actors import Mover, Sign, TrafficLight
+from carla_recap.sim.actors.lights import GREEN, Sign, TrafficLight
+from carla_recap.sim.actors.moving import MovingActor
 from carla_recap.sim.town.rules import NO_LIGHT, Rules
-from carla_recap.sim.traffic.lights import GREEN
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Sequence
 
     from numpy.typing import NDArray
 
-    from carla_recap.sim.actors.actors import Actor
+    from carla_recap.sim.actors.actor import Actor
     from carla_recap.sim.geometry import Transform
     from carla_recap.sim.physics.movers import Movers
     from carla_recap.sim.world import World
@@ -151,7 +151,7 @@ class SnapshotEncoder:
     def _assemble(self, actors: list[Actor]) -> None:
         world = self._world
         signs = [actor for actor in actors if isinstance(actor, Sign) and not isinstance(actor, TrafficLight)]
-        self._others = [actor for actor in actors if not isinstance(actor, (Mover, Sign))]
+        self._others = [actor for actor in actors if not isinstance(actor, (MovingActor, Sign))]
         self._tracker = LaneTracker(world)
         self._arrays = [
             _blank(VEHICLE, world.vehicles.actors),
