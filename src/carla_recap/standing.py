@@ -28,6 +28,8 @@ TRANSFORMS: Final = "transforms"
 TYPES: Final = ("spawned", "destroyed", TRANSFORMS)
 """The record types that tell of it."""
 
+_WALKER: Final = "walker."
+_LYING: Final = 60.0  # degrees of pitch or roll: a walker that is turned farther lies
 _ROUNDING: Final = 1e-6  # more than sums of the lengths of frames ever differ by, as a share
 _PACKETS: Final = 64  # so many, or so many records, are taken together
 _RECORDS: Final = 1 << 17
@@ -75,8 +77,9 @@ class _Actor:
 class Standing:
     """Follows the actors through the frames of a recording.
 
-    An actor stands still while it stays within a distance of the place where it last moved to. The actors of a
-    transforms packet are taken together as a `_Group`, which is kept for as long as the packets list the same ids.
+    An actor stands still while it stays within a distance of the place where it last moved to; a walker that lies on the
+    ground does not stand. The actors of a transforms packet are taken together as a `_Group`, which is kept for as long as
+    the packets list the same ids.
 
     Args:
         table: The record types of the recording.
@@ -226,7 +229,8 @@ class Standing:
         if self._group is None or self._group.key != key:
             self._put_back()
             actors = [self._actor(id) for id in records["id"].tolist()]
-            self._group = _Group(key, actors, self._min_time, self._square_of_reach)
+            walkers = [] if self._compat else [n for n, actor in enumerate(actors) if actor.type_id.startswith(_WALKER)]
+            self._group = _Group(key, actors, walkers, self._min_time, self._square_of_reach)
         return self._group
 
     def _put_back(self) -> None:
@@ -245,13 +249,17 @@ class _Group:
     Args:
         key: Their ids, as bytes.
         actors: The actors.
+        walkers: The numbers of those that do not stand when they lie.
         min_time: The shortest stretch to tell of, in seconds.
         square_of_reach: See `_square_of_reach`.
     """
 
-    def __init__(self, key: bytes, actors: list[_Actor], min_time: float, square_of_reach: np.floating[Any]) -> None:
+    def __init__(
+        self, key: bytes, actors: list[_Actor], walkers: list[int], min_time: float, square_of_reach: np.floating[Any]
+    ) -> None:
         self.key = key
         self._actors = actors
+        self._walkers = np.array(walkers, np.intp)
         self._min_time = min_time
         self._square_of_reach = square_of_reach
         self._places = np.array([actor.place for actor in actors], square_of_reach.dtype).T.copy()
@@ -307,6 +315,9 @@ class _Group:
             paths[axis] = records[name].reshape(count, size)
         steps = paths - self._places[:, None]
         still = _squares(steps, tuple(steps)) < self._square_of_reach
+        lying = self._lying(records.reshape(count, size))
+        if lying is not None:
+            still &= ~lying
         movers = np.flatnonzero(~still.all(axis=0))
         if not len(movers):
             return []
@@ -314,14 +325,28 @@ class _Group:
         moves = np.empty((count, len(movers)), np.bool_)
         reach, steps = np.full(len(movers), self._square_of_reach), np.empty_like(places)
         axes = tuple(steps)
-        for now, moved in zip(paths, moves, strict=True):
+        for number, (now, moved) in enumerate(zip(paths, moves, strict=True)):
             np.subtract(now, places, steps)
             np.less(_squares(steps, axes), reach, moved)
             np.logical_not(moved, moved)  # so that what is not a number moves
+            if lying is not None:
+                moved |= lying[number, movers]
             np.copyto(places, now, where=moved)
         ended = self._end(first, movers, moves, paths)
         self._places[:, movers] = places
         return ended
+
+    def _lying(self, records: NDArray[np.void]) -> NDArray[np.bool_] | None:
+        """Return which walkers lie on the ground, (packets, actors); None if none does."""
+        if not len(self._walkers):
+            return None
+        pitch, roll = (records[angle][:, self._walkers] for angle in ("pitch", "roll"))
+        some = (np.abs(pitch) > _LYING) | (np.abs(roll) > _LYING)
+        if not some.any():
+            return None
+        lying = np.zeros(records.shape, np.bool_)
+        lying[:, self._walkers] = some
+        return lying
 
     def put_back(self) -> None:
         """Bring the actors up to date."""

@@ -290,3 +290,15 @@ def test_by_definition(
     with np.errstate(all="ignore"):
         wanted = by_definition(reader, min_time, min_distance, compat=compat)
     assert [(row.start, row.duration, row.id, row.type_id) for row in rows] == wanted
+
+
+def test_a_walker_that_lies_on_the_ground_is_not_blocked(make: Make) -> None:
+    def lying(*turned: int) -> dict[str, Any]:
+        return {"transforms": [(id, 5, 0, 0, *((90, 0, 0) if id in turned else (0, 0, 0))) for id in (1, 2, 3)]}
+
+    spawned = {"spawned": [spawn(1, "walker.pedestrian.0001"), spawn(2), spawn(3, "walker.pedestrian.0002")], **lying()}
+    frames = [spawned, *[lying()] * 2, *[lying(1, 2)] * 3]
+    durations = [1.0] * len(frames)
+    rows = [(row.id, row.start, row.duration) for row in blocked(make(*frames, durations=durations), 2)]
+    assert rows == [(2, 0.0, 6.0), (3, 0.0, 6.0), (1, 0.0, 3.0)]
+    assert [row.duration for row in blocked(make(*frames, durations=durations), 2, compat=True)] == [6.0] * 3

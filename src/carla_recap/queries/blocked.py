@@ -24,9 +24,9 @@ def blocked(
 ) -> Blocked:
     """The actors that stood still.
 
-    An actor stands still while it stays within a distance of the place where it last moved to. Everything
-    that has a recorded transform counts: vehicles, walkers, props, the spectator. On MCAP, the answer for the usual
-    distance is read from the events alone.
+    An actor stands still while it stays within a distance of the place where it last moved to. Everything that has a
+    recorded transform counts: vehicles, walkers, props, the spectator; but no walker that was hit and lies on the ground
+    (with `compat`, it does). On MCAP, the answer for the usual distance is read from the events alone.
 
     Args:
         source: The recording.

@@ -8,12 +8,15 @@ from typing import TYPE_CHECKING
 import numpy as np
 import pytest
 
+from carla_recap import open_recording
 from carla_recap.sim.actors.control import VehicleControl, WalkerControl
 from carla_recap.sim.actors.moving import Vehicle, Walker
 from carla_recap.sim.geometry import Vector
 from tests.sim.flat import at, flat_world, light
 
 if TYPE_CHECKING:
+    from pathlib import Path
+
     from carla_recap.sim.actors.events import Collision
     from carla_recap.sim.world import World
 
@@ -231,3 +234,17 @@ def test_a_walker_that_is_hit_lies_on_its_face_or_on_its_back(yaw: float, pitch:
     assert walker.transform.location.z == pytest.approx(walker.box.extent.x, abs=0.01)
     low, high = walker.heights()
     assert (low, high) == pytest.approx((0.0, 2 * walker.box.extent.x), abs=0.02)
+
+
+def test_a_walker_that_lies_is_recorded_as_lying_and_not_blocked(tmp_path: Path) -> None:
+    world = flat_world()
+    walker = world.spawn("walker.pedestrian.0001", at(20.0, z=0.9))
+    car(world, 5.0, 10.0)
+    for suffix in (".mcap", ".log"):
+        path = world.start_recorder(tmp_path / f"hit{suffix}")
+        world.run(50.0)
+        world.stop_recorder()
+        with open_recording(path) as recording:
+            assert walker.id not in {row.id for row in recording.blocked(30.0)}
+            last = list(recording.reader.frames(("transforms",)))[-1].packets[0].records
+            assert last["pitch"][last["id"] == walker.id] == -90

@@ -477,3 +477,8 @@ def test_a_damaged_town_is_loaded_or_refused(tmp_path: Path, seed: int) -> None:
         odd = load_town(path)
         assert np.isfinite(odd.index.points).all()
         assert np.isfinite(odd.walks.nodes).all()
+
+
+def test_yaws_of_spawn_points_are_within_180_degrees(any_town: Town) -> None:
+    yaws = [point.rotation.yaw for point in any_town.spawn_points]
+    assert all(-180 < yaw <= 180 for yaw in yaws)

@@ -261,9 +261,14 @@ def _spawn_points(lane: Lane) -> list[Transform]:
     at = np.arange(_FROM_ENDS, lane.length - _FROM_ENDS, _APART)
     columns = [np.interp(at, lane.s, column).tolist() for column in (*lane.points.T, lane.heading)]
     return [
-        Transform(Location(x, y, z + _ABOVE), Rotation(yaw=float(np.degrees(heading))))
+        Transform(Location(x, y, z + _ABOVE), Rotation(yaw=_wrapped(np.degrees(heading).item())))
         for x, y, z, heading in zip(*columns, strict=True)
     ]
+
+
+def _wrapped(degrees: float) -> float:
+    """Return an angle within -180 and 180 degrees."""
+    return degrees if -180 < degrees <= 180 else 180 - (180 - degrees) % 360
 
 
 def _lane(row: dict[str, Any], rows: Floats) -> Lane:
