@@ -38,8 +38,13 @@ def flag(sensor: Actor, key: str) -> bool:
     return sensor.attributes.get(key, "").lower() in ("true", "1")
 
 
+def random_numbers(sensor: Actor) -> np.random.Generator:
+    """Return the random numbers of a sensor: the same ones for the same `noise_seed`, in every episode, as with CARLA."""
+    return np.random.default_rng(abs(int(number(sensor, "noise_seed"))))
+
+
 class Noise:
-    """What is wrong with what a sensor measures: always the same for the same seed and id.
+    """What is wrong with what a sensor measures: always the same for the same seed.
 
     Args:
         sensor: The sensor, whose attribute `noise_seed` is the seed.
@@ -50,7 +55,7 @@ class Noise:
     def __init__(self, sensor: Actor, bias: Iterable[str], deviation: Iterable[str]) -> None:
         self._bias = np.array([number(sensor, key) for key in bias])
         self._deviation = np.array([abs(number(sensor, key)) for key in deviation])
-        self._random = np.random.default_rng((abs(int(number(sensor, "noise_seed"))), sensor.id))
+        self._random = random_numbers(sensor)
 
     def upon(self, values: NDArray[np.float64]) -> list[float]:
         """Values, and what is wrong with them."""

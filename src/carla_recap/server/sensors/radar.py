@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
-from carla_recap.server.sensors.feed import number
+from carla_recap.server.sensors.feed import number, random_numbers
 from carla_recap.server.sensors.rays import Boxes, axes, row, rows, seen_by
 
 if TYPE_CHECKING:
@@ -27,7 +27,7 @@ def radar(sensor: Actor, tell: Tell) -> Feed:
     """For each detection: velocity in m/s (positive: it goes away), azimuth and altitude in radians, depth in m."""
     width, height = (tan(radians(min(number(sensor, f"{way}_fov"), 179.0)) / 2) for way in ("horizontal", "vertical"))
     reach = number(sensor, "range")
-    random = np.random.default_rng(sensor.id)
+    random = random_numbers(sensor)
 
     def frames() -> Iterable[bytes]:
         count = int(np.clip(number(sensor, "points_per_second") * sensor.context.clock.delta, 0, _MOST))
