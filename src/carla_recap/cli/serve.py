@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import asyncio
 import sys
 import warnings
 from contextlib import nullcontext
@@ -52,6 +51,8 @@ def serve(
     attached: bool,
 ) -> None:
     """Serve a simulated town to CARLA's own client."""
+    import asyncio  # which takes longer to import than a small recording to read
+
     from carla_recap.server.host import Host
     from carla_recap.server.quirks import busy_polling_loop
     from carla_recap.server.serving import serve as serve_clients

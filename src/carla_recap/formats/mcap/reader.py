@@ -9,7 +9,6 @@ import itertools
 import math
 import warnings
 from collections import deque
-from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final, NamedTuple
 
@@ -346,6 +345,8 @@ class McapReader:
         if not ahead or len(chunks) < 2:
             yield from map(self._open, chunks)
             return
+        from concurrent.futures import ThreadPoolExecutor  # a small recording has no second chunk
+
         with ThreadPoolExecutor(1, "carla-recap-reader") as pool:
             coming = pool.submit(self._open, chunks[0])
             for chunk in chunks[1:]:
