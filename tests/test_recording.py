@@ -315,7 +315,7 @@ def test_answers_become_arrow_tables(recording):
 )
 def test_without_the_extra_it_is_named(recording, monkeypatch, method, package, extra):
     monkeypatch.setitem(sys.modules, package, None)
-    with pytest.raises(MissingExtra, match=rf"pip install 'carla-recap\[{extra}\]'"):
+    with pytest.raises(MissingExtra, match=rf"pip install '\.\[{extra}\]'"):
         getattr(recording.trajectory(HERO), method)()
 
 

@@ -90,5 +90,5 @@ def test_a_package_that_is_missing_is_named(monkeypatch, table, method, package,
     monkeypatch.setitem(sys.modules, package, None)
     with pytest.raises(MissingExtra) as caught:
         getattr(table, method)()
-    message = f"{method}() needs an optional dependency: pip install 'carla-recap[{extra}]'"
+    message = f"{method}() needs an optional dependency: pip install '.[{extra}]' in a clone of carla-recap"
     assert str(caught.value) == message

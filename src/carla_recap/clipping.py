@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Final, NamedTuple
 
 from carla_recap.conversion import check_destination
-from carla_recap.errors import RecapError, RecapWarning
+from carla_recap.errors import MissingExtra, RecapError, RecapWarning
 from carla_recap.folders import check_folder, new_folder
 from carla_recap.formats import SUFFIXES, create_writer, open_reader
 from carla_recap.frame import LAST_FRAME_DURATION, Extent, Frame
@@ -110,7 +110,7 @@ def clips(
     before: float = 5.0,
     after: float = 5.0,
     suffix: str = ".mcap",
-    rerun: bool = True,
+    rerun: bool | None = None,
     road_map: RoadMap | None = None,
     limit: int = 100,
     force: bool = False,
@@ -131,7 +131,7 @@ def clips(
         before: How many seconds before an incident a clip begins.
         after: How many seconds after it a clip ends.
         suffix: The format of the clips: .mcap or .log.
-        rerun: Write the .rrd files.
+        rerun: Write the .rrd files; None: if Rerun is installed.
         road_map: The map of the town, to be drawn in the .rrd files.
         limit: Of more incidents than that, only the first ones get a clip; a warning says so.
         force: Write into a folder that is not empty, over files of the same names.
@@ -139,10 +139,16 @@ def clips(
 
     Raises:
         RecapError: The folder is not empty, a time or suffix makes no sense, or the source is damaged.
-        MissingExtra: Rerun is not installed.
+        MissingExtra: The .rrd files were asked for, and Rerun is not installed.
     """
-    if rerun:
-        from carla_recap.export.rerun import export_rerun  # before any work is done, should it be missing
+    if rerun is not False:
+        try:
+            from carla_recap.export.rerun import export_rerun  # before any work is done, should it be missing
+        except MissingExtra:
+            if rerun:
+                raise
+        else:
+            rerun = True
     if not (0 <= before < math.inf and 0 <= after < math.inf):
         raise RecapError(
             f"clips from {before:g} s before to {after:g} s after an incident cannot be cut; 0 or more were expected"

@@ -53,7 +53,7 @@ class MissingExtra(RecapError):
     """An optional dependency is not installed.
 
     Args:
-        what: The thing that needs it.
+        what: The feature that was asked for.
         extra: The extra of this package that brings it.
     """
 
@@ -63,7 +63,7 @@ class MissingExtra(RecapError):
         self.extra = extra
 
     def __str__(self) -> str:
-        return f"{self.what} needs an optional dependency: pip install 'carla-recap[{self.extra}]'"
+        return f"{self.what} needs an optional dependency: pip install '.[{self.extra}]' in a clone of carla-recap"
 
 
 class RecapWarning(UserWarning):

@@ -18,6 +18,13 @@ def readable(text: str) -> str:
     return _UTF8.sub(lambda match: match[1] or b"?", text.encode("utf-8", "surrogateescape")).decode()
 
 
+def visible(text: str) -> str:
+    """Return a text without anything that a terminal would act on: such characters become escape sequences."""
+    if text.isprintable():
+        return text
+    return "".join(c if c.isprintable() else c.encode("unicode_escape").decode() for c in text)
+
+
 _SUSPECT: Final = re.compile(r"[\udc80-\udcff\ufffe\uffff]")
 _UTF8: Final = re.compile(
     rb"""(

@@ -25,6 +25,11 @@ ENVIRONMENT = {
 Done = subprocess.CompletedProcess[bytes]
 
 
+def before_others(folder: Path) -> str:
+    """The path on which Python looks for packages, with a folder in front."""
+    return os.pathsep.join(filter(None, (str(folder), ENVIRONMENT.get("PYTHONPATH"))))
+
+
 def run(*arguments: object, **options: Any) -> Done:
     """Run the command, with its output in pipes."""
     command = [COMMAND, *map(os.fspath, map(_as_path, arguments))]

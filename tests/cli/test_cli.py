@@ -163,6 +163,26 @@ def test_carla_takes_a_negative_time():
     assert "'--min-time': '-1'" in error("blocked", CROSSING, "--min-time", "-1")
 
 
+@pytest.mark.parametrize("command", [["info"], ["info", "--compat"], ["collisions"], ["blocked"], ["actors"]], ids=" ".join)
+def test_text_on_a_terminal_does_not_steer_it(evil, command):
+    name, *rest = command
+    code, shown, _ = on_terminal(name, evil, "--text", *rest)
+    assert code == 0
+    assert all(line.isprintable() for line in shown.split("\n"))
+    assert "\\x1b]0;evil\\x07\\x1b[31m\\x9b2J" in shown
+    assert EVIL in answer(name, evil, "--text", *rest)  # in a pipe the bytes are as they are
+
+
+def test_errors_name_options(tmp_path):
+    (tmp_path / "there.log").touch()
+    message = error("convert", CROSSING, tmp_path / "there.log")
+    assert message == f"{tmp_path / 'there.log'}: exists already; --force overwrites it"
+    (tmp_path / "folder").mkdir()
+    (tmp_path / "folder" / "a").touch()
+    message = error("clips", CROSSING, tmp_path / "folder")
+    assert message == f"{tmp_path / 'folder'}: is not empty; --force writes over what it has of the same names"
+
+
 # --- JSON --------------------------------------------------------------------------------------------------
 
 
@@ -546,6 +566,15 @@ def test_help_imports_nothing_heavy():
     heavy = {"google", "mcap", "numpy", "pandas", "pyarrow", "rich", "zstandard"}
     for arguments in (["--help"], ["info", "--help"], ["--version"]):
         assert not imported(*arguments) & heavy
+
+
+@pytest.mark.parametrize("command", ["info", "collisions", "blocked", "actors", "incidents"])
+def test_a_query_imports_what_it_uses(command):
+    """A small recording is read in less time than some packages take to import."""
+    unused = {"asyncio", "rich", "ssl"}
+    threads = {"concurrent", "logging"}  # for chunks that are read ahead
+    assert not imported(command, CROSSING) & (unused | threads | {"google", "mcap", "zstandard"})
+    assert not imported(command, CROSSING.with_name("crash.mcap")) & (unused if command == "incidents" else unused | threads)
 
 
 def test_a_query_of_a_log_imports_what_it_needs():

@@ -11,7 +11,7 @@ import pytest
 from mcap.reader import make_reader
 
 from carla_recap import open_recording
-from tests.cli.command import COMMAND, CROSSING, ENVIRONMENT, TIMEOUT, error, on_terminal, run, the_line
+from tests.cli.command import COMMAND, CROSSING, ENVIRONMENT, TIMEOUT, before_others, error, on_terminal, run, the_line
 from tests.maps.towns import town
 from tests.samples import carla_log, reading
 
@@ -135,6 +135,21 @@ def test_clips(tmp_path):
     assert "is not empty" in error("clips", CROSSING, tmp_path / "clips")
 
 
+@pytest.mark.parametrize("option", [None, "--no-rrd", "--rrd"])
+def test_clips_need_no_rerun(tmp_path, option):
+    (tmp_path / "rerun.py").write_text("raise ImportError('no rerun here')")
+    environment = ENVIRONMENT | {"PYTHONPATH": before_others(tmp_path)}
+    command = [COMMAND, "clips", CROSSING, tmp_path / "clips", *filter(None, [option])]
+    done = subprocess.run(command, env=environment, capture_output=True, timeout=TIMEOUT, check=False)
+    if option == "--rrd":
+        assert done.returncode == 2
+        assert "pip install '.[rerun]'" in the_line(done.stderr)
+        return
+    assert done.returncode == 0
+    assert b"pip" not in done.stderr
+    assert {path.suffix for path in (tmp_path / "clips").iterdir()} == {".mcap"}
+
+
 # --- pictures, the page, the viewer ----------------------------------------------------------------------------
 
 
@@ -172,19 +187,21 @@ def test_without_a_display_the_viewer_says_what_to_do(monkeypatch):
 
 def test_without_the_extra_there_is_one_line(tmp_path):
     (tmp_path / "rerun.py").write_text("raise ImportError('no rerun here')")
-    environment = ENVIRONMENT | {"PYTHONPATH": str(tmp_path)}
+    environment = ENVIRONMENT | {"PYTHONPATH": before_others(tmp_path)}
     command = [COMMAND, "export", CROSSING, tmp_path / "out.rrd"]
     done = subprocess.run(command, env=environment, capture_output=True, timeout=TIMEOUT, check=False)
     assert done.returncode == 2
-    assert the_line(done.stderr) == "an export to Rerun needs an optional dependency: pip install 'carla-recap[rerun]'"
+    assert the_line(done.stderr) == (
+        "carla-recap export needs an optional dependency: pip install '.[rerun]' in a clone of carla-recap"
+    )
 
 
 def test_without_the_maps_extra_the_rest_is_shown(tmp_path):
     (tmp_path / "carla.py").write_text("raise ImportError('no carla here')")
-    environment = ENVIRONMENT | {"PYTHONPATH": str(tmp_path), "CARLA_RECAP_MAPS": str(town("Town01").parent)}
+    environment = ENVIRONMENT | {"PYTHONPATH": before_others(tmp_path), "CARLA_RECAP_MAPS": str(town("Town01").parent)}
     command = [COMMAND, "export", carla_log(REAL), tmp_path / "out.rrd", "--duration", "0.1"]
     done = subprocess.run(command, env=environment, capture_output=True, timeout=TIMEOUT, check=False)
     assert done.returncode == 0
     warning, written = done.stderr.decode().splitlines()
-    assert "pip install 'carla-recap[carla]'" in warning
+    assert "pip install '.[carla]'" in warning
     assert written.startswith(str(tmp_path / "out.rrd"))

@@ -152,4 +152,6 @@ def test_a_picture_that_fails_leaves_the_one_before(crossing, tmp_path, monkeypa
 def test_without_rerun_the_error_names_the_extra():
     code = "import sys; sys.modules['rerun'] = None; import carla_recap.export.snapshot"
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=30)
-    assert done.stderr.splitlines()[-1].endswith("needs an optional dependency: pip install 'carla-recap[rerun]'")
+    assert done.stderr.splitlines()[-1].endswith(
+        "needs an optional dependency: pip install '.[rerun]' in a clone of carla-recap"
+    )

@@ -112,4 +112,10 @@ def test_without_rerun_it_says_so() -> None:
     code = "import sys; sys.modules['rerun'] = None; from carla_recap.cli import main; main()"
     done = subprocess.run([sys.executable, "-c", code, "serve", "--rerun"], capture_output=True, text=True, timeout=60)
     assert (done.returncode, done.stderr.count("\n")) == (2, 1)
-    assert "pip install 'carla-recap[rerun]'" in done.stderr
+    assert "pip install '.[rerun]'" in done.stderr
+
+
+def test_without_physics_it_asks_for_the_server() -> None:
+    code = "import sys; sys.modules['pymunk'] = None; from carla_recap.cli import main; main()"
+    done = subprocess.run([sys.executable, "-c", code, "serve"], capture_output=True, text=True, timeout=60)
+    assert done.stderr.startswith("carla-recap: carla-recap serve needs an optional dependency: pip install '.[server]'")

@@ -6,6 +6,7 @@ Exit codes: 0; 1 if an assertion fails (`--max-rows`); 2 for bad input, with one
 from __future__ import annotations
 
 import atexit
+import re
 import signal
 import sys
 import warnings
@@ -16,16 +17,32 @@ import click
 from carla_recap.cli import capture, files, queries, serve, show, simulate
 from carla_recap.cli.output import log_to_stderr, say, warn
 from carla_recap.ending import ENDING, handled, heeded, is_ending
-from carla_recap.errors import RecapError, RecapWarning
+from carla_recap.errors import MissingExtra, RecapError, RecapWarning
 
 if TYPE_CHECKING:
     from types import FrameType
 
+_IN_PYTHON = re.compile(r" \(in Python, [^)]*\)")  # what errors say for callers of the package
 BAD_INPUT = 2
 INTERRUPTED = 130
 
 
-@click.group(context_settings={"help_option_names": ["-h", "--help"]})
+class _Commands(click.Group):
+    """The commands; of one that lacks an extra, the error names what was asked for and all that it needs."""
+
+    def invoke(self, ctx: click.Context) -> object:
+        try:
+            return super().invoke(ctx)
+        except MissingExtra as error:
+            extra = _EXTRAS.get((str(ctx.invoked_subcommand), error.extra), error.extra)
+            raise MissingExtra(f"carla-recap {ctx.invoked_subcommand}", extra) from None
+
+
+_EXTRAS = {("serve", "sim"): "server"}
+"""By command and missing extra, the extra that brings all that the command needs."""
+
+
+@click.group(cls=_Commands, context_settings={"help_option_names": ["-h", "--help"]})
 @click.version_option(package_name="carla-recap", prog_name="carla-recap")
 def cli() -> None:
     """Recordings of the driving simulator CARLA, without the simulator.
@@ -52,7 +69,7 @@ def main() -> None:
     try:
         sys.exit(cli(standalone_mode=False))
     except RecapError as error:
-        _fail(str(error))
+        _fail(_IN_PYTHON.sub("", str(error)))
     except click.exceptions.NoArgsIsHelpError as error:
         error.show()
         sys.exit(BAD_INPUT)

@@ -65,7 +65,7 @@ def clip(source: str, destination: str, force: bool, start: float, duration: flo
 @click.option(
     "--format", "suffix", type=click.Choice(["mcap", "log"]), default="mcap", show_default=True, help="Of the clips."
 )
-@click.option("--rrd/--no-rrd", default=True, show_default=True, help="Write an .rrd beside each clip.")
+@click.option("--rrd/--no-rrd", default=None, help="Write an .rrd beside each clip; by default if Rerun is installed.")
 @options.min_time
 @options.min_distance
 @options.deceleration
@@ -80,7 +80,7 @@ def clips(
     blocked: bool,
     braking: bool,
     suffix: str,
-    rrd: bool,
+    rrd: bool | None,
     road_map: str | None,
     **which: Any,
 ) -> None:
@@ -92,7 +92,7 @@ def clips(
 
     every = not (collisions or blocked or braking)
     with open_recording(source) as recording:
-        roads = road_map_of(recording, road_map) if rrd else None
+        roads = road_map_of(recording, road_map) if rrd is not False else None
     written = run(
         source,
         folder,

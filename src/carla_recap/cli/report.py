@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from carla_recap.queries.report import json, table, text
+from carla_recap.texts import visible
 
 if TYPE_CHECKING:
     from collections.abc import Iterable
@@ -30,10 +31,16 @@ def show(answer: Any, form: str | None, max_rows: int | None = None) -> None:
     if form == "table":
         table(answer)
     else:
-        _print(json(answer) if form == "json" else text(answer))
+        pieces = json(answer) if form == "json" else text(answer)
+        _print(map(_shown, pieces) if sys.stdout.isatty() else pieces)
     if max_rows is not None and len(answer) > max_rows:
         click.echo(f"carla-recap: {len(answer)} rows, at most {max_rows} were allowed", err=True)
         sys.exit(TOO_MANY)
+
+
+def _shown(piece: str) -> str:
+    """Return some lines of a report for a terminal: whatever could control it is an escape sequence."""
+    return "\n".join(map(visible, piece.split("\n")))
 
 
 def _print(pieces: Iterable[str]) -> None:

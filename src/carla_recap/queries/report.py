@@ -16,7 +16,7 @@ from carla_recap.queries.info import Info, InfoRow
 from carla_recap.queries.lines import number
 from carla_recap.queries.text import local_date, text
 from carla_recap.records import NO_ACTOR
-from carla_recap.texts import readable
+from carla_recap.texts import readable, visible
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Iterator
@@ -93,7 +93,7 @@ def table(answer: AnyAnswer, console: Console | None = None) -> None:
 
     console = console or Console()
     header = answer.header
-    console.print(Text(f"{_visible(header.map_name)}, {local_date(header.date)}, version {header.version}"))
+    console.print(Text(f"{visible(header.map_name)}, {local_date(header.date)}, version {header.version}"))
     count = 0
     rows = iter(answer)
     while page := list(islice(rows, _PAGE if isinstance(answer, Info) else None)):
@@ -117,15 +117,8 @@ def _print_page(console: Console, columns: Iterable[_Column], rows: list[Any], *
         justify: Any = "right" if column.is_number else "left"
         page.add_column(column.heading, justify=justify, width=column.width, overflow="fold")
     for row in rows:
-        page.add_row(*(Text(_visible(column.cell(row))) for column in columns))
+        page.add_row(*(Text(visible(column.cell(row))) for column in columns))
     console.print(page)
-
-
-def _visible(text: str) -> str:
-    """A text without anything that a terminal would act on."""
-    if text.isprintable():
-        return text
-    return "".join(c if c.isprintable() else c.encode("unicode_escape").decode() for c in text)
 
 
 def _seconds(value: float) -> str:
