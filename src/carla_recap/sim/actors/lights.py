@@ -24,16 +24,17 @@ if TYPE_CHECKING:
 
 RED, YELLOW, GREEN, OFF, UNKNOWN = range(5)
 GREEN_TIME, YELLOW_TIME, RED_TIME = 10.0, 3.0, 2.0
-"""How long a light is green and yellow, and then all are red, in s: CARLA's defaults."""
+"""CARLA's default durations in s: of green, of yellow, and of red for all after that."""
 _ROUNDING: Final = 1e-9  # s
 _ACROSS: Final = 90.0
 """Degrees: CARLA turns its lights and signs so much further than the signals of the map, with x across the road."""
 
 
 class Signals:
-    """The lights as a struct of arrays; row i is `world.traffic_lights[i]`.
+    """The traffic lights as a struct of arrays; row i is `World.traffic_lights[i]`.
 
-    A phase is the lights of a junction that are green together. Its times are those of its first light.
+    A group is the lights of a junction; a phase is those of them that are green together. Its times are those of its first
+    light.
 
     Args:
         town: The town.
@@ -41,12 +42,12 @@ class Signals:
     Attributes:
         signal: The index of each light among the town's signals, (n,).
         state: 0 red, 1 yellow, 2 green, 3 off, 4 unknown, (n,).
-        elapsed: For how long each has been in its state, in s.
-        frozen: Whether its time stands still.
-        green_time: How long it is green, in s.
-        yellow_time: How long it is yellow, in s.
-        red_time: How long all are red after it, in s.
-        held: Whether somebody else says what all of them show, as a replay does: time then does nothing.
+        elapsed: How long each has been in its state, in s.
+        frozen: Whether its time is stopped.
+        green_time: The duration of green in s.
+        yellow_time: The duration of yellow in s.
+        red_time: The time after yellow in which all lights of its group are red, in s.
+        held: Whether a replay sets the states, which then do not change with time.
     """
 
     def __init__(self, town: Town) -> None:
@@ -75,7 +76,7 @@ class Signals:
         return len(self.signal)
 
     def step(self, seconds: float) -> None:
-        """Let time pass."""
+        """Advance the cycles by a tick of a length in s."""
         if self.held:
             return
         self.elapsed += seconds * ~self.frozen
@@ -99,37 +100,37 @@ class Signals:
         return states
 
     def group_of(self, row: int) -> list[int]:
-        """The rows of the lights that take turns with a light, itself included."""
+        """Return the rows of the lights in the group of a light, itself included."""
         return sorted(row for phase in self._groups[self._group_of[row]] for row in phase)
 
     def set_state(self, row: int, state: int) -> None:
-        """Show something until the group changes the light the next time."""
+        """Set the state of a light until its group changes it the next time."""
         if state != self.state[row]:
             self.elapsed[row] = 0.0
         self.state[row] = state
 
     def freeze(self, row: int, frozen: bool) -> None:
-        """Stop the time of a light's group, or let it go on."""
+        """Stop the time of a light's group, or continue it."""
         group = self._group_of[row]
         self._halted[group] = frozen
         self.frozen[self.group_of(row)] = frozen
 
     def freeze_all(self, frozen: bool) -> None:
-        """Stop the time of all lights, or let it go on."""
+        """Stop the time of all lights, or continue it."""
         self._halted[:] = frozen
         self.frozen[:] = frozen
 
     def reset(self, row: int) -> None:
-        """Let the group of a light begin its cycle again."""
+        """Restart the cycle of a light's group."""
         self._enter(int(self._group_of[row]), 0, GREEN)
 
     def reset_all(self) -> None:
-        """Let all groups begin their cycles again."""
+        """Restart the cycles of all groups."""
         for number in range(len(self._groups)):
             self._enter(number, 0, GREEN)
 
     def _enter(self, number: int, phase: int, stage: int) -> None:
-        """Begin a stage of a group's cycle: a phase is green, then yellow, then red like the others."""
+        """Begin a stage of a group's cycle: one phase is green, then yellow, then red like the others."""
         group = self._groups[number]
         self._phase[number], self._stage[number], self._clock[number] = phase, stage, 0.0
         self._leader[number] = group[phase][0]
@@ -138,14 +139,14 @@ class Signals:
                 self.set_state(row, stage if other == phase else RED)
 
     def _grouped(self, town: Town) -> list[list[list[int]]]:
-        """The rows of the lights by group and phase; who is in none takes turns with itself."""
+        """Return the rows of the lights by group and phase; a light without a junction is a group of its own."""
         row_of = {index: row for row, index in enumerate(self.signal.tolist())}
         groups = [[[row_of[index] for index in phase] for phase in j.phases] for j in town.junctions if j.phases]
         grouped = {row for group in groups for phase in group for row in phase}
         return groups + [[[row]] for row in row_of.values() if row not in grouped]
 
     def _lanes(self, town: Town) -> Integers:
-        """The rows of the lights that govern each lane, filled up with a row beyond the last, (lanes, most)."""
+        """Return the rows of the lights that govern each lane, padded with a row beyond the last, (lanes, most)."""
         governing: list[list[int]] = [[] for _ in town.lanes]
         for row, index in enumerate(self.signal.tolist()):
             signal = town.signals[index]
@@ -174,7 +175,7 @@ class Sign(Actor):
     """A stop, yield or speed-limit sign.
 
     Attributes:
-        signal: What the town says of it.
+        signal: The signal of the town that it stands for.
     """
 
     def __init__(self, context: ActorContext, id: int, blueprint: Blueprint, signal: Signal) -> None:
@@ -200,7 +201,7 @@ class TrafficLight(Sign):
 
     @property
     def state(self) -> int:
-        """0 red, 1 yellow, 2 green, 3 off, 4 unknown; setting it lasts until the group's next change."""
+        """The state: 0 red, 1 yellow, 2 green, 3 off, 4 unknown. Setting it lasts until the group's next change."""
         return int(self._signals.state[self.row])
 
     @state.setter
@@ -209,12 +210,12 @@ class TrafficLight(Sign):
         self._signals.set_state(self.row, state)
 
     def set_state(self, state: int) -> None:
-        """See `state`."""
+        """Set the state; see `state`."""
         self.state = state
 
     @property
     def elapsed_time(self) -> float:
-        """For how long it has had its state, in s."""
+        """The time that it has been in its state, in s."""
         return float(self._signals.elapsed[self.row])
 
     @elapsed_time.setter
@@ -224,7 +225,7 @@ class TrafficLight(Sign):
 
     @property
     def frozen(self) -> bool:
-        """Whether the time of its group stands still."""
+        """Whether the time of its group is stopped."""
         return bool(self._signals.frozen[self.row])
 
     @frozen.setter
@@ -232,12 +233,12 @@ class TrafficLight(Sign):
         self._signals.freeze(self.row, frozen)
 
     def freeze(self, frozen: bool = True) -> None:
-        """Stop the time of its group, or let it go on."""
+        """Stop the time of its group, or continue it."""
         self.frozen = frozen
 
     @property
     def green_time(self) -> float:
-        """How long it is green, in s."""
+        """The duration of green in s."""
         return float(self._signals.green_time[self.row])
 
     @green_time.setter
@@ -246,7 +247,7 @@ class TrafficLight(Sign):
 
     @property
     def yellow_time(self) -> float:
-        """How long it is yellow, in s."""
+        """The duration of yellow in s."""
         return float(self._signals.yellow_time[self.row])
 
     @yellow_time.setter
@@ -255,7 +256,7 @@ class TrafficLight(Sign):
 
     @property
     def red_time(self) -> float:
-        """How long all are red after it, in s."""
+        """The time after yellow in which all lights of its group are red, in s."""
         return float(self._signals.red_time[self.row])
 
     @red_time.setter
@@ -264,17 +265,17 @@ class TrafficLight(Sign):
 
     @property
     def group(self) -> list[TrafficLight]:
-        """All lights that take turns with it, itself included."""
+        """The traffic lights of its junction, itself included."""
         lights = self.context.traffic_lights
         return [lights[row] for row in self._signals.group_of(self.row)]
 
     def reset_group(self) -> None:
-        """Let its group begin its cycle again."""
+        """Restart the cycle of its group."""
         self._signals.reset(self.row)
 
     @property
     def affected_lanes(self) -> tuple[tuple[int, float], ...]:
-        """The lanes that it governs, and how far along each one stops, in m."""
+        """The lanes that it governs, and the distance of the stop line along each, in m."""
         return self.signal.stops
 
     def _set_time(self, name: str, seconds: float) -> None:

@@ -86,12 +86,12 @@ class MovingActor(Actor):
 
     @property
     def rows(self) -> Movers:
-        """The struct of arrays that it is in."""
+        """The struct of arrays that it is a row of."""
         raise NotImplementedError
 
     @property
     def row(self) -> int:
-        """Its row there.
+        """Its row in `rows`.
 
         Raises:
             DeadActor: It has been destroyed.
@@ -101,9 +101,9 @@ class MovingActor(Actor):
 
     @property
     def transform(self) -> Transform:
-        """Where it is in the world: a copy. Setting it puts it elsewhere, at the speed that it has.
+        """A copy of its transform in the world. Setting it moves the actor, which keeps its speed.
 
-        Of an attached one, it is set relative to its parent.
+        That of an attached one is set relative to its parent.
         """
         if not self.is_alive:
             return self._transform.copy()
@@ -124,26 +124,26 @@ class MovingActor(Actor):
 
     @property
     def velocity(self) -> Vector:
-        """In m/s."""
+        """Its velocity in m/s."""
         return self._vector("velocity")
 
     @property
     def angular_velocity(self) -> Vector:
-        """In degrees/s."""
+        """Its angular velocity in degrees/s."""
         return self._vector("angular_velocity")
 
     @property
     def acceleration(self) -> Vector:
-        """In m/s²."""
+        """Its acceleration in m/s²."""
         return self._vector("acceleration")
 
     @property
     def simulates_physics(self) -> bool:
-        """Whether forces move it; else it stays where it is put."""
+        """Whether forces move it; else it stays where it is placed."""
         return bool(self.rows.simulated[self.row])
 
     def set_simulate_physics(self, enabled: bool = True) -> None:
-        """Let forces move it, or have it stay where it is put; an attached one goes where its parent does."""
+        """Let forces move it, or keep it where it is placed; an attached one follows its parent."""
         self.rows.set_simulated(self.row, enabled and self.parent is None)
 
     def set_enable_gravity(self, enabled: bool = True) -> None:
@@ -152,17 +152,17 @@ class MovingActor(Actor):
         self.rows.unsettled[self.row] = True
 
     def set_collisions(self, enabled: bool = True) -> None:
-        """Let it touch others, or pass through them; an attached one always passes."""
+        """Let it collide with others, or pass through them; an attached one always passes."""
         rows = self.rows
         rows.plane.set_touching(rows.bodies[self.row], self._group, enabled and self.parent is None)
 
     def set_target_velocity(self, velocity: Vector) -> None:
-        """Give it a velocity in m/s, from which it goes on."""
+        """Set its velocity in m/s, from which physics continues."""
         expect_velocity(f"the velocity of {self!r}", velocity)
         self.rows.set_velocity(self.row, velocity.x, velocity.y, velocity.z)
 
     def follow_parent(self, parent: Actor) -> None:
-        """Go where a parent has gone that it is fixed to, and as fast."""
+        """Take over position and motion from the parent that it is attached to."""
         place, velocity = attached_transform(parent, self._transform), parent.velocity
         turning, acceleration = parent.angular_velocity, parent.acceleration
         rows, row = self.rows, self.row
@@ -196,7 +196,7 @@ class Vehicle(MovingActor):
 
     @property
     def control(self) -> VehicleControl:
-        """What its driver does: a copy; setting it is `apply_control`."""
+        """A copy of its control; setting it is `apply_control`."""
         rows, row = self.rows, self.row
         return VehicleControl(
             rows.throttle[row].item(),
@@ -213,13 +213,12 @@ class Vehicle(MovingActor):
         self.apply_control(control)
 
     def apply_control(self, control: VehicleControl) -> None:
-        """Tell its driver what to do from now on.
+        """Set the control that applies from now on.
 
-        Throttle and brake beyond 0 to 1, and steering beyond -1 to 1, count as these; the gear counts where it is shifted
-        by hand.
+        Throttle and brake are limited to 0 to 1, steering to -1 to 1; the gear only counts with manual gear shift.
 
         Raises:
-            SimError: A number is none, or there is no such gear.
+            SimError: A number is not finite, or there is no such gear.
         """
         expect_finite(f"the control of {self!r}", control.throttle, control.steer, control.brake)
         if control.manual_gear_shift:
@@ -255,7 +254,7 @@ class Vehicle(MovingActor):
         self.set_autopilot(enabled)
 
     def set_autopilot(self, enabled: bool = True) -> None:
-        """Have the autopilot drive it, or leave it to its controls."""
+        """Let the autopilot drive it, or leave it to its control."""
         row = self.row
         if enabled:
             self.context.traffic.start_autopilot()
@@ -263,12 +262,12 @@ class Vehicle(MovingActor):
 
     @property
     def gears(self) -> int:
-        """How many forward gears it has."""
+        """The number of forward gears."""
         return len(self._physics_control.forward_gears)
 
     @property
     def physics_control(self) -> PhysicsControl:
-        """How it moves: a copy; set it to change anything."""
+        """A copy of its physics control; set it to change anything."""
         return deepcopy(self._physics_control)
 
     @physics_control.setter
@@ -285,7 +284,7 @@ class Vehicle(MovingActor):
         self.rows.set_physics(self.row, self._physics_control, self.box)
 
     def add_impulse(self, impulse: Vector) -> None:
-        """Push it: N s, in the world."""
+        """Apply an impulse in N s, in the axes of the world."""
         rows, row = self.rows, self.row
         expect_push(f"an impulse on {self!r}", impulse, rows.mass[row].item())
         change = np.zeros((len(rows), 2))
@@ -293,7 +292,7 @@ class Vehicle(MovingActor):
         rows.kick(change)
 
     def add_force(self, force: Vector) -> None:
-        """Push it during the next tick: N, in the world."""
+        """Apply a force in N during the next tick, in the axes of the world."""
         rows, row = self.rows, self.row
         seconds = self.context.settings.fixed_delta_seconds or self.context.clock.delta
         impulse = Vector(force.x * seconds, force.y * seconds, force.z * seconds)
@@ -321,7 +320,7 @@ class Walker(MovingActor):
 
     @property
     def control(self) -> WalkerControl:
-        """Where it is told to walk: a copy; setting it is `apply_control`."""
+        """A copy of its control; setting it is `apply_control`."""
         rows, row = self.rows, self.row
         return WalkerControl(Vector(*rows.direction[row].tolist()), rows.speed[row].item(), rows.jump[row].item())
 
@@ -330,7 +329,7 @@ class Walker(MovingActor):
         self.apply_control(control)
 
     def apply_control(self, control: WalkerControl) -> None:
-        """Have it walk in a direction; a destination is forgotten."""
+        """Let it walk in a direction; its destination is cleared."""
         direction = control.direction
         expect_velocity(f"the direction of {self!r}", direction)
         expect_velocity(f"the speed of {self!r}", Vector(control.speed))
@@ -344,7 +343,7 @@ class Walker(MovingActor):
 
     @property
     def destination(self) -> Location | None:
-        """Where it walks by itself; None where it does not. Setting it has it walk there, and then on to other places."""
+        """Where it walks by itself, or None. Setting it lets it find its way there, and then on to other places."""
         return self.context.traffic.pedestrians.destination(self.id)
 
     @destination.setter

@@ -1,10 +1,10 @@
-"""Walkers that find their way: along sidewalks, and over crossings when cars have to wait or are far."""
+"""Pedestrian navigation: along sidewalks, over crossings when cars have to wait or are far, and around standing vehicles."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass, field
 from itertools import pairwise
-from math import dist
+from math import copysign, dist
 from typing import TYPE_CHECKING, Final
 
 import numpy as np
@@ -13,50 +13,55 @@ from carla_recap.sim.actors.lights import OFF, RED
 from carla_recap.sim.errors import SimError
 from carla_recap.sim.geometry import Location
 from carla_recap.sim.town.paths import Paths
-from carla_recap.sim.traffic.avoidance import evade
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from carla_recap.sim.actors.moving import Walker
     from carla_recap.sim.actors.registry import ActorRegistry
+    from carla_recap.sim.physics.vehicles import Vehicles
 
     Floats = NDArray[np.float64]
+    Integers = NDArray[np.int64]
+    Waypoint = tuple[float, float]
 
-_USUAL_SPEED: Final = {"child": 1.3}  # m/s by age, of walkers whose attribute `speed` is 0; that of all others:
+_SPEED_BY_AGE: Final = {"child": 1.3}  # m/s, of walkers whose attribute `speed` is 0; that of all others:
 _ADULT_SPEED: Final = 1.4  # m/s
 _TINY: Final = 1e-9  # m
-_NEAR: Final = 0.3  # m: so near a corner of the way counts as reached
-_GAP: Final = 4.0  # s: no car may reach a crossing sooner than that when one steps on it
-_BESIDE: Final = 3.0  # m: cars so far beside a crossing pass it
-_MOVING: Final = 0.5  # m/s: slower cars are letting walkers pass
+_REACHED: Final = 0.3  # m from a waypoint
+_TIME_GAP: Final = 4.0  # s: a walker steps on a crossing if no car reaches it sooner
+_BESIDE: Final = 3.0  # m beside a crossing, where cars pass it
+_MOVING: Final = 0.5  # m/s: slower cars let walkers pass
+_LOOK_AHEAD: Final = 0.6  # m
+_MARGIN: Final = 0.45  # m between the centre of a walker and a vehicle
+_STANDING: Final = 0.3  # m/s: walkers go around slower vehicles
 
 
 @dataclass(slots=True)
-class _Mind:
-    """What a walker is up to.
+class _Journey:
+    """The journey of a walker to its destination.
 
     Attributes:
-        place: Where it walks.
-        speed: How fast, in m/s.
-        kerb: The latest corner of its way.
-        corners: Those that lie ahead.
-        crossings: Which of them are reached over a crossing.
-        waits: Whether it waits at the kerb.
-        turn: Which way it walks around a vehicle; see `evade`.
+        destination: The destination.
+        speed: The walking speed in m/s.
+        last: The waypoint that was reached last.
+        waypoints: The waypoints ahead.
+        crossings: Whether each of these is reached over a crossing.
+        waits: Whether the walker waits before a crossing.
+        side: The side on which it passes a vehicle; see `_avoid`.
     """
 
-    place: Location
+    destination: Location
     speed: float
-    kerb: tuple[float, float] = (0.0, 0.0)
-    corners: list[tuple[float, float]] = field(default_factory=list)
+    last: Waypoint = (0.0, 0.0)
+    waypoints: list[Waypoint] = field(default_factory=list)
     crossings: list[bool] = field(default_factory=list)
     waits: bool = False
-    turn: int = 0
+    side: int = 0
 
 
 class PedestrianNavigation:
-    """Leads walkers that have destinations; a controller of the world.
+    """Steers the walkers that have destinations; a controller of the world.
 
     Args:
         registry: The actors.
@@ -69,104 +74,103 @@ class PedestrianNavigation:
         self._town = registry.town
         self._graph = self._town.walks
         self._paths = Paths(self._graph)
-        self._crossing = {
-            frozenset(edge) for edge, over in zip(self._graph.edges.tolist(), self._graph.crossing, strict=True) if over
-        }
-        self._lanes: dict[tuple[tuple[float, float], tuple[float, float]], NDArray[np.int64]] = {}
-        self._minds: dict[int, _Mind] = {}
+        edges = zip(self._graph.edges.tolist(), self._graph.crossing, strict=True)
+        self._crossings = {frozenset(edge) for edge, is_crossing in edges if is_crossing}
+        self._lanes: dict[tuple[Waypoint, Waypoint], Integers] = {}
+        self._journeys: dict[int, _Journey] = {}
 
     def destination(self, walker: int) -> Location | None:
         """Return the destination of a walker; None if it has none."""
-        mind = self._minds.get(walker)
-        return None if mind is None else mind.place
+        journey = self._journeys.get(walker)
+        return None if journey is None else journey.destination
 
     def clear_destination(self, walker: int) -> None:
         """Leave a walker to its control."""
-        self._minds.pop(walker, None)
+        self._journeys.pop(walker, None)
 
     def set_destination(self, walker: Walker, place: Location) -> None:
-        """Have a walker walk somewhere, and then on to other places.
+        """Let a walker find its way to a place, and then on to random ones.
 
         Raises:
-            SimError: The town has no sidewalks, or none leads there.
+            SimError: The town has no sidewalks, or none leads to that place.
         """
         if not len(self._graph.nodes):
             raise SimError(f"{self._town.name} has no sidewalks: walkers can only be steered")
-        here = walker.transform.location
-        path = self._paths.find(self._paths.nearest(here.x, here.y), self._paths.nearest(place.x, place.y))
+        start = walker.transform.location
+        path = self._paths.find(self._paths.nearest(start.x, start.y), self._paths.nearest(place.x, place.y))
         if not path:
-            raise SimError(f"no sidewalk leads from ({here.x:.1f}, {here.y:.1f}) to ({place.x:.1f}, {place.y:.1f})")
-        usual = _USUAL_SPEED.get(walker.attributes.get("age", ""), _ADULT_SPEED)
-        mind = _Mind(Location(place.x, place.y, place.z), float(walker.attributes.get("speed") or 0) or usual)
-        self._lead(mind, path)
-        self._minds[walker.id] = mind
+            raise SimError(f"no sidewalk leads from ({start.x:.1f}, {start.y:.1f}) to ({place.x:.1f}, {place.y:.1f})")
+        usual = _SPEED_BY_AGE.get(walker.attributes.get("age", ""), _ADULT_SPEED)
+        journey = _Journey(Location(place.x, place.y, place.z), float(walker.attributes.get("speed") or 0) or usual)
+        self._set_path(journey, path)
+        self._journeys[walker.id] = journey
 
     def random_place(self) -> Location:
-        """Somewhere on a sidewalk."""
-        return self._place(int(self._random.integers(len(self._graph.nodes))))
+        """Return a random place on a sidewalk."""
+        return self._node(int(self._random.integers(len(self._graph.nodes))))
 
     def step(self, delta: float) -> None:
-        """Turn everybody towards the next corner of the way."""
-        self._minds = {id: mind for id, mind in self._minds.items() if self._can_walk(id)}
-        if not self._minds:
+        """Set the directions and speeds of the walkers, for a tick of a length in s."""
+        self._journeys = {id: journey for id, journey in self._journeys.items() if self._can_walk(id)}
+        if not self._journeys:
             return
-        walkers, minds = self._registry.walkers, list(self._minds.values())
-        rows = np.searchsorted(walkers.id, list(self._minds))
-        speed = np.array([mind.speed for mind in minds])
-        places = walkers.position[rows, :2]
-        ahead = np.array([mind.corners[0] for mind in minds]) - places
-        arrived = np.hypot(*ahead.T) <= np.maximum(_NEAR, speed * delta)
+        walkers, journeys = self._registry.walkers, list(self._journeys.values())
+        rows = np.searchsorted(walkers.id, list(self._journeys))
+        speed = np.array([journey.speed for journey in journeys])
+        positions = walkers.position[rows, :2]
+        direction = np.array([journey.waypoints[0] for journey in journeys]) - positions
+        arrived = np.hypot(*direction.T) <= np.maximum(_REACHED, speed * delta)
         for index in np.flatnonzero(arrived).tolist():
-            self._go_on(minds[index])
-            ahead[index] = minds[index].corners[0] - places[index]
-        for mind in minds:
-            mind.waits = mind.waits and not self._is_safe(mind.kerb, mind.corners[0])
-        ahead /= np.maximum(np.hypot(*ahead.T), _TINY)[:, None]
-        self._evade(minds, places, ahead)
-        stands = np.array([mind.waits for mind in minds]) | ~ahead.any(axis=1)
-        walkers.direction[rows[~stands], :2] = ahead[~stands]
+            self._advance(journeys[index])
+            direction[index] = journeys[index].waypoints[0] - positions[index]
+        for journey in journeys:
+            journey.waits = journey.waits and not self._is_safe(journey.last, journey.waypoints[0])
+        direction /= np.maximum(np.hypot(*direction.T), _TINY)[:, None]
+        self._avoid_vehicles(journeys, positions, direction)
+        stands = np.array([journey.waits for journey in journeys]) | ~direction.any(axis=1)
+        walkers.direction[rows[~stands], :2] = direction[~stands]
         walkers.speed[rows] = np.where(stands, 0.0, speed)
 
-    def _evade(self, minds: list[_Mind], places: Floats, ahead: Floats) -> None:
-        """Have those that are on a crossing not walk into vehicles; changes where they walk."""
-        on_road = [index for index, mind in enumerate(minds) if mind.crossings[0] and not mind.waits]
+    def _avoid_vehicles(self, journeys: list[_Journey], positions: Floats, direction: Floats) -> None:
+        """Change the directions of walkers on crossings, so that they do not walk into vehicles."""
+        on_road = [index for index, journey in enumerate(journeys) if journey.crossings[0] and not journey.waits]
         if not on_road:
             return
-        turns = np.array([minds[index].turn for index in on_road])
-        ahead[on_road] = evade(places[on_road], ahead[on_road], turns, self._registry.vehicles)
-        for index, turn in zip(on_road, turns.tolist(), strict=True):
-            minds[index].turn = turn
+        sides = np.array([journeys[index].side for index in on_road])
+        direction[on_road] = _avoid(positions[on_road], direction[on_road], sides, self._registry.vehicles)
+        for index, side in zip(on_road, sides.tolist(), strict=True):
+            journeys[index].side = side
 
     def _can_walk(self, walker: int) -> bool:
         walkers = self._registry.walkers
         return walker in self._registry.actors and not walkers.fallen[walkers.row(walker)]
 
-    def _go_on(self, mind: _Mind) -> None:
-        """Let a walker that is at a corner turn to the next one; at its destination, to another one."""
-        mind.kerb = mind.corners.pop(0)
-        mind.crossings.pop(0)
-        if not mind.corners:
-            here = self._paths.nearest(*mind.kerb)
-            there = int(self._random.choice(self._paths.reachable(here)))
-            mind.place = self._place(there)
-            self._lead(mind, self._paths.find(here, there))
-        mind.waits, mind.turn = mind.crossings[0], 0
+    def _advance(self, journey: _Journey) -> None:
+        """Turn from a waypoint that is reached to the next one; from the destination, to another destination."""
+        journey.last = journey.waypoints.pop(0)
+        journey.crossings.pop(0)
+        if not journey.waypoints:
+            start = self._paths.nearest(*journey.last)
+            goal = int(self._random.choice(self._paths.reachable(start)))
+            journey.destination = self._node(goal)
+            self._set_path(journey, self._paths.find(start, goal))
+        journey.waits, journey.side = journey.crossings[0], 0
 
-    def _lead(self, mind: _Mind, path: list[int]) -> None:
-        mind.corners = [(x, y) for x, y, _ in self._graph.nodes[path].tolist()]
-        mind.crossings = [False, *(frozenset(pair) in self._crossing for pair in pairwise(path))]
+    def _set_path(self, journey: _Journey, path: list[int]) -> None:
+        journey.waypoints = [(x, y) for x, y, _ in self._graph.nodes[path].tolist()]
+        journey.crossings = [False, *(frozenset(edge) in self._crossings for edge in pairwise(path))]
 
-    def _place(self, node: int) -> Location:
+    def _node(self, node: int) -> Location:
         return Location(*self._graph.nodes[node].tolist())
 
-    def _is_safe(self, start: tuple[float, float], end: tuple[float, float]) -> bool:
-        """Whether the lanes of a crossing have red, or no light, and no car comes."""
+    def _is_safe(self, start: Waypoint, end: Waypoint) -> bool:
+        """Return whether the lanes of a crossing have red or no light, and no car approaches."""
         if (start, end) not in self._lanes:
             share = np.linspace(0, 1, max(2, int(2 * dist(start, end))))[:, None]
-            places = np.array(start) + share * (np.array(end) - start)
-            self._lanes[start, end] = np.unique(self._town.nearest_lane(*places.T)[0])
-        shown = self._registry.signals.state_of_lane(self._lanes[start, end])
-        return bool(((shown == RED) | (shown == OFF)).all()) and not self._is_approached(np.array((start, end)))
+            points = np.array(start) + share * (np.array(end) - start)
+            self._lanes[start, end] = np.unique(self._town.nearest_lane(*points.T)[0])
+        states = self._registry.signals.state_of_lane(self._lanes[start, end])
+        return bool(((states == RED) | (states == OFF)).all()) and not self._is_approached(np.array((start, end)))
 
     def _is_approached(self, ends: Floats) -> bool:
         vehicles = self._registry.vehicles
@@ -174,7 +178,53 @@ class PedestrianNavigation:
         yaw = np.radians(vehicles.yaw)
         x, y = (middle - vehicles.position[:, :2]).T
         ahead = np.cos(yaw) * x + np.sin(yaw) * y
-        aside = np.abs(np.cos(yaw) * y - np.sin(yaw) * x)
+        lateral = np.abs(np.cos(yaw) * y - np.sin(yaw) * x)
         moving = vehicles.speed > _MOVING
-        near = (ahead > -vehicles.half_length) & (ahead - vehicles.half_length < vehicles.speed * _GAP)
-        return bool((moving & near & (aside < half + _BESIDE)).any())
+        near = (ahead > -vehicles.half_length) & (ahead - vehicles.half_length < vehicles.speed * _TIME_GAP)
+        return bool((moving & near & (lateral < half + _BESIDE)).any())
+
+
+def _avoid(positions: Floats, directions: Floats, sides: Integers, vehicles: Vehicles) -> Floats:
+    """Return directions that do not lead into vehicles: walkers wait for moving ones, and go around standing ones.
+
+    Args:
+        positions: The positions of some walkers, (k, 2) in m.
+        directions: Their desired directions, of length 1, (k, 2).
+        sides: The side on which each goes around vehicles: 1 to the right, -1 to the left, 0 undecided, (k,). It is changed
+            where a walker decides, and should be kept until the walker is across the road.
+        vehicles: All vehicles.
+
+    Returns:
+        Directions of length 1, or 0 to wait, (k, 2).
+    """
+    if not len(vehicles):
+        return directions
+    yaw = np.radians(vehicles.yaw)
+    along = np.stack((np.cos(yaw), np.sin(yaw)), axis=1)
+    across = np.stack((-along[:, 1], along[:, 0]), axis=1)
+    size = np.stack((vehicles.half_length, vehicles.half_width), axis=1) + _MARGIN
+    away = positions[:, None] - vehicles.position[:, :2]
+    local = np.stack(((away * along).sum(axis=2), (away * across).sum(axis=2)), axis=2)
+    step = _LOOK_AHEAD * np.stack((directions @ along.T, directions @ across.T), axis=2)
+    distance, next_distance = ((np.abs(point) - size).max(axis=2) for point in (local, local + step))
+    blocking = (next_distance < 0) & (next_distance < distance)
+    result = directions.copy()
+    for walker in np.flatnonzero(blocking.any(axis=1)).tolist():
+        vehicle = int(blocking[walker].argmax())
+        result[walker] = 0.0
+        if abs(vehicles.speed[vehicle]) < _STANDING:
+            (x, y), (length, width) = local[walker, vehicle].tolist(), size[vehicle].tolist()
+            (forward, right), sides[walker] = _around(x, y, length, width, int(sides[walker]))
+            result[walker] = forward * along[vehicle] + right * across[vehicle]
+    return result
+
+
+def _around(x: float, y: float, length: float, width: float, side: int) -> tuple[tuple[float, float], int]:
+    """Return the direction along a box in its own axes, and the side; an undecided walker takes the nearest corner."""
+    if abs(y) - width > abs(x) - length:
+        sign = copysign(1, y)
+        side = side or int(-sign * copysign(1, x))
+        return (-side * sign, 0.0), side
+    sign = copysign(1, x)
+    side = side or int(sign * copysign(1, y))
+    return (0.0, side * sign), side

@@ -17,9 +17,9 @@ if TYPE_CHECKING:
     from carla_recap.sim.interfaces import ScenarioWorld
 
 _log: Final = logging.getLogger("carla_recap.traffic")
-_TRIES: Final = 20  # places tried for a walker
-_REACH: Final = 80.0  # m: what is near
-_DRAWS: Final = 10_000  # places on sidewalks that are drawn to find one that is near
+_TRIES: Final = 20  # places that are tried for a walker
+_REACH: Final = 80.0  # m: the distance within which a place counts as near
+_DRAWS: Final = 10_000  # random places on sidewalks that are tried to find one that is near
 
 
 def populate(
@@ -44,43 +44,33 @@ def populate(
     """
     expect_count("vehicles", vehicles)
     expect_count("walkers", walkers)
-    near = _Near(around)
-    drivers, strollers = _vehicles(world, vehicles, near, hero=hero), _walkers(world, walkers, near)
-    if hero and drivers:
-        world.spawn("sensor.other.collision", Transform(), parent=drivers[0])
-    return [*drivers, *strollers]
+    cars, pedestrians = _vehicles(world, vehicles, around, hero=hero), _walkers(world, walkers, around)
+    if hero and cars:
+        world.spawn("sensor.other.collision", Transform(), parent=cars[0])
+    return [*cars, *pedestrians]
 
 
-class _Near:
-    """Tells which places are near enough.
+def _is_near(place: Location, around: Location | None) -> bool:
+    return around is None or around.distance(place) <= _REACH
 
-    Args:
-        place: To what; None where all are.
+
+def _random_sidewalk_place(world: ScenarioWorld, around: Location | None) -> Location:
+    """Return a random place on a sidewalk, near a location if one is given.
+
+    Raises:
+        SimError: There is no such place.
     """
-
-    def __init__(self, place: Location | None) -> None:
-        self._place = place
-
-    def __call__(self, place: Location) -> bool:
-        return self._place is None or self._place.distance(place) <= _REACH
-
-    def random_walk(self, world: ScenarioWorld) -> Location:
-        """A place on a sidewalk.
-
-        Raises:
-            SimError: There is none so near.
-        """
-        for _ in range(_DRAWS):
-            if self(place := world.pedestrians.random_place()):
-                return place
-        raise SimError(f"{world.town.name} has no sidewalk within {_REACH:g} m of {self._place}")
+    for _ in range(_DRAWS):
+        if _is_near(place := world.pedestrians.random_place(), around):
+            return place
+    raise SimError(f"{world.town.name} has no sidewalk within {_REACH:g} m of {around}")
 
 
-def _vehicles(world: ScenarioWorld, count: int, near: _Near, *, hero: bool) -> list[Vehicle]:
+def _vehicles(world: ScenarioWorld, count: int, around: Location | None, *, hero: bool) -> list[Vehicle]:
     models = world.blueprints.traffic(ActorKind.VEHICLE)
     if count and not world.town.spawn_points:
         raise SimError(f"{world.town.name} has no place for a vehicle: no lanes for cars that lead anywhere")
-    places = [place for place in world.town.spawn_points if near(place.location)]
+    places = [place for place in world.town.spawn_points if _is_near(place.location, around)]
     found: list[Vehicle] = []
     for place in (places[index] for index in world.random.permutation(len(places))):
         if len(found) == count:
@@ -96,7 +86,7 @@ def _vehicles(world: ScenarioWorld, count: int, near: _Near, *, hero: bool) -> l
     return found
 
 
-def _walkers(world: ScenarioWorld, count: int, near: _Near) -> list[Walker]:
+def _walkers(world: ScenarioWorld, count: int, around: Location | None) -> list[Walker]:
     models = world.blueprints.traffic(ActorKind.WALKER)
     found: list[Walker] = []
     if count and not len(world.town.walks.nodes):
@@ -105,10 +95,10 @@ def _walkers(world: ScenarioWorld, count: int, near: _Near) -> list[Walker]:
     for _ in range(count):
         model = models[int(world.random.integers(len(models)))]
         for _ in range(_TRIES):
-            place = near.random_walk(world)
+            place = _random_sidewalk_place(world, around)
             walker = world.try_spawn(model, Transform(place, Rotation(yaw=float(world.random.uniform(-180, 180)))))
             if isinstance(walker, Walker):
-                walker.destination = near.random_walk(world)
+                walker.destination = _random_sidewalk_place(world, around)
                 found.append(walker)
                 break
         else:
