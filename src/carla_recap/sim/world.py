@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Final, Self
 import numpy as np
 
 from carla_recap.sim.actors.blueprints import standard_library
-from carla_recap.sim.actors.collisions import CollisionDetector
+from carla_recap.sim.actors.motion import Motion
 from carla_recap.sim.actors.registry import ActorRegistry
 from carla_recap.sim.clock import Clock
 from carla_recap.sim.errors import SimError
@@ -39,7 +39,6 @@ if TYPE_CHECKING:
     from carla_recap.sim.traffic.autopilot import Autopilot
     from carla_recap.sim.traffic.pedestrians import PedestrianNavigation
 
-_STRIDE: Final = 1.0  # m: nothing moves farther in a step
 _DELTA: Final = 0.05  # s, where nobody says how long a tick is
 _ROUNDING: Final = 1e-6
 
@@ -93,7 +92,7 @@ class World:
         self._recorder: Recorder | None = None
         self._replayer: Replayer | None = None
         self.episode = 0
-        self._begin(self._loaded("" if town is None else town), Clock(delta=fixed_delta_seconds or _DELTA), 1)
+        self._begin(self._load("" if town is None else town), Clock(delta=fixed_delta_seconds or _DELTA), 1)
 
     def _begin(self, town: Town, clock: Clock, first: int) -> None:
         """Begin an episode, whose first actor gets the id `first`."""
@@ -101,7 +100,7 @@ class World:
         self._weather = Weather()
         self._registry = ActorRegistry(town, clock, self.settings, self.blueprints, first)
         self._traffic = self._registry.traffic = Traffic(self._registry, self.random, self.controllers)
-        self._collisions = CollisionDetector(self._registry)
+        self._motion = Motion(self._registry)
 
     @property
     def town(self) -> Town:
@@ -205,7 +204,7 @@ class World:
             SimError: The place is too far away for a recording, or an attribute is too long for one.
             DeadActor: The parent has been destroyed.
         """
-        return self._registry.place_where_free(self._blueprint(blueprint, attributes), transform, parent, attributes)
+        return self._registry.spawn(blueprint, transform, parent, attributes)
 
     def try_spawn(
         self, blueprint: Blueprint | str, transform: Transform, *, parent: Actor | None = None, **attributes: str
@@ -217,16 +216,13 @@ class World:
             SimError: See `spawn`.
             DeadActor: The parent has been destroyed.
         """
-        blueprint = self._blueprint(blueprint, attributes)
-        if parent is None and any(self._registry.occupants(blueprint, transform)):
-            return None
-        return self._registry.place(blueprint, transform, parent, attributes)
+        return self._registry.try_spawn(blueprint, transform, parent, attributes)
 
     def place(
         self, blueprint: Blueprint | str, transform: Transform, *, parent: Actor | None = None, **attributes: str
     ) -> Actor:
         """Spawn an actor, even where others are; see `spawn`."""
-        return self._registry.place(self._blueprint(blueprint, attributes), transform, parent, attributes)
+        return self._registry.place(blueprint, transform, parent, attributes)
 
     def destroy(self, actor: Actor) -> bool:
         """Destroy an actor and what is attached to it.
@@ -261,7 +257,7 @@ class World:
 
     @property
     def recorder(self) -> Recorder:
-        """The recorder; made when first asked for."""
+        """The recorder; made when first used."""
         if self._recorder is None:
             from carla_recap.sim.recording.recorder import Recorder
 
@@ -271,7 +267,7 @@ class World:
 
     @property
     def replayer(self) -> Replayer:
-        """The replayer; made when first asked for."""
+        """The replayer; made when first used."""
         if self._replayer is None:
             from carla_recap.sim.replaying.replayer import Replayer
 
@@ -285,7 +281,7 @@ class World:
         return None if self._replayer is None else self._replayer.path
 
     def start_recorder(self, name: Path | str, additional_data: bool = False, *, force: bool = True) -> Path:
-        """Begin a recording, which takes the place of an older one of that name, as with CARLA; see `Recorder.start`."""
+        """Begin a recording, which replaces an older one of that name, as in CARLA; see `Recorder.start`."""
         return self.recorder.start(name, additional_data, force=force)
 
     def stop_recorder(self) -> None:
@@ -304,7 +300,7 @@ class World:
         *,
         keep_town: bool = False,
     ) -> Replay:
-        """Re-enact a recording; see `Replayer.start`."""
+        """Replay a recording; see `Replayer.start`."""
         return self.replayer.start(name, start, duration, follow, replay_sensors, offset, keep_town=keep_town)
 
     def stop_replayer(self, keep_actors: bool = False) -> None:
@@ -313,19 +309,19 @@ class World:
             self._replayer.stop(keep_actors)
 
     def set_replayer_time_factor(self, factor: float) -> None:
-        """How many seconds of a recording pass in a second of this world."""
+        """Set the time of a recording that is replayed per simulated time."""
         self.replayer.time_factor = factor
 
     def set_replayer_ignore_hero(self, ignore: bool) -> None:
-        """Whether the next replays leave the hero out."""
+        """Set whether the next replays leave the hero out."""
         self.replayer.ignore_hero = ignore
 
     def set_replayer_ignore_spectator(self, ignore: bool) -> None:
-        """Whether the next replays leave the spectator out."""
+        """Set whether the next replays leave the spectator out."""
         self.replayer.ignore_spectator = ignore
 
     def close(self) -> None:
-        """Complete what is being recorded, and end a replay."""
+        """Complete the recording and end the replay, if there are any."""
         self.stop_recorder()
         self.stop_replayer(keep_actors=True)
 
@@ -338,16 +334,16 @@ class World:
     # --- time ---------------------------------------------------------------------------------------------------------
 
     def tick(self, delta: float | None = None) -> int:
-        """Let time pass: controllers act, lights change, everything moves, and listeners are told.
+        """Simulate a tick: controllers act, lights change, actors move, and listeners are called.
 
         Args:
-            delta: For how long, in s; by default as the settings say.
+            delta: The length of the tick in s; by default that of the settings.
 
         Returns:
             The number of the tick, from 1.
 
         Raises:
-            SimError: The time is not above 0, or more than 10 s.
+            SimError: The length is not above 0, or more than 10 s.
         """
         if delta is None:
             delta = self.settings.fixed_delta_seconds or _DELTA
@@ -356,20 +352,20 @@ class World:
         for controller in tuple(self.controllers):
             controller.step(delta)
         self.signals.step(delta)
-        self._move(delta)
+        collisions = self._motion.advance(delta)
         for trigger in self._registry.triggers:
             trigger.update(self._registry.vehicles)
         self._registry.clock.advance()
-        self._registry.end_tick(self._collisions.take())
+        self._registry.end_tick(collisions)
         for listener in tuple(self.listeners):
             listener()
         return self.frame
 
     def run(self, seconds: float) -> None:
-        """Tick for so much simulated time.
+        """Tick for some simulated time.
 
         Raises:
-            SimError: It is negative, or endless.
+            SimError: The time is negative or infinite.
         """
         if not 0 <= seconds < np.inf:
             raise SimError(f"run: 0 s or more was expected, found {seconds:g} s")
@@ -377,11 +373,11 @@ class World:
             self.tick()
 
     def run_realtime(self, seconds: float, factor: float = 1.0) -> None:
-        """Tick as fast as the clock on the wall does.
+        """Tick in real time.
 
         Args:
-            seconds: For how long, in simulated time.
-            factor: How much faster than the clock; ticks that come late are not skipped.
+            seconds: The simulated time.
+            factor: The simulated time per real time; ticks that are late are not skipped.
 
         Raises:
             SimError: The time is negative, or the factor not above 0.
@@ -395,7 +391,7 @@ class World:
             self.tick()
 
     def reload(self, town: Town | str | Path | None = None) -> None:
-        """Begin a new episode: the actors of the last one are gone, and time begins anew.
+        """Begin a new episode, without the actors of the present one, at time 0.
 
         Args:
             town: The town, or its name or file; by default the same.
@@ -403,43 +399,12 @@ class World:
         Raises:
             RecapError: There is no such town; the episode goes on.
         """
-        town = self.town if town is None else self._loaded(town)
+        town = self.town if town is None else self._load(town)
         self.stop_recorder()
         self.stop_replayer(keep_actors=True)
-        self._registry.disperse()
+        self._registry.close()
         self._traffic.end()
         self._begin(town, Clock(delta=self.delta), self._registry.next_id)
 
-    def _move(self, delta: float) -> None:
-        movers = [group for group in (self.vehicles, self.walkers) if len(group)]
-        moving = [group.begin(delta) for group in movers]
-        if any(moving) or self.plane.disturbed:
-            steps = self._steps(delta)
-            for _ in range(steps):
-                for group in movers:
-                    group.push(delta / steps)
-                self._collisions.add(self.plane.step(delta / steps))
-                for group in movers:
-                    group.pull()
-        for group in movers:
-            group.end(delta)
-        self._registry.carry()
-
-    def _steps(self, delta: float) -> int:
-        """In how many steps a tick is simulated: in more, where something is fast."""
-        settings = self.settings
-        if not settings.substepping:
-            return 1
-        fastest: float = max(
-            np.abs(speeds).max(initial=0).item() for speeds in (self.vehicles.speed, self.vehicles.sideways)
-        )
-        wanted = max(delta / settings.max_substep_delta_time, fastest * delta / _STRIDE)
-        return min(max(ceil(wanted - _ROUNDING), 1), max(1, settings.max_substeps))
-
-    def _blueprint(self, blueprint: Blueprint | str, attributes: Mapping[str, str]) -> Blueprint:
-        found = self.blueprints.get(blueprint) if isinstance(blueprint, str) else blueprint
-        found.expect(attributes)
-        return found
-
-    def _loaded(self, town: Town | str | Path) -> Town:
+    def _load(self, town: Town | str | Path) -> Town:
         return town if isinstance(town, Town) else load_town(town, None if self.maps is None else Path(self.maps))

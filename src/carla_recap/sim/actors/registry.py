@@ -36,8 +36,8 @@ if TYPE_CHECKING:
     from carla_recap.sim.town.town import Signal, Town
 
 _WALKER_MASS: Final = 75.0  # kg
-_WALKER_RADIUS: Final = 0.25  # m: shoulders
-_WALKER_HALF: Final = 0.19  # m: half of the room that vehicles leave to a walker, whatever the size of its box
+_WALKER_RADIUS: Final = 0.25  # m, of the shoulders
+_WALKER_HALF: Final = 0.19  # m: half of the width of a walker as vehicles perceive it, whatever the size of its box
 _POLE_RADIUS: Final = 0.15  # m
 _FALSE: Final = ("false", "0", "no", "off")
 _POLE_BELOW, _POLE_ABOVE = 1.0, 3.0  # m: how far a pole reaches below the road and above its sign
@@ -122,10 +122,10 @@ class ActorRegistry:
         for barrier in town.barriers:
             self.plane.add_wall(barrier)
         self.spectator = Spectator(self, self._new_id(), blueprints.SPECTATOR, Transform())
-        self._enter(self.spectator)
+        self._add(self.spectator)
         self.traffic_lights: list[TrafficLight] = []
         for signal in town.signals:
-            self._put_up(signal)
+            self._add_sign(signal)
 
     @property
     def collisions(self) -> list[Collision]:
@@ -150,9 +150,10 @@ class ActorRegistry:
         self.pending.light_times.append(light)
 
     def place(
-        self, blueprint: Blueprint, transform: Transform, parent: Actor | None, attributes: Mapping[str, str]
+        self, blueprint: Blueprint | str, transform: Transform, parent: Actor | None, attributes: Mapping[str, str]
     ) -> Actor:
-        """Let an actor appear, even where others are; see `World.spawn`."""
+        """Spawn an actor, even where others are; see `World.spawn`."""
+        blueprint = self._blueprint(blueprint, attributes)
         expect_transform(f"the transform of {blueprint.id}", transform)
         for key, value in attributes.items():
             expect_text(f"{key} of {blueprint.id}", value)
@@ -160,47 +161,58 @@ class ActorRegistry:
             parent.check()
         make = _CLASSES.get(blueprint.kind, Prop) if blueprint.id != blueprints.FRICTION_TRIGGER else FrictionTrigger
         actor = make(self, self._new_id(), blueprint, transform, dict(attributes), parent)
-        self._enter(actor)
+        self._add(actor)
         if isinstance(actor, FrictionTrigger):
             self.triggers.append(actor)
         elif isinstance(actor, MovingActor):
-            self._embody(actor, transform if parent is None else attached_transform(parent, transform))
+            self._add_body(actor, transform if parent is None else attached_transform(parent, transform))
         elif isinstance(actor, Prop) and parent is None and actor.box.extent.length() > 0:
             actor.body = self._own(actor, self.plane.add_box(PROP, _corners(blueprint), None))
             actor.transform = transform
         if parent is not None:
             self.pending.parented.append((actor.id, parent.id))
             if isinstance(actor, MovingActor):
-                self._fix(actor, parent)
+                self._attach(actor, parent)
         return actor
 
-    def place_where_free(
-        self, blueprint: Blueprint, transform: Transform, parent: Actor | None, attributes: Mapping[str, str]
+    def spawn(
+        self, blueprint: Blueprint | str, transform: Transform, parent: Actor | None, attributes: Mapping[str, str]
     ) -> Actor:
-        """Let an actor appear; see `World.spawn`."""
-        if parent is None and (other := next(self.occupants(blueprint, transform), None)):
-            place = transform.location
-            where = f"({place.x:.1f}, {place.y:.1f}, {place.z:.1f})"
+        """Spawn an actor; see `World.spawn`."""
+        blueprint = self._blueprint(blueprint, attributes)
+        if parent is None and (other := next(self._occupants(blueprint, transform), None)):
+            location = transform.location
+            where = f"({location.x:.1f}, {location.y:.1f}, {location.z:.1f})"
             raise SpawnError(f"{blueprint.id} cannot be spawned at {where}: {other!r} is there")
         return self.place(blueprint, transform, parent, attributes)
 
-    def occupants(self, blueprint: Blueprint, transform: Transform) -> Iterator[Actor]:
-        """Who is where an actor would be; nobody, if it has no box.
+    def try_spawn(
+        self, blueprint: Blueprint | str, transform: Transform, parent: Actor | None, attributes: Mapping[str, str]
+    ) -> Actor | None:
+        """Spawn an actor if its place is free; see `World.try_spawn`."""
+        blueprint = self._blueprint(blueprint, attributes)
+        if parent is None and any(self._occupants(blueprint, transform)):
+            return None
+        return self.place(blueprint, transform, parent, attributes)
 
-        Raises:
-            SimError: Nobody can be there, so far away.
-        """
+    def _occupants(self, blueprint: Blueprint, transform: Transform) -> Iterator[Actor]:
+        """Find the actors that the box of a blueprint would overlap."""
         expect_transform(f"the transform of {blueprint.id}", transform)
         if blueprint.box.extent.length() == 0:
             return
-        place, yaw = transform.location, np.radians(transform.rotation.yaw).item()
+        location, yaw = transform.location, np.radians(transform.rotation.yaw).item()
         heights = blueprint.box.heights(transform)
-        for body in self.plane.overlapping(_corners(blueprint), place.x, place.y, yaw, heights):
+        for body in self.plane.overlapping(_corners(blueprint), location.x, location.y, yaw, heights):
             if body in self._owners:
                 yield self._owners[body]
 
+    def _blueprint(self, blueprint: Blueprint | str, attributes: Mapping[str, str]) -> Blueprint:
+        found = self.blueprints.get(blueprint) if isinstance(blueprint, str) else blueprint
+        found.expect(attributes)
+        return found
+
     def destroy(self, actor: Actor) -> bool:
-        """See `World.destroy`."""
+        """Destroy an actor and what is attached to it; see `World.destroy`."""
         if not actor.is_alive:
             return False
         if isinstance(actor, (Spectator, Sign)):
@@ -223,17 +235,17 @@ class ActorRegistry:
         self.pending.destroyed.append(actor.id)
         return True
 
-    def carry(self) -> None:
-        """Have vehicles and walkers that are attached to others go where these have gone."""
-        for rider, parent in self._attached.items():
-            rider.follow_parent(parent)
+    def move_attached(self) -> None:
+        """Move the vehicles and walkers that are attached to others along with these."""
+        for actor, parent in self._attached.items():
+            actor.follow_parent(parent)
 
     def owner(self, body: int) -> Actor | None:
         """Return the actor that a body of the plane belongs to; None for a barrier."""
         return self._owners.get(body)
 
-    def disperse(self) -> None:
-        """Let all actors end with their episode."""
+    def close(self) -> None:
+        """Mark all actors as destroyed, at the end of their episode."""
         for actor in self._actors.values():
             actor.mark_destroyed()
 
@@ -241,7 +253,7 @@ class ActorRegistry:
         self.next_id += 1
         return self.next_id - 1
 
-    def _enter(self, actor: Actor) -> None:
+    def _add(self, actor: Actor) -> None:
         self._actors[actor.id] = actor
         self.pending.spawned.append(actor)
 
@@ -250,7 +262,7 @@ class ActorRegistry:
         self.plane.set_heights(body, actor.heights)
         return body
 
-    def _embody(self, mover: MovingActor, transform: Transform) -> None:
+    def _add_body(self, mover: MovingActor, transform: Transform) -> None:
         columns = _columns(mover, transform)
         if isinstance(mover, Vehicle):
             physics = mover.physics_control
@@ -262,23 +274,23 @@ class ActorRegistry:
             body = self._own(mover, self.plane.add_disc(WALKER, _WALKER_RADIUS, _WALKER_MASS))
             self.walkers.enter(mover, body, **columns, half_height=mover.box.extent.z, mass=_WALKER_MASS)
 
-    def _fix(self, rider: MovingActor, parent: Actor) -> None:
-        """Fix a vehicle or walker to another actor: it goes along, and touches nobody, as attached props do."""
-        self._attached[rider] = parent
-        rider.rows.carried[rider.row] = True
-        rider.set_simulate_physics(False)
-        rider.set_collisions(False)
-        rider.follow_parent(parent)
+    def _attach(self, actor: MovingActor, parent: Actor) -> None:
+        """Attach a vehicle or walker to another actor: it moves along and collides with none, as attached props."""
+        self._attached[actor] = parent
+        actor.rows.carried[actor.row] = True
+        actor.set_simulate_physics(False)
+        actor.set_collisions(False)
+        actor.follow_parent(parent)
 
-    def _put_up(self, signal: Signal) -> None:
-        """Put up a light or a sign of the town; it has a pole, unless it hangs over the road."""
+    def _add_sign(self, signal: Signal) -> None:
+        """Add a light or sign of the town; it has a pole, unless it hangs over the road."""
         if signal.kind is SignalKind.LIGHT:
             light = TrafficLight(self, self._new_id(), blueprints.TRAFFIC_LIGHT, signal, len(self.traffic_lights))
             self.traffic_lights.append(light)
             sign: Sign = light
         else:
             sign = Sign(self, self._new_id(), _sign_blueprint(signal), signal)
-        self._enter(sign)
+        self._add(sign)
         place = signal.transform.location
         if not self._is_on_road(place):
             body = self._own(sign, self.plane.add_disc(WALL, _POLE_RADIUS, None))
@@ -290,8 +302,8 @@ class ActorRegistry:
     def _is_on_road(self, place: Location) -> bool:
         x, y = np.array([place.x]), np.array([place.y])
         lane, s = self.town.nearest_lane(x, y)
-        aside = abs(self.town.project(lane, x, y, s)[1][0])
-        return bool(aside < self.town.lanes[lane[0]].width / 2 + _POLE_RADIUS)
+        offset = abs(self.town.project(lane, x, y, s)[1][0])
+        return bool(offset < self.town.lanes[lane[0]].width / 2 + _POLE_RADIUS)
 
 
 def _sign_blueprint(signal: Signal) -> Blueprint:
@@ -301,7 +313,7 @@ def _sign_blueprint(signal: Signal) -> Blueprint:
 
 
 def _corners(blueprint: Blueprint) -> list[tuple[float, float]]:
-    """The outline of a box from above."""
+    """Return the outline of a blueprint's box from above."""
     centre, extent = blueprint.box.location, blueprint.box.extent
     return [(centre.x + x * extent.x, centre.y + y * extent.y) for x, y in ((1, 1), (1, -1), (-1, -1), (-1, 1))]
 

@@ -1,10 +1,12 @@
-"""Collisions of actors, made from the contacts of their bodies."""
+"""The motion of vehicles and walkers in a tick, and their collisions."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
-from math import hypot
+from math import ceil, hypot
 from typing import TYPE_CHECKING, Final
+
+import numpy as np
 
 from carla_recap.sim.actors.events import Collision
 from carla_recap.sim.actors.moving import Vehicle, Walker
@@ -19,8 +21,49 @@ if TYPE_CHECKING:
     from carla_recap.sim.actors.registry import ActorRegistry
     from carla_recap.sim.physics.plane import Contact
 
+_STRIDE: Final = 1.0  # m that the fastest vehicle covers in a step at most
+_ROUNDING: Final = 1e-6
 _LEAST_IMPULSE: Final = 1e-6  # N s: less is a touch, no collision
 _BUMPER_HEIGHT: Final = 0.5  # m above the road
+
+
+class Motion:
+    """Moves the vehicles and walkers of an episode.
+
+    Args:
+        registry: The actors.
+    """
+
+    def __init__(self, registry: ActorRegistry) -> None:
+        self._registry = registry
+        self._collisions = CollisionDetector(registry)
+
+    def advance(self, delta: float) -> list[Collision]:
+        """Move all vehicles and walkers for a tick of a length in s, and return their collisions."""
+        vehicles, walkers, plane = self._registry.vehicles, self._registry.walkers, self._registry.plane
+        groups = [group for group in (vehicles, walkers) if len(group)]
+        moving = [group.begin(delta) for group in groups]
+        if any(moving) or plane.disturbed:
+            steps = self._steps(delta)
+            for _ in range(steps):
+                for group in groups:
+                    group.push(delta / steps)
+                self._collisions.add(plane.step(delta / steps))
+                for group in groups:
+                    group.pull()
+        for group in groups:
+            group.end(delta)
+        self._registry.move_attached()
+        return self._collisions.take()
+
+    def _steps(self, delta: float) -> int:
+        """Return the number of steps in which a tick is simulated: more if a vehicle is fast."""
+        settings, vehicles = self._registry.settings, self._registry.vehicles
+        if not settings.substepping:
+            return 1
+        fastest: float = max(np.abs(speeds).max(initial=0).item() for speeds in (vehicles.speed, vehicles.sideways))
+        wanted = max(delta / settings.max_substep_delta_time, fastest * delta / _STRIDE)
+        return min(max(ceil(wanted - _ROUNDING), 1), max(1, settings.max_substeps))
 
 
 @dataclass(slots=True)
