@@ -17,6 +17,7 @@ from carla_recap.errors import RecapError, RecapWarning
 if TYPE_CHECKING:
     from carla_recap.replay.follow import Follow
     from carla_recap.server.viewer import ViewerProcess
+    from carla_recap.sim import Town
 
 _LOOPBACK = "127.0.0.1"
 _EVERYWHERE = ("0.0.0.0", "::")
@@ -30,6 +31,7 @@ _FOLDER = click.Path(exists=True, file_okay=False, path_type=Path)
 @click.option("--maps", type=_FOLDER, metavar="DIR", help="The folder of maps.")
 @click.option("--recordings", type=click.Path(path_type=Path), metavar="DIR", help="The folder of recordings.")
 @click.option("--confine", is_flag=True, help="Refuse recordings outside that folder.")
+@click.option("--stand-in", is_flag=True, help="Serve the built-in town under the name of a map that is missing.")
 @click.option("--seed", type=click.IntRange(min=0), default=0, show_default=True, metavar="K", help="Of all that is random.")
 @click.option("--rerun", is_flag=True, help="Show the world in Rerun's viewer while it goes on.")
 @click.option(
@@ -44,6 +46,7 @@ def serve(
     maps: Path | None,
     recordings: Path | None,
     confine: bool,
+    stand_in: bool,
     seed: int,
     rerun: bool,
     rerun_to: str | None,
@@ -56,7 +59,7 @@ def serve(
     from carla_recap.server.host import Host
     from carla_recap.server.quirks import busy_polling_loop
     from carla_recap.server.serving import serve as serve_clients
-    from carla_recap.sim import World, load_town
+    from carla_recap.sim import World
 
     if attached and sys.stdin is None:
         raise RecapError("--attached: a standard input was expected")
@@ -65,7 +68,7 @@ def serve(
     if host not in (_LOOPBACK, "localhost", "::1"):
         warn(f"{host} can be reached by others, and the protocol asks nobody who they are")
     window = _window(rerun_to, follow) if rerun or rerun_to or follow is not None else nullcontext()
-    with window as shown, World(load_town(town, maps), seed=seed, recordings=recordings, maps=maps) as world:
+    with window as shown, World(_town(town, maps, stand_in), seed=seed, recordings=recordings, maps=maps) as world:
 
         def ready(port: int) -> None:
             _tell(world.town.name, host, port)
@@ -74,7 +77,18 @@ def serve(
 
         warnings.simplefilter("once", RecapWarning)  # however often a client asks about a damaged recording
         with asyncio.Runner(loop_factory=busy_polling_loop) as runner:
-            runner.run(serve_clients(Host(world, confined=confine), host, port, ready, attached=attached))
+            runner.run(serve_clients(Host(world, confined=confine, stand_in=stand_in), host, port, ready, attached=attached))
+
+
+def _town(name: str, maps: Path | None, stand_in: bool) -> Town:
+    from carla_recap.maps.road_map import find_map, plain_name
+    from carla_recap.sim import load_town
+
+    if stand_in and name and not name.endswith(".xodr") and find_map(name, maps) is None:
+        town = load_town()
+        warn(f"{name}: there is no such map; {town.name} stands in for it")
+        return town.renamed(plain_name(name))
+    return load_town(name, maps)
 
 
 def _window(to: str | None, follow: Follow | None) -> ViewerProcess:

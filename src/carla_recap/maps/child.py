@@ -33,12 +33,13 @@ def ask(module: str, path: Path) -> tuple[str, bytes]:
         RecapError: The file cannot be read, or is no OpenDRIVE map.
         MissingExtra: CARLA's client library is not installed.
     """
-    try:
-        import carla  # noqa: F401
-    except ImportError:
-        raise MissingExtra("a map", "carla") from None
-    content = _content(path)
-    return _decode(content), _run(module, path, content)
+    content = read_content(path)
+    return decode(content), ask_about(module, path, content)
+
+
+def ask_about(module: str, path: Path, content: bytes) -> bytes:
+    """Let another process parse the content of an OpenDRIVE file, and return its answer; see `ask`."""
+    return _run(module, path, content)
 
 
 def answer(make: Callable[[str], bytes]) -> int:
@@ -54,18 +55,24 @@ def answer(make: Callable[[str], bytes]) -> int:
         os.dup2(2, 1)  # the parser prints warnings
         _limit()
         try:
-            output.write(make(_decode(sys.stdin.buffer.read())))
+            output.write(make(decode(sys.stdin.buffer.read())))
         except Exception as error:  # whatever the parser comes upon
             output.write((str(error) or type(error).__name__).encode())
             return 1
     return 0
 
 
-def _decode(content: bytes) -> str:
+def decode(content: bytes) -> str:
+    """Return the text of an OpenDRIVE file."""
     return content.decode("utf-8-sig", "replace")
 
 
-def _content(path: Path) -> bytes:
+def read_content(path: Path) -> bytes:
+    """Return the content of an OpenDRIVE file; see `ask`."""
+    try:
+        import carla  # noqa: F401
+    except ImportError:
+        raise MissingExtra("a map", "carla") from None
     if path.exists() and not path.is_file():
         raise RecapError(f"{path}: is not a regular file")
     try:

@@ -21,6 +21,9 @@ if TYPE_CHECKING:
 FOLDER: Final = "CARLA_RECAP_MAPS"
 """The environment variable that names the folder of maps."""
 
+_LAYERED: Final = "_Opt"
+"""The end of the name of a map whose parts can be hidden layer by layer."""
+_CARLA_TOWN: Final = re.compile(r"Town(0[1-7]|10HD)")  # the towns of CARLA 0.9.16 that have such a map
 _BUILT_IN: Final = Path(__file__).parents[1] / "sim" / "towns"
 
 
@@ -72,8 +75,13 @@ def find_map(map_name: str, folder: Path | str | None = None) -> Path | None:
             package is found anyway.
     """
     maps = find_maps(folder)
-    name = re.split(r"[/\\]", map_name)[-1]
-    return maps.get(name) or maps.get(name.removesuffix("_Opt"))
+    name = plain_name(map_name)
+    return maps.get(name) or maps.get(name.removesuffix(_LAYERED))
+
+
+def plain_name(map_name: str) -> str:
+    """Return the name of a map without its folder."""
+    return re.split(r"[/\\]", map_name)[-1]
 
 
 def described_folder(folder: Path | str | None = None) -> str:
@@ -83,6 +91,13 @@ def described_folder(folder: Path | str | None = None) -> str:
         return f"the folder that {FOLDER} names, which is not set"
     told = f"the folder {path}" if folder else f"the folder that {FOLDER} names, {path}"
     return told if Path(path).is_dir() else f"{told}, which is missing"
+
+
+def loadable_maps(folder: Path | str | None = None) -> dict[str, Path]:
+    """Return the OpenDRIVE files of all maps by name; CARLA's towns have a second map each, such as `Town01_Opt`."""
+    maps = find_maps(folder)
+    layered = {f"{name}{_LAYERED}": path for name, path in maps.items() if _CARLA_TOWN.fullmatch(name)}
+    return dict(sorted((layered | maps).items()))
 
 
 def find_maps(folder: Path | str | None = None) -> dict[str, Path]:

@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-import asyncio
 from dataclasses import replace
 from typing import TYPE_CHECKING
 
-from carla_recap.server.actor_records import ActorCache
+from carla_recap.server.actor_records import ActorCache, encoded_definitions
 from carla_recap.server.controllers import AckermannController, ConstantVelocity
+from carla_recap.server.maps import Maps
+from carla_recap.server.navmesh import navigation_mesh
 from carla_recap.server.quirks import SnapshotStreams
 from carla_recap.server.recordings import Recordings
 from carla_recap.server.rpc.connection import ConnectionPool
@@ -35,9 +36,11 @@ class Host:
     Args:
         world: The world; from now on, only the host ticks it.
         confined: Refuse recordings outside the folder of recordings.
+        stand_in: Serve the built-in town under the name of a map that is missing.
 
     Attributes:
         world: The world.
+        maps: The maps that clients can load.
         recordings: The recordings that clients may read and write.
         settings: The settings that clients have made.
         connections: All connections.
@@ -48,15 +51,14 @@ class Host:
         ackermann: The controller of vehicles with a desired speed and steering angle.
         constant_velocity: The controller of vehicles with a constant velocity.
         on_settings: Callbacks for a change of the settings.
-        loading: A lock that is held while a map is loaded.
-        sent_town: The map that a client has sent.
     """
 
     _encoder: SnapshotEncoder
     _is_new: bool
 
-    def __init__(self, world: World, *, confined: bool = False) -> None:
+    def __init__(self, world: World, *, confined: bool = False, stand_in: bool = False) -> None:
         self.world = world
+        self.maps = Maps(world.town, world.maps, stand_in=stand_in)
         self.recordings = Recordings(world, confined=confined)
         self.settings = EpisodeSettings()
         self.connections = ConnectionPool()
@@ -69,11 +71,14 @@ class Host:
         world.controllers.append(self.ackermann)
         world.listeners.append(self.constant_velocity)
         self.on_settings: list[Callable[[], None]] = []
-        self.loading = asyncio.Lock()
-        self.sent_town: Town | None = None
         self._frames_before = 0
         self._actors = ActorCache()
         self._begin()
+
+    def prepare(self) -> None:
+        """Compute what the first calls of clients need: on a busy machine, they would time out."""
+        encoded_definitions(self.world.blueprints)
+        navigation_mesh(self.world.town)
 
     @property
     def frame(self) -> int:

@@ -29,6 +29,7 @@ def running(
     recordings: Path | str | None = None,
     seed: int = 0,
     confine: bool = False,
+    stand_in: bool = False,
 ) -> Iterator[int]:
     """Run a server until the end of a `with` block or of this process, however that ends; a recording is completed.
 
@@ -41,6 +42,7 @@ def running(
         recordings: The folder of recordings.
         seed: The seed of everything random.
         confine: Refuse recordings outside the folder of recordings.
+        stand_in: Serve the built-in town under the name of a map that is missing.
 
     Yields:
         The port, for `carla.Client("localhost", port)`.
@@ -50,8 +52,7 @@ def running(
     """
     options = {"town": town, "port": port, "maps": maps, "recordings": recordings, "seed": seed}
     arguments = [f"--{name}={value}" for name, value in options.items() if value not in (None, "")]
-    if confine:
-        arguments.append("--confine")
+    arguments += [flag for flag, is_set in (("--confine", confine), ("--stand-in", stand_in)) if is_set]
     command = [sys.executable, "-m", "carla_recap", "serve", "--attached", *arguments]
     pipe = subprocess.PIPE
     with (

@@ -58,6 +58,7 @@ async def serve(host: Host, address: str, port: int, ready: Callable[[int], None
     if attached:
         Thread(target=_wait_for_input, args=(end,), name="carla-recap-attached", daemon=True).start()
     with ended_by_signals(lambda _: end()):
+        host.prepare()
         connect = partial(ClientConnection, CALLS, host.connections, partial(Client, host))
         calls, streams = await _listen_both(connect, host.streams.connection, address, port)
         port, host.streams.port = (server.sockets[0].getsockname()[1] for server in (calls, streams))

@@ -18,7 +18,7 @@ NAVIGATION: Final = "Nav"
 _MOST_NODES: Final = 50_000  # of the walkway graph: about 250 km of sidewalks
 
 
-@lru_cache(maxsize=1)
+@lru_cache(maxsize=4)
 def navigation_mesh(town: Town) -> bytes:
     """Return the sidewalks and crossings of a town, and some paths across its roads, as a navigation mesh.
 

@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Final
 
 from carla_recap.errors import RecapError, RecapWarning
 from carla_recap.formats import SUFFIXES, open_reader
+from carla_recap.maps.road_map import plain_name
 from carla_recap.replay import Player, level
 from carla_recap.replay.camera import CHASE_BACK, CHASE_PITCH, CHASE_UP
 from carla_recap.sim.actors.actors import Mover, Vehicle, Walker
@@ -249,7 +250,7 @@ class Replayer:
             return False
         maps = None if self._world.maps is None else Path(self._world.maps)
         try:
-            town = load_town(name, maps)
+            town = load_town(plain_name(reader.header.map_name), maps)
         except RecapError as error:
             raise MapMissing(reader.path, reader.header.map_name, str(error)) from None
         self._world.reload(town)

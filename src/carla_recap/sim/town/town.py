@@ -2,17 +2,20 @@
 
 from __future__ import annotations
 
+from copy import copy
 from dataclasses import dataclass, field
 from enum import StrEnum
 from pathlib import Path
+from threading import Lock
 from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
 from carla_recap.errors import RecapError
-from carla_recap.maps.child import ask
-from carla_recap.maps.road_map import described_folder, find_map
+from carla_recap.maps.child import ask_about, decode, read_content
+from carla_recap.maps.road_map import described_folder, find_map, plain_name
 from carla_recap.sim.geometry import Location, Rotation, Transform
+from carla_recap.sim.town import cache
 from carla_recap.sim.town.lanes import Lane, LaneIndex
 from carla_recap.sim.town.parsing.packing import from_bytes
 
@@ -29,6 +32,7 @@ BUILT_IN: Final = "Brickfield"
 _SUFFIX: Final = ".xodr"
 _ABOVE: Final = 0.3  # m: so high above the road vehicles are spawned, as CARLA's own spawn points are
 _APART: Final = 10.0  # m: between spawn points; longer than any of the vehicles
+_MOST_TOWNS: Final = 4  # in memory
 _FROM_ENDS: Final = 5.0  # m: between a spawn point and the end of its lane
 
 
@@ -157,6 +161,12 @@ class Town:
         self.index = LaneIndex(self.lanes)
         self.spawn_points = [place for lane in main_lanes(self.lanes) for place in _spawn_points(self.lanes[lane])]
 
+    def renamed(self, name: str) -> Town:
+        """Return the same town under another name."""
+        town = copy(self)
+        town.name = name
+        return town
+
     def height(self, x: ArrayLike, y: ArrayLike, z: ArrayLike | None = None) -> Floats:
         """See `LaneIndex.height`."""
         return self.index.height(x, y, z)
@@ -173,7 +183,7 @@ class Town:
 
 
 def load_town(name_or_path: str | Path = "", maps: Path | None = None) -> Town:
-    """A town, out of an OpenDRIVE file.
+    """Return a town from an OpenDRIVE file; what was parsed before is kept, in memory and in the user's cache folder.
 
     Args:
         name_or_path: Nothing for the built-in town; else its name, a file, or the name of a map, such as `Town01`.
@@ -183,13 +193,45 @@ def load_town(name_or_path: str | Path = "", maps: Path | None = None) -> Town:
         RecapError: There is no such town, or the file cannot be read or is no OpenDRIVE map with lanes for cars.
         MissingExtra: CARLA's client library is not installed.
     """
-    path = _find(str(name_or_path), maps)
-    text, answer = ask("carla_recap.sim.town.parsing", path)
-    parsed = from_bytes(answer)
+    name, path = _find(str(name_or_path), maps)
+    content = read_content(path)
+    key = cache.content_key(content)
+    with _lock:
+        same = [town for (known, _), town in _towns.items() if known == key]
+        town = _towns.pop((key, name), None)
+    if town is None:
+        town = (same or [_cached_town(key, content) or _parsed_town(key, content, path)])[0].renamed(name)
+    with _lock:
+        _towns[key, name] = town
+        if len(_towns) > _MOST_TOWNS:
+            del _towns[next(iter(_towns))]
+    return town
+
+
+def _cached_town(key: str, content: bytes) -> Town | None:
+    data = cache.read_entry(key)
+    if data is None:
+        return None
+    try:
+        return _town(decode(content), data)
+    except Exception:  # whatever an invalid entry causes
+        cache.remove_entry(key)
+        return None
+
+
+def _parsed_town(key: str, content: bytes, path: Path) -> Town:
+    data = ask_about("carla_recap.sim.town.parsing", path, content)
+    town = _town(decode(content), data)
+    cache.write_entry(key, data)
+    return town
+
+
+def _town(text: str, data: bytes) -> Town:
+    parsed = from_bytes(data)
     edges = parsed.facts["walk_edges"]
     (nodes,) = parsed.lines["walks"]
     return Town(
-        path.stem,
+        "",
         text,
         [_lane(row, rows) for row, rows in zip(parsed.facts["lanes"], parsed.lines["lanes"], strict=True)],
         [_signal(row) for row in parsed.facts["signals"]],
@@ -246,13 +288,18 @@ def _reached(following: Sequence[tuple[int, ...]], start: int, left: set[int]) -
     return reached
 
 
-def _find(name: str, maps: Path | None) -> Path:
+_towns: Final[dict[tuple[str, str], Town]] = {}
+_lock: Final = Lock()
+
+
+def _find(name: str, maps: Path | None) -> tuple[str, Path]:
+    """Return the name of a town and its file."""
     if name.endswith(_SUFFIX):
-        return Path(name)
+        return Path(name).stem, Path(name)
     path = find_map(name or BUILT_IN, maps)
     if path is None:
         raise RecapError(f"town {name!r}: expected {BUILT_IN}, an {_SUFFIX} file, or a map in {described_folder(maps)}")
-    return path
+    return plain_name(name or BUILT_IN), path
 
 
 def _spawn_points(lane: Lane) -> list[Transform]:

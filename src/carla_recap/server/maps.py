@@ -1,0 +1,104 @@
+"""The maps that clients can load, and loading them off the event loop."""
+
+from __future__ import annotations
+
+import asyncio
+import logging
+import tempfile
+from pathlib import Path
+from typing import TYPE_CHECKING, Final
+
+from carla_recap.errors import RecapError
+from carla_recap.maps.road_map import described_folder, loadable_maps, plain_name
+from carla_recap.server.navmesh import navigation_mesh
+from carla_recap.server.rpc.registry import CallError
+from carla_recap.sim.town.town import BUILT_IN, load_town
+
+if TYPE_CHECKING:
+    from carla_recap.sim.town.town import Town
+
+_LOG: Final = logging.getLogger("carla_recap.server")
+_SENT: Final = "OpenDriveMap"
+"""The name of a map that a client has sent, as with CARLA."""
+_SHOWN: Final = 100  # characters of a name in an error
+
+
+class Maps:
+    """The maps of a server.
+
+    Args:
+        first: The town that is served at first; it can be loaded again by its name.
+        folder: The folder of maps.
+        stand_in: Serve the built-in town under the name of a map that is missing.
+
+    Attributes:
+        loading: A lock that is held while a map is loaded.
+    """
+
+    def __init__(self, first: Town, folder: Path | str | None = None, *, stand_in: bool = False) -> None:
+        self.loading = asyncio.Lock()
+        self._first = first
+        self._folder = None if folder is None else Path(folder)
+        self._stand_in = stand_in
+        self._sent: Town | None = None
+
+    @property
+    def names(self) -> list[str]:
+        """The names of all maps."""
+        return sorted({*loadable_maps(self._folder), self._first.name})
+
+    async def receive(self, text: str) -> None:
+        """Parse a map that a client sends, for later episodes.
+
+        Raises:
+            CallError: It is not an OpenDRIVE map.
+        """
+        self._sent = await asyncio.to_thread(_parse, text)
+
+    async def load(self, name: str) -> Town:
+        """Load a map, with what the first calls of a client need of it.
+
+        Args:
+            name: The name of the map in any case, with or without its folder.
+
+        Raises:
+            CallError: There is no such map.
+            RecapError: It cannot be read.
+        """
+        asked = plain_name(name)
+        if asked == _SENT:
+            if self._sent is None:
+                raise CallError(f"{name}: no map has been sent to this server")
+            return await asyncio.to_thread(_prepared, self._sent)
+        found = next((known for known in self.names if known.casefold() == asked.casefold()), None)
+        if found == self._first.name:
+            return await asyncio.to_thread(_prepared, self._first)
+        if found is not None:
+            return await asyncio.to_thread(lambda: _prepared(load_town(found, self._folder)))
+        if not self._stand_in:
+            raise self._missing(name)
+        _LOG.warning("%s: there is no such map; %s stands in for it", asked[:_SHOWN], BUILT_IN)
+        return await asyncio.to_thread(lambda: _prepared(load_town().renamed(asked)))
+
+    def _missing(self, name: str) -> CallError:
+        shown = name if len(name) <= _SHOWN else f"{name[:_SHOWN]}…"
+        folder = described_folder(self._folder)
+        return CallError(
+            f"{shown!r}: there is no such map; there are {', '.join(self.names)}; "
+            f"to add one, put its .xodr into {folder}, or have {BUILT_IN} stand in for it by `serve --stand-in`"
+        )
+
+
+def _prepared(town: Town) -> Town:
+    navigation_mesh(town)  # it is cached
+    return town
+
+
+def _parse(text: str) -> Town:
+    with tempfile.TemporaryDirectory() as folder:
+        path = Path(folder) / f"{_SENT}.xodr"
+        path.write_bytes(text.encode(errors="surrogateescape"))
+        try:
+            return load_town(path)
+        except RecapError as error:
+            raise CallError(str(error).replace(str(path), _SENT)) from None

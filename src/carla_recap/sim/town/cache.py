@@ -1,0 +1,119 @@
+"""A cache of what the parser has made of OpenDRIVE files, in the user's cache folder.
+
+An entry is found by the content of the map and by the parser's own source, so that it never has to be invalidated. Entries
+that are damaged, or could have been written by another user, are ignored and rebuilt; nothing in them is executed.
+"""
+
+from __future__ import annotations
+
+import os
+import sys
+from contextlib import suppress
+from functools import cache
+from hashlib import sha256
+from importlib.metadata import PackageNotFoundError, version
+from pathlib import Path
+from typing import Final
+
+FOLDER: Final = "CARLA_RECAP_CACHE"
+"""The environment variable that names the cache folder; empty for no cache."""
+_MAGIC: Final = b"carla-recap town 1\n"
+_SUFFIX: Final = ".town"
+_MOST_BYTES: Final = 256 << 20  # of all entries
+_PARSERS: Final = ("sim/town/parsing", "maps")
+
+
+def cache_folder() -> Path | None:
+    """Return the cache folder of the user; None if there is none, or if the environment switches the cache off."""
+    if FOLDER in os.environ:
+        return Path(os.environ[FOLDER]) if os.environ[FOLDER] else None
+    try:
+        if sys.platform == "win32":
+            base = Path(os.environ.get("LOCALAPPDATA") or Path.home() / "AppData" / "Local")
+        elif sys.platform == "darwin":
+            base = Path.home() / "Library" / "Caches"
+        else:
+            base = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache")
+    except RuntimeError:  # there is no home folder
+        return None
+    return base / "carla-recap" / "towns"
+
+
+def content_key(content: bytes) -> str:
+    """Return the key of a map's content, for this version of the parser."""
+    return sha256(_parser_digest() + content).hexdigest()
+
+
+def read_entry(key: str) -> bytes | None:
+    """Return the data of an entry; None if there is none, or if it is damaged or not the user's own."""
+    path = _path(key)
+    if path is None:
+        return None
+    with suppress(OSError, ValueError), path.open("rb") as file:
+        status = os.fstat(file.fileno())
+        if status.st_size > _MOST_BYTES or not _is_own(status):
+            return None
+        content = file.read()
+        head = len(_MAGIC) + sha256().digest_size
+        data = content[head:]
+        if content[:head] == _MAGIC + sha256(data).digest():
+            os.utime(path)
+            return data
+    return None
+
+
+def write_entry(key: str, data: bytes) -> None:
+    """Write an entry, and remove those that were not used for longest if there are too many; a failure is ignored."""
+    path = _path(key)
+    if path is None or len(data) > _MOST_BYTES // 2:
+        return
+    partial = path.with_name(f".{key}.{os.urandom(4).hex()}.partial")
+    try:
+        path.parent.mkdir(mode=0o700, parents=True, exist_ok=True)
+        with os.fdopen(os.open(partial, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o600), "wb") as file:
+            file.write(_MAGIC + sha256(data).digest() + data)
+        partial.replace(path)
+        _evict(path.parent)
+    except OSError:
+        with suppress(OSError):
+            partial.unlink(missing_ok=True)
+
+
+def remove_entry(key: str) -> None:
+    """Remove an entry that turned out to be invalid."""
+    path = _path(key)
+    if path is not None:
+        with suppress(OSError):
+            path.unlink(missing_ok=True)
+
+
+def _path(key: str) -> Path | None:
+    folder = cache_folder()
+    return None if folder is None else folder / f"{key}{_SUFFIX}"
+
+
+def _is_own(status: os.stat_result) -> bool:
+    """Return whether only this user can have written a file."""
+    return not hasattr(os, "getuid") or (status.st_uid == os.getuid() and not status.st_mode & 0o022)
+
+
+def _evict(folder: Path) -> None:
+    entries = sorted(((path.stat(), path) for path in folder.glob(f"*{_SUFFIX}")), key=lambda entry: -entry[0].st_mtime)
+    total = 0
+    for status, path in entries:
+        total += status.st_size
+        if total > _MOST_BYTES:
+            path.unlink(missing_ok=True)
+
+
+@cache
+def _parser_digest() -> bytes:
+    """Return a digest of the parser: its source, and the version of CARLA's library."""
+    digest = sha256()
+    with suppress(PackageNotFoundError):
+        digest.update(version("carla").encode())
+    package = Path(__file__).parents[2]
+    for folder in _PARSERS:
+        for path in sorted((package / folder).glob("*.py")):
+            digest.update(path.read_bytes())
+    return digest.digest()

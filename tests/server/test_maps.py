@@ -1,0 +1,187 @@
+"""The maps of a server: CARLA's names, maps that are missing, and what goes on while one is loaded."""
+
+from __future__ import annotations
+
+import asyncio
+from contextlib import suppress
+from threading import Event
+from typing import TYPE_CHECKING, Any, Final
+
+import carla
+import msgpack
+import pytest
+
+from carla_recap.maps.road_map import loadable_maps
+from carla_recap.server import actor_records, navmesh, running
+from carla_recap.server import maps as server_maps
+from carla_recap.server.host import Host
+from carla_recap.server.maps import Maps
+from carla_recap.server.rpc.registry import CallError
+from carla_recap.server.serving import serve
+from carla_recap.sim.town.town import load_town
+from carla_recap.sim.world import World
+
+if TYPE_CHECKING:
+    from collections.abc import Awaitable, Callable, Iterator
+    from pathlib import Path
+
+    from carla_recap.sim.town.town import Town
+
+LAYERED: Final = "/Game/Carla/Maps/Town10HD_Opt"
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A folder of maps with a Town10HD of our own."""
+    folder = tmp_path_factory.mktemp("maps")
+    (folder / "Town10HD.xodr").write_text(load_town().opendrive)
+    return folder
+
+
+@pytest.fixture(scope="module")
+def port(folder: Path) -> Iterator[int]:
+    with running(maps=folder, town="Town10HD_Opt") as port:
+        yield port
+
+
+@pytest.fixture
+def client(port: int) -> carla.Client:
+    client = carla.Client("127.0.0.1", port)
+    client.set_timeout(30.0)
+    return client
+
+
+def test_a_layered_map_is_a_map_of_its_own(client: carla.Client) -> None:
+    assert client.get_world().get_map().name == "Carla/Maps/Town10HD_Opt"
+    names = client.get_available_maps()
+    assert LAYERED in names
+    assert LAYERED.removesuffix("_Opt") in names
+    assert client.load_world("Town10HD").get_map().name == "Carla/Maps/Town10HD"
+    for name in ("Town10HD_Opt", LAYERED, "town10hd_opt"):
+        world = client.load_world(name, map_layers=carla.MapLayer.NONE)
+        assert world.get_map().name == "Carla/Maps/Town10HD_Opt"
+    world.load_map_layer(carla.MapLayer.Buildings)
+    world.unload_map_layer(carla.MapLayer.All)
+    assert client.reload_world().get_map().name == "Carla/Maps/Town10HD_Opt"
+
+
+def test_a_recording_on_a_layered_map_is_named_after_it(client: carla.Client, tmp_path: Path) -> None:
+    client.load_world("Town10HD_Opt")
+    client.start_recorder(str(tmp_path / "layered.log"))
+    client.get_world().wait_for_tick()
+    client.stop_recorder()
+    assert "\nMap: Town10HD_Opt\n" in client.show_recorder_file_info(str(tmp_path / "layered.log"), False)
+    client.load_world("Brickfield")
+    client.replay_file(str(tmp_path / "layered.log"), 0, 0, 0)
+    assert client.get_world().get_map().name == "Carla/Maps/Town10HD_Opt"
+    client.stop_replayer(False)
+
+
+def test_only_towns_of_carla_have_layered_maps(folder: Path) -> None:
+    assert sorted(loadable_maps(folder)) == ["Brickfield", "Town10HD", "Town10HD_Opt"]
+
+
+def test_the_first_town_can_be_loaded_again_by_its_name() -> None:
+    town = load_town().renamed("Elsewhere")
+    assert asyncio.run(Maps(town).load("Carla/Maps/elsewhere")) is town
+
+
+def test_the_error_of_a_missing_map_lists_all_and_says_how_to_add_one(folder: Path) -> None:
+    maps = Maps(load_town(), folder)
+    with pytest.raises(CallError) as caught:
+        asyncio.run(maps.load("Carla/Maps/Town03"))
+    assert str(caught.value) == (
+        "'Carla/Maps/Town03': there is no such map; there are Brickfield, Town10HD, Town10HD_Opt; to add one, "
+        f"put its .xodr into the folder {folder}, or have Brickfield stand in for it by `serve --stand-in`"
+    )
+
+
+def test_our_town_stands_in_for_a_missing_map(caplog: pytest.LogCaptureFixture) -> None:
+    town = asyncio.run(Maps(load_town(), stand_in=True).load("/Game/Carla/Maps/Town03"))
+    assert (town.name, town.opendrive) == ("Town03", load_town().opendrive)
+    (record,) = caplog.records
+    assert (record.levelname, record.getMessage()) == (
+        "WARNING",
+        "Town03: there is no such map; Brickfield stands in for it",
+    )
+
+
+def test_clients_get_the_name_that_they_asked_for() -> None:
+    with running(town="Town05", stand_in=True) as port:
+        client = carla.Client("127.0.0.1", port)
+        client.set_timeout(30.0)
+        assert client.get_world().get_map().name == "Carla/Maps/Town05"
+        assert client.load_world("Town03").get_map().name == "Carla/Maps/Town03"
+        assert client.load_world("Town05").get_map().name == "Carla/Maps/Town05"
+
+
+async def reply(streams: tuple[asyncio.StreamReader, asyncio.StreamWriter], name: str, *arguments: object) -> list[Any]:
+    """Make a call over a bare connection, and return the reply."""
+    reader, writer = streams
+    writer.write(msgpack.packb([0, 1, name, [[False], *arguments]]))
+    unpacker = msgpack.Unpacker()
+    while True:
+        unpacker.feed(await reader.read(1 << 20))
+        for value in unpacker:
+            return list(value)
+
+
+async def while_serving(host: Host, work: Callable[[int], Awaitable[None]]) -> None:
+    """Serve a world while something is done with its port."""
+    ports: asyncio.Queue[int] = asyncio.Queue()
+    server = asyncio.create_task(serve(host, "127.0.0.1", 0, ports.put_nowait))
+    async with asyncio.timeout(30):
+        await work(await ports.get())
+    server.cancel()
+    with suppress(asyncio.CancelledError):
+        await server
+
+
+def test_the_server_answers_and_ticks_while_it_loads(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    may_load = Event()
+
+    def slow(name: str, folder: Path | None) -> Town:
+        assert may_load.wait(30)
+        return load_town(name, folder)
+
+    monkeypatch.setattr(server_maps, "load_town", slow)
+    host = Host(World(load_town(), maps=folder))
+
+    async def work(port: int) -> None:
+        one, other = [await asyncio.open_connection("127.0.0.1", port) for _ in range(2)]
+        loading = asyncio.create_task(reply(one, "load_new_episode", "Town10HD", True, 0))
+        for name in ("version", "get_episode_info", "get_episode_settings", "get_map_info"):
+            assert (await reply(other, name))[2] is None
+        frame = host.frame
+        while host.frame < frame + 3:
+            await asyncio.sleep(0.01)
+        assert not loading.done()
+        may_load.set()
+        assert await loading == [1, 1, None, [[False]]]
+        assert (await reply(other, "get_map_info"))[3][0][1][0] == "Carla/Maps/Town10HD"
+        for _, writer in (one, other):
+            writer.close()
+
+    asyncio.run(while_serving(host, work))
+
+
+def test_first_calls_find_everything_computed(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A client's first `get_world` used to wait for the navigation mesh, and the event loop with it."""
+
+    def computed(*_: object) -> bytes:
+        raise AssertionError("nothing is computed in a call")
+
+    host = Host(World(load_town().renamed("Fresh")))
+
+    async def work(port: int) -> None:
+        monkeypatch.setattr(navmesh, "walkable_surface", computed)
+        monkeypatch.setattr(actor_records, "definition", computed)
+        streams = await asyncio.open_connection("127.0.0.1", port)
+        for name, *arguments in (("get_required_files", "Nav"), ("get_actor_definitions",), ("get_required_files", "Nav")):
+            status, value = (await reply(streams, name, *arguments))[3][0]
+            assert status == 1
+            assert value
+        streams[1].close()
+
+    actor_records.encoded_definitions.cache_clear()
+    asyncio.run(while_serving(host, work))
