@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import pytest
 
+from carla_recap.sim.actors.blueprints import standard_library
 from carla_recap.sim.actors.control import VehicleControl
 from carla_recap.sim.actors.moving import Vehicle
 from carla_recap.sim.geometry import Vector
@@ -379,3 +380,36 @@ def test_a_control_that_is_not_sticky_holds_for_one_tick(sticky: str) -> None:
         actor.apply_control(full)
         world.tick()
     assert actor.velocity.length() > 3
+
+
+VEHICLES = [blueprint.id.removeprefix("vehicle.") for blueprint in standard_library().filter("vehicle.*")]
+
+
+@pytest.mark.parametrize("name", VEHICLES)
+def test_less_friction_makes_every_vehicle_brake_later(name: str) -> None:
+    """The steps and the limits are those of CARLA's smoke test."""
+    world = flat_world()
+    cars = [vehicle(world, name, y=10.0 * number) for number in range(3)]
+    world.run(0.5)
+    for car, friction in zip(cars, (0.0, 0.5, 3.0), strict=True):
+        rebuilt(car, tire_friction=friction)
+        car.set_target_velocity(Vector(100 * KMH))
+    world.run(2.5)
+    starts = [car.transform.location.x for car in cars]
+    for car in cars:
+        car.apply_control(VehicleControl(brake=1.0))
+    world.run(7.5)
+    slippery, wet, dry = (car.transform.location.x - start for car, start in zip(cars, starts, strict=True))
+    assert wet < 0.75 * slippery
+    assert dry < 0.75 * wet
+
+
+@pytest.mark.parametrize("name", VEHICLES)
+def test_stiffer_tyres_take_every_vehicle_as_far_or_farther(name: str) -> None:
+    world = flat_world()
+    cars = [vehicle(world, name, y=10.0 * number) for number in range(2)]
+    for car, stiffness in zip(cars, (100.0, 2000.0), strict=True):
+        rebuilt(car, long_stiff_value=stiffness)
+        car.apply_control(VehicleControl(throttle=1.0))
+    world.run(5.0)
+    assert cars[1].transform.location.x >= cars[0].transform.location.x

@@ -193,11 +193,12 @@ def _ground_hits(world: World, origin: Floats, direction: Floats, reach: float) 
     """Yield where a ray enters the ground, if it does."""
     samples = np.linspace(0.0, reach, min(max(int(reach / _STRIDE), 1), _MOST_SAMPLES) + 1)
     x, y, z = (origin + samples[:, None] * direction).T
-    above = z - world.town.height(x, y)
-    through = np.flatnonzero((above[:-1] >= 0) & (above[1:] < 0))
+    above = z[:-1] - world.town.height(x[:-1], y[:-1], z[:-1])
+    beyond = z[1:] - world.town.height(x[1:], y[1:], z[:-1])  # of the same level, where roads are above each other
+    through = np.flatnonzero((above >= 0) & (beyond < 0))
     if len(through):
         i = through[0]
-        distance = samples[i] + (samples[i + 1] - samples[i]) * above[i] / (above[i] - above[i + 1])
+        distance = samples[i] + (samples[i + 1] - samples[i]) * above[i] / (above[i] - beyond[i])
         yield float(distance), _ground_label(world, origin + distance * direction)
 
 
@@ -205,7 +206,7 @@ def _ground_label(world: World, point: Floats) -> int:
     """Return the semantic class of the ground at a point."""
     town = world.town
     x, y = point[:1], point[1:2]
-    lane, s = town.nearest_lane(x, y)
+    lane, s = town.nearest_lane(x, y, z=point[2:3])
     lateral = abs(town.project(lane, x, y, s)[1][0])
     return _ROAD if lateral <= town.lanes[lane[0]].width / 2 else _TERRAIN
 
