@@ -214,7 +214,8 @@ class Vehicles(Movers):
         states = self.plane.states(self.body_id)
         moving = self.simulated
         self.position[moving, :2] = states[moving, :2]
-        self.rotation[moving, 1] = (np.degrees(states[moving, 2]) + 180) % 360 - 180
+        yaw = (np.degrees(states[moving, 2]) + 180) % 360 - 180
+        self.rotation[moving, 1] = np.where(yaw == -180, 180.0, yaw)  # within (-180, 180], as CARLA's
         change = states[:, 3:] - self._told
         hit = moving & change.any(axis=1)
         if hit.any():
