@@ -10,6 +10,7 @@ RecapWarning               something was left out, and the rest is used
 
 from __future__ import annotations
 
+import sys
 from pathlib import Path
 
 
@@ -49,6 +50,17 @@ class RecordError(RecapError):
     """Records cannot be written as given."""
 
 
+_WITH_CARLA = ("carla", "sim", "server")  # the extras that need CARLA's library
+
+
+def _has_carla() -> bool:
+    """Return whether CARLA publishes its library for this Python and machine."""
+    import platform  # errors are imported by all that is
+
+    machines = {"linux": "x86_64", "win32": "AMD64"}
+    return sys.version_info < (3, 13) and machines.get(sys.platform) == platform.machine()
+
+
 class MissingExtra(RecapError):
     """An optional dependency is not installed.
 
@@ -63,6 +75,8 @@ class MissingExtra(RecapError):
         self.extra = extra
 
     def __str__(self) -> str:
+        if self.extra in _WITH_CARLA and not _has_carla():
+            return f"{self.what} needs CARLA's library, which exists for Python up to 3.12 on Linux (x86-64) and Windows"
         return f"{self.what} needs an optional dependency: pip install '.[{self.extra}]' in a clone of carla-recap"
 
 

@@ -1,0 +1,69 @@
+"""What the extras ask for, by Python and machine: CARLA's library is not published for all."""
+
+from __future__ import annotations
+
+import platform
+import sys
+import tomllib
+from pathlib import Path
+
+import pytest
+from packaging.markers import default_environment
+from packaging.requirements import Requirement
+from packaging.specifiers import SpecifierSet
+
+from carla_recap.errors import MissingExtra
+
+PROJECT = tomllib.loads((Path(__file__).parents[1] / "pyproject.toml").read_text())["project"]
+EXTRAS = PROJECT["optional-dependencies"]
+PYTHONS = ("3.11", "3.12", "3.13")
+LINUX = {"sys_platform": "linux", "platform_machine": "x86_64", "platform_system": "Linux"}
+ARM = LINUX | {"platform_machine": "aarch64"}
+MAC = {"sys_platform": "darwin", "platform_machine": "arm64", "platform_system": "Darwin"}
+WINDOWS = {"sys_platform": "win32", "platform_machine": "AMD64", "platform_system": "Windows"}
+
+
+def asked_for(extra: str, python: str, machine: dict[str, str]) -> set[str]:
+    """The packages that an extra, and those that it names, install."""
+    environment = default_environment() | machine | {"python_version": python, "python_full_version": f"{python}.0"}
+    found = set()
+    for requirement in map(Requirement, EXTRAS[extra]):
+        if requirement.marker is not None and not requirement.marker.evaluate(environment):
+            continue
+        if requirement.name == "carla-recap":
+            for other in requirement.extras:
+                found |= asked_for(other, python, machine)
+        else:
+            found.add(requirement.name)
+    return found
+
+
+@pytest.mark.parametrize("machine", [LINUX, ARM, MAC, WINDOWS], ids=["linux", "arm", "mac", "windows"])
+@pytest.mark.parametrize("python", PYTHONS)
+def test_carla_is_asked_for_where_it_exists(python: str, machine: dict[str, str]) -> None:
+    exists = python < "3.13" and machine in (LINUX, WINDOWS)
+    for extra in ("carla", "sim", "server", "all", "dev"):
+        assert ("carla" in asked_for(extra, python, machine)) == exists
+    assert asked_for("server", python, machine) >= {"pymunk", "msgpack"}
+    assert asked_for("all", python, machine) >= {"pandas", "pyarrow", "rerun-sdk", "pymunk", "msgpack"}
+    assert "carla" not in asked_for("rerun", python, machine)
+
+
+def test_the_pythons() -> None:
+    assert all(python in SpecifierSet(PROJECT["requires-python"]) for python in PYTHONS)
+    named = [line.rpartition(" ")[2] for line in PROJECT["classifiers"] if "Python :: 3." in line]
+    assert tuple(named) == PYTHONS
+
+
+@pytest.mark.parametrize(("extra", "needs"), [("server", "carla"), ("sim", "carla"), ("carla", "carla"), ("rerun", "pip")])
+def test_where_carla_does_not_exist_nobody_is_asked_to_install_it(
+    monkeypatch: pytest.MonkeyPatch, extra: str, needs: str
+) -> None:
+    monkeypatch.setattr(sys, "version_info", (3, 13, 0))
+    message = str(MissingExtra("a thing", extra))
+    assert ("pip install" in message) == (needs == "pip")
+    assert ("up to 3.12" in message) == (needs == "carla")
+    monkeypatch.setattr(sys, "version_info", (3, 12, 0))
+    monkeypatch.setattr(sys, "platform", "linux")
+    monkeypatch.setattr(platform, "machine", lambda: "x86_64")
+    assert f"pip install '.[{extra}]'" in str(MissingExtra("a thing", extra))
