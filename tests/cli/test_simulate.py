@@ -42,6 +42,19 @@ def test_the_same_seed_makes_the_same_bytes(tmp_path, suffix):
     assert paths[0].read_bytes() == paths[1].read_bytes()
 
 
+def test_a_seed_sets_the_date(tmp_path):
+    """The same seed makes the same bytes on any day."""
+    environment = {name: value for name, value in ENVIRONMENT.items() if name != "SOURCE_DATE_EPOCH"}
+    dates = []
+    for options in (["--seed", "4"], []):
+        command = [COMMAND, "record", tmp_path / "a.log", *FEW, *options, "--force"]
+        subprocess.run(command, env=environment, timeout=TIMEOUT, check=True, capture_output=True)
+        with open_recording(tmp_path / "a.log") as recording:
+            dates.append(recording.header.date)
+    assert dates[0] == 1767261600
+    assert abs(dates[1] - time.time()) < 60
+
+
 def test_what_is_there_stays(tmp_path):
     (tmp_path / "mine.log").write_text("mine")
     assert "exists already" in error("record", tmp_path / "mine.log", *FEW)

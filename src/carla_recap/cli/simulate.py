@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import sys
 from contextlib import contextmanager
 from pathlib import Path
@@ -30,11 +31,10 @@ def _no_blank(context: click.Context, option: click.Parameter, value: str | None
 _seed = click.option(
     "--seed",
     type=click.IntRange(min=0),
-    default=0,
-    show_default=True,
     metavar="K",
-    help="The same seed, the same recording.",
+    help="The same seed, the same bytes, dated 2026-01-01 10:00 UTC or $SOURCE_DATE_EPOCH; else seed 0, dated now.",
 )
+_DATE = 1767261600  # 2026-01-01 10:00 UTC
 _additional_data = click.option("--additional-data", is_flag=True, help="Record velocities, boxes, physics and times, too.")
 
 
@@ -61,7 +61,7 @@ def record(
     junction: bool,
     crash: bool,
     blocked: bool,
-    seed: int,
+    seed: int | None,
     additional_data: bool,
     force: bool,
 ) -> None:
@@ -138,15 +138,16 @@ def _found(source: str) -> Path:
     return find_recording(Path(source).absolute())
 
 
-def _world(town: str | None, seed: int = 0) -> World:
-    """A town in which nobody is.
+def _world(town: str | None, seed: int | None = None) -> World:
+    """Return a town without actors; with a seed, the date of its recordings is not that of the clock either.
 
     Raises:
         MissingExtra: There is no physics engine.
     """
     from carla_recap.sim import World
 
-    return World(town, seed=seed)
+    date = None if seed is None or "SOURCE_DATE_EPOCH" in os.environ else _DATE
+    return World(town, seed=seed or 0, date=date)
 
 
 @contextmanager
