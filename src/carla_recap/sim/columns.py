@@ -1,4 +1,4 @@
-"""A table of numbers that grows and shrinks by rows: one array for each column, so that all rows are worked on at once."""
+"""A struct of arrays that grows and shrinks by rows."""
 
 from __future__ import annotations
 
@@ -7,10 +7,11 @@ from typing import Any, ClassVar
 import numpy as np
 
 
-class Columns:
-    """A struct of arrays: a subclass names its columns, each with the value of a new row, and finds them as attributes.
+class StructOfArrays:
+    """A table with an array for each column, which allows to compute all rows at once.
 
-    The arrays are replaced, not changed in place, when a row comes or goes: what holds one of them keeps the old rows.
+    A subclass lists its columns in `COLUMNS`, each with its value in a new row; the arrays are attributes of these names.
+    They are replaced, not changed in place, when a row is added or removed.
     """
 
     COLUMNS: ClassVar[dict[str, Any]] = {}
@@ -24,11 +25,7 @@ class Columns:
         return self.count
 
     def append_row(self, **values: Any) -> int:
-        """Add a row; columns that are not named get their default.
-
-        Returns:
-            Its index.
-        """
+        """Add a row and return its index; columns without a value get their default."""
         for name, default in self.COLUMNS.items():
             array = getattr(self, name)
             new = np.asarray(values.get(name, default), array.dtype)
@@ -37,7 +34,7 @@ class Columns:
         return self.count - 1
 
     def remove_row(self, row: int) -> None:
-        """Take a row out; the ones behind it move up."""
+        """Remove a row; the rows behind it move up."""
         for name in self.COLUMNS:
             setattr(self, name, np.delete(getattr(self, name), row, axis=0))
         self.count -= 1

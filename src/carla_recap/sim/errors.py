@@ -1,9 +1,9 @@
-"""What can go wrong in a simulation.
+"""The errors of the simulator.
 
 SimError
-├── SpawnError     an actor cannot appear: an unknown blueprint, or an occupied place
-├── DeadActor      an actor was asked for something after it had been destroyed
-└── MapMissing     a recording is of a map that is not to be had
+├── SpawnError     an actor cannot be spawned: its blueprint is unknown, or its place occupied
+├── DeadActor      an actor was used after it had been destroyed
+└── MapMissing     the map of a recording is unavailable
 """
 
 from __future__ import annotations
@@ -17,24 +17,24 @@ if TYPE_CHECKING:
 
 
 class SimError(RecapError):
-    """Something that the simulation was asked for cannot be done."""
+    """A request to the simulator that is invalid, or cannot be fulfilled."""
 
 
 class SpawnError(SimError):
-    """An actor cannot appear."""
+    """An actor cannot be spawned."""
 
 
 class DeadActor(SimError):
-    """An actor was asked for something after it had been destroyed."""
+    """An actor was used after it had been destroyed."""
 
 
 class MapMissing(SimError):
-    """A recording is of a map that is not to be had.
+    """The map of a recording is unavailable.
 
     Args:
         path: The recording.
-        map_name: The map, as it is told there.
-        reason: Why it is not to be had.
+        map_name: The name of the map in the recording.
+        reason: Why the map is unavailable.
     """
 
     def __init__(self, path: Path, map_name: str, reason: str) -> None:

@@ -1,4 +1,4 @@
-"""Places, directions and boxes in CARLA's axes: metres and degrees, left-handed: x forward, y right, z up."""
+"""Locations, vectors, rotations and boxes in CARLA's left-handed axes: x forward, y right, z up; metres and degrees."""
 
 from __future__ import annotations
 
@@ -7,17 +7,17 @@ from math import asin, atan2, cos, degrees, dist, hypot, radians, sin
 from typing import Final
 
 _Row = tuple[float, float, float]
-_UPRIGHT: Final = 1e-12  # so near to 1 is the sine of a pitch that is straight up or down
+_VERTICAL: Final = 1e-12  # 1 less the sine of a pitch that counts as straight up or down
 
 
 @dataclass(slots=True)
 class Location:
-    """A place in m.
+    """A location.
 
     Attributes:
-        x: Forward.
-        y: To the right.
-        z: Upwards.
+        x: The coordinate forward, in m.
+        y: The coordinate to the right, in m.
+        z: The coordinate upwards, in m.
     """
 
     x: float = 0.0
@@ -25,31 +25,31 @@ class Location:
     z: float = 0.0
 
     def distance(self, other: Location) -> float:
-        """How far another place is, in m."""
+        """Return the distance to another location in m."""
         return dist((self.x, self.y, self.z), (other.x, other.y, other.z))
 
 
 @dataclass(slots=True)
 class Vector:
-    """A direction with a length, such as a velocity in m/s or an impulse in kg m/s; axes as of a `Location`."""
+    """A vector, such as a velocity in m/s or an impulse in N s, in the axes of a `Location`."""
 
     x: float = 0.0
     y: float = 0.0
     z: float = 0.0
 
     def length(self) -> float:
-        """How long it is, in the unit of its parts."""
+        """Return its length, in the unit of its components."""
         return hypot(self.x, self.y, self.z)
 
 
 @dataclass(slots=True)
 class Rotation:
-    """How something is turned, in degrees: first rolled, then pitched, then yawed.
+    """A rotation in degrees: first roll, then pitch, then yaw.
 
     Attributes:
-        pitch: Positive lifts the nose.
-        yaw: Positive turns right, from x to y.
-        roll: Positive lifts the left side.
+        pitch: The rotation about y; positive lifts the nose.
+        yaw: The rotation about z; positive turns right, from x to y.
+        roll: The rotation about x; positive lifts the left side.
     """
 
     pitch: float = 0.0
@@ -57,7 +57,7 @@ class Rotation:
     roll: float = 0.0
 
     def matrix(self) -> tuple[_Row, _Row, _Row]:
-        """As Unreal Engine turns, row by row: the columns point forward, to the right and upwards."""
+        """Return the rotation matrix of Unreal Engine, by rows; its columns point forward, to the right and upwards."""
         cp, cy, cr = cos(radians(self.pitch)), cos(radians(self.yaw)), cos(radians(self.roll))
         sp, sy, sr = sin(radians(self.pitch)), sin(radians(self.yaw)), sin(radians(self.roll))
         return (
@@ -66,14 +66,14 @@ class Rotation:
             (sp, -cp * sr, cp * cr),
         )
 
-    def turned(self, further: Rotation) -> Rotation:
-        """How something is turned that is turned further in the axes of what is turned like this."""
-        if not (further.pitch or further.yaw or further.roll):
+    def combined(self, relative: Rotation) -> Rotation:
+        """Return the rotation of something whose rotation is given in the axes of this one."""
+        if not (relative.pitch or relative.yaw or relative.roll):
             return Rotation(self.pitch, self.yaw, self.roll)
         x, y, z = self.matrix()
-        ahead, right, up = zip(*further.matrix(), strict=True)
+        ahead, right, up = zip(*relative.matrix(), strict=True)
         rise = min(max(_dot(z, ahead), -1.0), 1.0)
-        if abs(rise) > 1 - _UPRIGHT:  # nose up or down: roll and yaw are one, and called yaw
+        if abs(rise) > 1 - _VERTICAL:  # nose up or down: roll and yaw are the same, reported as yaw
             return Rotation(degrees(asin(rise)), degrees(atan2(-_dot(x, right), _dot(y, right))), 0.0)
         yaw, roll = atan2(_dot(y, ahead), _dot(x, ahead)), atan2(-_dot(z, right), _dot(z, up))
         return Rotation(degrees(asin(rise)), degrees(yaw), degrees(roll))
@@ -85,39 +85,41 @@ def _dot(one: _Row, other: _Row) -> float:
 
 @dataclass(slots=True)
 class Transform:
-    """Where something is, and how it is turned."""
+    """A location and a rotation."""
 
     location: Location = field(default_factory=Location)
     rotation: Rotation = field(default_factory=Rotation)
 
     def copy(self) -> Transform:
-        """The same, to be changed without this one."""
+        """Return a copy."""
         location, rotation = self.location, self.rotation
         return Transform(Location(location.x, location.y, location.z), Rotation(rotation.pitch, rotation.yaw, rotation.roll))
 
     def forward(self) -> Vector:
-        """The direction of the nose, of length 1."""
+        """Return the forward direction, of length 1."""
         pitch, yaw = radians(self.rotation.pitch), radians(self.rotation.yaw)
         return Vector(cos(pitch) * cos(yaw), cos(pitch) * sin(yaw), sin(pitch))
 
     def transform(self, point: Location) -> Location:
-        """A place in the world that is given in the axes of this transform."""
-        at, x, y, z = self.location, point.x, point.y, point.z
+        """Return the location in the world of a point given in the axes of this transform."""
+        origin, x, y, z = self.location, point.x, point.y, point.z
         (xx, xy, xz), (yx, yy, yz), (zx, zy, zz) = self.rotation.matrix()
-        return Location(at.x + xx * x + xy * y + xz * z, at.y + yx * x + yy * y + yz * z, at.z + zx * x + zy * y + zz * z)
+        return Location(
+            origin.x + xx * x + xy * y + xz * z, origin.y + yx * x + yy * y + yz * z, origin.z + zx * x + zy * y + zz * z
+        )
 
     def attached(self, relative: Transform) -> Transform:
-        """Where something is in the world that is fixed to what this is the transform of, and given in its axes."""
-        return Transform(self.transform(relative.location), self.rotation.turned(relative.rotation))
+        """Return the transform in the world of something whose transform is given in the axes of this one."""
+        return Transform(self.transform(relative.location), self.rotation.combined(relative.rotation))
 
 
 @dataclass(frozen=True, slots=True)
 class Box:
-    """A box around something.
+    """A bounding box.
 
     Attributes:
-        location: Its centre, in the axes of what it is around.
-        extent: Half of its length, width and height, in m.
+        location: The centre, in the axes of what it bounds.
+        extent: Half of the length, width and height, in m.
     """
 
     location: Location

@@ -1,4 +1,4 @@
-"""How a world runs."""
+"""The settings of a world."""
 
 from __future__ import annotations
 
@@ -16,16 +16,16 @@ class Settings:
     """The settings of a world, with CARLA's names.
 
     Attributes:
-        synchronous_mode: Whether only `tick` moves the world; `run_realtime` is what does it otherwise.
-        no_rendering_mode: Accepted; nothing is ever rendered.
-        fixed_delta_seconds: The length of a tick, above 0 and at most 10 s; None for one as long as the caller says.
+        synchronous_mode: Whether the world only advances by `tick`; without it, by `run_realtime`.
+        no_rendering_mode: Accepted without effect, since nothing is rendered.
+        fixed_delta_seconds: The length of a tick, above 0 and at most 10 s; None if the caller chooses it.
         substepping: Whether long ticks are simulated in several steps.
-        max_substep_delta_time: The longest step, in s, above 0.
-        max_substeps: The most steps of a tick.
-        collisions_of: Whose collisions are noticed, besides those of actors with a collision sensor.
+        max_substep_delta_time: The greatest length of a step in s, above 0.
+        max_substeps: The greatest number of steps in a tick.
+        collisions_of: The actors whose collisions are reported, in addition to those with a collision sensor.
 
     Raises:
-        SimError: One of them is not to be had, when it is set.
+        SimError: A value is out of range, when it is set.
     """
 
     synchronous_mode: bool = True

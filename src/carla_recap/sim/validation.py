@@ -1,4 +1,4 @@
-"""What is asked of numbers from outside: recordings cannot hold all of them, and physics engines do not survive them."""
+"""Checks of values from outside: recordings and the physics engine cannot handle all of them."""
 
 from __future__ import annotations
 
@@ -14,24 +14,24 @@ if TYPE_CHECKING:
 
     from carla_recap.sim.geometry import Location, Transform, Vector
 
-PLACE: Final = 1e6  # m
-TURN: Final = 1e6  # degrees
-SPEED: Final = 1e4  # m/s
-TURNING: Final = 1e5  # degrees/s
-LARGEST: Final = 1e9  # of all other numbers, whatever the unit
-LONGEST_TICK: Final = 10.0  # s
-LONGEST_TEXT: Final = 1000  # bytes of the value of an attribute
+_MAX_COORDINATE: Final = 1e6  # m
+_MAX_ANGLE: Final = 1e6  # degrees
+_MAX_SPEED: Final = 1e4  # m/s
+_MAX_ANGULAR_SPEED: Final = 1e5  # degrees/s
+LARGEST: Final = 1e9  # the limit of all other numbers, in any unit
+MAX_TICK: Final = 10.0  # s
+MAX_TEXT: Final = 1000  # bytes of the value of an attribute
 
 
 def expect_finite(what: str, *values: float) -> None:
-    """Make sure that numbers are numbers.
+    """Make sure that numbers are finite.
 
     Args:
-        what: What they are, for the message.
+        what: The name of the numbers in the error text.
         *values: The numbers.
 
     Raises:
-        SimError: One of them is infinite, or no number.
+        SimError: One of them is infinite or NaN.
     """
     if not all(map(isfinite, values)):
         raise SimError(f"{what}: finite numbers were expected, found {', '.join(f'{value:g}' for value in values)}")
@@ -41,14 +41,14 @@ def expect_between(what: str, value: int, least: int, most: int) -> None:
     """Make sure that a number is within bounds, both included.
 
     Raises:
-        SimError: It is not.
+        SimError: It is out of bounds.
     """
     if not least <= value <= most:
         raise SimError(f"{what}: {least} to {most} was expected, found {value}")
 
 
 def expect_count(what: str, value: int) -> None:
-    """Make sure that there can be so many.
+    """Make sure that a number is a count.
 
     Raises:
         SimError: It is negative, or no whole number.
@@ -57,8 +57,8 @@ def expect_count(what: str, value: int) -> None:
         raise SimError(f"{what}: 0 or a larger whole number was expected, found {value:g}")
 
 
-def expect_seconds(what: str, value: float, most: float = LONGEST_TICK) -> None:
-    """Make sure that something can last so long.
+def expect_seconds(what: str, value: float, most: float = MAX_TICK) -> None:
+    """Make sure that a duration in s is within bounds.
 
     Raises:
         SimError: It is not above 0 s, or too long.
@@ -67,55 +67,55 @@ def expect_seconds(what: str, value: float, most: float = LONGEST_TICK) -> None:
         raise SimError(f"{what} of {value:g} s: expected more than 0 s, and at most {most:g} s")
 
 
-def expect_place(what: str, place: Location) -> None:
-    """Make sure that a place can be one.
+def expect_place(what: str, location: Location) -> None:
+    """Make sure that the coordinates of a location are within bounds.
 
     Raises:
         SimError: It is too far away.
     """
-    _expect_at_most(what, "m", PLACE, place.x, place.y, place.z)
+    _expect_at_most(what, "m", _MAX_COORDINATE, location.x, location.y, location.z)
 
 
 def expect_transform(what: str, transform: Transform) -> None:
-    """Make sure that something can be there, and turned like that.
+    """Make sure that the numbers of a transform are within bounds.
 
     Raises:
-        SimError: It is too far away, or turned too far.
+        SimError: The location is too far away, or an angle too large.
     """
-    turn = transform.rotation
+    rotation = transform.rotation
     expect_place(what, transform.location)
-    _expect_at_most(what, "degrees", TURN, turn.pitch, turn.yaw, turn.roll)
+    _expect_at_most(what, "degrees", _MAX_ANGLE, rotation.pitch, rotation.yaw, rotation.roll)
 
 
 def expect_velocity(what: str, velocity: Vector) -> None:
-    """Make sure that something can move so fast.
+    """Make sure that a velocity in m/s is within bounds.
 
     Raises:
-        SimError: It is too fast.
+        SimError: It is too high.
     """
-    _expect_at_most(what, "m/s", SPEED, velocity.x, velocity.y, velocity.z)
+    _expect_at_most(what, "m/s", _MAX_SPEED, velocity.x, velocity.y, velocity.z)
 
 
 def expect_push(what: str, impulse: Vector, mass: float) -> None:
-    """Make sure that an impulse, in N s, changes the velocity of a mass no more than a velocity can be.
+    """Make sure that the velocity to which an impulse in N s accelerates a mass in kg is within bounds.
 
     Raises:
-        SimError: It does.
+        SimError: It is too high.
     """
-    _expect_at_most(what, "m/s of change", SPEED, impulse.x / mass, impulse.y / mass, impulse.z / mass)
+    _expect_at_most(what, "m/s of change", _MAX_SPEED, impulse.x / mass, impulse.y / mass, impulse.z / mass)
 
 
 def expect_turning(what: str, velocity: Vector) -> None:
-    """Make sure that something can turn so fast.
+    """Make sure that an angular velocity in degrees/s is within bounds.
 
     Raises:
-        SimError: It is too fast.
+        SimError: It is too high.
     """
-    _expect_at_most(what, "degrees/s", TURNING, velocity.x, velocity.y, velocity.z)
+    _expect_at_most(what, "degrees/s", _MAX_ANGULAR_SPEED, velocity.x, velocity.y, velocity.z)
 
 
 def expect_numbers(what: str, record: Any) -> None:
-    """Make sure that a recording can hold the numbers of a dataclass.
+    """Make sure that the numbers of a dataclass are within bounds.
 
     Raises:
         SimError: One is too large.
@@ -124,17 +124,17 @@ def expect_numbers(what: str, record: Any) -> None:
 
 
 def expect_text(what: str, value: str) -> None:
-    """Make sure that a recording can hold the value of an attribute.
+    """Make sure that a recording can contain the value of an attribute.
 
     Raises:
-        SimError: It is too long, or no Unicode.
+        SimError: It is too long, or not encodable as UTF-8.
     """
     try:
-        if len(value.encode()) <= LONGEST_TEXT:
+        if len(value.encode()) <= MAX_TEXT:
             return
     except UnicodeEncodeError:
         pass
-    raise SimError(f"{what}: at most {LONGEST_TEXT} bytes of UTF-8 were expected")
+    raise SimError(f"{what}: at most {MAX_TEXT} bytes of UTF-8 were expected")
 
 
 def _expect_at_most(what: str, unit: str, most: float, *values: float) -> None:
@@ -144,7 +144,7 @@ def _expect_at_most(what: str, unit: str, most: float, *values: float) -> None:
 
 
 def _numbers(value: Any) -> Iterator[float]:
-    """All numbers in nested records and sequences."""
+    """Yield all numbers in nested records and sequences."""
     if is_dataclass(value):
         for field in fields(value):
             yield from _numbers(getattr(value, field.name))

@@ -1,4 +1,4 @@
-"""The weather, as data: nothing in the simulation depends on it."""
+"""The weather; it has no influence on the simulation."""
 
 from __future__ import annotations
 
@@ -18,12 +18,12 @@ class Weather:
         sun_azimuth_angle: 0 to 360 degrees.
         sun_altitude_angle: -90 (midnight) to 90 degrees (noon).
         fog_density: 0 to 100.
-        fog_distance: Where fog begins, in m.
-        fog_falloff: How fast fog thins out with height.
+        fog_distance: The distance at which fog begins, in m.
+        fog_falloff: The rate at which fog thins out with height.
         wetness: 0 to 100.
-        scattering_intensity: How much light adds to volumetric fog.
-        mie_scattering_scale: Of light by large particles.
-        rayleigh_scattering_scale: Of light by air.
+        scattering_intensity: The contribution of light to volumetric fog.
+        mie_scattering_scale: The scattering of light by large particles.
+        rayleigh_scattering_scale: The scattering of light by air.
         dust_storm: 0 to 100.
     """
 
@@ -69,4 +69,4 @@ PRESETS: Final = {
     **{f"{sky}{sun}": _preset(values, altitude) for sun, altitude in _SUNS.items() for sky, values in _SKIES.items()},
     "DustStorm": replace(Weather(100.0, 0.0, 0.0, 100.0), dust_storm=100.0),
 }
-"""The weathers that CARLA names, ClearNoon and so on."""
+"""CARLA's presets by name, such as ClearNoon."""

@@ -1,4 +1,4 @@
-"""What drivers and walkers are told to do."""
+"""The controls of vehicles and walkers."""
 
 from __future__ import annotations
 
@@ -15,10 +15,10 @@ class VehicleControl:
         throttle: 0 to 1.
         steer: -1 (left) to 1 (right).
         brake: 0 to 1.
-        hand_brake: Whether it is drawn.
+        hand_brake: Whether the hand brake is on.
         reverse: Whether the throttle drives backwards.
-        manual_gear_shift: Whether `gear` counts.
-        gear: From 1; 0 is neutral, -1 reverse.
+        manual_gear_shift: Whether `gear` is used.
+        gear: The gear, from 1; 0 is neutral, -1 reverse.
     """
 
     throttle: float = 0.0
@@ -32,12 +32,12 @@ class VehicleControl:
 
 @dataclass(slots=True)
 class WalkerControl:
-    """Where and how fast to walk.
+    """The control of a walker.
 
     Attributes:
-        direction: In the world.
-        speed: In m/s.
-        jump: Whether to jump: accepted, and nothing comes of it.
+        direction: The direction in the axes of the world.
+        speed: The speed in m/s.
+        jump: Whether to jump; accepted without effect.
     """
 
     direction: Vector = field(default_factory=lambda: Vector(1.0, 0.0, 0.0))

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from carla_recap.errors import MissingExtra
-from carla_recap.sim.columns import Columns
+from carla_recap.sim.columns import StructOfArrays
 from carla_recap.sim.physics.drivetrain import GRAVITY
 
 try:
@@ -26,7 +26,7 @@ Height = Callable[[Floats, Floats, Floats], Floats]
 _REACH: Final = 3.0  # m: actors that are farther from the road are not put on it
 
 
-class Movers(Columns):
+class Movers(StructOfArrays):
     """Actors with bodies that move; row i of each array belongs to `actors[i]`.
 
     Attributes:

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any, ClassVar, Final, NamedTuple
 
 import numpy as np
 
-from carla_recap.sim.columns import Columns
+from carla_recap.sim.columns import StructOfArrays
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -73,7 +73,7 @@ class DrivenVehicles(NamedTuple):
         )
 
 
-class Drivers(Columns):
+class Drivers(StructOfArrays):
     """The drivers, one for each vehicle that the autopilot drives; positions are along its route, in m.
 
     Attributes:
