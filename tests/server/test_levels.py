@@ -33,6 +33,7 @@ def test_rays_spawns_and_sensors_know_the_level(world: carla.World) -> None:
     upper = world.spawn_actor(model, carla.Transform(carla.Location(0, 1.75, BRIDGE + 0.3), carla.Rotation(yaw=90)))
     lidar = library.find("sensor.lidar.ray_cast")
     lidar.set_attribute("upper_fov", "60")
+    lidar.set_attribute("range", "50")
     sensor = world.spawn_actor(lidar, carla.Transform(carla.Location(x=10, z=1)), attach_to=lower)
     heights: list[float] = []
     sensor.listen(lambda data: heights.extend(point.point.z for point in data))
