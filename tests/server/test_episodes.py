@@ -58,7 +58,13 @@ def test_settings_are_reset_on_request(client: carla.Client, reset: bool) -> Non
 def test_a_map_that_a_client_sends_is_loaded(client: carla.Client) -> None:
     world = client.generate_opendrive_world(TEXT)
     assert world.get_map().name.endswith("OpenDriveMap")
-    assert world.get_map().get_spawn_points()
+    points = world.get_map().get_spawn_points()
+    lanes = [world.get_map().get_waypoint(point.location, project_to_road=True) for point in points]
+    topology = {(entry.road_id, entry.lane_id) for entry, _ in world.get_map().get_topology()}
+    assert len(points) == len(topology)
+    for point, lane in zip(points, lanes, strict=True):
+        assert point.location.z - lane.transform.location.z == pytest.approx(3.0, abs=0.01)
+        assert point.location.distance(lane.transform.location) < 3.01
     world = client.reload_world()
     assert world.get_map().name.endswith("OpenDriveMap")
     client.load_world("Brickfield")

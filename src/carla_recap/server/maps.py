@@ -99,6 +99,6 @@ def _parse(text: str) -> Town:
         path = Path(folder) / f"{_SENT}.xodr"
         path.write_bytes(text.encode(errors="surrogateescape"))
         try:
-            return load_town(path)
+            return load_town(path).standalone()
         except RecapError as error:
             raise CallError(str(error).replace(str(path), _SENT)) from None

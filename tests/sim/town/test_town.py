@@ -17,6 +17,7 @@ from carla_recap.maps import find_map, load_map
 from carla_recap.sim.town.town import BUILT_IN, SignalKind, Town, load_town, main_lanes
 from tests.maps.towns import lane, opendrive, road, section, town
 from tests.samples import time_limit
+from tests.sim.two_levels import two_levels
 
 pytest.importorskip("carla", reason="the extra carla is not installed")
 
@@ -482,3 +483,13 @@ def test_a_damaged_town_is_loaded_or_refused(tmp_path: Path, seed: int) -> None:
 def test_yaws_of_spawn_points_are_within_180_degrees(any_town: Town) -> None:
     yaws = [point.rotation.yaw for point in any_town.spawn_points]
     assert all(-180 < yaw <= 180 for yaw in yaws)
+
+
+def test_a_map_that_a_client_sends_has_a_spawn_point_at_each_entry_of_a_road(tmp_path: Path) -> None:
+    town = load_town(two_levels(tmp_path)).standalone()
+    places = [(point.location.x, point.location.y, point.location.z) for point in town.spawn_points]
+    right = [(-60, 1.75, 3), (60, 1.75, 3), (-1.75, -60, 9), (-1.75, 60, 9)]
+    left = [(60, -1.75, 3), (1.75, -60, 9), (1.75, 60, 9), (-60, -1.75, 3)]
+    expected = [place for pair in zip(right, left, strict=True) for place in pair]
+    assert np.array(places) == pytest.approx(np.array(expected), abs=0.01)
+    assert [round(point.rotation.yaw) for point in town.spawn_points] == [0, 180, 0, -90, 90, -90, 90, 180]

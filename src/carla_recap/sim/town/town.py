@@ -31,6 +31,7 @@ BUILT_IN: Final = "Brickfield"
 """The name of the town that comes with this package."""
 _SUFFIX: Final = ".xodr"
 _ABOVE: Final = 0.3  # m: so high above the road vehicles are spawned, as CARLA's own spawn points are
+_ABOVE_ENTRIES: Final = 3.0  # m: the same, of maps that clients send
 _APART: Final = 10.0  # m: between spawn points; longer than any of the vehicles
 _MOST_TOWNS: Final = 4  # in memory
 _FROM_ENDS: Final = 5.0  # m: between a spawn point and the end of its lane
@@ -165,6 +166,12 @@ class Town:
         """Return the same town under another name."""
         town = copy(self)
         town.name = name
+        return town
+
+    def standalone(self) -> Town:
+        """Return the same town with the spawn points that CARLA makes for a map that a client sends."""
+        town = copy(self)
+        town.spawn_points = _road_entries(self.lanes)
         return town
 
     def height(self, x: ArrayLike, y: ArrayLike, z: ArrayLike | None = None) -> Floats:
@@ -311,6 +318,20 @@ def _spawn_points(lane: Lane) -> list[Transform]:
         Transform(Location(x, y, z + _ABOVE), Rotation(yaw=_wrapped(np.degrees(heading).item())))
         for x, y, z, heading in zip(*columns, strict=True)
     ]
+
+
+def _road_entries(lanes: Sequence[Lane]) -> list[Transform]:
+    """Return where lanes enter roads, junctions included: right lanes before left ones, by road."""
+    last = {lane.road_id: lane.section for lane in sorted(lanes, key=lambda lane: lane.section)}
+    entering = [lane for lane in lanes if lane.section == (0 if lane.lane_id < 0 else last[lane.road_id])]
+    entering.sort(key=lambda lane: (lane.road_id, lane.lane_id > 0, lane.lane_id))
+    points = []
+    for lane in entering:
+        (x, y, z), (_, _, ahead) = lane.points[:2].tolist()
+        pitch = np.degrees(np.arctan2(ahead - z, lane.s[1] - lane.s[0])).item()
+        yaw = _wrapped(np.degrees(lane.heading[0]).item())
+        points.append(Transform(Location(x, y, z + _ABOVE_ENTRIES), Rotation(pitch, yaw)))
+    return points
 
 
 def _wrapped(degrees: float) -> float:
