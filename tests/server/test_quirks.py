@@ -1,14 +1,88 @@
+"""The quirks of the official client, each with what happens without the server's answer to it."""
+
 from __future__ import annotations
 
+import ast
 import asyncio
+import inspect
 import socket
+import struct
 import time
-from contextlib import closing
+from contextlib import closing, suppress
+from pathlib import Path
+from typing import TYPE_CHECKING
 
-from carla_recap.server.quirks import busy_polling_loop
+import pytest
+
+from carla_recap.server import quirks
+from carla_recap.server.host import Host
+from carla_recap.server.quirks import PendingSubscriptions, busy_polling_loop, unread_bytes
+from tests.sim.flat import flat_world
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
 
 
-def test_what_is_due_later_is_done_in_time() -> None:
+def rows() -> list[list[str]]:
+    """The table of quirks: quirk, symptom, place, tests."""
+    lines = [line for line in (inspect.getdoc(quirks) or "").splitlines() if line.startswith("|")]
+    return [[cell.strip() for cell in line.strip("|").split("|")] for line in lines[2:]]
+
+
+@pytest.mark.parametrize("row", rows(), ids=lambda row: row[2])
+def test_each_quirk_has_a_place_and_tests(row: list[str]) -> None:
+    _, _, place, tests = row
+    module, _, name = place.strip("`").rpartition(".")
+    assert hasattr(__import__(f"carla_recap.server.{module}", fromlist=[name]), name)
+    known = {
+        node.name
+        for path in Path(__file__).parent.glob("test_*.py")
+        for node in ast.walk(ast.parse(path.read_text()))
+        if isinstance(node, ast.FunctionDef)
+    }
+    assert {test.strip(" `") for test in tests.split(",")} <= known
+
+
+# --- busy polling ---------------------------------------------------------------------------------------------------------
+
+
+def polls(monkeypatch: pytest.MonkeyPatch, work: Callable[[], object]) -> int:
+    """Return how often the loop yields the processor in a poll while something is done in it."""
+    count = 0
+
+    def yield_processor() -> None:
+        nonlocal count
+        count += 1
+
+    monkeypatch.setattr(quirks, "_yield_processor", yield_processor)
+    with closing(busy_polling_loop()) as loop:
+
+        async def run() -> None:
+            work()
+            await asyncio.sleep(0.1)
+
+        loop.run_until_complete(run())
+    return count
+
+
+def test_the_loop_polls_after_an_event(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Without it, the processor sleeps between the calls of a client, and each one waits until it is awake."""
+    one, other = socket.socketpair()
+    with one, other:
+
+        def receive() -> None:
+            one.setblocking(False)
+            other.sendall(b"x")
+            asyncio.get_running_loop().add_reader(one, lambda: one.recv(10))
+
+        assert polls(monkeypatch, receive) > 0
+
+
+def test_an_idle_loop_does_not_poll(monkeypatch: pytest.MonkeyPatch) -> None:
+    assert polls(monkeypatch, lambda: None) == 0
+
+
+def test_timers_are_on_time() -> None:
     async def wait() -> float:
         begin = time.monotonic()
         for _ in range(20):
@@ -19,17 +93,119 @@ def test_what_is_due_later_is_done_in_time() -> None:
         assert 0.2 <= loop.run_until_complete(wait()) < 1.0
 
 
-def test_who_waits_takes_no_processor_time() -> None:
+def test_a_waiting_loop_takes_no_processor_time() -> None:
     async def wait() -> float:
-        reader, writer = await asyncio.open_connection(*there.getsockname())
-        caller, _ = there.accept()
+        reader, writer = await asyncio.open_connection(*server.getsockname())
+        caller, _ = server.accept()
         with caller:
             caller.sendall(b"x")
-            await reader.read(1)  # so that the loop has been called just before
+            await reader.read(1)  # so that there has been an event just before
             begin = time.process_time()
             await asyncio.sleep(0.5)
             writer.close()
             return time.process_time() - begin
 
-    with socket.create_server(("127.0.0.1", 0)) as there, closing(busy_polling_loop()) as loop:
+    with socket.create_server(("127.0.0.1", 0)) as server, closing(busy_polling_loop()) as loop:
         assert loop.run_until_complete(wait()) < 0.1
+
+
+# --- unread calls ---------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.skipif(not hasattr(socket, "AF_UNIX"), reason="needs sockets as of Linux")
+def test_what_arrived_before_a_write_failed_can_be_read() -> None:
+    """Without it, asyncio closes the socket, and the last calls of a script are lost."""
+    received: list[bytes] = []
+
+    class Server(asyncio.Protocol):
+        def connection_made(self, transport: asyncio.BaseTransport) -> None:
+            assert isinstance(transport, asyncio.Transport)
+            self.transport = transport
+            transport.pause_reading()
+
+        def connection_lost(self, error: Exception | None) -> None:
+            assert error is not None
+            received.append(unread_bytes(self.transport))
+            done.set()
+
+    async def run() -> None:
+        loop = asyncio.get_running_loop()
+        one, other = socket.socketpair()
+        transport, _ = await loop.create_connection(Server, sock=one)
+        other.sendall(b"stop_recorder")
+        other.close()
+        with suppress(OSError):
+            transport.write(b"a reply")
+        await asyncio.wait_for(done.wait(), 10)
+
+    done = asyncio.Event()
+    asyncio.run(run())
+    assert received == [b"stop_recorder"]
+
+
+# --- subscriptions that are about to come ---------------------------------------------------------------------------------
+
+
+def test_a_tick_waits_for_the_subscriptions_of_its_client() -> None:
+    """Without it, the client's `listen` is later than its tick, whose datum is lost."""
+
+    async def run() -> None:
+        pending, one, other = PendingSubscriptions(), object(), object()
+        pending.expect(3, one)
+        (subscription,) = pending.of(one)
+        assert not pending.of(other)
+        assert not subscription.done()
+        pending.arrived(3)
+        assert subscription.done()
+        assert not pending.of(one)
+
+    asyncio.run(run())
+
+
+def test_a_tick_does_not_wait_long_for_a_subscription_that_never_comes() -> None:
+    async def run() -> float:
+        pending, client = PendingSubscriptions(), object()
+        pending.expect(3, client)
+        begin = time.monotonic()
+        await asyncio.wait(pending.of(client))
+        return time.monotonic() - begin
+
+    assert asyncio.run(asyncio.wait_for(run(), 10)) >= 0.2
+
+
+# --- a stream of snapshots for each connection ----------------------------------------------------------------------------
+
+
+class Receiver:
+    stream = 0
+
+
+class Frames:
+    """A subscriber that keeps what it gets."""
+
+    def __init__(self, host: Host, stream: int) -> None:
+        self.episodes: list[int] = []
+        host.streams.add(stream, self)  # type: ignore[arg-type]
+
+    def send(self, frame: bytes) -> None:
+        self.episodes += struct.unpack_from("<Q", frame, 4 + 48)
+
+    def close(self) -> None:
+        pass
+
+
+def test_a_client_that_begins_an_episode_gets_it_in_a_new_stream() -> None:
+    """Without it, the client learns of the episode from its old stream while its own call goes on, and aborts."""
+    host = Host(flat_world())
+    client, other = Receiver(), Receiver()
+    host.snapshots.open(client)
+    host.snapshots.open(other)
+    old, theirs = Frames(host, client.stream), Frames(host, other.stream)
+    before = client.stream
+    host.tick()
+    host.begin_episode(host.world.town, client)
+    assert (old.episodes, theirs.episodes) == ([1], [1, 2])
+    assert client.stream not in (before, other.stream)
+    assert Frames(host, client.stream).episodes == [2]
+    host.tick()
+    assert (old.episodes, theirs.episodes) == ([1], [1, 2, 2])

@@ -1,19 +1,22 @@
 """What the server does only because of how the official client 0.9.16, or the machine under it, behaves.
 
-| quirk | symptom without it | where | test |
+| quirk | symptom without it | place | tests |
 |---|---|---|---|
-| the next call of a client comes within microseconds, while a sleeping processor takes tens of them to wake | a third \
-fewer ticks per second | `busy_polling_loop` | `tests/server/test_quirks.py` |
-| a script ends right after its last call, and resets the connection | that call, often `stop_recorder`, is lost \
-| `unread_bytes` | `tests/server/test_quirks.py` |
-| a client learns of a new episode from its stream before its own call has returned | the process of a client with a \
-traffic manager aborts in `load_world` | `SnapshotStreams` | `tests/server/test_episodes.py` |
-| `listen` returns before the client has subscribed | the datum of the tick that follows is lost | `PendingSubscriptions` \
-| `tests/server/test_quirks.py` |
-| the client signals a tick to its traffic manager without holding the manager's lock | client and manager wait for each \
-other for ever | `traffic_manager.cycle` | `tests/server/test_traffic_manager_cycle.py` |
-| a traffic manager's thread looks at the episode while the client has none | the process of the client aborts in \
-`reload_world` | `traffic_manager.pause` | `tests/server/test_traffic_manager.py` |
+| the next call of a client comes within microseconds, while a sleeping processor takes tens of them to wake \
+| a third fewer ticks per second | `quirks.busy_polling_loop` | `test_the_loop_polls_after_an_event` |
+| a script ends right after its last call, and its system resets the connection \
+| that call, often `stop_recorder`, is lost | `quirks.unread_bytes` \
+| `test_the_last_calls_of_a_client_that_is_gone_are_served`, `test_what_arrived_before_a_write_failed_can_be_read` |
+| `listen` returns before the client has subscribed | the datum of the tick that follows is lost \
+| `quirks.PendingSubscriptions` | `test_synchronous_mode`, `test_a_tick_waits_for_the_subscriptions_of_its_client` |
+| a client that begins an episode has none until its call has returned \
+| learning of the new one from its stream before, its process aborts | `quirks.SnapshotStreams` \
+| `test_episodes_begin_while_it_lives`, `test_a_client_that_begins_an_episode_gets_it_in_a_new_stream` |
+| meanwhile, the thread of its traffic manager looks at the episode | its process aborts \
+| `traffic_manager.pause.TrafficManagerPause` | `test_episodes_begin_while_it_lives` |
+| the client signals a tick to its traffic manager without holding the manager's lock \
+| client and manager wait for each other for ever | `traffic_manager.cycle.TrafficManagerCycle` \
+| `test_a_tick_passes_once_the_manager_waits_for_it`, `test_a_manager_that_has_missed_a_tick_is_woken` |
 """
 
 from __future__ import annotations

@@ -139,8 +139,10 @@ def _unpacked(command: Any) -> tuple[int, list[Any]]:
     """Return the number of a command and its fields."""
     try:
         ((number, fields),) = command
-        if number.__class__ is int and 0 <= number < len(_COMMANDS) and fields.__class__ is list and fields:
-            return number, fields
     except (TypeError, ValueError):
-        pass
+        number = fields = None
+    if number.__class__ is int and fields.__class__ is list and fields:
+        if 0 <= number < len(_COMMANDS):
+            return number, fields
+        raise DecodeError(f"apply_batch: there is no command {number}")
     raise DecodeError("apply_batch: a command of [[number, fields]] was expected")

@@ -29,6 +29,7 @@ _MOST_CONNECTIONS: Final = 2000  # each sensor that a client listens to is one
 _RESERVED_FILES: Final = 100  # files that the process needs besides
 _MOST_HELD: Final = 128 << 20  # bytes
 _SHOWN: Final = 200  # characters of an unknown name in an error
+_MOST_UNKNOWN: Final = 20  # unknown calls in the log
 
 
 class PooledConnection(Protocol):
@@ -275,7 +276,7 @@ class ClientConnection(asyncio.Protocol):
         context = self._context
         assert context is not None
         if call is None:
-            return self._send([_REPLY, number, unknown_call(name), None])
+            return self._send([_REPLY, number, _unknown_call(name), None])
         context.begin_call(name)
         try:
             answer = call(context, arguments)
@@ -328,7 +329,15 @@ def error_text(name: str, error: Exception) -> str:
     return f"{name}: {type(error).__name__}: {error}"
 
 
-def unknown_call(name: str) -> str:
+_unknown: Final[set[str]] = set()
+"""The unknown calls that have been logged."""
+
+
+def _unknown_call(name: str) -> str:
     """Return the error text for an unknown call; only a name that is no call of any client is shortened."""
     shown = name if len(name) <= _SHOWN else f"{name[:_SHOWN]}… ({len(name)} characters)"
-    return f"{shown}: there is no such call"
+    text = f"{shown}: there is no such call"
+    if shown not in _unknown and len(_unknown) < _MOST_UNKNOWN:
+        _unknown.add(shown)
+        _LOG.warning("%s; a newer client may make it", text)
+    return text

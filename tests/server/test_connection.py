@@ -1,0 +1,201 @@
+"""Connections without a network: replies, errors, and clients that leave early."""
+
+from __future__ import annotations
+
+import asyncio
+import gc
+import logging
+from typing import TYPE_CHECKING, Any
+
+import msgpack
+import pytest
+
+from carla_recap.server.rpc import connection as connections
+from carla_recap.server.rpc.connection import ClientConnection, ConnectionPool
+from carla_recap.server.rpc.registry import unregistered_call
+from carla_recap.server.rpc.structs import VehicleLightState  # noqa: TC001  (calls read annotations)
+
+if TYPE_CHECKING:
+    from collections.abc import Awaitable
+
+
+class Context:
+    """A context of calls that holds back nothing."""
+
+    def begin_call(self, name: str) -> None:
+        pass
+
+    def hold(self, name: str, answer: Any) -> Any:
+        return answer
+
+    def leave(self) -> None:
+        pass
+
+
+class Transport(asyncio.Transport):
+    """Keeps what is written to it."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.written = b""
+
+    def write(self, data: Any) -> None:
+        self.written += data
+
+    def is_closing(self) -> bool:
+        return False
+
+    def get_write_buffer_size(self) -> int:
+        return 0
+
+    def get_extra_info(self, name: str, default: Any = None) -> Any:
+        return default
+
+    @property
+    def replies(self) -> list[list[Any]]:
+        unpacker = msgpack.Unpacker()
+        unpacker.feed(self.written)
+        return list(unpacker)
+
+
+def double(client: Context, number: int, state: VehicleLightState | None = None) -> int:
+    return 2 * number
+
+
+def broken(client: Context) -> int:
+    return 1 // 0
+
+
+def unfit(client: Context) -> VehicleLightState:
+    return None  # type: ignore[return-value]
+
+
+async def slow(client: Context) -> int:
+    await asyncio.sleep(0)
+    return 7
+
+
+async def fails_late(client: Context) -> int:
+    await asyncio.sleep(0)
+    raise KeyError("late")
+
+
+CALLS = {handler.__name__: unregistered_call(handler) for handler in (double, broken, unfit, slow, fails_late)}
+
+
+def connected() -> tuple[ClientConnection, Transport]:
+    connection, transport = ClientConnection(CALLS, ConnectionPool(), lambda _: Context()), Transport()
+    connection.connection_made(transport)
+    return connection, transport
+
+
+def request(number: int, name: str, *arguments: Any) -> bytes:
+    data: bytes = msgpack.packb([0, number, name, [[False], *arguments]])
+    return data
+
+
+def replies(*requests: bytes) -> list[list[Any]]:
+    async def run() -> list[list[Any]]:
+        connection, transport = connected()
+        for data in requests:
+            connection.data_received(data)
+        while len(transport.replies) < len(requests):
+            await asyncio.sleep(0)
+        return transport.replies
+
+    return asyncio.run(asyncio.wait_for(run(), 10))
+
+
+@pytest.mark.parametrize(
+    ("name", "error"),
+    [
+        ("broken", "ZeroDivisionError: integer division or modulo by zero"),
+        ("unfit", "AttributeError: 'NoneType' object has no attribute 'bits'"),
+        ("fails_late", "KeyError: 'late'"),
+    ],
+)
+def test_an_exception_in_a_call_is_an_error_for_the_client_and_a_line_in_the_log(
+    name: str, error: str, caplog: pytest.LogCaptureFixture
+) -> None:
+    failed, fine = (
+        replies(request(1, name), request(2, "double", 4))
+        if name != "fails_late"
+        else (
+            *replies(request(1, name)),
+            *replies(request(2, "double", 4)),
+        )
+    )
+    assert failed == [1, 1, None, [[0, [f"{name}: {error}"]]]]
+    assert fine == [1, 2, None, [[1, 8]]]
+    (record,) = caplog.records
+    assert record.levelno == logging.ERROR
+    assert record.getMessage().startswith(f"{name} has failed: ")
+    assert "\n" not in record.getMessage()
+
+
+def test_arguments_of_newer_clients_are_ignored() -> None:
+    """More arguments than expected, and more fields of a struct."""
+    assert replies(request(1, "double", 4, [True, [1, "new", 2]], True, "override", [[0, 0, 0], [0, 0, 0]])) == [
+        [1, 1, None, [[1, 8]]]
+    ]
+
+
+def test_arguments_of_older_clients_may_be_missing() -> None:
+    assert replies(request(1, "double", 4)) == [[1, 1, None, [[1, 8]]]]
+    (reply,) = replies(request(1, "double"))
+    assert reply[3] == [[0, ["double: expected 1 arguments, found 0"]]]
+
+
+@pytest.mark.parametrize("length", [1, 64, 200])
+def test_the_name_of_an_unknown_call_is_reported_in_full(length: int) -> None:
+    assert replies(request(3, "x" * length)) == [[1, 3, "x" * length + ": there is no such call", None]]
+
+
+def test_a_name_that_no_call_can_have_is_cut() -> None:
+    ((_, _, error, _),) = replies(request(3, "x" * 100_000))
+    assert error == "x" * 200 + "… (100000 characters): there is no such call"
+
+
+def test_unknown_calls_are_logged_once_each_and_not_without_end(
+    caplog: pytest.LogCaptureFixture, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(connections, "_unknown", set())
+    replies(*(request(number, f"call_{number % 100}") for number in range(200)))
+    assert caplog.messages[0] == "call_0: there is no such call; a newer client may make it"
+    assert len(caplog.messages) == len(set(caplog.messages)) == 20
+
+
+async def _leave(connection: ClientConnection) -> None:
+    connection.connection_lost(None)
+    for _ in range(3):
+        await asyncio.sleep(0)
+
+
+def test_a_client_that_leaves_early_leaves_no_coroutine_unawaited(recwarn: pytest.WarningsRecorder) -> None:
+    async def run() -> None:
+        connection, _ = connected()
+        connection.data_received(request(1, "slow"))
+        await _leave(connection)
+
+    asyncio.run(run())
+    gc.collect()
+    assert not [str(warning.message) for warning in recwarn]
+
+
+def test_a_held_answer_of_a_client_that_leaves_early_is_awaited_too(recwarn: pytest.WarningsRecorder) -> None:
+    async def later(answer: Any) -> Any:
+        return answer
+
+    class Holding(Context):
+        def hold(self, name: str, answer: Any) -> Awaitable[Any]:
+            return later(answer)
+
+    async def run() -> None:
+        connection = ClientConnection(CALLS, ConnectionPool(), lambda _: Holding())
+        connection.connection_made(Transport())
+        connection.data_received(request(1, "double", 1))
+        await _leave(connection)
+
+    asyncio.run(run())
+    gc.collect()
+    assert not [str(warning.message) for warning in recwarn]
