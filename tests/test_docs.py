@@ -100,9 +100,9 @@ def test_every_call_of_clients_has_its_place():
 
 def test_every_sensor_has_its_row():
     pytest.importorskip("pymunk", reason="the extra `sim` is not installed")
-    from carla_recap.server.sensors.kinds import KINDS
+    from carla_recap.server.sensors import SENSOR_KINDS
 
-    for name, kind in KINDS.items():
+    for name, kind in SENSOR_KINDS.items():
         assert f"| `{name}` | {kind.support} | {kind.what} |" in SERVING
 
 

@@ -14,9 +14,9 @@ import pytest
 
 from carla_recap.server.actor_records import stream_of
 from carla_recap.server.host import Host
-from carla_recap.server.sensors import KINDS, Support, sending
-from carla_recap.server.sensors.georeference import GeoReference
-from carla_recap.server.sensors.rays import Boxes
+from carla_recap.server.sensors import SENSOR_KINDS, Support, dispatch
+from carla_recap.server.sensors.inertial import GeoReference
+from carla_recap.server.sensors.rays import ActorBoxes
 from carla_recap.server.streaming.streams import Subscriber
 from carla_recap.sim.actors.blueprints import standard_library
 from carla_recap.sim.actors.control import VehicleControl
@@ -26,7 +26,7 @@ from tests.maps.towns import town
 from tests.sim.flat import at, flat_town, flat_world
 
 if TYPE_CHECKING:
-    from carla_recap.server.sensors.feed import Feed, Tell
+    from carla_recap.server.sensors.feed import Feed, FeedContext
     from carla_recap.sim.actors.actor import Actor
 
 HERE = Transform()
@@ -78,8 +78,8 @@ def sensor(
 
 
 def test_each_sensor_of_the_library_is_in_the_table() -> None:
-    assert {blueprint.id for blueprint in standard_library().filter("sensor.*")} == set(KINDS)
-    assert {kind.support for kind in KINDS.values()} == set(Support)
+    assert {blueprint.id for blueprint in standard_library().filter("sensor.*")} == set(SENSOR_KINDS)
+    assert {kind.support for kind in SENSOR_KINDS.values()} == set(Support)
 
 
 def test_a_frame_begins_with_kind_frame_time_and_place() -> None:
@@ -131,9 +131,10 @@ def test_streams_end_with_the_episode() -> None:
 
 
 @pytest.mark.parametrize(
-    ("interval", "expected"), [("0", 20), ("0.05", 20), ("0.1", 10), ("0.25", 4), ("0.01", 20), ("1e-320", 20), ("x", 20)]
+    ("interval", "expected"),
+    [("0", 20), ("0.05", 20), ("0.1", 10), ("0.25", 4), ("0.3", 4), ("1.0", 1), ("0.01", 20), ("1e-320", 20), ("x", 20)],
 )
-def test_sensor_tick_says_how_often(interval: str, expected: int) -> None:
+def test_sensor_tick_is_the_interval_between_frames(interval: str, expected: int) -> None:
     host = served()
     gnss = sensor(host, "other.gnss", sensor_tick=interval)
     for _ in range(20):
@@ -141,14 +142,37 @@ def test_sensor_tick_says_how_often(interval: str, expected: int) -> None:
     assert len(gnss.take()) == expected
 
 
-def test_sensors_of_one_interval_tell_of_the_same_frames() -> None:
+def test_sensor_tick_counts_from_the_first_tick_of_each_sensor() -> None:
     host = served()
-    first = sensor(host, "other.gnss", sensor_tick="0.2")
-    host.tick()
-    second = sensor(host, "other.gnss", sensor_tick="0.2")
-    for _ in range(20):
+    for _ in range(7):
         host.tick()
-    assert [header[1] for header, _ in first.take()] == [header[1] for header, _ in second.take()]
+    first = sensor(host, "other.gnss", sensor_tick="0.2")
+    begin = host.tick()
+    second = sensor(host, "other.gnss", sensor_tick="0.2")
+    for _ in range(12):
+        host.tick()
+    assert [header[1] - begin for header, _ in first.take()] == [0, 4, 8, 12]
+    assert [header[1] - begin for header, _ in second.take()] == [1, 5, 9]
+
+
+def test_an_interval_that_is_no_multiple_of_the_tick_has_the_right_mean() -> None:
+    host = served()
+    gnss = sensor(host, "other.gnss", sensor_tick="0.1")
+    frames = [host.tick(1 / 15) for _ in range(30)]
+    told = [header[1] - frames[0] for header, _ in gnss.take()]
+    assert told == [0, 2, 3, 5, 6, 8, 9, 11, 12, 14, 15, 17, 18, 20, 21, 23, 24, 26, 27, 29]
+
+
+def test_a_client_that_begins_to_listen_late_waits_for_the_next_interval() -> None:
+    host = served()
+    actor = host.world.spawn("sensor.other.gnss", Transform(), sensor_tick="0.5")
+    begin = host.tick()
+    for _ in range(3):
+        host.tick()
+    late = Listener(host, actor)
+    for _ in range(10):
+        host.tick()
+    assert [header[1] - begin for header, _ in late.take()] == [10]
 
 
 def test_a_collision_tells_both_actors_and_the_impulse() -> None:
@@ -308,12 +332,12 @@ def test_cameras_send_blank_images_of_their_size(camera: str, number: int, pixel
 
 
 def test_a_failing_feed_does_not_fail_the_tick(monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture) -> None:
-    def failing(sensor: Actor, tell: Tell) -> Feed:
+    def failing(sensor: Actor, context: FeedContext) -> Feed:
         raise ZeroDivisionError("no way")
 
     host = served()
-    kinds = {**KINDS, "sensor.other.gnss": replace(KINDS["sensor.other.gnss"], make=failing)}
-    monkeypatch.setattr(sending, "KINDS", kinds)
+    kinds = {**SENSOR_KINDS, "sensor.other.gnss": replace(SENSOR_KINDS["sensor.other.gnss"], make=failing)}
+    monkeypatch.setattr(dispatch, "SENSOR_KINDS", kinds)
     first, second = sensor(host, "other.gnss"), sensor(host, "other.gnss")
     images = sensor(host, "camera.rgb", image_size_x="8", image_size_y="8")
     for _ in range(3):
@@ -371,6 +395,57 @@ def test_a_lidar_sees_boxes_in_its_own_axes_channel_by_channel() -> None:
     assert points[:, 0] == pytest.approx(np.full(len(points), 20.0 - 4.79 / 2), abs=0.01)
     assert np.abs(points[:, 1]).max() <= 2.16 / 2 + 0.01
     assert points[0, 3] == pytest.approx(exp(-0.004 * np.linalg.norm(points[0, :3])), abs=1e-4)
+
+
+def points_of(listener: Listener) -> int:
+    payload = listener.payload()
+    return int(np.frombuffer(payload[8:24], "<u4").sum())
+
+
+def test_a_lidar_drops_points_as_its_attributes_say() -> None:
+    host = served()
+    car = vehicle(host)
+    vehicle(host, 10.0, yaw=90.0)
+    keys = ("dropoff_general_rate", "dropoff_intensity_limit", "dropoff_zero_intensity", "atmosphere_attenuation_rate")
+    lidar = {**LIDAR, "points_per_second": "400000", "rotation_frequency": "20"}
+    exact, half, dim = (
+        sensor(host, "lidar.ray_cast", car, at(0.0, z=1.0), **lidar, **dict(zip(keys, values, strict=True)))
+        for values in (("0", "0", "0", "0.004"), ("0.5", "0", "0", "0.004"), ("0", "0.8", "0.4", "0.1"))
+    )
+    host.tick()
+    every = points_of(exact)
+    assert every > 200
+    assert points_of(half) / every == pytest.approx(0.5, abs=0.1)
+    assert points_of(dim) / every == pytest.approx(1 - 0.4 + 0.5 * exp(-0.1 * 9), abs=0.1)
+
+
+def test_lidars_and_radars_are_the_same_for_a_seed() -> None:
+    told = []
+    for seed in ("5", "5", "6"):
+        host = served()
+        car = vehicle(host)
+        for _ in range(len(told)):
+            host.world.spawn("static.prop.gnome", at(0.0, 100.0)).destroy()  # other ids
+        vehicle(host, 15.0)
+        seeded = {"noise_seed": seed}
+        lidar = sensor(host, "lidar.ray_cast", car, at(0.0, z=1.0), noise_stddev="0.1", **seeded, **LIDAR)
+        radar = sensor(host, "other.radar", car, at(2.5, z=0.8), **seeded)
+        host.tick()
+        told.append((lidar.payload(), radar.payload()))
+    assert told[0] == told[1]
+    assert told[0][0] != told[2][0]
+    assert told[0][1] != told[2][1]
+
+
+def test_rays_and_barriers_have_heights() -> None:
+    wall = np.array([(20.0, -10.0, 30.0), (20.0, 10.0, 30.0)])
+    host = Host(flat_world(barriers=[wall]))
+    car = vehicle(host)
+    below, above = (sensor(host, "other.obstacle", car, at(2.5, z=z), distance="50") for z in (0.8, 30.8))
+    host.world.spawn("static.prop.container", at(12.0, z=30.0))
+    host.tick()
+    assert below.take() == []
+    assert msgpack.unpackb(above.payload())[1][2][1] == "static.prop.container"
 
 
 def test_a_semantic_lidar_knows_whom_it_sees() -> None:
@@ -431,7 +506,7 @@ def test_an_obstacle_detector_may_look_for_what_moves_alone() -> None:
 def test_rays_hit_what_is_nearest() -> None:
     host = served()
     near, far = vehicle(host, 10.0), vehicle(host, 20.0)
-    boxes = Boxes([far, near])
+    boxes = ActorBoxes([far, near])
     ahead, back = np.array([(1.0, 0.0, 0.0)]), np.array([(-1.0, 0.0, 0.0)])
     hits = boxes.cast(np.array((0.0, 0.0, 0.5)), ahead, 100.0)
     assert (hits.box.tolist(), hits.ray.tolist()) == ([1], [0])
@@ -440,7 +515,7 @@ def test_rays_hit_what_is_nearest() -> None:
     assert len(boxes.cast(np.array((0.0, 0.0, 0.5)), back, 100.0).ray) == 0
     assert len(boxes.cast(np.array((0.0, 0.0, 5.0)), ahead, 100.0).ray) == 0
     assert boxes.cast(np.array((10.0, 0.0, 0.5)), back, 100.0).distance.tolist() == [0.0]
-    assert len(Boxes([]).cast(np.zeros(3), ahead, 100.0).ray) == 0
+    assert len(ActorBoxes([]).cast(np.zeros(3), ahead, 100.0).ray) == 0
 
 
 def test_what_is_on_the_same_vehicle_is_not_seen() -> None:
@@ -452,7 +527,7 @@ def test_what_is_on_the_same_vehicle_is_not_seen() -> None:
     assert detector.take() == []
 
 
-@pytest.mark.parametrize("kind", sorted(KINDS))
+@pytest.mark.parametrize("kind", sorted(SENSOR_KINDS))
 def test_nonsense_in_attributes_is_taken_for_the_default(kind: str) -> None:
     host = served()
     keys = ("image_size_x", "image_size_y", "fov", "channels", "range", "points_per_second", "distance", "noise_seed")

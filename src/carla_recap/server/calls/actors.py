@@ -186,6 +186,12 @@ def set_actor_dead(client: Client, id: int) -> None:
 
 
 @call
+def send(client: Client, id: int, message: Any) -> None:
+    """Have a `sensor.other.v2x_custom` send a message in the next tick."""
+    client.host.sensors.queue_message(client.host.actor(id), message)
+
+
+@call
 def get_actor_component_world_transform(client: Client, id: int, component: str) -> Transform:
     """Return the transform of a component, which is the actor's own."""
     return client.host.known_actor(id).transform

@@ -79,7 +79,6 @@ _ACCEPTED: Final[dict[str, _Answer]] = {
     "enable_gbuffers": _Answer(_NO_GBUFFERS),
     "are_gbuffers_enabled": _Answer(_NO_GBUFFERS, bool, False),
     "set_ignored_vehicles": _Answer(_NO_GBUFFERS),
-    "send": _Answer("there are no sensors that talk to each other"),
 }
 _REFUSED: Final = {"get_gbuffer_token": _NO_GBUFFERS}
 

@@ -11,10 +11,8 @@ from carla_recap.server.calls.actors import expect
 from carla_recap.server.client import Client
 from carla_recap.server.rpc.registry import CallError, call
 from carla_recap.server.rpc.structs import BoxStruct, EnvironmentObject, LabelledPoint
-from carla_recap.server.sensors.rays import Boxes
-from carla_recap.sim.actors.actor import Prop
+from carla_recap.server.sensors.rays import ActorBoxes, solid_actors
 from carla_recap.sim.actors.lights import Sign, TrafficLight
-from carla_recap.sim.actors.moving import MovingActor
 from carla_recap.sim.geometry import Location, Vector
 from carla_recap.sim.physics.drivetrain import GRAVITY
 from carla_recap.sim.validation import expect_place
@@ -24,7 +22,6 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    from carla_recap.sim.actors.actor import Actor
     from carla_recap.sim.world import World
 
     Floats = NDArray[np.float64]
@@ -180,13 +177,10 @@ def _ray(world: World, start: Location, end: Location) -> list[LabelledPoint]:
 
 
 def _actor_hits(world: World, origin: Floats, direction: Floats, reach: float) -> Iterator[tuple[float, int]]:
-    left: list[Actor] = [actor for actor in world.actors.values() if isinstance(actor, (MovingActor, Prop))]
-    while left:
-        hits = Boxes(left).cast(origin, direction[None], reach)
-        if not len(hits.box):
-            return
-        actor = left.pop(int(hits.box[0]))
-        yield float(hits.distance[0]), actor_records.tag(actor)
+    actors = solid_actors(world.actors.values())
+    hits = ActorBoxes(actors).pierce(origin, direction[None], reach)
+    for box, distance in zip(hits.box.tolist(), hits.distance.tolist(), strict=True):
+        yield distance, actor_records.tag(actors[box])
 
 
 def _ground_hits(world: World, origin: Floats, direction: Floats, reach: float) -> Iterator[tuple[float, int]]:

@@ -1,6 +1,5 @@
-"""Sensors over the wire: what each tells those who listen to it."""
+"""Sensors over the wire: what the sensors of a world send to the clients that listen."""
 
-from carla_recap.server.sensors.kinds import KINDS, Support
-from carla_recap.server.sensors.sending import Sensors
+from carla_recap.server.sensors.dispatch import SENSOR_KINDS, Sensors, Support
 
-__all__ = ["KINDS", "Sensors", "Support"]
+__all__ = ["SENSOR_KINDS", "Sensors", "Support"]

@@ -1,30 +1,43 @@
-"""What a feed is, and what feeds read from the attributes of their sensors."""
+"""What all kinds of sensors share: feeds, attributes as numbers, and noise."""
 
 from __future__ import annotations
 
+import zlib
 from collections.abc import Callable, Iterable
 from contextlib import suppress
-from typing import TYPE_CHECKING, Final
+from typing import TYPE_CHECKING, Final, Protocol
 
 import numpy as np
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
+    from carla_recap.server.sensors.v2x import RadioChannel
     from carla_recap.sim.actors.actor import Actor
 
-_TOO_LARGE: Final = 1e10  # for any number that a sensor is meant to have
+_TOO_LARGE: Final = 1e10  # for any number of a sensor
 
 Feed = Callable[[], Iterable[bytes]]
-"""Tells what a sensor has noticed in the latest tick: the frames to send, without the header that all have."""
-Tell = Callable[[int | None], object]
-"""An actor as clients are told of it in an event, for msgpack, by its id; None for a barrier, which is no actor."""
-Make = Callable[["Actor", Tell], Feed]
-"""Makes the feed of a sensor, once somebody listens to it."""
+"""Returns the frames of a sensor for the latest tick, without the header that all frames have."""
+
+
+class FeedContext(Protocol):
+    """What feeds need besides their sensors."""
+
+    @property
+    def radio(self) -> RadioChannel:
+        """The V2X messages of the latest tick."""
+
+    def actor_record(self, id: int | None) -> object:
+        """Return the record of an actor for msgpack; None stands for a barrier, which is no actor."""
+
+
+MakeFeed = Callable[["Actor", FeedContext], Feed]
+"""Makes the feed of a sensor when the first client begins to listen."""
 
 
 def number(sensor: Actor, key: str) -> float:
-    """An attribute that is a number; the blueprint's where it is none, or beyond all reason, and 0 where that has none."""
+    """Return an attribute as a number; the default if it is none, or beyond all reason, and 0 if there is no default."""
     for attributes in (sensor.attributes, sensor.blueprint.attributes):
         with suppress(ValueError):
             value = float(attributes.get(key, ""))
@@ -34,31 +47,37 @@ def number(sensor: Actor, key: str) -> float:
 
 
 def flag(sensor: Actor, key: str) -> bool:
-    """An attribute that is true or false; false where it is missing."""
+    """Return an attribute that is true or false; false if it is missing."""
     return sensor.attributes.get(key, "").lower() in ("true", "1")
 
 
-def random_numbers(sensor: Actor) -> np.random.Generator:
-    """Return the random numbers of a sensor: the same ones for the same `noise_seed`, in every episode, as with CARLA."""
-    return np.random.default_rng(abs(int(number(sensor, "noise_seed"))))
+def interval(sensor: Actor) -> float:
+    """Return the simulated time between two frames of a sensor, in s."""
+    return max(sensor.context.clock.delta, number(sensor, "sensor_tick"))
+
+
+def generator(sensor: Actor, purpose: str = "") -> np.random.Generator:
+    """Return a source of random numbers for one purpose: the same for the same `noise_seed`."""
+    return np.random.default_rng((abs(int(number(sensor, "noise_seed"))), zlib.crc32(purpose.encode())))
 
 
 class Noise:
-    """What is wrong with what a sensor measures: always the same for the same seed.
+    """The error of measured values: the same for the same seed.
 
     Args:
         sensor: The sensor, whose attribute `noise_seed` is the seed.
-        bias: The attributes that say by how much all values are wrong; none for no bias.
-        deviation: Those that say by how much values differ from that: their standard deviation.
+        bias: The attributes with the constant errors; none for no constant error.
+        deviation: The attributes with the standard deviations.
     """
 
     def __init__(self, sensor: Actor, bias: Iterable[str], deviation: Iterable[str]) -> None:
+        deviation = list(deviation)
         self._bias = np.array([number(sensor, key) for key in bias])
         self._deviation = np.array([abs(number(sensor, key)) for key in deviation])
-        self._random = random_numbers(sensor)
+        self._random = generator(sensor, deviation[0])
 
-    def upon(self, values: NDArray[np.float64]) -> list[float]:
-        """Values, and what is wrong with them."""
+    def add_to(self, values: NDArray[np.float64]) -> list[float]:
+        """Return values with errors."""
         if len(self._bias):
             values = values + self._bias
         if self._deviation.any():
@@ -67,6 +86,6 @@ class Noise:
         return measured
 
 
-def silent(sensor: Actor, tell: Tell) -> Feed:
-    """A sensor that tells nothing."""
+def silent(sensor: Actor, context: FeedContext) -> Feed:
+    """Return the feed of a sensor that sends nothing."""
     return lambda: ()

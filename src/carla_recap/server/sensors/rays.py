@@ -1,12 +1,16 @@
-"""Rays against the boxes of vehicles, walkers and props: what radars, lidars and obstacle detectors see."""
+"""Rays against the boxes of vehicles, walkers and props, and the sensors that cast them: lidars and radars."""
 
 from __future__ import annotations
 
+import struct
 from dataclasses import dataclass
+from math import radians, tan, tau
 from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
+from carla_recap.server.actor_records import tag
+from carla_recap.server.sensors.feed import generator, interval, number
 from carla_recap.sim.actors.actor import Prop
 from carla_recap.sim.actors.moving import MovingActor
 
@@ -15,57 +19,66 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
+    from carla_recap.server.sensors.feed import Feed, FeedContext
     from carla_recap.sim.actors.actor import Actor
     from carla_recap.sim.geometry import Location, Transform, Vector
 
     Floats = NDArray[np.float64]
     Integers = NDArray[np.int64]
 
-_STRAIGHT: Final = 1e-12  # instead of 0, where a ray runs along a side of a box
+_PARALLEL: Final = 1e-12  # instead of 0, for a ray along a side of a box
+# horizontal angle in radians, channels; then the number of points of each channel
+_LIDAR_HEADER: Final = struct.Struct("<fI")
+_POINT: Final = np.dtype([("location", "<(3,)f4"), ("intensity", "<f4")])
+_SEMANTIC_POINT: Final = np.dtype([("location", "<(3,)f4"), ("cosine", "<f4"), ("actor", "<u4"), ("tag", "<u4")])
+_MOST_CHANNELS: Final = 512
+_MOST_LIDAR_RAYS: Final = 200_000  # in a frame
+_MOST_RADAR_RAYS: Final = 100_000
+_WIDEST: Final = 179.0  # degrees
 
 
-def axes(place: Transform) -> Floats:
-    """The axes of a transform, (3, 3); see `Rotation.matrix`."""
-    return np.array(place.rotation.matrix())
+def axes(transform: Transform) -> Floats:
+    """Return the axes of a transform, (3, 3); see `Rotation.matrix`."""
+    return np.array(transform.rotation.matrix())
 
 
 def row(value: Location | Vector) -> Floats:
-    """A place or a direction as (3,)."""
+    """Return a location or a direction as (3,)."""
     return np.array((value.x, value.y, value.z))
 
 
 def rows(values: Iterable[Location | Vector]) -> Floats:
-    """Places or directions as (n, 3)."""
+    """Return locations or directions as (n, 3)."""
     return np.array([(value.x, value.y, value.z) for value in values], np.float64).reshape(-1, 3)
 
 
-def seen_by(sensor: Actor) -> list[Actor]:
-    """Whoever a sensor can see: all who have a box, but for who carries it and what else is on that."""
+def visible_actors(sensor: Actor) -> list[Actor]:
+    """Return all actors with a box, but for the carrier of a sensor and what else is attached to that."""
     carrier = sensor
     while carrier.parent is not None:
         carrier = carrier.parent
-    own = _family(carrier)
-    others = sensor.context.actors.values()
-    return [
-        other
-        for other in others
-        if isinstance(other, (MovingActor, Prop)) and other.box.extent.length() and other not in own
-    ]
+    own = _with_children(carrier)
+    return [other for other in solid_actors(sensor.context.actors.values()) if other not in own]
 
 
-def _family(actor: Actor) -> set[Actor]:
-    return {actor}.union(*map(_family, actor.children))
+def solid_actors(actors: Iterable[Actor]) -> list[Actor]:
+    """Return the vehicles, walkers and props that have a size."""
+    return [actor for actor in actors if isinstance(actor, (MovingActor, Prop)) and actor.box.extent.length()]
+
+
+def _with_children(actor: Actor) -> set[Actor]:
+    return {actor}.union(*map(_with_children, actor.children))
 
 
 @dataclass(frozen=True, eq=False, slots=True)
-class Hits:
-    """What rays have hit first.
+class RayHits:
+    """The hits of rays on boxes.
 
     Attributes:
-        ray: The numbers of the rays that have hit something, ascending.
-        box: The numbers of the boxes.
-        distance: How far away, in m.
-        cosine: Of the angle between the ray and the normal of the side that it hits.
+        ray: The index of the ray of each hit, ascending.
+        box: The index of the box.
+        distance: The distance in m.
+        cosine: The cosine of the angle between the ray and the normal of the side that it hits.
     """
 
     ray: Integers
@@ -73,38 +86,47 @@ class Hits:
     distance: Floats
     cosine: Floats
 
+    def take(self, index: Integers | NDArray[np.bool_]) -> RayHits:
+        """Return some of the hits."""
+        return RayHits(self.ray[index], self.box[index], self.distance[index], self.cosine[index])
 
-class Boxes:
-    """The boxes of actors, as they stand.
+
+class ActorBoxes:
+    """The boxes of actors in the world, in three dimensions.
 
     Args:
-        actors: Whose.
-        margin: So much larger are they taken to be on each side, in m.
+        actors: The actors.
+        margin: The width in m by which each box is enlarged on each side.
 
     Attributes:
-        actors: Whose they are.
+        actors: The actors.
     """
 
     def __init__(self, actors: Sequence[Actor], margin: float = 0.0) -> None:
         self.actors = actors
-        places = [actor.transform for actor in actors]
-        middles = [place.transform(actor.box.location) for place, actor in zip(places, actors, strict=True)]
-        self._axes = np.array([place.rotation.matrix() for place in places]).reshape(-1, 3, 3)
-        self._middle = rows(middles)
+        transforms = [actor.transform for actor in actors]
+        centres = [transform.transform(actor.box.location) for transform, actor in zip(transforms, actors, strict=True)]
+        self._axes = np.array([transform.rotation.matrix() for transform in transforms]).reshape(-1, 3, 3)
+        self._centre = rows(centres)
         self._extent = rows(actor.box.extent for actor in actors) + margin
 
-    def cast(self, origin: Floats, directions: Floats, reach: float) -> Hits:
-        """Send rays from a place.
+    def cast(self, origin: Floats, directions: Floats, reach: float) -> RayHits:
+        """Return the first hit of each ray that hits something.
 
         Args:
-            origin: Where from, (3,) in m.
-            directions: Where to, (n, 3), of length 1.
-            reach: How far, in m.
+            origin: The start of all rays, (3,) in m.
+            directions: The directions, (n, 3), of length 1.
+            reach: The length of the rays in m.
         """
-        ray, box = self._near(origin, directions, reach)
-        start = ((origin - self._middle)[:, None] @ self._axes)[box, 0]
+        hits = self.pierce(origin, directions, reach)
+        return hits.take(np.unique(hits.ray, return_index=True)[1])
+
+    def pierce(self, origin: Floats, directions: Floats, reach: float) -> RayHits:
+        """Return all hits of rays that pass through boxes, the nearest of each ray first; see `cast`."""
+        ray, box = self._candidates(origin, directions, reach)
+        start = ((origin - self._centre)[:, None] @ self._axes)[box, 0]
         along = (directions[ray][:, None] @ self._axes[box])[:, 0]
-        along = np.where(np.abs(along) < _STRAIGHT, _STRAIGHT, along)
+        along = np.where(np.abs(along) < _PARALLEL, _PARALLEL, along)
         extent = self._extent[box]
         enter = (-np.sign(along) * extent - start) / along
         leave = (np.sign(along) * extent - start) / along
@@ -112,17 +134,121 @@ class Boxes:
         distance = np.maximum(enter.max(axis=1), 0.0)
         cosine = np.abs(np.take_along_axis(along, side[:, None], 1)[:, 0])
         hit = np.flatnonzero((distance <= leave.min(axis=1)) & (distance <= reach))
-        order = hit[np.lexsort((distance[hit], ray[hit]))]
-        first = order[np.unique(ray[order], return_index=True)[1]]
-        return Hits(ray[first], box[first], distance[first], cosine[first])
+        return RayHits(ray, box, distance, cosine).take(hit[np.lexsort((distance[hit], ray[hit]))])
 
-    def _near(self, origin: Floats, directions: Floats, reach: float) -> tuple[Integers, Integers]:
-        """Pairs of rays and boxes that may meet: the ray passes the sphere around the box."""
-        to = self._middle - origin
+    def _candidates(self, origin: Floats, directions: Floats, reach: float) -> tuple[Integers, Integers]:
+        """Return the pairs of rays and boxes where the ray passes through the sphere around the box."""
+        to = self._centre - origin
         size = np.linalg.norm(self._extent, axis=1)
         away = np.linalg.norm(to, axis=1)
         boxes = np.flatnonzero(away - size <= reach)
-        least = np.sqrt(np.maximum(away[boxes] ** 2 - size[boxes] ** 2, 0.0))  # as far along is where a ray touches it
+        least = np.sqrt(np.maximum(away[boxes] ** 2 - size[boxes] ** 2, 0.0))  # the projection of a ray that touches it
         least[away[boxes] <= size[boxes]] = -np.inf
-        ray, place = np.nonzero(directions @ to[boxes].T >= least)
-        return ray, boxes[place]
+        ray, box = np.nonzero(directions @ to[boxes].T >= least)
+        return ray, boxes[box]
+
+
+class Lidar:
+    """The rays of a lidar: they sweep around, channel by channel.
+
+    Args:
+        sensor: The lidar.
+    """
+
+    def __init__(self, sensor: Actor) -> None:
+        self._sensor = sensor
+        self._channels = int(np.clip(number(sensor, "channels"), 1, _MOST_CHANNELS))
+        self._pitches = np.radians(np.linspace(number(sensor, "upper_fov"), number(sensor, "lower_fov"), self._channels))
+        self._sector = radians(number(sensor, "horizontal_fov"))
+        self._angle = 0.0
+
+    def sweep(self) -> tuple[ActorBoxes, RayHits, Floats]:
+        """Return the boxes in sight, the hits of the rays since the last frame, and the rays in the axes of the sensor."""
+        transform, boxes = self._sensor.transform, ActorBoxes(visible_actors(self._sensor))
+        rays = self._rays()
+        hits = boxes.cast(row(transform.location), rays @ axes(transform).T, number(self._sensor, "range"))
+        return boxes, hits, rays
+
+    def frame(self, hits: RayHits, rays: Floats, points: NDArray[np.void]) -> bytes:
+        """Return the frame of some hits and their points."""
+        channel = hits.ray // max(len(rays) // self._channels, 1)
+        counts = np.bincount(channel, minlength=self._channels).astype("<u4")
+        return _LIDAR_HEADER.pack(self._angle, self._channels) + counts.tobytes() + points.tobytes()
+
+    def _rays(self) -> Floats:
+        """Turn, and return the directions of the rays in the axes of the sensor, channel by channel."""
+        seconds = interval(self._sensor)
+        count = int(np.clip(number(self._sensor, "points_per_second") * seconds, 0, _MOST_LIDAR_RAYS)) // self._channels
+        turn = tau * number(self._sensor, "rotation_frequency") * seconds
+        begin, self._angle = self._angle, (self._angle + turn) % tau
+        turned = (begin + turn * np.arange(count) / max(count, 1)) % tau
+        yaws = turned / tau * self._sector - self._sector / 2
+        pitch, yaw = (values.ravel() for values in np.meshgrid(self._pitches, yaws, indexing="ij"))
+        return np.stack((np.cos(pitch) * np.cos(yaw), np.cos(pitch) * np.sin(yaw), np.sin(pitch)), axis=1)
+
+
+def lidar(sensor: Actor, context: FeedContext) -> Feed:
+    """Return the feed of a lidar whose points have an intensity; some are dropped, as the attributes say."""
+    beams, random = Lidar(sensor), generator(sensor)
+    attenuation, drop_rate = number(sensor, "atmosphere_attenuation_rate"), number(sensor, "dropoff_general_rate")
+    limit, drop_at_zero = number(sensor, "dropoff_intensity_limit"), number(sensor, "dropoff_zero_intensity")
+    deviation = abs(number(sensor, "noise_stddev"))
+
+    def frames() -> Iterable[bytes]:
+        _, hits, rays = beams.sweep()
+        intensity = np.exp(-attenuation * hits.distance)
+        keep = random.random(len(intensity)) >= drop_rate
+        if limit > 0 and drop_at_zero > 0:
+            share = 1 - drop_at_zero + drop_at_zero / limit * intensity
+            keep &= (intensity > limit) | (random.random(len(intensity)) < share)
+        kept, points = hits.take(keep), np.zeros(int(keep.sum()), _POINT)
+        distance = kept.distance + (random.normal(0.0, deviation, len(kept.distance)) if deviation else 0.0)
+        points["location"] = rays[kept.ray] * distance[:, None]
+        points["intensity"] = intensity[keep]
+        yield beams.frame(kept, rays, points)
+
+    return frames
+
+
+def semantic_lidar(sensor: Actor, context: FeedContext) -> Feed:
+    """Return the feed of a lidar whose points have the id and the semantic class of an actor."""
+    beams = Lidar(sensor)
+
+    def frames() -> Iterable[bytes]:
+        boxes, hits, rays = beams.sweep()
+        points = np.zeros(len(hits.ray), _SEMANTIC_POINT)
+        points["location"] = rays[hits.ray] * hits.distance[:, None]
+        points["cosine"] = hits.cosine
+        points["actor"] = np.array([actor.id for actor in boxes.actors], np.uint32)[hits.box]
+        points["tag"] = np.array([tag(actor) for actor in boxes.actors], np.uint32)[hits.box]
+        yield beams.frame(hits, rays, points)
+
+    return frames
+
+
+def radar(sensor: Actor, context: FeedContext) -> Feed:
+    """Return the feed of a radar: random rays in a cone.
+
+    A detection is a velocity in m/s, positive if the target moves away, azimuth and altitude in radians, and depth in m.
+    """
+    width, height = (tan(radians(min(number(sensor, f"{side}_fov"), _WIDEST)) / 2) for side in ("horizontal", "vertical"))
+    reach, random = number(sensor, "range"), generator(sensor)
+
+    def frames() -> Iterable[bytes]:
+        count = int(np.clip(number(sensor, "points_per_second") * interval(sensor), 0, _MOST_RADAR_RAYS))
+        radius, angle = random.random(count), random.random(count) * tau
+        rays = np.stack((np.ones(count), width * radius * np.cos(angle), height * radius * np.sin(angle)), axis=1)
+        rays /= np.linalg.norm(rays, axis=1, keepdims=True)
+        yield _detections(sensor, rays, reach).astype("<f4").tobytes()
+
+    return frames
+
+
+def _detections(sensor: Actor, rays: Floats, reach: float) -> Floats:
+    transform, boxes = sensor.transform, ActorBoxes(visible_actors(sensor))
+    directions = rays @ axes(transform).T
+    hits = boxes.cast(row(transform.location), directions, reach)
+    velocities = rows(actor.velocity for actor in boxes.actors)[hits.box]
+    away = ((velocities - row(sensor.velocity)) * directions[hits.ray]).sum(axis=1)
+    x, y, z = rays[hits.ray].T
+    return np.stack((away, np.arctan2(y, x), np.arcsin(z), hits.distance), axis=1)

@@ -182,6 +182,19 @@ class Plane:
             }
         )
 
+    def first_wall(
+        self, start: tuple[float, float], end: tuple[float, float], radius: float, heights: Heights
+    ) -> tuple[int, float] | None:
+        """Return the body of the first barrier or pole that a thick line at some heights meets, and the share before it."""
+        heights = heights[0] - _CLEARANCE, heights[1] + _CLEARANCE
+        found = [
+            (hit.alpha, hit.shape.body.id)
+            for hit in self.space.segment_query(start, end, radius, pymunk.ShapeFilter(mask=WALL))
+            if hit.shape is not None and hit.shape.body is not None and _overlap(heights, self._heights_of(hit.shape))
+        ]
+        alpha, body = min(found, default=(0.0, 0))
+        return (body, alpha) if found else None
+
     def step(self, seconds: float) -> list[Contact]:
         """Move all bodies, and take over how they move by then; returns who pushed whom."""
         self._known_heights.clear()

@@ -1,0 +1,285 @@
+"""V2X sensors: what is sent when, what is received, and how the official client reads it."""
+
+from __future__ import annotations
+
+import queue
+import time
+from math import log10
+from typing import TYPE_CHECKING, Any
+
+import carla
+import numpy as np
+import pytest
+
+from carla_recap.server.sensors.v2x import PathLoss, message_bytes
+from carla_recap.sim.actors.control import VehicleControl
+from carla_recap.sim.geometry import Vector
+from tests.server.test_sensor_feeds import HERE, Listener, sensor, served, vehicle
+from tests.sim.flat import at
+
+if TYPE_CHECKING:
+    from carla_recap.server.host import Host
+    from carla_recap.sim.actors.actor import Actor
+
+CAM = np.dtype(
+    {
+        "names": ["power", "station", "heading", "speed", "vertical", "low_frequency"],
+        "formats": ["<f4", "<i8", "<i8", "<i8", "<i8", "<i8"],
+        "offsets": [0, 24, 112, 128, 304, 408],
+        "itemsize": 464,
+    }
+)
+
+
+def cam_sensor(host: Host, parent: Actor, **attributes: str) -> Listener:
+    return sensor(host, "other.v2x", parent, HERE, use_etsi_fading="false", **attributes)
+
+
+def cams(listener: Listener) -> list[tuple[int, Any]]:
+    """Frames and messages."""
+    return [(header[1], message) for header, payload in listener.take() for message in np.frombuffer(payload, CAM)]
+
+
+def test_vehicles_hear_each_other_and_not_themselves() -> None:
+    host = served()
+    one, other = vehicle(host, yaw=90.0), vehicle(host, 100.0)
+    listeners = [cam_sensor(host, car) for car in (one, other)]
+    frame = host.tick()
+    ((_, first),), ((_, second),) = (cams(listener) for listener in listeners)
+    assert (first["station"], second["station"]) == (other.id, one.id)
+    assert (first["heading"], second["heading"]) == (900, 1800)  # clockwise from north
+    assert (first["speed"], first["vertical"], first["low_frequency"]) == (0, 98, 1)
+    assert frame == host.frame
+    assert first["power"] == pytest.approx(21.5 + 10 - (32.4 + 20 * log10(100) + 20 * log10(5.9)), abs=1e-3)
+
+
+def test_messages_are_sent_whether_clients_listen_or_not() -> None:
+    host = served()
+    host.world.spawn("sensor.other.v2x", HERE, parent=vehicle(host, 20.0))
+    receiver = cam_sensor(host, vehicle(host))
+    host.tick()
+    assert len(cams(receiver)) == 1
+
+
+def times(speed: float, steer: float = 0.0, **attributes: str) -> list[int]:
+    """The ticks of 50 ms after the first one in which a car sends."""
+    host = served()
+    car = vehicle(host, 30.0)
+    host.world.spawn("sensor.other.v2x", HERE, parent=car, **attributes)
+    receiver = cam_sensor(host, vehicle(host, 0.0, 20.0))
+    first = host.tick()
+    car.set_simulate_physics(False)
+    for tick in range(1, 41):
+        car.transform = at(30.0 + speed * 0.05 * tick, yaw=steer * tick)
+        car.set_target_velocity(Vector(speed))
+        host.tick()
+    return [frame - first for frame, _ in cams(receiver)][1:]
+
+
+def test_a_vehicle_at_rest_sends_every_second() -> None:
+    assert times(0.0) == [20, 40]
+
+
+def test_a_vehicle_sends_after_4_m() -> None:
+    sent = times(16.0)
+    assert sent[:4] == [2, 4, 6, 8]  # the first one for its speed, then three more after the same time
+    assert sent[4:6] == [14, 20]  # of 0.8 m each tick
+
+
+def test_a_vehicle_sends_after_4_degrees() -> None:
+    assert times(0.0, steer=1.1)[:3] == [4, 8, 12]
+
+
+def test_a_fixed_rate_is_the_shortest_interval() -> None:
+    assert times(0.0, fixed_rate="true", gen_cam_min="0.25")[:3] == [5, 10, 15]
+
+
+def test_sensor_tick_delays_messages() -> None:
+    assert times(16.0, sensor_tick="0.5") == [10, 20, 30, 40]
+
+
+def test_messages_differ_by_the_motion() -> None:
+    host = served()
+    car = vehicle(host, 30.0)
+    cam_sensor(host, car)
+    receiver = cam_sensor(host, vehicle(host, 0.0, 20.0))
+    car.set_target_velocity(Vector(12.0))
+    car.apply_control(VehicleControl(throttle=0.5))
+    for _ in range(30):
+        host.tick()
+    ((_, last),) = cams(receiver)[-1:]
+    assert last["speed"] == pytest.approx(100 * car.velocity.x, rel=0.05)
+
+
+@pytest.mark.parametrize(
+    ("distance", "attributes", "is_received"),
+    [
+        (400.0, {}, True),
+        (501.0, {}, False),
+        (501.0, {"filter_distance": "600"}, True),
+        (400.0, {"receiver_sensitivity": "-60"}, False),
+        (400.0, {"receiver_sensitivity": "-60", "combined_antenna_gain": "25"}, True),
+    ],
+)
+def test_only_what_is_strong_enough_is_received(distance: float, attributes: dict[str, str], is_received: bool) -> None:
+    host = served()
+    receiver = cam_sensor(host, vehicle(host), **attributes)
+    cam_sensor(host, vehicle(host, distance))
+    host.tick()
+    assert bool(cams(receiver)) is is_received
+
+
+@pytest.mark.parametrize(
+    ("distance", "scenario", "model", "expected"),
+    [
+        (10.0, "highway", "winner", 67.817),
+        (400.0, "highway", "winner", 99.858),
+        (50.0, "urban", "winner", 81.172),
+        (200.0, "rural", "winner", 91.227),
+    ],
+)
+def test_path_losses_in_sight(distance: float, scenario: str, model: str, expected: float) -> None:
+    host = served()
+    one, other = vehicle(host), vehicle(host, distance)
+    attributes = {"scenario": scenario, "path_loss_model": model, "use_etsi_fading": "false"}
+    receiver = host.world.spawn("sensor.other.v2x", HERE, parent=one, **attributes)
+    assert PathLoss(receiver).between(other, one) == pytest.approx(expected, abs=1e-3)
+
+
+@pytest.mark.parametrize(("distance", "expected"), [(10.0, 67.620), (50.0, 81.492), (100.0, 91.392), (400.0, 98.182)])
+def test_two_rays_interfere(distance: float, expected: float) -> None:
+    host = served()
+    receiver = host.world.spawn("sensor.other.v2x", HERE, parent=vehicle(host), path_loss_model="geometric")
+    assert PathLoss(receiver)._two_ray(distance, 1.5, 1.5) == pytest.approx(expected, abs=1e-3)
+
+
+@pytest.mark.parametrize(("model", "expected"), [("winner", 32.4 + 20 * log10(5.9)), ("geometric", 47.865)])
+def test_a_truck_in_between_costs_power(model: str, expected: float) -> None:
+    host = served()
+    one, other = vehicle(host), vehicle(host, 100.0)
+    attributes = {"path_loss_model": model, "use_etsi_fading": "false"}
+    receiver = host.world.spawn("sensor.other.v2x", HERE, parent=one, **attributes)
+    free = PathLoss(receiver).between(other, one)
+    truck = host.world.spawn("vehicle.carlamotors.firetruck", at(40.0))
+    behind = PathLoss(receiver).between(other, one)
+    assert 25.0 < behind - (expected + 40) < 40.0
+    assert behind > free + 20
+    truck.transform = at(40.0, 30.0)
+    assert PathLoss(receiver).between(other, one) == pytest.approx(free)
+
+
+def test_a_wall_of_props_costs_power() -> None:
+    host = served()
+    one, other = vehicle(host), vehicle(host, 100.0)
+    receiver = host.world.spawn("sensor.other.v2x", HERE, parent=one, use_etsi_fading="false")
+    host.world.spawn("static.prop.kiosk_01", at(50.0))
+    assert PathLoss(receiver).between(other, one) == pytest.approx(111.419, abs=1e-3)
+
+
+def test_fading_is_the_same_for_a_seed() -> None:
+    losses = []
+    for seed in ("3", "3", "4"):
+        host = served()
+        one, other = vehicle(host), vehicle(host, 100.0)
+        receiver = host.world.spawn("sensor.other.v2x", HERE, parent=one, noise_seed=seed)
+        path_loss = PathLoss(receiver)
+        losses.append([path_loss.between(other, one) for _ in range(300)])
+    assert losses[0] == losses[1] != losses[2]
+    assert np.std(losses[0]) == pytest.approx(3.3, rel=0.2)
+    assert np.mean(losses[0]) == pytest.approx(87.817, abs=0.6)
+
+
+@pytest.mark.parametrize(
+    ("message", "expected"),
+    [("hallo", b"hallo"), (b"\x00\xff", b"\x00\xff"), ([2, b"abc"], b"ab"), ([3, "abcd"], b"abc"), (None, b""), (7, b"")],
+)
+def test_messages_of_clients_come_in_several_forms(message: Any, expected: bytes) -> None:
+    assert message_bytes(message) == expected
+
+
+# --- the official client ---------------------------------------------------------------------------------
+
+
+def spawn(world: carla.World, name: str, parent: carla.Actor | None = None, x: float = 0.0, **attributes: str) -> Any:
+    blueprint = world.get_blueprint_library().find(name)
+    for key, value in attributes.items():
+        blueprint.set_attribute(key, value)
+    place = carla.Transform() if parent is not None else carla.Transform(carla.Location(3000.0 + x, 3000.0, 0.5))
+    return world.spawn_actor(blueprint, place, attach_to=parent)
+
+
+def received(world: carla.World, data: queue.Queue[Any], act: Any = lambda: None) -> Any:
+    end = time.monotonic() + 10.0
+    while data.empty() and time.monotonic() < end:
+        act()
+        world.tick()
+        time.sleep(0.05)
+    return data.get(timeout=1.0)
+
+
+def test_the_client_reads_cams(world: carla.World) -> None:
+    bus = spawn(world, "vehicle.mitsubishi.fusorosa", x=30.0)
+    car = spawn(world, "vehicle.lincoln.mkz_2017")
+    sending, listening = (spawn(world, "sensor.other.v2x", parent, fixed_rate="true") for parent in (bus, car))
+    bus.set_light_state(carla.VehicleLightState(carla.VehicleLightState.LowBeam))
+    data: queue.Queue[Any] = queue.Queue()
+    listening.listen(data.put)
+    event = received(world, data)
+    assert (type(event), event.get_message_count(), len(event)) == (carla.CAMEvent, 1, 1)
+    (message,) = event
+    found = message.get()
+    assert message.power == pytest.approx(-50, abs=25)
+    assert found["Message"]["Header"]["Station ID"] == bus.id
+    parameters = found["Message"]["Message"]["CAM Parameters"]
+    basic = parameters["Basic Container"]
+    motion = parameters["High Frequency Container"]["Basic Vehicle Container High Frequency"]
+    low = parameters["Low Frequency Container"]["Basic Vehicle Low Frequency"]
+    there = world.get_map().transform_to_geolocation(bus.get_location())
+    assert basic["Station Type"] == "Bus"
+    assert basic["Reference Position"]["Latitude"] == pytest.approx(there.latitude * 1e7, abs=10)
+    assert basic["Reference Position"]["Longitude"] == pytest.approx(there.longitude * 1e7, abs=10)
+    assert (motion["Heading"]["Value"], motion["Speed"]["Value"]) == (900, 0)
+    assert (motion["Vehicle Length"]["Value"], motion["Vehicle Width"]) == (103, 39)
+    assert motion["Vertical Acceleration"]["Value"] == 98
+    assert (low["Vehicle Role"], low["Exterior Light"]) == ("Public Transport", 128)
+    for actor in (sending, listening, bus, car):
+        actor.destroy()
+
+
+def test_the_client_sends_and_reads_messages_of_its_own(world: carla.World) -> None:
+    cars = [spawn(world, "vehicle.audi.tt", x=x) for x in (0.0, 30.0, 900.0)]
+    radios = [spawn(world, "sensor.other.v2x_custom", car) for car in cars]
+    near: queue.Queue[Any] = queue.Queue()
+    far: queue.Queue[Any] = queue.Queue()
+    own: queue.Queue[Any] = queue.Queue()
+    for radio, data in zip(radios, (own, near, far), strict=True):
+        radio.listen(data.put)
+    event = received(world, near, lambda: radios[0].send("ice on the road"))
+    assert (type(event), event.get_message_count()) == (carla.CustomV2XEvent, 1)
+    (message,) = event
+    assert message.get()["Message"]["Message"] == "ice on the road"
+    assert message.get()["Message"]["Header"]["Station ID"] == cars[0].id
+    radios[0].send("x" * 300)
+    texts = [received(world, near)[0].get()["Message"]["Message"]]
+    while not near.empty():
+        texts.append(near.get()[0].get()["Message"]["Message"])
+    world.tick()
+    time.sleep(0.2)
+    while not near.empty():
+        texts.append(near.get()[0].get()["Message"]["Message"])
+    assert texts[-1] == "x" * 99
+    assert own.empty()
+    assert far.empty()
+    for actor in (*radios, *cars):
+        actor.destroy()
+
+
+def test_a_radio_without_a_carrier_is_silent(world: carla.World) -> None:
+    alone = spawn(world, "sensor.other.v2x_custom")
+    data: queue.Queue[Any] = queue.Queue()
+    alone.listen(data.put)
+    for _ in range(5):
+        alone.send("nobody hears this")
+        world.tick()
+    assert data.empty()
+    alone.destroy()
