@@ -60,6 +60,7 @@ def recover(
     *,
     force: bool = False,
     progress: Progress | None = None,
+    format: str | None = None,
 ) -> Recovery:
     """Write what is whole in a recording to a new one.
 
@@ -68,6 +69,7 @@ def recover(
         destination: Where to write; the suffix says the format.
         force: Overwrite what is there.
         progress: As in `convert`.
+        format: The suffix of the format, whatever that of the destination.
 
     Raises:
         RecapError: Nothing can be saved, or the destination cannot be written.
@@ -77,7 +79,7 @@ def recover(
     reader, finished, lost_bytes, headless = _open(source)
     frames, last, duration = 0, -1, 0.0
     try:
-        with create_writer(destination, reader.header, force=force) as writer:
+        with create_writer(destination, reader.header, force=force, format=format) as writer:
             stream: Iterable[Frame] = reader.frames()
             for frame in progress(stream, reader) if progress else stream:
                 writer.write(frame)
@@ -93,7 +95,7 @@ def recover(
     return Recovery(frames, expected - frames, lost_bytes, duration, finished, headless)
 
 
-def rescue(writer: Writer, path: Path, error: Exception, *, force: bool = False) -> RecapError:
+def rescue(writer: Writer, path: Path, error: Exception, *, force: bool = False, format: str | None = None) -> RecapError:
     """Make a recording whose writer has failed whole, up to there; if that cannot be done, leave what is there beside it.
 
     Args:
@@ -101,6 +103,7 @@ def rescue(writer: Writer, path: Path, error: Exception, *, force: bool = False)
         path: Its destination.
         error: Why it failed.
         force: Overwrite what is there.
+        format: The suffix of the format, whatever that of the destination.
 
     Returns:
         What to tell: why it failed, and where what was recorded is.
@@ -110,7 +113,7 @@ def rescue(writer: Writer, path: Path, error: Exception, *, force: bool = False)
         return RecapError(f"{error}; nothing of what was recorded is left")
     try:
         with warnings.catch_warnings(action="ignore", category=RecapWarning):  # that it was cut short is told anyway
-            saved = recover(partial, path, force=force)
+            saved = recover(partial, path, force=force, format=format)
     except Exception:  # whatever it is: the frames are safe where they are
         return RecapError(f"{error}; what was recorded until then lies in {partial}, for carla-recap recover")
     with suppress(OSError):

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import asyncio
+from collections.abc import Coroutine
 from functools import cache
 from typing import Any
 
@@ -33,6 +35,8 @@ class Inside:
         """Return the encoded answer to a call, without CARLA's `Response` around it; errors are raised."""
         entry = CALLS[name]
         answer = entry(self._client, list(arguments))
+        if isinstance(answer, Coroutine):
+            answer = asyncio.run(answer)
         if entry.result is None:
             return None
         data = msgpack.packb(entry.result(answer), unicode_errors="surrogateescape")

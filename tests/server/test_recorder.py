@@ -3,7 +3,9 @@ from __future__ import annotations
 import asyncio
 import gzip
 import re
+from dataclasses import replace
 from functools import partial
+from pathlib import Path
 from typing import TYPE_CHECKING
 
 import carla
@@ -12,20 +14,23 @@ import pytest
 import carla_recap
 from carla_recap import queries
 from carla_recap.errors import RecapError
-from carla_recap.server import replies, running
+from carla_recap.server import recordings as served
+from carla_recap.server import running
+from carla_recap.server.recordings import Recordings
 from carla_recap.sim import World, load_town
 from carla_recap.sim.actors.control import VehicleControl
 from carla_recap.sim.actors.moving import Vehicle
 from carla_recap.sim.geometry import Transform
 from tests.samples import CARLA_LOGS
+from tests.server.inside import Inside
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
-    from pathlib import Path
 
 DELTA = 0.05
 CARS = {"vehicle.audi.tt", "vehicle.tesla.model3"}
 OTHER_MAP = "Otherfield"
+OFFSET = [[-10.0, 0.0, 5.0], [-25.0, 0.0, 0.0]]
 
 
 @pytest.fixture(scope="module")
@@ -106,8 +111,6 @@ def test_a_name_with_a_slash_is_a_path(client: carla.Client, world: carla.World,
     ("name", "error"),
     [
         ("", "the name of a recording was expected"),
-        ("drive.rec", r"unknown format '\.rec'; \.log or \.mcap was expected"),
-        ("/nowhere/at.all/drive.log", r"/nowhere/at\.all/drive\.log: cannot be written: No such file"),
         *((name, "the name of a recording was expected") for name in ("a\0b", "/", "./", ".", "..")),
         ("long" * 100, "cannot be written: File name too long"),
     ],
@@ -115,6 +118,66 @@ def test_a_name_with_a_slash_is_a_path(client: carla.Client, world: carla.World,
 def test_a_place_that_cannot_be_recorded_to_is_an_error(client: carla.Client, name: str, error: str) -> None:
     with pytest.raises(RuntimeError, match=error):
         client.start_recorder(name)
+
+
+@pytest.mark.parametrize("name", ["/nowhere/at.all/drive.log", "./absent/drive.mcap"])
+def test_a_folder_that_is_missing_elsewhere_is_answered_by_an_empty_text(client: carla.Client, name: str) -> None:
+    assert client.start_recorder(name) == ""
+
+
+def test_why_nothing_is_recorded_is_logged(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+    with World(load_town(), recordings=tmp_path) as world:
+        assert Recordings(world).start(f"{tmp_path}/../absent/a.log", False) == ""
+    (record,) = caplog.records
+    assert record.name == "carla_recap.server.recordings"
+    assert re.search(r"start_recorder: .*/absent/a\.log: cannot be written: No such file or directory", record.message)
+
+
+def test_a_folder_that_is_missing_below_the_recordings_is_made(
+    client: carla.Client, world: carla.World, recordings: Path
+) -> None:
+    path = recordings / "2026" / "november" / "drive.log"
+    assert client.start_recorder(str(path)) == str(path)
+    world.tick()
+    client.stop_recorder()
+    assert frames(path) == 1
+
+
+@pytest.mark.parametrize(
+    ("name", "file"),
+    [
+        ("manual_recording.rec", "manual_recording.rec"),
+        ("run_0.9.16", "run_0.9.16"),
+        ("c:\\recordings\\windows.log", "windows.log"),
+    ],
+)
+def test_any_other_suffix_and_drives_record_the_format_of_carla_there(
+    client: carla.Client, world: carla.World, recordings: Path, name: str, file: str
+) -> None:
+    assert client.start_recorder(name) == str(recordings / file)
+    world.tick()
+    client.stop_recorder()
+    assert "Frames: 1\n" in client.show_recorder_file_info(name, True)
+    assert (recordings / file).read_bytes()[2:18] == b"\x0e\x00CARLA_RECORDER"
+    assert "Total time recorded: 0\n" in client.replay_file(name, 0.0, 0.0, 0)
+
+
+@pytest.mark.parametrize("name", ["present.log", "present.mcap"])
+def test_a_file_is_there_from_the_start_and_complete_without_another_call(
+    client: carla.Client, world: carla.World, name: str
+) -> None:
+    for ticks in range(1, 8):
+        path = Path(client.start_recorder(name))
+        assert path.exists()
+        for _ in range(ticks):
+            world.tick()
+        client.stop_recorder()  # which does not wait
+        assert frames(path) == ticks
+
+
+def frames(path: Path) -> int:
+    with carla_recap.open_recording(path) as recording:
+        return recording.info.frames
 
 
 def test_what_is_being_recorded_can_be_asked_about_later(client: carla.Client, world: carla.World, recordings: Path) -> None:
@@ -190,9 +253,9 @@ def test_a_damaged_recording_is_an_error_that_tells_where(client: carla.Client, 
 
 
 def test_an_answer_that_is_too_long_is_none(recordings: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(replies, "_LONGEST", 1000)
+    monkeypatch.setattr(served, "_LONGEST", 1000)
     with pytest.raises(RecapError, match=r"drive\.mcap: the answer has more than 1000 characters"):
-        asyncio.run(replies.answer(recordings / "drive.mcap", partial(queries.info, all=True, compat=True)))
+        asyncio.run(served.answer(recordings / "drive.mcap", partial(queries.info, all=True, compat=True)))
 
 
 # --- replaying -----------------------------------------------------------------------------------------------------------
@@ -331,6 +394,48 @@ def test_a_recording_of_another_map_begins_an_episode(client: carla.Client, worl
     assert other.get_world().get_map().name.endswith(OTHER_MAP)
     assert watched.get_snapshot().frame > frame
     assert "Loading map Brickfield\n" in client.replay_file("drive", 0.0, 0.0, 0)
+
+
+@pytest.mark.parametrize(
+    "options",
+    [
+        (),
+        (False,),
+        (False, OFFSET),
+        (False, OFFSET, ""),
+        (False, True, OFFSET, ""),
+        (False, False, OFFSET),
+    ],
+)
+def test_the_options_of_older_and_newer_clients_are_accepted(recordings: Path, options: tuple[object, ...]) -> None:
+    inside = Inside()
+    inside.world.weather = replace(inside.world.weather, cloudiness=77.0)
+    answer = inside.call("replay_file", str(recordings / "drive.mcap"), 0.0, 0.0, 0, *options)
+    assert "Total time recorded: 3.95\n" in answer
+    assert inside.world.weather.cloudiness == (77.0 if options[:2] == (False, False) else 0.0)
+
+
+def test_a_newer_client_can_name_the_map_of_a_replay(recordings: Path) -> None:
+    inside = Inside()
+    answer = inside.call("replay_file", str(recordings / "nowhere.log"), 0.0, 0.0, 0, False, True, OFFSET, "Brickfield")
+    assert "Total time recorded: 0\n" in answer
+
+
+def test_options_of_other_types_are_errors(recordings: Path) -> None:
+    for options in ((1,), ("Brickfield", "Brickfield"), (True, True, True), ({},), (OFFSET, OFFSET)):
+        with pytest.raises(RecapError, match="replay_file: expected two booleans, a transform and the name of a map"):
+            Inside().call("replay_file", str(recordings / "drive.mcap"), 0.0, 0.0, 0, *options)
+
+
+def test_a_recording_ends_a_replay_unless_a_newer_client_records_it(recordings: Path, tmp_path: Path) -> None:
+    inside = Inside()
+    for arguments, goes_on in (((False,), False), ((False, True), False), ((False, False), True)):
+        inside.world.replay_file(recordings / "drive.mcap")
+        path = inside.call("start_recorder", str(tmp_path / "again.log"), *arguments)
+        inside.world.tick()
+        assert inside.world.replayer.is_playing == goes_on
+        inside.world.close()
+        assert frames(Path(path)) == 1
 
 
 # --- confined ------------------------------------------------------------------------------------------------------------

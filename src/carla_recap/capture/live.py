@@ -15,7 +15,6 @@ from typing import TYPE_CHECKING, Final
 from carla_recap.capture.observer import HOST, PORT, Observer
 from carla_recap.capture.recording import header_of, live_frames
 from carla_recap.conversion import check_free
-from carla_recap.ending import ended_by_signals
 from carla_recap.errors import RecapError
 from carla_recap.export.program import HOST as LOOPBACK
 from carla_recap.export.program import LISTENING, Program
@@ -24,6 +23,7 @@ from carla_recap.export.viewer import has_display
 from carla_recap.export.whole import WholeFile
 from carla_recap.maps import RoadMap, load_map
 from carla_recap.replay.follow import HERO, Follow
+from carla_recap.util.signals import call_on_termination
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
@@ -69,7 +69,7 @@ def watch(
         MissingExtra: There is no viewer.
     """
     check_target(to, force=force)
-    with Observer(host, port, additional_data=True, interval=1 / RATE) as observer, ended_by_signals(observer.end):
+    with Observer(host, port, additional_data=True, interval=1 / RATE) as observer, call_on_termination(observer.end):
         road_map = _road_map(observer.map)
         arrangement = live_blueprint(road_map, view=view)
         with _opened(to, arrangement) as (stream, is_open):

@@ -11,11 +11,11 @@ from typing import TYPE_CHECKING, Any, Final, NamedTuple
 from carla_recap.author import packets_of
 from carla_recap.capture.observer import HOST, PORT, Observer
 from carla_recap.conversion import check_free
-from carla_recap.ending import ended_by_signals
 from carla_recap.formats import create_writer
 from carla_recap.frame import LAST_FRAME_DURATION, Frame, Header, Packet
 from carla_recap.records import FRAME_END, UE4
 from carla_recap.recovery import rescue
+from carla_recap.util.signals import call_on_termination
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Iterator
@@ -74,7 +74,7 @@ def capture(
             message says where.
     """
     check_free(destination, force=force)
-    with Observer(host, port, additional_data=additional_data, attach=True) as observer, ended_by_signals(observer.end):
+    with Observer(host, port, additional_data=additional_data, attach=True) as observer, call_on_termination(observer.end):
         header = header_of(observer)
         writer = create_writer(Path(destination), header, live=True)
         try:

@@ -16,8 +16,8 @@ import click
 
 from carla_recap.cli import capture, files, queries, serve, show, simulate
 from carla_recap.cli.output import log_to_stderr, say, warn
-from carla_recap.ending import ENDING, handled, heeded, is_ending
 from carla_recap.errors import MissingExtra, RecapError, RecapWarning
+from carla_recap.util.signals import ignore_termination, is_first, is_terminating, set_handlers
 
 if TYPE_CHECKING:
     from types import FrameType
@@ -65,7 +65,7 @@ def main() -> None:
     if hasattr(signal, "SIGPIPE"):
         signal.signal(signal.SIGPIPE, signal.SIG_DFL)
     atexit.register(_ignore_more)  # as the first, so that it is called as the last
-    handled(_stop)
+    set_handlers(_stop)
     try:
         sys.exit(cli(standalone_mode=False))
     except RecapError as error:
@@ -93,7 +93,7 @@ def _print_warning(message: Warning | str, *_: object, **__: object) -> None:
 
 
 def _stop(number: int, _: FrameType | None) -> None:
-    if not heeded(number):
+    if not is_first(number):
         return
     if number == signal.SIGINT:
         raise KeyboardInterrupt
@@ -101,7 +101,6 @@ def _stop(number: int, _: FrameType | None) -> None:
 
 
 def _ignore_more() -> None:
-    """Ignore more signals where one has come: all is done but for the interpreter's own end, which resets handlers."""
-    if is_ending():
-        for number in ENDING:
-            signal.signal(number, signal.SIG_IGN)
+    """Ignore further signals after a first one while the interpreter ends, which resets handlers."""
+    if is_terminating():
+        ignore_termination()

@@ -4,9 +4,7 @@ from __future__ import annotations
 
 import os
 import re
-import signal
 import subprocess
-import sys
 import threading
 import time
 from contextlib import ExitStack, contextmanager, suppress
@@ -15,10 +13,12 @@ from tempfile import TemporaryDirectory
 from typing import TYPE_CHECKING, Final, Self, TypeVar
 
 from carla_recap.errors import MissingExtra, RecapError
+from carla_recap.util.processes import terminate
+from carla_recap.util.signals import unwind_on_termination
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
-    from types import FrameType, TracebackType
+    from types import TracebackType
 
     T = TypeVar("T")
 
@@ -57,7 +57,7 @@ class Program:
 
     def __enter__(self) -> Self:
         with ExitStack() as stack:
-            stack.enter_context(_unwound_by_signals())
+            stack.enter_context(unwind_on_termination())
             self._process = self._start(Path(stack.enter_context(TemporaryDirectory(prefix="carla-recap-"))))
             stack.callback(self._end)
             self._stack = stack.pop_all()
@@ -172,12 +172,7 @@ class Program:
         return self._log.read_text("utf-8", "replace")
 
     def _end(self) -> None:
-        self._process.terminate()
-        try:
-            self._process.wait(_GRACE)
-        except subprocess.TimeoutExpired:
-            self._process.kill()
-            self._process.wait()
+        terminate(self._process, _GRACE)
 
 
 def _binary() -> Path:
@@ -191,27 +186,3 @@ def _binary() -> Path:
         if (folder / name).is_file():
             return folder / name
     raise RecapError(f"{folder}: has no Rerun viewer")
-
-
-@contextmanager
-def _unwound_by_signals() -> Iterator[None]:
-    """Let what ends a process unwind the stack, unless somebody else handles it: else the viewer would be left behind.
-
-    Where nobody reads the output any more, writing to it is a `BrokenPipeError`.
-    """
-    taken = []
-    if threading.current_thread() is threading.main_thread():
-        for name, handler in (("SIGTERM", _leave), ("SIGHUP", _leave), ("SIGPIPE", signal.SIG_IGN)):
-            number = getattr(signal, name, None)
-            if number is not None and signal.getsignal(number) is signal.SIG_DFL:
-                signal.signal(number, handler)
-                taken.append(number)
-    try:
-        yield
-    finally:
-        for number in taken:
-            signal.signal(number, signal.SIG_DFL)
-
-
-def _leave(number: int, _: FrameType | None) -> None:
-    sys.exit(128 + number)

@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+import warnings
 from pathlib import Path
+from time import monotonic, sleep
 from typing import TYPE_CHECKING
 
-from carla_recap.errors import NotARecording, RecapError
+from carla_recap.errors import NotARecording, RecapError, RecapWarning
+from carla_recap.formats.atomic import partials
 
 if TYPE_CHECKING:
     from carla_recap.formats.base import Reader, Writer
@@ -14,14 +17,49 @@ if TYPE_CHECKING:
 SUFFIXES = (".log", ".mcap")
 
 
+_PATIENCE = 2.0  # s
+_PAUSE = 0.01  # s
+_SMALL = 4096  # bytes; a recording without frames is not larger
+
+
 def open_reader(path: Path | str) -> Reader:
     """Open a recording of either format.
+
+    A server's recording has no frames under its name until it is complete; it is waited for, since clients do not wait for
+    the end of `stop_recorder`.
+
+    Warns:
+        RecapWarning: It is not complete after `_PATIENCE` seconds.
 
     Raises:
         NotARecording: The content is of neither.
         FormatError: The content is damaged.
         RecapError: The file cannot be read.
     """
+    deadline = monotonic() + _PATIENCE
+    while _is_incomplete(path, reader := _open(path)):
+        if monotonic() > deadline:
+            left = " and ".join(map(str, partials(path)))
+            warnings.warn(
+                f"{path}: is being recorded, or was interrupted; its frames are in {left}", RecapWarning, stacklevel=3
+            )
+            break
+        reader.close()
+        sleep(_PAUSE)
+    return reader
+
+
+def _is_incomplete(path: Path | str, reader: Reader) -> bool:
+    """Return whether a recording has no frames, and one of that name is being written."""
+    if Path(path).stat().st_size > _SMALL or not partials(path):
+        return False
+    try:
+        return next(reader.frames(), None) is None
+    except RecapError:  # it is damaged
+        return False
+
+
+def _open(path: Path | str) -> Reader:
     # Each format is imported when it is needed, for a command on a small file should not wait.
     from carla_recap.formats.carla_log import LogReader, is_log
 
@@ -68,20 +106,23 @@ def format_of(path: Path | str) -> str:
     return suffix
 
 
-def create_writer(path: Path | str, header: Header, *, live: bool = False, force: bool = True) -> Writer:
+def create_writer(
+    path: Path | str, header: Header, *, live: bool = False, force: bool = True, format: str | None = None
+) -> Writer:
     """Begin a recording in the format of a path's suffix.
 
     Args:
-        path: The destination, ending in .log or .mcap.
+        path: The destination, ending in .log or .mcap unless the format is given.
         header: The header.
         live: Write the data as it comes, so that a crash costs 5 s of recording at the most. What cannot be
             finished is left beside the destination, where `recover` takes it.
         force: Take the place of what is at the destination by the end; else that is an error.
+        format: The suffix of the format, whatever that of the destination.
 
     Raises:
         RecapError: The suffix is of no format, or the place cannot be written to.
     """
-    if format_of(path) == ".log":
+    if (format or format_of(path)) == ".log":
         from carla_recap.formats.carla_log import LogWriter
 
         return LogWriter(path, header, live=live, force=force)

@@ -9,6 +9,7 @@ from contextlib import suppress
 from typing import TYPE_CHECKING, Final
 
 from carla_recap.errors import FormatError, MissingExtra, RecapError
+from carla_recap.util.processes import module_command, module_environment
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -86,16 +87,13 @@ def read_content(path: Path) -> bytes:
 
 
 def _run(module: str, path: Path, content: bytes) -> bytes:
-    places = os.pathsep.join(place for place in sys.path if place)
-    command = [sys.executable, "-P", "-m", module]
-    environment = {**os.environ, "PYTHONPATH": places, "OPENBLAS_NUM_THREADS": "1"}
     try:
         done = subprocess.run(
-            command,
+            module_command(module),
             input=content,
             stdout=subprocess.PIPE,
             stderr=subprocess.DEVNULL,
-            env=environment,
+            env=module_environment(OPENBLAS_NUM_THREADS="1"),
             timeout=_PATIENCE,
             check=False,
         )

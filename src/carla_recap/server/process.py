@@ -12,6 +12,7 @@ from tempfile import TemporaryFile
 from typing import IO, TYPE_CHECKING, Final
 
 from carla_recap.errors import RecapError
+from carla_recap.util.processes import module_command, module_environment, terminate
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -53,20 +54,16 @@ def running(
     options = {"town": town, "port": port, "maps": maps, "recordings": recordings, "seed": seed}
     arguments = [f"--{name}={value}" for name, value in options.items() if value not in (None, "")]
     arguments += [flag for flag, is_set in (("--confine", confine), ("--stand-in", stand_in)) if is_set]
-    command = [sys.executable, "-m", "carla_recap", "serve", "--attached", *arguments]
+    command = module_command("carla_recap", "serve", "--attached", *arguments)
     pipe = subprocess.PIPE
     with (
         TemporaryFile("w+") as errors,
-        subprocess.Popen(command, stdin=pipe, stdout=pipe, stderr=errors, text=True) as process,
+        subprocess.Popen(command, stdin=pipe, stdout=pipe, stderr=errors, text=True, env=module_environment()) as process,
     ):
         try:
             yield _port(process, errors)
         finally:
-            process.terminate()
-            try:
-                process.wait(_TO_END)
-            except subprocess.TimeoutExpired:
-                process.kill()
+            terminate(process, _TO_END)
             errors.seek(0)
             print(errors.read(), end="", file=sys.stderr)
 

@@ -1,19 +1,41 @@
-"""The recordings that clients name: where they lie, and which of them a client may have."""
+"""The recordings that clients name, and what CARLA 0.9.16 answers to calls about them, as text."""
 
 from __future__ import annotations
 
+import asyncio
+import logging
+import threading
+from collections.abc import Callable
 from typing import TYPE_CHECKING, Final
 
+from carla_recap.errors import NotARecording
+from carla_recap.formats import open_reader
+from carla_recap.formats.base import Reader
+from carla_recap.queries import Blocked, Collisions, Info
+from carla_recap.queries.lines import number
+from carla_recap.queries.report import text
 from carla_recap.server.rpc.registry import CallError
-from carla_recap.sim.recording.recorder import recording_path, recordings_folder
+from carla_recap.sim.errors import DestinationError
+from carla_recap.sim.recording.recorder import is_within, recording_path, recordings_folder
 from carla_recap.sim.replaying.replayer import find_recording
+from carla_recap.texts import readable
 
 if TYPE_CHECKING:
     from pathlib import Path
 
+    from carla_recap.sim.errors import MapMissing
+    from carla_recap.sim.replaying.replayer import Replay, Replayer
     from carla_recap.sim.world import World
 
+Query = Callable[[Reader], Blocked | Collisions | Info]
+
+NOT_A_RECORDING: Final = "File is not a CARLA recorder\n"
+NOT_RECORDED: Final = ""
+"""CARLA's answer where the file of a recording cannot be opened."""
+_LONGEST: Final = 1 << 29
+"""The most characters of an answer; the command line gives longer ones."""
 _SHOWN: Final = 200  # characters of a name in a message
+_log: Final = logging.getLogger(__name__)
 
 
 class Recordings:
@@ -21,28 +43,34 @@ class Recordings:
 
     Args:
         world: The world that records and replays.
-        confined: Refuse what lies outside the folder of recordings, however it is named.
+        confined: Refuse paths outside the folder of recordings.
     """
 
     def __init__(self, world: World, *, confined: bool = False) -> None:
         self._world = world
         self._confined = confined
 
-    def start(self, name: str, additional_data: bool) -> Path:
-        """Begin a recording; see `World.start_recorder`.
+    def start(self, name: str, additional_data: bool) -> str:
+        """Begin a recording; a recording without frames lies under its name at once, since clients do not wait for the end.
 
         Returns:
-            Where it will be.
+            The absolute path; `NOT_RECORDED` where it cannot be written to, and the reason is logged.
 
         Raises:
-            RecapError: It cannot be recorded there.
+            RecapError: No recording can have the name.
         """
         _expect_name(name)
+        recorder = self._world.recorder
         self._check(name, recording_path(name, self._world.recordings))
-        return self._world.start_recorder(name, additional_data).absolute()
+        self._check(name, recorder.destination(name))
+        try:
+            return str(recorder.start(name, additional_data, visible=True).absolute())
+        except DestinationError as error:
+            _log.warning("start_recorder: %s", error)
+            return NOT_RECORDED
 
     def find(self, name: str) -> Path:
-        """Where a recording lies, or would, if it were there; its suffix may be missing.
+        """Return the path of a recording, whose suffix may be missing, whether or not it exists.
 
         Raises:
             CallError: It must not be read, or cannot be.
@@ -58,7 +86,7 @@ class Recordings:
         return path
 
     def find_complete(self, name: str) -> Path:
-        """Where a recording lies that is not being recorded just now; see `find`.
+        """Return the path of a recording that is not being recorded just now; see `find`.
 
         Raises:
             CallError: It is, or must not be read, or cannot be.
@@ -70,14 +98,8 @@ class Recordings:
         return path
 
     def _check(self, name: str, path: Path) -> None:
-        if not self._confined:
-            return
         folder = recordings_folder(self._world.recordings)
-        try:
-            is_within = folder.resolve() in path.resolve().parents
-        except (OSError, ValueError, RuntimeError):  # what it leads to cannot be told, as of a loop of links
-            is_within = False
-        if not is_within:
+        if self._confined and not is_within(path, folder):
             raise CallError(
                 f"{_shown(name)}: lies outside the folder of recordings, {folder}; this server is confined to it"
             )
@@ -94,3 +116,81 @@ def _no_name(name: str) -> CallError:
 
 def _shown(name: str) -> str:
     return f"{name!r:.{_SHOWN}}"
+
+
+# --- CARLA's texts -----------------------------------------------------------------------------------------------------
+
+
+def not_found(path: Path) -> str:
+    """Return the answer about a recording that does not exist."""
+    return f"File {path} not found on server\n"
+
+
+async def answer(path: Path, query: Query) -> str:
+    """Return the answer to a query; it runs in a thread, so that the world goes on meanwhile.
+
+    Args:
+        path: The recording.
+        query: The query.
+
+    Raises:
+        RecapError: The recording is damaged, or the answer is too long.
+    """
+    if not path.is_file():
+        return not_found(path)
+    is_over = threading.Event()
+    try:
+        return await asyncio.to_thread(_ask, path, query, is_over)
+    finally:
+        is_over.set()
+
+
+def _ask(path: Path, query: Query, is_over: threading.Event) -> str:
+    try:
+        reader = open_reader(path)
+    except NotARecording:
+        return NOT_A_RECORDING
+    pieces, length = [], 0
+    try:
+        for piece in text(query(reader)):
+            pieces.append(piece)
+            length += len(piece)
+            if length > _LONGEST:
+                raise CallError(f"{path}: the answer has more than {_LONGEST} characters; `carla-recap info` gives it, too")
+            if is_over.is_set():
+                break
+    finally:
+        reader.close()
+    return "".join(pieces)
+
+
+def replaying(path: Path) -> str:
+    """Return the first line of each answer about a replay."""
+    return f"Replaying File: {path}\n"
+
+
+def map_missing(error: MapMissing) -> str:
+    """Return the answer about a recording whose map is unavailable; the second line, the reason, is not CARLA's."""
+    return f"Could not load mapfile {readable(error.map_name)}\n{error.reason}\n"
+
+
+def replay_begins(replay: Replay, replayer: Replayer, duration: float) -> str:
+    """Return the answer about a replay that has begun.
+
+    Args:
+        replay: The replay.
+        replayer: The replayer.
+        duration: The length that was asked for, in s; CARLA reports its end even where the recording is shorter.
+    """
+    total, start = number(replay.total), number(replay.start)
+    stop = number(replay.start + duration) if duration > 0 else total
+    lines = replaying(replay.path)
+    if replay.loaded:
+        lines += f"Loading map {readable(replay.map_name)}\nReplayer will start after map is loaded...\n"
+    lines += f"Total time recorded: {total}\n"
+    lines += f"Replaying from {start} s - {stop} s ({total} s) at {replay.time_factor:.1f}x\n"
+    if replayer.ignore_hero:
+        lines += "Ignoring Hero vehicle\n"
+    if replayer.ignore_spectator:
+        lines += "Ignoring Spectator camera\n"
+    return lines

@@ -13,11 +13,11 @@ from threading import Thread
 from typing import TYPE_CHECKING, Any, Final
 
 import carla_recap.server.calls  # noqa: F401  (registers the calls)
-from carla_recap.ending import ended_by_signals
 from carla_recap.errors import RecapError
 from carla_recap.server.client import Client
 from carla_recap.server.rpc.connection import ClientConnection
 from carla_recap.server.rpc.registry import CALLS
+from carla_recap.util.signals import call_on_termination
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -57,7 +57,7 @@ async def serve(host: Host, address: str, port: int, ready: Callable[[int], None
 
     if attached:
         Thread(target=_wait_for_input, args=(end,), name="carla-recap-attached", daemon=True).start()
-    with ended_by_signals(lambda _: end()):
+    with call_on_termination(lambda _: end()):
         host.prepare()
         connect = partial(ClientConnection, CALLS, host.connections, partial(Client, host))
         calls, streams = await _listen_both(connect, host.streams.connection, address, port)

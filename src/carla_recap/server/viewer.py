@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 import subprocess
-import sys
 from pathlib import Path
 from typing import TYPE_CHECKING, Final, Self
 
 from carla_recap.capture.live import check_target
 from carla_recap.errors import RecapError
 from carla_recap.replay.follow import HERO, Follow
+from carla_recap.util.processes import module_command, module_environment, terminate
 
 if TYPE_CHECKING:
     from types import TracebackType
@@ -39,18 +39,13 @@ class ViewerProcess:
 
     def open(self, host: str, port: int) -> None:
         """Show the server at an address."""
-        command = [sys.executable, "-m", "carla_recap", "watch", f"--host={_WILDCARDS.get(host, host)}", f"--port={port}"]
-        self._process = subprocess.Popen([*command, *self._options], stdin=subprocess.DEVNULL, stdout=subprocess.DEVNULL)
+        options = [f"--host={_WILDCARDS.get(host, host)}", f"--port={port}", *self._options]
+        command, nothing = module_command("carla_recap", "watch", *options), subprocess.DEVNULL
+        self._process = subprocess.Popen(command, stdin=nothing, stdout=nothing, env=module_environment())
 
     def __enter__(self) -> Self:
         return self
 
     def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None) -> None:
-        if self._process is None:
-            return
-        self._process.terminate()
-        try:
-            self._process.wait(_TO_END)
-        except subprocess.TimeoutExpired:
-            self._process.kill()
-            self._process.wait()
+        if self._process is not None:
+            terminate(self._process, _TO_END)

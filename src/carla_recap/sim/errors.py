@@ -1,9 +1,10 @@
 """The errors of the simulator.
 
 SimError
-├── SpawnError     an actor cannot be spawned: its blueprint is unknown, or its place occupied
-├── DeadActor      an actor was used after it had been destroyed
-└── MapMissing     the map of a recording is unavailable
+├── SpawnError        an actor cannot be spawned: its blueprint is unknown, or its place occupied
+├── DeadActor         an actor was used after it had been destroyed
+├── DestinationError  a recording cannot be written to its destination
+└── MapMissing        the map of a recording is unavailable
 """
 
 from __future__ import annotations
@@ -26,6 +27,10 @@ class SpawnError(SimError):
 
 class DeadActor(SimError):
     """An actor was used after it had been destroyed."""
+
+
+class DestinationError(SimError):
+    """A recording cannot be written to its destination."""
 
 
 class MapMissing(SimError):

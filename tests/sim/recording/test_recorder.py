@@ -9,26 +9,30 @@ import signal
 import subprocess
 import sys
 import textwrap
+import threading
 import time
 import warnings
+from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
 from dataclasses import replace
 from itertools import pairwise
+from multiprocessing import get_context
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import pytest
+from mcap.reader import make_reader
 
 import carla_recap
 from carla_recap.errors import RecapError, RecapWarning
+from carla_recap.formats.carla_log import is_log
 from carla_recap.records import NO_ACTOR, ActorKind
 from carla_recap.sim.actors.actors import Vehicle, Walker
 from carla_recap.sim.actors.control import VehicleControl, WalkerControl
-from carla_recap.sim.errors import SimError
+from carla_recap.sim.errors import DestinationError, SimError
 from carla_recap.sim.geometry import Location, Transform, Vector
 from carla_recap.sim.recording.recorder import recording_path, recordings_folder
-from carla_recap.sim.recording.scribes import ScribeProcess
 from carla_recap.sim.weather import PRESETS
 from carla_recap.sim.world import World
 from tests.sim.flat import at, flat_town, flat_world, light
@@ -352,8 +356,10 @@ def test_names_go_to_the_folder_of_recordings_and_paths_do_not(tmp_path: Path, m
     monkeypatch.setenv("CARLA_RECAP_RECORDINGS", str(tmp_path / "of the environment"))
     assert recording_path("crash.log") == tmp_path / "of the environment" / "crash.log"
     assert recording_path("crash.log", tmp_path) == tmp_path / "crash.log"
-    for path in ("./crash.log", "a/crash.log", "C:crash.log", r"a\crash.log", str(tmp_path / "crash.log")):
+    for path in ("./crash.log", "a/crash.log", r"a\crash.log", str(tmp_path / "crash.log")):
         assert str(recording_path(path, tmp_path / "b")) == path.removeprefix("./")
+    for path in (r"c:\recordings\crash.log", "C:crash.log", "D:/crash.log"):
+        assert recording_path(path, tmp_path) == (Path(path) if os.name == "nt" else tmp_path / "crash.log")
     with pytest.raises(RecapError, match="the name of a recording was expected"):
         recording_path("")
 
@@ -364,15 +370,84 @@ def test_the_folder_of_recordings_is_made_and_others_are_not(tmp_path: Path) -> 
     assert world.start_recorder("v.log") == tmp_path / "new" / "folder" / "v.log"
     world.close()
     assert sorted(path.name for path in (tmp_path / "new" / "folder").iterdir()) == ["crash.mcap", "v.log"]
-    with pytest.raises(RecapError, match="No such file or directory"):
+    with pytest.raises(DestinationError, match="No such file or directory"):
         world.start_recorder(tmp_path / "absent" / "a.mcap")
-    with pytest.raises(RecapError, match=r"unknown format '.rec'"):
-        world.start_recorder("a.rec")
     (tmp_path / "file").touch()
     with pytest.raises(RecapError, match="the folder of recordings cannot be made: Not a directory"):
         World(flat_town(), recordings=tmp_path / "file" / "x").start_recorder("a")
     assert world.recorder.path is None
     world.tick()
+
+
+def test_folders_below_that_of_recordings_are_made(tmp_path: Path) -> None:
+    with World(flat_town(), recordings=tmp_path / "new") as world:
+        path = tmp_path / "new" / "a" / "b" / "crash.log"
+        assert world.start_recorder(path) == path
+        world.tick()
+        world.stop_recorder()
+        assert len(frames(path)) == 1
+        with pytest.raises(DestinationError, match="No such file or directory"):
+            world.start_recorder(tmp_path / "new" / ".." / "absent" / "a.mcap")
+
+
+@pytest.mark.parametrize("name", ["manual_recording.rec", "run_0.9.16", "x.LOG"])
+def test_any_other_suffix_records_the_format_of_carla_under_that_very_name(tmp_path: Path, name: str) -> None:
+    with World(flat_town(), recordings=tmp_path) as world:
+        assert world.start_recorder(name) == tmp_path / name
+        world.tick()
+    assert [path.name for path in tmp_path.iterdir()] == [name]
+    assert is_log((tmp_path / name).read_bytes())
+    assert len(frames(tmp_path / name)) == 1
+
+
+@pytest.mark.skipif(not hasattr(resource, "prlimit"), reason="limits of other processes are Linux's")
+def test_a_full_disk_leaves_a_recording_of_any_suffix(tmp_path: Path) -> None:
+    world = flat_world()
+    path = world.start_recorder(tmp_path / "a.rec")
+    with disk_of(world, 60_000), pytest.warns(RecapWarning, match=r"File too large; the recording ends at [\d.]+ s"):
+        run_until_it_fails(world)
+    assert len(frames(path)) > 100
+
+
+@pytest.mark.parametrize("suffix", [".mcap", ".log"])
+def test_a_visible_recording_is_complete_at_every_moment(tmp_path: Path, suffix: str) -> None:
+    world, path = flat_world(), tmp_path / f"a{suffix}"
+    record(world, path, 3)
+    world.recorder.start(path, visible=True)
+    world.run(12.0)
+    with pytest.warns(RecapWarning, match="is being recorded, or was interrupted"):
+        assert frames(path) == []
+    if suffix == ".mcap":
+        with path.open("rb") as file:
+            assert make_reader(file).get_summary() is not None
+    world.stop_recorder()
+    assert len(frames(path)) == 240
+    assert list(tmp_path.iterdir()) == [path]
+
+
+def test_a_visible_recording_that_is_being_completed_is_waited_for(tmp_path: Path) -> None:
+    world = flat_world()
+    path = world.recorder.start(tmp_path / "a.log", visible=True)
+    world.run(1.0)
+    threading.Timer(0.3, world.stop_recorder).start()
+    assert len(frames(path)) == 20
+
+
+@pytest.mark.parametrize("ticks", [0, 240])
+def test_a_visible_recording_of_a_process_that_is_killed_is_completed(tmp_path: Path, ticks: int) -> None:
+    path = tmp_path / "a.log"
+    script = (
+        textwrap.dedent(_SCRIPT)
+        .replace("world.start_recorder(Path(sys.argv[1]))", _VISIBLE)
+        .replace("12.0", f"{ticks / 20}")
+    )
+    script += "\nimport time\ntime.sleep(1)\nos.kill(os.getpid(), 9)"
+    subprocess.run([sys.executable, "-c", script, str(path)], stderr=subprocess.PIPE)
+    assert len(frames(path)) > ticks - 102
+    assert list(tmp_path.iterdir()) == [path]
+
+
+_VISIBLE = "world.recorder.start(Path(sys.argv[1]), visible=True)"
 
 
 @pytest.mark.parametrize("suffix", [".mcap", ".log"])
@@ -502,7 +577,6 @@ _INTERRUPTED = """
         world.start_recorder(path)
         world.run(1.0)
     for hundredths in range(0, 40, 3):
-        ScribeProcess.end_all()
         try:
             threading.Timer(hundredths / 100, os.kill, (os.getpid(), signal.SIGINT)).start()
             world.start_recorder(path)
@@ -516,8 +590,7 @@ _INTERRUPTED = """
 
 
 def test_ctrl_c_while_a_recording_is_started_leaves_the_older_one(tmp_path: Path) -> None:
-    script = "from carla_recap.sim.recording.scribes import ScribeProcess\n" + textwrap.dedent(_INTERRUPTED)
-    command = [sys.executable, "-X", "dev", "-c", script, str(tmp_path / "a.mcap")]
+    command = [sys.executable, "-X", "dev", "-c", textwrap.dedent(_INTERRUPTED), str(tmp_path / "a.mcap")]
     done = subprocess.run(command, capture_output=True, text=True, timeout=60)
     assert (done.returncode, done.stderr) == (0, "")
     assert len(frames(tmp_path / "a.mcap")) in (1, 20)  # the one that was not interrupted, or the older one
@@ -592,29 +665,64 @@ def test_a_process_that_is_killed_has_its_recording_completed_even_while_forked_
     assert len(frames(path)) > 100
 
 
-def test_recordings_are_written_by_one_process_after_the_other_as_long_as_there_is_one_at_a_time(tmp_path: Path) -> None:
-    ids = []
-    for name in ("a.mcap", "b.log"):
-        with flat_world() as world:
-            world.start_recorder(tmp_path / name)
-            ids.append(pid(world))
-            world.tick()
-    assert ids[0] == ids[1]
+def test_each_recording_has_a_process_that_ends_with_it(tmp_path: Path) -> None:
     with flat_world() as world, flat_world() as other:
         for count, recorded in enumerate((world, other), 3):
             recorded.start_recorder(tmp_path / f"{count}.mcap")
             recorded.run(0.05 * count)
-        assert pid(world) != pid(other)
+        ids = {pid(world), pid(other)}
+        assert len(ids) == 2
+    for id in ids:
+        with pytest.raises(ProcessLookupError):
+            os.kill(id, 0)
     assert [len(frames(tmp_path / f"{count}.mcap")) for count in (3, 4)] == [3, 4]
+
+
+def test_each_recording_has_the_umask_of_its_start(tmp_path: Path) -> None:
+    before = os.umask(0o022)
+    try:
+        for mask, mode in ((0o077, 0o600), (0o022, 0o644)):
+            os.umask(mask)
+            record(flat_world(), path := tmp_path / f"{mask}.log", 1)
+            assert path.stat().st_mode & 0o777 == mode
+    finally:
+        os.umask(before)
+
+
+def test_a_script_without_a_guard_records(tmp_path: Path) -> None:
+    script, path = tmp_path / "script.py", tmp_path / "a.mcap"
+    script.write_text(textwrap.dedent(_SCRIPT) + "print('once')\n")
+    environment = {**os.environ, "PYTHONPATH": os.pathsep.join([*filter(None, sys.path), str(Path.cwd())])}
+    done = subprocess.run([sys.executable, script, path], env=environment, capture_output=True, text=True, timeout=60)
+    assert (done.returncode, done.stdout, done.stderr) == (0, "once\n", "")
+    assert len(frames(path)) == 240
+
+
+def record_in_a_worker(path: Path) -> int:
+    return len(record(flat_world(), path, 3))
+
+
+def test_the_workers_of_a_pool_record(tmp_path: Path) -> None:
+    with get_context("spawn").Pool(2) as pool:
+        assert pool.map(record_in_a_worker, [tmp_path / name for name in ("a.mcap", "b.log")]) == [3, 3]
+
+
+def test_several_threads_may_stop_a_recording(tmp_path: Path) -> None:
+    world = flat_world()
+    for number in range(5):
+        path = world.start_recorder(tmp_path / f"{number}.log")
+        world.tick()
+        with ThreadPoolExecutor(4) as threads:
+            for stopped in [threads.submit(world.stop_recorder) for _ in range(4)]:
+                stopped.result(20)
+        assert len(frames(path)) == 1
 
 
 def test_modules_in_the_working_directory_are_nobodys(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     for name in ("pickle", "carla_recap", "numpy"):
         (tmp_path / f"{name}.py").write_text("raise SystemExit(7)")
     monkeypatch.chdir(tmp_path)
-    monkeypatch.setattr(ScribeProcess, "_resting", [])
     assert len(record(flat_world(), tmp_path / "a.log", 2)) == 2
-    ScribeProcess.end_all()
 
 
 def test_a_script_may_go_to_another_folder_while_it_records(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -642,10 +750,8 @@ def pid(world: World) -> int:
 def disk_of(world: World, size: int) -> Iterator[None]:
     """Let no file that the world's recorder writes grow beyond a size, in bytes."""
     writer = pid(world)
-    before = resource.prlimit(writer, resource.RLIMIT_FSIZE)
-    resource.prlimit(writer, resource.RLIMIT_FSIZE, (size, before[1]))
+    resource.prlimit(writer, resource.RLIMIT_FSIZE, (size, size))
     yield
-    resource.prlimit(writer, resource.RLIMIT_FSIZE, before)
 
 
 def run_until_it_fails(world: World) -> None:
@@ -734,23 +840,7 @@ def test_what_cannot_be_handed_over_ends_the_recording(tmp_path: Path) -> None:
     assert len(record(flat_world(), tmp_path / "b.mcap", 3)) == 3
 
 
-def test_who_rests_may_be_killed(tmp_path: Path) -> None:
-    world = flat_world()
-    world.start_recorder(tmp_path / "a.mcap")
-    writer = pid(world)
-    world.stop_recorder()
-    os.kill(writer, signal.SIGKILL)  # which may be known at once, or not
-    assert len(record(world, tmp_path / "b.mcap", 3)) == 3
-    world.start_recorder(tmp_path / "c.mcap")
-    writer = pid(world)
-    world.stop_recorder()
-    os.kill(writer, signal.SIGKILL)
-    time.sleep(0.1)
-    assert len(record(world, tmp_path / "d.mcap", 3)) == 3
-
-
 def test_without_an_interpreter_nothing_is_recorded(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(ScribeProcess, "_resting", [])
     for executable, told in (("/absent", "No such file"), ("/bin/true", "ended with exit code 0"), ("/bin/false", "code 1")):
         monkeypatch.setattr(sys, "executable", executable)
         with pytest.raises(RecapError, match=f"the process that writes recordings cannot be started: .*{told}"):
@@ -797,7 +887,7 @@ def test_a_folder_that_is_gone_is_an_error_for_names_that_are_relative(
     (tmp_path / "gone").mkdir()
     monkeypatch.chdir(tmp_path / "gone")
     (tmp_path / "gone").rmdir()
-    with pytest.raises(RecapError, match=r"a.log: the working directory cannot be told: No such file or directory"):
+    with pytest.raises(RecapError, match=r"a.log: cannot be written: No such file or directory"):
         flat_world().start_recorder("./a.log")
     assert len(record(flat_world(), tmp_path / "a.log", 2)) == 2
 

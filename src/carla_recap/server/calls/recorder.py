@@ -1,7 +1,6 @@
 """Calls about recordings: recording, replaying and querying them.
 
-What CARLA has a text for is answered with its text, even where that tells of a failure; all else that goes wrong becomes
-the client's RuntimeError.
+Failures for which CARLA has a text are answered with it; all others become the client's RuntimeError.
 """
 
 from __future__ import annotations
@@ -9,52 +8,57 @@ from __future__ import annotations
 import asyncio
 from collections.abc import Awaitable
 from functools import partial
-from typing import Final
+from typing import Any, Final
 
 from carla_recap import queries
 from carla_recap.errors import NotARecording
-from carla_recap.server import replies
+from carla_recap.server import recordings
 from carla_recap.server.client import Client
+from carla_recap.server.rpc.codec import DecodeError, decoder
 from carla_recap.server.rpc.registry import call
 from carla_recap.sim.errors import MapMissing
 from carla_recap.sim.geometry import Transform
-from carla_recap.sim.replaying.replayer import CHASE, Replay
+from carla_recap.sim.replaying.replayer import CHASE
 
 _NEWS: Final = 0.1
-"""s, until a client that has just been sent a new episode knows of it, and takes its calls to be of that."""
+"""Seconds until a client that has just been sent a new episode assigns its calls to that one."""
+_transform: Final = decoder(Transform)
 
 
 @call
-def start_recorder(client: Client, name: str, additional_data: bool = False) -> str:
-    """Begin a recording; the suffix says the format, and it is MCAP without one. The answer is where it will be.
+def start_recorder(client: Client, name: str, additional_data: bool = False, stop_replayer: bool = True) -> str:
+    """Begin a recording and return its absolute path; an empty text where it cannot be written to.
 
-    Where CARLA gives an empty text, because the file cannot be written, the client gets an error that says why.
+    The suffix .mcap, or none, is for MCAP; any other one is for CARLA's format. A running replay ends, as in CARLA, unless
+    a newer client asks to record it.
     """
-    return str(client.host.recordings.start(name, additional_data))
+    if stop_replayer:
+        client.host.world.stop_replayer()
+    return client.host.recordings.start(name, additional_data)
 
 
 @call
 def stop_recorder(client: Client) -> None:
-    """Complete the recording."""
+    """Complete the recording; calls that follow, of any client, are answered when it is complete."""
     client.host.world.stop_recorder()
 
 
 @call
 def show_recorder_file_info(client: Client, name: str, show_all: bool) -> Awaitable[str]:
-    """What is in a recording: its events, or all records."""
+    """Return the events of a recording, or all of its records."""
     return _answer(client, name, partial(queries.info, all=show_all, compat=True))
 
 
 @call
 def show_recorder_collisions(client: Client, name: str, type1: int, type2: int) -> Awaitable[str]:
-    """Who collided with whom; the types of actors are letters, as bytes."""
+    """Return the collisions between two types of actors, which are letters, as bytes."""
     letters = [chr(type & 0xFF) for type in (type1, type2)]
     return _answer(client, name, lambda reader: queries.collisions(reader, *letters, compat=True))
 
 
 @call
 def show_recorder_actors_blocked(client: Client, name: str, min_time: float, min_distance: float) -> Awaitable[str]:
-    """Who stood still; times in s, distances in cm."""
+    """Return the actors that stood still; times in s, distances in cm."""
     query = partial(queries.blocked, min_time=min_time, min_distance=min_distance, compat=True)
     return _answer(client, name, query)
 
@@ -66,29 +70,46 @@ async def replay_file(
     start: float,
     duration: float,
     follow_id: int,
-    replay_sensors: bool = False,
-    offset: Transform = CHASE,
+    option1: Any = None,
+    option2: Any = None,
+    option3: Any = None,
+    option4: Any = None,
 ) -> str:
-    """Re-enact a recording; times in s.
+    """Replay a recording; times in s.
 
-    A follow_id of 0 is nobody; else the spectator follows that actor of the recording, at an offset. A recording of
-    another map begins a new episode with that map.
+    With a follow_id other than 0, the spectator follows that actor of the recording, at an offset. A recording of another
+    map begins a new episode with that map. Clients differ in the order of the options, but not in their types: the booleans
+    replay_sensors and, since 2026, replay_weather; the offset, a transform; and, since 2025, the name of a map to replay on.
     """
+    sensors, weather, offset, map_name = _replay_options(option1, option2, option3, option4)
     world = client.host.world
     world.stop_recorder()
     path = client.host.recordings.find(name)
     if not path.is_file():
         world.stop_replayer()
-        return replies.replaying(path) + replies.not_found(path)
+        return recordings.replaying(path) + recordings.not_found(path)
+    frames = world.frame
     try:
-        replay = _replay(client, str(path), start, max(duration, 0.0), follow_id, replay_sensors, offset)
+        replay = world.replayer.start(
+            str(path),
+            start,
+            max(duration, 0.0),
+            follow_id,
+            sensors,
+            offset,
+            replay_weather=weather,
+            map_name=map_name,
+        )
     except NotARecording:
-        return replies.replaying(path) + replies.NOT_A_RECORDING
+        return recordings.replaying(path) + recordings.NOT_A_RECORDING
     except MapMissing as error:
-        return replies.replaying(path) + replies.map_missing(error)
+        return recordings.replaying(path) + recordings.map_missing(error)
+    finally:
+        if client.host.check_episode(frames):
+            client.host.publish()
     if replay.loaded:
         await asyncio.sleep(_NEWS)
-    return replies.replay_begins(replay, world.replayer, duration)
+    return recordings.replay_begins(replay, world.replayer, duration)
 
 
 @call
@@ -99,33 +120,37 @@ def stop_replayer(client: Client, keep_actors: bool) -> None:
 
 @call
 def set_replayer_time_factor(client: Client, factor: float) -> None:
-    """How many seconds of a recording pass in a second; at once, and in the replays to come."""
+    """Set the number of seconds of a recording that pass in a second, of this replay and of later ones."""
     client.host.world.set_replayer_time_factor(factor)
 
 
 @call
 def set_replayer_ignore_hero(client: Client, ignore: bool) -> None:
-    """Whether the replays to come leave the hero out."""
+    """Set whether later replays leave the hero out."""
     client.host.world.set_replayer_ignore_hero(ignore)
 
 
 @call
 def set_replayer_ignore_spectator(client: Client, ignore: bool) -> None:
-    """Whether the replays to come leave the spectator alone."""
+    """Set whether later replays leave the spectator alone."""
     client.host.world.set_replayer_ignore_spectator(ignore)
 
 
-async def _answer(client: Client, name: str, query: replies.Query) -> str:
-    return await replies.answer(client.host.recordings.find_complete(name), query)
+async def _answer(client: Client, name: str, query: recordings.Query) -> str:
+    return await recordings.answer(client.host.recordings.find_complete(name), query)
 
 
-def _replay(
-    client: Client, path: str, start: float, duration: float, follow: int, sensors: bool, offset: Transform
-) -> Replay:
-    host = client.host
-    frames = host.world.frame
-    try:
-        return host.world.replay_file(path, start, duration, follow, sensors, offset)
-    finally:
-        if host.check_episode(frames):
-            host.publish()
+def _replay_options(*options: Any) -> tuple[bool, bool, Transform, str]:
+    """Return replay_sensors, replay_weather, the offset and the name of a map, with CARLA's defaults.
+
+    Raises:
+        DecodeError: An option is of another type.
+    """
+    flags = [option for option in options if option.__class__ is bool]
+    names = [option for option in options if option.__class__ is str]
+    offsets = [_transform(option) for option in options if option.__class__ is list]
+    given = [option for option in options if option is not None]
+    if len(given) > len(flags) + len(names) + len(offsets) or len(flags) > 2 or len(names) > 1 or len(offsets) > 1:
+        raise DecodeError(f"replay_file: expected two booleans, a transform and the name of a map, found {given!r:.200}")
+    sensors, weather = [*flags, *(False, True)[len(flags) :]]
+    return sensors, weather, (offsets or [CHASE])[0], (names or [""])[0]

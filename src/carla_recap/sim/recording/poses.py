@@ -16,7 +16,7 @@ CM_PER_M: Final = 100.0
 
 
 def pose(transform: Transform) -> tuple[float, float, float, float, float, float]:
-    """The pose of a transform."""
+    """Return the pose of a transform."""
     location, rotation = transform.location, transform.rotation
     return (
         location.x * CM_PER_M,
@@ -29,6 +29,6 @@ def pose(transform: Transform) -> tuple[float, float, float, float, float, float
 
 
 def transform(pose: Iterable[float]) -> Transform:
-    """The transform of a pose."""
+    """Return the transform of a pose."""
     x, y, z, roll, pitch, yaw = map(float, pose)
     return Transform(Location(x / CM_PER_M, y / CM_PER_M, z / CM_PER_M), Rotation(pitch, yaw, roll))

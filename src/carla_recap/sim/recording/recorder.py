@@ -6,49 +6,63 @@ import os
 import re
 import warnings
 import weakref
-from pathlib import Path
+from pathlib import Path, PureWindowsPath
+from threading import RLock
 from typing import TYPE_CHECKING, Final
 
 from carla_recap.conversion import check_free
 from carla_recap.errors import RecapError, RecapWarning
 from carla_recap.formats import SUFFIXES
 from carla_recap.frame import Header
-from carla_recap.sim.recording.background import BackgroundWriter
-from carla_recap.sim.recording.sampling import Sampler
+from carla_recap.sim.errors import DestinationError
+from carla_recap.sim.recording.sampler import WorldSampler
+from carla_recap.sim.recording.writer_process import WriterProcess
 
 if TYPE_CHECKING:
     from carla_recap.sim.interfaces import RecordedWorld
 
 FOLDER: Final = "CARLA_RECAP_RECORDINGS"
-"""The environment variable that names the folder of recordings."""
+"""The environment variable that contains the folder of recordings."""
 DEFAULT_FOLDER: Final = "recordings"
-_OF_FOLDERS: Final = re.compile(r"(^|[/\\])\.{0,2}$")
-"""What names end with that can be none but those of folders."""
+_LOG, _MCAP = SUFFIXES
+_FOLDER_NAME: Final = re.compile(r"(^|[/\\])\.{0,2}$")
+"""The end of names that only folders can have."""
 
 
 def recordings_folder(folder: Path | str | None = None) -> Path:
-    """The folder of recordings that have a name and no place.
+    """Return the folder of recordings whose names are no paths.
 
     Args:
-        folder: The one that is wanted; else the environment variable CARLA_RECAP_RECORDINGS says it, else it is
+        folder: The folder; None for that of the environment variable CARLA_RECAP_RECORDINGS, and without that one for
             `recordings` in the working directory.
     """
     return Path(folder or os.environ.get(FOLDER) or DEFAULT_FOLDER)
 
 
 def recording_path(name: Path | str, folder: Path | str | None = None) -> Path:
-    r"""Where a recording lies.
+    r"""Return the path of a recording.
 
     Args:
-        name: With `/`, `\` or `:` in it, a path; else a name in the folder of recordings, as with CARLA.
+        name: With `/`, `\` or `:` in it, a path; else a name in the folder of recordings, as in CARLA. Of a path with a
+            Windows drive, other systems take the last part as such a name.
         folder: See `recordings_folder`.
 
     Raises:
         RecapError: The name is empty.
     """
+    if os.name != "nt" and PureWindowsPath(name).drive.endswith(":"):
+        name = PureWindowsPath(name).name
     if not str(name):
         raise RecapError("the name of a recording was expected, found an empty text")
     return Path(name) if _is_path(name) else recordings_folder(folder) / name
+
+
+def is_within(path: Path, folder: Path) -> bool:
+    """Return whether a path lies below a folder once links are followed; False where they cannot be."""
+    try:
+        return folder.resolve() in path.resolve().parents
+    except (OSError, ValueError, RuntimeError):  # such as a loop of links
+        return False
 
 
 def _is_path(name: Path | str) -> bool:
@@ -58,102 +72,118 @@ def _is_path(name: Path | str) -> bool:
 class Recorder:
     """Records a world; a listener of its ticks.
 
-    What goes wrong on the disk while it records ends the recording, and not the simulation: a warning tells of it.
+    A disk error ends the recording, and not the simulation: a warning contains the reason.
 
     Args:
         world: The world.
-        folder: Where recordings go whose names are no paths; see `recordings_folder`.
+        folder: The folder of recordings whose names are no paths; see `recordings_folder`.
 
     Attributes:
-        error: Why the latest recording ended early; None where it did not.
+        error: The error that ended the latest recording early; None without one.
     """
 
     def __init__(self, world: RecordedWorld, folder: Path | str | None = None) -> None:
         self.error: RecapError | None = None
         self._world = world
         self._folder = folder
-        self._sampler: Sampler | None = None
-        self._writer: BackgroundWriter | None = None
+        self._sampler: WorldSampler | None = None
+        self._writer: WriterProcess | None = None
         self._finish: weakref.finalize[[], Recorder] | None = None
+        self._lock = RLock()  # a recording may be stopped by several threads
 
     @property
     def path(self) -> Path | None:
-        """What is being recorded to; None between recordings."""
-        return self._writer.path if self._writer else None
+        """The destination of the running recording; None between recordings."""
+        writer = self._writer
+        return writer.path if writer else None
 
-    def start(self, name: Path | str, additional_data: bool = False, *, force: bool = True) -> Path:
+    def start(self, name: Path | str, additional_data: bool = False, *, force: bool = True, visible: bool = False) -> Path:
         """Begin a recording; one that is running is completed first.
 
-        It takes the place of an older one of that name when it is complete, as with CARLA.
+        It replaces an older one of that name when it is complete.
 
         Args:
-            name: `crash` or `crash.mcap`; `crash.log` for CARLA's format; see `recording_path`.
-            additional_data: Tell of velocities, boxes, physics and the times of lights, too.
-            force: Overwrite what is there; else what is there at the start is an error, and what is there at the end
-                stays: the new recording lies beside it then, and a warning says where.
+            name: `crash` or `crash.mcap`; `crash.log`, or any other suffix, for CARLA's format; see `recording_path`. A
+                folder that is missing is made below the folder of recordings.
+            additional_data: Record velocities, boxes, physics and the times of lights, too.
+            force: Overwrite an older recording; else one that exists at the start is an error, and one that exists at the
+                end stays: the new recording lies beside it then, and a warning contains its path.
+            visible: Put a recording without frames under the name at once; else the name appears with the complete one.
 
         Returns:
-            Where it will be, once it is complete.
+            The path of the complete recording.
 
         Raises:
-            RecapError: The suffix is of no format, the place cannot be written to, or an actor cannot be told of; or it
-                is the recording that is being replayed.
+            DestinationError: The destination cannot be written to.
+            RecapError: The name is that of a folder, or of the recording that is being replayed; or an actor has data
+                that no record can hold.
         """
-        self.stop()
-        self.error = None
-        path = self._destination(name, force=force)
-        header = Header(self._world.town.name, self._world.date)
-        sampler = Sampler(self._world, additional_data=additional_data)
-        self._writer = BackgroundWriter(path, header, force=force)
-        self._sampler = sampler
-        # Whoever forgets to stop, or to close the world, finds a whole recording.
-        self._finish = weakref.finalize(self, self._writer.close)
-        return path
+        with self._lock:
+            self.stop()
+            self.error = None
+            path = self._destination(name, force=force)
+            header = Header(self._world.town.name, self._world.date)
+            sampler = WorldSampler(self._world, additional_data=additional_data)
+            format = path.suffix.lower() if path.suffix.lower() in SUFFIXES else _LOG
+            self._writer = WriterProcess(path, header, force=force, format=format, visible=visible)
+            self._sampler = sampler
+            # A recording that is never stopped is completed with the recorder or the interpreter.
+            self._finish = weakref.finalize(self, self._writer.close)
+            return path
 
     def stop(self) -> None:
-        """Complete the recording, and wait until it is; harmless where there is none."""
-        if self._writer is None or self._finish is None:
-            return
-        self._finish()
-        self.error = self._writer.error
-        self._writer = self._sampler = self._finish = None
+        """Complete the recording, and wait until it is complete; without a recording, do nothing."""
+        with self._lock:
+            if self._writer is None or self._finish is None:
+                return
+            self._finish()
+            self.error = self._writer.error
+            self._writer = self._sampler = self._finish = None
         if self.error is not None:
             warnings.warn(f"the recording has ended: {self.error}", RecapWarning, stacklevel=2)
 
     def __call__(self) -> None:
-        """Take in the tick that ends."""
-        if self._writer is None or self._sampler is None:
-            return
-        if self._writer.error is not None:
-            self.stop()
-            return
-        self._writer.write(self._sampler.snapshot(self._world.delta))
+        """Record the tick that ends."""
+        with self._lock:
+            if self._writer is None or self._sampler is None:
+                return
+            if self._writer.error is not None:
+                self.stop()
+                return
+            self._writer.write(self._sampler.sample(self._world.delta))
 
-    def _destination(self, name: Path | str, *, force: bool) -> Path:
-        """Where a recording of a name goes; its folder is made, unless the name is a path.
+    def destination(self, name: Path | str) -> Path:
+        """Return the path at which a recording of a name will be.
 
         Raises:
-            RecapError: No recording can be there.
+            RecapError: No recording can have the name.
         """
         named = recording_path(name, self._folder)
         if "\0" in str(name):
             raise RecapError(f"{str(name)!r:.200}: the name of a recording was expected, found an embedded null byte")
-        if _OF_FOLDERS.search(str(name)):
+        if _FOLDER_NAME.search(str(name)):
             raise RecapError(f"{str(name)!r:.200}: the name of a recording was expected, and this is that of a folder")
-        path = named if named.suffix else named.with_name(named.name + SUFFIXES[-1])
+        return named if named.suffix else named.with_name(named.name + _MCAP)
+
+    def _destination(self, name: Path | str, *, force: bool) -> Path:
+        """Check the destination, and make its folder if that is the one of recordings, or lies below it.
+
+        Raises:
+            DestinationError: The folder cannot be made.
+            RecapError: No recording can be written there.
+        """
+        path = self.destination(name)
         check_free(path, force=force)
-        if named.is_dir():
-            raise RecapError(f"{named}: the name of a recording was expected, and this is a folder")
+        if recording_path(name, self._folder).is_dir():
+            raise RecapError(f"{path}: the name of a recording was expected, and this is a folder")
         source = self._world.replayed
         if source is not None and path.exists() and path.samefile(source):
             raise RecapError(f"{path}: is being replayed; the recorder needs another name")
-        if not _is_path(name):
-            _make(path.parent)
+        folder = recordings_folder(self._folder)
+        if is_within(path, folder):
+            try:
+                path.parent.mkdir(parents=True, exist_ok=True)
+            except OSError as error:
+                reason = f"the folder of recordings cannot be made: {error.strerror}"
+                raise DestinationError(f"{path.parent}: {reason}") from None
         return path
-
-
-def _make(folder: Path) -> None:
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise RecapError(f"{folder}: the folder of recordings cannot be made: {error.strerror}") from None

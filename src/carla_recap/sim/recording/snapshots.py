@@ -1,4 +1,7 @@
-"""Snapshots of a world, on strips, and the frames of a recording that they become: later, all at once, without the world."""
+"""Batches of snapshots of a world, and the frames of a recording that they become: later, without the world.
+
+A batch is what is sent to the process that writes the recording: columns of float32 for a set of actors that stays the same.
+"""
 
 from __future__ import annotations
 
@@ -21,17 +24,17 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     Array = NDArray[np.void]
-    States = dict[tuple[str, str], NDArray[Any]]
+    Columns = dict[tuple[str, str], NDArray[Any]]
 
 TYPES: Final = {UE4[id].name: UE4[id] for id in ORDER}
-"""The types of records in the order in which CARLA writes their packets."""
+"""The record types in the order in which CARLA writes their packets."""
 _SLOTS: Final = {name: slot for slot, name in enumerate(TYPES)}
 _END: Final = Packet(FRAME_END, UE4[FRAME_END], b"")
 _ROLL_PITCH_YAW: Final = [2, 0, 1]
-"""Where they are in the rotations of `Movers`."""
+"""Their indices in the rotations of `Movers`."""
 COLUMNS: Final = {
-    **{(who, name): ("transforms", "") for who in ("vehicles", "walkers") for name in ("position", "rotation")},
-    **{(who, name): ("velocities", "") for who in ("vehicles", "walkers") for name in ("velocity", "angular_velocity")},
+    **{(owner, name): ("transforms", "") for owner in ("vehicles", "walkers") for name in ("position", "rotation")},
+    **{(owner, name): ("velocities", "") for owner in ("vehicles", "walkers") for name in ("velocity", "angular_velocity")},
     ("signals", "frozen"): ("light_states", "frozen"),
     ("signals", "elapsed"): ("light_states", "elapsed"),
     ("signals", "state"): ("light_states", "state"),
@@ -43,26 +46,26 @@ COLUMNS: Final = {
     ("vehicles", "light_state"): ("vehicle_lights", "flags"),
     ("walkers", "speed"): ("walker_controls", "speed"),
 }
-"""Columns of a world, and the type and field of the records that each is told in; no field where it is not told as it is."""
+"""Columns of a world, and the record type and field of each; no field where the values are converted."""
 OTHER_POSES: Final = ("others", "pose")
-"""Where those are who are neither vehicles nor walkers."""
+"""The column of the poses of actors that are neither vehicles nor walkers."""
 _REAL: Final = np.dtype(np.float32)
 _DTYPES: Final = {column: UE4.named(type).dtype[field] if field else _REAL for column, (type, field) in COLUMNS.items()} | {
     OTHER_POSES: _REAL
 }
-"""What records have, which is less than what a world reckons with."""
+"""The precision of records, which is less than that of a world."""
 _IN_CM: Final = "position"
 
 
 @dataclass(slots=True, eq=False)
-class Moment:
-    """When a snapshot was taken, and what had happened by then.
+class Timestamp:
+    """The time of a snapshot, and what had happened by then.
 
     Attributes:
-        index: The place of the snapshot in the recording, from 0.
+        index: The index of the snapshot in the recording, from 0.
         elapsed: Seconds since the recording began.
         time: Seconds since the episode began.
-        events: What happened since the snapshot before, as packets by type; what did not is missing.
+        events: What happened since the last snapshot, as packets by type; types without records are missing.
         duration: Seconds until the next snapshot.
     """
 
@@ -73,86 +76,86 @@ class Moment:
     duration: float = LAST_FRAME_DURATION
 
 
-class Strip:
-    """Snapshots in a row of the same actors.
+class SnapshotBatch:
+    """Consecutive snapshots of the same actors.
 
     Args:
-        lineup: Who is there.
-        states: Columns like those that will be added: where everybody is, and what they do; see `COLUMNS`.
-        length: How many snapshots there is room for.
+        actors: The actors.
+        columns: Columns like those that will be added: the poses and controls of the actors; see `COLUMNS`.
+        length: The most snapshots.
 
     Attributes:
-        moments: When the snapshots were taken.
+        timestamps: The times of the snapshots.
     """
 
-    def __init__(self, lineup: Lineup, states: States, length: int) -> None:
-        self.moments: list[Moment] = []
-        self._lineup = lineup
+    def __init__(self, actors: ActorSet, columns: Columns, length: int) -> None:
+        self.timestamps: list[Timestamp] = []
+        self._actors = actors
         self._length = length
-        self._states: States = {key: np.empty((length, *column.shape), _DTYPES[key]) for key, column in states.items()}
+        self._columns: Columns = {key: np.empty((length, *column.shape), _DTYPES[key]) for key, column in columns.items()}
 
     def __getstate__(self) -> tuple[Any, ...]:
-        """What another process needs, in few and small pieces."""
-        moments = [(told.index, told.elapsed, told.time, told.events, told.duration) for told in self.moments]
-        return self._lineup, self._length, self._columns, moments
+        """Return what another process needs, in few and small pieces."""
+        timestamps = [(each.index, each.elapsed, each.time, each.events, each.duration) for each in self.timestamps]
+        return self._actors, self._length, self._filled, timestamps
 
     def __setstate__(self, state: tuple[Any, ...]) -> None:
-        self._lineup, self._length, self._states, moments = state
-        self.moments = [Moment(*moment) for moment in moments]
+        self._actors, self._length, self._columns, timestamps = state
+        self.timestamps = [Timestamp(*timestamp) for timestamp in timestamps]
 
     @property
     def is_full(self) -> bool:
-        """Whether there is no more room."""
-        return len(self.moments) == self._length
+        """Whether no snapshot can be added."""
+        return len(self.timestamps) == self._length
 
-    def add(self, moment: Moment, states: States) -> None:
+    def add(self, timestamp: Timestamp, columns: Columns) -> None:
         """Add a snapshot."""
-        place = len(self.moments)
-        for key, column in states.items():
+        index = len(self.timestamps)
+        for key, column in columns.items():
             if key[1] == _IN_CM:
-                np.multiply(column, CM_PER_M, out=self._states[key][place], casting="same_kind")
+                np.multiply(column, CM_PER_M, out=self._columns[key][index], casting="same_kind")
             else:
-                self._states[key][place] = column
-        self.moments.append(moment)
+                self._columns[key][index] = column
+        self.timestamps.append(timestamp)
 
     def runs(self) -> Iterator[Run]:
-        """The snapshots as frames."""
-        return self._lineup.runs(self.moments, self._columns)
+        """Yield the snapshots as frames."""
+        return self._actors.runs(self.timestamps, self._filled)
 
     @property
-    def _columns(self) -> States:
-        return {key: columns[: len(self.moments)] for key, columns in self._states.items()}
+    def _filled(self) -> Columns:
+        return {key: columns[: len(self.timestamps)] for key, columns in self._columns.items()}
 
 
-class Lineup:
-    """Who is in a world as long as nobody comes or goes, as ids.
+class ActorSet:
+    """The actors of a world as long as none comes or goes, as ids.
 
     Args:
-        placed: The actors whose places are told, in the order in which they came.
+        with_pose: The actors whose poses are recorded, in the order in which they were spawned.
         vehicles: The vehicles.
         walkers: The walkers.
-        others: Those with places that are neither.
+        others: Those with poses that are neither.
         lights: The traffic lights.
-        additional_data: Tell of velocities and the platform's clock, too.
+        additional_data: Record velocities and the platform's clock, too.
 
     Attributes:
-        columns: Which columns of the world are told; see `COLUMNS`.
+        columns: The columns of the world that are recorded; see `COLUMNS`.
     """
 
     def __init__(
         self,
         *,
-        placed: list[int],
+        with_pose: list[int],
         vehicles: list[int],
         walkers: list[int],
         others: list[int],
         lights: list[int],
         additional_data: bool,
     ) -> None:
-        place = {id: index for index, id in enumerate(placed)}
-        self._places = [place[id] for id in (*vehicles, *walkers, *others)]
+        indices = {id: index for index, id in enumerate(with_pose)}
+        self._indices = [indices[id] for id in (*vehicles, *walkers, *others)]
         self._ids = {
-            "transforms": placed,
+            "transforms": with_pose,
             "light_states": lights,
             "vehicle_controls": vehicles,
             "walker_controls": walkers,
@@ -162,30 +165,30 @@ class Lineup:
         self.columns = [column for column, (type, _) in COLUMNS.items() if self._ids[type]]
         self._additional = additional_data
 
-    def runs(self, moments: list[Moment], columns: States) -> Iterator[Run]:
-        """The frames of snapshots of these actors: where something happened, a frame is a run of its own.
+    def runs(self, timestamps: list[Timestamp], columns: Columns) -> Iterator[Run]:
+        """Yield the frames of snapshots of these actors; a frame with events is a run of its own.
 
         Args:
-            moments: When the snapshots were taken.
-            columns: What they show, a row for each; see `COLUMNS`.
+            timestamps: The times of the snapshots.
+            columns: Their data, a row for each; see `COLUMNS`.
         """
-        packets = self._packets(moments, columns)
-        for eventful, group in groupby(range(len(moments)), key=lambda place: bool(moments[place].events)):
-            places = list(group)
-            for part in [[place] for place in places] if eventful else [places]:
-                yield _run(moments, part, packets)
+        packets = self._packets(timestamps, columns)
+        for has_events, group in groupby(range(len(timestamps)), key=lambda index: bool(timestamps[index].events)):
+            indices = list(group)
+            for part in [[index] for index in indices] if has_events else [indices]:
+                yield _run(timestamps, part, packets)
 
-    def _packets(self, moments: list[Moment], columns: States) -> list[Packet | Block | None]:
-        """What is told in all frames, in the order of `TYPES`; None where only events are told."""
-        forms = {name: form.repeat(len(moments)) for name, form in self._forms.items()}
-        arrays = {name: form["records"] for name, form in forms.items()}
+    def _packets(self, timestamps: list[Timestamp], columns: Columns) -> list[Packet | Block | None]:
+        """Return the packets of all frames, in the order of `TYPES`; None for those that only events have."""
+        templates = {name: template.repeat(len(timestamps)) for name, template in self._templates.items()}
+        arrays = {name: template["records"] for name, template in templates.items()}
         self._fill(arrays, columns)
         for name in self._clocks:
-            seconds = [moment.elapsed if name == "platform_time" else moment.time for moment in moments]
+            seconds = [each.elapsed if name == "platform_time" else each.time for each in timestamps]
             arrays[name]["seconds"][:, 0] = seconds
-        packets: list[Packet | Block | None] = list(self._blank)
-        for name, form in forms.items():
-            packets[_SLOTS[name]] = Block(TYPES[name], form.view(np.uint8).data, form.itemsize, arrays[name])
+        packets: list[Packet | Block | None] = list(self._empty_packets)
+        for name, template in templates.items():
+            packets[_SLOTS[name]] = Block(TYPES[name], template.view(np.uint8).data, template.itemsize, arrays[name])
         return packets
 
     @property
@@ -193,8 +196,8 @@ class Lineup:
         return ["visual_time", "platform_time"] if self._additional else ["visual_time"]
 
     @cached_property
-    def _blank(self) -> list[Packet | None]:
-        """What each frame has when nothing has happened, in the order of `TYPES`."""
+    def _empty_packets(self) -> list[Packet | None]:
+        """The packets of a frame without actors and events, in the order of `TYPES`."""
         return [
             Packet(type.id, type, EMPTY_LIST, type.records([]))
             if type.always and (self._additional or not type.additional)
@@ -203,45 +206,45 @@ class Lineup:
         ]
 
     @cached_property
-    def _forms(self) -> dict[str, Array]:
-        """What the payloads of all frames have in common, by type: number and ids of the records, with blanks between."""
-        forms = {name: _form(name, "id", ids) for name, ids in self._ids.items() if ids}
-        return forms | {name: _form(name, "seconds", [0.0]) for name in self._clocks}
+    def _templates(self) -> dict[str, Array]:
+        """Payloads by type with the number and the ids of the records, which all frames share."""
+        templates = {name: _template(name, "id", ids) for name, ids in self._ids.items() if ids}
+        return templates | {name: _template(name, "seconds", [0.0]) for name in self._clocks}
 
-    def _fill(self, arrays: dict[str, Array], columns: States) -> None:
+    def _fill(self, arrays: dict[str, Array], columns: Columns) -> None:
         poses = [
-            np.concatenate((columns[who, "position"], columns[who, "rotation"][..., _ROLL_PITCH_YAW]), axis=-1)
-            for who in ("vehicles", "walkers")
+            np.concatenate((columns[owner, "position"], columns[owner, "rotation"][..., _ROLL_PITCH_YAW]), axis=-1)
+            for owner in ("vehicles", "walkers")
         ]
-        numbers(arrays["transforms"])[:, self._places] = np.concatenate((*poses, columns[OTHER_POSES]), axis=1)
+        numbers(arrays["transforms"])[:, self._indices] = np.concatenate((*poses, columns[OTHER_POSES]), axis=1)
         if "velocities" in arrays:
             rows = numbers(arrays["velocities"])
             for part, name in ((slice(0, 3), "velocity"), (slice(3, 6), "angular_velocity")):
                 rows[..., part] = np.concatenate((columns["vehicles", name], columns["walkers", name]), axis=1)
-        for (holder, name), (type, field) in COLUMNS.items():
+        for (owner, name), (type, field) in COLUMNS.items():
             if type in arrays and field:
-                arrays[type][field] = columns[holder, name]
+                arrays[type][field] = columns[owner, name]
         if "walker_controls" in arrays:
             arrays["walker_controls"]["speed"] *= CM_PER_M
 
 
-def _run(moments: list[Moment], places: list[int], told: list[Packet | Block | None]) -> Run:
-    """Frames in a row, in which the same happened: nothing, if they are more than one."""
-    packets = list(told)
-    for name, packet in moments[places[0]].events.items():
+def _run(timestamps: list[Timestamp], indices: list[int], packets: list[Packet | Block | None]) -> Run:
+    """Return consecutive frames: one, or several without events."""
+    packets = list(packets)
+    for name, packet in timestamps[indices[0]].events.items():
         packets[_SLOTS[name]] = packet
-    mine = [moments[place] for place in places]
+    mine = [timestamps[index] for index in indices]
     return Run(
-        [moment.index for moment in mine],
-        [moment.elapsed for moment in mine],
-        [moment.duration for moment in mine],
+        [each.index for each in mine],
+        [each.elapsed for each in mine],
+        [each.duration for each in mine],
         [*(packet for packet in packets if packet is not None), _END],
-        places[0],
+        indices[0],
     )
 
 
-def _form(name: str, field: str, values: Sequence[float]) -> Array:
-    """A payload as an array of one: its count, if it has one, and its records, of which one field is known."""
+def _template(name: str, field: str, values: Sequence[float]) -> Array:
+    """Return a payload as an array of length one: its count, if it has one, and its records with one field filled in."""
     type = TYPES[name]
     records = np.zeros(len(values), type.dtype)
     records[field] = values

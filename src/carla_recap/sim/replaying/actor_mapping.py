@@ -1,4 +1,4 @@
-"""Who plays whom in a replay: the actors of a recording, and the actors of the world that stand for them."""
+"""The actors of a recording that is replayed, and the actors of the world that stand for them."""
 
 from __future__ import annotations
 
@@ -7,7 +7,9 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
-from carla_recap.sim.actors.actors import Mover, Prop, Sign, Spectator, Vehicle, Walker
+from carla_recap.sim.actors.actor import Prop, Spectator
+from carla_recap.sim.actors.lights import Sign
+from carla_recap.sim.actors.moving import MovingActor, Vehicle, Walker
 from carla_recap.sim.recording.poses import CM_PER_M, transform
 from carla_recap.sim.replaying.substitutes import blueprint_for
 
@@ -15,131 +17,131 @@ if TYPE_CHECKING:
     from collections.abc import Iterable, Mapping, Sequence
 
     from carla_recap.replay import Present, Scene
-    from carla_recap.sim.actors.actors import Actor
+    from carla_recap.sim.actors.actor import Actor
     from carla_recap.sim.interfaces import ReplayWorld
 
-_NEAR: Final = 15.0  # m: a light or sign of the recording is none of the town's that is farther away
+_NEAR: Final = 15.0  # m: the greatest distance between a recorded light or sign and the town's
 _SPECTATOR: Final = "spectator"
 _SENSOR: Final = "sensor."
 _TRAFFIC: Final = "traffic."
 
 
-class Cast:
-    """The actors of a replay.
+class ActorMapping:
+    """Maps recorded actors to actors of the world, the replayed actors.
 
-    An actor of the world that has the id and the blueprint of one of the recording plays it; for others, one is spawned.
-    Lights and signs are those of the town that are nearest to the recorded ones; the spectator is the spectator.
+    A recorded actor is mapped to the actor of the world that has its id and blueprint; if there is none, one is spawned.
+    Lights and signs are mapped to the nearest ones of the town, and the spectator to the spectator.
 
     Args:
         world: The world.
         replay_sensors: Spawn sensors, too.
 
     Attributes:
-        roles: The actors of the world by the ids of the recording.
-        substitutes: Blueprints of the recording that are not in the library, and what has been taken for them.
-        changes: How often somebody came or went.
+        replayed: The actors of the world by the ids of the recording.
+        substitutes: Blueprints of the recording that are not in the library, and those that replace them.
+        changes: The number of times that a replayed actor came or went.
     """
 
     def __init__(self, world: ReplayWorld, *, replay_sensors: bool) -> None:
         self._world = world
         self._replay_sensors = replay_sensors
         self._spawned: set[int] = set()
-        self.roles: dict[int, Actor] = {}
+        self.replayed: dict[int, Actor] = {}
         self.substitutes: dict[str, str] = {}
         self.changes = 0
 
     @property
-    def mapping(self) -> Mapping[int, int]:
-        """Ids of the recording, and those of the actors that play them."""
-        return MappingProxyType({id: actor.id for id, actor in self.roles.items()})
+    def ids(self) -> Mapping[int, int]:
+        """The ids of replayed actors by the ids of the recording."""
+        return MappingProxyType({id: actor.id for id, actor in self.replayed.items()})
 
-    def enter(self, actors: Iterable[Present], scene: Scene) -> None:
-        """Let actors of the recording appear.
+    def add(self, actors: Iterable[Present], scene: Scene) -> None:
+        """Map recorded actors that appear.
 
         Args:
-            actors: They; who is gone by the moment of the scene does not appear.
-            scene: Where they are.
+            actors: The recorded actors; those that are not in the scene are left out.
+            scene: Their poses.
         """
         actors = [actor for actor in actors if actor.id in scene.actors]
         signs = [actor for actor in actors if actor.type_id.startswith(_TRAFFIC)]
-        self.roles |= self._nearest(signs)
+        self.replayed |= self._nearest(signs)
         for actor in actors:
-            if not actor.type_id.startswith(_TRAFFIC) and (player := self._player(actor, scene)) is not None:
-                self.roles[actor.id] = player
-                _take_over(player)
+            if not actor.type_id.startswith(_TRAFFIC) and (replayed := self._counterpart(actor, scene)) is not None:
+                self.replayed[actor.id] = replayed
+                _release(replayed)
         self.changes += 1
 
-    def leave(self, id: int) -> None:
-        """Let an actor of the recording disappear, whoever it is that plays it; lights, signs and spectator stay."""
-        player = self.roles.pop(id, None)
+    def remove(self, id: int) -> None:
+        """Destroy the counterpart of a recorded actor that disappears; lights, signs and the spectator stay."""
+        replayed = self.replayed.pop(id, None)
         self._spawned.discard(id)
-        if player is not None and not isinstance(player, (Sign, Spectator)):
-            self._world.destroy(player)
+        if replayed is not None and not isinstance(replayed, (Sign, Spectator)):
+            self._world.destroy(replayed)
         self.changes += 1
 
     def forget_dead(self) -> None:
-        """Go on without those that somebody else has destroyed."""
-        dead = [id for id, player in self.roles.items() if not player.is_alive]
+        """Forget replayed actors that have been destroyed."""
+        dead = [id for id, actor in self.replayed.items() if not actor.is_alive]
         for id in dead:
-            del self.roles[id]
+            del self.replayed[id]
             self._spawned.discard(id)
         self.changes += len(dead)
 
-    def dismiss(self) -> None:
-        """Take those out of the world that were spawned for the replay."""
+    def destroy_spawned(self) -> None:
+        """Destroy the actors that were spawned for the replay."""
         for id in list(self._spawned):
-            self.leave(id)
+            self.remove(id)
 
-    def _player(self, actor: Present, scene: Scene) -> Actor | None:
+    def _counterpart(self, actor: Present, scene: Scene) -> Actor | None:
         if actor.type_id == _SPECTATOR:
             return self._world.spectator
         if actor.type_id.startswith(_SENSOR) and not self._replay_sensors:
             return None
-        there = self._world.actors.get(actor.id)
-        if there is not None and there.type_id == actor.type_id and there not in self.roles.values():
-            return there
+        same_id = self._world.actors.get(actor.id)
+        if same_id is not None and same_id.type_id == actor.type_id and same_id not in self.replayed.values():
+            return same_id
         return self._spawn(actor, scene)
 
     def _spawn(self, actor: Present, scene: Scene) -> Actor | None:
         blueprint, model = blueprint_for(actor, self._world.blueprints)
-        parent = self.roles.get(actor.parent) if actor.attached and actor.parent is not None else None
+        parent = self.replayed.get(actor.parent) if actor.attached and actor.parent is not None else None
         pose = scene.pose_of(actor.id) if parent is None else actor.spawn_pose
-        if pose is None:  # it is attached to somebody who is left out
+        if pose is None:  # its parent is left out
             return None
-        player = self._world.place(blueprint, transform(pose), parent=parent)
+        spawned = self._world.place(blueprint, transform(pose), parent=parent)
         self._spawned.add(actor.id)
         if actor.type_id not in self._world.blueprints:
             self.substitutes[actor.type_id] = model
-            if isinstance(player, Prop):
-                player.set_collisions(False)  # nobody knows its shape
-        return player
+            if isinstance(spawned, Prop):
+                spawned.set_collisions(False)  # its shape is unknown
+        return spawned
 
     def _nearest(self, signs: Sequence[Present]) -> dict[int, Actor]:
-        """For each sign the town's that is nearest, each for one: the nearest pairs first."""
-        taken = list(self.roles.values())
-        there = [actor for actor in self._world.actors.values() if isinstance(actor, Sign) and actor not in taken]
-        if not signs or not there:
+        """Map recorded signs to the nearest ones of the town, the nearest pairs first."""
+        taken = list(self.replayed.values())
+        free = [actor for actor in self._world.actors.values() if isinstance(actor, Sign) and actor not in taken]
+        if not signs or not free:
             return {}
-        places = np.array([actor.spawn_pose[:3] for actor in signs]) / CM_PER_M
-        others = np.array([(at.x, at.y, at.z) for at in (actor.transform.location for actor in there)])
-        distances = np.linalg.norm(places[:, None] - others, axis=2)
-        unlike = np.array([[actor.type_id != other.type_id for other in there] for actor in signs])
-        distances[unlike] = np.inf
+        recorded = np.array([actor.spawn_pose[:3] for actor in signs]) / CM_PER_M
+        positions = np.array([(at.x, at.y, at.z) for at in (actor.transform.location for actor in free)])
+        distances = np.linalg.norm(recorded[:, None] - positions, axis=2)
+        differ = np.array([[actor.type_id != other.type_id for other in free] for actor in signs])
+        distances[differ] = np.inf
         found: dict[int, Actor] = {}
         for pair in np.argsort(distances, axis=None, kind="stable").tolist():
-            sign, other = divmod(pair, len(there))
+            sign, other = divmod(pair, len(free))
             if not distances[sign, other] <= _NEAR:
                 break
-            if signs[sign].id not in found and there[other] not in found.values():
-                found[signs[sign].id] = there[other]
+            if signs[sign].id not in found and free[other] not in found.values():
+                found[signs[sign].id] = free[other]
         return found
 
 
-def _take_over(player: Actor) -> None:
-    """Have an actor moved by nothing but the replay."""
-    if isinstance(player, Mover):
-        player.set_simulate_physics(False)
-    if isinstance(player, Vehicle):
-        player.set_autopilot(False)
-    if isinstance(player, Walker):
-        player.destination = None
+def _release(actor: Actor) -> None:
+    """Release an actor from physics, autopilot and navigation: only the replay moves it."""
+    if isinstance(actor, MovingActor):
+        actor.set_simulate_physics(False)
+    if isinstance(actor, Vehicle):
+        actor.set_autopilot(False)
+    if isinstance(actor, Walker):
+        actor.destination = None

@@ -1,4 +1,4 @@
-"""The replayer of a world: re-enacts a recording tick by tick, and hands the actors back to traffic at its end."""
+"""The replayer of a world: replays a recording tick by tick, and returns the actors to traffic at its end."""
 
 from __future__ import annotations
 
@@ -14,13 +14,13 @@ from carla_recap.formats import SUFFIXES, open_reader
 from carla_recap.maps.road_map import plain_name
 from carla_recap.replay import Player, level
 from carla_recap.replay.camera import CHASE_BACK, CHASE_PITCH, CHASE_UP
-from carla_recap.sim.actors.actors import Mover, Vehicle, Walker
 from carla_recap.sim.actors.control import VehicleControl
+from carla_recap.sim.actors.moving import MovingActor, Vehicle, Walker
 from carla_recap.sim.errors import MapMissing, SimError
 from carla_recap.sim.geometry import Location, Rotation, Transform, Vector
 from carla_recap.sim.recording.poses import CM_PER_M, transform
 from carla_recap.sim.recording.recorder import recording_path
-from carla_recap.sim.replaying.actor_mapping import Cast
+from carla_recap.sim.replaying.actor_mapping import ActorMapping
 from carla_recap.sim.replaying.kinematic import KinematicReplay
 from carla_recap.sim.town.town import load_town
 from carla_recap.sim.weather import Weather
@@ -30,28 +30,27 @@ if TYPE_CHECKING:
 
     import numpy as np
 
-    from carla_recap.formats.base import Reader
     from carla_recap.replay import Follow, Scene
     from carla_recap.sim.interfaces import ReplayWorld
 
 
 CHASE: Final = Transform(Location(-CHASE_BACK / CM_PER_M, 0.0, CHASE_UP / CM_PER_M), Rotation(pitch=CHASE_PITCH))
-"""Where the spectator is whom nobody has told so: behind and above whom it follows, looking down, as with CARLA."""
+"""The default offset of a spectator that follows an actor: behind and above it, looking down, as in CARLA."""
 
 
 @dataclass(frozen=True, slots=True)
 class Replay:
-    """What is being replayed.
+    """A replay.
 
     Attributes:
         path: The recording.
-        map_name: Its map, as it is told there.
+        map_name: The map on which it is replayed, as the recording or the caller names it.
         loaded: Whether that map had to be loaded.
-        total: How long the recording is, in s.
-        start: Where the replay begins, in elapsed seconds.
-        stop: Where it ends.
-        time_factor: How many seconds of the recording pass in a second of the world.
-        followed: The id, in the recording, of whom the spectator follows; None: of nobody.
+        total: The length of the recording, in s.
+        start: The beginning of the replay, in elapsed seconds.
+        stop: Its end, in elapsed seconds.
+        time_factor: The seconds of the recording that pass in a second of the world.
+        followed: The recorded id of the actor that the spectator follows; None for none.
     """
 
     path: Path
@@ -65,23 +64,23 @@ class Replay:
 
     @property
     def duration(self) -> float:
-        """How many seconds of the recording are replayed."""
+        """The seconds of the recording that are replayed."""
         return self.stop - self.start
 
 
 class Replayer:
     """Replays recordings in a world; a controller of its ticks.
 
-    The recording says where its actors are, what they do, and what the lights show; all others go on as if nothing
-    happened, and bump into the actors of the recording, which nothing moves out of their way.
+    Replayed actors have the poses, the controls and the lights of the recording. All others go on as before, and collide
+    with replayed actors without moving them.
 
     Args:
         world: The world.
 
     Attributes:
-        ignore_hero: Whether the next replays leave the actors with the role name hero out.
-        ignore_spectator: Whether they leave the spectator alone.
-        error: Why the latest replay ended early; None where it did not.
+        ignore_hero: Whether later replays leave out the actors with the role name hero.
+        ignore_spectator: Whether later replays leave out the spectator.
+        error: The error that ended the latest replay early; None without one.
     """
 
     def __init__(self, world: ReplayWorld) -> None:
@@ -95,11 +94,12 @@ class Replayer:
         self._player: Player | None = None
         self._path: Path | None = None
         self._close: Callable[[], object] = lambda: None
-        self._cast = Cast(world, replay_sensors=False)
-        self._kinematic = KinematicReplay(world, self._cast)
+        self._mapping = ActorMapping(world, replay_sensors=False)
+        self._kinematic = KinematicReplay(world, self._mapping)
         self._frozen = world.signals.frozen.copy()
         self._doors: Mapping[int, frozenset[int]] = {}
         self._weather: np.void | None = None
+        self._replay_weather = True
 
     @property
     def is_playing(self) -> bool:
@@ -108,24 +108,24 @@ class Replayer:
 
     @property
     def path(self) -> Path | None:
-        """What is being replayed; None between replays."""
+        """The recording that is being replayed; None between replays."""
         return self._path if self.is_playing else None
 
     @property
     def mapping(self) -> Mapping[int, int]:
-        """Ids of the recording, and those of the actors that play them; that of the latest replay."""
-        return self._cast.mapping
+        """The ids of the replayed actors of the latest replay, by the ids of the recording."""
+        return self._mapping.ids
 
     @property
     def substitutes(self) -> Mapping[str, str]:
-        """Blueprints of the recording that the library does not have, and what stands for each; "" for a mere box."""
-        return self._cast.substitutes
+        """Blueprints of the recording that are not in the library, and those that replace them; "" for a box."""
+        return self._mapping.substitutes
 
     @property
     def time_factor(self) -> float:
-        """How many seconds of the recording pass in a second of the world; from 2 on, nothing is interpolated.
+        """The seconds of the recording that pass in a second of the world; from 2 on, nothing is interpolated.
 
-        Can be changed while a replay runs; 0 holds it.
+        It can be changed while a replay runs; 0 pauses it.
         """
         return self._time_factor
 
@@ -147,24 +147,27 @@ class Replayer:
         offset: Transform | None = None,
         *,
         keep_town: bool = False,
+        replay_weather: bool = True,
+        map_name: str = "",
     ) -> Replay:
-        """Begin a replay; a recording that is running is completed, and a replay ends: who was spawned for it disappears.
+        """Begin a replay; a running recording is completed, and a running replay ends, with the actors spawned for it.
 
-        The actors stand where they are at the start when this returns, and go on with the next tick.
+        The replayed actors have their first poses when this returns, and move with the next tick.
 
         Args:
             name: The recording; without a suffix, `.mcap` or `.log`; see `recorder.recording_path`.
-            start: Where to begin, in elapsed seconds; negative: so long before the end.
-            duration: How many seconds of the recording to replay; 0: all of the rest.
-            follow: Whom the spectator follows: an id in the recording, or "hero"; None or 0: nobody.
+            start: The beginning, in elapsed seconds; a negative one counts from the end.
+            duration: The seconds of the recording to replay; 0 for the rest.
+            follow: The actor that the spectator follows: an id of the recording, or "hero"; None or 0 for none.
             replay_sensors: Spawn the sensors of the recording, too.
-            offset: Where the spectator is that follows, in the axes of whom it follows, which stay level: it neither
-                rolls nor pitches with them; None: `CHASE`.
-            keep_town: Stay in the town, whatever the map of the recording is; a warning tells of another one.
+            offset: The transform of the spectator relative to that actor, with the actor's yaw alone; None for `CHASE`.
+            keep_town: Stay in the town, whatever the map of the recording is; a warning reports another one.
+            replay_weather: Change the weather as in the recording.
+            map_name: The map to replay on; "" for that of the recording.
 
         Raises:
             RecapError: There is no such recording, it is damaged, or there is no such start or actor.
-            MapMissing: It is of another map, and that is not to be had.
+            MapMissing: The map is another one, and unavailable.
         """
         self.stop()
         self._world.stop_recorder()
@@ -184,7 +187,9 @@ class Replayer:
             )
             self._follow = player.followed if follow else None
             self._offset = offset or CHASE
-            loaded = self._load(reader, keep_town=keep_town)
+            map_name = map_name or reader.header.map_name
+            loaded = self._load(reader.path, map_name, keep_town=keep_town)
+            self._replay_weather = replay_weather
             self._path = path
             self._begin(player, replay_sensors)
         except BaseException:
@@ -193,7 +198,7 @@ class Replayer:
             raise
         return Replay(
             path,
-            reader.header.map_name,
+            map_name,
             loaded,
             player.total,
             player.start,
@@ -205,10 +210,10 @@ class Replayer:
     def stop(self, keep_actors: bool = False) -> None:
         """End the replay, if there is one.
 
-        Vehicles go on by autopilot at the speed that they had, pedestrians stop, and the lights change by themselves.
+        Vehicles go on by autopilot at their speed, pedestrians stop, and the lights change by themselves.
 
         Args:
-            keep_actors: Keep those that were spawned for the replay, too; else they disappear.
+            keep_actors: Keep the actors that were spawned for the replay; else they are destroyed.
         """
         if self._player is None:
             return
@@ -216,14 +221,14 @@ class Replayer:
         self._close()
         self._world.signals.held = False
         self._world.signals.frozen[:] = self._frozen
-        self._cast.forget_dead()
+        self._mapping.forget_dead()
         if not keep_actors:
-            self._cast.dismiss()
-        for actor in self._cast.roles.values():
-            self._hand_back(actor)
+            self._mapping.destroy_spawned()
+        for actor in self._mapping.replayed.values():
+            self._return_to_traffic(actor)
 
     def step(self, delta: float) -> None:
-        """Re-enact a tick; a recording that turns out to be damaged ends the replay, and a warning tells of it."""
+        """Replay a tick; a damaged recording ends the replay, with a warning."""
         player = self._player
         if player is None:
             return
@@ -239,28 +244,29 @@ class Replayer:
             self.stop(keep_actors=True)
             warnings.warn(f"the replay has ended: {error}", RecapWarning, stacklevel=3)
 
-    def _load(self, reader: Reader, *, keep_town: bool) -> bool:
-        """Make the world that of the recording's map, unless it has to stay; returns whether it was another one."""
-        name, town_name = _plain(reader.header.map_name), _plain(self._world.town.name)
+    def _load(self, path: Path, map_name: str, *, keep_town: bool) -> bool:
+        """Load a map unless it is the town's, or the town is kept; return whether it was loaded."""
+        name, town_name = _plain(map_name), _plain(self._world.town.name)
         if name == town_name:
             return False
         if keep_town:
-            told = f"{reader.path}: is a recording of the map {name!r}, and replayed in {town_name!r}"
-            warnings.warn(told, RecapWarning, stacklevel=4)
+            warnings.warn(
+                f"{path}: is a recording of the map {name!r}, and replayed in {town_name!r}", RecapWarning, stacklevel=4
+            )
             return False
         maps = None if self._world.maps is None else Path(self._world.maps)
         try:
             town = load_town(plain_name(reader.header.map_name), maps)
         except RecapError as error:
-            raise MapMissing(reader.path, reader.header.map_name, str(error)) from None
+            raise MapMissing(path, map_name, str(error)) from None
         self._world.reload(town)
         return True
 
     def _begin(self, player: Player, replay_sensors: bool) -> None:
         world = self._world
         self._player = player
-        self._cast = Cast(world, replay_sensors=replay_sensors)
-        self._kinematic = KinematicReplay(world, self._cast)
+        self._mapping = ActorMapping(world, replay_sensors=replay_sensors)
+        self._kinematic = KinematicReplay(world, self._mapping)
         self._doors, self._weather = {}, None
         self._frozen = world.signals.frozen.copy()
         world.signals.held = True
@@ -270,14 +276,15 @@ class Replayer:
 
     def _show(self, scene: Scene, delta: float, seconds: float) -> None:
         if self._world.events.destroyed or self._world.pending.destroyed:
-            self._cast.forget_dead()
+            self._mapping.forget_dead()
         for gone in scene.destroyed:
-            self._cast.leave(gone.id)
+            self._mapping.remove(gone.id)
         if scene.spawned:
-            self._cast.enter({came.actor.id: came.actor for came in scene.spawned}.values(), scene)
+            self._mapping.add({came.actor.id: came.actor for came in scene.spawned}.values(), scene)
         self._kinematic.move(scene, delta, seconds)
         self._move_doors(scene)
-        self._change_weather(scene)
+        if self._replay_weather:
+            self._change_weather(scene)
         pose = None if self._follow is None else scene.pose_of(self._follow)
         if pose is not None:
             self._world.spectator.transform = transform(level(pose)).attached(self._offset)
@@ -286,7 +293,7 @@ class Replayer:
         if scene.doors == self._doors:
             return
         self._doors = scene.doors
-        for id, actor in self._cast.roles.items():
+        for id, actor in self._mapping.replayed.items():
             if isinstance(actor, Vehicle):
                 doors = scene.doors.get(id, frozenset())
                 for door in sorted(doors ^ actor.open_doors):
@@ -297,9 +304,9 @@ class Replayer:
             self._weather = scene.weather
             self._world.weather = Weather(*scene.weather.item())
 
-    def _hand_back(self, actor: object) -> None:
-        """Let an actor go on by itself."""
-        if isinstance(actor, Mover):
+    def _return_to_traffic(self, actor: object) -> None:
+        """Let an actor move by itself again."""
+        if isinstance(actor, MovingActor):
             actor.set_simulate_physics(True)
         if isinstance(actor, Vehicle):
             actor.set_target_velocity(Vector(*self._kinematic.velocity(actor)))
@@ -311,7 +318,7 @@ class Replayer:
 
 
 def find_recording(name: Path | str, folder: Path | str | None = None) -> Path:
-    """Where a recording lies whose suffix may be missing; whether it is there is another question.
+    """Return the path of a recording whose suffix may be missing, whether or not it exists.
 
     Args:
         name: See `recording_path`.
@@ -323,5 +330,5 @@ def find_recording(name: Path | str, folder: Path | str | None = None) -> Path:
 
 
 def _plain(map_name: str) -> str:
-    """The name of a map without folders, and without what stands for its layers."""
+    """Return the name of a map without folders, and without the suffix of its layers."""
     return re.split(r"[/\\]", map_name)[-1].removesuffix("_Opt")

@@ -1,4 +1,4 @@
-"""Blueprints for the actors of recordings, those included that no library has."""
+"""Blueprints for recorded actors, including those that are not in the library."""
 
 from __future__ import annotations
 
@@ -17,48 +17,48 @@ if TYPE_CHECKING:
     from carla_recap.sim.actors.blueprints import BlueprintLibrary
 
 _WHEELS: Final = "number_of_wheels"
-_GENERIC: Final = Box(Location(0.0, 0.0, 0.5), Vector(0.5, 0.5, 0.5))
+_DEFAULT_BOX: Final = Box(Location(0.0, 0.0, 0.5), Vector(0.5, 0.5, 0.5))
 
 
 def blueprint_for(actor: Present, library: BlueprintLibrary) -> tuple[Blueprint, str]:
-    """The blueprint of a recorded actor, under the name and with the attributes that it had.
+    """Return the blueprint of a recorded actor, with the id and the attributes that were recorded.
 
-    Of one that the library does not have, the rest is that of the nearest one: of its kind, with as many wheels if
-    possible, with a name like its name, and of about its size if that is recorded; or a box, if there is none.
+    If the library does not have it, the rest is that of the most similar one: of the same kind, with as many wheels if
+    possible, with a similar id, and of a similar size if that is recorded; or a box, if there is none of its kind.
 
     Returns:
-        The blueprint, and the name of the one in the library that it was made from, "" for a box.
+        The blueprint, and the id of the one in the library that it was made from; "" for a box.
     """
     known = actor.type_id in library
-    model = library.get(actor.type_id) if known else _nearest(actor, library)
+    model = library.get(actor.type_id) if known else _most_similar(actor, library)
     attributes = {a.key: readable(a.value) for a in actor.spawn.attributes}
     if model is None:
-        return Blueprint(actor.type_id, ActorKind.OTHER, attributes, _GENERIC), ""
+        return Blueprint(actor.type_id, ActorKind.OTHER, attributes, _DEFAULT_BOX), ""
     if known:
         return replace(model, attributes={**model.attributes, **attributes}), model.id
     box = model.box if actor.box is None else _box(actor.box)
     return replace(model, id=actor.type_id, attributes=attributes, box=box, uid=0), model.id
 
 
-def _nearest(actor: Present, library: BlueprintLibrary) -> Blueprint | None:
+def _most_similar(actor: Present, library: BlueprintLibrary) -> Blueprint | None:
     wheels = actor.spawn.attribute(_WHEELS)
 
-    def strangeness(blueprint: Blueprint) -> tuple[bool, float]:
-        likeness = SequenceMatcher(None, blueprint.id, actor.type_id, autojunk=False).ratio()
-        return blueprint.attributes.get(_WHEELS) != wheels, _difference(actor.box, blueprint.box) - likeness
+    def difference(blueprint: Blueprint) -> tuple[bool, float]:
+        similarity = SequenceMatcher(None, blueprint.id, actor.type_id, autojunk=False).ratio()
+        return blueprint.attributes.get(_WHEELS) != wheels, _size_difference(actor.box, blueprint.box) - similarity
 
     kind = _kind(actor)
-    return min((b for b in library if b.kind == kind), key=strangeness, default=None)
+    return min((b for b in library if b.kind == kind), key=difference, default=None)
 
 
 def _kind(actor: Present) -> int:
-    """The kind of an actor by its name: older releases number the kinds otherwise."""
+    """Return the kind of an actor by its blueprint: older releases number the kinds differently."""
     family = actor.type_id.partition(".")[0]
     return {"vehicle": ActorKind.VEHICLE, "walker": ActorKind.WALKER, "sensor": ActorKind.SENSOR}.get(family, actor.kind)
 
 
-def _difference(box: BoundingBox | None, other: Box) -> float:
-    """By how much two boxes differ in size, in m; 0 where one is not known."""
+def _size_difference(box: BoundingBox | None, other: Box) -> float:
+    """Return the sum of the differences of the extents of two boxes, in m; 0 where one is unknown."""
     if box is None:
         return 0.0
     extent = other.extent

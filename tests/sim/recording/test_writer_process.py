@@ -1,4 +1,4 @@
-"""The process that writes recordings: what it is told, what it answers, and what it does when the disk fails."""
+"""The process that writes recordings: its commands, its answers, and what it does when the disk fails."""
 
 from __future__ import annotations
 
@@ -13,45 +13,39 @@ import carla_recap
 from carla_recap.errors import RecapError
 from carla_recap.formats.mcap.writer import McapWriter
 from carla_recap.frame import Header
-from carla_recap.sim.recording.sampling import Sampler
-from carla_recap.sim.recording.scribe import Scribe, serve
+from carla_recap.sim.recording.sampler import WorldSampler
+from carla_recap.sim.recording.writer_process import Commands, serve
 from tests.sim.flat import flat_world
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
     from pathlib import Path
 
-    from carla_recap.sim.recording.snapshots import Strip
+    from carla_recap.sim.recording.snapshots import SnapshotBatch
 
 HEADER = Header("Flat", 0)
 
 
-@pytest.fixture(autouse=True)
-def elsewhere(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
-    """Scribes go where recordings are."""
-    monkeypatch.chdir(tmp_path)
-
-
-def strips(ticks: int) -> list[Strip]:
+def batches(ticks: int) -> list[SnapshotBatch]:
     """Some frames of a world, 0.05 s each."""
     world = flat_world()
-    sampler = Sampler(world, additional_data=False)
-    found: list[Strip] = []
+    sampler = WorldSampler(world, additional_data=False)
+    found: list[SnapshotBatch] = []
     for _ in range(ticks):
         world.tick()
-        strip = sampler.snapshot(world.delta)
-        if strip not in found:
-            found.append(strip)
+        batch = sampler.sample(world.delta)
+        if batch not in found:
+            found.append(batch)
     return found
 
 
 def write(path: Path, ticks: int, *, force: bool = True) -> None:
-    """Have a scribe write a recording."""
-    scribe = Scribe()
-    scribe.begin(path.parent, path, HEADER, force)
-    for strip in strips(ticks):
-        scribe.write(strip)
-    scribe.close()
+    """Write a recording with the commands of the process."""
+    commands = Commands()
+    commands.begin(path, HEADER, force)
+    for batch in batches(ticks):
+        commands.write(batch)
+    commands.close()
 
 
 def frames(path: Path) -> int:
@@ -72,31 +66,31 @@ def broken_after(monkeypatch: pytest.MonkeyPatch, chunks: int, *, for_good: bool
     monkeypatch.setattr(McapWriter, "_write_chunk", failing)
 
 
-def answers(*requests: tuple[Any, ...], more: bytes = b"") -> Iterator[str | None]:
-    """What a process answers to requests."""
+def answers(*commands: tuple[Any, ...], more: bytes = b"") -> Iterator[str | None]:
+    """The answers of a process to commands."""
     said = io.BytesIO()
-    serve(io.BytesIO(b"".join(pickle.dumps((name, rest)) for name, *rest in requests) + more), said)
+    serve(io.BytesIO(b"".join(pickle.dumps((name, rest)) for name, *rest in commands) + more), said)
     said.seek(0)
     while said.tell() < len(said.getvalue()):
         yield pickle.load(said)
 
 
-def test_each_request_is_answered(tmp_path: Path) -> None:
-    requests = [
-        ("begin", tmp_path, tmp_path / "a.log", HEADER, True),
-        *(("write", strip) for strip in strips(60)),
+def test_each_command_is_answered(tmp_path: Path) -> None:
+    commands = [
+        ("begin", tmp_path / "a.log", HEADER, True),
+        *(("write", batch) for batch in batches(60)),
         ("close",),
     ]
-    assert list(answers(*requests)) == [None] * len(requests)
+    assert list(answers(*commands)) == [None] * len(commands)
     assert frames(tmp_path / "a.log") == 60
 
 
-def test_what_cannot_be_done_is_the_answer_and_the_next_recording_can(tmp_path: Path) -> None:
+def test_an_error_is_the_answer_and_the_next_recording_is_written(tmp_path: Path) -> None:
     absent = tmp_path / "absent" / "a.mcap"
     first, second, third, fourth = answers(
-        ("begin", tmp_path, absent, HEADER, True),
+        ("begin", absent, HEADER, True),
         ("write", None),
-        ("begin", tmp_path, tmp_path / "b.mcap", HEADER, True),
+        ("begin", tmp_path / "b.mcap", HEADER, True),
         ("close",),
     )
     assert first == f"{absent}: cannot be written: No such file or directory"
@@ -107,23 +101,23 @@ def test_what_cannot_be_done_is_the_answer_and_the_next_recording_can(tmp_path: 
 
 
 @pytest.mark.parametrize("more", [b"", pickle.dumps(("close", ()))[:-3], pickle.dumps(("write", [b"x" * 1000]))[:500]])
-def test_a_recording_is_completed_when_nobody_asks_any_more(tmp_path: Path, more: bytes) -> None:
+def test_a_recording_is_completed_when_the_commands_end(tmp_path: Path, more: bytes) -> None:
     path = tmp_path / "a.mcap"
-    begun = [("begin", tmp_path, path, HEADER, True), *(("write", strip) for strip in strips(60))]
+    begun = [("begin", path, HEADER, True), *(("write", batch) for batch in batches(60))]
     assert list(answers(*begun, more=more)) == [None] * len(begun)
     assert frames(path) == 60
     assert list(tmp_path.iterdir()) == [path]
 
 
-def test_a_recording_of_nothing_is_given_up_when_nobody_asks_any_more(tmp_path: Path) -> None:
+def test_a_recording_without_frames_is_removed_when_the_commands_end(tmp_path: Path) -> None:
     write(tmp_path / "a.mcap", 3)
-    assert list(answers(("begin", tmp_path, tmp_path / "a.mcap", HEADER, True))) == [None]
+    assert list(answers(("begin", tmp_path / "a.mcap", HEADER, True))) == [None]
     assert frames(tmp_path / "a.mcap") == 3
     assert [path.name for path in tmp_path.iterdir()] == ["a.mcap"]
 
 
-def test_none_is_the_last_request(tmp_path: Path) -> None:
-    assert list(answers(("begin", tmp_path, tmp_path / "a.mcap", HEADER, True), more=pickle.dumps(None) + b"x")) == [None]
+def test_none_is_the_last_command(tmp_path: Path) -> None:
+    assert list(answers(("begin", tmp_path / "a.mcap", HEADER, True), more=pickle.dumps(None) + b"x")) == [None]
 
 
 def test_what_is_written_before_a_disk_fails_becomes_a_recording(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -172,13 +166,13 @@ def test_what_appeared_meanwhile_stays_if_it_must_even_where_there_are_no_links(
 
     monkeypatch.setattr(os, "link", refuse)  # as on FAT
     path = tmp_path / "a.mcap"
-    scribe = Scribe()
-    scribe.begin(tmp_path, path, HEADER, False)
-    for strip in strips(20):
-        scribe.write(strip)
+    commands = Commands()
+    commands.begin(path, HEADER, False)
+    for batch in batches(20):
+        commands.write(batch)
     path.write_text("mine")
     with pytest.raises(RecapError, match=r"File exists; what was recorded until then lies in .*\.partial"):
-        scribe.close()
+        commands.close()
     assert path.read_text() == "mine"
     (partial,) = set(tmp_path.iterdir()) - {path}
     assert frames(partial) == 20

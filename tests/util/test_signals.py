@@ -6,14 +6,14 @@ import sys
 
 import pytest
 
-from carla_recap import ending
-from carla_recap.ending import ended_by_signals
+from carla_recap.util import signals
+from carla_recap.util.signals import call_on_termination
 
 
 def test_the_first_signal_is_told_and_others_are_ignored() -> None:
     told: list[str] = []
     before = signal.getsignal(signal.SIGTERM)
-    with ended_by_signals(told.append):
+    with call_on_termination(told.append):
         for number in (signal.SIGTERM, signal.SIGINT, signal.SIGTERM):
             signal.raise_signal(number)
     assert told == ["SIGTERM"]
@@ -23,7 +23,7 @@ def test_the_first_signal_is_told_and_others_are_ignored() -> None:
 def test_each_block_has_a_first_signal() -> None:
     told: list[str] = []
     for _ in range(2):
-        with ended_by_signals(told.append):
+        with call_on_termination(told.append):
             signal.raise_signal(signal.SIGINT)
     assert told == ["SIGINT", "SIGINT"]
 
@@ -32,7 +32,7 @@ def test_what_is_ignored_stays_so() -> None:
     told: list[str] = []
     before = signal.signal(signal.SIGHUP, signal.SIG_IGN)
     try:
-        with ended_by_signals(told.append):
+        with call_on_termination(told.append):
             signal.raise_signal(signal.SIGHUP)
     finally:
         signal.signal(signal.SIGHUP, before)
@@ -42,9 +42,9 @@ def test_what_is_ignored_stays_so() -> None:
 def test_a_late_signal_ends_the_process() -> None:
     code = """
 import signal, time
-from carla_recap import ending
-ending.GRACE = 0.1
-with ending.ended_by_signals(print):
+from carla_recap.util import signals
+signals.GRACE = 0.1
+with signals.call_on_termination(print):
     for _ in range(2):
         signal.raise_signal(signal.SIGINT)
     print("still there", flush=True)
@@ -54,7 +54,7 @@ with ending.ended_by_signals(print):
     assert outcome(code) == (-signal.SIGINT, "SIGINT\nstill there\n")
 
 
-@pytest.mark.parametrize("number", ending.ENDING)
+@pytest.mark.parametrize("number", signals.TERMINATION)
 def test_a_command_that_is_stopped_finishes_though_more_signals_come(number: int) -> None:
     """They come while it tidies up, and while the interpreter ends."""
     code = f"""

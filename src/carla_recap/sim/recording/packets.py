@@ -1,4 +1,4 @@
-"""What a recording tells once of an actor, when it appears: blueprint, attributes, place, box, physics, times of lights."""
+"""The records of single actors: blueprint, attributes, pose, box, physics and the times of lights, in CARLA's units."""
 
 from __future__ import annotations
 
@@ -15,46 +15,49 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from carla_recap.records import Layout
-    from carla_recap.sim.actors.actors import Actor, Sign, TrafficLight, Vehicle
+    from carla_recap.sim.actors.actor import Actor
+    from carla_recap.sim.actors.lights import Sign, TrafficLight
+    from carla_recap.sim.actors.moving import Vehicle
     from carla_recap.sim.geometry import Transform
     from carla_recap.sim.physics.physics_control import WheelPhysics
+    from carla_recap.sim.town.town import Town
 
 Row = tuple[float, ...]
 
 _PHYSICS: Final[RecordType] = UE4.named("physics")
-_RAISED: Final = 1.0  # m: trigger volumes stand on the road, and are twice as high
+_HALF_HEIGHT: Final = 1.0  # m, of trigger volumes, which stand on the road
 
 
 def spawn(actor: Actor) -> Spawn:
-    """The spawn of an actor: in the world, or upon its parent."""
+    """Return the spawn of an actor, in the world or relative to its parent."""
     x, y, z, roll, pitch, yaw = pose(actor.relative_transform)
     attributes = [Attribute(attribute_type(key), key, value) for key, value in actor.attributes.items() if key]
     return Spawn(actor.id, actor.kind, x, y, z, roll, pitch, yaw, actor.blueprint.uid, actor.type_id, attributes)
 
 
-def box(actor: Actor) -> Row:
-    """The box of an actor, in its own axes."""
+def bounding_box(actor: Actor) -> Row:
+    """Return the box of an actor, in its own axes."""
     centre, extent = actor.box.location, actor.box.extent
     return (actor.id, *(CM_PER_M * value for value in (centre.x, centre.y, centre.z, extent.x, extent.y, extent.z)))
 
 
-def trigger_volumes(sign: Sign) -> list[Row]:
-    """Where a light or sign is in force: as wide as the lane, around the place where one stops."""
-    town = sign.context.town
+def trigger_volumes(sign: Sign, town: Town) -> list[Row]:
+    """Return the trigger volumes of a light or sign: boxes as wide as the lane around each stop line."""
     rows = []
     for lane, s in sign.signal.stops:
-        (x, y, z), half = town.index.at([lane], [s])[0][0].tolist(), town.lanes[lane].width / 2
-        rows.append((sign.id, *(CM_PER_M * value for value in (x, y, z + _RAISED, half, half, _RAISED))))
+        (x, y, z), half_width = town.index.at([lane], [s])[0][0].tolist(), town.lanes[lane].width / 2
+        box = (x, y, z + _HALF_HEIGHT, half_width, half_width, _HALF_HEIGHT)
+        rows.append((sign.id, *(CM_PER_M * value for value in box)))
     return rows
 
 
 def light_times(light: TrafficLight) -> Row:
-    """The times of a traffic light."""
+    """Return the times of a traffic light, in s."""
     return light.id, light.green_time, light.yellow_time, light.red_time
 
 
 def physics(vehicle: Vehicle) -> Physics:
-    """The physics of a vehicle; where its wheels are is told in the world, as by CARLA."""
+    """Return the physics of a vehicle; the positions of its wheels are in the world, as CARLA records them."""
     control, transform = vehicle.physics_control, vehicle.transform
     centre = control.center_of_mass
     wheels = [_wheel(wheel, transform) for wheel in control.wheels]
@@ -82,8 +85,8 @@ def physics(vehicle: Vehicle) -> Physics:
 
 
 def _wheel(wheel: WheelPhysics, transform: Transform) -> Row:
-    place = wheel.position
-    there = transform.transform(Location(place.x / CM_PER_M, place.y / CM_PER_M, place.z / CM_PER_M))
+    x, y, z = wheel.position.x / CM_PER_M, wheel.position.y / CM_PER_M, wheel.position.z / CM_PER_M
+    position = transform.transform(Location(x, y, z))
     return (
         wheel.tire_friction,
         wheel.damping_rate,
@@ -94,7 +97,7 @@ def _wheel(wheel: WheelPhysics, transform: Transform) -> Row:
         wheel.lat_stiff_max_load,
         wheel.lat_stiff_value,
         wheel.long_stiff_value,
-        *(CM_PER_M * value for value in (there.x, there.y, there.z)),
+        *(CM_PER_M * value for value in (position.x, position.y, position.z)),
     )
 
 

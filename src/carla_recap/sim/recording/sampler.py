@@ -1,0 +1,200 @@
+"""Takes the frames of a recording out of a world, tick by tick: its actors, their poses and controls, and what happened.
+
+The records, their times, their units and the order of the packets are those of CARLA's recorder. The differences:
+
+- Actors that are attached when the recording begins are recorded with their parents, as are those that are attached later;
+  CARLA omits these parents.
+- Doors that stand open when the recording begins are recorded.
+- Boxes are recorded of actors that have one; CARLA records boxes without size around sensors, too.
+- The platform's clock is the simulated one, so that a recording depends on nothing but the seed and the steps.
+- Wheels, bikers and bones are not recorded: their packets are present, and empty.
+"""
+
+from __future__ import annotations
+
+from dataclasses import astuple, fields
+from typing import TYPE_CHECKING, Any, Final
+
+import numpy as np
+
+from carla_recap.frame import Packet
+from carla_recap.records import NO_ACTOR, ActorKind
+from carla_recap.sim.actors.lights import Sign, TrafficLight
+from carla_recap.sim.actors.moving import MovingActor, Vehicle
+from carla_recap.sim.actors.registry import TickEvents
+from carla_recap.sim.recording import packets
+from carla_recap.sim.recording.poses import pose
+from carla_recap.sim.recording.snapshots import OTHER_POSES, TYPES, ActorSet, SnapshotBatch, Timestamp
+
+if TYPE_CHECKING:
+    from collections.abc import Collection
+
+    from carla_recap.sim.actors.actor import Actor
+    from carla_recap.sim.interfaces import RecordedWorld
+    from carla_recap.sim.recording.snapshots import Columns
+    from carla_recap.sim.weather import Weather
+
+    RecordsByType = dict[str, list[Any]]
+
+LENGTH: Final = 50
+"""The most snapshots of a batch: sending one has a cost, and what was not sent may be lost."""
+SECONDS: Final = 5.0
+"""The time after which a batch ends; the formats write that much of a recording to the disk at a time."""
+_WITH_POSE: Final = (ActorKind.OTHER, ActorKind.VEHICLE, ActorKind.WALKER)
+"""The kinds of actors whose transforms are in each frame, as in CARLA 0.9.13 and later."""
+
+
+class WorldSampler:
+    """Samples a world at the end of each tick.
+
+    Args:
+        world: The world; the actors that it contains are spawned in the first frame.
+        additional_data: Record velocities, boxes, physics, and the times of lights, too.
+
+    Raises:
+        RecapError: An actor has data that no record can hold.
+    """
+
+    def __init__(self, world: RecordedWorld, *, additional_data: bool) -> None:
+        self._world = world
+        self._additional = additional_data
+        self._count = 0
+        self._elapsed = 0.0
+        self._collisions = 0
+        self._weather: Weather | None = None
+        self._batch: SnapshotBatch | None = None
+        self._batch_ends = 0.0
+        self._find_actors()
+        self._known = {field.name: len(getattr(world.pending, field.name)) for field in fields(TickEvents)}
+        actors = list(world.actors.values())
+        first = self._introduction(actors)
+        first["parented"] = [(actor.id, actor.parent.id) for actor in actors if actor.parent is not None]
+        first["doors"] = [(v.id, door, True) for v in world.vehicles.actors for door in sorted(v.open_doors)]
+        self._first = _packed(first)
+        for packet in self._first.values():
+            _ = packet.payload  # data that no record can hold is an error now, and not in the first tick
+
+    def sample(self, delta: float) -> SnapshotBatch:
+        """Take a snapshot of the world at the end of a tick.
+
+        Args:
+            delta: The length of the tick, in s. The first snapshot is at 0 s, however long its tick was.
+
+        Returns:
+            The batch that contains the snapshot, and that later ones may be added to; the one before is complete.
+        """
+        events = self._events()
+        happened = _packed(self._records(events))
+        if self._batch is None:
+            happened = _joined(self._first, happened)
+        else:
+            self._batch.timestamps[-1].duration = delta
+            self._elapsed += delta
+        batch = self._batch = self._current_batch(changed=bool(events.spawned or events.destroyed))
+        batch.add(Timestamp(self._count, self._elapsed, self._world.elapsed, happened), self._columns())
+        self._count += 1
+        return batch
+
+    def _current_batch(self, *, changed: bool) -> SnapshotBatch:
+        """Return the latest batch, or a new one where it has ended, or the actors have changed."""
+        batch = self._batch
+        if changed:
+            self._find_actors()
+        if batch is not None and batch.timestamps[-1].elapsed >= self._batch_ends:
+            self._batch_ends = batch.timestamps[-1].elapsed + SECONDS
+            changed = True
+        if batch is None or changed or batch.is_full:
+            return SnapshotBatch(self._actors, self._columns(), LENGTH)
+        return batch
+
+    # --- what holds for each frame ------------------------------------------------------------------------------------
+
+    def _find_actors(self) -> None:
+        """Note the actors and the arrays that snapshots are taken of, as long as no actor comes or goes."""
+        world = self._world
+        actors = [actor for actor in world.actors.values() if actor.kind in _WITH_POSE]
+        self._others = [actor for actor in actors if not isinstance(actor, MovingActor)]
+        self._other_poses = np.empty((len(self._others), 6))
+        self._actors = ActorSet(
+            with_pose=[actor.id for actor in actors],
+            vehicles=world.vehicles.id.tolist(),
+            walkers=world.walkers.id.tolist(),
+            others=[actor.id for actor in self._others],
+            lights=[light.id for light in world.traffic_lights],
+            additional_data=self._additional,
+        )
+        owners = {"vehicles": world.vehicles, "walkers": world.walkers, "signals": world.signals}
+        self._arrays = [(column, owners[column[0]]) for column in self._actors.columns]
+
+    def _columns(self) -> Columns:
+        """Return the state of all actors; other actors than vehicles and walkers have no arrays of their own."""
+        columns: Columns = {column: getattr(owner, column[1]) for column, owner in self._arrays}
+        for row, actor in zip(self._other_poses, self._others, strict=True):
+            row[:] = pose(actor.transform)
+        columns[OTHER_POSES] = self._other_poses
+        return columns
+
+    # --- what has happened --------------------------------------------------------------------------------------------
+
+    def _events(self) -> TickEvents:
+        """Return what happened since the last snapshot; since the beginning of the recording, for the first."""
+        if self._count:
+            return self._world.events
+        return TickEvents(**{name: getattr(self._world.events, name)[known:] for name, known in self._known.items()})
+
+    def _records(self, events: TickEvents) -> RecordsByType:
+        records = self._introduction(events.spawned) if events.spawned else {}
+        records |= {
+            "destroyed": events.destroyed,
+            "parented": events.parented,
+            "collisions": self._collision_records(events),
+            "doors": events.doors,
+            "weather": self._changed_weather(),
+        }
+        if self._additional and (events.physics or events.light_times):
+            vehicles = [vehicle for vehicle in events.physics if vehicle.is_alive]
+            records["physics"] = [*records.get("physics", []), *map(packets.physics, vehicles)]
+            records["light_times"] = list(map(packets.light_times, events.light_times))
+        return records
+
+    def _introduction(self, actors: Collection[Actor]) -> RecordsByType:
+        """Return the records of actors that appear."""
+        records: RecordsByType = {"spawned": [packets.spawn(actor) for actor in actors]}
+        if self._additional:
+            town = self._world.town
+            signs = [actor for actor in actors if isinstance(actor, Sign)]
+            records["bounding_boxes"] = [packets.bounding_box(actor) for actor in actors if actor.box.extent.length() > 0]
+            records["trigger_volumes"] = [row for sign in signs for row in packets.trigger_volumes(sign, town)]
+            records["physics"] = [packets.physics(actor) for actor in actors if isinstance(actor, Vehicle)]
+            records["light_times"] = [packets.light_times(sign) for sign in signs if isinstance(sign, TrafficLight)]
+        return records
+
+    def _collision_records(self, events: TickEvents) -> list[tuple[int, int, int, bool, bool]]:
+        """Return each pair once, numbered from 0 in each recording; repetitions use up a number, too, as in CARLA."""
+        rows: dict[tuple[int, int], tuple[int, int, int, bool, bool]] = {}
+        for collision in events.collisions:
+            pair = collision.actor1, NO_ACTOR if collision.actor2 is None else collision.actor2
+            rows.setdefault(pair, (self._collisions, *pair, collision.hero1, collision.hero2))
+            self._collisions += 1
+        return list(rows.values())
+
+    def _changed_weather(self) -> list[tuple[float, ...]]:
+        weather = self._world.weather
+        if weather == self._weather:
+            return []
+        self._weather = weather
+        return [astuple(weather)]
+
+
+def _packed(records: RecordsByType) -> dict[str, Packet]:
+    return {
+        name: Packet(TYPES[name].id, TYPES[name], records=TYPES[name].records(rows))
+        for name, rows in records.items()
+        if rows
+    }
+
+
+def _joined(first: dict[str, Packet], then: dict[str, Packet]) -> dict[str, Packet]:
+    """Join the packets of each type; those that only one side has stay as they are."""
+    both = _packed({name: [*first[name].records, *then[name].records] for name in first.keys() & then.keys()})
+    return first | then | both

@@ -1,0 +1,309 @@
+"""Writing a recording in a process of its own: no tick waits for a disk, and a killed simulation loses the last frames only.
+
+`WriterProcess` is the client. It starts `python -m carla_recap.sim.recording.writer_process`, one process for each
+recording, and sends it commands over a pipe, as pickles; each one is answered by None or an error text. When the client has
+gone, the process completes the recording and ends.
+
+This is not `multiprocessing.Process`: its spawned processes import the caller's `__main__`, which starts another recording
+in scripts without a guard, and workers of a pool must not start any.
+"""
+
+from __future__ import annotations
+
+import os
+import pickle
+import subprocess
+import sys
+from contextlib import suppress
+from queue import Queue
+from select import select
+from threading import Thread
+from typing import TYPE_CHECKING, Any, BinaryIO, Final
+
+from carla_recap.errors import RecapError
+from carla_recap.formats import create_writer
+from carla_recap.recovery import rescue
+from carla_recap.sim.errors import DestinationError
+from carla_recap.util.processes import close_pipes, module_command, module_environment, wait_or_kill
+from carla_recap.util.signals import ignore_termination
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+    from pathlib import Path
+
+    from carla_recap.formats.base import Writer
+    from carla_recap.frame import Header
+    from carla_recap.sim.recording.snapshots import SnapshotBatch
+
+QUEUE: Final = 16
+"""The number of batches that may wait; the simulation waits only for a disk that is that far behind."""
+_READY: Final = b"carla-recap: ready to write recordings\n"
+"""The first line of the process; lines before it are printed by other code that runs when an interpreter starts."""
+_PATIENCE: Final = 5.0  # s, for the end of the process
+_PARENT_CHECK: Final = 1.0  # s between checks whether the client's process has ended
+_NICE: Final = 5  # the simulation goes first where processors are few; the writer needs a tenth of one
+
+
+class WriterEnded(RecapError):
+    """The process that writes a recording has ended by itself."""
+
+
+class _CommandFailed(RecapError):
+    """The process has answered a command with an error."""
+
+
+class WriterProcess:
+    """Takes batches of snapshots without delay, and has each written by a process of its own once it is complete.
+
+    An error there ends the recording, and nothing else. If this process is killed, the recording is completed except for
+    what has not been sent: the last batch, and those that wait for a slow disk.
+
+    Args:
+        path: The destination.
+        header: The header of the recording.
+        force: Replace a file at the destination at the end; else that file stays, and the recording lies beside it.
+        format: The suffix of the format; None for that of the destination.
+        visible: Put a recording without frames at the destination at once.
+
+    Attributes:
+        path: The destination.
+        error: The error that ended the recording; None as long as there is none.
+        pid: The id of the process.
+
+    Raises:
+        DestinationError: The destination cannot be written to.
+        RecapError: The process cannot be started.
+    """
+
+    def __init__(
+        self, path: Path, header: Header, *, force: bool = True, format: str | None = None, visible: bool = False
+    ) -> None:
+        self.path = path
+        self.error: RecapError | None = None
+        self._batch: SnapshotBatch | None = None
+        self._queue: Queue[SnapshotBatch | None] = Queue(QUEUE)
+        self._thread = Thread(target=self._run, name="carla-recap-recorder", daemon=True)
+        self._process = _start()
+        self.pid = self._process.pid
+        try:
+            self._wait_until_ready()
+            self._command("begin", path, header, force, format, visible)
+            self._thread.start()
+        except _CommandFailed as error:
+            self._end()
+            raise DestinationError(str(error)) from None
+        except BaseException:
+            self._end()
+            raise
+
+    def write(self, batch: SnapshotBatch) -> None:
+        """Add a batch, which is complete when another one follows; errors appear in `error`, sooner or later."""
+        if batch is not self._batch:
+            self._send_batch()
+            self._batch = batch
+
+    def close(self) -> None:
+        """Wait until the file is complete, or has failed; a second call does nothing."""
+        if self._thread.is_alive():
+            self._send_batch()
+            self._queue.put(None)
+            self._thread.join()
+
+    def _send_batch(self) -> None:
+        if self._batch is not None and self.error is None:
+            self._queue.put(self._batch)
+
+    def _run(self) -> None:
+        batch: SnapshotBatch | None = None
+        try:
+            while (batch := self._queue.get()) is not None:
+                self._command("write", batch)
+            self._command("close")
+        except WriterEnded as error:
+            self.error = RecapError(f"{error}; what was recorded until then lies beside it, for carla-recap recover")
+        except RecapError as error:
+            self.error = error
+        except Exception as error:
+            self.error = RecapError(f"{self.path}: has ended early: {type(error).__name__}: {error}")
+        self._end()  # which completes the recording if it is not complete yet
+        while batch is not None:  # nothing that is put into the queue may wait for ever
+            batch = self._queue.get()
+
+    def _command(self, name: str, *arguments: Any) -> None:
+        """Send a command, and wait for its answer.
+
+        Raises:
+            _CommandFailed: It has failed.
+            WriterEnded: The process has ended.
+        """
+        command = pickle.dumps((name, arguments), pickle.HIGHEST_PROTOCOL)
+        assert self._process.stdin is not None
+        assert self._process.stdout is not None
+        try:
+            self._process.stdin.write(command)
+            self._process.stdin.flush()
+            error = pickle.load(self._process.stdout)
+        except Exception:
+            self._end()
+            told = f"the process that writes it has ended with exit code {self._process.returncode}"
+            raise WriterEnded(f"{self.path}: {told}") from None
+        if error is not None:
+            raise _CommandFailed(error)
+
+    def _wait_until_ready(self) -> None:
+        assert self._process.stdout is not None
+        while (line := self._process.stdout.readline()) != _READY:
+            if not line:
+                code = self._process.wait()
+                raise RecapError(f"the process that writes recordings cannot be started: it has ended with exit code {code}")
+
+    def _end(self) -> None:
+        """End the process, which completes the recording before."""
+        with suppress(OSError, ValueError):
+            assert self._process.stdin is not None
+            self._process.stdin.write(pickle.dumps(None))  # a forked process may hold the pipe open
+        close_pipes(self._process)
+        wait_or_kill(self._process, _PATIENCE)
+
+
+def _start() -> subprocess.Popen[bytes]:
+    """Start the process in a session of its own, where a terminal's signals, and those to this group, do not reach it."""
+    command, pipe = module_command(__name__), subprocess.PIPE
+    try:
+        return subprocess.Popen(command, stdin=pipe, stdout=pipe, env=module_environment(), start_new_session=True)
+    except OSError as error:
+        raise RecapError(f"the process that writes recordings cannot be started: {error}") from None
+
+
+# --- in the process ----------------------------------------------------------------------------------------------------
+
+
+class Commands:
+    """The commands of the process, each a method; they write one recording after the other.
+
+    A full or broken disk ends a recording: what the disk contains becomes a complete recording if possible; else it is left
+    beside the destination for `recover`.
+    """
+
+    def __init__(self) -> None:
+        self._writer: Writer | None = None
+        self._is_empty = True
+
+    def begin(
+        self, path: Path, header: Header, force: bool = True, format: str | None = None, visible: bool = False
+    ) -> None:
+        """Begin a recording; see `WriterProcess`.
+
+        Raises:
+            RecapError: The destination cannot be written to.
+        """
+        writer = create_writer(path, header, live=True, force=force, format=format)
+        if visible:
+            try:
+                create_writer(path, header, force=force, format=format).close()
+            except BaseException:
+                writer.abort()
+                raise
+        self._writer, self._path, self._format, self._is_visible = writer, path, format, visible
+        self._is_empty = True
+
+    def write(self, batch: SnapshotBatch) -> None:
+        """Add the frames of a batch.
+
+        Raises:
+            RecapError: The recording has ended; the message contains the reason, and where the recorded frames are.
+        """
+        assert self._writer is not None
+        self._is_empty = False
+        try:
+            for run in batch.runs():
+                self._writer.write_run(run)
+        except Exception as error:
+            raise self._rescued(error) from None
+
+    def close(self) -> None:
+        """Complete the recording, if there is one.
+
+        Raises:
+            RecapError: As of `write`.
+        """
+        if self._writer is None:
+            return
+        try:
+            self._writer.close()
+        except Exception as error:
+            raise self._rescued(error) from None
+        self._writer = None
+
+    def finish(self) -> None:
+        """Complete a recording that was not closed; one without frames is removed.
+
+        Raises:
+            RecapError: As of `write`.
+        """
+        if self._writer is not None and self._is_empty:
+            self._writer.abort()
+        else:
+            self.close()
+
+    def _rescued(self, error: Exception) -> RecapError:
+        assert self._writer is not None
+        writer, self._writer = self._writer, None
+        return rescue(writer, self._path, error, force=self._is_visible, format=self._format)
+
+
+def serve(commands: BinaryIO, answers: BinaryIO) -> None:
+    """Carry out commands until there are no more; then complete the recording.
+
+    Args:
+        commands: Pickles of the name of a command and its arguments; None is the last one.
+        answers: The destination of a pickle for each: None, or an error text.
+    """
+    recording = Commands()
+    for name, arguments in _received(commands):
+        try:
+            getattr(recording, name)(*arguments)
+            answer = None
+        except RecapError as error:
+            answer = str(error)
+        except Exception as error:
+            answer = f"{type(error).__name__}: {error}"
+        with suppress(OSError):  # the client has gone; no more commands will come
+            pickle.dump(answer, answers)
+            answers.flush()
+    with suppress(RecapError):
+        recording.finish()
+
+
+def _received(commands: BinaryIO) -> Iterator[tuple[str, tuple[Any, ...]]]:
+    """Yield commands until the last one, the end of the pipe, or the end of the client's process."""
+    parent = os.getppid()
+    while True:
+        if commands is sys.stdin.buffer and os.name == "posix":  # where forked processes may hold the pipe open
+            while not select([commands], [], [], _PARENT_CHECK)[0]:
+                if os.getppid() != parent:
+                    return
+        try:
+            command = pickle.load(commands)
+        except (EOFError, OSError, pickle.UnpicklingError):
+            return
+        if command is None:
+            return
+        yield command
+
+
+def main() -> None:
+    """Run the process."""
+    ignore_termination()  # it ends when its client does
+    if hasattr(os, "nice"):
+        os.nice(_NICE)
+    answers = sys.stdout.buffer
+    sys.stdout = sys.stderr
+    with suppress(OSError):  # the client may have gone by now
+        answers.write(_READY)
+        answers.flush()
+        serve(sys.stdin.buffer, answers)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,1 @@
+"""Helpers without knowledge of recordings: child processes and signals."""

@@ -1,0 +1,55 @@
+"""Child processes: how the modules of this package are run in one, and how one is ended."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+from contextlib import suppress
+from pathlib import Path
+from typing import Any, Final
+
+_SOURCES: Final = str(Path(__file__).absolute().parents[2])
+"""The folder that contains this package."""
+
+
+def module_command(module: str, *arguments: str) -> list[str]:
+    """Return the command that runs a module with this interpreter; modules in the working directory are not imported."""
+    return [sys.executable or "python3", "-P", "-m", module, *arguments]
+
+
+def module_environment(**variables: str) -> dict[str, str]:
+    """Return this process's environment, with the import path of this process and with some more variables."""
+    path = [str(Path(entry).absolute()) for entry in sys.path if entry]
+    return {**os.environ, "PYTHONPATH": os.pathsep.join(dict.fromkeys([*path, _SOURCES])), **variables}
+
+
+def wait_or_kill(process: subprocess.Popen[Any], patience: float) -> int:
+    """Wait until a process has ended; kill it after `patience` seconds.
+
+    Returns:
+        The exit code.
+    """
+    try:
+        return process.wait(patience)
+    except subprocess.TimeoutExpired:
+        process.kill()
+        return process.wait()
+
+
+def terminate(process: subprocess.Popen[Any], patience: float) -> int:
+    """Send SIGTERM to a process and wait until it has ended; kill it after `patience` seconds.
+
+    Returns:
+        The exit code.
+    """
+    process.terminate()
+    return wait_or_kill(process, patience)
+
+
+def close_pipes(process: subprocess.Popen[Any]) -> None:
+    """Close this end of the pipes of a process, whether or not the process still reads them."""
+    for pipe in (process.stdin, process.stdout, process.stderr):
+        with suppress(OSError):
+            if pipe is not None:
+                pipe.close()

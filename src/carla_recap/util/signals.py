@@ -1,0 +1,111 @@
+"""The signals that ask a process to end: the first one counts, and those that follow while it cleans up do not.
+
+Many arrive more than once: Ctrl-C is pressed twice, and `timeout` signals its child, and then its child's group.
+"""
+
+from __future__ import annotations
+
+import signal
+import sys
+import threading
+from contextlib import contextmanager
+from time import monotonic
+from typing import TYPE_CHECKING, Any, Final
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Iterator
+    from types import FrameType
+
+GRACE: Final = 3.0
+"""Seconds after the first signal in which others are ignored; one that comes later ends the process at once."""
+TERMINATION: Final = tuple(
+    signal.Signals[name] for name in ("SIGINT", "SIGTERM", "SIGHUP") if name in signal.Signals.__members__
+)
+"""The signals that ask a process to end, as far as the system has them."""
+
+
+class _First:
+    """The time of the first signal, in s; None before it. Signals concern the whole process, as does this."""
+
+    at: float | None = None
+
+
+def is_terminating() -> bool:
+    """Return whether a signal has arrived."""
+    return _First.at is not None
+
+
+def is_first(number: int) -> bool:
+    """Return whether the signal that has just arrived is the first one; one after `GRACE` ends the process here."""
+    now = monotonic()
+    if _First.at is None:
+        _First.at = now
+        return True
+    if now - _First.at > GRACE:
+        signal.signal(number, signal.SIG_DFL)
+        signal.raise_signal(number)
+    return False
+
+
+def set_handlers(handler: Any) -> dict[signal.Signals, Any]:
+    """Set the handler of `TERMINATION`, except of those that are ignored, as under nohup, or have no handler in Python.
+
+    Returns:
+        The handlers until now.
+    """
+    numbers = [number for number in TERMINATION if signal.getsignal(number) not in (signal.SIG_IGN, None)]
+    return {number: signal.signal(number, handler) for number in numbers}
+
+
+def ignore_termination() -> None:
+    """Ignore `TERMINATION` from now on."""
+    for number in TERMINATION:
+        signal.signal(number, signal.SIG_IGN)
+
+
+@contextmanager
+def call_on_termination(callback: Callable[[str], object]) -> Iterator[None]:
+    """Call a function instead of ending the process while a `with` block runs; outside the main thread, do nothing.
+
+    Args:
+        callback: Is called with the name of the first signal.
+    """
+
+    def handle(number: int, _: FrameType | None) -> None:
+        if is_first(number):
+            callback(signal.Signals(number).name)
+
+    if threading.current_thread() is not threading.main_thread():
+        yield
+        return
+    _First.at = None
+    before = set_handlers(handle)
+    try:
+        yield
+    finally:
+        for number, handler in before.items():
+            signal.signal(number, handler)
+
+
+@contextmanager
+def unwind_on_termination() -> Iterator[None]:
+    """Raise SystemExit on SIGTERM and SIGHUP while a `with` block runs, unless they have handlers already.
+
+    Writing to a closed pipe is a `BrokenPipeError` in the block. Outside the main thread, do nothing.
+    """
+    changed = []
+    if threading.current_thread() is threading.main_thread():
+        for name, handler in (("SIGTERM", _exit), ("SIGHUP", _exit), ("SIGPIPE", signal.SIG_IGN)):
+            number = getattr(signal, name, None)
+            if number is not None and signal.getsignal(number) is signal.SIG_DFL:
+                signal.signal(number, handler)
+                changed.append(number)
+    try:
+        yield
+    finally:
+        for number in changed:
+            signal.signal(number, signal.SIG_DFL)
+
+
+def _exit(number: int, _: FrameType | None) -> None:
+    sys.exit(128 + number)

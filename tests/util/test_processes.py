@@ -1,0 +1,42 @@
+"""Child processes find this package and this process's modules, and end."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+import time
+from typing import TYPE_CHECKING
+
+import pytest
+
+from carla_recap.util.processes import module_command, module_environment, terminate, wait_or_kill
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+STUBBORN = "import signal, time; signal.signal(signal.SIGTERM, signal.SIG_IGN); print('ready', flush=True); time.sleep(60)"
+
+
+def test_a_module_is_run_with_the_import_path_of_this_process(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    (tmp_path / "path").mkdir()
+    (tmp_path / "path" / "mine.py").write_text("import os, carla_recap; print(os.environ['COLOR'])")
+    (tmp_path / "carla_recap.py").write_text("raise SystemExit(7)")  # in the working directory, and not imported
+    monkeypatch.syspath_prepend("path")
+    monkeypatch.chdir(tmp_path)
+    done = subprocess.run(module_command("mine"), env=module_environment(COLOR="red"), capture_output=True, text=True)
+    assert (done.returncode, done.stdout, done.stderr) == (0, "red\n", "")
+
+
+def test_a_process_that_ignores_sigterm_is_killed() -> None:
+    with subprocess.Popen([sys.executable, "-c", STUBBORN], stdout=subprocess.PIPE) as process:
+        assert process.stdout is not None
+        process.stdout.readline()
+        begin = time.monotonic()
+        assert terminate(process, 0.2) == -9
+        assert time.monotonic() - begin < 10
+
+
+@pytest.mark.parametrize("code", [0, 3])
+def test_a_process_that_ends_by_itself_is_waited_for(code: int) -> None:
+    with subprocess.Popen([sys.executable, "-c", f"raise SystemExit({code})"]) as process:
+        assert wait_or_kill(process, 20.0) == code
