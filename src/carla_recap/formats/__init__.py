@@ -37,22 +37,32 @@ def open_reader(path: Path | str) -> Reader:
         RecapError: The file cannot be read.
     """
     deadline = monotonic() + _PATIENCE
-    while _is_incomplete(path, reader := _open(path)):
+    while True:
+        opened = _identity(path)
+        reader = _open(path)
+        if opened is None or not _has_no_frames(reader):
+            return reader
+        left = partials(path)
+        if not left and _identity(path) == opened:
+            return reader
         if monotonic() > deadline:
-            left = " and ".join(map(str, partials(path)))
-            warnings.warn(
-                f"{path}: is being recorded, or was interrupted; its frames are in {left}", RecapWarning, stacklevel=3
-            )
-            break
+            told = f"{path}: is being recorded, or was interrupted; its frames are in {' and '.join(map(str, left))}"
+            warnings.warn(told, RecapWarning, stacklevel=3)
+            return reader
         reader.close()
         sleep(_PAUSE)
-    return reader
 
 
-def _is_incomplete(path: Path | str, reader: Reader) -> bool:
-    """Return whether a recording has no frames, and one of that name is being written."""
-    if Path(path).stat().st_size > _SMALL or not partials(path):
-        return False
+def _identity(path: Path | str) -> int | None:
+    """Return the number of a file that may have no frames; None for one that is larger, or cannot be read."""
+    try:
+        status = Path(path).stat()
+    except (OSError, ValueError):
+        return None
+    return status.st_ino if status.st_size <= _SMALL else None
+
+
+def _has_no_frames(reader: Reader) -> bool:
     try:
         return next(reader.frames(), None) is None
     except RecapError:  # it is damaged

@@ -256,7 +256,7 @@ class Replayer:
             return False
         maps = None if self._world.maps is None else Path(self._world.maps)
         try:
-            town = load_town(plain_name(reader.header.map_name), maps)
+            town = load_town(plain_name(map_name), maps)
         except RecapError as error:
             raise MapMissing(path, map_name, str(error)) from None
         self._world.reload(town)
