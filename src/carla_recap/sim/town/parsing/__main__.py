@@ -1,12 +1,53 @@
-"""What runs in that process: OpenDRIVE comes in, a parsed town goes out."""
+"""The child process that parses a town: OpenDRIVE comes in, a parsed town goes out."""
 
 from __future__ import annotations
 
 import sys
 
+import numpy as np
+
 from carla_recap.maps.child import answer
-from carla_recap.sim.town.parsing.packing import to_bytes
-from carla_recap.sim.town.parsing.whole import parse
+from carla_recap.maps.opendrive import read_opendrive
+from carla_recap.sim.town.parsing.junctions import parse_junctions, parse_signals
+from carla_recap.sim.town.parsing.packing import Parsed, to_bytes
+from carla_recap.sim.town.parsing.roads import limit_speeds, parse_lanes, read_records
+from carla_recap.sim.town.parsing.sidewalks import barriers, parse_walks
+
+
+def parse(text: str) -> Parsed:
+    """The parts of the town of an OpenDRIVE file.
+
+    Args:
+        text: What is in the file.
+
+    Raises:
+        ValueError: It is no town.
+    """
+    with np.errstate(all="ignore"):
+        roads = read_opendrive(text)
+        records = read_records(text)
+        lanes = parse_lanes(roads)
+        signals = parse_signals(roads, lanes, records)
+        limit_speeds(lanes, signals, records)
+        junctions = parse_junctions(lanes, signals, records)
+        walks = parse_walks(roads)
+        fences = barriers(roads.lanes)
+    return Parsed(
+        {
+            "lanes": [lane.rows for lane in lanes],
+            "sidewalks": walks.sidewalks,
+            "crossings": walks.crossings,
+            "walks": [np.array(walks.nodes).reshape(-1, 3)],
+            "barriers": fences,
+        },
+        {
+            "lanes": [lane.row for lane in lanes],
+            "signals": signals,
+            "junctions": junctions,
+            "walk_edges": [{"nodes": edge, "crossing": crossing} for edge, crossing in walks.edges.items()],
+        },
+    )
+
 
 if __name__ == "__main__":
     sys.exit(answer(lambda text: to_bytes(parse(text))))

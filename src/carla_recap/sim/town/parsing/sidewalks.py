@@ -1,4 +1,4 @@
-"""Where pedestrians walk: sidewalks, the corners between them, and crossings, as one connected graph."""
+"""The ground beside the roads: barriers that stop cars, and where pedestrians walk, as one connected graph."""
 
 from __future__ import annotations
 
@@ -10,10 +10,10 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 
 from carla_recap.maps.opendrive import NO_JUNCTION
-from carla_recap.sim.town.parsing.ground import SIDEWALK, Ground, left_handed
+from carla_recap.maps.polylines import simplify
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import Iterable, Iterator, Sequence
 
     from numpy.typing import NDArray
 
@@ -21,6 +21,106 @@ if TYPE_CHECKING:
 
     Floats = NDArray[np.float64]
     Ends = tuple[int, int]
+
+SIDEWALK: Final = "Sidewalk"
+_NO_LANE: Final = "NONE"
+_CELL: Final = 0.5  # m
+_MOST_CELLS: Final = 3000  # along a side
+_TO_LEFT_HANDED: Final = np.array((1.0, -1, 1))
+_BEHIND_SIDEWALKS: Final = 0.75  # m
+_BEHIND_ROADS: Final = 4.0  # m: where there is no sidewalk; leaves room for one at the corners of junctions
+_CLEAR: Final = 3.5  # m: between the edge of a lane for cars and such a barrier
+_POSTS: Final = 2.0  # m: between the points of a barrier before it is simplified
+_TOLERANCE: Final = 0.2  # m
+_SHORTEST: Final = 1.0  # m
+
+
+class Ground:
+    """The ground that some lanes cover.
+
+    Args:
+        lanes: At least one.
+        margin: How much wider than they are, on both sides, in m.
+    """
+
+    def __init__(self, lanes: Iterable[opendrive.Lane], margin: float = 0.0) -> None:
+        borders = [_widened(left_handed(lane.left), left_handed(lane.right), margin) for lane in lanes]
+        ends = np.concatenate([border[:, :2] for pair in borders for border in pair])
+        extent = float(np.ptp(ends, axis=0).max())
+        self._cell = max(_CELL, extent / _MOST_CELLS)
+        self._origin = ends.min(axis=0) - 2 * self._cell
+        self._covered = np.zeros(((ends.max(axis=0) - self._origin) / self._cell).astype(np.int64) + 3, np.bool_)
+        for left, right in borders:
+            self._cover(left[:, :2], right[:, :2])
+
+    def covers(self, places: Floats) -> NDArray[np.bool_]:
+        """Which places lie on the ground, to about a cell; (n, 2)."""
+        cells = np.floor((places - self._origin) / self._cell).astype(np.int64)
+        inside = ((cells >= 0) & (cells < self._covered.shape)).all(axis=1)
+        covered = np.zeros(len(places), np.bool_)
+        covered[inside] = self._covered[cells[inside, 0], cells[inside, 1]]
+        return covered
+
+    def crossed_by(self, start: Floats, stop: Floats) -> bool:
+        """Whether the straight way from one place to another leads over the ground."""
+        steps = int(np.linalg.norm(stop[:2] - start[:2]) / self._cell) + 2
+        return bool(self.covers(start[:2] + np.linspace(0, 1, steps)[:, None] * (stop[:2] - start[:2])).any())
+
+    def _cover(self, left: Floats, right: Floats) -> None:
+        width = float(np.linalg.norm(left - right, axis=1).max())
+        across = np.linspace(0, 1, min(int(width / self._cell * 1.5), 200) + 2)[:, None, None]
+        along = np.linspace(0, len(left) - 1, 2 * len(left))
+        given = np.arange(len(left))
+        left, right = (np.stack([np.interp(along, given, axis) for axis in side.T], axis=1) for side in (left, right))
+        cells = np.floor((left + across * (right - left) - self._origin) / self._cell).astype(np.int64)
+        self._covered[cells[..., 0], cells[..., 1]] = True
+
+
+def left_handed(points: Floats) -> Floats:
+    """Points of OpenDRIVE's axes in CARLA's."""
+    turned: Floats = points * _TO_LEFT_HANDED
+    return turned
+
+
+def _widened(left: Floats, right: Floats, margin: float) -> tuple[Floats, Floats]:
+    aside = right - left
+    aside *= margin / np.maximum(np.linalg.norm(aside, axis=1, keepdims=True), 1e-6)
+    return left - aside, right + aside
+
+
+def barriers(lanes: Sequence[opendrive.Lane]) -> list[Floats]:
+    """Lines that stop who leaves the road: along the outermost lanes, some way beyond, and not across other lanes."""
+    real = [lane for lane in lanes if lane.kind != _NO_LANE]
+    ground, road = Ground(real), Ground([lane for lane in real if lane.is_driving], _CLEAR)
+    return [
+        part for lane in _outermost(real) for part in _fence(lane, (ground,) if lane.kind == SIDEWALK else (ground, road))
+    ]
+
+
+def _outermost(lanes: Iterable[opendrive.Lane]) -> list[opendrive.Lane]:
+    """The last lanes on both sides of each section of a road."""
+    outer: dict[tuple[int, int, bool], opendrive.Lane] = {}
+    for lane in lanes:
+        side = lane.road, lane.section, lane.id > 0
+        if side not in outer or abs(lane.id) > abs(outer[side].id):
+            outer[side] = lane
+    return list(outer.values())
+
+
+def _fence(lane: opendrive.Lane, grounds: Iterable[Ground]) -> Iterator[Floats]:
+    rightwards = lane.reverse == (lane.id > 0)  # traffic on the right: outwards is to the right of who drives there
+    margin = _BEHIND_SIDEWALKS if lane.kind == SIDEWALK else _BEHIND_ROADS
+    line = _widened(left_handed(lane.left), left_handed(lane.right), margin)[rightwards]
+    line = line[np.unique(np.linspace(0, len(line) - 1, int(len(line) * _spacing(line) / _POSTS) + 2).astype(np.int64))]
+    free = ~np.any([ground.covers(line[:, :2]) for ground in grounds], axis=0)
+    for part in np.split(np.arange(len(line)), np.flatnonzero(np.diff(free)) + 1):
+        if free[part[0]] and np.linalg.norm(line[part[-1]] - line[part[0]]) > _SHORTEST:
+            yield simplify(line[part], _TOLERANCE)
+
+
+def _spacing(line: Floats) -> float:
+    return float(np.linalg.norm(np.diff(line, axis=0), axis=1).mean())
+
 
 _SPACING: Final = 5.0  # m: between nodes along a sidewalk
 _SAME: Final = 1.0  # m: ends of sidewalks as near as that are one
