@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import re
+import runpy
 import subprocess
 import sys
 from importlib import import_module
@@ -87,15 +88,10 @@ def test_the_topic_of_a_record_type_is_told(type):
         assert f"| `{type.topic}` | `{type.message}` | {type.id} | {group} |" in FORMAT
 
 
-def test_every_call_of_clients_has_its_place():
+def test_the_table_of_calls_is_that_of_the_server():
     pytest.importorskip("pymunk", reason="the extra `sim` is not installed")
-    from carla_recap.server.calls.unsupported import CallSupport, call_support
-
-    supported, accepted = SERVING.split("Accepted, and nothing comes of them:")
-    accepted, refused = accepted.split("Refused:")
-    places = {CallSupport.SUPPORTED: supported, CallSupport.ACCEPTED: accepted, CallSupport.REFUSED: refused}
-    for name, (standing, why) in call_support().items():
-        assert any(f"`{name}`" in line and why in line for line in places[standing].splitlines()), name
+    script = runpy.run_path(str(ROOT / "tools" / "make-calls"))
+    assert script["PAGE"].read_text("utf-8") == script["page"](), "run tools/make-calls"
 
 
 def test_every_sensor_has_its_row():

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import asyncio
-from typing import TYPE_CHECKING, Any, Final
+from collections.abc import Awaitable
+from typing import TYPE_CHECKING, Final
 
 from carla_recap.server.actor_records import sensor_of
 from carla_recap.server.client import Client
@@ -51,7 +52,7 @@ def get_episode_settings(client: Client) -> EpisodeSettings:
 
 
 @call
-def set_episode_settings(client: Client, settings: EpisodeSettings) -> Any:
+def set_episode_settings(client: Client, settings: EpisodeSettings) -> int | Awaitable[int]:
     """Apply settings; return the frame that the client waits for and signals to its traffic managers."""
     host = client.host
 
@@ -63,7 +64,7 @@ def set_episode_settings(client: Client, settings: EpisodeSettings) -> Any:
 
 
 @call
-def tick_cue(client: Client) -> Any:
+def tick_cue(client: Client) -> int | Awaitable[int]:
     """Tick in synchronous mode; return the frame that the client waits for, in asynchronous mode the next one.
 
     The tick waits for the client's subscriptions and traffic managers; see `PendingSubscriptions` and `TrafficManagerCycle`.
@@ -80,7 +81,7 @@ def tick_cue(client: Client) -> Any:
     return _after(host.streams.pending.of(client) + host.traffic_managers.unsettled(), tick)
 
 
-def _after(pending: list[asyncio.Future[None]], work: Callable[[], int]) -> Any:
+def _after(pending: list[asyncio.Future[None]], work: Callable[[], int]) -> int | Awaitable[int]:
     """Do something when pending futures are done; at once if there are none."""
 
     async def later() -> int:

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Awaitable, Callable
 from dataclasses import dataclass
-from typing import Any, get_args, get_origin, get_type_hints
+from types import UnionType
+from typing import Any, Union, get_args, get_origin, get_type_hints
 
 from carla_recap.errors import RecapError
 from carla_recap.server.rpc.codec import Convert, DecodeError, decoder, encoder
@@ -78,7 +79,10 @@ def unregistered_call(handler: Handler, *, bare: bool = False) -> Call:
     """Return the call of a handler, as `call` would register it."""
     hints = get_type_hints(handler)
     result = hints.pop("return")
-    if get_origin(result) is Awaitable:
+    alternatives = get_args(result) if get_origin(result) in (Union, UnionType) else ()
+    if any(get_origin(alternative) is Awaitable for alternative in alternatives):
+        result = alternatives[0]
+    elif get_origin(result) is Awaitable:
         (result,) = get_args(result)
     arguments = tuple(decoder(type) for type in tuple(hints.values())[1:])
     least = len(arguments) - len(handler.__defaults__ or ())
