@@ -24,7 +24,7 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Mapping
 
     from carla_recap.server.actor_records import DestroyedActor
-    from carla_recap.server.sensors.feed import Feed, MakeFeed
+    from carla_recap.server.sensors.feed import Feed, MakeFeed, V2xMessage
     from carla_recap.server.streaming.streams import Streams
     from carla_recap.sim.actors.actor import Actor
     from carla_recap.sim.world import World
@@ -104,9 +104,6 @@ class Sensors:
         world: The world.
         streams: The streams that their data goes to.
         find: Returns an actor by its id, even one that has been destroyed.
-
-    Attributes:
-        radio: The V2X messages of the latest tick.
     """
 
     def __init__(self, world: World, streams: Streams, find: Callable[[int], Actor | DestroyedActor]) -> None:
@@ -115,15 +112,19 @@ class Sensors:
         self._find = find
         self._feeds: dict[int, Feed] = {}
         self._first_ticks: WeakKeyDictionary[Actor, float] = WeakKeyDictionary()
-        self.radio = RadioChannel()
+        self._radio = RadioChannel()
 
     def actor_record(self, id: int | None) -> object:
         """Return the record of an actor for msgpack; None stands for a barrier, which is no actor."""
         return _ENCODE(_WALL if id is None else actor_records.record(self._find(id), self._streams))
 
+    def messages(self, type_id: str, receiver: Actor) -> list[V2xMessage]:
+        """Return the V2X messages of a kind of sensor in the latest tick, but for those of a receiver."""
+        return self._radio.sent(type_id, receiver)
+
     def queue_message(self, sensor: Actor, message: Any) -> None:
         """Have a V2X sensor send a client's message in the next tick."""
-        self.radio.queue(sensor, message_bytes(message))
+        self._radio.queue(sensor, message_bytes(message))
 
     def send(self, frame: int) -> None:
         """Send the data of the latest tick, the one of a frame, and close the streams of destroyed sensors."""
@@ -150,11 +151,11 @@ class Sensors:
         """Begin to count the ticks of a new sensor."""
         if sensor not in self._first_ticks:
             self._first_ticks[sensor] = self._world.elapsed
-            self.radio.add(sensor)
+            self._radio.add(sensor)
 
     def _exchange_messages(self) -> None:
         try:
-            self.radio.exchange([sensor for sensor in self.radio.stations() if self._is_due(sensor)])
+            self._radio.exchange([sensor for sensor in self._radio.stations() if self._is_due(sensor)])
         except Exception as error:
             _LOG.error("V2X messages are lost: %r", error)
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import zlib
 from collections.abc import Callable, Iterable
 from contextlib import suppress
+from dataclasses import dataclass
 from typing import TYPE_CHECKING, Final, Protocol
 
 import numpy as np
@@ -12,7 +13,6 @@ import numpy as np
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-    from carla_recap.server.sensors.v2x import RadioChannel
     from carla_recap.sim.actors.actor import Actor
 
 _TOO_LARGE: Final = 1e10  # for any number of a sensor
@@ -21,12 +21,26 @@ Feed = Callable[[], Iterable[bytes]]
 """Returns the frames of a sensor for the latest tick, without the header that all frames have."""
 
 
+@dataclass(frozen=True, slots=True)
+class V2xMessage:
+    """A message on the radio channel.
+
+    Attributes:
+        sender: The carrier of the sensor that sent it.
+        power: The power of transmission in dBm.
+        body: The message as it goes over the wire, with a received power of 0.
+    """
+
+    sender: Actor
+    power: float
+    body: bytes
+
+
 class FeedContext(Protocol):
     """What feeds need besides their sensors."""
 
-    @property
-    def radio(self) -> RadioChannel:
-        """The V2X messages of the latest tick."""
+    def messages(self, type_id: str, receiver: Actor) -> list[V2xMessage]:
+        """Return the V2X messages of a kind of sensor in the latest tick, but for those of a receiver."""
 
     def actor_record(self, id: int | None) -> object:
         """Return the record of an actor for msgpack; None stands for a barrier, which is no actor."""

@@ -8,13 +8,12 @@ from __future__ import annotations
 
 import struct
 import time
-from dataclasses import dataclass
 from math import acos, degrees, hypot, log10, pi, sqrt
 from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
-from carla_recap.server.sensors.feed import Noise, flag, generator, number
+from carla_recap.server.sensors.feed import Noise, V2xMessage, flag, generator, number
 from carla_recap.server.sensors.inertial import Gnss
 from carla_recap.server.sensors.rays import ActorBoxes, axes, row, solid_actors
 from carla_recap.sim.actors.moving import Vehicle
@@ -122,21 +121,6 @@ _ROUNDING: Final = 1e-6  # s
 _FADING: Final = {"highway": 3.3, "urban": 5.2, "rural": 4.25}
 _FADING_BEHIND_VEHICLE: Final = {"highway": 3.8, "urban": 5.3, "rural": 4.55}
 _FADING_BEHIND_OTHERS: Final = 6.8
-
-
-@dataclass(frozen=True, slots=True)
-class V2xMessage:
-    """A message on the channel.
-
-    Attributes:
-        sender: The carrier of the sensor that sent it.
-        power: The power of transmission in dBm.
-        body: The message as it goes over the wire, with a received power of 0.
-    """
-
-    sender: Actor
-    power: float
-    body: bytes
 
 
 class CamStation:
@@ -310,7 +294,7 @@ def v2x(sensor: Actor, context: FeedContext) -> Feed:
         if receiver is None:
             return
         received = []
-        for message in context.radio.sent(sensor.type_id, receiver):
+        for message in context.messages(sensor.type_id, receiver):
             loss = path_loss.between(message.sender, receiver)
             power = message.power + number(sensor, "combined_antenna_gain") - loss
             if power >= number(sensor, "receiver_sensitivity"):
