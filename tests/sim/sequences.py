@@ -34,7 +34,7 @@ from carla_recap.sim.world import World
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
-    from carla_recap.sim.physics.movers import Movers
+    from carla_recap.sim.physics.moving_bodies import MovingBodies
     from carla_recap.sim.town.town import Town
 
 VEHICLES: Final = ("vehicle.audi.tt", "vehicle.bh.crossbike", "vehicle.carlamotors.firetruck")
@@ -268,7 +268,7 @@ class WorldMachine(RuleBasedStateMachine):
         of_world = [actor for actor in self.world.actors.values() if isinstance(actor, MovingActor)]
         assert set(of_world) == {*self.world.vehicles.actors, *self.world.walkers.actors}
 
-    def check_rows(self, movers: Movers[Any]) -> None:
+    def check_rows(self, movers: MovingBodies[Any]) -> None:
         assert len(movers) == len(movers.actors) == len(movers.bodies)
         assert movers.id.tolist() == [actor.id for actor in movers.actors]
         assert movers.body_id.tolist() == [body.id for body in movers.bodies]

@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 
     from carla_recap.sim.actors.actor import Actor
     from carla_recap.sim.geometry import Transform
-    from carla_recap.sim.physics.movers import Movers
+    from carla_recap.sim.physics.moving_bodies import MovingBodies
     from carla_recap.sim.world import World
 
 _WORLD: Final = 17
@@ -235,7 +235,7 @@ def _blank_signs(dtype: np.dtype[np.void], signs: Sequence[Sign]) -> NDArray[np.
     return rows
 
 
-def _move(rows: NDArray[np.void], movers: Movers) -> None:
+def _move(rows: NDArray[np.void], movers: MovingBodies) -> None:
     numbers = rows["numbers"]
     for column, name in enumerate(("position", "rotation", "velocity", "angular_velocity", "acceleration")):
         numbers[:, 3 * column : 3 * column + 3] = getattr(movers, name)

@@ -42,17 +42,17 @@ class Motion:
         """Move all vehicles and walkers for a tick of a length in s, and return their collisions."""
         vehicles, walkers, plane = self._registry.vehicles, self._registry.walkers, self._registry.plane
         groups = [group for group in (vehicles, walkers) if len(group)]
-        moving = [group.begin(delta) for group in groups]
+        moving = [group.begin_tick(delta) for group in groups]
         if any(moving) or plane.disturbed:
             steps = self._steps(delta)
             for _ in range(steps):
                 for group in groups:
-                    group.push(delta / steps)
+                    group.write_velocities(delta / steps)
                 self._collisions.add(plane.step(delta / steps))
                 for group in groups:
-                    group.pull()
+                    group.read_bodies()
         for group in groups:
-            group.end(delta)
+            group.end_tick(delta)
         self._registry.move_attached()
         return self._collisions.take()
 

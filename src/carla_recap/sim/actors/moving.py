@@ -22,7 +22,7 @@ from carla_recap.sim.validation import (
 )
 
 if TYPE_CHECKING:
-    from carla_recap.sim.physics.movers import Movers
+    from carla_recap.sim.physics.moving_bodies import MovingBodies
     from carla_recap.sim.physics.physics_control import PhysicsControl
     from carla_recap.sim.physics.vehicles import Vehicles
     from carla_recap.sim.physics.walkers import Walkers
@@ -85,7 +85,7 @@ class MovingActor(Actor):
     _group = VEHICLE
 
     @property
-    def rows(self) -> Movers:
+    def rows(self) -> MovingBodies:
         """The struct of arrays that it is a row of."""
         raise NotImplementedError
 
@@ -120,7 +120,7 @@ class MovingActor(Actor):
             self._transform = value.copy()
             return self.follow_parent(self.parent)
         place, turn = value.location, value.rotation
-        return self.rows.put(self.row, (place.x, place.y, place.z), (turn.pitch, turn.yaw, turn.roll))
+        return self.rows.place(self.row, (place.x, place.y, place.z), (turn.pitch, turn.yaw, turn.roll))
 
     @property
     def velocity(self) -> Vector:
@@ -289,7 +289,7 @@ class Vehicle(MovingActor):
         expect_push(f"an impulse on {self!r}", impulse, rows.mass[row].item())
         change = np.zeros((len(rows), 2))
         change[row] = np.array((impulse.x, impulse.y)) / rows.mass[row]
-        rows.kick(change)
+        rows.add_velocities(change)
 
     def add_force(self, force: Vector) -> None:
         """Apply a force in N during the next tick, in the axes of the world."""

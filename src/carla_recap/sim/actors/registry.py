@@ -227,7 +227,7 @@ class ActorRegistry:
         actor.mark_destroyed()
         if isinstance(actor, (Vehicle, Walker)):
             self._attached.pop(actor, None)
-            del self._owners[actor.rows.leave(actor.id).id]
+            del self._owners[actor.rows.remove(actor.id).id]
         elif isinstance(actor, Prop) and actor.body is not None:
             del self._owners[actor.body.id]
             self.plane.remove(actor.body)
@@ -268,11 +268,11 @@ class ActorRegistry:
             physics = mover.physics_control
             body = self._own(mover, self.plane.add_box(VEHICLE, _corners(mover.blueprint), physics.mass))
             sticky = mover.attributes.get("sticky_control", "true").lower() not in _FALSE
-            row = self.vehicles.enter(mover, body, **columns, sticky=sticky)
+            row = self.vehicles.add(mover, body, **columns, sticky=sticky)
             self.vehicles.set_physics(row, physics, mover.box)
         elif isinstance(mover, Walker):
             body = self._own(mover, self.plane.add_disc(WALKER, _WALKER_RADIUS, _WALKER_MASS))
-            self.walkers.enter(mover, body, **columns, half_height=mover.box.extent.z, mass=_WALKER_MASS)
+            self.walkers.add(mover, body, **columns, half_height=mover.box.extent.z, mass=_WALKER_MASS)
 
     def _attach(self, actor: MovingActor, parent: Actor) -> None:
         """Attach a vehicle or walker to another actor: it moves along and collides with none, as attached props."""

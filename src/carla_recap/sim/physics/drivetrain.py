@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 
 GRAVITY: Final = 9.81  # m/s²
 SPEEDS: Final = np.arange(0.0, 120.0, 0.5)  # m/s: the columns of the tables
-GEARS: Final = 14  # the rows of the table of forces: neutral, the forward gears, and reverse as the last
+GEARS: Final = 14  # rows of the table of forces: neutral, the forward gears, and reverse as the last
 DRY_ASPHALT: Final = 3.5  # the tyre friction of CARLA's cars, in the scale of its physics; here a friction coefficient of 1
 _AIR: Final = 1.2  # kg/m³
 _FRONT_AREA: Final = 0.85  # of the rectangle around it (Hucho, Aerodynamics of Road Vehicles)
@@ -78,7 +78,7 @@ def columns(control: PhysicsControl, box: Box, *, weightless: bool = False) -> d
 
 
 def _forces(control: PhysicsControl, radius: float) -> tuple[Floats, NDArray[np.int64]]:
-    """The greatest force at the wheels by gear and speed, and the gear of moderate driving by speed."""
+    """Return the greatest force at the wheels by gear and speed, and the gear of moderate driving by speed."""
     forces = np.zeros((GEARS, len(SPEEDS)))
     gears = control.forward_gears[: GEARS - 2]
     usual = np.ones(len(SPEEDS), np.int64)

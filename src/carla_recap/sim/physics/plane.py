@@ -53,13 +53,13 @@ _CONTACT: Final = ArbiterFields.BODY_A_ID | ArbiterFields.BODY_B_ID | ArbiterFie
 
 
 class Contact(NamedTuple):
-    """Two bodies that pushed each other in a step.
+    """A contact of two bodies in a step.
 
     Attributes:
         a: The id of one body.
         b: The id of the other.
-        impulse: What a got from b, in N s.
-        point: Where, in m.
+        impulse: The impulse that b gave to a, in N s.
+        point: The point of contact, in m.
     """
 
     a: int
@@ -69,11 +69,11 @@ class Contact(NamedTuple):
 
 
 class Plane:
-    """The bodies, and the walls around them.
+    """The bodies of all actors, and the barriers of the town.
 
     Attributes:
-        space: pymunk's.
-        disturbed: Whether a body came or was put elsewhere since the last step.
+        space: The space of pymunk.
+        disturbed: Whether a body was added or moved since the last step.
     """
 
     def __init__(self) -> None:
@@ -91,12 +91,12 @@ class Plane:
         self._state = np.empty((0, 6))
 
     def add_box(self, group: int, corners: Iterable[tuple[float, float]], mass: float | None) -> pymunk.Body:
-        """A body of convex shape.
+        """Add a body of convex shape, and return it.
 
         Args:
             group: `VEHICLE` or `PROP`.
-            corners: In the axes of the body.
-            mass: In kg; None for one that nothing moves.
+            corners: The corners in the axes of the body, in m.
+            mass: The mass in kg; None for a static body.
         """
         points = list(corners)
         body = (
@@ -107,12 +107,12 @@ class Plane:
         return self._add(group, body, pymunk.Poly(body, points))
 
     def add_disc(self, group: int, radius: float, mass: float | None) -> pymunk.Body:
-        """A round body that does not turn; see `add_box`."""
+        """Add a round body that does not turn, and return it; see `add_box`."""
         body = pymunk.Body(body_type=pymunk.Body.STATIC) if mass is None else pymunk.Body(mass, math.inf)
         return self._add(group, body, pymunk.Circle(body, radius))
 
     def add_wall(self, points: Floats) -> None:
-        """Add a line that vehicles do not pass: its corners, (n, 3) in m."""
+        """Add a barrier that vehicles do not pass: the points of its line, (n, 3) in m."""
         body = self.space.static_body
         for start, end in zip(points[:-1].tolist(), points[1:].tolist(), strict=True):
             segment = pymunk.Segment(body, tuple(start[:2]), tuple(end[:2]), _WALL_RADIUS)
@@ -136,29 +136,29 @@ class Plane:
         return body
 
     def remove(self, body: pymunk.Body) -> None:
-        """Take a body out."""
+        """Remove a body."""
         for shape in body.shapes:
             self._heights.pop(shape, None)
         self._known_heights.clear()
         self.space.remove(body, *body.shapes)
 
     def move(self, body: pymunk.Body, x: float, y: float, yaw: float) -> None:
-        """Put a body elsewhere; yaw in radians."""
+        """Move a body to a position in m, with a yaw in radians."""
         body.position = x, y
         body.angle = yaw
         self.space.reindex_shapes_for_body(body)
         self.disturbed = True
 
     @staticmethod
-    def tell(bodies: Iterable[pymunk.Body], motions: Floats) -> None:
-        """Tell bodies how fast they are: x and y in m/s, and rad/s, a row for each; walkers do without the last."""
+    def set_velocities(bodies: Iterable[pymunk.Body], motions: Floats) -> None:
+        """Set the velocities of bodies: x and y in m/s and rad/s, a row for each; walkers have no third column."""
         for body, (x, y, *turning) in zip(bodies, motions.tolist(), strict=True):
             _SET_VELOCITY(body, (x, y))
             if turning:
                 _SET_ANGULAR_VELOCITY(body, turning[0])
 
     def set_touching(self, body: pymunk.Body, group: int, touching: bool) -> None:
-        """Say whether a body meets others at all."""
+        """Switch the contacts of a body with others on or off."""
         mask = _MEETS[group] if touching else 0
         for shape in body.shapes:
             shape.filter = pymunk.ShapeFilter(categories=group if touching else 0, mask=mask)
@@ -196,7 +196,7 @@ class Plane:
         return (body, alpha) if found else None
 
     def step(self, seconds: float) -> list[Contact]:
-        """Move all bodies, and take over how they move by then; returns who pushed whom."""
+        """Move all bodies, read their states, and return their contacts."""
         self._known_heights.clear()
         self.space.step(seconds)
         self.disturbed = False
@@ -226,7 +226,7 @@ class Plane:
         return band
 
     def _read(self) -> None:
-        """Take over how all bodies move by now."""
+        """Read the states of all bodies."""
         self._bodies.clear()
         get_space_bodies(self.space, _BODY, self._bodies)
         ids = np.frombuffer(self._bodies.int_buf(), np.uintp)
@@ -236,7 +236,7 @@ class Plane:
         self._state = np.frombuffer(self._bodies.float_buf()).reshape(len(ids), -1).copy()
 
     def states(self, ids: NDArray[np.uintp]) -> Floats:
-        """How some bodies move, as the latest step left them: x, y, yaw, velocity x, y in m/s, rad/s, (n, 6)."""
+        """Return the states of some bodies after the latest step: x, y, yaw, velocity x, y in m/s, rad/s, (n, 6)."""
         found = self._order[np.searchsorted(self._ids, ids, sorter=self._order)]
         states: Floats = self._state[found]
         return states

@@ -14,7 +14,7 @@ import numpy as np
 
 from carla_recap.sim.physics import drivetrain
 from carla_recap.sim.physics.drivetrain import GRAVITY, SPEEDS
-from carla_recap.sim.physics.movers import Movers
+from carla_recap.sim.physics.moving_bodies import MovingBodies
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -22,7 +22,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from carla_recap.sim.geometry import Box
-    from carla_recap.sim.physics.movers import Height
+    from carla_recap.sim.physics.moving_bodies import Height
     from carla_recap.sim.physics.physics_control import PhysicsControl
     from carla_recap.sim.physics.plane import Plane
 
@@ -30,7 +30,7 @@ if TYPE_CHECKING:
     Flags = NDArray[np.bool_]
     Integers = NDArray[np.int64]
 
-_STILL: Final = 0.02  # m/s and rad/s: what is slower stands
+_STILL: Final = 0.02  # m/s and rad/s: slower vehicles stand
 _ROLLING: Final = 0.013  # rolling resistance of car tyres on asphalt, as a share of the weight
 _ENGINE_BRAKE: Final = 0.5  # m/s², without throttle
 _STEER_RATE: Final = 2.5  # full locks per second, as fast as CARLA's steering input rises
@@ -42,40 +42,40 @@ _STEEPEST: Final = 0.5  # the slope of a road, rise by run
 _LEAST: Final = np.array([[0.0], [-1.0], [0.0]])  # of throttle, steering and brake
 
 
-class Vehicles(Movers):
+class Vehicles(MovingBodies):
     """The vehicles; row i of each array belongs to `actors[i]`.
 
     Attributes:
-        throttle: 0 to 1.
-        steer: -1 (left) to 1 (right), of `steer_limit`.
-        brake: 0 to 1.
-        hand_brake: Whether it is drawn, which locks the rear wheels.
+        throttle: The throttle, 0 to 1.
+        steer: The steering, -1 (left) to 1 (right), relative to `steer_limit`.
+        brake: The brake, 0 to 1.
+        hand_brake: Whether the hand brake is drawn, which locks the rear wheels.
         reverse: Whether the throttle drives backwards.
         gear: The gear as reported: from 1, 0 neutral, -1 reverse.
-        manual: Whether `gear` is chosen by whoever drives.
+        manual: Whether `gear` is part of the control; else the gearbox is automatic.
         light_state: CARLA's light bits.
         autopilot: Whether the autopilot drives.
         sticky: Whether a control holds until the next one; else it holds for a tick.
         controlled: Whether a control was applied since the latest tick.
-        speed: Forward, in m/s; negative backwards.
+        speed: The speed forward in m/s; negative backwards.
         sideways: The speed to the right, in m/s.
-        turning: In rad/s, positive to the right.
-        steer_angle: Of the front wheels, in radians, positive to the right.
+        turning: The yaw rate in rad/s, positive to the right.
+        steer_angle: The angle of the front wheels in radians, positive to the right.
         steer_limit: The angle of the front wheels at full steering and the present speed, in radians.
         awake: Whether it moves, or is about to.
-        force: What else pushes it in the next tick, in N, (n, 2).
-        wheelbase: Between the axles, in m.
-        front: From its origin to the front axle, in m.
-        rear: From its origin to the rear axle, in m.
+        force: The external force of the next tick, in N, (n, 2).
+        wheelbase: The distance between the axles in m.
+        front: The distance from its origin to the front axle in m.
+        rear: The distance from its origin to the rear axle in m.
         full_lock: The greatest angle of the front wheels, in radians.
         traction: The greatest force of the driven wheels, in N.
         front_grip: The greatest force of the front tyres, in N.
         rear_grip: The greatest force of the rear tyres, in N.
-        softness: Of the tyres, in m/N: their slip angle by the force sideways, times the speed of rolling.
+        softness: The softness of the tyres in m/N: slip angle per lateral force, times the rolling speed.
     """
 
     COLUMNS: ClassVar[dict[str, Any]] = {
-        **Movers.COLUMNS,
+        **MovingBodies.COLUMNS,
         "throttle": 0.0,
         "steer": 0.0,
         "brake": 0.0,
@@ -148,30 +148,30 @@ class Vehicles(Movers):
 
     def __init__(self, plane: Plane, height: Height) -> None:
         super().__init__(plane, height)
-        self._told = np.empty((0, 3))
+        self._written = np.empty((0, 3))
         self._moved = np.empty(0, np.bool_)
 
     def set_physics(self, row: int, control: PhysicsControl, box: Box) -> None:
-        """Take over a physics control."""
+        """Set the columns that follow from a physics control."""
         for name, value in drivetrain.columns(control, box, weightless=bool(self.weightless[row])).items():
             getattr(self, name)[row] = value
         if self.simulated[row]:
             self.bodies[row].mass, self.bodies[row].moment = self.mass[row].item(), self.moment[row].item()
 
     def set_velocity(self, row: int, x: float, y: float, z: float) -> None:
-        """See `Movers.set_velocity`."""
+        """See `MovingBodies.set_velocity`."""
         super().set_velocity(row, x, y, z)
         yaw = np.radians(self.rotation[row, 1])
         self.speed[row] = np.cos(yaw) * x + np.sin(yaw) * y
         self.sideways[row] = np.cos(yaw) * y - np.sin(yaw) * x
 
     def drive(self, rows: list[int], pedals: Floats, hand_brake: Sequence[bool], reverse: Sequence[bool]) -> None:
-        """Tell some drivers what to do, as `Vehicle.apply_control` does, with gears that shift by themselves.
+        """Apply controls to some vehicles, as `Vehicle.apply_control` does, with automatic gearboxes.
 
         Args:
             rows: Their rows.
             pedals: Throttle, steering and brake, all finite, (3, n).
-            hand_brake: Whether it is drawn.
+            hand_brake: Whether the hand brakes are drawn.
             reverse: Whether the throttle drives backwards.
         """
         self.throttle[rows], self.steer[rows], self.brake[rows] = np.clip(pedals, _LEAST, 1.0)
@@ -183,15 +183,15 @@ class Vehicles(Movers):
     def _moment(self, row: int) -> float:
         return float(self.moment[row])
 
-    def begin(self, seconds: float) -> bool:
-        """See `Movers.begin`; forces act now."""
+    def begin_tick(self, seconds: float) -> bool:
+        """See `MovingBodies.begin_tick`; forces act now."""
         if not self.sticky.all():
             self._release_controls()
         if self.force.any():
-            self.kick(self.force * seconds / self.mass[:, None])
+            self.add_velocities(self.force * seconds / self.mass[:, None])
             self.force[:] = 0
         slow = (self.speed != 0) | (self.sideways != 0) | (self.turning != 0)  # what is too slow to go on has yet to stop
-        self.awake = self._stirring() | slow & self.simulated
+        self.awake = self._in_motion() | slow & self.simulated
         self._before = self.velocity.copy()
         self._moved = self.awake | self.unsettled & self.simulated
         return bool(self.awake.any())
@@ -203,45 +203,45 @@ class Vehicles(Movers):
             column[released] = 0
         self.controlled[:] = False
 
-    def kick(self, change: Floats) -> None:
-        """Change the velocities: m/s in the world, (n, 2)."""
+    def add_velocities(self, change: Floats) -> None:
+        """Add velocities in m/s, in the world, (n, 2)."""
         yaw = np.radians(self.rotation[:, 1])
         cos, sin = np.cos(yaw), np.sin(yaw)
         self.speed += cos * change[:, 0] + sin * change[:, 1]
         self.sideways += cos * change[:, 1] - sin * change[:, 0]
 
-    def push(self, seconds: float) -> None:
-        """See `Movers.push`."""
+    def write_velocities(self, seconds: float) -> None:
+        """See `MovingBodies.write_velocities`."""
         _advance(self, seconds)
-        stirring = self._stirring()
+        in_motion = self._in_motion()
         for column in (self.speed, self.sideways, self.turning):
-            column[self.awake & ~stirring] = 0
+            column[self.awake & ~in_motion] = 0
         yaw = np.radians(self.rotation[:, 1]) + self.turning * seconds / 2
         cos, sin = np.cos(yaw), np.sin(yaw)
         x, y = cos * self.speed - sin * self.sideways, sin * self.speed + cos * self.sideways
-        told = self._told = np.stack((x, y, self.turning), axis=1)
-        told[~self.simulated] = 0
-        self.tell(self.awake, told)
-        self.awake = stirring
+        velocities = self._written = np.stack((x, y, self.turning), axis=1)
+        velocities[~self.simulated] = 0
+        self.set_body_velocities(self.awake, velocities)
+        self.awake = in_motion
 
-    def pull(self) -> None:
-        """See `Movers.pull`."""
+    def read_bodies(self) -> None:
+        """See `MovingBodies.read_bodies`."""
         states = self.plane.states(self.body_id)
         moving = self.simulated
         self.position[moving, :2] = states[moving, :2]
         yaw = (np.degrees(states[moving, 2]) + 180) % 360 - 180
         self.rotation[moving, 1] = np.where(yaw == -180, 180.0, yaw)  # within (-180, 180], as CARLA's
-        change = states[:, 3:] - self._told
+        change = states[:, 3:] - self._written
         hit = moving & change.any(axis=1)
         if hit.any():
             change[~hit] = 0
-            self.kick(change[:, :2])
+            self.add_velocities(change[:, :2])
             self.turning += change[:, 2]
             self.awake |= hit
         self._moved |= self.awake
 
-    def end(self, seconds: float) -> None:
-        """See `Movers.end`."""
+    def end_tick(self, seconds: float) -> None:
+        """See `MovingBodies.end_tick`."""
         rows = np.flatnonzero(self._moved)
         if not len(rows):
             self.acceleration[:] = 0
@@ -256,7 +256,7 @@ class Vehicles(Movers):
         self.acceleration = (self.velocity - self._before) / seconds
 
     def _settle(self, rows: NDArray[np.intp], seconds: float) -> None:
-        """Put vehicles on the road: their heights and pitches."""
+        """Set the heights and pitches of vehicles by the road below their axles."""
         yaw = np.radians(self.rotation[rows, 1])
         cos, sin = np.cos(yaw), np.sin(yaw)
         front, rear = self.front[rows], self.rear[rows]
@@ -278,11 +278,11 @@ class Vehicles(Movers):
         self.rotation[rows, 0] = np.degrees(np.arctan2(high - low, wheelbase))[near]
         self.rotation[rows, 2] = 0
 
-    def _stirring(self) -> Flags:
+    def _in_motion(self) -> Flags:
         moving = (np.abs(self.speed) > _STILL) | (np.abs(self.sideways) > _STILL)
         moving |= (np.abs(self.turning) > _STILL) | (self.throttle > 0)
-        stirring: Flags = moving & self.simulated
-        return stirring
+        in_motion: Flags = moving & self.simulated
+        return in_motion
 
 
 def _advance(fleet: Vehicles, seconds: float) -> None:
@@ -305,7 +305,7 @@ def _steer(fleet: Vehicles, share: Floats, seconds: float) -> None:
 
 
 def _drive(fleet: Vehicles, every: Integers, speed: Integers) -> Floats:
-    """The force of the engine in N, negative backwards; also shifts the gears."""
+    """Return the forces of the engines in N, negative backwards, and shift the gears."""
     automatic = np.where(fleet.reverse, -1, fleet.usual_gear[every, speed])
     np.copyto(fleet.gear, automatic, where=~fleet.manual)
     backwards = fleet.reverse | (fleet.gear < 0)
@@ -315,12 +315,12 @@ def _drive(fleet: Vehicles, every: Integers, speed: Integers) -> Floats:
 
 
 def _slide(fleet: Vehicles, drive: Floats, seconds: float) -> tuple[Floats, Floats, Floats]:
-    """The speeds after a step.
+    """Return the speeds after a step: forward, to the right, and the yaw rate.
 
     Args:
         fleet: The vehicles.
         drive: The forces of the engines in N.
-        seconds: How long the step is.
+        seconds: The length of the step.
     """
     mass, front, rear = fleet.mass, fleet.front, fleet.rear
     grip = fleet.front_grip, fleet.rear_grip
@@ -363,11 +363,11 @@ def _slide(fleet: Vehicles, drive: Floats, seconds: float) -> tuple[Floats, Floa
 
 
 def _left_over(used: Floats, grip: Floats) -> Floats:
-    """What the friction circle, an ellipse here, leaves of a grip for sideways forces."""
+    """Return the lateral force that the friction ellipse leaves, in N."""
     return _SIDEWAYS * np.sqrt(np.maximum(grip * grip - used * used, (_LEAST_GRIP * grip) ** 2))
 
 
 def _within(values: Floats, least: Floats | float, most: Floats | float) -> Floats:
-    """What np.clip does, in half of the time for short arrays."""
+    """Return the same as np.clip, in half of the time for short arrays."""
     within: Floats = np.minimum(np.maximum(values, least), most)
     return within

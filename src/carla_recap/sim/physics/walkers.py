@@ -1,4 +1,4 @@
-"""All walkers as a struct of arrays: where they are told to walk, and whether a car has thrown them down."""
+"""All walkers as a struct of arrays: their controls, and whether a car has thrown them down."""
 
 from __future__ import annotations
 
@@ -7,13 +7,13 @@ from typing import TYPE_CHECKING, Any, ClassVar, Final
 
 import numpy as np
 
-from carla_recap.sim.physics.movers import Movers
+from carla_recap.sim.physics.moving_bodies import MovingBodies
 from carla_recap.sim.physics.plane import WALKER
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-    from carla_recap.sim.physics.movers import Floats, Height
+    from carla_recap.sim.physics.moving_bodies import Floats, Height
     from carla_recap.sim.physics.plane import Plane
 
 _STILL: Final = 0.01  # m/s
@@ -22,69 +22,69 @@ _FLAT: Final = 90.0  # degrees: the pitch of one that lies on its back
 FALL: Final = 1.5  # m/s: a push that changes the velocity by more throws a walker down
 
 
-class Walkers(Movers):
+class Walkers(MovingBodies):
     """The walkers; row i of each array belongs to `actors[i]`.
 
     Attributes:
-        direction: Where each is told to walk, of length 1, (n, 3).
-        speed: How fast each is told to walk, in m/s.
-        jump: Whether each is told to jump.
+        direction: The direction of the control, of length 1, (n, 3).
+        speed: The speed of the control in m/s.
+        jump: The jump flag of the control.
         fallen: Whether a vehicle has thrown it down; it does not get up.
         half_height: The height of its origin above the ground, in m: half of the box's, or of its depth where it lies.
-        drift: The velocity of its body, in m/s, (n, 2).
+        slide: The velocity of its body, in m/s, (n, 2).
     """
 
     COLUMNS: ClassVar[dict[str, Any]] = {
-        **Movers.COLUMNS,
+        **MovingBodies.COLUMNS,
         "direction": np.array((1.0, 0.0, 0.0)),
         "speed": 0.0,
         "jump": False,
         "fallen": False,
         "half_height": 0.9,
-        "drift": np.zeros(2),
+        "slide": np.zeros(2),
     }
     direction: Floats
     speed: Floats
     jump: NDArray[np.bool_]
     fallen: NDArray[np.bool_]
     half_height: Floats
-    drift: Floats
+    slide: Floats
 
     def __init__(self, plane: Plane, height: Height) -> None:
         super().__init__(plane, height)
         self._moved = np.empty(0, np.bool_)
         self._walking = np.empty(0, np.bool_)
 
-    def begin(self, seconds: float) -> bool:
-        """See `Movers.begin`."""
+    def begin_tick(self, seconds: float) -> bool:
+        """See `MovingBodies.begin_tick`."""
         self._before = self.velocity.copy()
         self._walking = self.simulated & ~self.fallen & (self.speed > _STILL)
-        moving = self._walking | self.drift.any(axis=1) & self.simulated
+        moving = self._walking | self.slide.any(axis=1) & self.simulated
         self._moved = moving | self.unsettled & self.simulated
         return bool(moving.any())
 
-    def push(self, seconds: float) -> None:
-        """See `Movers.push`."""
+    def write_velocities(self, seconds: float) -> None:
+        """See `MovingBodies.write_velocities`."""
         walking = self._walking & ~self.fallen
-        drift = np.hypot(*self.drift.T)
-        slower = np.maximum(drift - _SLIDING * seconds, 0) / np.maximum(drift, _STILL)
+        speed = np.hypot(*self.slide.T)
+        slower = np.maximum(speed - _SLIDING * seconds, 0) / np.maximum(speed, _STILL)
         slower[~self.fallen] = 0
-        told = np.where(walking[:, None], self.direction[:, :2] * self.speed[:, None], self.drift * slower[:, None])
-        self.tell(self._moved, told)
-        self.drift = told
+        velocities = np.where(walking[:, None], self.direction[:, :2] * self.speed[:, None], self.slide * slower[:, None])
+        self.set_body_velocities(self._moved, velocities)
+        self.slide = velocities
 
-    def pull(self) -> None:
-        """See `Movers.pull`."""
+    def read_bodies(self) -> None:
+        """See `MovingBodies.read_bodies`."""
         states = self.plane.states(self.body_id)
         moving = self.simulated
         self.position[moving, :2] = states[moving, :2]
-        self.drift[moving] = states[moving, 3:5]
-        self._moved |= self.drift.any(axis=1)
+        self.slide[moving] = states[moving, 3:5]
+        self._moved |= self.slide.any(axis=1)
 
     def set_velocity(self, row: int, x: float, y: float, z: float) -> None:
-        """See `Movers.set_velocity`."""
+        """See `MovingBodies.set_velocity`."""
         super().set_velocity(row, x, y, z)
-        self.drift[row] = x, y
+        self.slide[row] = x, y
 
     def _moment(self, row: int) -> float:
         return math.inf
@@ -108,8 +108,8 @@ class Walkers(Movers):
         self.unsettled[row] = True
         self.plane.set_touching(self.bodies[row], WALKER, False)
 
-    def end(self, seconds: float) -> None:
-        """See `Movers.end`."""
+    def end_tick(self, seconds: float) -> None:
+        """See `MovingBodies.end_tick`."""
         moved = self._moved
         if not moved.any():
             self.acceleration[:] = 0
@@ -121,5 +121,5 @@ class Walkers(Movers):
         near = self._stand(rows, self._height(x, y, z - half_height) + half_height, seconds)
         self.velocity[rows[near], 2] = 0.0
         self.rotation[walking, 1] = np.degrees(np.arctan2(self.direction[walking, 1], self.direction[walking, 0]))
-        self.velocity[moved, :2] = self.drift[moved]
+        self.velocity[moved, :2] = self.slide[moved]
         self.acceleration = (self.velocity - self._before) / seconds

@@ -31,7 +31,7 @@ TYPES: Final = {UE4[id].name: UE4[id] for id in ORDER}
 _SLOTS: Final = {name: slot for slot, name in enumerate(TYPES)}
 _END: Final = Packet(FRAME_END, UE4[FRAME_END], b"")
 _ROLL_PITCH_YAW: Final = [2, 0, 1]
-"""Their indices in the rotations of `Movers`."""
+"""Their indices in the rotations of `MovingBodies`."""
 COLUMNS: Final = {
     **{(owner, name): ("transforms", "") for owner in ("vehicles", "walkers") for name in ("position", "rotation")},
     **{(owner, name): ("velocities", "") for owner in ("vehicles", "walkers") for name in ("velocity", "angular_velocity")},

@@ -18,7 +18,7 @@ if TYPE_CHECKING:
 
     from carla_recap.replay import Scene
     from carla_recap.sim.interfaces import ReplayWorld
-    from carla_recap.sim.physics.movers import Movers
+    from carla_recap.sim.physics.moving_bodies import MovingBodies
     from carla_recap.sim.replaying.actor_mapping import ActorMapping
 
     Floats = NDArray[np.float64]
@@ -88,7 +88,7 @@ class KinematicReplay:
         """Return the recorded velocity of an actor, in m/s along the world's axes."""
         return self._speeds.get(actor.id, [0.0, 0.0, 0.0])
 
-    def _move(self, movers: Movers, rows: Rows, poses: Floats, delta: float, seconds: float) -> None:
+    def _move(self, movers: MovingBodies, rows: Rows, poses: Floats, delta: float, seconds: float) -> None:
         position, rotation = poses[:, :3] / CM_PER_M, poses[:, _PITCH_YAW_ROLL]
         path = position - movers.position[rows]
         yaw_change = wrap(rotation - movers.rotation[rows])[:, 1]
@@ -98,14 +98,14 @@ class KinematicReplay:
             self._speeds |= zip(movers.id[rows].tolist(), (path / seconds).tolist(), strict=True)
         pushing = distance <= JUMP * delta
         for row, (x, y, z), (pitch, yaw, roll) in zip(rows[~pushing], position[~pushing], rotation[~pushing], strict=True):
-            movers.put(int(row), (x, y, z), (pitch, yaw, roll))
+            movers.place(int(row), (x, y, z), (pitch, yaw, roll))
         rate = 1 / delta if delta else 0.0
         motions = np.zeros((len(movers), 3))
         motions[rows, :2] = path[:, :2] * rate * pushing[:, None]
         motions[rows, 2] = np.radians(yaw_change) * rate * pushing
         moving: NDArray[np.bool_] = (motions != 0).any(axis=1)
         moving[rows] |= movers.velocity[rows].any(axis=1)
-        movers.tell(moving, motions)
+        movers.set_body_velocities(moving, motions)
         movers.plane.disturbed |= bool(moving.any())
         movers.position[rows] = position
         movers.rotation[rows] = rotation

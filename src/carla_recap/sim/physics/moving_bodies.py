@@ -1,4 +1,4 @@
-"""What vehicles and walkers have in common: where they are, how they move, and their bodies in the plane."""
+"""The part that vehicles and walkers share: their poses and velocities, and their bodies in the plane."""
 
 from __future__ import annotations
 
@@ -26,28 +26,28 @@ Height = Callable[[Floats, Floats, Floats], Floats]
 _REACH: Final = 3.0  # m: actors that are farther from the road are not put on it
 
 
-class Movers(StructOfArrays):
+class MovingBodies(StructOfArrays):
     """Actors with bodies that move; row i of each array belongs to `actors[i]`.
 
     Attributes:
-        actors: The vehicles or walkers, in the order of spawning; of a class that physics knows nothing of but its `id`.
+        actors: The vehicles or walkers, in the order of spawning; physics uses their `id` alone.
         bodies: Their bodies in the plane.
-        id: Of the actors.
-        body_id: Of the bodies.
-        position: In m, (n, 3).
+        id: The ids of the actors.
+        body_id: The ids of the bodies.
+        position: The positions in m, (n, 3).
         rotation: Pitch, yaw and roll in degrees, (n, 3).
-        velocity: In m/s, (n, 3).
-        angular_velocity: In degrees/s about x, y and z, (n, 3).
-        acceleration: In m/s², (n, 3).
+        velocity: The velocities in m/s, (n, 3).
+        angular_velocity: The rates of turn in degrees/s about x, y and z, (n, 3).
+        acceleration: The accelerations in m/s², (n, 3).
         half_length: Half of the length of the box in m.
-        half_width: Half of its width.
-        bottom: Of the box, in m above the origin.
-        top: Of the box, in m above the origin.
-        mass: In kg.
-        simulated: Whether forces move it; else it stays where it is put.
-        unsettled: Whether it was put somewhere and is not on the ground yet.
+        half_width: Half of the width of the box in m.
+        bottom: The height of the bottom of the box above the origin, in m.
+        top: The height of the top of the box above the origin, in m.
+        mass: The masses in kg.
+        simulated: Whether forces move it; else it stays where it is placed.
+        unsettled: Whether it was placed or falls, and is not on the ground yet.
         weightless: Whether there is no gravity for it: it keeps its height.
-        carried: Whether it is attached to another actor, and goes where that goes.
+        carried: Whether it is attached to another actor and moves with it.
     """
 
     COLUMNS: ClassVar[dict[str, Any]] = {
@@ -96,15 +96,15 @@ class Movers(StructOfArrays):
 
     @property
     def yaw(self) -> Floats:
-        """In degrees, (n,): a view."""
+        """The yaws in degrees, (n,), as a view."""
         return self.rotation[:, 1]
 
     def row(self, actor: int) -> int:
-        """The row of an actor."""
+        """Return the row of an actor."""
         return self._rows[actor]
 
-    def enter(self, actor: Any, body: pymunk.Body, **values: Any) -> int:
-        """Add an actor, which stands where its columns say; returns its row."""
+    def add(self, actor: Any, body: pymunk.Body, **values: Any) -> int:
+        """Add an actor with values of its columns, and return its row."""
         row = self.append_row(id=actor.id, body_id=body.id, **values)
         self.actors.append(actor)
         self.bodies.append(body)
@@ -112,8 +112,8 @@ class Movers(StructOfArrays):
         self._move_body(row)
         return row
 
-    def leave(self, actor: int) -> pymunk.Body:
-        """Take an actor out; returns the body that it had."""
+    def remove(self, actor: int) -> pymunk.Body:
+        """Remove an actor, and return the body that it had."""
         row = self._rows[actor]
         body = self.bodies[row]
         self.plane.remove(body)
@@ -122,15 +122,15 @@ class Movers(StructOfArrays):
         self._rows = {other.id: index for index, other in enumerate(self.actors)}
         return body
 
-    def put(self, row: int, position: tuple[float, float, float], rotation: tuple[float, float, float]) -> None:
-        """Put an actor elsewhere: m, and pitch, yaw, roll in degrees."""
+    def place(self, row: int, position: tuple[float, float, float], rotation: tuple[float, float, float]) -> None:
+        """Move an actor to a position in m, with pitch, yaw and roll in degrees."""
         self.position[row] = position
         self.rotation[row] = rotation
         self.unsettled[row] = True
         self._move_body(row)
 
     def set_simulated(self, row: int, simulated: bool) -> None:
-        """Let forces move an actor, or have it stay where it is put."""
+        """Let forces move an actor, or let it stay where it is placed."""
         body = self.bodies[row]
         self.simulated[row] = simulated
         if body.is_sleeping:  # Chipmunk corrupts its lists when the type of a sleeping body changes
@@ -144,13 +144,13 @@ class Movers(StructOfArrays):
             pymunk.Body.update_position(body, 0.0)  # clears what is left of pushing overlapping bodies apart
 
     def set_velocity(self, row: int, x: float, y: float, z: float) -> None:
-        """Give an actor a velocity in m/s, from which it goes on."""
+        """Set the velocity of an actor in m/s."""
         self.velocity[row] = x, y, z
 
-    def tell(self, which: NDArray[np.bool_], motions: Floats) -> None:
-        """Tell the bodies of some actors how fast they are; see `Plane.tell`."""
+    def set_body_velocities(self, which: NDArray[np.bool_], motions: Floats) -> None:
+        """Set the velocities of the bodies of some actors; see `Plane.set_velocities`."""
         rows = np.flatnonzero(which)
-        self.plane.tell([self.bodies[row] for row in rows.tolist()], motions[rows])
+        self.plane.set_velocities([self.bodies[row] for row in rows.tolist()], motions[rows])
 
     def heights(self) -> tuple[Floats, Floats]:
         """Return the z of the lowest and of the highest point of each actor in m, as if it stood upright, (n,) each."""
@@ -187,24 +187,24 @@ class Movers(StructOfArrays):
         self.unsettled[rows] = falls
         return near
 
-    def begin(self, seconds: float) -> bool:
-        """Start a tick; returns whether any of them moves, or is about to."""
+    def begin_tick(self, seconds: float) -> bool:
+        """Begin a tick, and return whether any of them moves, or is about to."""
         raise NotImplementedError
 
-    def push(self, seconds: float) -> None:
-        """Tell the bodies how fast they are in the next step."""
+    def write_velocities(self, seconds: float) -> None:
+        """Set the velocities of the bodies for the next step."""
         raise NotImplementedError
 
-    def pull(self) -> None:
-        """Take over how the bodies move after a step."""
+    def read_bodies(self) -> None:
+        """Read the poses and velocities of the bodies after a step."""
         raise NotImplementedError
 
-    def end(self, seconds: float) -> None:
-        """Finish a tick: heights, and what is told of the motion, for those that moved."""
+    def end_tick(self, seconds: float) -> None:
+        """End a tick: set the heights and the velocities of those that moved."""
         raise NotImplementedError
 
     def _moment(self, row: int) -> float:
-        """The moment of inertia of an actor's body."""
+        """Return the moment of inertia of an actor's body, in kg m²."""
         raise NotImplementedError
 
     def _move_body(self, row: int) -> None:
