@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Final, Self
 import numpy as np
 
 from carla_recap.sim.actors.blueprints import standard_library
-from carla_recap.sim.actors.motion import Motion
+from carla_recap.sim.actors.motion import ActorMotion
 from carla_recap.sim.actors.registry import ActorRegistry
 from carla_recap.sim.clock import Clock
 from carla_recap.sim.errors import SimError
@@ -100,7 +100,7 @@ class World:
         self._weather = Weather()
         self._registry = ActorRegistry(town, clock, self.settings, self.blueprints, first)
         self._traffic = self._registry.traffic = Traffic(self._registry, self.random, self.controllers)
-        self._motion = Motion(self._registry)
+        self._motion = ActorMotion(self._registry)
 
     @property
     def town(self) -> Town:

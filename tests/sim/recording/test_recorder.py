@@ -28,8 +28,8 @@ import carla_recap
 from carla_recap.errors import RecapError, RecapWarning
 from carla_recap.formats.carla_log import is_log
 from carla_recap.records import NO_ACTOR, ActorKind
-from carla_recap.sim.actors.actors import Vehicle, Walker
 from carla_recap.sim.actors.control import VehicleControl, WalkerControl
+from carla_recap.sim.actors.moving import Vehicle, Walker
 from carla_recap.sim.errors import DestinationError, SimError
 from carla_recap.sim.geometry import Location, Transform, Vector
 from carla_recap.sim.recording.recorder import recording_path, recordings_folder

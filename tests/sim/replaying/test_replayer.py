@@ -12,8 +12,10 @@ import carla_recap
 from carla_recap.errors import FormatError, RecapError, RecapWarning
 from carla_recap.records import Attribute, Spawn
 from carla_recap.replay import Player
-from carla_recap.sim.actors.actors import Prop, TrafficLight, Vehicle, Walker
+from carla_recap.sim.actors.actor import Prop
 from carla_recap.sim.actors.control import VehicleControl, WalkerControl
+from carla_recap.sim.actors.lights import TrafficLight
+from carla_recap.sim.actors.moving import Vehicle, Walker
 from carla_recap.sim.errors import SimError
 from carla_recap.sim.geometry import Location, Rotation, Transform, Vector
 from carla_recap.sim.town.town import load_town

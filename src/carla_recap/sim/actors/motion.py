@@ -27,7 +27,7 @@ _LEAST_IMPULSE: Final = 1e-6  # N s: less is a touch, no collision
 _BUMPER_HEIGHT: Final = 0.5  # m above the road
 
 
-class Motion:
+class ActorMotion:
     """Moves the vehicles and walkers of an episode.
 
     Args:
