@@ -18,6 +18,7 @@ from carla_recap.server.host import Host
 from carla_recap.server.maps import Maps
 from carla_recap.server.rpc.registry import CallError
 from carla_recap.server.serving import serve
+from carla_recap.sim.town import cache, town
 from carla_recap.sim.town.town import load_town
 from carla_recap.sim.world import World
 
@@ -82,8 +83,8 @@ def test_only_towns_of_carla_have_layered_maps(folder: Path) -> None:
 
 
 def test_the_first_town_can_be_loaded_again_by_its_name() -> None:
-    town = load_town().renamed("Elsewhere")
-    assert asyncio.run(Maps(town).load("Carla/Maps/elsewhere")) is town
+    elsewhere = load_town().renamed("Elsewhere")
+    assert asyncio.run(Maps(elsewhere).load("Carla/Maps/elsewhere")) is elsewhere
 
 
 def test_the_error_of_a_missing_map_lists_all_and_says_how_to_add_one(folder: Path) -> None:
@@ -97,8 +98,8 @@ def test_the_error_of_a_missing_map_lists_all_and_says_how_to_add_one(folder: Pa
 
 
 def test_our_town_stands_in_for_a_missing_map(caplog: pytest.LogCaptureFixture) -> None:
-    town = asyncio.run(Maps(load_town(), stand_in=True).load("/Game/Carla/Maps/Town03"))
-    assert (town.name, town.opendrive) == ("Town03", load_town().opendrive)
+    loaded = asyncio.run(Maps(load_town(), stand_in=True).load("/Game/Carla/Maps/Town03"))
+    assert (loaded.name, loaded.opendrive) == ("Town03", load_town().opendrive)
     (record,) = caplog.records
     assert (record.levelname, record.getMessage()) == (
         "WARNING",
@@ -159,6 +160,40 @@ def test_the_server_answers_and_ticks_while_it_loads(folder: Path, monkeypatch: 
         may_load.set()
         assert await loading == [1, 1, None, [[False]]]
         assert (await reply(other, "get_map_info"))[3][0][1][0] == "Carla/Maps/Town10HD"
+        for _, writer in (one, other):
+            writer.close()
+
+    asyncio.run(while_serving(host, work))
+
+
+def test_the_server_answers_while_a_replay_loads_a_map(
+    folder: Path, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    may_parse = Event()
+    parse = town.ask_about
+
+    def slow(*arguments: Any) -> bytes:
+        assert may_parse.wait(30)
+        return parse(*arguments)
+
+    host = Host(World("Town10HD", maps=folder, recordings=tmp_path))
+    host.world.start_recorder("other.log")
+    host.world.tick()
+    host.world.reload("Brickfield")
+    host.world.stop_recorder()
+    town._towns.clear()
+    monkeypatch.setenv(cache.FOLDER, "")
+    monkeypatch.setattr(town, "ask_about", slow)
+
+    async def work(port: int) -> None:
+        one, other = [await asyncio.open_connection("127.0.0.1", port) for _ in range(2)]
+        replaying = asyncio.create_task(reply(one, "replay_file", "other.log", 0.0, 0.0, 0))
+        assert (await reply(other, "version"))[2] is None
+        await asyncio.sleep(0.2)
+        assert (await reply(other, "version"))[2] is None
+        assert not replaying.done()
+        may_parse.set()
+        assert "Loading map Town10HD" in (await replaying)[3][0][1]
         for _, writer in (one, other):
             writer.close()
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import asyncio
 import logging
 import tempfile
+from contextlib import suppress
 from pathlib import Path
 from typing import TYPE_CHECKING, Final
 
@@ -79,6 +80,11 @@ class Maps:
             raise self._missing(name)
         _LOG.warning("%s: there is no such map; %s stands in for it", asked[:_SHOWN], BUILT_IN)
         return await asyncio.to_thread(lambda: _prepared(load_town().renamed(asked)))
+
+    async def preload(self, name: str) -> None:
+        """Parse a map for what loads it next on the event loop, such as a replay; errors are left to that."""
+        with suppress(RecapError):
+            await asyncio.to_thread(load_town, plain_name(name), self._folder)
 
     def _missing(self, name: str) -> CallError:
         shown = name if len(name) <= _SHOWN else f"{name[:_SHOWN]}…"

@@ -8,10 +8,12 @@ from __future__ import annotations
 import asyncio
 from collections.abc import Awaitable
 from functools import partial
+from pathlib import Path
 from typing import Any, Final
 
 from carla_recap import queries
-from carla_recap.errors import NotARecording
+from carla_recap.errors import NotARecording, RecapError
+from carla_recap.formats import open_reader
 from carla_recap.server import recordings
 from carla_recap.server.client import Client
 from carla_recap.server.rpc.codec import DecodeError, decoder
@@ -19,6 +21,7 @@ from carla_recap.server.rpc.registry import call
 from carla_recap.sim.errors import MapMissing
 from carla_recap.sim.geometry import Transform
 from carla_recap.sim.replaying.replayer import CHASE
+from carla_recap.sim.town.town import BUILT_IN
 
 _NEWS: Final = 0.1
 """Seconds until a client that has just been sent a new episode assigns its calls to that one."""
@@ -88,6 +91,7 @@ async def replay_file(
     if not path.is_file():
         world.stop_replayer()
         return recordings.replaying(path) + recordings.not_found(path)
+    await client.host.maps.preload(map_name or await asyncio.to_thread(_recorded_map, path))
     frames = world.frame
     try:
         replay = world.replayer.start(
@@ -138,6 +142,17 @@ def set_replayer_ignore_spectator(client: Client, ignore: bool) -> None:
 
 async def _answer(client: Client, name: str, query: recordings.Query) -> str:
     return await recordings.answer(client.host.recordings.find_complete(name), query)
+
+
+def _recorded_map(path: Path) -> str:
+    """Return the name of the map of a recording; the name of the built-in town if it cannot be read."""
+    try:
+        reader = open_reader(path)
+    except RecapError:
+        return BUILT_IN
+    name = reader.header.map_name
+    reader.close()
+    return name
 
 
 def _replay_options(*options: Any) -> tuple[bool, bool, Transform, str]:
