@@ -143,7 +143,7 @@ def test_path_losses_in_sight(distance: float, scenario: str, model: str, expect
     one, other = vehicle(host), vehicle(host, distance)
     attributes = {"scenario": scenario, "path_loss_model": model, "use_etsi_fading": "false"}
     receiver = host.world.spawn("sensor.other.v2x", HERE, parent=one, **attributes)
-    assert PathLoss(receiver).between(other, one) == pytest.approx(expected, abs=1e-3)
+    assert PathLoss(receiver).losses([other], one)[0] == pytest.approx(expected, abs=1e-3)
 
 
 @pytest.mark.parametrize(("distance", "expected"), [(10.0, 67.620), (50.0, 81.492), (100.0, 91.392), (400.0, 98.182)])
@@ -159,13 +159,13 @@ def test_a_truck_in_between_costs_power(model: str, expected: float) -> None:
     one, other = vehicle(host), vehicle(host, 100.0)
     attributes = {"path_loss_model": model, "use_etsi_fading": "false"}
     receiver = host.world.spawn("sensor.other.v2x", HERE, parent=one, **attributes)
-    free = PathLoss(receiver).between(other, one)
+    free = PathLoss(receiver).losses([other], one)[0]
     truck = host.world.spawn("vehicle.carlamotors.firetruck", at(40.0))
-    behind = PathLoss(receiver).between(other, one)
+    behind = PathLoss(receiver).losses([other], one)[0]
     assert 25.0 < behind - (expected + 40) < 40.0
     assert behind > free + 20
     truck.transform = at(40.0, 30.0)
-    assert PathLoss(receiver).between(other, one) == pytest.approx(free)
+    assert PathLoss(receiver).losses([other], one)[0] == pytest.approx(free)
 
 
 def test_a_wall_of_props_costs_power() -> None:
@@ -173,7 +173,7 @@ def test_a_wall_of_props_costs_power() -> None:
     one, other = vehicle(host), vehicle(host, 100.0)
     receiver = host.world.spawn("sensor.other.v2x", HERE, parent=one, use_etsi_fading="false")
     host.world.spawn("static.prop.kiosk_01", at(50.0))
-    assert PathLoss(receiver).between(other, one) == pytest.approx(111.419, abs=1e-3)
+    assert PathLoss(receiver).losses([other], one)[0] == pytest.approx(111.419, abs=1e-3)
 
 
 def test_fading_is_the_same_for_a_seed() -> None:
@@ -183,7 +183,7 @@ def test_fading_is_the_same_for_a_seed() -> None:
         one, other = vehicle(host), vehicle(host, 100.0)
         receiver = host.world.spawn("sensor.other.v2x", HERE, parent=one, noise_seed=seed)
         path_loss = PathLoss(receiver)
-        losses.append([path_loss.between(other, one) for _ in range(300)])
+        losses.append([path_loss.losses([other], one)[0] for _ in range(300)])
     assert losses[0] == losses[1] != losses[2]
     assert np.std(losses[0]) == pytest.approx(3.3, rel=0.2)
     assert np.mean(losses[0]) == pytest.approx(87.817, abs=0.6)

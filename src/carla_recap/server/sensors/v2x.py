@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import struct
 import time
-from math import acos, degrees, hypot, log10, pi, sqrt
+from math import acos, degrees, hypot, inf, log10, pi, sqrt
 from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
@@ -23,9 +23,13 @@ from carla_recap.sim.physics.drivetrain import GRAVITY
 if TYPE_CHECKING:
     from collections.abc import Iterable
 
+    from numpy.typing import NDArray
+
     from carla_recap.server.sensors.feed import Feed, FeedContext
     from carla_recap.sim.actors.actor import Actor
-    from carla_recap.sim.geometry import Vector
+    from carla_recap.sim.geometry import Location, Vector
+
+    Floats = NDArray[np.float64]
 
 _VERSION: Final = 2
 _CAM, _CUSTOM = 2, 0  # message ids
@@ -136,8 +140,8 @@ class CamStation:
         self._least, self._most = number(sensor, "gen_cam_min"), number(sensor, "gen_cam_max")
         self._interval = self._most
         self._steady = 0
-        self._sent_at = self._low_frequency_at = -float("inf")
-        self._last: tuple[Vector, Any, float] | None = None
+        self._sent_at = self._low_frequency_at = -inf
+        self._last: tuple[Vector, Location, float] | None = None
         self._gnss = Gnss(sensor)
         self._speed_noise = Noise(sensor, (), ["noise_vel_stddev_x"])
         self._heading_noise = Noise(sensor, ["noise_head_bias"], ["noise_head_stddev"])
@@ -293,10 +297,11 @@ def v2x(sensor: Actor, context: FeedContext) -> Feed:
         receiver = sensor.parent
         if receiver is None:
             return
-        received = []
-        for message in context.messages(sensor.type_id, receiver):
-            loss = path_loss.between(message.sender, receiver)
-            power = message.power + number(sensor, "combined_antenna_gain") - loss
+        received, gain = [], number(sensor, "combined_antenna_gain")
+        messages = context.messages(sensor.type_id, receiver)
+        losses = path_loss.losses([message.sender for message in messages], receiver)
+        for message, loss in zip(messages, losses, strict=True):
+            power = message.power + gain - loss
             if power >= number(sensor, "receiver_sensitivity"):
                 received.append(_POWER.pack(power) + message.body[_POWER.size :])
         if received:
@@ -320,34 +325,42 @@ class PathLoss:
         self._gigahertz = max(number(sensor, "frequency_ghz"), 1e-3)
         self._wavelength = _LIGHT_SPEED / (self._gigahertz * 1e9)
 
-    def between(self, sender: Actor, receiver: Actor) -> float:
-        """Return the loss between two actors; infinite if they are too far from each other."""
+    def losses(self, senders: list[Actor], receiver: Actor) -> list[float]:
+        """Return the losses between senders and a receiver; infinite for those that are too far away."""
+        end = _antenna(receiver)
+        starts = np.array([_antenna(sender) for sender in senders]).reshape(-1, 3)
+        distances = np.maximum(np.linalg.norm(starts - end, axis=1), _NEAREST)
+        near = np.flatnonzero(distances < number(self._sensor, "filter_distance")).tolist()
+        losses = [inf] * len(senders)
+        obstacles = self._obstacles([senders[i] for i in near], receiver, starts[near], end) if near else []
+        for i, others in zip(near, obstacles, strict=True):
+            losses[i] = self._loss(senders[i], receiver, float(distances[i]), others)
+        return losses
+
+    def _loss(self, sender: Actor, receiver: Actor, distance: float, obstacles: list[Actor]) -> float:
         start, end = _antenna(sender), _antenna(receiver)
-        distance = max(float(np.linalg.norm(end - start)), _NEAREST)
-        if distance >= number(self._sensor, "filter_distance"):
-            return float("inf")
         ground = min(sender.transform.location.z, receiver.transform.location.z)
-        vehicles, is_blocked = self._obstacles(sender, receiver, start, end)
-        behind = max((self._knife_edge(vehicle, ground, start, end) for vehicle in vehicles), default=0.0)
-        state = "others" if is_blocked else "vehicle" if vehicles else ""
+        state, behind = "", 0.0
+        if not all(isinstance(obstacle, Vehicle) for obstacle in obstacles):
+            state = "others"
+        elif obstacles:
+            state, behind = "vehicle", max(self._knife_edge(vehicle, ground, start, end) for vehicle in obstacles)
         if self._is_geometric:
-            loss = self._geometric(state, distance, start[2] - ground, end[2] - ground)
+            loss = self._geometric(state, distance, float(start[2] - ground), float(end[2] - ground))
         else:
             loss = self._winner(state, distance)
-        return loss + (behind if state == "vehicle" else 0.0) + self._fading(state)
+        return loss + behind + self._fading(state)
 
-    def _obstacles(self, sender: Actor, receiver: Actor, start: Any, end: Any) -> tuple[list[Actor], bool]:
-        """Return the vehicles in the line of sight up to the first other obstacle, and whether there is one."""
-        others = [a for a in solid_actors(self._sensor.context.actors.values()) if a is not sender and a is not receiver]
-        reach = float(np.linalg.norm(end - start))
-        if not others or not reach:
-            return [], False
-        vehicles: list[Actor] = []
-        for index in ActorBoxes(others).pierce(start, (end - start)[None] / reach, reach).box.tolist():
-            if not isinstance(others[index], Vehicle):
-                return vehicles, True
-            vehicles.append(others[index])
-        return vehicles, False
+    def _obstacles(self, senders: list[Actor], receiver: Actor, starts: Floats, end: Floats) -> list[list[Actor]]:
+        """Return the actors in each line of sight."""
+        actors = solid_actors(self._sensor.context.actors.values())
+        lengths = np.maximum(np.linalg.norm(starts - end, axis=1), _NEAREST)
+        hits = ActorBoxes(actors).pierce(end, (starts - end) / lengths[:, None], float(lengths.max()))
+        found: list[list[Actor]] = [[] for _ in senders]
+        for ray, box, distance in zip(hits.ray.tolist(), hits.box.tolist(), hits.distance.tolist(), strict=True):
+            if distance <= lengths[ray] and actors[box] is not receiver and actors[box] is not senders[ray]:
+                found[ray].append(actors[box])
+        return found
 
     def _winner(self, state: str, distance: float) -> float:
         if state == "others":
@@ -376,7 +389,7 @@ class PathLoss:
         sum_of_rays = hypot(1 + coefficient * np.cos(phase), coefficient * np.sin(phase))
         return 20 * log10(4 * pi * ground / self._wavelength / max(sum_of_rays, 1e-9))
 
-    def _knife_edge(self, vehicle: Actor, ground: float, start: Any, end: Any) -> float:
+    def _knife_edge(self, vehicle: Actor, ground: float, start: Floats, end: Floats) -> float:
         """Return the loss behind a vehicle."""
         x, y = vehicle.transform.location.x, vehicle.transform.location.y
         first, second = (max(hypot(x - point[0], y - point[1]), _NEAREST) for point in (start, end))
@@ -402,7 +415,7 @@ def message_bytes(message: Any) -> bytes:
     return message if isinstance(message, bytes) else b""
 
 
-def _antenna(actor: Actor) -> Any:
+def _antenna(actor: Actor) -> Floats:
     """Return the top of the antenna of an actor: a little above its roof."""
     location = actor.transform.location
     return np.array((location.x, location.y, location.z + 2 * actor.box.extent.z + _MAST))
