@@ -1,4 +1,4 @@
-"""Sensors as CARLA's own tests ask about them."""
+"""Sensors as CARLA's own tests ask about them, V2X among them."""
 
 from __future__ import annotations
 
@@ -6,6 +6,28 @@ import carla
 import pytest
 
 from tests.server.clients.calls import ahead, eventually, spawn, straight
+
+TICKING = (
+    "sensor.other.gnss",
+    "sensor.other.imu",
+    "sensor.other.radar",
+    "sensor.lidar.ray_cast",
+    "sensor.lidar.ray_cast_semantic",
+)
+
+
+@pytest.mark.parametrize("blueprint", TICKING)
+def test_a_sensor_sends_at_once_and_then_every_sensor_tick(world: carla.World, blueprint: str) -> None:
+    for _ in range(3):
+        world.tick()
+    sensor = spawn(world, blueprint, carla.Transform(carla.Location(z=3.0)), sensor_tick="1.0")
+    frames: list[int] = []
+    sensor.listen(lambda datum: frames.append(datum.frame))
+    first = world.tick()
+    for _ in range(49):
+        world.tick()
+    assert eventually(lambda: len(frames) >= 3)
+    assert frames == [first, first + 20, first + 40]
 
 
 @pytest.mark.parametrize("blueprint", ["sensor.other.radar", "sensor.other.gnss"])
@@ -29,3 +51,36 @@ def test_sensors_repeat_their_noise_in_every_episode(client: carla.Client, bluep
         told.append([bytes(datum.raw_data) if blueprint.endswith("radar") else datum.latitude for datum in data[:5]])
     assert told[0] == told[1]
     assert len(set(told[0])) > 1
+
+
+def test_vehicles_hear_of_each_other(world: carla.World) -> None:
+    start = straight(world, 60.0)
+    cars = [spawn(world, "vehicle.tesla.model3", ahead(start, distance, up=start.location.z)) for distance in (0.0, 30.0)]
+    model, place = world.get_blueprint_library().find("sensor.other.v2x"), carla.Transform(carla.Location(z=1.5))
+    sensors, heard = [world.spawn_actor(model, place, car) for car in cars], [[], []]
+    for sensor, events in zip(sensors, heard, strict=True):
+        sensor.listen(events.append)
+    for _ in range(40):
+        world.tick()
+    assert eventually(lambda: all(heard))
+    for car, events in zip(cars, heard, strict=True):
+        (other,) = (each for each in cars if each.id != car.id)
+        message = events[0][0].get()
+        assert message["Message"]["Header"]["Station ID"] == other.id
+        assert -99.0 < message["Power"] < 0.0
+
+
+def test_messages_of_clients_are_delivered(world: carla.World) -> None:
+    start = straight(world, 60.0)
+    cars = [spawn(world, "vehicle.tesla.model3", ahead(start, distance, up=start.location.z)) for distance in (0.0, 20.0)]
+    model = world.get_blueprint_library().find("sensor.other.v2x_custom")
+    sender, receiver = (world.spawn_actor(model, carla.Transform(carla.Location(z=1.5)), car) for car in cars)
+    heard: list[carla.CustomV2XEvent] = []
+    receiver.listen(heard.append)
+    world.tick()
+    for text in ("hello", "a" * 150):
+        sender.send(text)
+        for _ in range(3):
+            world.tick()
+    assert eventually(lambda: len(heard) >= 2)
+    assert [event[0].get()["Message"]["Message"] for event in heard] == ["hello", "a" * 99]
