@@ -1,4 +1,4 @@
-"""The lanes for cars, and where things are on them: all in m and radians, in CARLA's axes, for many places at once."""
+"""The lanes for cars, and the index that finds them: m and radians, in CARLA's axes, for many locations at once."""
 
 from __future__ import annotations
 
@@ -34,21 +34,21 @@ class Lane:
     """A lane for cars along a section of a road, as driven.
 
     Attributes:
-        index: Its place in the list of lanes.
-        road_id: The road of the OpenDRIVE file.
+        index: Its index in the list of lanes.
+        road_id: The id of its road in the OpenDRIVE file.
         section: Which section of the road, counted from 0.
         lane_id: The number of the lane there.
-        points: Its middle in the direction of travel, evenly spaced, about 1 m apart, (n, 3).
-        s: How far along the lane the points are, (n,).
-        heading: The direction of travel at the points, (n,); continuous, so that it may leave ±π.
-        width: In its middle.
-        speed_limit: In m/s.
+        points: The points of its middle in the direction of travel, evenly spaced, about 1 m apart, (n, 3).
+        s: The distances of the points along the lane, (n,).
+        heading: The directions of travel at the points, (n,); continuous, so that they may leave ±π.
+        width: The width halfway, in m.
+        speed_limit: The speed limit in m/s.
         successors: The lanes that begin where it ends.
         predecessors: The lanes that end where it begins.
         left: The lane of the same direction on the left, if the marks allow to change to it.
         right: The one on the right.
-        junction: The id of the junction that it lies in.
-        turn: What it does there.
+        junction: The id of the junction that it lies in; None outside of junctions.
+        turn: The turn that it takes there.
     """
 
     index: int
@@ -69,24 +69,24 @@ class Lane:
 
     @property
     def length(self) -> float:
-        """From end to end."""
+        """The length in m."""
         return float(self.s[-1])
 
 
 class LaneIndex:
-    """Where places are on the lanes, and where the lanes are.
+    """Finds the lanes at locations, and the locations of lanes.
 
     Args:
         lanes: At least one.
 
     Attributes:
         points: The points of all lanes, one after another, (n, 3).
-        heading: The directions there, (n,).
+        heading: The directions of travel at them, (n,).
         lane_of: The lane of each point, (n,).
         first: The first point of each lane, (lanes,).
-        count: How many points each has, (lanes,).
-        spacing: How far they are apart, (lanes,).
-        length: How long each lane is, (lanes,).
+        count: The number of points of each, (lanes,).
+        spacing: The distance between two of them, (lanes,).
+        length: The length of each lane, (lanes,).
     """
 
     def __init__(self, lanes: Sequence[Lane]) -> None:
@@ -111,14 +111,14 @@ class LaneIndex:
         self._level = float(heights[0]) if np.ptp(heights) == 0 else None
 
     def at(self, lane: ArrayLike, s: ArrayLike) -> tuple[Floats, Floats]:
-        """The places and directions of travel at some distances along lanes; beyond their ends, those of the ends.
+        """Return the locations and directions of travel at some distances along lanes; beyond the ends, those of the ends.
 
         Args:
             lane: Indices of lanes, (k,).
             s: Distances, (k,).
 
         Returns:
-            Places, (k, 3), and headings, (k,).
+            Locations, (k, 3), and headings, (k,).
         """
         lane, s = np.asarray(lane), np.asarray(s, np.float64)
         last = self.count[lane] - 1
@@ -130,17 +130,17 @@ class LaneIndex:
         return place, self.heading[point] + share * (self.heading[point + 1] - self.heading[point])
 
     def project(self, lane: ArrayLike, x: ArrayLike, y: ArrayLike, s_hint: ArrayLike) -> tuple[Floats, Floats]:
-        """Where places are along given lanes, and beside them.
+        """Return the distances of locations along lanes, and their lateral offsets.
 
         Args:
             lane: Indices of lanes, (k,).
-            x: Of the places, (k,).
-            y: Of the places, (k,).
-            s_hint: About how far along the lanes they are, to within some metres, (k,); the nearer, the faster.
+            x: The x of the locations, (k,).
+            y: The y of the locations, (k,).
+            s_hint: Distances along the lanes to within some metres, (k,); the nearer, the faster.
 
         Returns:
-            How far along, (k,); before the first and after the last point the lanes go on straight, so that this may be
-            less than 0 or more than the length. And how far to the right of the middle, (k,).
+            Distances along the lanes, (k,), less than 0 or more than the length before and after a lane, which goes on
+            straight there; and lateral offsets, positive to the right, (k,).
         """
         lane = np.asarray(lane)
         x, y = np.asarray(x, np.float64), np.asarray(y, np.float64)
@@ -159,13 +159,13 @@ class LaneIndex:
     def nearest_lane(
         self, x: ArrayLike, y: ArrayLike, *, z: ArrayLike | None = None, heading: ArrayLike | None = None
     ) -> tuple[Integers, Floats]:
-        """The lanes nearest to some places, and how far along them these are.
+        """Return the lanes nearest to some locations, and the distances of these along them.
 
         Args:
-            x: Of the places, (k,).
-            y: Of the places, (k,).
-            z: Of the places: tells the lanes of a bridge from those below it.
-            heading: Directions of travel there: lanes in other directions count as farther away.
+            x: The x of the locations, (k,).
+            y: The y of the locations, (k,).
+            z: The z of the locations, which distinguishes the lanes of a bridge from those below it.
+            heading: The directions of travel: lanes in other directions count as farther away.
 
         Returns:
             Indices of lanes and distances along them within 0 and their lengths, (k,) each.
@@ -191,13 +191,13 @@ class LaneIndex:
         return lane, np.clip(s, 0, self.length[lane])
 
     def height(self, x: ArrayLike, y: ArrayLike, z: ArrayLike | None = None) -> Floats:
-        """Return the height of the road near some places.
+        """Return the height of the road near some locations.
 
         Args:
-            x: Of the places, (k,).
-            y: Of the places, (k,).
-            z: Of what stands there, (k,): of several roads above each other, the highest one counts that is not above it, or
-                else the lowest. Without it, any of them does.
+            x: The x of the locations, (k,).
+            y: The y of the locations, (k,).
+            z: The z of the actors, (k,): of several roads above each other, the highest one counts that is not above it, or
+                else the lowest. Without it, any of them may count.
         """
         if self._level is not None:
             return np.full(np.shape(x), self._level)
@@ -215,14 +215,14 @@ class LaneIndex:
         return height
 
     def _height_by(self, point: Integers, places: Floats) -> Floats:
-        """Return the heights at some places of the roads that points near them are on."""
+        """Return the heights at some locations of the roads that points near them are on."""
         along = ((places - self._flat[point]) * self._ahead[point]).sum(axis=-1)
         along = np.minimum(np.maximum(along, -_CELL), _CELL)
         height: Floats = self.points[point, 2] + self._slope[point] * along
         return height
 
     def _onto(self, point: Integers, x: Floats, y: Floats) -> tuple[Floats, Floats]:
-        """Where places are along the lines from points to the next ones, as shares of these, and how far to the right."""
+        """Project locations onto the lines from points to the next ones: shares of these, and offsets to the right."""
         start, stop = self._flat[point], self._flat[point + 1]
         along, across = (stop - start).T
         x, y = x - start[:, 0], y - start[:, 1]
@@ -243,7 +243,7 @@ class _Grid:
         self._keys = keys[self._order]
 
     def around(self, places: Floats) -> tuple[Integers, Integers]:
-        """The points in the cell of each place and the eight around it, as pairs of the numbers of place and point."""
+        """Return pairs of locations and points in the same cell or in one of the eight around it, as indices."""
         cells = np.floor((places - self._origin) / self._cell).astype(np.int64)
         inside = np.flatnonzero(((cells > 0) & (cells < self._shape - 1)).all(axis=1))
         columns = cells[inside, 0, None] + np.array((-1, 0, 1))
@@ -270,12 +270,12 @@ class _Terrain:
         self._flood(points)
 
     def nearest(self, places: Floats) -> Integers:
-        """The number of a point near each place, (k, 2); beyond the grid, of one near its edge."""
+        """Return the index of a point near each location, (k, 2); beyond the grid, of one near its edge."""
         nearest: Integers = self._nearest.ravel()[self.cells(places)]
         return nearest
 
     def cells(self, places: Floats) -> Integers:
-        """Return the number of the cell of each place, (k, 2); beyond the grid, of one at its edge."""
+        """Return the index of the cell of each location, (k, 2); beyond the grid, of one at its edge."""
         cells = np.fmin(np.fmax((places - self._origin) / self._cell, 0), self._last).astype(np.int64)  # nan becomes 0
         numbers: Integers = cells[..., 0] * self._nearest.shape[1] + cells[..., 1]
         return numbers
@@ -291,7 +291,7 @@ class _Terrain:
         return self._nearest.size
 
     def _flood(self, points: Floats) -> None:
-        """Let each cell look at ever nearer cells, whether they know a nearer point."""
+        """Find the nearest point of each cell among those of ever nearer cells."""
         rows, columns = np.indices(self._nearest.shape)
         last_row, last_column = rows.max(), columns.max()
         middles = self._origin + (np.stack((rows, columns), axis=-1) + 0.5) * self._cell
@@ -354,7 +354,7 @@ class _Levels:
         return levels
 
     def near(self, places: Floats) -> tuple[Integers, Integers]:
-        """Return which of some places have several levels, and points on the further ones, (m, levels); -1 is none."""
+        """Return which of some locations have several levels, and points on the further ones, (m, levels); -1 is none."""
         row = self._row[self._terrain.cells(places)]
         some = np.flatnonzero(row >= 0)
         return some, self._points[row[some]]

@@ -1,4 +1,4 @@
-"""What the road tells a driver: how fast one may be, and whether one stands before a traffic light."""
+"""The rules of the roads: speed limits, and the stretches before the stop lines of traffic lights."""
 
 from __future__ import annotations
 
@@ -24,12 +24,12 @@ NO_LIGHT: Final = -1
 
 
 @dataclass(frozen=True, slots=True)
-class Notice:
-    """What vehicles are told where they are, (n,) each.
+class LaneRules:
+    """The rules at some locations on lanes, (n,) each.
 
     Attributes:
-        speed_limit: In m/s.
-        light: The row of the traffic light that they are about to come to; `NO_LIGHT` where there is none.
+        speed_limit: The speed limit in m/s.
+        light: The row of the traffic light ahead; `NO_LIGHT` if there is none.
     """
 
     speed_limit: Floats
@@ -53,12 +53,12 @@ class Rules:
         self._first = np.searchsorted(lanes, np.arange(len(town.lanes)))
         self._count = np.searchsorted(lanes, np.arange(len(town.lanes)), side="right") - self._first
 
-    def at(self, lane: Integers, s: Floats) -> Notice:
-        """What is told at some places.
+    def at(self, lane: Integers, s: Floats) -> LaneRules:
+        """Return the rules at some distances along lanes.
 
         Args:
-            lane: The lanes that they are on, (n,).
-            s: How far along, in m, (n,).
+            lane: The lanes, (n,).
+            s: The distances in m, (n,).
         """
         light = np.full(len(lane), NO_LIGHT)
         for place in range(self._count.max(initial=0)):
@@ -66,11 +66,11 @@ class Rules:
             zone = self._first[lane[some]] + place
             inside = (self._begin[zone] <= s[some]) & (s[some] <= self._end[zone])
             light[some[inside]] = self._light[zone[inside]]
-        return Notice(self._limit[lane], light)
+        return LaneRules(self._limit[lane], light)
 
 
 def _zones(town: Town) -> Iterator[tuple[int, float, float, int]]:
-    """Lane, begin, end and row of the light of each stretch before a light's stop line."""
+    """Yield the lane, begin, end and row of the light of each stretch before a light's stop line."""
     lights = (signal for signal in town.signals if signal.kind is SignalKind.LIGHT)
     for row, signal in enumerate(lights):
         for lane, stop in signal.stops:

@@ -1,4 +1,4 @@
-"""A town to drive in: lanes, signals, junctions, walks and what stops a car, out of an OpenDRIVE file."""
+"""A town to drive in: lanes, signals, junctions, walkways and barriers, from an OpenDRIVE file."""
 
 from __future__ import annotations
 
@@ -30,15 +30,15 @@ if TYPE_CHECKING:
 BUILT_IN: Final = "Brickfield"
 """The name of the town that comes with this package."""
 _SUFFIX: Final = ".xodr"
-_ABOVE: Final = 0.3  # m: so high above the road vehicles are spawned, as CARLA's own spawn points are
-_ABOVE_ENTRIES: Final = 3.0  # m: the same, of maps that clients send
+_ABOVE: Final = 0.3  # m: the height of spawn points above the road, about as in CARLA's towns
+_ABOVE_ENTRIES: Final = 3.0  # m: the same, in maps that clients send
 _APART: Final = 10.0  # m: between spawn points; longer than any of the vehicles
 _MOST_TOWNS: Final = 4  # in memory
 _FROM_ENDS: Final = 5.0  # m: between a spawn point and the end of its lane
 
 
 class SignalKind(StrEnum):
-    """What a signal is."""
+    """The kind of a signal."""
 
     LIGHT = "light"
     STOP = "stop"
@@ -51,15 +51,15 @@ class Signal:
     """A traffic light or sign.
 
     Attributes:
-        index: Its place in the list of signals.
+        index: Its index in the list of signals.
         opendrive_id: Its id in the file.
-        kind: What it is.
-        transform: Where it stands; it faces those whom it concerns.
-        speed_limit: What is on it, in m/s, if it is a speed-limit sign.
-        junction: The id of the junction before which it stands, if it does.
+        kind: The kind.
+        transform: Its location; it faces the traffic that it governs.
+        speed_limit: The speed limit in m/s, if it is a speed-limit sign.
+        junction: The id of the junction before which it stands, if there is one.
         controller: The id of the controller of a light; lights of one controller change together.
-        stops: Where it is in force: lanes, and how far along each one stops, or the speed limit begins.
-        governs: The lanes beyond, in the junction, that one enters only as it says.
+        stops: The lanes that it governs, and the distance along each of the stop line, or of the begin of the speed limit.
+        governs: The lanes beyond it, in the junction.
     """
 
     index: int
@@ -77,15 +77,15 @@ class Signal:
 class Conflict:
     """A stretch of a lane in a junction where another lane crosses it, or comes to it.
 
-    Every conflict is there twice, once for each of the two lanes.
+    Every conflict is listed twice, once for each of the two lanes.
 
     Attributes:
         lane: The lane.
         other: The other lane.
-        begin: How far along the lane the stretch begins, in m.
-        end: How far along it ends.
+        begin: The distance along the lane at which the stretch begins, in m.
+        end: The distance at which it ends, in m.
         merging: Whether both lanes lead to the same one; otherwise they cross.
-        yields: Whether who drives on the lane has to let go whoever comes along the other one.
+        yields: Whether the traffic of the lane yields to that of the other one.
     """
 
     lane: int
@@ -103,7 +103,7 @@ class Junction:
     Attributes:
         id: Its id in the file.
         lanes: The lanes through it.
-        conflicts: Where two of them are in each other's way.
+        conflicts: The stretches where two of them cross or merge.
         phases: The lights that are green together, as indices of signals: one phase after another; empty without lights.
     """
 
@@ -115,11 +115,11 @@ class Junction:
 
 @dataclass(frozen=True, eq=False)
 class WalkwayGraph:
-    """Where one can walk: along sidewalks and over crossings.
+    """The walkways: sidewalks and crossings, as a graph.
 
     Attributes:
-        nodes: Places, (n, 3).
-        edges: Pairs of the numbers of nodes, each once, (m, 2).
+        nodes: Locations, (n, 3).
+        edges: Pairs of indices of nodes, each once, (m, 2).
         crossing: Whether an edge leads over a road, (m,).
     """
 
@@ -130,20 +130,20 @@ class WalkwayGraph:
 
 @dataclass(eq=False)
 class Town:
-    """A town: immutable. All is in m, in CARLA's axes: x forward, y right, z up.
+    """A town, which is immutable. All is in m, in CARLA's axes: x forward, y right, z up.
 
     Attributes:
-        name: What it is called.
+        name: Its name.
         opendrive: The text of its OpenDRIVE file.
         lanes: The lanes for cars.
         signals: Traffic lights and signs.
         junctions: The junctions.
         sidewalks: The middles of sidewalks, (n, 3) each.
         crossings: The outlines of pedestrian crossings, closed, (n, 3) each.
-        walks: Where one can walk.
+        walks: The walkways.
         barriers: Lines beyond the sidewalks that stop cars, (n, 3) each.
-        spawn_points: Places on the lanes from which one gets to all others, somewhat above the road.
-        index: Where places are on the lanes.
+        spawn_points: Transforms somewhat above lanes from which all others can be reached.
+        index: The index of the lanes.
     """
 
     name: str
@@ -255,7 +255,7 @@ def _town(text: str, data: bytes) -> Town:
 
 
 def main_lanes(lanes: Sequence[Lane]) -> list[int]:
-    """The indices of the largest set of lanes of which each leads to all others (Tarjan's strong components)."""
+    """Return the indices of the lanes of the largest strong component (Kosaraju): each of them leads to all others."""
     order = _postorder([lane.successors for lane in lanes], range(len(lanes)))
     components = []
     left = set(order)
@@ -284,7 +284,7 @@ def _postorder(following: Sequence[tuple[int, ...]], starts: range) -> list[int]
 
 
 def _reached(following: Sequence[tuple[int, ...]], start: int, left: set[int]) -> list[int]:
-    """What can be reached within a set; it is taken out of the set."""
+    """Return the nodes that can be reached within a set, and remove them from it."""
     left.discard(start)
     reached = [start]
     for node in reached:  # grows
@@ -321,7 +321,7 @@ def _spawn_points(lane: Lane) -> list[Transform]:
 
 
 def _road_entries(lanes: Sequence[Lane]) -> list[Transform]:
-    """Return where lanes enter roads, junctions included: right lanes before left ones, by road."""
+    """Return the transforms at which lanes enter roads, junctions included: by road, right lanes before left ones."""
     last = {lane.road_id: lane.section for lane in sorted(lanes, key=lambda lane: lane.section)}
     entering = [lane for lane in lanes if lane.section == (0 if lane.lane_id < 0 else last[lane.road_id])]
     entering.sort(key=lambda lane: (lane.road_id, lane.lane_id > 0, lane.lane_id))

@@ -1,1 +1,1 @@
-"""From OpenDRIVE to the parts of a town, in a process of its own: CARLA's parser ends the process on some files."""
+"""Parsing of OpenDRIVE into a town, in a child process, since CARLA's parser ends the process on some files."""

@@ -1,4 +1,4 @@
-"""The child process that parses a town: OpenDRIVE comes in, a parsed town goes out."""
+"""The child process that parses a town."""
 
 from __future__ import annotations
 
@@ -15,13 +15,13 @@ from carla_recap.sim.town.parsing.sidewalks import barriers, parse_walks
 
 
 def parse(text: str) -> Parsed:
-    """The parts of the town of an OpenDRIVE file.
+    """Return the parsed town of an OpenDRIVE file.
 
     Args:
-        text: What is in the file.
+        text: The content of the file.
 
     Raises:
-        ValueError: It is no town.
+        ValueError: It contains no town.
     """
     with np.errstate(all="ignore"):
         roads = read_opendrive(text)

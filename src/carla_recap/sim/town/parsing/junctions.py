@@ -30,7 +30,7 @@ _SAME_WAY: Final = np.cos(np.radians(35))  # approaches of a junction that are o
 
 
 def parse_signals(roads: opendrive.Roads, lanes: list[ParsedLane], records: Records) -> list[Row]:
-    """The lights and signs in the order of their ids; every one is there once."""
+    """Return the lights and signs in the order of their ids, each once."""
     by_road = defaultdict(list)
     for lane in lanes:
         by_road[lane.name[0]].append(lane)
@@ -59,14 +59,14 @@ def _signal(
 ) -> Row:
     first = signs[0]
     kind = _KINDS[first.kind]
-    told = [
+    governed = [
         (lane, sign)
         for sign in signs
-        for lane in (_facing if (sign.road, sign.id) in records.for_all else _told)(sign, by_road[sign.road])
+        for lane in (_facing if (sign.road, sign.id) in records.for_all else _named)(sign, by_road[sign.road])
     ]
-    if not told:  # it says that it is for no lane, and no other road refers to it
-        told = [(lane, sign) for sign in signs for lane in _facing(sign, by_road[sign.road])]
-    stops, governs = _stops(kind, told, lanes)
+    if not governed:  # it says that it is for no lane, and no other road refers to it
+        governed = [(lane, sign) for sign in signs for lane in _facing(sign, by_road[sign.road])]
+    stops, governs = _stops(kind, governed, lanes)
     junctions = (lanes[lane].junction for lane in governs)
     (x, y, z), yaw = first.place.tolist(), float(np.degrees(-first.heading))
     return {
@@ -82,8 +82,8 @@ def _signal(
     }
 
 
-def _told(sign: opendrive.Sign, lanes: Iterable[ParsedLane]) -> Iterator[ParsedLane]:
-    """The lanes of a road that a sign names, where it is."""
+def _named(sign: opendrive.Sign, lanes: Iterable[ParsedLane]) -> Iterator[ParsedLane]:
+    """Yield the lanes of a road that a sign names, at its station."""
     for lane in lanes:
         low, high = sorted(lane.stations)
         number = lane.name[2]
@@ -93,7 +93,7 @@ def _told(sign: opendrive.Sign, lanes: Iterable[ParsedLane]) -> Iterator[ParsedL
 
 
 def _facing(sign: opendrive.Sign, lanes: Iterable[ParsedLane]) -> Iterator[ParsedLane]:
-    """The lanes of a road on which one drives in the direction that a sign is for, where it is."""
+    """Yield the lanes of a road with the direction of travel that a sign is for, at its station."""
     for lane in lanes:
         start, stop = lane.stations
         along = sign.ahead is None or sign.ahead == (start < stop)
@@ -102,12 +102,12 @@ def _facing(sign: opendrive.Sign, lanes: Iterable[ParsedLane]) -> Iterator[Parse
 
 
 def _stops(
-    kind: str, told: list[tuple[ParsedLane, opendrive.Sign]], lanes: list[ParsedLane]
+    kind: str, governed: list[tuple[ParsedLane, opendrive.Sign]], lanes: list[ParsedLane]
 ) -> tuple[dict[int, float], set[int]]:
-    """Where one stops: at the end of a lane before a junction, else at the sign; and what is governed beyond."""
+    """Return the stop lines, at the end of a lane before a junction, else at the sign, and the lanes governed beyond."""
     stops: dict[int, float] = {}
     governs: set[int] = set()
-    for lane, sign in told:
+    for lane, sign in governed:
         after = [index for index in lane.row["successors"] if lanes[index].junction is not None]
         if lane.junction is not None and kind != "speed_limit":
             governs.add(lane.index)
@@ -124,7 +124,7 @@ def _stops(
 
 
 def _speed(sign: opendrive.Sign) -> float | None:
-    """The limit on a sign; without a unit, CARLA's signs are in km/h."""
+    """Return the limit on a sign; without a unit, CARLA's signs are in km/h."""
     return in_metres_per_second(sign.value, sign.unit or "km/h")
 
 
@@ -146,14 +146,14 @@ def _control(rows: list[Row], lanes: list[ParsedLane], records: Records) -> None
 
 
 def _approach(row: Row, lanes: list[ParsedLane]) -> float:
-    """The direction in which one drives up to a light."""
+    """Return the direction of the traffic that a light governs."""
     if row["stops"]:
         return float(lanes[row["stops"][0][0]].rows[-1, 3])
     return float(np.radians(row["place"][3] + 90))
 
 
 def phases(junction: int, rows: list[Row], records: Records) -> list[list[int]]:
-    """The lights of a junction that are green together, in the order in which they are."""
+    """Return the lights of a junction that are green together, phase by phase."""
     groups = defaultdict(list)
     for row in rows:
         if row["kind"] == "light" and row["junction"] == junction:
@@ -170,7 +170,7 @@ _MOST: Final = 2000  # lanes in a junction
 
 
 def parse_junctions(lanes: list[ParsedLane], signals: list[Row], records: Records) -> list[Row]:
-    """The junctions in the order of their ids.
+    """Return the junctions in the order of their ids.
 
     Raises:
         ValueError: One has too many lanes.
@@ -199,9 +199,9 @@ def _junction(junction: int, lanes: list[ParsedLane], signals: list[Row], record
 
 
 def _conflicts(one: ParsedLane, other: ParsedLane, slowed: set[int], priorities: set[tuple[int, int]]) -> Iterator[Row]:
-    """The conflict of two lanes, if there is one, as each of them has it."""
+    """Yield the conflict of two lanes, if there is one, once for each of them."""
     if set(one.row["predecessors"]) & set(other.row["predecessors"]):
-        return  # they part; who comes first is first
+        return  # they part
     near = (one.width + other.width) / 2 * _TOUCHING
     if not _boxes_touch(one.rows[:, :2], other.rows[:, :2], near):
         return
@@ -228,10 +228,10 @@ def _boxes_touch(one: NDArray[np.float64], other: NDArray[np.float64], near: flo
 
 
 def _yields(one: ParsedLane, other: ParsedLane, slowed: set[int], priorities: set[tuple[int, int]]) -> bool:
-    """Whether who is on one lane has to let go who is on the other.
+    """Return whether the traffic of one lane yields to that of the other.
 
-    What the first of these rules says that knows a difference: stop and yield signs; priorities of the file; a turn to the
-    left lets go what comes towards it; right before left; straight on before a turn.
+    The first rule that distinguishes them decides: stop and yield signs; priorities of the file; left turns yield to
+    oncoming traffic; right before left; straight on before a turn.
     """
     if (one.index in slowed) != (other.index in slowed):
         return one.index in slowed
@@ -240,6 +240,6 @@ def _yields(one: ParsedLane, other: ParsedLane, slowed: set[int], priorities: se
         return roads not in priorities
     between = other.rows[0, 3] - one.rows[0, 3]
     if abs(np.cos(between)) < _ALIKE and np.cos(between) > _ONCOMING:
-        return bool(np.sin(between) < 0)  # who heads to one's left comes from one's right
+        return bool(np.sin(between) < 0)  # traffic that heads to the left comes from the right
     ranks = _RANKS[one.row["turn"]], _RANKS[other.row["turn"]]
     return ranks[0] > ranks[1] if ranks[0] != ranks[1] else one.index > other.index

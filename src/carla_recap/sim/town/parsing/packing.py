@@ -1,4 +1,4 @@
-"""A town on its way from one process to another: lines as arrays, the rest as JSON, all in the bytes of an .npz."""
+"""Serialization of a parsed town: lines as arrays, the rest as JSON, in the bytes of an .npz."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ _FACTS: Final = "facts"
 
 @dataclass(frozen=True)
 class Parsed:
-    """What is in an OpenDRIVE file.
+    """A parsed OpenDRIVE file.
 
     Attributes:
         lines: Lists of arrays by name: of `lanes`, rows of x, y, z, heading, width; of all others, of x, y, z.
@@ -32,13 +32,13 @@ class Parsed:
 
 
 def to_bytes(parsed: Parsed) -> bytes:
-    """A parsed town as bytes."""
+    """Return a parsed town as bytes."""
     text = np.frombuffer(json.dumps(parsed.facts).encode(), np.uint8)
     return pack({**parsed.lines, _FACTS: [text]})
 
 
 def from_bytes(data: bytes) -> Parsed:
-    """The parsed town again."""
+    """Return the parsed town in some bytes."""
     lines = unpack(data)
     (text,) = lines.pop(_FACTS)
     return Parsed(lines, json.loads(text.tobytes()))

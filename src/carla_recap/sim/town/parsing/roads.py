@@ -41,10 +41,10 @@ class ParsedLane:
 
     Attributes:
         name: Its road, section and number there.
-        rows: Of x, y, z, heading and width along it as driven, evenly spaced.
-        length: In m.
+        rows: Rows of x, y, z, heading and width in the direction of travel, evenly spaced.
+        length: The length in m.
         junction: The id of its junction, if it lies in one.
-        stations: Where along the road it begins and ends, as driven.
+        stations: The stations of the road at which it begins and ends, in the direction of travel.
         row: The fields of a lane of the town.
     """
 
@@ -57,20 +57,20 @@ class ParsedLane:
 
     @property
     def index(self) -> int:
-        """Its place in the list of lanes."""
+        """Its index in the list of lanes."""
         return int(self.row["index"])
 
     @property
     def width(self) -> float:
-        """In its middle."""
+        """The width halfway, in m."""
         return float(self.row["width"])
 
 
 def parse_lanes(roads: opendrive.Roads) -> list[ParsedLane]:
-    """The lanes for cars, in the order of roads, sections and numbers; without speed limits.
+    """Return the lanes for cars, in the order of roads, sections and numbers; without speed limits.
 
     Raises:
-        ValueError: There is none, a place is no number, or there are too many for a town.
+        ValueError: There is none, a coordinate is not finite, or there are too many for a town.
     """
     driving = sorted((lane for lane in roads.lanes if lane.is_driving), key=lambda lane: (lane.road, lane.section, lane.id))
     if not driving:
@@ -86,7 +86,7 @@ def parse_lanes(roads: opendrive.Roads) -> list[ParsedLane]:
 
 
 def _rows(lane: opendrive.Lane) -> Floats:
-    """Evenly spaced rows along a lane."""
+    """Return evenly spaced rows along a lane."""
     width = np.linalg.norm(lane.left - lane.right, axis=1)
     rows: Floats = np.column_stack((lane.centre, np.unwrap(lane.headings), width)) * _TO_LEFT_HANDED
     if lane.reverse:
@@ -125,7 +125,7 @@ def _lane(index: int, lane: opendrive.Lane, rows: Floats) -> ParsedLane:
 
 
 def _link(lanes: list[ParsedLane], driving: Iterable[opendrive.Lane]) -> None:
-    """Let the lanes know what is before, after and beside them."""
+    """Set the predecessors, successors and neighbours of the lanes."""
     known = {lane.name: lane for lane in lanes}
     for lane in lanes:
         lane.row["predecessors"] = []
@@ -146,7 +146,7 @@ def limit_speeds(lanes: list[ParsedLane], signals: Iterable[dict[str, Any]], rec
     Args:
         lanes: The lanes.
         signals: The rows of the signals.
-        records: The limits that the file tells.
+        records: The speed limits of the file.
     """
     signed = {lane: row["speed_limit"] for row in signals if row["kind"] == "speed_limit" for lane, _ in row["stops"]}
     for lane in lanes:
@@ -186,7 +186,7 @@ class Records:
     for_all: set[tuple[int, str]] = field(default_factory=set)
 
     def limit(self, road: int, section: int, lane: int, station: float) -> float | None:
-        """The speed limit of a lane at a station, in m/s, if there is one."""
+        """Return the speed limit of a lane at a station, in m/s, if there is one."""
         own = self.lane_limits.get((road, section, lane))
         if own is not None:
             return own
@@ -196,7 +196,7 @@ class Records:
 
 
 def read_records(text: str) -> Records:
-    """The records of an OpenDRIVE file; what in them is no number is left out.
+    """Return the records of an OpenDRIVE file, without those that have invalid numbers.
 
     Raises:
         ElementTree.ParseError: It is no XML.
@@ -236,7 +236,7 @@ def _read_road(element: ElementTree.Element, records: Records) -> None:
 
 
 def in_metres_per_second(value: str | float | None, unit: str | None) -> float | None:
-    """A speed limit; None where there is no such limit.
+    """Return a speed limit in m/s; None if there is no such limit.
 
     Args:
         value: A number, or a word such as `undefined`.

@@ -1,4 +1,4 @@
-"""The ground beside the roads: barriers that stop cars, and where pedestrians walk, as one connected graph."""
+"""The surroundings of the roads: barriers that stop cars, and the walkways of pedestrians, as one connected graph."""
 
 from __future__ import annotations
 
@@ -36,11 +36,11 @@ _SHORTEST: Final = 1.0  # m
 
 
 class Ground:
-    """The ground that some lanes cover.
+    """The ground that some lanes cover, as cells of a grid.
 
     Args:
-        lanes: At least one.
-        margin: How much wider than they are, on both sides, in m.
+        lanes: At least one lane.
+        margin: The width in m that is added on both sides.
     """
 
     def __init__(self, lanes: Iterable[opendrive.Lane], margin: float = 0.0) -> None:
@@ -54,7 +54,7 @@ class Ground:
             self._cover(left[:, :2], right[:, :2])
 
     def covers(self, places: Floats) -> NDArray[np.bool_]:
-        """Which places lie on the ground, to about a cell; (n, 2)."""
+        """Return which locations, (n, 2), lie on the ground, to about a cell."""
         cells = np.floor((places - self._origin) / self._cell).astype(np.int64)
         inside = ((cells >= 0) & (cells < self._covered.shape)).all(axis=1)
         covered = np.zeros(len(places), np.bool_)
@@ -62,7 +62,7 @@ class Ground:
         return covered
 
     def crossed_by(self, start: Floats, stop: Floats) -> bool:
-        """Whether the straight way from one place to another leads over the ground."""
+        """Return whether the straight path from one location to another leads over the ground."""
         steps = int(np.linalg.norm(stop[:2] - start[:2]) / self._cell) + 2
         return bool(self.covers(start[:2] + np.linspace(0, 1, steps)[:, None] * (stop[:2] - start[:2])).any())
 
@@ -77,7 +77,7 @@ class Ground:
 
 
 def left_handed(points: Floats) -> Floats:
-    """Points of OpenDRIVE's axes in CARLA's."""
+    """Return points of OpenDRIVE's axes in CARLA's."""
     turned: Floats = points * _TO_LEFT_HANDED
     return turned
 
@@ -89,7 +89,7 @@ def _widened(left: Floats, right: Floats, margin: float) -> tuple[Floats, Floats
 
 
 def barriers(lanes: Sequence[opendrive.Lane]) -> list[Floats]:
-    """Lines that stop who leaves the road: along the outermost lanes, some way beyond, and not across other lanes."""
+    """Return lines that stop cars off the road: along the outermost lanes, some way beyond, not across other lanes."""
     real = [lane for lane in lanes if lane.kind != _NO_LANE]
     ground, road = Ground(real), Ground([lane for lane in real if lane.is_driving], _CLEAR)
     return [
@@ -98,7 +98,7 @@ def barriers(lanes: Sequence[opendrive.Lane]) -> list[Floats]:
 
 
 def _outermost(lanes: Iterable[opendrive.Lane]) -> list[opendrive.Lane]:
-    """The last lanes on both sides of each section of a road."""
+    """Return the last lanes on both sides of each section of a road."""
     outer: dict[tuple[int, int, bool], opendrive.Lane] = {}
     for lane in lanes:
         side = lane.road, lane.section, lane.id > 0
@@ -108,7 +108,7 @@ def _outermost(lanes: Iterable[opendrive.Lane]) -> list[opendrive.Lane]:
 
 
 def _fence(lane: opendrive.Lane, grounds: Iterable[Ground]) -> Iterator[Floats]:
-    rightwards = lane.reverse == (lane.id > 0)  # traffic on the right: outwards is to the right of who drives there
+    rightwards = lane.reverse == (lane.id > 0)  # in right-hand traffic, outwards is to the right
     margin = _BEHIND_SIDEWALKS if lane.kind == SIDEWALK else _BEHIND_ROADS
     line = _widened(left_handed(lane.left), left_handed(lane.right), margin)[rightwards]
     line = line[np.unique(np.linspace(0, len(line) - 1, int(len(line) * _spacing(line) / _POSTS) + 2).astype(np.int64))]
@@ -135,13 +135,13 @@ _MOST_NODES: Final = 200_000
 
 @dataclass
 class Walks:
-    """The graph while it is made.
+    """The graph of walkways while it is made.
 
     Attributes:
         sidewalks: The middles of sidewalks.
         crossings: The outlines of crossings, closed.
-        nodes: Places.
-        edges: Pairs of numbers of nodes, the smaller one first, and whether they lead over a road.
+        nodes: Locations.
+        edges: Pairs of indices of nodes, the smaller one first, and whether they lead over a road.
     """
 
     sidewalks: list[Floats]
@@ -150,18 +150,18 @@ class Walks:
     edges: dict[tuple[int, int], bool] = field(default_factory=dict)
 
     def add(self, place: Floats) -> int:
-        """A new node."""
+        """Add a node, and return its index."""
         self.nodes.append(place)
         return len(self.nodes) - 1
 
     def link(self, one: int, other: int, *, crossing: bool = False) -> None:
-        """A new edge, if there is none."""
+        """Add an edge, if there is none."""
         if one != other:
             self.edges.setdefault((min(one, other), max(one, other)), crossing)
 
 
 def parse_walks(roads: opendrive.Roads) -> Walks:
-    """The walks of a town; empty where it has no sidewalk.
+    """Return the walkways of a town; they are empty if it has no sidewalk.
 
     Raises:
         ValueError: There are too many sidewalks for a town.
@@ -184,7 +184,7 @@ def parse_walks(roads: opendrive.Roads) -> Walks:
 
 
 def _along_sidewalks(walks: Walks) -> list[Ends]:
-    """Nodes and edges along the sidewalks; returns the nodes at the ends of each."""
+    """Add nodes and edges along the sidewalks, and return the nodes at the ends of each."""
     tips = np.array([line[end] for line in walks.sidewalks for end in (0, -1)]).reshape(-1, 3)
     near = np.linalg.norm(tips[:, None] - tips, axis=2) < _SAME
     nodes: list[int] = []
@@ -216,7 +216,7 @@ def _around_corners(walks: Walks, road: Ground) -> None:
 
 
 def _over(walks: Walks, outline: Floats, sidewalks: Floats) -> None:
-    """A crossing of the map: from the middle of one of its short sides to the other, and to the nodes of sidewalks."""
+    """Add a crossing of the map: from the middle of one short side to that of the other, and to the nodes of sidewalks."""
     corners = outline[:-1]
     middle = corners.mean(axis=0)
     _, _, axes = np.linalg.svd(corners[:, :2] - middle[:2], full_matrices=False)
@@ -232,7 +232,7 @@ def _over(walks: Walks, outline: Floats, sidewalks: Floats) -> None:
 
 
 def _over_mouths(walks: Walks, roads: opendrive.Roads, lanes: Sequence[opendrive.Lane], ends: Sequence[Ends]) -> None:
-    """Crossings where a road with sidewalks on both sides meets a junction: just beyond the line where cars stop."""
+    """Add crossings where roads with sidewalks on both sides meet junctions: just beyond the line where cars stop."""
     given = np.array([crossing[:-1].mean(axis=0) for crossing in walks.crossings]).reshape(-1, 3)
     sides = {
         (lane.road, lane.section, lane.id > 0): (line, pair, float(np.linalg.norm(lane.left - lane.right, axis=1).mean()))
@@ -258,7 +258,7 @@ def _over_mouths(walks: Walks, roads: opendrive.Roads, lanes: Sequence[opendrive
 
 
 def _mouths(roads: opendrive.Roads) -> set[tuple[int, int, bool]]:
-    """Where roads meet junctions: road, section, and whether at its end, or at its beginning."""
+    """Return where roads meet junctions: road, section, and whether at its end, or at its beginning."""
     driving = {(lane.road, lane.section, lane.id): lane for lane in roads.lanes if lane.is_driving}
     mouths = set()
     for lane in driving.values():
@@ -274,7 +274,7 @@ def _mouths(roads: opendrive.Roads) -> set[tuple[int, int, bool]]:
 
 
 def _stripe(start: Floats, stop: Floats, before: float = 0.0, after: float = 0.0) -> Floats:
-    """The outline of a crossing from one place to another, shortened at both ends, closed."""
+    """Return the closed outline of a crossing from one location to another, shortened at both ends."""
     along = (stop - start) / max(float(np.linalg.norm(stop - start)), 1e-6)
     start, stop = start + before * along, stop - after * along
     aside = np.array((-along[1], along[0], 0.0)) * _WIDTH / 2
@@ -282,16 +282,16 @@ def _stripe(start: Floats, stop: Floats, before: float = 0.0, after: float = 0.0
 
 
 def _connect(walks: Walks, road: Ground) -> None:
-    """Make one graph of several: by crossings between the nearest nodes; what is too far away from all is left out."""
+    """Connect the components by crossings between their nearest nodes; remove components that are too far away."""
     places = np.array(walks.nodes).reshape(-1, 3)
     apart = _components(len(places), list(walks.edges))
     if not apart:
         return
     whole, *apart = sorted(apart, key=len, reverse=True)
-    ways = [_nearest(places, whole, part) for part in apart]
+    links = [_nearest(places, whole, part) for part in apart]
     while apart:
-        number = ways.index(min(ways))
-        (distance, one, other), part = ways.pop(number), apart.pop(number)
+        number = links.index(min(links))
+        (distance, one, other), part = links.pop(number), apart.pop(number)
         if distance > _WIDEST:
             break
         over = road.crossed_by(places[one], places[other])
@@ -299,12 +299,12 @@ def _connect(walks: Walks, road: Ground) -> None:
         if over:
             walks.crossings.append(_stripe(places[one], places[other]))
         whole += part
-        ways = [min(way, _nearest(places, part, rest)) for way, rest in zip(ways, apart, strict=True)]
+        links = [min(link, _nearest(places, part, rest)) for link, rest in zip(links, apart, strict=True)]
     _keep(walks, sorted(whole))
 
 
 def _nearest(places: Floats, whole: list[int], part: list[int]) -> tuple[float, int, int]:
-    """The two nodes of two sets that are nearest to each other, and how near."""
+    """Return the distance of the two nodes of two sets that are nearest to each other, and the nodes."""
     best = (np.inf, 0, 0)
     for number in part:
         distances = np.linalg.norm(places[whole] - places[number], axis=1)
@@ -314,7 +314,7 @@ def _nearest(places: Floats, whole: list[int], part: list[int]) -> tuple[float, 
 
 
 def _components(count: int, edges: list[tuple[int, int]]) -> list[list[int]]:
-    """The nodes that hang together."""
+    """Return the connected components."""
     beside = defaultdict(list)
     for one, other in edges:
         beside[one].append(other)
@@ -334,7 +334,7 @@ def _components(count: int, edges: list[tuple[int, int]]) -> list[list[int]]:
 
 
 def _keep(walks: Walks, kept: list[int]) -> None:
-    """Leave out all other nodes."""
+    """Remove all other nodes."""
     numbers = {node: number for number, node in enumerate(kept)}
     walks.nodes = [walks.nodes[node] for node in kept]
     walks.edges = {
