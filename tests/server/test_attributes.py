@@ -1,4 +1,4 @@
-"""Values of attributes that the official client cannot read: nobody is told of them."""
+"""Values of attributes that the official client cannot read are refused, or replaced by the default."""
 
 from __future__ import annotations
 

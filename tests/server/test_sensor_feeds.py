@@ -1,4 +1,4 @@
-"""What sensors tell, byte by byte; the official client's side is in `test_sensors`."""
+"""The frames of sensors, byte by byte; `test_sensors` reads them with the official client."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ HEADER = struct.Struct("<QQd6f")
 
 
 class Listener(Subscriber):
-    """Somebody who listens to a sensor, without a connection."""
+    """A subscriber of a sensor without a connection."""
 
     def __init__(self, host: Host, sensor: Actor) -> None:
         super().__init__(host.streams)
@@ -50,12 +50,12 @@ class Listener(Subscriber):
         self.closed = True
 
     def take(self) -> list[tuple[tuple[Any, ...], bytes]]:
-        """Headers and payloads that have come since this was last asked."""
+        """Return the headers and payloads since the last call."""
         frames, self.frames = self.frames, []
         return [(HEADER.unpack(frame[: HEADER.size]), frame[HEADER.size :]) for frame in frames]
 
     def payload(self) -> bytes:
-        """The only frame that has come."""
+        """Return the payload of the only frame."""
         ((_, payload),) = self.take()
         return payload
 
@@ -82,7 +82,7 @@ def test_each_sensor_of_the_library_is_in_the_table() -> None:
     assert {kind.support for kind in SENSOR_KINDS.values()} == set(Support)
 
 
-def test_a_frame_begins_with_kind_frame_time_and_place() -> None:
+def test_a_frame_begins_with_kind_frame_time_and_transform() -> None:
     host = served()
     gnss = sensor(host, "other.gnss", vehicle(host, 10.0, 5.0, 90.0), at(1.0, z=2.0))
     host.tick()
@@ -92,7 +92,7 @@ def test_a_frame_begins_with_kind_frame_time_and_place() -> None:
     assert place == pytest.approx([10.0, 6.0, 2.0, 0.0, 90.0, 0.0], abs=1e-4)
 
 
-def test_nothing_is_made_for_sensors_that_nobody_listens_to() -> None:
+def test_sensors_without_subscribers_have_no_feed() -> None:
     host = served()
     host.world.spawn("sensor.camera.rgb", Transform(), image_size_x="nonsense")
     host.tick()
@@ -111,7 +111,7 @@ def test_a_stream_ends_with_its_sensor() -> None:
     assert (len(imu.take()), len(lone.take())) == (1, 2)
 
 
-def test_nothing_is_kept_of_sensors_that_nobody_listens_to_any_more() -> None:
+def test_a_feed_ends_with_its_last_subscriber() -> None:
     host = served()
     imu = sensor(host, "other.imu", vehicle(host))
     host.tick()
@@ -175,7 +175,7 @@ def test_a_client_that_begins_to_listen_late_waits_for_the_next_interval() -> No
     assert [header[1] - begin for header, _ in late.take()] == [10]
 
 
-def test_a_collision_tells_both_actors_and_the_impulse() -> None:
+def test_a_collision_has_both_actors_and_the_impulse() -> None:
     host = served()
     car, other = vehicle(host), vehicle(host, 12.0)
     collision = sensor(host, "other.collision", car)
@@ -224,7 +224,7 @@ REFERENCES = [
 
 @pytest.mark.parametrize("reference", REFERENCES)
 @pytest.mark.parametrize("tag", ["<geoReference>{}</geoReference>", "<geoReference><![CDATA[{} ]]></geoReference>"])
-def test_places_on_the_earth_are_those_of_the_client(reference: str, tag: str) -> None:
+def test_geolocations_are_those_of_the_client(reference: str, tag: str) -> None:
     text = ROAD.format(tag.format(reference))
     there = carla.Map("Flat", text)
     for x, y, z in ((0.0, 0.0, 0.0), (1000.0, -2000.0, 3.0), (-350.5, 20.25, -1.0)):
@@ -234,14 +234,14 @@ def test_places_on_the_earth_are_those_of_the_client(reference: str, tag: str) -
 
 
 @pytest.mark.parametrize("name", ["Town01", "Town10HD"])
-def test_towns_lie_where_the_client_has_them(name: str) -> None:
+def test_geolocations_in_towns_are_those_of_the_client(name: str) -> None:
     text = town(name).read_text(encoding="utf-8")
     expected = carla.Map(name, text).transform_to_geolocation(carla.Location(100.0, 50.0, 1.0))
     found = GeoReference.of(text).locate(Location(100.0, 50.0, 1.0))
     assert found == pytest.approx((expected.latitude, expected.longitude, expected.altitude), abs=1e-10)
 
 
-def test_noise_of_gnss_is_what_was_asked_for() -> None:
+def test_the_noise_of_gnss_is_that_of_the_attributes() -> None:
     host = served()
     exact = sensor(host, "other.gnss")
     biased = sensor(host, "other.gnss", noise_alt_bias="2", noise_lat_stddev="0.001")
@@ -267,7 +267,7 @@ def test_the_compass_counts_clockwise_from_north(yaw: float, expected: float) ->
     assert msgpack.unpackb(imu.payload())[2] == pytest.approx(expected, abs=1e-6)
 
 
-def test_what_stands_feels_gravity_alone() -> None:
+def test_an_imu_at_rest_measures_gravity_alone() -> None:
     host = served()
     imu = imu_of(host, vehicle(host, yaw=30.0))
     host.tick()
@@ -277,7 +277,7 @@ def test_what_stands_feels_gravity_alone() -> None:
     assert turning == [0.0, 0.0, 0.0]
 
 
-def test_an_imu_feels_acceleration_and_turns_in_its_own_axes() -> None:
+def test_an_imu_measures_in_its_own_axes() -> None:
     host = served()
     car = vehicle(host, yaw=90.0)
     imu = imu_of(host, car)
@@ -296,7 +296,7 @@ def test_an_imu_feels_acceleration_and_turns_in_its_own_axes() -> None:
     assert turning[2] > 0.1
 
 
-def test_noise_of_an_imu_is_what_was_asked_for_and_the_same_for_a_seed() -> None:
+def test_the_noise_of_an_imu_is_the_same_for_a_seed() -> None:
     told = []
     for _ in range(2):
         host = served()
@@ -351,7 +351,7 @@ def radar_rows(listener: Listener) -> np.ndarray[tuple[int, int], np.dtype[np.fl
     return np.frombuffer(listener.payload(), "<f4").reshape(-1, 4)
 
 
-def test_a_radar_sees_how_far_the_next_car_is_and_how_fast_it_goes_away() -> None:
+def test_a_radar_measures_distance_and_speed() -> None:
     host = served()
     car = vehicle(host)
     ahead = vehicle(host, 30.0)
@@ -366,7 +366,7 @@ def test_a_radar_sees_how_far_the_next_car_is_and_how_fast_it_goes_away() -> Non
     assert np.abs(np.tan(found[:, 1]) * back).max() <= 2.16 / 2 + 0.01
 
 
-def test_a_radar_looks_only_ahead_and_only_so_far() -> None:
+def test_a_radar_has_a_cone_and_a_range() -> None:
     host = served()
     car = vehicle(host)
     vehicle(host, -20.0)
@@ -448,7 +448,7 @@ def test_rays_and_barriers_have_heights() -> None:
     assert msgpack.unpackb(above.payload())[1][2][1] == "static.prop.container"
 
 
-def test_a_semantic_lidar_knows_whom_it_sees() -> None:
+def test_a_semantic_lidar_has_ids_and_tags() -> None:
     host = served()
     walker = host.world.spawn("walker.pedestrian.0001", at(8.0, z=0.9))
     lidar = sensor(host, "lidar.ray_cast_semantic", vehicle(host), at(0.0, z=1.0), rotation_frequency="20", **LIDAR)
@@ -474,7 +474,7 @@ def test_a_lidar_that_turns_slowly_sees_another_side_in_each_tick() -> None:
     assert 1 <= sum(seen) <= 2
 
 
-def test_an_obstacle_is_told_with_its_distance() -> None:
+def test_an_obstacle_is_reported_with_its_distance() -> None:
     host = served()
     car, other = vehicle(host), vehicle(host, 12.0)
     detector = sensor(host, "other.obstacle", car, at(2.5, z=0.8), distance="10", hit_radius="0.5")
@@ -486,7 +486,7 @@ def test_an_obstacle_is_told_with_its_distance() -> None:
     assert short.take() == []
 
 
-def test_an_obstacle_detector_may_look_for_what_moves_alone() -> None:
+def test_an_obstacle_detector_can_be_limited_to_what_moves() -> None:
     wall = np.array([(20.0, -10.0, 0.0), (20.0, 10.0, 0.0)])
     host = Host(flat_world(barriers=[wall]))
     car = vehicle(host)
@@ -518,7 +518,7 @@ def test_rays_hit_what_is_nearest() -> None:
     assert len(ActorBoxes([]).cast(np.zeros(3), ahead, 100.0).ray) == 0
 
 
-def test_what_is_on_the_same_vehicle_is_not_seen() -> None:
+def test_what_is_attached_to_the_same_vehicle_is_invisible() -> None:
     host = served()
     car = vehicle(host)
     host.world.spawn("static.prop.box01", at(4.0, z=0.5), parent=car)
@@ -528,7 +528,7 @@ def test_what_is_on_the_same_vehicle_is_not_seen() -> None:
 
 
 @pytest.mark.parametrize("kind", sorted(SENSOR_KINDS))
-def test_nonsense_in_attributes_is_taken_for_the_default(kind: str) -> None:
+def test_invalid_attributes_fall_back_to_the_default(kind: str) -> None:
     host = served()
     keys = ("image_size_x", "image_size_y", "fov", "channels", "range", "points_per_second", "distance", "noise_seed")
     for value in ("nan", "", "-1", "1e300", "0"):
@@ -541,5 +541,5 @@ def test_nonsense_in_attributes_is_taken_for_the_default(kind: str) -> None:
                 actor.destroy()
 
 
-def test_flat_town_has_no_reference_and_yet_a_place() -> None:
+def test_a_map_without_a_reference_has_the_default_one() -> None:
     assert GeoReference.of(flat_town().opendrive) == GeoReference(42.0, 2.0)

@@ -1,4 +1,4 @@
-"""Sensors as the official client has them."""
+"""Sensors, as the official client reads them."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ PATIENCE = 5.0  # s
 
 
 def vehicle(world: carla.World, number: int = 0, ahead: float = 0.0) -> carla.Vehicle:
-    """A car at a spawn point, or so many metres ahead of it."""
+    """Spawn a car at a spawn point, or some metres ahead of it."""
     place = world.get_map().get_spawn_points()[number]
     way = place.get_forward_vector()
     place.location += carla.Location(way.x * ahead, way.y * ahead, 0.0)
@@ -35,7 +35,7 @@ def sensor(
 
 
 class Data(queue.Queue[Any]):
-    """What a sensor tells; it keeps the sensor, to which the client stops to listen once nobody has it any more."""
+    """The data of a sensor; it keeps the sensor, since the client stops listening when the object is garbage."""
 
     def __init__(self, sensor: carla.Sensor) -> None:
         super().__init__()
@@ -44,12 +44,12 @@ class Data(queue.Queue[Any]):
 
 
 def settle() -> None:
-    """Let subscriptions arrive, which the client makes without waiting for them, or end."""
+    """Wait until subscriptions have begun or ended, for which the client does not wait."""
     time.sleep(0.3)
 
 
 def start(world: carla.World, *sensors: Data) -> None:
-    """Tick until sensors that tell something in each frame have begun to."""
+    """Tick until sensors with data in each frame have sent some."""
     end = time.monotonic() + PATIENCE
     while any(data.empty() for data in sensors) and time.monotonic() < end:
         world.tick()
@@ -57,7 +57,7 @@ def start(world: carla.World, *sensors: Data) -> None:
 
 
 def tick_until(world: carla.World, data: Data, most: int = 200) -> Any:
-    """Tick until a sensor tells something."""
+    """Tick until a sensor sends data."""
     for _ in range(most):
         world.tick()
         try:
@@ -68,7 +68,7 @@ def tick_until(world: carla.World, data: Data, most: int = 200) -> Any:
 
 
 def of_frame(data: Data, frame: int) -> Any:
-    """The usual loop of synchronous scripts."""
+    """Return the data of a frame, as the usual loop of synchronous scripts does."""
     while True:
         measurement = data.get(timeout=PATIENCE)
         if measurement.frame == frame:
@@ -172,7 +172,7 @@ def test_a_lane_invasion_is_found_by_the_client(world: carla.World) -> None:
     assert len(event.crossed_lane_markings) >= 1
 
 
-def test_an_obstacle_is_told_with_its_distance(world: carla.World) -> None:
+def test_an_obstacle_is_reported_with_its_distance(world: carla.World) -> None:
     car, other = vehicle(world), vehicle(world, ahead=12.0)
     data = Data(sensor(world, "other.obstacle", car, distance="20", hit_radius="0.3", only_dynamics="True"))
     start(world, data)
@@ -254,7 +254,7 @@ def test_a_sensor_can_be_stopped_and_listened_to_again(world: carla.World) -> No
     assert again.empty()
 
 
-def test_sensors_go_with_their_parent_and_harm_nobody(world: carla.World) -> None:
+def test_sensors_are_destroyed_with_their_parent_and_others_go_on(world: carla.World) -> None:
     car, other = vehicle(world), vehicle(world, 10)
     gone, there = Data(sensor(world, "other.gnss", car)), Data(sensor(world, "other.gnss", other))
     start(world, gone, there)
@@ -288,7 +288,7 @@ def test_transforms_of_attached_actors_are_those_of_their_parent_and_their_own(w
     assert bike.get_velocity().distance(car.get_velocity()) < 0.01
 
 
-def test_whoever_stops_reading_holds_up_nobody(world: carla.World, port: int) -> None:
+def test_a_subscriber_that_stops_reading_holds_up_no_other(world: carla.World, port: int) -> None:
     camera = sensor(world, "camera.rgb", vehicle(world), image_size_x="1280", image_size_y="720")
     images = Data(camera)
     start(world, images)

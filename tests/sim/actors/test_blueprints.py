@@ -1,4 +1,4 @@
-"""What can be spawned."""
+"""The blueprint library."""
 
 from __future__ import annotations
 
@@ -41,7 +41,7 @@ def test_patterns_find_blueprints() -> None:
 
 
 @pytest.mark.parametrize("blueprint", LIBRARY.filter("vehicle.*"), ids=lambda blueprint: blueprint.id)
-def test_vehicles_are_of_one_piece(blueprint) -> None:  # type: ignore[no-untyped-def]
+def test_the_parameters_of_a_vehicle_are_consistent(blueprint) -> None:  # type: ignore[no-untyped-def]
     physics, extent = blueprint.physics, blueprint.box.extent
     assert 0.5 * extent.x < blueprint.wheelbase < 2 * extent.x
     assert blueprint.box.location.z == extent.z
