@@ -25,19 +25,27 @@ _FOLDER = click.Path(exists=True, file_okay=False, path_type=Path)
 
 
 @click.command()
-@click.option("--host", default=_LOOPBACK, show_default=True, metavar="ADDRESS", help="Where to listen.")
-@click.option("--port", type=click.IntRange(0, 65534), default=2000, show_default=True, help="And the next, for streams.")
+@click.option("--host", default=_LOOPBACK, show_default=True, metavar="ADDRESS", help="The address to listen on.")
+@click.option(
+    "--port",
+    type=click.IntRange(0, 65534),
+    default=2000,
+    show_default=True,
+    help="The port for calls; the next one is for streams.",
+)
 @click.option("--town", default="", metavar="NAME", help="A map's name or an .xodr; else the built-in town.")
 @click.option("--maps", type=_FOLDER, metavar="DIR", help="The folder of maps.")
 @click.option("--recordings", type=click.Path(path_type=Path), metavar="DIR", help="The folder of recordings.")
 @click.option("--confine", is_flag=True, help="Refuse recordings outside that folder.")
 @click.option("--stand-in", is_flag=True, help="Serve the built-in town under the name of a map that is missing.")
-@click.option("--seed", type=click.IntRange(min=0), default=0, show_default=True, metavar="K", help="Of all that is random.")
-@click.option("--rerun", is_flag=True, help="Show the world in Rerun's viewer while it goes on.")
+@click.option(
+    "--seed", type=click.IntRange(min=0), default=0, show_default=True, metavar="K", help="The seed of everything random."
+)
+@click.option("--rerun", is_flag=True, help="Show the world live in Rerun's viewer.")
 @click.option(
     "--rerun-to", metavar="FILE|URL", help="The same in an .rrd, or in the viewer that listens at rerun+http://..."
 )
-@click.option("--follow", type=options.FOLLOW, metavar="ID|hero", help="Whom its camera follows; else the hero.")
+@click.option("--follow", type=options.FOLLOW, metavar="ID|hero", help="The actor that its camera follows; else the hero.")
 @click.option("--attached", is_flag=True, hidden=True, help="End when the standard input does.")
 def serve(
     host: str,
@@ -66,7 +74,7 @@ def serve(
     if recordings is not None:
         _make(recordings)
     if host not in (_LOOPBACK, "localhost", "::1"):
-        warn(f"{host} can be reached by others, and the protocol asks nobody who they are")
+        warn(f"{host} can be reached from other machines, and the protocol has no authentication")
     window = _window(rerun_to, follow) if rerun or rerun_to or follow is not None else nullcontext()
     with window as shown, World(_town(town, maps, stand_in), seed=seed, recordings=recordings, maps=maps) as world:
 

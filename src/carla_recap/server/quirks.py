@@ -3,7 +3,8 @@
 | quirk | symptom without it | place | tests |
 |---|---|---|---|
 | the next call of a client comes within microseconds, while a sleeping processor takes tens of them to wake \
-| a third fewer ticks per second | `quirks.busy_polling_loop` | `test_the_loop_polls_after_an_event` |
+| fewer ticks per second, above all in a virtual machine | `quirks.busy_polling_loop` \
+| `test_the_loop_polls_after_an_event` |
 | a script ends right after its last call, and its system resets the connection \
 | that call, often `stop_recorder`, is lost | `quirks.unread_bytes` \
 | `test_the_last_calls_of_a_client_that_is_gone_are_served`, `test_what_arrived_before_a_write_failed_can_be_read` |

@@ -91,6 +91,22 @@ class RecordedWorld(ActorView, Protocol):
         """The recording that is being replayed."""
 
 
+class SnapshotWorld(ActorView, Protocol):
+    """What the snapshots of a server ask of a world."""
+
+    @property
+    def spectator(self) -> Spectator:
+        """The spectator."""
+
+    @property
+    def elapsed(self) -> float:
+        """The simulated time of the episode, in s."""
+
+    @property
+    def delta(self) -> float:
+        """The length of the latest tick, in s."""
+
+
 class ReplayWorld(ActorView, Protocol):
     """What the replayer asks of a world."""
 

@@ -281,7 +281,7 @@ class ClientConnection(asyncio.Protocol):
         try:
             answer = call(context, arguments)
             if self._transport is None and iscoroutine(answer):
-                return answer.close()  # nobody waits for the answer
+                return answer.close()  # the client has left
             answer = context.hold(name, answer)
             if isawaitable(answer):
                 return self._reply_later(number, call, answer)

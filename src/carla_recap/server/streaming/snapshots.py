@@ -19,8 +19,10 @@ if TYPE_CHECKING:
 
     from carla_recap.sim.actors.actor import Actor
     from carla_recap.sim.geometry import Transform
+    from carla_recap.sim.interfaces import SnapshotWorld
     from carla_recap.sim.physics.moving_bodies import MovingBodies
-    from carla_recap.sim.world import World
+    from carla_recap.sim.physics.vehicles import Vehicles
+    from carla_recap.sim.town.town import Town
 
 _WORLD: Final = 17
 # sensor type, frame, elapsed seconds, transform
@@ -99,14 +101,14 @@ class SnapshotEncoder:
         world: The world.
     """
 
-    def __init__(self, world: World) -> None:
+    def __init__(self, world: SnapshotWorld) -> None:
         self._world = world
         self._rules = Rules(world.town)
         self._light_ids = np.array([*(light.id for light in world.traffic_lights), 0])  # row NO_LIGHT is the last
         self._ids: object = None
         self._arrays: list[NDArray[np.void]] = []
         self._others: list[Actor] = []
-        self._tracker = LaneTracker(world)
+        self._tracker = LaneTracker(world.town, world.vehicles)
         self._light = np.empty(0, np.int64)
         self._start = time.monotonic()
 
@@ -152,7 +154,7 @@ class SnapshotEncoder:
         world = self._world
         signs = [actor for actor in actors if isinstance(actor, Sign) and not isinstance(actor, TrafficLight)]
         self._others = [actor for actor in actors if not isinstance(actor, (MovingActor, Sign))]
-        self._tracker = LaneTracker(world)
+        self._tracker = LaneTracker(world.town, world.vehicles)
         self._arrays = [
             _blank(VEHICLE, world.vehicles.actors),
             _blank(WALKER, world.walkers.actors),
@@ -179,12 +181,14 @@ class LaneTracker:
     """The positions of vehicles on their lanes: looked up now and then, and extrapolated in between.
 
     Args:
-        world: The world; a tracker is valid until an actor is spawned or destroyed.
+        town: The town.
+        vehicles: The vehicles; a tracker is valid until an actor is spawned or destroyed.
     """
 
-    def __init__(self, world: World) -> None:
-        self._world = world
-        count = len(world.vehicles)
+    def __init__(self, town: Town, vehicles: Vehicles) -> None:
+        self._town = town
+        self._vehicles = vehicles
+        count = len(vehicles)
         self._reference = np.full((count, 3), np.inf)
         self._forward = np.zeros((count, 2))
         self._lane = np.zeros(count, np.int64)
@@ -193,7 +197,7 @@ class LaneTracker:
 
     def moved(self) -> bool:
         """Return whether a vehicle has moved since the last call."""
-        position = self._world.vehicles.position
+        position = self._vehicles.position
         if np.array_equal(position, self._last):
             return False
         self._last = position.copy()
@@ -201,14 +205,14 @@ class LaneTracker:
 
     def positions(self) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
         """Return the lanes of all vehicles, and how far along each vehicle is, in m."""
-        vehicles = self._world.vehicles
+        vehicles = self._vehicles
         self.update(_FAR)
         moved = (vehicles.position - self._reference)[:, :2]
         return self._lane, self._s + (moved * self._forward).sum(axis=1)
 
     def update(self, distance: float) -> None:
         """Look up the vehicles that have moved farther than a distance, in m."""
-        vehicles = self._world.vehicles
+        vehicles = self._vehicles
         rows = np.flatnonzero(np.abs(vehicles.position - self._reference).max(axis=1, initial=0) > distance)
         if not len(rows):
             return
@@ -216,7 +220,7 @@ class LaneTracker:
         self._reference[rows] = position
         self._forward[rows] = np.stack((np.cos(heading), np.sin(heading)), axis=1)
         x, y, z = position.T
-        self._lane[rows], self._s[rows] = self._world.town.nearest_lane(x, y, z=z, heading=heading)
+        self._lane[rows], self._s[rows] = self._town.nearest_lane(x, y, z=z, heading=heading)
 
 
 def _blank(dtype: np.dtype[np.void], actors: Iterable[Actor]) -> NDArray[np.void]:
