@@ -28,7 +28,7 @@ def port(recordings: Path) -> Iterator[int]:
 
 @pytest.fixture
 def client(port: int, recordings: Path) -> Iterator[carla.Client]:
-    """The official client; the world is in synchronous mode, and has nobody in it at the end."""
+    """The official client; the world is in synchronous mode, without actors at the end."""
     client = carla.Client("127.0.0.1", port)
     client.set_files_base_folder(str(recordings))  # where it keeps navigation meshes; else in the home folder
     client.set_timeout(30.0)
@@ -39,7 +39,7 @@ def client(port: int, recordings: Path) -> Iterator[carla.Client]:
     client.stop_recorder()
     client.stop_replayer(False)
     world = client.get_world()
-    world.tick()  # the client knows of nobody who has come since the latest tick
+    world.tick()  # the client knows no actors that were spawned since the latest tick
     for actor in world.get_actors():
         if actor.id not in before and not actor.type_id.startswith(("traffic.", "spectator")):
             actor.destroy()

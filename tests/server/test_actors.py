@@ -1,4 +1,4 @@
-"""Calls about actors: spawning, what is told of them, moving and pushing them."""
+"""Calls about actors: spawning, records, transforms and forces."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from carla_recap.errors import RecapError
 from tests.server.inside import Inside
 
 FAR = carla.Transform(carla.Location(500.0, 500.0, 0.5))
-"""Where nobody is, and no lane."""
+"""A transform without actors or lanes nearby."""
 
 
 def spawn(
@@ -84,7 +84,7 @@ def test_all_blueprints_can_be_spawned_and_their_attributes_read_back(client: ca
     client.apply_batch_sync([carla.command.DestroyActor(id) for id in actors], True)
 
 
-def test_an_actor_is_told_of_with_its_attributes(world: carla.World) -> None:
+def test_the_record_of_an_actor_has_its_attributes(world: carla.World) -> None:
     place = world.get_map().get_spawn_points()[0]
     car = spawn(world, at=place, role_name="hero", color="1,2,3")
     assert (car.type_id, car.attributes["role_name"], car.attributes["color"]) == ("vehicle.tesla.model3", "hero", "1,2,3")
@@ -116,7 +116,7 @@ def test_an_occupied_place_is_refused(world: carla.World) -> None:
         world.spawn_actor(blueprint, place)
 
 
-def test_who_is_destroyed_can_be_asked_for_its_box_still(world: carla.World) -> None:
+def test_a_destroyed_actor_has_a_box(world: carla.World) -> None:
     car = spawn(world)
     other = world.get_actor(car.id)
     extent = car.bounding_box.extent.x
@@ -126,7 +126,7 @@ def test_who_is_destroyed_can_be_asked_for_its_box_still(world: carla.World) -> 
     other.set_collisions(False)
 
 
-def test_who_ends_in_the_tick_in_which_it_came_is_known_still(inside: Inside) -> None:
+def test_an_actor_that_is_destroyed_before_a_tick_is_known(inside: Inside) -> None:
     id = inside.call("spawn_actor", [0, "vehicle.audi.tt", []], [[500.0, 0.0, 0.0], [0.0, 0.0, 0.0]])[0]
     assert inside.call("destroy_actor", id) is True
     assert inside.call("destroy_actor", id) is False
@@ -137,12 +137,12 @@ def test_who_ends_in_the_tick_in_which_it_came_is_known_still(inside: Inside) ->
         inside.call("get_actor_bounding_box", 99999)
 
 
-def test_who_is_asked_for_twice_is_told_of_once(inside: Inside) -> None:
+def test_repeated_ids_give_one_record(inside: Inside) -> None:
     id = inside.world.spectator.id
     assert [record[0] for record in inside.call("get_actors_by_id", [id, 99999, id])] == [id]
 
 
-def test_actors_are_put_elsewhere(world: carla.World) -> None:
+def test_actors_are_teleported(world: carla.World) -> None:
     car, spectator = spawn(world), world.get_spectator()
     car.set_transform(carla.Transform(carla.Location(500.0, 500.0, 3.0), carla.Rotation(yaw=30.0)))
     spectator.set_transform(carla.Transform(carla.Location(1.0, 2.0, 3.0), carla.Rotation(-90.0, 4.0, 5.0)))
@@ -211,7 +211,7 @@ def test_pushes_at_a_place_and_torques_turn(inside: Inside) -> None:
     car.destroy()
 
 
-def test_who_does_not_simulate_physics_stays_where_it_is_put(world: carla.World) -> None:
+def test_an_actor_without_physics_stays(world: carla.World) -> None:
     car = spawn(world, at=FAR)
     car.set_simulate_physics(False)
     car.set_target_velocity(carla.Vector3D(10.0, 0.0, 0.0))

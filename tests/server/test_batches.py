@@ -37,7 +37,7 @@ def place_many(inside: Inside, count: int) -> list[Vehicle]:
     return [car for car in cars if isinstance(car, Vehicle)]
 
 
-def test_actors_come_and_go_in_batches(client: carla.Client, world: carla.World) -> None:
+def test_batches_spawn_and_destroy_actors(client: carla.Client, world: carla.World) -> None:
     blueprint, places = world.get_blueprint_library().find("vehicle.audi.tt"), world.get_map().get_spawn_points()
     answers = client.apply_batch_sync([command.SpawnActor(blueprint, place) for place in (*places[:10], places[0])], True)
     assert [answer.has_error() for answer in answers] == [False] * 10 + [True]
@@ -49,7 +49,7 @@ def test_actors_come_and_go_in_batches(client: carla.Client, world: carla.World)
     assert not world.get_actors().filter("vehicle.*")
 
 
-def test_a_new_actor_gets_commands_of_its_own(client: carla.Client, world: carla.World) -> None:
+def test_commands_for_a_new_actor_are_executed(client: carla.Client, world: carla.World) -> None:
     library, place = world.get_blueprint_library(), world.get_map().get_spawn_points()[0]
     car = command.SpawnActor(library.find("vehicle.audi.tt"), place)
     car.then(command.ApplyTargetVelocity(command.FutureActor, carla.Vector3D(1.0, 2.0, 0.0)))
@@ -134,7 +134,7 @@ def test_all_22_commands_do_what_their_calls_do(inside: Inside) -> None:
     assert not car.autopilot
 
 
-def test_what_fails_does_not_hold_up_the_others(inside: Inside) -> None:
+def test_a_failing_command_does_not_stop_the_others(inside: Inside) -> None:
     car = place(inside)
     answers = inside.batch(
         [18, [99999, 1]],
@@ -164,10 +164,10 @@ controls = st.tuples(numbers, numbers, numbers, st.booleans(), st.booleans(), st
 
 
 @settings(suppress_health_check=[HealthCheck.function_scoped_fixture], deadline=None, max_examples=50)
-@given(told=st.lists(st.tuples(st.integers(0, 2), controls.map(list)), min_size=1, max_size=6))
-def test_controls_of_many_do_what_they_do_one_by_one(inside: Inside, told: list[tuple[int, list[Any]]]) -> None:
+@given(commanded=st.lists(st.tuples(st.integers(0, 2), controls.map(list)), min_size=1, max_size=6))
+def test_controls_of_many_do_what_they_do_one_by_one(inside: Inside, commanded: list[tuple[int, list[Any]]]) -> None:
     cars = place_many(inside, 3)
-    commands = [[2, [cars[which].id, control]] for which, control in told]
+    commands = [[2, [cars[which].id, control]] for which, control in commanded]
     found = []
     for batches in ([commands], [[command, [18, [cars[0].id, 0]]] for command in commands]):
         for car in cars:
@@ -195,7 +195,7 @@ def test_controls_of_many_do_what_they_do_one_by_one(inside: Inside, told: list[
         [2, ["car", None, None]],
     ],
 )
-def test_an_odd_control_does_not_hold_up_the_others(inside: Inside, odd: Any) -> None:
+def test_an_invalid_control_does_not_stop_the_others(inside: Inside, odd: Any) -> None:
     cars = place_many(inside, 2)
     number, (id, *control) = odd
     odd = [number, [cars[0].id if id == "car" else id, *control]]
@@ -205,14 +205,14 @@ def test_an_odd_control_does_not_hold_up_the_others(inside: Inside, odd: Any) ->
     assert cars[1].control.throttle == 0.5
 
 
-def test_gears_that_are_shifted_by_hand_are_told_with_the_others(inside: Inside) -> None:
+def test_manual_gears_are_applied_in_batches(inside: Inside) -> None:
     cars = place_many(inside, 2)
     inside.batch(*([2, [car.id, [0.5, 0.0, 0.0, False, False, number > 0, -1]]] for number, car in enumerate(cars)))
     assert [car.control.manual_gear_shift for car in cars] == [False, True]
     assert cars[1].control.gear == -1
 
 
-def test_what_fails_of_the_commands_for_a_new_actor_is_not_told(inside: Inside) -> None:
+def test_errors_of_commands_for_a_new_actor_are_not_reported(inside: Inside) -> None:
     after = [[[4, [0, [[1.0, 0.0, 0.0], 1.0, False]]]], [[18, [0, 7]]], "nonsense"]
     (answer,) = inside.batch([0, [[0, "vehicle.audi.tt", []], HERE, [False], 0, "", after]])
     assert answer[0][0] == 1

@@ -58,7 +58,7 @@ def test_in_asynchronous_mode_a_tick_waits_for_the_next_frame(world: carla.World
 
 
 @pytest.mark.parametrize("delta", [0.02, 0.1])
-def test_a_change_of_the_length_of_ticks_is_seen_at_once(world: carla.World, delta: float) -> None:
+def test_a_new_fixed_delta_applies_at_once(world: carla.World, delta: float) -> None:
     start = time.monotonic()
     world.apply_settings(carla.WorldSettings(synchronous_mode=False, fixed_delta_seconds=delta))
     assert time.monotonic() - start < 2.0  # the client asks 30 times if need be
@@ -84,7 +84,7 @@ def test_a_world_stays_synchronous_when_its_client_dies_as_with_carla(port: int)
     world.apply_settings(carla.WorldSettings())
 
 
-def test_a_port_in_use_is_told_in_a_line(port: int) -> None:
+def test_a_port_in_use_is_an_error_in_one_line(port: int) -> None:
     done = subprocess.run(
         [sys.executable, "-m", "carla_recap", "serve", f"--port={port}"],
         capture_output=True,

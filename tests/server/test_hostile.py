@@ -58,7 +58,7 @@ def connect(port: int) -> socket.socket:
 
 
 def send(connection: socket.socket, data: bytes) -> None:
-    """Send something to somebody who may well hang up."""
+    """Send data to a server that may close the connection."""
     with suppress(OSError):
         connection.sendall(data)
 
@@ -80,7 +80,7 @@ def reset(connection: socket.socket) -> None:
 
 
 @pytest.mark.parametrize("pause", [0.0, 0.002, 0.01])
-def test_the_last_calls_of_a_client_that_is_gone_are_served(port: int, recordings: Path, pause: float) -> None:
+def test_the_last_calls_of_a_client_that_has_left_are_served(port: int, recordings: Path, pause: float) -> None:
     long, stop = [0, 2, "get_actor_definitions", [[False]]], [0, 3, "stop_recorder", [[False]]]
     for _ in range(20):
         path = recordings / f"last words {pause}.log"
@@ -120,7 +120,7 @@ def ticks_quickly(world: carla.World) -> None:
         bytes(range(256)) * 100,
     ],
 )
-def test_garbage_is_cut_off(world: carla.World, port: int, data: bytes) -> None:
+def test_garbage_closes_the_connection(world: carla.World, port: int, data: bytes) -> None:
     with closing(connect(port)) as connection:
         send(connection, data)
         with suppress(ConnectionResetError):
@@ -128,7 +128,7 @@ def test_garbage_is_cut_off(world: carla.World, port: int, data: bytes) -> None:
     ticks_quickly(world)
 
 
-def test_garbage_at_the_streams_is_cut_off(world: carla.World, port: int) -> None:
+def test_garbage_closes_a_stream(world: carla.World, port: int) -> None:
     with closing(connect(port + 1)) as connection:
         send(connection, b"much too long")
         with suppress(ConnectionResetError):
@@ -136,9 +136,7 @@ def test_garbage_at_the_streams_is_cut_off(world: carla.World, port: int) -> Non
     ticks_quickly(world)
 
 
-def test_half_a_message_and_a_promise_of_4_gb_cost_nothing(
-    world: carla.World, server: tuple[int, Path], memory: int
-) -> None:
+def test_incomplete_messages_take_no_memory(world: carla.World, server: tuple[int, Path], memory: int) -> None:
     port, process = server
     connections = [connect(port) for _ in range(20)]
     for number, connection in enumerate(connections):
@@ -149,7 +147,9 @@ def test_half_a_message_and_a_promise_of_4_gb_cost_nothing(
         connection.close()
 
 
-def test_long_calls_of_many_do_not_fill_the_memory(world: carla.World, server: tuple[int, Path], memory: int) -> None:
+def test_long_calls_of_many_clients_do_not_fill_the_memory(
+    world: carla.World, server: tuple[int, Path], memory: int
+) -> None:
     port, process = server
     part = msgpack.packb([0, 1, "version", [[False], bytes(31 << 20)]])[:-1]
     connections = [connect(port) for _ in range(10)]
@@ -174,7 +174,9 @@ def test_a_call_in_single_bytes_is_served(port: int) -> None:
         assert msgpack.unpackb(connection.recv(100)) == [1, 1, None, [[1, "0.9.16"]]]
 
 
-def test_who_does_not_read_replies_is_not_served_on(world: carla.World, server: tuple[int, Path], memory: int) -> None:
+def test_a_client_that_does_not_read_replies_is_not_served(
+    world: carla.World, server: tuple[int, Path], memory: int
+) -> None:
     port, process = server
     calls = msgpack.packb([0, 1, "get_map_data", [[False]]]) * 20_000
     connections = [connect(port) for _ in range(10)]
@@ -190,7 +192,7 @@ def test_who_does_not_read_replies_is_not_served_on(world: carla.World, server: 
         connection.close()
 
 
-def test_calls_without_end_leave_time_for_others(world: carla.World, port: int) -> None:
+def test_endless_calls_leave_time_for_other_clients(world: carla.World, port: int) -> None:
     with closing(connect(port)) as connection:
         calls = msgpack.packb(VERSION) * 5000
         connection.setblocking(False)
@@ -202,7 +204,7 @@ def test_calls_without_end_leave_time_for_others(world: carla.World, port: int) 
             ticks_quickly(world)
 
 
-def test_a_stalled_subscriber_holds_up_nobody(world: carla.World, port: int) -> None:
+def test_a_stalled_subscriber_delays_no_tick(world: carla.World, port: int) -> None:
     connections = [connect(port + 1) for _ in range(50)]
     for connection in connections:
         connection.sendall(struct.pack("<I", 1))
@@ -212,7 +214,7 @@ def test_a_stalled_subscriber_holds_up_nobody(world: carla.World, port: int) -> 
         connection.close()
 
 
-def test_wrong_types_are_told_in_every_call(world: carla.World, port: int) -> None:
+def test_wrong_types_are_errors_of_every_call(world: carla.World, port: int) -> None:
     from carla_recap.server.rpc.registry import CALLS
 
     changing = {"load_new_episode", "stop_recorder", "tick_cue"}
@@ -225,12 +227,12 @@ def test_wrong_types_are_told_in_every_call(world: carla.World, port: int) -> No
     ticks_quickly(world)
 
 
-def test_an_unknown_call_is_named(port: int) -> None:
+def test_the_error_of_an_unknown_call_names_it(port: int) -> None:
     with closing(connect(port)) as connection:
         assert ask(connection, 0, 7, "make_coffee", [[False]]) == [1, 7, "make_coffee: there is no such call", None]
 
 
-def test_silent_connections_give_way(world: carla.World, port: int) -> None:
+def test_silent_connections_are_closed_for_new_ones(world: carla.World, port: int) -> None:
     with ExitStack() as stack:
         for _ in range(2200):
             stack.enter_context(closing(connect(port)))
@@ -240,7 +242,7 @@ def test_silent_connections_give_way(world: carla.World, port: int) -> None:
         ticks_quickly(world)
 
 
-def test_where_all_connections_are_used_new_ones_are_refused_politely(world: carla.World, port: int) -> None:
+def test_a_connection_too_many_is_refused_with_an_error(world: carla.World, port: int) -> None:
     with ExitStack() as stack:
         replies = [ask(stack.enter_context(closing(connect(port))), *VERSION) for _ in range(2005)]
         assert replies[0] == [1, 1, None, [[1, "0.9.16"]]]
@@ -248,7 +250,7 @@ def test_where_all_connections_are_used_new_ones_are_refused_politely(world: car
         ticks_quickly(world)
 
 
-def test_a_client_can_go_in_the_middle_of_a_call(world: carla.World, port: int) -> None:
+def test_a_client_can_leave_during_a_call(world: carla.World, port: int) -> None:
     for call in (["get_map_data", [False]], ["show_recorder_file_info", [False], "nothing", True]):
         with closing(connect(port)) as connection:
             connection.sendall(msgpack.packb([0, 1, call[0], call[1:]]))

@@ -42,7 +42,7 @@ with running(recordings=sys.argv[1]) as port:
 SOON = 20.0  # s
 
 
-def test_a_server_does_not_outlive_whoever_is_killed(tmp_path: Path) -> None:
+def test_a_server_ends_with_a_killed_parent(tmp_path: Path) -> None:
     done = subprocess.run(
         [sys.executable, "-c", KILLED, tmp_path], stdout=subprocess.PIPE, text=True, timeout=60, check=False
     )

@@ -16,7 +16,7 @@ if TYPE_CHECKING:
     from pathlib import Path
 
 
-def test_who_leaves_in_the_middle_of_the_answers_ends_nothing(port: int) -> None:
+def test_clients_that_leave_before_their_replies_do_no_harm(port: int) -> None:
     calls = b"".join(msgpack.packb([0, number, "version", [[False]]]) for number in range(1, 50))
     for _ in range(50):
         with socket.create_connection(("127.0.0.1", port)) as leaving:
@@ -33,26 +33,26 @@ def test_each_module_can_be_imported_first(module: str) -> None:
     subprocess.run([sys.executable, "-c", f"import carla_recap.server.{module}"], timeout=30, check=True)
 
 
-def test_folders_that_are_none_are_told_at_once_in_a_line(tmp_path: Path) -> None:
+def test_invalid_folders_are_errors_in_one_line(tmp_path: Path) -> None:
     (tmp_path / "file").touch()
     absent = tmp_path / "absent"
     assert f"Directory '{absent}' does not exist" in error("serve", "--port=0", "--maps", absent)
     assert "the folder of recordings cannot be made" in error("serve", "--port=0", "--recordings", tmp_path / "file" / "x")
-    told = error("serve", "--port=0", "--rerun-to", absent / "x.rrd")
-    assert told == f"{absent / 'x.rrd'}: cannot be written: there is no folder {absent}"
+    message = error("serve", "--port=0", "--rerun-to", absent / "x.rrd")
+    assert message == f"{absent / 'x.rrd'}: cannot be written: there is no folder {absent}"
 
 
-def test_who_serves_everybody_is_told_how_others_connect() -> None:
+def test_serving_other_machines_prints_how_they_connect() -> None:
     command = [sys.executable, "-m", "carla_recap", "serve", "--port=0", "--host=0.0.0.0"]
     with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, text=True) as process:
         assert process.stdout is not None
-        told = [process.stdout.readline() for _ in range(2)]
+        lines = [process.stdout.readline() for _ in range(2)]
         process.terminate()
-    port = told[0].rsplit(":", 1)[1].strip()
-    assert f"carla.Client('HOST', {port}), with the name or address of this machine" in told[1]
+    port = lines[0].rsplit(":", 1)[1].strip()
+    assert f"carla.Client('HOST', {port}), with the name or address of this machine" in lines[1]
 
 
-def test_a_warning_is_told_once(tmp_path: Path) -> None:
+def test_a_warning_is_printed_once(tmp_path: Path) -> None:
     with World(load_town(), recordings=tmp_path) as world:
         world.start_recorder("cut.log")
         for _ in range(10):
@@ -67,6 +67,6 @@ def test_a_warning_is_told_once(tmp_path: Path) -> None:
         for _ in range(3):
             assert "Frames: " in client.show_recorder_file_info("cut.log", False)
         process.terminate()
-        _, told = process.communicate(timeout=20)
-    (line,) = told.splitlines()
+        _, errors = process.communicate(timeout=20)
+    (line,) = errors.splitlines()
     assert line.startswith(f"carla-recap: warning: {path}")

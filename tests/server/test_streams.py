@@ -45,7 +45,7 @@ def test_each_frame_is_preceded_by_its_length() -> None:
     assert wire.written == [b"\x05\x00\x00\x00frame"]
 
 
-def test_a_late_subscriber_is_welcomed_with_the_latest_frame() -> None:
+def test_a_late_subscriber_gets_the_latest_frame() -> None:
     streams = new_streams()
     streams.keep(3, b"old")
     streams.keep(3, b"new")
@@ -53,7 +53,7 @@ def test_a_late_subscriber_is_welcomed_with_the_latest_frame() -> None:
     assert wire.written == [b"\x09\x00\x00\x00first new"]
 
 
-def test_who_is_behind_misses_all_frames_but_the_latest() -> None:
+def test_a_slow_subscriber_misses_all_frames_but_the_latest() -> None:
     streams = new_streams()
     subscriber, wire = subscribe(streams, 3)
     subscriber.pause_writing()
@@ -64,7 +64,7 @@ def test_who_is_behind_misses_all_frames_but_the_latest() -> None:
     assert wire.written == [b"\x01\x00\x00\x00c"]
 
 
-def test_a_stream_that_is_silent_welcomes_nobody() -> None:
+def test_a_silenced_stream_sends_nothing_to_new_subscribers() -> None:
     streams = new_streams()
     streams.keep(3, b"frame")
     streams.silence(3)

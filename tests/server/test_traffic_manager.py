@@ -99,13 +99,13 @@ def run(script: str, port: int, *arguments: str, code: int = 0) -> str:
     return done.stdout
 
 
-def test_it_drives_as_it_should(client: carla.Client, port: int) -> None:
-    told = json.loads(run(DRIVE, port))
-    assert told["driven"] > 1500
-    assert told["aside"] < 1.0
-    assert told["too_fast"] < 1
-    assert told["waits"] > 0
-    assert told["runs"] == 0
+def test_the_traffic_manager_drives(client: carla.Client, port: int) -> None:
+    result = json.loads(run(DRIVE, port))
+    assert result["driven"] > 1500
+    assert result["aside"] < 1.0
+    assert result["too_fast"] < 1
+    assert result["waits"] > 0
+    assert result["runs"] == 0
 
 
 @pytest.mark.parametrize("count", ["4", "0"])
@@ -126,12 +126,12 @@ def test_another_client_begins_episodes_while_it_lives(client: carla.Client, por
         for _ in range(5):
             world = client.reload_world()
             world.wait_for_tick(5.0)
-        told, _ = process.communicate("go on\n", timeout=120)
+        output, _ = process.communicate("go on\n", timeout=120)
     assert process.returncode == 0
-    assert int(told) == world.id
+    assert int(output) == world.id
 
 
-def test_a_client_that_dies_takes_its_manager_along_and_nothing_else(client: carla.Client, port: int) -> None:
+def test_the_manager_of_a_killed_client_is_removed(client: carla.Client, port: int) -> None:
     run(DIE, port, code=-9)
     world = client.get_world()
     for _ in range(20):

@@ -11,7 +11,7 @@ if TYPE_CHECKING:
 
     import carla
 
-ROUND: Final = (("get_vehicle_light_states",), ("get_weather_parameters",), ("apply_batch", [], False))
+CYCLE: Final = (("get_vehicle_light_states",), ("get_weather_parameters",), ("apply_batch", [], False))
 TICK: Final = ("tick_cue",)
 SETTINGS: Final = ("get_episode_settings",)
 
@@ -25,7 +25,7 @@ def wire(client: carla.Client, port: int) -> Iterator[socket.socket]:
 
 @pytest.fixture
 def manager(wire: socket.socket) -> Iterator[socket.socket]:
-    """Where the traffic manager listens that is told of over that connection."""
+    """The server of a traffic manager that is registered over that connection."""
     with socket.create_server(("127.0.0.1", 0)) as manager:
         manager.settimeout(6.0)
         answered(wire, ("add_traffic_manager_running", list(manager.getsockname())))
@@ -44,48 +44,51 @@ def answered(wire: socket.socket, *calls: tuple[Any, ...]) -> list[str]:
 
 def test_a_tick_passes_once_the_manager_waits_for_it(wire: socket.socket, manager: socket.socket) -> None:
     for _ in range(3):
-        assert answered(wire, *ROUND, TICK, SETTINGS)[-2:] == [SETTINGS[0], TICK[0]]
-        assert answered(wire, *ROUND, SETTINGS, TICK)[-2:] == [SETTINGS[0], TICK[0]]
+        assert answered(wire, *CYCLE, TICK, SETTINGS)[-2:] == [SETTINGS[0], TICK[0]]
+        assert answered(wire, *CYCLE, SETTINGS, TICK)[-2:] == [SETTINGS[0], TICK[0]]
 
 
 def test_settings_are_taken_once_the_manager_waits_for_the_next_tick(wire: socket.socket, manager: socket.socket) -> None:
     wire.sendall(msgpack.packb([0, 0, *SETTINGS, [[False]]]))
     _, _, _, ((_, settings),) = msgpack.unpackb(wire.recv(1 << 16))
-    names = answered(wire, *ROUND, ("set_episode_settings", settings), SETTINGS)
+    names = answered(wire, *CYCLE, ("set_episode_settings", settings), SETTINGS)
     assert names[-2:] == [SETTINGS[0], "set_episode_settings"]
 
 
 def test_a_tick_passes_even_if_the_manager_goes_no_further(wire: socket.socket, manager: socket.socket) -> None:
     for _ in range(3):
-        assert answered(wire, *ROUND, TICK)[-1] == TICK[0]
+        assert answered(wire, *CYCLE, TICK)[-1] == TICK[0]
 
 
-def test_who_has_no_manager_gets_answers_in_order(wire: socket.socket) -> None:
-    assert answered(wire, *ROUND, TICK, SETTINGS)[-2:] == [TICK[0], SETTINGS[0]]
+def test_without_a_manager_the_answers_are_in_order(wire: socket.socket) -> None:
+    assert answered(wire, *CYCLE, TICK, SETTINGS)[-2:] == [TICK[0], SETTINGS[0]]
 
 
 def test_a_manager_that_has_missed_a_tick_is_woken(wire: socket.socket, manager: socket.socket) -> None:
-    answered(wire, *ROUND, SETTINGS, TICK)
+    answered(wire, *CYCLE, SETTINGS, TICK)
     caller, _ = manager.accept()
     with caller:
         caller.settimeout(6.0)
-        assert [told(caller), told(caller)] == [["set_synchronous_mode", [False]], ["set_synchronous_mode", [True]]]
+        assert [answered_request(caller), answered_request(caller)] == [
+            ["set_synchronous_mode", [False]],
+            ["set_synchronous_mode", [True]],
+        ]
 
 
-def test_a_manager_that_begins_a_round_is_let_alone(wire: socket.socket, manager: socket.socket) -> None:
-    answered(wire, *ROUND, SETTINGS, TICK, ROUND[0])
+def test_a_manager_that_begins_a_cycle_is_not_woken(wire: socket.socket, manager: socket.socket) -> None:
+    answered(wire, *CYCLE, SETTINGS, TICK, CYCLE[0])
     manager.settimeout(3.0)
     with pytest.raises(TimeoutError):
         manager.accept()
 
 
-def test_of_several_managers_the_one_is_woken_whose_turn_it_is(wire: socket.socket) -> None:
+def test_the_manager_whose_turn_it_is_is_woken(wire: socket.socket) -> None:
     with socket.create_server(("127.0.0.1", 0)) as one, socket.create_server(("127.0.0.1", 0)) as other:
         for manager in (one, other):
             manager.settimeout(6.0)
             answered(wire, ("add_traffic_manager_running", list(manager.getsockname())))
         first, second = sorted((one, other), key=lambda manager: manager.getsockname()[1])
-        answered(wire, *ROUND, SETTINGS, TICK, ROUND[0])
+        answered(wire, *CYCLE, SETTINGS, TICK, CYCLE[0])
         caller, _ = second.accept()
         caller.close()
         first.settimeout(0.1)
@@ -93,8 +96,8 @@ def test_of_several_managers_the_one_is_woken_whose_turn_it_is(wire: socket.sock
             first.accept()
 
 
-def told(caller: socket.socket) -> list[Any]:
-    """What a caller wants; it is told that it is done."""
+def answered_request(caller: socket.socket) -> list[Any]:
+    """Return the request of a caller, and answer it."""
     _, number, *wanted = msgpack.unpackb(caller.recv(1 << 10))
     caller.sendall(msgpack.packb([1, number, None, None]))
     return wanted

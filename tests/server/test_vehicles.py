@@ -148,7 +148,7 @@ def test_the_road_tells_the_car_its_limit_and_its_light(world: carla.World) -> N
     assert car.get_failure_state() == carla.VehicleFailureState.NONE
 
 
-def test_what_cannot_be_honoured_is_accepted(world: carla.World, car: carla.Vehicle) -> None:
+def test_unsupported_calls_are_accepted(world: carla.World, car: carla.Vehicle) -> None:
     car.set_enable_gravity(False)
     car.show_debug_telemetry(True)
     car.set_wheel_steer_direction(carla.VehicleWheelLocation.FL_Wheel, 10.0)

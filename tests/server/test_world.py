@@ -42,7 +42,7 @@ def test_the_map_has_lights_and_signs_by_itself(world: carla.World) -> None:
     world.enable_environment_objects({objects[0].id}, False)
 
 
-def test_what_cannot_be_honoured_is_accepted(world: carla.World) -> None:
+def test_unsupported_calls_are_accepted(world: carla.World) -> None:
     here, there = carla.Location(), carla.Location(1.0, 1.0, 1.0)
     world.debug.draw_point(here)
     world.debug.draw_line(here, there)

@@ -7,7 +7,7 @@
 | `test_the_loop_polls_after_an_event` |
 | a script ends right after its last call, and its system resets the connection \
 | that call, often `stop_recorder`, is lost | `quirks.unread_bytes` \
-| `test_the_last_calls_of_a_client_that_is_gone_are_served`, `test_what_arrived_before_a_write_failed_can_be_read` |
+| `test_the_last_calls_of_a_client_that_has_left_are_served`, `test_what_arrived_before_a_write_failed_can_be_read` |
 | `listen` returns before the client has subscribed | the datum of the tick that follows is lost \
 | `quirks.PendingSubscriptions` | `test_synchronous_mode`, `test_a_tick_waits_for_the_subscriptions_of_its_client` |
 | a client that begins an episode has none until its call has returned \
