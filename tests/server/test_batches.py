@@ -150,7 +150,7 @@ def test_a_failing_command_does_not_stop_the_others(inside: Inside) -> None:
     texts = [answer[0][1] for answer in answers]
     assert [answer[0][0] for answer in answers] == [0] * 8 + [1]
     assert texts[0] == ["actor 99999 not found"]
-    assert "a command of [[number, fields]] was expected" in texts[1][0]
+    assert texts[1] == ["apply_batch: there is no command 22"]
     assert "argument 2: expected a finite number, found nan" in texts[2][0]
     assert "expected 2 arguments, found 1" in texts[3][0]
     assert "no blueprint 'vehicle.nobody.knows'" in texts[6][0]
