@@ -551,7 +551,7 @@ def worlds(path: Path, first: int = 0) -> list[Any]:
 def window(path: Path, start: float, duration: float) -> list[int]:
     """The indices of the frames that a clip should have."""
     frames = frames_of(path)
-    earlier = [frame for frame in frames if frame.elapsed <= start]
+    earlier = [frame for frame in frames if frame.elapsed <= start + 1e-6]
     first = earlier[-1] if earlier else frames[0]
     if first.preamble:
         first = next(frame for frame in frames if not frame.preamble)
@@ -560,7 +560,7 @@ def window(path: Path, start: float, duration: float) -> list[int]:
     indices = [first.index]
     since = first.elapsed if math.isfinite(first.elapsed) else -math.inf
     for frame in frames:
-        if since > -math.inf and not frame.elapsed >= since:
+        if since > -math.inf and not frame.elapsed >= since - 1e-6:
             continue
         if stop < math.inf and frame.elapsed >= stop + 1e-6:
             break

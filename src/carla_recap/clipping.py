@@ -12,7 +12,7 @@ from carla_recap.conversion import check_destination
 from carla_recap.errors import MissingExtra, RecapError, RecapWarning
 from carla_recap.folders import check_folder, new_folder
 from carla_recap.formats import SUFFIXES, create_writer, open_reader
-from carla_recap.frame import LAST_FRAME_DURATION, Extent, Frame
+from carla_recap.frame import LAST_FRAME_DURATION, SAME_TIME, Extent, Frame
 from carla_recap.lasting import Lasting
 from carla_recap.queries.actors import actors
 from carla_recap.queries.incidents import HARD, incidents
@@ -32,7 +32,6 @@ if TYPE_CHECKING:
 LONGEST: Final = 60.0
 """Of an incident that is longer, the clip has so many seconds from its start."""
 
-_ROUNDING: Final = 1e-6  # s; a frame so little behind the stop is at the stop
 _LATEST_DATE: Final = (1 << 63) - 1
 
 
@@ -206,7 +205,7 @@ def _names(found: Sequence[Incident], suffix: str) -> Iterator[str]:
 
 def _followed(incident: Incident, recording: Recording, time: float) -> int | None:
     """Of an incident's actors the first that a clip has had until a time; None where it has had none of them."""
-    come = {actor.id for actor in actors(recording.reader) if actor.spawned_at <= time + _ROUNDING}
+    come = {actor.id for actor in actors(recording.reader) if actor.spawned_at <= time + SAME_TIME}
     return next((id for id in incident.actors if id in come), None)
 
 
@@ -238,7 +237,8 @@ def _first_frame(reader: Reader, start: float) -> Frame:
 def _frames(lasting: Lasting, first: Frame, stop: float) -> Iterator[Frame]:
     yield lasting.begin(first)
     start = first.elapsed if math.isfinite(first.elapsed) else -math.inf
-    for frame in lasting.source.frames(start=start, stop=stop + _ROUNDING):
+    # The stop is part of the clip, as are frames within `SAME_TIME` of it.
+    for frame in lasting.source.frames(start=start, stop=stop + 2 * SAME_TIME):
         if frame.index > first.index:
             yield lasting.go_on(frame)
 

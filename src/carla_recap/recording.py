@@ -219,7 +219,7 @@ class Recording:
 
         Args:
             start: First elapsed time, in seconds.
-            stop: Elapsed time, in seconds, at which to stop (exclusive).
+            stop: Elapsed time, in seconds, at which to stop (exclusive). A frame within a microsecond of either is at it.
 
         Raises:
             FormatError: The file contradicts its format.
@@ -227,7 +227,7 @@ class Recording:
         return self.reader.frames(start=start, stop=stop)
 
     def frame_at(self, elapsed: float) -> Frame:
-        """The last frame that begins at or before a time in seconds; found by index.
+        """Return the last frame that begins at or before a time in seconds, or within a microsecond of it; found by index.
 
         Raises:
             RecapError: The recording has none.

@@ -89,7 +89,7 @@ def picture(
         FormatError: The file contradicts its format.
     """
     now = Player(source, start=at, follow=follow)
-    moment = now.start
+    moment = now.at(now.start).time
     if follow is not None and now.followed not in now.at(moment).ids:
         raise RecapError(f"{now.reader.path}: actor {now.followed} is not there at {moment:g} s, so it cannot be followed")
     pose = None if now.followed is None else now.at(moment).pose_of(now.followed)

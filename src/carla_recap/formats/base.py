@@ -37,7 +37,7 @@ class Reader(Protocol):
             types: Names of record types: frames hold the packets of these alone, and no empty ones. None: all packets.
             sparse: Leave out frames that hold no packet of `types`.
             start: First elapsed time, in seconds.
-            stop: Elapsed time, in seconds, at which to stop (exclusive).
+            stop: Elapsed time, in seconds, at which to stop (exclusive). A frame within `SAME_TIME` of either is at it.
 
         Raises:
             FormatError: The file contradicts its format.
@@ -45,7 +45,7 @@ class Reader(Protocol):
         ...
 
     def frame_at(self, elapsed: float) -> Frame | None:
-        """The last frame that begins at or before a time in seconds; None where there is none."""
+        """Return the last frame that begins at or before a time in seconds, or within `SAME_TIME` of it; else None."""
         ...
 
     def extent(self) -> Extent:

@@ -22,7 +22,7 @@ import numpy as np
 from carla_recap.errors import FormatError, NotARecording, RecapError, RecapWarning, RecordError
 from carla_recap.formats.atomic import AtomicFile
 from carla_recap.formats.base import PIECE
-from carla_recap.frame import Extent, Frame, Header, Packet, Run
+from carla_recap.frame import SAME_TIME, Extent, Frame, Header, Packet, Run
 from carla_recap.payload import EMPTY_LIST, U16, Buffer, PayloadError, check
 from carla_recap.records import FRAME_END, FRAME_START, UE4, UE5, Framing, RecordType
 
@@ -94,6 +94,7 @@ class LogReader:
         self._view = memoryview(self._map)
         self._warned: set[str] = set()
         self._extent: Extent | None = None
+        self._next_whole: tuple[int, int | None] = (0, -1)  # from there on, the first frame that looks whole
         self._index: _Index | None = None
         self._end = len(self._view)  # of the last complete packet, once known
         header, self._start = self._read_header()
@@ -124,6 +125,7 @@ class LogReader:
         stop: float = math.inf,
     ) -> Iterator[Frame]:
         """Stream the frames; see `Reader.frames`."""
+        start, stop = start - SAME_TIME, stop - SAME_TIME
         if types is None:
             wanted = [True] * 256
             ignored_size = -1
@@ -143,6 +145,7 @@ class LogReader:
 
     def frame_at(self, elapsed: float) -> Frame | None:
         """The last frame that begins at or before a time; see `Reader.frame_at`."""
+        elapsed += SAME_TIME
         times = np.frombuffer(self._indexed().elapsed, np.float64)
         earlier = np.flatnonzero(times <= elapsed)
         if not len(earlier):
@@ -268,7 +271,9 @@ class LogReader:
             if id > FRAME_END:
                 if wanted[id] and length != ignored_size:
                     places.append((id, at + 5, length))
-                    if len(places) > PACKETS_LIMIT:
+                    if len(places) > PACKETS_LIMIT and self._salvage:
+                        self.lost_bytes += PACKET.size + places.pop()[2]
+                    elif len(places) > PACKETS_LIMIT:
                         raise FormatError(self.path, at, f"more than {PACKETS_LIMIT} packets in a frame")
             elif length != (0 if id else 24):
                 if self._only_zeros(at):
@@ -320,12 +325,15 @@ class LogReader:
         return until
 
     def _next_frame(self, at: int) -> int | None:
-        """Where the next frame begins that looks whole."""
-        while (at := self._map.find(_START_HEAD, at)) >= 0:
-            if self._looks_whole(at):
-                return at
+        """Return where the next frame begins that looks whole."""
+        since, known = self._next_whole
+        if since <= at and (known is None or at <= known):
+            return known
+        since = at
+        while (at := self._map.find(_START_HEAD, at)) >= 0 and not self._looks_whole(at):
             at += 1
-        return None
+        self._next_whole = since, at if at >= 0 else None
+        return self._next_whole[1]
 
     def _frame_inside(self, id: int, at: int, end: int) -> int | None:
         """Where a frame begins inside a packet that is not sound, or of unknown kind: its size is what is broken."""

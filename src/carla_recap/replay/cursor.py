@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 
 from carla_recap.errors import RecapError
+from carla_recap.frame import SAME_TIME
 from carla_recap.replay.events import Collided, Event, Parented, Spawned
 from carla_recap.replay.rows import array
 from carla_recap.replay.world import EVENTS, World
@@ -44,7 +45,7 @@ class Cursor:
         new_world: Makes a world in which nothing has happened.
 
     Attributes:
-        frame: The last frame at or before the time; before the first frame, the first.
+        frame: The last frame at or before the time, or within `SAME_TIME` of it; before the first frame, the first.
         next: The frame behind it; None behind the last one.
         world: What all frames until `frame` have left behind.
         events: What happened since they were last taken.
@@ -63,7 +64,7 @@ class Cursor:
 
     def advance(self, time: float) -> None:
         """Read on until some elapsed seconds."""
-        while self.next is not None and not self.next.elapsed > time:
+        while self.next is not None and not self.next.elapsed > time + SAME_TIME:
             self._enter(self.next)
 
     def seek(self, time: float) -> None:
@@ -72,7 +73,7 @@ class Cursor:
         Raises:
             RecapError: The recording has no frames.
         """
-        if self._stream is None or not 0 <= time - self.frame.elapsed < _NEAR:
+        if self._stream is None or not -SAME_TIME <= time - self.frame.elapsed < _NEAR:
             self._jump(time)
         self.advance(time)
         actors = self.world.actors.values()

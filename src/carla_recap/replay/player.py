@@ -8,6 +8,7 @@ from functools import cached_property
 from typing import TYPE_CHECKING, Final, NamedTuple
 
 from carla_recap.errors import RecapError
+from carla_recap.frame import SAME_TIME
 from carla_recap.recording import Recording
 from carla_recap.replay.cursor import Cursor
 from carla_recap.replay.follow import Follow, choose_followed, find_followed
@@ -26,7 +27,6 @@ if TYPE_CHECKING:
 FAST: Final = 2.0
 """From this time factor on nothing is interpolated, as in CARLA."""
 
-_SAME_TIME: Final = 1e-6  # s; so far before the stop it is the stop: times add up with rounding errors
 _PRINTED: Final = 1e-5  # the end may be given as it is printed, with six digits
 
 
@@ -163,7 +163,7 @@ class Player:
         self._time = self._moment(time)
         self._cursor.seek(self._time)
         self._begun = self._fresh = True
-        self._finished = self._time >= self.stop - _SAME_TIME
+        self._finished = self._time >= self.stop - SAME_TIME
         return self._scene()
 
     def scenes(self, rate: float | None = None) -> Iterator[Scene]:
@@ -194,7 +194,7 @@ class Player:
         if not self._begun:
             self._cursor.seek(self.start)
             self._begun = True
-        if not time < self.stop - _SAME_TIME:
+        if not time < self.stop - SAME_TIME:
             time = self.stop
             self._finished = True
         self._time = time
@@ -202,8 +202,11 @@ class Player:
         return self._scene()
 
     def _scene(self) -> Scene:
-        cursor, time = self._cursor, self._time
+        cursor = self._cursor
         world, frame, following = cursor.world, cursor.frame, cursor.next
+        if self._time < frame.elapsed <= self._time + SAME_TIME:
+            self._time = frame.elapsed
+        time = self._time
         part = 0.0
         if following is not None and self.smooth and self._time_factor < FAST:
             length = following.elapsed - frame.elapsed

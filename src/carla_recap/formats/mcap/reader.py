@@ -42,8 +42,8 @@ from carla_recap.formats.mcap.container import (
     parse_header,
     unchecked,
 )
-from carla_recap.formats.mcap.source import Chunk, Source, Summary, open_chunk, parse_record, read_summary
-from carla_recap.frame import Extent, Frame, Header, Packet
+from carla_recap.formats.mcap.source import METADATA_LIMIT, Chunk, Source, Summary, open_chunk, parse_record, read_summary
+from carla_recap.frame import SAME_TIME, Extent, Frame, Header, Packet
 from carla_recap.payload import EMPTY_LIST, Buffer
 from carla_recap.records import FRAME_END, FRAME_START, Records, RecordType
 from carla_recap.standing import BlockedRow
@@ -162,14 +162,18 @@ class McapReader:
         path: The file.
         summary: What the file holds, where that is known better than by the file itself.
         header: Its header, where the file has none.
+        salvage: Leave out frames that contradict their schema.
 
     Raises:
         NotARecording: It is no MCAP file, or none with a recording.
         FormatError: It is damaged, or was never finished.
     """
 
-    def __init__(self, path: Path | str, *, summary: Summary | None = None, header: Header | None = None) -> None:
+    def __init__(
+        self, path: Path | str, *, summary: Summary | None = None, header: Header | None = None, salvage: bool = False
+    ) -> None:
         self.path = Path(path)
+        self._salvage = salvage
         self._source = Source(path)
         self._warned: set[str] = set()
         try:
@@ -209,6 +213,7 @@ class McapReader:
         stop: float = math.inf,
     ) -> Iterator[Frame]:
         """Stream the frames; see `Reader.frames`. With `sparse`, durations are unknown (NaN)."""
+        start, stop = start - SAME_TIME, stop - SAME_TIME
         wanted = self._wanted(types, spine=not sparse)
         chunks = self._chunks(wanted, start, stop)
         plans: Plans = {}
@@ -216,7 +221,12 @@ class McapReader:
             if sparse:
                 frame = self._headless(index, gathered)
             else:
-                frame = self._frame(index, gathered, wanted, plans, whole=types is None, within=(start, stop))
+                try:
+                    frame = self._frame(index, gathered, wanted, plans, whole=types is None, within=(start, stop))
+                except FormatError:
+                    if not self._salvage:
+                        raise
+                    continue
             if stop < math.inf and frame.elapsed >= stop:
                 return
             if start == -math.inf or frame.elapsed >= start:
@@ -224,6 +234,7 @@ class McapReader:
 
     def frame_at(self, elapsed: float) -> Frame | None:
         """The last frame that begins at or before a time; see `Reader.frame_at`."""
+        elapsed += SAME_TIME
         found = None
         plans: Plans = {}
         spine = self._wanted((), spine=True)
@@ -289,7 +300,7 @@ class McapReader:
         index = self._summary.metadata.get(name)
         if index is None:
             return None
-        content = self._source.record(index.offset, Opcode.METADATA, f"the metadata {name}")
+        content = self._source.record(index.offset, Opcode.METADATA, f"the metadata {name}", METADATA_LIMIT)
         try:
             return unchecked(dict(parse_record(records.Metadata, content).metadata))
         except ValueError as error:
@@ -537,6 +548,8 @@ class McapReader:
         while missing > 0 and queue:
             pieces.append(self._parse("raw_packet", RAW_MESSAGE, _message(queue.popleft())).data)
             missing -= len(pieces[-1])
+        if not FRAME_START < message.id <= 0xFF:
+            raise FormatError(self.path, None, f"a raw packet of id {message.id}; 1 to 255 were expected")
         table = self.header.table
         type = table[message.id] if message.id < len(table) else None
         return Packet(message.id, type, b"".join(pieces), place=(self.path, None))

@@ -40,6 +40,10 @@ CHUNK_LIMIT: Final = 64 << 20
 """The largest chunk that is read, in bytes, compressed or not; ours are about 1 MiB."""
 SUMMARY_LIMIT: Final = 256 << 20
 """The largest summary that is read, in bytes."""
+METADATA_LIMIT: Final = 512 << 10
+"""The largest metadata that are read, in bytes; those of a header with the longest of names are smaller."""
+RECORDS_LIMIT: Final = 1 << 17
+"""The most records, beside chunk indexes, that a summary is made of: as many schemas and channels as there are ids."""
 
 
 class Source:
@@ -246,8 +250,12 @@ def read_summary(source: Source) -> Summary:
             "the summary is damaged (its checksum does not match); 'carla-recap recover' makes a new one",
         )
     summary = Summary()
+    others = 0
     try:
         for opcode, at, until in split_records(data):
+            others += opcode != Opcode.CHUNK_INDEX
+            if others > RECORDS_LIMIT:
+                raise ValueError(f"more than {RECORDS_LIMIT} records beside chunk indexes")
             _take(summary, opcode, memoryview(data)[at:until])
     except ValueError as error:
         raise FormatError(path, start, f"the summary is damaged: {error}; 'carla-recap recover' makes a new one") from None
