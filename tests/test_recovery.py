@@ -13,6 +13,7 @@ from carla_recap import RecapError, RecapWarning, Recovery, convert, open_record
 from carla_recap.formats.mcap.container import MAGIC
 from carla_recap.frame import Header
 from tests import strategies
+from tests.formats.mcap.forge import edited
 from tests.samples import (
     END,
     carla_log,
@@ -128,6 +129,77 @@ def test_a_missing_file_is_an_error(tmp_path):
         recover(tmp_path / "missing.mcap", tmp_path / "saved.mcap")
 
 
+@pytest.mark.parametrize("suffix", [".mcap", ".log"])
+def test_a_broken_packet_costs_only_itself(driven, tmp_path, suffix):
+    whole = images(driven)
+
+    def change(topic, sequence, data):
+        return data[:-20] + b"\xff" * 20 if topic == "/actors/transforms" and sequence == 10 else data
+
+    edited(driven, change)
+    with pytest.raises(RecapError):
+        images(driven)
+    recovery = recover(driven, tmp_path / f"saved{suffix}")
+    assert (recovery.frames, recovery.lost_frames, recovery.lost_packets) == (600, 0, 1)
+    assert "1 packets lost" in str(recovery)
+    saved = images(tmp_path / f"saved{suffix}")
+    assert saved[:10] + saved[11:] == whole[:10] + whole[11:]
+    assert len(saved[10][-1]) == len(whole[10][-1]) - 1
+
+
+@pytest.mark.parametrize("suffix", [".mcap", ".log"])
+def test_a_frame_whose_own_message_is_broken_costs_only_itself(driven, tmp_path, suffix):
+    edited(driven, lambda topic, sequence, data: b"\xff" * 30 if topic == "/frames" and sequence == 10 else data)
+    with pytest.raises(RecapError):
+        images(driven)
+    recovery = recover(driven, tmp_path / f"saved{suffix}")
+    assert (recovery.frames, recovery.lost_frames) == (599, 1)
+    assert len(images(tmp_path / f"saved{suffix}")) == 599
+
+
+@pytest.mark.parametrize("id", [0, 256, 70_000])
+def test_raw_packets_that_cannot_be(tmp_path, id):
+    """A packet of id 0 would begin a frame."""
+    from carla_recap.v1.raw_packet_pb2 import RawPacket
+
+    def change(topic, sequence, data):
+        if topic != "/carla/raw" or sequence != 2:
+            return data
+        raw = RawPacket.FromString(data)
+        raw.id = id
+        return raw.SerializeToString()
+
+    frames = [start(n, n / 10) + packet(150, bytes((n,)) * 50) + END for n in range(1, 6)]
+    log = save(tmp_path / "raw.log", log_header() + b"".join(frames))
+    path = tmp_path / "raw.mcap"
+    convert(log, path)
+    edited(path, change)
+    with pytest.raises(RecapError, match=f"raw packet of id {id}"):
+        convert(path, tmp_path / "out.log")
+    for suffix in (".mcap", ".log"):
+        recovery = recover(path, tmp_path / f"saved{suffix}")
+        assert (recovery.frames, recovery.lost_frames) == (4, 1)
+        assert [frame[1] for frame in images(tmp_path / f"saved{suffix}")] == [1, 2, 4, 5]
+
+
+def test_packets_that_contradict_their_type_do_not_get_into_a_log(driven, tmp_path):
+    """A clock without a number is no packet that a log can be read with."""
+    from carla_recap.v1.frame_pb2 import Frame
+
+    def change(topic, sequence, data):
+        if topic != "/frames" or sequence != 3:
+            return data
+        frame = Frame.FromString(data)
+        frame.packets, frame.filled = frame.packets + bytes((14,)), frame.filled + bytes((0,))
+        return frame.SerializeToString()
+
+    whole = images(driven)
+    edited(driven, change)
+    recovery = recover(driven, tmp_path / "saved.log")
+    assert recovery.lost_packets == 1
+    assert images(tmp_path / "saved.log") == whole
+
+
 # --- logs ------------------------------------------------------------------------------------------------
 
 
@@ -161,6 +233,21 @@ def test_a_packet_that_contradicts_its_type_is_left_out(tmp_path):
     recovery = recover(save(tmp_path / "bad.log", data), tmp_path / "saved.log")
     assert (recovery.frames, recovery.lost_bytes) == (1, 5)
     assert (tmp_path / "saved.log").read_bytes() == log_header() + start(1, 0.0) + packet(150, b"kept") + END
+
+
+def test_thousands_of_unknown_packets_cost_little(tmp_path):
+    """Behind each, the next frame is looked for: there is none."""
+    data = log_header() + start(1, 0.0) + END + start(2, 0.1) + packet(150, b"") * 190_000 + bytes((0,)) * 4_000_000
+    with time_limit(20), warnings_ignored():
+        recovery = recover(save(tmp_path / "many.log", data), tmp_path / "saved.log")
+    assert recovery.frames == 2
+
+
+def test_a_frame_of_too_many_packets_is_cut(tmp_path):
+    data = log_header() + start(1, 0.0) + packet(150, b"") * 200_010 + END + start(2, 0.1) + END
+    with time_limit(30), warnings_ignored():
+        recovery = recover(save(tmp_path / "many.log", data), tmp_path / "saved.log")
+    assert recovery.frames == len(images(tmp_path / "saved.log")) == 2
 
 
 def test_a_header_that_is_cut_is_an_error(tmp_path):

@@ -9,10 +9,12 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 from carla_recap.conversion import check_destination
-from carla_recap.errors import RecapError, RecapWarning
+from carla_recap.errors import FormatError, RecapError, RecapWarning
 from carla_recap.formats import create_writer, read_start
 from carla_recap.formats.atomic import partials
-from carla_recap.formats.carla_log import LogReader, is_log
+from carla_recap.formats.carla_log import PACKETS_LIMIT, LogReader, is_log
+from carla_recap.payload import PayloadError, check
+from carla_recap.records import FRAME_END
 
 if TYPE_CHECKING:
     from collections.abc import Iterable
@@ -20,7 +22,7 @@ if TYPE_CHECKING:
 
     from carla_recap.conversion import Progress
     from carla_recap.formats.base import Reader, Writer
-    from carla_recap.frame import Frame
+    from carla_recap.frame import Frame, Packet
 
 
 @dataclass(frozen=True)
@@ -34,6 +36,7 @@ class Recovery:
         duration: Elapsed seconds of the last frame that was saved.
         finished: Whether the source had a proper end.
         headless: Whether its header was lost, so that the map is unknown.
+        lost_packets: Packets of saved frames that hold something else than their type announces.
     """
 
     frames: int
@@ -42,10 +45,11 @@ class Recovery:
     duration: float
     finished: bool
     headless: bool = False
+    lost_packets: int = 0
 
     def __str__(self) -> str:
         saved = f"{self.frames} frame{'s' * (self.frames != 1)} saved, up to {self.duration:g} s"
-        counts = ((self.lost_frames, "frames"), (self.lost_bytes, "bytes"))
+        counts = ((self.lost_frames, "frames"), (self.lost_packets, "packets"), (self.lost_bytes, "bytes"))
         lost = [f"{count} {what} lost" for count, what in counts if count]
         if not self.finished:
             lost.append("it was never finished, or its end is damaged")
@@ -77,11 +81,16 @@ def recover(
     check_destination(source, destination, force=force)
     _expect_source(source)
     reader, finished, lost_bytes, headless = _open(source)
-    frames, last, duration = 0, -1, 0.0
+    frames, last, duration, lost_packets = 0, -1, 0.0, 0
     try:
         with create_writer(destination, reader.header, force=force, format=format) as writer:
             stream: Iterable[Frame] = reader.frames()
             for frame in progress(stream, reader) if progress else stream:
+                if frame.preamble and frames:  # its packets would become those of the frame before
+                    continue
+                sound = [packet for packet in frame.packets if _is_sound(packet)][:PACKETS_LIMIT]
+                lost_packets += len(frame.packets) - len(sound)
+                frame.packets = sound
                 writer.write(frame)
                 frames += 1
                 last, duration = frame.index, frame.elapsed
@@ -92,7 +101,7 @@ def recover(
         expected = max(last + 1, _stated_frames(reader))
     finally:
         reader.close()
-    return Recovery(frames, expected - frames, lost_bytes, duration, finished, headless)
+    return Recovery(frames, expected - frames, lost_bytes, duration, finished, headless, lost_packets)
 
 
 def rescue(writer: Writer, path: Path, error: Exception, *, force: bool = False, format: str | None = None) -> RecapError:
@@ -128,6 +137,19 @@ def _expect_source(source: Path | str) -> None:
         raise RecapError(f"{source}: was never finished; what was written of it until then lies in {there}")
 
 
+def _is_sound(packet: Packet) -> bool:
+    """Return whether a packet holds what its type announces, so that any format can have it and be read again."""
+    try:
+        payload = packet.payload
+        if packet.id <= FRAME_END:
+            return packet.id == FRAME_END and not len(payload)
+        if packet.type is not None and not packet.type.opaque:
+            check(packet.type, payload)
+        return True
+    except (FormatError, PayloadError):
+        return False
+
+
 def _stated_frames(reader: Reader) -> int:
     """How many frames a file says that it has; 0 if it does not."""
     return int(getattr(reader, "metadata", {}).get("frames", 0))
@@ -153,4 +175,4 @@ def _open(source: Path | str) -> tuple[Reader, bool, int, bool]:
         raise RecapError(f"{source}: nothing can be saved: it holds no recording")
     headless = HEADER_METADATA not in summary.metadata
     header = guess_header(summary) if headless else None
-    return McapReader(source, summary=summary, header=header), damage.finished, damage.bytes, headless
+    return McapReader(source, summary=summary, header=header, salvage=True), damage.finished, damage.bytes, headless

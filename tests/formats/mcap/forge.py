@@ -17,7 +17,7 @@ from mcap.stream_reader import StreamReader
 from mcap.writer import CompressionType, Writer
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable
+    from collections.abc import Callable, Iterable
     from pathlib import Path
 
 MAGIC = b"\x89MCAP0\r\n"
@@ -145,6 +145,28 @@ def rewrite(source: Path, destination: Path, **options: Any) -> Path:
             writer.add_metadata(metadata.name, metadata.metadata)
         writer.finish()
     return destination
+
+
+def edited(path: Path, change: Callable[[str, int, bytes], bytes | None]) -> Path:
+    """A recording with other messages.
+
+    Args:
+        path: The recording.
+        change: Is given the topic, the sequence number and the data of a message; returns its new data, None to drop it.
+    """
+    parts = data_records(path)
+    topics = {part.id: part.topic for part in parts if isinstance(part, records.Channel)}
+    for place, part in enumerate(parts):
+        if isinstance(part, records.Chunk):
+            content, at, data = bytearray(), 0, chunk_records(part)
+            while at < len(data):
+                _, length, channel, sequence, time, _ = struct.unpack_from("<BQHIQQ", data, at)
+                body = change(topics[channel], sequence, data[at + 31 : at + 9 + length])
+                content += b"" if body is None else message(channel, sequence, time, body)
+                at += 9 + length
+            times = {"message_start_time": part.message_start_time, "message_end_time": part.message_end_time}
+            parts[place] = seal(bytes(content), part.compression, **times)
+    return Forge(parts).write(path)
 
 
 def message(channel: int, sequence: int, time: int, data: bytes) -> bytes:

@@ -152,3 +152,65 @@ def test_any_damage_is_survived(tmp_path, data):
         summary, _ = salvaged(save(tmp_path / "damaged.mcap", damaged))
     for chunk in summary.chunks:
         assert chunk.offset + chunk.length <= len(damaged)
+
+
+# --- what is made to cost time ---------------------------------------------------------------------------
+
+
+def head_of_a_chunk(length: int, stored: int, size: int, compressed: bytes = b"\x28\xb5\x2f\xfd") -> bytes:
+    """The beginning of a chunk that claims some length."""
+    fields = struct.pack("<QQQII", 0, 1, size, 1, 4) + b"zstd" + struct.pack("<Q", stored)
+    return struct.pack("<BQ", 6, length) + fields + compressed
+
+
+@pytest.mark.parametrize("honest", [True, False])
+def test_false_heads_of_chunks_cost_little(driven, honest):
+    """Each claims all that is behind it, up to some zeros; only `honest` ones could be chunks, as far as their fixed fields say."""
+    data = driven.read_bytes()
+    chunks = offsets_of(data)
+    count, each = 20_000, 61
+    junk = bytearray()
+    for number in range(count):
+        length = (count - number) * each + 50_000 - 9
+        junk += head_of_a_chunk(length, length - 44 if honest else 7, 1000).ljust(each, b"\0")
+    assert len(junk) == count * each
+    save(driven, data[: chunks[1]] + bytes(junk) + bytes(100_000) + data[chunks[1] :])
+    with time_limit(10):
+        source = Source(driven)
+        summary, damage = salvage(source)
+        source.close()
+    assert source.bytes_read < 12 * source.size + (64 << 20)
+    assert damage.bytes >= len(junk)
+    assert len(summary.chunks) == len(chunks)
+
+
+def test_small_false_heads_are_found_in_one_window(tmp_path):
+    junk = (b"\x06" + bytes(36) + b"\x04\0\0\0zstd") * 50_000
+    path = save(tmp_path / "x.mcap", MAGIC + junk)
+    source = Source(path)
+    with time_limit(10):
+        salvage(source)
+    source.close()
+    assert source.bytes_read < 4 * len(junk)
+
+
+def test_bombs_cost_little(driven):
+    parts = data_records(driven)
+    count = sum(isinstance(part, records.Chunk) for part in parts)
+    message = struct.pack("<BQHIQQ", 5, 22, 1, 0, 0, 0)
+    bombs = [seal(bytes(64 << 20))] * 20 + [seal(message * ((64 << 20) // len(message)))] * 20
+    Forge([*parts, *bombs]).write(driven)
+    with time_limit(20):
+        summary, damage = salvaged(driven)
+    assert len(summary.chunks) >= count
+    assert damage.chunks >= 38
+
+
+def test_thousands_of_channels_cost_little(driven):
+    parts = data_records(driven)
+    channel = next(part for part in parts if isinstance(part, records.Channel))
+    data = Forge([*parts, *[channel] * 300_000]).write(driven, summary=[]).read_bytes()
+    save(driven, data[:-100])
+    with time_limit(20):
+        summary, _ = salvaged(driven)
+    assert len(summary.chunks) == len(offsets_of(data))

@@ -13,9 +13,10 @@ from hypothesis import strategies as st
 from mcap import records
 from mcap.opcode import Opcode
 
-from carla_recap import FormatError, NotARecording, RecapError
+from carla_recap import FormatError, NotARecording, RecapError, open_recording, recover
 from carla_recap.formats.mcap.source import (
     CHUNK_LIMIT,
+    RECORDS_LIMIT,
     Source,
     decompress,
     open_chunk,
@@ -24,8 +25,8 @@ from carla_recap.formats.mcap.source import (
     split_records,
 )
 from tests import strategies
-from tests.formats.mcap.forge import packed, seal
-from tests.samples import save, time_limit
+from tests.formats.mcap.forge import Forge, data_records, packed, seal
+from tests.samples import save, time_limit, warnings_ignored
 
 CONTENT = bytes(range(256)) * 5
 
@@ -174,3 +175,25 @@ def test_any_summary_is_read_or_an_error(tmp_path, data):
             assert "\n" not in str(error)  # noqa: PT017
         finally:
             source.close()
+
+
+def test_a_summary_of_more_channels_than_there_can_be(driven):
+    forge = Forge(data_records(driven))
+    forge.write(driven)
+    channel = next(record for record in forge.described if isinstance(record, records.Channel))
+    forge.write(driven, summary=[*forge.described, *forge.indexes, *[channel] * (RECORDS_LIMIT + 1)])
+    with time_limit(10), pytest.raises(FormatError, match="more than 131072 records beside chunk indexes"):
+        open_recording(driven)
+
+
+def test_metadata_of_millions_of_entries(driven):
+    parts = data_records(driven)
+    header = next(part for part in parts if isinstance(part, records.Metadata) and part.name == "carla_recap.header")
+    entries = {f"{number:x}": "" for number in range(500_000)}
+    parts[parts.index(header)] = records.Metadata(header.name, header.metadata | entries)
+    Forge(parts).write(driven)
+    with time_limit(5), pytest.raises(FormatError, match=r"the metadata carla_recap\.header was expected"):
+        open_recording(driven)
+    with time_limit(10), warnings_ignored():
+        recovery = recover(driven, driven.with_name("saved.mcap"))
+    assert (recovery.frames, recovery.headless) == (600, True)
