@@ -165,7 +165,7 @@ def head_of_a_chunk(length: int, stored: int, size: int, compressed: bytes = b"\
 
 @pytest.mark.parametrize("honest", [True, False])
 def test_false_heads_of_chunks_cost_little(driven, honest):
-    """Each claims all that is behind it, up to some zeros; only `honest` ones could be chunks, as far as their fixed fields say."""
+    """Each claims all behind it, up to some zeros; only `honest` ones could be chunks, as far as their fields say."""
     data = driven.read_bytes()
     chunks = offsets_of(data)
     count, each = 20_000, 61
