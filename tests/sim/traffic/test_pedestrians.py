@@ -149,3 +149,19 @@ def test_who_is_gone_or_has_fallen_walks_no_more() -> None:
     world.run(1)
     assert fallen.destination is None
     assert fallen.transform.location.x == 80
+
+
+def test_a_walker_ignores_cars_that_are_hidden_below_a_crossing() -> None:
+    nodes = np.array([(50.0, y, 0.0) for y in (-5.0, 5.0)])
+    walks = WalkwayGraph(nodes, np.array(((0, 1),)), np.array((True,)))
+    world = flat_world(walks=walks)
+    world.spawn("vehicle.tesla.model3", at(50.0, 0.0, z=-50.0))
+    walker = world.spawn("walker.pedestrian.0001", at(50.0, -5.0, z=1.0))
+    assert isinstance(walker, Walker)
+    walker.destination = Location(50.0, 5.0, 0.0)
+    farthest = -5.0
+    for _ in range(180):
+        world.tick()
+        assert walker.transform.location.x == pytest.approx(50.0)
+        farthest = max(farthest, walker.transform.location.y)
+    assert farthest > 4.5

@@ -87,6 +87,7 @@ class LaneIndex:
         count: The number of points of each, (lanes,).
         spacing: The distance between two of them, (lanes,).
         length: The length of each lane, (lanes,).
+        has_levels: Whether some lanes are above others.
     """
 
     def __init__(self, lanes: Sequence[Lane]) -> None:
@@ -107,6 +108,7 @@ class LaneIndex:
         self._grid = _Grid(self._flat)
         self._terrain = _Terrain(self._flat)
         self._levels = _Levels(self.points, self._terrain)
+        self.has_levels = not self._levels.is_empty
         heights = self.points[:, 2]
         self._level = float(heights[0]) if np.ptp(heights) == 0 else None
 
@@ -203,7 +205,7 @@ class LaneIndex:
             return np.full(np.shape(x), self._level)
         places = np.stack((np.asarray(x, np.float64), np.asarray(y, np.float64)), axis=-1)
         height = self._height_by(self._terrain.nearest(places), places)
-        if z is None or self._levels.is_empty:
+        if z is None or not self.has_levels:
             return height
         some, others = self._levels.near(places)
         if len(some):

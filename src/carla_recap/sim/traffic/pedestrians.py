@@ -34,6 +34,7 @@ _BESIDE: Final = 3.0  # m beside a crossing, where cars pass it
 _MOVING: Final = 0.5  # m/s: slower cars let walkers pass
 _LOOK_AHEAD: Final = 0.6  # m
 _MARGIN: Final = 0.45  # m between the centre of a walker and a vehicle
+_SAME_LEVEL: Final = 3.0  # m: vehicles that are farther above or below are on another road
 _STANDING: Final = 0.3  # m/s: walkers go around slower vehicles
 
 
@@ -123,10 +124,10 @@ class PedestrianNavigation:
         for index in np.flatnonzero(arrived).tolist():
             self._advance(journeys[index])
             direction[index] = journeys[index].waypoints[0] - positions[index]
-        for journey in journeys:
-            journey.waits = journey.waits and not self._is_safe(journey.last, journey.waypoints[0])
+        for journey, z in zip(journeys, walkers.position[rows, 2].tolist(), strict=True):
+            journey.waits = journey.waits and not self._is_safe(journey.last, journey.waypoints[0], z)
         direction /= np.maximum(np.hypot(*direction.T), _TINY)[:, None]
-        self._avoid_vehicles(journeys, positions, direction)
+        self._avoid_vehicles(journeys, walkers.position[rows], direction)
         stands = np.array([journey.waits for journey in journeys]) | ~direction.any(axis=1)
         walkers.direction[rows[~stands], :2] = direction[~stands]
         walkers.speed[rows] = np.where(stands, 0.0, speed)
@@ -163,16 +164,17 @@ class PedestrianNavigation:
     def _node(self, node: int) -> Location:
         return Location(*self._graph.nodes[node].tolist())
 
-    def _is_safe(self, start: Waypoint, end: Waypoint) -> bool:
-        """Return whether the lanes of a crossing have red or no light, and no car approaches."""
+    def _is_safe(self, start: Waypoint, end: Waypoint, z: float) -> bool:
+        """Return whether the lanes of a crossing have red or no light, and no car approaches; z is that of the walker."""
         if (start, end) not in self._lanes:
             share = np.linspace(0, 1, max(2, int(2 * dist(start, end))))[:, None]
             points = np.array(start) + share * (np.array(end) - start)
-            self._lanes[start, end] = np.unique(self._town.nearest_lane(*points.T)[0])
+            heights = np.full(len(points), z) if self._town.index.has_levels else None
+            self._lanes[start, end] = np.unique(self._town.nearest_lane(*points.T, z=heights)[0])
         states = self._registry.signals.state_of_lane(self._lanes[start, end])
-        return bool(((states == RED) | (states == OFF)).all()) and not self._is_approached(np.array((start, end)))
+        return bool(((states == RED) | (states == OFF)).all()) and not self._is_approached(np.array((start, end)), z)
 
-    def _is_approached(self, ends: Floats) -> bool:
+    def _is_approached(self, ends: Floats, z: float) -> bool:
         vehicles = self._registry.vehicles
         middle, half = ends.mean(axis=0), dist(*ends) / 2
         yaw = np.radians(vehicles.yaw)
@@ -181,6 +183,7 @@ class PedestrianNavigation:
         lateral = np.abs(np.cos(yaw) * y - np.sin(yaw) * x)
         moving = vehicles.speed > _MOVING
         near = (ahead > -vehicles.half_length) & (ahead - vehicles.half_length < vehicles.speed * _TIME_GAP)
+        near &= np.abs(vehicles.position[:, 2] - z) < _SAME_LEVEL
         return bool((moving & near & (lateral < half + _BESIDE)).any())
 
 
@@ -188,7 +191,7 @@ def _avoid(positions: Floats, directions: Floats, sides: Integers, vehicles: Veh
     """Return directions that do not lead into vehicles: walkers wait for moving ones, and go around standing ones.
 
     Args:
-        positions: The positions of some walkers, (k, 2) in m.
+        positions: The positions of some walkers, (k, 3) in m.
         directions: Their desired directions, of length 1, (k, 2).
         sides: The side on which each goes around vehicles: 1 to the right, -1 to the left, 0 undecided, (k,). It is changed
             where a walker decides, and should be kept until the walker is across the road.
@@ -203,11 +206,12 @@ def _avoid(positions: Floats, directions: Floats, sides: Integers, vehicles: Veh
     along = np.stack((np.cos(yaw), np.sin(yaw)), axis=1)
     across = np.stack((-along[:, 1], along[:, 0]), axis=1)
     size = np.stack((vehicles.half_length, vehicles.half_width), axis=1) + _MARGIN
-    away = positions[:, None] - vehicles.position[:, :2]
+    away = (positions[:, None] - vehicles.position)[..., :2]
     local = np.stack(((away * along).sum(axis=2), (away * across).sum(axis=2)), axis=2)
     step = _LOOK_AHEAD * np.stack((directions @ along.T, directions @ across.T), axis=2)
     distance, next_distance = ((np.abs(point) - size).max(axis=2) for point in (local, local + step))
-    blocking = (next_distance < 0) & (next_distance < distance)
+    same_level = np.abs(positions[:, None, 2] - vehicles.position[:, 2]) < _SAME_LEVEL
+    blocking = (next_distance < 0) & (next_distance < distance) & same_level
     result = directions.copy()
     for walker in np.flatnonzero(blocking.any(axis=1)).tolist():
         vehicle = int(blocking[walker].argmax())

@@ -182,7 +182,7 @@ class Autopilot:
         speed, half = cars.speed, cars.half_length
         if len(others):
             (x, y, z), yaw = vehicles.position[others].T, np.radians(vehicles.rotation[others, 1])
-            near, along = self._town.nearest_lane(x, y, z=z, heading=yaw)
+            near, along = self._town.nearest_lane(x, y, z=z if self._town.index.has_levels else None, heading=yaw)
             points = self._network.points(near, along)
             lane_x, lane_y, _ = self._network.poses(points)
             on_lane = np.hypot(x - lane_x, y - lane_y) < _ON_LANE
