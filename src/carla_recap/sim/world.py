@@ -39,7 +39,7 @@ if TYPE_CHECKING:
     from carla_recap.sim.traffic.autopilot import Autopilot
     from carla_recap.sim.traffic.pedestrians import PedestrianNavigation
 
-_DELTA: Final = 0.05  # s, where nobody says how long a tick is
+_DELTA: Final = 0.05  # s: the default length of a tick
 _ROUNDING: Final = 1e-6
 
 

@@ -35,8 +35,8 @@ _COMFORTABLE: Final = 3.0  # m/s²: vehicles that would have to brake harder for
 _AT_SIGN: Final = 3.5  # m before the line of a stop sign, where vehicles have to have stopped
 _STANDING: Final = 0.3  # m/s
 _ROOM: Final = 3.0  # m that a vehicle needs to wait between two junctions, in addition to its length
-_REQUEST: Final = 1.3  # vehicles ask within so many times the distance at which they would begin to brake,
-_REQUEST_MARGIN: Final = 6.0  # m more than that
+_REQUEST: Final = 1.3  # distance of a request, as a multiple of that at which a vehicle would begin to brake
+_REQUEST_MARGIN: Final = 6.0  # m in addition to that
 _FLOW: Final = 2.0  # s for which the last vehicle behind a junction is expected to go on at its speed
 _FAR: Final = 30.0  # m: no vehicle needs more room behind a junction
 
