@@ -46,7 +46,7 @@ def test_transforms_do_not_share_their_parts() -> None:
     assert Box(Location(z=1), Vector(2, 1, 1)).extent.x == 2
 
 
-def test_what_is_attached_is_where_a_replay_puts_it() -> None:
+def test_an_attached_transform_is_that_of_a_replay() -> None:
     random = np.random.default_rng(1)
     upright = [(90.0, 30.0, 0.0), (-90.0, 10.0, 40.0), (0.0, 0.0, 0.0)]
     turns = [tuple(turn) for turn in random.uniform((-90, -180, -180), (90, 180, 180), (50, 3)).tolist()] + upright

@@ -1,4 +1,4 @@
-"""Who comes and goes, and what a tick does."""
+"""A world: spawning, destroying, ticks and episodes."""
 
 from __future__ import annotations
 
@@ -43,7 +43,7 @@ def test_ids_count_from_1_and_are_never_used_again() -> None:
     assert world.spectator.id == 4
 
 
-def test_an_actor_has_what_its_blueprint_and_its_spawner_say() -> None:
+def test_an_actor_has_the_attributes_of_its_blueprint_and_those_given() -> None:
     world = flat_world()
     actor = world.spawn("vehicle.tesla.model3", at(0.0), role_name="hero", color="1,2,3")
     assert isinstance(actor, Vehicle)
@@ -64,7 +64,7 @@ def test_an_actor_has_what_its_blueprint_and_its_spawner_say() -> None:
         ("sensor.camera.rgb", ActorKind.SENSOR, Sensor),
     ],
 )
-def test_what_becomes_of_blueprints(blueprint: str, kind: ActorKind, type: type) -> None:
+def test_classes_of_actors_by_blueprint(blueprint: str, kind: ActorKind, type: type) -> None:
     actor = flat_world().spawn(blueprint, at(3.0))
     assert isinstance(actor, type)
     assert actor.kind == kind
@@ -76,7 +76,7 @@ def test_an_unknown_blueprint_names_similar_ones() -> None:
         flat_world().spawn("vehicle.tesla.model4", at(0.0))
 
 
-def test_an_occupied_place_is_refused() -> None:
+def test_an_occupied_place_is_an_error() -> None:
     world = flat_world()
     vehicle(world, 0.0)
     with pytest.raises(SpawnError, match=r"vehicle.audi.a2 cannot be spawned at \(3\.0, 0\.0, 0\.0\): Vehicle\(2"):
@@ -89,7 +89,7 @@ def test_an_occupied_place_is_refused() -> None:
     assert world.place("vehicle.audi.a2", at(3.0)).is_alive
 
 
-def test_a_place_is_free_again_when_who_was_there_has_gone_or_moved() -> None:
+def test_a_place_is_free_again_when_its_actor_is_destroyed_or_moved() -> None:
     world = flat_world()
     first = vehicle(world)
     first.transform = at(20.0)
@@ -99,7 +99,7 @@ def test_a_place_is_free_again_when_who_was_there_has_gone_or_moved() -> None:
     assert world.try_spawn("vehicle.audi.a2", at(20.0)) is None
 
 
-def test_a_dead_actor_says_so() -> None:
+def test_using_a_destroyed_actor_is_an_error() -> None:
     world = flat_world()
     car = vehicle(world, 7.0)
     assert car.destroy()
@@ -114,7 +114,7 @@ def test_a_dead_actor_says_so() -> None:
         world.spawn("sensor.camera.rgb", at(0.0), parent=car)
 
 
-def test_what_belongs_to_the_town_stays() -> None:
+def test_actors_of_the_town_cannot_be_destroyed() -> None:
     world = flat_world(signals=[light(0, (0,))])
     with pytest.raises(SimError, match="belongs to the town"):
         world.destroy(world.spectator)
@@ -122,7 +122,7 @@ def test_what_belongs_to_the_town_stays() -> None:
         world.destroy(world.traffic_lights[0])
 
 
-def test_children_move_with_their_parent_and_go_with_it() -> None:
+def test_children_move_with_their_parent_and_are_destroyed_with_it() -> None:
     world = flat_world()
     car = vehicle(world)
     camera = world.spawn("sensor.camera.rgb", at(1.0, 0.5, z=2.0), parent=car)
@@ -148,7 +148,7 @@ def test_children_move_with_their_parent_and_go_with_it() -> None:
     assert world.events.destroyed == [box.id, camera.id, car.id]
 
 
-def test_a_child_that_goes_leaves_its_parent() -> None:
+def test_a_destroyed_child_is_removed_from_its_parent() -> None:
     world = flat_world()
     car = vehicle(world)
     camera = world.spawn("sensor.camera.rgb", at(1.0), parent=car)
@@ -205,12 +205,12 @@ def test_controllers_come_first_and_listeners_last() -> None:
 
 
 @pytest.mark.parametrize("delta", [0.0, -1.0, float("nan"), float("inf"), 11.0])
-def test_a_tick_takes_time(delta: float) -> None:
+def test_a_tick_advances_the_time(delta: float) -> None:
     with pytest.raises(SimError, match="expected more than 0 s"):
         flat_world().tick(delta)
 
 
-def test_run_and_realtime_pass_the_time_that_was_asked_for() -> None:
+def test_run_and_realtime_simulate_the_given_time() -> None:
     world = flat_world()
     world.run(1.0)
     assert world.frame == 20
@@ -218,7 +218,7 @@ def test_run_and_realtime_pass_the_time_that_was_asked_for() -> None:
     assert world.frame == 30
 
 
-def test_a_car_is_put_on_the_road_when_time_begins() -> None:
+def test_the_first_tick_puts_a_car_on_the_road() -> None:
     world = flat_world()
     car = world.spawn("vehicle.audi.tt", at(0.0, z=0.3))
     walker = world.spawn("walker.pedestrian.0001", at(0.0, 20.0, z=3.0))
@@ -229,7 +229,7 @@ def test_a_car_is_put_on_the_road_when_time_begins() -> None:
     assert car.velocity == Vector()
 
 
-def test_a_walker_walks_where_it_is_told() -> None:
+def test_a_walker_walks_in_the_direction_of_its_control() -> None:
     world = flat_world()
     walker = world.spawn("walker.pedestrian.0001", at(0.0))
     assert isinstance(walker, Walker)
@@ -275,7 +275,7 @@ def test_doors_lights_and_weather_are_kept() -> None:
 
 
 @pytest.mark.parametrize("number", [float("nan"), float("inf"), 1e39, 1e300])
-def test_what_is_no_number_is_refused(number: float) -> None:
+def test_infinite_numbers_and_nan_are_errors(number: float) -> None:
     world = flat_world(signals=[light(0, (0,))])
     car, walker = vehicle(world), world.spawn("walker.pedestrian.0001", at(20.0))
     prop = world.spawn("static.prop.barrel", at(40.0))
@@ -299,12 +299,12 @@ def test_what_is_no_number_is_refused(number: float) -> None:
     assert car.transform == at(0.0)
 
 
-def test_a_negative_seed_is_refused() -> None:
+def test_a_negative_seed_is_an_error() -> None:
     with pytest.raises(SimError, match=r"seed: 0 or a larger whole number was expected, found -1"):
         World(flat_town(), seed=-1)
 
 
-def test_what_does_not_exist_is_refused() -> None:
+def test_doors_and_states_that_do_not_exist_are_errors() -> None:
     world = flat_world(signals=[light(0, (0,))])
     with pytest.raises(SimError, match="a door: 0 to 6 was expected, found 9"):
         vehicle(world).set_door(9, True)
@@ -312,7 +312,7 @@ def test_what_does_not_exist_is_refused() -> None:
         world.traffic_lights[0].state = 5
 
 
-def test_a_vehicle_upon_another_appears_there() -> None:
+def test_a_vehicle_on_top_of_another_is_spawned_there() -> None:
     world = flat_world()
     truck = world.spawn("vehicle.carlamotors.firetruck", at(50.0, 10.0, yaw=90.0))
     car = world.spawn("vehicle.mini.cooper_s", at(-12.0), parent=truck)
@@ -321,7 +321,7 @@ def test_a_vehicle_upon_another_appears_there() -> None:
     assert not car.is_alive
 
 
-def test_a_new_episode_begins_with_nobody() -> None:
+def test_a_new_episode_has_no_actors_of_the_old_one() -> None:
     world = flat_world()
     car = vehicle(world)
     world.run(1)
@@ -334,7 +334,7 @@ def test_a_new_episode_begins_with_nobody() -> None:
     assert [actor.type_id for actor in world.events.spawned] == ["spectator", "traffic.traffic_light"]
 
 
-def test_the_date_is_that_of_the_source_if_there_is_one(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_date_is_that_of_source_date_epoch(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("SOURCE_DATE_EPOCH", "1234567")
     assert World(flat_town()).date == 1234567
     assert World(flat_town(), date=7).date == 7
@@ -359,7 +359,7 @@ def test_parked_vehicles_cost_no_steps(monkeypatch: pytest.MonkeyPatch) -> None:
     assert steps == [0.05]
 
 
-def test_what_is_fast_is_simulated_in_small_steps() -> None:
+def test_fast_vehicles_are_simulated_in_small_steps() -> None:
     world = flat_world()
     car = vehicle(world)
     for speed, steps in ((10.0, 1), (45.0, 3), (400.0, 10)):
@@ -372,7 +372,7 @@ def test_what_is_fast_is_simulated_in_small_steps() -> None:
 
 
 def state_after_a_pile_up() -> str:
-    """A number that stands for how everything moves after many have met."""
+    """Return a hash of all positions after many collisions."""
     world = World(
         flat_town(barriers=[np.array(((-40.0, -40.0, 0.0), (-40.0, 40.0, 0.0), (60.0, 40.0, 0.0)))]), seed=3, date=0
     )
@@ -410,7 +410,7 @@ def test_the_same_seed_makes_the_same_world_in_any_process() -> None:
     assert answers == {state_after_a_pile_up()}
 
 
-def test_what_no_vehicle_can_be_like_or_do() -> None:
+def test_invalid_physics_controls_and_controls_are_errors() -> None:
     world = flat_world()
     car = vehicle(world)
     control = car.physics_control
@@ -443,7 +443,7 @@ def test_what_no_vehicle_can_be_like_or_do() -> None:
         ("collisions_of", "everybody"),
     ],
 )
-def test_settings_that_are_not_to_be_had(name: str, value: object) -> None:
+def test_invalid_settings_are_errors(name: str, value: object) -> None:
     world = flat_world()
     before = getattr(world.settings, name)
     with pytest.raises(SimError, match=name):
@@ -451,7 +451,7 @@ def test_settings_that_are_not_to_be_had(name: str, value: object) -> None:
     assert getattr(world.settings, name) == before
 
 
-def test_time_that_cannot_pass() -> None:
+def test_invalid_durations_are_errors() -> None:
     world = flat_world()
     for seconds in (-1.0, float("nan"), float("inf")):
         with pytest.raises(SimError, match="0 s or more was expected"):
@@ -462,7 +462,7 @@ def test_time_that_cannot_pass() -> None:
     assert world.frame == 0
 
 
-def test_attributes_are_those_of_the_blueprint() -> None:
+def test_an_attribute_that_the_blueprint_does_not_have_is_an_error() -> None:
     with pytest.raises(SpawnError, match=r"vehicle.audi.tt has no attribute 'rolename'; it has role_name"):
         flat_world().spawn("vehicle.audi.tt", at(0.0), rolename="hero")
 

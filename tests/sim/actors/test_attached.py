@@ -1,4 +1,4 @@
-"""Actors that are attached to others go where these go."""
+"""Attached actors follow their parents."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ def place(transform: Transform) -> tuple[float, ...]:
 
 
 @pytest.mark.parametrize("blueprint", ["vehicle.mini.cooper_s", "walker.pedestrian.0001", "static.prop.box01"])
-def test_what_is_attached_to_a_vehicle_follows_it(blueprint: str) -> None:
+def test_an_attached_actor_follows_its_vehicle(blueprint: str) -> None:
     world = flat_world()
     parent = truck(world)
     child = world.spawn(blueprint, at(-9.0, 1.0, yaw=10.0), parent=parent)
@@ -45,7 +45,7 @@ def test_what_is_attached_to_a_vehicle_follows_it(blueprint: str) -> None:
     assert place(child.relative_transform) == place(at(-9.0, 1.0, yaw=10.0))
 
 
-def test_whoever_is_attached_neither_pushes_nor_holds_up_its_parent() -> None:
+def test_an_attached_actor_exerts_no_forces_on_its_parent() -> None:
     world, alone = flat_world(), flat_world()
     parent, other = truck(world), truck(alone)
     world.spawn("vehicle.vespa.zx125", at(0.0, z=3.8), parent=parent)
@@ -55,7 +55,7 @@ def test_whoever_is_attached_neither_pushes_nor_holds_up_its_parent() -> None:
     assert place(parent.transform) == place(other.transform)
 
 
-def test_it_follows_whatever_it_is_told() -> None:
+def test_an_attached_actor_follows_in_spite_of_its_control() -> None:
     world = flat_world()
     parent = truck(world)
     car = world.spawn("vehicle.mini.cooper_s", at(-9.0), parent=parent)
@@ -69,7 +69,7 @@ def test_it_follows_whatever_it_is_told() -> None:
     assert car.transform.location.distance(parent.transform.transform(Location(-9.0))) < 1e-6
 
 
-def test_its_transform_is_set_relative_to_its_parent() -> None:
+def test_the_transform_is_set_relative_to_the_parent() -> None:
     world = flat_world()
     parent = truck(world, 50.0)
     walker = world.spawn("walker.pedestrian.0001", at(0.0, z=4.0), parent=parent)
@@ -79,7 +79,7 @@ def test_its_transform_is_set_relative_to_its_parent() -> None:
     assert walker.transform.location.distance(parent.transform.transform(Location(-2.0, 0.0, 4.0))) < 1e-6
 
 
-def test_chains_hang_together_and_end_with_their_first() -> None:
+def test_a_chain_of_attached_actors_is_destroyed_with_its_first() -> None:
     world = flat_world()
     parent = truck(world)
     trailer = world.spawn("vehicle.mini.cooper_s", at(-9.0), parent=parent)
@@ -95,7 +95,7 @@ def test_chains_hang_together_and_end_with_their_first() -> None:
     assert len(world.vehicles) == len(world.walkers) == 0
 
 
-def test_it_can_go_before_its_parent() -> None:
+def test_an_attached_actor_can_be_destroyed_before_its_parent() -> None:
     world = flat_world()
     parent = truck(world)
     trailer = world.spawn("vehicle.mini.cooper_s", at(-9.0), parent=parent)
@@ -105,7 +105,7 @@ def test_it_can_go_before_its_parent() -> None:
     assert parent.children == []
 
 
-def test_a_parent_that_is_put_elsewhere_takes_it_along() -> None:
+def test_a_parent_that_is_moved_takes_attached_actors_along() -> None:
     world = flat_world()
     parent = truck(world)
     car = world.spawn("vehicle.mini.cooper_s", at(-9.0), parent=parent)
@@ -115,7 +115,7 @@ def test_a_parent_that_is_put_elsewhere_takes_it_along() -> None:
     assert car.transform.location.distance(parent.transform.transform(Location(-9.0))) < 1e-6
 
 
-def test_the_autopilot_of_a_parent_is_not_held_up_by_what_it_carries() -> None:
+def test_the_autopilot_of_a_parent_ignores_attached_actors() -> None:
     world = flat_world()
     parent = truck(world, 10.0)
     world.spawn("vehicle.vespa.zx125", at(1.0, z=3.8), parent=parent)

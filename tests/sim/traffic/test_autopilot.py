@@ -1,4 +1,4 @@
-"""Who drives by itself: keeps its lane and its distance, stops where it must, and hits nobody."""
+"""The autopilot: vehicles keep their lane and their distance, stop where they must, and do not collide."""
 
 from __future__ import annotations
 
@@ -43,7 +43,7 @@ def car(
 
 
 def ticks(world: World, seconds: float) -> Iterator[None]:
-    """Tick for so long, and let nobody collide."""
+    """Tick for some seconds, and expect no collision."""
     for _ in range(round(seconds / world.delta)):
         world.tick()
         assert not world.events.collisions
@@ -59,7 +59,7 @@ def speed(vehicle: Vehicle) -> float:
 
 
 def beside(world: World) -> list[float]:
-    """How far from the middles of the nearest lanes the vehicles are."""
+    """Return the distances of the vehicles from the centres of the nearest lanes."""
     x, y, _ = world.vehicles.position.T
     index, s = world.town.nearest_lane(x, y, heading=np.radians(world.vehicles.yaw))
     return [abs(offset) for offset in world.town.project(index, x, y, s)[1].tolist()]
@@ -71,7 +71,7 @@ def light(s: float, on: int = 0, governs: tuple[int, ...] = (), kind: SignalKind
 
 
 def crossing() -> tuple[list[Lane], Junction]:
-    """Two lanes that cross in a junction without lights: along x at y = 0, and along y at x = 110."""
+    """Return two lanes that cross in a junction without lights: along x at y = 0, and along y at x = 110."""
     lanes = [
         lane(0, (100, 0), successors=(1,)),
         lane(1, (20, 0), start=(100, 0), successors=(2,), junction=1),
@@ -88,9 +88,7 @@ def crossing() -> tuple[list[Lane], Junction]:
     ("name", "radius", "most"),
     [(MODEL3, 7.0, 0.5), ("vehicle.carlamotors.firetruck", 12.0, 0.9), ("vehicle.bh.crossbike", 7.0, 0.5)],
 )
-def test_keeps_its_lane_in_tight_turns_and_is_no_faster_there_than_passengers_like(
-    name: str, radius: float, most: float
-) -> None:
+def test_keeps_its_lane_in_tight_turns_at_a_comfortable_speed(name: str, radius: float, most: float) -> None:
     arc = radius * np.pi / 2
     world = world_of(*ring((40, 0), (arc, 90), (30, 0), (arc, 90)))
     vehicle = car(world, 5.0, name=name)
@@ -104,7 +102,7 @@ def test_keeps_its_lane_in_tight_turns_and_is_no_faster_there_than_passengers_li
     assert 6.0 < fastest < 1.06 * LIMIT
 
 
-def test_drives_about_as_fast_as_it_may() -> None:
+def test_drives_about_as_fast_as_the_limit() -> None:
     world = world_of(lane(0, (600, 0)))
     vehicle = car(world, 10.0)
     speeds = [speed(vehicle) for _ in ticks(world, 25.0)]
@@ -134,7 +132,7 @@ def test_stops_at_red_with_its_brake_lights_on_and_goes_at_green() -> None:
 
 
 @pytest.mark.parametrize(("distance", "stops"), [(8.0, False), (60.0, True)])
-def test_stops_at_yellow_only_if_there_is_room_for_it(distance: float, stops: bool) -> None:
+def test_stops_at_yellow_only_if_the_distance_suffices(distance: float, stops: bool) -> None:
     world = world_of(lane(0, (300, 0)), signals=(light(120.0),))
     vehicle, (signal,) = car(world, 10.0), world.traffic_lights
     signal.freeze()
@@ -145,7 +143,7 @@ def test_stops_at_yellow_only_if_there_is_room_for_it(distance: float, stops: bo
     assert (front(vehicle) < 120.0) == stops
 
 
-def test_stops_at_a_stop_sign_and_then_goes_on() -> None:
+def test_stops_at_a_stop_sign_and_continues() -> None:
     lanes, junction = crossing()
     world = world_of(*lanes, signals=(light(100.0, 0, (1,), SignalKind.STOP),), junctions=(junction,))
     vehicle = car(world, 20.0)
@@ -170,7 +168,7 @@ def test_keeps_a_distance_that_grows_with_the_speed() -> None:
     assert 1.0 < gaps[-1] < 4.0
 
 
-def test_lets_a_walker_cross_and_drives_on() -> None:
+def test_lets_a_walker_cross_and_continues() -> None:
     world = world_of(lane(0, (300, 0)))
     vehicle = car(world, 10.0)
     walker = world.spawn("walker.pedestrian.0001", at(70.0, -6.0, z=0.9))
@@ -185,7 +183,7 @@ def test_lets_a_walker_cross_and_drives_on() -> None:
     assert front(vehicle) > 90.0
 
 
-def test_stops_before_a_thing_on_the_road() -> None:
+def test_stops_before_a_prop_on_the_road() -> None:
     world = world_of(lane(0, (300, 0)))
     vehicle = car(world, 10.0)
     world.spawn("static.prop.streetbarrier", at(90.0))
@@ -195,7 +193,7 @@ def test_stops_before_a_thing_on_the_road() -> None:
     assert speed(vehicle) < 0.05
 
 
-def test_crosses_a_junction_one_after_the_other_without_contact() -> None:
+def test_vehicles_cross_a_junction_one_after_the_other_without_contact() -> None:
     lanes, junction = crossing()
     world = world_of(*lanes, junctions=(junction,))
     cars = [car(world, 80.0 - 12.0 * n) for n in range(3)]
@@ -221,7 +219,7 @@ def test_does_not_enter_a_junction_that_it_could_not_leave() -> None:
     assert front(waiting) > 125.0
 
 
-def test_a_destroyed_vehicle_holds_nobody_up() -> None:
+def test_a_destroyed_vehicle_releases_its_reservations() -> None:
     lanes, junction = crossing()
     world = world_of(*lanes, junctions=(junction,))
     inside, waiting = car(world, 106.0), car(world, 110.0, -25.0, yaw=90.0)
@@ -252,7 +250,7 @@ def test_indicates_turns(side: str, bit: int) -> None:
     assert vehicle.transform.rotation.yaw == pytest.approx(90.0 * sign, abs=1.0)
 
 
-def test_passes_what_stands_on_the_next_lane() -> None:
+def test_overtakes_a_standing_vehicle_on_the_next_lane() -> None:
     world = world_of(lane(0, (500, 0), right=1), lane(1, (500, 0), start=(0, 3.5), left=0))
     standing, vehicle = car(world, 150.0, 3.5, drives=False), car(world, 20.0, 3.5)
     standing.apply_control(VehicleControl(hand_brake=True))
@@ -282,7 +280,7 @@ def test_takes_over_at_speed_without_a_jerk() -> None:
 
 
 @pytest.mark.parametrize(("y", "yaw"), [(9.0, 0.0), (-6.0, 60.0), (4.0, 100.0)])
-def test_finds_back_to_the_road(y: float, yaw: float) -> None:
+def test_returns_to_the_road(y: float, yaw: float) -> None:
     world = world_of(lane(0, (600, 0)))
     vehicle = car(world, 50.0, y, yaw=yaw)
     for _ in ticks(world, 20.0):
@@ -291,7 +289,7 @@ def test_finds_back_to_the_road(y: float, yaw: float) -> None:
     assert vehicle.transform.location.x > 80.0
 
 
-def test_stands_where_there_is_no_road_and_at_its_end() -> None:
+def test_stands_off_the_road_and_at_its_end() -> None:
     world = world_of(lane(0, (100, 0)))
     lost, driving = car(world, 50.0, 90.0, speed=8.0), car(world, 10.0)
     for _ in ticks(world, 25.0):
@@ -302,7 +300,7 @@ def test_stands_where_there_is_no_road_and_at_its_end() -> None:
     assert speed(driving) < 0.05
 
 
-def test_leaves_a_vehicle_alone_that_it_does_not_drive_any_more() -> None:
+def test_does_not_control_a_vehicle_that_has_it_switched_off() -> None:
     world = world_of(lane(0, (600, 0)))
     vehicle = car(world, 10.0)
     for _ in ticks(world, 3.0):
@@ -315,7 +313,7 @@ def test_leaves_a_vehicle_alone_that_it_does_not_drive_any_more() -> None:
     assert vehicle.control.brake == 1.0
 
 
-def test_goes_on_when_a_replay_lets_a_vehicle_go() -> None:
+def test_drives_a_vehicle_on_after_a_replay() -> None:
     world = world_of(lane(0, (600, 0)))
     vehicle = car(world, 10.0)
     vehicle.set_simulate_physics(False)

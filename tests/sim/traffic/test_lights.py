@@ -1,4 +1,4 @@
-"""How traffic lights take turns, and what drivers see of them."""
+"""The cycle of traffic lights, and the states of lanes."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ def shown(lights: list[TrafficLight]) -> list[int]:
     return [light.state for light in lights]
 
 
-def test_phases_take_turns_with_all_red_between() -> None:
+def test_phases_are_green_in_turn_with_all_red_in_between() -> None:
     world, lights = crossing()
     cycle = [(10, [GREEN, GREEN, RED]), (3, [YELLOW, YELLOW, RED]), (2, [RED, RED, RED])]
     cycle += [(10, [RED, RED, GREEN]), (3, [RED, RED, YELLOW]), (2, [RED, RED, RED])]
@@ -39,7 +39,7 @@ def test_phases_take_turns_with_all_red_between() -> None:
         world.run(0.05)
 
 
-def test_the_time_in_a_state_is_told() -> None:
+def test_elapsed_time_is_the_time_in_a_state() -> None:
     world, lights = crossing()
     world.run(4)
     assert lights[0].elapsed_time == pytest.approx(4)
@@ -48,7 +48,7 @@ def test_the_time_in_a_state_is_told() -> None:
     assert lights[2].elapsed_time == pytest.approx(11)
 
 
-def test_times_can_be_changed_at_any_time_and_are_told() -> None:
+def test_changed_times_are_obeyed_and_are_events() -> None:
     world, lights = crossing()
     world.run(4)
     lights[0].green_time = 5.0
@@ -68,7 +68,7 @@ def test_times_can_be_changed_at_any_time_and_are_told() -> None:
         lights[0].green_time = -1
 
 
-def test_a_frozen_group_stands_still_and_goes_on() -> None:
+def test_a_group_can_be_frozen_and_continued() -> None:
     world, lights = crossing()
     world.run(5)
     lights[2].freeze()
@@ -81,7 +81,7 @@ def test_a_frozen_group_stands_still_and_goes_on() -> None:
     assert shown(lights) == [YELLOW, YELLOW, RED]
 
 
-def test_a_state_that_is_set_lasts_until_the_next_change() -> None:
+def test_a_state_that_is_set_lasts_until_the_next_change_of_the_group() -> None:
     world, lights = crossing()
     world.run(5)
     lights[0].set_state(RED)
@@ -91,7 +91,7 @@ def test_a_state_that_is_set_lasts_until_the_next_change() -> None:
     assert shown(lights) == [YELLOW, YELLOW, RED]
 
 
-def test_reset_begins_the_cycle_again() -> None:
+def test_reset_restarts_the_cycle() -> None:
     world, lights = crossing()
     world.run(17)
     lights[0].reset_group()
@@ -100,13 +100,13 @@ def test_reset_begins_the_cycle_again() -> None:
     assert shown(lights) == [GREEN, GREEN, RED]
 
 
-def test_a_light_knows_its_group_and_its_lanes() -> None:
+def test_group_and_lanes_of_a_light() -> None:
     _, lights = crossing()
     assert lights[1].group == lights
     assert lights[1].affected_lanes == ((1, 95.0),)
 
 
-def test_lanes_show_the_strictest_of_their_lights() -> None:
+def test_the_state_of_a_lane_is_that_of_its_strictest_light() -> None:
     lanes = [lane(index, 10.0 * index) for index in range(4)]
     signals = [light(0, (0,), y=5.0), light(1, (0, 1), y=15.0)]
     world = flat_world(lanes=lanes, signals=signals, phases=((0,), (1,)))
@@ -117,7 +117,7 @@ def test_lanes_show_the_strictest_of_their_lights() -> None:
     assert world.signals.state_of_lane(np.array([0, 1, 2])).tolist() == [GREEN, OFF, OFF]
 
 
-def test_a_light_without_a_group_changes_by_itself() -> None:
+def test_a_light_without_a_junction_changes_by_itself() -> None:
     world = flat_world(signals=[light(0, (0,))])
     states = []
     for _ in range(16):

@@ -1,4 +1,4 @@
-"""How sixty cars drive through a town: in their lanes, and not through red lights."""
+"""Sixty cars in a town keep their lanes, and stop at red lights."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ NEAR = 6.0  # m: so far from a line a crossing of it is looked for
 
 
 class Lines:
-    """The lines at which lights are in force, and which fronts of cars cross them."""
+    """The stop lines of lights, and the cars whose front ends cross them."""
 
     def __init__(self, world: World) -> None:
         found = [
@@ -34,7 +34,7 @@ class Lines:
         self._before = np.full((len(self._half_length), len(found)), np.inf)
 
     def crossed(self) -> np.ndarray:
-        """The lights of the lines that were crossed since the last look, as rows of the signals."""
+        """Return the lights of the lines that were crossed since the previous call, as rows of the signals."""
         vehicles = self._world.vehicles
         yaw = np.radians(vehicles.rotation[:, 1])
         nose = np.stack((np.cos(yaw), np.sin(yaw)))

@@ -1,4 +1,4 @@
-"""Walkers that find their way."""
+"""Pedestrian navigation."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ def walker(world: World, x: float, y: float) -> Walker:
     return actor
 
 
-def test_the_shortest_way_is_found() -> None:
+def test_the_shortest_path_is_found() -> None:
     paths = Paths(graph())
     assert paths.find(0, 3) == [0, 1, 2, 3]
     assert paths.find(2, 2) == [2]
@@ -43,7 +43,7 @@ def test_the_shortest_way_is_found() -> None:
     assert paths.nearest(81.0, 2.0) == 0
 
 
-def test_a_walker_gets_to_its_destination_and_goes_on() -> None:
+def test_a_walker_reaches_its_destination_and_takes_another_one() -> None:
     world = flat_world(walks=graph())
     person = walker(world, 80.0, 5.0)
     person.destination = Location(80.0, -5.0)
@@ -59,7 +59,7 @@ def test_a_walker_gets_to_its_destination_and_goes_on() -> None:
     assert world.elapsed == pytest.approx(50 / 1.4, rel=0.1)
 
 
-def test_it_waits_for_cars_to_have_red() -> None:
+def test_a_walker_waits_until_cars_have_red() -> None:
     world = flat_world(walks=graph(), signals=[light(0, (0,), y=9.0)], phases=((0,),))
     person = walker(world, 95.0, 5.0)
     person.destination = Location(80.0, -5.0)
@@ -73,7 +73,7 @@ def test_it_waits_for_cars_to_have_red() -> None:
     assert person.transform.location.y == pytest.approx(-5, abs=0.3)
 
 
-def test_it_lets_a_car_pass() -> None:
+def test_a_walker_lets_a_car_pass() -> None:
     world = flat_world(walks=graph())
     person = walker(world, 99.0, 5.0)
     person.destination = Location(80.0, -5.0)
@@ -90,7 +90,7 @@ def test_it_lets_a_car_pass() -> None:
 
 
 @pytest.mark.parametrize(("x", "y", "yaw"), [(100.5, 0.0, 0.0), (99.7, 0.0, 180.0), (100.1, 0.5, 90.0), (100.0, 0.0, 40.0)])
-def test_it_walks_around_a_car_that_stands_on_the_crossing(x: float, y: float, yaw: float) -> None:
+def test_a_walker_goes_around_a_car_that_stands_on_the_crossing(x: float, y: float, yaw: float) -> None:
     world = flat_world(walks=graph())
     world.settings.collisions_of = "all"
     person = walker(world, 99.0, 5.0)
@@ -102,7 +102,7 @@ def test_it_walks_around_a_car_that_stands_on_the_crossing(x: float, y: float, y
     assert person.transform.location.y < -4
 
 
-def test_it_stops_for_a_car_that_moves_across() -> None:
+def test_a_walker_stops_for_a_car_that_drives_over_the_crossing() -> None:
     world = flat_world(walks=graph())
     person = walker(world, 100.0, 5.0)
     person.destination = Location(80.0, -5.0)
@@ -117,7 +117,7 @@ def test_it_stops_for_a_car_that_moves_across() -> None:
     assert not person.has_fallen
 
 
-def test_being_told_where_to_walk_ends_it() -> None:
+def test_a_control_clears_the_destination() -> None:
     world = flat_world(walks=graph())
     person = walker(world, 80.0, 5.0)
     person.destination = Location(100.0, 5.0)
@@ -130,7 +130,7 @@ def test_being_told_where_to_walk_ends_it() -> None:
     assert person.destination is None
 
 
-def test_a_place_that_cannot_be_reached_is_refused() -> None:
+def test_a_destination_that_cannot_be_reached_is_an_error() -> None:
     world = flat_world(walks=graph())
     person = walker(world, 80.0, 5.0)
     with pytest.raises(SimError, match=r"no sidewalk leads from \(80\.0, 5\.0\) to \(505\.0, 60\.0\)"):
@@ -139,7 +139,7 @@ def test_a_place_that_cannot_be_reached_is_refused() -> None:
         walker(flat_world(), 0.0, 0.0).destination = Location(1.0, 1.0)
 
 
-def test_who_is_gone_or_has_fallen_walks_no_more() -> None:
+def test_destroyed_and_fallen_walkers_have_no_destination() -> None:
     world = flat_world(walks=graph())
     gone, fallen = walker(world, 80.0, 5.0), walker(world, 80.0, -5.0)
     for person in (gone, fallen):

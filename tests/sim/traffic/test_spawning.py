@@ -1,4 +1,4 @@
-"""Traffic at random."""
+"""Random traffic."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ def town():
     return load_town()
 
 
-def test_vehicles_drive_and_walkers_stroll(town):
+def test_vehicles_drive_and_walkers_walk(town):
     world = World(town, seed=5, date=0)
     cast = populate(world, 8, 4, hero=True)
     assert [actor.kind for actor in cast] == [ActorKind.VEHICLE] * 8 + [ActorKind.WALKER] * 4
@@ -34,26 +34,26 @@ def test_vehicles_drive_and_walkers_stroll(town):
     assert sum(way > 2 for way in gone[8:]) >= 3
 
 
-def test_the_seed_says_who_appears_and_where(town):
+def test_the_seed_determines_actors_and_places(town):
     def cast(seed):
         return [(actor.type_id, actor.transform.location.x) for actor in populate(World(town, seed=seed, date=0), 5, 5)]
 
     assert cast(1) == cast(1) != cast(2)
 
 
-def test_no_more_than_there_is_room_for(town):
+def test_more_vehicles_than_there_is_room_for_are_an_error(town):
     with pytest.raises(SimError, match=r"Brickfield has room for \d+ more vehicles, 100000 were expected"):
         populate(World(town, date=0), 100_000, 0)
 
 
-def test_traffic_around_a_place(town):
+def test_traffic_around_a_location(town):
     world, place = World(town, seed=5, date=0), Location(120, -110, 0)
     cast = populate(world, 12, 6, around=place)
     assert max(actor.transform.location.distance(place) for actor in cast) < 81
     assert all(walker.destination.distance(place) < 81 for walker in cast[12:])
 
 
-def test_there_is_less_room_around_a_place(town):
+def test_there_is_less_room_around_a_location(town):
     with pytest.raises(SimError, match=r"Brickfield has room for \d+ more vehicles, 200 were expected"):
         populate(World(town, date=0), 200, 0, around=Location(120, -110, 0))
     with pytest.raises(SimError, match="Brickfield has no sidewalk within 80 m of"):
@@ -61,12 +61,12 @@ def test_there_is_less_room_around_a_place(town):
 
 
 @pytest.mark.parametrize("counts", [(-1, 0), (0, -1), (float("nan"), 0)])
-def test_there_are_no_such_numbers(counts: tuple[int, int]) -> None:
+def test_negative_and_fractional_numbers_are_errors(counts: tuple[int, int]) -> None:
     with pytest.raises(SimError, match="0 or a larger whole number was expected"):
         populate(flat_world(), *counts)
 
 
-def test_a_town_whose_lanes_lead_nowhere_says_so() -> None:
+def test_a_town_without_connected_lanes_is_an_error() -> None:
     world = flat_world(lanes=[lane(junction=1)])
     with pytest.raises(SimError, match="Flat has no place for a vehicle: no lanes for cars that lead anywhere"):
         populate(world, 1, 0)

@@ -90,14 +90,14 @@ class Signals:
                 self._enter(number, phase, YELLOW if stage == GREEN else RED)
 
     def state_of_lane(self, lane: ArrayLike) -> Integers:
-        """What the lights show for lanes: of several that govern one, the strictest; off where none does.
+        """Return the states for lanes: of several lights that govern one, the strictest; off if none does.
 
         Args:
             lane: Indices of lanes, (k,).
         """
-        shown = np.append(self.state, OFF)[self._governing[np.asarray(lane)]]
-        states: Integers = np.where(shown == UNKNOWN, OFF, shown).min(axis=-1)
-        return states
+        states = np.append(self.state, OFF)[self._governing[np.asarray(lane)]]
+        strictest: Integers = np.where(states == UNKNOWN, OFF, states).min(axis=-1)
+        return strictest
 
     def group_of(self, row: int) -> list[int]:
         """Return the rows of the lights in the group of a light, itself included."""
