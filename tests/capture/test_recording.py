@@ -14,7 +14,7 @@ import numpy as np
 import pytest
 
 from carla_recap import open_recording
-from carla_recap.capture.observer import Sight
+from carla_recap.capture.observer import Observation
 from carla_recap.capture.recording import frames, header_of
 from carla_recap.server import running
 from tests.capture.conftest import PATIENCE, own_sensors, spawn, started, wait_for
@@ -197,8 +197,8 @@ def test_the_map_has_its_plain_name(told: str) -> None:
 
 
 def test_frames_last_until_the_next_one() -> None:
-    sights = [Sight(frame, 2.0 + time, 7.0 + 2 * time, {}) for frame, time in ((5, 0.0), (6, 0.05), (9, 0.2))]
-    told = list(frames(sights, additional_data=True))
+    observations = [Observation(frame, 2.0 + time, 7.0 + 2 * time, {}) for frame, time in ((5, 0.0), (6, 0.05), (9, 0.2))]
+    told = list(frames(observations, additional_data=True))
     assert [(frame.id, frame.elapsed, frame.duration) for frame in told] == [
         (1, 0.0, pytest.approx(0.05)),
         (2, pytest.approx(0.05), pytest.approx(0.15)),

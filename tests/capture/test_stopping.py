@@ -6,6 +6,7 @@ import signal
 import subprocess
 import sys
 import time
+from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
 from typing import TYPE_CHECKING
 
@@ -16,6 +17,7 @@ from carla_recap import create_recording, open_recording
 from carla_recap.formats.atomic import partials
 from carla_recap.records import Attribute, Spawn
 from carla_recap.recovery import recover
+from carla_recap.server import running as server
 from tests.capture.conftest import PATIENCE, wait_for
 from tests.cli.command import COMMAND, ENVIRONMENT
 
@@ -59,6 +61,29 @@ def test_it_is_completed_though_more_signals_come(port: int, tmp_path: Path, nam
     assert "Traceback" not in said
     assert [path.name for path in tmp_path.iterdir()] == [name]
     assert (tmp_path / name).stat().st_size > 1000
+
+
+def test_no_callback_of_the_client_is_left_when_the_interpreter_ends(tmp_path: Path) -> None:
+    """One that is would end the process by SIGABRT, now and then: `terminate called without an active exception`."""
+
+    def interrupted(number: int) -> tuple[int, str]:
+        with running(tmp_path / f"{number}.mcap", port) as process:
+            time.sleep(0.1 * number)
+            process.send_signal(signal.SIGINT)
+            said, _ = process.communicate(timeout=PATIENCE)
+        return process.returncode, said
+
+    with server() as port, ThreadPoolExecutor(3) as threads:
+        client = carla.Client("127.0.0.1", port)
+        client.set_timeout(10.0)
+        world = client.get_world()
+        world.apply_settings(carla.WorldSettings(fixed_delta_seconds=0.002))  # hundreds of ticks in a second
+        hero = world.get_blueprint_library().find("vehicle.tesla.model3")
+        hero.set_attribute("role_name", "hero")
+        for place in world.get_map().get_spawn_points()[:10]:
+            world.try_spawn_actor(hero, place)
+        ended = list(threads.map(interrupted, range(9)))
+    assert [code for code, _ in ended] == [0] * 9, ended
 
 
 @pytest.mark.parametrize("name", ["a.mcap", "a.log"])
@@ -131,7 +156,7 @@ def showing_a_ghost(folder: Path) -> Iterator[tuple[int, carla.World]]:
         places = {"id": [GHOST, SOUND], "x": [1000.0, 0.0]}
         recorder.add_frame(0.0, spawned=[ghost, sound], transforms=places)
         recorder.add_frame(60.0, transforms=places)
-    code = "from carla_recap.server import actor_records; actor_records.told_attributes = lambda _, told, __: told; "
+    code = "from carla_recap.server import actor_records; actor_records.readable_attributes = lambda _, told, __: told; "
     code += "from carla_recap.cli import main; main()"
     command = [sys.executable, "-c", code, "serve", "--port=0"]
     with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as process:

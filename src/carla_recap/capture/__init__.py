@@ -1,4 +1,4 @@
-"""Watches any CARLA server as one more of its clients: records what it sees there, or shows it.
+"""Observes any CARLA server as one more of its clients, and records or shows its world.
 
 It needs CARLA's own client library; importing this package without it raises `MissingExtra`.
 """

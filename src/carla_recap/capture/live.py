@@ -1,7 +1,7 @@
 """Shows a server's world in Rerun's viewer while it goes on.
 
-Whoever shows it is a client of its own, in its own process: a slow viewer never holds up the world. It sees at most
-`RATE` ticks in a second, and leaves the others out.
+It is a client of its own, in a process of its own: a slow viewer never delays the world. It shows at most `RATE` ticks in a
+second, and leaves out the others.
 """
 
 from __future__ import annotations
@@ -33,9 +33,9 @@ if TYPE_CHECKING:
     import rerun.blueprint as rrb
 
 RATE: Final = 30.0
-"""So many ticks in a second of the wall's clock are shown at the most."""
+"""The most ticks that are shown in a second of real time."""
 
-_SHOWN: Final = 0.1  # s, after which the viewer gets what there is
+_FLUSH: Final = 0.1  # s between updates of the viewer
 _SUFFIX: Final = ".rrd"
 _ADDRESS: Final = "rerun+http"
 
@@ -49,20 +49,20 @@ def watch(
     view: View = "chase",
     force: bool = False,
 ) -> str:
-    """Show the world of a CARLA server, until the viewer is closed, the server is gone, or Ctrl-C is pressed.
+    """Show the world of a CARLA server, until the viewer is closed, the server has gone, or Ctrl-C is pressed.
 
-    Nothing is changed there. Collisions are shown where a collision sensor tells of them.
+    The world is not changed. Collisions are shown where a collision sensor reports them.
 
     Args:
         to: An .rrd, or the address of a viewer that listens: `rerun+http://127.0.0.1:9876/proxy`; else a viewer is opened.
-        host: Where the server is.
+        host: The address of the server.
         port: Its port.
-        follow: Whom the camera follows as soon as it is there: an id, or "hero".
-        view: Which camera is shown first.
-        force: Overwrite what is there.
+        follow: The actor that the camera follows as soon as it is present: an id, or "hero".
+        view: The camera that is shown first.
+        force: Overwrite an existing file.
 
     Returns:
-        Why it has ended, in words.
+        The reason of the end, in words.
 
     Raises:
         RecapError: There is no server, no display, or the file cannot be written.
@@ -81,20 +81,20 @@ def watch(
                     observer.end("the viewer was closed")
 
             due = 0.0
-            for frame in live_frames(observer.sights(idle=show), additional_data=True):
+            for frame in live_frames(observer.observations(idle=show), additional_data=True):
                 live.enter(frame)
                 if monotonic() >= due:
                     show()
-                    due = monotonic() + _SHOWN
+                    due = monotonic() + _FLUSH
             live.close()
     return observer.why
 
 
 def check_target(to: Path | str | None, *, force: bool) -> None:
-    """See that there is something to show it in; for the arguments see `watch`.
+    """Check that the world can be shown; for the arguments see `watch`.
 
     Raises:
-        RecapError: There is not.
+        RecapError: There is no display, or no such destination.
         MissingExtra: There is no viewer.
     """
     if to is None:
@@ -109,7 +109,7 @@ def check_target(to: Path | str | None, *, force: bool) -> None:
 
 @contextmanager
 def _opened(to: Path | str | None, arrangement: rrb.Blueprint) -> Iterator[tuple[rr.RecordingStream, Callable[[], bool]]]:
-    """Where it is shown, and whether it still can be."""
+    """Open the destination; yield its stream, and a function that returns whether it is still open."""
     with ExitStack() as stack:
         if to is None:
             program = stack.enter_context(Program())
@@ -123,7 +123,7 @@ def _opened(to: Path | str | None, arrangement: rrb.Blueprint) -> Iterator[tuple
 
 
 def _road_map(map: carla.Map) -> RoadMap | None:
-    """The roads, where they can be read."""
+    """Return the roads; None where they cannot be read."""
     with TemporaryDirectory(prefix="carla-recap-") as folder:
         path = Path(folder) / f"{map.name.rpartition('/')[2]}.xodr"
         path.write_text(map.to_opendrive(), "utf-8")

@@ -1,7 +1,7 @@
-"""Sees the world of a server from tick to tick, as one more of its clients: it never ticks, and changes nothing.
+"""Observes the world of a server tick by tick, as one more of its clients: it never ticks, and changes nothing.
 
-Snapshots come in a thread of CARLA's client, and are read there, while what they say is what the client knows. All else
-is asked of the server now and then, by whoever takes the sights.
+Snapshots arrive in a thread of CARLA's client, and are read there, while the client's actors have their states. Other data
+is requested from the server now and then, by the thread that takes the observations.
 """
 
 from __future__ import annotations
@@ -14,15 +14,14 @@ from dataclasses import dataclass
 from functools import partial
 from queue import Empty, Queue
 from threading import Lock
-from time import monotonic
+from time import monotonic, sleep
 from typing import TYPE_CHECKING, Any, Final, Self
 
 import carla
 
-from carla_recap.capture import describing
-from carla_recap.capture.asking import UNANSWERED, readable
-from carla_recap.capture.cast import Cast
-from carla_recap.capture.contacts import Contacts
+from carla_recap.capture import packets
+from carla_recap.capture.actors import UNANSWERED, ActorTracker, readable
+from carla_recap.capture.collisions import CollisionListener
 from carla_recap.errors import RecapError
 from carla_recap.records import NO_ACTOR, UE4, ActorKind
 
@@ -32,30 +31,31 @@ if TYPE_CHECKING:
 
 HOST: Final = "127.0.0.1"
 PORT: Final = 2000
-"""Where CARLA's servers listen by default."""
+"""The default port of CARLA's servers."""
 
-_GREETING: Final = 10.0  # s, within which the server must answer at first
+_FIRST_ANSWER: Final = 10.0  # s, within which the server must answer at first
 _ANSWER: Final = 2.0  # s, within which it must answer later; else it is asked again
-_REACHED: Final = 2.0  # s, within which it must take a connection
-_QUIET: Final = 1.0  # s; when no tick came for so long, we look whether the server is there
+_CONNECTION: Final = 2.0  # s, within which it must accept a connection
+_QUIET: Final = 1.0  # s without a tick, after which the server is checked
 _ASKING: Final = 0.1  # s between questions to the server
 _PAUSE: Final = 0.05  # s
-_WAITING: Final = 4096  # so many sights may wait; of what comes then, nothing is seen
-_HELD: Final = 4  # so many sights are held back, for contacts come by other ways
+_DRAIN: Final = 0.1  # s, in which callbacks of the client end that have begun before they were removed
+_WAITING: Final = 4096  # the most observations that wait; further ticks are missed
+_HELD: Final = 4  # observations that are held back, since collisions arrive on other connections
 _GONE: Final = "the server is gone"
 _ANOTHER_EPISODE: Final = "the server has begun another episode"
 _WEATHER: Final = tuple(UE4.named("weather").layout.fields)
 
 
 @dataclass(slots=True, eq=False)
-class Sight:
-    """What is seen of a tick.
+class Observation:
+    """An observed tick.
 
     Attributes:
         frame: The number of the frame.
         time: Seconds since the episode began.
         real_time: Seconds of the server's own clock.
-        records: What a recording tells of it, by type.
+        records: The records of the frame, by type.
     """
 
     frame: int
@@ -65,19 +65,19 @@ class Sight:
 
 
 class Observer:
-    """Watches a server, while a `with` block runs.
+    """Observes a server, while a `with` block runs.
 
     Args:
-        host: Where the server is.
+        host: The address of the server.
         port: Its port.
-        additional_data: See velocities, boxes, physics and the times of lights, too.
-        attach: Whether heroes without a collision sensor get one until the end; else only contacts that others' sensors
-            tell of are seen.
-        interval: Leave out ticks that come within so many seconds, of the wall's clock, after one that was seen.
+        additional_data: Observe velocities, boxes, physics and the times of lights, too.
+        attach: Whether heroes without a collision sensor get one until the end; else only collisions of other clients'
+            sensors are observed.
+        interval: The least time between observed ticks, in s of real time.
 
     Attributes:
-        missed: How many ticks were not seen that should have been.
-        why: Why it has ended, in words; "" as long as it has not.
+        missed: The number of ticks that were missed.
+        why: The reason of the end, in words; "" before it.
         map: The map.
 
     Raises:
@@ -97,20 +97,20 @@ class Observer:
         self._interval = interval
         self._lock = Lock()
         self._error: Exception | None = None
-        self._sights: Queue[Sight] = Queue(_WAITING)
-        self._later: deque[tuple[int, str, Any]] = deque()  # from which frame on it can be told, of what type, and what
+        self._observations: Queue[Observation] = Queue(_WAITING)
+        self._later: deque[tuple[int, str, Any]] = deque()  # earliest frame, type, record
         self._newcomers: deque[tuple[int, carla.Actor]] = deque()  # with the frame in which they came
         self._vehicle_lights: dict[int, int] = {}
         self._light_times: dict[int, tuple[float, ...]] = {}
         self._weather: tuple[float, ...] = ()
-        self._contacts_told = 0
+        self._collision_count = 0
         self._frame = 0
-        self._seen_at = self._asked_at = 0.0
+        self._observed_at = self._asked_at = 0.0
 
     def __enter__(self) -> Self:
         self._connect()
-        self._cast = Cast(self._world, additional_data=self._additional)
-        self._contacts = Contacts(self._world, self._note_contact, attach=self._attach)
+        self._tracker = ActorTracker(self._world, additional_data=self._additional)
+        self._listener = CollisionListener(self._world, self._note_collision, attach=self._attach)
         actors = readable(self._world.get_actors())
         self._present = {actor.id for actor in actors}
         self._newcomers.extend((0, actor) for actor in actors)
@@ -118,34 +118,35 @@ class Observer:
             self._introduce()
         self._ask()
         self._callback = self._world.on_tick(self._on_tick)
-        self._seen_at = monotonic()
+        self._observed_at = monotonic()
         return self
 
     def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None) -> None:
         self.end("it is over")
         with suppress(*UNANSWERED):
             self._world.remove_on_tick(self._callback)
-        self._contacts.close()
+        self._listener.close()
+        sleep(_DRAIN)  # a client's thread that waits for Python's lock when the interpreter ends aborts the process
 
     def end(self, why: str) -> None:
-        """Let `sights` come to their end; of several reasons, the first one counts."""
+        """End `observations`; of several reasons, the first one counts."""
         self.why = self.why or why
 
-    def sights(self, idle: Callable[[], None] = lambda: None) -> Iterator[Sight]:
-        """What is seen, tick by tick, until the end.
+    def observations(self, idle: Callable[[], None] = lambda: None) -> Iterator[Observation]:
+        """Yield the observed ticks until the end.
 
         Args:
-            idle: Is called whenever nothing has come for a moment.
+            idle: Is called whenever no tick has come for a moment.
 
         Raises:
-            RecapError: The server tells what cannot be understood.
+            RecapError: The data of the server cannot be read.
         """
-        held: deque[Sight] = deque()
+        held: deque[Observation] = deque()
         while not self.why:
-            self._tend()
+            self._poll()
             most = _HELD
             try:
-                held.append(self._sights.get(timeout=_PAUSE))
+                held.append(self._observations.get(timeout=_PAUSE))
             except Empty:
                 self._catch_up()
                 most = 0
@@ -153,8 +154,8 @@ class Observer:
                 yield self._completed(held.popleft())
             if not most:
                 idle()
-        with self._lock:  # no more of them come
-            held.extend(self._sights.queue)
+        with self._lock:  # no more are added
+            held.extend(self._observations.queue)
         yield from map(self._completed, held)
         if self._error is not None:
             raise RecapError(f"{self._place}: {self._error}") from self._error
@@ -166,8 +167,8 @@ class Observer:
     def _connect(self) -> None:
         if not self._is_there():
             raise RecapError(f"{self._place}: there is no CARLA server")
-        self._client = carla.Client(self._host, self._port, 1)  # snapshots and contacts come in the same thread
-        self._client.set_timeout(_GREETING)
+        self._client = carla.Client(self._host, self._port, 1)  # snapshots and collisions arrive in the same thread
+        self._client.set_timeout(_FIRST_ANSWER)
         try:
             self._world = self._client.get_world()
             self._episode = self._world.id
@@ -178,7 +179,7 @@ class Observer:
 
     def _is_there(self) -> bool:
         try:
-            socket.create_connection((self._host, self._port), _REACHED).close()
+            socket.create_connection((self._host, self._port), _CONNECTION).close()
         except OSError:
             return False
         return True
@@ -189,51 +190,51 @@ class Observer:
         try:
             with self._lock:
                 if not self.why:
-                    self._see(snapshot)
+                    self._observe(snapshot)
         except Exception as error:
             self._error = error
             self.end("an error")
 
-    def _see(self, snapshot: carla.WorldSnapshot) -> None:
+    def _observe(self, snapshot: carla.WorldSnapshot) -> None:
         now, frame = monotonic(), snapshot.frame
         if snapshot.id != self._episode:
             return self.end(_ANOTHER_EPISODE)
-        if frame <= self._frame or now - self._seen_at < self._interval or self._sights.full():
+        if frame <= self._frame or now - self._observed_at < self._interval or self._observations.full():
             return None
         if self._frame and not self._interval:
             self.missed += frame - self._frame - 1
-        is_first, self._frame, self._seen_at = not self._frame, frame, now
+        is_first, self._frame, self._observed_at = not self._frame, frame, now
         found = {actor.id: actor for actor in snapshot}
-        came, gone = self._cast.follow(found)
+        came, gone = self._tracker.update(found)
         self._newcomers.extend((frame, actor) for actor in came if actor.id not in self._present)
-        told: dict[str, Any] = {"destroyed": gone} if gone else {}
+        records: dict[str, Any] = {"destroyed": gone} if gone else {}
         if came:
-            told |= self._cast.introduced(came, found, attached=not is_first)
-        told |= self._cast.records(found, self._vehicle_lights)
+            records |= self._tracker.introduction(came, found, attached=not is_first)
+        records |= self._tracker.records(found, self._vehicle_lights)
         time = snapshot.timestamp
-        self._sights.put(Sight(frame, time.elapsed_seconds, time.platform_timestamp, told))
+        self._observations.put(Observation(frame, time.elapsed_seconds, time.platform_timestamp, records))
         return None
 
-    def _note_contact(self, frame: int, actor1: int, actor2: int) -> None:
+    def _note_collision(self, frame: int, actor1: int, actor2: int) -> None:
         self._later.append((frame, "collisions", (actor1, actor2)))
 
-    # --- by whoever takes the sights -------------------------------------------------------------------------
+    # --- in the thread that takes the observations -------------------------------------------------------------------------
 
     def _catch_up(self) -> None:
-        """See the last tick before a pause, if it was left out."""
+        """Observe the last tick before a pause, if it was left out."""
         if not self._interval or self.why:
             return
         with self._lock:
-            before = copy(self._cast)
+            before = copy(self._tracker)
             try:
-                self._see(self._world.get_snapshot())
-            except UNANSWERED:  # the world has gone on meanwhile, without somebody of the snapshot; the next one tells
-                self._cast = before
+                self._observe(self._world.get_snapshot())
+            except UNANSWERED:  # the world has gone on meanwhile without an actor of the snapshot; the next one follows
+                self._tracker = before
 
-    def _tend(self) -> None:
-        """Look after what is told seldom, when it is time for that, and whether the server is there."""
+    def _poll(self) -> None:
+        """Request other data when it is due, and check that the server is there."""
         now = monotonic()
-        is_quiet = now - self._seen_at > _QUIET
+        is_quiet = now - self._observed_at > _QUIET
         if now - self._asked_at < (_QUIET if is_quiet else _ASKING):
             return
         if is_quiet and not self._is_there():
@@ -246,7 +247,7 @@ class Observer:
         self._asked_at = monotonic()
 
     def _ask(self) -> None:
-        with suppress(*UNANSWERED):  # the server does not answer; it will be asked again
+        with suppress(*UNANSWERED):  # the server does not answer, and is asked again later
             lights = self._world.get_vehicles_light_states()
             self._vehicle_lights = {id: int(state) for id, state in lights.items()}
             weather = self._world.get_weather()
@@ -254,14 +255,14 @@ class Observer:
             if row != self._weather:
                 self._weather = row
                 self._later.append((0, "weather", row))
-        with suppress(*UNANSWERED):  # an actor is gone, and will be known to be
+        with suppress(*UNANSWERED):  # an actor has gone, which the next snapshot shows
             if self._additional:
-                for light in self._cast.of(ActorKind.TRAFFIC_LIGHT).values():
+                for light in self._tracker.of(ActorKind.TRAFFIC_LIGHT).values():
                     self._note_light_times(0, light)
-            self._contacts.attend(self._cast)
+            self._listener.update(self._tracker)
 
     def _answer(self, question: Callable[[], Any], default: Any) -> Any:
-        """What the server answers; a default where it does not, as an actor is gone, or all of the server."""
+        """Return the server's answer; a default where an actor, or the server, has gone."""
         try:
             return question()
         except UNANSWERED:
@@ -270,50 +271,50 @@ class Observer:
             return default
 
     def _introduce(self) -> None:
-        """Tell what the server has to be asked of each newcomer."""
+        """Request the data of new actors that are not in snapshots."""
         while self._newcomers and not self.why:
             frame, actor = self._newcomers.popleft()
-            kind = describing.kind_of(actor.type_id)
+            kind = packets.kind_of(actor.type_id)
             if kind == ActorKind.TRAFFIC_LIGHT:
                 self._answer(partial(self._note_light_times, frame, actor), None)
-            tellers: dict[str, Callable[[Any], list[Any]]] = {}
+            requests: dict[str, Callable[[Any], list[Any]]] = {}
             if kind in (ActorKind.TRAFFIC_LIGHT, ActorKind.TRAFFIC_SIGN):
-                tellers["trigger_volumes"] = describing.trigger_volume
+                requests["trigger_volumes"] = packets.trigger_volume
             elif kind != ActorKind.SENSOR:
-                tellers["bounding_boxes"] = describing.box
+                requests["bounding_boxes"] = packets.bounding_box
             if kind == ActorKind.VEHICLE:
-                tellers["physics"] = lambda vehicle: [describing.physics(vehicle)]
-            for name, teller in tellers.items():
-                self._later.extend((frame, name, record) for record in self._answer(partial(teller, actor), []))
+                requests["physics"] = lambda vehicle: [packets.physics(vehicle)]
+            for name, request in requests.items():
+                self._later.extend((frame, name, record) for record in self._answer(partial(request, actor), []))
 
     def _note_light_times(self, frame: int, light: carla.TrafficLight) -> None:
-        times = describing.light_times(light)
+        times = packets.light_times(light)
         if self._light_times.get(light.id) != times:
             self._light_times[light.id] = times
             self._later.append((frame, "light_times", times))
 
-    def _completed(self, sight: Sight) -> Sight:
-        """A sight, with what came later."""
+    def _completed(self, observation: Observation) -> Observation:
+        """Return an observation with the records that arrived later."""
         if self._additional:
             self._introduce()
         more: defaultdict[str, list[Any]] = defaultdict(list)
         for _ in range(len(self._later)):
             frame, name, record = self._later.popleft()
-            if frame <= sight.frame:
+            if frame <= observation.frame:
                 more[name].append(record)
             else:
                 self._later.append((frame, name, record))
         if "collisions" in more:
             more["collisions"] = self._numbered(more["collisions"])
-        sight.records |= more
-        return sight
+        observation.records |= more
+        return observation
 
-    def _numbered(self, contacts: list[tuple[int, int]]) -> list[tuple[int, int, int, bool, bool]]:
-        """Each pair once; repetitions use up a number, too, as with CARLA."""
-        heroes = self._cast.heroes
+    def _numbered(self, collisions: list[tuple[int, int]]) -> list[tuple[int, int, int, bool, bool]]:
+        """Return each pair once; repetitions use up a number, too, as in CARLA."""
+        heroes = self._tracker.heroes
         rows: dict[tuple[int, int], tuple[int, int, int, bool, bool]] = {}
-        for number, (actor1, actor2) in enumerate(contacts, self._contacts_told):
-            other = actor2 if actor2 in self._cast.seen else NO_ACTOR
+        for number, (actor1, actor2) in enumerate(collisions, self._collision_count):
+            other = actor2 if actor2 in self._tracker.seen else NO_ACTOR
             rows.setdefault((actor1, other), (number, actor1, other, actor1 in heroes, other in heroes))
-        self._contacts_told += len(contacts)
+        self._collision_count += len(collisions)
         return list(rows.values())

@@ -1,4 +1,4 @@
-"""Records what can be seen of a server into a file, as CARLA's own recorder would."""
+"""Records a server from outside into a file, as CARLA's own recorder would."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ from carla_recap.util.signals import call_on_termination
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Iterator
 
-    from carla_recap.capture.observer import Sight
+    from carla_recap.capture.observer import Observation
 
     Progress = Callable[[Iterable[float]], Iterable[float]]
 
@@ -33,10 +33,10 @@ class Captured(NamedTuple):
     """What was captured.
 
     Attributes:
-        frames: How many frames.
-        seconds: How far the recording goes.
-        missed: How many ticks of the server are not in it, because they came too fast.
-        why: Why it has ended, in words.
+        frames: The number of frames.
+        seconds: The elapsed time of the last one, in s.
+        missed: The number of ticks that are not in it, because they came too fast.
+        why: The reason of its end, in words.
     """
 
     frames: int
@@ -55,31 +55,31 @@ def capture(
     force: bool = False,
     progress: Progress | None = None,
 ) -> Captured:
-    """Record what a CARLA server does, as one of its clients: it never ticks.
+    """Record a CARLA server, as one of its clients; the world is never ticked.
 
     A hero that has no collision sensor gets one until the end; it is not in the recording. Ctrl-C, SIGTERM, a new episode
     and the end of the server complete the recording.
 
     Args:
-        destination: The recording; its suffix, .mcap or .log, says the format.
-        host: Where the server is.
+        destination: The recording; its suffix, .mcap or .log, is that of the format.
+        host: The address of the server.
         port: Its port.
-        duration: After how many simulated seconds it ends.
+        duration: The simulated seconds after which it ends.
         additional_data: Record velocities, boxes, physics and the times of lights, too.
-        force: Overwrite what is there.
-        progress: Is given the elapsed seconds of each frame, and passes them on.
+        force: Overwrite an existing file.
+        progress: Wraps the elapsed seconds of the frames, and yields them.
 
     Raises:
         RecapError: There is no server, or the recording cannot be written: what was captured until then is kept, and the
-            message says where.
+            message contains its path.
     """
     check_free(destination, force=force)
     with Observer(host, port, additional_data=additional_data, attach=True) as observer, call_on_termination(observer.end):
         header = header_of(observer)
         writer = create_writer(Path(destination), header, live=True)
         try:
-            sights = _until(duration, observer)
-            elapsed = _written(writer.write, frames(sights, additional_data=additional_data))
+            observations = _until(duration, observer)
+            elapsed = _written(writer.write, frames(observations, additional_data=additional_data))
             last = deque(enumerate(progress(elapsed) if progress else elapsed, 1), maxlen=1)
             writer.close()
         except Exception as error:
@@ -92,19 +92,19 @@ def capture(
 
 
 def header_of(observer: Observer) -> Header:
-    """The header of a recording that begins now."""
+    """Return the header of a recording that begins now."""
     return Header(observer.map.name.rpartition("/")[2], int(time.time()))
 
 
-def frames(sights: Iterable[Sight], *, additional_data: bool) -> Iterator[Frame]:
-    """The frames of a recording that tells what was seen; each comes when it is known how long it lasts.
+def frames(observations: Iterable[Observation], *, additional_data: bool) -> Iterator[Frame]:
+    """Yield the frames of a recording of observations, each when its duration is known.
 
     Args:
-        sights: What was seen.
-        additional_data: Whether it tells of what CARLA calls additional data.
+        observations: The observed ticks.
+        additional_data: Whether the frames have what CARLA calls additional data.
     """
     latest: Frame | None = None
-    for frame in live_frames(sights, additional_data=additional_data):
+    for frame in live_frames(observations, additional_data=additional_data):
         if latest is not None:
             latest.duration = frame.elapsed - latest.elapsed
             yield latest
@@ -113,25 +113,25 @@ def frames(sights: Iterable[Sight], *, additional_data: bool) -> Iterator[Frame]
         yield latest
 
 
-def live_frames(sights: Iterable[Sight], *, additional_data: bool) -> Iterator[Frame]:
-    """The same frames as soon as they can be had; nobody knows yet how long they last."""
-    first: Sight | None = None
-    for number, sight in enumerate(sights):
-        first = first or sight
-        clocks = {"visual_time": sight.time}
+def live_frames(observations: Iterable[Observation], *, additional_data: bool) -> Iterator[Frame]:
+    """Yield the same frames at once, without their durations."""
+    first: Observation | None = None
+    for number, observation in enumerate(observations):
+        first = first or observation
+        clocks = {"visual_time": observation.time}
         if additional_data:
-            clocks["platform_time"] = sight.real_time - first.real_time
-        packets = packets_of(UE4, clocks | sight.records, additional_data=additional_data)
-        yield Frame(number, number + 1, sight.time - first.time, LAST_FRAME_DURATION, [*packets, _END])
+            clocks["platform_time"] = observation.real_time - first.real_time
+        packets = packets_of(UE4, clocks | observation.records, additional_data=additional_data)
+        yield Frame(number, number + 1, observation.time - first.time, LAST_FRAME_DURATION, [*packets, _END])
 
 
-def _until(duration: float, observer: Observer) -> Iterator[Sight]:
-    """What is seen, until so many seconds have passed."""
+def _until(duration: float, observer: Observer) -> Iterator[Observation]:
+    """Yield observations until a number of simulated seconds have passed."""
     begin: float | None = None
-    for sight in observer.sights():
-        yield sight
-        begin = sight.time if begin is None else begin
-        if sight.time - begin >= duration - _ROUNDING:
+    for observation in observer.observations():
+        yield observation
+        begin = observation.time if begin is None else begin
+        if observation.time - begin >= duration - _ROUNDING:
             observer.end(_DONE)
             return
 

@@ -18,13 +18,13 @@ from typing import TYPE_CHECKING, Any, Final
 import numpy as np
 
 from carla_recap.frame import Packet
-from carla_recap.records import NO_ACTOR, ActorKind
+from carla_recap.records import NO_ACTOR
 from carla_recap.sim.actors.lights import Sign, TrafficLight
 from carla_recap.sim.actors.moving import MovingActor, Vehicle
 from carla_recap.sim.actors.registry import TickEvents
 from carla_recap.sim.recording import packets
 from carla_recap.sim.recording.poses import pose
-from carla_recap.sim.recording.snapshots import OTHER_POSES, TYPES, ActorSet, SnapshotBatch, Timestamp
+from carla_recap.sim.recording.snapshots import OTHER_POSES, TYPES, WITH_POSE, ActorSet, SnapshotBatch, Timestamp
 
 if TYPE_CHECKING:
     from collections.abc import Collection
@@ -40,8 +40,6 @@ LENGTH: Final = 50
 """The most snapshots of a batch: sending one has a cost, and what was not sent may be lost."""
 SECONDS: Final = 5.0
 """The time after which a batch ends; the formats write that much of a recording to the disk at a time."""
-_WITH_POSE: Final = (ActorKind.OTHER, ActorKind.VEHICLE, ActorKind.WALKER)
-"""The kinds of actors whose transforms are in each frame, as in CARLA 0.9.13 and later."""
 
 
 class WorldSampler:
@@ -112,7 +110,7 @@ class WorldSampler:
     def _find_actors(self) -> None:
         """Note the actors and the arrays that snapshots are taken of, as long as no actor comes or goes."""
         world = self._world
-        actors = [actor for actor in world.actors.values() if actor.kind in _WITH_POSE]
+        actors = [actor for actor in world.actors.values() if actor.kind in WITH_POSE]
         self._others = [actor for actor in actors if not isinstance(actor, MovingActor)]
         self._other_poses = np.empty((len(self._others), 6))
         self._actors = ActorSet(

@@ -14,7 +14,7 @@ import numpy as np
 
 from carla_recap.frame import LAST_FRAME_DURATION, Block, Packet, Run
 from carla_recap.payload import EMPTY_LIST, pack
-from carla_recap.records import FRAME_END, ORDER, UE4, Framing
+from carla_recap.records import FRAME_END, ORDER, UE4, ActorKind, Framing
 from carla_recap.replay.rows import numbers
 from carla_recap.sim.recording.poses import CM_PER_M
 
@@ -28,6 +28,8 @@ if TYPE_CHECKING:
 
 TYPES: Final = {UE4[id].name: UE4[id] for id in ORDER}
 """The record types in the order in which CARLA writes their packets."""
+WITH_POSE: Final = (ActorKind.OTHER, ActorKind.VEHICLE, ActorKind.WALKER)
+"""The kinds of actors whose transforms are in each frame, as in CARLA 0.9.13 and later."""
 _SLOTS: Final = {name: slot for slot, name in enumerate(TYPES)}
 _END: Final = Packet(FRAME_END, UE4[FRAME_END], b"")
 _ROLL_PITCH_YAW: Final = [2, 0, 1]

@@ -1,4 +1,4 @@
-"""What a recording tells once of an actor, when it appears, as far as a client is told of it."""
+"""The records of single actors, as far as a client gets their data."""
 
 from __future__ import annotations
 
@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Any, Final
 import numpy as np
 
 from carla_recap.records import UE4, ActorKind, Attribute, Physics, Spawn
+from carla_recap.sim.recording.poses import CM_PER_M
 
 if TYPE_CHECKING:
     import carla
@@ -18,7 +19,6 @@ if TYPE_CHECKING:
     Pose = tuple[float, float, float, float, float, float]
     Types = dict[str, dict[str, int]]
 
-CM_PER_M: Final = 100.0
 _STRING: Final = 3
 _TYPES_FROM: Final = 1  # clients number the types of attributes from 1, recordings from 0
 _KINDS: Final = {
@@ -34,36 +34,36 @@ _PLAIN: Final = [name for name, kind in _PHYSICS.layout.fields.items() if isinst
 
 
 def kind_of(type_id: str) -> ActorKind:
-    """What an actor is, by its blueprint."""
+    """Return the kind of an actor, by its blueprint."""
     return next((kind for begin, kind in _KINDS.items() if type_id.startswith(begin)), ActorKind.OTHER)
 
 
 def attribute_types(library: carla.BlueprintLibrary) -> Types:
-    """How a recording numbers the types of the attributes of each blueprint."""
+    """Return the types of the attributes of each blueprint, as recordings number them."""
     return {blueprint.id: {each.id: int(each.type) - _TYPES_FROM for each in blueprint} for blueprint in library}
 
 
 def spawn(actor: carla.Actor, pose: Pose, types: Types) -> Spawn:
-    """The spawn of an actor.
+    """Return the spawn of an actor, without the number of its blueprint, which clients do not get.
 
     Args:
         actor: The actor.
-        pose: Where, in cm and degrees.
-        types: The types of attributes. The number of its blueprint is not told to clients.
+        pose: Its pose, in cm and degrees.
+        types: The types of attributes.
     """
     known = types.get(actor.type_id, {})
     attributes = [Attribute(known.get(key, _STRING), key, value) for key, value in actor.attributes.items() if key]
     return Spawn(actor.id, kind_of(actor.type_id), *pose, type_id=actor.type_id, attributes=attributes)
 
 
-def box(actor: carla.Actor) -> list[Row]:
-    """The box of an actor, in its own axes, if it has one; asks the server."""
+def bounding_box(actor: carla.Actor) -> list[Row]:
+    """Return the box of an actor, in its own axes, if it has one; asks the server."""
     volume = actor.bounding_box
     return [(actor.id, *_volume(volume.location, volume.extent))] if volume.extent.length() > 0 else []
 
 
 def trigger_volume(sign: carla.TrafficSign) -> list[Row]:
-    """Where a light or sign is in force, if it says so."""
+    """Return the trigger volume of a light or sign, if it has one."""
     volume = sign.trigger_volume
     if not volume.extent.length():
         return []
@@ -71,12 +71,12 @@ def trigger_volume(sign: carla.TrafficSign) -> list[Row]:
 
 
 def light_times(light: carla.TrafficLight) -> Row:
-    """The times of a traffic light, in s."""
+    """Return the times of a traffic light, in s."""
     return light.id, light.get_green_time(), light.get_yellow_time(), light.get_red_time()
 
 
 def physics(vehicle: carla.Vehicle) -> Physics:
-    """The physics of a vehicle; asks the server."""
+    """Return the physics of a vehicle; asks the server."""
     control = vehicle.get_physics_control()
     centre = control.center_of_mass
     return Physics(
@@ -94,7 +94,7 @@ def physics(vehicle: carla.Vehicle) -> Physics:
 
 
 class _Wheel:
-    """A wheel with its place in three fields."""
+    """A wheel with its position in three fields."""
 
     def __init__(self, wheel: carla.WheelPhysicsControl) -> None:
         self._wheel = wheel

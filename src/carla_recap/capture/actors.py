@@ -1,0 +1,186 @@
+"""The actors of a server's world as its client sees them: which come and go, and their records, snapshot by snapshot."""
+
+from __future__ import annotations
+
+import warnings
+from typing import TYPE_CHECKING, Any, Final
+
+import numpy as np
+
+from carla_recap.capture.packets import attribute_types, kind_of, spawn
+from carla_recap.errors import RecapWarning
+from carla_recap.records import UE4, ActorKind
+from carla_recap.replay.pose import detach
+from carla_recap.sim.recording.poses import CM_PER_M
+from carla_recap.sim.recording.snapshots import WITH_POSE
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping
+
+    import carla
+
+    from carla_recap.capture.packets import Pose
+
+    Rows = list[tuple[float, ...]]
+    Snapshots = Mapping[int, carla.ActorSnapshot]
+
+UNREADABLE: Final = (ValueError, LookupError, OverflowError)
+"""What CARLA's client raises for data of an actor that it cannot read, such as a color '256,0,0'.
+
+Boost.Python makes these of the C++ exceptions for bad values, and RuntimeError of all others.
+"""
+UNANSWERED: Final = (RuntimeError, *UNREADABLE)
+"""What CARLA's client raises where a question is not answered."""
+OWN: Final = "carla-recap"
+"""The role of this package's own sensors, which are left out."""
+_HERO: Final = "hero"
+_EACH_FRAME: Final = (ActorKind.VEHICLE, ActorKind.WALKER, ActorKind.TRAFFIC_LIGHT)
+
+
+class ActorTracker:
+    """Tracks the actors of a world. Its attributes are replaced, never changed: another thread may be reading them.
+
+    Args:
+        world: The world.
+        additional_data: Record velocities, too.
+
+    Attributes:
+        actors: The present actors, by id, in the order in which they came.
+        heroes: The ids of all actors that are or were heroes.
+        seen: The ids of all actors that are or were present.
+    """
+
+    def __init__(self, world: carla.World, *, additional_data: bool) -> None:
+        self.actors: dict[int, carla.Actor] = {}
+        self.heroes: frozenset[int] = frozenset()
+        self.seen: frozenset[int] = frozenset()
+        self._world = world
+        self._additional = additional_data
+        self._types = attribute_types(world.get_blueprint_library())
+        self._ids: set[int] = set()  # of all actors of the last snapshot, including those that are left out
+        self._of: dict[ActorKind, dict[int, Any]] = {kind: {} for kind in ActorKind}
+
+    def update(self, snapshots: Snapshots) -> tuple[list[carla.Actor], list[int]]:
+        """Take in the actors of a snapshot; the server is asked about new ones.
+
+        Returns:
+            The actors that came, and the ids of those that went.
+
+        Warns:
+            RecapWarning: The client cannot read the data of a new actor, which is left out.
+        """
+        if snapshots.keys() == self._ids:
+            return [], []
+        new = sorted(snapshots.keys() - self._ids)
+        self._ids = set(snapshots)
+        gone = [id for id in reversed(self.actors) if id not in snapshots]  # children before their parents
+        came = [actor for actor in self._asked(new) if not _is_own(actor)] if new else []
+        stay = {id: actor for id, actor in self.actors.items() if id in snapshots}
+        self.actors = stay | {actor.id: actor for actor in came}
+        self.seen |= {actor.id for actor in came}
+        self.heroes |= {actor.id for actor in came if actor.attributes.get("role_name") == _HERO}
+        of: dict[ActorKind, dict[int, Any]] = {kind: {} for kind in ActorKind}
+        for id, actor in self.actors.items():
+            of[kind_of(actor.type_id)][id] = actor
+        self._of = of
+        return came, gone
+
+    def of(self, kind: ActorKind) -> Mapping[int, Any]:
+        """Return the actors of a kind, by id; the same object as long as no actor comes or goes."""
+        return self._of[kind]
+
+    def introduction(self, came: list[carla.Actor], snapshots: Snapshots, *, attached: bool) -> dict[str, Any]:
+        """Return the spawns and the parents of actors that come.
+
+        Args:
+            came: The actors.
+            snapshots: Their poses.
+            attached: Whether those with parents have poses relative to these, as recorders write them after the beginning.
+        """
+        poses = {actor.id: _pose(snapshots[actor.id]) for actor in came}
+        parents = {actor.id: parent.id for actor in came if (parent := parent_of(actor)) is not None}
+        if attached:
+            for id, parent in parents.items():
+                if parent in snapshots:
+                    x, y, z, roll, pitch, yaw = detach(np.array(_pose(snapshots[parent])), np.array(poses[id])).tolist()
+                    poses[id] = x, y, z, roll, pitch, yaw
+        return {
+            "spawned": [spawn(actor, poses[actor.id], self._types) for actor in came],
+            "parented": list(parents.items()),
+        }
+
+    def records(self, snapshots: Snapshots, vehicle_lights: Mapping[int, int]) -> dict[str, Any]:
+        """Return the records of a frame.
+
+        Args:
+            snapshots: A snapshot of just these actors, the client's latest one.
+            vehicle_lights: The lights of vehicles, as last known.
+        """
+        vehicles, walkers, lights = (self._of[kind] for kind in _EACH_FRAME)
+        with_pose = [id for kind in WITH_POSE for id in self._of[kind]]
+        rows: dict[str, Rows] = {
+            "transforms": [(id, *_pose(snapshots[id])) for id in sorted(with_pose)],
+            "light_states": [
+                (id, light.is_frozen(), light.get_elapsed_time(), int(light.get_state())) for id, light in lights.items()
+            ],
+            "vehicle_controls": [_control(id, vehicle.get_control()) for id, vehicle in vehicles.items()],
+            "walker_controls": [(id, walker.get_control().speed * CM_PER_M) for id, walker in walkers.items()],
+            "vehicle_lights": [(id, vehicle_lights.get(id, 0)) for id in vehicles],
+        }
+        if self._additional and (vehicles or walkers):
+            rows["velocities"] = [_velocity(id, snapshots[id]) for id in (*vehicles, *walkers)]
+        return {name: np.array(values, UE4.named(name).dtype) for name, values in rows.items()}
+
+    def _asked(self, ids: list[int]) -> list[carla.Actor]:
+        """Return the actors of some ids that the client can read."""
+        listed = self._world.get_actors(ids)
+        actors = readable(listed)
+        if len(actors) < len(listed):
+            unreadable = ", ".join(map(str, sorted(set(ids) - {actor.id for actor in actors})))
+            text = f"actors that CARLA's client cannot make out are left out: {unreadable}"
+            warnings.warn(text, RecapWarning, stacklevel=2)
+        return actors
+
+
+def readable(listed: carla.ActorList) -> list[carla.Actor]:
+    """Return the actors of a list that the client can read; where it cannot read one, iterating raises an error."""
+    found = (_actor_at(listed, index) for index in range(len(listed)))
+    return [actor for actor in found if actor is not None]
+
+
+def parent_of(actor: Any) -> carla.Actor | None:
+    """Return the parent of an actor, if it has one that the client can read."""
+    try:
+        return actor.parent
+    except UNREADABLE:
+        return None
+
+
+def _actor_at(listed: carla.ActorList, index: int) -> carla.Actor | None:
+    try:
+        actor = listed[index]
+        _ = actor.attributes  # not all of which need to be text
+    except UNREADABLE:
+        return None
+    return actor
+
+
+def _is_own(actor: carla.Actor) -> bool:
+    return bool(actor.type_id.startswith("sensor.") and actor.attributes.get("role_name") == OWN)
+
+
+def _pose(snapshot: carla.ActorSnapshot) -> Pose:
+    transform = snapshot.get_transform()
+    location, rotation = transform.location, transform.rotation
+    x, y, z = location.x * CM_PER_M, location.y * CM_PER_M, location.z * CM_PER_M
+    return x, y, z, rotation.roll, rotation.pitch, rotation.yaw
+
+
+def _velocity(id: int, snapshot: carla.ActorSnapshot) -> tuple[float, ...]:
+    linear, angular = snapshot.get_velocity(), snapshot.get_angular_velocity()
+    return id, linear.x, linear.y, linear.z, angular.x, angular.y, angular.z
+
+
+def _control(id: int, control: carla.VehicleControl) -> tuple[float, ...]:
+    gear = -1 if control.reverse else control.gear
+    return id, control.steer, control.throttle, control.brake, control.hand_brake, gear
