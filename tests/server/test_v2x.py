@@ -36,7 +36,7 @@ def cam_sensor(host: Host, parent: Actor, **attributes: str) -> Listener:
 
 
 def cams(listener: Listener) -> list[tuple[int, Any]]:
-    """Frames and messages."""
+    """Return the frames and messages since the last call."""
     return [(header[1], message) for header, payload in listener.take() for message in np.frombuffer(payload, CAM)]
 
 
@@ -62,7 +62,7 @@ def test_messages_are_sent_whether_clients_listen_or_not() -> None:
 
 
 def times(speed: float, steer: float = 0.0, **attributes: str) -> list[int]:
-    """The ticks of 50 ms after the first one in which a car sends."""
+    """Return the ticks of 50 ms after the first one in which a car sends."""
     host = served()
     car = vehicle(host, 30.0)
     host.world.spawn("sensor.other.v2x", HERE, parent=car, **attributes)
@@ -191,7 +191,15 @@ def test_fading_is_the_same_for_a_seed() -> None:
 
 @pytest.mark.parametrize(
     ("message", "expected"),
-    [("hallo", b"hallo"), (b"\x00\xff", b"\x00\xff"), ([2, b"abc"], b"ab"), ([3, "abcd"], b"abc"), (None, b""), (7, b"")],
+    [
+        ("hallo", b"hallo"),
+        (b"\x00\xff", b"\x00\xff"),
+        ([2, b"abc"], b"ab"),
+        ([3, "abcd"], b"abc"),
+        (None, b""),
+        (7, b""),
+        ([2, [2, b"ab"]], b""),
+    ],
 )
 def test_messages_of_clients_come_in_several_forms(message: Any, expected: bytes) -> None:
     assert message_bytes(message) == expected

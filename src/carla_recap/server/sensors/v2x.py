@@ -1,4 +1,4 @@
-"""V2X sensors: vehicles tell each other where they are (CAM), or send messages of their own, over a radio channel.
+"""V2X sensors: vehicles report their motion to each other (CAM), or send messages of clients, over a radio channel.
 
 What is sent in a tick is received in the same tick by all others whose received power suffices. Messages, the conditions for
 sending them, and path losses are those of CARLA 0.9.16.
@@ -407,12 +407,12 @@ class PathLoss:
 
 def message_bytes(message: Any) -> bytes:
     """Return the bytes of a message from a client: a text, or bytes, or as of newer clients the size and bytes."""
+    size = None
     if isinstance(message, list) and len(message) > 1 and isinstance(message[0], int):
-        text = message_bytes(message[1])
-        return text[: max(message[0], 0)]
+        size, message = max(message[0], 0), message[1]
     if isinstance(message, str):
-        return message.encode("utf-8", "surrogateescape")
-    return message if isinstance(message, bytes) else b""
+        message = message.encode("utf-8", "surrogateescape")
+    return message[:size] if isinstance(message, bytes) else b""
 
 
 def _antenna(actor: Actor) -> Floats:
