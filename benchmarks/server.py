@@ -131,7 +131,7 @@ def idle_rate(port: int) -> float:
 def managed_rate(port: int) -> tuple[float, float]:
     """Ticks a second of a client whose traffic manager drives, and how long its own processor works for one, in s.
 
-    There is no tape of that: the answers come so fast that client and manager would miss each other (see `rounds`).
+    There is no tape of that: with such fast answers, client and manager would miss each other (`TrafficManagerCycle`).
     """
     import carla
 

@@ -79,7 +79,7 @@ def serve(
     with window as shown, World(_town(town, maps, stand_in), seed=seed, recordings=recordings, maps=maps) as world:
 
         def ready(port: int) -> None:
-            _tell(world.town.name, host, port)
+            _announce(world.town.name, host, port)
             if shown is not None:
                 shown.open(host, port)
 
@@ -113,7 +113,7 @@ def _make(folder: Path) -> None:
         raise RecapError(f"{folder}: the folder of recordings cannot be made: {reason}") from None
 
 
-def _tell(town: str, host: str, port: int) -> None:
+def _announce(town: str, host: str, port: int) -> None:
     click.echo(f"{town} is served at {host}:{port}")
     if host in _EVERYWHERE:
         click.echo(f"connect to it: carla.Client('HOST', {port}), with the name or address of this machine; Ctrl-C ends it")

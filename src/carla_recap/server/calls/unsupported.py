@@ -9,7 +9,7 @@ from typing import Any, Final
 from carla_recap.server.client import Client
 from carla_recap.server.rpc.codec import encoder
 from carla_recap.server.rpc.registry import CALLS, Call, CallError
-from carla_recap.server.rpc.structs import WalkerBones
+from carla_recap.server.rpc.structs import SkeletonPose
 from carla_recap.sim.geometry import Transform
 
 
@@ -62,7 +62,7 @@ _ACCEPTED: Final[dict[str, _Answer]] = {
     "get_actor_socket_names": _Answer(_NO_BONES, list[str], []),
     "get_actor_socket_world_transforms": _Answer(_NO_BONES, list[Transform], []),
     "get_actor_socket_relative_transforms": _Answer(_NO_BONES, list[Transform], []),
-    "get_bones_transform": _Answer(_NO_BONES, WalkerBones, WalkerBones([])),
+    "get_bones_transform": _Answer(_NO_BONES, SkeletonPose, SkeletonPose([])),
     "set_bones_transform": _Answer(_NO_BONES),
     "blend_pose": _Answer(_NO_BONES),
     "get_pose_from_animation": _Answer(_NO_BONES),

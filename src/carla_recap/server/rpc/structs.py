@@ -167,7 +167,7 @@ class BoneTransform:
 
 
 @dataclass(frozen=True, slots=True)
-class WalkerBones:
+class SkeletonPose:
     """The bones of a walker."""
 
     transforms: list[BoneTransform]
