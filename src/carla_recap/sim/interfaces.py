@@ -108,25 +108,23 @@ class SnapshotWorld(ActorView, Protocol):
 
 
 class ReplayWorld(ActorView, Protocol):
-    """What the replayer asks of a world."""
+    """What the replayer asks of a world.
+
+    Attributes:
+        weather: The weather.
+        blueprints: The blueprint library.
+        maps: The folder of maps, if one was given.
+        recordings: The folder of recordings, if one was given.
+    """
 
     weather: Weather
-
-    @property
-    def blueprints(self) -> BlueprintLibrary:
-        """The blueprint library."""
+    blueprints: BlueprintLibrary
+    maps: Path | str | None
+    recordings: Path | str | None
 
     @property
     def spectator(self) -> Spectator:
         """The spectator."""
-
-    @property
-    def maps(self) -> Path | str | None:
-        """The folder of maps, if one was given."""
-
-    @property
-    def recordings(self) -> Path | str | None:
-        """The folder of recordings, if one was given."""
 
     def place(
         self, blueprint: Blueprint | str, transform: Transform, *, parent: Actor | None = None, **attributes: str
@@ -151,9 +149,17 @@ class SidewalkPlaces(Protocol):
 
 
 class ScenarioWorld(Protocol):
-    """What traffic and scenarios ask of the world in which they are set up."""
+    """What traffic and scenarios ask of the world in which they are set up.
+
+    Attributes:
+        controllers: What acts at the beginning of each tick.
+        random: The source of all randomness.
+        blueprints: The blueprint library.
+    """
 
     controllers: list[Controller]
+    random: np.random.Generator
+    blueprints: BlueprintLibrary
 
     @property
     def town(self) -> Town:
@@ -162,14 +168,6 @@ class ScenarioWorld(Protocol):
     @property
     def elapsed(self) -> float:
         """The simulated time of the episode, in s."""
-
-    @property
-    def random(self) -> np.random.Generator:
-        """The source of all randomness."""
-
-    @property
-    def blueprints(self) -> BlueprintLibrary:
-        """The blueprint library."""
 
     @property
     def vehicles(self) -> Vehicles:

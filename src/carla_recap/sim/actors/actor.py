@@ -30,31 +30,23 @@ HERO = "hero"
 
 
 class ActorContext(Protocol):
-    """What an actor asks of the episode that it belongs to."""
+    """What an actor asks of the episode that it belongs to.
 
-    @property
-    def town(self) -> Town:
-        """The town."""
+    Attributes:
+        town: The town.
+        clock: The simulated time.
+        settings: The settings of the simulation.
+        blueprints: The blueprint library.
+        plane: The bodies of all actors.
+        actors: All actors by id.
+    """
 
-    @property
-    def clock(self) -> Clock:
-        """The simulated time."""
-
-    @property
-    def settings(self) -> Settings:
-        """The settings of the simulation."""
-
-    @property
-    def blueprints(self) -> BlueprintLibrary:
-        """The blueprint library."""
-
-    @property
-    def plane(self) -> Plane:
-        """The bodies of all actors."""
-
-    @property
-    def actors(self) -> Mapping[int, Actor]:
-        """All actors by id."""
+    town: Town
+    clock: Clock
+    settings: Settings
+    blueprints: BlueprintLibrary
+    plane: Plane
+    actors: Mapping[int, Actor]
 
     @property
     def collisions(self) -> Sequence[Collision]:

@@ -12,8 +12,6 @@ from carla_recap.sim.town.town import SignalKind
 from carla_recap.sim.validation import LARGEST, expect_between
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
-
     from numpy.typing import ArrayLike, NDArray
 
     from carla_recap.sim.actors.blueprints import Blueprint
@@ -157,15 +155,15 @@ class Signals:
 
 
 class SignalContext(ActorContext, Protocol):
-    """What a traffic light asks of the episode that it belongs to."""
+    """What a traffic light asks of the episode that it belongs to.
 
-    @property
-    def signals(self) -> Signals:
-        """All traffic lights, as arrays."""
+    Attributes:
+        signals: All traffic lights, as arrays.
+        traffic_lights: All traffic lights; light i is row i of `signals`.
+    """
 
-    @property
-    def traffic_lights(self) -> Sequence[TrafficLight]:
-        """All traffic lights; light i is row i of `signals`."""
+    signals: Signals
+    traffic_lights: list[TrafficLight]
 
     def report_light_times(self, light: TrafficLight) -> None:
         """Add changed times of a light to the events of the tick."""

@@ -57,19 +57,17 @@ class TrafficControllers(Protocol):
 
 
 class MovingContext(ActorContext, Protocol):
-    """What a vehicle or walker asks of the episode that it belongs to."""
+    """What a vehicle or walker asks of the episode that it belongs to.
 
-    @property
-    def vehicles(self) -> Vehicles:
-        """All vehicles, as arrays."""
+    Attributes:
+        vehicles: All vehicles, as arrays.
+        walkers: All walkers, as arrays.
+        traffic: The autopilot and the pedestrian navigation.
+    """
 
-    @property
-    def walkers(self) -> Walkers:
-        """All walkers, as arrays."""
-
-    @property
-    def traffic(self) -> TrafficControllers:
-        """The autopilot and the pedestrian navigation."""
+    vehicles: Vehicles
+    walkers: Walkers
+    traffic: TrafficControllers
 
     def report_physics_control(self, vehicle: Vehicle) -> None:
         """Add a changed physics control to the events of the tick."""
