@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from copy import deepcopy
 from typing import TYPE_CHECKING, Any, Final, Protocol
 
 import numpy as np
@@ -185,7 +184,7 @@ class Vehicle(MovingActor):
         super().__init__(*args, **kwargs)
         assert self.blueprint.physics is not None
         self.open_doors: set[int] = set()
-        self._physics_control = deepcopy(self.blueprint.physics)
+        self._physics_control = self.blueprint.physics.copy()
 
     @property
     def rows(self) -> Vehicles:
@@ -266,13 +265,13 @@ class Vehicle(MovingActor):
     @property
     def physics_control(self) -> PhysicsControl:
         """A copy of its physics control; set it to change anything."""
-        return deepcopy(self._physics_control)
+        return self._physics_control.copy()
 
     @physics_control.setter
     def physics_control(self, control: PhysicsControl) -> None:
         expect_physics(f"the physics control of {self!r}", control)
         row = self.row
-        self._physics_control = deepcopy(control)
+        self._physics_control = control.copy()
         self.rows.set_physics(row, self._physics_control, self.box)
         self.context.report_physics_control(self)
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Final
 
 from carla_recap.sim.errors import SimError
@@ -95,6 +95,17 @@ class PhysicsControl:
     steering_curve: Curve = DEFAULT_STEERING
     wheels: list[WheelPhysics] = field(default_factory=list)
     use_sweep_wheel_collision: bool = False
+
+    def copy(self) -> PhysicsControl:
+        """Return a copy that shares nothing that can be changed."""
+        return replace(
+            self,
+            torque_curve=tuple(self.torque_curve),
+            forward_gears=[replace(gear) for gear in self.forward_gears],
+            center_of_mass=replace(self.center_of_mass),
+            steering_curve=tuple(self.steering_curve),
+            wheels=[replace(wheel, position=replace(wheel.position)) for wheel in self.wheels],
+        )
 
 
 def expect_physics(what: str, control: PhysicsControl) -> None:

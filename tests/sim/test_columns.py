@@ -1,0 +1,54 @@
+from __future__ import annotations
+
+from typing import Any, ClassVar
+
+import numpy as np
+
+from carla_recap.sim.columns import StructOfArrays
+
+
+class Table(StructOfArrays):
+    COLUMNS: ClassVar[dict[str, Any]] = {"id": np.int64(0), "place": np.zeros(2)}
+    id: Any
+    place: Any
+
+
+def test_rows_are_added_and_removed() -> None:
+    table = Table()
+    for number in range(40):
+        assert table.append_row(id=number, place=(number, -number)) == number
+    table.remove_row(3)
+    table.remove_row(0)
+    assert table.append_row(id=100) == 38
+    assert len(table) == 39
+    assert table.id.tolist() == [1, 2, *range(4, 40), 100]
+    assert table.place[:2].tolist() == [[1, -1], [2, -2]]
+    assert table.place[-1].tolist() == [0, 0]
+
+
+def test_an_array_that_is_held_keeps_its_rows() -> None:
+    table = Table()
+    table.append_row(id=1)
+    held = table.id
+    table.append_row(id=2)
+    assert held.tolist() == [1]
+    held = table.id
+    table.remove_row(0)
+    table.append_row(id=3)
+    assert held.tolist() == [1, 2]
+
+
+def test_a_column_that_is_assigned_anew_grows() -> None:
+    table = Table()
+    table.append_row(id=1)
+    table.place = table.place + 5
+    table.append_row(id=2)
+    assert table.place.tolist() == [[5, 5], [0, 0]]
+
+
+def test_adding_many_rows_moves_the_arrays_a_few_times() -> None:
+    table, addresses = Table(), set()
+    for number in range(1000):
+        table.append_row(id=number)
+        addresses.add(table.place.ctypes.data)
+    assert len(addresses) < 20
