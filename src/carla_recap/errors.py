@@ -3,6 +3,7 @@
 RecapError
 ├── FormatError            a file contradicts its format, at a known place
 │   └── NotARecording      a file is no recording at all
+├── Closed                 a recording is used that is closed
 ├── RecordError            records that cannot be written (too many, wrong shape, unknown name)
 └── MissingExtra           an optional dependency is not installed
 RecapWarning               something was left out, and the rest is used
@@ -44,6 +45,21 @@ class NotARecording(FormatError):
     def __init__(self, path: Path | str, message: str) -> None:
         super().__init__(path, None, message)
         self.args = (path, message)
+
+
+class Closed(RecapError):
+    """A recording is used that is closed.
+
+    Args:
+        path: The file.
+    """
+
+    def __init__(self, path: Path | str) -> None:
+        super().__init__(path)
+        self.path = Path(path)
+
+    def __str__(self) -> str:
+        return f"{self.path}: the recording is closed"
 
 
 class RecordError(RecapError):

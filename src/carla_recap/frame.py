@@ -129,6 +129,11 @@ class Packet:
         warnings.warn(message, RecapWarning, stacklevel=3)
 
 
+def _read_only(array: NDArray[np.void]) -> NDArray[np.void]:
+    array.setflags(write=False)
+    return array
+
+
 class Frame:
     """A frame: `frame["transforms"]` gives all its records of a type, `frame.packets` everything in file order.
 
@@ -177,7 +182,7 @@ class Frame:
     def __getitem__(self, name: str) -> Records:
         """The records of a type, in CARLA's units: a structured array, or a list of objects; empty where there are none.
 
-        They are views of what was read: copy an array to change it, and `replace` it.
+        Arrays are views of what was read, and read-only: copy one to change it, and `replace` it.
 
         Raises:
             RecordError: There is no such type.
@@ -188,9 +193,9 @@ class Frame:
             return found[0]
         if not found:
             type = UE4.named(name)
-            return np.empty(0, type.dtype) if type.fixed else []
+            return _read_only(np.empty(0, type.dtype)) if type.fixed else []
         if isinstance(found[0], np.ndarray):
-            return np.concatenate([array for array in found if isinstance(array, np.ndarray)])
+            return _read_only(np.concatenate([array for array in found if isinstance(array, np.ndarray)]))
         return [record for records in found for record in records]
 
     def replace(self, **records: Any) -> Frame:

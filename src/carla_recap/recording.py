@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any, Literal, Self, get_args
 
 import numpy as np
 
-from carla_recap.errors import RecapError
+from carla_recap.errors import Closed, RecapError
 from carla_recap.formats import open_reader
 from carla_recap.queries.actors import CM, Actor, actors
 from carla_recap.tables import Columns, Rows, Tabular
@@ -177,10 +177,10 @@ class Recording:
         """The reader of the file's format.
 
         Raises:
-            RecapError: The recording is closed.
+            Closed: The recording is closed.
         """
         if self._closed:
-            raise RecapError(f"{self.path}: the recording is closed")
+            raise Closed(self.path)
         return self._reader
 
     def close(self) -> None:

@@ -10,7 +10,7 @@ from pathlib import Path
 from time import monotonic
 from typing import TYPE_CHECKING, Self
 
-from carla_recap.errors import RecapError
+from carla_recap.errors import Closed, RecapError
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -114,12 +114,17 @@ class AtomicFile:
         """Add bytes.
 
         Raises:
-            RecapError: The disk is full, or broken.
+            RecapError: The disk is full, or broken, or the file is closed.
         """
+        self._check_open()
         try:
             self._file.write(data)
         except OSError as error:
             raise self._unwritable(error) from None
+
+    def _check_open(self) -> None:
+        if self._file.closed:
+            raise Closed(self.path)
 
     def _unwritable(self, error: OSError) -> RecapError:
         return RecapError(f"{self.path}: cannot be written: {error.strerror}")

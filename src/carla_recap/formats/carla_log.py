@@ -19,7 +19,7 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
-from carla_recap.errors import FormatError, NotARecording, RecapError, RecapWarning, RecordError
+from carla_recap.errors import Closed, FormatError, NotARecording, RecapError, RecapWarning, RecordError
 from carla_recap.formats.atomic import AtomicFile
 from carla_recap.formats.base import PIECE
 from carla_recap.frame import SAME_TIME, Extent, Frame, Header, Packet, Run
@@ -81,6 +81,7 @@ class LogReader:
     def __init__(self, path: Path | str, *, salvage: bool = False) -> None:
         self.path = Path(path)
         self.lost_bytes = 0
+        self._closed = False
         self._salvage = salvage
         try:
             with self.path.open("rb") as file:
@@ -114,7 +115,12 @@ class LogReader:
 
     def close(self) -> None:
         """Let go of the file; it is unmapped when the last array that came from it is gone."""
+        self._closed = True
         self._view.release()
+
+    def _check_open(self) -> None:
+        if self._closed:
+            raise Closed(self.path)
 
     def frames(
         self,
@@ -125,6 +131,7 @@ class LogReader:
         stop: float = math.inf,
     ) -> Iterator[Frame]:
         """Stream the frames; see `Reader.frames`."""
+        self._check_open()
         start, stop = start - SAME_TIME, stop - SAME_TIME
         if types is None:
             wanted = [True] * 256
@@ -142,9 +149,11 @@ class LogReader:
                 return
             if start == -math.inf or frame.elapsed >= start:
                 yield frame
+                self._check_open()
 
     def frame_at(self, elapsed: float) -> Frame | None:
         """The last frame that begins at or before a time; see `Reader.frame_at`."""
+        self._check_open()
         elapsed += SAME_TIME
         times = np.frombuffer(self._indexed().elapsed, np.float64)
         earlier = np.flatnonzero(times <= elapsed)
@@ -158,6 +167,7 @@ class LogReader:
     def extent(self) -> Extent:
         """How far the recording goes."""
         if self._extent is None:
+            self._check_open()
             for _ in self._walk([False] * 256, -1, True, 0, self._start):
                 pass
         assert self._extent
@@ -167,9 +177,11 @@ class LogReader:
         """None: only the frames of a log tell who stood still."""
 
     def tail(self) -> Iterator[bytes]:
-        """The bytes behind the last complete packet, in pieces."""
+        """Yield the bytes behind the last complete packet, in pieces."""
+        self._check_open()
         self.extent()
         for at in range(self._end, len(self._view), PIECE):
+            self._check_open()
             yield bytes(self._view[at : at + PIECE])
 
     # --- the header ----------------------------------------------------------------------------------------------------

@@ -213,6 +213,7 @@ class McapReader:
         stop: float = math.inf,
     ) -> Iterator[Frame]:
         """Stream the frames; see `Reader.frames`. With `sparse`, durations are unknown (NaN)."""
+        self._source.check_open()
         start, stop = start - SAME_TIME, stop - SAME_TIME
         wanted = self._wanted(types, spine=not sparse)
         chunks = self._chunks(wanted, start, stop)
@@ -231,6 +232,7 @@ class McapReader:
                 return
             if start == -math.inf or frame.elapsed >= start:
                 yield frame
+                self._source.check_open()
 
     def frame_at(self, elapsed: float) -> Frame | None:
         """The last frame that begins at or before a time; see `Reader.frame_at`."""
@@ -287,7 +289,8 @@ class McapReader:
         ]
 
     def _messages(self, topic: str, module: str, name: str) -> Iterator[Any]:
-        """The messages of a topic that no frame holds."""
+        """Yield the messages of a topic that no frame holds."""
+        self._source.check_open()
         channel = self._by_topic.get(topic)
         wanted = set() if channel is None else {channel}
         for _, gathered in self._gather(self._chunks(wanted) if wanted else [], wanted, ahead=False):

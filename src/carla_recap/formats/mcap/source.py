@@ -22,7 +22,7 @@ from mcap.data_stream import ReadDataStream
 from mcap.exceptions import McapError
 from mcap.opcode import Opcode
 
-from carla_recap.errors import FormatError, NotARecording, RecapError
+from carla_recap.errors import Closed, FormatError, NotARecording, RecapError
 from carla_recap.formats.mcap.container import (
     CHUNK,
     CHUNK_INDEX,
@@ -71,6 +71,7 @@ class Source:
         """
         if at < 0 or size < 0 or at + size > self.size:
             raise FormatError(self.path, at, f"{what} of {size} bytes does not fit in the file of {self.size}")
+        self.check_open()
         try:
             with self._lock:  # the next chunk may be read by another thread
                 self._file.seek(at)
@@ -92,6 +93,15 @@ class Source:
         if found != opcode or size > limit:
             raise FormatError(self.path, at, f"{what} was expected, found a record of kind {found} with {size} bytes")
         return self.read(at + RECORD.size, size, what)
+
+    def check_open(self) -> None:
+        """Check that the file was not let go of.
+
+        Raises:
+            Closed: It was.
+        """
+        if self._file.closed:
+            raise Closed(self.path)
 
     def close(self) -> None:
         """Let go of the file."""

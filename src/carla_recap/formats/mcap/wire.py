@@ -238,6 +238,7 @@ class Payloads:
     """
 
     def __init__(self, records: NDArray[np.void], ends: list[int], *, counts: bool) -> None:
+        records.setflags(write=False)
         self._records = records
         self._bytes = records.view(np.uint8).data if len(records) else memoryview(b"")
         self._size = records.dtype.itemsize

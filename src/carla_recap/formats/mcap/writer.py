@@ -146,6 +146,7 @@ class McapWriter(AtomicFile):
             RecapError: The disk is full, or broken.
             FormatError: A packet contradicts its layout.
         """
+        self._check_open()
         times = self._clock.times(frame.elapsed)
         self._begin_frame(times[0])
         if not frame.preamble:
@@ -169,6 +170,7 @@ class McapWriter(AtomicFile):
             RecapError: The disk is full, or broken.
             FormatError: A packet contradicts its layout.
         """
+        self._check_open()
         form = self._form_of(run)
         if form is None:
             for frame in run:
@@ -200,6 +202,7 @@ class McapWriter(AtomicFile):
 
     def write_tail(self, piece: bytes) -> None:
         """Add bytes behind the last complete packet."""
+        self._check_open()
         time = self._clock.next()
         self._sequence += 1
         self._chunks[Group.STATE].add(self._tail_channel, self._sequence, (time, time), b"", wire.tail(piece))
