@@ -239,10 +239,6 @@ class World:
         """Return the actor that a body of the plane belongs to; None for a barrier."""
         return self._registry.owner(body)
 
-    def height(self, x: float, y: float, z: float | None = None) -> float:
-        """Return the height of the road near a place, in m; of several above each other, that of what stands there at z."""
-        return float(self.town.height([x], [y], None if z is None else [z])[0])
-
     # --- controllers, the recorder and the replayer -------------------------------------------------------------------
 
     @property

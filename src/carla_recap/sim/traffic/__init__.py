@@ -1,4 +1,4 @@
-"""What moves the actors of a town by itself: the autopilot, pedestrian navigation and traffic lights."""
+"""Traffic: the autopilot, pedestrian navigation, and random vehicles and walkers."""
 
 from __future__ import annotations
 
