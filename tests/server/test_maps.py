@@ -200,6 +200,18 @@ def test_the_server_answers_while_a_replay_loads_a_map(
     asyncio.run(while_serving(host, work))
 
 
+def test_a_town_without_a_navigation_mesh_is_served(
+    monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+) -> None:
+    def failing(*_: object) -> bytes:
+        raise ZeroDivisionError("odd")
+
+    monkeypatch.setattr(navmesh, "walkable_surface", failing)
+    host = Host(World(load_town().renamed("Odd")))
+    host.prepare()
+    assert caplog.messages == ["Odd: no navigation mesh can be made: ZeroDivisionError('odd')"]
+
+
 def test_first_calls_find_everything_computed(monkeypatch: pytest.MonkeyPatch) -> None:
     """A client's first `get_world` used to wait for the navigation mesh, and the event loop with it."""
 

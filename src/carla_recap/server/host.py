@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 from carla_recap.server.actor_records import ActorCache, encoded_definitions
 from carla_recap.server.controllers import AckermannController, ConstantVelocity
 from carla_recap.server.maps import Maps
-from carla_recap.server.navmesh import navigation_mesh
+from carla_recap.server.navmesh import prepare_navigation
 from carla_recap.server.quirks import SnapshotStreams
 from carla_recap.server.recordings import Recordings
 from carla_recap.server.rpc.connection import ConnectionPool
@@ -78,7 +78,7 @@ class Host:
     def prepare(self) -> None:
         """Compute what the first calls of clients need: on a busy machine, they would time out."""
         encoded_definitions(self.world.blueprints)
-        navigation_mesh(self.world.town)
+        prepare_navigation(self.world.town)
 
     @property
     def frame(self) -> int:

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Final
 
 from carla_recap.errors import RecapError
 from carla_recap.maps.road_map import described_folder, loadable_maps, plain_name
-from carla_recap.server.navmesh import navigation_mesh
+from carla_recap.server.navmesh import prepare_navigation
 from carla_recap.server.rpc.registry import CallError
 from carla_recap.sim.town.town import BUILT_IN, load_town
 
@@ -96,7 +96,7 @@ class Maps:
 
 
 def _prepared(town: Town) -> Town:
-    navigation_mesh(town)  # it is cached
+    prepare_navigation(town)
     return town
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 from functools import lru_cache
 from hashlib import sha256
 from typing import TYPE_CHECKING, Final
@@ -15,6 +16,7 @@ if TYPE_CHECKING:
 
 NAVIGATION: Final = "Nav"
 """The folder of the files that clients need to steer walkers."""
+_LOG: Final = logging.getLogger("carla_recap.server")
 _MOST_NODES: Final = 50_000  # of the walkway graph: about 250 km of sidewalks
 
 
@@ -32,6 +34,14 @@ def navigation_mesh(town: Town) -> bytes:
     cross_roads(walkways, town)
     walkways.straighten()
     return mesh_bytes(walkable_surface(walkways))
+
+
+def prepare_navigation(town: Town) -> None:
+    """Compute the navigation mesh of a town before clients ask for it; a failure is logged, and costs only the mesh."""
+    try:
+        navigation_mesh(town)
+    except Exception as error:  # whatever an odd map causes
+        _LOG.error("%s: no navigation mesh can be made: %r", town.name, error)
 
 
 def navigation_files(town: Town) -> dict[str, bytes]:
