@@ -493,3 +493,10 @@ def test_a_map_that_a_client_sends_has_a_spawn_point_at_each_entry_of_a_road(tmp
     expected = [place for pair in zip(right, left, strict=True) for place in pair]
     assert np.array(places) == pytest.approx(np.array(expected), abs=0.01)
     assert [round(point.rotation.yaw) for point in town.spawn_points] == [0, 180, 0, -90, 90, -90, 90, 180]
+
+
+def test_a_bridge_has_barriers_over_the_road_below_it(tmp_path: Path) -> None:
+    lines = load_town(two_levels(tmp_path)).barriers
+    across = [(line[start], line[start + 1]) for line in lines for start in range(len(line) - 1)]
+    beside = {(round(a[0], 1), round(a[2])) for a, b in across if a[1] * b[1] < 0 and abs(a[0] - b[0]) < 0.1}
+    assert beside == {(-6.2, 6), (6.2, 6)}

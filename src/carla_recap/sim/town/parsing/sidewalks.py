@@ -32,6 +32,7 @@ _BEHIND_ROADS: Final = 4.0  # m: where there is no sidewalk; leaves room for one
 _CLEAR: Final = 3.5  # m: between the edge of a lane for cars and such a barrier
 _POSTS: Final = 2.0  # m: between the points of a barrier before it is simplified
 _TOLERANCE: Final = 0.2  # m
+_LEVEL_GAP: Final = 3.0  # m: what differs by more in height is on another level
 _SHORTEST: Final = 1.0  # m
 
 
@@ -49,16 +50,19 @@ class Ground:
         extent = float(np.ptp(ends, axis=0).max())
         self._cell = max(_CELL, extent / _MOST_CELLS)
         self._origin = ends.min(axis=0) - 2 * self._cell
-        self._covered = np.zeros(((ends.max(axis=0) - self._origin) / self._cell).astype(np.int64) + 3, np.bool_)
+        shape = ((ends.max(axis=0) - self._origin) / self._cell).astype(np.int64) + 3
+        self._lowest, self._highest = np.full(shape, np.inf), np.full(shape, -np.inf)
         for left, right in borders:
-            self._cover(left[:, :2], right[:, :2])
+            self._cover(left, right)
 
     def covers(self, places: Floats) -> NDArray[np.bool_]:
-        """Return which locations, (n, 2), lie on the ground, to about a cell."""
-        cells = np.floor((places - self._origin) / self._cell).astype(np.int64)
-        inside = ((cells >= 0) & (cells < self._covered.shape)).all(axis=1)
+        """Return which locations, (n, 2) or (n, 3), lie on the ground, to about a cell; with z, on the same level."""
+        cells = np.floor((places[:, :2] - self._origin) / self._cell).astype(np.int64)
+        inside = np.flatnonzero(((cells >= 0) & (cells < self._lowest.shape)).all(axis=1))
+        lowest, highest = (level[cells[inside, 0], cells[inside, 1]] for level in (self._lowest, self._highest))
+        z = places[inside, 2] if places.shape[1] > 2 else np.minimum(lowest, highest)
         covered = np.zeros(len(places), np.bool_)
-        covered[inside] = self._covered[cells[inside, 0], cells[inside, 1]]
+        covered[inside] = (lowest - _LEVEL_GAP < z) & (z < highest + _LEVEL_GAP)
         return covered
 
     def crossed_by(self, start: Floats, stop: Floats) -> bool:
@@ -67,13 +71,15 @@ class Ground:
         return bool(self.covers(start[:2] + np.linspace(0, 1, steps)[:, None] * (stop[:2] - start[:2])).any())
 
     def _cover(self, left: Floats, right: Floats) -> None:
-        width = float(np.linalg.norm(left - right, axis=1).max())
+        width = float(np.linalg.norm((left - right)[:, :2], axis=1).max())
         across = np.linspace(0, 1, min(int(width / self._cell * 1.5), 200) + 2)[:, None, None]
         along = np.linspace(0, len(left) - 1, 2 * len(left))
         given = np.arange(len(left))
         left, right = (np.stack([np.interp(along, given, axis) for axis in side.T], axis=1) for side in (left, right))
-        cells = np.floor((left + across * (right - left) - self._origin) / self._cell).astype(np.int64)
-        self._covered[cells[..., 0], cells[..., 1]] = True
+        points = left + across * (right - left)
+        cells = np.floor((points[..., :2] - self._origin) / self._cell).astype(np.int64)
+        np.minimum.at(self._lowest, (cells[..., 0], cells[..., 1]), points[..., 2])
+        np.maximum.at(self._highest, (cells[..., 0], cells[..., 1]), points[..., 2])
 
 
 def left_handed(points: Floats) -> Floats:
@@ -112,7 +118,7 @@ def _fence(lane: opendrive.Lane, grounds: Iterable[Ground]) -> Iterator[Floats]:
     margin = _BEHIND_SIDEWALKS if lane.kind == SIDEWALK else _BEHIND_ROADS
     line = _widened(left_handed(lane.left), left_handed(lane.right), margin)[rightwards]
     line = line[np.unique(np.linspace(0, len(line) - 1, int(len(line) * _spacing(line) / _POSTS) + 2).astype(np.int64))]
-    free = ~np.any([ground.covers(line[:, :2]) for ground in grounds], axis=0)
+    free = ~np.any([ground.covers(line) for ground in grounds], axis=0)
     for part in np.split(np.arange(len(line)), np.flatnonzero(np.diff(free)) + 1):
         if free[part[0]] and np.linalg.norm(line[part[-1]] - line[part[0]]) > _SHORTEST:
             yield simplify(line[part], _TOLERANCE)
