@@ -79,10 +79,13 @@ def recover(
         RecapError: Nothing can be saved, or the destination cannot be written.
     """
     check_destination(source, destination, force=force)
-    _expect_source(source)
+    if not os.path.lexists(source) and partials(source):
+        raise _unfinished(source)
     reader, finished, lost_bytes, headless = _open(source)
     frames, last, duration, lost_packets = 0, -1, 0.0, 0
     try:
+        if partials(source) and next(reader.frames(), None) is None:
+            raise _unfinished(source)
         with create_writer(destination, reader.header, force=force, format=format) as writer:
             stream: Iterable[Frame] = reader.frames()
             for frame in progress(stream, reader) if progress else stream:
@@ -130,11 +133,10 @@ def rescue(writer: Writer, path: Path, error: Exception, *, force: bool = False,
     return RecapError(f"{error}; the recording ends at {saved.duration:g} s")
 
 
-def _expect_source(source: Path | str) -> None:
-    """Tell whoever asks for a recording that was never finished where its writer has left it."""
-    if not os.path.lexists(source) and (left := partials(source)):
-        there = " and ".join(map(str, left))
-        raise RecapError(f"{source}: was never finished; what was written of it until then lies in {there}")
+def _unfinished(source: Path | str) -> RecapError:
+    """Return the error about a recording that was never finished, with the paths of what was written of it."""
+    paths = " and ".join(map(str, partials(source)))
+    return RecapError(f"{source}: was never finished; what was written of it until then lies in {paths}")
 
 
 def _is_sound(packet: Packet) -> bool:
@@ -169,6 +171,8 @@ def _open(source: Path | str) -> tuple[Reader, bool, int, bool]:
         summary, damage = salvage(raw)
     finally:
         raw.close()
+    if not summary.chunks and partials(source):
+        raise _unfinished(source)
     if not summary.chunks:
         raise RecapError(f"{source}: nothing can be saved: it is no CARLA log, and no whole chunk of an MCAP file was found")
     if not any(schema.name.startswith("carla_recap.v1.") for schema in summary.schemas.values()):

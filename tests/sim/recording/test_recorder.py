@@ -425,6 +425,25 @@ def test_a_visible_recording_is_complete_at_every_moment(tmp_path: Path, suffix:
     assert list(tmp_path.iterdir()) == [path]
 
 
+@pytest.mark.parametrize("suffix", [".mcap", ".log"])
+def test_a_visible_recording_whose_writer_is_killed_is_recovered_from_beside_it(tmp_path: Path, suffix: str) -> None:
+    world = flat_world()
+    path = world.recorder.start(tmp_path / f"a{suffix}", visible=True)
+    world.run(12.0)
+    deadline = time.monotonic() + 20
+    while max(each.stat().st_size for each in tmp_path.iterdir()) < 10_000 and time.monotonic() < deadline:
+        time.sleep(0.01)
+    os.kill(pid(world), signal.SIGKILL)
+    with pytest.warns(RecapWarning, match="the process that writes it has ended"):
+        world.stop_recorder()
+    with pytest.raises(RecapError, match=r"was never finished; what was written of it until then lies in .*\.partial"):
+        carla_recap.recover(path, tmp_path / f"b{suffix}")
+    (partial,) = set(tmp_path.iterdir()) - {path}
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", RecapWarning)
+        assert carla_recap.recover(partial, path, force=True).frames >= 100
+
+
 def test_a_visible_recording_that_is_being_completed_is_waited_for(tmp_path: Path) -> None:
     world = flat_world()
     path = world.recorder.start(tmp_path / "a.log", visible=True)
