@@ -6,12 +6,12 @@ import math
 from bisect import bisect_right
 from collections import defaultdict
 from dataclasses import dataclass
-from itertools import islice
 from typing import TYPE_CHECKING, Final, Literal
 
 import numpy as np
 
 from carla_recap.errors import RecapError
+from carla_recap.frame import SAME_TIME
 from carla_recap.queries.actors import CM, actors
 from carla_recap.queries.answer import Answer
 from carla_recap.queries.blocked import blocked as find_blocked
@@ -233,8 +233,9 @@ def _frames(source: Reader, times: dict[int, float]) -> Iterator[Frame]:
     """Some frames, with transforms; `times`: the elapsed seconds of each, by its index."""
     steady = getattr(source, "metadata", {}).get("steady_clock") == "1"
     if steady and len(times) <= _LOOK_UPS:
-        for time in times.values():
-            yield from islice(source.frames(("transforms",), start=time, stop=math.nextafter(time, math.inf)), 1)
+        for index, time in times.items():
+            near = source.frames(("transforms",), start=time, stop=time + 2 * SAME_TIME)
+            yield from (frame for frame in near if frame.index == index)
     elif times:
         yield from (frame for frame in source.frames(("transforms",)) if frame.index in times)
 
