@@ -337,8 +337,9 @@ def test_both_formats_find_the_same_frames_by_time(tmp_path, jumps, data):
 
 
 def test_a_moment_before_a_chunk_belongs_to_the_one_before(tmp_path):
-    with both(tmp_path, [0.0, 1.0, 5.000000000000001, 6.0]) as (_, mcap):
+    with both(tmp_path, [0.0, 1.0, 5.0000011, 6.0]) as (_, mcap):
         assert mcap.frame_at(5.0).elapsed == 1.0
+        assert mcap.frame_at(5.0000002).elapsed == 5.0000011  # within a microsecond
 
 
 def test_of_frames_at_one_time_the_last_is_found(tmp_path):
