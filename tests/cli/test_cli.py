@@ -572,7 +572,7 @@ def test_help_imports_nothing_heavy():
 def test_a_query_imports_what_it_uses(command):
     """A small recording is read in less time than some packages take to import."""
     unused = {"asyncio", "rich", "ssl"}
-    threads = {"concurrent", "logging"}  # for chunks that are read ahead
+    threads = {"concurrent"}  # for chunks that are read ahead
     assert not imported(command, CROSSING) & (unused | threads | {"google", "mcap", "zstandard"})
     assert not imported(command, CROSSING.with_name("crash.mcap")) & (unused if command == "incidents" else unused | threads)
 
