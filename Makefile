@@ -39,7 +39,7 @@ check: lint types check-proto wheel ## Everything but the tests
 bench: venv ## Measure the speed and the sizes that the README claims
 	$(python) -m benchmarks
 
-soak: venv ## Run clients against a server for half an hour; fails if it crashes, leaks or hangs
+soak: venv ## Let clients wear a server for half an hour, and see whether anything leaks, hangs or is left over
 	$(python) -m benchmarks.soak
 
 search: venv ## Try 10,000 random sequences of world operations, for crashes and for damage to the physics space

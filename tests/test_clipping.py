@@ -257,11 +257,11 @@ def test_nothing_is_overwritten(small: Path, tmp_path: Path) -> None:
 def test_progress_sees_the_frames_of_the_clip(small: Path, tmp_path: Path) -> None:
     ids: list[int] = []
 
-    def watch(frames: Any, reader: Reader) -> Any:
+    def watch(batches: Any, reader: Reader) -> Any:
         assert reader.path == small
-        for frame in frames:
-            ids.append(frame.id)
-            yield frame
+        for batch in batches:
+            ids.extend(batch.id.tolist())
+            yield batch
 
     clip(small, tmp_path / "clip.log", start=1.0, progress=watch)
     assert ids == [1, 2, 3]

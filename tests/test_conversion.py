@@ -220,11 +220,11 @@ def test_a_list_longer_than_its_packet_is_an_error_at_its_place(tmp_path):
 def test_progress_sees_every_frame(small, tmp_path):
     seen = []
 
-    def watch(frames, reader):
+    def watch(batches, reader):
         assert reader.path == small
-        for frame in frames:
-            seen.append(frame.id)
-            yield frame
+        for batch in batches:
+            seen.extend(batch.id.tolist())
+            yield batch
 
     convert(small, tmp_path / "out.mcap", progress=watch)
     assert seen == [1, 2, 3, 4]

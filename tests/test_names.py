@@ -14,7 +14,6 @@ REDRAWN = ("sim", "server", "capture")
 UNTIL_THE_CORE_IS_REDRAWN = {
     "Actor",
     "Actors",
-    "Block",
     "Chunk",
     "Ground",
     "Lane",

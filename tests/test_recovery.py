@@ -299,10 +299,10 @@ def test_destinations_are_guarded(driven, tmp_path):
 def test_progress_sees_every_frame(driven, tmp_path):
     seen = []
 
-    def watch(frames, reader):
-        for frame in frames:
-            seen.append(frame.index)
-            yield frame
+    def watch(batches, reader):
+        for batch in batches:
+            seen.extend(frame.index for frame in batch)
+            yield batch
 
     recover(driven, tmp_path / "saved.mcap", progress=watch)
     assert seen == list(range(600))

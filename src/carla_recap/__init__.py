@@ -18,6 +18,7 @@ if TYPE_CHECKING:
     __version__: str
 
     from carla_recap.author import Recorder, create_recording
+    from carla_recap.batch import Batch
     from carla_recap.clipping import clip, clips
     from carla_recap.conversion import convert
     from carla_recap.errors import (
@@ -37,15 +38,18 @@ if TYPE_CHECKING:
     from carla_recap.queries.collisions import CollisionRow
     from carla_recap.queries.incidents import Incident
     from carla_recap.queries.info import InfoRow
-    from carla_recap.recording import Controls, LightStates, Recording, RecordingInfo, Trajectory, open_recording
+    from carla_recap.recording import Recording, RecordingInfo, open_recording
     from carla_recap.records import ActorKind, Attribute, Spawn, attributes
     from carla_recap.recovery import Recovery, recover
     from carla_recap.replay import Player, Scene
+    from carla_recap.tables.records import RecordTable
+    from carla_recap.tables.trajectories import Controls, LightStates, Trajectories, Trajectory
 
 __all__ = [
     "Actor",
     "ActorKind",
     "Attribute",
+    "Batch",
     "BlockedRow",
     "CollisionRow",
     "Controls",
@@ -61,6 +65,7 @@ __all__ = [
     "RecapError",
     "RecapWarning",
     "RecordError",
+    "RecordTable",
     "Recorder",
     "Recording",
     "RecordingInfo",
@@ -68,6 +73,7 @@ __all__ = [
     "RoadMap",
     "Scene",
     "Spawn",
+    "Trajectories",
     "Trajectory",
     "attributes",
     "clip",
@@ -85,6 +91,7 @@ __all__ = [
 _get, __dir__ = lazily(
     __name__,
     {
+        "batch": ("Batch",),
         "author": ("Recorder", "create_recording"),
         "clipping": ("clip", "clips"),
         "conversion": ("convert",),
@@ -99,9 +106,11 @@ _get, __dir__ = lazily(
         "queries.incidents": ("Incident",),
         "queries.info": ("InfoRow",),
         "records": ("ActorKind", "Attribute", "Spawn", "attributes"),
-        "recording": ("Controls", "LightStates", "Recording", "RecordingInfo", "Trajectory", "open_recording"),
+        "recording": ("Recording", "RecordingInfo", "open_recording"),
         "recovery": ("Recovery", "recover"),
         "replay": ("Player", "Scene"),
+        "tables.records": ("RecordTable",),
+        "tables.trajectories": ("Controls", "LightStates", "Trajectories", "Trajectory"),
     },
 )
 

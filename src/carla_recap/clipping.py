@@ -8,6 +8,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Final, NamedTuple
 
+from carla_recap.batch import Batch
 from carla_recap.conversion import check_destination
 from carla_recap.errors import MissingExtra, RecapError, RecapWarning
 from carla_recap.folders import check_folder, new_folder
@@ -64,7 +65,7 @@ def clip(
         start: Where to begin, in elapsed seconds; negative: so long before the end.
         duration: How many seconds; 0: all of the rest.
         force: Overwrite what is there.
-        progress: As in `convert`; is given the frames of the clip, and the reader of the source.
+        progress: As in `convert`; is given the batches of the clip, and the reader of the source.
 
     Returns:
         How far the clip goes.
@@ -211,12 +212,13 @@ def _followed(incident: Incident, recording: Recording, time: float) -> int | No
 
 def _write(lasting: Lasting, destination: Path | str, first: Frame, stop: float, progress: Progress | None = None) -> Extent:
     reader, origin = lasting.source, _origin(first)
-    frames: Iterable[Frame] = _renumbered(_frames(lasting, first, stop), origin)
+    batches: Iterable[Batch] = map(Batch.of, _renumbered(_frames(lasting, first, stop), origin))
     extent = Extent()
     with create_writer(destination, _moved(reader.header, origin)) as writer:
-        for frame in progress(frames, reader) if progress else frames:
-            writer.write(frame)
-            extent = Extent(frame.index + 1, frame.id, frame.elapsed)
+        for batch in progress(batches, reader) if progress else batches:
+            writer.write_batch(batch)
+            last = batch.frame(-1)
+            extent = Extent(last.index + 1, last.id, last.elapsed)
     return extent
 
 

@@ -11,10 +11,11 @@ from carla_recap.formats import create_writer, format_of, open_reader
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable
 
+    from carla_recap.batch import Batch
     from carla_recap.formats.base import Reader
-    from carla_recap.frame import Extent, Frame
+    from carla_recap.frame import Extent
 
-    Progress = Callable[[Iterable[Frame], Reader], Iterable[Frame]]
+    Progress = Callable[[Iterable[Batch], Reader], Iterable[Batch]]
 
 
 def convert(
@@ -30,7 +31,7 @@ def convert(
         source: A recording of any format.
         destination: Where to write; the suffix says the format. It appears when it is complete.
         force: Overwrite what is there.
-        progress: Is given the stream of frames and their reader, and passes the frames on.
+        progress: Is given the stream of batches and their reader, and passes the batches on.
 
     Returns:
         How far the recording goes.
@@ -42,9 +43,9 @@ def convert(
     reader = open_reader(source)
     try:
         with create_writer(destination, reader.header, force=force) as writer:
-            frames: Iterable[Frame] = reader.frames()
-            for frame in progress(frames, reader) if progress else frames:
-                writer.write(frame)
+            batches: Iterable[Batch] = reader.batches()
+            for batch in progress(batches, reader) if progress else batches:
+                writer.write_batch(batch)
             for piece in reader.tail():
                 writer.write_tail(piece)
         return reader.extent()

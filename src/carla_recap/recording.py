@@ -6,31 +6,31 @@ import math
 from dataclasses import dataclass
 from datetime import UTC, datetime
 from functools import cached_property
-from typing import TYPE_CHECKING, Any, Literal, Self, get_args
+from typing import TYPE_CHECKING, Any, Self, TypeVar
 
 import numpy as np
 
 from carla_recap.errors import Closed, RecapError
 from carla_recap.formats import open_reader
-from carla_recap.queries.actors import CM, Actor, actors
-from carla_recap.tables import Columns, Rows, Tabular
+from carla_recap.queries.actors import Actor, actors
+from carla_recap.tables import Rows, Tabular
+from carla_recap.tables.actor_rows import ActorRows, actor_rows
+from carla_recap.tables.records import RecordTable, record_table
+from carla_recap.tables.trajectories import Axes, Controls, LightStates, Trajectories, Trajectory, trajectories
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator
+    from collections.abc import Callable, Collection, Iterator, Mapping
     from pathlib import Path
     from types import TracebackType
 
-    from numpy.typing import NDArray
-
+    from carla_recap.batch import Batch
     from carla_recap.formats.base import Reader
     from carla_recap.frame import Frame, Header
     from carla_recap.queries.blocked import Blocked
     from carla_recap.queries.collisions import Collisions
     from carla_recap.queries.incidents import Incidents
 
-Axes = Literal["right-handed", "carla"]
-"""Right-handed: x forward, y left, z up, as in ROS, Rerun and Foxglove. CARLA's own: y right, and yaw and pitch turn the
-other way."""
+T = TypeVar("T")
 
 
 @dataclass(frozen=True)
@@ -54,79 +54,7 @@ class RecordingInfo:
     additional_data: bool
 
 
-@dataclass(frozen=True)
-class Trajectory(Columns):
-    """Where an actor went; arrays of one length, a value per frame in which it has a transform.
-
-    World axes are right-handed (x forward, y left, z up) unless CARLA's own (y right) were asked for.
-
-    Attributes:
-        time: Elapsed seconds.
-        x, y, z: Position in m.
-        roll, pitch, yaw: Rotation about x, y, z in degrees; right-handed, a positive yaw turns left.
-        vx, vy, vz: Velocity along the world's axes in m/s.
-        velocity_recorded: Whether the velocity was recorded; elsewhere it is the slope of the positions around.
-    """
-
-    time: NDArray[np.float64]
-    x: NDArray[np.float64]
-    y: NDArray[np.float64]
-    z: NDArray[np.float64]
-    roll: NDArray[np.float64]
-    pitch: NDArray[np.float64]
-    yaw: NDArray[np.float64]
-    vx: NDArray[np.float64]
-    vy: NDArray[np.float64]
-    vz: NDArray[np.float64]
-    velocity_recorded: NDArray[np.bool_]
-
-    def __len__(self) -> int:
-        return len(self.time)
-
-    @property
-    def speed(self) -> NDArray[np.float64]:
-        """Speed in m/s."""
-        return np.sqrt(self.vx**2 + self.vy**2 + self.vz**2)
-
-
-@dataclass(frozen=True)
-class Controls(Columns):
-    """What a driver did; arrays of one length.
-
-    Attributes:
-        time: Elapsed seconds.
-        steer: -1 full left to 1 full right.
-        throttle, brake: 0 to 1.
-        hand_brake: Whether it was on.
-        gear: -1 reverse, 0 neutral, 1 and up forward.
-    """
-
-    time: NDArray[np.float64]
-    steer: NDArray[np.float32]
-    throttle: NDArray[np.float32]
-    brake: NDArray[np.float32]
-    hand_brake: NDArray[np.bool_]
-    gear: NDArray[np.int32]
-
-
-@dataclass(frozen=True)
-class LightStates(Columns):
-    """What a traffic light showed; arrays of one length.
-
-    Attributes:
-        time: Elapsed seconds of the recording.
-        state: 0 red, 1 yellow, 2 green, 3 off, 4 unknown.
-        elapsed: Seconds that it has been in this state.
-        frozen: Whether its time stood still.
-    """
-
-    time: NDArray[np.float64]
-    state: NDArray[np.int8]
-    elapsed: NDArray[np.float32]
-    frozen: NDArray[np.bool_]
-
-
-class ActorRows(Rows[Actor]):
+class ActorTable(Rows[Actor]):
     """Actors as rows."""
 
     row_type = Actor
@@ -136,7 +64,7 @@ class ActorsById(dict[int, Actor], Tabular):
     """Actors by id; as a table, a row for each."""
 
     def _columns(self) -> list[tuple[str, bool, Any]]:
-        return ActorRows(self.values())._columns()
+        return ActorTable(self.values())._columns()
 
 
 class Recording:
@@ -252,30 +180,52 @@ class Recording:
         Raises:
             RecapError: There is no such actor.
         """
-        if axes not in get_args(Axes):
-            raise RecapError(f"axes must be one of {', '.join(get_args(Axes))}, not {axes!r}")
-        times, poses = self._rows(actor_id, "transforms")
-        velocity_times, velocities = self._rows(actor_id, "velocities", known=bool(len(times)))
-        position = {axis: poses[axis].astype(np.float64) * CM for axis in "xyz"}
-        slopes = {axis: _slope(position[axis], times) for axis in "xyz"}
-        recorded = np.isin(times, velocity_times)
-        where = np.searchsorted(velocity_times, times[recorded])
-        for axis in "xyz":
-            slopes[axis][recorded] = velocities[axis][where]
-        flip = -1.0 if axes == "right-handed" else 1.0
-        return Trajectory(
-            times,
-            position["x"],
-            flip * position["y"],
-            position["z"],
-            poses["roll"].astype(np.float64),
-            flip * poses["pitch"].astype(np.float64),
-            flip * poses["yaw"].astype(np.float64),
-            slopes["x"],
-            flip * slopes["y"],
-            slopes["z"],
-            recorded,
-        )
+        return self._of_one(actor_id, trajectories(self.reader, {actor_id}, axes=axes), lambda: Trajectory.empty())
+
+    def trajectories(self, kind: str | None = None, *, axes: Axes = "right-handed") -> Trajectories:
+        """Return where actors went, in metres, by id; in one pass over the recording.
+
+        Args:
+            kind: The kind of actors, such as "vehicle" or "walker"; None for all that have transforms.
+            axes: See `trajectory`.
+
+        Raises:
+            RecapError: There is no such kind of actors, or no such axes.
+        """
+        ids = None
+        if kind is not None:
+            kinds = {actor.kind for actor in self.actors.values()}
+            if kind not in kinds:
+                raise RecapError(f"{self.path}: no actors of kind {kind!r}; there are {', '.join(sorted(kinds)) or 'none'}")
+            ids = {actor.id for actor in self.actors.values() if actor.kind == kind}
+        return trajectories(self.reader, ids, axes=axes)
+
+    def table(self, name: str) -> RecordTable:
+        """Return all records of a type as columns, with the frame and the time of each; numbers as CARLA records them.
+
+        Args:
+            name: The record type, such as "transforms"; docs/records.md lists them.
+
+        Raises:
+            RecordError: There is no such type.
+            FormatError: The file contradicts its format.
+        """
+        return record_table(self.reader, name)
+
+    def batches(
+        self, types: Collection[str] | None = None, start: float = -math.inf, stop: float = math.inf
+    ) -> Iterator[Batch]:
+        """Stream the frames in batches of frames that are alike, whose records are arrays, (frames, records of each).
+
+        Args:
+            types: Names of record types: frames hold the packets of these alone, and no empty ones. None: all packets.
+            start: First elapsed time, in seconds.
+            stop: Elapsed time, in seconds, at which to stop (exclusive).
+
+        Raises:
+            FormatError: The file contradicts its format.
+        """
+        return self.reader.batches(types, start=start, stop=stop)
 
     def controls(self, actor_id: int) -> Controls:
         """What the driver of a vehicle did.
@@ -283,8 +233,9 @@ class Recording:
         Raises:
             RecapError: There is no such actor.
         """
-        times, rows = self._rows(actor_id, "vehicle_controls")
-        return Controls(times, rows["steer"], rows["throttle"], rows["brake"], rows["hand_brake"] != 0, rows["gear"])
+        found = self._rows(actor_id, "vehicle_controls")
+        rows = found.records
+        return Controls(found.time, rows["steer"], rows["throttle"], rows["brake"], rows["hand_brake"] != 0, rows["gear"])
 
     def light_states(self, actor_id: int) -> LightStates:
         """What a traffic light showed.
@@ -292,8 +243,9 @@ class Recording:
         Raises:
             RecapError: There is no such actor.
         """
-        times, rows = self._rows(actor_id, "light_states")
-        return LightStates(times, rows["state"], rows["elapsed"], rows["frozen"] != 0)
+        found = self._rows(actor_id, "light_states")
+        rows = found.records
+        return LightStates(found.time, rows["state"], rows["elapsed"], rows["frozen"] != 0)
 
     def collisions(self, type1: str = "a", type2: str = "a", *, compat: bool = False) -> Collisions:
         """Who collided with whom; see `carla_recap.queries.collisions`."""
@@ -313,22 +265,17 @@ class Recording:
 
         return incidents(self.reader, **which)
 
-    def _rows(self, actor_id: int, name: str, *, known: bool = False) -> tuple[NDArray[np.float64], NDArray[np.void]]:
-        """Elapsed seconds and record of an actor in each frame that has one; the last, where a frame has several."""
-        times: list[float] = []
-        rows: list[NDArray[np.void]] = []
-        for frame in self.reader.frames((name,)):
-            records = frame[name]
-            assert isinstance(records, np.ndarray)
-            found = np.flatnonzero(records["id"] == actor_id)
-            if len(found):
-                times.append(frame.elapsed)
-                rows.append(records[found[-1] :][:1])
-        if not rows:
-            if not known:
-                self._check_actor(actor_id)
-            return np.empty(0), np.empty(0, self.header.table.named(name).dtype)
-        return np.array(times), np.concatenate(rows)
+    def _rows(self, actor_id: int, name: str) -> ActorRows:
+        """Return the records of an actor; the last of each frame, where it has several."""
+        rows = actor_rows(self.reader, (name,), {actor_id})[name]
+        empty = ActorRows(np.empty(0, np.int64), np.empty(0), np.empty(0, self.header.table.named(name).dtype))
+        return self._of_one(actor_id, rows, lambda: empty)
+
+    def _of_one(self, actor_id: int, found: Mapping[int, T], empty: Callable[[], T]) -> T:
+        """Return what was found of an actor, or what is empty; raise if there is no such actor."""
+        if actor_id not in found:
+            self._check_actor(actor_id)
+        return found[actor_id] if actor_id in found else empty()
 
     def _check_actor(self, actor_id: int) -> None:
         if actor_id in self.actors:
@@ -346,13 +293,3 @@ def open_recording(path: Path | str) -> Recording:
         RecapError: It cannot be read.
     """
     return Recording(open_reader(path))
-
-
-def _slope(values: NDArray[np.float64], times: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Change per second, from the neighbours of each sample; 0 for a single one, and across gaps of no time."""
-    if len(values) < 2:
-        return np.zeros(len(values))
-    before = np.maximum(np.arange(len(values)) - 1, 0)
-    after = np.minimum(np.arange(len(values)) + 1, len(values) - 1)
-    span = times[after] - times[before]
-    return np.divide(values[after] - values[before], span, out=np.zeros(len(values)), where=span > 0)

@@ -24,6 +24,8 @@ REAL: Final = "real"  # a length, angle or speed: float32 in UE4 builds (0.9), f
 FLAG: Final = "flag"  # a byte that should be 0 or 1
 TEXT: Final = "text"  # u16 byte count, then UTF-8; invalid bytes become lone surrogates (PEP 383), so nothing is lost
 
+CM: Final = 0.01  # m
+
 NO_ACTOR: Final = 0xFFFFFFFF
 """The id that stands for something that is no actor: a building, a barrier (since CARLA 0.9.13)."""
 
@@ -326,6 +328,11 @@ class RecordType:
         return self.layout.make is None and not self.opaque
 
     @property
+    def units(self) -> Mapping[str, str]:
+        """The units of the fields that have one."""
+        return _UNITS.get(self.name, {})
+
+    @property
     def message_name(self) -> str:
         """The full protobuf name; types with lengths have a twin in double precision."""
         return f"carla_recap.v1.{self.message}" + ("Double" if self.wide and self.layout.has_reals else "")
@@ -427,6 +434,26 @@ def _row(
 ) -> RecordType:
     return RecordType(name, id, topic, message, items, layout, framing, group, **presence)
 
+
+_PLACE: Final = dict.fromkeys("xyz", "cm") | dict.fromkeys(("roll", "pitch", "yaw"), "deg")
+_EXTENT: Final = dict.fromkeys("xyz", "cm") | {f"extent_{axis}": "cm" for axis in "xyz"}
+_UNITS: Final[Mapping[str, Mapping[str, str]]] = {
+    "frame": {"duration": "s", "elapsed": "s"},
+    "spawned": _PLACE,
+    "transforms": _PLACE,
+    "light_states": {"elapsed": "s"},
+    "walker_controls": {"speed": "cm/s"},
+    "velocities": dict.fromkeys("xyz", "m/s") | {f"angular_{axis}": "deg/s" for axis in "xyz"},
+    "bounding_boxes": _EXTENT,
+    "trigger_volumes": _EXTENT,
+    "platform_time": {"seconds": "s"},
+    "visual_time": {"seconds": "s"},
+    "physics": {"max_rpm": "1/min", "mass": "kg", **{f"center_of_mass_{axis}": "m" for axis in "xyz"}},
+    "light_times": {"green": "s", "yellow": "s", "red": "s"},
+    "bikers": {"speed": "cm/s"},
+    "weather": {"sun_azimuth_angle": "deg", "sun_altitude_angle": "deg", "fog_distance": "m"},
+}
+"""The units of the fields that have one, by type."""
 
 # fmt: off
 _ROWS: Final = (

@@ -8,11 +8,13 @@ from contextlib import suppress
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
+from carla_recap.batch import Batch
 from carla_recap.conversion import check_destination
 from carla_recap.errors import FormatError, RecapError, RecapWarning
 from carla_recap.formats import create_writer, read_start
 from carla_recap.formats.atomic import partials
-from carla_recap.formats.carla_log import PACKETS_LIMIT, LogReader, is_log
+from carla_recap.formats.carla_log import LogReader, is_log
+from carla_recap.formats.log_scan import PACKETS_LIMIT
 from carla_recap.payload import PayloadError, check
 from carla_recap.records import FRAME_END
 
@@ -22,7 +24,7 @@ if TYPE_CHECKING:
 
     from carla_recap.conversion import Progress
     from carla_recap.formats.base import Reader, Writer
-    from carla_recap.frame import Frame, Packet
+    from carla_recap.frame import Packet
 
 
 @dataclass(frozen=True)
@@ -87,8 +89,9 @@ def recover(
         if partials(source) and next(reader.frames(), None) is None:
             raise _unfinished(source)
         with create_writer(destination, reader.header, force=force, format=format) as writer:
-            stream: Iterable[Frame] = reader.frames()
-            for frame in progress(stream, reader) if progress else stream:
+            stream: Iterable[Batch] = map(Batch.of, reader.frames())
+            for batch in progress(stream, reader) if progress else stream:
+                frame = batch.frame(0)
                 if frame.preamble and frames:  # its packets would become those of the frame before
                     continue
                 sound = [packet for packet in frame.packets if _is_sound(packet)][:PACKETS_LIMIT]

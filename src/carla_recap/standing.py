@@ -4,22 +4,25 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from itertools import accumulate
+from itertools import pairwise
 from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
+from carla_recap.batch import ConstantColumn
 from carla_recap.roster import HashOrder, Roster
 from carla_recap.texts import readable
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Sequence
+    from collections.abc import Iterable
 
-    from numpy.typing import NDArray
+    from numpy.typing import ArrayLike, NDArray
 
+    from carla_recap.batch import Batch
     from carla_recap.frame import Frame, Packet
     from carla_recap.records import Table
 
+    Floats = NDArray[np.float64]
     _Paths = NDArray[np.floating[Any]]  # x, y, z along an axis
 
 MIN_TIME: Final = 30.0  # s
@@ -115,7 +118,8 @@ class Standing:
             if name not in TYPES or not len(packet.records):
                 continue
             if name == TRANSFORMS:
-                self.move(frame.elapsed, frame.duration, packet.records)  # type: ignore[arg-type]
+                one = np.array([frame.elapsed]), np.array([frame.duration])
+                self.move(*one, packet.records[None])  # type: ignore[call-overload]
                 continue
             self._put_back()
             if name == "spawned":
@@ -126,6 +130,22 @@ class Standing:
             else:
                 for (id,) in packet.records.tolist():  # type: ignore[union-attr]
                     self._destroy(id)
+
+    def batch(self, batch: Batch) -> None:
+        """Take in the frames of a batch; see `frame`.
+
+        Raises:
+            FormatError: A packet contradicts its layout.
+        """
+        telling = [column for column in batch.columns if column.type is not None and column.type.name in TYPES]
+        filled = [column for column in telling if not isinstance(column, ConstantColumn)]
+        moving = [column.records for column in filled if column.type is not None and column.type.name == TRANSFORMS]
+        if len(batch) > 1 and len(moving) == len(filled) < 2:
+            for records in moving:
+                self.move(batch.elapsed, batch.duration, records)
+            return
+        for frame in batch:
+            self.frame(frame)
 
     def take(self) -> list[BlockedRow]:
         """The stretches that have ended since this was last asked, in that order; some may come later."""
@@ -157,45 +177,57 @@ class Standing:
                 self._order.add(id)
         return actor
 
-    def move(self, elapsed: float, duration: float, records: NDArray[np.void]) -> None:
-        """Take in the transforms of a frame.
+    def move(self, elapsed: Floats, duration: Floats, records: NDArray[np.void]) -> None:
+        """Take in the transforms of some frames.
 
         Args:
-            elapsed: Seconds from the beginning of the recording to the frame.
-            duration: Seconds until the next one.
-            records: The transforms: at least one.
+            elapsed: Seconds from the beginning of the recording to each frame.
+            duration: Seconds until the next one, of each.
+            records: The transforms, (frames, transforms of each).
         """
-        length = duration if self._compat or duration > 0.0 else 0.0
-        ids = records["id"]
+        if not records.shape[1]:
+            return
+        lengths = duration if self._compat else np.where(duration > 0.0, duration, 0.0)
+        ids = np.ascontiguousarray(records["id"])
+        edges = [0, *(np.flatnonzero((ids[1:] != ids[:-1]).any(axis=1)) + 1).tolist(), len(ids)]
+        for start, stop in pairwise(edges):
+            self._move(elapsed[start:stop], lengths[start:stop], records[start:stop], ids[start])
+
+    def _move(self, elapsed: Floats, lengths: Floats, records: NDArray[np.void], ids: NDArray[np.uint32]) -> None:
+        """Take in the transforms of some frames that list the same actors."""
         key = ids.tobytes()
         if self._group is None or self._group.key != key:
             if key != self._rounds[0]:
                 self._rounds = key, _rounds(ids) if self._compat else [_latest(ids)]
             rounds = self._rounds[1]
             if len(rounds) != 1:
-                self._move_repeated(elapsed, length, records, rounds)
+                for place in range(len(records)):
+                    self._move_repeated(elapsed[place : place + 1], lengths[place : place + 1], records[place], rounds)
                 return
             if len(rounds[0]) < len(ids):  # the last record of each actor counts
-                records = records[rounds[0]]
-        group = self._group_of(records)
-        group.add(records, elapsed, length)
-        if group.full:
-            self._rows += [row for _, row in group.settle()]
+                records = records[:, rounds[0]]
+        group = self._group_of(records[0])
+        step = max(1, min(_PACKETS, _RECORDS // len(ids)))
+        for at in range(0, len(records), step):
+            part = slice(at, at + step)
+            group.add(records[part], elapsed[part], lengths[part])
+            if group.full:
+                self._rows += [row for _, row in group.settle()]
 
     def _move_repeated(
-        self, elapsed: float, length: float, records: NDArray[np.void], rounds: list[NDArray[np.intp]]
+        self, elapsed: Floats, length: Floats, records: NDArray[np.void], rounds: list[NDArray[np.intp]]
     ) -> None:
         """Follow a packet that lists actors repeatedly as CARLA does: the first record of each counts, then the second.
 
         Args:
-            elapsed: The beginning of the frame, in seconds.
-            length: The length of the frame, in seconds.
+            elapsed: The beginning of the frame, in seconds, (1,).
+            length: The length of the frame, in seconds, (1,).
             records: The transforms.
             rounds: See `_rounds`.
         """
         if not rounds:
             self._put_back()
-            self._move_one_by_one(elapsed, length, records)
+            self._move_one_by_one(elapsed.item(), length.item(), records)
             return
         if self._group:  # what ended in earlier frames comes before all that ends in this one
             self._rows += [row for _, row in self._group.settle()]
@@ -203,7 +235,7 @@ class Standing:
         for places in rounds:
             part = records[places]
             group = self._group_of(part)
-            group.add(part, elapsed, length)
+            group.add(part[None], elapsed, length)
             ended += [(places[number], row) for number, row in group.settle()]
         self._rows += [row for _, row in sorted(ended, key=lambda item: item[0])]
 
@@ -263,7 +295,8 @@ class _Group:
         self._min_time = min_time
         self._square_of_reach = square_of_reach
         self._places = np.array([actor.place for actor in actors], square_of_reach.dtype).T.copy()
-        self._waiting: list[tuple[NDArray[np.void], float, float]] = []
+        self._waiting: list[tuple[NDArray[np.void], Floats, Floats]] = []
+        self._waits = 0  # packets
         self._elapsed, self._lengths = _Series(), _Series()  # of the packets so far
         # The first packet from which on a stretch's duration may come back to 0.
         self._first_odd = 0 if any(actor.duration < 0.0 for actor in actors) else None
@@ -275,17 +308,18 @@ class _Group:
     @property
     def full(self) -> bool:
         """Whether enough packets wait to be settled."""
-        return len(self._waiting) >= _PACKETS or len(self._waiting) * len(self._actors) >= _RECORDS
+        return self._waits >= _PACKETS or self._waits * len(self._actors) >= _RECORDS
 
-    def add(self, records: NDArray[np.void], elapsed: float, length: float) -> None:
-        """Take in where the actors are in a frame.
+    def add(self, records: NDArray[np.void], elapsed: Floats, lengths: Floats) -> None:
+        """Take in where the actors are in some frames.
 
         Args:
-            records: The transforms.
-            elapsed: When the frame begins, in seconds.
-            length: How long it is, in seconds.
+            records: The transforms, (frames, actors).
+            elapsed: When each frame begins, in seconds.
+            lengths: How long each is, in seconds.
         """
-        self._waiting.append((records, elapsed, length))
+        self._waiting.append((records, elapsed, lengths))
+        self._waits += len(records)
 
     def settle(self) -> list[tuple[int, BlockedRow]]:
         """Follow the actors through the packets that wait.
@@ -299,23 +333,25 @@ class _Group:
             return self._settle()
 
     def _settle(self) -> list[tuple[int, BlockedRow]]:
-        packets, elapsed, lengths = zip(*self._waiting, strict=True)
-        self._waiting = []
-        count, size = len(packets), len(self._actors)
-        first = len(self._lengths)
-        self._elapsed.extend(elapsed)
-        self._lengths.extend(lengths)
-        clock = accumulate((max(length, 0.0) for length in lengths), initial=self._clocks.values[-1].item())
-        self._clocks.extend(tuple(clock)[1:])
+        first, count = len(self._lengths), self._waits
+        paths = np.empty((3, count, len(self._actors)), self._places.dtype)
+        at = 0
+        for records, elapsed, lengths in self._waiting:
+            for axis, name in enumerate("xyz"):
+                paths[axis, at : at + len(records)] = records[name]
+            at += len(records)
+            self._elapsed.extend(elapsed)
+            self._lengths.extend(lengths)
+        lying = self._lying([records for records, _, _ in self._waiting])
+        self._waiting, self._waits = [], 0
+        lengths = self._lengths.values[first:]
+        clock = np.add.accumulate(np.append(self._clocks.values[-1], np.fmax(lengths, 0.0)))
+        self._clocks.extend(clock[1:])
         if self._first_odd is None:
-            self._first_odd = next((first + place for place, length in enumerate(lengths) if not length > 0.0), None)
-        records = np.frombuffer(b"".join(packets), packets[0].dtype)
-        paths = np.empty((3, count, size), self._places.dtype)
-        for axis, name in enumerate("xyz"):
-            paths[axis] = records[name].reshape(count, size)
+            odd = np.flatnonzero(~(lengths > 0.0))
+            self._first_odd = first + int(odd[0]) if len(odd) else None
         steps = paths - self._places[:, None]
         still = _squares(steps, tuple(steps)) < self._square_of_reach
-        lying = self._lying(records.reshape(count, size))
         if lying is not None:
             still &= ~lying
         movers = np.flatnonzero(~still.all(axis=0))
@@ -336,15 +372,15 @@ class _Group:
         self._places[:, movers] = places
         return ended
 
-    def _lying(self, records: NDArray[np.void]) -> NDArray[np.bool_] | None:
+    def _lying(self, blocks: list[NDArray[np.void]]) -> NDArray[np.bool_] | None:
         """Return which walkers lie on the ground, (packets, actors); None if none does."""
         if not len(self._walkers):
             return None
-        pitch, roll = (records[angle][:, self._walkers] for angle in ("pitch", "roll"))
+        pitch, roll = (np.concatenate([block[name][:, self._walkers] for block in blocks]) for name in ("pitch", "roll"))
         some = (np.abs(pitch) > _LYING) | (np.abs(roll) > _LYING)
         if not some.any():
             return None
-        lying = np.zeros(records.shape, np.bool_)
+        lying = np.zeros((len(some), len(self._actors)), np.bool_)
         lying[:, self._walkers] = some
         return lying
 
@@ -403,7 +439,7 @@ class _Group:
 class _Series:
     """Numbers of which there come more and more, as an array."""
 
-    def __init__(self, values: Sequence[float] = ()) -> None:
+    def __init__(self, values: ArrayLike = ()) -> None:
         self._room = np.empty(_PACKETS)
         self._count = 0
         self.extend(values)
@@ -416,8 +452,9 @@ class _Series:
         """The numbers so far."""
         return self._room[: self._count]
 
-    def extend(self, values: Sequence[float]) -> None:
+    def extend(self, values: ArrayLike) -> None:
         """Add numbers."""
+        values = np.asarray(values, np.float64)
         count = self._count + len(values)
         if count > len(self._room):
             room = np.empty(2 * count)

@@ -418,11 +418,55 @@ def test_records_outlive_their_reader(small):
     assert transforms["id"].tolist() == [7, 8]
 
 
-def test_a_log_that_grows_large_is_read_in_bounded_memory(tmp_path, monkeypatch):
-    monkeypatch.setattr("carla_recap.formats.carla_log._FORGET", 1 << 16)
+@pytest.mark.parametrize("window", [64, 1000, 1 << 14, 1 << 30])
+def test_windows_of_any_size_give_the_same_frames(tmp_path, monkeypatch, window):
     path = write(tmp_path / "long.log", Header("Town01", DATE), drive(60, 20, 20))
+    expected = images(path)
+    monkeypatch.setattr("carla_recap.formats.log_scan._WINDOW", window)
+    assert images(path) == expected
+
+
+def test_frames_that_are_alike_come_in_one_batch(tmp_path):
+    frames = b"".join(start(n + 1, n / 10) + packet(6, listed(transform(7, n), transform(8))) + END for n in range(100))
+    other = start(101, 10.0) + packet(6, listed(transform(7))) + END
+    path = save(tmp_path / "alike.log", log_header() + frames + other)
     with reading(path) as reader:
-        assert sum(len(frame["transforms"]) for frame in reader.frames()) == 60 * 20 * 20
+        first, last = reader.batches()
+        assert (len(first), first.index, len(last), last.index) == (100, 0, 1, 100)
+        assert first.records("transforms")["x"][:, 0].tolist() == list(range(100))
+        assert first.elapsed.tolist() == [n / 10 for n in range(100)]
+        assert not first.records("transforms").flags.writeable
+        assert [image(frame) for frame in first[40:60]] == [image(frame) for frame in reader.frames(start=4.0, stop=6.0)]
+
+
+def test_packets_of_one_size_with_other_numbers_of_records_are_apart(tmp_path):
+    """A packet may have bytes behind its records: its size alone does not say how many there are."""
+    two, one = listed(transform(7), transform(8)), listed(transform(7)) + bytes(28)
+    frames = [start(n + 1, n / 10) + packet(6, (two, one)[n % 5 == 4]) for n in range(20)]
+    path = save(tmp_path / "odd.log", log_header() + b"".join(frames))
+    with reading(path) as reader, warnings_ignored():
+        assert [len(frame["transforms"]) for frame in reader.frames()] == [2, 2, 2, 2, 1] * 4
+
+
+def test_a_log_that_shrinks_while_it_is_read_is_an_error(tmp_path, monkeypatch):
+    monkeypatch.setattr("carla_recap.formats.log_scan._WINDOW", 1 << 12)
+    path = write(tmp_path / "shrinking.log", Header("Town01", DATE), drive(60, 20, 20))
+    with reading(path) as reader:
+        frames = reader.frames()
+        next(frames)
+        os.truncate(path, 1 << 13)
+        with pytest.raises(FormatError, match=r"shrinking\.log: byte \d+: the file has become shorter while it was read"):
+            list(frames)
+
+
+def test_a_closed_log_says_so(small):
+    reader = open_reader(small)
+    frames = reader.frames()
+    next(frames)
+    reader.close()
+    for ask in (lambda: list(frames), lambda: reader.frame_at(0.0), lambda: list(reader.frames())):
+        with pytest.raises(RecapError, match=r"small\.log: the recording is closed"):
+            ask()
 
 
 # --- writing ---------------------------------------------------------------------------------------------

@@ -9,9 +9,9 @@ from typing import TYPE_CHECKING, TypeVar
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Iterator, Sequence
 
+    from carla_recap.batch import Batch
     from carla_recap.conversion import Progress
     from carla_recap.formats.base import Reader
-    from carla_recap.frame import Frame
     from carla_recap.queries.incidents import Incident
     from carla_recap.replay.player import Player
     from carla_recap.replay.player import Progress as SceneProgress
@@ -24,10 +24,10 @@ _LIVE_REST = 10  # the same, where items come one by one
 
 
 def watch(what: str) -> Progress:
-    """Watches a stream of frames go by; `what` is being done to them."""
+    """Watches a stream of batches go by; `what` is being done to them."""
 
-    def progress(frames: Iterable[Frame], reader: Reader) -> Iterable[Frame]:
-        return _bar(frames, what, reader.extent().duration, lambda frame: frame.elapsed)
+    def progress(batches: Iterable[Batch], reader: Reader) -> Iterable[Batch]:
+        return _bar(batches, what, reader.extent().duration, lambda batch: batch.elapsed[-1].item(), rest=1)
 
     return progress
 

@@ -10,7 +10,8 @@ if TYPE_CHECKING:
     from pathlib import Path
     from types import TracebackType
 
-    from carla_recap.frame import Extent, Frame, Header, Run
+    from carla_recap.batch import Batch
+    from carla_recap.frame import Extent, Frame, Header
     from carla_recap.standing import BlockedRow
 
 PIECE = 1 << 20
@@ -31,7 +32,18 @@ class Reader(Protocol):
         start: float = -math.inf,
         stop: float = math.inf,
     ) -> Iterator[Frame]:
-        """Stream the frames.
+        """Stream the frames, one by one; see `batches`."""
+        ...
+
+    def batches(
+        self,
+        types: Collection[str] | None = None,
+        *,
+        sparse: bool = False,
+        start: float = -math.inf,
+        stop: float = math.inf,
+    ) -> Iterator[Batch]:
+        """Stream the frames, in batches of frames that are alike.
 
         Args:
             types: Names of record types: frames hold the packets of these alone, and no empty ones. None: all packets.
@@ -80,8 +92,8 @@ class Writer(Protocol):
         """Add a frame."""
         ...
 
-    def write_run(self, run: Run) -> None:
-        """Add the frames of a run."""
+    def write_batch(self, batch: Batch) -> None:
+        """Add the frames of a batch."""
         ...
 
     def write_tail(self, piece: bytes) -> None:

@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any, Final
 
 from carla_recap.queries.answer import Answer
-from carla_recap.records import ActorKind, Spawn
+from carla_recap.records import CM, ActorKind, Spawn
 from carla_recap.texts import readable
 
 if TYPE_CHECKING:
@@ -17,8 +17,6 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from carla_recap.formats.base import Reader
-
-CM: Final = 0.01  # m
 
 
 @dataclass(frozen=True, slots=True)

@@ -40,8 +40,8 @@ def blocked(
     rows = None if compat else source.stretches(min_time, min_distance)
     if rows is None:
         standing = Standing(source.header.table, min_time, min_distance, compat=compat)
-        for frame in source.frames(TYPES):
-            standing.frame(frame)
+        for batch in source.batches(TYPES):
+            standing.batch(batch)
         rows = standing.finish()
     if compat:
         rows.sort(key=lambda row: -row.duration)

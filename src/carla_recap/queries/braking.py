@@ -6,19 +6,20 @@ for little; and it must last, so that what stops at once (in a crash, by a telep
 
 from __future__ import annotations
 
+from itertools import pairwise
 from typing import TYPE_CHECKING, Final, NamedTuple
 
 import numpy as np
 
-from carla_recap.queries.actors import CM
+from carla_recap.records import CM
 
 if TYPE_CHECKING:
     from collections.abc import Collection
 
     from numpy.typing import NDArray
 
+    from carla_recap.batch import Batch
     from carla_recap.formats.base import Reader
-    from carla_recap.frame import Frame
 
     Floats = NDArray[np.float64]
     Booleans = NDArray[np.bool_]
@@ -73,13 +74,13 @@ def hard_braking(source: Reader, vehicles: Collection[int], deceleration: float)
         FormatError: The file contradicts its format.
     """
     watch = _Watch(vehicles, deceleration)
-    for frame in source.frames(("transforms", "velocities")):
-        watch.frame(frame)
+    for batch in source.batches(("transforms", "velocities")):
+        watch.batch(batch)
     return watch.finish()
 
 
 class _Watch:
-    """Gathers the rows of vehicles frame by frame, and looks at them in blocks.
+    """Gathers the rows of vehicles batch by batch, and looks at them in blocks.
 
     Args:
         vehicles: The ids to look at.
@@ -96,14 +97,14 @@ class _Watch:
         self._done = 0  # the number of the first frame that is not looked at yet
         self._runs: list[NDArray[np.void]] = []
 
-    def frame(self, frame: Frame) -> None:
-        """Take in a frame."""
-        poses = frame["transforms"]
-        if not len(poses):
+    def batch(self, batch: Batch) -> None:
+        """Take in the frames of a batch."""
+        poses = batch.records("transforms")
+        if not poses.shape[1]:
             return
         self._poses.add(poses)
-        self._velocities.add(frame["velocities"])
-        self._elapsed.append(frame.elapsed)
+        self._velocities.add(batch.records("velocities"))
+        self._elapsed.extend(batch.elapsed.tolist())
         if self._poses.count >= _BLOCK and len(self._elapsed) > 4 * _MARGIN:
             self._look(len(self._elapsed) - _MARGIN)
 
@@ -146,24 +147,22 @@ class _Rows:
     def __init__(self, vehicles: NDArray[np.uint32]) -> None:
         self.count = 0
         self._vehicles = vehicles
-        self._parts: list[NDArray[np.void]] = []
-        self._key = b""
-        self._places: NDArray[np.intp] = np.zeros(0, np.intp)
+        self._parts: list[NDArray[np.void]] = []  # (frames, rows of each)
 
     def add(self, records: NDArray[np.void]) -> None:
-        """Take in a frame's packet."""
-        key = records["id"].tobytes()
-        if key != self._key:
-            self._key = key
-            self._places = np.flatnonzero(np.isin(records["id"], self._vehicles))
-        part = records[self._places]
-        self._parts.append(part)
-        self.count += len(part)
+        """Take in the packets of some frames, (frames, records of each)."""
+        ids = records["id"]
+        edges = [0, *(np.flatnonzero((ids[1:] != ids[:-1]).any(axis=1)) + 1).tolist(), len(ids)]
+        for start, stop in pairwise(edges):
+            part = records[start:stop, np.isin(ids[start], self._vehicles)]
+            self._parts.append(part)
+            self.count += part.size
 
     def table(self) -> tuple[NDArray[np.void], NDArray[np.intp]]:
-        """All rows, and the place of each one's frame; ordered by id, then frame, of which the last row counts."""
-        rows = np.concatenate(self._parts)
-        frames = np.repeat(np.arange(len(self._parts)), [len(part) for part in self._parts])
+        """Return all rows, and the number of each one's frame, by id, then frame, of which the last row counts."""
+        rows = np.concatenate([part.ravel() for part in self._parts])
+        sizes = np.concatenate([np.full(len(part), part.shape[1]) for part in self._parts])
+        frames = np.repeat(np.arange(len(sizes)), sizes)
         order = np.argsort(rows["id"], kind="stable")
         rows, frames = rows[order], frames[order]
         last = np.append((np.diff(frames) != 0) | (np.diff(rows["id"]) != 0), True)[: len(rows)]
@@ -171,8 +170,13 @@ class _Rows:
 
     def forget(self, count: int) -> None:
         """Drop the first frames."""
-        self.count -= sum(map(len, self._parts[:count]))
-        del self._parts[:count]
+        while self._parts and len(self._parts[0]) <= count:
+            part = self._parts.pop(0)
+            count -= len(part)
+            self.count -= part.size
+        if count:
+            self.count -= self._parts[0][:count].size
+            self._parts[0] = self._parts[0][count:]
 
 
 _RUN: Final = np.dtype(

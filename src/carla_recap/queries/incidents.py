@@ -12,11 +12,11 @@ import numpy as np
 
 from carla_recap.errors import RecapError
 from carla_recap.frame import SAME_TIME
-from carla_recap.queries.actors import CM, actors
+from carla_recap.queries.actors import actors
 from carla_recap.queries.answer import Answer
 from carla_recap.queries.blocked import blocked as find_blocked
 from carla_recap.queries.braking import HALF_WINDOW, SHORTEST, hard_braking
-from carla_recap.records import NO_ACTOR
+from carla_recap.records import CM, NO_ACTOR
 
 if TYPE_CHECKING:
     from collections.abc import Iterator

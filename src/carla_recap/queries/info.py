@@ -7,8 +7,8 @@ from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
-from carla_recap.records import FLAG, TEXT, Framing, Layout, Many, Records
-from carla_recap.texts import readable
+from carla_recap.records import FLAG, Framing, Layout, Many, Records
+from carla_recap.tables.records import plain_record
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -98,28 +98,8 @@ def _records(layout: Layout, records: Records) -> Iterator[dict[str, Any]]:
             yield dict(zip(names, row, strict=True))
     else:
         for record in records:
-            yield _object(layout, record)
-
-
-def _object(layout: Layout, record: Any) -> dict[str, Any]:
-    return {name: _plain(kind, getattr(record, name)) for name, kind in layout.fields.items()}
+            yield plain_record(layout, record)
 
 
 def _column(kind: str | Many, values: Any) -> list[Any]:
     return (values != 0).tolist() if kind == FLAG else values.tolist()  # type: ignore[no-any-return]
-
-
-def _plain(kind: str | Many, value: Any) -> Any:
-    """A field of a record as plain Python."""
-    if isinstance(kind, Many):
-        return _items(kind.layouts[0], value)
-    if kind == TEXT:
-        return readable(value)
-    return bool(value) if kind == FLAG else value
-
-
-def _items(layout: Layout, values: Any) -> list[dict[str, Any]]:
-    if isinstance(values, np.ndarray):
-        names = values.dtype.names or ()
-        return [dict(zip(names, row, strict=True)) for row in values.tolist()]
-    return [_object(layout, value) for value in values]

@@ -9,8 +9,8 @@ from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
-from carla_recap.queries.actors import CM, BoundingBox
-from carla_recap.records import ActorKind, Spawn
+from carla_recap.queries.actors import BoundingBox
+from carla_recap.records import CM, ActorKind, Spawn
 from carla_recap.replay.events import Collided, Destroyed, Event, Parented, Present, Spawned
 from carla_recap.replay.rows import NO_IDS, Ids, Selection, merged
 

@@ -1,4 +1,4 @@
-"""Runs of frames, written at once, are what they are when they are written one by one."""
+"""Batches of frames, written at once, are what they are when they are written one by one."""
 
 from __future__ import annotations
 
@@ -10,49 +10,49 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from carla_recap.batch import Batch, ConstantColumn, RecordsColumn
 from carla_recap.formats import create_writer
 from carla_recap.formats.mcap import writer
 from carla_recap.formats.mcap.rows import has_form
-from carla_recap.frame import Block, Frame, Header, Packet, Run
-from carla_recap.payload import EMPTY_LIST, pack
+from carla_recap.frame import Frame, Header, Packet
+from carla_recap.payload import EMPTY_LIST
 from carla_recap.records import FRAME_END, ORDER, UE4, Framing
 
 HEADER = Header("Town01", 1_600_000_000)
 END = Packet(FRAME_END, UE4[FRAME_END], b"")
-TOLD = ("transforms", "light_states", "vehicle_controls", "visual_time")
+FILLED = ("transforms", "light_states", "vehicle_controls", "visual_time")
 FEW = 3_000  # bytes of a chunk
 
 
-def block(name: str, frames: int, count: int, seed: int) -> Block:
+def column(name: str, frames: int, count: int, seed: int) -> RecordsColumn:
     """Packets of a type, with any numbers that fit."""
     type = UE4.named(name)
     records = np.zeros((frames, count), type.dtype)
     random = np.random.default_rng(seed)
     for field in type.dtype.names or ():
         records[field] = random.integers(0, 2, records.shape)
-    payloads = [bytes(pack(type, row)) for row in records]
-    return Block(type, memoryview(b"".join(payloads)), len(payloads[0]), records)
+    return RecordsColumn(type, records)
 
 
-def run(first: int, elapsed: list[float], count: int, offset: int = 0) -> Run:
-    """Frames with as many records each, in which blocks and empty packets take turns."""
-    blocks = {
-        name: block(name, offset + len(elapsed), 1 if UE4.named(name).framing is Framing.SINGLE else count, first)
-        for name in TOLD
-    }
-    empty = [UE4[id] for id in ORDER if UE4[id].always and UE4[id].name not in TOLD]
-    blank = [Packet(type.id, type, EMPTY_LIST, type.records([])) for type in empty]
-    indices = list(range(first, first + len(elapsed)))
-    return Run(indices, elapsed, [0.05] * len(elapsed), [*blank, *blocks.values(), END], offset)
+def batch(first: int, elapsed: list[float], count: int) -> Batch:
+    """Frames with as many records each, in which packets with and without records take turns."""
+    filled = [
+        column(name, len(elapsed), 1 if UE4.named(name).framing is Framing.SINGLE else count, first) for name in FILLED
+    ]
+    bare = [UE4[id] for id in ORDER if UE4[id].always and UE4[id].name not in FILLED]
+    empty = [ConstantColumn(Packet(type.id, type, EMPTY_LIST, type.records([])), len(elapsed)) for type in bare]
+    ids = np.arange(first, first + len(elapsed), dtype=np.uint64) + np.uint64(1)
+    durations = np.full(len(elapsed), 0.05)
+    return Batch(first, ids, np.array(elapsed), durations, [*empty, *filled, ConstantColumn(END, len(elapsed))])
 
 
-def written(runs: list[Run], *, at_once: bool) -> bytes:
+def written(batches: list[Batch], *, at_once: bool) -> bytes:
     with TemporaryDirectory() as folder:
         path = Path(folder) / "x.mcap"
         with create_writer(path, HEADER) as recording:
-            for frames in runs:
+            for frames in batches:
                 if at_once:
-                    recording.write_run(frames)
+                    recording.write_batch(frames)
                 else:
                     for frame in frames:
                         recording.write(frame)
@@ -60,42 +60,36 @@ def written(runs: list[Run], *, at_once: bool) -> bytes:
 
 
 @st.composite
-def recordings(draw: st.DrawFn) -> list[Run]:
-    """Runs one after the other; the clock may stand still, or jump."""
-    runs, index, now = list[Run](), 0, 0.0
+def recordings(draw: st.DrawFn) -> list[Batch]:
+    """Batches one after the other; the clock may stand still, or jump."""
+    batches, index, now = list[Batch](), 0, 0.0
     for _ in range(draw(st.integers(1, 4))):
-        steps = draw(st.lists(st.sampled_from((0.05, 0.05, 0.0, 2.0, -1.0)), min_size=1, max_size=30))
+        steps = draw(st.lists(st.sampled_from((0.05, 0.05, 0.0, 2.0, -1.0)), min_size=2, max_size=30))
         elapsed = [now := now + step for step in steps]
-        runs.append(run(index, elapsed, draw(st.integers(1, 5)), draw(st.integers(0, 3))))
+        batches.append(batch(index, elapsed, draw(st.integers(1, 5))))
         index += len(elapsed)
-    return runs
+    return batches
 
 
 @given(recordings())
-def test_a_run_is_its_frames(runs: list[Run]) -> None:
+def test_a_batch_is_its_frames(batches: list[Batch]) -> None:
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(writer, "CHUNK_SIZE", FEW)
         patch.setattr(writer, "CHUNK_FRAMES", 17)
-        assert all(map(has_form, runs))
-        assert written(runs, at_once=True) == written(runs, at_once=False)
+        assert all(map(has_form, batches))
+        assert written(batches, at_once=True) == written(batches, at_once=False)
 
 
 def test_numbers_of_another_size_are_written_all_the_same() -> None:
-    frames = run(0, [0.05, 0.1], 2)
-    (controls,) = (
-        packet for packet in frames.packets if isinstance(packet, Block) and packet.type.name == "vehicle_controls"
-    )
+    frames = batch(0, [0.05, 0.1], 2)
+    (controls,) = (column for column in frames.columns if column.type and column.type.name == "vehicle_controls")
     controls.records["hand_brake"].view(np.uint8)[:] = 0xFF
-    payloads = b"".join(bytes(pack(controls.type, row)) for row in controls.records)
-    frames.packets[frames.packets.index(controls)] = Block(
-        controls.type, memoryview(payloads), controls.size, controls.records
-    )
     assert not has_form(frames)
     assert written([frames], at_once=True) == written([frames], at_once=False)
 
 
-def test_frames_of_a_run_are_frames() -> None:
-    frames = list(run(7, [0.05, 0.1], 3, offset=2))
+def test_the_frames_of_a_batch_are_frames() -> None:
+    frames = list(batch(7, [0.05, 0.1], 3))
     assert [(frame.index, frame.id, frame.elapsed) for frame in frames] == [(7, 8, 0.05), (8, 9, 0.1)]
     assert all(isinstance(frame, Frame) and len(frame["transforms"]) == 3 for frame in frames)
     assert frames[0].packets[-1] is END

@@ -9,8 +9,7 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
-from carla_recap.queries.actors import CM
-from carla_recap.records import ActorKind
+from carla_recap.records import CM, ActorKind
 from carla_recap.replay.events import Destroyed
 from carla_recap.replay.motion import JUMP, TOP_SPEED
 from carla_recap.replay.pose import YAW, right_handed

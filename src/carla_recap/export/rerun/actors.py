@@ -14,8 +14,7 @@ from carla_recap.export.rerun import tree
 from carla_recap.export.rerun.cameras import Chase
 from carla_recap.export.rerun.stream import screen
 from carla_recap.export.rerun.tracks import Tracks
-from carla_recap.queries.actors import CM
-from carla_recap.records import ActorKind, Spawn
+from carla_recap.records import CM, ActorKind, Spawn
 from carla_recap.replay import Destroyed, Present, Spawned, quaternions, right_handed
 from carla_recap.replay.pose import LOCATION
 

@@ -12,7 +12,7 @@ import rerun.blueprint as rrb
 from carla_recap.export import look
 from carla_recap.export.rerun import tree
 from carla_recap.export.rerun.stream import FRAME, SIM_TIME
-from carla_recap.queries.actors import CM
+from carla_recap.records import CM
 from carla_recap.replay import Player, camera, right_handed
 from carla_recap.replay.pose import LOCATION
 

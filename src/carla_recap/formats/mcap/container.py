@@ -10,11 +10,15 @@ import zlib
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Final
 
+import numpy as np
+
 from carla_recap.errors import RecordError
 from carla_recap.formats.carla_log import pack_header
 from carla_recap.frame import Extent, Header
 
 if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
     from carla_recap.records import RecordType, Table
 
 MAGIC: Final = b"\x89MCAP0\r\n"
@@ -28,6 +32,7 @@ MESSAGE_INDEX: Final = struct.Struct("<HI")  # channel, bytes of the entries: lo
 FOOTER: Final = struct.Struct("<QQI")  # start of the summary, start of its offsets, CRC
 U64: Final = struct.Struct("<Q")
 SECOND: Final = 1_000_000_000
+EXACT: Final = 1 << 62  # ns: up to here, whole numbers of 64 bits hold a time since 1970 and its sum with another
 MAX_TIME: Final = (1 << 64) - 1
 LATEST: Final = 1 << 63  # the latest beginning of a recording, so that its times do not overflow
 
@@ -107,6 +112,18 @@ class LogClock:
             return self.next(), self.last if time is None else time
         self.last = time
         return time, time
+
+    def times_of(self, elapsed: NDArray[np.float64]) -> NDArray[np.uint64] | None:
+        """Return log times and publish times of the next frames, (frames, 2), unless one of them is out of order."""
+        with np.errstate(all="ignore"):
+            nanoseconds = np.rint(elapsed * SECOND)
+        if self._base >= EXACT or not len(elapsed) or not np.abs(nanoseconds).max() < EXACT:
+            return None
+        times = nanoseconds.astype(np.int64) + self._base
+        if times[0] <= self.last or times[-1] > MAX_TIME or not (times[1:] > times[:-1]).all():
+            return None
+        self.last = int(times[-1])
+        return np.stack((times, times), axis=1).astype(np.uint64)
 
     def next(self) -> int:
         """The log time of whatever comes behind the latest frame."""

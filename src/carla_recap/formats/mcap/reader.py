@@ -8,13 +8,17 @@ from __future__ import annotations
 import itertools
 import math
 import warnings
+from bisect import bisect_left
 from collections import deque
+from operator import itemgetter
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final, NamedTuple
 
+import numpy as np
 from mcap import records
 from mcap.opcode import Opcode
 
+from carla_recap.batch import Batch, ConstantColumn, within
 from carla_recap.errors import FormatError, NotARecording, RecapWarning
 from carla_recap.formats.mcap import wire
 from carla_recap.formats.mcap.container import (
@@ -25,8 +29,6 @@ from carla_recap.formats.mcap.container import (
     FRAME_MESSAGE,
     FRAME_TOPIC,
     HEADER_METADATA,
-    MESSAGE,
-    MESSAGE_FIELDS,
     RAW_MESSAGE,
     RAW_TOPIC,
     RECORD,
@@ -42,6 +44,7 @@ from carla_recap.formats.mcap.container import (
     parse_header,
     unchecked,
 )
+from carla_recap.formats.mcap.runs import BrokenRecords, column, message_runs
 from carla_recap.formats.mcap.source import METADATA_LIMIT, Chunk, Source, Summary, open_chunk, parse_record, read_summary
 from carla_recap.frame import SAME_TIME, Extent, Frame, Header, Packet
 from carla_recap.payload import EMPTY_LIST, Buffer
@@ -49,7 +52,10 @@ from carla_recap.records import FRAME_END, FRAME_START, Records, RecordType
 from carla_recap.standing import BlockedRow
 
 if TYPE_CHECKING:
-    from collections.abc import Collection, Iterable, Iterator
+    from collections.abc import Callable, Collection, Iterable, Iterator
+
+    from carla_recap.batch import Column
+    from carla_recap.formats.mcap.runs import MessageRun
 
 MESSAGES_LIMIT: Final = 500_000
 """How many messages are held at once, in frames that are not complete yet; ours are some hundreds."""
@@ -62,9 +68,9 @@ _NO_CHANNEL: Final = -1
 BLOCK_SIZE: Final = 256 << 10
 """Chunks that are smaller than this, in bytes, are taken several at a time."""
 
-Found = tuple["Batch", int]  # a message: its batch, and its place there
+Found = tuple["ChannelMessages", int]  # a message: those of its channel, and its index among them
 Gathered = list[Found]  # the messages of one frame, in file order
-Plans = dict[bytes, tuple[bool, list[Any]]]  # how to put frames together, by what they say of their packets
+Plan = tuple[bool, list[Any]]  # whether packets are a preamble; each packet, or the channel to take it from
 Pending = dict[int, tuple[int, Gathered]]  # index of a frame → its log time and messages
 
 
@@ -76,7 +82,7 @@ class _Held(NamedTuple):
     messages: int
 
 
-class Batch:
+class ChannelMessages:
     """The messages of a channel in a chunk; those whose records have one size are decoded together."""
 
     __slots__ = ("_decoded", "_payloads", "channel", "messages", "path", "type")
@@ -99,12 +105,37 @@ class Batch:
         return self._payloads
 
 
+class _Plans:
+    """How to put frames together, by what they say of their packets.
+
+    Args:
+        make: Makes a plan.
+        wanted: The channels that are read.
+        whole: Whether all packets are wanted.
+    """
+
+    def __init__(self, make: Callable[[bytes, set[int], bool], Plan], wanted: set[int], *, whole: bool) -> None:
+        self._make = make
+        self._wanted = wanted
+        self._whole = whole
+        self._known: dict[bytes, Plan] = {}
+
+    def of(self, packets: bytes) -> Plan:
+        """Return the plan for what `wire.frame_packets` wrote."""
+        plan = self._known.get(packets)
+        if plan is None:
+            if len(self._known) > _PLANS:
+                self._known.clear()
+            plan = self._known[packets] = self._make(packets, self._wanted, self._whole)
+        return plan
+
+
 class MessagePacket(Packet):
     """A packet that came as a message, decoded when asked for."""
 
     __slots__ = ("_batch", "_index")
 
-    def __init__(self, type: RecordType, batch: Batch, index: int) -> None:
+    def __init__(self, type: RecordType, batch: ChannelMessages, index: int) -> None:
         self.id = type.id
         self.type = type
         self._batch = batch
@@ -213,33 +244,36 @@ class McapReader:
         stop: float = math.inf,
     ) -> Iterator[Frame]:
         """Stream the frames; see `Reader.frames`. With `sparse`, durations are unknown (NaN)."""
+        for batch in self.batches(types, sparse=sparse, start=start, stop=stop):
+            for frame in batch:
+                yield frame
+                self._source.check_open()
+
+    def batches(
+        self,
+        types: Collection[str] | None = None,
+        *,
+        sparse: bool = False,
+        start: float = -math.inf,
+        stop: float = math.inf,
+    ) -> Iterator[Batch]:
+        """Stream the frames in batches; see `Reader.batches`. With `sparse`, durations are unknown (NaN)."""
         self._source.check_open()
         start, stop = start - SAME_TIME, stop - SAME_TIME
         wanted = self._wanted(types, spine=not sparse)
         chunks = self._chunks(wanted, start, stop)
-        plans: Plans = {}
-        for index, gathered in self._gather(chunks, wanted, ahead=not sparse):
-            if sparse:
-                frame = self._headless(index, gathered)
-            else:
-                try:
-                    frame = self._frame(index, gathered, wanted, plans, whole=types is None, within=(start, stop))
-                except FormatError:
-                    if not self._salvage:
-                        raise
-                    continue
-            if stop < math.inf and frame.elapsed >= stop:
-                return
-            if start == -math.inf or frame.elapsed >= start:
-                yield frame
-                self._source.check_open()
+        plans = _Plans(self._plan, wanted, whole=types is None)
+        batches = self._gather(chunks, wanted, None if sparse else plans, (start, stop))
+        for batch in within(batches, start, stop):
+            yield batch
+            self._source.check_open()
 
     def frame_at(self, elapsed: float) -> Frame | None:
         """The last frame that begins at or before a time; see `Reader.frame_at`."""
         elapsed += SAME_TIME
         found = None
-        plans: Plans = {}
         spine = self._wanted((), spine=True)
+        plans = _Plans(self._plan, spine, whole=False)
         time = LogClock(self.header).at(elapsed)
         chunks = self._chunks(spine)
         if time is not None and self._steady:
@@ -248,10 +282,10 @@ class McapReader:
             if apart:
                 # Of a chunk that begins at that very nanosecond, the frame may still come later.
                 chunks = chunks[max(sum(chunk.start < time for chunk in chunks) - 1, 0) :]
-        for index, gathered in self._gather(chunks, spine, ahead=False):
-            frame = self._frame(index, gathered, spine, plans, whole=False)
-            if frame.elapsed <= elapsed:
-                found = frame
+        for batch in self._gather(chunks, spine, plans):
+            earlier = np.flatnonzero(batch.elapsed <= elapsed)
+            if len(earlier):
+                found = batch.frame(int(earlier[-1]))
         if found is None:
             return None
         for frame in self.frames(start=found.elapsed):
@@ -293,9 +327,11 @@ class McapReader:
         self._source.check_open()
         channel = self._by_topic.get(topic)
         wanted = set() if channel is None else {channel}
-        for _, gathered in self._gather(self._chunks(wanted) if wanted else [], wanted, ahead=False):
-            for found in gathered:
-                yield self._parse(module, name, _message(found))
+        for chunk in self._chunks(wanted) if wanted else []:
+            gathered: Pending = {}
+            self._scatter(self._runs_in(chunk, self._open(chunk)), wanted, gathered)
+            for _, found in gathered.values():
+                yield from (self._parse(module, name, _message(one)) for one in found)
 
     # --- what the file says of itself ----------------------------------------------------------------------------------
 
@@ -394,63 +430,152 @@ class McapReader:
         if block:
             yield block
 
-    def _sort(self, chunk: Chunk, data: bytes, batches: dict[int, Batch], pending: Pending) -> None:
-        """Sort the messages of a chunk that go to some channel's batch by frame."""
-        view, at, size, head = memoryview(data), 0, len(data), MESSAGE.unpack_from
-        last = size - MESSAGE.size
-        while at <= last:
-            opcode, length, channel, sequence, log_time, _ = head(data, at)
-            end = at + 9 + length
-            if end > size:
-                break
-            if opcode == 5 and channel in batches:
-                if length < MESSAGE_FIELDS:
-                    break
-                batch = batches[channel]
-                found = (batch, len(batch.messages))
-                if found[1] > MESSAGES_LIMIT:
-                    raise self._too_much(chunk)
-                batch.messages.append(view[at + 31 : end])
-                if sequence in pending:
-                    pending[sequence][1].append(found)
-                else:
-                    pending[sequence] = (log_time, [found])
-            at = end
-        while at < size:  # a schema or channel can be shorter than a message
-            opcode, length = RECORD.unpack_from(data, at) if at + RECORD.size <= size else (0, size)
-            if at + RECORD.size + length > size or opcode == Opcode.MESSAGE:
-                raise FormatError(self.path, chunk.offset, f"damaged chunk: no whole record at byte {at} of its content")
-            at += RECORD.size + length
+    def _runs_in(self, chunk: Chunk, data: bytes) -> Iterator[MessageRun]:
+        """Yield the frames of a chunk's records, those together that are alike."""
+        try:
+            yield from message_runs(data, self._frame_channel)
+        except BrokenRecords as error:
+            raise FormatError(self.path, chunk.offset, f"damaged chunk: {error}") from None
 
-    def _gather(self, chunks: list[Chunk], wanted: set[int], *, ahead: bool) -> Iterator[tuple[int, Gathered]]:
-        """The messages of each frame, in order of frames; chunks may overlap in time."""
+    def _scatter(self, runs: Iterable[MessageRun], wanted: set[int], pending: Pending) -> int:
+        """Add the messages of runs to those of their frames, one by one; return how many that were."""
+        found: dict[int, ChannelMessages] = {}
+        for run in runs:
+            places = [place for place in run.places if place[0] in wanted]
+            for row in range(run.count if places else 0):
+                for place in places:
+                    channel = place[0]
+                    if channel not in found:
+                        found[channel] = ChannelMessages(channel, self._types.get(channel), self.path)
+                    of_channel = found[channel]
+                    item = of_channel, len(of_channel.messages)
+                    of_channel.messages.append(run.message(row, place))
+                    sequence = run.sequence + row
+                    if sequence in pending:
+                        pending[sequence][1].append(item)
+                    else:
+                        pending[sequence] = (int(run.times[row]), [item])
+        return sum(len(of_channel.messages) for of_channel in found.values())
+
+    def _gather(
+        self,
+        chunks: list[Chunk],
+        wanted: set[int],
+        plans: _Plans | None,
+        period: tuple[float, float] = (-math.inf, math.inf),
+    ) -> Iterator[Batch]:
+        """Yield the frames in order; chunks may overlap in time.
+
+        Args:
+            chunks: The chunks, in order of time.
+            wanted: The channels to read.
+            plans: How to put frames together; None: of each message that there is, without the frames' own.
+            period: Elapsed times in seconds within which frames are expected to be complete.
+        """
         pending: Pending = {}
+        waiting: list[tuple[MessageRun, Batch]] = []
         held: list[_Held] = []
-        # A message takes 16 bytes in the index alone: whatever has many more of them than bytes was made to cost time.
+        # A message takes 16 bytes in the index alone: a file with many more of them than bytes was made to cost time.
         allowance = 2 * MESSAGES_LIMIT + self._source.size // 4
         place = 0
-        for block in self._blocks(chunks, ahead=ahead):
-            batches = {channel: Batch(channel, self._types.get(channel), self.path) for channel in wanted}
+        for block in self._blocks(chunks, ahead=plans is not None):
+            messages = 0
+            single: list[MessageRun] = []
             for chunk, data in block:
-                self._sort(chunk, data, batches, pending)
-            held.append(
-                _Held(
-                    max((time for time, _ in pending.values()), default=0),
-                    sum(len(data) for _, data in block),
-                    sum(len(batch.messages) for batch in batches.values()),
-                )
-            )
-            allowance -= held[-1].messages
+                for run in self._runs_in(chunk, data):
+                    messages += run.count * len(run.places)
+                    batch = self._alike(run, plans) if plans is not None and run.count > 1 else None
+                    if batch is None:
+                        single.append(run)
+                    else:
+                        waiting.append((run, batch))
+                    if messages > MESSAGES_LIMIT:
+                        raise self._too_much(chunk)
+            self._scatter(single, wanted, pending)
+            waiting = self._apart(waiting, wanted, pending)
+            latest = max((time for time, _ in pending.values()), default=0)
+            latest = max(latest, *(int(run.times[-1]) for run, _ in waiting)) if waiting else latest
+            held.append(_Held(latest, sum(len(data) for _, data in block), messages))
+            allowance -= messages
             if allowance < 0:
                 raise FormatError(self.path, block[-1][0].offset, "more messages than a file of this size can mean")
             if sum(h.size for h in held) > PENDING_LIMIT or sum(h.messages for h in held) > MESSAGES_LIMIT:
                 raise self._too_much(block[-1][0])
             place += len(block)
             horizon = chunks[place].start if place < len(chunks) else None
-            ready = sorted(s for s, (time, _) in pending.items() if horizon is None or time < horizon)
-            for sequence in ready:
-                yield sequence, pending.pop(sequence)[1]
+            ready: list[tuple[int, Batch | None]] = [
+                (sequence, None) for sequence, (time, _) in pending.items() if horizon is None or time < horizon
+            ]
+            ready += self._complete(waiting, horizon)
+            for sequence, alike in sorted(ready, key=itemgetter(0)):
+                if alike is not None:
+                    yield alike
+                    continue
+                try:
+                    yield self._single(sequence, pending.pop(sequence)[1], plans, period)
+                except FormatError:
+                    if not self._salvage:
+                        raise
             held = [h for h in held if horizon is not None and h.last >= horizon]
+
+    def _apart(
+        self, waiting: list[tuple[MessageRun, Batch]], wanted: set[int], pending: Pending
+    ) -> list[tuple[MessageRun, Batch]]:
+        """Return the batches none of whose frames has messages elsewhere; the frames of the others become pending."""
+        if not pending:
+            return waiting
+        numbers = sorted(pending)
+        kept = []
+        for run, batch in waiting:
+            first = bisect_left(numbers, run.sequence)
+            if first < len(numbers) and numbers[first] < run.sequence + run.count:
+                self._scatter([run], wanted, pending)
+            else:
+                kept.append((run, batch))
+        return kept
+
+    @staticmethod
+    def _complete(waiting: list[tuple[MessageRun, Batch]], horizon: int | None) -> list[tuple[int, Batch]]:
+        """Take the frames that begin before a time out of those that wait."""
+        ready, rest = [], []
+        for run, batch in waiting:
+            count = run.count if horizon is None else int(np.searchsorted(run.times, horizon))
+            if count:
+                ready.append((run.sequence, batch[:count] if count < run.count else batch))
+            if count < run.count:
+                rest.append((run.behind(count), batch[count:]))
+        waiting[:] = rest
+        return ready
+
+    def _alike(self, run: MessageRun, plans: _Plans) -> Batch | None:
+        """Return the frames of a run as a batch; None where they have to be put together one by one."""
+        spines = [place for place in run.places if place[0] == self._frame_channel]
+        start = wire.HEAD.size + wire.FRAME_BODY.size
+        if len(spines) != 1 or spines[0][2] < start:
+            return None
+        frames = run.view(wire.FRAME_HEAD, spines[0][1])[:, 0]
+        if not wire.are_frames(frames):
+            return None
+        preamble, plan = plans.of(bytes(run.message(0, spines[0])[start:]))
+        if preamble:
+            return None
+        of_channel = {place[0]: place for place in run.places}
+        columns: list[Column] = []
+        for step in plan:
+            if not isinstance(step, int):
+                columns.append(ConstantColumn(step, run.count))
+                continue
+            if step not in of_channel or step == self._raw_channel or sum(place[0] == step for place in run.places) > 1:
+                return None
+            try:
+                columns.append(column(self._types[step], run, of_channel.pop(step)))
+            except ValueError:
+                return None
+        return Batch(run.sequence, frames["frame"], frames["elapsed"], frames["duration"], columns)
+
+    def _single(self, index: int, gathered: Gathered, plans: _Plans | None, period: tuple[float, float]) -> Batch:
+        """Return a frame as a batch of its own."""
+        return Batch.of(self._headless(index, gathered) if plans is None else self._frame(index, gathered, plans, period))
 
     def _too_much(self, chunk: Chunk) -> FormatError:
         limits = f"{PENDING_LIMIT} bytes or {MESSAGES_LIMIT} messages"
@@ -458,17 +583,8 @@ class McapReader:
 
     # --- messages to frames --------------------------------------------------------------------------------------------
 
-    def _frame(
-        self,
-        index: int,
-        gathered: Gathered,
-        wanted: set[int],
-        plans: Plans,
-        *,
-        whole: bool,
-        within: tuple[float, float] = (-math.inf, math.inf),
-    ) -> Frame:
-        """A frame of the messages that were gathered; `within` some time, they are expected to be all there."""
+    def _frame(self, index: int, gathered: Gathered, plans: _Plans, period: tuple[float, float]) -> Frame:
+        """Return a frame of the messages that were gathered, which are expected to be all there within a period."""
         queues: dict[int, deque[Found]] = {}
         for found in gathered:
             channel = found[0].channel
@@ -479,7 +595,7 @@ class McapReader:
         if self._frame_channel not in queues:
             return self._headless(index, gathered)
         spine = _message(queues[self._frame_channel][0])
-        id, elapsed, duration, preamble, plan = self._read_spine(spine, wanted, plans, whole=whole)
+        id, elapsed, duration, preamble, plan = self._read_spine(spine, plans)
         packets: list[Packet] = []
         lost = False
         for step in plan:
@@ -493,7 +609,7 @@ class McapReader:
                 packets.append(self._raw_packet(queue))
             else:
                 packets.append(MessagePacket(self._types[step], *queue.popleft()))
-        if lost and not (elapsed < within[0] or elapsed >= within[1] < math.inf):
+        if lost and not (elapsed < period[0] or elapsed >= period[1] < math.inf):
             self._warn_lost(id)
         return Frame(index, id, elapsed, duration, packets, preamble=preamble)
 
@@ -506,10 +622,8 @@ class McapReader:
         id, elapsed = wire.read_head(first) or self._slow_head(gathered[0][0].channel, first)
         return Frame(index, id, elapsed, math.nan, packets)
 
-    def _read_spine(
-        self, data: memoryview, wanted: set[int], plans: Plans, *, whole: bool
-    ) -> tuple[int, float, float, bool, list[Any]]:
-        """Id, elapsed and duration of a `Frame`; whether it is a preamble; and the plan to put it together."""
+    def _read_spine(self, data: memoryview, plans: _Plans) -> tuple[int, float, float, bool, list[Any]]:
+        """Return id, elapsed and duration of a `Frame`; whether it is a preamble; and the plan to put it together."""
         fast = wire.read_frame(data)
         if fast is None:
             message = self._parse("frame", FRAME_MESSAGE, data)
@@ -517,14 +631,9 @@ class McapReader:
             rest = wire.frame_packets(message.packets, message.filled)
         else:
             id, elapsed, duration, rest = fast
-        plan = plans.get(rest)
-        if plan is None:
-            if len(plans) > _PLANS:
-                plans.clear()
-            plan = plans[rest] = self._plan(rest, wanted, whole=whole)
-        return id, elapsed, duration, *plan
+        return id, elapsed, duration, *plans.of(rest)
 
-    def _plan(self, rest: bytes, wanted: set[int], *, whole: bool) -> tuple[bool, list[Any]]:
+    def _plan(self, rest: bytes, wanted: set[int], whole: bool) -> tuple[bool, list[Any]]:
         """Whether packets are a preamble; and for each of them that is wanted, itself, or the channel to take it from."""
         try:
             message = wire.parse("frame", FRAME_MESSAGE, rest)

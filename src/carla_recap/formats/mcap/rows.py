@@ -7,18 +7,19 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 from mcap.opcode import Opcode
 
+from carla_recap.batch import ConstantColumn
+from carla_recap.errors import FormatError
 from carla_recap.formats.mcap import wire
 from carla_recap.formats.mcap.container import EMPTY, FILLED, MESSAGE, MESSAGE_FIELDS
-from carla_recap.frame import Block
-from carla_recap.payload import EMPTY_LIST, OBJECTS_LIMIT
-from carla_recap.records import FRAME_END, FRAME_START, Group
+from carla_recap.payload import EMPTY_LIST, OBJECTS_LIMIT, U16, PayloadError
+from carla_recap.records import FRAME_START, Framing, Group
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping, Sequence
+    from collections.abc import Mapping
 
     from numpy.typing import DTypeLike, NDArray
 
-    from carla_recap.frame import Packet, Run
+    from carla_recap.batch import Batch, Column
 
 _HEADER: Final = np.dtype(
     [
@@ -40,29 +41,43 @@ _OWN: Final = ("sequence", "log_time", "publish_time", "frame", "elapsed")
 
 
 class RowForm:
-    """How the messages of each frame of some runs follow each other.
+    """How the messages of each frame of some batches follow each other.
+
+    Args:
+        channels: The channel of each type, by packet id.
+        frame_channel: The channel of the messages of the frames themselves.
+        batch: A batch of this form; see `has_form`.
 
     Attributes:
+        key: What batches of this form have in common.
         size: The bytes of all messages of a frame.
         additional: Whether there are packets that CARLA writes only when it records additional data.
     """
 
-    def __init__(self, channels: Mapping[int, int], frame_channel: int, packets: Sequence[Packet | Block]) -> None:
-        self.additional = any(packet.type is not None and packet.type.additional for packet in packets)
-        self._messages: list[tuple[int, int]] = []  # channel and place of each
+    def __init__(self, channels: Mapping[int, int], frame_channel: int, batch: Batch) -> None:
+        self.key = key(batch)
+        self.additional = any(column.type is not None and column.type.additional for column in batch.columns)
+        self._messages: list[tuple[int, int]] = []  # channel and offset of each
         self._fields: dict[str, tuple[DTypeLike, int]] = {}
         template = bytearray()
-        for packet in packets:
-            if isinstance(packet, Block):
-                count = packet.records.shape[1]
-                body, dtype = wire.uniform_body(packet.type, count)
-                self._fields[packet.type.name] = (dtype, (count,)), len(template) + _HEADER.itemsize
-                self._add(template, channels[packet.type.id], body)
-        start = bytes((FRAME_START,))
-        ids = start + bytes([_id(packet) for packet in packets])
-        kinds = start + bytes([FILLED if isinstance(packet, Block) else EMPTY for packet in packets])
+        kinds = bytearray((FRAME_START,))
+        for column in batch.columns:
+            if _is_empty(column):
+                kinds.append(EMPTY)
+                continue
+            kinds.append(FILLED)
+            assert column.type is not None
+            at = len(template) + _HEADER.itemsize
+            if column.type.fixed:
+                body, dtype = wire.uniform_body(column.type, column.records.shape[1])
+                self._fields[column.type.name] = (dtype, (column.records.shape[1],)), at
+            else:
+                body = wire.encode(column.type, column.packet(0).payload)
+                self._fields[column.type.name] = ("u1", (len(body),)), at
+            self._add(template, channels[column.id], body)
+        ids = bytes((FRAME_START, *(column.id for column in batch.columns)))
         self._fields["duration"] = "<f8", len(template) + _HEADER.itemsize + 1  # behind its tag
-        self._add(template, frame_channel, wire.frame_body(0.0, ids, kinds))
+        self._add(template, frame_channel, wire.frame_body(0.0, ids, bytes(kinds)))
         self.size = len(template)
         self._template = np.frombuffer(bytes(template), np.uint8)
         self._dtype = np.dtype(
@@ -74,42 +89,58 @@ class RowForm:
             }
         )
 
-    def rows(
-        self, run: Run, part: slice, sequence: int, times: NDArray[np.uint64]
-    ) -> tuple[bytes, dict[int, NDArray[np.uint64]]]:
-        """Some frames of a run.
+    def messages(self, batch: Batch) -> NDArray[np.uint8] | None:
+        """Return the messages of a batch of this form without their own numbers and times, (frames, bytes).
 
-        Args:
-            run: A run of this form.
-            part: Which of its frames.
-            sequence: The number of the first of them.
-            times: Log and publish time of each, (frames, 2).
-
-        Returns:
-            The records, and by channel the log time and offset of each message, (messages, 2).
+        None where the messages of the frames have other sizes after all.
         """
-        count = len(times)
+        count = len(batch)
         data = np.empty((count, self.size), np.uint8)
         data[:] = self._template
         rows = data.view(self._dtype)[:, 0]
-        blocks = slice(run.first + part.start, run.first + part.stop)
-        for packet in run.packets:
-            if isinstance(packet, Block):
-                wire.fill(packet.type, rows[packet.type.name], packet.records[blocks])
-        rows["duration"] = run.durations[part]
+        for column in batch.columns:
+            if _is_empty(column):
+                continue
+            assert column.type is not None
+            if column.type.fixed:
+                wire.fill(column.type, rows[column.type.name], column.records)
+                continue
+            bodies = wire.encode_rows(column.type, column.payloads(count))
+            if bodies is None or bodies.shape != rows[column.type.name].shape:
+                return None
+            rows[column.type.name] = bodies
+        rows["duration"] = batch.duration
+        return data
+
+    def number(
+        self, messages: NDArray[np.uint8], batch: Batch, sequence: int, times: NDArray[np.uint64]
+    ) -> dict[int, NDArray[np.uint64]]:
+        """Number messages and give them their times.
+
+        Args:
+            messages: What `messages` returned.
+            batch: The frames of these messages.
+            sequence: The sequence number of the first of them.
+            times: Log and publish time of each frame in ns, (frames, 2).
+
+        Returns:
+            By channel, the log time and offset of each message, (messages, 2).
+        """
+        count = len(batch)
         header = np.empty(count, _HEADER)
         header["sequence"] = np.arange(sequence, sequence + count)
         header["log_time"], header["publish_time"] = times.T
-        header["frame"] = np.array(run.indices[part]) + 1
-        header["elapsed"] = run.elapsed[part]
-        index = {}
+        header["frame"] = batch.id
+        header["elapsed"] = batch.elapsed
+        rows = messages.view(self._dtype)[:, 0]
+        index: dict[int, NDArray[np.uint64]] = {}
         begins = np.arange(0, count * self.size, self.size, dtype=np.uint64)
         for channel, at in self._messages:
             headers = rows[_header_at(at)]
             for name in _OWN:
                 headers[name] = header[name]
             index[channel] = np.stack((times[:, 0], begins + np.uint64(at)), axis=1)
-        return data.tobytes(), index
+        return index
 
     def _add(self, template: bytearray, channel: int, body: bytes) -> None:
         self._messages.append((channel, len(template)))
@@ -118,25 +149,44 @@ class RowForm:
         template += MESSAGE.pack(Opcode.MESSAGE, length, channel, 0, 0, 0) + wire.head(0, 0.0) + body
 
 
-def _header_at(place: int) -> str:
-    """The name of the field of the header of the message at a place."""
-    return f"header at {place}"
+def has_form(batch: Batch) -> bool:
+    """Return whether the messages of all frames of a batch can be written at once."""
+    names = [column.id for column in batch.columns if not _is_empty(column)]
+    if batch.preamble or len(set(names)) < len(names):
+        return False
+    return all(_is_empty(column) or _is_regular(column) for column in batch.columns)
 
 
-def has_form(run: Run) -> bool:
-    """Whether the frames of a run differ in nothing but their numbers."""
-    return all(
-        packet.type.group is Group.STATE and packet.size <= OBJECTS_LIMIT and wire.fits(packet.type, packet.records)
-        if isinstance(packet, Block)
-        else (packet.type is not None and packet.payload == EMPTY_LIST) or (packet.id == FRAME_END and not packet.payload)
-        for packet in run.packets
-    )
+def key(batch: Batch) -> tuple[tuple[int, int], ...]:
+    """Return what batches of the same form have in common."""
+    return tuple((column.id, -1 if _is_empty(column) else column.size) for column in batch.columns)
 
 
-def key(run: Run) -> tuple[tuple[int, int], ...]:
-    """What runs of the same form have in common."""
-    return tuple((_id(packet), packet.size if isinstance(packet, Block) else -1) for packet in run.packets)
+def _is_empty(column: Column) -> bool:
+    """Return whether the packets hold no records."""
+    type = column.type
+    if type is None or not isinstance(column, ConstantColumn):
+        return False
+    return column.packet(0).payload == (b"" if type.framing is Framing.MARKER else EMPTY_LIST)
 
 
-def _id(packet: Packet | Block) -> int:
-    return packet.type.id if isinstance(packet, Block) else packet.id
+def _is_regular(column: Column) -> bool:
+    """Return whether packets are like those that fill a message of state, and give their bytes back."""
+    type = column.type
+    if type is None or type.group is not Group.STATE or type.opaque or not type.topic or column.size > OBJECTS_LIMIT:
+        return False
+    if isinstance(column, ConstantColumn):
+        return False
+    try:
+        if not type.fixed:
+            return wire.encode_rows(type, column.payloads(1)) is not None
+        start = 0 if type.framing is Framing.SINGLE else U16.size
+        records = column.records
+        return start + records.shape[1] * type.dtype.itemsize == column.size and wire.fits(type, records)
+    except (PayloadError, FormatError):
+        return False
+
+
+def _header_at(offset: int) -> str:
+    """Return the name of the field of the header of the message at an offset."""
+    return f"header at {offset}"

@@ -45,7 +45,19 @@ _VARINT, _FIXED64, _LEN, _FIXED32 = 0, 1, 2, 5
 _WIRE_TYPES: Final = {"u4": _FIXED32, "i4": _FIXED32, "f4": _FIXED32, "u8": _FIXED64, "f8": _FIXED64}
 _LEAF: Final = 256  # in an index: below, the byte itself; from here on, a place in the source
 _LEAST: Final = 7  # bytes of a record with nothing but an id
+_ELAPSED_AT: Final = 9  # in a message: where the tag of elapsed stands
 _POOL: Final = bytes(range(_LEAF))
+FRAME_HEAD: Final = np.dtype(
+    [
+        ("frame_tag", "u1"),
+        ("frame", "<u8"),
+        ("elapsed_tag", "u1"),
+        ("elapsed", "<f8"),
+        ("duration_tag", "u1"),
+        ("duration", "<f8"),
+    ]
+)
+"""What a `Frame` message begins with."""
 _HEAD: Final = np.dtype([("frame_tag", "u1"), ("frame", "<u8"), ("elapsed_tag", "u1"), ("elapsed", "<f8")])
 
 
@@ -188,6 +200,60 @@ def decode_many(type: RecordType, messages: Sequence[Buffer]) -> Payloads | None
     return _uniform(type).decode(messages)
 
 
+def uniform_count(type: RecordType, size: int) -> int | None:
+    """Return the number of records of one size in a body of some bytes; None where that cannot be."""
+    uniform = _uniform(type)
+    count, rest = divmod(size, uniform.stride)
+    return None if size < 0 or rest or count > MAX_COUNT or (uniform.single and count != 1) else count
+
+
+def are_frames(heads: NDArray[np.void]) -> bool:
+    """Return whether `Frame` messages begin with frame, elapsed and duration; see `FRAME_HEAD`."""
+    fields = zip(("frame_tag", "elapsed_tag", "duration_tag"), (FRAME_TAG, ELAPSED_TAG, DURATION_TAG), strict=True)
+    return all(bool((heads[name] == tag).all()) for name, tag in fields)
+
+
+def have_heads(heads: NDArray[np.uint8]) -> bool:
+    """Return whether messages begin with frame and elapsed, from their first bytes, (messages, `HEAD.size`)."""
+    return bool((heads[:, 0] == FRAME_TAG).all() and (heads[:, _ELAPSED_AT] == ELAPSED_TAG).all())
+
+
+def is_uniform(type: RecordType, bodies: NDArray[np.uint8]) -> bool:
+    """Return whether bodies of records of one size look as this module writes them, (messages, bytes)."""
+    return _uniform(type).matches(bodies)
+
+
+def uniform_record(type: RecordType) -> np.dtype[np.void]:
+    """Return where the fields of a record stand in a uniform body."""
+    return _uniform(type).wire
+
+
+def encode_rows(type: RecordType, payloads: NDArray[np.uint8]) -> NDArray[np.uint8] | None:
+    """Return the bodies of messages of varying size that have the structure of the first payload, (messages, bytes).
+
+    None where a payload has another structure, or one that its message does not give back.
+
+    Raises:
+        PayloadError: The first payload contradicts the type's layout.
+    """
+    encode(type, payloads[0].tobytes())
+    shape = _shapes.get(type)
+    return shape.encode_rows(payloads) if shape else None
+
+
+def decode_rows(type: RecordType, messages: NDArray[np.uint8]) -> NDArray[np.uint8] | None:
+    """Return the payloads of messages of varying size that have the structure of the first one, (messages, bytes).
+
+    None where one of them has another.
+
+    Raises:
+        WireError: The first message contradicts its schema.
+    """
+    decode(type, messages[0].tobytes())
+    shape = _shapes.get(type)
+    return shape.decode_rows(messages) if shape else None
+
+
 def decode_records(type: RecordType, data: Buffer) -> Records | None:
     """The records of a message of varying size, by way of protobuf; None where its payload is to be taken.
 
@@ -311,6 +377,13 @@ class _Uniform:
         for name in self.wire.names or ():
             body[name] = records[name]
 
+    def matches(self, bodies: NDArray[np.uint8]) -> bool:
+        records = bodies.reshape(len(bodies), bodies.shape[1] // self.stride, self.stride)
+        if any((records[:, :, place] != value).any() for place, value in self._setting):
+            return False
+        fields: Mapping[str, Any] = self.wire.fields or {}
+        return not any((records[:, :, fields[name][1]] & loose).any() for name, loose in self._loose.items())
+
     def decode(self, messages: Sequence[Buffer]) -> Payloads | None:
         sizes = [len(message) - HEAD.size for message in messages]
         if any(size < 0 or size % self.stride or size > MAX_COUNT * self.stride for size in sizes):
@@ -358,6 +431,15 @@ class _Shape:
             return None
         return source[self.to_wire].tobytes()
 
+    def encode_rows(self, payloads: NDArray[np.uint8]) -> NDArray[np.uint8] | None:
+        if payloads.shape[1] != len(self.payload) or ((payloads ^ self.payload) & self.payload_mask).any():
+            return None
+        bodies = np.empty((len(payloads), len(self.wire)), np.uint8)
+        bodies[:] = self.wire
+        leaves = np.flatnonzero(self.to_wire >= _LEAF)
+        bodies[:, leaves] = payloads[:, self.to_wire[leaves] - _LEAF]
+        return bodies
+
     def decode(self, data: Buffer) -> bytes | None:
         if len(data) != HEAD.size + len(self.wire) or read_head(data) is None:
             return None
@@ -365,6 +447,17 @@ class _Shape:
         if ((source[_LEAF + HEAD.size :] ^ self.wire) & self.wire_mask).any():
             return None
         return source[self.to_payload].tobytes()
+
+    def decode_rows(self, messages: NDArray[np.uint8]) -> NDArray[np.uint8] | None:
+        if messages.shape[1] != HEAD.size + len(self.wire) or not have_heads(messages[:, : HEAD.size]):
+            return None
+        if ((messages[:, HEAD.size :] ^ self.wire) & self.wire_mask).any():
+            return None
+        payloads = np.empty((len(messages), len(self.payload)), np.uint8)
+        payloads[:] = self.payload
+        leaves = np.flatnonzero(self.to_payload >= _LEAF)
+        payloads[:, leaves] = messages[:, self.to_payload[leaves] - _LEAF]
+        return payloads
 
 
 _uniforms: dict[RecordType, _Uniform] = {}

@@ -51,15 +51,18 @@ from carla_recap.formats.mcap.container import (
 )
 from carla_recap.formats.mcap.rows import RowForm, has_form
 from carla_recap.formats.mcap.rows import key as key_of
-from carla_recap.frame import Block, Extent, Frame, Header, Packet, Run
+from carla_recap.frame import Extent, Frame, Header, Packet
 from carla_recap.payload import EMPTY_LIST, OBJECTS_LIMIT, PayloadError, check
 from carla_recap.records import FRAME_END, FRAME_START, Group, RecordType
-from carla_recap.standing import MIN_DISTANCE, TRANSFORMS, TYPES, Standing
+from carla_recap.standing import MIN_DISTANCE, TYPES, Standing
 
 if TYPE_CHECKING:
     from array import array
     from pathlib import Path
 
+    from numpy.typing import NDArray
+
+    from carla_recap.batch import Batch
     from carla_recap.standing import BlockedRow
 
 CHUNK_SIZE: Final = 1 << 20
@@ -125,7 +128,6 @@ class McapWriter(AtomicFile):
         self._stretches: list[BlockedRow] = []
         self._stretch_count = 0
         self._form: RowForm | None = None
-        self._form_key: object = None
         self._pool = ThreadPoolExecutor(_WORKERS, "carla-recap-compress")
         self._sealed: deque[_Sealed] = deque()
         self._position = self._crc = 0
@@ -163,40 +165,45 @@ class McapWriter(AtomicFile):
             self._take_stretches(self._sequence, head, times)
         self._cut_large()
 
-    def write_run(self, run: Run) -> None:
-        """Add the frames of a run.
+    def write_batch(self, batch: Batch) -> None:
+        """Add the frames of a batch.
 
         Raises:
             RecapError: The disk is full, or broken.
             FormatError: A packet contradicts its layout.
         """
         self._check_open()
-        form = self._form_of(run)
-        if form is None:
-            for frame in run:
+        form = self._form_of(batch) if len(batch) > 1 else None
+        messages = form.messages(batch) if form else None
+        times = self._clock.times_of(batch.elapsed) if messages is not None else None
+        if form is None or messages is None or times is None:
+            for frame in batch:
                 self.write(frame)
             return
-        times = [self._clock.times(elapsed) for elapsed in run.elapsed]
         place = 0
-        while place < len(run):
-            place = self._write_rows(run, place, form, times)
+        while place < len(batch):
+            place = self._write_rows(batch, place, form, messages, times)
 
-    def _write_rows(self, run: Run, place: int, form: RowForm, times: list[tuple[int, int]]) -> int:
-        """Add the frames of a run from a place on, as many as go in the same chunk; returns how far that is."""
-        self._begin_frame(times[place][0])
+    def _write_rows(
+        self, batch: Batch, place: int, form: RowForm, messages: NDArray[np.uint8], times: NDArray[np.uint64]
+    ) -> int:
+        """Add the frames of a batch from a place on, as many as go in the same chunk; return how far that is."""
+        self._begin_frame(int(times[place, 0]))
         chunk = self._chunks[Group.STATE]
         room = max(1, ceil((CHUNK_SIZE - chunk.size) / form.size))
-        end = min(place + room, len(run), place + self._cut_at_frame - self._sequence)
-        end = next((later for later in range(place + 1, end) if times[later][0] >= self._cut_at), end)
-        part = slice(place, end)
-        rows = form.rows(run, part, self._sequence, np.array(times[part], np.uint64))
-        chunk.add_rows(*rows, times[place][0], times[end - 1][0])
-        first, last = self._sequence, end - 1
-        self._sequence += last - place
-        self._extent = Extent(self._extent.frames + end - place, run.indices[last] + 1, run.elapsed[last])
+        end = min(place + room, len(batch), place + self._cut_at_frame - self._sequence)
+        end = max(place + 1, place + int(np.searchsorted(times[place:end, 0], self._cut_at)))
+        part = batch[place:end]
+        index = form.number(messages[place:end], part, self._sequence, times[place:end])
+        chunk.add_rows(messages[place:end].tobytes(), index, int(times[place, 0]), int(times[end - 1, 0]))
+        self._sequence += len(part) - 1
+        last, elapsed = part.id[-1].item(), part.elapsed[-1].item()
+        self._extent = Extent(self._extent.frames + len(part), last, elapsed)
         self._additional = self._additional or form.additional
         if self._standing:
-            self._follow(run, part, first, times)
+            self._standing.batch(part)
+            time, publish_time = times[end - 1].tolist()
+            self._take_stretches(self._sequence, wire.head(last, elapsed), (time, publish_time))
         self._cut_large()
         return end
 
@@ -224,25 +231,13 @@ class McapWriter(AtomicFile):
             self._cut_at = time + CHUNK_SECONDS * SECOND
             self._cut_at_frame = self._sequence + CHUNK_FRAMES
 
-    def _form_of(self, run: Run) -> RowForm | None:
-        """The form of the frames of a run, if they have one."""
-        if not has_form(run):
+    def _form_of(self, batch: Batch) -> RowForm | None:
+        """Return the form of the frames of a batch, if they have one."""
+        if not has_form(batch):
             return None
-        key = key_of(run)
-        if key != self._form_key:
-            self._form_key = key
-            self._form = RowForm(self._channel_of, self._frame_channel, run.packets)
+        if self._form is None or self._form.key != key_of(batch):
+            self._form = RowForm(self._channel_of, self._frame_channel, batch)
         return self._form
-
-    def _follow(self, run: Run, part: slice, sequence: int, times: list[tuple[int, int]]) -> None:
-        """See who stands still in some frames of a run, of which the first has the given number in the sequence."""
-        assert self._standing is not None
-        for packet in run.packets:
-            if isinstance(packet, Block) and packet.type.name == TRANSFORMS:
-                for number, place in enumerate(range(part.start, part.stop), sequence):
-                    elapsed = run.elapsed[place]
-                    self._standing.move(elapsed, run.durations[place], packet.records[run.first + place])
-                    self._take_stretches(number, wire.head(run.indices[place] + 1, elapsed), times[place])
 
     def _add(self, packet: Packet, head: bytes, times: tuple[int, int]) -> int:
         """Add a packet's messages; returns what the frame is to say of it."""

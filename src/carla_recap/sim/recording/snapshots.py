@@ -12,7 +12,8 @@ from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
-from carla_recap.frame import LAST_FRAME_DURATION, Block, Packet, Run
+from carla_recap.batch import Batch, ConstantColumn, PackedColumn
+from carla_recap.frame import LAST_FRAME_DURATION, Packet
 from carla_recap.payload import EMPTY_LIST, pack
 from carla_recap.records import FRAME_END, ORDER, UE4, ActorKind, Framing
 from carla_recap.replay.rows import numbers
@@ -120,9 +121,9 @@ class SnapshotBatch:
                 self._columns[key][index] = column
         self.timestamps.append(timestamp)
 
-    def runs(self) -> Iterator[Run]:
+    def batches(self) -> Iterator[Batch]:
         """Yield the snapshots as frames."""
-        return self._actors.runs(self.timestamps, self._filled)
+        return self._actors.batches(self.timestamps, self._filled)
 
     @property
     def _filled(self) -> Columns:
@@ -167,8 +168,8 @@ class ActorSet:
         self.columns = [column for column, (type, _) in COLUMNS.items() if self._ids[type]]
         self._additional = additional_data
 
-    def runs(self, timestamps: list[Timestamp], columns: Columns) -> Iterator[Run]:
-        """Yield the frames of snapshots of these actors; a frame with events is a run of its own.
+    def batches(self, timestamps: list[Timestamp], columns: Columns) -> Iterator[Batch]:
+        """Yield the frames of snapshots of these actors; a frame with events is a batch of its own.
 
         Args:
             timestamps: The times of the snapshots.
@@ -178,9 +179,9 @@ class ActorSet:
         for has_events, group in groupby(range(len(timestamps)), key=lambda index: bool(timestamps[index].events)):
             indices = list(group)
             for part in [[index] for index in indices] if has_events else [indices]:
-                yield _run(timestamps, part, packets)
+                yield _batch(timestamps, part, packets)
 
-    def _packets(self, timestamps: list[Timestamp], columns: Columns) -> list[Packet | Block | None]:
+    def _packets(self, timestamps: list[Timestamp], columns: Columns) -> list[Packet | PackedColumn | None]:
         """Return the packets of all frames, in the order of `TYPES`; None for those that only events have."""
         templates = {name: template.repeat(len(timestamps)) for name, template in self._templates.items()}
         arrays = {name: template["records"] for name, template in templates.items()}
@@ -188,9 +189,10 @@ class ActorSet:
         for name in self._clocks:
             seconds = [each.elapsed if name == "platform_time" else each.time for each in timestamps]
             arrays[name]["seconds"][:, 0] = seconds
-        packets: list[Packet | Block | None] = list(self._empty_packets)
+        packets: list[Packet | PackedColumn | None] = list(self._empty_packets)
         for name, template in templates.items():
-            packets[_SLOTS[name]] = Block(TYPES[name], template.view(np.uint8).data, template.itemsize, arrays[name])
+            type, size = TYPES[name], template.itemsize
+            packets[_SLOTS[name]] = PackedColumn(type.id, type, size, template.view(np.uint8).data, 0, size, len(template))
         return packets
 
     @property
@@ -230,18 +232,23 @@ class ActorSet:
             arrays["walker_controls"]["speed"] *= CM_PER_M
 
 
-def _run(timestamps: list[Timestamp], indices: list[int], packets: list[Packet | Block | None]) -> Run:
+def _batch(timestamps: list[Timestamp], indices: list[int], packets: list[Packet | PackedColumn | None]) -> Batch:
     """Return consecutive frames: one, or several without events."""
-    packets = list(packets)
+    packets = [*packets, _END]
     for name, packet in timestamps[indices[0]].events.items():
         packets[_SLOTS[name]] = packet
-    mine = [timestamps[index] for index in indices]
-    return Run(
-        [each.index for each in mine],
-        [each.elapsed for each in mine],
-        [each.duration for each in mine],
-        [*(packet for packet in packets if packet is not None), _END],
-        indices[0],
+    start, stop = indices[0], indices[-1] + 1
+    part = timestamps[start:stop]
+    return Batch(
+        part[0].index,
+        np.array([each.index + 1 for each in part], np.uint64),
+        np.array([each.elapsed for each in part]),
+        np.array([each.duration for each in part]),
+        [
+            ConstantColumn(packet, len(part)) if isinstance(packet, Packet) else packet.sliced(start, stop)
+            for packet in packets
+            if packet is not None
+        ],
     )
 
 

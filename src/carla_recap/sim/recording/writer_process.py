@@ -216,8 +216,8 @@ class Commands:
         assert self._writer is not None
         self._is_empty = False
         try:
-            for run in batch.runs():
-                self._writer.write_run(run)
+            for frames in batch.batches():
+                self._writer.write_batch(frames)
         except Exception as error:
             raise self._rescued(error) from None
 

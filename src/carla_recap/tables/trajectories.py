@@ -1,0 +1,176 @@
+"""What actors did over time, as columns: where they went, how they were driven, what lights showed."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, fields
+from typing import TYPE_CHECKING, Any, Literal, get_args
+
+import numpy as np
+
+from carla_recap.errors import RecapError
+from carla_recap.records import CM
+from carla_recap.tables import Columns, Tabular
+from carla_recap.tables.actor_rows import ActorRows, actor_rows
+
+if TYPE_CHECKING:
+    from collections.abc import Collection
+
+    from numpy.typing import NDArray
+
+    from carla_recap.formats.base import Reader
+
+    Floats = NDArray[np.float64]
+
+Axes = Literal["right-handed", "carla"]
+"""Right-handed: x forward, y left, z up, as in ROS, Rerun and Foxglove. CARLA's own: y right, and yaw and pitch turn the
+other way."""
+
+
+@dataclass(frozen=True)
+class Trajectory(Columns):
+    """Where an actor went; arrays of one length, a value per frame in which it has a transform.
+
+    World axes are right-handed (x forward, y left, z up) unless CARLA's own (y right) were asked for.
+
+    Attributes:
+        time: Elapsed seconds.
+        x, y, z: Position in m.
+        roll, pitch, yaw: Rotation about x, y, z in degrees; right-handed, a positive yaw turns left.
+        vx, vy, vz: Velocity along the world's axes in m/s.
+        velocity_recorded: Whether the velocity was recorded; elsewhere it is the slope of the positions around.
+    """
+
+    time: NDArray[np.float64]
+    x: NDArray[np.float64]
+    y: NDArray[np.float64]
+    z: NDArray[np.float64]
+    roll: NDArray[np.float64]
+    pitch: NDArray[np.float64]
+    yaw: NDArray[np.float64]
+    vx: NDArray[np.float64]
+    vy: NDArray[np.float64]
+    vz: NDArray[np.float64]
+    velocity_recorded: NDArray[np.bool_]
+
+    def __len__(self) -> int:
+        return len(self.time)
+
+    @classmethod
+    def empty(cls) -> Trajectory:
+        """Return the trajectory of an actor without transforms."""
+        return cls(
+            **{
+                field.name: np.empty(0, np.bool_ if field.name == "velocity_recorded" else np.float64)
+                for field in fields(cls)
+            }
+        )
+
+    @property
+    def speed(self) -> NDArray[np.float64]:
+        """The speed in m/s, (n,)."""
+        return np.sqrt(self.vx**2 + self.vy**2 + self.vz**2)
+
+
+class Trajectories(dict[int, Trajectory], Tabular):
+    """Trajectories by actor; as a table, a row for each actor and frame, with the id and the speed."""
+
+    def _columns(self) -> list[tuple[str, bool, Any]]:
+        every = list(self.values()) or [Trajectory.empty()]
+        ids = np.repeat(np.array(list(self), np.int64), [len(one) for one in self.values()])
+        names = [*(field.name for field in fields(Trajectory)), "speed"]
+        return [("id", False, ids), *((name, False, np.concatenate([getattr(t, name) for t in every])) for name in names)]
+
+
+@dataclass(frozen=True)
+class Controls(Columns):
+    """What a driver did; arrays of one length.
+
+    Attributes:
+        time: Elapsed seconds.
+        steer: -1 full left to 1 full right.
+        throttle, brake: 0 to 1.
+        hand_brake: Whether it was on.
+        gear: -1 reverse, 0 neutral, 1 and up forward.
+    """
+
+    time: NDArray[np.float64]
+    steer: NDArray[np.float32]
+    throttle: NDArray[np.float32]
+    brake: NDArray[np.float32]
+    hand_brake: NDArray[np.bool_]
+    gear: NDArray[np.int32]
+
+
+@dataclass(frozen=True)
+class LightStates(Columns):
+    """What a traffic light showed; arrays of one length.
+
+    Attributes:
+        time: Elapsed seconds of the recording.
+        state: 0 red, 1 yellow, 2 green, 3 off, 4 unknown.
+        elapsed: Seconds that it has been in this state.
+        frozen: Whether its time stood still.
+    """
+
+    time: NDArray[np.float64]
+    state: NDArray[np.int8]
+    elapsed: NDArray[np.float32]
+    frozen: NDArray[np.bool_]
+
+
+def trajectories(reader: Reader, actors: Collection[int] | None = None, *, axes: Axes = "right-handed") -> Trajectories:
+    """Return where actors went, in one pass over a recording.
+
+    Args:
+        reader: The recording.
+        actors: Their ids; None for all.
+        axes: See `Recording.trajectory`.
+
+    Raises:
+        RecapError: There are no such axes.
+        FormatError: The file contradicts its format.
+    """
+    if axes not in get_args(Axes):
+        raise RecapError(f"axes must be one of {', '.join(get_args(Axes))}, not {axes!r}")
+    rows = actor_rows(reader, ("transforms", "velocities"), actors)
+    poses, velocities = rows["transforms"], rows["velocities"]
+    flip = -1.0 if axes == "right-handed" else 1.0
+    found = Trajectories()
+    for id in list(poses):
+        found[id] = _trajectory(poses.pop(id), velocities.pop(id, None), flip)
+    return found
+
+
+def _trajectory(poses: ActorRows, velocities: ActorRows | None, flip: float) -> Trajectory:
+    records, time = poses.records, poses.time
+    position = {axis: records[axis].astype(np.float64) * CM for axis in "xyz"}
+    velocity = {axis: _slope(position[axis], time) for axis in "xyz"}
+    recorded = np.zeros(len(time), np.bool_)
+    if velocities is not None:
+        where = np.minimum(np.searchsorted(velocities.frame, poses.frame), len(velocities.frame) - 1)
+        recorded = velocities.frame[where] == poses.frame
+        for axis in "xyz":
+            velocity[axis][recorded] = velocities.records[axis][where[recorded]]
+    for values in (position["y"], velocity["y"]):
+        values *= flip
+    return Trajectory(
+        time=time,
+        **position,
+        roll=records["roll"].astype(np.float64),
+        pitch=flip * records["pitch"].astype(np.float64),
+        yaw=flip * records["yaw"].astype(np.float64),
+        vx=velocity["x"],
+        vy=velocity["y"],
+        vz=velocity["z"],
+        velocity_recorded=recorded,
+    )
+
+
+def _slope(values: NDArray[np.float64], times: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Change per second, from the neighbours of each sample; 0 for a single one, and across gaps of no time."""
+    if len(values) < 2:
+        return np.zeros(len(values))
+    before = np.maximum(np.arange(len(values)) - 1, 0)
+    after = np.minimum(np.arange(len(values)) + 1, len(values) - 1)
+    span = times[after] - times[before]
+    return np.divide(values[after] - values[before], span, out=np.zeros(len(values)), where=span > 0)
