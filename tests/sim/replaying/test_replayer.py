@@ -490,6 +490,19 @@ def test_a_jump_pushes_nobody_on_its_way(tmp_path: Path) -> None:
     assert standing.transform.location.x == pytest.approx(100, abs=1e-6)
 
 
+def test_bodies_stay_with_their_actors_whatever_a_client_does_to_these(drive: Path) -> None:
+    world = new_world()
+    world.replay_file(drive, 1.0)
+    world.run(0.5)
+    hero = next(actor for actor in world.vehicles.actors if actor.is_hero)
+    body = world.vehicles.bodies[hero.row]
+    assert body.velocity.length > 1
+    hero.set_target_velocity(Vector())
+    hero.transform = at(300.0)
+    world.tick()
+    assert body.position == pytest.approx((hero.transform.location.x, hero.transform.location.y), abs=1e-6)
+
+
 def test_at_the_end_vehicles_go_on_by_autopilot_and_walkers_stop(drive: Path) -> None:
     world = new_world()
     world.replay_file(drive, duration=5.0)

@@ -65,6 +65,7 @@ class KinematicReplay:
         self._links: dict[str, _Link] = {}
         self._speeds: dict[int, list[float]] = {}
         self._set_poses: dict[int, bytes] = {}
+        self._in_motion: dict[str, NDArray[np.int64]] = {}
 
     def move(self, scene: Scene, delta: float, seconds: float) -> None:
         """Move all replayed actors to their recorded poses in the tick that begins.
@@ -78,7 +79,7 @@ class KinematicReplay:
             rows, indices = self._linked(name, scene.ids, movers.id)
             poses = scene.poses[indices]
             finite = np.isfinite(poses).all(axis=1)
-            self._move(movers, rows[finite], poses[finite], delta, seconds)
+            self._move(name, movers, rows[finite], poses[finite], delta, seconds)
         self._set_other_poses(scene)
         self._set_controls(scene)
         self._set_walks(scene)
@@ -88,7 +89,7 @@ class KinematicReplay:
         """Return the recorded velocity of an actor, in m/s along the world's axes."""
         return self._speeds.get(actor.id, [0.0, 0.0, 0.0])
 
-    def _move(self, movers: MovingBodies, rows: Rows, poses: Floats, delta: float, seconds: float) -> None:
+    def _move(self, name: str, movers: MovingBodies, rows: Rows, poses: Floats, delta: float, seconds: float) -> None:
         position, rotation = poses[:, :3] / CM_PER_M, poses[:, _PITCH_YAW_ROLL]
         path = position - movers.position[rows]
         yaw_change = wrap(rotation - movers.rotation[rows])[:, 1]
@@ -104,8 +105,10 @@ class KinematicReplay:
         motions[rows, :2] = path[:, :2] * rate * pushing[:, None]
         motions[rows, 2] = np.radians(yaw_change) * rate * pushing
         moving: NDArray[np.bool_] = (motions != 0).any(axis=1)
+        stopping = np.isin(movers.id, self._in_motion.get(name, ()))  # bodies keep the velocity of the tick before
+        self._in_motion[name] = movers.id[moving]
         moving[rows] |= movers.velocity[rows].any(axis=1)
-        movers.set_body_velocities(moving, motions)
+        movers.set_body_velocities(moving | stopping, motions)
         movers.plane.disturbed |= bool(moving.any())
         movers.position[rows] = position
         movers.rotation[rows] = rotation
