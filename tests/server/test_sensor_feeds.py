@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import struct
 from dataclasses import replace
-from math import exp, pi, radians
+from math import exp, pi, radians, sqrt
 from typing import TYPE_CHECKING, Any
 
 import carla
@@ -446,6 +446,16 @@ def test_rays_and_barriers_have_heights() -> None:
     host.tick()
     assert below.take() == []
     assert msgpack.unpackb(above.payload())[1][2][1] == "static.prop.container"
+
+
+def test_a_slanting_obstacle_detector_ignores_barriers_below_and_above_its_line() -> None:
+    walls = [np.array([(x, -10.0, z), (x, 10.0, z)]) for x, z in ((8.0, 20.0), (15.0, 0.0), (30.0, 28.0))]
+    host = Host(flat_world(barriers=walls))
+    up = Transform(Location(2.5, 0.0, 0.8), Rotation(pitch=45.0))
+    detector = sensor(host, "other.obstacle", vehicle(host), up, distance="60")
+    host.tick()
+    _, _, distance = msgpack.unpackb(detector.payload())
+    assert distance / sqrt(2) == pytest.approx(30.0 - 2.5 - 0.5 - 0.1, abs=0.05)
 
 
 def test_a_semantic_lidar_has_ids_and_tags() -> None:

@@ -92,6 +92,22 @@ def test_a_physics_control_that_cannot_be_is_refused(inside: Inside, field: int,
     car.destroy()
 
 
+def test_a_physics_control_with_fewer_wheels_changes_the_first_ones(inside: Inside) -> None:
+    truck = inside.world.place("vehicle.carlamotors.european_hgv", inside.world.town.spawn_points[0])
+    before = inside.call("get_physics_control", truck.id)
+    assert len(before[15]) == 6
+    sent = inside.call("get_physics_control", truck.id)
+    for wheel in sent[15]:
+        wheel[0] = 1.5
+    inside.call("apply_physics_control", truck.id, [*sent[:15], sent[15][:4], *sent[16:]])
+    after = inside.call("get_physics_control", truck.id)
+    assert [wheel[0] for wheel in after[15]] == [1.5] * 4 + [before[15][0][0]] * 2
+    assert [wheel[1:] for wheel in after[15]] == [wheel[1:] for wheel in before[15]]
+    with pytest.raises(RecapError, match="1 to 6 wheels were expected, found 7"):
+        inside.call("apply_physics_control", truck.id, [*sent[:15], [*sent[15], sent[15][0]], *sent[16:]])
+    truck.destroy()
+
+
 def test_tyres_without_stiffness_are_refused(inside: Inside) -> None:
     car = inside.world.place("vehicle.tesla.model3", inside.world.town.spawn_points[0])
     control = inside.call("get_physics_control", car.id)

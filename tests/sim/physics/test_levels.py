@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from itertools import combinations
 from typing import TYPE_CHECKING
 
@@ -13,7 +14,7 @@ from carla_recap.sim.actors.control import VehicleControl
 from carla_recap.sim.actors.moving import Vehicle, Walker
 from carla_recap.sim.errors import SpawnError
 from carla_recap.sim.geometry import Location, Vector
-from carla_recap.sim.town.town import Town, load_town
+from carla_recap.sim.town.town import Signal, SignalKind, Town, load_town
 from carla_recap.sim.world import World
 from tests.sim.flat import at, flat_world
 from tests.sim.two_levels import BRIDGE, two_levels
@@ -182,3 +183,15 @@ def test_a_walker_below_the_bridge_stays_below(town: Town) -> None:
     assert walker.transform.location.z == pytest.approx(0.9, abs=0.05)
     assert above.transform.location.z == pytest.approx(BRIDGE + 0.9, abs=0.05)
     assert walker.transform.location.distance(Location(0.0, 4.5, 0.9)) < 0.1
+
+
+@pytest.mark.parametrize(("z", "has_pole"), [(0.5, True), (BRIDGE + 3.0, False)])
+def test_a_sign_has_a_pole_unless_it_is_over_the_road_of_its_own_level(town: Town, z: float, has_pole: bool) -> None:
+    under_the_bridge = at(1.0, 6.0, z=z)  # beside the lower road
+    sign = Signal(0, "0", SignalKind.STOP, under_the_bridge, None, 1, "0", (), ())
+    world = World(replace(town, signals=[sign]), seed=1, date=0)
+    world.settings.collisions_of = "all"
+    hero = car(world, at(-12.0, 6.0), 10.0)
+    found = run(world, 1.5)
+    assert bool(found) is has_pole
+    assert (hero.transform.location.x > 0) is not has_pole

@@ -96,13 +96,13 @@ def get_physics_control(client: Client, id: int) -> PhysicsControl:
 
 @call
 def apply_physics_control(client: Client, id: int, control: PhysicsControl) -> None:
-    """Set the physics of a vehicle; its wheels keep their positions, as in CARLA."""
+    """Set the physics of a vehicle; its wheels keep their positions, and those beyond the given ones do not change."""
     vehicle = expect(client, id, Vehicle)
-    mine = vehicle.physics_control.wheels
-    if len(control.wheels) != len(mine):
-        raise CallError(f"a physics control of {vehicle!r}: {len(mine)} wheels were expected, found {len(control.wheels)}")
-    wheels = [replace(wheel, position=old.position) for wheel, old in zip(control.wheels, mine, strict=True)]
-    vehicle.physics_control = replace(control, wheels=wheels)
+    mine, given = vehicle.physics_control.wheels, control.wheels
+    if not 1 <= len(given) <= len(mine):
+        raise CallError(f"a physics control of {vehicle!r}: 1 to {len(mine)} wheels were expected, found {len(given)}")
+    changed = [replace(wheel, position=old.position) for wheel, old in zip(given, mine, strict=False)]
+    vehicle.physics_control = replace(control, wheels=changed + mine[len(given) :])
 
 
 @call

@@ -57,9 +57,8 @@ def _actors(sensor: Actor, reach: float, radius: float, *, only_dynamics: bool) 
 
 def _barriers(sensor: Actor, reach: float, radius: float) -> Iterator[tuple[float, int | None]]:
     start, ahead = sensor.transform.location, sensor.transform.forward()
-    end = start.x + reach * ahead.x, start.y + reach * ahead.y
-    heights = sorted((start.z, start.z + reach * ahead.z))
-    hit = sensor.context.plane.first_wall((start.x, start.y), end, radius, (heights[0] - radius, heights[1] + radius))
+    end = start.x + reach * ahead.x, start.y + reach * ahead.y, start.z + reach * ahead.z
+    hit = sensor.context.plane.first_wall((start.x, start.y, start.z), end, radius)
     if hit is not None:
         body, share = hit
         owner = sensor.context.owner(body)

@@ -301,7 +301,7 @@ class ActorRegistry:
 
     def _is_on_road(self, place: Location) -> bool:
         x, y = np.array([place.x]), np.array([place.y])
-        lane, s = self.town.nearest_lane(x, y)
+        lane, s = self.town.nearest_lane(x, y, z=self.town.height(x, y, [place.z]))
         offset = abs(self.town.project(lane, x, y, s)[1][0])
         return bool(offset < self.town.lanes[lane[0]].width / 2 + _POLE_RADIUS)
 

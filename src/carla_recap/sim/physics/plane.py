@@ -183,15 +183,16 @@ class Plane:
         )
 
     def first_wall(
-        self, start: tuple[float, float], end: tuple[float, float], radius: float, heights: Heights
+        self, start: tuple[float, float, float], end: tuple[float, float, float], radius: float
     ) -> tuple[int, float] | None:
-        """Return the body of the first barrier or pole that a thick line at some heights meets, and the share before it."""
-        heights = heights[0] - _CLEARANCE, heights[1] + _CLEARANCE
-        found = [
-            (hit.alpha, hit.shape.body.id)
-            for hit in self.space.segment_query(start, end, radius, pymunk.ShapeFilter(mask=WALL))
-            if hit.shape is not None and hit.shape.body is not None and _overlap(heights, self._heights_of(hit.shape))
-        ]
+        """Return the body of the first barrier or pole that a thick line meets, and the share of the line before it."""
+        found = []
+        for hit in self.space.segment_query(start[:2], end[:2], radius, pymunk.ShapeFilter(mask=WALL)):
+            if hit.shape is not None and hit.shape.body is not None:
+                z = start[2] + hit.alpha * (end[2] - start[2])
+                lowest, highest = self._heights_of(hit.shape)
+                if lowest - radius <= z <= highest + radius:
+                    found.append((hit.alpha, hit.shape.body.id))
         alpha, body = min(found, default=(0.0, 0))
         return (body, alpha) if found else None
 
