@@ -6,8 +6,9 @@ for little; and it must last, so that what stops at once (in a crash, by a telep
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from itertools import pairwise
-from typing import TYPE_CHECKING, Final, NamedTuple
+from typing import TYPE_CHECKING, Any, Final, NamedTuple
 
 import numpy as np
 
@@ -32,6 +33,7 @@ _JUMP: Final = 5.0  # m; whatever is shorter is no jump
 _TOP_SPEED: Final = 100.0  # m/s; what is faster is a jump, where the velocity is not recorded
 _SLACK: Final = 3.0  # a jump is longer than so many times the way that the recorded velocity explains
 _ROUNDING: Final = 1e-6  # s
+_SURE: Final = 0.999  # of a limit; what is below is below it in the precision of the file, too
 
 _BLOCK: Final = 100_000  # rows that are taken together
 _MARGIN: Final = 16  # frames that a block shares with its neighbour
@@ -125,10 +127,13 @@ class _Watch:
     def _look(self, until: int) -> None:
         """Look at the frames of the block up to some place; its last ones stay for the next block."""
         with np.errstate(all="ignore"):
-            track = _Track(*self._poses.table(), *self._velocities.table(), np.array(self._elapsed))
-            hard = track.deceleration() >= self._deceleration
-            hard &= (track.frame >= self._done - self._first) & (track.frame < until)
-            self._runs.append(track.runs(hard, self._first))
+            elapsed = np.array(self._elapsed)
+            suspects = _suspects(self._poses, self._velocities, elapsed, self._deceleration)
+            if len(suspects):
+                track = _Track(*self._poses.table(suspects), *self._velocities.table(suspects), elapsed)
+                hard = track.deceleration() >= self._deceleration
+                hard &= (track.frame >= self._done - self._first) & (track.frame < until)
+                self._runs.append(track.runs(hard, self._first))
         self._done = self._first + until
         kept = max(until - _MARGIN, 0)
         self._poses.forget(kept)
@@ -147,21 +152,44 @@ class _Rows:
     def __init__(self, vehicles: NDArray[np.uint32]) -> None:
         self.count = 0
         self._vehicles = vehicles
-        self._parts: list[NDArray[np.void]] = []  # (frames, rows of each)
+        self._parts: list[_Part] = []
 
     def add(self, records: NDArray[np.void]) -> None:
         """Take in the packets of some frames, (frames, records of each)."""
-        ids = records["id"]
+        ids = np.ascontiguousarray(records["id"])
         edges = [0, *(np.flatnonzero((ids[1:] != ids[:-1]).any(axis=1)) + 1).tolist(), len(ids)]
         for start, stop in pairwise(edges):
-            part = records[start:stop, np.isin(ids[start], self._vehicles)]
+            columns = np.flatnonzero(np.isin(ids[start], self._vehicles))
+            part = _Part(records[start:stop], columns, ids[start, columns])
             self._parts.append(part)
             self.count += part.size
 
-    def table(self) -> tuple[NDArray[np.void], NDArray[np.intp]]:
-        """Return all rows, and the number of each one's frame, by id, then frame, of which the last row counts."""
-        rows = np.concatenate([part.ravel() for part in self._parts])
-        sizes = np.concatenate([np.full(len(part), part.shape[1]) for part in self._parts])
+    def ids(self) -> NDArray[np.uint32]:
+        """Return the vehicles that have any rows, ascending."""
+        different = {part.ids.tobytes(): part.ids for part in self._parts}
+        return np.unique(np.concatenate(list(different.values()))) if different else self._vehicles[:0]
+
+    def columns(self, names: str, ids: NDArray[np.uint32]) -> NDArray[np.floating[Any]]:
+        """Return fields of all rows, (fields, frames, vehicles); not a number where a vehicle has no row.
+
+        Args:
+            names: The fields, of a letter each.
+            ids: The vehicles, ascending: all that have any rows.
+        """
+        values = np.full((len(names), sum(map(len, self._parts)), len(ids)), np.nan, self._parts[0].records.dtype[names[0]])
+        at = 0
+        for part in self._parts:
+            places = np.searchsorted(ids, part.ids)
+            for number, name in enumerate(names):
+                values[number, at : at + len(part), places] = part.records[name][:, part.columns].T
+            at += len(part)
+        return values
+
+    def table(self, ids: NDArray[np.uint32]) -> tuple[NDArray[np.void], NDArray[np.intp]]:
+        """Return the last row of each vehicle in each frame, and the number of that frame; by id, then frame."""
+        taken = [part.records[:, part.columns[np.isin(part.ids, ids)]] for part in self._parts]
+        rows = np.concatenate([records.ravel() for records in taken])
+        sizes = np.concatenate([np.full(len(records), records.shape[1]) for records in taken])
         frames = np.repeat(np.arange(len(sizes)), sizes)
         order = np.argsort(rows["id"], kind="stable")
         rows, frames = rows[order], frames[order]
@@ -175,8 +203,60 @@ class _Rows:
             count -= len(part)
             self.count -= part.size
         if count:
-            self.count -= self._parts[0][:count].size
-            self._parts[0] = self._parts[0][count:]
+            part = self._parts[0]
+            self._parts[0] = _Part(part.records[count:], part.columns, part.ids)
+            self.count -= count * len(part.columns)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Part:
+    """The packets of some frames that list the same vehicles.
+
+    Attributes:
+        records: Their records, (frames, records of each).
+        columns: Which of the records are of vehicles.
+        ids: The vehicles.
+    """
+
+    records: NDArray[np.void]
+    columns: NDArray[np.intp]
+    ids: NDArray[np.uint32]
+
+    def __len__(self) -> int:
+        return len(self.records)
+
+    @property
+    def size(self) -> int:
+        """The number of rows of vehicles."""
+        return len(self.records) * len(self.columns)
+
+
+def _suspects(poses: _Rows, velocities: _Rows, elapsed: Floats, deceleration: float) -> NDArray[np.uint32]:
+    """Return the vehicles that may brake hard in some frames: all that do, and a few others.
+
+    The slope of a line through speeds is a mean of the slopes from one to the next, so a vehicle that brakes is one whose
+    speed falls that fast from some frame to the next. What jumps, or is not in all of the frames, may brake.
+    """
+    ids = poses.ids()
+    seconds = np.diff(elapsed)[:, None]
+    if len(elapsed) <= _FEWEST or not (seconds > 0).all() or not (seconds < _GAP).all():
+        return ids
+    places = poses.columns("xyz", ids)
+    steps = places[:, 1:] - places[:, :-1]
+    jumps = ~((steps * steps).sum(axis=0) < np.square(_SURE * _TOP_SPEED / CM * seconds)).all(axis=0)
+    ways = np.concatenate((steps[:2, :1], places[:2, 2:] - places[:2, :-2], steps[:2, -1:]), axis=1)
+    around = np.concatenate((seconds[:1], seconds[1:] + seconds[:-1], seconds[-1:]))
+    speed = np.sqrt((ways * ways).sum(axis=0)) / (around / CM)
+    if velocities.count:
+        measured = velocities.ids()
+        x, y = velocities.columns("xy", measured)
+        known = np.isin(measured, ids)
+        column = np.searchsorted(ids, measured[known])
+        speed[:, column] = np.hypot(x, y)[:, known]
+        jumps[column] = False
+    slower = ~(speed[:-1] * (2 - _SURE) - speed[1:] < _SURE * deceleration * seconds)
+    found: NDArray[np.uint32] = ids[jumps | slower.any(axis=0)]
+    return found
 
 
 _RUN: Final = np.dtype(

@@ -237,7 +237,9 @@ def _frames(source: Reader, times: dict[int, float]) -> Iterator[Frame]:
             near = source.frames(("transforms",), start=time, stop=time + 2 * SAME_TIME)
             yield from (frame for frame in near if frame.index == index)
     elif times:
-        yield from (frame for frame in source.frames(("transforms",)) if frame.index in times)
+        for batch in source.batches(("transforms",)):
+            rows = (row for row in range(len(batch)) if batch.index + row in times)
+            yield from (batch.frame(row) for row in rows)
 
 
 # --- the others ----------------------------------------------------------------------------------------------------------
