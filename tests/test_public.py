@@ -46,6 +46,7 @@ NAMES = [
     "convert",
     "create_recording",
     "create_writer",
+    "export_parquet",
     "load_map",
     "open_recording",
     "recover",

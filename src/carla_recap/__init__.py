@@ -30,6 +30,7 @@ if TYPE_CHECKING:
         RecordError,
     )
     from carla_recap.export.page import write_report
+    from carla_recap.export.parquet import export_parquet
     from carla_recap.formats import create_writer
     from carla_recap.frame import Frame, Header
     from carla_recap.maps import RoadMap, load_map
@@ -81,6 +82,7 @@ __all__ = [
     "convert",
     "create_recording",
     "create_writer",
+    "export_parquet",
     "load_map",
     "open_recording",
     "recover",
@@ -97,6 +99,7 @@ _get, __dir__ = lazily(
         "conversion": ("convert",),
         "errors": ("FormatError", "MissingExtra", "NotARecording", "RecapError", "RecapWarning", "RecordError"),
         "export.page": ("write_report",),
+        "export.parquet": ("export_parquet",),
         "frame": ("Frame", "Header"),
         "maps": ("RoadMap", "load_map"),
         "queries.actors": ("Actor",),

@@ -12,7 +12,7 @@ import numpy as np
 
 from carla_recap.errors import Closed, RecapError
 from carla_recap.formats import open_reader
-from carla_recap.queries.actors import Actor, actors
+from carla_recap.queries.actors import Actor, Actors, actors
 from carla_recap.tables import Rows, Tabular
 from carla_recap.tables.actor_rows import ActorRows, actor_rows
 from carla_recap.tables.records import RecordTable, record_table
@@ -58,13 +58,22 @@ class ActorTable(Rows[Actor]):
     """Actors as rows."""
 
     row_type = Actor
+    row_units = Actors.row_units
 
 
 class ActorsById(dict[int, Actor], Tabular):
     """Actors by id; as a table, a row for each."""
 
-    def _columns(self) -> list[tuple[str, bool, Any]]:
-        return ActorTable(self.values())._columns()
+    def columns(self) -> dict[str, Any]:
+        """See `Tabular.columns`."""
+        return ActorTable(self.values()).columns()
+
+    def units(self) -> Mapping[str, str]:
+        """See `Tabular.units`."""
+        return ActorTable.row_units
+
+    def _types(self) -> Mapping[str, Any]:
+        return ActorTable(self.values())._types()
 
 
 class Recording:

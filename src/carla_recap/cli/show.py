@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import Any
 
 import click
+from click.core import ParameterSource
 
 from carla_recap.cli import options
 from carla_recap.cli.maps import road_map_of
@@ -21,16 +22,45 @@ _window = options.together(options.follow, options.start, options.duration, opti
 @options.source
 @options.destination
 @click.option(
-    "--to", type=click.Choice(["rerun", "foxglove"]), help="For which viewer; else DST's suffix says: .rrd or .mcap."
+    "--to",
+    type=click.Choice(["rerun", "foxglove", "parquet"]),
+    help="What to write; else DST's suffix says: .rrd for Rerun, .mcap for Foxglove.",
 )
 @_window
 @options.camera
 @click.option("--cameras", type=click.Path(), metavar="DIR", help="Write a small .rbl for each actor, to follow it (Rerun).")
 @options.force
-def export(
-    source: str, destination: str, to: str | None, road_map: str | None, view: str, cameras: str | None, **play: Any
+@click.pass_context
+def export(ctx: click.Context, /, source: str, destination: str, to: str | None, force: bool, **show: Any) -> None:
+    """Write a recording for Rerun (.rrd) or Foxglove (.mcap), or as Parquet files.
+
+    With --to parquet, DST is a folder: a file for each record type, and actors, collisions and incidents.
+    """
+    if to == "parquet":
+        given = [name for name in show if ctx.get_parameter_source(name) is ParameterSource.COMMANDLINE]
+        for param in ctx.command.params:
+            if param.name in given:
+                raise click.UsageError(f"{param.opts[0]} does not go with --to parquet.", ctx)
+        _export_tables(source, destination, force=force)
+    else:
+        _export_scenes(source, destination, to, force=force, **show)
+
+
+def _export_tables(source: str, folder: str, *, force: bool) -> None:
+    """Write Parquet files."""
+    from carla_recap.cli.progress import watch
+    from carla_recap.export.parquet import export_parquet
+    from carla_recap.recording import open_recording
+
+    with open_recording(source) as recording:
+        files = export_parquet(recording, folder, force=force, progress=watch("exporting"))
+        say(f"{folder}: {len(files)} files, {recording.info.frames} frames, {recording.info.duration:g} s")
+
+
+def _export_scenes(
+    source: str, destination: str, to: str | None, *, road_map: str | None, view: str, cameras: str | None, **play: Any
 ) -> None:
-    """Write a recording for Rerun (.rrd) or Foxglove (.mcap)."""
+    """Write a file for a viewer."""
     from carla_recap.cli.progress import watch_scenes
     from carla_recap.recording import open_recording
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Any, Final
+from typing import TYPE_CHECKING, Any, ClassVar, Final
 
 from carla_recap.queries.answer import Answer
 from carla_recap.records import CM, ActorKind, Spawn
@@ -67,6 +67,7 @@ class Actors(Answer[Actor]):
     """The actors of a recording, in order of appearance."""
 
     row_type = Actor
+    row_units: ClassVar = {"spawned_at": "s", "destroyed_at": "s"}
 
 
 def actors(source: Reader) -> Actors:

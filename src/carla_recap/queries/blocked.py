@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, ClassVar
 
 from carla_recap.queries.answer import Answer
 from carla_recap.standing import MIN_DISTANCE, MIN_TIME, TYPES, BlockedRow, Standing
@@ -17,6 +17,7 @@ class Blocked(Answer[BlockedRow]):
     """The stretches in which actors of a recording stood still, the longest first."""
 
     row_type = BlockedRow
+    row_units: ClassVar = {"start": "s", "duration": "s", "x": "cm", "y": "cm", "z": "cm"}
 
 
 def blocked(

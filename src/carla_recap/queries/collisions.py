@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Final
+from typing import TYPE_CHECKING, ClassVar, Final
 
 from carla_recap.errors import RecapError
 from carla_recap.queries.answer import Answer
@@ -58,6 +58,7 @@ class Collisions(Answer[CollisionRow]):
     """The collisions of a recording."""
 
     row_type = CollisionRow
+    row_units: ClassVar = {"elapsed": "s"}
 
 
 def collisions(source: Reader, type1: str = "a", type2: str = "a", *, compat: bool = False) -> Collisions:

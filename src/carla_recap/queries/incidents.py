@@ -6,7 +6,7 @@ import math
 from bisect import bisect_right
 from collections import defaultdict
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Final, Literal
+from typing import TYPE_CHECKING, ClassVar, Final, Literal
 
 import numpy as np
 
@@ -70,6 +70,7 @@ class Incidents(Answer[Incident]):
     """The incidents of a recording, in order of time."""
 
     row_type = Incident
+    row_units: ClassVar = {"start": "s", "stop": "s", "x": "m", "y": "m", "z": "m"}
 
 
 def incidents(

@@ -1,4 +1,4 @@
-"""Answers as tables: rows or columns that become a pandas DataFrame or an Arrow table."""
+"""Tables: rows or columns that become a pandas DataFrame, an Arrow table or a Parquet file."""
 
 from __future__ import annotations
 
@@ -10,6 +10,9 @@ import numpy as np
 from carla_recap.errors import MissingExtra
 
 if TYPE_CHECKING:
+    from collections.abc import Mapping
+    from pathlib import Path
+
     import pandas as pd
     import pyarrow as pa
 
@@ -19,14 +22,18 @@ _INT64_MAX = 2**63 - 1
 
 
 class Tabular:
-    """Whatever has columns."""
+    """Base of what has columns of one length."""
 
-    def _columns(self) -> list[tuple[str, bool, Any]]:
-        """Name of each column, whether it is text, and its values."""
+    def columns(self) -> dict[str, Any]:
+        """Return the columns by name: arrays; lists of what is not a number."""
         raise NotImplementedError
 
+    def units(self) -> Mapping[str, str]:
+        """Return the units of the columns that have one, by name."""
+        return {}
+
     def to_pandas(self) -> pd.DataFrame:
-        """A pandas DataFrame, one column per field.
+        """Return a pandas DataFrame.
 
         Raises:
             MissingExtra: pandas is not installed.
@@ -35,29 +42,55 @@ class Tabular:
             import pandas as pd
         except ImportError:
             raise MissingExtra("to_pandas()", "pandas") from None
+        types = self._types()
         return pd.DataFrame(
-            {name: pd.Series(values, dtype="str" if text else None, name=name) for name, text, values in self._columns()}
+            {
+                name: pd.Series(values, dtype="str" if types.get(name) is str else None, name=name)
+                for name, values in self.columns().items()
+            }
         )
 
     def to_arrow(self) -> pa.Table:
-        """An Arrow table, one column per field.
+        """Return an Arrow table, with `unit` in the metadata of the columns that have one.
 
         Raises:
             MissingExtra: pyarrow is not installed.
         """
-        try:
-            import pyarrow as pa
-        except ImportError:
-            raise MissingExtra("to_arrow()", "arrow") from None
-        return pa.table({name: pa.array(values, pa.string() if text else None) for name, text, values in self._columns()})
+        from carla_recap.tables import arrow
+
+        arrow.require("to_arrow()")
+        types = {name: arrow.type_of(kind) for name, kind in self._types().items()}
+        return arrow.table(self.columns(), types, self.units())
+
+    def to_parquet(self, path: Path | str) -> None:
+        """Write a Parquet file, with `unit` in the metadata of the columns that have one.
+
+        Raises:
+            MissingExtra: pyarrow is not installed.
+            RecapError: The file cannot be written.
+        """
+        from carla_recap.tables import arrow
+
+        arrow.require("to_parquet()")
+        arrow.write_parquet(path, self.to_arrow())
+
+    def _types(self) -> Mapping[str, Any]:
+        """Return the types of the columns that are lists, by name: type hints, or `Nested`."""
+        return {}
 
 
 class Columns(Tabular):
     """Base of a dataclass whose fields are arrays of one length."""
 
-    def _columns(self) -> list[tuple[str, bool, Any]]:
-        names = [field.name for field in fields(self)]  # type: ignore[arg-type]
-        return [(name, False, getattr(self, name)) for name in names]
+    column_units: ClassVar[Mapping[str, str]] = {}
+
+    def columns(self) -> dict[str, Any]:
+        """See `Tabular.columns`."""
+        return {field.name: getattr(self, field.name) for field in fields(self)}  # type: ignore[arg-type]
+
+    def units(self) -> Mapping[str, str]:
+        """See `Tabular.units`."""
+        return self.column_units
 
 
 class Rows(list[T], Tabular):
@@ -65,22 +98,38 @@ class Rows(list[T], Tabular):
 
     Attributes:
         row_type: The dataclass, so that an empty list has columns too; None: that of the first row.
+        row_units: The units of its fields.
     """
 
     row_type: ClassVar[type[Any] | None] = None
+    row_units: ClassVar[Mapping[str, str]] = {}
 
-    def _columns(self) -> list[tuple[str, bool, Any]]:
+    def columns(self) -> dict[str, Any]:
+        """See `Tabular.columns`."""
+        return {name: _column(kind, [getattr(row, name) for row in self]) for name, kind in self._kinds().items()}
+
+    def units(self) -> Mapping[str, str]:
+        """See `Tabular.units`."""
+        return self.row_units
+
+    def _types(self) -> Mapping[str, Any]:
+        return {name: kind for name, kind in self._kinds().items() if kind not in _NUMBERS}
+
+    def _kinds(self) -> dict[str, Any]:
+        """Return the type hints of the rows' fields."""
         row_type: Any = self.row_type or (type(self[0]) if self else None)
         if row_type is None:
-            return []
-        kinds = get_type_hints(row_type)
-        names = [field.name for field in fields(row_type)]
-        return [(name, kinds[name] is str, _column(kinds[name], [getattr(row, name) for row in self])) for name in names]
+            return {}
+        hints = get_type_hints(row_type)
+        return {field.name: hints[field.name] for field in fields(row_type)}
+
+
+_NUMBERS = (int, float, bool)
 
 
 def _column(kind: Any, values: list[Any]) -> Any:
     if kind is int:
         return np.array(values, np.uint64 if any(value > _INT64_MAX for value in values) else np.int64)
-    if kind in (float, bool):
+    if kind in _NUMBERS:
         return np.array(values, kind)
     return [asdict(value) if is_dataclass(value) and not isinstance(value, type) else value for value in values]

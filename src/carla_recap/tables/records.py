@@ -3,22 +3,22 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
-from carla_recap.errors import MissingExtra
-from carla_recap.records import FLAG, TEXT, Layout, Many
+from carla_recap.payload import EMPTY_LIST
+from carla_recap.records import FLAG, FRAME_START, REAL, TEXT, Layout, Many
 from carla_recap.tables import Tabular
+from carla_recap.tables.arrow import nested_types
 from carla_recap.texts import readable
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
-    from pathlib import Path
 
-    import pyarrow as pa
     from numpy.typing import NDArray
 
+    from carla_recap.batch import Batch
     from carla_recap.formats.base import Reader
     from carla_recap.records import RecordType
 
@@ -31,7 +31,7 @@ class RecordTable(Tabular):
         type: The record type.
         frame: The positions of the frames in the recording, from 0, (n,).
         time: Elapsed seconds, (n,).
-        fields: The fields of the records by name: arrays, (n,); lists where the size of a record varies.
+        fields: The fields of the records by name: arrays, (n,); lists of texts and of nested records.
     """
 
     type: RecordType
@@ -43,39 +43,93 @@ class RecordTable(Tabular):
         return len(self.time)
 
     def __getitem__(self, name: str) -> Any:
-        return {"frame": self.frame, "time": self.time, **self.fields}[name]
-
-    def _columns(self) -> list[tuple[str, bool, Any]]:
-        texts = {name for name, kind in self.type.layout.fields.items() if kind == TEXT}
-        columns = {"frame": self.frame, "time": self.time, **self.fields}
-        return [(name, name in texts, values) for name, values in columns.items()]
-
-    def to_arrow(self) -> pa.Table:
-        """Return an Arrow table, whose columns have their units in the metadata.
+        """Return a column.
 
         Raises:
-            MissingExtra: pyarrow is not installed.
+            KeyError: There is none of this name.
         """
-        import pyarrow as pa
+        return self.columns()[name]
 
-        table = super().to_arrow()
-        units = column_units(self.type)
-        schema = [
-            field.with_metadata({"unit": units[field.name]}) if field.name in units else field for field in table.schema
-        ]
-        return table.cast(pa.schema(schema))
+    def columns(self) -> dict[str, Any]:
+        """See `Tabular.columns`."""
+        return {"frame": self.frame, "time": self.time, **self.fields}
 
-    def to_parquet(self, path: Path | str) -> None:
-        """Write a Parquet file, whose columns have their units in the metadata.
+    def units(self) -> Mapping[str, str]:
+        """See `Tabular.units`."""
+        return {"time": "s", **self.type.units}
+
+    def _types(self) -> Mapping[str, Any]:
+        return nested_types(self.type)
+
+
+class RecordTableBuilder:
+    """The records of a type, gathered from batches.
+
+    Args:
+        type: The record type, of the table of the recording's build.
+
+    Attributes:
+        rows: The number of records gathered.
+    """
+
+    def __init__(self, type: RecordType) -> None:
+        self._type = type
+        self._clear()
+
+    def add(self, batch: Batch) -> None:
+        """Add the records of a batch.
 
         Raises:
-            MissingExtra: pyarrow is not installed.
+            FormatError: A packet contradicts its layout.
         """
-        try:
-            import pyarrow.parquet
-        except ImportError:
-            raise MissingExtra("to_parquet()", "arrow") from None
-        pyarrow.parquet.write_table(self.to_arrow(), path)
+        if self._type.id == FRAME_START:
+            records = _frame_records(batch, self._type)
+        elif self._type.fixed:
+            records = batch.records(self._type.name)
+        else:
+            self._add_objects(batch)
+            return
+        if records.size:
+            self._records.append(records.flatten())
+            self._add_frames(batch, np.full(len(batch), records.shape[1]))
+
+    def take(self) -> RecordTable:
+        """Return the table of what was gathered, and begin anew."""
+        frames, times, records, objects = self._frames, self._times, self._records, self._objects
+        self._clear()
+        fields = {
+            name: _joined(kind, [piece[name] for piece in records], self._type.dtype[name])
+            if self._type.fixed
+            else _listed(kind, [getattr(record, name) for record in objects], wide=self._type.wide)
+            for name, kind in self._type.layout.fields.items()
+        }
+        return RecordTable(self._type, np.concatenate([_NO_FRAMES, *frames]), np.concatenate([_NO_TIMES, *times]), fields)
+
+    def _clear(self) -> None:
+        self.rows = 0
+        self._frames: list[NDArray[np.int64]] = []
+        self._times: list[NDArray[np.float64]] = []
+        self._records: list[NDArray[np.void]] = []
+        self._objects: list[Any] = []
+
+    def _add_objects(self, batch: Batch) -> None:
+        columns = [column for column in batch.columns if column.type is not None and column.type.id == self._type.id]
+        columns = [column for column in columns if column.size > len(EMPTY_LIST) or len(column.packet(0).records)]
+        if not columns:
+            return
+        found = [[record for column in columns for record in column.packet(row).records] for row in range(len(batch))]
+        self._objects += [record for records in found for record in records]
+        self._add_frames(batch, np.array([len(records) for records in found]))
+
+    def _add_frames(self, batch: Batch, counts: NDArray[np.int64]) -> None:
+        """Add the position and the time of each frame as often as it has records."""
+        self._frames.append(np.repeat(np.arange(batch.index, batch.index + len(batch)), counts))
+        self._times.append(np.repeat(batch.elapsed, counts))
+        self.rows += len(self._times[-1])
+
+
+_NO_FRAMES: Final = np.empty(0, np.int64)
+_NO_TIMES: Final = np.empty(0)
 
 
 def record_table(reader: Reader, name: str) -> RecordTable:
@@ -85,39 +139,32 @@ def record_table(reader: Reader, name: str) -> RecordTable:
         RecordError: There is no such type.
         FormatError: The file contradicts its format.
     """
-    type = reader.header.table.named(name)
-    frames: list[NDArray[np.int64]] = []
-    times: list[NDArray[np.float64]] = []
-    arrays: list[NDArray[np.void]] = []
-    objects: list[Any] = []
+    builder = RecordTableBuilder(reader.header.table.named(name))
     for batch in reader.batches((name,)):
-        index = np.arange(batch.index, batch.index + len(batch))
-        if type.fixed:
-            records = batch.records(name)
-            count = np.full(len(batch), records.shape[1])
-            arrays.append(records.ravel())
-        else:
-            found = [frame[name] for frame in batch]
-            count = np.array([len(records) for records in found])
-            objects += [record for records in found for record in records]
-        frames.append(np.repeat(index, count))
-        times.append(np.repeat(batch.elapsed, count))
-    rows = np.concatenate(arrays) if arrays else np.empty(0, type.dtype)
-    fields = {
-        field: _column(kind, rows[field]) if type.fixed else [_plain(kind, getattr(record, field)) for record in objects]
-        for field, kind in type.layout.fields.items()
-    }
-    frame = np.concatenate(frames) if frames else np.empty(0, np.int64)
-    return RecordTable(type, frame, np.concatenate(times) if times else np.empty(0), fields)
+        builder.add(batch)
+    return builder.take()
 
 
-def column_units(type: RecordType) -> dict[str, str]:
-    """Return the units of the columns of a type's table, by name; columns without a unit are left out."""
-    return {"time": "s", **type.units}
+def _frame_records(batch: Batch, type: RecordType) -> NDArray[np.void]:
+    """Return what the packets that start the frames of a batch hold, (frames, 1)."""
+    records = np.empty((0 if batch.preamble else len(batch), 1), type.dtype)
+    if len(records):
+        records["id"][:, 0], records["duration"][:, 0], records["elapsed"][:, 0] = batch.id, batch.duration, batch.elapsed
+    return records
 
 
-def _column(kind: str | Many, values: Any) -> Any:
-    return values != 0 if kind == FLAG else np.ascontiguousarray(values)
+def _joined(kind: str | Many, pieces: list[Any], dtype: np.dtype[Any]) -> NDArray[Any]:
+    values = np.concatenate([np.empty(0, dtype), *pieces])
+    return values != 0 if kind == FLAG else values
+
+
+def _listed(kind: str | Many, values: list[Any], *, wide: bool) -> Any:
+    """Return the values of a field of records that vary in size: an array of numbers, or a list."""
+    if isinstance(kind, Many) or kind == TEXT:
+        return [_plain(kind, value) for value in values]
+    if kind == FLAG:
+        return np.array(values, np.uint8) != 0
+    return np.array(values, ("f8" if wide else "f4") if kind == REAL else kind)
 
 
 def plain_record(layout: Layout, record: Any) -> dict[str, Any]:

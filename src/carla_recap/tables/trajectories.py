@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, fields
-from typing import TYPE_CHECKING, Any, Literal, get_args
+from typing import TYPE_CHECKING, Any, ClassVar, Literal, get_args
 
 import numpy as np
 
@@ -13,7 +13,7 @@ from carla_recap.tables import Columns, Tabular
 from carla_recap.tables.actor_rows import ActorRows, actor_rows
 
 if TYPE_CHECKING:
-    from collections.abc import Collection
+    from collections.abc import Collection, Mapping
 
     from numpy.typing import NDArray
 
@@ -39,6 +39,13 @@ class Trajectory(Columns):
         vx, vy, vz: Velocity along the world's axes in m/s.
         velocity_recorded: Whether the velocity was recorded; elsewhere it is the slope of the positions around.
     """
+
+    column_units: ClassVar = {
+        "time": "s",
+        **dict.fromkeys("xyz", "m"),
+        **dict.fromkeys(("roll", "pitch", "yaw"), "deg"),
+        **dict.fromkeys(("vx", "vy", "vz"), "m/s"),
+    }
 
     time: NDArray[np.float64]
     x: NDArray[np.float64]
@@ -74,11 +81,16 @@ class Trajectory(Columns):
 class Trajectories(dict[int, Trajectory], Tabular):
     """Trajectories by actor; as a table, a row for each actor and frame, with the id and the speed."""
 
-    def _columns(self) -> list[tuple[str, bool, Any]]:
+    def columns(self) -> dict[str, Any]:
+        """See `Tabular.columns`."""
         every = list(self.values()) or [Trajectory.empty()]
         ids = np.repeat(np.array(list(self), np.int64), [len(one) for one in self.values()])
         names = [*(field.name for field in fields(Trajectory)), "speed"]
-        return [("id", False, ids), *((name, False, np.concatenate([getattr(t, name) for t in every])) for name in names)]
+        return {"id": ids, **{name: np.concatenate([getattr(one, name) for one in every]) for name in names}}
+
+    def units(self) -> Mapping[str, str]:
+        """See `Tabular.units`."""
+        return {**Trajectory.column_units, "speed": "m/s"}
 
 
 @dataclass(frozen=True)
@@ -92,6 +104,8 @@ class Controls(Columns):
         hand_brake: Whether it was on.
         gear: -1 reverse, 0 neutral, 1 and up forward.
     """
+
+    column_units: ClassVar = {"time": "s"}
 
     time: NDArray[np.float64]
     steer: NDArray[np.float32]
@@ -111,6 +125,8 @@ class LightStates(Columns):
         elapsed: Seconds that it has been in this state.
         frozen: Whether its time stood still.
     """
+
+    column_units: ClassVar = {"time": "s", "elapsed": "s"}
 
     time: NDArray[np.float64]
     state: NDArray[np.int8]

@@ -1,0 +1,122 @@
+"""Recordings as folders of Parquet files, for DuckDB, Polars, Spark and the like."""
+
+from __future__ import annotations
+
+from contextlib import ExitStack
+from pathlib import Path
+from typing import TYPE_CHECKING, Final
+
+from carla_recap.folders import check_folder, new_folder
+from carla_recap.records import FRAME_END
+from carla_recap.tables import arrow
+from carla_recap.tables.records import RecordTableBuilder
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable
+
+    from carla_recap.batch import Batch
+    from carla_recap.conversion import Progress
+    from carla_recap.recording import Recording
+    from carla_recap.records import RecordType
+
+ROWS: Final = 1 << 18
+"""The number of rows from which on a row group is written."""
+_PIECE: Final = 4 << 20  # bytes of records of a type that are gathered at once
+
+RENAMED: Final = {"collisions": "collision_records"}
+"""The names of the files of record types whose own name is that of a query's answer."""
+
+
+def export_parquet(
+    recording: Recording, folder: Path | str, *, force: bool = False, progress: Progress | None = None
+) -> list[Path]:
+    """Write the tables of a recording into a folder, as Parquet files.
+
+    There is a file for each record type that the recording has, such as `transforms.parquet`, with the columns of
+    `Recording.table`; and `actors.parquet`, `collisions.parquet` and `incidents.parquet` with the answers of the queries
+    (the records of collisions are in `collision_records.parquet`). Columns have their unit in the metadata.
+
+    Args:
+        recording: The recording.
+        folder: The folder; it appears when all files are complete.
+        force: Write into a folder that has files already, over those of the same names.
+        progress: Is given the stream of batches and their reader, and passes the batches on.
+
+    Returns:
+        The files.
+
+    Raises:
+        MissingExtra: pyarrow is not installed.
+        FormatError: The recording is damaged.
+        RecapError: The folder is not empty, or cannot be written.
+    """
+    arrow.require("an export to Parquet")
+    check_folder(folder, force=force)
+    answers = {"actors": recording.actors, "collisions": recording.collisions(), "incidents": recording.incidents()}
+    with new_folder(folder) as partial:
+        for name, answer in answers.items():
+            answer.to_parquet(partial / f"{name}.parquet")
+        reader = recording.reader
+        batches: Iterable[Batch] = reader.batches()
+        _write_records(progress(batches, reader) if progress else batches, reader.header.table.named("frame"), partial)
+        names = sorted(file.name for file in partial.iterdir())
+    return [Path(folder) / name for name in names]
+
+
+def _write_records(batches: Iterable[Batch], frame: RecordType, folder: Path) -> None:
+    """Write a file for each record type of a recording."""
+    with ExitStack() as stack:
+        tables: dict[str, _RecordFile] = {}
+        for batch in batches:
+            types = {frame.name: frame} | {column.type.name: column.type for column in batch.columns if column.type}
+            for part in _pieces(batch):
+                for name, type in types.items():
+                    if type.id == FRAME_END or type.opaque:
+                        continue
+                    if name not in tables:
+                        tables[name] = _RecordFile(type, folder / f"{RENAMED.get(name, name)}.parquet", stack)
+                    tables[name].add(part)
+        for table in tables.values():
+            table.flush()
+
+
+def _pieces(batch: Batch) -> Iterable[Batch]:
+    """Yield parts of a batch whose records need little memory."""
+    largest = max((column.size for column in batch.columns), default=0)
+    count = max(_PIECE // max(largest, 1), 1)
+    if count >= len(batch):
+        yield batch
+        return
+    for start in range(0, len(batch), count):
+        yield batch[start : start + count]
+
+
+class _RecordFile:
+    """The file of a record type, which is created when there are records.
+
+    Args:
+        type: The record type.
+        path: The file.
+        stack: Closes the file.
+    """
+
+    def __init__(self, type: RecordType, path: Path, stack: ExitStack) -> None:
+        self._builder = RecordTableBuilder(type)
+        self._path = path
+        self._stack = stack
+        self._file: arrow.ParquetFile | None = None
+
+    def add(self, batch: Batch) -> None:
+        """Add the records of a batch."""
+        self._builder.add(batch)
+        if self._builder.rows >= ROWS:
+            self.flush()
+
+    def flush(self) -> None:
+        """Write what was gathered as a row group."""
+        if not self._builder.rows:
+            return
+        table = self._builder.take().to_arrow()
+        if self._file is None:
+            self._file = self._stack.enter_context(arrow.ParquetFile(self._path, table.schema))
+        self._file.write(table)

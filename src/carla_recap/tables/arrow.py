@@ -1,0 +1,207 @@
+"""The bridge to pyarrow: Arrow tables with units, and Parquet files.
+
+Types are those of numpy's arrays; what is not a number has its type from a type hint or from the layout of nested records.
+"""
+
+from __future__ import annotations
+
+from dataclasses import fields, is_dataclass
+from pathlib import Path
+from types import NoneType, UnionType
+from typing import TYPE_CHECKING, Any, Final, Literal, NamedTuple, Self, Union, get_args, get_origin, get_type_hints
+
+from carla_recap.errors import MissingExtra, RecapError
+from carla_recap.records import FLAG, REAL, TEXT, Layout, Many
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping
+    from types import TracebackType
+
+    import pyarrow as pa
+
+    from carla_recap.records import RecordType
+
+_CODES: Final = {
+    "u1": "uint8",
+    "i1": "int8",
+    "u2": "uint16",
+    "u4": "uint32",
+    "i4": "int32",
+    "u8": "uint64",
+    "f4": "float32",
+    "f8": "float64",
+    FLAG: "bool_",
+    TEXT: "string",
+}
+"""The Arrow types of field kinds."""
+_HINTS: Final = {int: "int64", float: "float64", bool: "bool_", str: "string"}
+"""The Arrow types of Python's."""
+
+
+class Nested(NamedTuple):
+    """A column of lists of records.
+
+    Attributes:
+        layout: The layout of the records in a list.
+        wide: Whether lengths are in double precision.
+    """
+
+    layout: Layout
+    wide: bool
+
+
+def require(feature: str) -> None:
+    """Refuse a feature that needs pyarrow where it is not installed.
+
+    Raises:
+        MissingExtra: That is so.
+    """
+    try:
+        import pyarrow  # noqa: F401
+    except ImportError:
+        raise MissingExtra(feature, "arrow") from None
+
+
+def type_of(kind: Any) -> pa.DataType | None:
+    """Return the Arrow type of a type hint or of nested records; None where values have to tell."""
+    import pyarrow as pa
+
+    if isinstance(kind, Nested):
+        return pa.list_(
+            pa.struct([pa.field(name, _field_type(each, kind.wide)) for name, each in kind.layout.fields.items()])
+        )
+    if kind in _HINTS:
+        return getattr(pa, _HINTS[kind])()
+    origin, arguments = get_origin(kind), get_args(kind)
+    if origin in (Union, UnionType):
+        return type_of(next(each for each in arguments if each is not NoneType))
+    if origin is Literal:
+        return type_of(type(arguments[0]))
+    if origin is dict:
+        return pa.map_(*map(type_of, arguments))
+    if origin in (list, tuple):
+        return pa.list_(type_of(arguments[0]))
+    if is_dataclass(kind):
+        hints = get_type_hints(kind)
+        return pa.struct([pa.field(field.name, type_of(hints[field.name])) for field in fields(kind)])
+    return None
+
+
+def _field_type(kind: str | Many, wide: bool) -> pa.DataType:
+    import pyarrow as pa
+
+    if isinstance(kind, Many):
+        return type_of(Nested(kind.layouts[0], wide))
+    return getattr(pa, _CODES[("f8" if wide else "f4") if kind == REAL else kind])()
+
+
+def nested_types(type: RecordType) -> dict[str, Any]:
+    """Return the types of the fields of a record type that are not numbers: `str` or `Nested`."""
+    return {
+        name: Nested(kind.layouts[0], type.wide) if isinstance(kind, Many) else str
+        for name, kind in type.layout.fields.items()
+        if kind == TEXT or isinstance(kind, Many)
+    }
+
+
+def table(columns: Mapping[str, Any], types: Mapping[str, Any], units: Mapping[str, str]) -> pa.Table:
+    """Return columns as an Arrow table.
+
+    Args:
+        columns: Arrays and lists, by name.
+        types: The Arrow types of the columns that are lists.
+        units: The units of the columns that have one; they go into the metadata.
+    """
+    import pyarrow as pa
+
+    arrays = {name: _array(values, types.get(name)) for name, values in columns.items()}
+    schema = [
+        pa.field(name, array.type, metadata={"unit": units[name]} if name in units else None)
+        for name, array in arrays.items()
+    ]
+    return pa.table(list(arrays.values()), schema=pa.schema(schema))
+
+
+def _array(values: Any, type: pa.DataType | None) -> pa.Array:
+    import pyarrow as pa
+
+    if type is not None and pa.types.is_map(type):
+        values = [list(value.items()) for value in values]
+    return pa.array(values, type)
+
+
+class ParquetFile:
+    """A Parquet file that is written table by table, a row group for each; a context manager.
+
+    Numbers that repeat are written as a dictionary, measurements as they are: a dictionary of them takes thrice the time.
+
+    Args:
+        path: The file.
+        schema: The schema of the tables.
+
+    Attributes:
+        rows: The number of rows that were written.
+    """
+
+    def __init__(self, path: Path, schema: pa.Schema) -> None:
+        import pyarrow as pa
+        from pyarrow import parquet
+
+        repeating = [
+            field.name for field in schema if not pa.types.is_floating(field.type) and not pa.types.is_nested(field.type)
+        ]
+        try:
+            self._writer = parquet.ParquetWriter(
+                path,
+                schema,
+                compression="zstd",
+                compression_level=1,
+                use_dictionary=[*repeating, "time"] if "time" in schema.names else repeating,
+            )
+        except OSError as error:
+            raise _unwritable(path, error) from None
+        self._path = path
+        self.rows = 0
+
+    def write(self, table: pa.Table) -> None:
+        """Add a row group.
+
+        Raises:
+            RecapError: The file cannot be written.
+        """
+        try:
+            self._writer.write_table(table)
+        except OSError as error:
+            raise _unwritable(self._path, error) from None
+        self.rows += len(table)
+
+    def close(self) -> None:
+        """Finish the file.
+
+        Raises:
+            RecapError: The file cannot be written.
+        """
+        try:
+            self._writer.close()
+        except OSError as error:
+            raise _unwritable(self._path, error) from None
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None) -> None:
+        self.close()
+
+
+def write_parquet(path: Path | str, table: pa.Table) -> None:
+    """Write a table as a Parquet file.
+
+    Raises:
+        RecapError: The file cannot be written.
+    """
+    with ParquetFile(Path(path), table.schema) as file:
+        file.write(table)
+
+
+def _unwritable(path: Path, error: OSError) -> RecapError:
+    return RecapError(f"{path}: cannot be written: {error.strerror or error}")
