@@ -23,7 +23,7 @@ from carla_recap.export.foxglove.schemas import (
 from carla_recap.formats.mcap.container import SECOND
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable
+    from collections.abc import Iterable, Sequence
 
     from numpy.typing import NDArray
 
@@ -65,7 +65,7 @@ def color(rgb: Rgb, opacity: float = 1.0) -> Color:
 
 
 def head(entity: SceneEntity, primitive: int, size: tuple[float, float, float], shade: Color) -> bytes:
-    """An entity of a `SceneUpdate` with a primitive that moves, but for its end; see `tails`.
+    """An entity of a `SceneUpdate` with a primitive that moves, but for its end; see `Heads`.
 
     Args:
         entity: What else there is of it, without a timestamp.
@@ -79,43 +79,59 @@ def head(entity: SceneEntity, primitive: int, size: tuple[float, float, float], 
     return _prefix(SceneUpdate.ENTITIES_FIELD_NUMBER, len(start) + _TAIL.itemsize) + start
 
 
-def tails(positions: Floats, quaternions: Floats, time: int) -> bytes:
-    """The ends of entities, all of one size.
-
-    Args:
-        positions: Rows of x, y, z in m.
-        quaternions: Rows of x, y, z, w.
-        time: Nanoseconds since 1970.
-    """
-    data = bytearray((_POSE + _TIMESTAMP + _timestamp(time)) * len(positions))
-    rows = np.frombuffer(data, _TAIL)
-    # Numbers of less precision, far below what can be seen, make a smaller file.
-    with np.errstate(over="ignore"):
-        numbers = np.concatenate((positions, quaternions), axis=1).astype(np.float32)
-    for column, name in enumerate(_NUMBERS):
-        rows[name] = numbers[:, column]
-    return bytes(data)
-
-
-def update(heads: Iterable[bytes], tails: bytes, deleted: Iterable[str], time: int) -> bytes:
-    """A `SceneUpdate`.
+class Heads:
+    """The heads of the entities of a message, and where their ends go.
 
     Args:
         heads: Of each entity its `head`.
-        tails: The ends of all of them.
-        deleted: Entities that are gone.
+    """
+
+    def __init__(self, heads: Iterable[bytes]) -> None:
+        parts = [start + bytes(_TAIL.itemsize) for start in heads]
+        self._template = np.frombuffer(b"".join(parts), np.uint8)
+        self._ends = list(accumulate(map(len, parts)))
+
+    def updates(self, positions: Floats, quaternions: Floats, times: Sequence[int]) -> list[bytes]:
+        """Return a `SceneUpdate` for each of some times.
+
+        Args:
+            positions: x, y, z in m, (times, entities, 3).
+            quaternions: x, y, z, w, (times, entities, 4).
+            times: Nanoseconds since 1970.
+        """
+        tails = self._tails(positions, quaternions, times)
+        messages = np.empty((len(times), len(self._template)), np.uint8)
+        messages[:] = self._template
+        for number, end in enumerate(self._ends):
+            messages[:, end - _TAIL.itemsize : end] = tails[:, number]
+        return [message.tobytes() for message in messages]
+
+    def _tails(self, positions: Floats, quaternions: Floats, times: Sequence[int]) -> NDArray[np.uint8]:
+        """Return the ends of the entities as bytes, (times, entities, bytes)."""
+        shape = (len(times), len(self._ends))
+        tails = np.empty((*shape, _TAIL.itemsize), np.uint8)
+        stamped = [_POSE + _TIMESTAMP + _timestamp(time) for time in times]
+        tails[:] = np.frombuffer(b"".join(stamped), np.uint8).reshape(len(times), 1, _TAIL.itemsize)
+        rows = tails.view(_TAIL)[..., 0]
+        # Numbers of less precision, far below what can be seen, make a smaller file.
+        with np.errstate(over="ignore"):
+            numbers = np.concatenate((positions, quaternions), axis=2).astype(np.float32)
+        for column, name in enumerate(_NUMBERS):
+            rows[name] = numbers[..., column]
+        return tails
+
+
+def deletions(deleted: Iterable[str], time: int) -> bytes:
+    """The part of a `SceneUpdate` that says which entities are gone.
+
+    Args:
+        deleted: The entities.
         time: Nanoseconds since 1970.
     """
-    parts: list[bytes] = []
     gone = [SceneEntityDeletion(type=SceneEntityDeletion.MATCHING_ID, id=id) for id in deleted]
-    if gone:
-        for deletion in gone:
-            deletion.timestamp.FromNanoseconds(time)
-        parts.append(SceneUpdate(deletions=gone).SerializeToString())
-    size = _TAIL.itemsize
-    for place, start in enumerate(heads):
-        parts += (start, tails[place * size : (place + 1) * size])
-    return b"".join(parts)
+    for deletion in gone:
+        deletion.timestamp.FromNanoseconds(time)
+    return SceneUpdate(deletions=gone).SerializeToString() if gone else b""
 
 
 def _timestamp(time: int) -> bytes:

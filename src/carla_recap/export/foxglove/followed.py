@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from typing import TYPE_CHECKING, Final
+from typing import TYPE_CHECKING, Final, NamedTuple
 
 import numpy as np
 
@@ -18,6 +18,8 @@ from carla_recap.v1.followed_pb2 import Followed, ShownLight, ShownLights
 from carla_recap.v1.light_states_pb2 import TRAFFIC_LIGHT_COLOR_UNKNOWN, TrafficLightColor
 
 if TYPE_CHECKING:
+    from collections.abc import Iterator, Sequence
+
     from numpy.typing import NDArray
 
     from carla_recap.replay import Scene
@@ -36,6 +38,22 @@ _AHEAD: Final = 6000.0  # cm; traffic lights farther away do not count
 _ASIDE: Final = math.cos(math.radians(30))  # nor those that are farther to the side
 
 
+class View(NamedTuple):
+    """Frames at a moment, by name: poses in cm and degrees; and its time in nanoseconds since 1970."""
+
+    frames: dict[str, Floats]
+    time: int
+
+
+def serialized(views: Sequence[View]) -> Iterator[bytes]:
+    """Yield the serialized `FrameTransforms` of each view; what there is to calculate, for all together."""
+    poses = right_handed(np.array([pose for view in views for pose in view.frames.values()]).reshape(-1, 6))
+    rows = zip(poses[:, LOCATION].tolist(), quaternions(poses).tolist(), strict=True)
+    for view in views:
+        transforms = [_transform(name, *next(rows), view.time) for name in view.frames]
+        yield FrameTransforms(transforms=transforms).SerializeToString()
+
+
 class Frames:
     """Where views are fixed to, as frames in the world.
 
@@ -48,8 +66,8 @@ class Frames:
         self._view = np.zeros(6)
         self._before: tuple[float, Floats] | None = None
 
-    def message(self, scene: Scene, pose: Floats | None, time: int) -> FrameTransforms:
-        """The frames at a moment.
+    def message(self, scene: Scene, pose: Floats | None, time: int) -> View:
+        """The frames at a moment, still to be serialized.
 
         Args:
             scene: What is to be shown.
@@ -64,9 +82,7 @@ class Frames:
         hero = finite_pose(scene, self._hero)
         if hero is not None:
             frames[HERO_FRAME] = hero
-        poses = right_handed(np.array(list(frames.values())))
-        rows = zip(frames, poses[:, LOCATION].tolist(), quaternions(poses).tolist(), strict=True)
-        return FrameTransforms(transforms=[_transform(*row, time) for row in rows])
+        return View(frames, time)
 
     def _turn(self, seconds: float, pose: Floats) -> None:
         heading, delta = None, 0.0
@@ -92,9 +108,9 @@ class Hero:
             pose: Where it is.
         """
         x, y, z, roll, pitch, yaw = right_handed(pose).tolist()
-        message = Followed(elapsed=scene.time, id=id, x=x, y=y, z=z, roll=roll, pitch=pitch, yaw=yaw)
-        if id in scene.actors:
-            message.type_id = scene.actors[id].type_id
+        actor = scene.actors.get(id)
+        type_id = None if actor is None else actor.type_id
+        message = Followed(elapsed=scene.time, id=id, type_id=type_id, x=x, y=y, z=z, roll=roll, pitch=pitch, yaw=yaw)
         speed = self._speed(scene, id, pose)
         if speed is not None:
             message.speed, message.speed_kmh = speed, speed * _KMH
@@ -129,7 +145,7 @@ class Lights:
 
     def __init__(self) -> None:
         self.told = ShownLights()
-        self._states: NDArray[np.void] | None = None
+        self._shown: tuple[bytes, bytes] | None = None  # ids and states
         self._places: Floats = np.zeros((0, 2))  # cm
         self._ahead: int | None = None
 
@@ -141,13 +157,14 @@ class Lights:
             pose: That of the followed actor.
         """
         states = scene.light_states
-        before, ahead = self._states, self._ahead
-        if before is None or not np.array_equal(states["id"], before["id"]):
+        before, ahead = self._shown, self._ahead
+        ids, shown = states["id"].tobytes(), states["state"].tobytes()
+        if before is None or ids != before[0]:
             before = None
             poses = [scene.pose_of(id) for id in states["id"].tolist()]
             self._places = np.array([(np.nan, np.nan) if pose is None else pose[:2] for pose in poses]).reshape(-1, 2)
-        self._states, self._ahead = states, self._find_ahead(pose)
-        if before is not None and ahead == self._ahead and np.array_equal(states["state"], before["state"]):
+        self._shown, self._ahead = (ids, shown), self._find_ahead(pose)
+        if before is not None and ahead == self._ahead and shown == before[1]:
             return False
         lights = [
             ShownLight(id=id, state=_color(state), entity=entity(id))

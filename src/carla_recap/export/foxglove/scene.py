@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
+from itertools import groupby
 from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
 from carla_recap.export import look
-from carla_recap.export.foxglove.entities import CUBES, SPHERES, WORLD, color, head, tails, update
+from carla_recap.export.foxglove.entities import CUBES, SPHERES, WORLD, Heads, color, deletions, head
 from carla_recap.export.foxglove.schemas import CylinderPrimitive, KeyValuePair, SceneEntity
 from carla_recap.records import ActorKind, Spawn
 from carla_recap.replay import Present, quaternions, right_handed
@@ -17,7 +18,7 @@ from carla_recap.replay.rows import NO_IDS
 from carla_recap.v1.light_states_pb2 import TRAFFIC_LIGHT_COLOR_UNKNOWN
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Iterator, Mapping
+    from collections.abc import Iterable, Iterator, Mapping, Sequence
 
     from numpy.typing import NDArray
 
@@ -92,6 +93,41 @@ def _pole(actor: Present) -> CylinderPrimitive:
     return pole
 
 
+@dataclass(frozen=True, eq=False, slots=True)
+class Shapes:
+    """What of a message is the same until actors come, go or change: their heads, and the middle of each, (actors, 3, 1)."""
+
+    heads: Heads
+    centers: Floats
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class Drawing:
+    """A message that is still to be serialized.
+
+    Attributes:
+        shapes: The actors; the same object in messages that show the same.
+        poses: Where they are, (actors, 6).
+        deletions: The part of the message that says who is gone.
+        time: Nanoseconds since 1970.
+    """
+
+    shapes: Shapes
+    poses: Floats
+    deletions: bytes
+    time: int
+
+
+def serialized(drawings: Sequence[Drawing]) -> Iterator[bytes]:
+    """Yield the serialized message of each drawing; those in a row that show the same actors are made together."""
+    for shapes, alike in groupby(drawings, key=lambda drawing: drawing.shapes):
+        some = list(alike)
+        poses = right_handed(np.stack([drawing.poses for drawing in some]))
+        positions = poses[..., LOCATION] + (rotations(poses) @ shapes.centers)[..., 0]
+        updates = shapes.heads.updates(positions, quaternions(poses), [drawing.time for drawing in some])
+        yield from (drawing.deletions + update for drawing, update in zip(some, updates, strict=True))
+
+
 def entity(id: int) -> str:
     """The name of an actor's entity."""
     return f"actor {id}"
@@ -112,29 +148,32 @@ class Actors:
         self._poses: Floats = np.zeros((0, 6))
         self._firsts: Floats = np.zeros((0, 6))
         self._moved: NDArray[np.bool_] = np.zeros(0, np.bool_)
-        self._light_states: NDArray[np.void] | None = None
+        self._light_states: bytes | None = None  # the latest ids and states
         self._on_moved = _Shown()
         self._on_still = _Shown()
+        self._shapes: dict[str, tuple[bytes, Shapes]] = {}  # of the latest message of each topic, and of which rows
 
-    def messages(self, scene: Scene, time: int) -> Iterator[tuple[str, bytes]]:
-        """Topics and serialized messages.
+    def messages(self, scene: Scene, time: int) -> Iterator[tuple[str, Drawing]]:
+        """Topics and messages that are still to be serialized.
 
         Args:
             scene: What is to be shown.
             time: The same moment in nanoseconds since 1970.
         """
         changed = self._take_roster(scene) | self._take_lights(scene)
+        if changed:
+            self._shapes.clear()
         self._take_poses(scene)
         there = np.asarray((np.abs(self._poses) < _FAR).all(axis=1))  # and a number
         changed |= self._take_moves(there)
         rows = np.flatnonzero(there & self._moved)
         gone = self._on_moved.take(self._cast_ids[rows])
         if len(rows) or gone or scene.fresh:
-            yield MOVED, self._message(rows, gone or (), time)
+            yield MOVED, self._drawing(MOVED, rows, gone or (), time)
         rows = np.flatnonzero(there & ~self._moved)
         gone = self._on_still.take(self._cast_ids[rows])
         if changed or gone is not None or scene.fresh:
-            yield STILL, self._message(rows, gone or (), time)
+            yield STILL, self._drawing(STILL, rows, gone or (), time)
 
     def _take_roster(self, scene: Scene) -> bool:
         roster = list(scene.actors.values())
@@ -182,11 +221,12 @@ class Actors:
 
     def _take_lights(self, scene: Scene) -> bool:
         states = scene.light_states
-        if self._light_states is not None and np.array_equal(states[["id", "state"]], self._light_states):
+        shown = states["id"].tobytes() + states["state"].tobytes()
+        if shown == self._light_states:
             return False
-        self._light_states = states[["id", "state"]].copy()
+        self._light_states = shown
         changed = False
-        for id, state in self._light_states.tolist():
+        for id, state in zip(states["id"].tolist(), states["state"].tolist(), strict=True):
             figure = self._figures.get(id)
             if figure is not None and figure.state != state:
                 figure.state = state
@@ -198,19 +238,22 @@ class Actors:
         """Note who moves for the first time; says whether anybody does."""
         for row in np.flatnonzero(there & np.isnan(self._firsts[:, 0])).tolist():
             self._firsts[row] = self._cast[row].first = self._poses[row].copy()
+        candidates = np.flatnonzero(there & ~self._moved)
         with np.errstate(invalid="ignore", over="ignore"):
-            stirred = (np.abs(change(self._firsts, self._poses)) > _STIR).any(axis=1) & there & ~self._moved
-        for row in np.flatnonzero(stirred).tolist():
+            ways = change(self._firsts[candidates], self._poses[candidates])
+        stirred = candidates[(np.abs(ways) > _STIR).any(axis=1)].tolist()
+        for row in stirred:
             self._cast[row].moved = self._moved[row] = True
-        return bool(stirred.any())
+        return bool(stirred)
 
-    def _message(self, rows: NDArray[np.intp], gone: Iterable[str], time: int) -> bytes:
-        poses = right_handed(self._poses[rows])
-        cast = [self._cast[row] for row in rows.tolist()]
-        centers = np.array([figure.center for figure in cast]).reshape(-1, 3, 1)
-        positions = poses[:, LOCATION] + (rotations(poses) @ centers)[..., 0]
-        ends = tails(positions, quaternions(poses), time)
-        return update((figure.head for figure in cast), ends, gone, time)
+    def _drawing(self, topic: str, rows: NDArray[np.intp], gone: Iterable[str], time: int) -> Drawing:
+        key = rows.tobytes()
+        before = self._shapes.get(topic)
+        if before is None or before[0] != key:
+            cast = [self._cast[row] for row in rows.tolist()]
+            centers = np.array([figure.center for figure in cast]).reshape(-1, 3, 1)
+            before = self._shapes[topic] = (key, Shapes(Heads(figure.head for figure in cast), centers))
+        return Drawing(before[1], self._poses[rows], deletions(gone, time), time)
 
 
 class _Shown:

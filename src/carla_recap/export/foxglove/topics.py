@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import defaultdict
 from typing import TYPE_CHECKING, Final
 
 from carla_recap.export.foxglove import followed, roads, scene
@@ -41,6 +42,7 @@ TOPICS: Final[Mapping[str, type[Message]]] = {
 RATE: Final = 20.0
 """So many times a second a scene is shown at the most, but for those in which somebody comes or goes."""
 
+_TOGETHER: Final = 256  # messages that are serialized at once
 _SLACK: Final = 0.9  # frames do not come quite evenly
 _LEVELS: Final = {Level.DEBUG: Log.DEBUG, Level.INFO: Log.INFO, Level.WARNING: Log.WARNING, Level.ERROR: Log.ERROR}
 
@@ -71,6 +73,7 @@ class Topics:
         self._count = 0
         self._time = 0  # ns
         self._shown = False
+        self._waiting: list[tuple[str, int, bytes | scene.Drawing | followed.View]] = []
 
     def write(self, moment: Scene) -> None:
         """Add a scene, which comes behind those before.
@@ -83,14 +86,14 @@ class Topics:
         self._last = moment
         if self._first is None:
             self._first = moment
-            self._file.write(roads.MAP, time, roads.map_message(self._road_map, time))
+            self._put(roads.MAP, time, roads.map_message(self._road_map, time))
         for level, subject, text, _ in self._teller.tell(moment):
             line = Log(level=_LEVELS[level], name=subject, message=text)
             line.timestamp.FromNanoseconds(time)
-            self._file.write(LOG, time, line)
+            self._put(LOG, time, line)
         pose = followed.finite_pose(moment, self._follow)
         if self._follow is not None and pose is not None:
-            self._file.write(followed.HERO, time, self._hero.message(moment, self._follow, pose))
+            self._put(followed.HERO, time, self._hero.message(moment, self._follow, pose))
         self._shown = bool(moment.events) or not moment.time < self._due
         if self._shown:
             self._due = moment.time + _SLACK / RATE
@@ -108,12 +111,36 @@ class Topics:
             self._show(self._last, followed.finite_pose(self._last, self._follow))
         if self._lights.told.elapsed != self._last.time:
             self._lights.told.elapsed = self._last.time
-            self._file.write(followed.LIGHTS, self._time, self._lights.told)
+            self._put(followed.LIGHTS, self._time, self._lights.told)
+        self._flush()
         return Played(self._count, self._last.time - self._first.time)
 
+    def _put(self, topic: str, time: int, message: Message | bytes | scene.Drawing | followed.View) -> None:
+        if not isinstance(message, (bytes, scene.Drawing, followed.View)):
+            message = message.SerializeToString()
+        self._waiting.append((topic, time, message))
+        if len(self._waiting) >= _TOGETHER:
+            self._flush()
+
+    def _flush(self) -> None:
+        """Write what waits, in order; drawings of a topic are serialized together."""
+        waiting, self._waiting = self._waiting, []
+        drawings: defaultdict[str, list[scene.Drawing]] = defaultdict(list)
+        for topic, _, message in waiting:
+            if isinstance(message, scene.Drawing):
+                drawings[topic].append(message)
+        serialized = {topic: scene.serialized(some) for topic, some in drawings.items()}
+        views = followed.serialized([message for _, _, message in waiting if isinstance(message, followed.View)])
+        for topic, time, message in waiting:
+            if isinstance(message, scene.Drawing):
+                message = next(serialized[topic])
+            elif isinstance(message, followed.View):
+                message = next(views)
+            self._file.write(topic, time, message)
+
     def _show(self, moment: Scene, pose: Floats | None) -> None:
-        self._file.write(followed.TRANSFORMS, self._time, self._frames.message(moment, pose, self._time))
+        self._put(followed.TRANSFORMS, self._time, self._frames.message(moment, pose, self._time))
         for topic, message in self._actors.messages(moment, self._time):
-            self._file.write(topic, self._time, message)
+            self._put(topic, self._time, message)
         if self._lights.look(moment, pose):
-            self._file.write(followed.LIGHTS, self._time, self._lights.told)
+            self._put(followed.LIGHTS, self._time, self._lights.told)
