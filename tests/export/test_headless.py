@@ -153,7 +153,7 @@ def test_no_usage_data_and_no_settings_are_left(crossing_rrd, tmp_path, monkeypa
 
 def test_without_the_viewer_the_error_names_the_extra(monkeypatch):
     monkeypatch.setitem(sys.modules, "rerun_cli", None)
-    with pytest.raises(MissingExtra, match=r"carla-recap\[rerun\]"):
+    with pytest.raises(MissingExtra, match=r"the Rerun viewer needs .*\.\[rerun\]"):
         Photographer("any.rrd").__enter__()
 
 
