@@ -31,7 +31,7 @@ fi
 say 'Who collided with whom?'
 run carla-recap collisions "$mcap"
 
-say 'Who stood still for 30 s or more? All three who were in the crash; and the spectator, whom CARLA counts too.'
+say 'Who stood still for 30 s or more? Both cars of the crash; and the spectator, which CARLA counts, too.'
 run carla-recap blocked "$mcap"
 
 if $simulates; then

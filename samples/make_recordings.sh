@@ -1,8 +1,11 @@
 #!/usr/bin/env bash
-# Makes the recordings of simulated traffic next to this script, or in the folder that is named: the same bytes each time.
+# Makes the recordings of simulated traffic next to this script, or in the folder that is named: the same on every machine.
 set -euo pipefail
 folder=${1:-$(dirname "$0")}
 export SOURCE_DATE_EPOCH=1767261600
+# Without instructions that only some processors have: with these, numpy rounds sines differently.
+NPY_DISABLE_CPU_FEATURES=$(python -c 'from numpy._core._multiarray_umath import __cpu_dispatch__ as names; print(*names)')
+export NPY_DISABLE_CPU_FEATURES
 
 record() {
     carla-recap record "$folder/$1" --force --additional-data "${@:2}"

@@ -8,7 +8,6 @@ import subprocess
 from pathlib import Path
 
 import pytest
-from numpy._core._multiarray_umath import __cpu_features__
 
 import carla_recap
 from tests.cli.command import COMMAND, ENVIRONMENT, TIMEOUT, answer
@@ -81,19 +80,17 @@ def test_in_the_crash_the_hero_hits_the_walker_and_then_the_van():
     ]
 
 
-def test_after_the_crash_all_three_stay_where_they_are():
+def test_after_the_crash_both_cars_stay_where_they_are_and_the_walker_is_not_blocked():
     assert told("blocked", "crash") == (
         HEAD
         + BLOCKED
         + "       0      1 spectator                                   60\n"
-        + "      15     44 walker.pedestrian.0004                      45\n"
         + "      16     41 vehicle.tesla.model3                        44\n"
         + "      16     42 vehicle.mercedes.sprinter                   44\n"
         + A_MINUTE
     )
     assert rows("blocked", "crash", "id", "start", "duration") == [
         (1, 0.0, 59.95),
-        (44, 14.65, 45.3),
         (41, 15.65, 44.3),
         (42, 16.1, 43.85),
     ]
@@ -146,11 +143,12 @@ def test_who_waits_at_the_junction_waits_for_a_light(waits, light):
     assert shown == ({GREEN, YELLOW} if waits == 64 else {RED})  # the walker waits for the cars to have red
 
 
-@pytest.mark.skipif(__cpu_features__["AVX512_SKX"], reason="numpy rounds sines differently with AVX-512")
 def test_their_script_makes_the_same_frames(tmp_path):
     pytest.importorskip("pymunk", reason="the extra `sim` is not installed")
     pytest.importorskip("carla", reason="the extra `carla` is not installed")
     environment = ENVIRONMENT | {"PATH": f"{COMMAND.parent}{os.pathsep}{os.environ['PATH']}"}
+    environment["OPENBLAS_CORETYPE"] = "Prescott"  # as on a machine whose processor has fewer instructions
+    environment["GLIBC_TUNABLES"] = "glibc.cpu.hwcaps=-FMA,-AVX2"
     script = [SAMPLES / "make_recordings.sh", tmp_path]
     subprocess.run(script, env=environment, timeout=TIMEOUT, check=True, capture_output=True)
     for name in SIMULATED:
