@@ -160,7 +160,8 @@ class Soak:
 
 
 def visit(client: carla.Client, world: carla.World, seed: int) -> None:
-    """Look at the world, and leave."""
+    """Look at the world, and leave; a client that was killed may have left it in synchronous mode."""
+    world.apply_settings(settings(synchronous=False))
     world.wait_for_tick(10.0)
     world.get_map()
     client.get_available_maps()
