@@ -44,6 +44,8 @@ FIRST_WALKER: Final = HERO + VEHICLES
 LIGHTS: Final = 36
 GREEN, YELLOW, RED = 10, 3, 2  # seconds, as in CARLA's towns
 
+RESTLESS: Final = 7  # walkers, at most, that a restless recording leaves out of a frame
+
 TURNOVER: Final = 20 * RATE  # every so many frames an actor goes and another one comes
 REFIT: Final = 60 * RATE  # every so many frames the hero gets a new collision sensor
 BUMP: Final = 30 * RATE  # every so many frames something bumps into something, for up to BUMP_LENGTH frames
@@ -109,7 +111,8 @@ class Hour:
             self._state[name]["id"] = self._poses["id"][:, HERO:FIRST_WALKER]
         self._state["walker_controls"]["id"] = self._poses["id"][:, FIRST_WALKER:]
 
-    def frames(self) -> Iterator[Frame]:
+    def frames(self, *, restless: bool = False) -> Iterator[Frame]:
+        """Yield the frames; if `restless`, each with another number of walkers than the one before."""
         types = [UE4.named(name) for name in ORDER]
         empty = {type.name: Packet(type.id, type, None, type.records([])) for type in types}
         elapsed = 0.0
@@ -118,7 +121,10 @@ class Hour:
             packets = []
             for type in types:
                 if type.name in self._state:
-                    packets.append(Packet(type.id, type, None, self._state[type.name][at]))
+                    records = self._state[type.name][at]
+                    if restless and type.name in ("transforms", "walker_controls"):
+                        records = records[: len(records) - at % (RESTLESS + 1)]
+                    packets.append(Packet(type.id, type, None, records))
                 elif type.name in events:
                     packets.append(Packet(type.id, type, None, type.records(events[type.name])))
                 elif type.name not in ONLY_WITH_RECORDS:
@@ -322,21 +328,22 @@ def _loop(rng: np.random.Generator, distance: Floats, radius: float) -> tuple[Fl
     return place.real, place.imag, heading
 
 
-def make(path: Path, count: int = FRAMES, seed: int = 1) -> None:
+def make(path: Path, count: int = FRAMES, seed: int = 1, *, restless: bool = False) -> None:
     """Write the log; the same bytes for the same count and seed."""
     with LogWriter(path, Header("Town05", 1_700_000_000)) as log:
-        for frame in Hour(count, seed).frames():
+        for frame in Hour(count, seed).frames(restless=restless):
             log.write(frame)
 
 
-def cached(count: int = FRAMES) -> Path:
+def cached(count: int = FRAMES, *, restless: bool = False) -> Path:
     """The log, made anew when this module has changed."""
-    path = DIRECTORY / f"hour-{count}-{zlib.crc32(Path(__file__).read_bytes()):08x}.log"
+    name = f"{'restless' if restless else 'hour'}-{count}-"
+    path = DIRECTORY / f"{name}{zlib.crc32(Path(__file__).read_bytes()):08x}.log"
     if not path.exists():
         DIRECTORY.mkdir(parents=True, exist_ok=True)
-        for stale in DIRECTORY.glob(f"hour-{count}-*"):
+        for stale in DIRECTORY.glob(f"{name}*"):
             stale.unlink()
-        make(path, count)
+        make(path, count, restless=restless)
     return path
 
 

@@ -36,6 +36,7 @@ _LYING: Final = 60.0  # degrees of pitch or roll: a walker that is turned farthe
 _ROUNDING: Final = 1e-6  # more than sums of the lengths of frames ever differ by, as a share
 _PACKETS: Final = 64  # so many, or so many records, are taken together
 _RECORDS: Final = 1 << 17
+_FEW: Final = 4  # frames that list other actors than those before; fewer are followed one by one
 _ROUNDS: Final = 8  # a packet that lists an actor more often than that is followed record by record
 
 
@@ -102,6 +103,7 @@ class Standing:
         self._rows: list[BlockedRow] = []
         self._group: _Group | None = None
         self._rounds: tuple[bytes, list[NDArray[np.intp]]] = (b"", [])  # of the ids of the last packet
+        self._followed_alone = b""  # the ids of the last packet that was followed without a group
 
     def frame(self, frame: Frame, packets: Iterable[Packet] | None = None) -> None:
         """Take in a frame.
@@ -206,6 +208,12 @@ class Standing:
                 return
             if len(rounds[0]) < len(ids):  # the last record of each actor counts
                 records = records[:, rounds[0]]
+            if len(records) < _FEW and key != self._followed_alone:
+                self._put_back()
+                self._followed_alone = key
+                for place, (begin, length) in enumerate(zip(elapsed.tolist(), lengths.tolist(), strict=True)):
+                    self._move_alone(begin, length, records[place])
+                return
         group = self._group_of(records[0])
         step = max(1, min(_PACKETS, _RECORDS // len(ids)))
         for at in range(0, len(records), step):
@@ -254,6 +262,30 @@ class Standing:
                     self._rows.append(actor.row())
                 actor.duration = 0.0
                 actor.place = tuple(place)
+
+    @np.errstate(all="ignore")
+    def _move_alone(self, elapsed: float, length: float, records: NDArray[np.void]) -> None:
+        """Follow a packet that lists each actor once, without a group: to make one costs more than it saves for a frame."""
+        real = self._square_of_reach.dtype
+        actors = [self._actor(id) for id in records["id"].tolist()]
+        places = np.array([actor.place for actor in actors], real).reshape(-1, 3).T
+        now = np.stack([records[name] for name in "xyz"]).astype(real, copy=False)
+        steps = now - places
+        still = (_squares(steps, tuple(steps)) < self._square_of_reach).tolist()
+        if not self._compat:
+            lies = (np.abs(records["pitch"]) > _LYING) | (np.abs(records["roll"]) > _LYING)
+            for number in np.flatnonzero(lies).tolist():
+                still[number] = still[number] and not actors[number].type_id.startswith(_WALKER)
+        for actor, stands, place in zip(actors, still, zip(*now.tolist(), strict=True), strict=True):
+            if stands:
+                if actor.duration == 0.0:
+                    actor.start = elapsed
+                actor.duration += length
+            else:
+                if actor.duration >= self._min_time:
+                    self._rows.append(actor.row())
+                actor.duration = 0.0
+                actor.place = place
 
     def _group_of(self, records: NDArray[np.void]) -> _Group:
         """Return the group of the actors of some transforms; it is the one that is followed from then on."""

@@ -159,10 +159,15 @@ class _Rows:
         ids = np.ascontiguousarray(records["id"])
         edges = [0, *(np.flatnonzero((ids[1:] != ids[:-1]).any(axis=1)) + 1).tolist(), len(ids)]
         for start, stop in pairwise(edges):
-            columns = np.flatnonzero(np.isin(ids[start], self._vehicles))
+            columns = np.flatnonzero(_among(ids[start], self._vehicles))
             part = _Part(records[start:stop], columns, ids[start, columns])
             self._parts.append(part)
             self.count += part.size
+
+    @property
+    def is_restless(self) -> bool:
+        """Whether most frames list others than those around them."""
+        return 2 * len(self._parts) > sum(map(len, self._parts))
 
     def ids(self) -> NDArray[np.uint32]:
         """Return the vehicles that have any rows, ascending."""
@@ -187,7 +192,7 @@ class _Rows:
 
     def table(self, ids: NDArray[np.uint32]) -> tuple[NDArray[np.void], NDArray[np.intp]]:
         """Return the last row of each vehicle in each frame, and the number of that frame; by id, then frame."""
-        taken = [part.records[:, part.columns[np.isin(part.ids, ids)]] for part in self._parts]
+        taken = [part.records[:, part.columns[_among(part.ids, ids)]] for part in self._parts]
         rows = np.concatenate([records.ravel() for records in taken])
         sizes = np.concatenate([np.full(len(records), records.shape[1]) for records in taken])
         frames = np.repeat(np.arange(len(sizes)), sizes)
@@ -238,6 +243,8 @@ def _suspects(poses: _Rows, velocities: _Rows, elapsed: Floats, deceleration: fl
     speed falls that fast from some frame to the next. What jumps, or is not in all of the frames, may brake.
     """
     ids = poses.ids()
+    if poses.is_restless:
+        return ids
     seconds = np.diff(elapsed)[:, None]
     if len(elapsed) <= _FEWEST or not (seconds > 0).all() or not (seconds < _GAP).all():
         return ids
@@ -362,6 +369,14 @@ def _speeds(
         there = keys[found] == wanted
         speeds[there] = np.hypot(velocities["x"], velocities["y"])[found[there]]
     return speeds
+
+
+def _among(ids: NDArray[np.uint32], others: NDArray[np.uint32]) -> Booleans:
+    """Return which ids are among others, which ascend."""
+    if not len(others):
+        return np.zeros(len(ids), np.bool_)
+    found: Booleans = others[np.minimum(np.searchsorted(others, ids), len(others) - 1)] == ids
+    return found
 
 
 def _keys(ids: NDArray[np.uint32], frame: NDArray[np.intp]) -> NDArray[np.uint64]:
