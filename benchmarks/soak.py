@@ -312,7 +312,10 @@ def listening(world: carla.World, parents: list[carla.Actor], sensor: str) -> li
 
 
 def spawn(world: carla.World, count: int, role_name: str = "autopilot") -> list[carla.Actor]:
-    """Return new vehicles at spawn points that are free; the role name is that of the first one."""
+    """Return new vehicles, in place of all that killed clients have left; the role name is that of the first one."""
+    for actor in world.get_actors():
+        if not belongs_to_town(actor):
+            actor.destroy()
     blueprint = world.get_blueprint_library().find("vehicle.tesla.model3")
     points = world.get_map().get_spawn_points()[:: max(1, len(world.get_map().get_spawn_points()) // count)]
     vehicles = []
