@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from carla_recap.errors import RecordError
 from carla_recap.frame import Frame, Packet
 from carla_recap.payload import U16, Buffer
 from carla_recap.records import UE4, Framing
@@ -43,7 +44,7 @@ class Column:
 
     @property
     def records(self) -> NDArray[np.void]:
-        """The records of all frames, (frames, records of each); for types of one record size."""
+        """The records of all frames, (frames, records of each); of types whose records have one size."""
         raise NotImplementedError
 
     def packet(self, row: int) -> Packet:
@@ -102,11 +103,11 @@ class PackedColumn(Column):
         id: See `Column`.
         type: See `Column`.
         size: Bytes of each payload.
-        buffer: Where they are.
+        buffer: The bytes.
         offset: The first byte of the first payload.
         stride: Bytes from one payload to the next.
         count: The number of frames.
-        origin: The file that the buffer was read from, and the place of the buffer's first byte in it.
+        origin: The file that the buffer was read from, and the offset of the buffer's first byte in it.
     """
 
     __slots__ = ("_buffer", "_count", "_offset", "_origin", "_stride")
@@ -131,15 +132,20 @@ class PackedColumn(Column):
 
     @property
     def records(self) -> NDArray[np.void]:
-        """See `Column.records`: a strided view of the buffer; read-only if that is."""
+        """See `Column.records`: a strided view of the buffer.
+
+        Raises:
+            FormatError: The payloads contradict the type's layout.
+        """
         type = self.type
         assert type is not None
-        single = type.framing is Framing.SINGLE
-        start = 0 if single else U16.size
         itemsize = type.dtype.itemsize
-        number = 1 if single else U16.unpack_from(self._buffer, self._offset)[0] if self.size >= U16.size else 0
-        if number * itemsize + start > self.size:
-            self.packet(0).records  # noqa: B018  (raises the error that names the place)
+        start = U16.size if type.framing is Framing.LIST else 0
+        number = 1 if type.framing is Framing.SINGLE else 0
+        if type.framing is Framing.LIST and self.size >= start:
+            (number,) = U16.unpack_from(self._buffer, self._offset)
+        if start + number * itemsize != self.size:
+            self.packet(0).records  # noqa: B018  (raises the error that names the offset, or warns of surplus bytes)
         shape, strides = (self._count, number), (self._stride, itemsize)
         if not number:
             return np.empty(shape, type.dtype)
@@ -148,8 +154,8 @@ class PackedColumn(Column):
     def packet(self, row: int) -> Packet:
         """See `Column.packet`."""
         start = self._offset + row * self._stride
-        place = None if self._origin is None else (self._origin[0], self._origin[1] + start)
-        return Packet(self.id, self.type, memoryview(self._buffer)[start : start + self.size], None, place)
+        origin = None if self._origin is None else (self._origin[0], self._origin[1] + start)
+        return Packet(self.id, self.type, memoryview(self._buffer)[start : start + self.size], None, origin)
 
     def payloads(self, count: int) -> NDArray[np.uint8]:
         """See `Column.payloads`: a strided view of the buffer."""
@@ -268,30 +274,39 @@ class Batch:
         )
 
     def records(self, name: str) -> NDArray[np.void]:
-        """Return the records of a type, (frames, records of each); of several packets, one after the other.
+        """Return the records of a type, (frames, records of each); of several packets, one after the other. Read-only.
 
         Args:
             name: A record type whose records have one size.
+
+        Raises:
+            RecordError: There is no such type, or its records vary in size.
+            FormatError: A packet contradicts its layout.
         """
+        type = UE4.named(name)
+        if not type.fixed:
+            raise RecordError(f"{name}: the records vary in size; take them from the frames")
         found = [column.records for column in self.columns if column.type is not None and column.type.name == name]
-        if len(found) == 1:
-            return found[0]
-        if not found:
-            return np.empty((len(self), 0), UE4.named(name).dtype)
-        return np.concatenate(found, axis=1)
+        records = found[0] if len(found) == 1 else np.concatenate(found or [np.empty((len(self), 0), type.dtype)], axis=1)
+        return _read_only(records.view()) if records.flags.writeable else records
+
+
+def _read_only(array: NDArray[Any]) -> NDArray[Any]:
+    array.flags.writeable = False
+    return array
 
 
 class _Single(Batch):
-    """A batch of a frame that is there already."""
+    """A batch of a frame that exists as an object."""
 
     __slots__ = ("_frame",)
 
     def __init__(self, frame: Frame) -> None:
         super().__init__(
             frame.index,
-            np.array([frame.id], np.uint64),
-            np.array([frame.elapsed]),
-            np.array([frame.duration]),
+            _read_only(np.array([frame.id], np.uint64)),
+            _read_only(np.array([frame.elapsed])),
+            _read_only(np.array([frame.duration])),
             [ConstantColumn(packet) for packet in frame.packets],
             preamble=frame.preamble,
         )
