@@ -1,0 +1,369 @@
+"""Tables and trajectories of any recording hold what its frames hold, in both formats."""
+
+from __future__ import annotations
+
+import math
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from carla_recap import FormatError, RecapError, RecapWarning, RecordError, create_recording, open_recording
+from carla_recap.batch import Batch
+from carla_recap.frame import Frame, Header, Packet
+from carla_recap.records import CM, UE4, UE5, Many
+from carla_recap.texts import readable
+from tests import strategies
+from tests.samples import (
+    END,
+    carla_log,
+    image,
+    listed,
+    log_header,
+    packet,
+    plain,
+    save,
+    small_log,
+    start,
+    transform,
+    warnings_ignored,
+    write,
+)
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+
+    from carla_recap import Recording, Trajectory
+
+CROSSING = Path(__file__).parents[2] / "samples" / "crossing.log"
+every_type = pytest.mark.parametrize("name", [type.name for type in UE4 if type.id > 1])
+both_formats = pytest.mark.parametrize("suffix", [".log", ".mcap"])
+
+
+def same(found: Any, truth: Any) -> bool:
+    """Whether values are equal, NaN to itself."""
+    return bool(plain(found) == plain(truth))
+
+
+# --- tables ------------------------------------------------------------------------------------------------------
+
+
+def rows_of_frames(recording: Recording, name: str) -> list[dict[str, Any]]:
+    """The rows of a table, from the frames one by one."""
+    type = recording.header.table.named(name)
+    return [
+        {
+            "frame": frame.index,
+            "time": frame.elapsed,
+            **{field: value(kind, record, field) for field, kind in type.layout.fields.items()},
+        }
+        for frame in recording
+        for record in frame[name]
+    ]
+
+
+def value(kind: str | Many, record: Any, field: str) -> Any:
+    found = record[field].item() if isinstance(record, np.void) else getattr(record, field)
+    if isinstance(kind, Many):
+        return [items(kind, item) for item in found]
+    if kind == "text":
+        return readable(found)
+    return bool(found) if kind == "flag" else found
+
+
+def items(kind: Many, item: Any) -> dict[str, Any]:
+    names = (item.dtype.names or ()) if isinstance(item, np.void) else kind.layouts[0].fields
+    return {name: value(kind.layouts[0].fields[name], item, name) for name in names}
+
+
+def rows_of_table(recording: Recording, name: str) -> list[dict[str, Any]]:
+    table = recording.table(name)
+    columns = {field: list(values) for field, values in table.columns().items()}
+    assert {len(column) for column in columns.values()} == {len(table)}
+    rows = zip(*columns.values(), strict=True)
+    return [{n: v.item() if isinstance(v, np.generic) else v for n, v in zip(columns, row, strict=True)} for row in rows]
+
+
+def comparable(rows: list[dict[str, Any]]) -> list[Any]:
+    """Rows in which every NaN is equal."""
+
+    def of(found: Any) -> Any:
+        if isinstance(found, dict):
+            return {name: of(each) for name, each in found.items()}
+        if isinstance(found, list):
+            return [of(each) for each in found]
+        return "nan" if isinstance(found, float) and math.isnan(found) else found
+
+    return [of(row) for row in rows]
+
+
+@given(strategies.recordings(), st.sampled_from([".log", ".mcap"]))
+@settings(max_examples=25, deadline=None)
+def test_a_table_is_what_the_frames_hold(recorded: tuple[Header, list[Frame]], suffix: str) -> None:
+    with TemporaryDirectory() as folder, warnings_ignored():
+        path = write(Path(folder) / f"run{suffix}", *recorded)
+        with open_recording(path) as recording:
+            for type in recording.header.table[2:]:
+                assert comparable(rows_of_table(recording, type.name)) == comparable(rows_of_frames(recording, type.name))
+            assert [image(frame) for batch in recording.batches() for frame in batch] == [image(f) for f in recording]
+
+
+@every_type
+@both_formats
+def test_the_table_of_each_record_type(tmp_path: Path, name: str, suffix: str) -> None:
+    path = written(tmp_path, suffix)
+    with open_recording(path) as recording:
+        rows = rows_of_table(recording, name)
+        assert rows == rows_of_frames(recording, name)
+        assert rows
+        table = recording.table(name)
+        assert [table[column] is not None for column in ("frame", "time")] == [True, True]
+        assert set(table.units()) <= set(table.columns())
+
+
+def written(folder: Path, suffix: str) -> Path:
+    """A small recording, with records of each type."""
+    path = save(folder / "small.log", small_log())
+    if suffix == ".mcap":
+        with open_recording(path) as recording:
+            write(folder / "small.mcap", recording.header, recording.frames())
+    return path.with_suffix(suffix)
+
+
+@both_formats
+def test_the_table_of_frames(tmp_path: Path, suffix: str) -> None:
+    with open_recording(written(tmp_path, suffix)) as recording:
+        table = recording.table("frame")
+        assert table["id"].tolist() == [1, 2, 3, 4]
+        assert table["frame"].tolist() == [0, 1, 2, 3]
+        assert table["elapsed"].tolist() == table.time.tolist() == [0, 1, 2, 3]
+        assert table["duration"].tolist() == [1, 1, 1, -1]
+
+
+def test_packets_before_the_first_frame_are_none_in_the_table_of_frames(tmp_path: Path) -> None:
+    data = log_header() + packet(6, listed(transform(3))) + start(1, 0.0) + packet(6, listed(transform(4))) + END
+    with open_recording(save(tmp_path / "early.log", data)) as recording:
+        assert recording.table("frame")["id"].tolist() == [1]
+        assert recording.table("transforms")["id"].tolist() == [3, 4]
+        assert recording.table("transforms").frame.tolist() == [0, 1]
+
+
+@both_formats
+def test_doubles_of_ue5_stay_doubles(tmp_path: Path, suffix: str) -> None:
+    transforms = UE5.named("transforms").records({"id": [1], "x": [0.1]})
+    frames = [
+        Frame(n, n + 1, float(n), 1.0, [*strategies.signature(wide=True, shifted=False), packet_of(transforms)])
+        for n in range(3)
+    ]
+    with open_recording(write(tmp_path / f"ue5{suffix}", Header("Town10", 0, wide=True), frames)) as recording:
+        table = recording.table("transforms")
+        assert table["x"].dtype == np.float64
+        assert table["x"][table["id"] == 1].tolist() == [0.1] * 3
+        assert recording.trajectory(1, axes="carla").x.tolist() == [0.1 * CM] * 3
+        assert len(recording.table("physics")) == 0
+
+
+def packet_of(records: Any) -> Packet:
+    type = UE5.named("transforms")
+    return Packet(type.id, type, records=records)
+
+
+@both_formats
+def test_an_empty_recording_has_empty_tables(tmp_path: Path, suffix: str) -> None:
+    path = tmp_path / f"empty{suffix}"
+    with create_recording(path, map_name="T"):
+        pass
+    with open_recording(path) as recording:
+        for type in UE4:
+            table = recording.table(type.name)
+            assert len(table) == 0
+            assert list(table.columns()) == ["frame", "time", *type.layout.fields]
+        assert recording.trajectories() == {}
+        assert list(recording.trajectories().columns())[:2] == ["id", "time"]
+        assert list(recording.batches()) == []
+
+
+def test_an_unknown_record_type_is_an_error() -> None:
+    with (
+        open_recording(CROSSING) as recording,
+        pytest.raises(RecordError, match="no record type 'wings'; there are frame, "),
+    ):
+        recording.table("wings")
+
+
+@pytest.mark.parametrize("payload", [b"", b"\1", listed(transform(7))[:-1]], ids=["nothing", "half a count", "too short"])
+def test_a_packet_that_is_too_short_is_an_error_with_its_place(tmp_path: Path, payload: bytes) -> None:
+    data = log_header() + b"".join(start(n, n - 1.0) + packet(6, payload) + END for n in range(1, 6))
+    with open_recording(save(tmp_path / "short.log", data)) as recording:
+        for ask in (lambda: recording.table("transforms"), recording.trajectories):
+            with pytest.raises(FormatError, match=r"short\.log: byte \d+: transforms: .* need"):
+                ask()
+
+
+def test_surplus_bytes_are_a_warning(tmp_path: Path) -> None:
+    frames = (start(n, n - 1.0) + packet(6, listed(transform(7, 100)) + b"xx") + END for n in range(1, 6))
+    with open_recording(save(tmp_path / "surplus.log", log_header() + b"".join(frames))) as recording:
+        with pytest.warns(RecapWarning, match="transforms has 2 bytes more than its records need"):
+            table = recording.table("transforms")
+        assert table["x"].tolist() == [100.0] * 5
+
+
+# --- batches -----------------------------------------------------------------------------------------------------
+
+
+@pytest.fixture(scope="module", params=[".log", ".mcap"])
+def crossing(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> Iterator[Recording]:
+    path = CROSSING
+    if request.param == ".mcap":
+        path = tmp_path_factory.mktemp("tables") / "crossing.mcap"
+        with open_recording(CROSSING) as source:
+            write(path, source.header, source.frames())
+    with open_recording(path) as recording:
+        yield recording
+
+
+@pytest.mark.parametrize("window", [(-math.inf, math.inf), (20.0, 21.0), (52.9, 60.0), (10.0, 10.0)])
+def test_batches_are_the_frames(crossing: Recording, window: tuple[float, float]) -> None:
+    frames = [image(frame) for frame in crossing.frames(*window)]
+    batches = list(crossing.batches(None, *window))
+    assert [image(frame) for batch in batches for frame in batch] == frames
+    assert [image(batch.frame(row)) for batch in batches for row in range(len(batch))] == frames
+    assert [image(frame) for batch in batches for frame in (*batch[:1], *batch[1:])] == frames
+    assert len(batches) <= max(len(frames) // 4, 1)
+
+
+def test_batches_of_some_types(crossing: Recording) -> None:
+    whole = [frame["transforms"].tolist() for frame in crossing]
+    batches = list(crossing.batches(("transforms", "velocities")))
+    assert [row.tolist() for batch in batches for row in batch.records("transforms")] == whole
+    names = {column.type.name for batch in batches for column in batch.columns if column.type}
+    assert names == {"transforms", "velocities"}
+    assert batches[0].records("collisions").shape == (len(batches[0]), 0)
+
+
+def test_batches_are_read_only(crossing: Recording) -> None:
+    for batch in crossing.batches():
+        for array in (batch.id, batch.elapsed, batch.duration, batch.records("transforms"), batch.records("doors")):
+            assert not array.flags.writeable
+        for column in batch.columns:
+            assert column.type is None or not column.type.fixed or not column.records.flags.writeable
+
+
+def test_a_batch_of_one_is_read_only() -> None:
+    batch = Batch.of(Frame(0, 1, 0.0, 1.0, []))
+    assert not any(array.flags.writeable for array in (batch.id, batch.elapsed, batch.duration))
+
+
+@pytest.mark.parametrize("name", ["wings", "spawned"])
+def test_records_of_no_array_are_an_error(crossing: Recording, name: str) -> None:
+    with pytest.raises(RecordError, match=name):
+        next(crossing.batches()).records(name)
+
+
+def test_batches_of_a_closed_recording(tmp_path: Path) -> None:
+    with open_recording(written(tmp_path, ".log")) as recording:
+        pass
+    for ask in (recording.batches, recording.trajectories, lambda: recording.table("transforms")):
+        with pytest.raises(RecapError, match="closed"):
+            ask()
+
+
+# --- trajectories ------------------------------------------------------------------------------------------------
+
+
+def poses_of(recording: Recording, id: int) -> list[Any]:
+    """Time and pose of an actor from the frames one by one, the last of each frame, and its velocity if it is recorded."""
+    found = []
+    for frame in recording:
+        rows = [row for row in frame["transforms"].tolist() if row[0] == id]
+        speeds = [row for row in frame["velocities"].tolist() if row[0] == id]
+        if rows:
+            found.append((frame.elapsed, rows[-1][1:], speeds[-1][1:4] if speeds else None))
+    return found
+
+
+def check(recording: Recording, id: int, path: Trajectory) -> None:
+    truth = poses_of(recording, id)
+    assert same(path.time.tolist(), [time for time, _, _ in truth])
+    for number, (name, factor) in enumerate({"x": CM, "y": -CM, "z": CM, "roll": 1.0, "pitch": -1.0, "yaw": -1.0}.items()):
+        assert same(getattr(path, name).tolist(), [pose[number] * factor for _, pose, _ in truth])
+    assert path.velocity_recorded.tolist() == [speed is not None for _, _, speed in truth]
+    for number, (name, factor) in enumerate({"vx": 1.0, "vy": -1.0, "vz": 1.0}.items()):
+        recorded = [speed[number] * factor for _, _, speed in truth if speed is not None]
+        assert same(getattr(path, name)[path.velocity_recorded].tolist(), recorded)
+
+
+@given(st.data())
+@settings(max_examples=25, deadline=None)
+def test_trajectories_are_what_the_frames_hold(data: st.DataObject) -> None:
+    """Ids that repeat, in a frame and later; velocities in some frames only."""
+    ids = st.lists(st.integers(1, 4), max_size=5)
+    frames = data.draw(st.lists(st.tuples(ids, ids, st.integers(1, 3)), max_size=8))
+    suffix = data.draw(st.sampled_from([".log", ".mcap"]))
+    random = np.random.default_rng(data.draw(st.integers(0, 1 << 30)))
+    with TemporaryDirectory() as folder:
+        path = Path(folder) / f"run{suffix}"
+        with create_recording(path, map_name="T") as recorder:
+            time = 0.0
+            for moved, rated, times in frames:
+                for _ in range(times):
+                    poses = [(id, *random.normal(0, 1e3, 6)) for id in moved]
+                    speeds = [(id, *random.normal(0, 10, 6)) for id in rated]
+                    recorder.add_frame(time, transforms=poses, velocities=speeds)
+                    time += 0.25
+        with open_recording(path) as recording:
+            found = recording.trajectories()
+            assert set(found) == {id for frame in recording for id in frame["transforms"]["id"].tolist()}
+            for id, trajectory in found.items():
+                check(recording, id, trajectory)
+
+
+def test_trajectories_of_the_sample(crossing: Recording) -> None:
+    found = crossing.trajectories()
+    assert len(found) > 5
+    for id, path in found.items():
+        check(crossing, id, path)
+        alone = crossing.trajectory(id)
+        for name, values in alone.columns().items():
+            np.testing.assert_array_equal(values, getattr(path, name))
+
+
+def test_trajectories_of_a_recording_of_carla() -> None:
+    with open_recording(carla_log("carla-0.9.13-lane-center.log")) as recording:
+        found = recording.trajectories()
+        for id in list(found)[::40]:
+            check(recording, id, found[id])
+
+
+def test_trajectories_of_a_kind(crossing: Recording) -> None:
+    vehicles = crossing.trajectories("vehicle")
+    assert set(vehicles) == {id for id in crossing.trajectories() if crossing.actors[id].kind == "vehicle"}
+    with pytest.raises(RecapError, match=r"crossing\.\w+: no actors of kind 'tank'; there are .*vehicle"):
+        crossing.trajectories("tank")
+
+
+def test_trajectories_in_the_axes_of_carla(crossing: Recording) -> None:
+    ours, theirs = crossing.trajectories(), crossing.trajectories(axes="carla")
+    for id, path in ours.items():
+        for name in path.columns():
+            sign = -1 if name in ("y", "vy", "pitch", "yaw") else 1
+            np.testing.assert_array_equal(getattr(theirs[id], name), sign * getattr(path, name))
+    with pytest.raises(RecapError, match="axes must be one of"):
+        crossing.trajectories(axes="ros")  # type: ignore[arg-type]
+
+
+def test_trajectories_are_one_table(crossing: Recording) -> None:
+    found = crossing.trajectories()
+    columns = found.columns()
+    assert list(columns)[:5] == ["id", "time", "x", "y", "z"]
+    assert len(columns["id"]) == sum(map(len, found.values()))
+    for id, path in found.items():
+        rows = columns["id"] == id
+        np.testing.assert_array_equal(columns["x"][rows], path.x)
+        np.testing.assert_array_equal(columns["speed"][rows], path.speed)
+    assert found.units()["speed"] == "m/s"
+    assert set(found.units()) <= set(columns)
