@@ -1,5 +1,6 @@
 from __future__ import annotations
 
+import os
 import socket
 import subprocess
 import sys
@@ -89,3 +90,19 @@ def test_users_tests_have_a_fixture(tmp_path: Path) -> None:
     )
     assert done.returncode == 0, done.stdout
     assert "1 passed" in done.stdout
+
+
+def test_a_recording_starts_soon_where_interpreters_start_slowly(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    slowly = "import sys, time\nif any('writer_process' in word for word in sys.orig_argv): time.sleep(2.5)\n"
+    (tmp_path / "sitecustomize.py").write_text(slowly)
+    monkeypatch.setenv("PYTHONPATH", f"{tmp_path}{os.pathsep}{os.environ.get('PYTHONPATH', '')}")
+    with running(recordings=tmp_path) as port:
+        client = carla.Client("127.0.0.1", port)
+        client.set_timeout(2.0)
+        for name in ("a.mcap", "b.mcap"):
+            time.sleep(5.0)  # the process that writes is started meanwhile
+            assert client.start_recorder(name) == str(tmp_path / name)
+            client.set_timeout(10.0)
+            client.stop_recorder()
+            client.get_server_version()
+            client.set_timeout(2.0)

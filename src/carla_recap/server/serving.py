@@ -64,6 +64,7 @@ async def serve(host: Host, address: str, port: int, ready: Callable[[int], None
         port, host.streams.port = (server.sockets[0].getsockname()[1] for server in (calls, streams))
         ticker = asyncio.create_task(Ticker(host).run())
         ready(port)
+        host.world.recorder.prepare()
         try:
             stopped = asyncio.create_task(done.wait())
             await asyncio.wait((stopped, ticker), return_when=asyncio.FIRST_COMPLETED)

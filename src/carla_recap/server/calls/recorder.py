@@ -44,6 +44,7 @@ def start_recorder(client: Client, name: str, additional_data: bool = False, sto
 def stop_recorder(client: Client) -> None:
     """Complete the recording; calls that follow, of any client, are answered when it is complete."""
     client.host.world.stop_recorder()
+    client.host.world.recorder.prepare()
 
 
 @call

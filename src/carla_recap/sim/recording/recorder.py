@@ -6,6 +6,7 @@ import os
 import re
 import warnings
 import weakref
+from contextlib import suppress
 from pathlib import Path, PureWindowsPath
 from threading import RLock
 from typing import TYPE_CHECKING, Final
@@ -16,9 +17,11 @@ from carla_recap.formats import SUFFIXES
 from carla_recap.frame import Header
 from carla_recap.sim.errors import DestinationError
 from carla_recap.sim.recording.sampler import WorldSampler
-from carla_recap.sim.recording.writer_process import WriterProcess
+from carla_recap.sim.recording.writer_process import WriterProcess, discard_process, start_process
 
 if TYPE_CHECKING:
+    import subprocess
+
     from carla_recap.sim.interfaces import RecordedWorld
 
 FOLDER: Final = "CARLA_RECAP_RECORDINGS"
@@ -89,6 +92,7 @@ class Recorder:
         self._sampler: WorldSampler | None = None
         self._writer: WriterProcess | None = None
         self._finish: weakref.finalize[[], Recorder] | None = None
+        self._spare: weakref.finalize[[subprocess.Popen[bytes]], Recorder] | None = None
         self._lock = RLock()  # a recording may be stopped by several threads
 
     @property
@@ -96,6 +100,27 @@ class Recorder:
         """The destination of the running recording; None between recordings."""
         writer = self._writer
         return writer.path if writer else None
+
+    def prepare(self) -> None:
+        """Start the process that writes the next recording, so that `start` does not wait for an interpreter.
+
+        The process ends with the recorder if no recording is started; a failure is left to `start`.
+        """
+        with self._lock, suppress(RecapError):
+            if self._spare is None or not self._spare.alive:
+                self._spare = weakref.finalize(self, discard_process, start_process())
+
+    def _take_spare(self) -> subprocess.Popen[bytes] | None:
+        """Return the prepared process, which is the caller's then; None if there is none, or if it has ended."""
+        taken = self._spare.detach() if self._spare is not None else None
+        self._spare = None
+        if taken is None:
+            return None
+        process: subprocess.Popen[bytes] = taken[2][0]
+        if process.poll() is not None:
+            discard_process(process)
+            return None
+        return process
 
     def start(self, name: Path | str, additional_data: bool = False, *, force: bool = True, visible: bool = False) -> Path:
         """Begin a recording; one that is running is completed first.
@@ -125,7 +150,8 @@ class Recorder:
             header = Header(self._world.town.name, self._world.date)
             sampler = WorldSampler(self._world, additional_data=additional_data)
             format = path.suffix.lower() if path.suffix.lower() in SUFFIXES else _LOG
-            self._writer = WriterProcess(path, header, force=force, format=format, visible=visible)
+            spare = self._take_spare()
+            self._writer = WriterProcess(path, header, force=force, format=format, visible=visible, spare=spare)
             self._sampler = sampler
             # A recording that is never stopped is completed with the recorder or the interpreter.
             self._finish = weakref.finalize(self, self._writer.close)

@@ -64,6 +64,7 @@ class WriterProcess:
         force: Replace a file at the destination at the end; else that file stays, and the recording lies beside it.
         format: The suffix of the format; None for that of the destination.
         visible: Put a recording without frames at the destination at once.
+        spare: A process from `start_process` to use, which saves the start of an interpreter.
 
     Attributes:
         path: The destination.
@@ -76,14 +77,21 @@ class WriterProcess:
     """
 
     def __init__(
-        self, path: Path, header: Header, *, force: bool = True, format: str | None = None, visible: bool = False
+        self,
+        path: Path,
+        header: Header,
+        *,
+        force: bool = True,
+        format: str | None = None,
+        visible: bool = False,
+        spare: subprocess.Popen[bytes] | None = None,
     ) -> None:
         self.path = path
         self.error: RecapError | None = None
         self._batch: SnapshotBatch | None = None
         self._queue: Queue[SnapshotBatch | None] = Queue(QUEUE)
         self._thread = Thread(target=self._run, name="carla-recap-recorder", daemon=True)
-        self._process = _start()
+        self._process = spare or start_process()
         self.pid = self._process.pid
         try:
             self._wait_until_ready()
@@ -166,13 +174,24 @@ class WriterProcess:
         wait_or_kill(self._process, _PATIENCE)
 
 
-def _start() -> subprocess.Popen[bytes]:
-    """Start the process in a session of its own, where a terminal's signals, and those to this group, do not reach it."""
+def start_process() -> subprocess.Popen[bytes]:
+    """Start the process in a session of its own, where a terminal's signals, and those to this group, do not reach it.
+
+    Raises:
+        RecapError: The process cannot be started.
+    """
     command, pipe = module_command(__name__), subprocess.PIPE
     try:
         return subprocess.Popen(command, stdin=pipe, stdout=pipe, env=module_environment(), start_new_session=True)
     except OSError as error:
         raise RecapError(f"the process that writes recordings cannot be started: {error}") from None
+
+
+def discard_process(process: subprocess.Popen[bytes]) -> None:
+    """End a process that no recording uses."""
+    process.kill()
+    close_pipes(process)
+    process.wait()
 
 
 # --- in the process ----------------------------------------------------------------------------------------------------
