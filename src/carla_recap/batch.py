@@ -297,23 +297,35 @@ def _read_only(array: NDArray[Any]) -> NDArray[Any]:
 
 
 class _Single(Batch):
-    """A batch of a frame that exists as an object."""
+    """A batch of a frame that exists as an object; its columns are made when they are asked for."""
 
-    __slots__ = ("_frame",)
+    __slots__ = ("_columns", "_frame")
 
     def __init__(self, frame: Frame) -> None:
-        super().__init__(
-            frame.index,
-            _read_only(np.array([frame.id], np.uint64)),
-            _read_only(np.array([frame.elapsed])),
-            _read_only(np.array([frame.duration])),
-            [ConstantColumn(packet) for packet in frame.packets],
-            preamble=frame.preamble,
-        )
         self._frame = frame
+        self._columns: Sequence[Column] | None = None
+        self.index = frame.index
+        self.id = _read_only(np.array([frame.id], np.uint64))
+        self.elapsed = _read_only(np.array([frame.elapsed]))
+        self.duration = _read_only(np.array([frame.duration]))
+        self.preamble = frame.preamble
+
+    @property
+    def columns(self) -> Sequence[Column]:  # type: ignore[override]
+        """See `Batch`."""
+        if self._columns is None:
+            self._columns = [ConstantColumn(packet) for packet in self._frame.packets]
+        return self._columns
+
+    def __len__(self) -> int:
+        return 1
 
     def __iter__(self) -> Iterator[Frame]:
         yield self._frame
+
+    def frame(self, row: int) -> Frame:
+        """See `Batch.frame`."""
+        return self._frame
 
 
 def frames_of(batches: Iterable[Batch]) -> Iterator[Frame]:

@@ -281,6 +281,9 @@ class LogReader:
                 layout = layouts[run.places] = [slot for slot in map(self._slot, run.places) if slot.is_wanted(names)]
             if not layout and sparse:
                 continue
+            if run.count == 1 and not self._salvage:
+                yield Batch.of(self._single(run, layout))
+                continue
             start = run.offset - run.base
             origin = self.path, run.base
             columns = [slot.column(run.data, start, run.stride, run.count, origin) for slot in layout]
@@ -288,6 +291,15 @@ class LogReader:
                 columns = self._sound(columns)
             starts = run.starts
             yield Batch(run.index, starts["id"], starts["elapsed"], starts["duration"], columns, preamble=run.preamble)
+
+    def _single(self, run: Run, layout: list[_Slot]) -> Frame:
+        """Return the frame of a run of one."""
+        view, start = memoryview(run.data), run.offset - run.base
+        packets = [slot.packet(view, start, self.path, run.base) for slot in layout]
+        if run.preamble:
+            return Frame(run.index, 0, 0.0, 0.0, packets, preamble=True)
+        id, duration, elapsed = _START.unpack_from(run.data, start + PACKET.size)
+        return Frame(run.index, id, elapsed, duration, packets)
 
     def _slot(self, place: Place) -> _Slot:
         id, offset, size = place
@@ -386,6 +398,14 @@ class _Slot:
         if self._size <= len(EMPTY_LIST) and data[at : at + self._size] == self._bare:
             return ConstantColumn(self._empty, count)
         return PackedColumn(self._id, self._type, self._size, data, at, stride, count, origin)
+
+    def packet(self, view: memoryview, start: int, path: Path, base: int) -> Packet:
+        """Return the packet of the frame that begins at `start` in the data, which begin at `base` in the file."""
+        at = start + self._offset
+        payload = view[at : at + self._size]
+        if self._size <= len(EMPTY_LIST) and bytes(payload) == self._bare:
+            return self._empty
+        return Packet(self._id, self._type, payload, None, (path, base + at))
 
 
 def _read_text(data: bytes, at: int) -> tuple[bytes, int]:

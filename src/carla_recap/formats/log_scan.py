@@ -269,7 +269,7 @@ class Scanner:
             if id == FRAME_START and length == START.itemsize:
                 break
             end = here + PACKET.size + length
-            if id <= FRAME_END or end > size or salvage:
+            if (id <= FRAME_END and length) or not id or end > size or salvage:
                 step = self._next_place(here, id, length)
                 if step is None:
                     break

@@ -75,17 +75,27 @@ def _blocks(batch: Batch, name: str, wanted: NDArray[np.uint32] | None) -> Itera
         return
     ids = records["id"]
     frame = np.arange(batch.index, batch.index + len(batch))
-    edges = [0, *(np.flatnonzero((ids[1:] != ids[:-1]).any(axis=1)) + 1).tolist(), len(ids)]
+    changes = np.flatnonzero((ids[1:] != ids[:-1]).any(axis=1)) + 1 if len(ids) > 1 else ids[:0, 0]
+    edges = [0, *changes.tolist(), len(ids)]
     for start, stop in pairwise(edges):
         listed = np.ascontiguousarray(ids[start])
-        kept = np.arange(len(listed)) if wanted is None else np.flatnonzero(np.isin(listed, wanted))
+        kept = np.arange(len(listed)) if wanted is None else np.flatnonzero(_among(listed, wanted))
         if not len(kept):
             continue
-        _, behind = np.unique(listed[kept][::-1], return_index=True)
-        if len(behind) < len(kept):  # the last record of each actor counts
-            kept = kept[np.sort(len(kept) - 1 - behind)]
+        if len(kept) > 1:
+            _, behind = np.unique(listed[kept][::-1], return_index=True)
+            if len(behind) < len(kept):  # the last record of each actor counts
+                kept = kept[np.sort(len(kept) - 1 - behind)]
         part = records[start:stop] if len(kept) == len(listed) else records[start:stop, kept]
         yield _Block(listed[kept], frame[start:stop], batch.elapsed[start:stop], part.copy())
+
+
+def _among(ids: NDArray[np.uint32], wanted: NDArray[np.uint32]) -> NDArray[np.bool_]:
+    """Return which ids are among others, which ascend."""
+    if not len(wanted):
+        return np.zeros(len(ids), np.bool_)
+    found: NDArray[np.bool_] = wanted[np.minimum(np.searchsorted(wanted, ids), len(wanted) - 1)] == ids
+    return found
 
 
 def _by_actor(blocks: list[_Block]) -> dict[int, ActorRows]:
