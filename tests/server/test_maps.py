@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import time
 from contextlib import suppress
 from threading import Event
 from typing import TYPE_CHECKING, Any, Final
@@ -232,3 +233,16 @@ def test_first_calls_find_everything_computed(monkeypatch: pytest.MonkeyPatch) -
 
     actor_records.encoded_definitions.cache_clear()
     asyncio.run(while_serving(host, work))
+
+
+def test_maps_are_parsed_before_a_client_loads_them(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv(cache.FOLDER, str(tmp_path / "cache"))
+    (tmp_path / "Broken.xodr").write_text("no map")
+    (tmp_path / "Town10HD.xodr").write_text(load_town().opendrive + "<!-- of another content -->")
+    key = cache.content_key((tmp_path / "Town10HD.xodr").read_bytes())
+    assert cache.read_entry(key) is None
+    with running(maps=tmp_path):
+        end = time.monotonic() + 60
+        while cache.read_entry(key) is None and time.monotonic() < end:
+            time.sleep(0.1)
+    assert cache.read_entry(key) is not None

@@ -17,6 +17,7 @@ from carla_recap.errors import RecapError
 from carla_recap.server.client import Client
 from carla_recap.server.rpc.connection import ClientConnection
 from carla_recap.server.rpc.registry import CALLS
+from carla_recap.sim.town.ahead import parsing_ahead
 from carla_recap.util.signals import call_on_termination
 
 if TYPE_CHECKING:
@@ -66,10 +67,11 @@ async def serve(host: Host, address: str, port: int, ready: Callable[[int], None
         ready(port)
         host.world.recorder.prepare()
         try:
-            stopped = asyncio.create_task(done.wait())
-            await asyncio.wait((stopped, ticker), return_when=asyncio.FIRST_COMPLETED)
-            if ticker.done():
-                ticker.result()
+            with parsing_ahead(host.world.maps):
+                stopped = asyncio.create_task(done.wait())
+                await asyncio.wait((stopped, ticker), return_when=asyncio.FIRST_COMPLETED)
+                if ticker.done():
+                    ticker.result()
         finally:
             ticker.cancel()
             calls.close()

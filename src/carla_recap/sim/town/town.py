@@ -215,6 +215,18 @@ def load_town(name_or_path: str | Path = "", maps: Path | None = None) -> Town:
     return town
 
 
+def fill_cache(path: Path) -> None:
+    """Parse an OpenDRIVE file into the user's cache folder, unless it is there.
+
+    Raises:
+        RecapError: The file cannot be read, or is no OpenDRIVE map.
+    """
+    content = read_content(path)
+    key = cache.content_key(content)
+    if cache.read_entry(key) is None:
+        cache.write_entry(key, ask_about("carla_recap.sim.town.parsing", path, content))
+
+
 def _cached_town(key: str, content: bytes) -> Town | None:
     data = cache.read_entry(key)
     if data is None:
