@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING
 
 import pytest
 
+import carla_recap
 from carla_recap import MissingExtra
 from carla_recap.records import UE4, Framing, Group, Layout, Many
 
@@ -100,6 +101,31 @@ def test_every_sensor_has_its_row():
 
     for name, kind in SENSOR_KINDS.items():
         assert f"| `{name}` | {kind.support} | {kind.what} |" in SERVING
+
+
+def test_every_public_name_is_in_the_reference():
+    reference = (ROOT / "docs" / "reference.md").read_text("utf-8")
+    names, *classes = re.split("^## (?=`)", reference, flags=re.MULTILINE)
+    assert sorted(re.findall(r"^\| `(\w+)` \| \w.* \|$", names, re.MULTILINE)) == sorted(carla_recap.__all__)
+    listed = {re.findall(r"\w+", text)[0]: re.findall(r"^\| (`.*`) \| \w.* \|$", text, re.MULTILINE) for text in classes}
+    assert set(listed) == {"Recording", "Batch"}
+    for name, rows in listed.items():
+        members = {member for member in dir(getattr(carla_recap, name)) if not member.startswith("_")}
+        assert set(re.findall(r"\w+", " ".join(rows))) == members
+
+
+def test_a_data_frame_of_all_vehicles_takes_three_lines():
+    """What README.md shows: each vehicle in each frame, with its speed."""
+    pytest.importorskip("pandas", reason="the extra `pandas` is not installed")
+    (code,) = [block for block in blocks(PAGES[0], "python") if "to_pandas" in block]
+    assert len([line for line in code.splitlines() if line]) == 3
+    names = {}
+    exec(code.replace("samples/", f"{ROOT}/samples/"), names)
+    vehicles = names["vehicles"]
+    with carla_recap.open_recording(ROOT / "samples" / "crossing.log") as recording:
+        paths = recording.trajectories("vehicle")
+    assert vehicles["id"].unique().tolist() == list(paths)
+    assert vehicles["speed"].tolist() == [speed for path in paths.values() for speed in path.speed.tolist()]
 
 
 # --- what works ------------------------------------------------------------------------------------------
