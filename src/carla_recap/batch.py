@@ -44,7 +44,7 @@ class Column:
 
     @property
     def records(self) -> NDArray[np.void]:
-        """The records of all frames, (frames, records of each); of types whose records have one size."""
+        """The records of all frames, (frames, records of each); for types whose records have one size."""
         raise NotImplementedError
 
     def packet(self, row: int) -> Packet:
@@ -210,7 +210,7 @@ class Batch:
 
     Attributes:
         index: The position of the first frame in the recording, from 0.
-        columns: The packets behind those that start the frames, in file order.
+        columns: The packets after those that start the frames, in file order.
         id: CARLA's frame numbers, (n,).
         elapsed: Seconds since the recording began, (n,).
         duration: Seconds until the next frame, (n,); -1 for the last one of a recording.

@@ -11,7 +11,7 @@ import pytest
 
 from carla_recap import MissingExtra, RecapError, create_recording, export_parquet, open_recording
 from carla_recap.export import parquet as exporter
-from carla_recap.records import UE4
+from carla_recap.records import UE4, Bone, Bones
 from tests.cli.command import COMMAND, CROSSING, ENVIRONMENT, TIMEOUT, before_others, error, on_terminal, run, the_line
 from tests.samples import log_header, names_in, packet, save, small_log, start
 
@@ -90,14 +90,28 @@ def test_the_answers_are_those_of_the_queries(exported: Path) -> None:
             assert (row["bounding_box"] is None) == (actor.bounding_box is None)
 
 
-def test_rows_are_written_in_groups(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(exporter, "ROWS", 1000)
+@pytest.mark.parametrize(("limit", "value"), [("ROWS", 1000), ("MEMORY", 30_000)])
+def test_rows_are_written_in_groups(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, limit: str, value: int) -> None:
+    monkeypatch.setattr(exporter, limit, value)
     monkeypatch.setattr(exporter, "_PIECE", 10_000)
     with open_recording(CROSSING) as recording:
         export_parquet(recording, tmp_path / "out")
         file = parquet.ParquetFile(tmp_path / "out" / "transforms.parquet")
         assert file.num_row_groups > 2
         assert file.read().equals(recording.table("transforms").to_arrow())
+
+
+def test_records_that_vary_in_size_are_written_in_groups(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(exporter, "MEMORY", 100_000)
+    monkeypatch.setattr(exporter, "_PIECE", 10_000)
+    with create_recording(tmp_path / "walk.log", map_name="T") as recorder:
+        for n in range(50):
+            recorder.add_frame(n / 20, walker_bones=[Bones(7, [Bone(f"b{k}", n, k, 0, 0, 0, 0) for k in range(20)])])
+    with open_recording(tmp_path / "walk.log") as recording:
+        export_parquet(recording, tmp_path / "out")
+        file = parquet.ParquetFile(tmp_path / "out" / "walker_bones.parquet")
+        assert file.num_row_groups > 5
+        assert file.read().to_pylist() == recording.table("walker_bones").to_arrow().to_pylist()
 
 
 def test_an_empty_recording_has_empty_answers(tmp_path: Path) -> None:

@@ -9,19 +9,20 @@ from typing import TYPE_CHECKING, Final
 from carla_recap.folders import check_folder, new_folder
 from carla_recap.records import FRAME_END
 from carla_recap.tables import arrow
-from carla_recap.tables.records import RecordTableBuilder
+from carla_recap.tables.records import PARSED, RecordTableBuilder
 
 if TYPE_CHECKING:
     from collections.abc import Iterable
 
-    from carla_recap.batch import Batch
+    from carla_recap.batch import Batch, Column
     from carla_recap.conversion import Progress
     from carla_recap.recording import Recording
     from carla_recap.records import RecordType
 
 ROWS: Final = 1 << 18
-"""The number of rows from which on a row group is written."""
-_PIECE: Final = 4 << 20  # bytes of records of a type that are gathered at once
+MEMORY: Final = 64 << 20
+"""A row group is written when there are so many rows of a type, or when they need so many bytes."""
+_PIECE: Final = 4 << 20  # bytes of a type that are gathered at once
 
 RENAMED: Final = {"collisions": "collision_records"}
 """The names of the files of record types whose own name is that of a query's answer."""
@@ -82,13 +83,17 @@ def _write_records(batches: Iterable[Batch], frame: RecordType, folder: Path) ->
 
 def _pieces(batch: Batch) -> Iterable[Batch]:
     """Yield parts of a batch whose records need little memory."""
-    largest = max((column.size for column in batch.columns), default=0)
+    largest = max((column.size * (1 if _is_fixed(column) else PARSED) for column in batch.columns), default=0)
     count = max(_PIECE // max(largest, 1), 1)
     if count >= len(batch):
         yield batch
         return
     for start in range(0, len(batch), count):
         yield batch[start : start + count]
+
+
+def _is_fixed(column: Column) -> bool:
+    return column.type is None or column.type.fixed
 
 
 class _RecordFile:
@@ -109,7 +114,7 @@ class _RecordFile:
     def add(self, batch: Batch) -> None:
         """Add the records of a batch."""
         self._builder.add(batch)
-        if self._builder.rows >= ROWS:
+        if self._builder.rows >= ROWS or self._builder.memory >= MEMORY:
             self.flush()
 
     def flush(self) -> None:

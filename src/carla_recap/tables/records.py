@@ -70,6 +70,7 @@ class RecordTableBuilder:
 
     Attributes:
         rows: The number of records gathered.
+        memory: About how many bytes they need.
     """
 
     def __init__(self, type: RecordType) -> None:
@@ -91,6 +92,7 @@ class RecordTableBuilder:
             return
         if records.size:
             self._records.append(records.flatten())
+            self.memory += records.nbytes
             self._add_frames(batch, np.full(len(batch), records.shape[1]))
 
     def take(self) -> RecordTable:
@@ -106,7 +108,7 @@ class RecordTableBuilder:
         return RecordTable(self._type, np.concatenate([_NO_FRAMES, *frames]), np.concatenate([_NO_TIMES, *times]), fields)
 
     def _clear(self) -> None:
-        self.rows = 0
+        self.rows = self.memory = 0
         self._frames: list[NDArray[np.int64]] = []
         self._times: list[NDArray[np.float64]] = []
         self._records: list[NDArray[np.void]] = []
@@ -117,6 +119,7 @@ class RecordTableBuilder:
         columns = [column for column in columns if column.size > len(EMPTY_LIST) or len(column.packet(0).records)]
         if not columns:
             return
+        self.memory += sum(column.size for column in columns) * PARSED * len(batch)
         found = [[record for column in columns for record in column.packet(row).records] for row in range(len(batch))]
         self._objects += [record for records in found for record in records]
         self._add_frames(batch, np.array([len(records) for records in found]))
@@ -128,6 +131,8 @@ class RecordTableBuilder:
         self.rows += len(self._times[-1])
 
 
+PARSED: Final = 50
+"""How many times the memory of its payload a record needs whose size varies."""
 _NO_FRAMES: Final = np.empty(0, np.int64)
 _NO_TIMES: Final = np.empty(0)
 
