@@ -83,8 +83,8 @@ def test_it_is_what_the_server_records(client: carla.Client, world: carla.World,
         for name in STATES:
             assert_near(mine[name], other[name])
     for name in ("destroyed", "collisions"):
-        assert told(name, ours) == told(name, theirs)
-    assert len(told("collisions", ours)) > 1
+        assert records_named(name, ours) == records_named(name, theirs)
+    assert len(records_named("collisions", ours)) > 1
     for mine, other in zip(ours[1:], theirs[1:], strict=True):  # the others began before
         assert_near(mine["bounding_boxes"], other["bounding_boxes"])
         assert [physics.id for physics in mine["physics"]] == [physics.id for physics in other["physics"]]
@@ -108,7 +108,7 @@ def pose_of(spawned: Spawn) -> list[float]:
     return [getattr(spawned, axis) for axis in ("x", "y", "z", "roll", "pitch", "yaw")]
 
 
-def told(name: str, frames: list[Frame]) -> list[tuple[int, Any]]:
+def records_named(name: str, frames: list[Frame]) -> list[tuple[int, Any]]:
     """All records of a type, each with its place."""
     return [(place, row.item()) for place, frame in enumerate(frames) for row in frame[name]]
 
@@ -190,22 +190,22 @@ def test_where_no_server_is() -> None:
     assert error("capture", "a.mcap", "--port", 1) == "127.0.0.1:1: there is no CARLA server"
 
 
-@pytest.mark.parametrize("told", ["Carla/Maps/Town01", "Town01", "/Game/Carla/Maps/Town01"])
-def test_the_map_has_its_plain_name(told: str) -> None:
-    observer: Any = SimpleNamespace(map=SimpleNamespace(name=told))
+@pytest.mark.parametrize("name", ["Carla/Maps/Town01", "Town01", "/Game/Carla/Maps/Town01"])
+def test_the_map_has_its_plain_name(name: str) -> None:
+    observer: Any = SimpleNamespace(map=SimpleNamespace(name=name))
     assert header_of(observer).map_name == "Town01"
 
 
 def test_frames_last_until_the_next_one() -> None:
     observations = [Observation(frame, 2.0 + time, 7.0 + 2 * time, {}) for frame, time in ((5, 0.0), (6, 0.05), (9, 0.2))]
-    told = list(frames(observations, additional_data=True))
-    assert [(frame.id, frame.elapsed, frame.duration) for frame in told] == [
+    sampled = list(frames(observations, additional_data=True))
+    assert [(frame.id, frame.elapsed, frame.duration) for frame in sampled] == [
         (1, 0.0, pytest.approx(0.05)),
         (2, pytest.approx(0.05), pytest.approx(0.15)),
         (3, pytest.approx(0.2), -1.0),
     ]
-    assert [frame["platform_time"]["seconds"][0] for frame in told] == pytest.approx([0.0, 0.1, 0.4])
-    assert [frame["visual_time"]["seconds"][0] for frame in told] == pytest.approx([2.0, 2.05, 2.2])
+    assert [frame["platform_time"]["seconds"][0] for frame in sampled] == pytest.approx([0.0, 0.1, 0.4])
+    assert [frame["visual_time"]["seconds"][0] for frame in sampled] == pytest.approx([2.0, 2.05, 2.2])
 
 
 def test_a_full_disk_is_told_in_a_line(port: int, world: carla.World, tmp_path: Path) -> None:

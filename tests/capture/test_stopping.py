@@ -156,7 +156,7 @@ def showing_a_ghost(folder: Path) -> Iterator[tuple[int, carla.World]]:
         places = {"id": [GHOST, SOUND], "x": [1000.0, 0.0]}
         recorder.add_frame(0.0, spawned=[ghost, sound], transforms=places)
         recorder.add_frame(60.0, transforms=places)
-    code = "from carla_recap.server import actor_records; actor_records.readable_attributes = lambda _, told, __: told; "
+    code = "from carla_recap.server import actor_records; actor_records.readable_attributes = lambda _, given, __: given; "
     code += "from carla_recap.cli import main; main()"
     command = [sys.executable, "-c", code, "serve", "--port=0"]
     with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as process:

@@ -159,8 +159,8 @@ def test_an_interval_that_is_no_multiple_of_the_tick_has_the_right_mean() -> Non
     host = served()
     gnss = sensor(host, "other.gnss", sensor_tick="0.1")
     frames = [host.tick(1 / 15) for _ in range(30)]
-    told = [header[1] - frames[0] for header, _ in gnss.take()]
-    assert told == [0, 2, 3, 5, 6, 8, 9, 11, 12, 14, 15, 17, 18, 20, 21, 23, 24, 26, 27, 29]
+    ticks = [header[1] - frames[0] for header, _ in gnss.take()]
+    assert ticks == [0, 2, 3, 5, 6, 8, 9, 11, 12, 14, 15, 17, 18, 20, 21, 23, 24, 26, 27, 29]
 
 
 def test_a_client_that_begins_to_listen_late_waits_for_the_next_interval() -> None:
@@ -297,15 +297,15 @@ def test_an_imu_measures_in_its_own_axes() -> None:
 
 
 def test_the_noise_of_an_imu_is_the_same_for_a_seed() -> None:
-    told = []
+    payloads = []
     for _ in range(2):
         host = served()
         imu = imu_of(host, vehicle(host), noise_accel_stddev_x="0.5", noise_gyro_bias_z="0.25", noise_seed="7")
         for _ in range(200):
             host.tick()
-        told.append([msgpack.unpackb(payload)[:2] for _, payload in imu.take()])
-    assert told[0] == told[1]
-    values = np.array(told[0])
+        payloads.append([msgpack.unpackb(payload)[:2] for _, payload in imu.take()])
+    assert payloads[0] == payloads[1]
+    values = np.array(payloads[0])
     assert values[:, 0, 0].std() == pytest.approx(0.5, rel=0.2)
     assert values[:, 0, 1].std() == 0
     assert (values[:, 1, 2] == 0.25).all()
@@ -420,21 +420,21 @@ def test_a_lidar_drops_points_as_its_attributes_say() -> None:
 
 
 def test_lidars_and_radars_are_the_same_for_a_seed() -> None:
-    told = []
+    payloads = []
     for seed in ("5", "5", "6"):
         host = served()
         car = vehicle(host)
-        for _ in range(len(told)):
+        for _ in range(len(payloads)):
             host.world.spawn("static.prop.gnome", at(0.0, 100.0)).destroy()  # other ids
         vehicle(host, 15.0)
         seeded = {"noise_seed": seed}
         lidar = sensor(host, "lidar.ray_cast", car, at(0.0, z=1.0), noise_stddev="0.1", **seeded, **LIDAR)
         radar = sensor(host, "other.radar", car, at(2.5, z=0.8), **seeded)
         host.tick()
-        told.append((lidar.payload(), radar.payload()))
-    assert told[0] == told[1]
-    assert told[0][0] != told[2][0]
-    assert told[0][1] != told[2][1]
+        payloads.append((lidar.payload(), radar.payload()))
+    assert payloads[0] == payloads[1]
+    assert payloads[0][0] != payloads[2][0]
+    assert payloads[0][1] != payloads[2][1]
 
 
 def test_rays_and_barriers_have_heights() -> None:

@@ -287,7 +287,7 @@ def test_a_radio_without_a_carrier_is_silent(world: carla.World) -> None:
     data: queue.Queue[Any] = queue.Queue()
     alone.listen(data.put)
     for _ in range(5):
-        alone.send("nobody hears this")
+        alone.send("out of range")
         world.tick()
     assert data.empty()
     alone.destroy()

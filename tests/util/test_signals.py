@@ -11,32 +11,32 @@ from carla_recap.util.signals import call_on_termination
 
 
 def test_the_first_signal_is_told_and_others_are_ignored() -> None:
-    told: list[str] = []
+    calls: list[str] = []
     before = signal.getsignal(signal.SIGTERM)
-    with call_on_termination(told.append):
+    with call_on_termination(calls.append):
         for number in (signal.SIGTERM, signal.SIGINT, signal.SIGTERM):
             signal.raise_signal(number)
-    assert told == ["SIGTERM"]
+    assert calls == ["SIGTERM"]
     assert signal.getsignal(signal.SIGTERM) is before
 
 
 def test_each_block_has_a_first_signal() -> None:
-    told: list[str] = []
+    calls: list[str] = []
     for _ in range(2):
-        with call_on_termination(told.append):
+        with call_on_termination(calls.append):
             signal.raise_signal(signal.SIGINT)
-    assert told == ["SIGINT", "SIGINT"]
+    assert calls == ["SIGINT", "SIGINT"]
 
 
 def test_what_is_ignored_stays_so() -> None:
-    told: list[str] = []
+    calls: list[str] = []
     before = signal.signal(signal.SIGHUP, signal.SIG_IGN)
     try:
-        with call_on_termination(told.append):
+        with call_on_termination(calls.append):
             signal.raise_signal(signal.SIGHUP)
     finally:
         signal.signal(signal.SIGHUP, before)
-    assert told == []
+    assert calls == []
 
 
 def test_a_late_signal_ends_the_process() -> None:

@@ -56,8 +56,8 @@ def test_a_folder_that_is_missing_outside_the_recordings_gets_an_empty_reply(cli
 
 def test_a_replay_brings_back_what_was_recorded(client: carla.Client, world: carla.World) -> None:
     record(client, "again.log", ticks=40)
-    told = client.replay_file("again.log", 0.5, 0.0, 0, False)
-    assert "again.log" in told
+    answer = client.replay_file("again.log", 0.5, 0.0, 0, False)
+    assert "again.log" in answer
     for _ in range(5):
         world.tick()
     assert [actor.type_id for actor in world.get_actors().filter("vehicle.*")] == ["vehicle.audi.tt"]

@@ -32,7 +32,7 @@ def test_a_sensor_sends_at_once_and_then_every_sensor_tick(world: carla.World, b
 
 @pytest.mark.parametrize("blueprint", ["sensor.other.radar", "sensor.other.gnss"])
 def test_sensors_repeat_their_noise_in_every_episode(client: carla.Client, blueprint: str) -> None:
-    told = []
+    runs = []
     for _ in range(2):
         world = client.reload_world(False)
         start = straight(world, 60.0)
@@ -48,9 +48,9 @@ def test_sensors_repeat_their_noise_in_every_episode(client: carla.Client, bluep
         for _ in range(5):
             world.tick()
         assert eventually(lambda data=data: len(data) >= 5)
-        told.append([bytes(datum.raw_data) if blueprint.endswith("radar") else datum.latitude for datum in data[:5]])
-    assert told[0] == told[1]
-    assert len(set(told[0])) > 1
+        runs.append([bytes(datum.raw_data) if blueprint.endswith("radar") else datum.latitude for datum in data[:5]])
+    assert runs[0] == runs[1]
+    assert len(set(runs[0])) > 1
 
 
 def test_vehicles_hear_of_each_other(world: carla.World) -> None:

@@ -33,7 +33,7 @@ manager = client.get_trafficmanager(MANAGER)
 manager.set_synchronous_mode(True)
 manager.set_hybrid_physics_mode(True)
 manager.set_hybrid_physics_radius(50.0)
-told = []
+counts = []
 for _ in range(3):
     hero_model = library.find("vehicle.audi.tt")
     hero_model.set_attribute("role_name", "hero")
@@ -45,13 +45,13 @@ for _ in range(3):
     for _ in range(60):
         world.tick()
     ways = [actor.get_location().distance(places[actor.id]) for actor in world.get_actors(ids)]
-    told.append((len(ids), sum(way > 1.0 for way in ways), all(math.isfinite(way) for way in ways)))
+    counts.append((len(ids), sum(way > 1.0 for way in ways), all(math.isfinite(way) for way in ways)))
     world = client.reload_world(False)
     library, points = world.get_blueprint_library(), world.get_map().get_spawn_points()
 manager.set_synchronous_mode(False)
 manager.shut_down()
 world.apply_settings(carla.WorldSettings())
-print(json.dumps(told))
+print(json.dumps(counts))
 """
 KILLED = """
 manager = client.get_trafficmanager(MANAGER)

@@ -1,4 +1,4 @@
-"""Walkers who are hit."""
+"""Walkers that are hit."""
 
 from __future__ import annotations
 

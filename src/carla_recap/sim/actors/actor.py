@@ -206,7 +206,7 @@ class Sensor(Actor):
 
 
 class Spectator(Actor):
-    """The viewpoint of the person who watches the world."""
+    """The viewpoint of the user."""
 
 
 def attached_transform(parent: Actor, relative: Transform) -> Transform:

@@ -153,8 +153,8 @@ class WriterProcess:
             error = pickle.load(self._process.stdout)
         except Exception:
             self._end()
-            told = f"the process that writes it has ended with exit code {self._process.returncode}"
-            raise WriterEnded(f"{self.path}: {told}") from None
+            reason = f"the process that writes it has ended with exit code {self._process.returncode}"
+            raise WriterEnded(f"{self.path}: {reason}") from None
         if error is not None:
             raise _CommandFailed(error)
 

@@ -29,7 +29,7 @@ _PATIENCE: Final = 5.0  # s, for the end of the process
 def parsing_ahead(folder: Path | str | None = None) -> Iterator[None]:
     """Parse the maps of a folder that are not in the cache, one after the other, until the end of a `with` block.
 
-    Maps that cannot be parsed are left to those who load them.
+    Maps that cannot be parsed are left to the calls that load them.
 
     Args:
         folder: The folder of maps; else the environment variable CARLA_RECAP_MAPS says it.
