@@ -38,7 +38,8 @@ _FIELDS: Final = np.dtype(
         ("publish_time", "<u8"),
     ]
 )
-_SHAPE_BYTES: Final = tuple(range(11))  # of a message: opcode, length and channel
+_SHAPE_BYTES: Final = 11  # of a message: opcode, length and channel
+_WORD: Final = 8
 _FIRST_STEP: Final = 16  # frames that are compared at once, at first
 _GROWTH: Final = 8
 
@@ -160,17 +161,20 @@ def _behind_other(data: bytes, at: int) -> int:
 def _extended(run: MessageRun, spine: int) -> MessageRun:
     """Return a run of one frame with those that follow it and are like it."""
     room = (len(run.data) - run.start) // run.stride
-    whole = run.first(room)
     compared: list[int] = []
     for channel, offset, size in run.places:
-        compared += (offset - MESSAGE.size + byte for byte in _SHAPE_BYTES)
+        begin = offset - MESSAGE.size
+        compared += (begin, begin + _SHAPE_BYTES - _WORD)
         if channel == spine:
-            compared += range(offset + wire.HEAD.size + wire.FRAME_BODY.size, offset + size)
-    frames, where = whole.bytes_at(0, run.stride), np.array(compared, np.intp)
-    expected = frames[0, where]
+            first, end = offset + wire.HEAD.size + wire.FRAME_BODY.size, offset + size
+            compared += (min(at, end - _WORD) for at in range(first, end, _WORD))
+    # Words of all bytes, which overlap: to take some of them out is faster than to take each byte.
+    words = np.ndarray((room, run.stride - _WORD + 1), np.uint64, run.data, run.start, (run.stride, 1))
+    where = np.array(compared, np.intp)
+    expected = words[0, where]
     same, step = 1, _FIRST_STEP
     while same < room:
-        wrong = np.flatnonzero((frames[same : same + step, where] != expected).any(axis=1))
+        wrong = np.flatnonzero((words[same : same + step, where] != expected).any(axis=1))
         if len(wrong):
             same += int(wrong[0])
             break
