@@ -55,6 +55,17 @@ def test_an_iterator_of_a_closed_reader(path: Path, name: str, read: int) -> Non
         next(frames)
 
 
+@pytest.mark.parametrize("read", [0, 1, 5])
+def test_batches_of_a_closed_reader(path: Path, read: int) -> None:
+    reader = open_reader(path)
+    batches = reader.batches()
+    for _ in range(read):
+        next(batches)
+    reader.close()
+    with pytest.raises(RecapError, match=CLOSED):
+        next(batches)
+
+
 @pytest.mark.parametrize("read", [0, 3])
 def test_an_iterator_of_a_closed_recording(path: Path, read: int) -> None:
     with open_recording(path) as recording:

@@ -1,4 +1,4 @@
-"""A recording of any format as Python sees it: what is in it, who was there, and where they went."""
+"""Recordings of any format in Python: frames, actors, tables and queries."""
 
 from __future__ import annotations
 
@@ -35,14 +35,14 @@ T = TypeVar("T")
 
 @dataclass(frozen=True)
 class RecordingInfo:
-    """What a recording is.
+    """The summary of a recording.
 
     Attributes:
         map_name: The map.
-        date: When it began, UTC; None where the file's date is out of range.
+        date: The time when it began, UTC; None where the file's date is out of range.
         version: The version of CARLA's format.
-        frames: How many frames it has.
-        duration: Elapsed seconds of its last frame.
+        frames: The number of frames.
+        duration: The elapsed seconds of the last frame.
         additional_data: Whether CARLA recorded additional data: velocities, boxes, physics, times.
     """
 
@@ -121,14 +121,14 @@ class Recording:
         return self._reader
 
     def close(self) -> None:
-        """Let go of the file; twice is harmless."""
+        """Close the file; closing it twice is harmless."""
         if not self._closed:
             self._closed = True
             self._reader.close()
 
     @cached_property
     def info(self) -> RecordingInfo:
-        """What the recording is."""
+        """The summary of the recording."""
         header, extent = self.header, self.reader.extent()
         first = next(self.reader.frames(), None)
         additional = first is not None and any(p.type is not None and p.type.additional for p in first.packets)
@@ -140,7 +140,7 @@ class Recording:
 
     @cached_property
     def actors(self) -> ActorsById:
-        """Who was there, by id, in order of appearance; of several that had an id, the latest.
+        """The actors by id, in order of appearance; of several that had an id, the latest.
 
         On MCAP, read from the events alone.
         """
@@ -177,7 +177,7 @@ class Recording:
         return frame
 
     def trajectory(self, actor_id: int, *, axes: Axes = "right-handed") -> Trajectory:
-        """Where an actor went, in metres.
+        """Return the trajectory of an actor, in metres.
 
         Args:
             actor_id: The actor.
@@ -189,10 +189,10 @@ class Recording:
         Raises:
             RecapError: There is no such actor.
         """
-        return self._of_one(actor_id, trajectories(self.reader, {actor_id}, axes=axes), lambda: Trajectory.empty())
+        return self._of_one(actor_id, trajectories(self.reader, {actor_id}, axes=axes), Trajectory.empty)
 
     def trajectories(self, kind: str | None = None, *, axes: Axes = "right-handed") -> Trajectories:
-        """Return where actors went, in metres, by id; in one pass over the recording.
+        """Return the trajectories of actors by id, in metres, in one pass over the recording.
 
         Args:
             kind: The kind of actors, such as "vehicle" or "walker"; None for all that have transforms.
@@ -224,7 +224,7 @@ class Recording:
     def batches(
         self, types: Collection[str] | None = None, start: float = -math.inf, stop: float = math.inf
     ) -> Iterator[Batch]:
-        """Stream the frames in batches of frames that are alike, whose records are arrays, (frames, records of each).
+        """Stream the frames in batches of frames of one shape, whose records are arrays, (frames, records of each).
 
         Args:
             types: Names of record types: frames hold the packets of these alone, and no empty ones. None: all packets.
@@ -237,7 +237,7 @@ class Recording:
         return self.reader.batches(types, start=start, stop=stop)
 
     def controls(self, actor_id: int) -> Controls:
-        """What the driver of a vehicle did.
+        """Return the controls of a vehicle.
 
         Raises:
             RecapError: There is no such actor.
@@ -247,7 +247,7 @@ class Recording:
         return Controls(found.time, rows["steer"], rows["throttle"], rows["brake"], rows["hand_brake"] != 0, rows["gear"])
 
     def light_states(self, actor_id: int) -> LightStates:
-        """What a traffic light showed.
+        """Return the states of a traffic light.
 
         Raises:
             RecapError: There is no such actor.
@@ -257,19 +257,19 @@ class Recording:
         return LightStates(found.time, rows["state"], rows["elapsed"], rows["frozen"] != 0)
 
     def collisions(self, type1: str = "a", type2: str = "a", *, compat: bool = False) -> Collisions:
-        """Who collided with whom; see `carla_recap.queries.collisions`."""
+        """Return the collisions; see `carla_recap.queries.collisions`."""
         from carla_recap.queries import collisions
 
         return collisions(self.reader, type1, type2, compat=compat)
 
     def blocked(self, min_time: float = 30.0, min_distance: float = 10.0, *, compat: bool = False) -> Blocked:
-        """Who stood still for long; see `carla_recap.queries.blocked`. Seconds and centimetres."""
+        """Return the actors that did not move; see `carla_recap.queries.blocked`. Seconds and centimetres."""
         from carla_recap.queries import blocked
 
         return blocked(self.reader, min_time, min_distance, compat=compat)
 
     def incidents(self, **which: Any) -> Incidents:
-        """What went wrong: collisions, long stops, hard braking; see `carla_recap.queries.incidents`."""
+        """Return the incidents: collisions, long stops, hard braking; see `carla_recap.queries.incidents`."""
         from carla_recap.queries import incidents
 
         return incidents(self.reader, **which)
@@ -281,12 +281,13 @@ class Recording:
         return self._of_one(actor_id, rows, lambda: empty)
 
     def _of_one(self, actor_id: int, found: Mapping[int, T], empty: Callable[[], T]) -> T:
-        """Return what was found of an actor, or what is empty; raise if there is no such actor."""
+        """Return the result for an actor, or an empty one; raise if there is no such actor."""
         if actor_id not in found:
             self._check_actor(actor_id)
         return found[actor_id] if actor_id in found else empty()
 
     def _check_actor(self, actor_id: int) -> None:
+        """Raise if there is no such actor."""
         if actor_id in self.actors:
             return
         near = sorted(self.actors, key=lambda id: abs(id - actor_id))[:3]

@@ -1,4 +1,4 @@
-"""The records of actors, gathered over a whole recording: by actor, in the order of frames."""
+"""The records of each actor over a whole recording, in the order of frames."""
 
 from __future__ import annotations
 
@@ -99,7 +99,7 @@ def _among(ids: NDArray[np.uint32], wanted: NDArray[np.uint32]) -> NDArray[np.bo
 
 
 def _by_actor(blocks: list[_Block]) -> dict[int, ActorRows]:
-    """Return the rows of blocks by actor, in the order in which the actors first appear; the blocks are used up."""
+    """Return the rows of blocks by actor, in the order in which the actors first appear; the list of blocks is emptied."""
     pieces: dict[int, list[tuple[int, int]]] = {}
     merged = list(_merged(blocks))
     for number, block in enumerate(merged):
@@ -116,7 +116,7 @@ def _by_actor(blocks: list[_Block]) -> dict[int, ActorRows]:
 
 
 def _merged(blocks: list[_Block]) -> Iterator[_Block]:
-    """Yield blocks of the same actors together, with records by actor, (actors, frames); the blocks are used up."""
+    """Yield blocks of the same actors together, with records by actor, (actors, frames); the list is emptied."""
     blocks.reverse()
     while blocks:
         same = [blocks.pop()]

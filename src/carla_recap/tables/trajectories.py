@@ -1,4 +1,4 @@
-"""What actors did over time, as columns: where they went, how they were driven, what lights showed."""
+"""Trajectories, vehicle controls and traffic light states, as columns over time."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ other way."""
 
 @dataclass(frozen=True)
 class Trajectory(Columns):
-    """Where an actor went; arrays of one length, a value per frame in which it has a transform.
+    """The trajectory of an actor: arrays of one length, a value for each frame in which it has a transform.
 
     World axes are right-handed (x forward, y left, z up) unless CARLA's own (y right) were asked for.
 
@@ -37,7 +37,7 @@ class Trajectory(Columns):
         x, y, z: Position in m.
         roll, pitch, yaw: Rotation about x, y, z in degrees; right-handed, a positive yaw turns left.
         vx, vy, vz: Velocity along the world's axes in m/s.
-        velocity_recorded: Whether the velocity was recorded; elsewhere it is the slope of the positions around.
+        velocity_recorded: Whether the velocity was recorded; otherwise it is derived from the positions.
     """
 
     column_units: ClassVar = {
@@ -95,13 +95,13 @@ class Trajectories(dict[int, Trajectory], Tabular):
 
 @dataclass(frozen=True)
 class Controls(Columns):
-    """What a driver did; arrays of one length.
+    """The controls of a vehicle: arrays of one length.
 
     Attributes:
         time: Elapsed seconds.
         steer: -1 full left to 1 full right.
         throttle, brake: 0 to 1.
-        hand_brake: Whether it was on.
+        hand_brake: Whether the hand brake was on.
         gear: -1 reverse, 0 neutral, 1 and up forward.
     """
 
@@ -117,13 +117,13 @@ class Controls(Columns):
 
 @dataclass(frozen=True)
 class LightStates(Columns):
-    """What a traffic light showed; arrays of one length.
+    """The states of a traffic light: arrays of one length.
 
     Attributes:
         time: Elapsed seconds of the recording.
         state: 0 red, 1 yellow, 2 green, 3 off, 4 unknown.
-        elapsed: Seconds that it has been in this state.
-        frozen: Whether its time stood still.
+        elapsed: Seconds since the light changed to this state.
+        frozen: Whether the light was frozen.
     """
 
     column_units: ClassVar = {"time": "s", "elapsed": "s"}
@@ -135,7 +135,7 @@ class LightStates(Columns):
 
 
 def trajectories(reader: Reader, actors: Collection[int] | None = None, *, axes: Axes = "right-handed") -> Trajectories:
-    """Return where actors went, in one pass over a recording.
+    """Return the trajectories of actors, in one pass over a recording.
 
     Args:
         reader: The recording.
@@ -183,7 +183,7 @@ def _trajectory(poses: ActorRows, velocities: ActorRows | None, flip: float) -> 
 
 
 def _slope(values: NDArray[np.float64], times: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Change per second, from the neighbours of each sample; 0 for a single one, and across gaps of no time."""
+    """Return the change per second between the neighbours of each sample; 0 where no time passes between them."""
     if len(values) < 2:
         return np.zeros(len(values))
     before = np.maximum(np.arange(len(values)) - 1, 0)
