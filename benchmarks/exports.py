@@ -61,6 +61,20 @@ def foxglove(subject: Subject) -> Iterator[Line]:
     )
 
 
+def parquet(subject: Subject) -> Iterator[Line]:
+    folder = DIRECTORY / "parquet"
+    for suffix, path in subject.both():
+        whole = best(lambda path=path: run(COMMAND, "export", "--force", path, folder, "--to", "parquet"), times=2)
+        size = sum(file.stat().st_size for file in folder.iterdir()) / 1e6
+        shutil.rmtree(folder)
+        what = f"{subject.seconds:,.0f} s of {suffix} to Parquet"
+        factor = f"{subject.seconds / whole.seconds:,.0f} x real time"
+        yield Line(what, f"{whole.seconds:.1f} s", factor, "≤ 10 s", whole.seconds <= 10)
+        yield Line(
+            f"{what}, peak memory", f"{whole.peak / 1e6:.0f} MB", f"{size:.0f} MB of files", "≤ 400 MB", whole.peak <= 400e6
+        )
+
+
 def snapshot(subject: Subject) -> Iterator[Line]:
     *_, (_, mcap) = subject.both()
     target = DIRECTORY / "moment.png"
@@ -102,4 +116,4 @@ def best(work: Callable[[], Run], times: int = 3) -> Run:
     return Run(min(each.seconds for each in runs), max(each.peak for each in runs))
 
 
-ROWS: Final = (rerun, minute, foxglove, snapshot, page)
+ROWS: Final = (rerun, minute, foxglove, parquet, snapshot, page)
