@@ -578,4 +578,4 @@ def test_a_query_imports_what_it_uses(command):
 
 
 def test_a_query_of_a_log_imports_what_it_needs():
-    assert not imported("collisions", CROSSING) & {"google", "mcap", "pandas", "pyarrow", "rich", "zstandard"}
+    assert not imported("collisions", CROSSING) & {"google", "json", "mcap", "pandas", "pyarrow", "rich", "zstandard"}

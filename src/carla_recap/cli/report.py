@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from carla_recap.queries.report import json, table, text
+from carla_recap.queries.text import text
 from carla_recap.texts import visible
 
 if TYPE_CHECKING:
@@ -28,11 +28,15 @@ def show(answer: Any, form: str | None, max_rows: int | None = None) -> None:
         raise click.UsageError("--compat is about CARLA's text: it does not go with --json.")
     if form is None:
         form = "text" if getattr(answer, "compat", False) or not sys.stdout.isatty() else "table"
-    if form == "table":
-        table(answer)
+    if form == "text":
+        _print(text(answer))
     else:
-        pieces = json(answer) if form == "json" else text(answer)
-        _print(map(_shown, pieces) if sys.stdout.isatty() else pieces)
+        from carla_recap.queries import report  # whose imports the text does without
+
+        if form == "table":
+            report.table(answer)
+        else:
+            _print(report.json(answer))
     if max_rows is not None and len(answer) > max_rows:
         click.echo(f"carla-recap: {len(answer)} rows, at most {max_rows} were allowed", err=True)
         sys.exit(TOO_MANY)
@@ -45,6 +49,6 @@ def _shown(piece: str) -> str:
 
 def _print(pieces: Iterable[str]) -> None:
     out = sys.stdout.buffer
-    for piece in pieces:
+    for piece in map(_shown, pieces) if sys.stdout.isatty() else pieces:
         out.write(piece.encode("utf-8", "surrogateescape"))
     out.flush()

@@ -13,7 +13,7 @@ from carla_recap.formats import open_reader
 from carla_recap.formats.base import Reader
 from carla_recap.queries import Blocked, Collisions, Info
 from carla_recap.queries.lines import number
-from carla_recap.queries.report import text
+from carla_recap.queries.text import text
 from carla_recap.server.rpc.registry import CallError
 from carla_recap.sim.errors import DestinationError
 from carla_recap.sim.recording.recorder import is_within, recording_path, recordings_folder
