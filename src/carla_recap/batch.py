@@ -328,12 +328,6 @@ class _Single(Batch):
         return self._frame
 
 
-def frames_of(batches: Iterable[Batch]) -> Iterator[Frame]:
-    """Yield the frames of batches, one by one."""
-    for batch in batches:
-        yield from batch
-
-
 def within(batches: Iterable[Batch], start: float, stop: float) -> Iterator[Batch]:
     """Yield the frames from one elapsed time on, until the first one at or after another.
 
