@@ -329,3 +329,15 @@ def test_of_a_recording_that_was_never_finished_the_message_says_where_it_is(tmp
     told = f"was never finished; what was written of it until then lies in {partial}"
     with pytest.raises(RecapError, match=re.escape(told)):
         recover(tmp_path / "k.mcap", tmp_path / "b.mcap")
+
+
+def test_a_chunk_that_is_there_twice_is_saved_once(driven, tmp_path):
+    data = driven.read_bytes()
+    twice, at = bytearray(data[:8]), 8
+    while data[at] != 0x0F:  # up to the end of the data section
+        record = data[at : at + 9 + int.from_bytes(data[at + 1 : at + 9], "little")]
+        twice += record * (2 if record[0] == 6 else 1)
+        at += len(record)
+    saved = recover(save(tmp_path / "twice.mcap", bytes(twice)), tmp_path / "saved.log")
+    assert (saved.frames, saved.lost_frames) == (600, 0)
+    assert images(tmp_path / "saved.log") == images(driven)

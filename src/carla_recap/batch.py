@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, overload
 
 import numpy as np
 
@@ -260,8 +260,17 @@ class Batch:
         id, elapsed, duration = self.id[row].item(), self.elapsed[row].item(), self.duration[row].item()
         return Frame(self.index + row % len(self), id, elapsed, duration, packets, preamble=self.preamble)
 
-    def __getitem__(self, rows: slice) -> Batch:
-        """Return the batch of some consecutive frames."""
+    @overload
+    def __getitem__(self, key: str) -> NDArray[np.void]: ...
+    @overload
+    def __getitem__(self, key: slice) -> Batch: ...
+    def __getitem__(self, key: str | slice) -> NDArray[np.void] | Batch:
+        """Return the records of a type by its name, see `records`; or the batch of some consecutive frames by a slice."""
+        if isinstance(key, str):
+            return self.records(key)
+        return self._sliced(key)
+
+    def _sliced(self, rows: slice) -> Batch:
         start, stop, _ = rows.indices(len(self))
         stop = max(start, stop)
         return Batch(

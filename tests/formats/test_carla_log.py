@@ -448,6 +448,15 @@ def test_packets_of_one_size_with_other_numbers_of_records_are_apart(tmp_path):
         assert [len(frame["transforms"]) for frame in reader.frames()] == [2, 2, 2, 2, 1] * 4
 
 
+def test_a_packet_of_two_bytes_is_empty_only_if_its_count_is_zero(tmp_path):
+    frames = [start(n + 1, n / 10) + packet(2, b"\2\0" if n == 2 else b"\0\0") + END for n in range(4)]
+    path = save(tmp_path / "odd.log", log_header() + b"".join(frames))
+    with reading(path) as reader:
+        assert [frame.packets[0].payload for frame in reader.frames()] == [b"\0\0", b"\0\0", b"\2\0", b"\0\0"]
+    with pytest.raises(FormatError, match=r"odd\.log: byte \d+: spawned: id need 6 bytes, the packet has 2"):
+        convert(path, tmp_path / "odd.mcap")
+
+
 def test_a_log_that_shrinks_while_it_is_read_is_an_error(tmp_path, monkeypatch):
     monkeypatch.setattr("carla_recap.formats.log_scan._WINDOW", 1 << 12)
     path = write(tmp_path / "shrinking.log", Header("Town01", DATE), drive(60, 20, 20))

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 import msgpack
 import pytest
 
+from carla_recap.errors import RecapError
 from carla_recap.server.rpc import connection as connections
 from carla_recap.server.rpc.connection import ClientConnection, ConnectionPool
 from carla_recap.server.rpc.registry import unregistered_call
@@ -80,7 +81,11 @@ async def fails_late(client: Context) -> int:
     raise KeyError("late")
 
 
-CALLS = {handler.__name__: unregistered_call(handler) for handler in (double, broken, unfit, slow, fails_late)}
+def refused(context: Context) -> None:
+    raise RecapError("as it should be")
+
+
+CALLS = {handler.__name__: unregistered_call(handler) for handler in (double, broken, unfit, slow, fails_late, refused)}
 
 
 def connected() -> tuple[ClientConnection, Transport]:
@@ -199,3 +204,8 @@ def test_a_held_answer_of_a_client_that_leaves_early_is_awaited_too(recwarn: pyt
     asyncio.run(run())
     gc.collect()
     assert not [str(warning.message) for warning in recwarn]
+
+
+def test_an_error_that_no_client_waits_for_is_logged(caplog: pytest.LogCaptureFixture) -> None:
+    replies(msgpack.packb([0, 1, "refused", [[True]]]), request(2, "refused"))
+    assert caplog.messages == ["refused: as it should be"]

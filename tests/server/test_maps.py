@@ -117,6 +117,20 @@ def test_clients_get_the_name_that_they_asked_for() -> None:
         assert client.load_world("Town05").get_map().name == "Carla/Maps/Town05"
 
 
+def test_a_replay_of_a_missing_map_is_stood_in_for(tmp_path: Path) -> None:
+    with running(town="Town05", stand_in=True, recordings=tmp_path) as port:
+        client = carla.Client("127.0.0.1", port)
+        client.set_timeout(30.0)
+        client.start_recorder("stood_in.log")
+        client.get_world().wait_for_tick()
+        client.stop_recorder()
+        client.load_world("Brickfield")
+        answer = client.replay_file("stood_in.log", 0.0, 0.0, 0)
+        assert "Loading map" in answer
+        assert "Could not load" not in answer
+        assert client.get_world().get_map().name == "Carla/Maps/Town05"
+
+
 async def reply(streams: tuple[asyncio.StreamReader, asyncio.StreamWriter], name: str, *arguments: object) -> list[Any]:
     """Make a call over a bare connection, and return the reply."""
     reader, writer = streams

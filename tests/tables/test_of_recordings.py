@@ -57,7 +57,7 @@ def rows_of_frames(recording: Recording, name: str) -> list[dict[str, Any]]:
     type = recording.header.table.named(name)
     return [
         {
-            "frame": frame.index,
+            "frame": frame.id,
             "time": frame.elapsed,
             **{field: value(kind, record, field) for field, kind in type.layout.fields.items()},
         }
@@ -139,7 +139,7 @@ def test_the_table_of_frames(tmp_path: Path, suffix: str) -> None:
     with open_recording(written(tmp_path, suffix)) as recording:
         table = recording.table("frame")
         assert table["id"].tolist() == [1, 2, 3, 4]
-        assert table["frame"].tolist() == [0, 1, 2, 3]
+        assert table["frame"].tolist() == [1, 2, 3, 4]
         assert table["elapsed"].tolist() == table.time.tolist() == [0, 1, 2, 3]
         assert table["duration"].tolist() == [1, 1, 1, -1]
 

@@ -11,6 +11,8 @@ import click
 if TYPE_CHECKING:
     from collections.abc import Callable
 
+    from carla_recap.formats.base import Reader
+
     Command = Callable[..., Any]
 
 
@@ -125,3 +127,12 @@ def together(*decorators: Callable[[Command], Command]) -> Callable[[Command], C
         return command
 
     return decorate
+
+
+def opened(path: str) -> Reader:
+    """Open a recording, which is closed when the command ends."""
+    from carla_recap.formats import open_reader
+
+    reader = open_reader(path)
+    click.get_current_context().call_on_close(reader.close)
+    return reader

@@ -17,10 +17,9 @@ _report = options.together(options.recording, options.json, options.text, option
 def info(file: str, everything: bool, form: str | None, compat: bool) -> None:
     """What is in a recording: spawns, collisions and other events."""
     from carla_recap.cli.report import show
-    from carla_recap.formats import open_reader
     from carla_recap.queries import info as query
 
-    show(query(open_reader(file), all=everything, compat=compat), form)
+    show(query(options.opened(file), all=everything, compat=compat), form)
 
 
 @click.command()
@@ -36,12 +35,11 @@ def info(file: str, everything: bool, form: str | None, compat: bool) -> None:
 def collisions(file: str, types: str, form: str | None, compat: bool, max_rows: int | None) -> None:
     """Who collided with whom."""
     from carla_recap.cli.report import show
-    from carla_recap.formats import open_reader
     from carla_recap.queries import collisions as query
 
     if len(types) != 2:
         raise click.BadParameter(f"{types!r} is not two of the letters h, v, w, t, o, a, such as hv.", param_hint="--types")
-    show(query(open_reader(file), *types, compat=compat), form, max_rows)
+    show(query(options.opened(file), *types, compat=compat), form, max_rows)
 
 
 @click.command()
@@ -54,12 +52,11 @@ def collisions(file: str, types: str, form: str | None, compat: bool, max_rows: 
 def blocked(file: str, min_time: float, min_distance: float, form: str | None, compat: bool, max_rows: int | None) -> None:
     """Who stood still for long."""
     from carla_recap.cli.report import show
-    from carla_recap.formats import open_reader
     from carla_recap.queries import blocked as query
 
     if min_time < 0 and not compat:  # CARLA takes it
         raise click.BadParameter(f"'{min_time:g}' is not a number of 0 or more.", param_hint="'--min-time'")
-    show(query(open_reader(file), min_time, min_distance, compat=compat), form, max_rows)
+    show(query(options.opened(file), min_time, min_distance, compat=compat), form, max_rows)
 
 
 @click.command()
@@ -69,10 +66,9 @@ def blocked(file: str, min_time: float, min_distance: float, form: str | None, c
 def actors(file: str, form: str | None) -> None:
     """Who was there, and when."""
     from carla_recap.cli.report import show
-    from carla_recap.formats import open_reader
     from carla_recap.queries import actors as query
 
-    show(query(open_reader(file)), form)
+    show(query(options.opened(file)), form)
 
 
 @click.command()
@@ -89,10 +85,9 @@ def incidents(file: str, form: str | None, max_rows: int | None, **limits: Any) 
     Long stops are those of vehicles and walkers.
     """
     from carla_recap.cli.report import show
-    from carla_recap.formats import open_reader
     from carla_recap.queries import incidents as query
 
-    show(query(open_reader(file), **limits), form, max_rows)
+    show(query(options.opened(file), **limits), form, max_rows)
 
 
 COMMANDS = (info, collisions, blocked, actors, incidents)

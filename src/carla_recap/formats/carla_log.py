@@ -14,7 +14,8 @@ import warnings
 from bisect import bisect_right
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Final
+from threading import Lock
+from typing import TYPE_CHECKING, BinaryIO, Final
 
 import numpy as np
 
@@ -79,13 +80,14 @@ class LogReader:
     def __init__(self, path: Path | str, *, salvage: bool = False) -> None:
         self.path = Path(path)
         self.lost_bytes = 0
+        self._lock = Lock()
         self._salvage = salvage
         self._warned: set[str] = set()
         self._extent: Extent | None = None
         self._index: _Index | None = None
         self._end: int | None = None  # of the last complete packet, once known
         try:
-            self._file = self.path.open("rb", buffering=0)
+            self._file: BinaryIO = self.path.open("rb", buffering=0)
         except OSError as error:
             raise RecapError(f"{path}: {error.strerror}") from None
         try:
@@ -237,7 +239,7 @@ class LogReader:
 
     def _window(self) -> Window:
         self._check_open()
-        return Window(self.path, self._file.fileno(), self._size)
+        return Window(self.path, self._file, self._size, self._lock)
 
     def _runs(self, index: int, at: int) -> Iterator[Run]:
         """Scan the frames from one on, whose position in the recording is given, to the end."""

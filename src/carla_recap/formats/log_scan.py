@@ -6,7 +6,6 @@ bytes of their packet headers.
 
 from __future__ import annotations
 
-import os
 import struct
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Final
@@ -20,6 +19,8 @@ from carla_recap.records import FRAME_END, FRAME_START, Framing
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
     from pathlib import Path
+    from threading import Lock
+    from typing import BinaryIO
 
     from numpy.typing import NDArray
 
@@ -82,8 +83,9 @@ class Window:
 
     Args:
         path: The file, for messages.
-        number: Its file descriptor.
+        file: The file, unbuffered.
         size: Its size, in bytes.
+        lock: Held while a part of the file is read, as several windows may share the file.
 
     Attributes:
         base: Where in the file the data begin.
@@ -91,9 +93,10 @@ class Window:
         size: The size of the file, in bytes.
     """
 
-    def __init__(self, path: Path, number: int, size: int) -> None:
+    def __init__(self, path: Path, file: BinaryIO, size: int, lock: Lock) -> None:
         self._path = path
-        self._number = number
+        self._file = file
+        self._lock = lock
         self.size = size
         self.base = 0
         self.data = b""
@@ -102,10 +105,7 @@ class Window:
         """Return some bytes of the file, fewer at its end; they need not be in memory, nor will they be."""
         if self.base <= at and at + size <= self.base + len(self.data):
             return self.data[at - self.base : at - self.base + size]
-        try:
-            return os.pread(self._number, min(size, self.size - at), at)
-        except OSError as error:
-            raise RecapError(f"{self._path}: {error.strerror}") from None
+        return self._bytes(at, min(size, self.size - at))
 
     def begin(self, at: int) -> None:
         """Have the bytes from a place on in memory, unless a fair part of them is there."""
@@ -135,15 +135,21 @@ class Window:
 
     def _read(self, at: int, size: int) -> None:
         size = min(max(size, _WINDOW), self.size - at)
-        try:
-            self.data = os.pread(self._number, size, at)
-            while len(self.data) < size and (more := os.pread(self._number, size - len(self.data), at + len(self.data))):
-                self.data += more
-        except OSError as error:
-            raise RecapError(f"{self._path}: {error.strerror}") from None
-        self.base = at
+        self.data, self.base = self._bytes(at, size), at
         if len(self.data) < size:
             raise FormatError(self._path, at + len(self.data), "the file has become shorter while it was read")
+
+    def _bytes(self, at: int, size: int) -> bytes:
+        """Read some bytes, fewer if the file ends before."""
+        try:
+            with self._lock:
+                self._file.seek(at)
+                data = self._file.read(size)
+                while len(data) < size and (more := self._file.read(size - len(data))):
+                    data += more
+        except OSError as error:
+            raise RecapError(f"{self._path}: {error.strerror}") from None
+        return data
 
 
 class Scanner:
@@ -163,7 +169,7 @@ class Scanner:
     def __init__(self, path: Path, window: Window, types: Sequence[RecordType | None], *, salvage: bool = False) -> None:
         self._path = path
         self._window = window
-        self._counted = [type is not None and type.fixed and type.framing is Framing.LIST for type in types]
+        self._counted = [type is not None and type.framing is Framing.LIST for type in types]
         self._types = types
         self._salvage = salvage
         self._next_whole: tuple[int, int | None] = (0, -1)  # from there on, the first frame that looks whole

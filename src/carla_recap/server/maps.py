@@ -81,6 +81,13 @@ class Maps:
         _LOG.warning("%s: there is no such map; %s stands in for it", asked[:_SHOWN], BUILT_IN)
         return await asyncio.to_thread(lambda: _prepared(load_town().renamed(asked)))
 
+    def is_only_here(self, name: str) -> bool:
+        """Return whether only `load` knows a map: the first one, one that was sent, or one that is stood in for."""
+        asked = plain_name(name)
+        if asked.casefold() in map(str.casefold, loadable_maps(self._folder)):
+            return False
+        return self._stand_in or asked == self._first.name or (asked == _SENT and self._sent is not None)
+
     async def preload(self, name: str) -> None:
         """Parse a map for what loads it next on the event loop, such as a replay; errors are left to that."""
         with suppress(RecapError):

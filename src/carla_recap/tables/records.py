@@ -29,13 +29,13 @@ class RecordTable(Tabular):
 
     Attributes:
         type: The record type.
-        frame: The positions of the frames in the recording, from 0, (n,).
+        frame: CARLA's numbers of the frames, (n,).
         time: Elapsed seconds, (n,).
         fields: The fields of the records by name: arrays, (n,); lists of texts and of nested records.
     """
 
     type: RecordType
-    frame: NDArray[np.int64]
+    frame: NDArray[np.uint64]
     time: NDArray[np.float64]
     fields: Mapping[str, Any]
 
@@ -109,7 +109,7 @@ class RecordTableBuilder:
 
     def _clear(self) -> None:
         self.rows = self.memory = 0
-        self._frames: list[NDArray[np.int64]] = []
+        self._frames: list[NDArray[np.uint64]] = []
         self._times: list[NDArray[np.float64]] = []
         self._records: list[NDArray[np.void]] = []
         self._objects: list[Any] = []
@@ -125,15 +125,15 @@ class RecordTableBuilder:
         self._add_frames(batch, np.array([len(records) for records in found]))
 
     def _add_frames(self, batch: Batch, counts: NDArray[np.int64]) -> None:
-        """Add the position and the time of each frame as often as it has records."""
-        self._frames.append(np.repeat(np.arange(batch.index, batch.index + len(batch)), counts))
+        """Add the number and the time of each frame as often as it has records."""
+        self._frames.append(np.repeat(batch.id, counts))
         self._times.append(np.repeat(batch.elapsed, counts))
         self.rows += len(self._times[-1])
 
 
 PARSED: Final = 50
 """How many times the memory of its payload a record needs whose size varies."""
-_NO_FRAMES: Final = np.empty(0, np.int64)
+_NO_FRAMES: Final = np.empty(0, np.uint64)
 _NO_TIMES: Final = np.empty(0)
 
 

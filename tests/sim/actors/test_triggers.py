@@ -116,3 +116,19 @@ def test_friction_is_read_as_carla_writes_it(text: str, friction: float) -> None
     trigger(world, friction=text)
     world.tick()
     assert frictions(vehicle) == [friction] * 4
+
+
+def test_nested_triggers_restore_the_friction_in_any_order() -> None:
+    world = flat_world()
+    vehicle = car(world)
+    before = frictions(vehicle)
+    trigger(world, friction="0.5")
+    world.tick()
+    trigger(world, friction="2.0")
+    world.tick()
+    assert frictions(vehicle) == [2.0] * 4
+    first, second = (actor for actor in world.actors.values() if actor.type_id == TRIGGER)
+    first.destroy()
+    assert frictions(vehicle) == [2.0] * 4
+    second.destroy()
+    assert frictions(vehicle) == before

@@ -413,3 +413,22 @@ def test_stiffer_tyres_take_every_vehicle_as_far_or_farther(name: str) -> None:
         car.apply_control(VehicleControl(throttle=1.0))
     world.run(5.0)
     assert cars[1].transform.location.x >= cars[0].transform.location.x
+
+
+@pytest.mark.parametrize(
+    "steering",
+    [(70.0, 70.0, 70.0, 70.0), (70.0, 0.0, 70.0, 0.0), (0.0, 0.0, 0.0, 0.0), (0.0, 0.0, 70.0, 70.0)],
+)
+def test_any_wheels_may_steer(steering: tuple[float, ...]) -> None:
+    world = flat_world()
+    car = vehicle(world, "tesla.model3")
+    control = car.physics_control
+    for wheel, angle in zip(control.wheels, steering, strict=True):
+        wheel.max_steer_angle = angle
+    car.physics_control = control
+    car.apply_control(VehicleControl(throttle=1.0, steer=0.5))
+    with np.errstate(all="raise"):
+        for _ in range(40):
+            world.tick()
+    assert np.isfinite(world.vehicles.position).all()
+    assert np.isfinite(world.vehicles.rotation).all()

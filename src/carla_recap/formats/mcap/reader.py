@@ -522,6 +522,13 @@ class McapReader:
         self, waiting: list[tuple[MessageRun, Batch]], wanted: set[int], pending: Pending
     ) -> list[tuple[MessageRun, Batch]]:
         """Return the batches none of whose frames has messages elsewhere; the frames of the others become pending."""
+        twice, stop = set(), -1
+        for run, _ in sorted(waiting, key=lambda each: each[0].sequence):
+            if run.sequence < stop:  # another run has the frame, too, as of a chunk that is there twice
+                twice.add(id(run))
+            stop = max(stop, run.sequence + run.count)
+        self._scatter([run for run, _ in waiting if id(run) in twice], wanted, pending)
+        waiting = [each for each in waiting if id(each[0]) not in twice]
         if not pending:
             return waiting
         numbers = sorted(pending)

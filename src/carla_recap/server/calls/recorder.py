@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import asyncio
 from collections.abc import Awaitable
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from typing import Any, Final
@@ -14,6 +15,7 @@ from typing import Any, Final
 from carla_recap import queries
 from carla_recap.errors import NotARecording, RecapError
 from carla_recap.formats import open_reader
+from carla_recap.maps.road_map import plain_name
 from carla_recap.server import recordings
 from carla_recap.server.client import Client
 from carla_recap.server.rpc.codec import DecodeError, decoder
@@ -92,9 +94,15 @@ async def replay_file(
     if not path.is_file():
         world.stop_replayer()
         return recordings.replaying(path) + recordings.not_found(path)
-    await client.host.maps.preload(map_name or await asyncio.to_thread(_recorded_map, path))
+    maps, recorded = client.host.maps, map_name or await asyncio.to_thread(_recorded_map, path)
+    is_present = plain_name(recorded) == world.town.name
+    town = await maps.load(recorded) if maps.is_only_here(recorded) and not is_present else None
+    if town is None:
+        await maps.preload(recorded)
     frames = world.frame
     try:
+        if town is not None:
+            world.reload(town)
         replay = world.replayer.start(
             str(path),
             start,
@@ -112,6 +120,7 @@ async def replay_file(
     finally:
         if client.host.check_episode(frames):
             client.host.publish()
+    replay = replace(replay, loaded=replay.loaded or town is not None)
     if replay.loaded:
         await asyncio.sleep(_NEWS)
     return recordings.replay_begins(replay, world.replayer, duration)

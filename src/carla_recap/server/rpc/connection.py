@@ -30,6 +30,7 @@ _RESERVED_FILES: Final = 100  # files that the process needs besides
 _MOST_HELD: Final = 128 << 20  # bytes
 _SHOWN: Final = 200  # characters of an unknown name in an error
 _MOST_UNKNOWN: Final = 20  # unknown calls in the log
+_MOST_LOGGED: Final = 100  # errors of a connection that no client waits for
 
 
 class PooledConnection(Protocol):
@@ -135,6 +136,7 @@ class ClientConnection(asyncio.Protocol):
         pool: ConnectionPool,
         open_context: Callable[[ClientConnection], CallContext],
     ) -> None:
+        self._logged = 0
         self.has_spoken = False
         self._calls = calls
         self._pool = pool
@@ -259,7 +261,7 @@ class ClientConnection(asyncio.Protocol):
 
     def _take(self, request: Any) -> None:
         match request:
-            case [0, int(number), str(name), [[*_], *arguments]]:
+            case [0, int(number), str(name), [[*metadata], *arguments]]:
                 if self._is_refused:
                     self._send([_REPLY, number, None, [[0, [self._pool.refusal]]]])
                     self._is_closed = True
@@ -267,11 +269,11 @@ class ClientConnection(asyncio.Protocol):
                         self._transport.close()
                     return
                 self.has_spoken = True
-                self._serve(number, name, arguments)
+                self._serve(number, name, arguments, waits=metadata[:1] != [True])
             case _:
                 raise ValueError
 
-    def _serve(self, number: int, name: str, arguments: list[Any]) -> None:
+    def _serve(self, number: int, name: str, arguments: list[Any], *, waits: bool) -> None:
         call = self._calls.get(name)
         context = self._context
         assert context is not None
@@ -284,12 +286,12 @@ class ClientConnection(asyncio.Protocol):
                 return answer.close()  # the client has left
             answer = context.hold(name, answer)
             if isawaitable(answer):
-                return self._reply_later(number, call, answer)
+                return self._reply_later(number, call, answer, waits=waits)
             return self._reply(number, call, answer)
         except Exception as error:
-            return self._reply_error(number, call, error)
+            return self._reply_error(number, call, error, waits=waits)
 
-    def _reply_later(self, number: int, call: Call, answer: Awaitable[Any]) -> None:
+    def _reply_later(self, number: int, call: Call, answer: Awaitable[Any], *, waits: bool) -> None:
         """Reply when an answer is ready; it is a task itself, so that it is not left unawaited when the client leaves."""
 
         def reply(task: asyncio.Future[Any]) -> None:
@@ -298,7 +300,7 @@ class ClientConnection(asyncio.Protocol):
             try:
                 self._reply(number, call, task.result())
             except Exception as error:
-                self._reply_error(number, call, error)
+                self._reply_error(number, call, error, waits=waits)
 
         task = asyncio.ensure_future(answer)
         task.add_done_callback(reply)
@@ -311,8 +313,12 @@ class ClientConnection(asyncio.Protocol):
             value = call.result(answer)
             self._send([_REPLY, number, None, value if call.bare else [[1, value]]])
 
-    def _reply_error(self, number: int, call: Call, error: Exception) -> None:
+    def _reply_error(self, number: int, call: Call, error: Exception, *, waits: bool) -> None:
+        """Reply with an error, and log it if the client does not wait for the reply, as then no script sees it."""
         text = error_text(call.name, error)
+        if not waits and self._logged < _MOST_LOGGED:
+            self._logged += 1
+            _LOG.warning("%s: %s", call.name, text)
         self._send([_REPLY, number, None, [[call.result is None or 0, [text]]]])
 
     def _send(self, reply: list[Any]) -> None:

@@ -64,7 +64,7 @@ class Actor:
 
     Attributes:
         context: The episode that it belongs to.
-        id: Its number, never used again.
+        id: Its number, never reused.
         blueprint: The blueprint that it was made from.
         attributes: Its attributes, as text.
         parent: The actor that it is attached to.

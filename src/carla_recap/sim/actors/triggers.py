@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from typing import TYPE_CHECKING, Final
+from weakref import WeakKeyDictionary
 
 import numpy as np
 
@@ -10,6 +11,8 @@ from carla_recap.sim.actors.actor import Actor
 from carla_recap.sim.validation import LARGEST
 
 if TYPE_CHECKING:
+    from collections.abc import Sequence
+
     from carla_recap.sim.actors.moving import Vehicle
     from carla_recap.sim.physics.vehicles import Vehicles
 
@@ -23,25 +26,29 @@ class FrictionTrigger(Actor):
     Its attributes are the friction and half the size of the box, in cm.
     """
 
-    _restored: dict[Vehicle, list[float]] | None = None
+    _entered: Sequence[Vehicle] = ()
 
     def update(self, vehicles: Vehicles) -> None:
         """Set the friction of vehicles that have entered, and restore that of vehicles that have left."""
-        before = self._restored or {}
         inside = self._inside(vehicles)
-        for vehicle in [vehicle for vehicle in before if vehicle not in inside]:
-            _set_friction(vehicle, before.pop(vehicle))
+        for vehicle in self._entered:
+            if vehicle not in inside:
+                _leave(vehicle, self)
         for vehicle in inside:
-            if vehicle not in before:
-                before[vehicle] = [wheel.tire_friction for wheel in vehicle.physics_control.wheels]
-                _set_friction(vehicle, [self._number("friction")] * len(before[vehicle]))
-        self._restored = before
+            if vehicle not in self._entered:
+                _enter(vehicle, self)
+        self._entered = inside
 
     def release(self) -> None:
         """Restore the friction of the vehicles inside."""
-        for vehicle, frictions in (self._restored or {}).items():
-            _set_friction(vehicle, frictions)
-        self._restored = None
+        for vehicle in self._entered:
+            _leave(vehicle, self)
+        self._entered = ()
+
+    @property
+    def friction(self) -> float:
+        """The friction of the tyres inside."""
+        return self._number("friction")
 
     def _inside(self, vehicles: Vehicles) -> list[Vehicle]:
         """Return the vehicles whose boxes overlap that of the trigger, by the axes of both boxes."""
@@ -70,6 +77,24 @@ class FrictionTrigger(Actor):
         except ValueError:
             return _DEFAULTS[key]
         return value if 0 <= value <= LARGEST else _DEFAULTS[key]
+
+
+_OCCUPIED: Final[WeakKeyDictionary[Vehicle, tuple[list[float], list[FrictionTrigger]]]] = WeakKeyDictionary()
+"""The vehicles in triggers: the friction of their tyres outside, and the triggers, of which the latest one acts."""
+
+
+def _enter(vehicle: Vehicle, trigger: FrictionTrigger) -> None:
+    outside = [wheel.tire_friction for wheel in vehicle.physics_control.wheels]
+    _OCCUPIED.setdefault(vehicle, (outside, []))[1].append(trigger)
+    _set_friction(vehicle, [trigger.friction] * len(outside))
+
+
+def _leave(vehicle: Vehicle, trigger: FrictionTrigger) -> None:
+    outside, triggers = _OCCUPIED[vehicle]
+    triggers.remove(trigger)
+    _set_friction(vehicle, [triggers[-1].friction] * len(outside) if triggers else outside)
+    if not triggers:
+        del _OCCUPIED[vehicle]
 
 
 def _set_friction(vehicle: Vehicle, frictions: list[float]) -> None:

@@ -31,6 +31,7 @@ _IDLE: Final = 0.12  # of the most revolutions: below, the clutch slips
 _FASTEST_REVERSE: Final = 12.0  # m/s, where the gears would allow more
 _MOST_SLIP: Final = 2.0  # of a wheel that spins, relative to the speed of the vehicle
 _CM: Final = 0.01  # m
+_LEAST_LEVER: Final = 0.05  # m, between the centre of a vehicle and an axle: where all wheels steer, their mean is 0
 
 
 def columns(control: PhysicsControl, box: Box, *, weightless: bool = False) -> dict[str, Any]:
@@ -46,6 +47,7 @@ def columns(control: PhysicsControl, box: Box, *, weightless: bool = False) -> d
     fixed = [wheel for wheel in wheels if not wheel.max_steer_angle]
     front = _mean([wheel.position.x * _CM for wheel in steering], 0.6 * box.extent.x)
     rear = -_mean([wheel.position.x * _CM for wheel in fixed], -0.6 * box.extent.x)
+    front, rear = (lever if abs(lever) > _LEAST_LEVER else _LEAST_LEVER for lever in (front, rear))
     radius = max(_mean([wheel.radius * _CM for wheel in wheels], 0.35), 0.05)
     mass = max(control.mass, 1.0)
     forces, gear = _forces(control, radius)

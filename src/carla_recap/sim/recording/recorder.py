@@ -200,8 +200,8 @@ class Recorder:
         """
         path = self.destination(name)
         check_free(path, force=force)
-        if recording_path(name, self._folder).is_dir():
-            raise RecapError(f"{path}: the name of a recording was expected, and this is a folder")
+        if (folder := recording_path(name, self._folder)).is_dir():
+            raise RecapError(f"{folder}: the name of a recording was expected, and this is a folder")
         source = self._world.replayed
         if source is not None and path.exists() and path.samefile(source):
             raise RecapError(f"{path}: is being replayed; the recorder needs another name")
