@@ -87,7 +87,7 @@ def _blocks(batch: Batch, name: str, wanted: NDArray[np.uint32] | None) -> Itera
             if len(behind) < len(kept):  # the last record of each actor counts
                 kept = kept[np.sort(len(kept) - 1 - behind)]
         part = records[start:stop] if len(kept) == len(listed) else records[start:stop, kept]
-        yield _Block(listed[kept], frame[start:stop], batch.elapsed[start:stop], part.copy())
+        yield _Block(listed[kept], frame[start:stop], batch.elapsed[start:stop].copy(), part.copy())
 
 
 def _among(ids: NDArray[np.uint32], wanted: NDArray[np.uint32]) -> NDArray[np.bool_]:
