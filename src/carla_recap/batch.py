@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any, overload
+from typing import TYPE_CHECKING, Any, Final, overload
 
 import numpy as np
 
@@ -20,6 +20,10 @@ if TYPE_CHECKING:
     from carla_recap.records import RecordType
 
     Floats = NDArray[np.float64]
+
+
+_FIRST_STEP: Final = 16  # rows that are compared at once, at first
+_GROWTH: Final = 8
 
 
 class Column:
@@ -335,6 +339,19 @@ class _Single(Batch):
     def frame(self, row: int) -> Frame:
         """See `Batch.frame`."""
         return self._frame
+
+
+def equal_rows(rows: NDArray[Any], columns: NDArray[np.intp]) -> int:
+    """Return the number of rows, from the first one on, that equal the first one in some columns."""
+    expected = rows[0, columns]
+    equal, step = 1, _FIRST_STEP
+    while equal < len(rows):
+        different = np.flatnonzero((rows[equal : equal + step, columns] != expected).any(axis=1))
+        if len(different):
+            return equal + int(different[0])
+        equal = min(equal + step, len(rows))
+        step *= _GROWTH
+    return equal
 
 
 def within(batches: Iterable[Batch], start: float, stop: float) -> Iterator[Batch]:

@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
 SAME_TIME: Final = 1e-6
-"""A time within so many seconds of a frame's is the frame's: CARLA's times are sums of 32-bit steps."""
+"""The tolerance in s within which a time is that of a frame: CARLA's times are sums of 32-bit steps."""
 LAST_FRAME_DURATION: Final = -1.0
 """What CARLA leaves as the duration of a recording's last frame."""
 

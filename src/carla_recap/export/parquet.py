@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 
 ROWS: Final = 1 << 18
 MEMORY: Final = 64 << 20
-"""A row group is written when there are so many rows of a type, or when they need so many bytes."""
+"""The limits of a row group, in rows and in bytes."""
 _PIECE: Final = 4 << 20  # bytes of a type that are gathered at once
 
 RENAMED: Final = {"collisions": "collision_records"}

@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
+from carla_recap.batch import equal_rows
 from carla_recap.errors import FormatError, RecapError
 from carla_recap.payload import U16, PayloadError, check
 from carla_recap.records import FRAME_END, FRAME_START, Framing
@@ -35,8 +36,6 @@ PACKETS_LIMIT: Final = 200_000
 FRAME_LIMIT: Final = 1 << 30
 """The largest frame that is read, in bytes."""
 _WINDOW: Final = 2 << 20  # bytes that are read at once
-_FIRST_STEP: Final = 16  # frames that are compared at once, at first
-_GROWTH: Final = 8
 _PACKETS_IN_A_FRAME: Final = 256  # at most, where a frame is searched for in a damaged file
 _BEHIND_START: Final = PACKET.size + START.itemsize
 
@@ -224,15 +223,7 @@ class Scanner:
         room = (len(data) - start) // stride
         places = self._header_bytes(run.places)
         frames = np.ndarray((room, stride), np.uint8, data, start, (stride, 1))
-        expected = frames[0, places]
-        same, step = 1, _FIRST_STEP
-        while same < room:
-            wrong = np.flatnonzero((frames[same : same + step, places] != expected).any(axis=1))
-            if len(wrong):
-                same += int(wrong[0])
-                break
-            same = min(same + step, room)
-            step *= _GROWTH
+        same = equal_rows(frames, places)
         behind = start + same * stride
         ends = data.startswith(START_HEAD, behind) or window.base + behind + PACKET.size > window.size
         same -= not ends

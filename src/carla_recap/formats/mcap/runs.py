@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 from mcap.opcode import Opcode
 
-from carla_recap.batch import Column
+from carla_recap.batch import Column, equal_rows
 from carla_recap.formats.mcap import wire
 from carla_recap.formats.mcap.container import MESSAGE, MESSAGE_FIELDS, RECORD
 from carla_recap.frame import Packet
@@ -40,8 +40,6 @@ _FIELDS: Final = np.dtype(
 )
 _SHAPE_BYTES: Final = 11  # of a message: opcode, length and channel
 _WORD: Final = 8
-_FIRST_STEP: Final = 16  # frames that are compared at once, at first
-_GROWTH: Final = 8
 
 
 class BrokenRecords(ValueError):
@@ -171,15 +169,7 @@ def _extended(run: MessageRun, spine: int) -> MessageRun:
     # Words of all bytes, which overlap: to take some of them out is faster than to take each byte.
     words = np.ndarray((room, run.stride - _WORD + 1), np.uint64, run.data, run.start, (run.stride, 1))
     where = np.array(compared, np.intp)
-    expected = words[0, where]
-    same, step = 1, _FIRST_STEP
-    while same < room:
-        wrong = np.flatnonzero((words[same : same + step, where] != expected).any(axis=1))
-        if len(wrong):
-            same += int(wrong[0])
-            break
-        same = min(same + step, room)
-        step *= _GROWTH
+    same = equal_rows(words, where)
     numbers = np.arange(run.sequence, run.sequence + same)
     for _, offset, _ in run.places:
         found = run.first(same).view(_FIELDS, offset - MESSAGE.size)["sequence"][:, 0]

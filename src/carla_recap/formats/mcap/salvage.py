@@ -37,9 +37,9 @@ from carla_recap.frame import Header
 DATA_END_SIZE: Final = 4
 _MODEST: Final = 64 << 10
 _SMALL: Final = 16 << 20  # no record but a chunk is larger
-_FALSE_FACTOR: Final = 4  # times the file's size, so many bytes are read for what turns out to be no chunk
+_FALSE_FACTOR: Final = 4  # times the size of the file: bytes read for what turns out to be no chunk
 _FALSE_LEAST: Final = 16 << 20
-_UNPACKED_FACTOR: Final = 100  # times the file's size, so many bytes of records are unpacked
+_UNPACKED_FACTOR: Final = 100  # times the size of the file: bytes of records that are unpacked
 _UNPACKED_LEAST: Final = 512 << 20
 _MESSAGES_LEAST: Final = 1_000_000
 _MESSAGE_BYTES: Final = 4  # bytes of the file for each message beyond those

@@ -95,7 +95,7 @@ class Source:
         return self.read(at + RECORD.size, size, what)
 
     def check_open(self) -> None:
-        """Check that the file was not let go of.
+        """Check that the file is not closed.
 
         Raises:
             Closed: It was.
