@@ -173,7 +173,7 @@ def opened(path: Path, seconds: float) -> Iterator[Photographer]:
             timelines = [timeline for recording in photographer.state.recordings for timeline in recording.timelines]
             return ("sim_time", round(seconds * 1e9)) in [(timeline.name, timeline.end) for timeline in timelines]
 
-        with time_limit(30):
+        with time_limit(60):
             photographer._program.wait_for(f"{seconds} s", complete)
         yield photographer
 
