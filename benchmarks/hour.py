@@ -17,8 +17,8 @@ from typing import TYPE_CHECKING, Any, Final
 import numpy as np
 
 from carla_recap.formats.carla_log import LogWriter
-from carla_recap.frame import LAST_FRAME_DURATION, Frame, Header, Packet
-from carla_recap.records import NO_ACTOR, UE4, ActorKind, Attribute, Spawn
+from carla_recap.model.frame import LAST_FRAME_DURATION, Frame, Header, Packet
+from carla_recap.model.records import NO_ACTOR, UE4, ActorKind, Attribute, Spawn
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator

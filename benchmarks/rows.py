@@ -35,7 +35,7 @@ if TYPE_CHECKING:
 
     Query = Callable[[Reader], Collisions | Blocked | Info]
 
-CONVERT: Final = "import sys; from carla_recap.conversion import convert; convert(*sys.argv[1:], force=True)"
+CONVERT: Final = "import sys; from carla_recap.editing.convert import convert; convert(*sys.argv[1:], force=True)"
 TRAJECTORIES: Final = (
     "import sys; from carla_recap import open_recording; r = open_recording(sys.argv[1]); "
     "r.trajectory(r.heroes[0].id) if sys.argv[2] == 'one' else r.trajectories()"
@@ -326,7 +326,7 @@ def medians(*works: Callable[[], object], times: int = 9) -> list[float]:
 def ask(query: Query, path: Path) -> tuple[str, int | None]:
     """The text of a query, and how many bytes of the file it took, if the reader counts them."""
     from carla_recap.formats import open_reader
-    from carla_recap.queries.text import text
+    from carla_recap.queries.output.text import text
 
     reader = open_reader(path)
     try:

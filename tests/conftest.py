@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 import pytest
 from hypothesis import HealthCheck, settings
 
-from carla_recap.frame import Header
+from carla_recap.model.frame import Header
 from tests.samples import drive, save, small_log, write
 
 if TYPE_CHECKING:

@@ -15,13 +15,13 @@ import pytest
 
 from carla_recap.errors import RecapError, RecapWarning
 from carla_recap.formats import create_writer, open_reader
-from carla_recap.frame import Frame, Packet
-from carla_recap.records import UE4
+from carla_recap.model.frame import Frame, Packet
+from carla_recap.model.records import UE4
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator
 
-    from carla_recap.frame import Header
+    from carla_recap.model.frame import Header
 
 CARLA_LOGS = Path(__file__).parents[2] / "shared" / "data" / "carla-logs"
 RANDOM_LOGS = CARLA_LOGS.with_name("random-logs")

@@ -9,14 +9,14 @@ from typing import TYPE_CHECKING, Any
 from hypothesis import strategies as st
 
 from carla_recap.formats.carla_log import pack_header
-from carla_recap.frame import Frame, Header, Packet
-from carla_recap.records import UE4, UE5, Framing
+from carla_recap.model.frame import Frame, Header, Packet
+from carla_recap.model.records import UE4, UE5, Framing
 from tests.samples import listed, text
 
 if TYPE_CHECKING:
     from hypothesis.strategies import SearchStrategy
 
-    from carla_recap.records import RecordType, Table
+    from carla_recap.model.records import RecordType, Table
 
 # A cut or surplus byte here and there, but mostly sound packets.
 surplus = st.one_of(st.just(b""), st.just(b""), st.binary(max_size=3))

@@ -17,7 +17,7 @@ if TYPE_CHECKING:
 
     from carla_recap.formats.base import Reader, Writer
 
-from carla_recap.frame import Frame, Header
+from carla_recap.model.frame import Frame, Header
 
 CLOSED = r"drive\.(log|mcap): .*closed"
 

@@ -15,7 +15,7 @@ import pytest
 
 import carla_recap
 from carla_recap import MissingExtra
-from carla_recap.records import UE4, Framing, Group, Layout, Many
+from carla_recap.model.records import UE4, Framing, Group, Layout, Many
 
 if TYPE_CHECKING:
     from collections.abc import Iterator

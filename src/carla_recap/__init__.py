@@ -12,15 +12,15 @@ from __future__ import annotations
 from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
-from carla_recap.lazy import lazily
+from carla_recap.util.lazy import lazily
 
 if TYPE_CHECKING:
     __version__: str
 
-    from carla_recap.author import Recorder, create_recording
-    from carla_recap.batch import Batch
-    from carla_recap.clipping import clip, clips
-    from carla_recap.conversion import convert
+    from carla_recap.editing.author import Recorder, create_recording
+    from carla_recap.editing.clip import clip, clips
+    from carla_recap.editing.convert import convert
+    from carla_recap.editing.recover import Recovery, recover
     from carla_recap.errors import (
         FormatError,
         MissingExtra,
@@ -29,19 +29,19 @@ if TYPE_CHECKING:
         RecapWarning,
         RecordError,
     )
-    from carla_recap.export.page import write_report
     from carla_recap.export.parquet import export_parquet
+    from carla_recap.export.report import write_report
     from carla_recap.formats import create_writer
-    from carla_recap.frame import Frame, Header
     from carla_recap.maps import RoadMap, load_map
+    from carla_recap.model.batch import Batch
+    from carla_recap.model.frame import Frame, Header
+    from carla_recap.model.records import ActorKind, Attribute, Spawn, attributes
     from carla_recap.queries.actors import Actor
     from carla_recap.queries.blocked import BlockedRow
     from carla_recap.queries.collisions import CollisionRow
     from carla_recap.queries.incidents import Incident
     from carla_recap.queries.info import InfoRow
     from carla_recap.recording import Recording, RecordingInfo, open_recording
-    from carla_recap.records import ActorKind, Attribute, Spawn, attributes
-    from carla_recap.recovery import Recovery, recover
     from carla_recap.replay import Player, Scene
     from carla_recap.tables.records import RecordTable
     from carla_recap.tables.trajectories import Controls, LightStates, Trajectories, Trajectory
@@ -93,14 +93,14 @@ __all__ = [
 _get, __dir__ = lazily(
     __name__,
     {
-        "batch": ("Batch",),
-        "author": ("Recorder", "create_recording"),
-        "clipping": ("clip", "clips"),
-        "conversion": ("convert",),
+        "model.batch": ("Batch",),
+        "editing.author": ("Recorder", "create_recording"),
+        "editing.clip": ("clip", "clips"),
+        "editing.convert": ("convert",),
         "errors": ("FormatError", "MissingExtra", "NotARecording", "RecapError", "RecapWarning", "RecordError"),
-        "export.page": ("write_report",),
+        "export.report": ("write_report",),
         "export.parquet": ("export_parquet",),
-        "frame": ("Frame", "Header"),
+        "model.frame": ("Frame", "Header"),
         "maps": ("RoadMap", "load_map"),
         "queries.actors": ("Actor",),
         "queries.blocked": ("BlockedRow",),
@@ -108,9 +108,9 @@ _get, __dir__ = lazily(
         "formats": ("create_writer",),
         "queries.incidents": ("Incident",),
         "queries.info": ("InfoRow",),
-        "records": ("ActorKind", "Attribute", "Spawn", "attributes"),
+        "model.records": ("ActorKind", "Attribute", "Spawn", "attributes"),
         "recording": ("Recording", "RecordingInfo", "open_recording"),
-        "recovery": ("Recovery", "recover"),
+        "editing.recover": ("Recovery", "recover"),
         "replay": ("Player", "Scene"),
         "tables.records": ("RecordTable",),
         "tables.trajectories": ("Controls", "LightStates", "Trajectories", "Trajectory"),

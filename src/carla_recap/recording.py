@@ -23,9 +23,9 @@ if TYPE_CHECKING:
     from pathlib import Path
     from types import TracebackType
 
-    from carla_recap.batch import Batch
     from carla_recap.formats.base import Reader
-    from carla_recap.frame import Frame, Header
+    from carla_recap.model.batch import Batch
+    from carla_recap.model.frame import Frame, Header
     from carla_recap.queries.blocked import Blocked
     from carla_recap.queries.collisions import Collisions
     from carla_recap.queries.incidents import Incidents
@@ -258,19 +258,19 @@ class Recording:
 
     def collisions(self, type1: str = "a", type2: str = "a", *, compat: bool = False) -> Collisions:
         """Return the collisions; see `carla_recap.queries.collisions`."""
-        from carla_recap.queries import collisions
+        from carla_recap.queries.collisions import collisions
 
         return collisions(self.reader, type1, type2, compat=compat)
 
     def blocked(self, min_time: float = 30.0, min_distance: float = 10.0, *, compat: bool = False) -> Blocked:
         """Return the actors that did not move; see `carla_recap.queries.blocked`. Seconds and centimetres."""
-        from carla_recap.queries import blocked
+        from carla_recap.queries.blocked import blocked
 
         return blocked(self.reader, min_time, min_distance, compat=compat)
 
     def incidents(self, **which: Any) -> Incidents:
         """Return the incidents: collisions, long stops, hard braking; see `carla_recap.queries.incidents`."""
-        from carla_recap.queries import incidents
+        from carla_recap.queries.incidents import incidents
 
         return incidents(self.reader, **which)
 

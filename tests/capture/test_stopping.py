@@ -14,10 +14,10 @@ import carla
 import pytest
 
 from carla_recap import create_recording, open_recording
-from carla_recap.formats.atomic import partials
-from carla_recap.records import Attribute, Spawn
-from carla_recap.recovery import recover
+from carla_recap.editing.recover import recover
+from carla_recap.model.records import Attribute, Spawn
 from carla_recap.server import running as server
+from carla_recap.util.files import partials
 from tests.capture.conftest import PATIENCE, wait_for
 from tests.cli.command import COMMAND, ENVIRONMENT
 

@@ -19,8 +19,8 @@ def crossing_rrd(tmp_path_factory):
     """Six seconds of the crossing, around the collision of the hero; skips the test where the viewer cannot draw."""
     pytest.importorskip("rerun", reason="the extra `rerun` is not installed")
     from carla_recap import open_recording
-    from carla_recap.export.headless import Photographer
     from carla_recap.export.rerun import export_rerun
+    from carla_recap.export.screenshots import Photographer
 
     path = tmp_path_factory.mktemp("rerun") / "crossing.rrd"
     with open_recording(SAMPLE) as recording:

@@ -18,7 +18,7 @@ from mcap.reader import make_reader
 
 from carla_recap import MissingExtra, NotARecording, RecapError, Spawn, open_recording
 from carla_recap.export.foxglove import export_foxglove, layout_files
-from carla_recap.records import UE4, ActorKind
+from carla_recap.model.records import UE4, ActorKind
 from tests.replay.scripts import light, pose, spawn, velocity, write
 from tests.samples import carla_log, names_in
 

@@ -20,8 +20,8 @@ from mcap.writer import Writer
 from rerun.chunk import RrdReader
 
 from carla_recap import convert
-from carla_recap.export.headless import Photographer
 from carla_recap.export.importer import FAILED, NOT_OURS
+from carla_recap.export.screenshots import Photographer
 from tests.export.conftest import SAMPLE
 from tests.samples import CARLA_LOGS, carla_log, log_header, save, small_log, time_limit
 

@@ -11,7 +11,7 @@ import pytest
 
 from carla_recap import MissingExtra, RecapError, create_recording, export_parquet, open_recording
 from carla_recap.export import parquet as exporter
-from carla_recap.records import UE4, Bone, Bones
+from carla_recap.model.records import UE4, Bone, Bones
 from tests.cli.command import COMMAND, CROSSING, ENVIRONMENT, TIMEOUT, before_others, error, on_terminal, run, the_line
 from tests.samples import log_header, names_in, packet, save, small_log, start
 

@@ -15,7 +15,7 @@ import psutil
 import pytest
 
 from carla_recap import ActorKind, MissingExtra, RecapError, RecapWarning, Spawn, open_recording
-from carla_recap.export import look
+from carla_recap.export import style
 from carla_recap.maps import RoadMap, load_map
 from carla_recap.replay import Player
 from tests.replay.scripts import light, pose, spawn, velocity, write
@@ -209,9 +209,9 @@ def test_the_hero_is_highlighted(crossing) -> None:
         label, shown, color = values
         return label, shown, tuple(color.to_bytes(4, "big")[:3])
 
-    assert looks(HERO) == (f"hero {HERO}", True, look.HERO)
-    assert looks(BLOCKING) == (f"audi.a2 {BLOCKING}", False, look.STYLES[ActorKind.VEHICLE].color)
-    assert looks(WALKER)[2] == look.STYLES[ActorKind.WALKER].color
+    assert looks(HERO) == (f"hero {HERO}", True, style.HERO)
+    assert looks(BLOCKING) == (f"audi.a2 {BLOCKING}", False, style.STYLES[ActorKind.VEHICLE].color)
+    assert looks(WALKER)[2] == style.STYLES[ActorKind.WALKER].color
 
 
 def test_a_sensor_is_fixed_to_its_car(crossing) -> None:
@@ -303,12 +303,12 @@ def test_a_camera_for_each_vehicle_and_walker(crossing) -> None:
 def test_lights_change_as_recorded(crossing) -> None:
     states = crossing.recording.light_states(LIGHT)
     changed = np.flatnonzero(np.diff(states.state, prepend=-1))
-    expected = [(pytest.approx(states.time[k]), [look.light(states.state[k])[0]]) for k in changed]
+    expected = [(pytest.approx(states.time[k]), [style.light(states.state[k])[0]]) for k in changed]
     assert len(expected) > 3
     assert crossing.rrd.rows(f"/signals/tl_{LIGHT}", "StateChange:state") == expected
     colors = crossing.rrd.rows(f"/world/signals/tl_{LIGHT}", "Points3D:colors")
     assert [tuple(color.to_bytes(4, "big")[:3]) for _, (color,) in colors] == [
-        look.light(states.state[k])[1] for k in changed
+        style.light(states.state[k])[1] for k in changed
     ]
     assert crossing.rrd.static[f"/signals/tl_{LIGHT}"]["StateConfiguration:values"][:3] == ["red", "yellow", "green"]
 
@@ -364,7 +364,7 @@ def test_real_recordings(name: str, view: str, tmp_path: Path) -> None:
         for id in lights:
             states = recording.light_states(id)
             assert rrd.at(f"/signals/tl_{id}", "StateChange:state", 9) == [
-                look.light(states.state[np.searchsorted(states.time, 9, "right") - 1])[0]
+                style.light(states.state[np.searchsorted(states.time, 9, "right") - 1])[0]
             ]
     assert len(lights) == 36
     assert Arrangement(path).active_tab == view.capitalize()
@@ -405,9 +405,9 @@ def test_an_id_given_out_again(tmp_path: Path) -> None:
     path = "/world/actors/1"
     assert [rrd.place(path, t)[0] if rrd.place(path, t) else None for t in range(8)] == [0, 1, 2, None, None, 5, 6, 7]
     sizes = [rrd.at(path, "Boxes3D:half_sizes", t) for t in (0, 3, 6)]
-    assert sizes[0][0] == pytest.approx(look.STYLES[ActorKind.VEHICLE].extent)
+    assert sizes[0][0] == pytest.approx(style.STYLES[ActorKind.VEHICLE].extent)
     assert sizes[1] is None
-    assert sizes[2][0] == pytest.approx(look.STYLES[ActorKind.WALKER].extent)
+    assert sizes[2][0] == pytest.approx(style.STYLES[ActorKind.WALKER].extent)
     assert rrd.at(path, "LineStrips3D:strips", 6) is None  # the arrow on the roof of the car
 
 
@@ -461,7 +461,7 @@ def test_what_is_no_number_is_left_out(tmp_path: Path) -> None:
 
 def test_an_actor_that_was_never_spawned(tmp_path: Path) -> None:
     rrd = export(write(tmp_path / "stranger.log", driven(3, of=9)), tmp_path / "stranger.rrd")
-    assert rrd.at("/world/actors/9", "Boxes3D:half_sizes", 0)[0] == pytest.approx(look.OTHER.extent)
+    assert rrd.at("/world/actors/9", "Boxes3D:half_sizes", 0)[0] == pytest.approx(style.OTHER.extent)
     assert rrd.place("/world/actors/9", 2) == [2, 0, 0]
 
 
@@ -494,7 +494,7 @@ def test_a_light_that_goes_and_comes(tmp_path: Path) -> None:
 
 
 def test_contacts_with_pauses(tmp_path: Path) -> None:
-    contacts = {0: (1, 2), 1: (2, 1), 5: (1, 2), 20: (1, 2), 21: (1, look.NOTHING)}
+    contacts = {0: (1, 2), 1: (2, 1), 5: (1, 2), 20: (1, 2), 21: (1, style.NOTHING)}
     frames = driven(30, spawned=[spawn(1), spawn(2)])
     for number, (at, pair) in enumerate(contacts.items()):
         frames[at] |= {"collisions": [(number, *pair, 0, 0)]}
@@ -552,7 +552,7 @@ def test_cameras_are_limited(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) ->
 
 
 def test_of_many_contacts_the_last_ones_are_marked(tmp_path: Path) -> None:
-    contacts = [(id, id, look.NOTHING, 0, 0) for id in range(1, 201)]
+    contacts = [(id, id, style.NOTHING, 0, 0) for id in range(1, 201)]
     there = [pose(id, 100 * id) for id in range(1, 201)]
     frames = [{"transforms": there, "spawned": [spawn(id) for id in range(1, 201)], "collisions": contacts}]
     rrd = export(write(tmp_path / "crash.log", [*frames, {}, {}]), tmp_path / "crash.rrd")
@@ -583,7 +583,7 @@ def test_memory_is_given_back(tmp_path: Path) -> None:
 def test_the_trail_has_the_colour_of_the_actor(tmp_path: Path) -> None:
     frames = driven(3, spawned=[spawn(1), spawn(2, role_name="hero")])
     source = write(tmp_path / "two.log", frames)
-    for id, color in ((1, look.STYLES[ActorKind.VEHICLE].color), (2, look.HERO)):
+    for id, color in ((1, style.STYLES[ActorKind.VEHICLE].color), (2, style.HERO)):
         rrd = export(source, tmp_path / f"{id}.rrd", follow=id)
         (shown,) = rrd.static[f"/world/trail/{id}"]["LineStrips3D:colors"]
         assert tuple(shown.to_bytes(4, "big")[:3]) == color

@@ -15,11 +15,11 @@ from PIL import Image
 
 from carla_recap import open_recording
 from carla_recap.errors import RecapError
-from carla_recap.export.look import COLLISION, HERO, STYLES
 from carla_recap.export.snapshot import picture, snapshot
-from carla_recap.records import ActorKind
+from carla_recap.export.style import COLLISION, HERO, STYLES
+from carla_recap.model.records import ActorKind
 from tests.export.conftest import SAMPLE
-from tests.export.test_headless import share
+from tests.export.test_screenshots import share
 from tests.replay.scripts import pose, spawn, write
 from tests.samples import carla_log, names_in, time_limit
 

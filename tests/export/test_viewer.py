@@ -18,7 +18,7 @@ import psutil
 
 from carla_recap import open_recording
 from carla_recap.errors import RecapError
-from carla_recap.export.headless import Photographer
+from carla_recap.export.screenshots import Photographer
 from carla_recap.export.viewer import view
 from tests.export.conftest import SAMPLE
 from tests.samples import time_limit

@@ -19,7 +19,7 @@ from carla_recap import (
 )
 from carla_recap.formats import create_writer, open_reader
 from carla_recap.formats.carla_log import LogReader
-from carla_recap.frame import Frame, Header
+from carla_recap.model.frame import Frame, Header
 from tests import strategies
 from tests.samples import (
     DATE,

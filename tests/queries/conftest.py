@@ -7,10 +7,10 @@ from typing import TYPE_CHECKING, Any
 
 import pytest
 
-from carla_recap.conversion import convert
+from carla_recap.editing.convert import convert
 from carla_recap.formats import create_writer, open_reader
-from carla_recap.frame import LAST_FRAME_DURATION, Frame, Header, Packet
-from carla_recap.records import FRAME_END
+from carla_recap.model.frame import LAST_FRAME_DURATION, Frame, Header, Packet
+from carla_recap.model.records import FRAME_END
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator, Mapping, Sequence

@@ -9,10 +9,10 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from carla_recap.frame import Header
-from carla_recap.queries import BlockedRow, blocked
-from carla_recap.queries.report import text
-from carla_recap.records import Spawn
+from carla_recap.model.frame import Header
+from carla_recap.model.records import Spawn
+from carla_recap.queries.blocked import BlockedRow, blocked
+from carla_recap.queries.output.text import text
 from tests.samples import time_limit
 
 if TYPE_CHECKING:
@@ -283,7 +283,7 @@ def test_by_definition(
     min_time: float,
     min_distance: float,
 ) -> None:
-    monkeypatch.setattr("carla_recap.standing._ROUNDS", rounds)
+    monkeypatch.setattr("carla_recap.model.stationary._ROUNDS", rounds)
     durations = data.draw(st.lists(lasting, min_size=len(frames), max_size=len(frames)))
     reader = make(*frames, durations=durations)
     rows = blocked(reader, min_time, min_distance, compat=compat)

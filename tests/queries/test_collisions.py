@@ -5,9 +5,9 @@ from typing import TYPE_CHECKING
 import pytest
 
 from carla_recap.errors import RecapError
-from carla_recap.queries import CollisionRow, collisions
-from carla_recap.queries.report import text
-from carla_recap.records import NO_ACTOR, Spawn
+from carla_recap.model.records import NO_ACTOR, Spawn
+from carla_recap.queries.collisions import CollisionRow, collisions
+from carla_recap.queries.output.text import text
 
 if TYPE_CHECKING:
     from tests.queries.conftest import Make

@@ -13,10 +13,13 @@ import pytest
 
 from carla_recap.errors import RecapError
 from carla_recap.formats.mcap.reader import McapReader
-from carla_recap.frame import LAST_FRAME_DURATION, Header
+from carla_recap.model.frame import LAST_FRAME_DURATION, Header
+from carla_recap.model.records import NO_ACTOR, Spawn, attributes
 from carla_recap.queries import braking as braking_module
-from carla_recap.queries import incidents, report
-from carla_recap.records import NO_ACTOR, Spawn, attributes
+from carla_recap.queries.incidents import incidents
+from carla_recap.queries.output.json import json as json_text
+from carla_recap.queries.output.table import table
+from carla_recap.queries.output.text import text
 from tests.queries.conftest import TICK, write
 from tests.samples import carla_log, reading
 
@@ -135,7 +138,7 @@ def test_the_place_is_that_of_the_first_actor_at_the_start(make: Make) -> None:
 def test_a_place_that_nothing_tells(make: Make) -> None:
     answer = incidents(make({"spawned": CAST}, {"collisions": [(0, 4, 99, 0, 0)]}))
     assert math.isnan(answer[0].x)
-    assert stdlib.loads("".join(report.json(answer)))["rows"][0]["x"] is None
+    assert stdlib.loads("".join(json_text(answer)))["rows"][0]["x"] is None
 
 
 def test_nothing_that_touches_nothing(make: Make) -> None:
@@ -303,7 +306,7 @@ def test_of_nothing(make: Make) -> None:
 
 def test_reports(make: Make) -> None:
     answer = incidents(make({"spawned": CAST}, contact(1, NO_ACTOR)))
-    (row,) = stdlib.loads("".join(report.json(answer)))["rows"]
+    (row,) = stdlib.loads("".join(json_text(answer)))["rows"]
     assert row == asdict(answer[0]) | {"actors": [1], "type_ids": ["vehicle.audi.tt"]}
-    assert "     0.5        0.0 collision    hero collides with something that is no actor\n" in "".join(report.text(answer))
-    report.table(answer)
+    assert "     0.5        0.0 collision    hero collides with something that is no actor\n" in "".join(text(answer))
+    table(answer)

@@ -6,10 +6,10 @@ from typing import TYPE_CHECKING, Any, cast
 
 import pytest
 
-from carla_recap.frame import Extent, Frame, Header, Packet
-from carla_recap.queries import InfoRow, info
-from carla_recap.queries.report import text
-from carla_recap.records import UE4, Attribute, Bone, Bones, Spawn
+from carla_recap.model.frame import Extent, Frame, Header, Packet
+from carla_recap.model.records import UE4, Attribute, Bone, Bones, Spawn
+from carla_recap.queries.info import InfoRow, info
+from carla_recap.queries.output.text import text
 
 if TYPE_CHECKING:
     from collections.abc import Iterator

@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 
 from carla_recap import create_recording, open_recording
+from carla_recap.model.records import UE4
 from carla_recap.queries import braking
 from carla_recap.queries.blocked import blocked
-from carla_recap.records import UE4
 
 FRAMES, VEHICLES, TICK = 400, 12, 0.05
 
@@ -53,6 +53,6 @@ def test_no_hard_braking_is_missed(path, monkeypatch):
 def test_packets_followed_without_a_group_count_the_same(path, monkeypatch, compat):
     with open_recording(path) as recording:
         found = list(blocked(recording.reader, 0.3, 20.0, compat=compat))
-        monkeypatch.setattr("carla_recap.standing._FEW", 0)
+        monkeypatch.setattr("carla_recap.model.stationary._FEW", 0)
         assert found == list(blocked(recording.reader, 0.3, 20.0, compat=compat))
     assert len(found) > 5

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from carla_recap.errors import MissingExtra
-from carla_recap.queries import collisions
+from carla_recap.queries.collisions import collisions
 from carla_recap.tables import Rows
 
 

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 import pytest
 
 from carla_recap import RecapError
-from carla_recap.records import NO_ACTOR
+from carla_recap.model.records import NO_ACTOR
 from carla_recap.replay import Player, choose_followed
 from tests.replay.scripts import pose, spawn
 

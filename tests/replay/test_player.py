@@ -12,7 +12,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from carla_recap import RecapError, open_recording
-from carla_recap.frame import Frame
+from carla_recap.model.frame import Frame
 from carla_recap.replay import Player
 from tests.replay.scripts import pose, spawn, velocity, write, x_of
 

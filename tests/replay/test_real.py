@@ -10,7 +10,7 @@ import pytest
 
 from carla_recap import convert, open_recording
 from carla_recap.formats import create_writer
-from carla_recap.frame import Frame, Header, Packet
+from carla_recap.model.frame import Frame, Header, Packet
 from carla_recap.replay import Player, chase
 from tests.replay.scripts import pose, spawn, state, velocity, x_of
 from tests.samples import carla_log

@@ -12,8 +12,8 @@ import carla
 import pytest
 
 import carla_recap
-from carla_recap import queries
 from carla_recap.errors import RecapError
+from carla_recap.queries.info import info
 from carla_recap.server import recordings as served
 from carla_recap.server import running
 from carla_recap.server.recordings import Recordings
@@ -255,7 +255,7 @@ def test_a_damaged_recording_is_an_error_that_tells_where(client: carla.Client, 
 def test_an_answer_that_is_too_long_is_none(recordings: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(served, "_LONGEST", 1000)
     with pytest.raises(RecapError, match=r"drive\.mcap: the answer has more than 1000 characters"):
-        asyncio.run(served.answer(recordings / "drive.mcap", partial(queries.info, all=True, compat=True)))
+        asyncio.run(served.answer(recordings / "drive.mcap", partial(info, all=True, compat=True)))
 
 
 # --- replaying -----------------------------------------------------------------------------------------------------------

@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 
 from carla_recap.errors import RecapError
-from carla_recap.records import ActorKind
+from carla_recap.model.records import ActorKind
 from carla_recap.sim.actors.actor import Prop, Sensor
 from carla_recap.sim.actors.control import VehicleControl, WalkerControl
 from carla_recap.sim.actors.moving import Vehicle, Walker

@@ -13,10 +13,10 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from carla_recap import FormatError, RecapError, RecapWarning, RecordError, create_recording, open_recording
-from carla_recap.batch import Batch
-from carla_recap.frame import Frame, Header, Packet
-from carla_recap.records import CM, UE4, UE5, Many
-from carla_recap.texts import readable
+from carla_recap.model.batch import Batch
+from carla_recap.model.frame import Frame, Header, Packet
+from carla_recap.model.records import CM, UE4, UE5, Many
+from carla_recap.util.text import readable
 from tests import strategies
 from tests.samples import (
     END,

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Final
 import carla
 
 from carla_recap.capture.actors import OWN, UNANSWERED, UNREADABLE, parent_of
-from carla_recap.records import NO_ACTOR, ActorKind
+from carla_recap.model.records import NO_ACTOR, ActorKind
 
 if TYPE_CHECKING:
     from collections.abc import Callable

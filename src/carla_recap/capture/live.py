@@ -14,15 +14,15 @@ from typing import TYPE_CHECKING, Final
 
 from carla_recap.capture.observer import HOST, PORT, Observer
 from carla_recap.capture.recording import header_of, live_frames
-from carla_recap.conversion import check_free
+from carla_recap.editing.convert import check_free
 from carla_recap.errors import RecapError
-from carla_recap.export.program import HOST as LOOPBACK
-from carla_recap.export.program import LISTENING, Program
 from carla_recap.export.rerun import LiveView, View, live_blueprint, piped, sent
 from carla_recap.export.viewer import has_display
-from carla_recap.export.whole import WholeFile
+from carla_recap.export.viewer_process import HOST as LOOPBACK
+from carla_recap.export.viewer_process import LISTENING, Program
 from carla_recap.maps import RoadMap, load_map
 from carla_recap.replay.follow import HERO, Follow
+from carla_recap.util.files import WholeFile
 from carla_recap.util.signals import call_on_termination
 
 if TYPE_CHECKING:

@@ -23,7 +23,7 @@ from carla_recap.capture import packets
 from carla_recap.capture.actors import UNANSWERED, ActorTracker, readable
 from carla_recap.capture.collisions import CollisionListener
 from carla_recap.errors import RecapError
-from carla_recap.records import NO_ACTOR, UE4, ActorKind
+from carla_recap.model.records import NO_ACTOR, UE4, ActorKind
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator

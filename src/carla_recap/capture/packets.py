@@ -6,14 +6,14 @@ from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
-from carla_recap.records import UE4, ActorKind, Attribute, Physics, Spawn
+from carla_recap.model.records import UE4, ActorKind, Attribute, Physics, Spawn
 from carla_recap.sim.recording.poses import CM_PER_M
 
 if TYPE_CHECKING:
     import carla
     from numpy.typing import NDArray
 
-    from carla_recap.records import Layout, RecordType
+    from carla_recap.model.records import Layout, RecordType
 
     Row = tuple[float, ...]
     Pose = tuple[float, float, float, float, float, float]

@@ -8,13 +8,13 @@ from collections import deque
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final, NamedTuple
 
-from carla_recap.author import packets_of
 from carla_recap.capture.observer import HOST, PORT, Observer
-from carla_recap.conversion import check_free
+from carla_recap.editing.author import packets_of
+from carla_recap.editing.convert import check_free
+from carla_recap.editing.recover import rescue
 from carla_recap.formats import create_writer
-from carla_recap.frame import LAST_FRAME_DURATION, Frame, Header, Packet
-from carla_recap.records import FRAME_END, UE4
-from carla_recap.recovery import rescue
+from carla_recap.model.frame import LAST_FRAME_DURATION, Frame, Header, Packet
+from carla_recap.model.records import FRAME_END, UE4
 from carla_recap.util.signals import call_on_termination
 
 if TYPE_CHECKING:

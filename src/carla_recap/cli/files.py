@@ -20,7 +20,7 @@ def convert(source: str, destination: str, force: bool) -> None:
     .log to .mcap and back gives the same bytes.
     """
     from carla_recap.cli.progress import watch
-    from carla_recap.conversion import convert as run
+    from carla_recap.editing.convert import convert as run
 
     extent = run(source, destination, force=force, progress=watch("converting"))
     say(f"{destination}: {extent.frames} frames, {extent.duration:g} s")
@@ -31,7 +31,7 @@ def convert(source: str, destination: str, force: bool) -> None:
 def recover(source: str, destination: str, force: bool) -> None:
     """Save what is whole in a recording that is damaged, or was never finished."""
     from carla_recap.cli.progress import watch
-    from carla_recap.recovery import recover as run
+    from carla_recap.editing.recover import recover as run
 
     result = run(source, destination, force=force, progress=watch("recovering"))
     say(f"{destination}: {result}")
@@ -47,7 +47,7 @@ def clip(source: str, destination: str, force: bool, start: float, duration: flo
     DST is a recording of its own; its suffix says the format.
     """
     from carla_recap.cli.progress import watch
-    from carla_recap.clipping import clip as run
+    from carla_recap.editing.clip import clip as run
 
     extent = run(source, destination, start=start, duration=duration, force=force, progress=watch("cutting"))
     say(f"{destination}: {extent.frames} frames, {extent.duration:g} s")
@@ -87,7 +87,7 @@ def clips(
     """Cut a clip of each incident, into a folder."""
     from carla_recap.cli.maps import road_map_of
     from carla_recap.cli.progress import watch_incidents
-    from carla_recap.clipping import clips as run
+    from carla_recap.editing.clip import clips as run
     from carla_recap.recording import open_recording
 
     every = not (collisions or blocked or braking)

@@ -9,9 +9,9 @@ from typing import TYPE_CHECKING, TypeVar
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Iterator, Sequence
 
-    from carla_recap.batch import Batch
-    from carla_recap.conversion import Progress
+    from carla_recap.editing.convert import Progress
     from carla_recap.formats.base import Reader
+    from carla_recap.model.batch import Batch
     from carla_recap.queries.incidents import Incident
     from carla_recap.replay.player import Player
     from carla_recap.replay.player import Progress as SceneProgress

@@ -17,7 +17,7 @@ _report = options.together(options.recording, options.json, options.text, option
 def info(file: str, everything: bool, form: str | None, compat: bool) -> None:
     """What is in a recording: spawns, collisions and other events."""
     from carla_recap.cli.report import show
-    from carla_recap.queries import info as query
+    from carla_recap.queries.info import info as query
 
     show(query(options.opened(file), all=everything, compat=compat), form)
 
@@ -35,7 +35,7 @@ def info(file: str, everything: bool, form: str | None, compat: bool) -> None:
 def collisions(file: str, types: str, form: str | None, compat: bool, max_rows: int | None) -> None:
     """Who collided with whom."""
     from carla_recap.cli.report import show
-    from carla_recap.queries import collisions as query
+    from carla_recap.queries.collisions import collisions as query
 
     if len(types) != 2:
         raise click.BadParameter(f"{types!r} is not two of the letters h, v, w, t, o, a, such as hv.", param_hint="--types")
@@ -52,7 +52,7 @@ def collisions(file: str, types: str, form: str | None, compat: bool, max_rows: 
 def blocked(file: str, min_time: float, min_distance: float, form: str | None, compat: bool, max_rows: int | None) -> None:
     """Who stood still for long."""
     from carla_recap.cli.report import show
-    from carla_recap.queries import blocked as query
+    from carla_recap.queries.blocked import blocked as query
 
     if min_time < 0 and not compat:  # CARLA takes it
         raise click.BadParameter(f"'{min_time:g}' is not a number of 0 or more.", param_hint="'--min-time'")
@@ -66,7 +66,7 @@ def blocked(file: str, min_time: float, min_distance: float, form: str | None, c
 def actors(file: str, form: str | None) -> None:
     """Who was there, and when."""
     from carla_recap.cli.report import show
-    from carla_recap.queries import actors as query
+    from carla_recap.queries.actors import actors as query
 
     show(query(options.opened(file)), form)
 
@@ -85,7 +85,7 @@ def incidents(file: str, form: str | None, max_rows: int | None, **limits: Any) 
     Long stops are those of vehicles and walkers.
     """
     from carla_recap.cli.report import show
-    from carla_recap.queries import incidents as query
+    from carla_recap.queries.incidents import incidents as query
 
     show(query(options.opened(file), **limits), form, max_rows)
 

@@ -7,8 +7,8 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from carla_recap.queries.text import text
-from carla_recap.texts import visible
+from carla_recap.queries.output.text import text
+from carla_recap.util.text import visible
 
 if TYPE_CHECKING:
     from collections.abc import Iterable
@@ -30,13 +30,14 @@ def show(answer: Any, form: str | None, max_rows: int | None = None) -> None:
         form = "text" if getattr(answer, "compat", False) or not sys.stdout.isatty() else "table"
     if form == "text":
         _print(text(answer))
-    else:
-        from carla_recap.queries import report  # whose imports the text does without
+    elif form == "json":
+        from carla_recap.queries.output.json import json
 
-        if form == "table":
-            report.table(answer)
-        else:
-            _print(report.json(answer))
+        _print(json(answer))
+    else:
+        from carla_recap.queries.output.table import table
+
+        table(answer)
     if max_rows is not None and len(answer) > max_rows:
         click.echo(f"carla-recap: {len(answer)} rows, at most {max_rows} were allowed", err=True)
         sys.exit(TOO_MANY)

@@ -150,8 +150,8 @@ def report(source: str, folder: str, road_map: str | None, serve: bool, port: in
     if port is not None and not serve:
         raise click.UsageError("--port goes with --serve.")
     from carla_recap.cli.progress import watch_scenes
-    from carla_recap.export.page import serve as serve_page
-    from carla_recap.export.page import write_report
+    from carla_recap.export.report import serve as serve_page
+    from carla_recap.export.report import write_report
     from carla_recap.recording import open_recording
 
     with open_recording(source) as recording:

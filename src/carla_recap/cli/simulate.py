@@ -66,7 +66,7 @@ def record(
     force: bool,
 ) -> None:
     """Record simulated traffic, to .mcap or .log."""
-    from carla_recap.conversion import check_new
+    from carla_recap.editing.convert import check_new
 
     if crash and blocked:
         raise click.UsageError("--crash and --blocked are two scenes; one recording has one of them.")
@@ -112,7 +112,7 @@ def replay(
 
     What would have become of it? End the replay before the crash, and see.
     """
-    from carla_recap.conversion import check_destination, check_new
+    from carla_recap.editing.convert import check_destination, check_new
 
     check_new(destination, force=True)
     path = _found(source)

@@ -19,8 +19,8 @@ if TYPE_CHECKING:
     from argparse import Namespace
     from collections.abc import Iterable, Iterator
 
-    from carla_recap.frame import Header
     from carla_recap.maps import RoadMap
+    from carla_recap.model.frame import Header
     from carla_recap.replay import Player, Scene
 
 NOT_OURS: Final = 66

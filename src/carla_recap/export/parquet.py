@@ -6,18 +6,18 @@ from contextlib import ExitStack
 from pathlib import Path
 from typing import TYPE_CHECKING, Final
 
-from carla_recap.folders import check_folder, new_folder
-from carla_recap.records import FRAME_END
+from carla_recap.model.records import FRAME_END
 from carla_recap.tables import arrow
 from carla_recap.tables.records import PARSED, RecordTableBuilder
+from carla_recap.util.files import check_folder, new_folder
 
 if TYPE_CHECKING:
     from collections.abc import Iterable
 
-    from carla_recap.batch import Batch, Column
-    from carla_recap.conversion import Progress
+    from carla_recap.editing.convert import Progress
+    from carla_recap.model.batch import Batch, Column
+    from carla_recap.model.records import RecordType
     from carla_recap.recording import Recording
-    from carla_recap.records import RecordType
 
 ROWS: Final = 1 << 18
 MEMORY: Final = 64 << 20

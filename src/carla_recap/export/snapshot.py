@@ -8,13 +8,13 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
-from carla_recap.conversion import check_destination
+from carla_recap.editing.convert import check_destination
 from carla_recap.errors import RecapError
-from carla_recap.export.headless import Photographer, Size
 from carla_recap.export.rerun import Rrd, View, camera_views, write
-from carla_recap.export.whole import WholeFile
+from carla_recap.export.screenshots import Photographer, Size
 from carla_recap.recording import Recording
 from carla_recap.replay import Player
+from carla_recap.util.files import WholeFile
 
 if TYPE_CHECKING:
     from carla_recap.formats.base import Reader

@@ -10,8 +10,8 @@ from typing import TYPE_CHECKING
 from urllib.parse import urlencode
 
 from carla_recap.errors import RecapError
-from carla_recap.export.program import HOST, HOSTING, LISTENING, Program
 from carla_recap.export.rerun import View, export_rerun
+from carla_recap.export.viewer_process import HOST, HOSTING, LISTENING, Program
 from carla_recap.recording import Recording
 
 if TYPE_CHECKING:

@@ -8,11 +8,11 @@ from time import monotonic, sleep
 from typing import TYPE_CHECKING
 
 from carla_recap.errors import NotARecording, RecapError, RecapWarning
-from carla_recap.formats.atomic import partials
+from carla_recap.util.files import partials
 
 if TYPE_CHECKING:
     from carla_recap.formats.base import Reader, Writer
-    from carla_recap.frame import Header
+    from carla_recap.model.frame import Header
 
 SUFFIXES = (".log", ".mcap")
 

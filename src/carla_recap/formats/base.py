@@ -10,9 +10,9 @@ if TYPE_CHECKING:
     from pathlib import Path
     from types import TracebackType
 
-    from carla_recap.batch import Batch
-    from carla_recap.frame import Extent, Frame, Header
-    from carla_recap.standing import BlockedRow
+    from carla_recap.model.batch import Batch
+    from carla_recap.model.frame import Extent, Frame, Header
+    from carla_recap.model.stationary import BlockedRow
 
 PIECE = 1 << 20
 """Bytes that no schema describes travel in pieces of this size."""

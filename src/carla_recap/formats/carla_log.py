@@ -19,22 +19,22 @@ from typing import TYPE_CHECKING, BinaryIO, Final
 
 import numpy as np
 
-from carla_recap.batch import Batch, ConstantColumn, PackedColumn, within
 from carla_recap.errors import Closed, FormatError, NotARecording, RecapError, RecapWarning, RecordError
-from carla_recap.formats.atomic import AtomicFile
 from carla_recap.formats.base import PIECE
 from carla_recap.formats.log_scan import PACKET, START, START_HEAD, Scanner, Window, is_sound
-from carla_recap.frame import SAME_TIME, Extent, Frame, Header, Packet
-from carla_recap.payload import EMPTY_LIST, OBJECTS_LIMIT, U16, Buffer
-from carla_recap.records import FRAME_START, UE4, UE5, Framing, RecordType
+from carla_recap.model.batch import Batch, ConstantColumn, PackedColumn, within
+from carla_recap.model.frame import SAME_TIME, Extent, Frame, Header, Packet
+from carla_recap.model.layout import EMPTY_LIST, OBJECTS_LIMIT, U16, Buffer
+from carla_recap.model.records import FRAME_START, UE4, UE5, Framing, RecordType
+from carla_recap.util.files import AtomicFile
 
 if TYPE_CHECKING:
     from collections.abc import Collection, Iterator
 
     from numpy.typing import NDArray
 
-    from carla_recap.batch import Column
     from carla_recap.formats.log_scan import Place, Run
+    from carla_recap.model.batch import Column
 
 MAGIC: Final = b"CARLA_RECORDER"
 DATE: Final = struct.Struct("<q")

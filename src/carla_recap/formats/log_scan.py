@@ -12,10 +12,10 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
-from carla_recap.batch import equal_rows
 from carla_recap.errors import FormatError, RecapError
-from carla_recap.payload import U16, PayloadError, check
-from carla_recap.records import FRAME_END, FRAME_START, Framing
+from carla_recap.model.batch import equal_rows
+from carla_recap.model.layout import U16, PayloadError, check
+from carla_recap.model.records import FRAME_END, FRAME_START, Framing
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
@@ -25,7 +25,7 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    from carla_recap.records import RecordType
+    from carla_recap.model.records import RecordType
 
 PACKET: Final = struct.Struct("<BI")  # id, size of the payload
 START: Final = np.dtype([("id", "<u8"), ("duration", "<f8"), ("elapsed", "<f8")])

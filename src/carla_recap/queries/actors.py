@@ -6,9 +6,9 @@ import math
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any, ClassVar, Final
 
+from carla_recap.model.records import CM, ActorKind, Spawn
 from carla_recap.queries.answer import Answer
-from carla_recap.records import CM, ActorKind, Spawn
-from carla_recap.texts import readable
+from carla_recap.util.text import readable
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable

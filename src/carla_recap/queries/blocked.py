@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, ClassVar
 
+from carla_recap.model.stationary import MIN_DISTANCE, MIN_TIME, TYPES, BlockedRow, Standing
 from carla_recap.queries.answer import Answer
-from carla_recap.standing import MIN_DISTANCE, MIN_TIME, TYPES, BlockedRow, Standing
 
 if TYPE_CHECKING:
     from carla_recap.formats.base import Reader

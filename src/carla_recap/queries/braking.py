@@ -12,15 +12,15 @@ from typing import TYPE_CHECKING, Any, Final, NamedTuple
 
 import numpy as np
 
-from carla_recap.records import CM
+from carla_recap.model.records import CM
 
 if TYPE_CHECKING:
     from collections.abc import Collection
 
     from numpy.typing import NDArray
 
-    from carla_recap.batch import Batch
     from carla_recap.formats.base import Reader
+    from carla_recap.model.batch import Batch
 
     Floats = NDArray[np.float64]
     Booleans = NDArray[np.bool_]

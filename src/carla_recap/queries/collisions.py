@@ -6,10 +6,10 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, ClassVar, Final
 
 from carla_recap.errors import RecapError
+from carla_recap.model.actors import Roster
+from carla_recap.model.records import NO_ACTOR
 from carla_recap.queries.answer import Answer
-from carla_recap.records import NO_ACTOR
-from carla_recap.roster import Roster
-from carla_recap.texts import readable
+from carla_recap.util.text import readable
 
 if TYPE_CHECKING:
     from carla_recap.formats.base import Reader

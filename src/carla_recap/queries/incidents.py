@@ -11,18 +11,18 @@ from typing import TYPE_CHECKING, ClassVar, Final, Literal
 import numpy as np
 
 from carla_recap.errors import RecapError
-from carla_recap.frame import SAME_TIME
+from carla_recap.model.frame import SAME_TIME
+from carla_recap.model.records import CM, NO_ACTOR
 from carla_recap.queries.actors import actors
 from carla_recap.queries.answer import Answer
 from carla_recap.queries.blocked import blocked as find_blocked
 from carla_recap.queries.braking import HALF_WINDOW, SHORTEST, hard_braking
-from carla_recap.records import CM, NO_ACTOR
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
     from carla_recap.formats.base import Reader
-    from carla_recap.frame import Frame
+    from carla_recap.model.frame import Frame
     from carla_recap.queries.actors import Actor, Actors
 
 Kind = Literal["collision", "blocked", "hard braking"]

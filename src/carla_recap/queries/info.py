@@ -7,14 +7,14 @@ from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
-from carla_recap.records import FLAG, Framing, Layout, Many, Records
+from carla_recap.model.records import FLAG, Framing, Layout, Many, Records
 from carla_recap.tables.records import plain_record
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
     from carla_recap.formats.base import Reader
-    from carla_recap.frame import Extent, Frame, Header
+    from carla_recap.model.frame import Extent, Frame, Header
 
 EVENTS: Final = ("spawned", "destroyed", "parented", "collisions")
 """The record types that tell of events."""

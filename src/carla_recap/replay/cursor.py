@@ -8,10 +8,10 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 
 from carla_recap.errors import RecapError
-from carla_recap.frame import SAME_TIME
+from carla_recap.model.frame import SAME_TIME
 from carla_recap.replay.events import Collided, Event, Parented, Spawned
 from carla_recap.replay.rows import array
-from carla_recap.replay.world import EVENTS, World
+from carla_recap.replay.state import EVENTS, World
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from carla_recap.formats.base import Reader
-    from carla_recap.frame import Frame
+    from carla_recap.model.frame import Frame
 
 TYPES: Final = (
     *EVENTS,

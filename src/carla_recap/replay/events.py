@@ -7,13 +7,13 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from carla_recap.texts import readable
+from carla_recap.util.text import readable
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
+    from carla_recap.model.records import Spawn
     from carla_recap.queries.actors import BoundingBox
-    from carla_recap.records import Spawn
 
 
 @dataclass(frozen=True, slots=True)

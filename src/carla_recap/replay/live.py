@@ -5,14 +5,14 @@ from __future__ import annotations
 from collections import defaultdict
 from typing import TYPE_CHECKING
 
-from carla_recap.records import UE4
+from carla_recap.model.records import UE4
 from carla_recap.replay.motion import Motion
 from carla_recap.replay.rows import Selection
 from carla_recap.replay.scene import Scene
-from carla_recap.replay.world import World
+from carla_recap.replay.state import World
 
 if TYPE_CHECKING:
-    from carla_recap.frame import Frame
+    from carla_recap.model.frame import Frame
 
 
 class LiveScenes:

@@ -16,7 +16,7 @@ from carla_recap.replay.rows import NO_IDS, Ids, Selection, array, latest, numbe
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-    from carla_recap.frame import Frame
+    from carla_recap.model.frame import Frame
 
     Floats = NDArray[np.float64]
 

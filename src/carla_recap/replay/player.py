@@ -8,14 +8,14 @@ from functools import cached_property
 from typing import TYPE_CHECKING, Final, NamedTuple
 
 from carla_recap.errors import RecapError
-from carla_recap.frame import SAME_TIME
+from carla_recap.model.frame import SAME_TIME
 from carla_recap.recording import Recording
 from carla_recap.replay.cursor import Cursor
 from carla_recap.replay.follow import Follow, choose_followed, find_followed
 from carla_recap.replay.motion import Motion
 from carla_recap.replay.rows import Selection
 from carla_recap.replay.scene import Scene
-from carla_recap.replay.world import World
+from carla_recap.replay.state import World
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Iterator

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Final, TypeVar
 
 import numpy as np
 
-from carla_recap.records import CM
+from carla_recap.model.records import CM
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray

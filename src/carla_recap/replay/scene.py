@@ -17,7 +17,7 @@ if TYPE_CHECKING:
     import numpy as np
     from numpy.typing import NDArray
 
-    from carla_recap.frame import Frame
+    from carla_recap.model.frame import Frame
 
 E = TypeVar("E", bound=Event)
 

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
-from carla_recap.records import ActorKind
+from carla_recap.model.records import ActorKind
 from carla_recap.server.attributes import readable_attributes
 from carla_recap.server.rpc.codec import encoder
 from carla_recap.server.rpc.structs import (

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from carla_recap.lazy import lazily
+from carla_recap.util.lazy import lazily
 
 if TYPE_CHECKING:
     from carla_recap.sim.actors.actor import Actor, Prop, Sensor, Spectator

@@ -13,8 +13,8 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    from carla_recap.batch import Batch
     from carla_recap.formats.base import Reader
+    from carla_recap.model.batch import Batch
 
     Floats = NDArray[np.float64]
     Integers = NDArray[np.int64]

@@ -11,7 +11,7 @@ from types import NoneType, UnionType
 from typing import TYPE_CHECKING, Any, Final, Literal, NamedTuple, Self, Union, get_args, get_origin, get_type_hints
 
 from carla_recap.errors import MissingExtra, RecapError
-from carla_recap.records import FLAG, REAL, TEXT, Layout, Many
+from carla_recap.model.records import FLAG, REAL, TEXT, Layout, Many
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 
     import pyarrow as pa
 
-    from carla_recap.records import RecordType
+    from carla_recap.model.records import RecordType
 
 _CODES: Final = {
     "u1": "uint8",

@@ -7,20 +7,20 @@ from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
-from carla_recap.payload import EMPTY_LIST
-from carla_recap.records import FLAG, FRAME_START, REAL, TEXT, Layout, Many
+from carla_recap.model.layout import EMPTY_LIST
+from carla_recap.model.records import FLAG, FRAME_START, REAL, TEXT, Layout, Many
 from carla_recap.tables import Tabular
 from carla_recap.tables.arrow import nested_types
-from carla_recap.texts import readable
+from carla_recap.util.text import readable
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
 
     from numpy.typing import NDArray
 
-    from carla_recap.batch import Batch
     from carla_recap.formats.base import Reader
-    from carla_recap.records import RecordType
+    from carla_recap.model.batch import Batch
+    from carla_recap.model.records import RecordType
 
 
 @dataclass(frozen=True, eq=False)

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any, ClassVar, Literal, get_args
 import numpy as np
 
 from carla_recap.errors import RecapError
-from carla_recap.records import CM
+from carla_recap.model.records import CM
 from carla_recap.tables import Columns, Tabular
 from carla_recap.tables.actor_rows import ActorRows, actor_rows
 

@@ -15,8 +15,8 @@ from mcap.reader import make_reader
 from mcap_protobuf.decoder import DecoderFactory
 
 from carla_recap import convert
-from carla_recap.frame import Header
-from carla_recap.records import Framing
+from carla_recap.model.frame import Header
+from carla_recap.model.records import Framing
 from tests.samples import carla_log, drive, plain, reading, save, small_log, warnings_ignored, write
 
 NODE = Path(__file__).parents[2] / "node"
@@ -49,7 +49,7 @@ def recording(request, tmp_path):
 
 def widened(header):
     """Frames in double precision, made of numbers."""
-    from carla_recap.frame import Frame, Packet
+    from carla_recap.model.frame import Frame, Packet
 
     for n in range(3):
         names = ("transforms", "velocities", "bounding_boxes", "trigger_volumes")

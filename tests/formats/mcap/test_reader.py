@@ -27,8 +27,8 @@ from carla_recap import (
 )
 from carla_recap.formats.mcap import reader as reader_module
 from carla_recap.formats.mcap.source import CHUNK_LIMIT
-from carla_recap.frame import Frame, Header, Packet
-from carla_recap.queries import blocked
+from carla_recap.model.frame import Frame, Header, Packet
+from carla_recap.queries.blocked import blocked
 from tests import strategies
 from tests.formats.mcap import forge
 from tests.formats.mcap.forge import Forge, chunk_records, data_records, resealed, rewrite, seal
@@ -183,7 +183,7 @@ def test_a_foreign_file_is_no_recording(tmp_path):
 )
 @pytest.mark.parametrize("sealed", [True, False], ids=["sealed", "torn"])
 def test_a_broken_header_is_an_error_or_a_header(small_mcap, changes, sealed):
-    from carla_recap.formats.mcap.container import checked, unchecked
+    from carla_recap.formats.mcap.schema import checked, unchecked
 
     parts = data_records(small_mcap)
     for part in parts:
@@ -207,7 +207,7 @@ def test_a_broken_header_is_an_error_or_a_header(small_mcap, changes, sealed):
 def test_a_header_of_another_kind_of_lengths_is_seen(small_mcap):
     """A recording in single precision whose channels are in double: none of its own are left."""
     parts = data_records(small_mcap)
-    from carla_recap.formats.mcap.container import checked, unchecked
+    from carla_recap.formats.mcap.schema import checked, unchecked
 
     for part in parts:
         if isinstance(part, records.Metadata) and part.name == "carla_recap.header":

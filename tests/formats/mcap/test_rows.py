@@ -10,13 +10,13 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from carla_recap.batch import Batch, ConstantColumn, RecordsColumn
 from carla_recap.formats import create_writer
 from carla_recap.formats.mcap import writer
 from carla_recap.formats.mcap.rows import has_form
-from carla_recap.frame import Frame, Header, Packet
-from carla_recap.payload import EMPTY_LIST
-from carla_recap.records import FRAME_END, ORDER, UE4, Framing
+from carla_recap.model.batch import Batch, ConstantColumn, RecordsColumn
+from carla_recap.model.frame import Frame, Header, Packet
+from carla_recap.model.layout import EMPTY_LIST
+from carla_recap.model.records import FRAME_END, ORDER, UE4, Framing
 
 HEADER = Header("Town01", 1_600_000_000)
 END = Packet(FRAME_END, UE4[FRAME_END], b"")

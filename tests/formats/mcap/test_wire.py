@@ -14,9 +14,9 @@ from hypothesis import strategies as st
 
 from carla_recap.errors import RecapWarning
 from carla_recap.formats.mcap import wire
-from carla_recap.formats.mcap.container import FRAME_MESSAGE, RAW_MESSAGE, TAIL_MESSAGE
-from carla_recap.payload import MAX_COUNT, PayloadError, unpack
-from carla_recap.records import FLAG, REAL, TEXT, UE4, UE5, Framing, Layout, Many
+from carla_recap.formats.mcap.schema import FRAME_MESSAGE, RAW_MESSAGE, TAIL_MESSAGE
+from carla_recap.model.layout import MAX_COUNT, PayloadError, unpack
+from carla_recap.model.records import FLAG, REAL, TEXT, UE4, UE5, Framing, Layout, Many
 from tests import strategies
 from tests.samples import listed, plain
 

@@ -13,8 +13,8 @@ from mcap import records
 from carla_recap import RecapError, RecordError, convert, recover
 from carla_recap.formats import create_writer
 from carla_recap.formats.mcap.writer import CHUNK_SECONDS, CHUNK_SIZE, FRAME_SIZE
-from carla_recap.frame import Frame, Header, Packet
-from carla_recap.records import UE4, Group
+from carla_recap.model.frame import Frame, Header, Packet
+from carla_recap.model.records import UE4, Group
 from tests.formats.mcap.forge import chunk_records, data_records, read_records
 from tests.samples import DATE, carla_log, drive, images, listed, names_in, save, write
 

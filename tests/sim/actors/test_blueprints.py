@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from carla_recap.records import ActorKind
+from carla_recap.model.records import ActorKind
 from carla_recap.sim.actors.attributes import attribute_type
 from carla_recap.sim.actors.blueprints import standard_library
 from carla_recap.sim.errors import SpawnError

@@ -27,7 +27,7 @@ from mcap.reader import make_reader
 import carla_recap
 from carla_recap.errors import RecapError, RecapWarning
 from carla_recap.formats.carla_log import is_log
-from carla_recap.records import NO_ACTOR, ActorKind
+from carla_recap.model.records import NO_ACTOR, ActorKind
 from carla_recap.sim.actors.control import VehicleControl, WalkerControl
 from carla_recap.sim.actors.moving import Vehicle, Walker
 from carla_recap.sim.errors import DestinationError, SimError
@@ -42,7 +42,7 @@ from tests.sim.flat import at, flat_town, flat_world, light
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
-    from carla_recap.frame import Frame
+    from carla_recap.model.frame import Frame
 
 
 def car(world: World, x: float = 10.0, *, role_name: str = "autopilot") -> Vehicle:

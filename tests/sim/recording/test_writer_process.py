@@ -12,7 +12,7 @@ import pytest
 import carla_recap
 from carla_recap.errors import RecapError
 from carla_recap.formats.mcap.writer import McapWriter
-from carla_recap.frame import Header
+from carla_recap.model.frame import Header
 from carla_recap.sim.recording.sampler import WorldSampler
 from carla_recap.sim.recording.writer_process import Commands, serve
 from tests.sim.flat import flat_world

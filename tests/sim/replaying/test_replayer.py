@@ -10,7 +10,7 @@ import pytest
 
 import carla_recap
 from carla_recap.errors import FormatError, RecapError, RecapWarning
-from carla_recap.records import Attribute, Spawn
+from carla_recap.model.records import Attribute, Spawn
 from carla_recap.replay import Player
 from carla_recap.sim.actors.actor import Prop
 from carla_recap.sim.actors.control import VehicleControl, WalkerControl
@@ -28,7 +28,7 @@ from tests.sim.flat import at, flat_world, light
 if TYPE_CHECKING:
     from pathlib import Path
 
-    from carla_recap.frame import Frame
+    from carla_recap.model.frame import Frame
 
 DELTA = 0.05
 SIGNALS: dict[str, Any] = {"signals": [light(0, (0,)), light(1, (0,), y=-3.0)], "phases": ((0,), (1,))}

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from carla_recap.records import ActorKind
+from carla_recap.model.records import ActorKind
 from carla_recap.sim import Location, World, load_town
 from carla_recap.sim.errors import SimError
 from carla_recap.sim.town.town import WalkwayGraph

@@ -18,12 +18,12 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from carla_recap.assets import viewer_folder
-from carla_recap.conversion import check_destination
-from carla_recap.formats.mcap.container import EXPORT_METADATA
+from carla_recap.editing.convert import check_destination
+from carla_recap.export.assets import viewer_folder
+from carla_recap.formats.mcap.schema import EXPORT_METADATA
 from carla_recap.recording import Recording
 from carla_recap.replay import Played, Player
-from carla_recap.texts import readable
+from carla_recap.util.text import readable
 
 if TYPE_CHECKING:
     from pathlib import Path

@@ -20,14 +20,14 @@ from carla_recap.export.foxglove.schemas import (
     SceneUpdate,
     Vector3,
 )
-from carla_recap.formats.mcap.container import SECOND
+from carla_recap.formats.mcap.schema import SECOND
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Sequence
 
     from numpy.typing import NDArray
 
-    from carla_recap.export.look import Color as Rgb
+    from carla_recap.export.style import Color as Rgb
 
     Floats = NDArray[np.float64]
 

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Final
 from mcap.writer import CompressionType, Writer
 from mcap_protobuf.schema import build_file_descriptor_set
 
-from carla_recap.formats.atomic import AtomicFile
+from carla_recap.util.files import AtomicFile
 
 if TYPE_CHECKING:
     from collections.abc import Mapping

@@ -10,7 +10,7 @@ import numpy as np
 from carla_recap.export.foxglove.entities import WORLD
 from carla_recap.export.foxglove.scene import entity
 from carla_recap.export.foxglove.schemas import FrameTransform, FrameTransforms, Quaternion, Vector3
-from carla_recap.records import CM
+from carla_recap.model.records import CM
 from carla_recap.replay import calm_heading, level, quaternions, right_handed
 from carla_recap.replay.motion import JUMP, TOP_SPEED
 from carla_recap.replay.pose import LOCATION, YAW

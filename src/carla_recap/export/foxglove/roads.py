@@ -8,12 +8,12 @@ import numpy as np
 
 from carla_recap.export.foxglove.entities import WORLD, color
 from carla_recap.export.foxglove.schemas import LinePrimitive, Point3, SceneEntity, SceneUpdate
-from carla_recap.export.look import ROADS
+from carla_recap.export.style import ROADS
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-    from carla_recap.export.look import Color
+    from carla_recap.export.style import Color
     from carla_recap.maps import RoadMap
 
     Floats = NDArray[np.float64]

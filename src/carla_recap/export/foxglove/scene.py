@@ -8,10 +8,10 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
-from carla_recap.export import look
+from carla_recap.export import style
 from carla_recap.export.foxglove.entities import CUBES, SPHERES, WORLD, Heads, color, deletions, head
 from carla_recap.export.foxglove.schemas import CylinderPrimitive, KeyValuePair, SceneEntity
-from carla_recap.records import ActorKind, Spawn
+from carla_recap.model.records import ActorKind, Spawn
 from carla_recap.replay import Present, quaternions, right_handed
 from carla_recap.replay.pose import LOCATION, change, rotations
 from carla_recap.replay.rows import NO_IDS
@@ -58,22 +58,22 @@ class _Figure:
     def draw(self) -> None:
         """Make what depends on the actor and its state."""
         actor = self.actor
-        told = {"actor": look.label_of(actor), "type_id": actor.type_id, "role_name": actor.role_name}
+        told = {"actor": style.label_of(actor), "type_id": actor.type_id, "role_name": actor.role_name}
         if actor.kind == ActorKind.TRAFFIC_LIGHT:
-            state, shade = look.light(self.state)
-            self.center = (0.0, 0.0, look.LAMP_UP)
+            state, shade = style.light(self.state)
+            self.center = (0.0, 0.0, style.LAMP_UP)
             self.head = head(
                 _start(actor, told | {"state": state}, _pole(actor)),
                 SPHERES,
-                (look.LAMP, look.LAMP, look.LAMP),
+                (style.LAMP, style.LAMP, style.LAMP),
                 color(shade),
             )
         else:
-            box = look.box_of(actor)
+            box = style.box_of(actor)
             self.center = (box.x, box.y, box.z)
             size = (2 * box.extent_x, 2 * box.extent_y, 2 * box.extent_z)
-            opacity = _FAINT if look.is_outlined(actor) else 1.0
-            self.head = head(_start(actor, told), CUBES, size, color(look.color_of(actor), opacity))
+            opacity = _FAINT if style.is_outlined(actor) else 1.0
+            self.head = head(_start(actor, told), CUBES, size, color(style.color_of(actor), opacity))
 
 
 def _start(actor: Present, told: Mapping[str, str], *fixed: CylinderPrimitive) -> SceneEntity:
@@ -85,11 +85,11 @@ def _start(actor: Present, told: Mapping[str, str], *fixed: CylinderPrimitive) -
 def _pole(actor: Present) -> CylinderPrimitive:
     """The pole of a traffic light, which never moves."""
     x, y, z = right_handed(actor.spawn_pose)[LOCATION].tolist()
-    pole = CylinderPrimitive(bottom_scale=1.0, top_scale=1.0, color=color(look.POLE))
-    pole.pose.position.x, pole.pose.position.y, pole.pose.position.z = x, y, z + look.LAMP_UP / 2
+    pole = CylinderPrimitive(bottom_scale=1.0, top_scale=1.0, color=color(style.POLE))
+    pole.pose.position.x, pole.pose.position.y, pole.pose.position.z = x, y, z + style.LAMP_UP / 2
     pole.pose.orientation.w = 1.0
-    pole.size.x = pole.size.y = look.POLE_WIDTH
-    pole.size.z = look.LAMP_UP
+    pole.size.x = pole.size.y = style.POLE_WIDTH
+    pole.size.z = style.LAMP_UP
     return pole
 
 

@@ -5,10 +5,10 @@ from __future__ import annotations
 from collections import defaultdict
 from typing import TYPE_CHECKING, Final
 
+from carla_recap.export.event_text import Level, Teller
 from carla_recap.export.foxglove import followed, roads, scene
 from carla_recap.export.foxglove.schemas import FrameTransforms, Log, SceneUpdate
-from carla_recap.export.telling import Level, Teller
-from carla_recap.formats.mcap.container import LogClock
+from carla_recap.formats.mcap.schema import LogClock
 from carla_recap.replay import Played
 from carla_recap.v1.followed_pb2 import Followed, ShownLights
 
@@ -20,8 +20,8 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from carla_recap.export.foxglove.file import McapFile
-    from carla_recap.frame import Header
     from carla_recap.maps import RoadMap
+    from carla_recap.model.frame import Header
     from carla_recap.replay import Scene
 
     Floats = NDArray[np.float64]

@@ -9,12 +9,12 @@ import numpy as np
 import rerun as rr
 
 from carla_recap.errors import RecapWarning
-from carla_recap.export import look
+from carla_recap.export import style
 from carla_recap.export.rerun import tree
 from carla_recap.export.rerun.cameras import Chase
 from carla_recap.export.rerun.stream import screen
 from carla_recap.export.rerun.tracks import Tracks
-from carla_recap.records import CM, ActorKind, Spawn
+from carla_recap.model.records import CM, ActorKind, Spawn
 from carla_recap.replay import Destroyed, Present, Spawned, quaternions, right_handed
 from carla_recap.replay.pose import LOCATION
 
@@ -120,22 +120,22 @@ class Actors:
         self._present.add(actor.id)
         self._colors.pop(actor.id, None)
         if actor.kind in MOVERS:
-            red, green, blue = look.color_of(actor)
+            red, green, blue = style.color_of(actor)
             self._colors[actor.id] = red << 24 | green << 16 | blue << 8 | 255
         if actor.id not in self._boxed and len(self._boxed) >= MOST_BOXES:
             self._left_out.add(actor.id)
             return
         self._boxed.add(actor.id)
-        box = look.box_of(actor)
+        box = style.box_of(actor)
         center = (box.x, box.y, box.z)
         half = (box.extent_x, box.extent_y, box.extent_z)
         boxes = rr.Boxes3D(
             centers=[center],
             half_sizes=[half],
-            colors=[look.color_of(actor)],
-            labels=[look.label_of(actor)],
+            colors=[style.color_of(actor)],
+            labels=[style.label_of(actor)],
             show_labels=actor.is_hero or actor.id == self._followed,
-            fill_mode="majorwireframe" if look.is_outlined(actor) else "solid",
+            fill_mode="majorwireframe" if style.is_outlined(actor) else "solid",
         )
         archetypes: list[rr.AsComponents] = [boxes]
         if actor.kind == ActorKind.VEHICLE:

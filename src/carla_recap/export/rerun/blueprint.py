@@ -9,10 +9,10 @@ import numpy as np
 import rerun as rr
 import rerun.blueprint as rrb
 
-from carla_recap.export import look
+from carla_recap.export import style
 from carla_recap.export.rerun import tree
 from carla_recap.export.rerun.stream import FRAME, SIM_TIME
-from carla_recap.records import CM
+from carla_recap.model.records import CM
 from carla_recap.replay import Player, camera, right_handed
 from carla_recap.replay.pose import LOCATION
 
@@ -51,7 +51,7 @@ def arranged(cameras: Mapping[View, rrb.Spatial3DView], view: View, ego: int | N
         live: Whether it goes on: the viewer then shows what came last.
     """
     beside: list[rrb.View | rrb.Container] = [
-        rrb.Spatial2DView(origin=tree.MAP, name="Map", background=[*look.BACKGROUND, 255])
+        rrb.Spatial2DView(origin=tree.MAP, name="Map", background=[*style.BACKGROUND, 255])
     ]
     if ego is not None:
         beside.append(rrb.Vertical(*_plots(ego)))
@@ -146,7 +146,7 @@ def _view(
         origin=origin,
         contents=f"{tree.WORLD}/**",
         name=name,
-        background=[*look.BACKGROUND, 255],
+        background=[*style.BACKGROUND, 255],
         line_grid=False,
         eye_controls=rrb.EyeControls3D(position=position, look_target=target, eye_up=up),
         overrides={tree.trail(ego): trail} if ego is not None else None,

@@ -8,7 +8,7 @@ import numpy as np
 import pyarrow as pa
 import rerun as rr
 
-from carla_recap.export import look
+from carla_recap.export import style
 from carla_recap.export.rerun import tree
 from carla_recap.export.rerun.cameras import Chase, jumps
 from carla_recap.export.rerun.stream import Times, screen
@@ -98,9 +98,9 @@ class Ego:
             Chase(self._stream, tree.CHASE).move(Times.of([self._first]), pose[None], np.zeros(1, np.intp))
         actor = scene.actors.get(self._id)
         if actor is not None:
-            box = look.box_of(actor)
+            box = style.box_of(actor)
             self._bottom = box.z - box.extent_z
-        color = look.OTHER.color if actor is None else look.color_of(actor)
+        color = style.OTHER.color if actor is None else style.color_of(actor)
         self._stream.always(tree.SPEED, rr.SeriesLines(colors=[color], names=["km/h"], widths=[2.0]))
         self._stream.always(tree.trail(self._id), rr.LineStrips3D.from_fields(colors=[color], radii=[_TRAIL]))
         self._stream.always(tree.MAP_FOLLOWED, rr.Points2D.from_fields(colors=[color], radii=screen(_ON_MAP)))

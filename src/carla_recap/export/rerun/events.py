@@ -8,18 +8,18 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 import rerun as rr
 
-from carla_recap.export import look
+from carla_recap.export import style
+from carla_recap.export.event_text import Level, Teller
 from carla_recap.export.rerun import tree
 from carla_recap.export.rerun.stream import Times
-from carla_recap.export.telling import Level, Teller
 from carla_recap.replay import right_handed
 from carla_recap.replay.pose import LOCATION
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
+    from carla_recap.export.event_text import Line
     from carla_recap.export.rerun.stream import Moment, Stream
-    from carla_recap.export.telling import Line
     from carla_recap.replay import Collided, Scene
 
     Floats = NDArray[np.float64]
@@ -93,7 +93,7 @@ class Chronicle:
             moment,
             rr.Points3D(
                 places,
-                colors=[look.COLLISION],
+                colors=[style.COLLISION],
                 radii=[_MARK, 0] * count,
                 labels=["", "collision"] * count,
                 show_labels=True,

@@ -17,8 +17,8 @@ if TYPE_CHECKING:
     import rerun as rr
     import rerun.blueprint as rrb
 
-    from carla_recap.frame import Frame, Header
     from carla_recap.maps import RoadMap
+    from carla_recap.model.frame import Frame, Header
     from carla_recap.replay import Scene
 
 

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 import rerun as rr
 
-from carla_recap.export import look
+from carla_recap.export import style
 from carla_recap.export.rerun import tree
 from carla_recap.export.rerun.stream import screen
 
@@ -25,7 +25,7 @@ _MAP_LINE: Final = (96, 102, 116)
 
 def lies_elsewhere(roads: RoadMap, places: NDArray[np.float64]) -> bool:
     """Whether a map is of another town: there are places, (n, 3) in m, right-handed, but all of them are far from it."""
-    lines = [line[:, :2] for name, _, _ in look.ROADS for line in getattr(roads, name) if len(line)]
+    lines = [line[:, :2] for name, _, _ in style.ROADS for line in getattr(roads, name) if len(line)]
     if not lines or not len(places):
         return False
     points = np.concatenate(lines)
@@ -35,7 +35,7 @@ def lies_elsewhere(roads: RoadMap, places: NDArray[np.float64]) -> bool:
 
 def draw(stream: Stream, roads: RoadMap) -> None:
     """Write a map."""
-    for name, color, width in look.ROADS:
+    for name, color, width in style.ROADS:
         lines: Sequence[NDArray[np.floating]] = getattr(roads, name)
         if lines:
             stream.always(f"{tree.ROADS}/{name}", rr.LineStrips3D(lines, colors=[color], radii=[width / 2]))

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 import rerun as rr
 
-from carla_recap.export import look
+from carla_recap.export import style
 from carla_recap.export.rerun import tree
 from carla_recap.export.rerun.stream import Times
 from carla_recap.replay import Destroyed, right_handed
@@ -61,25 +61,25 @@ class Signals:
         """Write what is held back."""
         for id, changes in self._changes.items():
             times = Times.of(moment for moment, _ in changes)
-            names, colors = zip(*(look.light(state) for _, state in changes), strict=True)
+            names, colors = zip(*(style.light(state) for _, state in changes), strict=True)
             self._stream.columns(tree.state(id), times, rr.StateChange.columns(state=names))
             self._stream.columns(tree.lamp(id), times, rr.Points3D.columns(colors=np.array(colors, np.uint8)))
         self._changes.clear()
         self._held = 0
 
     def _put_up(self, id: int, scene: Scene, moment: Moment) -> None:
-        names, colors = zip(*look.LIGHTS, strict=True)
+        names, colors = zip(*style.LIGHTS, strict=True)
         self._stream.always(tree.state(id), rr.StateConfiguration(values=names, colors=colors))
         pose = scene.pose_of(id)
         if pose is None:
             return
         foot = right_handed(pose)[LOCATION]
-        top = foot + np.array((0, 0, look.LAMP_UP))
+        top = foot + np.array((0, 0, style.LAMP_UP))
         self._stream.log(
             tree.lamp(id),
             moment,
-            rr.Points3D.from_fields(positions=[top], radii=[look.LAMP / 2]),
-            rr.LineStrips3D([[foot, top]], colors=[look.POLE], radii=[look.POLE_WIDTH / 2]),
+            rr.Points3D.from_fields(positions=[top], radii=[style.LAMP / 2]),
+            rr.LineStrips3D([[foot, top]], colors=[style.POLE], radii=[style.POLE_WIDTH / 2]),
         )
 
     def _put_out(self, event: Destroyed, moment: Moment) -> None:

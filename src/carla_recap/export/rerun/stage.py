@@ -12,14 +12,14 @@ from carla_recap.export.rerun.ego import Ego
 from carla_recap.export.rerun.events import Chronicle
 from carla_recap.export.rerun.signals import Signals
 from carla_recap.export.rerun.stream import Moment, Stream
-from carla_recap.texts import readable
+from carla_recap.util.text import readable
 
 if TYPE_CHECKING:
     from collections.abc import Iterable
 
     from carla_recap.export.rerun.stream import Part
-    from carla_recap.frame import Header
     from carla_recap.maps import RoadMap
+    from carla_recap.model.frame import Header
     from carla_recap.replay import Scene
 
 _LATEST: Final = 9_000_000_000  # s; what fits into 64 bits of nanoseconds

@@ -7,18 +7,17 @@ from contextlib import nullcontext
 from pathlib import Path
 from typing import TYPE_CHECKING, Final
 
-from carla_recap.conversion import check_destination
+from carla_recap.editing.convert import check_destination
 from carla_recap.errors import RecapError, RecapWarning
 from carla_recap.export.rerun import roads
 from carla_recap.export.rerun.actors import MOVERS
 from carla_recap.export.rerun.blueprint import View, blueprint, first_places
 from carla_recap.export.rerun.rrd import piped, rbl
 from carla_recap.export.rerun.stage import Stage, introduce
-from carla_recap.export.whole import WholeFile
-from carla_recap.folders import check_folder, new_folder
 from carla_recap.queries.actors import actors
 from carla_recap.recording import Recording
 from carla_recap.replay import Played, Player
+from carla_recap.util.files import WholeFile, check_folder, new_folder
 
 if TYPE_CHECKING:
     from collections.abc import Collection, Iterable

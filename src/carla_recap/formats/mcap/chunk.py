@@ -9,13 +9,13 @@ import numpy as np
 from mcap.opcode import Opcode
 
 from carla_recap.formats.mcap import wire
-from carla_recap.formats.mcap.container import MESSAGE, MESSAGE_FIELDS, RECORD
+from carla_recap.formats.mcap.schema import MESSAGE, MESSAGE_FIELDS, RECORD
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-    from carla_recap.payload import Buffer
-    from carla_recap.records import RecordType
+    from carla_recap.model.layout import Buffer
+    from carla_recap.model.records import RecordType
 
 
 class Chunk:

@@ -18,10 +18,10 @@ import numpy as np
 from mcap import records
 from mcap.opcode import Opcode
 
-from carla_recap.batch import Batch, ConstantColumn, within
 from carla_recap.errors import FormatError, NotARecording, RecapWarning
 from carla_recap.formats.mcap import wire
-from carla_recap.formats.mcap.container import (
+from carla_recap.formats.mcap.runs import BrokenRecords, column, message_runs
+from carla_recap.formats.mcap.schema import (
     EMPTY,
     EXPORT_METADATA,
     EXTENT_METADATA,
@@ -44,18 +44,18 @@ from carla_recap.formats.mcap.container import (
     parse_header,
     unchecked,
 )
-from carla_recap.formats.mcap.runs import BrokenRecords, column, message_runs
 from carla_recap.formats.mcap.source import METADATA_LIMIT, Chunk, Source, Summary, open_chunk, parse_record, read_summary
-from carla_recap.frame import SAME_TIME, Extent, Frame, Header, Packet
-from carla_recap.payload import EMPTY_LIST, Buffer
-from carla_recap.records import FRAME_END, FRAME_START, Records, RecordType
-from carla_recap.standing import BlockedRow
+from carla_recap.model.batch import Batch, ConstantColumn, within
+from carla_recap.model.frame import SAME_TIME, Extent, Frame, Header, Packet
+from carla_recap.model.layout import EMPTY_LIST, Buffer
+from carla_recap.model.records import FRAME_END, FRAME_START, Records, RecordType
+from carla_recap.model.stationary import BlockedRow
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Collection, Iterable, Iterator
 
-    from carla_recap.batch import Column
     from carla_recap.formats.mcap.runs import MessageRun
+    from carla_recap.model.batch import Column
 
 MESSAGES_LIMIT: Final = 500_000
 """How many messages are held at once, in frames that are not complete yet; ours are some hundreds."""

@@ -7,19 +7,19 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 from mcap.opcode import Opcode
 
-from carla_recap.batch import ConstantColumn
 from carla_recap.errors import FormatError
 from carla_recap.formats.mcap import wire
-from carla_recap.formats.mcap.container import EMPTY, FILLED, MESSAGE, MESSAGE_FIELDS
-from carla_recap.payload import EMPTY_LIST, OBJECTS_LIMIT, U16, PayloadError
-from carla_recap.records import FRAME_START, Framing, Group
+from carla_recap.formats.mcap.schema import EMPTY, FILLED, MESSAGE, MESSAGE_FIELDS
+from carla_recap.model.batch import ConstantColumn
+from carla_recap.model.layout import EMPTY_LIST, OBJECTS_LIMIT, U16, PayloadError
+from carla_recap.model.records import FRAME_START, Framing, Group
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
 
     from numpy.typing import DTypeLike, NDArray
 
-    from carla_recap.batch import Batch, Column
+    from carla_recap.model.batch import Batch, Column
 
 _HEADER: Final = np.dtype(
     [

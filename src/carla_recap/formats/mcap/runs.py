@@ -12,19 +12,19 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 from mcap.opcode import Opcode
 
-from carla_recap.batch import Column, equal_rows
 from carla_recap.formats.mcap import wire
-from carla_recap.formats.mcap.container import MESSAGE, MESSAGE_FIELDS, RECORD
-from carla_recap.frame import Packet
-from carla_recap.payload import U16
-from carla_recap.records import Framing
+from carla_recap.formats.mcap.schema import MESSAGE, MESSAGE_FIELDS, RECORD
+from carla_recap.model.batch import Column, equal_rows
+from carla_recap.model.frame import Packet
+from carla_recap.model.layout import U16
+from carla_recap.model.records import Framing
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
     from numpy.typing import NDArray
 
-    from carla_recap.records import RecordType
+    from carla_recap.model.records import RecordType
 
 Place = tuple[int, int, int]  # channel, offset of the message's data in the frame, and their size
 

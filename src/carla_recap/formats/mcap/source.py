@@ -23,7 +23,7 @@ from mcap.exceptions import McapError
 from mcap.opcode import Opcode
 
 from carla_recap.errors import Closed, FormatError, NotARecording, RecapError
-from carla_recap.formats.mcap.container import (
+from carla_recap.formats.mcap.schema import (
     CHUNK,
     CHUNK_INDEX,
     CHUNK_OFFSETS,

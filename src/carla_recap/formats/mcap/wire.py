@@ -24,9 +24,9 @@ import numpy as np
 
 from carla_recap.errors import RecordError
 from carla_recap.formats.base import PIECE
-from carla_recap.formats.mcap.container import STRETCHES_MESSAGE
-from carla_recap.payload import MAX_COUNT, OBJECTS_LIMIT, U16, Buffer, PayloadError, need, pack
-from carla_recap.records import FLAG, REAL, TEXT, Framing, Group, Layout, Many, Records, RecordType
+from carla_recap.formats.mcap.schema import STRETCHES_MESSAGE
+from carla_recap.model.layout import MAX_COUNT, OBJECTS_LIMIT, U16, Buffer, PayloadError, need, pack
+from carla_recap.model.records import FLAG, REAL, TEXT, Framing, Group, Layout, Many, Records, RecordType
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator, Mapping, Sequence
@@ -34,7 +34,7 @@ if TYPE_CHECKING:
     from google.protobuf.message import Message
     from numpy.typing import NDArray
 
-    from carla_recap.standing import BlockedRow
+    from carla_recap.model.stationary import BlockedRow
 
 HEAD: Final = struct.Struct("<BQBd")  # fields 1 and 2 of every message: frame, elapsed
 FRAME_BODY: Final = struct.Struct("<Bd")  # field 3: duration

@@ -23,10 +23,11 @@ from mcap import records
 from mcap.data_stream import RecordBuilder
 from mcap.opcode import Opcode
 
-from carla_recap.formats.atomic import AtomicFile
 from carla_recap.formats.mcap import wire
 from carla_recap.formats.mcap.chunk import Chunk
-from carla_recap.formats.mcap.container import (
+from carla_recap.formats.mcap.rows import RowForm, has_form
+from carla_recap.formats.mcap.rows import key as key_of
+from carla_recap.formats.mcap.schema import (
     CHUNK,
     EMPTY,
     EXTENT_METADATA,
@@ -49,12 +50,11 @@ from carla_recap.formats.mcap.container import (
     checked,
     header_metadata,
 )
-from carla_recap.formats.mcap.rows import RowForm, has_form
-from carla_recap.formats.mcap.rows import key as key_of
-from carla_recap.frame import Extent, Frame, Header, Packet
-from carla_recap.payload import EMPTY_LIST, OBJECTS_LIMIT, PayloadError, check
-from carla_recap.records import FRAME_END, FRAME_START, Group, RecordType
-from carla_recap.standing import MIN_DISTANCE, TYPES, Standing
+from carla_recap.model.frame import Extent, Frame, Header, Packet
+from carla_recap.model.layout import EMPTY_LIST, OBJECTS_LIMIT, PayloadError, check
+from carla_recap.model.records import FRAME_END, FRAME_START, Group, RecordType
+from carla_recap.model.stationary import MIN_DISTANCE, TYPES, Standing
+from carla_recap.util.files import AtomicFile
 
 if TYPE_CHECKING:
     from array import array
@@ -62,8 +62,8 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    from carla_recap.batch import Batch
-    from carla_recap.standing import BlockedRow
+    from carla_recap.model.batch import Batch
+    from carla_recap.model.stationary import BlockedRow
 
 CHUNK_SIZE: Final = 1 << 20
 CHUNK_SECONDS: Final = 5

@@ -12,10 +12,12 @@ from functools import partial
 from pathlib import Path
 from typing import Any, Final
 
-from carla_recap import queries
 from carla_recap.errors import NotARecording, RecapError
 from carla_recap.formats import open_reader
 from carla_recap.maps.road_map import plain_name
+from carla_recap.queries.blocked import blocked
+from carla_recap.queries.collisions import collisions
+from carla_recap.queries.info import info
 from carla_recap.server import recordings
 from carla_recap.server.client import Client
 from carla_recap.server.rpc.codec import DecodeError, decoder
@@ -52,20 +54,20 @@ def stop_recorder(client: Client) -> None:
 @call
 def show_recorder_file_info(client: Client, name: str, show_all: bool) -> Awaitable[str]:
     """Return the events of a recording, or all of its records."""
-    return _answer(client, name, partial(queries.info, all=show_all, compat=True))
+    return _answer(client, name, partial(info, all=show_all, compat=True))
 
 
 @call
 def show_recorder_collisions(client: Client, name: str, type1: int, type2: int) -> Awaitable[str]:
     """Return the collisions between two types of actors, which are letters, as bytes."""
     letters = [chr(type & 0xFF) for type in (type1, type2)]
-    return _answer(client, name, lambda reader: queries.collisions(reader, *letters, compat=True))
+    return _answer(client, name, lambda reader: collisions(reader, *letters, compat=True))
 
 
 @call
 def show_recorder_actors_blocked(client: Client, name: str, min_time: float, min_distance: float) -> Awaitable[str]:
     """Return the actors that stood still; times in s, distances in cm."""
-    query = partial(queries.blocked, min_time=min_time, min_distance=min_distance, compat=True)
+    query = partial(blocked, min_time=min_time, min_distance=min_distance, compat=True)
     return _answer(client, name, query)
 
 

@@ -16,7 +16,7 @@ if TYPE_CHECKING:
 
     import pymunk
 
-    from carla_recap.records import ActorKind
+    from carla_recap.model.records import ActorKind
     from carla_recap.sim.actors.blueprints import Blueprint, BlueprintLibrary
     from carla_recap.sim.actors.events import Collision
     from carla_recap.sim.clock import Clock

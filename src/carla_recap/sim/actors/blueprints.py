@@ -15,7 +15,7 @@ from pathlib import Path
 from types import MappingProxyType
 from typing import TYPE_CHECKING, Any, Final
 
-from carla_recap.records import ActorKind
+from carla_recap.model.records import ActorKind
 from carla_recap.sim.actors.sensors import SENSORS
 from carla_recap.sim.errors import SpawnError
 from carla_recap.sim.geometry import Box, Location, Vector

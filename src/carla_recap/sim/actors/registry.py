@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
-from carla_recap.records import ActorKind
+from carla_recap.model.records import ActorKind
 from carla_recap.sim.actors import blueprints
 from carla_recap.sim.actors.actor import Actor, Prop, Sensor, Spectator, attached_transform
 from carla_recap.sim.actors.lights import Sign, Signals, TrafficLight

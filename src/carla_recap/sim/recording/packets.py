@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
-from carla_recap.records import UE4, Attribute, Physics, RecordType, Spawn
+from carla_recap.model.records import UE4, Attribute, Physics, RecordType, Spawn
 from carla_recap.sim.actors.attributes import attribute_type
 from carla_recap.sim.geometry import Location
 from carla_recap.sim.recording.poses import CM_PER_M, pose
@@ -14,7 +14,7 @@ from carla_recap.sim.recording.poses import CM_PER_M, pose
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-    from carla_recap.records import Layout
+    from carla_recap.model.records import Layout
     from carla_recap.sim.actors.actor import Actor
     from carla_recap.sim.actors.lights import Sign, TrafficLight
     from carla_recap.sim.actors.moving import Vehicle

@@ -11,10 +11,10 @@ from pathlib import Path, PureWindowsPath
 from threading import RLock
 from typing import TYPE_CHECKING, Final
 
-from carla_recap.conversion import check_free
+from carla_recap.editing.convert import check_free
 from carla_recap.errors import RecapError, RecapWarning
 from carla_recap.formats import SUFFIXES
-from carla_recap.frame import Header
+from carla_recap.model.frame import Header
 from carla_recap.sim.errors import DestinationError
 from carla_recap.sim.recording.sampler import WorldSampler
 from carla_recap.sim.recording.writer_process import WriterProcess, discard_process, start_process

@@ -17,8 +17,8 @@ from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
-from carla_recap.frame import Packet
-from carla_recap.records import NO_ACTOR
+from carla_recap.model.frame import Packet
+from carla_recap.model.records import NO_ACTOR
 from carla_recap.sim.actors.lights import Sign, TrafficLight
 from carla_recap.sim.actors.moving import MovingActor, Vehicle
 from carla_recap.sim.actors.registry import TickEvents

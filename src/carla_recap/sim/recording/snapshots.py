@@ -12,10 +12,10 @@ from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
-from carla_recap.batch import Batch, ConstantColumn, PackedColumn
-from carla_recap.frame import LAST_FRAME_DURATION, Packet
-from carla_recap.payload import EMPTY_LIST, pack
-from carla_recap.records import FRAME_END, ORDER, UE4, ActorKind, Framing
+from carla_recap.model.batch import Batch, ConstantColumn, PackedColumn
+from carla_recap.model.frame import LAST_FRAME_DURATION, Packet
+from carla_recap.model.layout import EMPTY_LIST, pack
+from carla_recap.model.records import FRAME_END, ORDER, UE4, ActorKind, Framing
 from carla_recap.replay.rows import numbers
 from carla_recap.sim.recording.poses import CM_PER_M
 

@@ -20,9 +20,9 @@ from select import select
 from threading import Thread
 from typing import TYPE_CHECKING, Any, BinaryIO, Final
 
+from carla_recap.editing.recover import rescue
 from carla_recap.errors import RecapError
 from carla_recap.formats import create_writer
-from carla_recap.recovery import rescue
 from carla_recap.sim.errors import DestinationError
 from carla_recap.util.processes import close_pipes, module_command, module_environment, wait_or_kill
 from carla_recap.util.signals import ignore_termination
@@ -32,7 +32,7 @@ if TYPE_CHECKING:
     from pathlib import Path
 
     from carla_recap.formats.base import Writer
-    from carla_recap.frame import Header
+    from carla_recap.model.frame import Header
     from carla_recap.sim.recording.snapshots import SnapshotBatch
 
 QUEUE: Final = 16

@@ -6,10 +6,10 @@ from dataclasses import replace
 from difflib import SequenceMatcher
 from typing import TYPE_CHECKING, Final
 
-from carla_recap.records import ActorKind
+from carla_recap.model.records import ActorKind
 from carla_recap.sim.actors.blueprints import Blueprint
 from carla_recap.sim.geometry import Box, Location, Vector
-from carla_recap.texts import readable
+from carla_recap.util.text import readable
 
 if TYPE_CHECKING:
     from carla_recap.queries.actors import BoundingBox

@@ -1,0 +1,1 @@
+"""Recordings made from recordings, or from nothing: convert, clip, recover, author."""

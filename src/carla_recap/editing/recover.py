@@ -1,0 +1,185 @@
+"""Rebuilds a recording that is damaged, or whose writer died, from all that is whole in it."""
+
+from __future__ import annotations
+
+import os
+import warnings
+from contextlib import suppress
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+from carla_recap.editing.convert import check_destination
+from carla_recap.errors import FormatError, RecapError, RecapWarning
+from carla_recap.formats import create_writer, read_start
+from carla_recap.formats.carla_log import LogReader, is_log
+from carla_recap.formats.log_scan import PACKETS_LIMIT
+from carla_recap.model.batch import Batch
+from carla_recap.model.layout import PayloadError, check
+from carla_recap.model.records import FRAME_END
+from carla_recap.util.files import partials
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable
+    from pathlib import Path
+
+    from carla_recap.editing.convert import Progress
+    from carla_recap.formats.base import Reader, Writer
+    from carla_recap.model.frame import Packet
+
+
+@dataclass(frozen=True)
+class Recovery:
+    """What a recovery brought, and what it could not.
+
+    Attributes:
+        frames: Frames that were saved.
+        lost_frames: Frames that are known to be missing between them.
+        lost_bytes: Bytes of the source that belong to nothing whole.
+        duration: Elapsed seconds of the last frame that was saved.
+        finished: Whether the source had a proper end.
+        headless: Whether its header was lost, so that the map is unknown.
+        lost_packets: Packets of saved frames that hold something else than their type announces.
+    """
+
+    frames: int
+    lost_frames: int
+    lost_bytes: int
+    duration: float
+    finished: bool
+    headless: bool = False
+    lost_packets: int = 0
+
+    def __str__(self) -> str:
+        saved = f"{self.frames} frame{'s' * (self.frames != 1)} saved, up to {self.duration:g} s"
+        counts = ((self.lost_frames, "frames"), (self.lost_packets, "packets"), (self.lost_bytes, "bytes"))
+        lost = [f"{count} {what} lost" for count, what in counts if count]
+        if not self.finished:
+            lost.append("it was never finished, or its end is damaged")
+        if self.headless:
+            lost.append("its header is lost: the map is unknown")
+        return "; ".join([saved, *(lost or ["nothing lost"])])
+
+
+def recover(
+    source: Path | str,
+    destination: Path | str,
+    *,
+    force: bool = False,
+    progress: Progress | None = None,
+    format: str | None = None,
+) -> Recovery:
+    """Write what is whole in a recording to a new one.
+
+    Args:
+        source: The damaged file, MCAP or log.
+        destination: Where to write; the suffix says the format.
+        force: Overwrite what is there.
+        progress: As in `convert`.
+        format: The suffix of the format, whatever that of the destination.
+
+    Raises:
+        RecapError: Nothing can be saved, or the destination cannot be written.
+    """
+    check_destination(source, destination, force=force)
+    if not os.path.lexists(source) and partials(source):
+        raise _unfinished(source)
+    reader, finished, lost_bytes, headless = _open(source)
+    frames, last, duration, lost_packets = 0, -1, 0.0, 0
+    try:
+        if partials(source) and next(reader.frames(), None) is None:
+            raise _unfinished(source)
+        with create_writer(destination, reader.header, force=force, format=format) as writer:
+            stream: Iterable[Batch] = map(Batch.of, reader.frames())
+            for batch in progress(stream, reader) if progress else stream:
+                frame = batch.frame(0)
+                if frame.preamble and frames:  # its packets would become those of the frame before
+                    continue
+                sound = [packet for packet in frame.packets if _is_sound(packet)][:PACKETS_LIMIT]
+                lost_packets += len(frame.packets) - len(sound)
+                frame.packets = sound
+                writer.write(frame)
+                frames += 1
+                last, duration = frame.index, frame.elapsed
+        if isinstance(reader, LogReader):
+            cut = sum(map(len, reader.tail()))
+            finished = not cut
+            lost_bytes += reader.lost_bytes + cut
+        expected = max(last + 1, _stated_frames(reader))
+    finally:
+        reader.close()
+    return Recovery(frames, expected - frames, lost_bytes, duration, finished, headless, lost_packets)
+
+
+def rescue(writer: Writer, path: Path, error: Exception, *, force: bool = False, format: str | None = None) -> RecapError:
+    """Make a recording whose writer has failed whole, up to there; if that cannot be done, leave what is there beside it.
+
+    Args:
+        writer: The writer.
+        path: Its destination.
+        error: Why it failed.
+        force: Overwrite what is there.
+        format: The suffix of the format, whatever that of the destination.
+
+    Returns:
+        What to tell: why it failed, and where what was recorded is.
+    """
+    partial = writer.abandon()
+    if not partial.exists():
+        return RecapError(f"{error}; nothing of what was recorded is left")
+    try:
+        with warnings.catch_warnings(action="ignore", category=RecapWarning):  # that it was cut short is told anyway
+            saved = recover(partial, path, force=force, format=format)
+    except Exception:  # whatever it is: the frames are safe where they are
+        return RecapError(f"{error}; what was recorded until then lies in {partial}, for carla-recap recover")
+    with suppress(OSError):
+        partial.unlink()
+    return RecapError(f"{error}; the recording ends at {saved.duration:g} s")
+
+
+def _unfinished(source: Path | str) -> RecapError:
+    """Return the error about a recording that was never finished, with the paths of what was written of it."""
+    paths = " and ".join(map(str, partials(source)))
+    return RecapError(f"{source}: was never finished; what was written of it until then lies in {paths}")
+
+
+def _is_sound(packet: Packet) -> bool:
+    """Return whether a packet holds what its type announces, so that any format can have it and be read again."""
+    try:
+        payload = packet.payload
+        if packet.id <= FRAME_END:
+            return packet.id == FRAME_END and not len(payload)
+        if packet.type is not None and not packet.type.opaque:
+            check(packet.type, payload)
+        return True
+    except (FormatError, PayloadError):
+        return False
+
+
+def _stated_frames(reader: Reader) -> int:
+    """How many frames a file says that it has; 0 if it does not."""
+    return int(getattr(reader, "metadata", {}).get("frames", 0))
+
+
+def _open(source: Path | str) -> tuple[Reader, bool, int, bool]:
+    """The reader of what is whole, whether the file has an end, its lost bytes, and whether its header is lost."""
+    if is_log(read_start(source)):
+        return LogReader(source, salvage=True), True, 0, False
+    from carla_recap.formats.mcap.reader import McapReader
+    from carla_recap.formats.mcap.recovery import guess_header, salvage
+    from carla_recap.formats.mcap.schema import HEADER_METADATA
+    from carla_recap.formats.mcap.source import Source
+
+    raw = Source(source)
+    try:
+        summary, damage = salvage(raw)
+    finally:
+        raw.close()
+    if not summary.chunks and partials(source):
+        raise _unfinished(source)
+    if not summary.chunks:
+        raise RecapError(f"{source}: nothing can be saved: it is no CARLA log, and no whole chunk of an MCAP file was found")
+    if not any(schema.name.startswith("carla_recap.v1.") for schema in summary.schemas.values()):
+        raise RecapError(f"{source}: nothing can be saved: it holds no recording")
+    headless = HEADER_METADATA not in summary.metadata
+    header = guess_header(summary) if headless else None
+    return McapReader(source, summary=summary, header=header, salvage=True), damage.finished, damage.bytes, headless

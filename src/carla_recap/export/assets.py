@@ -1,0 +1,14 @@
+"""The files of `viewer/`: beside the code in a wheel, at the top of the source tree."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Final
+
+_PACKAGE: Final = Path(__file__).parents[1]
+_FOLDERS: Final = (_PACKAGE / "viewer", _PACKAGE.parents[1] / "viewer")
+
+
+def viewer_folder() -> Path:
+    """Return the folder of the incident page and of the Foxglove layouts."""
+    return next(folder for folder in _FOLDERS if folder.is_dir())

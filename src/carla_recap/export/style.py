@@ -1,0 +1,134 @@
+"""How things look, whoever shows them: colours, boxes where none are recorded, and events in words."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Final, NamedTuple
+
+from carla_recap.model.records import ActorKind
+from carla_recap.queries.actors import BoundingBox
+from carla_recap.replay.events import Collided, Destroyed, Parented, Spawned
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping
+
+    from carla_recap.replay.events import Event, Present
+
+Color = tuple[int, int, int]
+"""Red, green, blue, from 0 to 255."""
+
+BACKGROUND: Final[Color] = (20, 22, 28)
+HERO: Final[Color] = (255, 176, 32)
+COLLISION: Final[Color] = (255, 64, 64)
+
+NOTHING: Final = 0xFFFF_FFFF
+"""The id of what is hit but is no actor: a wall, the ground."""
+
+
+class Style(NamedTuple):
+    """How actors of a kind look, and the half extents, in m, of one whose box is not recorded."""
+
+    name: str
+    color: Color
+    extent: tuple[float, float, float]
+
+
+STYLES: Final[dict[int, Style]] = {
+    ActorKind.VEHICLE: Style("vehicle", (80, 160, 255), (2.4, 1.0, 0.8)),
+    ActorKind.WALKER: Style("walker", (110, 220, 120), (0.25, 0.25, 0.93)),
+    ActorKind.TRAFFIC_LIGHT: Style("traffic light", (150, 150, 160), (0.2, 0.2, 0.5)),
+    ActorKind.TRAFFIC_SIGN: Style("traffic sign", (190, 160, 90), (0.05, 0.4, 0.4)),
+    ActorKind.SENSOR: Style("sensor", (200, 120, 220), (0.1, 0.1, 0.1)),
+}
+OTHER: Final = Style("other", (150, 150, 150), (0.15, 0.15, 0.15))
+TWO_WHEELS: Final = (0.95, 0.35, 0.75)  # half extents, in m
+
+LIGHTS: Final[tuple[tuple[str, Color], ...]] = (
+    ("red", (235, 50, 45)),
+    ("yellow", (245, 200, 40)),
+    ("green", (50, 205, 90)),
+    ("off", (70, 70, 75)),
+    ("unknown", (130, 130, 135)),
+)
+"""The states of a traffic light, as CARLA numbers them."""
+
+LAMP_UP: Final = 4.5  # m; so high above the foot of a traffic light is its lamp: recordings do not say
+LAMP: Final = 0.8  # m, across
+POLE: Final[Color] = (95, 95, 105)
+POLE_WIDTH: Final = 0.12  # m
+
+ROADS: Final[tuple[tuple[str, Color, float], ...]] = (
+    ("junctions", (70, 76, 92), 0.10),
+    ("centre_lines", (66, 70, 82), 0.08),
+    ("lane_borders", (150, 156, 170), 0.12),
+    ("crossings", (196, 190, 150), 0.16),
+    ("stop_lines", (230, 232, 238), 0.24),
+)
+"""The lines of a road map, each kind with its colour and its width in m."""
+
+
+def light(state: int) -> tuple[str, Color]:
+    """The name and the colour of a traffic light's state."""
+    return LIGHTS[state] if 0 <= state < len(LIGHTS) else LIGHTS[-1]
+
+
+def style_of(actor: Present) -> Style:
+    """How the actors of its kind look."""
+    return STYLES.get(_kind_of(actor), OTHER)
+
+
+def is_outlined(actor: Present) -> bool:
+    """Whether only the edges of its box are drawn: that of a sensor, or one that is invented for something unknown."""
+    return style_of(actor) is STYLES[ActorKind.SENSOR] or (style_of(actor) is OTHER and actor.box is None)
+
+
+def color_of(actor: Present) -> Color:
+    """The colour of an actor: the hero's own, or that of its kind."""
+    return HERO if actor.is_hero else style_of(actor).color
+
+
+def label_of(actor: Present) -> str:
+    """An actor in a word or two, such as `hero 24` or `audi.tt 31`."""
+    name = "hero" if actor.is_hero else actor.type_id.partition(".")[2] or actor.type_id or style_of(actor).name
+    return f"{name} {actor.id}"
+
+
+def box_of(actor: Present) -> BoundingBox:
+    """The box of an actor in its own right-handed axes: as recorded, or else one that fits its kind."""
+    if actor.box is not None:
+        return actor.box
+    extent = style_of(actor).extent
+    kind = _kind_of(actor)
+    if kind == ActorKind.VEHICLE and actor.spawn.attribute("number_of_wheels") == "2":
+        extent = TWO_WHEELS
+    # A walker's place is its middle; that of all others is on the ground.
+    height = 0.0 if kind in (ActorKind.WALKER, ActorKind.SENSOR) else extent[2]
+    return BoundingBox(0.0, 0.0, height, *extent)
+
+
+def _kind_of(actor: Present) -> int:
+    """What it is; older simulators record sensors as something other."""
+    return ActorKind.SENSOR if actor.type_id.startswith("sensor.") else actor.kind
+
+
+def name_of(id: int, actors: Mapping[int, Present]) -> str:
+    """Who an id is, for a sentence: `vehicle.audi.tt (31)`."""
+    if id == NOTHING:
+        return "something that is no actor"
+    return f"{actors[id].type_id} ({id})" if id in actors else f"actor {id}"
+
+
+def sentence(event: Event, actors: Mapping[int, Present]) -> str:
+    """An event in words.
+
+    Args:
+        event: What happened.
+        actors: Who is there, or was before.
+    """
+    if isinstance(event, Spawned):
+        return f"{event.actor.type_id} ({event.actor.id}) appears"
+    if isinstance(event, Destroyed):
+        return f"{name_of(event.id, actors)} disappears"
+    if isinstance(event, Parented):
+        return f"{name_of(event.id, actors)} is attached to {name_of(event.parent, actors)}"
+    assert isinstance(event, Collided)
+    return f"{name_of(event.actor1, actors)} collides with {name_of(event.actor2, actors)}"

@@ -1,0 +1,274 @@
+"""Finds what is whole in an MCAP file that is damaged, or whose writer died: its chunks, each known good by its checksum."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Final
+
+from mcap import records
+from mcap.opcode import Opcode
+
+from carla_recap.errors import FormatError
+from carla_recap.formats.mcap.schema import (
+    CHUNK,
+    EXTENT_METADATA,
+    HEADER_METADATA,
+    MAGIC,
+    MESSAGE,
+    RECORD,
+    SECOND,
+    U64,
+    channel_specs,
+    unchecked,
+)
+from carla_recap.formats.mcap.source import (
+    CHUNK_LIMIT,
+    METADATA_LIMIT,
+    RECORDS_LIMIT,
+    Chunk,
+    Source,
+    Summary,
+    open_chunk,
+    parse_record,
+    read_summary,
+)
+from carla_recap.model.frame import Header
+
+DATA_END_SIZE: Final = 4
+_MODEST: Final = 64 << 10
+_SMALL: Final = 16 << 20  # no record but a chunk is larger
+_FALSE_FACTOR: Final = 4  # times the size of the file: bytes read for what turns out to be no chunk
+_FALSE_LEAST: Final = 16 << 20
+_UNPACKED_FACTOR: Final = 100  # times the size of the file: bytes of records that are unpacked
+_UNPACKED_LEAST: Final = 512 << 20
+_MESSAGES_LEAST: Final = 1_000_000
+_MESSAGE_BYTES: Final = 4  # bytes of the file for each message beyond those
+_ZSTD_FRAME: Final = b"\x28\xb5\x2f\xfd"  # what compressed data begin with
+_ZSTD: Final = b"\x04\x00\x00\x00zstd"  # how the compression is named in a chunk
+_ZSTD_AT: Final = RECORD.size + CHUNK.size - 4
+_WINDOW: Final = 1 << 20
+
+
+@dataclass
+class Damage:
+    """What was found broken.
+
+    Attributes:
+        chunks: Chunks that were dropped.
+        bytes: Bytes that belong to nothing whole.
+        finished: Whether the file has a valid end.
+    """
+
+    chunks: int = 0
+    bytes: int = 0
+    finished: bool = True
+
+
+def salvage(source: Source) -> tuple[Summary, Damage]:
+    """Return a summary of all that is whole in a file, whether or not it has one of its own, and what is damaged."""
+    scan = _Scan(source)
+    summary, damage = scan.summary, scan.damage
+    try:
+        own = read_summary(source)
+    except FormatError:
+        own = Summary()
+        damage.finished = False
+    at = len(MAGIC) if source.read(0, min(len(MAGIC), source.size), "the magic") == MAGIC else 0
+    while at < source.size and not summary.finished:
+        end = scan.take(at)
+        if end is None:
+            end = scan.next_chunk(at + 1)
+            damage.bytes += end - at
+        at = end
+    # What the file's own summary says is known good by its checksum; the scan may have missed some of it.
+    summary.schemas |= own.schemas
+    summary.channels |= own.channels
+    met = {chunk.offset for chunk in summary.chunks}
+    scan.damage = Damage()
+    for offset in (chunk.offset for chunk in own.chunks if chunk.offset not in met):
+        scan.take(offset)
+    for offset in (index.offset for name, index in own.metadata.items() if name not in summary.metadata):
+        scan.take(offset)
+    _declare_lost(summary)
+    summary.chunks.sort(key=lambda chunk: (chunk.start, chunk.offset))
+    return summary, damage
+
+
+def guess_header(summary: Summary) -> Header:
+    """The header of a recording whose own is lost; its map is unknown."""
+    wide = any(schema.name.endswith("Double") for schema in summary.schemas.values())
+    return Header("", summary.chunks[0].start // SECOND if summary.chunks else 0, wide=wide)
+
+
+def _declare_lost(summary: Summary) -> None:
+    """Declare the channels whose declarations are lost; a channel's id says which it is."""
+    specs = channel_specs(guess_header(summary).table)
+    for id in {id for chunk in summary.chunks for id in chunk.channels} - summary.channels.keys():
+        if 0 < id <= len(specs):
+            spec = specs[id - 1]
+            summary.schemas.setdefault(id, records.Schema(id=id, data=b"", encoding="protobuf", name=spec.message))
+            summary.channels[id] = records.Channel(
+                id=id, topic=spec.topic, message_encoding="protobuf", metadata={}, schema_id=id
+            )
+
+
+class _Scan:
+    """Goes through a file, and takes what is whole. What it costs is in proportion to the size of the file.
+
+    Attributes:
+        summary: What was found.
+        damage: What was found broken.
+    """
+
+    def __init__(self, source: Source) -> None:
+        self.summary = Summary()
+        self.damage = Damage()
+        self._source = source
+        self._window = (0, b"")  # a place, and what stands there
+        self._false = _FALSE_LEAST + _FALSE_FACTOR * source.size
+        self._unpacked = _UNPACKED_LEAST + _UNPACKED_FACTOR * source.size
+        self._messages = _MESSAGES_LEAST + source.size // _MESSAGE_BYTES
+        self._parsed = RECORDS_LIMIT
+
+    def take(self, at: int) -> int | None:
+        """Add the record at a place to the summary; return where it ends, None where there is no whole record."""
+        source, damage = self._source, self.damage
+        if at + RECORD.size > source.size:
+            return None
+        opcode, length = RECORD.unpack(source.read(at, RECORD.size, "a record"))
+        end: int = at + RECORD.size + length
+        is_chunk = opcode == Opcode.CHUNK
+        if (
+            not Opcode.HEADER <= opcode <= Opcode.DATA_END
+            or length > (CHUNK_LIMIT if is_chunk else _SMALL)
+            or end > source.size
+        ):
+            return None
+        # Only chunks have a checksum: a great length of any other record is believed if another one follows.
+        if not is_chunk and length > _MODEST and not self._is_record(end):
+            return None
+        false = self._false
+        try:
+            if is_chunk:
+                self._take_chunk(at, length)
+            elif opcode == Opcode.DATA_END:
+                self.summary.finished = length == DATA_END_SIZE
+            else:
+                self._take_other(opcode, at, length)
+        except ValueError:
+            damage.chunks += is_chunk
+            # The length may be what is broken: go on behind it only if a record stands there. Or if too much was read for
+            # nothing: what is inside is lost then.
+            spent = self._false < min(false, 0)
+            if not spent and not self._is_record(end):
+                return None
+            damage.bytes += end - at
+        return end
+
+    def next_chunk(self, at: int) -> int:
+        """Return where the next thing that looks like a chunk begins; the end of the file where there is none."""
+        size = self._source.size
+        while at < size:
+            begin, window = self._window
+            if not begin <= at < begin + len(window) - _ZSTD_AT - len(_ZSTD):
+                begin, window = self._window = at, self._source.read(at, min(_WINDOW, size - at), "a window")
+            found = window.find(_ZSTD, at - begin + _ZSTD_AT)
+            while found >= 0:
+                start = found - _ZSTD_AT
+                if window[start] == Opcode.CHUNK:
+                    return begin + start
+                found = window.find(_ZSTD, found + 1)
+            if begin + len(window) == size:
+                break
+            at = begin + len(window) - _ZSTD_AT - len(_ZSTD)
+        return size
+
+    def _take_chunk(self, at: int, length: int) -> None:
+        source, size = self._source, RECORD.size + length
+        unpacked = _announced(source.read(at + RECORD.size, min(length, _CHUNK_HEAD), "a record"), length)
+        self._false -= length
+        self._unpacked -= unpacked
+        if self._unpacked < 0:
+            raise ValueError("more bytes of records than a file of this size can mean")
+        data = open_chunk(source.read(at + RECORD.size, length, "a record"))[2]
+        chunk, messages = _described(data, at, size, self._messages)
+        self._messages -= messages
+        self._false += length
+        self.summary.chunks.append(chunk)
+
+    def _take_other(self, opcode: int, at: int, length: int) -> None:
+        if opcode not in (Opcode.SCHEMA, Opcode.CHANNEL, Opcode.METADATA) or not self._parsed:
+            return
+        if opcode == Opcode.METADATA and length > METADATA_LIMIT:
+            return
+        self._parsed -= 1
+        summary = self.summary
+        content = self._source.read(at + RECORD.size, length, "a record")
+        if opcode == Opcode.SCHEMA:
+            schema = parse_record(records.Schema, content)
+            summary.schemas[schema.id] = schema
+        elif opcode == Opcode.CHANNEL:
+            channel = parse_record(records.Channel, content)
+            summary.channels[channel.id] = channel
+        else:
+            metadata = parse_record(records.Metadata, content)
+            if metadata.name in (HEADER_METADATA, EXTENT_METADATA):
+                unchecked(dict(metadata.metadata))
+            index = records.MetadataIndex(offset=at, length=RECORD.size + length, name=metadata.name)
+            summary.metadata[metadata.name] = index
+
+    def _is_record(self, at: int) -> bool:
+        if at + RECORD.size > self._source.size:
+            return at == self._source.size
+        opcode, length = RECORD.unpack(self._source.read(at, RECORD.size, "a record"))
+        return bool(Opcode.HEADER <= opcode <= Opcode.DATA_END and at + RECORD.size + length <= self._source.size)
+
+
+_CHUNK_HEAD: Final = CHUNK.size + 16 + U64.size + len(_ZSTD_FRAME)
+"""The most bytes of a chunk that stand before its records, and the first of those."""
+
+
+def _announced(start: bytes, length: int) -> int:
+    """Return how many bytes of records a chunk announces, before all of it is read.
+
+    Args:
+        start: What the chunk begins with.
+        length: Its length.
+
+    Raises:
+        ValueError: Its fixed fields make no sense.
+    """
+    if len(start) < CHUNK.size:
+        raise ValueError("a chunk of less than its fixed fields")
+    *_, size, _, name_size = CHUNK.unpack_from(start)
+    at = CHUNK.size + name_size
+    if size > CHUNK_LIMIT or name_size > 16 or at + U64.size > length:
+        raise ValueError("fixed fields that make no sense")
+    (stored,) = U64.unpack_from(start, at)
+    if stored != length - at - U64.size:
+        raise ValueError("records of another length than the chunk's")
+    if stored and start[CHUNK.size : at] == b"zstd" and not start[at + U64.size :].startswith(_ZSTD_FRAME):
+        raise ValueError("no compressed data")
+    return int(size)
+
+
+def _described(data: bytes, offset: int, size: int, most: int) -> tuple[Chunk, int]:
+    """Return a chunk as its messages have it, and how many those are: what it says of its times is under no checksum.
+
+    Raises:
+        ValueError: There are more than `most` messages, or what is no record.
+    """
+    channels, times, at = set(), [], 0
+    while at + MESSAGE.size <= len(data):
+        opcode, length, channel, _, log_time, _ = MESSAGE.unpack_from(data, at)
+        if not opcode:
+            raise ValueError(f"no record at byte {at} of a chunk's content")
+        if opcode == Opcode.MESSAGE:
+            channels.add(channel)
+            times.append(log_time)
+            if len(times) > most:
+                raise ValueError("more messages than a file of this size can mean")
+        at += RECORD.size + length
+    if at > len(data):
+        raise ValueError("the last record of a chunk is not whole")
+    return Chunk(min(times, default=0), max(times, default=0), offset, size, frozenset(channels)), len(times)

@@ -1,0 +1,195 @@
+"""How a recording lies in an MCAP file, for writer, reader and recovery: layouts, channels, metadata, times.
+
+Specification: https://mcap.dev/spec
+"""
+
+from __future__ import annotations
+
+import struct
+import zlib
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Final
+
+import numpy as np
+
+from carla_recap.errors import RecordError
+from carla_recap.formats.carla_log import pack_header
+from carla_recap.model.frame import Extent, Header
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+    from carla_recap.model.records import RecordType, Table
+
+MAGIC: Final = b"\x89MCAP0\r\n"
+RECORD: Final = struct.Struct("<BQ")  # opcode, length
+MESSAGE: Final = struct.Struct("<BQHIQQ")  # opcode, length, channel, sequence, log time, publish time
+MESSAGE_FIELDS: Final = MESSAGE.size - RECORD.size
+CHUNK: Final = struct.Struct("<QQQII")  # start, end, uncompressed size, CRC, length of the compression's name
+CHUNK_INDEX: Final = struct.Struct("<QQQQI")  # start, end, offset, length, bytes of the map of message indexes
+CHUNK_OFFSETS: Final = struct.Struct("<HQ")  # channel, offset of its message index
+MESSAGE_INDEX: Final = struct.Struct("<HI")  # channel, bytes of the entries: log time and offset, u64 each
+FOOTER: Final = struct.Struct("<QQI")  # start of the summary, start of its offsets, CRC
+U64: Final = struct.Struct("<Q")
+SECOND: Final = 1_000_000_000
+EXACT: Final = 1 << 62  # ns: up to here, whole numbers of 64 bits hold a time since 1970 and its sum with another
+MAX_TIME: Final = (1 << 64) - 1
+LATEST: Final = 1 << 63  # the latest beginning of a recording, so that its times do not overflow
+
+FRAME_TOPIC: Final = "/frames"
+RAW_TOPIC: Final = "/carla/raw"
+TAIL_TOPIC: Final = "/carla/tail"
+STRETCHES_TOPIC: Final = "/actors/stretches"
+FRAME_MESSAGE: Final = "carla_recap.v1.Frame"
+RAW_MESSAGE: Final = "carla_recap.v1.RawPacket"
+TAIL_MESSAGE: Final = "carla_recap.v1.Tail"
+STRETCHES_MESSAGE: Final = "carla_recap.v1.Stretches"
+
+EMPTY, FILLED, RAW = 0, 1, 2
+"""What a frame says of each of its packets: no records, a message on its topic, or pieces on the topic of raw packets."""
+
+HEADER_METADATA: Final = "carla_recap.header"
+EXTENT_METADATA: Final = "carla_recap.extent"
+EXPORT_METADATA: Final = "carla_recap.export"
+"""What a file has that shows a recording, but is none."""
+STRETCHES: Final = "stretches"
+"""In the extent's metadata: from how many s and cm on stretches are summed up, and how many; missing if they are not."""
+CHECKSUM: Final = "checksum"
+
+
+@dataclass(frozen=True)
+class ChannelSpec:
+    """A channel that every recording has: its id is its place in `channel_specs`, from 1."""
+
+    topic: str
+    module: str
+    message: str
+    type: RecordType | None = None
+
+
+def channel_specs(table: Table) -> list[ChannelSpec]:
+    """The channels of a recording."""
+    specs = [
+        ChannelSpec(type.topic, type.name, type.message_name, type)
+        for type in table
+        if type.topic and not type.opaque and type.topic != FRAME_TOPIC
+    ]
+    return [
+        ChannelSpec(FRAME_TOPIC, "frame", FRAME_MESSAGE),
+        *specs,
+        ChannelSpec(RAW_TOPIC, "raw_packet", RAW_MESSAGE),
+        ChannelSpec(TAIL_TOPIC, "tail", TAIL_MESSAGE),
+        ChannelSpec(STRETCHES_TOPIC, "stretches", STRETCHES_MESSAGE),
+    ]
+
+
+class LogClock:
+    """Recording time as MCAP times: nanoseconds since 1970.
+
+    Log times always grow, so that the order of a file is the order of time, even where a recording's clock jumps.
+
+    Attributes:
+        last: The latest log time.
+        steady: Whether each log time is its frame's own so far: the recording's clock never stood still nor jumped.
+    """
+
+    def __init__(self, header: Header) -> None:
+        self._base = min(max(0, header.date) * SECOND, LATEST)
+        self.last = self._base - 1
+        self.steady = True
+
+    def at(self, elapsed: float) -> int | None:
+        """The time of some elapsed seconds, None where there is no such time."""
+        nanoseconds = elapsed * SECOND
+        time = self._base + round(nanoseconds) if abs(nanoseconds) < MAX_TIME else -1
+        return time if 0 <= time <= MAX_TIME else None
+
+    def times(self, elapsed: float) -> tuple[int, int]:
+        """Log time and publish time of the next frame."""
+        time = self.at(elapsed)
+        if time is None or time <= self.last:
+            self.steady = False
+            return self.next(), self.last if time is None else time
+        self.last = time
+        return time, time
+
+    def times_of(self, elapsed: NDArray[np.float64]) -> NDArray[np.uint64] | None:
+        """Return log times and publish times of the next frames, (frames, 2), unless one of them is out of order."""
+        with np.errstate(all="ignore"):
+            nanoseconds = np.rint(elapsed * SECOND)
+        if self._base >= EXACT or not len(elapsed) or not np.abs(nanoseconds).max() < EXACT:
+            return None
+        times = nanoseconds.astype(np.int64) + self._base
+        if times[0] <= self.last or times[-1] > MAX_TIME or not (times[1:] > times[:-1]).all():
+            return None
+        self.last = int(times[-1])
+        return np.stack((times, times), axis=1).astype(np.uint64)
+
+    def next(self) -> int:
+        """The log time of whatever comes behind the latest frame."""
+        self.last = min(self.last + 1, MAX_TIME)
+        return self.last
+
+
+def checked(values: dict[str, str]) -> dict[str, str]:
+    """Metadata with a checksum of themselves: MCAP has none for those that are read by index."""
+    return values | {CHECKSUM: _checksum(values)}
+
+
+def unchecked(values: dict[str, str]) -> dict[str, str]:
+    """Metadata without the checksum that they came with.
+
+    Raises:
+        ValueError: It does not match.
+    """
+    plain = {key: value for key, value in values.items() if key != CHECKSUM}
+    if values.get(CHECKSUM) != _checksum(plain):
+        raise ValueError("the checksum does not match")
+    return plain
+
+
+def _checksum(values: dict[str, str]) -> str:
+    return f"{zlib.crc32(repr(sorted(values.items())).encode()):08x}"
+
+
+def header_metadata(header: Header) -> dict[str, str]:
+    """A header as MCAP metadata."""
+    raw = pack_header(header)  # and the check that it can be written
+    plain = {
+        "map": header.map_name.encode("utf-8", "surrogateescape").decode("utf-8", "replace"),
+        "date": str(header.date),
+        "version": str(header.version),
+        "double_precision": str(int(header.wide)),
+        "shifted_packet_ids": str(int(header.shifted)),
+    }
+    return plain if header == parse_header(plain) else plain | {"carla_header": raw.hex()}
+
+
+def parse_header(metadata: dict[str, str]) -> Header:
+    """The header that a file's metadata describe.
+
+    Raises:
+        ValueError: They do not.
+    """
+    wide, shifted = metadata["double_precision"] == "1", metadata["shifted_packet_ids"] == "1"
+    raw = bytes.fromhex(metadata["carla_header"]) if "carla_header" in metadata else None
+    date, version = int(metadata["date"]), int(metadata["version"])
+    if not (-(1 << 63) <= date < 1 << 63 and 0 <= version < 1 << 16):
+        raise ValueError("date or version out of range")
+    name = metadata["map"]
+    if raw is not None:
+        name = raw[2 + 2 + int.from_bytes(raw[2:4], "little") + 8 + 2 :].decode("utf-8", "surrogateescape")
+    header = Header(name, date, version, wide, shifted)
+    try:
+        return header if raw is None or pack_header(header) == raw else Header(name, date, version, wide, shifted, raw)
+    except RecordError as error:
+        raise ValueError(str(error)) from None
+
+
+def parse_extent(metadata: dict[str, str]) -> Extent:
+    """How far the recording goes, from a file's metadata.
+
+    Raises:
+        ValueError: They do not say.
+    """
+    return Extent(int(metadata["frames"]), int(metadata["last_frame"]), float(metadata["duration"]))

@@ -1,0 +1,383 @@
+"""Runs of consecutive frames that have the same packets of the same sizes, handled as arrays."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any, Final, overload
+
+import numpy as np
+
+from carla_recap.errors import RecordError
+from carla_recap.model.frame import Frame, Packet
+from carla_recap.model.layout import U16, Buffer
+from carla_recap.model.records import UE4, Framing
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable, Iterator, Sequence
+    from pathlib import Path
+
+    from numpy.typing import NDArray
+
+    from carla_recap.model.records import RecordType
+
+    Floats = NDArray[np.float64]
+
+
+_FIRST_STEP: Final = 16  # rows that are compared at once, at first
+_GROWTH: Final = 8
+
+
+class Column:
+    """The packets at one position in the frames of a batch: all of one type, size and number of records.
+
+    Attributes:
+        id: The packet id, as of CARLA 0.9.16.
+        type: The record type; None for an unknown id.
+    """
+
+    __slots__ = ("_size", "id", "type")
+
+    def __init__(self, id: int, type: RecordType | None, size: int = 0) -> None:
+        self.id = id
+        self.type = type
+        self._size = size
+
+    @property
+    def size(self) -> int:
+        """Bytes of each payload."""
+        return self._size
+
+    @property
+    def records(self) -> NDArray[np.void]:
+        """The records of all frames, (frames, records of each); for types whose records have one size."""
+        raise NotImplementedError
+
+    def packet(self, row: int) -> Packet:
+        """Return the packet of one of the frames."""
+        raise NotImplementedError
+
+    def payloads(self, count: int) -> NDArray[np.uint8]:
+        """Return the payloads of the first `count` frames as bytes, (count, size)."""
+        data = b"".join(self.packet(row).payload for row in range(count))
+        return np.frombuffer(data, np.uint8).reshape(count, self.size)
+
+    def sliced(self, start: int, stop: int) -> Column:
+        """Return the column of some of the frames."""
+        raise NotImplementedError
+
+
+class ConstantColumn(Column):
+    """The same packet in each frame, such as one without records."""
+
+    __slots__ = ("_count", "_packet")
+
+    def __init__(self, packet: Packet, count: int = 1) -> None:
+        super().__init__(packet.id, packet.type)
+        self._packet = packet
+        self._count = count
+
+    @property
+    def size(self) -> int:
+        """Bytes of each payload."""
+        return len(self._packet.payload)
+
+    @property
+    def records(self) -> NDArray[np.void]:
+        """See `Column.records`."""
+        records = self._packet.records
+        assert isinstance(records, np.ndarray)
+        return np.broadcast_to(records, (self._count, len(records)))
+
+    def packet(self, row: int) -> Packet:
+        """See `Column.packet`."""
+        return self._packet
+
+    def payloads(self, count: int) -> NDArray[np.uint8]:
+        """See `Column.payloads`."""
+        return np.broadcast_to(np.frombuffer(self._packet.payload, np.uint8), (count, self.size))
+
+    def sliced(self, start: int, stop: int) -> Column:
+        """See `Column.sliced`."""
+        return ConstantColumn(self._packet, stop - start)
+
+
+class PackedColumn(Column):
+    """Payloads in CARLA's layout, at equal distances in a buffer.
+
+    Args:
+        id: See `Column`.
+        type: See `Column`.
+        size: Bytes of each payload.
+        buffer: The bytes.
+        offset: The first byte of the first payload.
+        stride: Bytes from one payload to the next.
+        count: The number of frames.
+        origin: The file that the buffer was read from, and the offset of the buffer's first byte in it.
+    """
+
+    __slots__ = ("_buffer", "_count", "_offset", "_origin", "_stride")
+
+    def __init__(
+        self,
+        id: int,
+        type: RecordType | None,
+        size: int,
+        buffer: Buffer,
+        offset: int,
+        stride: int,
+        count: int,
+        origin: tuple[Path, int] | None = None,
+    ) -> None:
+        super().__init__(id, type, size)
+        self._buffer = buffer
+        self._offset = offset
+        self._stride = stride
+        self._count = count
+        self._origin = origin
+
+    @property
+    def records(self) -> NDArray[np.void]:
+        """See `Column.records`: a strided view of the buffer.
+
+        Raises:
+            FormatError: The payloads contradict the type's layout.
+        """
+        type = self.type
+        assert type is not None
+        itemsize = type.dtype.itemsize
+        start = U16.size if type.framing is Framing.LIST else 0
+        number = 1 if type.framing is Framing.SINGLE else 0
+        if type.framing is Framing.LIST and self.size >= start:
+            (number,) = U16.unpack_from(self._buffer, self._offset)
+        if start + number * itemsize != self.size:
+            self.packet(0).records  # noqa: B018  (raises the error that names the offset, or warns of surplus bytes)
+        shape, strides = (self._count, number), (self._stride, itemsize)
+        if not number:
+            return np.empty(shape, type.dtype)
+        return np.ndarray(shape, type.dtype, self._buffer, self._offset + start, strides)
+
+    def packet(self, row: int) -> Packet:
+        """See `Column.packet`."""
+        start = self._offset + row * self._stride
+        origin = None if self._origin is None else (self._origin[0], self._origin[1] + start)
+        return Packet(self.id, self.type, memoryview(self._buffer)[start : start + self.size], None, origin)
+
+    def payloads(self, count: int) -> NDArray[np.uint8]:
+        """See `Column.payloads`: a strided view of the buffer."""
+        if not self.size:
+            return np.empty((count, 0), np.uint8)
+        return np.ndarray((count, self.size), np.uint8, self._buffer, self._offset, (self._stride, 1))
+
+    def sliced(self, start: int, stop: int) -> Column:
+        """See `Column.sliced`."""
+        offset = self._offset + start * self._stride
+        return PackedColumn(self.id, self.type, self.size, self._buffer, offset, self._stride, stop - start, self._origin)
+
+
+class RecordsColumn(Column):
+    """Packets made from records of one size: the rows of an array, (frames, records of each)."""
+
+    __slots__ = ("_records",)
+
+    def __init__(self, type: RecordType, records: NDArray[np.void]) -> None:
+        start = 0 if type.framing is Framing.SINGLE else U16.size
+        super().__init__(type.id, type, start + records.shape[1] * type.dtype.itemsize)
+        self._records = records
+
+    @property
+    def records(self) -> NDArray[np.void]:
+        """See `Column.records`."""
+        return self._records
+
+    def packet(self, row: int) -> Packet:
+        """See `Column.packet`."""
+        return Packet(self.id, self.type, records=self._records[row])
+
+    def payloads(self, count: int) -> NDArray[np.uint8]:
+        """See `Column.payloads`."""
+        assert self.type is not None
+        start = self.size - self._records.shape[1] * self.type.dtype.itemsize
+        data = np.empty((count, self.size), np.uint8)
+        if start:
+            data[:, :start] = np.frombuffer(U16.pack(self._records.shape[1]), np.uint8)
+        packed = np.ascontiguousarray(self._records[:count], self.type.dtype)
+        data[:, start:] = packed.view(np.uint8).reshape(count, -1)
+        return data
+
+    def sliced(self, start: int, stop: int) -> Column:
+        """See `Column.sliced`."""
+        assert self.type is not None
+        return RecordsColumn(self.type, self._records[start:stop])
+
+
+class Batch:
+    """A run of consecutive frames of one shape: the same packets, in the same order, of the same sizes and counts.
+
+    Attributes:
+        index: The position of the first frame in the recording, from 0.
+        columns: The packets after those that start the frames, in file order.
+        id: CARLA's frame numbers, (n,).
+        elapsed: Seconds since the recording began, (n,).
+        duration: Seconds until the next frame, (n,); -1 for the last one of a recording.
+        preamble: Whether these are packets before the first frame starts.
+    """
+
+    __slots__ = ("columns", "duration", "elapsed", "id", "index", "preamble")
+
+    def __init__(
+        self,
+        index: int,
+        id: NDArray[np.uint64],
+        elapsed: Floats,
+        duration: Floats,
+        columns: Sequence[Column],
+        *,
+        preamble: bool = False,
+    ) -> None:
+        self.index = index
+        self.id = id
+        self.elapsed = elapsed
+        self.duration = duration
+        self.columns = columns
+        self.preamble = preamble
+
+    @staticmethod
+    def of(frame: Frame) -> Batch:
+        """Return the batch of a single frame."""
+        return _Single(frame)
+
+    def __len__(self) -> int:
+        return len(self.id)
+
+    def __iter__(self) -> Iterator[Frame]:
+        rows = zip(self.id.tolist(), self.elapsed.tolist(), self.duration.tolist(), strict=True)
+        for row, (id, elapsed, duration) in enumerate(rows):
+            packets = [column.packet(row) for column in self.columns]
+            yield Frame(self.index + row, id, elapsed, duration, packets, preamble=self.preamble)
+
+    def __repr__(self) -> str:
+        names = ", ".join(column.type.name if column.type else str(column.id) for column in self.columns)
+        return f"Batch({len(self)} frames from {self.index}; {names})"
+
+    def frame(self, row: int) -> Frame:
+        """Return one of the frames; -1 stands for the last one."""
+        packets = [column.packet(row % len(self)) for column in self.columns]
+        id, elapsed, duration = self.id[row].item(), self.elapsed[row].item(), self.duration[row].item()
+        return Frame(self.index + row % len(self), id, elapsed, duration, packets, preamble=self.preamble)
+
+    @overload
+    def __getitem__(self, key: str) -> NDArray[np.void]: ...
+    @overload
+    def __getitem__(self, key: slice) -> Batch: ...
+    def __getitem__(self, key: str | slice) -> NDArray[np.void] | Batch:
+        """Return the records of a type by its name, see `records`; or the batch of some consecutive frames by a slice."""
+        if isinstance(key, str):
+            return self.records(key)
+        return self._sliced(key)
+
+    def _sliced(self, rows: slice) -> Batch:
+        start, stop, _ = rows.indices(len(self))
+        stop = max(start, stop)
+        return Batch(
+            self.index + start,
+            self.id[start:stop],
+            self.elapsed[start:stop],
+            self.duration[start:stop],
+            [column.sliced(start, stop) for column in self.columns],
+            preamble=self.preamble,
+        )
+
+    def records(self, name: str) -> NDArray[np.void]:
+        """Return the records of a type, (frames, records of each); of several packets, one after the other. Read-only.
+
+        Args:
+            name: A record type whose records have one size.
+
+        Raises:
+            RecordError: There is no such type, or its records vary in size.
+            FormatError: A packet contradicts its layout.
+        """
+        type = UE4.named(name)
+        if not type.fixed:
+            raise RecordError(f"{name}: the records vary in size; take them from the frames")
+        found = [column.records for column in self.columns if column.type is not None and column.type.name == name]
+        records = found[0] if len(found) == 1 else np.concatenate(found or [np.empty((len(self), 0), type.dtype)], axis=1)
+        return _read_only(records.view()) if records.flags.writeable else records
+
+
+def _read_only(array: NDArray[Any]) -> NDArray[Any]:
+    array.flags.writeable = False
+    return array
+
+
+class _Single(Batch):
+    """A batch of a frame that exists as an object; its columns are made when they are asked for."""
+
+    __slots__ = ("_columns", "_frame")
+
+    def __init__(self, frame: Frame) -> None:
+        self._frame = frame
+        self._columns: Sequence[Column] | None = None
+        self.index = frame.index
+        self.id = _read_only(np.array([frame.id], np.uint64))
+        self.elapsed = _read_only(np.array([frame.elapsed]))
+        self.duration = _read_only(np.array([frame.duration]))
+        self.preamble = frame.preamble
+
+    @property
+    def columns(self) -> Sequence[Column]:  # type: ignore[override]
+        """See `Batch`."""
+        if self._columns is None:
+            self._columns = [ConstantColumn(packet) for packet in self._frame.packets]
+        return self._columns
+
+    def __len__(self) -> int:
+        return 1
+
+    def __iter__(self) -> Iterator[Frame]:
+        yield self._frame
+
+    def frame(self, row: int) -> Frame:
+        """See `Batch.frame`."""
+        return self._frame
+
+
+def equal_rows(rows: NDArray[Any], columns: NDArray[np.intp]) -> int:
+    """Return the number of rows, from the first one on, that equal the first one in some columns."""
+    expected = rows[0, columns]
+    equal, step = 1, _FIRST_STEP
+    while equal < len(rows):
+        different = np.flatnonzero((rows[equal : equal + step, columns] != expected).any(axis=1))
+        if len(different):
+            return equal + int(different[0])
+        equal = min(equal + step, len(rows))
+        step *= _GROWTH
+    return equal
+
+
+def within(batches: Iterable[Batch], start: float, stop: float) -> Iterator[Batch]:
+    """Yield the frames from one elapsed time on, until the first one at or after another.
+
+    Args:
+        batches: Batches in order.
+        start: The first elapsed time, in seconds; -inf for all.
+        stop: The elapsed time at which to stop, in seconds (exclusive); inf for all.
+    """
+    for batch in batches:
+        part, last = batch, False
+        if stop < np.inf:
+            late = np.flatnonzero(batch.elapsed >= stop)
+            if len(late):
+                part, last = batch[: int(late[0])], True
+        if start != -np.inf and not (part.elapsed >= start).all():
+            yield from _kept(part, part.elapsed >= start)
+        elif len(part):
+            yield part
+        if last:
+            return
+
+
+def _kept(batch: Batch, kept: NDArray[np.bool_]) -> Iterator[Batch]:
+    """Yield the parts of a batch whose frames are kept."""
+    edges = np.flatnonzero(np.diff(np.concatenate(([False], kept, [False]))))
+    for start, stop in zip(edges[::2].tolist(), edges[1::2].tolist(), strict=True):
+        yield batch[start:stop]

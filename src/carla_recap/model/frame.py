@@ -1,0 +1,228 @@
+"""What a recording consists of: a header, and frames, each with its packets in file order."""
+
+from __future__ import annotations
+
+import warnings
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any, Final, Literal, overload
+
+import numpy as np
+
+from carla_recap.errors import FormatError, RecapWarning
+from carla_recap.model.layout import Buffer, PayloadError, pack, unpack
+from carla_recap.model.records import FRAME_END, ORDER, UE4, UE5, Bones, Physics, Records, RecordType, Spawn, Table, WheelSet
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+    from pathlib import Path
+
+    from numpy.typing import NDArray
+
+SAME_TIME: Final = 1e-6
+"""The tolerance in s within which a time is that of a frame: CARLA's times are sums of 32-bit steps."""
+LAST_FRAME_DURATION: Final = -1.0
+"""What CARLA leaves as the duration of a recording's last frame."""
+
+
+@dataclass(frozen=True)
+class Header:
+    """The header of a recording.
+
+    Attributes:
+        map_name: The map, such as Town01; a path in some builds.
+        date: When the recording began, in Unix seconds.
+        version: The version of CARLA's format: 1, or 2 where attribute types count from 1.
+        wide: Whether lengths are in double precision, as UE5 builds (0.10) write them.
+        shifted: Whether doors, wheels and bikers have the packet ids 21, 22, 23, as some development builds write them.
+        raw: CARLA's header as read, where the fields above cannot give it back.
+    """
+
+    map_name: str
+    date: int
+    version: int = 1
+    wide: bool = False
+    shifted: bool = False
+    raw: bytes | None = None
+
+    @property
+    def table(self) -> Table:
+        """The record types as this recording's build writes them."""
+        return UE5 if self.wide else UE4
+
+
+@dataclass(frozen=True)
+class Extent:
+    """How far a recording goes: the number of frames, the id of the last one, and its elapsed seconds."""
+
+    frames: int = 0
+    last_id: int = 0
+    duration: float = 0.0
+
+
+class Packet:
+    """One packet: records of a type, or bytes of an unknown one. Never changes.
+
+    Records are parsed from the payload, and the payload is packed from records, when first asked for.
+
+    Args:
+        id: The packet id, as of CARLA 0.9.16.
+        type: The row of the table; None for an unknown id.
+        payload: The bytes, for a packet that was read; None for one that is made from records.
+        records: The records, where they are known already.
+        place: The file it was read from, and where the payload begins there in bytes, if anywhere.
+    """
+
+    __slots__ = ("_payload", "_place", "_records", "id", "type")
+
+    def __init__(
+        self,
+        id: int,
+        type: RecordType | None,
+        payload: Buffer | None = None,
+        records: Records | None = None,
+        place: tuple[Path, int | None] | None = None,
+    ) -> None:
+        self.id = id
+        self.type = type
+        self._payload = payload
+        self._records = records
+        self._place = place
+
+    @property
+    def payload(self) -> Buffer:
+        """The bytes behind the packet header."""
+        if self._payload is None:
+            assert self.type is not None
+            assert self._records is not None
+            self._payload = pack(self.type, self._records)
+        return self._payload
+
+    @property
+    def records(self) -> Records:
+        """The records; none for an unknown packet.
+
+        Raises:
+            FormatError: The payload contradicts the type's layout.
+        """
+        if self._records is None:
+            if self.type is None or self.type.opaque:
+                return []
+            try:
+                self._records, extra = unpack(self.type, self.payload)
+            except PayloadError as error:
+                raise self.error(error) from None
+            if extra:
+                self.warn_of(extra)
+        return self._records
+
+    def error(self, error: PayloadError) -> FormatError:
+        """A fault of the payload, with the place where it lies."""
+        path, at = self._place or ("a packet", None)
+        return FormatError(path, None if at is None else at + error.at, str(error))
+
+    def warn_of(self, extra: int) -> None:
+        """Warn of bytes behind the records."""
+        path, at = self._place or ("a packet", None)
+        name = self.type.name if self.type else self.id
+        place = path if at is None else f"{path}: byte {at}"
+        message = f"{place}: {name} has {extra} bytes more than its records need; they are kept as they are"
+        warnings.warn(message, RecapWarning, stacklevel=3)
+
+
+def _read_only(array: NDArray[np.void]) -> NDArray[np.void]:
+    array.setflags(write=False)
+    return array
+
+
+class Frame:
+    """A frame: `frame["transforms"]` gives all its records of a type, `frame.packets` everything in file order.
+
+    Attributes:
+        index: The position in the recording, from 0.
+        id: CARLA's frame number, from 1 in a recording of CARLA's; 0 for packets before the first frame.
+        elapsed: Seconds since the recording began.
+        duration: Seconds until the next frame; -1 for the last one of a recording.
+        packets: The packets behind the one that starts the frame; empty ones, too, as CARLA writes them.
+        preamble: Whether these are packets before the first frame starts.
+    """
+
+    __slots__ = ("duration", "elapsed", "id", "index", "packets", "preamble")
+
+    def __init__(
+        self,
+        index: int,
+        id: int,
+        elapsed: float,
+        duration: float,
+        packets: list[Packet],
+        *,
+        preamble: bool = False,
+    ) -> None:
+        self.index = index
+        self.id = id
+        self.elapsed = elapsed
+        self.duration = duration
+        self.packets = packets
+        self.preamble = preamble
+
+    def __repr__(self) -> str:
+        held = ", ".join(f"{name}: {len(records)}" for name, records in self.items())
+        return f"Frame({self.id} at {self.elapsed:g} s; {held})"
+
+    @overload
+    def __getitem__(self, name: Literal["spawned"]) -> list[Spawn]: ...  # type: ignore[overload-overlap]
+    @overload
+    def __getitem__(self, name: Literal["physics"]) -> list[Physics]: ...  # type: ignore[overload-overlap]
+    @overload
+    def __getitem__(self, name: Literal["walker_bones"]) -> list[Bones]: ...  # type: ignore[overload-overlap]
+    @overload
+    def __getitem__(self, name: Literal["wheels"]) -> list[WheelSet]: ...  # type: ignore[overload-overlap]
+    @overload
+    def __getitem__(self, name: str) -> NDArray[np.void]: ...
+    def __getitem__(self, name: str) -> Records:
+        """The records of a type, in CARLA's units: a structured array, or a list of objects; empty where there are none.
+
+        Arrays are views of what was read, and read-only: copy one to change it, and `replace` it.
+
+        Raises:
+            RecordError: There is no such type.
+            FormatError: The packet contradicts its layout.
+        """
+        found = [p.records for p in self.packets if p.type is not None and p.type.name == name]
+        if len(found) == 1:
+            return found[0]
+        if not found:
+            type = UE4.named(name)
+            return _read_only(np.empty(0, type.dtype)) if type.fixed else []
+        if isinstance(found[0], np.ndarray):
+            return _read_only(np.concatenate([array for array in found if isinstance(array, np.ndarray)]))
+        return [record for records in found for record in records]
+
+    def replace(self, **records: Any) -> Frame:
+        """This frame with other records of some types; see `RecordType.records` for what they may be.
+
+        Raises:
+            RecordError: They do not fit their type.
+        """
+        table = UE5 if any(p.type is not None and p.type.wide for p in self.packets) else UE4
+        new: dict[int, Packet] = {}
+        for name, values in records.items():
+            type = table.named(name)
+            new[type.id] = Packet(type.id, type, records=type.records(values))
+        packets: list[Packet] = []
+        placed: set[int] = set()
+        for packet in self.packets:
+            if packet.id not in placed:
+                packets.append(new.get(packet.id, packet))
+            if packet.id in new:
+                placed.add(packet.id)
+        for added in (packet for id, packet in new.items() if id not in placed):
+            behind = (*ORDER[ORDER.index(added.id) + 1 :], FRAME_END)
+            places = [place for place, packet in enumerate(packets) if packet.id in behind]
+            packets.insert(places[0] if places else len(packets), added)
+        return Frame(self.index, self.id, self.elapsed, self.duration, packets, preamble=self.preamble)
+
+    def items(self) -> Iterator[tuple[str, Records]]:
+        """Name and records of every type that has any, in file order of the first."""
+        names = dict.fromkeys(p.type.name for p in self.packets if p.type is not None and p.type.id > 1)
+        return ((name, records) for name in names if len(records := self[name]))

@@ -1,0 +1,1 @@
+"""Answers of queries as CARLA's text, JSON and tables."""

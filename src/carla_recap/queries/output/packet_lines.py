@@ -1,0 +1,328 @@
+"""How CARLA's info text prints each type of record: a table of templates, one row per type."""
+
+from __future__ import annotations
+
+import math
+import re
+from functools import cache
+from operator import attrgetter, itemgetter
+from typing import TYPE_CHECKING, Any, Final
+
+import numpy as np
+
+from carla_recap.model.layout import U16
+from carla_recap.model.records import REAL, TEXT, UE4, Layout, Many, Records
+from carla_recap.util.text import readable
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Iterable, Mapping
+
+    from numpy.typing import NDArray
+
+    from carla_recap.model.frame import Packet
+
+
+def number(value: float) -> str:
+    """A number with six digits as C++ prints it, the sign of a NaN included."""
+    return "-nan" if math.isnan(value) and math.copysign(1.0, value) < 0 else f"{value:.6g}"
+
+
+class _Template:
+    """Prints records, each in the same way.
+
+    Args:
+        layout: The fields of the records.
+        line: What to print of a record, with fields in braces; `{index}` is its place among the others.
+        words: For some fields, what to print for a value.
+    """
+
+    def __init__(self, layout: Layout, line: str, /, **words: Callable[[Any], Any]) -> None:
+        self._fields = _FIELD.findall(line)
+        kinds = {"index": "u4", **layout.fields}
+        texts = {field: readable for field in self._fields if kinds[field] == TEXT}
+        self._words = [(self._fields.index(field), word) for field, word in {**texts, **words}.items()]
+        self._reals = [kinds[field] in (REAL, "f4", "f8") for field in self._fields]
+        self._line = _FIELD.sub(lambda match: "%.6g" if self._reals[self._fields.index(match[1])] else "%s", line)
+        self._line_of_texts = _FIELD.sub("%s", line)
+        self._of_object = attrgetter(*(field for field in self._fields if field != "index"))
+        self._names: tuple[str, ...] | None = None  # of the fields of the last array
+        self._of_row: itemgetter[Any] = itemgetter(0)
+
+    def text(self, records: Records) -> str:
+        """The text of some records."""
+        if not len(records):
+            return ""
+        text = "".join(map(self._line.__mod__, self._rows(records)))
+        return self._text_with_signs(records) if "nan" in text else text
+
+    def _rows(self, records: Records) -> Iterable[Any]:
+        """What to print of each record, in the order of the line."""
+        if not isinstance(records, np.ndarray):
+            rows: Iterable[Any] = map(self._of_object, records)
+        elif len(records) < _FEW:
+            rows = self._few_rows(records)
+        else:
+            rows = zip(*(self._column(field, records) for field in self._fields), strict=True)
+        return map(self._in_words, rows) if self._words else rows
+
+    def _few_rows(self, records: NDArray[np.void]) -> Iterable[Any]:
+        names = records.dtype.names or ()
+        if names != self._names:
+            self._names, places = names, ("index", *names)
+            self._of_row = itemgetter(*map(places.index, self._fields))
+        rows = [(index, *row) for index, row in enumerate(records.tolist())]
+        if len(self._fields) == 1:  # of which `itemgetter` makes no tuple
+            return [(self._of_row(row),) for row in rows]
+        return map(self._of_row, rows)
+
+    def _column(self, field: str, records: NDArray[np.void]) -> Iterable[Any]:
+        return range(len(records)) if field == "index" else records[field].tolist()
+
+    def _in_words(self, row: Iterable[Any]) -> tuple[Any, ...]:
+        values = list(row)
+        for place, word in self._words:
+            values[place] = word(values[place])
+        return tuple(values)
+
+    def _text_with_signs(self, records: Records) -> str:
+        """The text of records with a NaN among them, whose sign Python does not print."""
+        rows = ([number(v) if real else v for v, real in zip(row, self._reals, strict=True)] for row in self._rows(records))
+        return "".join(self._line_of_texts % tuple(row) for row in rows)
+
+
+_FIELD: Final = re.compile(r"\{(\w+)\}")
+_FEW: Final = 16  # so many records are taken apart sooner one by one than field by field
+
+
+class PacketLines:
+    """Prints the packets of a type.
+
+    Args:
+        template: Prints the records.
+        heading: What comes first, before the number of records; None for nothing.
+        end: What comes last.
+    """
+
+    def __init__(self, template: _Template, heading: str | None, end: str = "") -> None:
+        self._template = template
+        self._heading = heading
+        self._end = end
+
+    def __call__(self, packet: Packet) -> str:
+        """The text of a packet."""
+        text = self._template.text(packet.records)
+        if self._heading is None:
+            return text
+        return f" {self._heading}: {_count(packet)}\n{text}{self._end}"
+
+
+def _count(packet: Packet) -> int:
+    if packet.type is None or not packet.type.opaque:
+        return len(packet.records)
+    return int(U16.unpack_from(packet.payload)[0]) if len(packet.payload) >= U16.size else 0
+
+
+# --- words for numbers -----------------------------------------------------------------------------------
+
+_LIGHTS: Final = {  # in CARLA's order
+    "Position": 1 << 0,
+    "LowBeam": 1 << 1,
+    "HighBeam": 1 << 2,
+    "Brake": 1 << 3,
+    "RightBlinker": 1 << 4,
+    "LeftBlinker": 1 << 5,
+    "Reverse": 1 << 6,
+    "Interior": 1 << 8,
+    "Fog": 1 << 7,
+    "Special1": 1 << 9,
+    "Special2": 1 << 10,
+}
+_ALL_LIGHTS: Final = sum(_LIGHTS.values())
+_DOORS: Final = ("Front Left", "Front Right", "Rear Left", "Rear Right", "Hood", "Trunk", "All")
+
+
+def _lights(flags: int) -> str:
+    return _light_names(flags & _ALL_LIGHTS)
+
+
+@cache
+def _light_names(flags: int) -> str:
+    return " ".join(name for name, bit in _LIGHTS.items() if flags & bit) or "None"
+
+
+def _door(door: int) -> str:
+    return f" {_DOORS[door]} \n" if door < len(_DOORS) else "\n"
+
+
+def _door_of_carla(door: int) -> str:
+    """CARLA leaves the line of an unknown door open."""
+    return _door(door) if door < len(_DOORS) else ""
+
+
+def _light_state(state: int) -> str:
+    """One character, as far behind `0` as the state says; `?` for what is not ASCII."""
+    code = (ord("0") + state) & 0xFF
+    return chr(code) if code < 0x80 else "?"
+
+
+def _hero(flag: int) -> str:
+    return " (hero) " if flag else ""
+
+
+def _there_and_back(metres: float) -> float:
+    """Return a length as CARLA shows it, which takes it from m to cm and back in 32 bits."""
+    with np.errstate(all="ignore"):
+        return float(np.float32(0.01) * (np.float32(100.0) * np.float32(metres)))
+
+
+def _true(flag: int) -> str:
+    return "true" if flag else "false"
+
+
+def _capital_true(flag: int) -> str:
+    return "True" if flag else "False"
+
+
+# --- records inside records ------------------------------------------------------------------------------
+
+
+def _inside(type: str, field: str) -> Layout:
+    many = UE4.named(type).layout.fields[field]
+    assert isinstance(many, Many)
+    return many.layouts[0]
+
+
+_ATTRIBUTE: Final = _Template(_inside("spawned", "attributes"), "  {key} = {value}\n")
+_BONE: Final = _Template(
+    _inside("walker_bones", "bones"),
+    '     Bone: "{name}" relative: Loc({x}, {y}, {z}) Rot({roll}, {pitch}, {yaw})\n',
+)
+_GEAR: Final = _Template(
+    _inside("physics", "forward_gears"),
+    "    gear {index}: ratio {ratio} down_ratio {down_ratio} up_ratio {up_ratio}\n",
+)
+_WHEEL: Final = _Template(
+    _inside("physics", "wheels"),
+    "    wheel {index}: tire_friction {tire_friction} damping_rate {damping_rate} "
+    "max_steer_angle {max_steer_angle} radius {radius} max_brake_torque {max_brake_torque} "
+    "max_handbrake_torque {max_handbrake_torque} position ({position_x}, {position_y}, {position_z})\n",
+)
+_POINT: Final = _Template(_inside("physics", "torque_curve"), " ({x}, {y})")
+
+
+def _curve(points: NDArray[np.void]) -> str:
+    """The points by their first number; of equal ones, the later recorded comes first."""
+    backwards = points[::-1]
+    return _POINT.text(backwards[np.argsort(backwards["x"], kind="stable")])
+
+
+# --- the table -------------------------------------------------------------------------------------------
+
+
+def _row(type: str, heading: str | None, line: str, end: str = "", **words: Callable[[Any], Any]) -> tuple[str, PacketLines]:
+    return type, PacketLines(_Template(UE4.named(type).layout, line, **words), heading, end)
+
+
+_BOX: Final = "  Id: {id} origin: ({x}, {y}, {z}) extension: ({extent_x}, {extent_y}, {extent_z})\n"
+_DOORS_ROW: Final = ("doors", "Vehicle door animations", "  Id: {id}\n  Doors opened: {door}")
+
+# The gear switch time is not recorded: CARLA prints its default.
+_PHYSICS: Final = """\
+  Id: {id}
+   max_rpm = {max_rpm}
+   MOI = {moi}
+   damping_rate_full_throttle = {damping_rate_full_throttle}
+   damping_rate_zero_throttle_clutch_engaged = {damping_rate_zero_throttle_clutch_engaged}
+   damping_rate_zero_throttle_clutch_disengaged = {damping_rate_zero_throttle_clutch_disengaged}
+   use_gear_auto_box = {use_gear_auto_box}
+   gear_switch_time = 0.5
+   clutch_strength = {clutch_strength}
+   final_ratio = {final_ratio}
+   mass = {mass}
+   drag_coefficient = {drag_coefficient}
+   center_of_mass = ({center_of_mass_x}, {center_of_mass_y}, {center_of_mass_z})
+   torque_curve ={torque_curve}
+   steering_curve ={steering_curve}
+   forward_gears:
+{forward_gears}   wheels:
+{wheels}"""
+_PHYSICS_WORDS: Final[dict[str, Callable[[Any], Any]]] = {
+    "use_gear_auto_box": _true,
+    "torque_curve": _curve,
+    "steering_curve": _curve,
+    "forward_gears": _GEAR.text,
+    "wheels": _WHEEL.text,
+}
+_CENTER_OF_CARLA: Final[dict[str, Callable[[Any], Any]]] = dict.fromkeys(
+    (f"center_of_mass_{axis}" for axis in "xyz"), _there_and_back
+)
+
+
+def _physics_row(**words: Callable[[Any], Any]) -> tuple[str, PacketLines]:
+    return "physics", PacketLines(_Template(UE4.named("physics").layout, _PHYSICS, **words), "Physics Control events")
+
+
+_ROWS: Final = (
+    _row(
+        "spawned",
+        None,
+        " Create {id}: {type_id} ({kind}) at ({x}, {y}, {z})\n{attributes}",
+        attributes=_ATTRIBUTE.text,
+    ),
+    _row("destroyed", None, " Destroy {id}\n"),
+    _row("parented", None, " Parenting {id} with {parent} (parent)\n"),
+    _row(
+        "collisions",
+        None,
+        " Collision id {id} between {actor1}{hero1} with {actor2}{hero2}\n",
+        hero1=_hero,
+        hero2=_hero,
+    ),
+    _row("transforms", "Positions", "  Id: {id} Location: ({x}, {y}, {z}) Rotation: ({roll}, {pitch}, {yaw})\n"),
+    _row(
+        "light_states",
+        "State traffic lights",
+        "  Id: {id} state: {state} frozen: {frozen} elapsedTime: {elapsed}\n",
+        state=_light_state,
+    ),
+    _row(
+        "vehicle_controls",
+        "Vehicle animations",
+        "  Id: {id} Steering: {steer} Throttle: {throttle} Brake: {brake} Handbrake: {hand_brake} Gear: {gear}\n",
+    ),
+    _row("walker_controls", "Walker animations", "  Id: {id} speed: {speed}\n"),
+    _row(*_DOORS_ROW, door=_door),
+    _row("vehicle_lights", "Vehicle light animations", "  Id: {id} {flags}\n", flags=_lights),
+    _row(
+        "scene_lights",
+        "Scene light changes",
+        "  Id: {id} enabled: {on} intensity: {intensity} RGB_color: ({red}, {green}, {blue})\n",
+        on=_capital_true,
+    ),
+    _row(
+        "velocities",
+        "Dynamic actors",
+        "  Id: {id} linear_velocity: ({x}, {y}, {z}) angular_velocity: ({angular_x}, {angular_y}, {angular_z})\n",
+    ),
+    _row("bounding_boxes", "Actor bounding boxes", _BOX),
+    _row("trigger_volumes", "Actor trigger volumes", _BOX),
+    _row("platform_time", None, " Current platform time: {seconds}\n"),
+    _physics_row(**_PHYSICS_WORDS),
+    _row(
+        "light_times",
+        "Traffic Light time events",
+        "  Id: {id} green_time: {green} yellow_time: {yellow} red_time: {red}\n",
+    ),
+    _row("walker_bones", "Walkers Bones", "  Id: {id}\n{bones}", end="\n", bones=_BONE.text),
+)
+_LINES: Final = dict(_ROWS)
+_ROWS_OF_CARLA: Final = (
+    _row(*_DOORS_ROW, door=_door_of_carla),
+    _physics_row(**_PHYSICS_WORDS, **_CENTER_OF_CARLA),
+)
+_LINES_OF_CARLA: Final = dict((*_ROWS, *_ROWS_OF_CARLA))
+
+
+def packet_lines(*, compat: bool) -> Mapping[str, PacketLines]:
+    """What prints the packets of each record type that CARLA shows."""
+    return _LINES_OF_CARLA if compat else _LINES

@@ -1,0 +1,134 @@
+"""Answers as tables for a terminal."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from itertools import islice
+from typing import TYPE_CHECKING, Any, Final
+
+from carla_recap.model.records import NO_ACTOR
+from carla_recap.queries.actors import Actor
+from carla_recap.queries.blocked import BlockedRow
+from carla_recap.queries.collisions import CollisionRow
+from carla_recap.queries.incidents import Incident
+from carla_recap.queries.info import Info, InfoRow
+from carla_recap.queries.output.packet_lines import number
+from carla_recap.queries.output.text import local_date
+from carla_recap.util.text import visible
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Iterable
+
+    from rich.console import Console
+
+    from carla_recap.queries.output.text import AnyAnswer
+
+
+@dataclass(frozen=True)
+class _Column:
+    heading: str
+    cell: Callable[[Any], str]
+    width: int | None = None  # where a table comes in pages, which must look like one
+    is_number: bool = False
+
+
+def table(answer: AnyAnswer, console: Console | None = None) -> None:
+    """Print an answer as a table; whatever could control the terminal is shown as an escape sequence.
+
+    Args:
+        answer: The answer.
+        console: Where to; the standard output if None.
+    """
+    from rich.console import Console
+    from rich.text import Text
+
+    console = console or Console()
+    header = answer.header
+    console.print(Text(f"{visible(header.map_name)}, {local_date(header.date)}, version {header.version}"))
+    count = 0
+    rows = iter(answer)
+    while page := list(islice(rows, _PAGE if isinstance(answer, Info) else None)):
+        _print_page(console, _COLUMNS[answer.row_type], page, headed=not count)
+        count += len(page)
+    extent = answer.extent
+    things = "row" if count == 1 else "rows"
+    console.print(Text(f"{count} {things}; {extent.frames} frames, {number(extent.duration)} seconds"))
+
+
+_PAGE: Final = 500
+
+
+def _print_page(console: Console, columns: Iterable[_Column], rows: list[Any], *, headed: bool) -> None:
+    from rich import box
+    from rich.table import Table
+    from rich.text import Text
+
+    page = Table(box=box.SIMPLE_HEAD, show_edge=False, show_header=headed)
+    for column in columns:
+        justify: Any = "right" if column.is_number else "left"
+        page.add_column(column.heading, justify=justify, width=column.width, overflow="fold")
+    for row in rows:
+        page.add_row(*(Text(visible(column.cell(row))) for column in columns))
+    console.print(page)
+
+
+def _seconds(value: float) -> str:
+    return f"{value:.2f}" if abs(value) < 1e9 else number(value)
+
+
+def _actor(id: int, type_id: str, hero: bool = False) -> str:
+    name = type_id or ("no actor" if id == NO_ACTOR else "unknown")
+    return f"{name} (hero)" if hero else name
+
+
+def _details(record: dict[str, Any]) -> str:
+    return " ".join(f"{name}={_brief(value)}" for name, value in record.items())
+
+
+def _brief(value: Any) -> str:
+    if isinstance(value, float):
+        return number(value)
+    if isinstance(value, dict):
+        return f"{value['key']}={value['value']}" if "key" in value else _details(value)
+    return f"[{', '.join(map(_brief, value))}]" if isinstance(value, list) else str(value)
+
+
+_COLUMNS: Final[dict[type, tuple[_Column, ...]]] = {
+    InfoRow: (
+        _Column("Time", lambda row: _seconds(row.elapsed), 10, is_number=True),
+        _Column("Frame", lambda row: str(row.frame), 8, is_number=True),
+        _Column("Record", lambda row: row.type, 16),
+        _Column("Details", lambda row: _details(row.record)),
+    ),
+    CollisionRow: (
+        _Column("Time", lambda row: _seconds(row.elapsed), is_number=True),
+        _Column("Frame", lambda row: str(row.frame), is_number=True),
+        _Column("Id", lambda row: str(row.id1), is_number=True),
+        _Column("Actor 1", lambda row: _actor(row.id1, row.type_id1, row.hero1)),
+        _Column("Id", lambda row: str(row.id2), is_number=True),
+        _Column("Actor 2", lambda row: _actor(row.id2, row.type_id2, row.hero2)),
+    ),
+    Actor: (
+        _Column("Id", lambda row: str(row.id), is_number=True),
+        _Column("Kind", lambda row: row.kind),
+        _Column("Actor", lambda row: row.type_id),
+        _Column("Role", lambda row: row.role_name),
+        _Column("From", lambda row: _seconds(row.spawned_at), is_number=True),
+        _Column("To", lambda row: "" if row.destroyed_at is None else _seconds(row.destroyed_at), is_number=True),
+        _Column("Parent", lambda row: "" if row.parent is None else str(row.parent), is_number=True),
+    ),
+    BlockedRow: (
+        _Column("Start", lambda row: _seconds(row.start), is_number=True),
+        _Column("Duration", lambda row: _seconds(row.duration), is_number=True),
+        _Column("Id", lambda row: str(row.id), is_number=True),
+        _Column("Actor", lambda row: _actor(row.id, row.type_id)),
+        _Column("Place (cm)", lambda row: ", ".join(map(number, (row.x, row.y, row.z)))),
+    ),
+    Incident: (
+        _Column("Start", lambda row: _seconds(row.start), is_number=True),
+        _Column("Stop", lambda row: _seconds(row.stop), is_number=True),
+        _Column("Incident", lambda row: row.kind),
+        _Column("What happens", lambda row: row.text),
+        _Column("Place (m)", lambda row: ", ".join(f"{number:.1f}" for number in (row.x, row.y, row.z))),
+    ),
+}

@@ -1,0 +1,150 @@
+"""CARLA's text of the answers, as its query functions print it."""
+
+from __future__ import annotations
+
+import math
+import time
+from typing import TYPE_CHECKING, Final
+
+import numpy as np
+
+from carla_recap.model.frame import Packet
+from carla_recap.model.records import FRAME_END
+from carla_recap.queries.actors import Actors
+from carla_recap.queries.collisions import Collisions
+from carla_recap.queries.incidents import Incidents
+from carla_recap.queries.info import EVENTS, Info
+from carla_recap.queries.output.packet_lines import number, packet_lines
+from carla_recap.util.text import readable
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+
+    from carla_recap.model.frame import Frame, Header
+    from carla_recap.queries.blocked import Blocked
+
+    AnyAnswer = Actors | Info | Collisions | Blocked | Incidents
+
+_NAME_WIDTH: Final = 35
+
+
+def text(answer: AnyAnswer) -> Iterator[str]:
+    """CARLA's text of an answer, in pieces; of actors and incidents, for which CARLA has none, a list in its manner."""
+    yield _preamble(answer.header)
+    if isinstance(answer, Info):
+        yield from _info(answer)
+    elif isinstance(answer, Collisions):
+        yield from _collisions(answer)
+    elif isinstance(answer, Actors):
+        yield from _actors(answer)
+    elif isinstance(answer, Incidents):
+        yield from _incidents(answer)
+    else:
+        yield from _blocked(answer)
+    # In CARLA, a collision's row leaves the stream without decimals.
+    rounded = answer.compat and isinstance(answer, Collisions) and len(answer) > 0
+    duration = (_whole if rounded else number)(answer.extent.duration)
+    yield f"\nFrames: {answer.extent.last_id}\nDuration: {duration} seconds\n"
+
+
+def _preamble(header: Header) -> str:
+    return f"Version: {header.version}\nMap: {readable(header.map_name)}\nDate: {local_date(header.date)}\n\n"
+
+
+def local_date(seconds: int) -> str:
+    """A date in local time, as in the C locale; the number itself where no calendar reaches."""
+    try:
+        return time.strftime("%m/%d/%y %H:%M:%S", time.localtime(seconds))
+    except (OverflowError, ValueError, OSError):
+        return str(seconds)
+
+
+def _whole(value: float) -> str:
+    """A number without decimals, the even one of two equally near."""
+    return "-nan" if number(value) == "-nan" else f"{value:.0f}"
+
+
+def _padded(name: str) -> str:
+    """A name of at least a column's width; CARLA counts bytes."""
+    return name + " " * (_NAME_WIDTH - len(name.encode()))
+
+
+def _collisions(answer: Collisions) -> Iterator[str]:
+    yield f"{'Time':>8} {'Types':>6} {'Id':>6} {'Actor 1':<35} {'Id':>6} {'Actor 2':<35}\n"
+    for row in answer:
+        yield (
+            f"{_whole(row.elapsed):>8}   {row.letter1} {row.letter2} "
+            f" {row.id1:>6} {_padded(row.type_id1)} {row.id2:>6} {_padded(row.type_id2)}\n"
+        )
+
+
+def _incidents(answer: Incidents) -> Iterator[str]:
+    yield f"{'Time':>8} {'Duration':>10} {'Incident':<12} What happens\n"
+    for row in answer:
+        yield f"{row.start:>8.1f} {row.stop - row.start:>10.1f} {row.kind:<12} {row.text}\n"
+
+
+def _blocked(answer: Blocked) -> Iterator[str]:
+    yield f"{'Time':>8} {'Id':>6} {'Actor':<35} {'Duration':>10}\n"
+    for row in answer:
+        yield f"{_whole(row.start):>8} {row.id:>6} {_padded(row.type_id)} {_whole(row.duration):>10}\n"
+
+
+def _actors(answer: Actors) -> Iterator[str]:
+    yield f"{'Id':>8} {'Kind':<13} {'Actor':<35} {'Role':<20} {'From':>8} {'To':>8} {'Parent':>8}\n"
+    for row in answer:
+        until = "" if row.destroyed_at is None else number(row.destroyed_at)
+        parent = "" if row.parent is None else row.parent
+        name, role = _padded(row.type_id), f"{row.role_name:<20}"
+        yield f"{row.id:>8} {row.kind:<13} {name} {role} {number(row.spawned_at):>8} {until:>8} {parent:>8}\n"
+
+
+def _info(answer: Info) -> Iterator[str]:
+    lines = packet_lines(compat=answer.compat)
+    frame = None
+    for frame in answer.frames():
+        parts = []
+        headed = answer.all and not frame.preamble
+        if headed:
+            parts.append(_frame_line(frame.id, frame.elapsed))
+        for packet in frame.packets:
+            if packet.type is None or packet.type.name not in lines:
+                continue
+            if not headed and packet.type.name in EVENTS and len(packet.records):
+                parts.append(_frame_line(frame.id, frame.elapsed))
+                headed = True
+            parts.append(lines[packet.type.name](packet))
+        yield "".join(parts)
+    if answer.compat:
+        yield _once_more(answer, frame)
+
+
+def _frame_line(id: int, elapsed: float) -> str:
+    return f"Frame {id} at {number(elapsed)} seconds\n"
+
+
+def _once_more(answer: Info, last: Frame | None) -> str:
+    """What CARLA prints at the end of a file that does not end with a frame's end.
+
+    It takes the last packet for read once more, with the values that it holds already: as many copies of its
+    last record as it has records. In a file without packets, that is the start of a frame 0. Of a file that
+    was cut short, nothing is to be had this way but a wrong answer: then nothing is printed.
+    """
+    source, extent = answer.source, answer.extent
+    if next(source.tail(), None) is not None:
+        return ""
+    if last is None:
+        return _frame_line(0, 0.0) if answer.all and not extent.frames else ""
+    if not answer.all:
+        if (last.id, last.elapsed) != (extent.last_id, extent.duration):
+            return ""
+        last = source.frame_at(math.inf) or last
+    was_cut = not last.preamble and all(packet.id != FRAME_END for packet in last.packets)
+    packet = last.packets[-1] if last.packets else None
+    if was_cut or packet is None or packet.type is None or not isinstance(packet.records, np.ndarray):
+        return ""
+    lines = packet_lines(compat=True).get(packet.type.name)
+    if lines is None or not (answer.all or packet.type.name in EVENTS):
+        return ""
+    again = np.repeat(packet.records[-1:], len(packet.records))
+    return lines(Packet(packet.id, packet.type, records=again))

@@ -1,0 +1,226 @@
+"""What the frames so far have left behind: who is there, open doors, weather, lights."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+from types import MappingProxyType
+from typing import TYPE_CHECKING, Any, Final
+
+import numpy as np
+
+from carla_recap.model.records import CM, ActorKind, Spawn
+from carla_recap.queries.actors import BoundingBox
+from carla_recap.replay.events import Collided, Destroyed, Event, Parented, Present, Spawned
+from carla_recap.replay.rows import NO_IDS, Ids, Selection, merged
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Iterable, Mapping
+
+    from numpy.typing import NDArray
+
+    from carla_recap.model.frame import Frame
+    from carla_recap.model.records import Table
+
+ALL_DOORS: Final = 6
+DOORS: Final = range(ALL_DOORS)
+
+
+class World:
+    """The state that grows frame by frame; what it hands out does not change any more.
+
+    Args:
+        table: The record types of the recording.
+        ignore_hero: Leave the hero out.
+        ignore_spectator: Leave the spectator out.
+
+    Attributes:
+        weather: The latest weather; None before the first.
+        scene_lights: The latest state of each lamp of the scene, ascending by id.
+        light_states: The latest state of each traffic light, ascending by id. That of an actor which was not
+            spawned as one holds for its frame alone.
+        hidden: The ids that are not there though they may have records: ignored or destroyed actors; ascending.
+    """
+
+    def __init__(self, table: Table, *, ignore_hero: bool, ignore_spectator: bool) -> None:
+        self.weather: np.void | None = None
+        self.scene_lights: NDArray[np.void] = np.empty(0, table.named("scene_lights").dtype)
+        self.light_states: NDArray[np.void] = np.empty(0, table.named("light_states").dtype)
+        self.hidden: Ids = NO_IDS
+        self._hidden: set[int] = set()
+        self._ignore_hero = ignore_hero
+        self._ignore_spectator = ignore_spectator
+        self._actors: dict[int, Present] = {}
+        self._doors: dict[int, frozenset[int]] = {}
+        self._shared = False  # whether someone holds the two above
+        self._lights = NO_IDS  # the traffic lights that are there
+        self._stray_lights = False  # whether a light state is held of an actor that is no traffic light
+        self._selection = Selection()
+        self._born: set[int] = set()  # in this frame
+        self._events: list[Event] = []
+        self._light_records: list[NDArray[np.void]] = []
+        self._roster_changed = False
+
+    @property
+    def actors(self) -> Mapping[int, Present]:
+        """The actors that are there, in order of appearance."""
+        self._shared = True
+        return MappingProxyType(self._actors)
+
+    @property
+    def doors(self) -> Mapping[int, frozenset[int]]:
+        """The open doors of each actor that has any: 0 front left, 1 front right, 2, 3 rear, 4 hood, 5 trunk."""
+        self._shared = True
+        return MappingProxyType(self._doors)
+
+    @property
+    def lights(self) -> Ids:
+        """The traffic lights that are there, ascending."""
+        return self._lights
+
+    def apply(self, frame: Frame) -> list[Event]:
+        """Take in a frame; what happened in it is given back."""
+        self._events = []
+        self._born.clear()
+        self._light_records.clear()
+        for packet in frame.packets:
+            handler = _HANDLERS.get(packet.type.name) if packet.type else None
+            if handler is not None and len(packet.records):
+                handler(self, packet.records, frame.elapsed)
+        if self._roster_changed:
+            self._settle()
+        self._settle_lights()
+        return self._events
+
+    def recall_lights(self, states: NDArray[np.void]) -> None:
+        """Take light states from earlier frames."""
+        self.light_states = merged(self.light_states, states)
+
+    # --- handlers, one per record type -----------------------------------------------------------------------
+
+    def _own(self) -> None:
+        """Make sure that nobody else holds what is about to change."""
+        if self._shared:
+            self._actors, self._doors = dict(self._actors), dict(self._doors)
+            self._shared = False
+
+    def _spawn(self, spawns: Iterable[Spawn], elapsed: float) -> None:
+        self._own()
+        for spawn in spawns:
+            self._forget(spawn.id)
+            actor = Present(spawn, elapsed)
+            if (self._ignore_hero and actor.is_hero) or (self._ignore_spectator and actor.type_id == "spectator"):
+                self._hidden.add(spawn.id)
+                continue
+            self._hidden.discard(spawn.id)
+            self._actors[spawn.id] = actor
+            self._born.add(spawn.id)
+            self._events.append(Spawned(elapsed, actor))
+
+    def _destroy(self, records: NDArray[np.void], elapsed: float) -> None:
+        self._own()
+        for id in records["id"].tolist():
+            self._forget(id)
+            if id not in self._hidden:
+                self._hidden.add(id)
+                self._events.append(Destroyed(elapsed, id))
+
+    def _forget(self, id: int) -> None:
+        self._roster_changed = True
+        self._actors.pop(id, None)
+        self._doors.pop(id, None)
+        if id in self.light_states["id"]:
+            self.light_states = self.light_states[self.light_states["id"] != id]
+
+    def _parent(self, records: NDArray[np.void], elapsed: float) -> None:
+        self._own()
+        for id, parent in records.tolist():
+            if id in self._hidden:
+                continue
+            if id in self._actors:
+                self._actors[id] = replace(self._actors[id], parent=parent, attached=id in self._born)
+            self._events.append(Parented(elapsed, id, parent))
+
+    def _collide(self, records: NDArray[np.void], elapsed: float) -> None:
+        for number, actor1, actor2, hero1, hero2 in records.tolist():
+            self._events.append(Collided(elapsed, number, actor1, actor2, bool(hero1), bool(hero2)))
+
+    def _move_doors(self, records: NDArray[np.void], elapsed: float) -> None:
+        self._own()
+        for id, door, is_open in records.tolist():
+            if id in self._hidden:
+                continue
+            moved = frozenset(DOORS if door == ALL_DOORS else (door,))
+            before = self._doors.get(id, frozenset())
+            after = before | moved if is_open else before - moved
+            if after:
+                self._doors[id] = after
+            else:
+                self._doors.pop(id, None)
+
+    def _box(self, records: NDArray[np.void], elapsed: float) -> None:
+        self._own()
+        for id, *sizes in records.tolist():
+            if id in self._actors and all(map(math.isfinite, sizes)) and min(sizes[3:]) > 0:
+                x, y, z, *extent = (size * CM for size in sizes)
+                self._actors[id] = replace(self._actors[id], box=BoundingBox(x, -y, z, *extent))
+
+    def _change_weather(self, records: NDArray[np.void], elapsed: float) -> None:
+        self.weather = records[-1]
+
+    def _switch(self, records: NDArray[np.void], elapsed: float) -> None:
+        self.scene_lights = merged(self.scene_lights, records)
+
+    def _note_lights(self, records: NDArray[np.void], elapsed: float) -> None:
+        self._light_records.append(records)
+
+    # --- at the end of a frame -------------------------------------------------------------------------------
+
+    def _settle(self) -> None:
+        self._roster_changed = False
+        if len(self._hidden) != len(self.hidden) or not self._hidden.issuperset(self.hidden.tolist()):
+            self.hidden = np.array(sorted(self._hidden), np.uint32)
+        lights = sorted(id for id, actor in self._actors.items() if actor.kind == ActorKind.TRAFFIC_LIGHT)
+        self._lights = np.array(lights, np.uint32)
+        self._stray_lights = len(self.light_states) > 0
+        for place, event in enumerate(self._events):
+            if isinstance(event, Spawned):
+                now = self._actors.get(event.actor.id)
+                if now is not None and now.spawn is event.actor.spawn:
+                    self._events[place] = Spawned(event.elapsed, now)
+
+    def _settle_lights(self) -> None:
+        if not self._light_records:
+            if self._stray_lights:
+                self.light_states = self._lasting()
+                self._stray_lights = False
+            return
+        parts = self._light_records
+        records = parts[0] if len(parts) == 1 else np.concatenate(parts)
+        held = self._selection.ids
+        states = self._selection.take(records, self.hidden)
+        if self._selection.ids is held and len(states) == len(self.light_states) and not self._stray_lights:
+            self.light_states = states
+            return
+        self.light_states = merged(self._lasting(), states)
+        self._stray_lights = not bool(np.isin(self.light_states["id"], self._lights).all())
+
+    def _lasting(self) -> NDArray[np.void]:
+        """The light states that outlast their frame."""
+        return self.light_states[np.isin(self.light_states["id"], self._lights)]
+
+
+_HANDLERS: Final[dict[str, Callable[[World, Any, float], None]]] = {
+    "spawned": World._spawn,
+    "destroyed": World._destroy,
+    "parented": World._parent,
+    "collisions": World._collide,
+    "doors": World._move_doors,
+    "weather": World._change_weather,
+    "bounding_boxes": World._box,
+    "scene_lights": World._switch,
+    "light_states": World._note_lights,
+}
+
+EVENTS: Final = tuple(name for name in _HANDLERS if name != "light_states")
+"""The record types that change the world only now and then."""

@@ -1,0 +1,836 @@
+from __future__ import annotations
+
+import math
+from itertools import islice, pairwise
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import pytest
+from hypothesis import assume, given
+from hypothesis import strategies as st
+
+from carla_recap import create_recording, open_recording
+from carla_recap.editing.clip import IncidentClip, clip, clips
+from carla_recap.editing.convert import convert
+from carla_recap.errors import RecapError, RecapWarning
+from carla_recap.maps import RoadMap
+from carla_recap.model.frame import Extent, Frame, Header, Packet
+from carla_recap.model.records import ORDER, UE4, UE5, Spawn, attributes
+from carla_recap.queries.incidents import incidents
+from carla_recap.replay.player import Player
+from carla_recap.replay.state import World
+from tests.samples import (
+    carla_log,
+    images,
+    listed,
+    log_header,
+    names_in,
+    packet_payloads,
+    plain,
+    reading,
+    save,
+    small_log,
+    transform,
+    warnings_ignored,
+    write,
+)
+from tests.samples import packet as packed
+from tests.samples import start as frame_start
+from tests.strategies import recordings, signature
+
+if TYPE_CHECKING:
+    from carla_recap.formats.base import Reader
+    from carla_recap.replay.events import Present
+    from carla_recap.replay.scene import Scene
+
+CROSSING = Path(__file__).parents[2] / "samples" / "crossing.log"
+FORMATS = [(a, b) for a in (".log", ".mcap") for b in (".log", ".mcap")]
+
+
+@pytest.fixture(scope="session")
+def crossing(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
+    """The sample in each format."""
+    other = tmp_path_factory.mktemp("crossing") / "crossing.mcap"
+    convert(CROSSING, other)
+    return {".log": CROSSING, ".mcap": other}
+
+
+def frames_of(path: Path) -> list[Frame]:
+    with reading(path) as reader:
+        return list(reader.frames())
+
+
+def packets_of(frame: Frame) -> list[tuple[int, bytes]]:
+    return [(packet.id, bytes(packet.payload)) for packet in frame.packets]
+
+
+def parent_of(actor: Present, scene: Scene) -> int | None:
+    """Its parent; in the first scene only one that was told with its spawn, for others are told after the first frame."""
+    return actor.parent if actor.attached or not scene.fresh else None
+
+
+def seen(scene: Scene) -> Any:
+    """All that a scene shows, but for its time."""
+    return plain(
+        [
+            [
+                (
+                    actor.id,
+                    actor.type_id,
+                    actor.kind,
+                    actor.spawn.attributes,
+                    parent_of(actor, scene),
+                    actor.attached,
+                    actor.box,
+                )
+                for actor in sorted(scene.actors.values(), key=lambda actor: actor.id)
+            ],
+            scene.ids,
+            scene.poses,
+            [(id, scene.pose_of(id)) for id in sorted(scene.actors)],
+            scene.light_states,
+            sorted((id, sorted(doors)) for id, doors in scene.doors.items()),
+            None if scene.weather is None else scene.weather.tolist(),
+            scene.scene_lights,
+            scene.vehicle_controls,
+            scene.velocities,
+        ]
+    )
+
+
+def assert_same_show(source: Path, cut: Path, first: float) -> None:
+    """A clip shows what its source shows, frame by frame."""
+    with open_recording(source) as long, open_recording(cut) as short:
+        count = short.info.frames
+        scenes = islice(Player(long, start=first, ignore_spectator=False).scenes(), count)
+        for scene in Player(short, ignore_spectator=False).scenes():
+            shown = next(scenes)
+            assert shown.time == pytest.approx(scene.time + first)
+            assert seen(shown) == seen(scene)
+            count -= 1
+        assert count == 0
+
+
+# --- a sample and real recordings ----------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(("suffix", "to"), FORMATS)
+def test_a_clip_is_a_recording(crossing: dict[str, Path], tmp_path: Path, suffix: str, to: str) -> None:
+    path = tmp_path / f"clip{to}"
+    extent = clip(crossing[suffix], path, start=28.0, duration=7.0)
+    assert extent == Extent(71, 71, pytest.approx(7.0))
+    assert names_in(tmp_path) == [path.name]
+    own, source = frames_of(path), [f for f in frames_of(CROSSING) if 28 - 1e-6 <= f.elapsed <= 35 + 1e-6]
+    assert [frame.id for frame in own] == list(range(1, 72))
+    assert own[0].elapsed == 0.0
+    assert [frame.elapsed for frame in own] == pytest.approx([frame.elapsed - source[0].elapsed for frame in source])
+    assert [frame.duration for frame in own] == [*[frame.duration for frame in source[:-1]], -1.0]
+    assert [packets_of(frame) for frame in own[1:]] == [packets_of(frame) for frame in source[1:]]
+    with reading(path) as reader, reading(CROSSING) as original:
+        assert reader.header == Header("Crossing", original.header.date + 28)
+
+
+def test_the_first_frame_begins_the_world(crossing: dict[str, Path], tmp_path: Path) -> None:
+    path = tmp_path / "clip.log"
+    clip(crossing[".mcap"], path, start=28.0, duration=7.0)
+    first = frames_of(path)[0]
+    with open_recording(CROSSING) as recording:
+        source = recording.frame_at(28.0)
+        alive = {actor.id: actor for actor in recording.actors.values() if actor.spawned_at < 28}
+        alive = {id: actor for id, actor in alive.items() if actor.destroyed_at is None or actor.destroyed_at > 28}
+        poses = {row["id"]: row for row in source["transforms"]}
+        assert 103 not in alive  # it despawned a second before
+        assert {spawn.id for spawn in first["spawned"]} == set(alive)
+        for spawn in first["spawned"]:
+            actor = alive[spawn.id]
+            assert (spawn.type_id, {a.key: a.value for a in spawn.attributes}) == (actor.type_id, actor.attributes)
+            if spawn.id in poses:
+                assert (spawn.x, spawn.y, spawn.yaw) == tuple(poses[spawn.id][["x", "y", "yaw"]].item())
+        parents = {id: actor.parent for id, actor in alive.items() if actor.parent is not None}
+        assert parents
+        assert dict(first["parented"].tolist()) == parents
+        assert set(first["bounding_boxes"]["id"].tolist()) >= {id for id in alive if alive[id].bounding_box}
+    assert [packet.id for packet in first.packets if packet.id != 1] == sorted(
+        (packet.id for packet in first.packets if packet.id != 1), key=ORDER.index
+    )
+    for name in ("transforms", "light_states", "vehicle_controls", "velocities"):
+        assert bytes(first[name]) == bytes(source[name])
+
+
+@pytest.mark.parametrize("start", [0.0, 12.3, 24.6, 30.0, 52.9])
+def test_a_clip_shows_the_same(crossing: dict[str, Path], tmp_path: Path, start: float) -> None:
+    path = tmp_path / "clip.mcap"
+    clip(crossing[".mcap"], path, start=start, duration=2.0)
+    with reading(crossing[".mcap"]) as reader:
+        frame = reader.frame_at(start)
+    assert_same_show(crossing[".mcap"], path, frame.elapsed)
+
+
+@pytest.mark.parametrize("name", ["carla-0.9.10-lane-center.log", "carla-0.9.13-lane-center.log"])
+def test_clips_of_real_recordings(tmp_path: Path, name: str) -> None:
+    source, path = carla_log(name), tmp_path / "clip.log"
+    clip(source, path, start=-3.0, duration=0.5)
+    with reading(source) as reader:
+        frame = reader.frame_at(reader.extent().duration - 3.0)
+    assert_same_show(source, path, frame.elapsed)
+    with open_recording(path) as recording:
+        assert recording.info.duration == pytest.approx(0.5, abs=0.1)
+        assert len(recording.heroes) == 1
+        assert sum(actor.kind == "traffic_light" for actor in recording.actors.values()) == 36
+
+
+def test_incidents_are_still_there(crossing: dict[str, Path], tmp_path: Path) -> None:
+    path = tmp_path / "clip.mcap"
+    clip(crossing[".mcap"], path, start=20.0, duration=10.0)
+    with reading(path) as reader:
+        rows = incidents(reader)
+    assert [(row.start, row.text) for row in rows if row.kind == "collision"] == [
+        (pytest.approx(0.9), "vehicle.bh.crossbike (105) collides with walker.pedestrian.0004 (110)"),
+        (pytest.approx(4.6), "hero collides with vehicle.audi.a2 (101)"),
+    ]
+
+
+# --- windows -------------------------------------------------------------------------------------------
+
+
+def test_all_of_it_is_the_same_bytes(tmp_path: Path) -> None:
+    clip(CROSSING, tmp_path / "all.log", start=0.0)
+    assert (tmp_path / "all.log").read_bytes() == CROSSING.read_bytes()
+
+
+@pytest.mark.parametrize(
+    ("start", "duration", "found"),
+    [
+        (0.0, 0.0, [0, 1, 2, 3]),
+        (0.0, 1.0, [0, 1]),
+        (0.9, 0.2, [0, 1]),
+        (1.0, 0.5, [1]),
+        (1.5, 0.0, [1, 2, 3]),
+        (1.5, 1e9, [1, 2, 3]),
+        (-1.0, 0.0, [2, 3]),
+        (-50.0, 1.0, [0, 1]),
+        (3.0, 0.0, [3]),
+    ],
+)
+def test_windows(small: Path, tmp_path: Path, start: float, duration: float, found: list[int]) -> None:
+    extent = clip(small, tmp_path / "clip.log", start=start, duration=duration)
+    assert extent == Extent(len(found), len(found), float(len(found) - 1))
+    own, source = frames_of(tmp_path / "clip.log"), frames_of(small)
+    assert [packets_of(frame) for frame in own[1:]] == [packets_of(source[index]) for index in found[1:]]
+    assert [frame.elapsed for frame in own] == [float(at) for at in range(len(found))]
+
+
+@pytest.mark.parametrize(
+    ("start", "duration", "message"),
+    [
+        (3.5, 0.0, "nothing at 3.5 s; the recording ends at 3 s"),
+        (math.nan, 0.0, "nothing at nan s"),
+        (0.0, -1.0, "a duration of -1 s"),
+        (0.0, math.nan, "a duration of nan s"),
+    ],
+)
+def test_no_such_window(small: Path, tmp_path: Path, start: float, duration: float, message: str) -> None:
+    with pytest.raises(RecapError, match=message):
+        clip(small, tmp_path / "clip.mcap", start=start, duration=duration)
+    assert names_in(tmp_path) == [small.name]
+
+
+def test_of_nothing(tmp_path: Path) -> None:
+    write(tmp_path / "empty.log", Header("Town01", 0), [])
+    with pytest.raises(RecapError, match="has no frames"):
+        clip(tmp_path / "empty.log", tmp_path / "clip.log", start=0.0)
+
+
+def test_nothing_is_overwritten(small: Path, tmp_path: Path) -> None:
+    taken = save(tmp_path / "taken.mcap", b"mine")
+    with pytest.raises(RecapError, match="exists already"):
+        clip(small, taken, start=0.0)
+    with pytest.raises(RecapError, match="is the source itself"):
+        clip(small, small, start=0.0, force=True)
+    with pytest.raises(RecapError, match=r"unknown format '\.txt'"):
+        clip(small, tmp_path / "clip.txt", start=0.0)
+    assert taken.read_bytes() == b"mine"
+    clip(small, taken, start=0.0, force=True)
+    assert len(images(taken)) == 4
+
+
+def test_progress_sees_the_frames_of_the_clip(small: Path, tmp_path: Path) -> None:
+    ids: list[int] = []
+
+    def watch(batches: Any, reader: Reader) -> Any:
+        assert reader.path == small
+        for batch in batches:
+            ids.extend(batch.id.tolist())
+            yield batch
+
+    clip(small, tmp_path / "clip.log", start=1.0, progress=watch)
+    assert ids == [1, 2, 3]
+
+
+def test_what_fails_leaves_nothing(small: Path, tmp_path: Path) -> None:
+    def fail(frames: Any, reader: Reader) -> Any:
+        yield next(iter(frames))
+        raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        clip(small, tmp_path / "clip.mcap", start=1.0, progress=fail)
+    assert names_in(tmp_path) == [small.name]
+
+
+# --- what lasts ----------------------------------------------------------------------------------------
+
+
+def later_frame(source: Path, path: Path, start: float = 1.0) -> Frame:
+    clip(source, path, start=start)
+    return frames_of(path)[0]
+
+
+@pytest.mark.parametrize("suffix", [".log", ".mcap"])
+def test_all_that_is_told_once_is_told_again(small: Path, tmp_path: Path, suffix: str) -> None:
+    before, after = frames_of(small)[0], later_frame(small, tmp_path / f"clip{suffix}")
+    for name in ("parented", "doors", "light_states", "scene_lights", "weather", "bounding_boxes"):
+        assert plain(after[name]) == plain(before[name])
+    for name in ("trigger_volumes", "light_times", "physics"):
+        assert len(before[name])
+        assert plain(after[name]) == plain(before[name])
+    # The car has a transform in the second frame; the walker and the light, which is attached, have none.
+    moved = plain(before["spawned"])
+    moved[0][2:8] = [200.0, 200.0, 50.0, 0.0, 0.0, 90.0]
+    assert plain(after["spawned"]) == moved
+    for name in ("collisions", "destroyed", "vehicle_lights"):
+        assert len(after[name]) == 0
+
+
+def test_an_actor_that_goes_in_the_first_frame(small: Path, tmp_path: Path) -> None:
+    first = later_frame(small, tmp_path / "clip.log", 3.0)
+    assert [spawn.id for spawn in first["spawned"]] == [7, 8, 9]
+    assert first["destroyed"]["id"].tolist() == [8]
+
+
+def test_an_actor_that_went_before(tmp_path: Path) -> None:
+    """Nothing of it is told; of one that has its id again, only what is its own."""
+    path = tmp_path / "own.log"
+    box = {"bounding_boxes": [(1, 0, 0, 0, 1, 1, 1), (2, 0, 0, 0, 2, 2, 2)]}
+    with create_recording(path, map_name="Town01", date=0, additional_data=True) as recorder:
+        recorder.add_frame(0.0, spawned=[Spawn(1, 1), Spawn(2, 1)], doors=[(1, 0, 1), (2, 3, 1)], **box)
+        recorder.add_frame(1.0, destroyed=[1, 2], parented=[(1, 2)])
+        recorder.add_frame(2.0, spawned=[Spawn(2, 2)])
+        recorder.add_frame(3.0)
+    first = later_frame(path, tmp_path / "clip.log", 3.0)
+    assert [(spawn.id, spawn.kind) for spawn in first["spawned"]] == [(2, 2)]
+    assert not any(len(first[name]) for name in ("doors", "parented", "bounding_boxes"))
+    assert first["destroyed"]["id"].tolist() == [1]
+
+
+def test_the_latest_counts(tmp_path: Path) -> None:
+    path = tmp_path / "own.log"
+    light = {"intensity": 1.0, "red": 0, "green": 0, "blue": 0, "alpha": 0, "on": 1, "group": 0}
+    with create_recording(path, map_name="Town01", date=0, additional_data=True) as recorder:
+        recorder.add_frame(
+            0.0,
+            spawned=[Spawn(1, 1), Spawn(2, 1), Spawn(3, 3)],
+            weather={"cloudiness": 1},
+            scene_lights={"id": [4, 5], **light},
+            doors=[(1, 6, 1), (2, 0, 1)],
+            bounding_boxes=[(1, 0, 0, 0, 1, 1, 1), (2, 0, 0, 0, 2, 2, 2)],
+            light_times=[(3, 1, 1, 1)],
+        )
+        recorder.add_frame(
+            1.0,
+            weather={"cloudiness": 2},
+            doors=[(1, 4, 0), (1, 5, 0), (2, 0, 0)],
+            bounding_boxes=[(1, 0, 0, 0, 9, 9, 9)],
+            scene_lights={"id": [4], **light, "intensity": 7.0},
+        )
+        recorder.add_frame(2.0, bounding_boxes=[(2, 0, 0, 0, 8, 8, 8)], doors=[(1, 0, 0)], light_times=[(3, 5, 5, 5)])
+        recorder.add_frame(3.0, weather={"cloudiness": 3})
+    first = later_frame(path, tmp_path / "clip.log", 2.0)
+    assert first["weather"]["cloudiness"].tolist() == [2]
+    assert first["scene_lights"][["id", "intensity"]].tolist() == [(4, 7.0), (5, 1.0)]
+    assert first["doors"].tolist() == [(1, 0, 1), (1, 1, 1), (1, 2, 1), (1, 3, 1), (1, 0, 0)]
+    assert first["bounding_boxes"][["id", "extent_x"]].tolist() == [(1, 9), (2, 8)]
+    assert first["light_times"].tolist() == [(3, 5, 5, 5)]
+    assert later_frame(path, tmp_path / "last.log", 3.0)["weather"]["cloudiness"].tolist() == [3]
+
+
+def test_lights_that_are_told_of_only_when_they_change(tmp_path: Path) -> None:
+    path = tmp_path / "own.mcap"
+    with create_recording(path, map_name="Town01", date=0) as recorder:
+        recorder.add_frame(0.0, spawned=[Spawn(1, 3), Spawn(2, 3)], light_states=[(1, 0, 0, 2), (2, 0, 0, 0)])
+        recorder.add_frame(1.0, light_states=[(2, 0, 0, 1)])
+        for second in range(2, 50):
+            recorder.add_frame(second)
+        recorder.add_frame(50.0, light_states=[(1, 0, 0, 3)])
+    first = later_frame(path, tmp_path / "clip.log", 40.0)
+    assert first["light_states"][["id", "state"]].tolist() == [(1, 2), (2, 1)]
+    first = later_frame(path, tmp_path / "last.log", 50.0)
+    assert sorted(first["light_states"][["id", "state"]].tolist()) == [(1, 3), (2, 1)]
+
+
+def test_an_attached_actor_keeps_its_place_on_the_parent(tmp_path: Path) -> None:
+    path = tmp_path / "own.log"
+    with create_recording(path, map_name="Town01", date=0) as recorder:
+        recorder.add_frame(0.0, spawned=[Spawn(1, 1)], transforms=[(1, 0, 0, 0, 0, 0, 0)])
+        recorder.add_frame(1.0, spawned=[Spawn(2, 5, x=10.0)], parented=[(2, 1)], transforms=[(1, 500, 0, 0, 0, 0, 0)])
+        recorder.add_frame(2.0, transforms=[(1, 900, 0, 0, 0, 0, 90)])
+    first = later_frame(path, tmp_path / "clip.log", 2.0)
+    assert [(spawn.id, spawn.x, spawn.yaw) for spawn in first["spawned"]] == [(1, 900.0, 90.0), (2, 10.0, 0.0)]
+    assert_same_show(path, tmp_path / "clip.log", 2.0)
+
+
+def test_destroyed_actors_stay_away(tmp_path: Path) -> None:
+    """Though their transforms are still recorded."""
+    path = tmp_path / "own.log"
+    both = [(1, 5, 0, 0, 0, 0, 0), (2, 6, 0, 0, 0, 0, 0)]
+    with create_recording(path, map_name="Town01", date=0) as recorder:
+        recorder.add_frame(0.0, spawned=[Spawn(1, 1), Spawn(2, 1)], transforms=both)
+        recorder.add_frame(1.0, destroyed=[1], transforms=both)
+        for second in range(2, 5):
+            recorder.add_frame(second, transforms=both)
+        recorder.add_frame(5.0, spawned=[Spawn(1, 1)], transforms=both)
+    assert later_frame(path, tmp_path / "clip.log", 3.0)["destroyed"]["id"].tolist() == [1]
+    assert_same_show(path, tmp_path / "clip.log", 3.0)
+    first = later_frame(path, tmp_path / "last.log", 5.0)
+    assert len(first["destroyed"]) == 0
+    assert_same_show(path, tmp_path / "last.log", 5.0)
+
+
+def test_destroyed_actors_of_a_real_recording(tmp_path: Path) -> None:
+    source, path = carla_log("blocked.log"), tmp_path / "clip.log"
+    clip(source, path, start=199.5, duration=1.0)
+    with open_recording(source) as long, open_recording(path) as short:
+        ids = Player(short).at(0.0).ids.tolist()
+        assert ids == Player(long).at(199.5).ids.tolist()
+        assert 30 not in ids
+
+
+def test_more_destroyed_actors_than_a_packet_holds(tmp_path: Path) -> None:
+    path = tmp_path / "own.log"
+    with create_recording(path, map_name="Town01", date=0) as recorder:
+        recorder.add_frame(0.0, destroyed=list(range(35_000)))
+        recorder.add_frame(1.0, destroyed=list(range(35_000, 70_000)))
+        recorder.add_frame(2.0)
+    first = later_frame(path, tmp_path / "clip.mcap", 2.0)
+    assert first["destroyed"]["id"].tolist() == list(range(70_000))
+
+
+@pytest.mark.parametrize("parent", [1, 2, 3])
+def test_an_actor_that_is_parented_late_stays_in_the_world(tmp_path: Path, parent: int) -> None:
+    """To a car that drives away, to itself, and in a ring."""
+    path = tmp_path / "own.log"
+    with create_recording(path, map_name="Town01", date=0) as recorder:
+        spawned = [Spawn(1, 1), Spawn(2, 5, x=6000.0), Spawn(3, 5, y=70.0)]
+        recorder.add_frame(0.0, spawned=spawned, transforms=[(1, 0, 0, 0, 0, 0, 0)])
+        recorder.add_frame(1.0, parented=[(2, parent), (3, 2)], transforms=[(1, 500, 0, 0, 0, 0, 0)])
+        for second in range(2, 5):
+            recorder.add_frame(second, transforms=[(1, second * 500, 0, 0, 0, 0, 0)])
+    for start in (1.0, 2.0):  # together with it, and later
+        clip(path, tmp_path / "clip.log", start=start, force=True)
+        first, second, third = frames_of(tmp_path / "clip.log")[:3]
+        assert [len(frame["parented"]) for frame in (first, second, third)] == [0, 2, 0]
+        assert dict(second["parented"].tolist()) == {2: parent, 3: 2}
+        with open_recording(path) as long, open_recording(tmp_path / "clip.log") as short:
+            assert short.actors[2].parent == parent
+            for scene in Player(short).scenes():
+                shown = Player(long).at(scene.time + start)
+                assert plain([scene.pose_of(id) for id in (1, 2, 3)]) == plain([shown.pose_of(id) for id in (1, 2, 3)])
+
+
+def test_an_actor_that_is_parented_late_and_gone_soon(tmp_path: Path) -> None:
+    """Nothing is told of it when it has gone, or come anew, in the second frame."""
+    path = tmp_path / "own.log"
+    with create_recording(path, map_name="Town01", date=0) as recorder:
+        recorder.add_frame(0.0, spawned=[Spawn(id, 1) for id in (1, 2, 3, 4)])
+        recorder.add_frame(1.0, parented=[(2, 1), (3, 1), (4, 1)])
+        recorder.add_frame(2.0)
+        recorder.add_frame(3.0, destroyed=[2], spawned=[Spawn(3, 1)], parented=[(4, 3)])
+    clip(path, tmp_path / "clip.log", start=2.0)
+    assert frames_of(tmp_path / "clip.log")[1]["parented"].tolist() == [(4, 1), (4, 3)]
+    assert_same_show(path, tmp_path / "clip.log", 2.0)
+
+
+def test_actors_of_the_window_come_and_go(tmp_path: Path) -> None:
+    path = tmp_path / "own.log"
+    with create_recording(path, map_name="Town01", date=0) as recorder:
+        for second in range(6):
+            recorder.add_frame(
+                second,
+                spawned=[Spawn(second, 1, type_id="vehicle.a", attributes=attributes(color="red"))],
+                destroyed=[second - 2] if second > 1 else [],
+            )
+    clip(path, tmp_path / "clip.mcap", start=2.0, duration=3.0)
+    with open_recording(tmp_path / "clip.mcap") as recording:
+        stays = {actor.id: (actor.spawned_at, actor.destroyed_at) for actor in recording.actors.values()}
+        assert all(actor.attributes == {"color": "red"} for actor in recording.actors.values())
+    assert stays == {0: (0, 0), 1: (0, 1), 2: (0, 2), 3: (1, 3), 4: (2, None), 5: (3, None)}
+
+
+# --- headers and dialects ------------------------------------------------------------------------------
+
+
+def test_dialects_stay(tmp_path: Path) -> None:
+    for wide, shifted in ((True, False), (False, True), (True, True)):
+        header = Header("Town10HD", 1_000, 2, wide, shifted)
+        table = header.table
+        spawned = table.named("spawned")
+        spawn = Packet(spawned.id, spawned, records=[Spawn(7, 1, x=1e12 if wide else 5.0)])
+        frames = [
+            Frame(n, n + 1, float(n), 1.0, [*([spawn] if n == 0 else []), *signature(wide=wide, shifted=shifted)])
+            for n in range(4)
+        ]
+        source = write(tmp_path / f"{wide}{shifted}.log", header, frames)
+        for suffix in (".log", ".mcap"):
+            path = tmp_path / f"clip{wide}{shifted}{suffix}"
+            clip(source, path, start=2.0)
+            with reading(path) as reader:
+                assert reader.header == Header("Town10HD", 1_002, 2, wide, shifted)
+                assert [(s.id, s.x) for s in next(reader.frames())["spawned"]] == [(7, 1e12 if wide else 5.0)]
+
+
+def test_a_frame_without_a_known_packet_in_a_wide_recording(tmp_path: Path) -> None:
+    spawned, transforms = UE5.named("spawned"), UE5.named("transforms")
+    frames = [
+        Frame(0, 1, 0.0, 1.0, [Packet(2, spawned, records=[Spawn(7, 1)])]),
+        Frame(1, 2, 1.0, 1.0, [Packet(200, None, b"a fork's own")]),
+        Frame(2, 3, 2.0, -1.0, [Packet(6, transforms, records=transforms.records([(7, 1, 2, 3, 4, 5, 6)]))]),
+    ]
+    source = write(tmp_path / "wide.mcap", Header("Town01", 0, wide=True), frames)
+    clip(source, tmp_path / "clip.log", start=1.0)
+    with reading(tmp_path / "clip.log") as reader:
+        assert reader.header.wide
+        first = next(reader.frames())
+    assert [packet.id for packet in first.packets] == [200, 2]
+    assert [spawn.id for spawn in first["spawned"]] == [7]
+
+
+def test_packets_before_the_first_frame_are_of_the_past(tmp_path: Path) -> None:
+    payloads = [packed(id, payload) for id, payload in packet_payloads()]
+    frames = [frame_start(5, 1.0, 1.0), packed(6, listed(transform(7, 9))), frame_start(6, 2.0)]
+    source = save(tmp_path / "early.log", b"".join([log_header(), *payloads, *frames]))
+    clip(source, tmp_path / "clip.log", start=0.0)
+    own = frames_of(tmp_path / "clip.log")
+    assert [(frame.id, frame.elapsed, frame.preamble) for frame in own] == [(1, 0.0, False), (2, 1.0, False)]
+    assert [(spawn.id, spawn.x) for spawn in own[0]["spawned"]][:2] == [(7, 9.0), (8, 100.0)]
+
+
+def test_a_date_that_cannot_be_moved(tmp_path: Path) -> None:
+    latest = (1 << 63) - 1
+    source = save(tmp_path / "late.log", small_log())
+    with reading(source) as reader:
+        frames = list(reader.frames())
+    write(tmp_path / "latest.log", Header("Town01", latest), frames)
+    clip(tmp_path / "latest.log", tmp_path / "clip.log", start=2.0)
+    with reading(tmp_path / "clip.log") as reader:
+        assert reader.header.date == latest
+
+
+# --- any recording -------------------------------------------------------------------------------------
+
+
+def worlds(path: Path, first: int = 0) -> list[Any]:
+    """Who is there after each frame, and the transforms in it; `first`: the frame that does not tell late parents."""
+    with reading(path) as reader:
+        world = World(reader.header.table, ignore_hero=False, ignore_spectator=False)
+        found = []
+        for frame in reader.frames():
+            world.apply(frame)
+            there = {
+                id: (
+                    actor.kind,
+                    actor.spawn.attributes,
+                    actor.parent if actor.attached or frame.index != first else None,
+                    actor.attached,
+                )
+                for id, actor in world.actors.items()
+            }
+            doors = sorted((id, sorted(open)) for id, open in world.doors.items() if id in there)
+            found.append(plain([sorted(there.items()), frame["transforms"], doors, world.scene_lights]))
+        return found
+
+
+def window(path: Path, start: float, duration: float) -> list[int]:
+    """The indices of the frames that a clip should have."""
+    frames = frames_of(path)
+    earlier = [frame for frame in frames if frame.elapsed <= start + 1e-6]
+    first = earlier[-1] if earlier else frames[0]
+    if first.preamble:
+        first = next(frame for frame in frames if not frame.preamble)
+    with reading(path) as reader:
+        stop = min(start + duration, reader.extent().duration) if duration else math.inf
+    indices = [first.index]
+    since = first.elapsed if math.isfinite(first.elapsed) else -math.inf
+    for frame in frames:
+        if since > -math.inf and not frame.elapsed >= since - 1e-6:
+            continue
+        if stop < math.inf and frame.elapsed >= stop + 1e-6:
+            break
+        if frame.index > first.index:
+            indices.append(frame.index)
+    return indices
+
+
+def without_parents(packets: list[tuple[int, bytes]]) -> list[tuple[int, bytes]]:
+    """The packets of a frame but for those that a clip's second frame may tell more in."""
+    return [packet for packet in packets if packet[0] != UE4.named("parented").id]
+
+
+def check_any(source: Path, path: Path, start: float, duration: float) -> None:
+    try:
+        clip(source, path, start=start, duration=duration, force=True)
+    except RecapError as error:
+        assert "nothing at" in str(error) or "has no frames" in str(error)  # noqa: PT017
+        return
+    with reading(source) as one, reading(path) as other:
+        # In a log nothing but its packets tells the dialect, and those with surplus bytes may mislead.
+        assume((one.header.wide, one.header.shifted) == (other.header.wide, other.header.shifted))
+    indices = window(source, start, duration)
+    here, there = images(source), images(path)
+    own, original = [found[-1] for found in there[1:]], [here[index][-1] for index in indices[1:]]
+    assert own[1:] == original[1:]
+    assert [without_parents(packets) for packets in own[:1]] == [without_parents(packets) for packets in original[:1]]
+    times = [frame.elapsed for frame in frames_of(source) if not frame.preamble]
+    if all(earlier <= later for earlier, later in pairwise(times)):  # else frames before the start come after it
+        before, after = worlds(source, first=indices[0]), worlds(path)
+        assert after == [before[index] for index in indices]
+
+
+seconds = st.one_of(st.floats(0, 20), st.sampled_from([0.0, 1.0, 2.5]))
+suffixes = st.sampled_from([".log", ".mcap"])
+
+
+@pytest.mark.filterwarnings("ignore::carla_recap.errors.RecapWarning")
+@given(recordings(), seconds, seconds, suffixes, suffixes)
+def test_any_recording(
+    tmp_path: Path, recording: tuple[Header, list[Frame]], start: float, duration: float, suffix: str, to: str
+) -> None:
+    with warnings_ignored():
+        source = write(tmp_path / f"source{suffix}", *recording)
+        check_any(source, tmp_path / f"clip{to}", start, duration)
+
+
+ids = st.integers(1, 5)
+spawns = st.builds(
+    lambda id, kind, role: Spawn(id, kind, type_id="vehicle.a", attributes=attributes(role_name=role)),
+    ids,
+    st.integers(0, 5),
+    st.sampled_from(["hero", "other"]),
+)
+happenings = st.fixed_dictionaries(
+    {},
+    optional={
+        "spawned": st.lists(spawns, max_size=2, unique_by=lambda spawn: spawn.id),
+        "destroyed": st.lists(ids, max_size=2, unique=True),
+        "parented": st.lists(st.tuples(ids, ids), max_size=2),
+        "doors": st.lists(st.tuples(ids, st.integers(0, 6), st.integers(0, 1)), max_size=3),
+        "transforms": st.lists(st.tuples(ids, *[st.integers(-9, 9)] * 6), max_size=4),
+        "scene_lights": st.lists(st.tuples(ids, *[st.integers(0, 1)] * 7), max_size=2),
+        "bounding_boxes": st.lists(st.tuples(ids, *[st.integers(1, 9)] * 6), max_size=2),
+    },
+)
+
+
+@given(st.lists(happenings, min_size=1, max_size=12), st.integers(0, 11), st.integers(0, 12), suffixes, suffixes)
+def test_any_history(tmp_path: Path, frames: list[dict[str, Any]], start: int, duration: int, suffix: str, to: str) -> None:
+    """Actors come, go and come again with the same ids."""
+    source = tmp_path / f"source{suffix}"
+    with create_recording(source, map_name="Town01", date=0, additional_data=True) as recorder:
+        for number, records in enumerate(frames):
+            recorder.add_frame(number / 2, **records)
+    check_any(source, tmp_path / f"clip{to}", start / 2, duration / 2)
+
+
+places = st.tuples(*[st.integers(-900, 900)] * 3, *[st.integers(-179, 180)] * 3)
+standing = st.builds(lambda id, place: Spawn(id, 1, *place, type_id="vehicle.a"), ids, places)
+changes = st.fixed_dictionaries(
+    {"transforms": st.tuples(places, places)},
+    optional={
+        "spawned": st.lists(standing, max_size=3, unique_by=lambda spawn: spawn.id),
+        "destroyed": st.lists(ids, max_size=1),
+        "parented": st.lists(st.tuples(ids, ids), max_size=3),
+    },
+)
+
+
+@given(st.lists(changes, min_size=2, max_size=8), st.integers(0, 7), st.integers(0, 8), suffixes)
+def test_any_scene(tmp_path: Path, frames: list[dict[str, Any]], start: int, duration: int, suffix: str) -> None:
+    """Actors 1 and 2 always have transforms, even when they are destroyed; others stand, or ride on their parents."""
+    source, path = tmp_path / "source.log", tmp_path / f"clip{suffix}"
+    start = min(start, len(frames) - 1)
+    with create_recording(source, map_name="Town01", date=0) as recorder:
+        for number, records in enumerate(frames):
+            moving = [(id, *place) for id, place in enumerate(records["transforms"], 1)]
+            recorder.add_frame(number / 2, **records | {"transforms": moving})
+    clip(source, path, start=start / 2, duration=duration / 2, force=True)
+    assert_same_show(source, path, start / 2)
+
+
+# --- a clip of each incident ---------------------------------------------------------------------------
+
+
+def test_clips(crossing: dict[str, Path], tmp_path: Path) -> None:
+    pytest.importorskip("rerun")
+    from rerun.chunk import RrdReader
+
+    folder = tmp_path / "clips"
+    written = clips(crossing[".mcap"], folder, before=2.0, after=1.0)
+    names = ["01-collision-20.9s-105-110", "02-collision-24.6s-100-101"]
+    assert names_in(tmp_path) == ["clips"]
+    assert names_in(folder) == sorted(name + suffix for name in names for suffix in (".mcap", ".rrd"))
+    assert [(found.recording, found.rrd) for found in written] == [
+        (folder / f"{name}.mcap", folder / f"{name}.rrd") for name in names
+    ]
+    with open_recording(written[1].recording) as recording:
+        assert recording.info.duration == pytest.approx(24.6 - 25.1 + 2 * 0.5 + 3.0)
+        assert [row.elapsed for row in recording.collisions()] == [pytest.approx(2.0)]
+    reader = RrdReader(str(written[0].rrd))
+    assert reader is not None
+    assert b".partial" not in (folder / f"{names[0]}.rrd").read_bytes()
+
+
+def test_clips_of_all_kinds(crossing: dict[str, Path], tmp_path: Path) -> None:
+    seen: list[str] = []
+
+    def watch(found: Any) -> Any:
+        for incident in found:
+            seen.append(incident.kind)
+            yield incident
+
+    written = clips(
+        crossing[".log"], tmp_path, blocked=True, braking=True, before=0, after=0, suffix=".log", rerun=False, progress=watch
+    )
+    assert [found.recording.name for found in written] == names_in(tmp_path)
+    assert seen == ["blocked", "collision", "hard braking", "collision"]
+    assert written[2].recording.name == "03-hard-braking-23.5s-100.log"
+    assert all(found.rrd is None for found in written)
+    with open_recording(written[1].recording) as recording:
+        assert recording.info.duration == pytest.approx(0.8)
+
+
+def test_a_clip_of_a_moment_is_no_clip_of_the_rest(tmp_path: Path) -> None:
+    path = tmp_path / "own.log"
+    with create_recording(path, map_name="Town01", date=0) as recorder:
+        for second in range(5):
+            recorder.add_frame(second, collisions=[(0, 1, 2, 0, 0)] if second == 2 else [])
+    (found,) = clips(path, tmp_path / "clips", before=0, after=0, rerun=False)
+    assert len(images(found.recording)) == 1
+
+
+def test_more_incidents_than_wanted(crossing: dict[str, Path], tmp_path: Path) -> None:
+    with pytest.warns(RecapWarning, match="only the first 1 of 2 incidents"):
+        written = clips(crossing[".log"], tmp_path / "clips", limit=1, rerun=False)
+    assert [type(found) for found in written] == [IncidentClip]
+
+
+@pytest.mark.parametrize(
+    ("late", "followed"),
+    [
+        ({4: {"destroyed": [1]}}, 2),  # before the clip
+        ({40: {"destroyed": [1]}}, 1),
+        ({0: {}, 42: {"spawned": [Spawn(1, 1, type_id="vehicle.a")]}}, 2),
+        ({4: {"destroyed": [1, 2]}}, None),
+    ],
+)
+def test_who_is_followed(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, late: dict[int, dict[str, Any]], followed: int | None
+) -> None:
+    """The first actor of the incident that is there; else whom the player chooses."""
+    rerun = pytest.importorskip("carla_recap.export.rerun")
+    path, asked, roads = tmp_path / "own.log", [], RoadMap("Town01", [], [], [], [], [])
+
+    def export(source: Any, destination: Path, *, follow: int | None, road_map: RoadMap) -> None:
+        assert road_map is roads
+        asked.append(follow)
+        export_rerun(source, destination, follow=follow, road_map=road_map)
+
+    export_rerun = rerun.export_rerun
+    monkeypatch.setattr(rerun, "export_rerun", export)
+    cast = [Spawn(id, 1, type_id="vehicle.a") for id in ((2,) if 0 in late else (1, 2))]
+    moments = {0: {"spawned": cast}, 40: {"collisions": [(0, 1, 2, 0, 0)]}}
+    with create_recording(path, map_name="Town01", date=0) as recorder:
+        for number in range(50):
+            recorder.add_frame(number / 4, **moments.get(number, {}) | late.get(number, {}))
+    (found,) = clips(path, tmp_path / "clips", before=1.0, after=1.0, road_map=roads)
+    assert asked == [followed]
+    assert found.rrd is not None
+    assert found.rrd.exists()
+
+
+def test_what_counts_as_an_incident_is_the_callers(crossing: dict[str, Path], tmp_path: Path) -> None:
+    def count(**options: Any) -> int:
+        return len(clips(crossing[".mcap"], tmp_path / "clips", collisions=False, rerun=False, force=True, **options))
+
+    assert [count(blocked=True, min_time=seconds) for seconds in (38.0, 40.0)] == [1, 0]
+    assert count(blocked=True, min_distance=1e9) > 1
+    assert [count(braking=True, deceleration=limit) for limit in (6.0, 60.0)] == [1, 0]
+    with pytest.raises(RecapError, match="it must be above 0"):
+        count(braking=True, deceleration=0.0)
+
+
+def test_errors_name_the_place_where_clips_should_be(
+    crossing: dict[str, Path], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def full(path: Path, *args: Any) -> Any:
+        raise RecapError(f"{path}: cannot be written: No space left on device")
+
+    monkeypatch.setattr("carla_recap.editing.clip.create_writer", full)
+    with pytest.raises(RecapError) as raised:
+        clips(crossing[".log"], tmp_path / "clips", rerun=False)
+    place = tmp_path / "clips" / "01-collision-20.9s-105-110.mcap"
+    assert str(raised.value) == f"{place}: cannot be written: No space left on device"
+    assert names_in(tmp_path) == []
+
+
+def test_a_long_incident(tmp_path: Path) -> None:
+    path = tmp_path / "own.log"
+    with create_recording(path, map_name="Town01", date=0) as recorder:
+        for second in range(200):
+            recorder.add_frame(second, spawned=[] if second else [Spawn(1, 1)], transforms=[(1, 5, 0, 0, 0, 0, 0)])
+    (found,) = clips(path, tmp_path / "clips", collisions=False, blocked=True, rerun=False, after=3)
+    assert 60 <= len(images(found.recording)) <= 66
+
+
+def test_a_folder_that_is_in_use(crossing: dict[str, Path], tmp_path: Path) -> None:
+    save(tmp_path / "mine.txt", b"mine")
+    with pytest.raises(RecapError, match="not empty"):
+        clips(crossing[".log"], tmp_path, rerun=False)
+    with pytest.raises(RecapError, match="is a file"):
+        clips(crossing[".log"], tmp_path / "mine.txt", rerun=False)
+    assert names_in(tmp_path) == ["mine.txt"]
+    clips(crossing[".log"], tmp_path, rerun=False, force=True)
+    assert len(names_in(tmp_path)) == 3
+
+
+def test_clips_are_not_written_over_their_source(crossing: dict[str, Path], tmp_path: Path) -> None:
+    source = save(tmp_path / "01-collision-20.9s-105-110.mcap", crossing[".mcap"].read_bytes())
+    with pytest.raises(RecapError, match="is the source itself"):
+        clips(source, tmp_path, rerun=False, force=True)
+    assert source.read_bytes() == crossing[".mcap"].read_bytes()
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        ({"before": -1.0}, "0 or more were expected"),
+        ({"after": math.nan}, "0 or more were expected"),
+        ({"suffix": ".txt"}, r"unknown format '\.txt'"),
+    ],
+)
+def test_what_makes_no_clips(crossing: dict[str, Path], tmp_path: Path, options: dict[str, Any], message: str) -> None:
+    with pytest.raises(RecapError, match=message):
+        clips(crossing[".log"], tmp_path / "clips", rerun=False, **options)
+    assert names_in(tmp_path) == []
+
+
+def test_clips_that_fail_leave_nothing(crossing: dict[str, Path], tmp_path: Path) -> None:
+    def fail(found: Any) -> Any:
+        yield found[0]
+        raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        clips(crossing[".log"], tmp_path / "clips", rerun=False, progress=fail)
+    assert names_in(tmp_path) == []
+
+
+def test_no_incidents(small: Path, tmp_path: Path) -> None:
+    assert clips(small, tmp_path / "clips", collisions=False, rerun=False) == []
+    assert names_in(tmp_path / "clips") == []

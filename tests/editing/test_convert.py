@@ -1,0 +1,358 @@
+"""From one format to the other and back: not a byte may change."""
+
+from __future__ import annotations
+
+import os
+import resource
+import warnings
+from contextlib import contextmanager
+from typing import TYPE_CHECKING
+
+import pytest
+from hypothesis import example, given
+from hypothesis import strategies as st
+
+from carla_recap import RecapError, RecapWarning, convert, open_recording
+from carla_recap.formats.mcap import wire
+from carla_recap.model.frame import Extent, Frame, Header, Packet
+from carla_recap.model.records import UE4, UE5
+from tests import strategies
+from tests.samples import (
+    CARLA_LOGS,
+    END,
+    all_records,
+    carla_log,
+    image,
+    images,
+    listed,
+    log_header,
+    names_in,
+    packet,
+    reading,
+    save,
+    small_log,
+    start,
+    time_limit,
+    warnings_ignored,
+    write,
+)
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+    from pathlib import Path
+
+    from carla_recap import Recording
+
+READABLE = (
+    "all_packets",
+    "all_packets_dev2024",
+    "blocked",
+    "carla-0.9.10-lane-center",
+    "carla-0.9.13-lane-center",
+    "collisions",
+    "cut_after_frame_start",
+    "empty_frames",
+    "events",
+    "floats",
+    "header_only",
+    "no_frames",
+    "physics_0910",
+    "times",
+)
+CUT = {"cut_in_add_string": 48, "cut_in_position": 53}
+NOT_READABLE = ("magic_bad", "not_a_log", "zero_bytes")
+
+
+def there_and_back(log: Path) -> bytes:
+    """A log's bytes after a detour by MCAP."""
+    mcap, back = log.with_suffix(".mcap"), log.with_suffix(".back.log")
+    convert(log, mcap, force=True)
+    convert(mcap, back, force=True)
+    return back.read_bytes()
+
+
+def extent_of(frames: list[Frame]) -> Extent:
+    last = frames[-1] if frames and not frames[-1].preamble else None
+    return Extent(sum(not frame.preamble for frame in frames), last.id, last.elapsed) if last else Extent()
+
+
+def test_every_log_of_carla_is_covered():
+    carla_log("all_packets.log")
+    assert {path.stem for path in CARLA_LOGS.glob("*.log")} == {*READABLE, *CUT, *NOT_READABLE}
+
+
+@pytest.mark.parametrize("name", READABLE)
+def test_a_log_comes_back_byte_by_byte(name, tmp_path):
+    log = carla_log(f"{name}.log")
+    mcap, back = tmp_path / "there.mcap", tmp_path / "back.log"
+    extent = convert(log, mcap)
+    assert convert(mcap, back) == extent
+    assert back.read_bytes() == log.read_bytes()
+
+
+@pytest.mark.parametrize(("name", "dropped"), CUT.items())
+def test_a_cut_log_comes_back_with_its_tail(name, dropped, tmp_path):
+    log = carla_log(f"{name}.log")
+    mcap, back = tmp_path / "there.mcap", tmp_path / "back.log"
+    with pytest.warns(RecapWarning, match=f"cut short; the last {dropped} bytes"):
+        convert(log, mcap)
+    convert(mcap, back)  # the warning was given once
+    assert back.read_bytes() == log.read_bytes()
+
+
+@pytest.mark.parametrize("name", [*READABLE, *CUT])
+def test_both_formats_say_the_same(name, tmp_path):
+    log, mcap = carla_log(f"{name}.log"), tmp_path / "there.mcap"
+    with warnings_ignored():
+        convert(log, mcap)
+        with reading(log) as one, reading(mcap) as other:
+            assert one.header == other.header
+            assert one.extent() == other.extent()
+        assert images(log) == images(mcap)
+        assert all_records(log) == all_records(mcap)
+
+
+@given(strategies.recordings())
+@example((Header("Town01", 0), []))
+def test_any_recording_comes_back(tmp_path, recording):
+    header, frames = recording
+    log = write(tmp_path / "any.log", header, frames)
+    with warnings_ignored(), time_limit(20):
+        assert there_and_back(log) == log.read_bytes()
+        for path in (log, log.with_suffix(".mcap")):
+            assert images(path) == [image(frame) for frame in frames]
+            with reading(path) as reader:
+                assert reader.header == header
+                assert repr(reader.extent()) == repr(extent_of(frames))
+
+
+@given(strategies.recordings())
+def test_records_are_the_same_in_both_formats(tmp_path, recording):
+    with warnings_ignored():
+        log = write(tmp_path / "any.log", *recording)
+        convert(log, tmp_path / "any.mcap", force=True)
+        assert all_records(log) == all_records(tmp_path / "any.mcap")
+
+
+@given(st.booleans(), st.data())
+def test_any_frames_live_in_mcap_without_a_log(tmp_path, wide, data):
+    table = UE5 if wide else UE4
+    header = Header("Town01", 1_600_000_000, wide=wide, shifted=data.draw(st.booleans()))
+    frames = data.draw(strategies.frame_lists(table, []))
+    with warnings_ignored():
+        mcap = write(tmp_path / "any.mcap", header, frames)
+        assert images(mcap) == [image(frame) for frame in frames]
+        with reading(mcap) as reader:
+            assert reader.header == header
+
+
+@given(data=st.binary(min_size=1, max_size=60), date=st.sampled_from([0, -5, 1_600_000_000]))
+@example(data=b"\0\x18\0\0\0", date=0)
+def test_any_tail_comes_back(tmp_path, data, date):
+    log = save(tmp_path / "cut.log", log_header(date=date) + data)
+    with warnings_ignored():
+        try:
+            back = there_and_back(log)
+        except RecapError:
+            return
+    assert back == log.read_bytes()
+
+
+@pytest.mark.parametrize("frames", [b"", start(1, 0.0) + END], ids=["no frame", "a frame"])
+def test_a_tail_of_megabytes_comes_back(frames, tmp_path):
+    torn = packet(6, bytes(3_000_000))[:-1]
+    log = save(tmp_path / "cut.log", log_header() + frames + torn)
+    with pytest.warns(RecapWarning, match="cut short"):
+        assert there_and_back(log) == log.read_bytes()
+
+
+def test_a_packet_of_megabytes_that_nobody_knows_comes_back(tmp_path):
+    blob = os.urandom(1_500_000) + bytes(1_500_000)
+    log = save(tmp_path / "blob.log", log_header() + start(1, 0.0) + packet(150, blob) + packet(150, b"") + END)
+    assert there_and_back(log) == log.read_bytes()
+
+
+def test_a_packet_larger_than_any_chunk_that_is_read_comes_back(tmp_path):
+    log = save(tmp_path / "map.log", log_header() + start(1, 0.0) + packet(150, bytes(70 << 20)) + END)
+    assert there_and_back(log) == log.read_bytes()
+
+
+def test_packets_that_grow_beyond_what_is_parsed_come_back(tmp_path, monkeypatch):
+    limit = 4000
+    monkeypatch.setattr("carla_recap.formats.mcap.wire.PIECE", 1000)
+    for module in ("carla_recap.model.layout", "carla_recap.formats.mcap.wire", "carla_recap.formats.mcap.writer"):
+        monkeypatch.setattr(f"{module}.OBJECTS_LIMIT", limit)
+    wheel = bytes(4) + (1).to_bytes(4, "little") + bytes(9)
+    packets = [packet(21, listed(*[wheel] * count)) for count in range(limit // 25, limit // 16)]
+    log = save(tmp_path / "wheels.log", log_header() + start(1, 0.0) + b"".join(packets) + END)
+    convert(log, tmp_path / "wheels.mcap")
+    wire._shapes.clear()  # as another process would find it
+    convert(tmp_path / "wheels.mcap", tmp_path / "back.log")
+    assert (tmp_path / "back.log").read_bytes() == log.read_bytes()
+
+
+def test_surplus_bytes_are_kept_and_told_of(tmp_path):
+    log = save(tmp_path / "more.log", log_header() + start(1, 0.0) + packet(3, listed(bytes(4)) + b"more") + END)
+    with pytest.warns(RecapWarning, match="destroyed has 4 bytes more than its records need"):
+        convert(log, tmp_path / "more.mcap")
+    with warnings_ignored():
+        convert(tmp_path / "more.mcap", tmp_path / "back.log")
+    assert (tmp_path / "back.log").read_bytes() == log.read_bytes()
+
+
+@pytest.mark.parametrize("suffix", [".log", ".mcap"])
+def test_a_copy_in_the_same_format_is_equal(small, tmp_path, suffix):
+    source, copy = tmp_path / f"source{suffix}", tmp_path / f"copy{suffix}"
+    convert(small, source)
+    convert(source, copy)
+    assert copy.read_bytes() == source.read_bytes()
+
+
+def test_a_list_longer_than_its_packet_is_an_error_at_its_place(tmp_path):
+    before = log_header() + start(1, 0.0)
+    log = save(tmp_path / "short.log", before + packet(6, b"\x09\0" + bytes(28)) + END)
+    with pytest.raises(RecapError, match="transforms: 9 records need 254 bytes, the packet has 30") as caught:
+        convert(log, tmp_path / "out.mcap")
+    assert f"{log}: byte {len(before) + 5 + 2}: " in str(caught.value)
+    assert names_in(tmp_path) == ["short.log"]
+
+
+def test_progress_sees_every_frame(small, tmp_path):
+    seen = []
+
+    def watch(batches, reader):
+        assert reader.path == small
+        for batch in batches:
+            seen.extend(batch.id.tolist())
+            yield batch
+
+    convert(small, tmp_path / "out.mcap", progress=watch)
+    assert seen == [1, 2, 3, 4]
+
+
+# --- destinations --------------------------------------------------------------------------------------
+
+
+def test_an_existing_destination_needs_force(small, tmp_path):
+    there = save(tmp_path / "there.mcap", b"precious")
+    with pytest.raises(RecapError, match=r"there\.mcap: exists already; --force \(in Python, force=True\) overwrites it"):
+        convert(small, there)
+    assert there.read_bytes() == b"precious"
+    convert(small, there, force=True)
+    assert len(images(there)) == 4
+
+
+@pytest.mark.parametrize("link", [None, "symlink_to", "hardlink_to"])
+def test_the_source_is_never_the_destination(small, tmp_path, link):
+    other = small
+    if link:
+        other = tmp_path / "other.log"
+        getattr(other, link)(small)
+    with pytest.raises(RecapError, match="is the source itself"):
+        convert(small, other, force=True)
+    assert small.read_bytes() == small_log()
+
+
+def test_a_failure_leaves_the_destination_as_it_was(tmp_path):
+    there = save(tmp_path / "there.mcap", b"precious")
+    broken = save(tmp_path / "broken.log", log_header() + start(1, 0.0) + packet(6, b"\x09\0") + END)
+    with pytest.raises(RecapError):
+        convert(broken, there, force=True)
+    assert there.read_bytes() == b"precious"
+    assert names_in(tmp_path) == ["broken.log", "there.mcap"]
+
+
+@pytest.mark.parametrize(
+    ("destination", "reason"),
+    [
+        ("no/such/place.mcap", "No such file or directory"),
+        ("no/such/place.log", "No such file or directory"),
+        ("recording.xyz", r"unknown format '\.xyz'; \.log or \.mcap was expected"),
+        ("recording", "no suffix, which says the format"),
+    ],
+)
+def test_a_destination_that_cannot_be(small, tmp_path, destination, reason):
+    with pytest.raises(RecapError, match=reason) as caught:
+        convert(small, tmp_path / destination)
+    assert str(tmp_path / destination) in str(caught.value)
+    assert names_in(tmp_path) == ["small.log"]
+
+
+def test_a_directory_is_no_destination(small, tmp_path):
+    (tmp_path / "dir.mcap").mkdir()
+    with pytest.raises(RecapError, match="directory"):
+        convert(small, tmp_path / "dir.mcap", force=True)
+
+
+@pytest.mark.parametrize("suffix", [".log", ".mcap"])
+@pytest.mark.parametrize("size", [100, 200_000, 3_000_000])
+def test_a_full_disk_is_an_error_and_leaves_nothing_behind(tmp_path, suffix, size):
+    blobs = b"".join(start(n, n / 10) + packet(150, os.urandom(40_000)) + END for n in range(100))
+    log = save(tmp_path / "large.log", log_header() + blobs)
+    limits = resource.getrlimit(resource.RLIMIT_FSIZE)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (size, limits[1]))
+    try:
+        with pytest.raises(RecapError, match=r"copy\.\w+: cannot be written: File too large"):
+            convert(log, tmp_path / f"copy{suffix}")
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, limits)
+    assert names_in(tmp_path) == ["large.log"]
+
+
+# --- clocks --------------------------------------------------------------------------------------------
+
+
+def of_clock(times: list[float]) -> list[Frame]:
+    table = UE4
+    spawn = Packet(3, table[3], listed(bytes(4)))
+    return [Frame(n, n + 1, time, -1.0, [spawn, Packet(1, table[1], b"")]) for n, time in enumerate(times)]
+
+
+@contextmanager
+def both(tmp_path: Path, times: list[float]) -> Iterator[tuple[Recording, Recording]]:
+    """The same frames as a log and as MCAP."""
+    header, frames = Header("Town01", 1_600_000_000), of_clock(times)
+    log, mcap = (write(tmp_path / f"clock{suffix}", header, frames) for suffix in (".log", ".mcap"))
+    with open_recording(log) as one, open_recording(mcap) as other:
+        yield one, other
+
+
+def found_at(recording: Recording, elapsed: float) -> object:
+    try:
+        return image(recording.frame_at(elapsed))
+    except RecapError as error:
+        return str(error).partition(": ")[2]
+
+
+@pytest.mark.parametrize("jumps", [False, True], ids=["growing", "jumping"])
+@given(data=st.data())
+def test_both_formats_find_the_same_frames_by_time(tmp_path, jumps, data):
+    times = data.draw(strategies.clocks(jumps=jumps))
+    asks = data.draw(st.lists(st.one_of(st.floats(-30, 70), st.sampled_from([*times, 0.0])), min_size=1, max_size=4))
+    with both(tmp_path, times) as (log, mcap):
+        for at in asks:
+            assert found_at(log, at) == found_at(mcap, at)
+            for stop in (at + 0.5, at + 7):
+                assert [image(f) for f in log.frames(at, stop)] == [image(f) for f in mcap.frames(at, stop)]
+
+
+def test_a_moment_before_a_chunk_belongs_to_the_one_before(tmp_path):
+    with both(tmp_path, [0.0, 1.0, 5.0000011, 6.0]) as (_, mcap):
+        assert mcap.frame_at(5.0).elapsed == 1.0
+        assert mcap.frame_at(5.0000002).elapsed == 5.0000011  # within a microsecond
+
+
+def test_of_frames_at_one_time_the_last_is_found(tmp_path):
+    with both(tmp_path, [0.0, 0.0, 5.0, 5.0, 5.0]) as recordings:
+        assert [recording.frame_at(5.5).index for recording in recordings] == [4, 4]
+        assert [recording.frame_at(4.0).index for recording in recordings] == [1, 1]
+
+
+def test_warnings_come_once(tmp_path):
+    log = save(tmp_path / "cut.log", small_log()[:-2])
+    with warnings.catch_warnings(record=True) as caught:
+        warnings.simplefilter("always")
+        with reading(log) as reader:
+            for _ in range(3):
+                list(reader.frames())
+    assert ["cut short" in str(warning.message) for warning in caught] == [True]

@@ -1,0 +1,343 @@
+"""Recovery of what is damaged, or whose writer died."""
+
+from __future__ import annotations
+
+import re
+import struct
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from carla_recap import RecapError, RecapWarning, Recovery, convert, open_recording, recover
+from carla_recap.formats.mcap.schema import MAGIC
+from carla_recap.model.frame import Header
+from tests import strategies
+from tests.formats.mcap.forge import edited
+from tests.samples import (
+    END,
+    carla_log,
+    drive,
+    images,
+    log_header,
+    names_in,
+    packet,
+    save,
+    small_log,
+    start,
+    time_limit,
+    warnings_ignored,
+    write,
+)
+
+
+def chunk_places(data):
+    """Offset and size of the chunks of a file."""
+    at, found = len(MAGIC), []
+    while at < len(data) - len(MAGIC):
+        opcode, length = struct.unpack_from("<BQ", data, at)
+        if opcode == 6:
+            found.append((at, 9 + length))
+        at += 9 + length
+    return found
+
+
+# --- MCAP ------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("suffix", [".mcap", ".log"])
+def test_a_sound_file_is_all_saved(driven, tmp_path, suffix):
+    saved = tmp_path / f"saved{suffix}"
+    assert recover(driven, saved) == Recovery(600, 0, 0, 29.95, True)
+    assert images(saved) == images(driven)
+
+
+def test_a_sound_file_with_everything_is_all_saved(small, small_mcap, tmp_path):
+    recover(small_mcap, tmp_path / "saved.log")
+    assert (tmp_path / "saved.log").read_bytes() == small_log()
+
+
+@pytest.mark.parametrize("kept", [0.99, 0.5, 0.2])
+def test_a_file_without_an_end_is_saved_up_to_there(driven, tmp_path, kept):
+    whole = images(driven)
+    data = driven.read_bytes()
+    save(driven, data[: int(len(data) * kept)])
+    with warnings_ignored():
+        recovery = recover(driven, tmp_path / "saved.mcap")
+    saved = images(tmp_path / "saved.mcap")
+    assert not recovery.finished
+    assert recovery.frames == len(saved)
+    assert 600 * (kept - 0.25) < len(saved) <= 600
+    assert [frame[0] for frame in saved] == [frame[0] for frame in whole[: len(saved)]]
+
+
+def test_a_lost_chunk_costs_only_itself(driven, tmp_path):
+    whole = images(driven)
+    data = bytearray(driven.read_bytes())
+    at, size = sorted(chunk_places(data), key=lambda place: -place[1])[2]
+    data[at + size - 5] ^= 0xFF
+    save(driven, bytes(data))
+    with pytest.raises(RecapError, match="damaged chunk"):
+        images(driven)
+    recovery = recover(driven, tmp_path / "saved.mcap")
+    saved = images(tmp_path / "saved.mcap")
+    assert recovery.finished
+    assert recovery.lost_bytes == size
+    assert 0 < recovery.lost_frames <= 101
+    assert recovery.frames + recovery.lost_frames == 600
+    ids = {frame[1]: frame[2:] for frame in whole}
+    assert sum(ids[frame[1]] == frame[2:] for frame in saved) >= 499 - 101
+
+
+def test_a_lost_chunk_of_events_is_told_of(driven, tmp_path):
+    data = bytearray(driven.read_bytes())
+    at, size = min(chunk_places(data), key=lambda place: place[1])
+    data[at + size - 1] ^= 0xFF
+    save(driven, bytes(data))
+    with pytest.warns(RecapWarning, match=r"drive\.mcap: messages of frame \d+, and maybe of others, are missing"):
+        recovery = recover(driven, tmp_path / "saved.mcap")
+    assert (recovery.frames, recovery.lost_frames) == (600, 0)
+
+
+@pytest.mark.parametrize("place", [b"/actors/transforms", b"carla_recap.v1.Transforms", b"\x04\0\0\0zstd"])
+def test_frames_stay_in_order_whatever_is_hit(driven, tmp_path, place):
+    before = images(driven)
+    data = bytearray(driven.read_bytes())
+    at = data.index(place)
+    data[at - (16 if place.endswith(b"zstd") else -1)] ^= 0x55
+    save(driven, bytes(data))
+    with warnings_ignored():
+        recover(driven, tmp_path / "saved.mcap")
+    saved = images(tmp_path / "saved.mcap")
+    elapsed = [struct.unpack("<d", frame[2]) for frame in saved]
+    assert elapsed == sorted(elapsed)
+    if not place.endswith(b"zstd"):
+        assert saved == before
+
+
+@pytest.mark.parametrize("data", [b"", b"\x89MCAP", MAGIC, bytes(1000), b"\1\0\x0e\0CARLA"])
+def test_nothing_comes_of_nothing(tmp_path, data):
+    path = save(tmp_path / "nothing.mcap", data)
+    with pytest.raises(RecapError, match=r"nothing\.mcap: nothing can be saved") as caught:
+        recover(path, tmp_path / "saved.mcap")
+    assert "\n" not in str(caught.value)
+    assert names_in(tmp_path) == ["nothing.mcap"]
+
+
+def test_a_missing_file_is_an_error(tmp_path):
+    with pytest.raises(RecapError, match=r"missing\.mcap: No such file"):
+        recover(tmp_path / "missing.mcap", tmp_path / "saved.mcap")
+
+
+@pytest.mark.parametrize("suffix", [".mcap", ".log"])
+def test_a_broken_packet_costs_only_itself(driven, tmp_path, suffix):
+    whole = images(driven)
+
+    def change(topic, sequence, data):
+        return data[:-20] + b"\xff" * 20 if topic == "/actors/transforms" and sequence == 10 else data
+
+    edited(driven, change)
+    with pytest.raises(RecapError):
+        images(driven)
+    recovery = recover(driven, tmp_path / f"saved{suffix}")
+    assert (recovery.frames, recovery.lost_frames, recovery.lost_packets) == (600, 0, 1)
+    assert "1 packets lost" in str(recovery)
+    saved = images(tmp_path / f"saved{suffix}")
+    assert saved[:10] + saved[11:] == whole[:10] + whole[11:]
+    assert len(saved[10][-1]) == len(whole[10][-1]) - 1
+
+
+@pytest.mark.parametrize("suffix", [".mcap", ".log"])
+def test_a_frame_whose_own_message_is_broken_costs_only_itself(driven, tmp_path, suffix):
+    edited(driven, lambda topic, sequence, data: b"\xff" * 30 if topic == "/frames" and sequence == 10 else data)
+    with pytest.raises(RecapError):
+        images(driven)
+    recovery = recover(driven, tmp_path / f"saved{suffix}")
+    assert (recovery.frames, recovery.lost_frames) == (599, 1)
+    assert len(images(tmp_path / f"saved{suffix}")) == 599
+
+
+@pytest.mark.parametrize("id", [0, 256, 70_000])
+def test_raw_packets_that_cannot_be(tmp_path, id):
+    """A packet of id 0 would begin a frame."""
+    from carla_recap.v1.raw_packet_pb2 import RawPacket
+
+    def change(topic, sequence, data):
+        if topic != "/carla/raw" or sequence != 2:
+            return data
+        raw = RawPacket.FromString(data)
+        raw.id = id
+        return raw.SerializeToString()
+
+    frames = [start(n, n / 10) + packet(150, bytes((n,)) * 50) + END for n in range(1, 6)]
+    log = save(tmp_path / "raw.log", log_header() + b"".join(frames))
+    path = tmp_path / "raw.mcap"
+    convert(log, path)
+    edited(path, change)
+    with pytest.raises(RecapError, match=f"raw packet of id {id}"):
+        convert(path, tmp_path / "out.log")
+    for suffix in (".mcap", ".log"):
+        recovery = recover(path, tmp_path / f"saved{suffix}")
+        assert (recovery.frames, recovery.lost_frames) == (4, 1)
+        assert [frame[1] for frame in images(tmp_path / f"saved{suffix}")] == [1, 2, 4, 5]
+
+
+def test_packets_that_contradict_their_type_do_not_get_into_a_log(driven, tmp_path):
+    """A clock without a number is no packet that a log can be read with."""
+    from carla_recap.v1.frame_pb2 import Frame
+
+    def change(topic, sequence, data):
+        if topic != "/frames" or sequence != 3:
+            return data
+        frame = Frame.FromString(data)
+        frame.packets, frame.filled = frame.packets + bytes((14,)), frame.filled + bytes((0,))
+        return frame.SerializeToString()
+
+    whole = images(driven)
+    edited(driven, change)
+    recovery = recover(driven, tmp_path / "saved.log")
+    assert recovery.lost_packets == 1
+    assert images(tmp_path / "saved.log") == whole
+
+
+# --- logs ------------------------------------------------------------------------------------------------
+
+
+def test_a_sound_log_is_all_saved(small, tmp_path):
+    assert recover(small, tmp_path / "saved.log") == Recovery(4, 0, 0, 3.0, True)
+    assert (tmp_path / "saved.log").read_bytes() == small_log()
+
+
+@pytest.mark.parametrize(("name", "dropped"), [("cut_in_position", 53), ("cut_in_add_string", 48)])
+def test_a_cut_log_is_saved_up_to_there(tmp_path, name, dropped):
+    with pytest.warns(RecapWarning, match="cut short"):
+        recovery = recover(carla_log(f"{name}.log"), tmp_path / "saved.log")
+    assert (recovery.frames, recovery.lost_bytes, recovery.finished) == (2, dropped, False)
+    assert len(images(tmp_path / "saved.log")) == 2
+
+
+def test_a_torn_frame_of_a_log_is_left_out(tmp_path):
+    frames = [start(n, n / 10) + packet(150, bytes((n,)) * 50) + END for n in range(1, 6)]
+    torn = frames[2][:-30]
+    path = save(tmp_path / "torn.log", log_header() + b"".join([*frames[:2], torn, *frames[3:]]))
+    with warnings_ignored():
+        assert len(images(path)) == 3
+        recovery = recover(path, tmp_path / "saved.log")
+    saved = images(tmp_path / "saved.log")
+    assert {1, 2, 5} <= {frame[1] for frame in saved}
+    assert recovery.frames == len(saved)
+
+
+def test_a_packet_that_contradicts_its_type_is_left_out(tmp_path):
+    data = log_header() + start(1, 0.0) + packet(6, b"\x09\0abc") + packet(150, b"kept") + END
+    recovery = recover(save(tmp_path / "bad.log", data), tmp_path / "saved.log")
+    assert (recovery.frames, recovery.lost_bytes) == (1, 5)
+    assert (tmp_path / "saved.log").read_bytes() == log_header() + start(1, 0.0) + packet(150, b"kept") + END
+
+
+def test_thousands_of_unknown_packets_cost_little(tmp_path):
+    """Behind each, the next frame is looked for: there is none."""
+    data = log_header() + start(1, 0.0) + END + start(2, 0.1) + packet(150, b"") * 190_000 + bytes((0,)) * 4_000_000
+    with time_limit(20), warnings_ignored():
+        recovery = recover(save(tmp_path / "many.log", data), tmp_path / "saved.log")
+    assert recovery.frames == 2
+
+
+def test_a_frame_of_too_many_packets_is_cut(tmp_path):
+    data = log_header() + start(1, 0.0) + packet(150, b"") * 200_010 + END + start(2, 0.1) + END
+    with time_limit(30), warnings_ignored():
+        recovery = recover(save(tmp_path / "many.log", data), tmp_path / "saved.log")
+    assert recovery.frames == len(images(tmp_path / "saved.log")) == 2
+
+
+def test_a_header_that_is_cut_is_an_error(tmp_path):
+    with pytest.raises(RecapError, match="the file ends inside the header"):
+        recover(save(tmp_path / "cut.log", log_header()[:-2]), tmp_path / "saved.log")
+
+
+# --- both ------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("kind", [".log", ".mcap"])
+@given(data=st.data())
+def test_any_damage_ends_in_a_recording_or_in_an_error_of_ours(tmp_path, kind, data):
+    original = tmp_path / f"whole{kind}"
+    if not original.exists():
+        write(original, Header("T", 5), drive(8, 5, 2))
+    whole = original.read_bytes()
+    damaged = strategies.damaged(whole, data.draw(strategies.mutations(len(whole))))
+    path, saved = save(tmp_path / f"damaged{kind}", damaged), tmp_path / "saved.mcap"
+    saved.unlink(missing_ok=True)
+    with warnings_ignored(), time_limit(10):
+        try:
+            recovery = recover(path, saved)
+        except RecapError as error:
+            assert "\n" not in str(error)  # noqa: PT017
+            assert not saved.exists()
+        else:
+            found = images(saved)
+            assert len(found) == recovery.frames
+            with open_recording(saved) as recording:
+                assert recording.info.frames == sum(not frame[4] for frame in found)
+            convert(saved, tmp_path / "saved.log", force=True)
+    assert {name for name in names_in(tmp_path) if name.endswith(".partial")} == set()
+
+
+def test_destinations_are_guarded(driven, tmp_path):
+    there = save(tmp_path / "there.mcap", b"precious")
+    with pytest.raises(RecapError, match="exists already"):
+        recover(driven, there)
+    with pytest.raises(RecapError, match="is the source itself"):
+        recover(driven, driven, force=True)
+    with pytest.raises(RecapError, match="unknown format"):
+        recover(driven, tmp_path / "saved.xyz")
+    assert there.read_bytes() == b"precious"
+    recover(driven, there, force=True)
+    assert len(images(there)) == 600
+
+
+def test_progress_sees_every_frame(driven, tmp_path):
+    seen = []
+
+    def watch(batches, reader):
+        for batch in batches:
+            seen.extend(frame.index for frame in batch)
+            yield batch
+
+    recover(driven, tmp_path / "saved.mcap", progress=watch)
+    assert seen == list(range(600))
+
+
+@pytest.mark.parametrize(
+    ("recovery", "words"),
+    [
+        (Recovery(5, 0, 0, 1.5, True), "5 frames saved, up to 1.5 s; nothing lost"),
+        (Recovery(5, 2, 9, 1.5, True), "5 frames saved, up to 1.5 s; 2 frames lost; 9 bytes lost"),
+    ],
+)
+def test_a_recovery_tells_in_words(recovery, words):
+    assert str(recovery) == words
+
+
+def test_a_recovery_of_a_file_without_an_end_tells_so():
+    assert str(Recovery(5, 0, 0, 1.5, False)).endswith("never finished, or its end is damaged")
+
+
+def test_of_a_recording_that_was_never_finished_the_message_says_where_it_is(tmp_path):
+    partial = tmp_path / ".k.mcap.0123abcd.partial"
+    partial.write_bytes(b"")
+    told = f"was never finished; what was written of it until then lies in {partial}"
+    with pytest.raises(RecapError, match=re.escape(told)):
+        recover(tmp_path / "k.mcap", tmp_path / "b.mcap")
+
+
+def test_a_chunk_that_is_there_twice_is_saved_once(driven, tmp_path):
+    data = driven.read_bytes()
+    twice, at = bytearray(data[:8]), 8
+    while data[at] != 0x0F:  # up to the end of the data section
+        record = data[at : at + 9 + int.from_bytes(data[at + 1 : at + 9], "little")]
+        twice += record * (2 if record[0] == 6 else 1)
+        at += len(record)
+    saved = recover(save(tmp_path / "twice.mcap", bytes(twice)), tmp_path / "saved.log")
+    assert (saved.frames, saved.lost_frames) == (600, 0)
+    assert images(tmp_path / "saved.log") == images(driven)

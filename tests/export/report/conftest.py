@@ -1,0 +1,90 @@
+"""Pages, and a browser to open them in."""
+
+from __future__ import annotations
+
+import json
+import shutil
+from contextlib import contextmanager
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import pytest
+
+from carla_recap import ActorKind, Attribute, Spawn, create_recording, open_recording
+from carla_recap.export.report import write_report
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator, Mapping, Sequence
+
+    from selenium.webdriver import Chrome
+
+CROSSING = Path(__file__).parents[3] / "samples" / "crossing.log"
+NASTY = "</script><img src=x onerror=\"document.title='broken'\">\u2028\u2029\x01\"'&amp;"
+"""What breaks a page that believes what it reads."""
+
+
+@pytest.fixture(scope="session")
+def crossing_page(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The page of the sample."""
+    folder = tmp_path_factory.mktemp("pages") / "crossing"
+    with open_recording(CROSSING) as recording:
+        write_report(recording, folder)
+    return folder
+
+
+def data(folder: Path, name: str) -> Any:
+    """What a data script of a page gives: `report`, `recording` or `map`."""
+    text = (folder / "data" / f"{name}.js").read_text("ascii")
+    return json.loads(text.partition("=")[2].removesuffix(";\n"))
+
+
+def spawn(id: int, type_id: str = "vehicle.audi.tt", **attributes: str) -> Spawn:
+    kinds = {"vehicle": ActorKind.VEHICLE, "walker": ActorKind.WALKER, "traffic": ActorKind.TRAFFIC_LIGHT}
+    kind = kinds.get(type_id.partition(".")[0], ActorKind.OTHER)
+    pairs = [Attribute(3, *pair) for pair in attributes.items()]
+    return Spawn(id, kind, 0, 0, 0, 0, 0, 0, 0, type_id, pairs)
+
+
+def record(
+    path: Path, frames: Sequence[Mapping[str, Any]], *, tick: float = 0.05, map_name: str = "Town01", **options: Any
+) -> Path:
+    """Write a recording, one mapping of records per frame."""
+    with create_recording(path, map_name=map_name, date=0, **options) as recorder:
+        for place, frame in enumerate(frames):
+            recorder.add_frame(place * tick, **frame)
+    return path
+
+
+def report(source: Path, folder: Path, **options: Any) -> Path:
+    """Write the page of a recording."""
+    with open_recording(source) as recording:
+        write_report(recording, folder, **options)
+    return folder
+
+
+@contextmanager
+def browser(*arguments: str) -> Iterator[Chrome]:
+    """A browser without a window; skips the test where there is none."""
+    binary, driver = shutil.which("chromium"), shutil.which("chromedriver")
+    if not binary or not driver:
+        pytest.skip("chromium or chromedriver is not installed")
+    webdriver = pytest.importorskip("selenium.webdriver")
+    from selenium.webdriver.chrome.service import Service
+
+    options = webdriver.ChromeOptions()
+    options.binary_location = binary
+    for argument in ("headless=new", "no-sandbox", "disable-background-networking", "window-size=1440,900", *arguments):
+        options.add_argument(f"--{argument}")
+    options.set_capability("goog:loggingPrefs", {"browser": "ALL"})
+    chrome = webdriver.Chrome(options=options, service=Service(driver))
+    try:
+        yield chrome
+    finally:
+        chrome.quit()
+
+
+@pytest.fixture(scope="session")
+def chromium() -> Iterator[Chrome]:
+    """A browser for all tests."""
+    with browser("disable-gpu") as chrome:
+        yield chrome

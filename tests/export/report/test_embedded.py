@@ -1,0 +1,74 @@
+"""Rerun's viewer in the page, in a real browser."""
+
+from __future__ import annotations
+
+import struct
+import time
+from threading import Thread
+from typing import TYPE_CHECKING, Any
+
+import pytest
+
+from carla_recap import RecapError
+from carla_recap.export.report import page_server
+from carla_recap.export.report import report as module
+from tests.export.report.conftest import CROSSING, browser, data, record, report, spawn
+from tests.samples import names_in
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+    from pathlib import Path
+
+pytest.importorskip("rerun", reason="the extra rerun is not installed")
+
+
+def until(condition: Callable[[], Any]) -> None:
+    patience = time.monotonic() + 40
+    while not condition():
+        assert time.monotonic() < patience
+        time.sleep(0.1)
+
+
+def test_the_viewer_shows_the_time_and_the_actor_of_an_incident(tmp_path: Path) -> None:
+    page = report(CROSSING, tmp_path / "page", viewer=True)
+    incident = data(page, "report")["incidents"][1]
+    small = "window-size=480,480"  # for it is drawn without a GPU
+    software = (small, "use-angle=swiftshader", "enable-unsafe-swiftshader", "ignore-gpu-blocklist")
+    with browser(*software) as chromium, page_server(page) as server:
+        thread = Thread(target=server.serve_forever, args=(0.05,))
+        thread.start()
+        try:
+            chromium.get(f"http://127.0.0.1:{server.server_port}/")
+            chromium.execute_script("replay.space.toggle(); replay.open(1)")
+            chromium.switch_to.frame("space")
+            chromium.execute_script("starting.then(viewer => { window.viewer = viewer })")
+            before = pytest.approx(incident["start"] - 2)
+            until(lambda: chromium.execute_script("return window.viewer && viewer.time") == before)
+            assert chromium.execute_script("return viewer.camera") == f"cameras/follow_{incident['actors'][0]}.rbl"
+            asked = chromium.execute_script("return performance.getEntriesByType('resource').map(entry => entry.name)")
+            assert all(name.startswith("http://127.0.0.1:") for name in asked), asked
+        finally:
+            server.shutdown()
+            thread.join()
+
+
+def test_a_long_recording_has_no_viewer(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(module, "BUDGET", 5_000)
+    with pytest.raises(RecapError, match="too long for the viewer"):
+        report(CROSSING, tmp_path / "page", viewer=True)
+    assert names_in(tmp_path) == []
+
+
+def test_pictures_are_taken_from_behind(tmp_path: Path) -> None:
+    there = {"transforms": [(1, 0, 0, 0, 0, 0, 0), (2, 900, 0, 0, 0, 0, 0)]}
+    first = there | {"spawned": [spawn(1), spawn(2)]}
+    source = record(tmp_path / "a.log", [first, there | {"collisions": [(1, 1, 2, 0, 0)]}, there])
+    try:
+        page = report(source, tmp_path / "page", pictures="rerun")
+    except RecapError as error:
+        if "graphics" not in str(error):
+            raise
+        pytest.skip(str(error))
+    picture = (page / data(page, "report")["incidents"][0]["picture"]).read_bytes()
+    assert picture[1:4] == b"PNG"
+    assert struct.unpack(">II", picture[16:24]) == (640, 400)

@@ -1,0 +1,137 @@
+"""What lies in a page's folder, and what does not."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+from xml.etree import ElementTree
+
+import pytest
+
+from carla_recap import RecapError, open_recording
+from carla_recap.cli.maps import road_map_of
+from carla_recap.export.report import report as module
+from carla_recap.export.report import write_report
+from carla_recap.export.report.drawing import _ROAD
+from carla_recap.queries.incidents import incidents
+from tests.export.report.conftest import CROSSING, NASTY, data, record, report, spawn
+from tests.samples import names_in
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+
+def test_the_summary_is_the_recordings(crossing_page: Path) -> None:
+    summary = data(crossing_page, "report")
+    assert (summary["source"], summary["map"], summary["frames"]) == ("crossing.log", "Crossing", 531)
+    assert (summary["duration"], summary["version"], summary["whole"], summary["follow"]) == (53.0, 1, True, 100)
+    assert summary["date"] == "2026-01-01T10:00:00+00:00"
+    assert [kind[:2] for kind in summary["kinds"]] == [
+        ["vehicle", 6],
+        ["walker", 2],
+        ["traffic light", 4],
+        ["sensor", 2],
+        ["other", 3],
+    ]
+
+
+def test_the_incidents_are_those_of_the_query(crossing_page: Path) -> None:
+    with open_recording(CROSSING) as recording:
+        expected = incidents(recording.reader)
+    listed = data(crossing_page, "report")["incidents"]
+    assert [(one["kind"], one["start"], one["actors"], one["text"]) for one in listed] == [
+        (one.kind, round(one.start, 3), list(one.actors), one.text) for one in expected
+    ]
+    assert len(listed) >= 3
+
+
+def test_each_incident_has_a_picture_that_shows_who_takes_part(crossing_page: Path) -> None:
+    for incident in data(crossing_page, "report")["incidents"]:
+        picture = ElementTree.parse(crossing_page / incident["picture"]).getroot()
+        words = [node.text for node in picture.iter("{http://www.w3.org/2000/svg}text")]
+        assert len([word for word in words if any(word.endswith(str(id)) for id in incident["actors"])]) == len(
+            incident["actors"]
+        )
+
+
+def test_the_summary_of_the_call(tmp_path: Path) -> None:
+    with open_recording(CROSSING) as recording:
+        written = write_report(recording, tmp_path / "page", pictures="none")
+    assert written._replace(size=0) == (tmp_path / "page", 4, 0, True, 53.0, 0)
+    assert written.size == sum(file.stat().st_size for file in (tmp_path / "page").rglob("*") if file.is_file())
+    assert list((tmp_path / "page" / "pictures").iterdir()) == []
+
+
+def test_a_long_recording_is_replayed_around_its_incidents(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(module, "BUDGET", 15_000)
+    report(CROSSING, tmp_path / "page", before=2, after=1)
+    summary, recording = data(tmp_path / "page", "report"), data(tmp_path / "page", "recording")
+    assert not summary["whole"]
+    assert recording["spans"] == [[12.1, 15.1], [18.9, 25.6]]
+    for incident in summary["incidents"]:
+        assert any(start <= incident["start"] <= stop for start, stop in recording["spans"])
+
+
+def test_what_is_over_the_budget_is_listed_without_a_replay(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(module, "BUDGET", 5_000)
+    report(CROSSING, tmp_path / "page", before=2, after=1)
+    listed = data(tmp_path / "page", "report")["incidents"]
+    assert len(listed) == 4
+    assert [one["picture"] is None for one in listed] == [False, True, True, True]
+
+
+def test_nothing_is_written_where_something_is(tmp_path: Path) -> None:
+    (tmp_path / "mine.txt").write_text("mine")
+    with pytest.raises(RecapError, match="is not empty"):
+        report(CROSSING, tmp_path)
+    with pytest.raises(RecapError, match="is a file"):
+        report(CROSSING, tmp_path / "mine.txt", force=True)
+    assert names_in(tmp_path) == ["mine.txt"]
+
+
+def test_force_leaves_what_is_not_of_the_page(tmp_path: Path) -> None:
+    (tmp_path / "page" / "pictures").mkdir(parents=True)
+    for name in ("mine.txt", "index.html", "pictures/mine.png"):
+        (tmp_path / "page" / name).write_text("mine")
+    page = report(CROSSING, tmp_path / "page", force=True)
+    assert (page / "mine.txt").read_text() == (page / "pictures" / "mine.png").read_text() == "mine"
+    assert "canvas" in (page / "index.html").read_text()
+    assert names_in(tmp_path) == ["page"]
+
+
+def test_a_failure_leaves_nothing(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def fail(*_: object, **__: object) -> None:
+        raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr(module, "draw", fail)
+    with pytest.raises(RecapError, match="page: cannot be written: No space left"):
+        report(CROSSING, tmp_path / "page")
+    assert names_in(tmp_path) == []
+
+
+def test_hostile_words_stay_words_in_pictures_and_scripts(tmp_path: Path) -> None:
+    there = {"transforms": [(1, 0, 0, 0, 0, 0, 0), (2, 100, 0, 0, 0, 0, 0)]}
+    first = there | {"spawned": [spawn(1, f"vehicle.{NASTY}", role_name=NASTY), spawn(2, "\udc80\udcff" * 9)]}
+    source = record(tmp_path / "a.log", [first, there | {"collisions": [(1, 1, 2, 0, 0)]}, there], map_name=NASTY)
+    page = report(source, tmp_path / "page")
+    for script in (page / "data").iterdir():
+        assert b"<" not in script.read_bytes()
+    picture = ElementTree.parse(page / "pictures" / "incident-0001.svg").getroot()
+    assert {node.tag.partition("}")[2] for node in picture.iter()} <= {"svg", "title", "g", "path", "rect", "circle", "text"}
+
+
+@pytest.mark.parametrize("span", [{"before": -1}, {"after": float("nan")}])
+def test_a_span_that_makes_no_sense_is_refused(tmp_path: Path, span: dict[str, float]) -> None:
+    with pytest.raises(RecapError, match="0 or more were expected"):
+        report(CROSSING, tmp_path / "page", **span)
+
+
+def test_a_road_whose_points_lie_all_beside_a_picture_is_drawn(tmp_path: Path) -> None:
+    with open_recording("samples/blocked.mcap") as recording:
+        write_report(recording, tmp_path / "page", road_map=road_map_of(recording, None))
+    pictures = sorted((tmp_path / "page" / "pictures").iterdir())
+    assert pictures
+    for picture in pictures:
+        styles = [
+            node.get("stroke") for node in ElementTree.parse(picture).getroot().iter("{http://www.w3.org/2000/svg}path")
+        ]
+        assert _ROAD in styles, picture.name

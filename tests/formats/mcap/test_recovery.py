@@ -1,0 +1,216 @@
+"""What is found in MCAP files that are damaged or were never finished."""
+
+from __future__ import annotations
+
+import struct
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from mcap import records
+
+from carla_recap.formats.mcap.recovery import salvage
+from carla_recap.formats.mcap.source import Source, read_summary
+from tests import strategies
+from tests.formats.mcap.forge import MAGIC, Forge, data_records, seal
+from tests.samples import save, time_limit
+
+
+def salvaged(path):
+    source = Source(path)
+    try:
+        return salvage(source)
+    finally:
+        source.close()
+
+
+def offsets_of(data):
+    """Where the chunks of a file begin."""
+    at, found = len(MAGIC), []
+    while at < len(data) - len(MAGIC):
+        opcode, length = struct.unpack_from("<BQ", data, at)
+        if opcode == 6:
+            found.append(at)
+        at += 9 + length
+    return found
+
+
+def test_a_sound_file_is_all_found(driven):
+    source = Source(driven)
+    own = read_summary(source)
+    source.close()
+    summary, damage = salvaged(driven)
+    assert (damage.chunks, damage.bytes, damage.finished) == (0, 0, True)
+    assert summary.chunks == own.chunks
+    assert (summary.schemas, summary.channels, summary.metadata) == (own.schemas, own.channels, own.metadata)
+
+
+def test_a_file_without_an_end_has_all_its_chunks(driven):
+    data = driven.read_bytes()
+    whole = offsets_of(data)
+    last = whole[-1]
+    save(driven, data[: last + 100])
+    summary, damage = salvaged(driven)
+    assert sorted(chunk.offset for chunk in summary.chunks) == whole[:-1]
+    assert not damage.finished
+    assert damage.bytes == 100
+
+
+@pytest.mark.parametrize("place", [0, 1, 5, 40, 60, 200])
+def test_a_chunk_that_is_hit_is_lost_and_no_other(driven, place):
+    data = bytearray(driven.read_bytes())
+    whole = offsets_of(data)
+    data[whole[3] + place] ^= 0xFF
+    save(driven, bytes(data))
+    summary, damage = salvaged(driven)
+    assert sorted(chunk.offset for chunk in summary.chunks) == whole[:3] + whole[4:]
+    assert damage.bytes > 0
+    assert damage.finished
+
+
+@pytest.mark.parametrize("place", [9, 16, 17, 24])
+def test_the_times_of_a_chunk_are_those_of_its_messages(driven, place):
+    own = salvaged(driven)[0].chunks
+    data = bytearray(driven.read_bytes())
+    data[offsets_of(data)[3] + place] ^= 0xFF
+    save(driven, bytes(data))
+    summary, damage = salvaged(driven)
+    assert (summary.chunks, damage.chunks) == (own, 0)
+
+
+def test_bytes_in_between_cost_nothing_but_themselves(driven):
+    data = driven.read_bytes()
+    at = offsets_of(data)[2]
+    junk = b"\xee" * 1000 + b"zstd" + b"\x04\0\0\0zstd" * 3
+    save(driven, data[:at] + junk + data[at:])
+    summary, damage = salvaged(driven)
+    assert len(summary.chunks) == len(offsets_of(data))
+    assert damage.bytes == len(junk)
+    assert not damage.finished
+
+
+def test_a_chunk_behind_megabytes_of_nothing_is_found(driven):
+    data = driven.read_bytes()
+    chunks = offsets_of(data)
+    for size in ((1 << 20) - 40, 1 << 20, (1 << 20) + 7, 3 << 20):
+        path = save(driven.with_name("gap.mcap"), data[: chunks[1]] + b"\xff" * size + data[chunks[1] :])
+        summary, damage = salvaged(path)
+        assert len(summary.chunks) == len(chunks), size
+        assert damage.bytes == size
+
+
+def test_channels_of_the_summary_win_over_damaged_ones(driven):
+    data = driven.read_bytes()
+    hit = data.index(b"/actors/transforms")
+    save(driven, data[:hit] + b"\x01" + data[hit + 1 :])
+    topics = {channel.topic for channel in salvaged(driven)[0].channels.values()}
+    assert topics == {"/frames", "/actors/transforms", "/collisions"}
+
+
+def test_a_summary_without_channels_does_not_matter(driven):
+    forged = Forge(data_records(driven))
+    forged.write(driven)
+    forged.write(driven, summary=[])
+    summary, _ = salvaged(driven)
+    assert len(summary.channels) == 3
+    assert len(summary.chunks) == len(forged.indexes)
+
+
+def test_a_lost_magic_does_not_matter(driven):
+    count = len(offsets_of(driven.read_bytes()))
+    save(driven, bytes(8) + driven.read_bytes()[8:])
+    assert len(salvaged(driven)[0].chunks) == count
+
+
+@pytest.mark.parametrize("data", [b"", MAGIC, bytes(100), b"\5" * 3000, b"\x04\0\0\0zstd" * 500])
+def test_a_file_of_nothing_holds_nothing(tmp_path, data):
+    summary, damage = salvaged(save(tmp_path / "x.mcap", data))
+    assert summary.chunks == []
+    assert not damage.finished
+
+
+def test_a_bomb_is_dropped(driven):
+    parts = data_records(driven)
+    count = sum(isinstance(part, records.Chunk) for part in parts)
+    bomb = seal(bytes(100 << 20), uncompressed_size=10)
+    Forge([*parts, bomb]).write(driven)
+    summary, damage = salvaged(driven)
+    assert (len(summary.chunks), damage.chunks) == (count, 1)
+
+
+@given(data=st.data())
+def test_any_damage_is_survived(tmp_path, data):
+    whole = (tmp_path / "whole").read_bytes() if (tmp_path / "whole").exists() else None
+    if whole is None:
+        from carla_recap.model.frame import Header
+        from tests.samples import drive, write
+
+        whole = write(tmp_path / "drive.mcap", Header("T", 5), drive(6, 5, 2)).read_bytes()
+        save(tmp_path / "whole", whole)
+    damaged = strategies.damaged(whole, data.draw(strategies.mutations(len(whole))))
+    with time_limit(5):
+        summary, _ = salvaged(save(tmp_path / "damaged.mcap", damaged))
+    for chunk in summary.chunks:
+        assert chunk.offset + chunk.length <= len(damaged)
+
+
+# --- what is made to cost time ---------------------------------------------------------------------------
+
+
+def head_of_a_chunk(length: int, stored: int, size: int, compressed: bytes = b"\x28\xb5\x2f\xfd") -> bytes:
+    """The beginning of a chunk that claims some length."""
+    fields = struct.pack("<QQQII", 0, 1, size, 1, 4) + b"zstd" + struct.pack("<Q", stored)
+    return struct.pack("<BQ", 6, length) + fields + compressed
+
+
+@pytest.mark.parametrize("honest", [True, False])
+def test_false_heads_of_chunks_cost_little(driven, honest):
+    """Each claims all behind it, up to some zeros; only `honest` ones could be chunks, as far as their fields say."""
+    data = driven.read_bytes()
+    chunks = offsets_of(data)
+    count, each = 20_000, 61
+    junk = bytearray()
+    for number in range(count):
+        length = (count - number) * each + 50_000 - 9
+        junk += head_of_a_chunk(length, length - 44 if honest else 7, 1000).ljust(each, b"\0")
+    assert len(junk) == count * each
+    save(driven, data[: chunks[1]] + bytes(junk) + bytes(100_000) + data[chunks[1] :])
+    with time_limit(10):
+        source = Source(driven)
+        summary, damage = salvage(source)
+        source.close()
+    assert source.bytes_read < 12 * source.size + (64 << 20)
+    assert damage.bytes >= len(junk)
+    assert len(summary.chunks) == len(chunks)
+
+
+def test_small_false_heads_are_found_in_one_window(tmp_path):
+    junk = (b"\x06" + bytes(36) + b"\x04\0\0\0zstd") * 50_000
+    path = save(tmp_path / "x.mcap", MAGIC + junk)
+    source = Source(path)
+    with time_limit(10):
+        salvage(source)
+    source.close()
+    assert source.bytes_read < 4 * len(junk)
+
+
+def test_bombs_cost_little(driven):
+    parts = data_records(driven)
+    count = sum(isinstance(part, records.Chunk) for part in parts)
+    message = struct.pack("<BQHIQQ", 5, 22, 1, 0, 0, 0)
+    bombs = [seal(bytes(64 << 20))] * 20 + [seal(message * ((64 << 20) // len(message)))] * 20
+    Forge([*parts, *bombs]).write(driven)
+    with time_limit(20):
+        summary, damage = salvaged(driven)
+    assert len(summary.chunks) >= count
+    assert damage.chunks >= 38
+
+
+def test_thousands_of_channels_cost_little(driven):
+    parts = data_records(driven)
+    channel = next(part for part in parts if isinstance(part, records.Channel))
+    data = Forge([*parts, *[channel] * 300_000]).write(driven, summary=[]).read_bytes()
+    save(driven, data[:-100])
+    with time_limit(20):
+        summary, _ = salvaged(driven)
+    assert len(summary.chunks) == len(offsets_of(data))

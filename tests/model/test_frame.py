@@ -1,0 +1,137 @@
+"""Frames and packets."""
+
+from __future__ import annotations
+
+import pickle
+import struct
+import warnings
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from carla_recap import FormatError, MissingExtra, NotARecording, RecapWarning, RecordError, Spawn
+from carla_recap.model.frame import Frame, Header, Packet
+from carla_recap.model.records import UE4, UE5
+from tests.samples import listed, transform
+
+
+def packet_of(name, *records, table=UE4):
+    type = table.named(name)
+    return Packet(type.id, type, listed(*records))
+
+
+@pytest.fixture
+def frame():
+    """A frame with transforms twice, spawns twice, an empty packet and an unknown one."""
+    spawns = UE4.named("spawned")
+    spawned = [Packet(2, spawns, records=[Spawn(n, 1, 0, 0, 0, 0, 0, 0, 0, "a")]) for n in (1, 2)]
+    return Frame(
+        3,
+        4,
+        0.15,
+        0.05,
+        [
+            *spawned,
+            packet_of("transforms", transform(1), transform(2)),
+            packet_of("collisions"),
+            packet_of("transforms", transform(3)),
+            Packet(150, None, b"unknown"),
+            Packet(1, UE4[1], b""),
+        ],
+    )
+
+
+def test_records_of_all_packets_of_a_type_are_given(frame):
+    assert frame["transforms"]["id"].tolist() == [1, 2, 3]
+    assert [spawn.id for spawn in frame["spawned"]] == [1, 2]
+
+
+def test_a_type_that_is_not_there_has_no_records(frame):
+    assert frame["velocities"].dtype == UE4.named("velocities").dtype
+    assert (len(frame["velocities"]), len(frame["collisions"]), frame["physics"]) == (0, 0, [])
+
+
+def test_an_unknown_type_is_an_error(frame):
+    with pytest.raises(RecordError, match="no record type 'wings'"):
+        frame["wings"]
+
+
+def test_items_are_the_types_that_have_records(frame):
+    assert [(name, len(records)) for name, records in frame.items()] == [("spawned", 2), ("transforms", 3)]
+
+
+def test_a_frame_says_what_it_holds(frame):
+    assert repr(frame) == "Frame(4 at 0.15 s; spawned: 2, transforms: 3)"
+
+
+def test_a_packet_of_records_packs_them():
+    packet = Packet(3, UE4[3], records=UE4[3].records({"id": [1, 2]}))
+    assert packet.payload == listed(struct.pack("<I", 1), struct.pack("<I", 2))
+
+
+def test_an_unknown_packet_has_no_records():
+    assert Packet(150, None, b"x").records == []
+    assert len(Packet(15, UE5[15], b"\1\0x").records) == 0
+
+
+def test_a_packet_that_contradicts_its_type_names_its_place():
+    packet = Packet(3, UE4[3], b"\2\0\0", place=(Path("a.log"), 100))
+    with pytest.raises(FormatError, match=r"^a\.log: byte 102: destroyed: 2 records need 10 bytes"):
+        _ = packet.records
+
+
+def test_surplus_bytes_are_warned_of():
+    packet = Packet(3, UE4[3], b"\0\0abc", place=(Path("a.log"), 100))
+    with pytest.warns(RecapWarning, match=r"^a\.log: byte 100: destroyed has 3 bytes more"):
+        assert len(packet.records) == 0
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        assert len(packet.records) == 0  # parsed once
+
+
+def test_a_header_knows_its_table():
+    assert Header("Town01", 0).table is UE4
+    assert Header("Town01", 0, wide=True).table is UE5
+
+
+def test_records_cannot_be_changed_by_mistake():
+    records = packet_of("transforms", transform(1)).records
+    with pytest.raises(ValueError, match="read-only"):
+        records["x"] = 5
+
+
+@pytest.mark.parametrize(
+    "error",
+    [
+        FormatError("a.log", 5, "broken"),
+        FormatError("a.log", None, "broken"),
+        NotARecording("a.log", "is empty"),
+        MissingExtra("to_pandas()", "pandas"),
+        RecordError("no"),
+    ],
+    ids=lambda error: f"{type(error).__name__}: {error}",
+)
+def test_errors_travel_between_processes(error):
+    again = pickle.loads(pickle.dumps(error))
+    assert (type(again), str(again), vars(again)) == (type(error), str(error), vars(error))
+
+
+def test_arrays_of_a_frame_are_structured(frame):
+    assert isinstance(frame["transforms"], np.ndarray)
+    assert frame["transforms"].dtype.names == ("id", "x", "y", "z", "roll", "pitch", "yaw")
+
+
+def test_records_can_be_replaced():
+    ends, transforms, spawns = UE4[1], UE4.named("transforms"), UE4.named("spawned")
+    packets = [
+        Packet(2, spawns, records=[]),
+        Packet(6, transforms, records=transforms.records([(7, 0, 0, 0, 0, 0, 0)])),
+        Packet(1, ends, b""),
+    ]
+    frame = Frame(3, 4, 1.5, 0.5, packets)
+    other = frame.replace(transforms={"id": [8], "x": [2.0]}, collisions=[(1, 7, 8, 0, 0)])
+    assert [packet.id for packet in other.packets] == [2, 5, 6, 1]
+    assert other["transforms"]["id"].tolist() == [8]
+    assert (other.index, other.id, other.elapsed, other.duration) == (3, 4, 1.5, 0.5)
+    assert frame["transforms"]["id"].tolist() == [7]

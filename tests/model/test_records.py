@@ -1,0 +1,192 @@
+"""The table of record types."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from carla_recap import RecordError
+from carla_recap.model.records import (
+    ORDER,
+    UE4,
+    UE5,
+    ActorKind,
+    Attribute,
+    Framing,
+    Group,
+    Spawn,
+)
+
+# Packet id → bytes of a record in UE4 and in UE5 builds, as CARLA's format has them.
+SIZES = {
+    0: (24, 24),
+    3: (4, 4),
+    4: (8, 8),
+    5: (14, 14),
+    6: (28, 52),
+    7: (10, 10),
+    8: (21, 21),
+    9: (8, 8),
+    10: (8, 8),
+    11: (26, 26),
+    12: (28, 52),
+    13: (28, 52),
+    14: (8, 8),
+    16: (16, 16),
+    17: (28, 52),
+    18: (8, 8),
+    20: (8, 8),
+    22: (12, 12),
+    23: (6, 6),
+    24: (56, 56),
+}
+
+
+@pytest.mark.parametrize(("id", "sizes"), SIZES.items())
+def test_records_have_the_sizes_of_the_format(id, sizes):
+    assert (UE4[id].dtype.itemsize, UE5[id].dtype.itemsize) == sizes
+
+
+def test_the_table_is_in_order_of_packet_ids():
+    assert [type.id for type in UE4] == list(range(25)) == [type.id for type in UE5]
+    assert len({type.name for type in UE4}) == 25
+    assert {type.id for type in UE4 if type.fixed} == {*SIZES, 1}
+
+
+def test_events_are_what_happens_now_and_then():
+    events = {type.name for type in UE4 if type.group is Group.EVENTS}
+    assert events == {
+        "spawned",
+        "destroyed",
+        "parented",
+        "collisions",
+        "scene_lights",
+        "bounding_boxes",
+        "physics",
+        "light_times",
+        "trigger_volumes",
+        "doors",
+        "weather",
+    }
+
+
+def test_every_packet_has_its_place_in_a_frame():
+    assert sorted(ORDER) == list(range(2, 25))
+
+
+def test_packets_without_a_count():
+    assert {type.name for type in UE4 if type.framing is Framing.SINGLE} == {
+        "frame",
+        "platform_time",
+        "frame_counter",
+        "visual_time",
+    }
+
+
+@pytest.mark.parametrize("table", [UE4, UE5])
+def test_types_are_found_by_name(table):
+    assert table.named("transforms") is table[6]
+    with pytest.raises(RecordError, match="no record type 'wings'; there are frame, frame_end, spawned"):
+        table.named("wings")
+
+
+def test_only_types_with_lengths_have_a_twin_in_double_precision():
+    twins = {type.name for type in UE5 if type.message_name.endswith("Double")}
+    assert twins == {
+        "spawned",
+        "transforms",
+        "velocities",
+        "bounding_boxes",
+        "trigger_volumes",
+        "walker_bones",
+    }
+    assert not any(type.message_name.endswith("Double") for type in UE4)
+
+
+def test_physics_of_ue5_are_opaque():
+    assert [type.name for type in UE5 if type.opaque] == ["physics"]
+    assert not any(type.opaque for type in UE4)
+
+
+def test_actor_kinds_are_those_of_carla():
+    assert [kind.name for kind in ActorKind] == [
+        "OTHER",
+        "VEHICLE",
+        "WALKER",
+        "TRAFFIC_LIGHT",
+        "TRAFFIC_SIGN",
+        "SENSOR",
+        "INVALID",
+    ]
+
+
+def test_an_attribute_of_a_spawn_is_found():
+    hero = Spawn(1, 1, 0, 0, 0, 0, 0, 0, 0, "a", [Attribute(3, "role_name", "hero"), Attribute(0, "", "")])
+    assert (hero.attribute("role_name"), hero.attribute(""), hero.attribute("colour")) == ("hero", "", None)
+
+
+# --- records from what a person has ----------------------------------------------------------------------
+
+TRANSFORMS = UE4.named("transforms")
+
+
+@pytest.mark.parametrize(
+    "values",
+    [
+        {"id": [1, 2], "x": 5.0, "yaw": [0.0, 90.0]},
+        {"id": np.array([1, 2]), "x": np.float64(5), "yaw": np.array([0, 90])},
+        [(1, 5, 0, 0, 0, 0, 0), (2, 5, 0, 0, 0, 0, 90)],
+        np.array([(1, 5, 0, 0, 0, 0, 0), (2, 5, 0, 0, 0, 0, 90)], UE4[6].dtype),
+        np.array([(1, 5, 0, 0, 0, 0, 0), (2, 5, 0, 0, 0, 0, 90)], UE5[6].dtype),
+        iter([(1, 5, 0, 0, 0, 0, 0), (2, 5, 0, 0, 0, 0, 90)]),
+    ],
+    ids=["columns", "arrays", "rows", "records", "wide records", "iterator"],
+)
+def test_records_are_made_of_what_there_is(values):
+    records = TRANSFORMS.records(values)
+    assert records.dtype == TRANSFORMS.dtype
+    assert records.tolist() == [(1, 5.0, 0, 0, 0, 0, 0.0), (2, 5.0, 0, 0, 0, 0, 90.0)]
+
+
+@pytest.mark.parametrize("values", [[], np.empty(0, TRANSFORMS.dtype), {"id": []}], ids=["rows", "array", "columns"])
+def test_nothing_makes_no_records(values):
+    assert len(TRANSFORMS.records(values)) == 0
+
+
+def test_one_record_is_a_record():
+    assert TRANSFORMS.records({"id": 7}).tolist() == [(7, 0, 0, 0, 0, 0, 0)]
+    assert TRANSFORMS.records(np.array((7, 0, 0, 0, 0, 0, 0), TRANSFORMS.dtype)).tolist() == [(7, 0, 0, 0, 0, 0, 0)]
+
+
+@pytest.mark.parametrize(
+    ("values", "reason"),
+    [
+        (
+            {"id": 1, "wings": 2},
+            "transforms: there is no field 'wings'; the fields are id, x, y, z, roll, pitch, yaw",
+        ),
+        ({"id": -1}, "transforms: .*the fields are id"),
+        ({"id": 1 << 32}, "transforms: .*the fields are id"),
+        ({"id": "a"}, "transforms: .*the fields are id"),
+        ({"id": [1, 2], "x": [1, 2, 3]}, "transforms: .*the fields are id"),
+        ([(1, 2)], "transforms: .*the fields are id"),
+        ([1], "transforms: .*the fields are id"),
+        (5, "transforms: .*the fields are id"),
+        (np.zeros(3), "transforms: rows of 7 numbers were expected"),
+        (np.zeros(3, "u4,f4"), "transforms: .*the fields are id"),
+    ],
+    ids=str,
+)
+def test_what_makes_no_records_is_an_error(values, reason):
+    with pytest.raises(RecordError, match=reason) as caught:
+        TRANSFORMS.records(values)
+    assert "\n" not in str(caught.value)
+
+
+def test_objects_are_taken_as_they_are():
+    spawns = UE4.named("spawned")
+    one, two = Spawn(1), Spawn(2)
+    assert spawns.records(iter([one, two])) == [one, two]
+    for wrong in (5, [5], [{"id": 1}]):
+        with pytest.raises(RecordError, match="spawned"):
+            spawns.records(wrong)

@@ -1,0 +1,342 @@
+"""What is there: actors, events, doors, lights, weather; and who is left out."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from carla_recap import open_recording
+from carla_recap.model.records import NO_ACTOR
+from carla_recap.replay import Player
+from carla_recap.replay.events import Collided, Destroyed, Parented, Spawned
+from tests.replay.scripts import light, pose, spawn, state, velocity, write
+
+if TYPE_CHECKING:
+    from carla_recap.replay import Scene
+    from tests.replay.conftest import Record
+
+HERO = spawn(1, role_name="hero")
+
+
+# --- events --------------------------------------------------------------------------------------------------
+
+
+def test_events_since_the_previous_scene(record: Record) -> None:
+    recording = record(
+        {"spawned": [HERO, spawn(2)]},
+        {"spawned": [spawn(3, "sensor.other.collision")], "parented": [(3, 1)], "collisions": [(0, 1, 2, 1, 0)]},
+        {"destroyed": [(2,)], "collisions": [(1, 1, NO_ACTOR, 1, 0)]},
+        {"spawned": [spawn(2)]},
+    )
+    player = Player(recording)
+    assert [event.actor.id for event in player.tick(0.5).spawned] == [1, 2]
+    both = player.tick(2.0)
+    assert both is not None
+    kinds = [type(event) for event in both.events]
+    assert kinds == [Spawned, Parented, Collided, Destroyed, Collided]
+    assert [event.elapsed for event in both.events] == [1, 1, 1, 2, 2]
+    assert both.collisions[0] == Collided(1, 0, 1, 2, True, False)
+    assert both.collisions[1].actor2 == NO_ACTOR
+    assert both.spawned[0].actor.parent == 1, "an actor as it is at the end of its frame"
+    assert both.parented == [Parented(1, 3, 1)]
+    assert both.destroyed == [Destroyed(2, 2)]
+    assert list(both.actors) == [1, 3]
+    assert player.tick(0.1).events == ()
+    assert [event.actor.id for event in player.tick(0.4).spawned] == [2]
+
+
+def test_a_fresh_scene_makes_the_world_out_of_nothing(record: Record) -> None:
+    recording = record(
+        {"spawned": [HERO, spawn(2)]},
+        {"spawned": [spawn(3)], "parented": [(3, 1)], "destroyed": [(2,)], "collisions": [(0, 1, 2, 1, 0)]},
+        {"collisions": [(1, 1, 3, 1, 0)]},
+        {},
+    )
+    player = Player(recording, start=2.5)
+    fresh = player.tick(0.0)
+    assert fresh is not None
+    assert fresh.fresh
+    assert [event.actor.id for event in fresh.spawned] == [1, 3]
+    assert [event.elapsed for event in fresh.spawned] == [0, 1]
+    assert [(event.id, event.parent) for event in fresh.parented] == [(3, 1)]
+    assert [event.number for event in fresh.collisions] == [1]
+    assert not player.tick(0.25).fresh
+    assert player.at(0.0).fresh
+
+
+def test_the_first_tick_tells_of_the_start_and_of_what_followed(record: Record) -> None:
+    recording = record({"spawned": [HERO]}, {"spawned": [spawn(2)]}, {"destroyed": [(2,)]}, {})
+    scene = Player(recording, start=0.5).tick(2)
+    assert scene is not None
+    assert [type(event) for event in scene.events] == [Spawned, Spawned, Destroyed]
+
+
+def test_old_scenes_do_not_change(record: Record) -> None:
+    recording = record(
+        {"spawned": [HERO], "doors": [(1, 0, 1)], "light_states": [light(5, 0)]},
+        {"spawned": [spawn(2)], "parented": [(1, 2)], "doors": [(1, 1, 1)], "light_states": [light(5, 1)]},
+    )
+    player = Player(recording)
+    first = player.tick(0)
+    assert first is not None
+    before = state(first)
+    player.tick(1)
+    assert state(first) == before
+
+
+# --- who is left out -----------------------------------------------------------------------------------------
+
+
+def cast(record: Record, **options: bool) -> Scene:
+    ids = (1, 2, 3)
+    first = {
+        "spawned": [HERO, spawn(2), spawn(3, "spectator")],
+        "parented": [(1, 2)],
+        "doors": [(1, 0, 1)],
+        "transforms": [pose(id) for id in ids],
+        "vehicle_controls": [(id, 0, 0, 0, 0, 1) for id in ids],
+        "velocities": [velocity(id, 1) for id in ids],
+    }
+    scene = Player(record(first, {"transforms": [pose(id, 100) for id in ids]}), **options).tick(0.5)
+    assert scene is not None
+    return scene
+
+
+def test_the_spectator_is_left_out(record: Record) -> None:
+    scene = cast(record)
+    assert scene.ids.tolist() == list(scene.actors) == scene.vehicle_controls["id"].tolist() == [1, 2]
+    assert [event.actor.id for event in scene.spawned] == [1, 2]
+    assert scene.doors == {1: {0}}
+
+
+def test_the_spectator_is_left_in(record: Record) -> None:
+    assert cast(record, ignore_spectator=False).ids.tolist() == [1, 2, 3]
+
+
+def test_the_hero_is_left_out(record: Record) -> None:
+    scene = cast(record, ignore_hero=True)
+    assert scene.ids.tolist() == list(scene.actors) == scene.velocities["id"].tolist() == [2]
+    assert [event.actor.id for event in scene.spawned] == [2]
+    assert scene.parented == []
+    assert scene.doors == {}
+    assert scene.poses[:, 0].tolist() == [50]
+
+
+def test_an_ignored_id_that_somebody_else_gets(record: Record) -> None:
+    both = {"transforms": [pose(1)]}
+    recording = record({"spawned": [HERO], **both}, {"destroyed": [(1,)]}, {"spawned": [spawn(1)], **both}, both)
+    scenes = [list(scene.ids) for scene in Player(recording, ignore_hero=True).scenes()]
+    assert scenes == [[], [], [1], [1]]
+
+
+def test_records_of_a_destroyed_actor_do_not_count(record: Record) -> None:
+    both = {"transforms": [pose(1), pose(2)]}
+    recording = record({"spawned": [spawn(1), spawn(2)], **both}, {"destroyed": [(1,)], **both}, both)
+    assert [scene.ids.tolist() for scene in Player(recording).scenes()] == [[1, 2], [2], [2]]
+
+
+def test_actors_that_were_never_spawned_are_shown(record: Record) -> None:
+    scene = Player(record({"transforms": [pose(4)]})).at(0)
+    assert (scene.ids.tolist(), dict(scene.actors)) == ([4], {})
+    assert scene.pose_of(4) is not None
+
+
+# --- state ---------------------------------------------------------------------------------------------------
+
+
+def test_doors_add_up(record: Record) -> None:
+    recording = record(
+        {"spawned": [HERO], "doors": [(1, 0, 1), (1, 5, 1)]},
+        {"doors": [(1, 0, 0)]},
+        {"doors": [(1, 6, 1)]},
+        {"doors": [(1, 4, 0)]},
+        {"doors": [(1, 6, 0)]},
+        {"doors": [(1, 1, 1)]},
+        {"destroyed": [(1,)]},
+    )
+    doors = [scene.doors.get(1) for scene in Player(recording).scenes()]
+    assert doors == [{0, 5}, {5}, {0, 1, 2, 3, 4, 5}, {0, 1, 2, 3, 5}, None, {1}, None]
+
+
+def test_weather_lasts(record: Record) -> None:
+    weather = [[], [(80,) + (0,) * 13], [], [(10,) + (0,) * 13, (20,) + (0,) * 13]]
+    scenes = list(Player(record(*({"weather": rows} if rows else {} for rows in weather))).scenes())
+    assert scenes[0].weather is None
+    assert [scene.weather["cloudiness"] for scene in scenes[1:] if scene.weather is not None] == [80, 80, 20]
+
+
+def test_light_states_last(record: Record) -> None:
+    signals = [spawn(5, "traffic.traffic_light"), spawn(6, "traffic.traffic_light")]
+    recording = record(
+        {"spawned": signals, "light_states": [light(6, 1), light(5, 0)]},
+        {"light_states": [light(5, 2, 1.5)]},
+        {},
+        {"destroyed": [(5,)]},
+        {"spawned": [spawn(5, "traffic.traffic_light")]},
+    )
+    scenes = list(Player(recording).scenes())
+    shown = [dict(zip(s.light_states["id"].tolist(), s.light_states["state"].tolist(), strict=True)) for s in scenes]
+    assert shown == [{5: 0, 6: 1}, {5: 2, 6: 1}, {5: 2, 6: 1}, {6: 1}, {6: 1}]
+    assert scenes[2].light_states["elapsed"].tolist() == [1.5, 0]
+
+
+def test_light_states_of_who_was_not_spawned_do_not_last(record: Record) -> None:
+    recording = record({"light_states": [light(5, 1)]}, {"light_states": [light(6, 1)]}, {})
+    assert [scene.light_states["id"].tolist() for scene in Player(recording).scenes()] == [[5], [6], []]
+
+
+def test_scene_lights_last(record: Record) -> None:
+    def lamp(id: int, on: int) -> tuple[float, ...]:
+        return (id, 10, 1, 1, 1, 1, on, 2)
+
+    recording = record({"scene_lights": [lamp(-3, 1), lamp(4, 1)]}, {}, {"scene_lights": [lamp(-3, 0)]})
+    scenes = list(Player(recording).scenes())
+    assert [dict(scene.scene_lights[["id", "on"]].tolist()) for scene in scenes] == [
+        {-3: 1, 4: 1},
+        {-3: 1, 4: 1},
+        {-3: 0, 4: 1},
+    ]
+
+
+def test_boxes(record: Record) -> None:
+    def box(id: int, extent: float) -> tuple[float, ...]:
+        return (id, 10, 20, 30, extent, extent, extent)
+
+    recording = record(
+        {"spawned": [HERO, spawn(2)], "bounding_boxes": [box(1, 100), box(2, float("nan"))]}, additional_data=True
+    )
+    scene = Player(recording).at(0)
+    found = scene.actors[1].box
+    assert found is not None
+    assert (found.y, found.extent_x) == pytest.approx((-0.2, 1))
+    assert scene.actors[2].box is None
+    assert scene.spawned[0].actor.box == found
+
+
+def test_controls_are_those_of_the_frame(record: Record) -> None:
+    recording = record({"walker_controls": [(3, 140)], "vehicle_lights": [(1, 9)], "velocities": [velocity(1, 2)]}, {})
+    player = Player(recording)
+    scene = player.at(0.5)
+    assert scene.walker_controls["speed"].tolist() == [140]
+    assert scene.vehicle_lights["flags"].tolist() == [9]
+    assert scene.velocities["x"].tolist() == [2]
+    assert not len(player.at(1.0).walker_controls)
+
+
+# --- places that are not recorded ----------------------------------------------------------------------------
+
+
+def test_without_a_record_an_actor_is_where_it_was_spawned(record: Record) -> None:
+    scene = Player(record({"spawned": [spawn(5, "traffic.traffic_light", x=70)]})).at(0)
+    assert scene.ids.tolist() == []
+    assert list(scene.pose_of(5)) == [70, 0, 0, 0, 0, 0]
+    assert scene.pose_of(6) is None
+
+
+def test_attached_actors_go_with_their_parent(record: Record) -> None:
+    recording = record(
+        {"spawned": [HERO], "transforms": [pose(1, yaw=90)]},
+        {
+            "spawned": [spawn(2, "sensor.camera.rgb", x=100), spawn(3, "sensor.other.imu", x=10, yaw=90)],
+            "parented": [(2, 1), (3, 2)],
+            "transforms": [pose(1, 100, yaw=90)],
+        },
+        {"transforms": [pose(1, 200, yaw=90)]},
+    )
+    scene = Player(recording).at(1.5)
+    assert scene.pose_of(2) == pytest.approx([150, 100, 0, 0, 0, 90])
+    assert scene.pose_of(3) == pytest.approx([150, 110, 0, 0, 0, 180])
+
+
+def test_attached_in_a_circle(record: Record) -> None:
+    recording = record({"spawned": [spawn(1), spawn(2)], "parented": [(1, 2), (2, 1)]})
+    assert Player(recording).at(0).pose_of(1) is None
+
+
+# --- starting in the middle ----------------------------------------------------------------------------------
+
+IDS = st.integers(1, 4)
+TYPE_IDS = st.sampled_from(["vehicle.audi.tt", "traffic.traffic_light", "walker.pedestrian.0001", "spectator"])
+SPAWNS = st.builds(
+    lambda id, type_id, hero, x: spawn(id, type_id, x, **({"role_name": "hero"} if hero else {})),
+    IDS,
+    TYPE_IDS,
+    st.booleans(),
+    st.integers(0, 9),
+)
+
+
+def few(rows: st.SearchStrategy[object], size: int = 2) -> st.SearchStrategy[list[object]]:
+    return st.lists(rows, max_size=size)
+
+
+FRAMES = st.fixed_dictionaries(
+    {
+        "spawned": few(SPAWNS),
+        "destroyed": few(st.tuples(IDS), 1),
+        "parented": few(st.tuples(IDS, IDS), 1),
+        "doors": few(st.tuples(IDS, st.integers(0, 6), st.integers(0, 1))),
+        "weather": few(st.integers(0, 99).map(lambda value: (value,) + (0,) * 13), 1),
+        "transforms": few(st.builds(pose, IDS, st.integers(-300, 300), yaw=st.integers(-180, 180)), 4),
+        "light_states": few(st.builds(light, IDS, st.integers(0, 4)), 3),
+        "vehicle_controls": few(st.tuples(IDS, *[st.integers(0, 1)] * 5)),
+        "velocities": few(st.builds(velocity, IDS, st.integers(0, 9))),
+        "bounding_boxes": few(st.tuples(IDS, *[st.integers(0, 9)] * 6), 1),
+        "scene_lights": few(st.tuples(IDS, *[st.integers(0, 1)] * 7), 1),
+    }
+)
+
+
+@pytest.mark.parametrize("kind", [".log", ".mcap"])
+@given(
+    frames=st.lists(FRAMES, min_size=1, max_size=8),
+    time=st.floats(0, 1),
+    ticks=st.integers(1, 6),
+    tick=st.sampled_from([0.5, 7.0]),
+    ignore_hero=st.booleans(),
+    smooth=st.booleans(),
+)
+def test_starting_in_the_middle_is_the_same_as_playing_there(
+    tmp_path_factory: pytest.TempPathFactory, kind: str, frames, time, ticks, tick, ignore_hero, smooth
+) -> None:
+    path = write(tmp_path_factory.mktemp("any") / f"any{kind}", frames, tick=tick)
+    with open_recording(path) as recording:
+
+        def new_player(start: float = 0.0) -> Player:
+            return Player(recording, start=start, ignore_hero=ignore_hero, smooth=smooth)
+
+        player = new_player()
+        moment = time * player.total
+        played = player.tick(0.0)
+        for _ in range(ticks):
+            played = player.tick(moment / ticks) or played
+        assert played is not None
+        moment = played.time
+        expected = state(played)
+        started = new_player(moment).tick(0.0)
+        assert started is not None
+        assert state(started) == expected
+        roamer = new_player()
+        roamer.at(roamer.total)
+        assert state(roamer.at(moment)) == expected
+        roamer.at(moment / 2)
+        assert state(roamer.at(moment)) == expected, "a small leap ahead"
+
+
+def test_light_states_are_looked_for_far_back(record: Record) -> None:
+    """A state long ago, one of an earlier actor of that id, and a light that never had a state."""
+    lights = [spawn(id, "traffic.traffic_light") for id in (5, 6, 7, 8)]
+    frames = [{} for _ in range(200)]
+    frames[0] = {"spawned": lights}
+    frames[3] = {"light_states": [light(5, 1), light(6, 1), light(8, 3)]}
+    frames[20] = {"destroyed": [(6,)]}
+    frames[21] = {"spawned": [spawn(6, "traffic.traffic_light")]}
+    frames[150] = {"light_states": [light(8, 2)]}
+    frames[180] = {"light_states": [light(8, 0)]}
+    recording = record(*frames)
+    scene = Player(recording, start=170.5).tick(0)
+    assert scene is not None
+    assert scene.light_states[["id", "state"]].tolist() == [(5, 1), (8, 2)]
