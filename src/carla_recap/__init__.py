@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     __version__: str
 
     from carla_recap.editing.author import Recorder, create_recording
-    from carla_recap.editing.clip import clip, clips
+    from carla_recap.editing.clip import clip
     from carla_recap.editing.convert import convert
     from carla_recap.editing.recover import Recovery, recover
     from carla_recap.errors import (
@@ -29,6 +29,7 @@ if TYPE_CHECKING:
         RecapWarning,
         RecordError,
     )
+    from carla_recap.export.clips import clips
     from carla_recap.export.parquet import export_parquet
     from carla_recap.export.report import write_report
     from carla_recap.formats import create_writer
@@ -95,9 +96,10 @@ _get, __dir__ = lazily(
     {
         "model.batch": ("Batch",),
         "editing.author": ("Recorder", "create_recording"),
-        "editing.clip": ("clip", "clips"),
+        "editing.clip": ("clip",),
         "editing.convert": ("convert",),
         "errors": ("FormatError", "MissingExtra", "NotARecording", "RecapError", "RecapWarning", "RecordError"),
+        "export.clips": ("clips",),
         "export.report": ("write_report",),
         "export.parquet": ("export_parquet",),
         "model.frame": ("Frame", "Header"),

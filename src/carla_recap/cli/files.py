@@ -87,7 +87,7 @@ def clips(
     """Cut a clip of each incident, into a folder."""
     from carla_recap.cli.maps import road_map_of
     from carla_recap.cli.progress import watch_incidents
-    from carla_recap.editing.clip import clips as run
+    from carla_recap.export.clips import clips as run
     from carla_recap.recording import open_recording
 
     every = not (collisions or blocked or braking)

@@ -28,7 +28,7 @@ _LATEST: Final = ("bounding_boxes", "trigger_volumes", "light_times", "physics")
 _BEHIND: Final = {id: rank for rank, id in enumerate((*ORDER, FRAME_END))}
 
 
-class Lasting:
+class InitialState:
     """What the frames before one have left behind: who is there, who has gone, what is known of them, weather, lamps, doors.
 
     The physics of UE5 builds, which are kept as bytes, and what CARLA tells anew in each frame are not among it.

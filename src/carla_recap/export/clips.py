@@ -1,0 +1,155 @@
+"""A clip of each incident of a recording, with an .rrd for Rerun's viewer."""
+
+from __future__ import annotations
+
+import math
+import warnings
+from pathlib import Path
+from typing import TYPE_CHECKING, Final, NamedTuple
+
+from carla_recap.editing.clip import ClipCutter, origin
+from carla_recap.editing.convert import check_destination
+from carla_recap.errors import MissingExtra, RecapError, RecapWarning
+from carla_recap.formats import SUFFIXES, open_reader
+from carla_recap.model.frame import SAME_TIME
+from carla_recap.queries.actors import actors
+from carla_recap.queries.incidents import HARD, incidents
+from carla_recap.recording import open_recording
+from carla_recap.util.files import check_folder, new_folder
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Iterable, Iterator, Sequence
+
+    from carla_recap.maps import RoadMap
+    from carla_recap.queries.incidents import Incident, Incidents
+    from carla_recap.recording import Recording
+
+LONGEST: Final = 60.0
+"""The length of the clip of a longer incident, in seconds from the start of the incident."""
+
+
+class IncidentClip(NamedTuple):
+    """The files of an incident.
+
+    Attributes:
+        incident: The incident; its times are those of the source.
+        recording: The clip.
+        rrd: The clip for Rerun's viewer; None if no .rrd files are written.
+    """
+
+    incident: Incident
+    recording: Path
+    rrd: Path | None
+
+
+def clips(
+    source: Path | str,
+    folder: Path | str,
+    *,
+    collisions: bool = True,
+    blocked: bool = False,
+    braking: bool = False,
+    min_time: float = 30.0,
+    min_distance: float = 10.0,
+    deceleration: float = HARD,
+    before: float = 5.0,
+    after: float = 5.0,
+    suffix: str = ".mcap",
+    rerun: bool | None = None,
+    road_map: RoadMap | None = None,
+    limit: int = 100,
+    force: bool = False,
+    progress: Callable[[Sequence[Incident]], Iterable[Incident]] | None = None,
+) -> list[IncidentClip]:
+    """Write a clip of each incident, and an .rrd that follows the first of its actors that is present.
+
+    Args:
+        source: A recording of any format.
+        folder: A new folder, or an empty one. It appears when it is complete. The names of the files contain the kind of
+            the incident, its time and the ids of its actors: `01-collision-21.3s-105-110.mcap`.
+        collisions: Include collisions.
+        blocked: Include vehicles and walkers that stood still for long; see `LONGEST`.
+        braking: Include hard braking of vehicles.
+        min_time: The shortest time of standing still that counts as blocked, in seconds.
+        min_distance: The distance at which an actor has moved, in cm.
+        deceleration: The smallest deceleration that counts as hard braking, in m/s².
+        before: The seconds of a clip before the incident.
+        after: The seconds of a clip after the incident.
+        suffix: The format of the clips: .mcap or .log.
+        rerun: Write the .rrd files; None: if Rerun is installed.
+        road_map: The map of the town, to be drawn in the .rrd files.
+        limit: The largest number of clips, those of the first incidents; a warning reports more incidents.
+        force: Write into a folder that is not empty, over files of the same names.
+        progress: Gets the incidents, and yields them.
+
+    Raises:
+        RecapError: The folder is not empty, a time or suffix is invalid, or the source is damaged.
+        MissingExtra: `rerun` is true, and Rerun is not installed.
+    """
+    if rerun is not False:
+        try:
+            from carla_recap.export.rerun import export_rerun  # first of all: it may be missing
+        except MissingExtra:
+            if rerun:
+                raise
+        else:
+            rerun = True
+    if not (0 <= before < math.inf and 0 <= after < math.inf):
+        raise RecapError(
+            f"clips from {before:g} s before to {after:g} s after an incident cannot be cut; 0 or more were expected"
+        )
+    if suffix not in SUFFIXES:
+        raise RecapError(f"unknown format {suffix!r} of clips; the suffix must be one of {', '.join(SUFFIXES)}")
+    check_folder(folder, force=force)
+    reader = open_reader(source)
+    try:
+        answer = incidents(
+            reader,
+            collisions=collisions,
+            blocked=blocked,
+            braking=braking,
+            min_time=min_time,
+            min_distance=min_distance,
+            deceleration=deceleration,
+        )
+        found = _choose(answer, limit, reader.path)
+        targets = [Path(folder, name) for name in _names(found, suffix)]
+        for target in targets:
+            check_destination(source, target, force=force)
+        cutter, written = ClipCutter(reader), []
+        with new_folder(folder) as room:
+            for incident, target in zip(progress(found) if progress else found, targets, strict=False):
+                first = cutter.first_frame(max(0.0, incident.start - before))
+                cutter.write(room / target.name, first, min(incident.stop, incident.start + LONGEST) + after)
+                rrd = target.with_suffix(".rrd") if rerun else None
+                if rrd is not None:
+                    with open_recording(room / target.name) as recording:
+                        recording.reader.path = target  # its path when the folder is complete
+                        followed = _followed(incident, recording, incident.start - origin(first))
+                        export_rerun(recording, room / rrd.name, follow=followed, road_map=road_map)
+                written.append(IncidentClip(incident, target, rrd))
+        return written
+    finally:
+        reader.close()
+
+
+def _choose(answer: Incidents, limit: int, source: Path) -> list[Incident]:
+    """Return the first incidents, up to a limit, among those within the times of the recording."""
+    found = [incident for incident in answer if 0 <= incident.start <= answer.extent.duration and incident.stop < math.inf]
+    if len(found) > limit:
+        warnings.warn(f"{source}: only the first {limit} of {len(found)} incidents get a clip", RecapWarning, stacklevel=3)
+    return found[:limit]
+
+
+def _names(found: Sequence[Incident], suffix: str) -> Iterator[str]:
+    """Yield names of files, in the order of the incidents."""
+    width = max(2, len(str(len(found))))
+    for number, incident in enumerate(found, 1):
+        kind = incident.kind.replace(" ", "-")
+        yield "-".join((f"{number:0{width}}", kind, f"{incident.start:.1f}s", *map(str, incident.actors))) + suffix
+
+
+def _followed(incident: Incident, recording: Recording, time: float) -> int | None:
+    """Return the first actor of an incident that a clip contains up to a time, or None."""
+    present = {actor.id for actor in actors(recording.reader) if actor.spawned_at <= time + SAME_TIME}
+    return next((id for id in incident.actors if id in present), None)
