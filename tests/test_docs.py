@@ -7,6 +7,7 @@ import re
 import runpy
 import subprocess
 import sys
+import tomllib
 from importlib import import_module
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -24,6 +25,7 @@ ROOT = Path(__file__).parents[1]
 PAGES = [ROOT / "README.md", *sorted((ROOT / "docs").glob("*.md"))]
 FORMAT = (ROOT / "docs" / "format.md").read_text("utf-8")
 RECORDS = (ROOT / "docs" / "records.md").read_text("utf-8")
+ARCHITECTURE = (ROOT / "docs" / "architecture.md").read_text("utf-8")
 SERVING = (ROOT / "docs" / "serving.md").read_text("utf-8")
 ENUMS = {
     "spawned": "ActorKind",
@@ -101,6 +103,21 @@ def test_every_sensor_has_its_row():
 
     for name, kind in SENSOR_KINDS.items():
         assert f"| `{name}` | {kind.support} | {kind.what} |" in SERVING
+
+
+@pytest.mark.parametrize(
+    ("contract", "heading"), {"package": "The layers", "sim": "The simulator", "server": "The server"}.items()
+)
+def test_the_layers_on_the_page_are_those_of_the_contract_and_of_the_folder(contract, heading):
+    section = ARCHITECTURE.partition(f"\n## {heading}\n")[2].partition("\n## ")[0]
+    table = section.partition("| Part | Contents |\n|---|---|\n")[2].partition("\n\n")[0]
+    rows = [re.findall(r"`(\w+)(?:/|\.py)`", line.split("|")[1]) for line in table.splitlines()]
+    settings = tomllib.loads((ROOT / "pyproject.toml").read_text("utf-8"))["tool"]["importlinter"]["contracts"]
+    (found,) = [each for each in settings if each["id"] == contract]
+    assert [sorted(row) for row in rows] == [sorted(layer.split(" | ")) for layer in found["layers"]]
+    folder = Path(carla_recap.__file__).parents[1].joinpath(*found["containers"][0].split("."))
+    parts = {path.stem for path in folder.iterdir() if path.suffix == ".py" or (path / "__init__.py").exists()}
+    assert {name for row in rows for name in row} == parts - {"__init__", "v1"}
 
 
 def test_every_public_name_is_in_the_reference():
