@@ -1,50 +1,30 @@
-"""Writes recordings as MCAP: state and events in chunks of their own, compressed while the next frames are taken in.
-
-Schemas and channels stand outside all chunks, before the first that needs them, and again in the summary: a damaged chunk
-costs only itself.
-"""
+"""Writes recordings as MCAP: state and events in chunks of their own, compressed while the next frames are taken in."""
 
 from __future__ import annotations
 
-import struct
-import zlib
-from collections import Counter, deque
-from concurrent.futures import Future, ThreadPoolExecutor
-from dataclasses import dataclass
-from functools import cache
-from importlib.metadata import version
-from itertools import groupby
+from functools import cache, partial
 from math import ceil
 from typing import TYPE_CHECKING, Final
 
 import numpy as np
-import zstandard
-from mcap import records
-from mcap.data_stream import RecordBuilder
-from mcap.opcode import Opcode
 
 from carla_recap.formats.mcap import wire
 from carla_recap.formats.mcap.chunk import Chunk
+from carla_recap.formats.mcap.file import ChunkedFile, Topic
 from carla_recap.formats.mcap.rows import RowForm, has_form
 from carla_recap.formats.mcap.rows import key as key_of
 from carla_recap.formats.mcap.schema import (
-    CHUNK,
     EMPTY,
     EXTENT_METADATA,
     FILLED,
-    FOOTER,
     FRAME_TOPIC,
     HEADER_METADATA,
-    MAGIC,
-    MESSAGE_INDEX,
     RAW,
     RAW_TOPIC,
-    RECORD,
     SECOND,
     STRETCHES,
     STRETCHES_TOPIC,
     TAIL_TOPIC,
-    U64,
     LogClock,
     channel_specs,
     checked,
@@ -54,10 +34,8 @@ from carla_recap.model.frame import Extent, Frame, Header, Packet
 from carla_recap.model.layout import EMPTY_LIST, OBJECTS_LIMIT, PayloadError, check
 from carla_recap.model.records import FRAME_END, FRAME_START, Group, RecordType
 from carla_recap.model.stationary import MIN_DISTANCE, TYPES, Standing
-from carla_recap.util.files import AtomicFile
 
 if TYPE_CHECKING:
-    from array import array
     from pathlib import Path
 
     from numpy.typing import NDArray
@@ -74,27 +52,9 @@ STRETCH_TIME: Final = 1.0
 """From so many seconds on, the stretches in which actors stand still are summed up."""
 STRETCHES_TOGETHER: Final = 1_000
 LEVEL: Final = 3
-_WORKERS: Final = 2
-_QUEUE: Final = 4  # chunks that are being compressed, or wait for it
 
 
-@dataclass(frozen=True)
-class _Sealed:
-    """A chunk on its way to the file."""
-
-    start: int
-    end: int
-    size: int
-    index: dict[int, array[int]]
-    compressed: Future[tuple[bytes, int]]
-
-
-def _compress(data: bytes) -> tuple[bytes, int]:
-    """A chunk's records, compressed, and their checksum."""
-    return zstandard.ZstdCompressor(level=LEVEL).compress(data), zlib.crc32(data)
-
-
-class McapWriter(AtomicFile):
+class McapWriter(ChunkedFile):
     """Writes a recording.
 
     Args:
@@ -109,13 +69,14 @@ class McapWriter(AtomicFile):
 
     def __init__(self, path: Path | str, header: Header, *, live: bool = False, force: bool = True) -> None:
         metadata = header_metadata(header)
-        super().__init__(path, live=live, force=force)
-        self._specs = channel_specs(header.table)
-        by_topic = {spec.topic: id for id, spec in enumerate(self._specs, 1)}
+        specs = channel_specs(header.table)
+        topics = [Topic(spec.topic, spec.message, partial(_schema, spec.module, spec.message)) for spec in specs]
+        super().__init__(path, topics, level=LEVEL, live=live, force=force)
+        by_topic = {spec.topic: id for id, spec in enumerate(specs, 1)}
         self._frame_channel, self._raw_channel, self._tail_channel, self._stretches_channel = (
             by_topic[topic] for topic in (FRAME_TOPIC, RAW_TOPIC, TAIL_TOPIC, STRETCHES_TOPIC)
         )
-        self._channel_of = {spec.type.id: id for id, spec in enumerate(self._specs, 1) if spec.type}
+        self._channel_of = {spec.type.id: id for id, spec in enumerate(specs, 1) if spec.type}
         self._chunks = {group: Chunk() for group in Group}
         self._clock = LogClock(header)
         self._sequence = -1
@@ -128,18 +89,10 @@ class McapWriter(AtomicFile):
         self._stretches: list[BlockedRow] = []
         self._stretch_count = 0
         self._form: RowForm | None = None
-        self._pool = ThreadPoolExecutor(_WORKERS, "carla-recap-compress")
-        self._sealed: deque[_Sealed] = deque()
-        self._position = self._crc = 0
-        self._counts: Counter[int] = Counter()
-        self._schemas: list[records.Schema] = []
-        self._channels: list[records.Channel] = []
-        self._chunk_index: list[records.ChunkIndex] = []
-        self._metadata_index: list[records.MetadataIndex] = []
         if live:
-            for spec in self._specs:
-                _schema(spec.module, spec.message)  # takes long once; frames are not to wait for it
-        self._begin(lambda: self._write_start(metadata))
+            for topic in topics:
+                topic.schema()  # takes long once; frames are not to wait for it
+        self._begin(lambda: self._write_header(metadata))
 
     def write(self, frame: Frame) -> None:
         """Add a frame.
@@ -214,11 +167,6 @@ class McapWriter(AtomicFile):
         self._sequence += 1
         self._chunks[Group.STATE].add(self._tail_channel, self._sequence, (time, time), b"", wire.tail(piece))
         self._cut(Group.STATE)
-
-    def abandon(self) -> Path:
-        """Give the file up, but leave what was written; see `AtomicFile.abandon`."""
-        self._pool.shutdown(cancel_futures=True)
-        return super().abandon()
 
     # --- frames to messages --------------------------------------------------------------------------------------------
 
@@ -310,28 +258,18 @@ class McapWriter(AtomicFile):
 
     # --- the file ------------------------------------------------------------------------------------------------------
 
+    def _write_header(self, metadata: dict[str, str]) -> None:
+        self._write_start()
+        self._write_metadata(HEADER_METADATA, checked(metadata))
+        if self._live:
+            self._sync()
+
     def _cut(self, group: Group) -> None:
-        """Send a group's chunk off to be compressed; chunks that are ready go to the file."""
+        """Cut the chunk of a group, which is then compressed."""
         chunk = self._chunks[group]
-        if chunk.is_empty:
-            return
-        self._chunks[group] = Chunk()
-        data, index = chunk.seal()
-        self._sealed.append(_Sealed(chunk.start, chunk.end, len(data), index, self._compress(data)))
-        self._settle(0 if self._live else _QUEUE)
-
-    def _compress(self, data: bytes) -> Future[tuple[bytes, int]]:
-        try:
-            return self._pool.submit(_compress, data)
-        except RuntimeError:  # the interpreter is about to end, and lets no thread begin
-            done: Future[tuple[bytes, int]] = Future()
-            done.set_result(_compress(data))
-            return done
-
-    def _settle(self, allowed: int) -> None:
-        """Write chunks until no more than so many are on their way."""
-        while len(self._sealed) > allowed:
-            self._write_chunk(self._sealed.popleft())
+        if not chunk.is_empty:
+            self._chunks[group] = Chunk()
+            self._add_chunk(chunk)
 
     def _finish(self) -> None:
         if self._standing:
@@ -342,96 +280,9 @@ class McapWriter(AtomicFile):
             self._add_stretches(self._sequence, wire.head(self._extent.last_id, self._extent.duration), (time, time))
         for group in Group:
             self._cut(group)
-        self._settle(0)
-        self._pool.shutdown()
-        self._write_end()
-
-    def _emit(self, data: bytes) -> None:
-        self._put(data)
-        self._crc = zlib.crc32(data, self._crc)
-        self._position += len(data)
-
-    def _write_start(self, metadata: dict[str, str]) -> None:
-        self._emit(MAGIC)
-        self._crc = zlib.crc32(MAGIC)
-        library = f"carla-recap/{version('carla-recap')}"
-        self._emit(_packed(records.Header(profile="", library=library)))
-        self._write_metadata(HEADER_METADATA, metadata)
-        if self._live:
-            self._sync()
-
-    def _declare(self, channel: int) -> None:
-        spec = self._specs[channel - 1]
-        data = _schema(spec.module, spec.message)
-        schema = records.Schema(id=channel, data=data, encoding="protobuf", name=spec.message)
-        self._schemas.append(schema)
-        self._channels.append(
-            records.Channel(id=channel, topic=spec.topic, message_encoding="protobuf", metadata={}, schema_id=channel)
-        )
-        self._emit(_packed(schema, self._channels[-1]))
-
-    def _write_chunk(self, chunk: _Sealed) -> None:
-        for channel in chunk.index:
-            if channel not in self._counts:
-                self._declare(channel)
-        compressed, crc = chunk.compressed.result()
-        compression = b"zstd"
-        at = self._position
-        self._emit(
-            RECORD.pack(Opcode.CHUNK, CHUNK.size + len(compression) + U64.size + len(compressed))
-            + CHUNK.pack(chunk.start, chunk.end, chunk.size, crc, len(compression))
-            + compression
-            + U64.pack(len(compressed))
-        )
-        self._emit(compressed)
-        size = self._position - at
-        offsets = {}
-        for channel, entries in chunk.index.items():
-            offsets[channel] = self._position
-            packed = entries.tobytes()
-            self._counts[channel] += len(entries) // 2
-            self._emit(
-                RECORD.pack(Opcode.MESSAGE_INDEX, MESSAGE_INDEX.size + len(packed))
-                + MESSAGE_INDEX.pack(channel, len(packed))
-                + packed
-            )
-        self._chunk_index.append(
-            records.ChunkIndex(
-                chunk_length=size,
-                chunk_start_offset=at,
-                compression=compression.decode(),
-                compressed_size=len(compressed),
-                message_end_time=chunk.end,
-                message_index_length=self._position - at - size,
-                message_index_offsets=offsets,
-                message_start_time=chunk.start,
-                uncompressed_size=chunk.size,
-            )
-        )
-        if self._live:
-            self._sync()
-
-    def _write_metadata(self, name: str, values: dict[str, str]) -> None:
-        at = self._position
-        self._emit(_packed(records.Metadata(name=name, metadata=checked(values))))
-        self._metadata_index.append(records.MetadataIndex(length=self._position - at, name=name, offset=at))
-
-    def _write_end(self) -> None:
-        self._write_metadata(EXTENT_METADATA, self._extent_metadata())
-        self._emit(_packed(records.DataEnd(data_section_crc=self._crc)))
-        statistics = records.Statistics(
-            attachment_count=0,
-            channel_count=len(self._channels),
-            channel_message_counts=dict(self._counts),
-            chunk_count=len(self._chunk_index),
-            message_count=sum(self._counts.values()),
-            message_end_time=max((chunk.message_end_time for chunk in self._chunk_index), default=0),
-            message_start_time=min((chunk.message_start_time for chunk in self._chunk_index), default=0),
-            metadata_count=len(self._metadata_index),
-            schema_count=len(self._schemas),
-        )
-        groups = (self._schemas, self._channels, [statistics], self._metadata_index, self._chunk_index)
-        self._put(_summary(self._position, [record for group in groups for record in group]))
+        self._write_chunks(0)
+        self._write_metadata(EXTENT_METADATA, checked(self._extent_metadata()))
+        super()._finish()
 
     def _extent_metadata(self) -> dict[str, str]:
         return {
@@ -451,26 +302,3 @@ def _schema(module: str, message: str) -> bytes:
     from mcap_protobuf.schema import build_file_descriptor_set
 
     return build_file_descriptor_set(wire.message_class(module, message)).SerializeToString()
-
-
-def _packed(*items: records.McapRecord) -> bytes:
-    builder = RecordBuilder()
-    for item in items:
-        item.write(builder)
-    return bytes(builder.end())  # type: ignore[no-untyped-call]
-
-
-def _summary(start: int, items: list[records.McapRecord]) -> bytes:
-    """The summary section, where records of a kind stand together, and the footer."""
-    data = bytearray()
-    offsets = []
-    for _, group in groupby(items, type):
-        packed = _packed(*group)
-        offsets.append(
-            records.SummaryOffset(group_opcode=packed[0], group_start=start + len(data), group_length=len(packed))
-        )
-        data += packed
-    offset_start = start + len(data)
-    data += _packed(*offsets)
-    data += RECORD.pack(Opcode.FOOTER, FOOTER.size) + FOOTER.pack(start, offset_start, 0)[:-4]
-    return bytes(data) + struct.pack("<I", zlib.crc32(data)) + MAGIC

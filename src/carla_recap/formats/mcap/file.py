@@ -1,0 +1,233 @@
+"""An MCAP file of protobuf messages in chunks, which are compressed while the next messages are made.
+
+Schemas and channels stand outside all chunks, before the first that needs them, and again in the summary: a damaged chunk
+costs only itself.
+"""
+
+from __future__ import annotations
+
+import struct
+import zlib
+from collections import Counter, deque
+from concurrent.futures import Future, ThreadPoolExecutor
+from dataclasses import dataclass
+from importlib.metadata import version
+from itertools import groupby
+from typing import TYPE_CHECKING, Final
+
+import zstandard
+from mcap import records
+from mcap.data_stream import RecordBuilder
+from mcap.opcode import Opcode
+
+from carla_recap.formats.mcap.schema import CHUNK, FOOTER, MAGIC, MESSAGE_INDEX, RECORD, U64
+from carla_recap.util.files import AtomicFile
+
+if TYPE_CHECKING:
+    from array import array
+    from collections.abc import Callable, Sequence
+    from pathlib import Path
+
+    from carla_recap.formats.mcap.chunk import Chunk
+
+_COMPRESSION: Final = "zstd"
+_WORKERS: Final = 2
+_QUEUE: Final = 4  # chunks that are being compressed, or wait for it
+
+
+@dataclass(frozen=True)
+class Topic:
+    """A topic of an MCAP file.
+
+    Attributes:
+        name: The name, such as `/scene`.
+        message: The full name of the protobuf message.
+        schema: Returns the message's schema; see `schema_of`.
+    """
+
+    name: str
+    message: str
+    schema: Callable[[], bytes]
+
+
+@dataclass(frozen=True)
+class _Sealed:
+    """A chunk that is being compressed, or waits to be written."""
+
+    start: int
+    end: int
+    size: int
+    index: dict[int, array[int]]
+    compressed: Future[tuple[bytes, int]]
+
+
+class ChunkedFile(AtomicFile):
+    """Base of the writers of MCAP files.
+
+    The channel of a topic is its position among the topics, from 1. Topics of the same message share a schema.
+
+    Args:
+        path: The destination.
+        topics: All topics; a topic without messages is declared only by `_declare`.
+        level: The level of compression, of zstd.
+        live: Write every chunk when it is cut; see `AtomicFile`.
+        force: See `AtomicFile`.
+    """
+
+    def __init__(
+        self, path: Path | str, topics: Sequence[Topic], *, level: int, live: bool = False, force: bool = True
+    ) -> None:
+        super().__init__(path, live=live, force=force)
+        self._topics = topics
+        self._level = level
+        self._pool = ThreadPoolExecutor(_WORKERS, "carla-recap-compress")
+        self._sealed: deque[_Sealed] = deque()
+        self._position = self._crc = 0
+        self._counts: Counter[int] = Counter()  # messages of each declared channel
+        self._schemas: dict[str, records.Schema] = {}
+        self._channels: list[records.Channel] = []
+        self._chunk_index: list[records.ChunkIndex] = []
+        self._metadata_index: list[records.MetadataIndex] = []
+
+    def abandon(self) -> Path:
+        """Give the file up, but leave what was written; see `AtomicFile.abandon`."""
+        self._pool.shutdown(cancel_futures=True)
+        return super().abandon()
+
+    def _write_start(self) -> None:
+        """Write what comes before all other records."""
+        self._emit(MAGIC)
+        self._crc = zlib.crc32(MAGIC)
+        self._emit(_packed(records.Header(profile="", library=f"carla-recap/{version('carla-recap')}")))
+
+    def _write_metadata(self, name: str, values: dict[str, str]) -> None:
+        start = self._position
+        self._emit(_packed(records.Metadata(name=name, metadata=values)))
+        self._metadata_index.append(records.MetadataIndex(length=self._position - start, name=name, offset=start))
+
+    def _declare(self, channel: int) -> None:
+        """Write a channel, and its schema unless another channel has it."""
+        topic = self._topics[channel - 1]
+        schema = self._schemas.get(topic.message)
+        if schema is None:
+            schema = records.Schema(id=channel, data=topic.schema(), encoding="protobuf", name=topic.message)
+            self._schemas[topic.message] = schema
+            self._emit(_packed(schema))
+        declared = records.Channel(
+            id=channel, topic=topic.name, message_encoding="protobuf", metadata={}, schema_id=schema.id
+        )
+        self._channels.append(declared)
+        self._counts[channel] = 0
+        self._emit(_packed(declared))
+
+    def _add_chunk(self, chunk: Chunk) -> None:
+        """Send a chunk to be compressed; chunks that are ready are written."""
+        data, index = chunk.seal()
+        self._sealed.append(_Sealed(chunk.start, chunk.end, len(data), index, self._compressed(data)))
+        self._write_chunks(0 if self._live else _QUEUE)
+
+    def _compressed(self, data: bytes) -> Future[tuple[bytes, int]]:
+        try:
+            return self._pool.submit(_compress, data, self._level)
+        except RuntimeError:  # the interpreter is about to end, and starts no thread
+            done: Future[tuple[bytes, int]] = Future()
+            done.set_result(_compress(data, self._level))
+            return done
+
+    def _write_chunks(self, waiting: int) -> None:
+        """Write chunks until no more than some of them wait."""
+        while len(self._sealed) > waiting:
+            self._write_chunk(self._sealed.popleft())
+
+    def _write_chunk(self, chunk: _Sealed) -> None:
+        for channel in chunk.index:
+            if channel not in self._counts:
+                self._declare(channel)
+        compressed, crc = chunk.compressed.result()
+        compression = _COMPRESSION.encode()
+        start = self._position
+        self._emit(
+            RECORD.pack(Opcode.CHUNK, CHUNK.size + len(compression) + U64.size + len(compressed))
+            + CHUNK.pack(chunk.start, chunk.end, chunk.size, crc, len(compression))
+            + compression
+            + U64.pack(len(compressed))
+        )
+        self._emit(compressed)
+        size = self._position - start
+        offsets = {}
+        for channel, entries in chunk.index.items():
+            offsets[channel] = self._position
+            packed = entries.tobytes()
+            self._counts[channel] += len(entries) // 2
+            self._emit(
+                RECORD.pack(Opcode.MESSAGE_INDEX, MESSAGE_INDEX.size + len(packed))
+                + MESSAGE_INDEX.pack(channel, len(packed))
+                + packed
+            )
+        self._chunk_index.append(
+            records.ChunkIndex(
+                chunk_length=size,
+                chunk_start_offset=start,
+                compression=_COMPRESSION,
+                compressed_size=len(compressed),
+                message_end_time=chunk.end,
+                message_index_length=self._position - start - size,
+                message_index_offsets=offsets,
+                message_start_time=chunk.start,
+                uncompressed_size=chunk.size,
+            )
+        )
+        if self._live:
+            self._sync()
+
+    def _finish(self) -> None:
+        """Write the chunks that wait, and the summary."""
+        self._write_chunks(0)
+        self._pool.shutdown()
+        self._emit(_packed(records.DataEnd(data_section_crc=self._crc)))
+        statistics = records.Statistics(
+            attachment_count=0,
+            channel_count=len(self._channels),
+            channel_message_counts=dict(self._counts),
+            chunk_count=len(self._chunk_index),
+            message_count=sum(self._counts.values()),
+            message_end_time=max((chunk.message_end_time for chunk in self._chunk_index), default=0),
+            message_start_time=min((chunk.message_start_time for chunk in self._chunk_index), default=0),
+            metadata_count=len(self._metadata_index),
+            schema_count=len(self._schemas),
+        )
+        groups = (self._schemas.values(), self._channels, [statistics], self._metadata_index, self._chunk_index)
+        self._put(_summary(self._position, [record for group in groups for record in group]))
+
+    def _emit(self, data: bytes) -> None:
+        self._put(data)
+        self._crc = zlib.crc32(data, self._crc)
+        self._position += len(data)
+
+
+def _compress(data: bytes, level: int) -> tuple[bytes, int]:
+    """Return a chunk's records, compressed, and their checksum."""
+    return zstandard.ZstdCompressor(level=level).compress(data), zlib.crc32(data)
+
+
+def _packed(*items: records.McapRecord) -> bytes:
+    builder = RecordBuilder()
+    for item in items:
+        item.write(builder)
+    return bytes(builder.end())  # type: ignore[no-untyped-call]
+
+
+def _summary(start: int, items: list[records.McapRecord]) -> bytes:
+    """Return the summary section, where records of a kind stand together, and the footer."""
+    data = bytearray()
+    offsets = []
+    for _, group in groupby(items, type):
+        packed = _packed(*group)
+        offsets.append(
+            records.SummaryOffset(group_opcode=packed[0], group_start=start + len(data), group_length=len(packed))
+        )
+        data += packed
+    offset_start = start + len(data)
+    data += _packed(*offsets)
+    data += RECORD.pack(Opcode.FOOTER, FOOTER.size) + FOOTER.pack(start, offset_start, 0)[:-4]
+    return bytes(data) + struct.pack("<I", zlib.crc32(data)) + MAGIC
