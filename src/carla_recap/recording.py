@@ -189,7 +189,7 @@ class Recording:
         Raises:
             RecapError: There is no such actor.
         """
-        return self._of_one(actor_id, trajectories(self.reader, {actor_id}, axes=axes), Trajectory.empty)
+        return self._of_one(actor_id, trajectories(self.reader, {actor_id}, axes=axes), lambda: Trajectory.empty(actor_id))
 
     def trajectories(self, kind: str | None = None, *, axes: Axes = "right-handed") -> Trajectories:
         """Return the trajectories of actors by id, in metres, in one pass over the recording.

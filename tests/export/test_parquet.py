@@ -102,7 +102,7 @@ def test_rows_are_written_in_groups(tmp_path: Path, monkeypatch: pytest.MonkeyPa
 
 
 def test_records_that_vary_in_size_are_written_in_groups(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(exporter, "MEMORY", 100_000)
+    monkeypatch.setattr(exporter, "MEMORY", 10_000)
     monkeypatch.setattr(exporter, "_PIECE", 10_000)
     with create_recording(tmp_path / "walk.log", map_name="T") as recorder:
         for n in range(50):

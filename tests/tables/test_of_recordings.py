@@ -15,7 +15,7 @@ from hypothesis import strategies as st
 from carla_recap import FormatError, RecapError, RecapWarning, RecordError, create_recording, open_recording
 from carla_recap.model.batch import Batch
 from carla_recap.model.frame import Frame, Header, Packet
-from carla_recap.model.records import CM, UE4, UE5, Many
+from carla_recap.model.records import CM, UE4, UE5, Bone, Bones, Many, Physics
 from carla_recap.util.text import readable
 from tests import strategies
 from tests.samples import (
@@ -165,6 +165,44 @@ def test_doubles_of_ue5_stay_doubles(tmp_path: Path, suffix: str) -> None:
         assert table["x"][table["id"] == 1].tolist() == [0.1] * 3
         assert recording.trajectory(1, axes="carla").x.tolist() == [0.1 * CM] * 3
         assert len(recording.table("physics")) == 0
+
+
+@both_formats
+def test_records_of_other_forms_with_packets_of_one_size(tmp_path: Path, suffix: str) -> None:
+    """Names of other lengths in sum as long, and records that some frames have in two packets."""
+    names = [("ab", "c"), ("ab", "c"), ("a", "bc"), ("a", "bc"), ("x", "yz"), ("ab", "c")]
+    type = UE4.named("walker_bones")
+    frames = []
+    for n, pair in enumerate(names):
+        packets = [
+            Packet(type.id, type, records=[Bones(id, [Bone(name, n, id, 0, 0, 0, 0) for name in pair])])
+            for id in ((7, 8) if n > 2 else (7,))
+        ]
+        frames.append(Frame(n, n + 1, float(n), 1.0, packets))
+    with open_recording(write(tmp_path / f"bones{suffix}", Header("T", 0), frames)) as recording:
+        assert rows_of_table(recording, "walker_bones") == rows_of_frames(recording, "walker_bones")
+        assert recording.table("walker_bones")["id"].tolist() == [7, 7, 7, 7, 8, 7, 8, 7, 8]
+
+
+@both_formats
+def test_fields_that_a_build_omits_are_null_in_arrow(tmp_path: Path, suffix: str) -> None:
+    pytest.importorskip("pyarrow", reason="the extra `arrow` is not installed")
+    type = UE4.named("physics")
+    kind = type.layout.fields["wheels"]
+    assert isinstance(kind, Many)
+    frames = []
+    for n, layout in enumerate(kind.layouts):
+        wheels = np.zeros(2, layout.dtype(wide=False))
+        wheels["radius"] = n + 1
+        curve = np.empty(0, [("x", "f4"), ("y", "f4")])
+        physics = Physics(7, *[0.0] * 5, 0, *[0.0] * 7, curve, curve, curve, wheels)
+        frames.append(Frame(n, n + 1, float(n), 1.0, [Packet(type.id, type, records=[physics])]))
+    with open_recording(write(tmp_path / f"wheels{suffix}", Header("T", 0), frames)) as recording:
+        table = recording.table("physics")
+        assert ["lat_stiff_value" in wheels[0] for wheels in table["wheels"]] == [True, False]
+        rows = table.to_arrow().column("wheels").to_pylist()
+        assert [wheels[1]["radius"] for wheels in rows] == [1, 2]
+        assert [wheels[1]["lat_stiff_value"] for wheels in rows] == [0, None]
 
 
 def packet_of(records: Any) -> Packet:
@@ -367,3 +405,18 @@ def test_trajectories_are_one_table(crossing: Recording) -> None:
         np.testing.assert_array_equal(columns["speed"][rows], path.speed)
     assert found.units()["speed"] == "m/s"
     assert set(found.units()) <= set(columns)
+
+
+def test_one_trajectory_has_the_columns_of_all(crossing: Recording) -> None:
+    found = crossing.trajectories()
+    id = next(iter(found))
+    one, every = crossing.trajectory(id), found.columns()
+    rows = every["id"] == id
+    assert one.id == id
+    assert set(one.columns()) == set(every)
+    assert one.units() == found.units()
+    for name, values in one.columns().items():
+        assert values.dtype == every[name].dtype
+        np.testing.assert_array_equal(values, every[name][rows])
+    sensor = next(actor.id for actor in crossing.actors.values() if actor.id not in found)
+    assert list(crossing.trajectory(sensor).columns()) == list(one.columns())

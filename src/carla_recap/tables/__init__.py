@@ -60,7 +60,7 @@ class Tabular:
 
         arrow.require("to_arrow()")
         types = {name: arrow.type_of(kind) for name, kind in self._types().items()}
-        return arrow.table(self.columns(), types, self.units())
+        return arrow.table(self._arrow_columns(), types, self.units())
 
     def to_parquet(self, path: Path | str) -> None:
         """Write a Parquet file, with `unit` in the metadata of the columns that have one.
@@ -77,6 +77,10 @@ class Tabular:
     def _types(self) -> Mapping[str, Any]:
         """Return the types of the columns that are lists, by name: type hints, or `Nested`."""
         return {}
+
+    def _arrow_columns(self) -> dict[str, Any]:
+        """Return the columns for an Arrow table: as in `columns`, or `Lists`."""
+        return self.columns()
 
 
 class Columns(Tabular):

@@ -10,8 +10,11 @@ from pathlib import Path
 from types import NoneType, UnionType
 from typing import TYPE_CHECKING, Any, Final, Literal, NamedTuple, Self, Union, get_args, get_origin, get_type_hints
 
+import numpy as np
+
 from carla_recap.errors import MissingExtra, RecapError
 from carla_recap.model.records import FLAG, REAL, TEXT, Layout, Many
+from carla_recap.tables.variable import Lists
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
@@ -125,6 +128,11 @@ def table(columns: Mapping[str, Any], types: Mapping[str, Any], units: Mapping[s
 def _array(values: Any, type: pa.DataType | None) -> pa.Array:
     import pyarrow as pa
 
+    if isinstance(values, Lists) and type is not None:
+        fields = [pa.field(field.name, field.type) for field in type.value_type]
+        items = [_array(values.fields[field.name], field.type) for field in fields]
+        offsets = np.concatenate(([0], np.cumsum(values.lengths))).astype(np.int32)
+        return pa.ListArray.from_arrays(offsets, pa.StructArray.from_arrays(items, fields=fields))
     if type is not None and pa.types.is_map(type):
         values = [list(value.items()) for value in values]
     return pa.array(values, type)

@@ -2,15 +2,15 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
 from carla_recap.model.layout import EMPTY_LIST
-from carla_recap.model.records import FLAG, FRAME_START, REAL, TEXT, Layout, Many
+from carla_recap.model.records import FLAG, FRAME_START, TEXT, Layout, Many
 from carla_recap.tables import Tabular
 from carla_recap.tables.arrow import nested_types
+from carla_recap.tables.variable import Fields, Lists, joined, record_fields
 from carla_recap.util.text import readable
 
 if TYPE_CHECKING:
@@ -23,7 +23,6 @@ if TYPE_CHECKING:
     from carla_recap.model.records import RecordType
 
 
-@dataclass(frozen=True, eq=False)
 class RecordTable(Tabular):
     """All records of a type in a recording, as columns of one length.
 
@@ -31,13 +30,15 @@ class RecordTable(Tabular):
         type: The record type.
         frame: CARLA's numbers of the frames, (n,).
         time: Elapsed seconds, (n,).
-        fields: The fields of the records by name: arrays, (n,); lists of texts and of nested records.
     """
 
-    type: RecordType
-    frame: NDArray[np.uint64]
-    time: NDArray[np.float64]
-    fields: Mapping[str, Any]
+    def __init__(
+        self, type: RecordType, frame: NDArray[np.uint64], time: NDArray[np.float64], fields: Mapping[str, Any]
+    ) -> None:
+        self.type = type
+        self.frame = frame
+        self.time = time
+        self._fields = fields
 
     def __len__(self) -> int:
         return len(self.time)
@@ -48,7 +49,14 @@ class RecordTable(Tabular):
         Raises:
             KeyError: There is none of this name.
         """
-        return self.columns()[name]
+        if name in ("frame", "time"):
+            return self.frame if name == "frame" else self.time
+        return _plain_column(self._fields[name])
+
+    @property
+    def fields(self) -> Mapping[str, Any]:
+        """The fields of the records by name: arrays, (n,); lists of texts and of nested records."""
+        return {name: _plain_column(values) for name, values in self._fields.items()}
 
     def columns(self) -> dict[str, Any]:
         """See `Tabular.columns`."""
@@ -61,16 +69,25 @@ class RecordTable(Tabular):
     def _types(self) -> Mapping[str, Any]:
         return nested_types(self.type)
 
+    def _arrow_columns(self) -> dict[str, Any]:
+        return {"frame": self.frame, "time": self.time, **self._fields}
+
+
+def _plain_column(values: Any) -> Any:
+    if isinstance(values, Lists):
+        return values.to_list()
+    return values.tolist() if values.dtype == object else values
+
 
 class RecordTableBuilder:
-    """The records of a type, gathered from batches.
+    """Gathers the records of a type from batches.
 
     Args:
         type: The record type, of the table of the recording's build.
 
     Attributes:
-        rows: The number of records gathered.
-        memory: About how many bytes they need.
+        rows: The number of gathered records.
+        memory: The size of the gathered records in bytes, roughly.
     """
 
     def __init__(self, type: RecordType) -> None:
@@ -88,51 +105,53 @@ class RecordTableBuilder:
         elif self._type.fixed:
             records = batch.records(self._type.name)
         else:
-            self._add_objects(batch)
+            self._add_variable(batch)
             return
         if records.size:
-            self._records.append(records.flatten())
+            flat = records.flatten()
             self.memory += records.nbytes
-            self._add_frames(batch, np.full(len(batch), records.shape[1]))
+            self._add(batch, len(batch), records.shape[1], {name: flat[name] for name in self._type.layout.fields})
 
     def take(self) -> RecordTable:
-        """Return the table of what was gathered, and begin anew."""
-        frames, times, records, objects = self._frames, self._times, self._records, self._objects
+        """Return the table of the gathered records, and forget them."""
+        layout, counts = self._type.layout, [len(times) for times in self._times]
+        fields = joined(layout, self._type.wide, self._pieces, counts)
+        flags = {name: fields[name] != 0 for name, kind in layout.fields.items() if kind == FLAG}
+        frames, times = np.concatenate([_NO_FRAMES, *self._frames]), np.concatenate([_NO_TIMES, *self._times])
         self._clear()
-        fields = {
-            name: _joined(kind, [piece[name] for piece in records], self._type.dtype[name])
-            if self._type.fixed
-            else _listed(kind, [getattr(record, name) for record in objects], wide=self._type.wide)
-            for name, kind in self._type.layout.fields.items()
-        }
-        return RecordTable(self._type, np.concatenate([_NO_FRAMES, *frames]), np.concatenate([_NO_TIMES, *times]), fields)
+        return RecordTable(self._type, frames, times, fields | flags)
 
     def _clear(self) -> None:
         self.rows = self.memory = 0
         self._frames: list[NDArray[np.uint64]] = []
         self._times: list[NDArray[np.float64]] = []
-        self._records: list[NDArray[np.void]] = []
-        self._objects: list[Any] = []
+        self._pieces: list[Fields] = []
 
-    def _add_objects(self, batch: Batch) -> None:
+    def _add_variable(self, batch: Batch) -> None:
+        """Add the records of a batch whose size varies."""
         columns = [column for column in batch.columns if column.type is not None and column.type.id == self._type.id]
         columns = [column for column in columns if column.size > len(EMPTY_LIST) or len(column.packet(0).records)]
-        if not columns:
+        if len(columns) > 1 and len(batch) > 1:  # the records of a frame follow each other
+            for row in range(len(batch)):
+                self._add_variable(batch[row : row + 1])
             return
-        self.memory += sum(column.size for column in columns) * PARSED * len(batch)
-        found = [[record for column in columns for record in column.packet(row).records] for row in range(len(batch))]
-        self._objects += [record for records in found for record in records]
-        self._add_frames(batch, np.array([len(records) for records in found]))
+        for column in columns:
+            start = 0
+            for frames, number, fields in record_fields(column, len(batch)):
+                self._add(batch[start : start + frames], frames, number, fields)
+                start += frames
+            self.memory += column.size * PARSED * len(batch)
 
-    def _add_frames(self, batch: Batch, counts: NDArray[np.int64]) -> None:
-        """Add the number and the time of each frame as often as it has records."""
-        self._frames.append(np.repeat(batch.id, counts))
-        self._times.append(np.repeat(batch.elapsed, counts))
-        self.rows += len(self._times[-1])
+    def _add(self, batch: Batch, frames: int, number: int, fields: Fields) -> None:
+        """Add the fields of records of frames that have the same number of records."""
+        self._frames.append(np.repeat(batch.id, number))
+        self._times.append(np.repeat(batch.elapsed, number))
+        self._pieces.append(fields)
+        self.rows += frames * number
 
 
-PARSED: Final = 50
-"""How many times the memory of its payload a record needs whose size varies."""
+PARSED: Final = 4
+"""The memory that records of variable size need, as a multiple of the size of their payload."""
 _NO_FRAMES: Final = np.empty(0, np.uint64)
 _NO_TIMES: Final = np.empty(0)
 
@@ -156,20 +175,6 @@ def _frame_records(batch: Batch, type: RecordType) -> NDArray[np.void]:
     if len(records):
         records["id"][:, 0], records["duration"][:, 0], records["elapsed"][:, 0] = batch.id, batch.duration, batch.elapsed
     return records
-
-
-def _joined(kind: str | Many, pieces: list[Any], dtype: np.dtype[Any]) -> NDArray[Any]:
-    values = np.concatenate([np.empty(0, dtype), *pieces])
-    return values != 0 if kind == FLAG else values
-
-
-def _listed(kind: str | Many, values: list[Any], *, wide: bool) -> Any:
-    """Return the values of a field of records that vary in size: an array of numbers, or a list."""
-    if isinstance(kind, Many) or kind == TEXT:
-        return [_plain(kind, value) for value in values]
-    if kind == FLAG:
-        return np.array(values, np.uint8) != 0
-    return np.array(values, ("f8" if wide else "f4") if kind == REAL else kind)
 
 
 def plain_record(layout: Layout, record: Any) -> dict[str, Any]:

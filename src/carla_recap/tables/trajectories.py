@@ -32,7 +32,10 @@ class Trajectory(Columns):
 
     World axes are right-handed (x forward, y left, z up) unless CARLA's own (y right) were asked for.
 
+    As a table it has these arrays, the speed, and the id in each row.
+
     Attributes:
+        id: The actor.
         time: Elapsed seconds.
         x, y, z: Position in m.
         roll, pitch, yaw: Rotation about x, y, z in degrees; right-handed, a positive yaw turns left.
@@ -44,9 +47,10 @@ class Trajectory(Columns):
         "time": "s",
         **dict.fromkeys("xyz", "m"),
         **dict.fromkeys(("roll", "pitch", "yaw"), "deg"),
-        **dict.fromkeys(("vx", "vy", "vz"), "m/s"),
+        **dict.fromkeys(("vx", "vy", "vz", "speed"), "m/s"),
     }
 
+    id: int
     time: NDArray[np.float64]
     x: NDArray[np.float64]
     y: NDArray[np.float64]
@@ -63,14 +67,15 @@ class Trajectory(Columns):
         return len(self.time)
 
     @classmethod
-    def empty(cls) -> Trajectory:
+    def empty(cls, id: int) -> Trajectory:
         """Return the trajectory of an actor without transforms."""
-        return cls(
-            **{
-                field.name: np.empty(0, np.bool_ if field.name == "velocity_recorded" else np.float64)
-                for field in fields(cls)
-            }
-        )
+        arrays = {field.name: np.empty(0) for field in fields(cls)[1:-1]}
+        return cls(id, **arrays, velocity_recorded=np.empty(0, np.bool_))
+
+    def columns(self) -> dict[str, Any]:
+        """See `Tabular.columns`."""
+        arrays = {name: values for name, values in super().columns().items() if name != "id"}
+        return {**arrays, "speed": self.speed, "id": np.full(len(self), self.id)}
 
     @property
     def speed(self) -> NDArray[np.float64]:
@@ -79,18 +84,16 @@ class Trajectory(Columns):
 
 
 class Trajectories(dict[int, Trajectory], Tabular):
-    """Trajectories by actor; as a table, a row for each actor and frame, with the id and the speed."""
+    """Trajectories by actor; as a table, a row for each actor and frame."""
 
     def columns(self) -> dict[str, Any]:
         """See `Tabular.columns`."""
-        every = list(self.values()) or [Trajectory.empty()]
-        ids = np.repeat(np.array(list(self), np.int64), [len(one) for one in self.values()])
-        names = [*(field.name for field in fields(Trajectory)), "speed"]
-        return {"id": ids, **{name: np.concatenate([getattr(one, name) for one in every]) for name in names}}
+        every = [trajectory.columns() for trajectory in self.values()] or [Trajectory.empty(0).columns()]
+        return {name: np.concatenate([columns[name] for columns in every]) for name in ("id", *every[0])}
 
     def units(self) -> Mapping[str, str]:
         """See `Tabular.units`."""
-        return {**Trajectory.column_units, "speed": "m/s"}
+        return Trajectory.column_units
 
 
 @dataclass(frozen=True)
@@ -153,11 +156,11 @@ def trajectories(reader: Reader, actors: Collection[int] | None = None, *, axes:
     flip = -1.0 if axes == "right-handed" else 1.0
     found = Trajectories()
     for id in list(poses):
-        found[id] = _trajectory(poses.pop(id), velocities.pop(id, None), flip)
+        found[id] = _trajectory(id, poses.pop(id), velocities.pop(id, None), flip)
     return found
 
 
-def _trajectory(poses: ActorRows, velocities: ActorRows | None, flip: float) -> Trajectory:
+def _trajectory(id: int, poses: ActorRows, velocities: ActorRows | None, flip: float) -> Trajectory:
     records, time = poses.records, poses.time
     position = {axis: records[axis].astype(np.float64) * CM for axis in "xyz"}
     velocity = {axis: _slope(position[axis], time) for axis in "xyz"}
@@ -170,6 +173,7 @@ def _trajectory(poses: ActorRows, velocities: ActorRows | None, flip: float) -> 
     for values in (position["y"], velocity["y"]):
         values *= flip
     return Trajectory(
+        id=id,
         time=time,
         **position,
         roll=records["roll"].astype(np.float64),
