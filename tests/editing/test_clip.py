@@ -17,7 +17,7 @@ from carla_recap.model.frame import Extent, Frame, Header, Packet
 from carla_recap.model.records import ORDER, UE4, UE5, Spawn, attributes
 from carla_recap.queries.incidents import incidents
 from carla_recap.replay.player import Player
-from carla_recap.replay.state import World
+from carla_recap.replay.state import ReplayState
 from tests.samples import (
     carla_log,
     images,
@@ -529,7 +529,7 @@ def test_a_date_that_cannot_be_moved(tmp_path: Path) -> None:
 def worlds(path: Path, first: int = 0) -> list[Any]:
     """Who is there after each frame, and the transforms in it; `first`: the frame that does not tell late parents."""
     with reading(path) as reader:
-        world = World(reader.header.table, ignore_hero=False, ignore_spectator=False)
+        world = ReplayState(reader.header.table, ignore_hero=False, ignore_spectator=False)
         found = []
         for frame in reader.frames():
             world.apply(frame)

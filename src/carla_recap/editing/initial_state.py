@@ -13,7 +13,7 @@ from carla_recap.model.layout import MAX_COUNT
 from carla_recap.model.records import FRAME_END, ORDER, Group
 from carla_recap.replay.cursor import Cursor
 from carla_recap.replay.rows import array, latest
-from carla_recap.replay.state import World
+from carla_recap.replay.state import ReplayState
 
 if TYPE_CHECKING:
     from collections.abc import Collection, Iterator
@@ -95,8 +95,8 @@ class InitialState:
             if packet.type is not None:
                 self._note(packet.type.name, packet.records)
 
-    def _new_world(self) -> World:
-        return World(self._table, ignore_hero=False, ignore_spectator=False)
+    def _new_world(self) -> ReplayState:
+        return ReplayState(self._table, ignore_hero=False, ignore_spectator=False)
 
     def _note(self, name: str, records: Records) -> None:
         if name in ("spawned", "destroyed"):
@@ -152,7 +152,7 @@ class InitialState:
             return np.empty(0, self._table.named("light_states").dtype)
         cursor = Cursor(self.source, self._new_world)
         cursor.seek(frame.elapsed)
-        return _without(cursor.world.light_states, told)
+        return _without(cursor.state.light_states, told)
 
 
 def _spawned(frame: Frame) -> set[int]:

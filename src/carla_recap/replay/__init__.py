@@ -12,7 +12,7 @@ from carla_recap.replay.events import Collided, Destroyed, Event, Parented, Pres
 from carla_recap.replay.follow import Follow, choose_followed, find_followed
 from carla_recap.replay.player import Played, Player
 from carla_recap.replay.pose import quaternions, right_handed, right_handed_velocities
-from carla_recap.replay.scene import Scene
+from carla_recap.replay.scene import Scene, SceneBatch
 
 __all__ = [
     "Collided",
@@ -24,6 +24,7 @@ __all__ = [
     "Player",
     "Present",
     "Scene",
+    "SceneBatch",
     "Spawned",
     "calm_heading",
     "calm_headings",

@@ -1,4 +1,4 @@
-"""A place in a recording: the frame at a time, the next one, and the world that all frames so far have left behind."""
+"""A position in a recording: the frame at a time, the next one, and the state after all frames so far."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from carla_recap.errors import RecapError
 from carla_recap.model.frame import SAME_TIME
 from carla_recap.replay.events import Collided, Event, Parented, Spawned
 from carla_recap.replay.rows import array
-from carla_recap.replay.state import EVENTS, World
+from carla_recap.replay.state import EVENTS, ReplayState
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
@@ -19,22 +19,18 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from carla_recap.formats.base import Reader
+    from carla_recap.model.batch import Batch
     from carla_recap.model.frame import Frame
 
-TYPES: Final = (
-    *EVENTS,
-    "transforms",
-    "light_states",
-    "vehicle_controls",
-    "walker_controls",
-    "vehicle_lights",
-    "velocities",
-)
+NUMBERS: Final = ("transforms", "light_states", "vehicle_controls", "walker_controls", "vehicle_lights", "velocities")
+"""The record types that a replay reads in each frame."""
+TYPES: Final = (*EVENTS, *NUMBERS)
 """The record types that a replay reads."""
 
-_LOOK_BACK: Final = 10.0  # s; how far back light states are looked for at first
-_WIDER: Final = 4.0
-_NEAR: Final = 10.0  # s; so far ahead it is no slower to read on than to seek
+_LOOK_BACK: Final = 10.0  # s; the time before a frame in which light states are searched first
+_WIDER: Final = 4.0  # the factor by which it grows
+_NEAR: Final = 10.0  # s; the time up to which reading on is no slower than seeking
+_MAX_FRAMES: Final = 1024
 
 
 class Cursor:
@@ -42,75 +38,121 @@ class Cursor:
 
     Args:
         reader: The recording.
-        new_world: Makes a world in which nothing has happened.
+        new_state: Makes the state before the first frame.
 
     Attributes:
         frame: The last frame at or before the time, or within `SAME_TIME` of it; before the first frame, the first.
-        next: The frame behind it; None behind the last one.
-        world: What all frames until `frame` have left behind.
-        events: What happened since they were last taken.
+        next: The frame after it; None after the last one.
+        state: The state after all frames until `frame`.
+        events: The events that were not taken yet.
     """
 
     frame: Frame
     next: Frame | None
 
-    def __init__(self, reader: Reader, new_world: Callable[[], World]) -> None:
+    def __init__(self, reader: Reader, new_state: Callable[[], ReplayState]) -> None:
         self._reader = reader
-        self._new_world = new_world
-        self._stream: Iterator[Frame] | None = None
-        self.world = new_world()
+        self._new_state = new_state
+        self._batches: Iterator[Batch] = iter(())
+        self._opened = False
+        self._batch: Batch | None = None  # the one that `next` belongs to
+        self._row = 0  # of `next` in it
+        self._ahead: Batch | None = None  # the one after it, if it has been read
+        self._changes: NDArray[np.bool_] | None = None  # of each row of the batch, whether its ids differ from the last ones
+        self.state = new_state()
         self.events: list[Event] = []
-        self._entered: list[Event] = []  # by the frame
+        self._entered: list[Event] = []  # the events of the frame
 
     def advance(self, time: float) -> None:
         """Read on until some elapsed seconds."""
         while self.next is not None and not self.next.elapsed > time + SAME_TIME:
             self._enter(self.next)
 
+    def advance_batch(self, time: float, stop: float) -> tuple[Batch, NDArray[np.void]] | None:
+        """Read on over frames without events that have the same ids as the next one, and are more than `SAME_TIME` apart.
+
+        Args:
+            time: The current elapsed time, in seconds.
+            stop: The elapsed time at which to stop (exclusive), in seconds.
+
+        Returns:
+            The frames and their latest light states; None if the next frame is to be read by `advance`.
+        """
+        batch, start = self._batch, self._row
+        if batch is None or len(batch) - start < 2 or _has_events(batch):
+            return None
+        times = batch.elapsed[start : start + _MAX_FRAMES]
+        if not np.all(np.diff(times, prepend=time) > SAME_TIME) or not times[-1] < math.inf:
+            return None
+        if self._changes is None:
+            self._changes = _id_changes(batch)
+        changes = self._changes[start + 1 : start + len(times)]
+        end = start + min(int(np.searchsorted(times, stop)), int(changes.argmax()) + 1 if changes.any() else len(times))
+        if end == len(batch):
+            self._ahead = self._ahead or next(self._batches, None)
+            if self._ahead is not None and not self._ahead.elapsed[0] > batch.elapsed[-1] + SAME_TIME:
+                end -= 1
+        if end <= start:
+            return None
+        frames = batch if end - start == len(batch) else batch[start:end]
+        states = self.state.apply_batch(frames)
+        self.frame, self._entered = frames.frame(-1), []
+        self._row = end
+        self._read_next()
+        return frames, states
+
     def seek(self, time: float) -> None:
-        """Go to some elapsed seconds; the events are then those that make the world there out of nothing.
+        """Go to some elapsed seconds; the events are then those that build up the state from nothing.
 
         Raises:
             RecapError: The recording has no frames.
         """
-        if self._stream is None or not -SAME_TIME <= time - self.frame.elapsed < _NEAR:
+        if not self._opened or not -SAME_TIME <= time - self.frame.elapsed < _NEAR:
             self._jump(time)
         self.advance(time)
-        actors = self.world.actors.values()
+        actors = self.state.actors.values()
         self.events = [Spawned(actor.since, actor) for actor in actors]
         self.events += [Parented(actor.since, actor.id, actor.parent) for actor in actors if actor.parent is not None]
         self.events += [event for event in self._entered if isinstance(event, Collided)]
 
     def take_events(self) -> tuple[Event, ...]:
-        """What happened since this was last asked."""
+        """Return the events since the last call."""
         events, self.events = tuple(self.events), []
         return events
 
     def _enter(self, frame: Frame) -> None:
-        assert self._stream is not None
+        """Make `next` the current frame."""
         self.frame = frame
-        self._entered = self.world.apply(frame)
+        self._entered = self.state.apply(frame)
         self.events += self._entered
-        self.next = next(self._stream, None)
+        self._row += 1
+        self._read_next()
+
+    def _read_next(self) -> None:
+        if self._batch is None or self._row >= len(self._batch):
+            self._batch, self._ahead = self._ahead or next(self._batches, None), None
+            self._row, self._changes = 0, None
+        self.next = None if self._batch is None else self._batch.frame(self._row)
 
     def _jump(self, time: float) -> None:
         found = self._reader.frame_at(time)
         start = -math.inf if found is None else found.elapsed
-        self.world = self._new_world()
+        self.state = self._new_state()
         if found is not None:
             for frame in self._reader.frames(EVENTS, sparse=True, stop=start):
-                self.world.apply(frame)
+                self.state.apply(frame)
             self._recall_lights(found)
-        self._stream = self._reader.frames(TYPES, start=start)
-        first = next(self._stream, None)
-        if first is None:
+        self._batches, self._opened = self._reader.batches(TYPES, start=start), True
+        self._batch = self._ahead = None
+        self._read_next()
+        if self.next is None:
             raise RecapError(f"{self._reader.path}: the recording has no frames")
-        self._enter(first)
+        self._enter(self.next)
 
     def _recall_lights(self, found: Frame) -> None:
-        """Look back for the states of traffic lights that a frame does not tell; most recordings have all in each."""
-        actors = self.world.actors
-        missing = set(self.world.lights.tolist()) - set(array(found["light_states"])["id"].tolist())
+        """Look back for the states of traffic lights that a frame does not have; most recordings have all in each."""
+        actors = self.state.actors
+        missing = set(self.state.lights.tolist()) - set(array(found["light_states"])["id"].tolist())
         stop, width = found.elapsed, _LOOK_BACK
         recalled: list[NDArray[np.void]] = []
         while missing and stop > (earliest := min(actors[id].since for id in missing)):
@@ -120,14 +162,28 @@ class Cursor:
             recalled += states.values()
             stop, width = start, width * _WIDER
         if recalled:
-            self.world.recall_lights(np.concatenate(recalled))
+            self.state.recall_lights(np.concatenate(recalled))
 
     def _light_states(self, start: float, stop: float, since: dict[int, float]) -> dict[int, NDArray[np.void]]:
-        """The latest states within a time of the lights that are there since some time."""
+        """Return the latest states within a time of lights, each since its spawn."""
         states: dict[int, NDArray[np.void]] = {}
         for frame in self._reader.frames(("light_states",), start=start, stop=stop):
             records = array(frame["light_states"])
-            for place, id in enumerate(records["id"].tolist()):
+            for row, id in enumerate(records["id"].tolist()):
                 if id in since and frame.elapsed >= since[id]:
-                    states[id] = records[place : place + 1]
+                    states[id] = records[row : row + 1]
         return states
+
+
+def _has_events(batch: Batch) -> bool:
+    return any(column.type is not None and column.type.name in EVENTS for column in batch.columns)
+
+
+def _id_changes(batch: Batch) -> NDArray[np.bool_]:
+    """Return of each frame whether the ids of any records differ from those of the frame before."""
+    changes = np.zeros(len(batch), np.bool_)
+    if len(batch) > 1:
+        for name in NUMBERS:
+            ids = batch.records(name)["id"]
+            changes[1:] |= (ids[1:] != ids[:-1]).any(axis=1)
+    return changes

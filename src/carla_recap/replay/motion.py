@@ -54,13 +54,13 @@ class Motion:
             if frame is self._next and hidden is self._hidden and self._ahead:
                 self._ids, self._poses = self._ahead
             else:
-                self._ids, self._poses = self._read(frame, hidden)
+                self._ids, self._poses = self.read(array(frame["transforms"]), hidden)
             self._frame, self._hidden, self._next = frame, hidden, None
             self._ahead = self._change = None
         if next is None or part <= 0:
             return self._ids, self._poses
         if self._change is None or next is not self._next:
-            self._next, self._ahead = next, self._read(next, hidden)
+            self._next, self._ahead = next, self.read(array(next["transforms"]), hidden)
             with np.errstate(invalid="ignore", over="ignore"):
                 self._change = self._steps(frame, next, *self._ahead)
                 angles = np.stack((self._poses, self._poses + self._change))[:, :, ROTATION]
@@ -72,10 +72,16 @@ class Motion:
         poses.setflags(write=False)
         return self._ids, poses
 
-    def _read(self, frame: Frame, hidden: Ids) -> tuple[Ids, Floats]:
-        records = array(frame["transforms"])
-        with np.errstate(invalid="ignore"):  # a NaN that signals
-            poses = numbers(records)[self._selection.choose(records, hidden)].astype(np.float64)
+    def read(self, records: NDArray[np.void], hidden: Ids) -> tuple[Ids, Floats]:
+        """Return the recorded ids, ascending, and the poses; both are read-only.
+
+        Args:
+            records: The transforms of a frame, or of frames with the same ids, (frames, records of each).
+            hidden: The ids to leave out.
+        """
+        rows = self._selection.choose(records if records.ndim == 1 else records[0], hidden)
+        with np.errstate(invalid="ignore"):  # a signaling NaN
+            poses = numbers(records)[..., rows, :].astype(np.float64)
         poses.setflags(write=False)
         return self._selection.ids, poses
 

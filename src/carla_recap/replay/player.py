@@ -7,21 +7,28 @@ from collections import defaultdict
 from functools import cached_property
 from typing import TYPE_CHECKING, Final, NamedTuple
 
+import numpy as np
+
 from carla_recap.errors import RecapError
+from carla_recap.model.batch import Batch
 from carla_recap.model.frame import SAME_TIME
 from carla_recap.recording import Recording
 from carla_recap.replay.cursor import Cursor
 from carla_recap.replay.follow import Follow, choose_followed, find_followed
 from carla_recap.replay.motion import Motion
 from carla_recap.replay.rows import Selection
-from carla_recap.replay.scene import Scene
-from carla_recap.replay.state import World
+from carla_recap.replay.scene import Scene, SceneBatch
+from carla_recap.replay.state import ReplayState
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Iterator
 
-    from carla_recap.formats.base import Reader
+    from numpy.typing import NDArray
 
+    from carla_recap.formats.base import Reader
+    from carla_recap.replay.rows import Ids
+
+    Floats = NDArray[np.float64]
     Progress = Callable[[Iterable[Scene], "Player"], Iterable[Scene]]
 
 FAST: Final = 2.0
@@ -98,7 +105,7 @@ class Player:
         self._fresh = True
         self._cursor = Cursor(
             reader,
-            lambda: World(reader.header.table, ignore_hero=ignore_hero, ignore_spectator=ignore_spectator),
+            lambda: ReplayState(reader.header.table, ignore_hero=ignore_hero, ignore_spectator=ignore_spectator),
         )
         self._motion = Motion()
         self._selections: defaultdict[str, Selection] = defaultdict(Selection)
@@ -188,6 +195,36 @@ class Player:
                 following = self._cursor.next
                 scene = self._play(self.stop if following is None else following.elapsed)
 
+    def batches(self, progress: Progress | None = None) -> Iterator[SceneBatch]:
+        """Play on to the stop, as `scenes` without a rate, in batches of scenes with the same actors.
+
+        A batch has events only in its first scene. The time of the player is that of the last scene of a batch.
+
+        Args:
+            progress: Is given all scenes and the player, and passes the scenes on.
+
+        Raises:
+            FormatError: The file contradicts its format.
+        """
+        if progress is None:
+            yield from self._batches()
+            return
+        scenes = (scene for batch in self._batches() for scene in batch)
+        for scene in progress(scenes, self):
+            if scene.row == len(scene.batch) - 1:
+                yield scene.batch
+
+    def _batches(self) -> Iterator[SceneBatch]:
+        cursor, scene = self._cursor, self.tick(0.0)
+        while scene is not None:
+            yield scene.batch
+            while not self._finished and (found := cursor.advance_batch(self._time, self.stop - SAME_TIME)):
+                frames, light_states = found
+                self._time = float(frames.elapsed[-1])
+                ids, poses = self._motion.read(frames.records("transforms"), cursor.state.hidden)
+                yield self._batch(frames.elapsed, frames, ids, poses, light_states)
+            scene = self._play(self.stop if cursor.next is None else cursor.next.elapsed)
+
     def _play(self, time: float) -> Scene | None:
         if self._finished:
             return None
@@ -203,7 +240,7 @@ class Player:
 
     def _scene(self) -> Scene:
         cursor = self._cursor
-        world, frame, following = cursor.world, cursor.frame, cursor.next
+        state, frame, following = cursor.state, cursor.frame, cursor.next
         if self._time < frame.elapsed <= self._time + SAME_TIME:
             self._time = frame.elapsed
         time = self._time
@@ -212,21 +249,25 @@ class Player:
             length = following.elapsed - frame.elapsed
             part = (time - frame.elapsed) / length if length > 0 else 0.0
             part = part if 0 <= part <= 1 else 0.0
-        ids, poses = self._motion.at(frame, following, world.hidden, part)
+        ids, poses = self._motion.at(frame, following, state.hidden, part)
+        return Scene(self._batch(np.array([time]), Batch.of(frame), ids, poses[None], state.light_states[None]))
+
+    def _batch(self, time: Floats, frames: Batch, ids: Ids, poses: Floats, light_states: NDArray[np.void]) -> SceneBatch:
+        state = self._cursor.state
         fresh, self._fresh = self._fresh, False
-        return Scene(
+        return SceneBatch(
             time,
-            frame,
+            frames,
             fresh,
-            cursor.take_events(),
+            self._cursor.take_events(),
             ids,
             poses,
-            world.actors,
-            world.light_states,
-            world.doors,
-            world.weather,
-            world.scene_lights,
-            world.hidden,
+            state.actors,
+            light_states,
+            state.doors,
+            state.weather,
+            state.scene_lights,
+            state.hidden,
             self._selections,
         )
 

@@ -1,4 +1,4 @@
-"""A recording at a moment."""
+"""A recording at a moment, and at the moments of consecutive frames."""
 
 from __future__ import annotations
 
@@ -6,51 +6,54 @@ from dataclasses import dataclass, field
 from functools import cached_property
 from typing import TYPE_CHECKING, TypeVar
 
+import numpy as np
+
 from carla_recap.replay.events import Collided, Destroyed, Event, Parented, Present, Spawned
 from carla_recap.replay.pose import attach
-from carla_recap.replay.rows import Ids, Selection, array
 
 if TYPE_CHECKING:
     from collections import defaultdict
-    from collections.abc import Mapping
+    from collections.abc import Iterator, Mapping
 
-    import numpy as np
     from numpy.typing import NDArray
 
+    from carla_recap.model.batch import Batch
     from carla_recap.model.frame import Frame
+    from carla_recap.replay.rows import Ids, Selection
 
 E = TypeVar("E", bound=Event)
 
-_PARENTS = 16  # so many actors can be attached one to the next
+_MAX_PARENTS = 16
 
 
 @dataclass(eq=False)
-class Scene:
-    """A recording at a moment; does not change any more. Arrays are not to be written to.
+class SceneBatch:
+    """The scenes of consecutive frames, as arrays: the same actors in each, and no events after the first.
 
-    Numbers are CARLA's: cm, degrees, m/s, left-handed (x forward, y right, z up); see `carla_recap.replay.pose` for the way
-    to metres and right-handed axes.
+    A scene between frames is a batch of one. Arrays are read-only. Numbers are CARLA's: cm, degrees, m/s, left-handed (x
+    forward, y right, z up); `carla_recap.replay.pose` converts them to metres and right-handed axes.
 
     Attributes:
-        time: The moment, in elapsed seconds.
-        frame: The last frame at or before it, with the record types that a replay reads.
-        fresh: Whether this is the first scene, or the first one after a leap: `events` then make the world out of nothing.
-        events: What happened since the previous scene, in order. Of a fresh one: the spawn of each actor that is there,
-            its parents, and the collisions of `frame`.
-        ids: The actors that have a recorded pose, ascending.
-        poses: Of each of them x, y, z in cm and roll, pitch, yaw in degrees.
-        actors: The actors that are there, by id, in order of appearance. One without a recorded pose (lights, signs, and
-            with CARLA 0.9.10 the props) is where it was spawned, or on its parent; see `pose_of`.
-        light_states: Of each traffic light the latest id, frozen, elapsed (s), state (0 red, 1 yellow, 2 green, 3 off,
-            4 unknown); ascending by id.
+        time: The moments, in elapsed seconds, (scenes,).
+        frames: The last frame at or before each moment, with the record types that a replay reads.
+        fresh: Whether the first scene is the first one of all or after a seek: `events` then build up the state from
+            nothing.
+        events: The events since the previous scene, in order; all of them belong to the first scene. Those of a fresh one
+            are the spawn of each present actor, its parents, and the collisions of the frame.
+        ids: The actors that have a recorded pose, ascending; the same object as in the previous batch if they are the same.
+        poses: x, y, z in cm and roll, pitch, yaw in degrees of each of them, (scenes, ids, 6).
+        actors: The present actors by id, in order of appearance. One without a recorded pose (lights, signs, and with
+            CARLA 0.9.10 the props) is where it was spawned, or on its parent; see `pose_of`.
+        light_states: The latest state of each traffic light, ascending by id, (scenes, lights): id, frozen, elapsed (s),
+            state (0 red, 1 yellow, 2 green, 3 off, 4 unknown).
         doors: The open doors of each actor that has any: 0 front left, 1 front right, 2 rear left, 3 rear right,
             4 hood, 5 trunk.
         weather: The latest weather; None if none was recorded yet.
         scene_lights: The latest state of each lamp of the scene, ascending by id.
     """
 
-    time: float
-    frame: Frame
+    time: NDArray[np.float64]
+    frames: Batch
     fresh: bool
     events: tuple[Event, ...]
     ids: Ids
@@ -62,31 +65,148 @@ class Scene:
     scene_lights: NDArray[np.void]
     hidden: Ids = field(repr=False)
     selections: defaultdict[str, Selection] = field(repr=False)
+    _records: dict[str, NDArray[np.void]] = field(default_factory=dict, init=False, repr=False)
+
+    def __len__(self) -> int:
+        return len(self.time)
+
+    def __iter__(self) -> Iterator[Scene]:
+        return (Scene(self, row) for row in range(len(self)))
+
+    def records(self, name: str) -> NDArray[np.void]:
+        """Return the records of a type as in the frames, the last one of each id, ascending by id: (scenes, ids)."""
+        if name not in self._records:
+            records = self.frames.records(name)
+            self._records[name] = records[:, self.selections[name].choose(records[0], self.hidden)]
+        return self._records[name]
+
+    def index_of(self, id: int) -> int | None:
+        """Return the index of an actor in `ids`; None if it has no recorded pose."""
+        index = int(self.ids.searchsorted(id))
+        return index if index < len(self.ids) and self.ids[index] == id else None
+
+    def pose_of(self, id: int, row: int | None = None) -> NDArray[np.float64] | None:
+        """Return the poses of an actor, recorded or not, (scenes, 6); None if they are unknown.
+
+        Args:
+            id: The actor.
+            row: The position of the only scene to look at, whose pose is returned, (6,).
+        """
+        poses = self.poses if row is None else self.poses[row]
+        relative: list[NDArray[np.float64]] = []
+        for _ in range(_MAX_PARENTS):
+            index, actor = self.index_of(id), self.actors.get(id)
+            if index is not None:
+                pose: NDArray[np.float64] = poses[..., index, :]
+            elif actor is None:
+                return None
+            elif actor.attached and actor.parent is not None:
+                relative.append(actor.spawn_pose)
+                id = actor.parent
+                continue
+            else:
+                pose = np.broadcast_to(actor.spawn_pose, (*poses.shape[:-2], 6))
+            for upon in reversed(relative):
+                pose = attach(pose, upon)
+            return pose
+        return None
+
+
+class Scene:
+    """A recording at a moment: one of a `SceneBatch`, whose attributes it has, as they are then.
+
+    Args:
+        batch: The batch.
+        row: The position in it.
+    """
+
+    __slots__ = ("__dict__", "batch", "row")
+
+    def __init__(self, batch: SceneBatch, row: int = 0) -> None:
+        self.batch = batch
+        self.row = row
+
+    @property
+    def time(self) -> float:
+        """The moment, in elapsed seconds."""
+        return float(self.batch.time[self.row])
+
+    @cached_property
+    def frame(self) -> Frame:
+        """The last frame at or before the moment, with the record types that a replay reads."""
+        return self.batch.frames.frame(self.row)
 
     @property
     def frame_id(self) -> int:
         """CARLA's number of the frame."""
-        return self.frame.id
+        return int(self.batch.frames.id[self.row])
 
-    @cached_property
+    @property
+    def fresh(self) -> bool:
+        """Whether this is the first scene, or the first one after a seek."""
+        return self.batch.fresh and not self.row
+
+    @property
+    def events(self) -> tuple[Event, ...]:
+        """The events since the previous scene; see `SceneBatch`."""
+        return () if self.row else self.batch.events
+
+    @property
+    def ids(self) -> Ids:
+        """The actors that have a recorded pose, ascending."""
+        return self.batch.ids
+
+    @property
+    def poses(self) -> NDArray[np.float64]:
+        """x, y, z in cm and roll, pitch, yaw in degrees of each of them, (ids, 6)."""
+        poses: NDArray[np.float64] = self.batch.poses[self.row]
+        return poses
+
+    @property
+    def actors(self) -> Mapping[int, Present]:
+        """The present actors by id; see `SceneBatch`."""
+        return self.batch.actors
+
+    @property
+    def light_states(self) -> NDArray[np.void]:
+        """The latest state of each traffic light, ascending by id; see `SceneBatch`."""
+        states: NDArray[np.void] = self.batch.light_states[self.row]
+        return states
+
+    @property
+    def doors(self) -> Mapping[int, frozenset[int]]:
+        """The open doors of each actor that has any; see `SceneBatch`."""
+        return self.batch.doors
+
+    @property
+    def weather(self) -> np.void | None:
+        """The latest weather; None if none was recorded yet."""
+        return self.batch.weather
+
+    @property
+    def scene_lights(self) -> NDArray[np.void]:
+        """The latest state of each lamp of the scene, ascending by id."""
+        return self.batch.scene_lights
+
+    @property
     def vehicle_controls(self) -> NDArray[np.void]:
-        """Of each vehicle id, steer, throttle, brake, hand_brake, gear as in the frame; ascending by id."""
-        return self._rows("vehicle_controls")
+        """id, steer, throttle, brake, hand_brake, gear of each vehicle as in the frame; ascending by id."""
+        return self._records("vehicle_controls")
 
-    @cached_property
+    @property
     def walker_controls(self) -> NDArray[np.void]:
-        """Of each walker id and speed (cm/s) as in the frame; ascending by id."""
-        return self._rows("walker_controls")
+        """The id and speed (cm/s) of each walker as in the frame; ascending by id."""
+        return self._records("walker_controls")
 
-    @cached_property
+    @property
     def vehicle_lights(self) -> NDArray[np.void]:
-        """Of each vehicle id and flags of its lights as in the frame; ascending by id."""
-        return self._rows("vehicle_lights")
+        """The id and light flags of each vehicle as in the frame; ascending by id."""
+        return self._records("vehicle_lights")
 
-    @cached_property
+    @property
     def velocities(self) -> NDArray[np.void]:
-        """Of each actor id, x, y, z (m/s), angular_x, … (degrees/s) as in the frame, where recorded; ascending by id."""
-        return self._rows("velocities")
+        """id, x, y, z (m/s), angular_x, … (degrees/s) of each actor as in the frame, if recorded; ascending by id."""
+        return self._records("velocities")
 
     @property
     def spawned(self) -> list[Spawned]:
@@ -108,33 +228,17 @@ class Scene:
         """The collisions among the events."""
         return self._events(Collided)
 
-    def place_of(self, id: int) -> int | None:
-        """The row of an actor in `poses`; None where it has none."""
-        place = int(self.ids.searchsorted(id))
-        return place if place < len(self.ids) and self.ids[place] == id else None
+    def index_of(self, id: int) -> int | None:
+        """Return the index of an actor in `ids` and `poses`; None if it has no recorded pose."""
+        return self.batch.index_of(id)
 
     def pose_of(self, id: int) -> NDArray[np.float64] | None:
-        """Where an actor is, recorded or not: x, y, z in cm, roll, pitch, yaw in degrees; None where nothing tells."""
-        relative: list[NDArray[np.float64]] = []
-        for _ in range(_PARENTS):
-            place, actor = self.place_of(id), self.actors.get(id)
-            if place is not None:
-                pose: NDArray[np.float64] = self.poses[place]
-            elif actor is None:
-                return None
-            elif actor.attached and actor.parent is not None:
-                relative.append(actor.spawn_pose)
-                id = actor.parent
-                continue
-            else:
-                pose = actor.spawn_pose
-            for upon in reversed(relative):
-                pose = attach(pose, upon)
-            return pose
-        return None
+        """Return the pose of an actor, recorded or not: x, y, z in cm, roll, pitch, yaw in degrees; None if unknown."""
+        return self.batch.pose_of(id, self.row)
+
+    def _records(self, name: str) -> NDArray[np.void]:
+        records: NDArray[np.void] = self.batch.records(name)[self.row]
+        return records
 
     def _events(self, kind: type[E]) -> list[E]:
         return [event for event in self.events if isinstance(event, kind)]
-
-    def _rows(self, name: str) -> NDArray[np.void]:
-        return self.selections[name].take(array(self.frame[name]), self.hidden)

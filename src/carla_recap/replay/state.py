@@ -19,6 +19,7 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
+    from carla_recap.model.batch import Batch
     from carla_recap.model.frame import Frame
     from carla_recap.model.records import Table
 
@@ -26,7 +27,7 @@ ALL_DOORS: Final = 6
 DOORS: Final = range(ALL_DOORS)
 
 
-class World:
+class ReplayState:
     """The state that grows frame by frame; what it hands out does not change any more.
 
     Args:
@@ -91,6 +92,17 @@ class World:
             self._settle()
         self._settle_lights()
         return self._events
+
+    def apply_batch(self, batch: Batch) -> NDArray[np.void]:
+        """Apply frames without events, each with the same ids.
+
+        Returns:
+            The latest state of each traffic light, ascending by id, (frames, lights).
+
+        Raises:
+            FormatError: A packet contradicts its layout.
+        """
+        return self._apply_light_states(batch.records("light_states"))
 
     def recall_lights(self, states: NDArray[np.void]) -> None:
         """Take light states from earlier frames."""
@@ -190,36 +202,44 @@ class World:
                     self._events[place] = Spawned(event.elapsed, now)
 
     def _settle_lights(self) -> None:
-        if not self._light_records:
+        parts = self._light_records or [self.light_states[:0]]
+        self._apply_light_states((parts[0] if len(parts) == 1 else np.concatenate(parts))[None])
+
+    def _apply_light_states(self, records: NDArray[np.void]) -> NDArray[np.void]:
+        """Keep the states of frames with the same ids in each, and return the latest ones in each of them."""
+        count = len(records)
+        if not records.shape[1]:
             if self._stray_lights:
                 self.light_states = self._lasting()
                 self._stray_lights = False
-            return
-        parts = self._light_records
-        records = parts[0] if len(parts) == 1 else np.concatenate(parts)
-        held = self._selection.ids
-        states = self._selection.take(records, self.hidden)
-        if self._selection.ids is held and len(states) == len(self.light_states) and not self._stray_lights:
-            self.light_states = states
-            return
-        self.light_states = merged(self._lasting(), states)
-        self._stray_lights = not bool(np.isin(self.light_states["id"], self._lights).all())
+            return np.broadcast_to(self.light_states, (count, len(self.light_states)))
+        before = self._selection.ids
+        states = records[:, self._selection.choose(records[0], self.hidden)]
+        kept = self._selection.ids is before and states.shape[1] == len(self.light_states)
+        if not kept or self._stray_lights:
+            first = merged(self._lasting(), states[0])
+            latest = np.repeat(first[None], count, axis=0)
+            latest[:, np.searchsorted(first["id"], self._selection.ids)] = states
+            states = latest
+            self._stray_lights = not bool(np.isin(first["id"], self._lights).all())
+        self.light_states = states[-1]
+        return states
 
     def _lasting(self) -> NDArray[np.void]:
         """The light states that outlast their frame."""
         return self.light_states[np.isin(self.light_states["id"], self._lights)]
 
 
-_HANDLERS: Final[dict[str, Callable[[World, Any, float], None]]] = {
-    "spawned": World._spawn,
-    "destroyed": World._destroy,
-    "parented": World._parent,
-    "collisions": World._collide,
-    "doors": World._move_doors,
-    "weather": World._change_weather,
-    "bounding_boxes": World._box,
-    "scene_lights": World._switch,
-    "light_states": World._note_lights,
+_HANDLERS: Final[dict[str, Callable[[ReplayState, Any, float], None]]] = {
+    "spawned": ReplayState._spawn,
+    "destroyed": ReplayState._destroy,
+    "parented": ReplayState._parent,
+    "collisions": ReplayState._collide,
+    "doors": ReplayState._move_doors,
+    "weather": ReplayState._change_weather,
+    "bounding_boxes": ReplayState._box,
+    "scene_lights": ReplayState._switch,
+    "light_states": ReplayState._note_lights,
 }
 
 EVENTS: Final = tuple(name for name in _HANDLERS if name != "light_states")

@@ -199,7 +199,7 @@ class Actors:
 
     def _place(self, scene: Scene) -> None:
         """Find out how each actor of the cast gets its pose."""
-        places = [scene.place_of(figure.actor.id) for figure in self._cast]
+        places = [scene.index_of(figure.actor.id) for figure in self._cast]
         self._recorded = np.array([row for row, place in enumerate(places) if place is not None], np.intp)
         self._places = np.array([place for place in places if place is not None], np.intp)
         self._poses = np.full((len(self._cast), 6), np.nan)

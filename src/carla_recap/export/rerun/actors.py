@@ -140,7 +140,7 @@ class Actors:
         archetypes: list[rr.AsComponents] = [boxes]
         if actor.kind == ActorKind.VEHICLE:
             archetypes.append(_arrow(np.array(center), np.array(half)))
-        if scene.place_of(actor.id) is None:
+        if scene.index_of(actor.id) is None:
             archetypes.append(_place(actor))
         self._stream.log(path, moment, *archetypes)
 

@@ -120,7 +120,7 @@ class KinematicReplay:
         for id, actor in self._mapping.replayed.items():
             if isinstance(actor, (MovingActor, Sign)) or actor.parent is not None:
                 continue
-            index = scene.place_of(id)
+            index = scene.index_of(id)
             if index is None:
                 continue
             pose = scene.poses[index]

@@ -1,0 +1,113 @@
+"""Batches of scenes are the scenes that playing frame by frame gives."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from carla_recap import convert, open_recording
+from carla_recap.formats import create_writer
+from carla_recap.model.frame import Frame, Header
+from carla_recap.replay import Player
+from tests.replay.scripts import pose, spawn, state, write
+from tests.replay.test_real import build
+from tests.replay.test_state import FRAMES
+from tests.samples import carla_log
+
+if TYPE_CHECKING:
+    from carla_recap import Recording
+    from carla_recap.replay import SceneBatch
+    from tests.replay.conftest import Record
+
+CROSSING = Path(__file__).parents[2] / "samples" / "crossing.log"
+
+
+def same_scenes(recording: Recording, **options: Any) -> list[SceneBatch]:
+    """Compare the scenes of batches with those of single frames, and return the batches."""
+    expected = [(state(scene), scene.events, scene.fresh) for scene in Player(recording, **options).scenes()]
+    batches = list(Player(recording, **options).batches())
+    scenes = [scene for batch in batches for scene in batch]
+    found = [(state(scene), scene.events, scene.fresh) for scene in scenes]
+    assert repr(found) == repr(expected)  # NaN is NaN
+    return batches
+
+
+@pytest.mark.parametrize("suffix", [".log", ".mcap"])
+@pytest.mark.parametrize("name", ["carla-0.9.10-lane-center", "carla-0.9.13-lane-center", "crossing"])
+def test_batches_of_real_recordings(name: str, suffix: str, tmp_path: Path) -> None:
+    path = CROSSING if name == "crossing" else carla_log(f"{name}.log")
+    if suffix == ".mcap":
+        convert(path, tmp_path / "real.mcap")
+        path = tmp_path / "real.mcap"
+    with open_recording(path) as recording:
+        batches = same_scenes(recording, start=recording.info.duration / 3, duration=4)
+        assert sum(map(len, batches)) > 3 * len(batches)
+
+
+@given(frames=st.lists(FRAMES, min_size=1, max_size=8), start=st.floats(0, 1))
+@pytest.mark.parametrize("kind", [".log", ".mcap"])
+def test_batches_of_any_recording(tmp_path_factory: pytest.TempPathFactory, kind: str, frames, start: float) -> None:
+    repeated = [frame for frame in frames for _ in range(2)]
+    path = write(tmp_path_factory.mktemp("any") / f"any{kind}", repeated, tick=0.5)
+    with open_recording(path) as recording:
+        same_scenes(recording, start=start * recording.info.duration)
+
+
+@pytest.mark.parametrize(
+    "times", [[0, 1, 1, 2, 3, 3], [0, 2, 1, 3, 4, 5], [5, 5, 5, 5, 5, 5], [0, 1, 2, float("nan"), 4, 5]]
+)
+def test_frames_of_the_same_time_or_an_earlier_one(tmp_path: Path, times: list[float]) -> None:
+    path = build(tmp_path / "plain.log", Header("Town01", 0), [{"transforms": [pose(1, 100 * n)]} for n in range(6)])
+    with open_recording(path) as source, create_writer(tmp_path / "odd.log", source.reader.header) as writer:
+        for frame, time in zip(source, times, strict=True):
+            writer.write(Frame(frame.index, frame.id, time, frame.duration, list(frame.packets)))
+    with open_recording(tmp_path / "odd.log") as recording:
+        same_scenes(recording)
+
+
+def test_a_batch_ends_where_ids_change(record: Record) -> None:
+    ids = [(1, 2)] * 4 + [(2, 1)] * 4 + [(2, 3)] * 4
+    recording = record(*({"transforms": [pose(id, id) for id in pair]} for pair in ids))
+    batches = same_scenes(recording)
+    assert [batch.ids.tolist() for batch in batches if len(batch) > 1] == [[1, 2], [1, 2], [2, 3]]
+
+
+def test_events_are_in_the_first_scene(record: Record) -> None:
+    frames = [{"transforms": [pose(1, n)]} for n in range(9)]
+    frames[4] |= {"spawned": [spawn(2)], "doors": [(2, 1, 1)]}
+    batches = same_scenes(record(*frames))
+    assert [len(batch) for batch in batches] == [1, 3, 1, 3, 1]
+    assert [bool(batch.events) for batch in batches] == [False, False, True, False, False]
+    assert [batch.doors.get(2) for batch in batches] == [None, None, {1}, {1}, {1}]
+
+
+def test_arrays_of_a_batch(record: Record) -> None:
+    frames = [{"transforms": [pose(2), pose(1, 100 * n)], "vehicle_controls": [(1, 0, n / 8, 0, 0, 1)]} for n in range(5)]
+    frames[0] |= {"spawned": [spawn(1), spawn(2), spawn(3, x=5), spawn(4, x=10)], "parented": [(4, 1)]}
+    batch = next(batch for batch in Player(record(*frames)).batches() if len(batch) > 1)
+    assert batch.poses.shape == (len(batch), 2, 6)
+    assert batch.records("vehicle_controls")["throttle"].ravel().tolist() == [1 / 8, 2 / 8, 3 / 8]
+    assert batch.pose_of(1)[:, 0].tolist() == [100, 200, 300]
+    assert batch.pose_of(3)[:, 0].tolist() == [5, 5, 5]
+    assert batch.pose_of(4)[:, 0] == pytest.approx([110, 210, 310])
+    assert batch.pose_of(5) is None
+    with pytest.raises(ValueError, match="read-only"):
+        batch.poses[0, 0, 0] = 1
+
+
+def test_progress_is_given_all_scenes(record: Record) -> None:
+    seen = []
+
+    def progress(scenes, player):
+        for scene in scenes:
+            seen.append(scene.time)
+            yield scene
+
+    recording = record(*({"transforms": [pose(1, n)]} for n in range(6)))
+    batches = list(Player(recording).batches(progress))
+    assert seen == [0, 1, 2, 3, 4, 5]
+    assert sum(map(len, batches)) == 6
