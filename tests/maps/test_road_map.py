@@ -12,7 +12,7 @@ import pytest
 
 import carla_recap
 from carla_recap import RecapError
-from carla_recap.maps import child, load_map
+from carla_recap.maps import load_map, parsing
 from tests.maps.towns import lane, opendrive, road, section, town
 from tests.samples import carla_log, time_limit
 
@@ -190,7 +190,7 @@ def test_names_in_another_encoding_do_no_harm(tmp_path):
 
 
 def test_a_parser_that_takes_too_long_is_ended(tmp_path, monkeypatch):
-    monkeypatch.setattr(child, "_PATIENCE", 0.02)
+    monkeypatch.setattr(parsing, "_TIMEOUT", 0.02)
     path = tmp_path / "slow.xodr"
     path.write_text(SOUND)
     with pytest.raises(RecapError, match=r"slow\.xodr: CARLA's parser has not read it within 0\.02 s"):
@@ -198,7 +198,7 @@ def test_a_parser_that_takes_too_long_is_ended(tmp_path, monkeypatch):
 
 
 def test_a_file_without_end_is_not_read(tmp_path, monkeypatch):
-    monkeypatch.setattr(child, "_LARGEST", 1 << 20)
+    monkeypatch.setattr(parsing, "_LARGEST", 1 << 20)
     path = tmp_path / "large.xodr"
     path.write_bytes(b" " * ((1 << 20) + 1))
     with pytest.raises(RecapError, match=r"large\.xodr: is larger than 1 MB"):

@@ -1,4 +1,4 @@
-"""The map of a town: an OpenDRIVE file as lines that a viewer can draw."""
+"""Road maps: OpenDRIVE files as lines to draw."""
 
 from carla_recap.maps.road_map import RoadMap, find_map, load_map
 

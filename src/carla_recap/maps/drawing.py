@@ -1,13 +1,15 @@
-"""From the lanes of a town to lines that are light to draw."""
+"""The lines of a road map, drawn from the lanes of an OpenDRIVE file; as a module, the child process that does so."""
 
 from __future__ import annotations
 
+import sys
 from collections import defaultdict
 from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
-from carla_recap.maps.opendrive import NO_JUNCTION
+from carla_recap.maps.opendrive import NO_JUNCTION, read_opendrive
+from carla_recap.maps.parsing import pack, run_child
 from carla_recap.maps.polylines import Surface, distances_to, join, simplify
 
 if TYPE_CHECKING:
@@ -15,29 +17,29 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    from carla_recap.maps.opendrive import Lane, Roads, Sign
+    from carla_recap.maps.opendrive import Landmark, LaneGeometry, Roads
 
     Floats = NDArray[np.float64]
 
 _NOT_DRAWN: Final = "NONE"
-_NARROW: Final = 0.3  # m: what is nowhere wider is no lane to look at
-_STUB: Final = 1.0  # m: what is left of a border at the edge of a junction, and means nothing
-_APART: Final = 0.15  # m: between the points that cover a junction
-_DENSER: Final = 4  # times as many points along a lane
+_NARROW: Final = 0.3  # m; lanes that are nowhere wider are not drawn
+_STUB: Final = 1.0  # m; shorter parts of borders at the edge of a junction are not drawn
+_SPACING: Final = 0.15  # m between the points that cover a lane, from left to right
+_DENSITY: Final = 4  # points that cover a lane for each of its points, along it
 _MOST_ACROSS: Final = 400
-_SAME_STOP: Final = 0.5  # m
-_SAME_PAINT: Final = 6.0  # m
+_SAME_STOP: Final = 0.5  # m between equal stop lines
+_SAME_PAINT: Final = 6.0  # m from a painted stop line, within which no other one is drawn
 
 
 def draw(roads: Roads) -> dict[str, list[Floats]]:
-    """The lines of a town by the names of the fields of a `RoadMap`; those with places that are no numbers are left out."""
+    """Return the lines of a road map, by the fields of `RoadMap`, without those that contain NaN or infinity."""
     with np.errstate(all="ignore"):
         lanes = [lane for lane in roads.lanes if np.isfinite((lane.centre, lane.left, lane.right)).all()]
         surfaces = _surfaces(lanes)
         return {
             "lane_borders": _tidy(_borders(lanes, {junction: surface for junction, (surface, _) in surfaces.items()})),
             "centre_lines": _tidy(_ahead(lane, lane.centre) for lane in lanes if lane.is_driving),
-            "junctions": [line for surface, ground in surfaces.values() for line in _outlines(surface, ground)],
+            "junctions": [line for surface, points in surfaces.values() for line in _outlines(surface, points)],
             "crossings": [crossing for crossing in roads.crossings if np.isfinite(crossing).all()],
             "stop_lines": _tidy(_stop_lines(roads, lanes)),
         }
@@ -47,13 +49,13 @@ def _tidy(lines: Iterable[Floats]) -> list[Floats]:
     return [simplify(line) for line in join(list(lines))]
 
 
-def _ahead(lane: Lane, line: Floats) -> Floats:
-    """A line along a lane, in the direction in which one drives."""
+def _ahead(lane: LaneGeometry, line: Floats) -> Floats:
+    """Return a line along a lane in driving direction."""
     return line[::-1] if lane.reverse else line
 
 
-def _surfaces(lanes: list[Lane]) -> dict[int, tuple[Surface, Floats]]:
-    """The junctions: the ground for cars, and points on it."""
+def _surfaces(lanes: list[LaneGeometry]) -> dict[int, tuple[Surface, Floats]]:
+    """Return the surface of each junction that cars drive on, and points on it."""
     grounds = defaultdict(list)
     for lane in lanes:
         if lane.junction != NO_JUNCTION and lane.is_driving:
@@ -67,30 +69,30 @@ def _surfaces(lanes: list[Lane]) -> dict[int, tuple[Surface, Floats]]:
     }
 
 
-def _cover(lane: Lane) -> Floats:
-    """Points all over a lane, (n, 2)."""
+def _cover(lane: LaneGeometry) -> Floats:
+    """Return points that cover a lane, (n, 2)."""
     stations = np.interp(
-        np.linspace(0, 1, _DENSER * (len(lane.stations) - 1) + 1), np.linspace(0, 1, len(lane.stations)), lane.stations
+        np.linspace(0, 1, _DENSITY * (len(lane.stations) - 1) + 1), np.linspace(0, 1, len(lane.stations)), lane.stations
     )
     left, right = (
         np.stack([np.interp(stations, lane.stations, axis) for axis in border.T[:2]], axis=1)
         for border in (lane.left, lane.right)
     )
     width = np.linalg.norm(left - right, axis=1).max()
-    shares = np.linspace(0, 1, min(int(width / _APART) + 2, _MOST_ACROSS))[:, None, None]
+    shares = np.linspace(0, 1, min(int(width / _SPACING) + 2, _MOST_ACROSS))[:, None, None]
     points: Floats = (left + shares * (right - left)).reshape(-1, 2)
     return points
 
 
-def _outlines(surface: Surface, ground: Floats) -> Iterator[Floats]:
-    """The outlines of a junction, as high as the nearest lane."""
+def _outlines(surface: Surface, points: Floats) -> Iterator[Floats]:
+    """Yield the outlines of a junction, at the height of the nearest lane."""
     for outline in surface.outlines():
-        distances = np.linalg.norm(outline[:, None] - ground[None, :, :2], axis=2)
-        yield np.column_stack((outline, ground[distances.argmin(axis=1), 2]))
+        distances = np.linalg.norm(outline[:, None] - points[None, :, :2], axis=2)
+        yield np.column_stack((outline, points[distances.argmin(axis=1), 2]))
 
 
-def _borders(lanes: list[Lane], surfaces: dict[int, Surface]) -> Iterator[Floats]:
-    """The borders of the lanes, each once; in junctions, only where they are the edge of the ground for cars."""
+def _borders(lanes: list[LaneGeometry], surfaces: dict[int, Surface]) -> Iterator[Floats]:
+    """Yield each border of the lanes once; in junctions, only at the edge of the surface."""
     drawn = set()
     within: dict[int, list[Floats]] = defaultdict(list)
     for lane in lanes:
@@ -109,7 +111,7 @@ def _borders(lanes: list[Lane], surfaces: dict[int, Surface]) -> Iterator[Floats
 
 
 def _edges(lines: list[Floats], surface: Surface) -> Iterator[Floats]:
-    """The parts of lines that are not within a surface; where some are side by side, of the longest one."""
+    """Yield the parts of lines outside a surface; of parts side by side, those of the longest line."""
     for line in sorted(lines, key=lambda line: np.count_nonzero(surface.covers(line[:, :2])) - len(line)):
         covered = surface.covers(line[:, :2])
         for part in np.split(line, np.flatnonzero(np.diff(covered)) + 1):
@@ -118,9 +120,9 @@ def _edges(lines: list[Floats], surface: Surface) -> Iterator[Floats]:
                 yield part
 
 
-def _stop_lines(roads: Roads, lanes: list[Lane]) -> list[Floats]:
-    """The painted stop lines, and one across each lane that has to stop and has none."""
-    painted = [line for line in roads.painted if np.isfinite(line).all()]
+def _stop_lines(roads: Roads, lanes: list[LaneGeometry]) -> list[Floats]:
+    """Return the painted stop lines, and one for each lane with a light or stop sign that has none."""
+    painted = [line for line in roads.stop_lines if np.isfinite(line).all()]
     drawn: list[Floats] = []
     driving = defaultdict(list)
     for lane in lanes:
@@ -136,15 +138,19 @@ def _stop_lines(roads: Roads, lanes: list[Lane]) -> list[Floats]:
     return painted + drawn
 
 
-def _lines_at(stop: Sign, lanes: list[Lane]) -> Iterator[Floats]:
-    """A line across each lane that stops: on the way, or where the lane enters a junction."""
-    told = [lane for lane in lanes if any(first <= lane.id <= last for first, last in stop.lanes)]
-    for number in dict.fromkeys(lane.id for lane in told):
-        parts = [lane for lane in told if lane.id == number]
+def _lines_at(stop: Landmark, lanes: list[LaneGeometry]) -> Iterator[Floats]:
+    """Yield a line across each lane for which a landmark applies: at its station, or where the lane enters a junction."""
+    governed = [lane for lane in lanes if any(first <= lane.id <= last for first, last in stop.lanes)]
+    for number in dict.fromkeys(lane.id for lane in governed):
+        parts = [lane for lane in governed if lane.id == number]
         stations = np.concatenate([lane.stations for lane in parts])
         left, right = (np.concatenate([getattr(lane, side) for lane in parts]) for side in ("left", "right"))
         if parts[0].junction == NO_JUNCTION:
-            at = np.abs(stations - stop.station).argmin()
+            index = np.abs(stations - stop.station).argmin()
         else:
-            at = stations.argmax() if parts[0].reverse else stations.argmin()
-        yield np.array((left[at], right[at]))
+            index = stations.argmax() if parts[0].reverse else stations.argmin()
+        yield np.array((left[index], right[index]))
+
+
+if __name__ == "__main__":
+    sys.exit(run_child(lambda text: pack(draw(read_opendrive(text)))))

@@ -1,6 +1,6 @@
-"""The one place where `carla.Map` is used: the lanes of an OpenDRIVE file, and what is painted across them.
+"""The lanes, landmarks, crossings and stop lines of an OpenDRIVE file, read by `carla.Map`.
 
-All is in m and radians, right-handed: x forward, y left, z up.
+Units are m and radians; axes are right-handed: x forward, y left, z up.
 """
 
 from __future__ import annotations
@@ -23,33 +23,33 @@ if TYPE_CHECKING:
 DRIVING: Final = "Driving"
 NO_JUNCTION: Final = -1
 _STEP: Final = 0.5  # m
-_HALVINGS: Final = 12  # of a step, to find where a lane ends
+_HALVINGS: Final = 12  # of a step, to find the end of a lane
 LIGHT: Final = "1000001"
 STOP: Final = "206"
 YIELD: Final = "205"
 SPEED_LIMIT: Final = "274"
-_BEYOND: Final = 0.01  # m: this far after its end, a lane's successors are found
+_BEYOND: Final = 0.01  # m from the end of a lane to its successors
 _PAINT: Final = "StopLine"
 
 
 @dataclass(frozen=True, eq=False)
-class Lane:
-    """A lane along a section of a road.
+class LaneGeometry:
+    """The course of a lane along a section of a road.
 
     Attributes:
         road: The id of the road.
-        section: Which section of the road, counted from 0.
+        section: The index of the section of the road.
         id: The number of the lane, ascending to the left of the road's own direction; 0 is the line between 1 and -1.
-        kind: What it is for, such as `Driving`.
-        junction: The id of the junction, `NO_JUNCTION` outside of all.
-        stations: How far along the road, ascending, (n,).
+        kind: The OpenDRIVE type, such as `Driving`.
+        junction: The id of the junction, or `NO_JUNCTION`.
+        stations: The distances along the road, ascending, (n,).
         centre: The points in the middle, (n, 3).
-        left: The points of the border to the left of who drives there, (n, 3).
+        left: The points of the left border, as seen in driving direction, (n, 3).
         right: The points of the border to the right.
-        headings: The direction in which one drives there, (n,).
-        reverse: Whether one drives against the road's own direction, from the last point to the first.
-        changes: Whether the marks allow to change to the lane on the left, and on the right, of who drives there.
-        successors: The lanes at its end, by road, section and id.
+        headings: The driving directions, (n,).
+        reverse: Whether the driving direction is from the last point to the first, against that of the road.
+        changes: Whether the markings allow to change to the lane on the left, and to the lane on the right.
+        successors: The road, section and id of each lane that follows.
     """
 
     road: int
@@ -68,11 +68,11 @@ class Lane:
 
     @property
     def is_driving(self) -> bool:
-        """Whether it is for cars."""
+        """Whether the lane is for cars."""
         return self.kind == DRIVING
 
     def borders(self) -> Iterator[tuple[tuple[int, int, int], Floats]]:
-        """The two borders, each under a name that is the same for the lane beyond."""
+        """Yield the two borders, each with a key that it shares with the neighbouring lane."""
         upper = self.id if self.id > 0 else self.id + 1
         higher, lower = (self.right, self.left) if self.reverse else (self.left, self.right)
         yield (self.road, self.section, upper), higher
@@ -80,20 +80,20 @@ class Lane:
 
 
 @dataclass(frozen=True)
-class Sign:
-    """A traffic light or sign, where it is in force; one that is so in several places is there several times.
+class Landmark:
+    """A traffic light or sign at a position where it applies; it may apply at several.
 
     Attributes:
         id: The id in the file.
-        kind: Its number, such as `LIGHT`.
-        value: What is on it, such as a speed.
-        unit: The unit of that.
-        road: The road along which it is in force.
-        station: How far along the road.
-        lanes: The lanes that it is for: from … to …, both included.
-        ahead: Whether it is for those who drive along the road's own direction: True, False, or None for both.
-        place: Where it stands, (3,).
-        heading: The way it is turned.
+        kind: The OpenDRIVE type, such as `LIGHT`.
+        value: The value, such as a speed.
+        unit: The unit of the value.
+        road: The road along which it applies.
+        station: The distance along the road.
+        lanes: The ranges of lanes for which it applies: first and last lane.
+        ahead: Whether it applies in the direction of the road: True, False (against it), or None (in both directions).
+        location: The position, (3,).
+        heading: The direction that it faces.
     """
 
     id: str
@@ -104,57 +104,57 @@ class Sign:
     station: float
     lanes: tuple[tuple[int, int], ...]
     ahead: bool | None
-    place: Floats
+    location: Floats
     heading: float
 
 
 @dataclass
 class Roads:
-    """What a town is made of.
+    """The content of an OpenDRIVE file.
 
     Attributes:
-        lanes: All lanes beside those for cars, and these.
+        lanes: The lanes for cars, and all lanes of their sections.
         crossings: Closed polygons.
-        signs: Lights and signs.
-        painted: The stop lines that are in the file.
+        landmarks: Lights and signs.
+        stop_lines: The stop lines that the file contains.
     """
 
-    lanes: list[Lane] = field(default_factory=list)
+    lanes: list[LaneGeometry] = field(default_factory=list)
     crossings: list[Floats] = field(default_factory=list)
-    signs: list[Sign] = field(default_factory=list)
-    painted: list[Floats] = field(default_factory=list)
+    landmarks: list[Landmark] = field(default_factory=list)
+    stop_lines: list[Floats] = field(default_factory=list)
 
-    def stops(self) -> Iterator[Sign]:
-        """Where one has to stop."""
-        return (sign for sign in self.signs if sign.kind in (LIGHT, STOP))
+    def stops(self) -> Iterator[Landmark]:
+        """Return the landmarks at which vehicles may have to stop."""
+        return (landmark for landmark in self.landmarks if landmark.kind in (LIGHT, STOP))
 
 
 def read_opendrive(text: str) -> Roads:
-    """The roads of an OpenDRIVE file.
+    """Return the roads of an OpenDRIVE file.
 
-    CARLA's parser raises, hangs or ends the process on some files that are not sound.
+    CARLA's parser raises, hangs or crashes on some invalid files.
 
     Args:
-        text: What is in the file.
+        text: The content of the file.
     """
-    # CARLA keeps such paintings on the road only that have a name of this form.
+    # CARLA reads only those road markings whose names have this form.
     town = carla.Map("", text.replace(f'name="{_PAINT}"', f'name="Stencil_{_PAINT}"'))
     return Roads(
         [lane for road, section, stations in _sections(town) for lane in _lanes(town, road, section, stations)],
         _polygons(town.get_crosswalks()),
-        [_sign(landmark) for landmark in town.get_all_landmarks()],
-        [_painted_line(mark) for mark in town.get_all_road_marks_of_type(_PAINT)],
+        [_landmark(landmark) for landmark in town.get_all_landmarks()],
+        [_stop_line(mark) for mark in town.get_all_road_marks_of_type(_PAINT)],
     )
 
 
 def _sections(town: Any) -> Iterator[tuple[int, int, list[float]]]:
-    """The sections of roads that have a lane for cars: road, section, and where to sample them."""
+    """Yield the sections of roads that have a lane for cars: road, section, and the stations at which to sample them."""
     stations = defaultdict(set)
     lanes: dict[tuple[int, int], int] = {}
     for waypoint in town.generate_waypoints(_STEP):
-        place = waypoint.road_id, waypoint.section_id
-        stations[place].add(waypoint.s)
-        lanes[place] = waypoint.lane_id
+        key = waypoint.road_id, waypoint.section_id
+        stations[key].add(waypoint.s)
+        lanes[key] = waypoint.lane_id
     for (road, section), values in stations.items():
         last = max(values)
         end = _end(town, road, section, lanes[road, section], last)
@@ -162,7 +162,7 @@ def _sections(town: Any) -> Iterator[tuple[int, int, list[float]]]:
 
 
 def _end(town: Any, road: int, section: int, lane: int, within: float) -> float:
-    """Where a section ends, given a place less than a step before."""
+    """Return the station of the end of a section, given one less than a step before it."""
     beyond = within + 2 * _STEP
     for _ in range(_HALVINGS):
         middle = (within + beyond) / 2
@@ -174,7 +174,7 @@ def _end(town: Any, road: int, section: int, lane: int, within: float) -> float:
     return within
 
 
-def _lanes(town: Any, road: int, section: int, stations: list[float]) -> Iterator[Lane]:
+def _lanes(town: Any, road: int, section: int, stations: list[float]) -> Iterator[LaneGeometry]:
     for side in (1, -1):
         for number in count(1):
             found = [town.get_waypoint_xodr(road, side * number, station) for station in stations]
@@ -185,7 +185,7 @@ def _lanes(town: Any, road: int, section: int, stations: list[float]) -> Iterato
                 yield _lane(waypoints)
 
 
-def _lane(waypoints: list[Any]) -> Lane:
+def _lane(waypoints: list[Any]) -> LaneGeometry:
     first = waypoints[0]
     poses = [waypoint.transform for waypoint in waypoints]
     centre = _points(pose.location for pose in poses)
@@ -195,7 +195,7 @@ def _lane(waypoints: list[Any]) -> Lane:
     to_border = leftwards * widths[:, None] / 2
     ahead = np.array((np.cos(headings[0]), np.sin(headings[0]), 0.0))
     reverse = bool((centre[1] - centre[0]) @ ahead < 0)
-    return Lane(
+    return LaneGeometry(
         first.road_id,
         first.section_id,
         first.lane_id,
@@ -217,9 +217,9 @@ def _changes(waypoint: Any) -> tuple[bool, bool]:
     return allowed in ("Left", "Both"), allowed in ("Right", "Both")
 
 
-def _sign(landmark: Any) -> Sign:
-    (place,) = _points([landmark.transform.location])
-    return Sign(
+def _landmark(landmark: Any) -> Landmark:
+    (location,) = _points([landmark.transform.location])
+    return Landmark(
         landmark.id,
         landmark.type,
         landmark.value,
@@ -228,12 +228,12 @@ def _sign(landmark: Any) -> Sign:
         landmark.s,
         tuple(landmark.get_lane_validities()),
         {"Positive": True, "Negative": False}.get(str(landmark.orientation)),
-        place,
+        location,
         np.radians(-landmark.transform.rotation.yaw),
     )
 
 
-def _painted_line(mark: Any) -> Floats:
+def _stop_line(mark: Any) -> Floats:
     (middle,) = _points([mark.transform.location])
     heading = np.radians(-mark.transform.rotation.yaw)
     half = mark.length / 2 * np.array((np.cos(heading), np.sin(heading), 0.0))
@@ -241,7 +241,7 @@ def _painted_line(mark: Any) -> Floats:
 
 
 def _polygons(corners: Iterable[Any]) -> list[Floats]:
-    """Closed polygons, out of a list of their corners in which each ends with the corner that it began with."""
+    """Return closed polygons from one list of corners, in which the last corner of each polygon repeats its first."""
     polygons, open_polygon = [], np.empty((0, 3))
     for corner in _points(corners):
         open_polygon = np.concatenate((open_polygon, corner[None]))

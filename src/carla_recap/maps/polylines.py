@@ -1,4 +1,4 @@
-"""Lines and areas as arrays of points: fewer points, fewer lines, and what is at the edge."""
+"""Lines and areas as arrays of points: simplified lines, joined lines, outlines of areas."""
 
 from __future__ import annotations
 
@@ -17,20 +17,20 @@ if TYPE_CHECKING:
     Corner = tuple[int, int]
 
 TOLERANCE: Final = 0.03  # m
-_TOUCH: Final = 0.05  # m: ends this near are one
+_TOUCH: Final = 0.05  # m between ends that are joined
 _CELL: Final = 0.25  # m
 _MOST_CELLS: Final = 2000  # along a side
 _AROUND: Final = np.array([(x, y) for x in (-1, 0, 1) for y in (-1, 0, 1)])
 _SMALLEST_AREA: Final = 4.0  # square metres
-_LARGEST_HOLE: Final = 100.0  # square metres: less than a roundabout's island
+_LARGEST_HOLE: Final = 100.0  # square metres of a hole that is filled; the island of a roundabout is larger
 
 
 def simplify(line: Floats, tolerance: float = TOLERANCE) -> Floats:
-    """A line without the points that it does not need (Douglas and Peucker).
+    """Return a line with fewer points (Douglas and Peucker).
 
     Args:
         line: The points, (n, 2) or (n, 3).
-        tolerance: How far the line may move, in m.
+        tolerance: The largest deviation, in m.
     """
     keep = np.zeros(len(line), np.bool_)
     keep[[0, -1]] = True
@@ -49,7 +49,7 @@ def simplify(line: Floats, tolerance: float = TOLERANCE) -> Floats:
 
 
 def distances_to(points: Floats, start: Floats, stop: Floats) -> Floats:
-    """How far points are from a straight line between two places."""
+    """Return the distances of points from a straight line between two points."""
     along = stop - start
     share = (points - start) @ along / max(float(along @ along), np.finfo(float).tiny)
     nearest = start + np.clip(share, 0.0, 1.0)[:, None] * along
@@ -58,19 +58,19 @@ def distances_to(points: Floats, start: Floats, stop: Floats) -> Floats:
 
 
 def join(lines: Sequence[Floats]) -> list[Floats]:
-    """Longer lines, of those of which one begins where the other ends, and no third one does either."""
+    """Return lines joined where one begins at the end of exactly one other."""
     starts, stops = defaultdict(list), defaultdict(list)
     for number, line in enumerate(lines):
-        starts[_spot(line[0])].append(number)
-        stops[_spot(line[-1])].append(number)
+        starts[_grid_point(line[0])].append(number)
+        stops[_grid_point(line[-1])].append(number)
     after = {
-        before[0]: starts[spot][0]
-        for spot, before in stops.items()
-        if len(before) == 1 and len(starts.get(spot, ())) == 1 and before != starts[spot]
+        before[0]: starts[point][0]
+        for point, before in stops.items()
+        if len(before) == 1 and len(starts.get(point, ())) == 1 and before != starts[point]
     }
     heads = set(range(len(lines))) - set(after.values())
     joined, used = [], set()
-    for number in [*sorted(heads), *range(len(lines))]:  # what is left after the heads goes in a ring
+    for number in [*sorted(heads), *range(len(lines))]:  # after the heads, those in rings
         chain: list[Floats] = []
         following: int | None = number
         while following is not None and following not in used:
@@ -82,15 +82,15 @@ def join(lines: Sequence[Floats]) -> list[Floats]:
     return joined
 
 
-def _spot(point: Floats) -> tuple[int, ...]:
+def _grid_point(point: Floats) -> tuple[int, ...]:
     return tuple(np.rint(point / _TOUCH).astype(np.int64).tolist())
 
 
 class Surface:
-    """The ground that points cover, as cells of a grid; small holes are filled.
+    """The area that points cover, as cells of a grid; small holes are filled.
 
     Args:
-        points: (n, 2), in m, less than half a cell apart where there is no hole.
+        points: (n, 2), in m, less than half a cell apart except in holes.
     """
 
     def __init__(self, points: Floats) -> None:
@@ -109,7 +109,7 @@ class Surface:
             self._inner &= np.roll(filled, shift, (0, 1))
 
     def covers(self, points: Floats) -> NDArray[np.bool_]:
-        """Which points lie within the surface, and not at its edge; (n, 2)."""
+        """Return which points, (n, 2), are within the surface and not at its edge."""
         cells = self._cells(points)
         known = self._knows(cells)
         covered = np.zeros(len(points), np.bool_)
@@ -117,16 +117,16 @@ class Surface:
         return covered
 
     def cover(self, points: Floats) -> None:
-        """Let the surface cover points, (n, 2), and what is around them; its outlines stay."""
+        """Add the cells of points, (n, 2), and their neighbours to the surface; its outlines stay."""
         cells = (self._cells(points)[:, None] + _AROUND).reshape(-1, 2)
         cells = cells[self._knows(cells)]
         self._inner[cells[:, 0], cells[:, 1]] = True
 
     def outlines(self) -> list[Floats]:
-        """The outer edges: closed lines, (n, 2), counterclockwise, to about a cell."""
+        """Return the outer edges: closed lines, (n, 2), counterclockwise, as exact as a cell."""
         outlines = []
         for loop in self._outer:
-            middles = (loop[:-1] + loop[1:]) / 2  # of the sides of the cells: this smooths the stairs
+            middles = (loop[:-1] + loop[1:]) / 2  # of the sides of the cells, which smooths the steps
             closed = np.concatenate((middles, middles[:1])) * self._cell + self._origin
             outlines.append(simplify(closed, 0.8 * self._cell))
         return outlines
@@ -141,7 +141,7 @@ class Surface:
 
 
 def _edges(filled: NDArray[np.bool_]) -> dict[Corner, list[Corner]]:
-    """The sides of filled cells next to empty ones, from corner to corner, with the filled cell on the left."""
+    """Return the sides of filled cells next to empty ones, from corner to corner, with the filled cell on the left."""
     edges = defaultdict(list)
     for (dx, dy), (x1, y1), (x2, y2) in (
         ((0, -1), (0, 0), (1, 0)),
@@ -156,7 +156,7 @@ def _edges(filled: NDArray[np.bool_]) -> dict[Corner, list[Corner]]:
 
 
 def _loops(edges: dict[Corner, list[Corner]]) -> Iterator[Integers]:
-    """The closed lines that edges make; the edges are used up."""
+    """Yield the closed lines of edges; the edges are consumed."""
     while edges:
         corner = next(iter(edges))
         loop = [corner]
@@ -170,16 +170,16 @@ def _loops(edges: dict[Corner, list[Corner]]) -> Iterator[Integers]:
 
 
 def _area(loop: Integers) -> float:
-    """The area within a closed line; negative where the line goes clockwise, around a hole."""
+    """Return the area within a closed line; negative for a clockwise one, around a hole."""
     x, y = loop.T
     return float(np.sum(x[:-1] * y[1:] - x[1:] * y[:-1])) / 2
 
 
 def _fill(loops: Iterable[Integers], shape: tuple[int, ...]) -> NDArray[np.bool_]:
-    """The cells within closed lines."""
-    turns = np.zeros(shape, np.int64)
+    """Return the cells within closed lines."""
+    windings = np.zeros(shape, np.int64)
     for loop in loops:
         upwards = np.diff(loop[:, 1])
-        np.add.at(turns, (loop[:-1, 0], np.minimum(loop[:-1, 1], loop[1:, 1])), -upwards)
-    filled: NDArray[np.bool_] = np.cumsum(turns, axis=0) > 0
+        np.add.at(windings, (loop[:-1, 0], np.minimum(loop[:-1, 1], loop[1:, 1])), -upwards)
+    filled: NDArray[np.bool_] = np.cumsum(windings, axis=0) > 0
     return filled

@@ -1,4 +1,4 @@
-"""Road maps: where to find the one of a recording, and how to load it."""
+"""The road map of a recording: finding its OpenDRIVE file, and loading it."""
 
 from __future__ import annotations
 
@@ -9,8 +9,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Final
 
 from carla_recap.errors import FormatError
-from carla_recap.maps.child import ask
-from carla_recap.maps.packing import unpack
+from carla_recap.maps.parsing import parse_in_child, read_content, unpack
 
 if TYPE_CHECKING:
     import numpy as np
@@ -33,11 +32,11 @@ class RoadMap:
 
     Attributes:
         name: The name of the file, without its suffix.
-        lane_borders: The borders of lanes, shoulders and pavements, each once; within junctions, the outer ones alone.
-        centre_lines: The middle of the lanes for cars, in the direction in which one drives.
+        lane_borders: The borders of lanes, shoulders and pavements, each once; within junctions, only the outer ones.
+        centre_lines: The centre lines of the lanes for cars, in driving direction.
         junctions: The outlines of junctions, as closed lines.
         crossings: Pedestrian crossings, as closed lines.
-        stop_lines: Lines across the lanes where one has to stop, at lights and stop signs.
+        stop_lines: Lines across the lanes at lights and stop signs.
     """
 
     name: str
@@ -49,30 +48,29 @@ class RoadMap:
 
 
 def load_map(path: Path | str) -> RoadMap:
-    """The roads of an OpenDRIVE file.
+    """Return the roads of an OpenDRIVE file.
 
     Args:
         path: The file, such as `Town01.xodr`.
 
     Raises:
-        RecapError: It cannot be read, or is no OpenDRIVE map with lanes for cars.
+        RecapError: The file cannot be read, or is no OpenDRIVE map with lanes for cars.
         MissingExtra: CARLA's client library is not installed.
     """
     path = Path(path)
-    _, answer = ask("carla_recap.maps", path)
-    lines = unpack(answer)
+    lines = unpack(parse_in_child("carla_recap.maps.drawing", path, read_content(path)))
     if not lines["centre_lines"]:
         raise FormatError(path, None, "an OpenDRIVE map was expected, and no lane for cars is in it")
     return RoadMap(path.stem, **lines)
 
 
 def find_map(map_name: str, folder: Path | str | None = None) -> Path | None:
-    """The OpenDRIVE file of a map, if there is one.
+    """Return the OpenDRIVE file of a map, or None.
 
     Args:
-        map_name: As in a recording: `Town01`, `Carla/Maps/Town01`; of `Town01_Opt`, the file may be called `Town01.xodr`.
-        folder: Where to look; else the environment variable CARLA_RECAP_MAPS says it. The town that comes with this
-            package is found anyway.
+        map_name: The name in a recording: `Town01`, `Carla/Maps/Town01`; the file of `Town01_Opt` may be `Town01.xodr`.
+        folder: The folder of maps; by default, that of the environment variable CARLA_RECAP_MAPS. The town of this
+            package is found in any case.
     """
     maps = find_maps(folder)
     name = plain_name(map_name)
@@ -85,12 +83,12 @@ def plain_name(map_name: str) -> str:
 
 
 def described_folder(folder: Path | str | None = None) -> str:
-    """The folder of maps, for messages, and what is wrong with it; see `find_map`."""
+    """Return the folder of maps for messages, with what is wrong with it; see `find_map`."""
     path = folder or os.environ.get(FOLDER)
     if not path:
         return f"the folder that {FOLDER} names, which is not set"
-    told = f"the folder {path}" if folder else f"the folder that {FOLDER} names, {path}"
-    return told if Path(path).is_dir() else f"{told}, which is missing"
+    named = f"the folder {path}" if folder else f"the folder that {FOLDER} names, {path}"
+    return named if Path(path).is_dir() else f"{named}, which is missing"
 
 
 def loadable_maps(folder: Path | str | None = None) -> dict[str, Path]:
@@ -101,7 +99,7 @@ def loadable_maps(folder: Path | str | None = None) -> dict[str, Path]:
 
 
 def find_maps(folder: Path | str | None = None) -> dict[str, Path]:
-    """The OpenDRIVE files of all maps, by their names; see `find_map`."""
+    """Return the OpenDRIVE files of all maps by name; see `find_map`."""
     folder = folder or os.environ.get(FOLDER)
     folders = (_BUILT_IN, *([Path(folder)] if folder else []))
     return {path.stem: path for folder in folders for path in folder.glob("*.xodr") if path.is_file()}

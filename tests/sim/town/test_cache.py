@@ -23,7 +23,7 @@ class Parser:
 
     def __init__(self) -> None:
         self.count = 0
-        self._ask = town.ask_about
+        self._ask = town.parse_in_child
 
     def __call__(self, module: str, path: Path, content: bytes) -> bytes:
         self.count += 1
@@ -34,7 +34,7 @@ class Parser:
 def parser(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> Parser:
     """The parser, with an empty cache."""
     parser = Parser()
-    monkeypatch.setattr(town, "ask_about", parser)
+    monkeypatch.setattr(town, "parse_in_child", parser)
     monkeypatch.setenv(cache.FOLDER, str(tmp_path / "cache"))
     forget()
     yield parser

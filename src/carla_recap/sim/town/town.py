@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any, Final
 import numpy as np
 
 from carla_recap.errors import RecapError
-from carla_recap.maps.child import ask_about, decode, read_content
+from carla_recap.maps.parsing import decode, parse_in_child, read_content
 from carla_recap.maps.road_map import described_folder, find_map, plain_name
 from carla_recap.sim.geometry import Location, Rotation, Transform
 from carla_recap.sim.town import cache
@@ -224,7 +224,7 @@ def fill_cache(path: Path) -> None:
     content = read_content(path)
     key = cache.content_key(content)
     if cache.read_entry(key) is None:
-        cache.write_entry(key, ask_about("carla_recap.sim.town.parsing", path, content))
+        cache.write_entry(key, parse_in_child("carla_recap.sim.town.parsing", path, content))
 
 
 def _cached_town(key: str, content: bytes) -> Town | None:
@@ -239,7 +239,7 @@ def _cached_town(key: str, content: bytes) -> Town | None:
 
 
 def _parsed_town(key: str, content: bytes, path: Path) -> Town:
-    data = ask_about("carla_recap.sim.town.parsing", path, content)
+    data = parse_in_child("carla_recap.sim.town.parsing", path, content)
     town = _town(decode(content), data)
     cache.write_entry(key, data)
     return town

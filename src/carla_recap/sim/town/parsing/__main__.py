@@ -6,8 +6,8 @@ import sys
 
 import numpy as np
 
-from carla_recap.maps.child import answer
 from carla_recap.maps.opendrive import read_opendrive
+from carla_recap.maps.parsing import run_child
 from carla_recap.sim.town.parsing.junctions import parse_junctions, parse_signals
 from carla_recap.sim.town.parsing.packing import Parsed, to_bytes
 from carla_recap.sim.town.parsing.roads import limit_speeds, parse_lanes, read_records
@@ -50,4 +50,4 @@ def parse(text: str) -> Parsed:
 
 
 if __name__ == "__main__":
-    sys.exit(answer(lambda text: to_bytes(parse(text))))
+    sys.exit(run_child(lambda text: to_bytes(parse(text))))

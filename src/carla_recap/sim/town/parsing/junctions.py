@@ -34,9 +34,9 @@ def parse_signals(roads: opendrive.Roads, lanes: list[ParsedLane], records: Reco
     by_road = defaultdict(list)
     for lane in lanes:
         by_road[lane.name[0]].append(lane)
-    places: dict[str, list[opendrive.Sign]] = defaultdict(list)
-    for sign in roads.signs:
-        if sign.kind in _KINDS and np.isfinite((*sign.place, sign.heading, sign.station)).all():
+    places: dict[str, list[opendrive.Landmark]] = defaultdict(list)
+    for sign in roads.landmarks:
+        if sign.kind in _KINDS and np.isfinite((*sign.location, sign.heading, sign.station)).all():
             places[sign.id].append(sign)
     rows = [
         _signal(index, signs, by_road, lanes, records)
@@ -52,7 +52,7 @@ def _in_order(name: str) -> tuple[int, str]:
 
 def _signal(
     index: int,
-    signs: list[opendrive.Sign],
+    signs: list[opendrive.Landmark],
     by_road: dict[int, list[ParsedLane]],
     lanes: list[ParsedLane],
     records: Records,
@@ -68,7 +68,7 @@ def _signal(
         governed = [(lane, sign) for sign in signs for lane in _facing(sign, by_road[sign.road])]
     stops, governs = _stops(kind, governed, lanes)
     junctions = (lanes[lane].junction for lane in governs)
-    (x, y, z), yaw = first.place.tolist(), float(np.degrees(-first.heading))
+    (x, y, z), yaw = first.location.tolist(), float(np.degrees(-first.heading))
     return {
         "index": index,
         "opendrive_id": first.id,
@@ -82,7 +82,7 @@ def _signal(
     }
 
 
-def _named(sign: opendrive.Sign, lanes: Iterable[ParsedLane]) -> Iterator[ParsedLane]:
+def _named(sign: opendrive.Landmark, lanes: Iterable[ParsedLane]) -> Iterator[ParsedLane]:
     """Yield the lanes of a road that a sign names, at its station."""
     for lane in lanes:
         low, high = sorted(lane.stations)
@@ -92,7 +92,7 @@ def _named(sign: opendrive.Sign, lanes: Iterable[ParsedLane]) -> Iterator[Parsed
             yield lane
 
 
-def _facing(sign: opendrive.Sign, lanes: Iterable[ParsedLane]) -> Iterator[ParsedLane]:
+def _facing(sign: opendrive.Landmark, lanes: Iterable[ParsedLane]) -> Iterator[ParsedLane]:
     """Yield the lanes of a road with the direction of travel that a sign is for, at its station."""
     for lane in lanes:
         start, stop = lane.stations
@@ -102,7 +102,7 @@ def _facing(sign: opendrive.Sign, lanes: Iterable[ParsedLane]) -> Iterator[Parse
 
 
 def _stops(
-    kind: str, governed: list[tuple[ParsedLane, opendrive.Sign]], lanes: list[ParsedLane]
+    kind: str, governed: list[tuple[ParsedLane, opendrive.Landmark]], lanes: list[ParsedLane]
 ) -> tuple[dict[int, float], set[int]]:
     """Return the stop lines, at the end of a lane before a junction, else at the sign, and the lanes governed beyond."""
     stops: dict[int, float] = {}
@@ -123,7 +123,7 @@ def _stops(
     return stops, governs
 
 
-def _speed(sign: opendrive.Sign) -> float | None:
+def _speed(sign: opendrive.Landmark) -> float | None:
     """Return the limit on a sign; without a unit, CARLA's signs are in km/h."""
     return in_metres_per_second(sign.value, sign.unit or "km/h")
 

@@ -85,7 +85,7 @@ def parse_lanes(roads: opendrive.Roads) -> list[ParsedLane]:
     return lanes
 
 
-def _rows(lane: opendrive.Lane) -> Floats:
+def _rows(lane: opendrive.LaneGeometry) -> Floats:
     """Return evenly spaced rows along a lane."""
     width = np.linalg.norm(lane.left - lane.right, axis=1)
     rows: Floats = np.column_stack((lane.centre, np.unwrap(lane.headings), width)) * _TO_LEFT_HANDED
@@ -99,7 +99,7 @@ def _rows(lane: opendrive.Lane) -> Floats:
     return spaced
 
 
-def _lane(index: int, lane: opendrive.Lane, rows: Floats) -> ParsedLane:
+def _lane(index: int, lane: opendrive.LaneGeometry, rows: Floats) -> ParsedLane:
     length = max(float(np.linalg.norm(np.diff(rows[:, :3], axis=0), axis=1).sum()), _SHORTEST)
     junction = None if lane.junction == NO_JUNCTION else lane.junction
     bend = rows[-1, 3] - rows[0, 3]
@@ -124,7 +124,7 @@ def _lane(index: int, lane: opendrive.Lane, rows: Floats) -> ParsedLane:
     )
 
 
-def _link(lanes: list[ParsedLane], driving: Iterable[opendrive.Lane]) -> None:
+def _link(lanes: list[ParsedLane], driving: Iterable[opendrive.LaneGeometry]) -> None:
     """Set the predecessors, successors and neighbours of the lanes."""
     known = {lane.name: lane for lane in lanes}
     for lane in lanes:

@@ -44,7 +44,7 @@ class Ground:
         margin: The width in m that is added on both sides.
     """
 
-    def __init__(self, lanes: Iterable[opendrive.Lane], margin: float = 0.0) -> None:
+    def __init__(self, lanes: Iterable[opendrive.LaneGeometry], margin: float = 0.0) -> None:
         borders = [_widened(left_handed(lane.left), left_handed(lane.right), margin) for lane in lanes]
         ends = np.concatenate([border[:, :2] for pair in borders for border in pair])
         extent = float(np.ptp(ends, axis=0).max())
@@ -94,7 +94,7 @@ def _widened(left: Floats, right: Floats, margin: float) -> tuple[Floats, Floats
     return left - aside, right + aside
 
 
-def barriers(lanes: Sequence[opendrive.Lane]) -> list[Floats]:
+def barriers(lanes: Sequence[opendrive.LaneGeometry]) -> list[Floats]:
     """Return lines that stop cars off the road: along the outermost lanes, some way beyond, not across other lanes."""
     real = [lane for lane in lanes if lane.kind != _NO_LANE]
     ground, road = Ground(real), Ground([lane for lane in real if lane.is_driving], _CLEAR)
@@ -103,9 +103,9 @@ def barriers(lanes: Sequence[opendrive.Lane]) -> list[Floats]:
     ]
 
 
-def _outermost(lanes: Iterable[opendrive.Lane]) -> list[opendrive.Lane]:
+def _outermost(lanes: Iterable[opendrive.LaneGeometry]) -> list[opendrive.LaneGeometry]:
     """Return the last lanes on both sides of each section of a road."""
-    outer: dict[tuple[int, int, bool], opendrive.Lane] = {}
+    outer: dict[tuple[int, int, bool], opendrive.LaneGeometry] = {}
     for lane in lanes:
         side = lane.road, lane.section, lane.id > 0
         if side not in outer or abs(lane.id) > abs(outer[side].id):
@@ -113,7 +113,7 @@ def _outermost(lanes: Iterable[opendrive.Lane]) -> list[opendrive.Lane]:
     return list(outer.values())
 
 
-def _fence(lane: opendrive.Lane, grounds: Iterable[Ground]) -> Iterator[Floats]:
+def _fence(lane: opendrive.LaneGeometry, grounds: Iterable[Ground]) -> Iterator[Floats]:
     rightwards = lane.reverse == (lane.id > 0)  # in right-hand traffic, outwards is to the right
     margin = _BEHIND_SIDEWALKS if lane.kind == SIDEWALK else _BEHIND_ROADS
     line = _widened(left_handed(lane.left), left_handed(lane.right), margin)[rightwards]
@@ -237,7 +237,9 @@ def _over(walks: Walks, outline: Floats, sidewalks: Floats) -> None:
             walks.link(int(distances.argmin()), node)
 
 
-def _over_mouths(walks: Walks, roads: opendrive.Roads, lanes: Sequence[opendrive.Lane], ends: Sequence[Ends]) -> None:
+def _over_mouths(
+    walks: Walks, roads: opendrive.Roads, lanes: Sequence[opendrive.LaneGeometry], ends: Sequence[Ends]
+) -> None:
     """Add crossings where roads with sidewalks on both sides meet junctions: just beyond the line where cars stop."""
     given = np.array([crossing[:-1].mean(axis=0) for crossing in walks.crossings]).reshape(-1, 3)
     sides = {

@@ -2,7 +2,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from carla_recap.maps.packing import pack, unpack
+from carla_recap.maps.parsing import pack, unpack
 
 
 def test_lines_come_back_as_they_were():
