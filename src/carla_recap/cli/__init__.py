@@ -1,4 +1,4 @@
-"""The command line: one function per command; what a command needs is imported when it runs.
+"""The command line: one function per command, imported when the command is run, as is all that it uses.
 
 Exit codes: 0; 1 if an assertion fails (`--max-rows`); 2 for bad input, with one line on stderr.
 """
@@ -10,25 +10,47 @@ import re
 import signal
 import sys
 import warnings
-from typing import TYPE_CHECKING
+from importlib import import_module
+from typing import TYPE_CHECKING, Final
 
 import click
 
-from carla_recap.cli import capture, files, queries, serve, show, simulate
-from carla_recap.cli.output import log_to_stderr, say, warn
+from carla_recap.cli.output import say, warn
 from carla_recap.errors import MissingExtra, RecapError, RecapWarning
 from carla_recap.util.signals import ignore_termination, is_first, is_terminating, set_handlers
 
 if TYPE_CHECKING:
     from types import FrameType
 
-_IN_PYTHON = re.compile(r" \(in Python, [^)]*\)")  # what errors say for callers of the package
-BAD_INPUT = 2
-INTERRUPTED = 130
+BAD_INPUT: Final = 2
+INTERRUPTED: Final = 130
+
+_PYTHON_HINT: Final = re.compile(r" \(in Python, [^)]*\)")  # in errors, for callers of the package
+_COMMANDS: Final = {
+    "queries": ("info", "collisions", "blocked", "actors", "incidents"),
+    "editing": ("convert", "recover", "clip", "clips"),
+    "export": ("export", "view", "snapshot", "report"),
+    "sim": ("record", "replay"),
+    "server": ("serve",),
+    "capture": ("capture", "watch"),
+}
+"""The commands of each module."""
+_MODULES: Final = {command: module for module, commands in _COMMANDS.items() for command in commands}
+_EXTRAS: Final = {("serve", "sim"): "server"}
+"""By command and missing extra, the extra that brings all that the command needs."""
 
 
 class _Commands(click.Group):
-    """The commands; of one that lacks an extra, the error names what was asked for and all that it needs."""
+    """The commands; if an extra is missing, the error names the command and the extra that brings all that it needs."""
+
+    def list_commands(self, ctx: click.Context) -> list[str]:
+        return sorted(_MODULES)
+
+    def get_command(self, ctx: click.Context, cmd_name: str) -> click.Command | None:
+        if cmd_name not in _MODULES:
+            return None
+        command: click.Command = getattr(import_module(f"carla_recap.cli.{_MODULES[cmd_name]}"), cmd_name)
+        return command
 
     def invoke(self, ctx: click.Context) -> object:
         try:
@@ -36,10 +58,6 @@ class _Commands(click.Group):
         except MissingExtra as error:
             extra = _EXTRAS.get((str(ctx.invoked_subcommand), error.extra), error.extra)
             raise MissingExtra(f"carla-recap {ctx.invoked_subcommand}", extra) from None
-
-
-_EXTRAS = {("serve", "sim"): "server"}
-"""By command and missing extra, the extra that brings all that the command needs."""
 
 
 @click.group(cls=_Commands, context_settings={"help_option_names": ["-h", "--help"]})
@@ -51,17 +69,12 @@ def cli() -> None:
     """
 
 
-for command in (*queries.COMMANDS, *files.COMMANDS, *show.COMMANDS, *simulate.COMMANDS, *serve.COMMANDS, *capture.COMMANDS):
-    cli.add_command(command)
-
-
 def main() -> None:
     """Run the command line."""
     if sys.stdout is None or sys.stderr is None:
-        sys.exit(BAD_INPUT)  # nobody would see an answer
+        sys.exit(BAD_INPUT)  # an answer could not be printed
     warnings.simplefilter("always", RecapWarning)
     warnings.showwarning = _print_warning
-    log_to_stderr()
     if hasattr(signal, "SIGPIPE"):
         signal.signal(signal.SIGPIPE, signal.SIG_DFL)
     atexit.register(_ignore_more)  # as the first, so that it is called as the last
@@ -69,7 +82,7 @@ def main() -> None:
     try:
         sys.exit(cli(standalone_mode=False))
     except RecapError as error:
-        _fail(_IN_PYTHON.sub("", str(error)))
+        _fail(_PYTHON_HINT.sub("", str(error)))
     except click.exceptions.NoArgsIsHelpError as error:
         error.show()
         sys.exit(BAD_INPUT)

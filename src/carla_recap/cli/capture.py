@@ -1,4 +1,4 @@
-"""The commands that go to a CARLA server as its clients: one records what it does, the other one shows it."""
+"""The commands that are clients of a CARLA server: one records it, the other one shows it."""
 
 from __future__ import annotations
 
@@ -11,10 +11,15 @@ from carla_recap.cli import options
 from carla_recap.cli.output import say
 
 _follow = click.option(
-    "--follow", type=options.FOLLOW, default="hero", show_default=True, metavar="ID|hero", help="Whom the camera follows."
+    "--follow",
+    type=options.FOLLOW,
+    default="hero",
+    show_default=True,
+    metavar="ID|hero",
+    help="The actor to follow.",
 )
 _server = options.together(
-    click.option("--host", default="127.0.0.1", show_default=True, metavar="ADDRESS", help="Where the server is."),
+    click.option("--host", default="127.0.0.1", show_default=True, metavar="ADDRESS", help="The server's address."),
     click.option("--port", type=click.IntRange(1, 65535), default=2000, show_default=True, help="Its port."),
 )
 
@@ -23,7 +28,11 @@ _server = options.together(
 @options.destination
 @_server
 @click.option(
-    "--duration", type=options.NUMBER, default=math.inf, metavar="S", help="How many simulated s; else until Ctrl-C."
+    "--duration",
+    type=options.NUMBER,
+    default=math.inf,
+    metavar="S",
+    help="Simulated s to record; else until Ctrl-C.",
 )
 @click.option("--additional-data", is_flag=True, help="Record velocities, boxes, physics and times, too.")
 @options.force
@@ -54,11 +63,8 @@ def capture(destination: str, host: str, port: int, duration: float, additional_
 @_follow
 @options.camera
 def watch(to: str | None, **where: Any) -> None:
-    """Show what a CARLA server does in Rerun's viewer, while it goes on."""
+    """Show what a CARLA server does in Rerun's viewer, live."""
     from carla_recap.capture.live import watch as run
 
     why = run(to, **where)
     say(f"{to or 'the viewer'}: {why}")
-
-
-COMMANDS = (capture, watch)

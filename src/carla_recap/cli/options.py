@@ -1,17 +1,22 @@
-"""Arguments and options that several commands share."""
+"""Arguments and options that several commands share, and the recordings and maps that they name."""
 
 from __future__ import annotations
 
 import math
 import re
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import click
+
+from carla_recap.cli.output import warn
 
 if TYPE_CHECKING:
     from collections.abc import Callable
 
     from carla_recap.formats.base import Reader
+    from carla_recap.maps import RoadMap
+    from carla_recap.recording import Recording
 
     Command = Callable[..., Any]
 
@@ -20,8 +25,8 @@ class _Number(click.ParamType[Any]):
     """A number.
 
     Args:
-        least: The smallest that makes sense.
-        exclusive: Whether even that one makes none.
+        least: The smallest valid number.
+        exclusive: Whether that one is not valid either.
     """
 
     name = "number"
@@ -76,7 +81,7 @@ recording = click.argument("file", type=click.Path(), metavar="FILE")
 source = click.argument("source", type=click.Path(), metavar="SRC")
 destination = click.argument("destination", type=click.Path(), metavar="DST")
 folder = click.argument("folder", type=click.Path(), metavar="DIR")
-force = click.option("--force", is_flag=True, help="Overwrite what is there.")
+force = click.option("--force", is_flag=True, help="Overwrite what exists.")
 json = click.option("--json", "form", flag_value="json", help="Print JSON.")
 text = click.option("--text", "form", flag_value="text", help="Print CARLA's text, as in a pipe.")
 compat = click.option(
@@ -91,17 +96,22 @@ min_time = click.option(
     "--min-time", type=NUMBER, default=30, show_default=True, metavar="S", help="Shortest stop to report, in s."
 )
 min_distance = click.option(
-    "--min-distance", type=NUMBER, default=10, show_default=True, metavar="CM", help="What counts as moving."
+    "--min-distance",
+    type=NUMBER,
+    default=10,
+    show_default=True,
+    metavar="CM",
+    help="Least movement, in cm.",
 )
 start = click.option(
-    "--start", type=TIME, default=0, metavar="S", help="Where to begin, in s; negative: so long before the end."
+    "--start", type=TIME, default=0, metavar="S", help="The time to begin at, in s; negative: before the end."
 )
-duration = click.option("--duration", type=NUMBER, default=0, metavar="S", help="How many seconds; 0: all of the rest.")
+duration = click.option("--duration", type=NUMBER, default=0, metavar="S", help="The number of seconds; 0: all of the rest.")
 follow = click.option(
     "--follow",
     type=FOLLOW,
     metavar="ID|hero",
-    help="Whom the camera follows; else the hero, the first to collide, or who goes farthest.",
+    help="The actor that the camera follows; else the hero, the first to collide, or the one that goes farthest.",
 )
 camera = click.option("--view", type=click.Choice(["chase", "top"]), default="chase", show_default=True, help="The camera.")
 road_map = click.option(
@@ -114,12 +124,17 @@ road_map = click.option(
 before = click.option("--before", type=NUMBER, default=5, show_default=True, metavar="S", help="Seconds before an incident.")
 after = click.option("--after", type=NUMBER, default=5, show_default=True, metavar="S", help="Seconds after it.")
 deceleration = click.option(
-    "--deceleration", type=NUMBER, default=6, show_default=True, metavar="M/S²", help="What counts as hard braking."
+    "--deceleration",
+    type=NUMBER,
+    default=6,
+    show_default=True,
+    metavar="M/S²",
+    help="Least deceleration of hard braking.",
 )
 
 
 def together(*decorators: Callable[[Command], Command]) -> Callable[[Command], Command]:
-    """Several options as one decorator, in the order in which help lists them."""
+    """Return several options as one decorator, in the order in which help lists them."""
 
     def decorate(command: Command) -> Command:
         for decorator in reversed(decorators):
@@ -136,3 +151,32 @@ def opened(path: str) -> Reader:
     reader = open_reader(path)
     click.get_current_context().call_on_close(reader.close)
     return reader
+
+
+def road_map_of(recording: Recording, path: str | None) -> RoadMap | None:
+    """Return the map of a recording's town; warn and return None if an extra is missing.
+
+    Args:
+        recording: The recording; its map name is looked for.
+        path: The map, or the folder to look in; None: the usual folders.
+
+    Raises:
+        RecapError: The given folder has no such map, or the map is damaged.
+    """
+    from carla_recap.errors import MissingExtra, RecapError
+    from carla_recap.maps import find_map, load_map
+
+    name = recording.header.map_name
+    if path is None or Path(path).is_dir():
+        found = find_map(name, path)
+        if found is None and path is not None:
+            raise RecapError(f"{path}: no .xodr for the map {name!r}")
+    else:
+        found = Path(path)
+    if found is None:
+        return None
+    try:
+        return load_map(found)
+    except MissingExtra as error:
+        warn(f"{error}; the rest is shown without it")
+        return None

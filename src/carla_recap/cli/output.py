@@ -1,18 +1,62 @@
-"""The lines that commands print on stderr: errors, warnings and the log."""
+"""What commands print: answers on stdout; errors, warnings and the log on stderr, a line each."""
 
 from __future__ import annotations
 
-import logging
+import sys
 from functools import lru_cache
-from typing import Final
+from typing import TYPE_CHECKING, Any, Final
 
 import click
 
-_MOST_KNOWN: Final = 256  # lines of the log that are not repeated
+from carla_recap.util.text import visible
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable
+
+TOO_MANY: Final = 1
+"""The exit code of an answer with more rows than allowed."""
+
+
+def show(answer: Any, form: str | None, max_rows: int | None = None) -> None:
+    """Print an answer; end the program with exit code 1 if it has more rows than allowed.
+
+    Args:
+        answer: The answer of a query.
+        form: "json", "text", or None: a table on a terminal, else text.
+        max_rows: The number of rows that are allowed.
+    """
+    if form == "json" and getattr(answer, "compat", False):
+        raise click.UsageError("--compat is about CARLA's text: it does not go with --json.")
+    if form is None:
+        form = "text" if getattr(answer, "compat", False) or not sys.stdout.isatty() else "table"
+    if form == "text":
+        from carla_recap.queries.output.text import text
+
+        _print(text(answer))
+    elif form == "json":
+        from carla_recap.queries.output.json import json
+
+        _print(json(answer))
+    else:
+        from carla_recap.queries.output.table import table
+
+        table(answer)
+    if max_rows is not None and len(answer) > max_rows:
+        click.echo(f"carla-recap: {len(answer)} rows, at most {max_rows} were allowed", err=True)
+        sys.exit(TOO_MANY)
+
+
+def _print(pieces: Iterable[str]) -> None:
+    """Print text; on a terminal, characters that could control it become escape sequences."""
+    out, is_terminal = sys.stdout.buffer, sys.stdout.isatty()
+    for piece in pieces:
+        shown = "\n".join(map(visible, piece.split("\n"))) if is_terminal else piece
+        out.write(shown.encode("utf-8", "surrogateescape"))
+    out.flush()
 
 
 def say(message: str) -> None:
-    """Print a line on stderr; a name from a stranger's file must not steer the terminal, nor break the line."""
+    """Print a line on stderr; names from a recording can neither control the terminal nor break the line."""
     line = "".join(c if c.isprintable() else repr(c)[1:-1] for c in message)
     click.echo(line.encode("utf-8", "surrogateescape"), err=True)
 
@@ -22,22 +66,19 @@ def warn(message: object) -> None:
     say(f"carla-recap: warning: {message}")
 
 
-class _StderrHandler(logging.Handler):
-    """Prints each record of the log as a line on stderr, unless the same line was printed recently."""
-
-    def emit(self, record: logging.LogRecord) -> None:
-        """See `logging.Handler`."""
-        _print_once(record.levelno, record.getMessage())
-
-
-@lru_cache(maxsize=_MOST_KNOWN)
-def _print_once(level: int, message: str) -> None:
-    if level == logging.WARNING:
-        warn(message)
-    else:
-        say(f"carla-recap: {message}")
-
-
 def log_to_stderr() -> None:
-    """Print the package's log on stderr, from warnings upwards."""
-    logging.getLogger("carla_recap").addHandler(_StderrHandler(logging.WARNING))
+    """Print the package's log on stderr, from warnings upwards; a line that was printed recently is not repeated."""
+    import logging
+
+    @lru_cache(maxsize=256)
+    def print_once(level: int, message: str) -> None:
+        if level == logging.WARNING:
+            warn(message)
+        else:
+            say(f"carla-recap: {message}")
+
+    class StderrHandler(logging.Handler):
+        def emit(self, record: logging.LogRecord) -> None:
+            print_once(record.levelno, record.getMessage())
+
+    logging.getLogger("carla_recap").addHandler(StderrHandler(logging.WARNING))

@@ -1,4 +1,4 @@
-"""The commands that ask: what is in a recording, who collided, who stood still, who was there, what went wrong."""
+"""The commands that print what a recording contains."""
 
 from __future__ import annotations
 
@@ -7,6 +7,7 @@ from typing import Any
 import click
 
 from carla_recap.cli import options
+from carla_recap.cli.output import show
 
 _report = options.together(options.recording, options.json, options.text, options.compat)
 
@@ -15,8 +16,7 @@ _report = options.together(options.recording, options.json, options.text, option
 @_report
 @click.option("--all", "everything", is_flag=True, help="Every record of every frame, not only the events.")
 def info(file: str, everything: bool, form: str | None, compat: bool) -> None:
-    """What is in a recording: spawns, collisions and other events."""
-    from carla_recap.cli.report import show
+    """Print the contents: spawns, collisions and other events."""
     from carla_recap.queries.info import info as query
 
     show(query(options.opened(file), all=everything, compat=compat), form)
@@ -33,8 +33,7 @@ def info(file: str, everything: bool, form: str | None, compat: bool) -> None:
 )
 @options.max_rows
 def collisions(file: str, types: str, form: str | None, compat: bool, max_rows: int | None) -> None:
-    """Who collided with whom."""
-    from carla_recap.cli.report import show
+    """Print the collisions."""
     from carla_recap.queries.collisions import collisions as query
 
     if len(types) != 2:
@@ -50,8 +49,7 @@ def collisions(file: str, types: str, form: str | None, compat: bool, max_rows: 
 @options.min_distance
 @options.max_rows
 def blocked(file: str, min_time: float, min_distance: float, form: str | None, compat: bool, max_rows: int | None) -> None:
-    """Who stood still for long."""
-    from carla_recap.cli.report import show
+    """Print the actors that stood still for long."""
     from carla_recap.queries.blocked import blocked as query
 
     if min_time < 0 and not compat:  # CARLA takes it
@@ -64,8 +62,7 @@ def blocked(file: str, min_time: float, min_distance: float, form: str | None, c
 @options.json
 @options.text
 def actors(file: str, form: str | None) -> None:
-    """Who was there, and when."""
-    from carla_recap.cli.report import show
+    """Print the actors, and when they existed."""
     from carla_recap.queries.actors import actors as query
 
     show(query(options.opened(file)), form)
@@ -80,14 +77,10 @@ def actors(file: str, form: str | None) -> None:
 @options.deceleration
 @options.max_rows
 def incidents(file: str, form: str | None, max_rows: int | None, **limits: Any) -> None:
-    """What went wrong: collisions, hard braking, long stops.
+    """Print the incidents: collisions, hard braking, long stops.
 
     Long stops are those of vehicles and walkers.
     """
-    from carla_recap.cli.report import show
     from carla_recap.queries.incidents import incidents as query
 
     show(query(options.opened(file), **limits), form, max_rows)
-
-
-COMMANDS = (info, collisions, blocked, actors, incidents)

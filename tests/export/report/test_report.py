@@ -8,7 +8,7 @@ from xml.etree import ElementTree
 import pytest
 
 from carla_recap import RecapError, open_recording
-from carla_recap.cli.maps import road_map_of
+from carla_recap.cli.options import road_map_of
 from carla_recap.export.report import report as module
 from carla_recap.export.report import write_report
 from carla_recap.export.report.drawing import _ROAD

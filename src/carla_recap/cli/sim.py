@@ -1,4 +1,4 @@
-"""The commands that make recordings: of traffic in a town, and of what becomes of a recording that is replayed there."""
+"""The commands that simulate: record traffic in a town, or continue a recording there."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING
 import click
 
 from carla_recap.cli import options
-from carla_recap.cli.output import say
+from carla_recap.cli.output import log_to_stderr, say
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -42,7 +42,7 @@ _additional_data = click.option("--additional-data", is_flag=True, help="Record 
 @options.destination
 @click.option("--town", callback=_no_blank, metavar="NAME", help="A map's name or an .xodr; else the built-in town.")
 @click.option("--vehicles", type=click.IntRange(0, 1000), default=30, show_default=True, metavar="N", help="On autopilot.")
-@click.option("--walkers", type=click.IntRange(0, 1000), default=10, show_default=True, metavar="N", help="Who stroll.")
+@click.option("--walkers", type=click.IntRange(0, 1000), default=10, show_default=True, metavar="N", help="On foot.")
 @click.option("--duration", type=options.POSITIVE, default=60, show_default=True, metavar="S", help="How long, in s.")
 @click.option("--hero", is_flag=True, help="The first vehicle is the hero, with a collision sensor.")
 @click.option("--junction", is_flag=True, help="All begin around the town's largest junction with traffic lights.")
@@ -108,69 +108,60 @@ def replay(
     additional_data: bool,
     force: bool,
 ) -> None:
-    """Replay a recording in the simulated town, hand its actors to the autopilot, and record all of it.
+    """Replay a recording in the simulated town, hand its actors to the autopilot, and record everything.
 
-    What would have become of it? End the replay before the crash, and see.
+    End the replay before a crash to see whether the autopilot avoids it.
     """
     from carla_recap.editing.convert import check_destination, check_new
+    from carla_recap.sim.replaying.replayer import find_recording
 
     check_new(destination, force=True)
-    path = _found(source)
+    path = find_recording(Path(source).absolute())
     check_destination(path, destination, force=force)
     with _world(town) as world:
         world.set_replayer_ignore_hero(ignore_hero)
         played = world.replay_file(path, start, duration, keep_town=town is not None)
-        with _recording(world, destination, additional_data=additional_data, force=force) as told:
+        with _recording(world, destination, additional_data=additional_data, force=force) as notes:
             _watch("replaying", played.duration, _replayed(world))
-            # the replay ends in the first tick that it does not tell of
-            told.append(f"by autopilot from frame {world.frame} on")
+            # the last tick is the first one after the replay
+            notes.append(f"by autopilot from frame {world.frame} on")
             _watch("simulating", then, _ticks(world, then))
 
 
-def _found(source: str) -> Path:
-    """Where the recording lies that is to be replayed.
-
-    Raises:
-        MissingExtra: There is no physics engine.
-    """
-    from carla_recap.sim.replaying.replayer import find_recording
-
-    return find_recording(Path(source).absolute())
-
-
 def _world(town: str | None, seed: int | None = None) -> World:
-    """Return a town without actors; with a seed, the date of its recordings is not that of the clock either.
+    """Return a town without actors; with a seed, the date of its recordings is fixed, too.
 
     Raises:
-        MissingExtra: There is no physics engine.
+        MissingExtra: The physics engine is not installed.
     """
     from carla_recap.sim import World
 
+    log_to_stderr()
     date = None if seed is None or "SOURCE_DATE_EPOCH" in os.environ else _DATE
     return World(town, seed=seed or 0, date=date)
 
 
 @contextmanager
 def _recording(world: World, destination: str, *, additional_data: bool, force: bool) -> Iterator[list[str]]:
-    """Record what happens, and say what was recorded, also to who ends it by a signal; it fails if it ended before.
+    """Record a block, and print what was recorded, also when a signal ends it; fail if recording ended before.
 
     Yields:
-        What else to say of it.
+        What else to print; the block may add to it.
     """
-    told: list[str] = []
+    notes: list[str] = []
     world.start_recorder(Path(destination).absolute(), additional_data, force=force)
     try:
-        yield told
+        yield notes
     finally:
         world.stop_recorder()
         if world.recorder.error is None:
-            say(", ".join((f"{destination}: {world.frame} frames", f"{world.elapsed:g} s", *told)))
-        elif sys.exc_info()[0] is None:  # a warning has told of it
+            say(", ".join((f"{destination}: {world.frame} frames", f"{world.elapsed:g} s", *notes)))
+        elif sys.exc_info()[0] is None:  # which was a warning
             click.get_current_context().exit(_FAILED)
 
 
 def _watch(what: str, seconds: float, ticks: Iterator[float]) -> None:
-    """Let time pass; a bar tells how far it is."""
+    """Run a simulation, with a progress bar."""
     from carla_recap.cli.progress import watch_ticks
 
     for _ in watch_ticks(what, seconds)(ticks):
@@ -190,6 +181,3 @@ def _replayed(world: World) -> Iterator[float]:
     while world.replayer.is_playing and world.recorder.path:
         world.tick()
         yield world.elapsed - begin
-
-
-COMMANDS = (record, replay)

@@ -10,7 +10,6 @@ import click
 from click.core import ParameterSource
 
 from carla_recap.cli import options
-from carla_recap.cli.maps import road_map_of
 from carla_recap.cli.output import say
 
 VIEWERS = {".rrd": "rerun", ".mcap": "foxglove"}
@@ -74,14 +73,14 @@ def _export_scenes(
         if viewer == "rerun":
             from carla_recap.export.rerun import export_rerun
 
-            play |= {"road_map": road_map_of(recording, road_map), "view": view, "cameras": cameras}
+            play |= {"road_map": options.road_map_of(recording, road_map), "view": view, "cameras": cameras}
             played = export_rerun(recording, destination, **play)
         else:
             from carla_recap.export.foxglove import export_foxglove, layout_files
 
             if cameras:
                 raise click.BadParameter("Foxglove has no such files.", param_hint="--cameras")
-            played = export_foxglove(recording, destination, road_map=road_map_of(recording, road_map), **play)
+            played = export_foxglove(recording, destination, road_map=options.road_map_of(recording, road_map), **play)
             for viewer, path in layout_files().items():
                 say(f"the layout for {viewer}: {path}")
     say(f"{destination}: {played.frames} frames, {played.seconds:g} s")
@@ -99,7 +98,13 @@ def view(source: str, road_map: str | None, **play: Any) -> None:
     from carla_recap.recording import open_recording
 
     with open_recording(source) as recording:
-        run(recording, road_map=road_map_of(recording, road_map), progress=watch_scenes("exporting"), ready=_tell, **play)
+        run(
+            recording,
+            road_map=options.road_map_of(recording, road_map),
+            progress=watch_scenes("exporting"),
+            ready=_announce,
+            **play,
+        )
 
 
 @click.command()
@@ -117,7 +122,7 @@ def snapshot(source: str, destination: str, road_map: str | None, **picture: Any
     from carla_recap.recording import open_recording
 
     with open_recording(source) as recording:
-        run(recording, destination, road_map=road_map_of(recording, road_map), **picture)
+        run(recording, destination, road_map=options.road_map_of(recording, road_map), **picture)
     say(destination)
 
 
@@ -156,18 +161,15 @@ def report(source: str, folder: str, road_map: str | None, serve: bool, port: in
 
     with open_recording(source) as recording:
         written = write_report(
-            recording, folder, road_map=road_map_of(recording, road_map), progress=watch_scenes("sampling"), **page
+            recording, folder, road_map=options.road_map_of(recording, road_map), progress=watch_scenes("sampling"), **page
         )
     say(f"{Path(folder) / 'index.html'}: {written.incidents} incidents, {written.size / 1e6:.1f} MB")
     if serve:
-        serve_page(folder, port or 0, ready=_tell)
+        serve_page(folder, port or 0, ready=_announce)
 
 
-def _tell(address: str) -> None:
+def _announce(address: str) -> None:
     """Print where something is served, for a program, too."""
     click.echo(address)
     sys.stdout.flush()
     say("Ctrl-C ends it")
-
-
-COMMANDS = (export, view, snapshot, report)

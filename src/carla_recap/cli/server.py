@@ -1,4 +1,4 @@
-"""The command that serves a town to CARLA's client."""
+"""The command that serves a simulated town to CARLA's client."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING
 import click
 
 from carla_recap.cli import options
-from carla_recap.cli.output import warn
+from carla_recap.cli.output import log_to_stderr, warn
 from carla_recap.errors import RecapError, RecapWarning
 
 if TYPE_CHECKING:
@@ -69,14 +69,15 @@ def serve(
     from carla_recap.server.serving import serve as serve_clients
     from carla_recap.sim import World
 
+    log_to_stderr()
     if attached and sys.stdin is None:
         raise RecapError("--attached: a standard input was expected")
     if recordings is not None:
-        _make(recordings)
+        _make_folder(recordings)
     if host not in (_LOOPBACK, "localhost", "::1"):
         warn(f"{host} can be reached from other machines, and the protocol has no authentication")
-    window = _window(rerun_to, follow) if rerun or rerun_to or follow is not None else nullcontext()
-    with window as shown, World(_town(town, maps, stand_in), seed=seed, recordings=recordings, maps=maps) as world:
+    viewer = _viewer(rerun_to, follow) if rerun or rerun_to or follow is not None else nullcontext()
+    with viewer as shown, World(_town(town, maps, stand_in), seed=seed, recordings=recordings, maps=maps) as world:
 
         def ready(port: int) -> None:
             _announce(world.town.name, host, port)
@@ -99,13 +100,13 @@ def _town(name: str, maps: Path | None, stand_in: bool) -> Town:
     return load_town(name, maps)
 
 
-def _window(to: str | None, follow: Follow | None) -> ViewerProcess:
+def _viewer(to: str | None, follow: Follow | None) -> ViewerProcess:
     from carla_recap.server.viewer import ViewerProcess
 
     return ViewerProcess(to, "hero" if follow is None else follow)
 
 
-def _make(folder: Path) -> None:
+def _make_folder(folder: Path) -> None:
     try:
         folder.mkdir(parents=True, exist_ok=True)
     except (OSError, ValueError) as error:
@@ -119,6 +120,3 @@ def _announce(town: str, host: str, port: int) -> None:
         click.echo(f"connect to it: carla.Client('HOST', {port}), with the name or address of this machine; Ctrl-C ends it")
     else:
         click.echo(f"connect to it: carla.Client({host!r}, {port}); Ctrl-C ends it")
-
-
-COMMANDS = (serve,)

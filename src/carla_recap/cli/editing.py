@@ -1,4 +1,4 @@
-"""The commands that write recordings: in another format, saved, or shorter."""
+"""The commands that make recordings of recordings: convert, recover, cut."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ def convert(source: str, destination: str, force: bool) -> None:
 @click.command()
 @_copy
 def recover(source: str, destination: str, force: bool) -> None:
-    """Save what is whole in a recording that is damaged, or was never finished."""
+    """Save what is intact in a recording that is damaged, or was never finished."""
     from carla_recap.cli.progress import watch
     from carla_recap.editing.recover import recover as run
 
@@ -42,7 +42,7 @@ def recover(source: str, destination: str, force: bool) -> None:
 @options.start
 @options.duration
 def clip(source: str, destination: str, force: bool, start: float, duration: float) -> None:
-    """Cut a stretch out of a recording.
+    """Cut a part out of a recording.
 
     DST is a recording of its own; its suffix says the format.
     """
@@ -58,7 +58,7 @@ def clip(source: str, destination: str, force: bool, start: float, duration: flo
 @options.folder
 @options.force
 @click.option("--collisions", is_flag=True, help="Of collisions; without any of these three, of all incidents.")
-@click.option("--blocked", is_flag=True, help="Of vehicles and walkers that stood still for long.")
+@click.option("--blocked", is_flag=True, help="Of long stops of vehicles and walkers.")
 @click.option("--braking", is_flag=True, help="Of vehicles that braked hard.")
 @options.before
 @options.after
@@ -71,7 +71,7 @@ def clip(source: str, destination: str, force: bool, start: float, duration: flo
 @options.deceleration
 @options.road_map
 @click.option(
-    "--limit", type=click.IntRange(min=1), default=100, show_default=True, metavar="N", help="So many at the most."
+    "--limit", type=click.IntRange(min=1), default=100, show_default=True, metavar="N", help="The largest number of clips."
 )
 def clips(
     source: str,
@@ -85,14 +85,13 @@ def clips(
     **which: Any,
 ) -> None:
     """Cut a clip of each incident, into a folder."""
-    from carla_recap.cli.maps import road_map_of
     from carla_recap.cli.progress import watch_incidents
     from carla_recap.export.clips import clips as run
     from carla_recap.recording import open_recording
 
     every = not (collisions or blocked or braking)
     with open_recording(source) as recording:
-        roads = road_map_of(recording, road_map) if rrd is not False else None
+        roads = options.road_map_of(recording, road_map) if rrd is not False else None
     written = run(
         source,
         folder,
@@ -109,6 +108,3 @@ def clips(
         say(f"{each.recording}: {each.incident.text}")
     if not written:
         say(f"{folder}: no incidents, no clips")
-
-
-COMMANDS = (convert, recover, clip, clips)
