@@ -8,7 +8,6 @@ from time import monotonic, sleep
 from typing import TYPE_CHECKING
 
 from carla_recap.errors import NotARecording, RecapError, RecapWarning
-from carla_recap.util.files import partials
 
 if TYPE_CHECKING:
     from carla_recap.formats.base import Reader, Writer
@@ -42,6 +41,8 @@ def open_reader(path: Path | str) -> Reader:
         reader = _open(path)
         if opened is None or not _has_no_frames(reader):
             return reader
+        from carla_recap.util.files import partials
+
         left = partials(path)
         if not left and _identity(path) == opened:
             return reader
@@ -70,16 +71,16 @@ def _has_no_frames(reader: Reader) -> bool:
 
 
 def _open(path: Path | str) -> Reader:
-    # Each format is imported when it is needed, for a command on a small file should not wait.
-    from carla_recap.formats.carla_log import LogReader, is_log
-
+    # The module of a format is imported when a file needs it: a command on a small file should not wait.
     start = read_start(path)
-    if is_log(start):
-        return LogReader(path)
     if start.startswith(b"\x89MCAP"):
         from carla_recap.formats.mcap.reader import McapReader
 
         return McapReader(path)
+    from carla_recap.formats.carla_log import LogReader, is_log
+
+    if is_log(start):
+        return LogReader(path)
     if not start:
         raise NotARecording(path, "is empty; a CARLA log or an MCAP recording was expected")
     raise NotARecording(path, "is not a recording (neither CARLA's log nor MCAP)")

@@ -14,13 +14,12 @@ from carla_recap.formats.base import Reader
 from carla_recap.queries.blocked import Blocked
 from carla_recap.queries.collisions import Collisions
 from carla_recap.queries.info import Info
-from carla_recap.queries.output.packet_lines import number
 from carla_recap.queries.output.text import text
 from carla_recap.server.rpc.registry import CallError
 from carla_recap.sim.errors import DestinationError
 from carla_recap.sim.recording.recorder import is_within, recording_path, recordings_folder
 from carla_recap.sim.replaying.replayer import find_recording
-from carla_recap.util.text import readable
+from carla_recap.util.text import number, readable
 
 if TYPE_CHECKING:
     from pathlib import Path

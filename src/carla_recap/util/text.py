@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import re
 from typing import Final
 
@@ -16,6 +17,11 @@ def readable(text: str) -> str:
     if text.isascii() or not _SUSPECT.search(text):
         return text
     return _UTF8.sub(lambda match: match[1] or b"?", text.encode("utf-8", "surrogateescape")).decode()
+
+
+def number(value: float) -> str:
+    """Return a number with six digits as C++ prints it, the sign of a NaN included."""
+    return "-nan" if math.isnan(value) and math.copysign(1.0, value) < 0 else f"{value:.6g}"
 
 
 def visible(text: str) -> str:

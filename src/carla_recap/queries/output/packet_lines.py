@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 import re
 from functools import cache
 from operator import attrgetter, itemgetter
@@ -12,7 +11,7 @@ import numpy as np
 
 from carla_recap.model.layout import U16
 from carla_recap.model.records import REAL, TEXT, UE4, Layout, Many, Records
-from carla_recap.util.text import readable
+from carla_recap.util.text import number, readable
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Mapping
@@ -20,11 +19,6 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from carla_recap.model.frame import Packet
-
-
-def number(value: float) -> str:
-    """A number with six digits as C++ prints it, the sign of a NaN included."""
-    return "-nan" if math.isnan(value) and math.copysign(1.0, value) < 0 else f"{value:.6g}"
 
 
 class _Template:

@@ -12,9 +12,8 @@ from carla_recap.queries.blocked import BlockedRow
 from carla_recap.queries.collisions import CollisionRow
 from carla_recap.queries.incidents import Incident
 from carla_recap.queries.info import Info, InfoRow
-from carla_recap.queries.output.packet_lines import number
 from carla_recap.queries.output.text import local_date
-from carla_recap.util.text import visible
+from carla_recap.util.text import number, visible
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable

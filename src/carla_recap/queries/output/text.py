@@ -4,24 +4,23 @@ from __future__ import annotations
 
 import math
 import time
-from typing import TYPE_CHECKING, Final
+from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
 from carla_recap.model.frame import Packet
 from carla_recap.model.records import FRAME_END
-from carla_recap.queries.actors import Actors
-from carla_recap.queries.collisions import Collisions
-from carla_recap.queries.incidents import Incidents
-from carla_recap.queries.info import EVENTS, Info
-from carla_recap.queries.output.packet_lines import number, packet_lines
-from carla_recap.util.text import readable
+from carla_recap.util.text import number, readable
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator
+    from collections.abc import Callable, Iterator, Mapping
 
     from carla_recap.model.frame import Frame, Header
+    from carla_recap.queries.actors import Actors
     from carla_recap.queries.blocked import Blocked
+    from carla_recap.queries.collisions import Collisions
+    from carla_recap.queries.incidents import Incidents
+    from carla_recap.queries.info import Info
 
     AnyAnswer = Actors | Info | Collisions | Blocked | Incidents
 
@@ -30,19 +29,11 @@ _NAME_WIDTH: Final = 35
 
 def text(answer: AnyAnswer) -> Iterator[str]:
     """CARLA's text of an answer, in pieces; of actors and incidents, for which CARLA has none, a list in its manner."""
+    kind = type(answer).__name__
     yield _preamble(answer.header)
-    if isinstance(answer, Info):
-        yield from _info(answer)
-    elif isinstance(answer, Collisions):
-        yield from _collisions(answer)
-    elif isinstance(answer, Actors):
-        yield from _actors(answer)
-    elif isinstance(answer, Incidents):
-        yield from _incidents(answer)
-    else:
-        yield from _blocked(answer)
+    yield from _BODIES[kind](answer)
     # In CARLA, a collision's row leaves the stream without decimals.
-    rounded = answer.compat and isinstance(answer, Collisions) and len(answer) > 0
+    rounded = answer.compat and kind == "Collisions" and any(answer)
     duration = (_whole if rounded else number)(answer.extent.duration)
     yield f"\nFrames: {answer.extent.last_id}\nDuration: {duration} seconds\n"
 
@@ -100,6 +91,9 @@ def _actors(answer: Actors) -> Iterator[str]:
 
 
 def _info(answer: Info) -> Iterator[str]:
+    from carla_recap.queries.info import EVENTS
+    from carla_recap.queries.output.packet_lines import packet_lines
+
     lines = packet_lines(compat=answer.compat)
     frame = None
     for frame in answer.frames():
@@ -119,6 +113,16 @@ def _info(answer: Info) -> Iterator[str]:
         yield _once_more(answer, frame)
 
 
+_BODIES: Final[Mapping[str, Callable[[Any], Iterator[str]]]] = {
+    "Info": _info,
+    "Collisions": _collisions,
+    "Blocked": _blocked,
+    "Actors": _actors,
+    "Incidents": _incidents,
+}
+"""By the name of an answer's class, since only the module of the query that was asked is imported."""
+
+
 def _frame_line(id: int, elapsed: float) -> str:
     return f"Frame {id} at {number(elapsed)} seconds\n"
 
@@ -130,6 +134,9 @@ def _once_more(answer: Info, last: Frame | None) -> str:
     last record as it has records. In a file without packets, that is the start of a frame 0. Of a file that
     was cut short, nothing is to be had this way but a wrong answer: then nothing is printed.
     """
+    from carla_recap.queries.info import EVENTS
+    from carla_recap.queries.output.packet_lines import packet_lines
+
     source, extent = answer.source, answer.extent
     if next(source.tail(), None) is not None:
         return ""
