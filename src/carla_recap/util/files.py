@@ -1,13 +1,10 @@
-"""Files and folders that appear under their names only when they are complete."""
+"""Files and folders that appear under their names only when they are complete: until then they are beside them."""
 
 from __future__ import annotations
 
 import os
-import shutil
 from contextlib import contextmanager, suppress
-from errno import EEXIST
-from glob import escape
-from math import inf
+from errno import EEXIST, EISDIR
 from pathlib import Path
 from time import monotonic
 from typing import TYPE_CHECKING, Final, Self
@@ -20,43 +17,58 @@ if TYPE_CHECKING:
 
     Buffer = bytes | bytearray | memoryview
 
-_SYNC_SECONDS = 1.0  # on the clock: a simulation that is fast must not have the disk written to all the time
-WHOLE_FILE_SYNC_SECONDS: Final = 3.0
-"""The time between two syncs of a live `WholeFile`, in s of the clock."""
+_SYNC_SECONDS: Final = 1.0
+"""The least time between two syncs, in s of the clock, so that a fast simulation does not keep the disk busy."""
+_BUFFER_SIZE: Final = 1 << 20  # bytes
+_NAME_SIZE: Final = 200  # characters of the destination's name in the name of a partial file
 
-_put_on_disk = getattr(os, "fdatasync", os.fsync)  # not every system knows both
-_NAME = 200  # characters of the destination's name that are in the name of what is beside it
+_write_to_disk = getattr(os, "fdatasync", os.fsync)  # some systems have only `fsync`
+
+
+def _partial_path(path: Path) -> Path:
+    """Return a new name beside a destination."""
+    return path.with_name(f".{path.name[:_NAME_SIZE]}.{os.urandom(4).hex()}.partial")
+
+
+def partials(path: Path | str) -> list[Path]:
+    """Return the partial files beside a destination, which writers left that died."""
+    from glob import escape
+
+    path = Path(path)
+    return sorted(path.parent.glob(f".{escape(path.name[:_NAME_SIZE])}.*.partial"))
 
 
 class AtomicFile:
-    """Base of the writers: writes beside the destination, and moves there on `close`.
+    """Base of the writers: a file that is written beside its destination, and moved there on `close`.
 
-    A crash leaves the file beside the destination, where `recover` finds what it holds: of a live file, all that was handed
-    over to the system, or, should that go down, what was on the disk, which is not more than `_SYNC_SECONDS` behind.
+    If the process dies, the partial file remains, for `recover`: of a live file, everything that was handed over to the
+    system; if the system goes down, too, everything that was on the disk, which is at most `_SYNC_SECONDS` behind.
 
     Args:
         path: The destination.
-        live: Leave what was written beside the destination, too, when the file cannot be finished.
-        force: Take the place of what is at the destination by the end; else that is an error.
+        live: Keep the partial file, too, if the file cannot be finished.
+        force: Replace a file that exists when this one is complete; else that is an error.
 
     Raises:
-        RecapError: The place cannot be written to.
+        RecapError: The destination cannot be written to; it may be neither a folder nor a device nor a pipe.
     """
 
     def __init__(self, path: Path | str, *, live: bool = False, force: bool = True) -> None:
         self.path = Path(path)
         self._live = live
-        self._next_sync = 0.0
         self._force = force
-        self._partial = self.path.with_name(f".{self.path.name[:_NAME]}.{os.urandom(4).hex()}.partial")
+        self._next_sync = 0.0
+        self._partial = _partial_path(self.path)
 
-    def _begin(self, write: Callable[[], None]) -> None:
-        """Open the file, and let what comes first be written; whatever interrupts that leaves nothing behind."""
+    def _begin(self, write_start: Callable[[], None]) -> None:
+        """Open the file and write its start; remove it again if that fails."""
         try:
             if self.path.is_dir():
-                raise IsADirectoryError(21, "is a directory")
-            self._file = self._partial.open("xb", buffering=1 << 20)
-            write()
+                raise IsADirectoryError(EISDIR, "is a directory")
+            if self.path.exists() and not self.path.is_file():
+                raise FileExistsError(EEXIST, "is not a regular file")
+            self._file = self._partial.open("xb", buffering=_BUFFER_SIZE)
+            write_start()
         except OSError as error:
             self.abort()
             raise self._unwritable(error) from None
@@ -65,40 +77,49 @@ class AtomicFile:
             raise
 
     def close(self) -> None:
-        """Finish the file, and put it under its name."""
+        """Finish the file, and move it to its destination.
+
+        Raises:
+            RecapError: It cannot be written, or without `force`, the destination exists.
+        """
         if self._file.closed:
             return
         try:
             self._finish()
             self._file.close()
-            self._appear()
-        except OSError as error:
-            self._give_up()
-            raise self._unwritable(error) from None
-        except BaseException:
-            self._give_up()
+            self._move()
+        except BaseException as error:
+            if self._live:
+                self.abandon()
+            else:
+                self.abort()
+            if isinstance(error, OSError):
+                raise self._unwritable(error) from None
             raise
 
     def abort(self) -> None:
-        """Give the file up, and remove what was written."""
+        """Close the file, and remove what was written."""
         self.abandon()
         with suppress(OSError):
             self._partial.unlink()
 
     def abandon(self) -> Path:
-        """Give the file up, but leave what was written where it is, which is returned; `recover` takes it."""
-        with suppress(OSError):  # what waits in memory may not fit on the disk either
+        """Close the file unfinished, and return the partial file, which `recover` takes."""
+        with suppress(OSError):  # the buffered rest may not fit on the disk
             if hasattr(self, "_file"):
                 self._file.close()
         return self._partial
 
-    def _appear(self) -> None:
-        """Put the file under its name."""
+    def _finish(self) -> None:
+        """Write the end of the file."""
+
+    def _move(self) -> None:
+        """Move the complete file to its destination."""
         if self._force:
             self._partial.replace(self.path)
             return
         try:
-            os.link(self._partial, self.path)  # no rename leaves alone what is there
+            os.link(self._partial, self.path)  # which fails where a rename would replace a file
         except FileExistsError:
             raise
         except OSError:  # a file system without links
@@ -108,21 +129,29 @@ class AtomicFile:
         else:
             self._partial.unlink()
 
-    def _give_up(self) -> None:
-        if self._live:
-            self.abandon()
-        else:
-            self.abort()
-
     def _put(self, data: Buffer) -> None:
-        """Add bytes.
+        """Write bytes.
 
         Raises:
-            RecapError: The disk is full, or broken, or the file is closed.
+            RecapError: The disk is full or broken, or the file is closed.
         """
         self._check_open()
         try:
             self._file.write(data)
+        except OSError as error:
+            raise self._unwritable(error) from None
+
+    def _sync(self) -> None:
+        """Hand over what was written to the system, and if `_SYNC_SECONDS` have passed, have it written to the disk.
+
+        Raises:
+            RecapError: The disk is full or broken.
+        """
+        try:
+            self._file.flush()
+            if monotonic() >= self._next_sync:
+                _write_to_disk(self._file.fileno())
+                self._next_sync = monotonic() + _SYNC_SECONDS
         except OSError as error:
             raise self._unwritable(error) from None
 
@@ -132,23 +161,6 @@ class AtomicFile:
 
     def _unwritable(self, error: OSError) -> RecapError:
         return RecapError(f"{self.path}: cannot be written: {error.strerror}")
-
-    def _finish(self) -> None:
-        """Write what comes last."""
-
-    def _sync(self) -> None:
-        """Hand what was written over to the system, which outlives this process; now and then, have it put on the disk.
-
-        Raises:
-            RecapError: The disk is full, or broken.
-        """
-        try:
-            self._file.flush()
-            if monotonic() >= self._next_sync:
-                _put_on_disk(self._file.fileno())
-                self._next_sync = monotonic() + _SYNC_SECONDS
-        except OSError as error:
-            raise self._unwritable(error) from None
 
     def __enter__(self) -> Self:
         return self
@@ -160,46 +172,37 @@ class AtomicFile:
             self.abort()
 
 
-def partials(path: Path | str) -> list[Path]:
-    """What lies beside a destination and was left by writers that died."""
-    path = Path(path)
-    return sorted(path.parent.glob(f".{escape(path.name[:_NAME])}.*.partial"))
-
-
 class WholeFile(AtomicFile):
-    """Takes a place for a file; what is written appears there at the end.
+    """A file of bytes.
 
     Args:
         path: The destination.
-        live: Put what is written on the disk every `WHOLE_FILE_SYNC_SECONDS`, so that it is found beside the destination
-            when the process dies.
+        live: Sync what is written, so that a partial file remains if the process dies.
 
     Raises:
-        RecapError: The place cannot be written to.
+        RecapError: The destination cannot be written to.
     """
 
     def __init__(self, path: Path | str, *, live: bool = False) -> None:
-        super().__init__(path)
-        self._sync_at = monotonic() + WHOLE_FILE_SYNC_SECONDS if live else inf
+        super().__init__(path, live=live)
         self._begin(lambda: None)
 
     def write(self, data: bytes) -> None:
-        """Add to its content.
+        """Write bytes.
 
         Raises:
-            RecapError: The disk is full, or broken.
+            RecapError: The disk is full or broken, or the file is closed.
         """
         self._put(data)
-        if monotonic() >= self._sync_at:
+        if self._live:
             self._sync()
-            self._sync_at = monotonic() + WHOLE_FILE_SYNC_SECONDS
 
 
 def check_folder(folder: Path | str, *, force: bool) -> None:
-    """Refuse a place where there is something else, and without `force`, a folder that has anything in it.
+    """Refuse a destination that is no folder, or, without `force`, a folder that is not empty.
 
     Raises:
-        RecapError: That is so.
+        RecapError: It is such a destination.
     """
     folder = Path(folder)
     try:
@@ -217,21 +220,22 @@ def check_folder(folder: Path | str, *, force: bool) -> None:
 
 @contextmanager
 def new_folder(folder: Path | str) -> Iterator[Path]:
-    """A folder to write to, beside the destination, which it becomes at the end.
+    """Yield a folder beside the destination, which is moved there at the end.
 
-    If there is a folder already, the files are put into it, one by one; nothing that is there goes away, but for files of
-    the same names.
+    If the destination exists, its files of the same names are replaced, and all others stay.
 
     Raises:
-        RecapError: The place cannot be written to. What is raised within names the destination, not the folder beside it.
+        RecapError: The destination cannot be written to. Errors of the block name the destination, too.
     """
+    from shutil import rmtree
+
     folder = Path(folder)
-    partial = folder.absolute().with_name(f".{folder.absolute().name[:200]}.{os.urandom(4).hex()}.partial")
+    partial = _partial_path(folder.absolute())
     try:
         partial.mkdir(parents=True)
         yield partial
         if folder.exists():
-            _move_into(partial, folder)
+            _merge(partial, folder)
         else:
             partial.rename(folder)
     except RecapError as error:
@@ -241,20 +245,23 @@ def new_folder(folder: Path | str) -> Iterator[Path]:
     except OSError as error:
         raise RecapError(f"{folder}: cannot be written: {error.strerror or error}") from None
     finally:
-        shutil.rmtree(partial, ignore_errors=True)
+        rmtree(partial, ignore_errors=True)
 
 
-def copy_files(source: Path, folder: Path) -> None:
-    """Copy the files of a folder, but not what is in folders of it."""
-    for file in source.iterdir():
-        if file.is_file():
-            shutil.copyfile(file, folder / file.name)
-
-
-def _move_into(source: Path, folder: Path) -> None:
+def _merge(source: Path, folder: Path) -> None:
+    """Move the content of a folder into another one."""
     folder.mkdir(exist_ok=True)
     for item in source.iterdir():
         if item.is_dir():
-            _move_into(item, folder / item.name)
+            _merge(item, folder / item.name)
         else:
             item.replace(folder / item.name)
+
+
+def copy_files(source: Path, folder: Path) -> None:
+    """Copy the files of a folder, without its subfolders."""
+    from shutil import copyfile
+
+    for file in source.iterdir():
+        if file.is_file():
+            copyfile(file, folder / file.name)

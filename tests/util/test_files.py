@@ -1,0 +1,99 @@
+"""Files and folders that appear when they are complete."""
+
+from __future__ import annotations
+
+import os
+from typing import TYPE_CHECKING
+
+import pytest
+
+from carla_recap import RecapError, create_recording
+from carla_recap.util.files import WholeFile, check_folder, new_folder, partials
+from tests.samples import names_in
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+
+def test_a_file_appears_when_it_is_complete(tmp_path: Path) -> None:
+    path = tmp_path / "a.bin"
+    with WholeFile(path) as file:
+        file.write(b"12")
+        assert partials(path)
+        assert not path.exists()
+        file.write(b"34")
+    assert path.read_bytes() == b"1234"
+    assert names_in(tmp_path) == ["a.bin"]
+
+
+def test_a_file_that_fails_leaves_nothing(tmp_path: Path) -> None:
+    with pytest.raises(TypeError), WholeFile(tmp_path / "a.bin") as file:
+        file.write([b"12"])
+    assert names_in(tmp_path) == []
+
+
+def test_what_is_written_to_a_live_file_is_in_the_partial_file(tmp_path: Path) -> None:
+    path = tmp_path / "a.bin"
+    file = WholeFile(path, live=True)
+    file.write(b"12")
+    (partial,) = partials(path)
+    assert partial.read_bytes() == b"12"
+    file.close()
+    with pytest.raises(RecapError, match="is closed"):
+        file.write(b"34")
+
+
+@pytest.mark.skipif(not hasattr(os, "mkfifo"), reason="this system has no named pipes")
+@pytest.mark.parametrize("link", [False, True])
+@pytest.mark.parametrize("name", ["a.log", "a.mcap"])
+def test_a_pipe_is_not_replaced(tmp_path: Path, name: str, link: bool) -> None:
+    os.mkfifo(tmp_path / "pipe")
+    path = tmp_path / name
+    if link:
+        path.symlink_to("pipe")
+    else:
+        (tmp_path / "pipe").rename(path)
+    with pytest.raises(RecapError, match=f"{name}: cannot be written: is not a regular file"):
+        create_recording(path, map_name="Town01")
+    assert path.is_fifo()
+    assert names_in(tmp_path) == sorted({name, "pipe"} if link else {name})
+
+
+def test_a_folder_appears_when_it_is_complete(tmp_path: Path) -> None:
+    with new_folder(tmp_path / "new") as folder:
+        (folder / "a").write_text("1")
+        assert not (tmp_path / "new").exists()
+    assert names_in(tmp_path) == ["new"]
+    assert names_in(tmp_path / "new") == ["a"]
+
+
+def test_a_folder_that_exists_keeps_its_other_files(tmp_path: Path) -> None:
+    (tmp_path / "old" / "sub").mkdir(parents=True)
+    for name in ("a", "b", "sub/c"):
+        (tmp_path / "old" / name).write_text("old")
+    with new_folder(tmp_path / "old") as folder:
+        (folder / "sub").mkdir()
+        for name in ("a", "sub/d"):
+            (folder / name).write_text("new")
+    texts = {name: (tmp_path / "old" / name).read_text() for name in ("a", "b", "sub/c", "sub/d")}
+    assert texts == {"a": "new", "b": "old", "sub/c": "old", "sub/d": "new"}
+
+
+def test_errors_within_a_new_folder_name_the_destination(tmp_path: Path) -> None:
+    with (
+        pytest.raises(RecapError, match=r"/new: cannot be written: is a directory$"),
+        new_folder(tmp_path / "new") as folder,
+    ):
+        WholeFile(folder)
+    assert names_in(tmp_path) == []
+
+
+def test_a_folder_that_is_not_empty_needs_force(tmp_path: Path) -> None:
+    check_folder(tmp_path / "missing", force=False)
+    check_folder(tmp_path, force=False)
+    (tmp_path / "a").touch()
+    check_folder(tmp_path, force=True)
+    with pytest.raises(RecapError, match=r"is not empty; --force \(in Python, force=True\)"):
+        check_folder(tmp_path, force=False)
+    with pytest.raises(RecapError, match="is a file; a folder was expected"):
+        check_folder(tmp_path / "a", force=True)
