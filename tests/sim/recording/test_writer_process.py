@@ -11,6 +11,7 @@ import pytest
 
 import carla_recap
 from carla_recap.errors import RecapError
+from carla_recap.formats.mcap.file import ChunkedFile
 from carla_recap.formats.mcap.writer import McapWriter
 from carla_recap.model.frame import Header
 from carla_recap.sim.recording.sampler import WorldSampler
@@ -139,10 +140,10 @@ def test_what_a_full_disk_holds_is_left_to_be_recovered(tmp_path: Path, monkeypa
 
 
 def test_what_cannot_be_finished_is_left_to_be_recovered(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    def full(self: McapWriter) -> None:
+    def full(self: ChunkedFile) -> None:
         raise RecapError(f"{self.path}: cannot be written: No space left on device")
 
-    monkeypatch.setattr(McapWriter, "_write_end", full)
+    monkeypatch.setattr(ChunkedFile, "_finish", full)
     with pytest.raises(RecapError, match="for carla-recap recover"):
         write(tmp_path / "a.mcap", 240)
     (partial,) = tmp_path.iterdir()
