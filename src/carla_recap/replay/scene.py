@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import TYPE_CHECKING, TypeVar
 
@@ -72,6 +72,19 @@ class SceneBatch:
 
     def __iter__(self) -> Iterator[Scene]:
         return (Scene(self, row) for row in range(len(self)))
+
+    def __getitem__(self, rows: slice) -> SceneBatch:
+        """Return some consecutive scenes."""
+        start, stop, _ = rows.indices(len(self))
+        return replace(
+            self,
+            time=self.time[start:stop],
+            frames=self.frames[start:stop],
+            fresh=self.fresh and not start,
+            events=() if start else self.events,
+            poses=self.poses[start:stop],
+            light_states=self.light_states[start:stop],
+        )
 
     def records(self, name: str) -> NDArray[np.void]:
         """Return the records of a type as in the frames, the last one of each id, ascending by id: (scenes, ids)."""

@@ -20,7 +20,6 @@ from typing import TYPE_CHECKING
 
 from carla_recap.editing.convert import check_destination
 from carla_recap.export.assets import viewer_folder
-from carla_recap.formats.mcap.schema import EXPORT_METADATA
 from carla_recap.recording import Recording
 from carla_recap.replay import Played, Player
 from carla_recap.util.text import readable
@@ -66,19 +65,15 @@ def export_foxglove(
         MissingExtra: The extra `foxglove` is not installed.
         RecapError: There is nothing at that time, nobody to follow, or the destination cannot be written.
     """
-    from carla_recap.export.foxglove.file import McapFile
-    from carla_recap.export.foxglove.topics import TOPICS, Topics
+    from carla_recap.export.foxglove.writer import FoxgloveWriter
 
     reader = source.reader if isinstance(source, Recording) else source
     check_destination(reader.path, destination, force=force)
     player = Player(reader, start=start, duration=duration, follow=follow)
-    with McapFile(destination, TOPICS) as file:
-        file.describe(EXPORT_METADATA, _description(reader, player))
-        topics = Topics(file, reader.header, player.followed, road_map)
-        scenes = player.scenes()
-        for scene in progress(scenes, player) if progress else scenes:
-            topics.write(scene)
-        return topics.end()
+    with FoxgloveWriter(destination, reader.header, _description(reader, player), player.followed, road_map) as writer:
+        for batch in player.batches(progress):
+            writer.write(batch)
+        return writer.end()
 
 
 def layout_files() -> dict[str, Path]:

@@ -1,15 +1,28 @@
-"""The followed actor: the frames that a view is fixed to, what it does, and the traffic lights before it."""
+"""The followed actor: the frames that a view is fixed to, its motion, and the traffic lights ahead of it."""
 
 from __future__ import annotations
 
 import math
+from functools import cache
 from typing import TYPE_CHECKING, Final, NamedTuple
 
 import numpy as np
 
-from carla_recap.export.foxglove.entities import WORLD
-from carla_recap.export.foxglove.scene import entity
-from carla_recap.export.foxglove.schemas import FrameTransform, FrameTransforms, Quaternion, Vector3
+from carla_recap.export.foxglove.messages import (
+    WORLD,
+    FrameTransform,
+    FrameTransforms,
+    Messages,
+    Part,
+    Template,
+    fill_pose,
+    numbers,
+    pose_numbers,
+    single,
+    timestamp,
+    timestamps,
+)
+from carla_recap.export.foxglove.scene import entity_id
 from carla_recap.model.records import CM
 from carla_recap.replay import calm_heading, level, quaternions, right_handed
 from carla_recap.replay.motion import JUMP, TOP_SPEED
@@ -18,205 +31,255 @@ from carla_recap.v1.followed_pb2 import Followed, ShownLight, ShownLights
 from carla_recap.v1.light_states_pb2 import TRAFFIC_LIGHT_COLOR_UNKNOWN, TrafficLightColor
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator, Sequence
+    from collections.abc import Iterator
 
     from numpy.typing import NDArray
 
-    from carla_recap.replay import Scene
-
-    Floats = NDArray[np.float64]
+    from carla_recap.export.foxglove.messages import Floats, Indices, Times
+    from carla_recap.replay.scene import SceneBatch
 
 TRANSFORMS: Final = "/tf"
 HERO: Final = "/hero"
 LIGHTS: Final = "/lights"
 
-FOLLOWED_FRAME: Final = "followed"
-HERO_FRAME: Final = "hero"
+_FOLLOWED_FRAME: Final = "followed"
+_HERO_FRAME: Final = "hero"
 
 _KMH: Final = 3.6  # in a m/s
-_AHEAD: Final = 6000.0  # cm; traffic lights farther away do not count
-_ASIDE: Final = math.cos(math.radians(30))  # nor those that are farther to the side
+_AHEAD: Final = 6000.0  # cm; traffic lights farther away are not ahead
+_ASIDE: Final = math.cos(math.radians(30))  # nor those farther to the side
+
+_POSE: Final = ("x", "y", "z", "roll", "pitch", "yaw")
+_CONTROL: Final = ("throttle", "brake", "steer", "hand_brake", "gear")
 
 
-class View(NamedTuple):
-    """Frames at a moment, by name: poses in cm and degrees; and its time in nanoseconds since 1970."""
+class FinitePoses(NamedTuple):
+    """The poses of an actor in the scenes of a batch in which they are known and finite.
 
-    frames: dict[str, Floats]
-    time: int
+    Attributes:
+        rows: The positions of these scenes.
+        time: Their moments, in elapsed seconds.
+        poses: The poses, in cm and degrees, (scenes, 6).
+    """
+
+    rows: Indices
+    time: Floats
+    poses: Floats
+
+    def among(self, rows: Indices) -> FinitePoses:
+        """Return those in some scenes."""
+        kept = np.isin(self.rows, rows)
+        return FinitePoses(self.rows[kept], self.time[kept], self.poses[kept])
 
 
-def serialized(views: Sequence[View]) -> Iterator[bytes]:
-    """Yield the serialized `FrameTransforms` of each view; what there is to calculate, for all together."""
-    poses = right_handed(np.array([pose for view in views for pose in view.frames.values()]).reshape(-1, 6))
-    rows = zip(poses[:, LOCATION].tolist(), quaternions(poses).tolist(), strict=True)
-    for view in views:
-        transforms = [_transform(name, *next(rows), view.time) for name in view.frames]
-        yield FrameTransforms(transforms=transforms).SerializeToString()
+def finite_poses(batch: SceneBatch, id: int | None) -> FinitePoses:
+    """Return the poses of an actor, if any."""
+    poses = None if id is None else batch.pose_of(id)
+    if poses is None:
+        poses = np.full((len(batch), 6), np.nan)
+    rows = np.flatnonzero(np.isfinite(poses).all(axis=1))
+    return FinitePoses(rows, batch.time[rows], poses[rows])
 
 
-class Frames:
-    """Where views are fixed to, as frames in the world.
+class _Path:
+    """The path of an actor from scene to scene."""
 
-    `followed` is where the followed actor is, but with a level horizon and a calm heading; before the actor appears, and
-    where there is none, at the origin. `hero` is the pose of the hero.
+    def __init__(self) -> None:
+        self._last: tuple[float, list[float]] | None = None
+
+    def steps(self, found: FinitePoses) -> Iterator[tuple[float, float | None]]:
+        """Yield the seconds since the previous pose and the distance to it in cm, None for the first and after a jump."""
+        for time, location in zip(found.time.tolist(), found.poses[:, LOCATION].tolist(), strict=True):
+            before, self._last = self._last, (time, location)
+            if before is None:
+                yield 0.0, None
+                continue
+            seconds, distance = time - before[0], math.dist(before[1], location)
+            yield seconds, distance if distance <= max(JUMP, TOP_SPEED * seconds) else None
+
+
+class ViewFrames:
+    """The frames that views are fixed to.
+
+    `followed` is at the followed actor, but with a level horizon and a calm heading; at the origin before that actor
+    appears, and where no actor is followed. `hero` is the pose of the hero.
     """
 
     def __init__(self) -> None:
         self._hero: int | None = None
         self._view = np.zeros(6)
-        self._before: tuple[float, Floats] | None = None
+        self._path = _Path()
 
-    def message(self, scene: Scene, pose: Floats | None, time: int) -> View:
-        """The frames at a moment, still to be serialized.
+    def messages(self, batch: SceneBatch, rows: Indices, times: Times, followed: FinitePoses) -> Iterator[Messages]:
+        """Yield the messages of some scenes of a batch.
 
         Args:
-            scene: What is to be shown.
-            pose: That of the followed actor.
-            time: The same moment in nanoseconds since 1970.
+            batch: The scenes.
+            rows: The positions of the scenes that are shown.
+            times: The time of each of these, in ns since 1970.
+            followed: The followed actor in these.
         """
-        if pose is not None:
-            self._turn(scene.time, pose)
-        if scene.events:
-            self._hero = next((actor.id for actor in scene.actors.values() if actor.is_hero), None)
-        frames = {FOLLOWED_FRAME: self._view}
-        hero = finite_pose(scene, self._hero)
-        if hero is not None:
-            frames[HERO_FRAME] = hero
-        return View(frames, time)
+        if batch.events and not rows[0]:
+            self._hero = next((actor.id for actor in batch.actors.values() if actor.is_hero), None)
+        views = self._views(rows, followed)
+        hero = finite_poses(batch, self._hero).among(rows)
+        with_hero = np.isin(rows, hero.rows)
+        for some, poses in (
+            (~with_hero, {_FOLLOWED_FRAME: views[~with_hero]}),
+            (with_hero, {_FOLLOWED_FRAME: views[with_hero], _HERO_FRAME: hero.poses}),
+        ):
+            if some.any():
+                yield _transforms(rows[some], timestamps(times[some]), poses)
 
-    def _turn(self, seconds: float, pose: Floats) -> None:
-        heading, delta = None, 0.0
-        if self._before is not None:
-            delta = seconds - self._before[0]
-            heading = float(self._view[YAW]) if possible(self._before[1], pose, delta) else None
-        self._view = level(pose, calm_heading(float(pose[YAW]), heading, delta))
-        self._before = (seconds, pose)
+    def _views(self, rows: Indices, followed: FinitePoses) -> Floats:
+        """Return the poses of the calm frame; the previous one where that of the actor is unknown."""
+        heading = float(self._view[YAW])
+        headings = []
+        for (seconds, distance), yaw in zip(self._path.steps(followed), followed.poses[:, YAW].tolist(), strict=True):
+            heading = calm_heading(yaw, None if distance is None else heading, seconds)
+            headings.append(heading)
+        views = np.concatenate((self._view[None], level(followed.poses, headings)))
+        views = views[np.searchsorted(followed.rows, rows, side="right")]
+        self._view = views[-1]
+        return views
 
 
-class Hero:
-    """What the followed actor does."""
+class FollowedMotion:
+    """The motion of the followed actor."""
 
     def __init__(self) -> None:
-        self._before: tuple[float, Floats] | None = None
+        self._path = _Path()
 
-    def message(self, scene: Scene, id: int, pose: Floats) -> Followed:
-        """What it does at a moment.
+    def messages(self, batch: SceneBatch, id: int, found: FinitePoses) -> Iterator[Messages]:
+        """Yield the messages of a batch.
 
         Args:
-            scene: The moment.
-            id: Who it is.
-            pose: Where it is.
+            batch: The scenes.
+            id: The followed actor.
+            found: Its poses.
         """
-        x, y, z, roll, pitch, yaw = right_handed(pose).tolist()
-        actor = scene.actors.get(id)
+        actor = batch.actors.get(id)
         type_id = None if actor is None else actor.type_id
-        message = Followed(elapsed=scene.time, id=id, type_id=type_id, x=x, y=y, z=z, roll=roll, pitch=pitch, yaw=yaw)
-        speed = self._speed(scene, id, pose)
-        if speed is not None:
-            message.speed, message.speed_kmh = speed, speed * _KMH
-        control = _row(scene.vehicle_controls, id)
+        values = {"elapsed": found.time, "id": np.full(len(found.rows), id)}
+        values |= dict(zip(_POSE, right_handed(found.poses).T, strict=True))
+        control = _records_of(batch, "vehicle_controls", id)
         if control is not None:
-            for name in ("throttle", "brake", "steer", "gear"):
-                setattr(message, name, control[name].item())
-            message.hand_brake = bool(control["hand_brake"])
-        return message
+            values |= {name: control[name][found.rows] for name in _CONTROL}
+            values["hand_brake"] = values["hand_brake"] != 0
+        speeds = self._speeds(batch, id, found)
+        known = ~np.isnan(speeds)
+        for some, columns in ((~known, values), (known, values | {"speed": speeds, "speed_kmh": speeds * _KMH})):
+            if some.any():
+                messages, rows = _followed_template(tuple(columns), type_id).messages(HERO, found.rows[some])
+                for name, column in columns.items():
+                    rows[name] = column[some]
+                yield messages
 
-    def _speed(self, scene: Scene, id: int, pose: Floats) -> float | None:
-        """In m/s: as recorded, or else from the way since the scene before; None after a jump."""
-        before, self._before = self._before, (scene.time, pose)
-        velocity = _row(scene.velocities, id)
-        if velocity is not None:
-            speed = math.hypot(velocity["x"], velocity["y"], velocity["z"])
-            return speed if math.isfinite(speed) else None
-        if before is None:
-            return None
-        delta = scene.time - before[0]
-        if delta <= 0 or not possible(before[1], pose, delta):
-            return None
-        return math.dist(pose[LOCATION], before[1][LOCATION]) * CM / delta
+    def _speeds(self, batch: SceneBatch, id: int, found: FinitePoses) -> Floats:
+        """Return speeds in m/s: as recorded, or else from the distance to the previous pose; NaN after a jump."""
+        steps = list(self._path.steps(found))
+        velocity = _records_of(batch, "velocities", id)
+        if velocity is None:
+            speeds = [math.nan if d is None or seconds <= 0 else d * CM / seconds for seconds, d in steps]
+        else:
+            speeds = list(map(math.hypot, *(velocity[name][found.rows].tolist() for name in "xyz")))
+        return np.array([speed if math.isfinite(speed) else math.nan for speed in speeds])
 
 
-class Lights:
-    """What the traffic lights show.
+class LightMessages:
+    """The states of the traffic lights.
 
     Attributes:
-        told: What they showed when they last changed.
+        latest: The latest message.
     """
 
     def __init__(self) -> None:
-        self.told = ShownLights()
-        self._shown: tuple[bytes, bytes] | None = None  # ids and states
-        self._places: Floats = np.zeros((0, 2))  # cm
-        self._ahead: int | None = None
+        self.latest = ShownLights()
+        self._ids = b""
+        self._locations: Floats = np.zeros((0, 2))  # cm
+        self._shown: tuple[bytes, int] | None = None  # the latest states, and the index of the light ahead
 
-    def look(self, scene: Scene, pose: Floats | None) -> bool:
-        """Take in a moment; says whether anything has changed.
+    def messages(self, batch: SceneBatch, rows: Indices, followed: FinitePoses) -> Iterator[Messages]:
+        """Yield a message for each of some scenes in which a light has changed, or another light is ahead.
 
         Args:
-            scene: The moment.
-            pose: That of the followed actor.
+            batch: The scenes.
+            rows: The positions of the scenes that are shown.
+            followed: The followed actor in these.
         """
-        states = scene.light_states
-        before, ahead = self._shown, self._ahead
-        ids, shown = states["id"].tobytes(), states["state"].tobytes()
-        if before is None or ids != before[0]:
-            before = None
-            poses = [scene.pose_of(id) for id in states["id"].tolist()]
-            self._places = np.array([(np.nan, np.nan) if pose is None else pose[:2] for pose in poses]).reshape(-1, 2)
-        self._shown, self._ahead = (ids, shown), self._find_ahead(pose)
-        if before is not None and ahead == self._ahead and shown == before[1]:
-            return False
-        lights = [
-            ShownLight(id=id, state=_color(state), entity=entity(id))
-            for id, state in zip(states["id"].tolist(), states["state"].tolist(), strict=True)
-        ]
-        none = ShownLight(id=0, state=TRAFFIC_LIGHT_COLOR_UNKNOWN, entity="")
-        ahead_light = none if self._ahead is None else lights[self._ahead]
-        self.told = ShownLights(elapsed=scene.time, ahead=ahead_light, lights=lights)
-        return True
+        lights = batch.light_states[rows]
+        ids = lights["id"][0]
+        if ids.tobytes() != self._ids or self._shown is None:
+            self._ids, self._shown = ids.tobytes(), None
+            poses = [batch.pose_of(id, int(rows[0])) for id in ids.tolist()]
+            self._locations = np.array([(np.nan, np.nan) if pose is None else pose[:2] for pose in poses]).reshape(-1, 2)
+        ahead = np.full(len(rows), -1)
+        ahead[np.isin(rows, followed.rows)] = self._lights_ahead(followed.poses)
+        states = lights["state"]
+        changed = (states[1:] != states[:-1]).any(axis=1) | (ahead[1:] != ahead[:-1])
+        for row in (0, *(np.flatnonzero(changed) + 1).tolist()):
+            shown = (states[row].tobytes(), int(ahead[row]))
+            if shown != self._shown:
+                self._shown = shown
+                self.latest = _shown_lights(batch.time[rows[row]].item(), ids, states[row], shown[1])
+                yield single(LIGHTS, int(rows[row]), self.latest)
 
-    def _find_ahead(self, pose: Floats | None) -> int | None:
-        """The place of the nearest light before the followed actor."""
-        if pose is None or not len(self._places):
-            return None
-        ways = self._places - pose[:2]
-        distances = np.hypot(ways[:, 0], ways[:, 1])
-        yaw = math.radians(pose[YAW])
-        forward = ways @ (math.cos(yaw), math.sin(yaw))
-        candidates = np.flatnonzero((distances < _AHEAD) & (forward > _ASIDE * distances))
-        return int(candidates[distances[candidates].argmin()]) if len(candidates) else None
-
-
-def finite_pose(scene: Scene, id: int | None) -> Floats | None:
-    """Where an actor is; None where nothing tells, or no number does."""
-    pose = None if id is None else scene.pose_of(id)
-    return pose if pose is not None and np.isfinite(pose).all() else None
+    def _lights_ahead(self, poses: Floats) -> Indices:
+        """Return the index of the nearest light ahead of each pose; -1 without one."""
+        if not len(self._locations):
+            return np.full(len(poses), -1)
+        ways = self._locations - poses[:, None, :2]
+        distances = np.hypot(ways[..., 0], ways[..., 1])
+        yaw = np.radians(poses[:, YAW, None])
+        forward = ways[..., 0] * np.cos(yaw) + ways[..., 1] * np.sin(yaw)
+        distances[~((distances < _AHEAD) & (forward > _ASIDE * distances))] = np.inf
+        nearest: Indices = np.where(np.isfinite(distances).any(axis=1), distances.argmin(axis=1), -1)
+        return nearest
 
 
-def possible(before: Floats, pose: Floats, delta: float) -> bool:
-    """Whether an actor can have come from one pose to another in some seconds, without a jump."""
-    return math.dist(before[LOCATION], pose[LOCATION]) <= max(JUMP, TOP_SPEED * delta)
+def _shown_lights(elapsed: float, ids: NDArray[np.integer], states: NDArray[np.integer], ahead: int) -> ShownLights:
+    lights = [
+        ShownLight(id=id, state=_color_name(state), entity=entity_id(id))
+        for id, state in zip(ids.tolist(), states.tolist(), strict=True)
+    ]
+    none = ShownLight(id=0, state=TRAFFIC_LIGHT_COLOR_UNKNOWN, entity="")
+    return ShownLights(elapsed=elapsed, ahead=none if ahead < 0 else lights[ahead], lights=lights)
 
 
-def _color(state: int) -> str:
-    """The name of a traffic light's state."""
+def _color_name(state: int) -> str:
+    """Return the name of a traffic light's state."""
     return TrafficLightColor.Name(state if 0 <= state < TRAFFIC_LIGHT_COLOR_UNKNOWN else TRAFFIC_LIGHT_COLOR_UNKNOWN)
 
 
-def _row(records: NDArray[np.void], id: int) -> np.void | None:
-    """The record of an id among records that ascend by it."""
-    place = int(np.searchsorted(records["id"], id))
-    return records[place] if place < len(records) and records["id"][place] == id else None
+def _records_of(batch: SceneBatch, name: str, id: int) -> NDArray[np.void] | None:
+    """Return the records of an actor, (scenes,); None if it has none."""
+    records = batch.records(name)
+    index = int(np.searchsorted(records["id"][0], id))
+    return records[:, index] if index < records.shape[1] and records["id"][0, index] == id else None
 
 
-def _transform(frame: str, place: list[float], rotation: list[float], time: int) -> FrameTransform:
-    x, y, z = place
-    qx, qy, qz, qw = rotation
-    transform = FrameTransform(
-        parent_frame_id=WORLD,
-        child_frame_id=frame,
-        translation=Vector3(x=x, y=y, z=z),
-        rotation=Quaternion(x=qx, y=qy, z=qz, w=qw),
-    )
-    transform.timestamp.FromNanoseconds(time)
-    return transform
+@cache
+def _transforms_template(frames: tuple[str, ...]) -> Template:
+    return Template(*(_transform_part(frame) for frame in frames))
+
+
+def _transform_part(frame: str) -> Part:
+    constant = FrameTransform(parent_frame_id=WORLD, child_frame_id=frame).SerializeToString()
+    stamp = timestamp(FrameTransform.TIMESTAMP_FIELD_NUMBER, frame)
+    pose = pose_numbers(FrameTransform.TRANSLATION_FIELD_NUMBER, FrameTransform.ROTATION_FIELD_NUMBER, frame)
+    return (Part(constant) + stamp + pose).within(FrameTransforms.TRANSFORMS_FIELD_NUMBER)
+
+
+def _transforms(rows: Indices, stamps: NDArray[np.uint8], frames: dict[str, Floats]) -> Messages:
+    """Return messages with the poses of some frames, in cm and degrees, by name."""
+    messages, transforms = _transforms_template(tuple(frames)).messages(TRANSFORMS, rows)
+    for frame, poses in frames.items():
+        poses = right_handed(poses)
+        transforms[f"{frame}timestamp"] = stamps
+        fill_pose(transforms, poses[:, LOCATION], quaternions(poses), frame)
+    return messages
+
+
+@cache
+def _followed_template(names: tuple[str, ...], type_id: str | None) -> Template:
+    return Template(Part(Followed(type_id=type_id).SerializeToString()), numbers(Followed, names))

@@ -1,19 +1,40 @@
-"""The actors of a scene as two topics: those that have moved, and those that have not."""
+"""The 3D scene: actors that have moved, actors that have not, and the road map."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from itertools import groupby
+from itertools import pairwise
 from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
 from carla_recap.export import style
-from carla_recap.export.foxglove.entities import CUBES, SPHERES, WORLD, Heads, color, deletions, head
-from carla_recap.export.foxglove.schemas import CylinderPrimitive, KeyValuePair, SceneEntity
+from carla_recap.export.foxglove.messages import (
+    WORLD,
+    Color,
+    CubePrimitive,
+    CylinderPrimitive,
+    KeyValuePair,
+    LinePrimitive,
+    Messages,
+    Part,
+    Point3,
+    Pose,
+    SceneEntity,
+    SceneEntityDeletion,
+    SceneUpdate,
+    Template,
+    Vector3,
+    fill_pose,
+    pose_numbers,
+    single,
+    timestamp,
+    timestamps,
+)
+from carla_recap.formats.mcap.schema import MESSAGE
 from carla_recap.model.records import ActorKind, Spawn
 from carla_recap.replay import Present, quaternions, right_handed
-from carla_recap.replay.pose import LOCATION, change, rotations
+from carla_recap.replay.pose import LOCATION, change
 from carla_recap.replay.rows import NO_IDS
 from carla_recap.v1.light_states_pb2 import TRAFFIC_LIGHT_COLOR_UNKNOWN
 
@@ -22,70 +43,312 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    from carla_recap.replay import Scene
+    from carla_recap.export.foxglove.messages import Floats, Indices, Times
+    from carla_recap.maps import RoadMap
     from carla_recap.replay.rows import Ids
-
-    Floats = NDArray[np.float64]
+    from carla_recap.replay.scene import SceneBatch
 
 MOVED: Final = "/scene"
 STILL: Final = "/scene/still"
+MAP: Final = "/map"
 
-_STIR: Final = np.array([1.0, 1.0, 1.0, 0.1, 0.1, 0.1])  # cm and degrees; whoever is farther from its first pose has moved
+_MOVED_BY: Final = np.array([1.0, 1.0, 1.0, 0.1, 0.1, 0.1])  # cm and degrees; an actor farther from its first pose has moved
 _FAINT: Final = 0.35  # opacity of a box that only stands for something; Foxglove's cubes have no outlines
-_FAR: Final = 1e9  # cm and degrees; what is beyond is no place
+_FAR: Final = 1e9  # cm and degrees; a pose beyond is not shown
+
+_CUBES: Final = SceneEntity.CUBES_FIELD_NUMBER
+_SPHERES: Final = SceneEntity.SPHERES_FIELD_NUMBER
+_POSE: Final = pose_numbers(Pose.POSITION_FIELD_NUMBER, Pose.ORIENTATION_FIELD_NUMBER).within(
+    CubePrimitive.POSE_FIELD_NUMBER
+)
+_TIMESTAMP: Final = timestamp(SceneEntity.TIMESTAMP_FIELD_NUMBER)
+_CHANGING: Final = _POSE + _TIMESTAMP
+"""The end of an entity, the only part that differs from message to message: the pose of its cube or sphere, and the time."""
+
+
+def entity_id(id: int) -> str:
+    """Return the id of an actor's entity."""
+    return f"actor {id}"
 
 
 @dataclass(eq=False, slots=True)
-class _Figure:
-    """An actor as it is shown.
+class _ActorEntity:
+    """An actor as an entity.
 
     Attributes:
-        actor: Who it is.
-        state: What it shows, if it is a traffic light.
-        first: Its first pose; not a number before.
-        moved: Whether it has moved since.
-        head: Its entity, but for the pose.
-        center: The middle of its box, or of its lamp, in its own axes, in m.
+        actor: The actor.
+        state: The state of a traffic light.
+        first: The first pose; NaN before.
+        moved: Whether the actor has moved since.
+        data: The serialized entity, with the actor at the origin.
+        center: The centre of the box, or of the lamp, in the actor's own axes, in m.
     """
 
     actor: Present
     state: int
     first: Floats = field(default_factory=lambda: np.full(6, np.nan))
     moved: bool = False
-    head: bytes = b""
+    data: bytes = b""
     center: tuple[float, float, float] = (0.0, 0.0, 0.0)
 
     def draw(self) -> None:
-        """Make what depends on the actor and its state."""
+        """Set what depends on the actor and its state."""
         actor = self.actor
-        told = {"actor": style.label_of(actor), "type_id": actor.type_id, "role_name": actor.role_name}
+        metadata = {"actor": style.label_of(actor), "type_id": actor.type_id, "role_name": actor.role_name}
         if actor.kind == ActorKind.TRAFFIC_LIGHT:
-            state, shade = style.light(self.state)
+            state, rgb = style.light(self.state)
+            start = _start(actor, metadata | {"state": state}, _pole(actor))
             self.center = (0.0, 0.0, style.LAMP_UP)
-            self.head = head(
-                _start(actor, told | {"state": state}, _pole(actor)),
-                SPHERES,
-                (style.LAMP, style.LAMP, style.LAMP),
-                color(shade),
-            )
+            self.data = _serialized(start, _SPHERES, (style.LAMP, style.LAMP, style.LAMP), _color(rgb))
         else:
             box = style.box_of(actor)
-            self.center = (box.x, box.y, box.z)
             size = (2 * box.extent_x, 2 * box.extent_y, 2 * box.extent_z)
             opacity = _FAINT if style.is_outlined(actor) else 1.0
-            self.head = head(_start(actor, told), CUBES, size, color(style.color_of(actor), opacity))
+            self.center = (box.x, box.y, box.z)
+            self.data = _serialized(_start(actor, metadata), _CUBES, size, _color(style.color_of(actor), opacity))
 
 
-def _start(actor: Present, told: Mapping[str, str], *fixed: CylinderPrimitive) -> SceneEntity:
-    """What of an entity does not move, and what is told when it is selected."""
-    metadata = [KeyValuePair(key=key, value=value) for key, value in told.items() if value]
-    return SceneEntity(frame_id=WORLD, id=entity(actor.id), metadata=metadata, cylinders=fixed)
+class _EntitiesTemplate:
+    """A message with the entities of some actors, whose poses differ from message to message."""
+
+    def __init__(self, entities: Sequence[_ActorEntity]) -> None:
+        self._template = Template(Part(b"".join(entity.data for entity in entities)))
+        self._ends = (MESSAGE.size + np.cumsum([len(entity.data) for entity in entities], dtype=np.intp)).tolist()
+        self._centers = np.array([entity.center for entity in entities]).reshape(-1, 3)
+
+    def messages(self, topic: str, rows: Indices, times: Times, poses: Floats) -> Messages:
+        """Return the messages of some scenes.
+
+        Args:
+            topic: The topic.
+            rows: The positions of the scenes in the batch.
+            times: The time of each scene, in ns since 1970.
+            poses: The poses of the actors, (scenes, actors, 6).
+        """
+        poses = right_handed(poses)
+        turns = quaternions(poses)
+        changing = np.empty((*turns.shape[:2], len(_CHANGING.data)), np.uint8)
+        changing[:] = np.frombuffer(_CHANGING.data, np.uint8)
+        ends = changing.view(_CHANGING.dtype)[..., 0]
+        # Numbers of less precision, far below what can be seen, make a smaller file.
+        with np.errstate(over="ignore"):
+            positions = (poses[..., LOCATION] + _rotated(self._centers, turns)).astype(np.float32)
+            fill_pose(ends, positions, turns.astype(np.float32))
+        ends["timestamp"] = timestamps(times)[:, None]
+        messages, _ = self._template.messages(topic, rows)
+        for entity, end in enumerate(self._ends):
+            messages.data[:, end - ends.itemsize : end] = changing[:, entity]
+        return messages
+
+
+class ActorEntities:
+    """The messages of the actors, on two topics. Sensors, which have no body, are left out."""
+
+    def __init__(self) -> None:
+        self._actors: list[Present] = []
+        self._ids: Ids | None = None
+        self._entities: dict[int, _ActorEntity] = {}
+        self._shown: list[_ActorEntity] = []  # those with a body
+        self._shown_ids = NO_IDS
+        self._recorded: Indices = np.zeros(0, np.intp)  # the shown actors that have recorded poses,
+        self._indices: Indices = np.zeros(0, np.intp)  # and the indices of these poses
+        self._carried: list[int] = []  # the shown actors without, but attached to a parent
+        self._poses: Floats = np.zeros((0, 6))  # of all shown actors, at first
+        self._first: Floats = np.zeros((0, 6))  # the first finite poses
+        self._moved: NDArray[np.bool_] = np.zeros(0, np.bool_)
+        self._lights: tuple[bytes, bytes] | None = None  # the latest ids and states
+        self._before = {MOVED: NO_IDS, STILL: NO_IDS}  # the actors of the latest message
+        self._templates: dict[str, tuple[bytes, _EntitiesTemplate]] = {}  # and its template
+
+    def messages(self, batch: SceneBatch, rows: Indices, times: Times) -> Iterator[Messages]:
+        """Yield the messages of some scenes of a batch.
+
+        Args:
+            batch: The scenes.
+            rows: The positions of the scenes that are shown.
+            times: The time of each of these, in ns since 1970.
+        """
+        changed = self._take_actors(batch)
+        poses = self._all_poses(batch, rows)
+        present = np.asarray((np.abs(poses) < _FAR).all(axis=2))  # and no NaN
+        moves = self._find_moves(poses, present)
+        ids, states = batch.light_states["id"][0], batch.light_states["state"][rows]
+        starts = {0, *moves[moves < len(rows)].tolist()}
+        for values in (present, states):
+            starts.update((np.flatnonzero((values[1:] != values[:-1]).any(axis=1)) + 1).tolist())
+        edges = [*sorted(starts), len(rows)]
+        for start, stop in pairwise(edges):
+            changed |= self._take_lights(ids, states[start])
+            if changed:
+                self._templates.clear()
+            for index in np.flatnonzero(moves == start).tolist():
+                self._shown[index].moved = self._moved[index] = changed = True
+            fresh = batch.fresh and not rows[start]
+            indices = np.flatnonzero(present[start] & self._moved)
+            gone = self._take_shown(MOVED, indices)
+            if len(indices) or gone or fresh:
+                some = slice(start, stop if len(indices) else start + 1)
+                yield from self._messages(MOVED, indices, gone or (), rows[some], times[some], poses[some])
+            indices = np.flatnonzero(present[start] & ~self._moved)
+            gone = self._take_shown(STILL, indices)
+            if changed or gone is not None or fresh:
+                some = slice(start, start + 1)
+                yield from self._messages(STILL, indices, gone or (), rows[some], times[some], poses[some])
+            changed = False
+
+    def _take_actors(self, batch: SceneBatch) -> bool:
+        """Set what depends on the actors of a batch; return whether they have changed."""
+        actors = list(batch.actors.values())
+        if actors == self._actors and batch.ids is self._ids:
+            return False
+        self._actors, self._ids = actors, batch.ids
+        unknown = sorted(set(batch.ids.tolist()).difference(batch.actors))
+        entities: dict[int, _ActorEntity] = {}
+        for actor in (*actors, *(Present(Spawn(id), batch.time[0].item()) for id in unknown)):
+            entity = self._entities.get(actor.id)
+            if entity is None or entity.actor.spawn != actor.spawn:
+                entity = _ActorEntity(actor, TRAFFIC_LIGHT_COLOR_UNKNOWN)
+            if not entity.data or entity.actor != actor:
+                entity.actor = actor
+                entity.draw()
+            entities[actor.id] = entity
+        self._entities = entities
+        self._shown = [entity for entity in entities.values() if _has_body(entity.actor)]
+        self._shown_ids = np.array([entity.actor.id for entity in self._shown], np.uint32)
+        self._first = np.array([entity.first for entity in self._shown]).reshape(-1, 6)
+        self._moved = np.array([entity.moved for entity in self._shown], np.bool_)
+        self._lights = None
+        indices = [batch.index_of(entity.actor.id) for entity in self._shown]
+        self._recorded = np.array([row for row, index in enumerate(indices) if index is not None], np.intp)
+        self._indices = np.array([index for index in indices if index is not None], np.intp)
+        self._poses = np.full((len(self._shown), 6), np.nan)
+        self._carried = []
+        for row, entity in enumerate(self._shown):
+            if indices[row] is None:
+                self._poses[row] = _pose(batch, entity.actor.id, 0)
+                if entity.actor.attached:
+                    self._carried.append(row)
+        return True
+
+    def _all_poses(self, batch: SceneBatch, rows: Indices) -> Floats:
+        """Return the poses of all shown actors, (scenes, actors, 6)."""
+        poses = np.empty((len(rows), *self._poses.shape))
+        poses[:] = self._poses
+        poses[:, self._recorded] = batch.poses[rows[:, None], self._indices]
+        for row in self._carried:
+            poses[:, row] = _pose(batch, self._shown[row].actor.id, rows)
+        return poses
+
+    def _find_moves(self, poses: Floats, present: NDArray[np.bool_]) -> Indices:
+        """Return the position at which each actor moves for the first time; the number of scenes for the others."""
+        for row in np.flatnonzero(np.isnan(self._first[:, 0]) & present.any(axis=0)).tolist():
+            self._first[row] = self._shown[row].first = poses[present[:, row].argmax(), row].copy()
+        moves = np.full(len(self._shown), len(poses))
+        still = np.flatnonzero(~self._moved)
+        with np.errstate(invalid="ignore", over="ignore"):
+            away = (np.abs(change(self._first[still], poses[:, still])) > _MOVED_BY).any(axis=2) & present[:, still]
+        moves[still[away.any(axis=0)]] = away.argmax(axis=0)[away.any(axis=0)]
+        return moves
+
+    def _take_lights(self, ids: NDArray[np.integer], states: NDArray[np.integer]) -> bool:
+        """Set the states of the traffic lights; return whether one of them has changed."""
+        lights = (ids.tobytes(), states.tobytes())
+        if lights == self._lights:
+            return False
+        self._lights = lights
+        changed = False
+        for id, state in zip(ids.tolist(), states.tolist(), strict=True):
+            entity = self._entities.get(id)
+            if entity is not None and entity.state != state:
+                entity.state = state
+                entity.draw()
+                changed = True
+        return changed
+
+    def _take_shown(self, topic: str, indices: Indices) -> list[str] | None:
+        """Set the actors that a topic shows; return the entities that it no longer shows, None if all are the same."""
+        before, now = self._before[topic], self._shown_ids[indices]
+        self._before[topic] = now
+        return None if np.array_equal(before, now) else [entity_id(id) for id in np.setdiff1d(before, now).tolist()]
+
+    def _messages(
+        self, topic: str, indices: Indices, gone: Iterable[str], rows: Indices, times: Times, poses: Floats
+    ) -> Iterator[Messages]:
+        """Yield messages that show the same actors; the first of them deletes the entities that are gone."""
+        key = indices.tobytes()
+        before = self._templates.get(topic)
+        if before is None or before[0] != key:
+            before = (key, _EntitiesTemplate([self._shown[index] for index in indices.tolist()]))
+            self._templates[topic] = before
+        messages = before[1].messages(topic, rows, times, poses[:, indices])
+        if gone:
+            update = messages.data[0, MESSAGE.size :].tobytes()
+            yield single(topic, int(rows[0]), _deletions(gone, int(times[0])) + update)
+            messages = Messages(topic, rows[1:], messages.data[1:])
+        yield messages
+
+
+def map_message(road_map: RoadMap | None, time: int) -> SceneUpdate:
+    """Return all lines of a map, one entity for each kind.
+
+    Args:
+        road_map: The map; None: the message is empty.
+        time: The beginning of the recording, in ns since 1970.
+    """
+    if road_map is None:
+        return SceneUpdate()
+    entities = [_lines(name, getattr(road_map, name), rgb, width) for name, rgb, width in style.ROADS]
+    for entity in entities:
+        entity.timestamp.FromNanoseconds(time)
+    return SceneUpdate(entities=entities)
+
+
+def _lines(name: str, lines: list[Floats], rgb: style.Color, width: float) -> SceneEntity:
+    pieces = [np.repeat(line, 2, axis=0)[1:-1] for line in lines]
+    points = np.concatenate(pieces).tolist() if pieces else []
+    primitive = LinePrimitive(
+        type=LinePrimitive.LINE_LIST,
+        thickness=width,
+        color=_color(rgb),
+        points=[Point3(x=x, y=y, z=z) for x, y, z in points],
+    )
+    primitive.pose.orientation.w = 1.0
+    return SceneEntity(frame_id=WORLD, id=name.replace("_", " "), lines=[primitive])
+
+
+def _has_body(actor: Present) -> bool:
+    return actor.kind != ActorKind.SENSOR and not actor.type_id.startswith("sensor.")
+
+
+def _pose(batch: SceneBatch, id: int, rows: Indices | int) -> Floats | float:
+    """Return the poses of an actor in some scenes; NaN if unknown."""
+    poses = batch.pose_of(id)
+    return np.nan if poses is None else poses[rows]
+
+
+def _rotated(vectors: Floats, quaternions: Floats) -> Floats:
+    """Return vectors that are rotated by quaternions x, y, z, w."""
+    axes, w = quaternions[..., :3], quaternions[..., 3:]
+    half = np.cross(axes, vectors)
+    rotated: Floats = vectors + 2 * (w * half + np.cross(axes, half))
+    return rotated
+
+
+def _color(rgb: style.Color, opacity: float = 1.0) -> Color:
+    red, green, blue = (part / 255 for part in rgb)
+    return Color(r=red, g=green, b=blue, a=opacity)
+
+
+def _start(actor: Present, metadata: Mapping[str, str], *fixed: CylinderPrimitive) -> SceneEntity:
+    """Return the part of an entity that never moves, with the metadata that a viewer shows of it."""
+    pairs = [KeyValuePair(key=key, value=value) for key, value in metadata.items() if value]
+    return SceneEntity(frame_id=WORLD, id=entity_id(actor.id), metadata=pairs, cylinders=fixed)
 
 
 def _pole(actor: Present) -> CylinderPrimitive:
-    """The pole of a traffic light, which never moves."""
+    """Return the pole of a traffic light, which never moves."""
     x, y, z = right_handed(actor.spawn_pose)[LOCATION].tolist()
-    pole = CylinderPrimitive(bottom_scale=1.0, top_scale=1.0, color=color(style.POLE))
+    pole = CylinderPrimitive(bottom_scale=1.0, top_scale=1.0, color=_color(style.POLE))
     pole.pose.position.x, pole.pose.position.y, pole.pose.position.z = x, y, z + style.LAMP_UP / 2
     pole.pose.orientation.w = 1.0
     pole.size.x = pole.size.y = style.POLE_WIDTH
@@ -93,180 +356,23 @@ def _pole(actor: Present) -> CylinderPrimitive:
     return pole
 
 
-@dataclass(frozen=True, eq=False, slots=True)
-class Shapes:
-    """What of a message is the same until actors come, go or change: their heads, and the middle of each, (actors, 3, 1)."""
+def _serialized(start: SceneEntity, field: int, size: tuple[float, float, float], shade: Color) -> bytes:
+    """Return an entity with a cube or a sphere that moves, as a field of a `SceneUpdate`.
 
-    heads: Heads
-    centers: Floats
-
-
-@dataclass(frozen=True, eq=False, slots=True)
-class Drawing:
-    """A message that is still to be serialized.
-
-    Attributes:
-        shapes: The actors; the same object in messages that show the same.
-        poses: Where they are, (actors, 6).
-        deletions: The part of the message that says who is gone.
-        time: Nanoseconds since 1970.
+    Args:
+        start: The rest of the entity.
+        field: `_CUBES` or `_SPHERES`; the primitives have the same fields.
+        size: The size of the primitive along its axes, in m.
+        shade: The colour of the primitive.
     """
-
-    shapes: Shapes
-    poses: Floats
-    deletions: bytes
-    time: int
+    shape = CubePrimitive(size=Vector3(x=size[0], y=size[1], z=size[2]), color=shade).SerializeToString()
+    primitive = (Part(shape) + _POSE).within(field)
+    return (Part(start.SerializeToString()) + primitive + _TIMESTAMP).within(SceneUpdate.ENTITIES_FIELD_NUMBER).data
 
 
-def serialized(drawings: Sequence[Drawing]) -> Iterator[bytes]:
-    """Yield the serialized message of each drawing; those in a row that show the same actors are made together."""
-    for shapes, alike in groupby(drawings, key=lambda drawing: drawing.shapes):
-        some = list(alike)
-        poses = right_handed(np.stack([drawing.poses for drawing in some]))
-        positions = poses[..., LOCATION] + (rotations(poses) @ shapes.centers)[..., 0]
-        updates = shapes.heads.updates(positions, quaternions(poses), [drawing.time for drawing in some])
-        yield from (drawing.deletions + update for drawing, update in zip(some, updates, strict=True))
-
-
-def entity(id: int) -> str:
-    """The name of an actor's entity."""
-    return f"actor {id}"
-
-
-class Actors:
-    """Says what changes on the two topics from scene to scene. Sensors, which have no body, are left out."""
-
-    def __init__(self) -> None:
-        self._roster: list[Present] = []
-        self._ids: Ids | None = None
-        self._figures: dict[int, _Figure] = {}
-        self._cast: list[_Figure] = []  # those of this moment
-        self._cast_ids = NO_IDS
-        self._recorded: NDArray[np.intp] = np.zeros(0, np.intp)  # who of them has a pose of its own in a scene,
-        self._places: NDArray[np.intp] = np.zeros(0, np.intp)  # and which
-        self._carried: list[tuple[int, int]] = []  # who goes along with a parent: its place in the cast, and its id
-        self._poses: Floats = np.zeros((0, 6))
-        self._firsts: Floats = np.zeros((0, 6))
-        self._moved: NDArray[np.bool_] = np.zeros(0, np.bool_)
-        self._light_states: bytes | None = None  # the latest ids and states
-        self._on_moved = _Shown()
-        self._on_still = _Shown()
-        self._shapes: dict[str, tuple[bytes, Shapes]] = {}  # of the latest message of each topic, and of which rows
-
-    def messages(self, scene: Scene, time: int) -> Iterator[tuple[str, Drawing]]:
-        """Topics and messages that are still to be serialized.
-
-        Args:
-            scene: What is to be shown.
-            time: The same moment in nanoseconds since 1970.
-        """
-        changed = self._take_roster(scene) | self._take_lights(scene)
-        if changed:
-            self._shapes.clear()
-        self._take_poses(scene)
-        there = np.asarray((np.abs(self._poses) < _FAR).all(axis=1))  # and a number
-        changed |= self._take_moves(there)
-        rows = np.flatnonzero(there & self._moved)
-        gone = self._on_moved.take(self._cast_ids[rows])
-        if len(rows) or gone or scene.fresh:
-            yield MOVED, self._drawing(MOVED, rows, gone or (), time)
-        rows = np.flatnonzero(there & ~self._moved)
-        gone = self._on_still.take(self._cast_ids[rows])
-        if changed or gone is not None or scene.fresh:
-            yield STILL, self._drawing(STILL, rows, gone or (), time)
-
-    def _take_roster(self, scene: Scene) -> bool:
-        roster = list(scene.actors.values())
-        if roster == self._roster and scene.ids is self._ids:
-            return False
-        self._roster, self._ids = roster, scene.ids
-        strangers = set(scene.ids.tolist()).difference(scene.actors)
-        figures: dict[int, _Figure] = {}
-        for actor in (*roster, *(Present(Spawn(id), scene.time) for id in sorted(strangers))):
-            figure = self._figures.get(actor.id)
-            if figure is None or figure.actor.spawn != actor.spawn:
-                figure = _Figure(actor, TRAFFIC_LIGHT_COLOR_UNKNOWN)
-            if not figure.head or figure.actor != actor:
-                figure.actor = actor
-                figure.draw()
-            figures[actor.id] = figure
-        self._figures = figures
-        self._cast = [figure for figure in figures.values() if _has_body(figure.actor)]
-        self._cast_ids = np.array([figure.actor.id for figure in self._cast], np.uint32)
-        self._light_states = None
-        self._place(scene)
-        return True
-
-    def _place(self, scene: Scene) -> None:
-        """Find out how each actor of the cast gets its pose."""
-        places = [scene.index_of(figure.actor.id) for figure in self._cast]
-        self._recorded = np.array([row for row, place in enumerate(places) if place is not None], np.intp)
-        self._places = np.array([place for place in places if place is not None], np.intp)
-        self._poses = np.full((len(self._cast), 6), np.nan)
-        self._firsts = np.array([figure.first for figure in self._cast]).reshape(-1, 6)
-        self._moved = np.array([figure.moved for figure in self._cast], np.bool_)
-        self._carried = []
-        for row, figure in enumerate(self._cast):
-            if places[row] is None:
-                pose = scene.pose_of(figure.actor.id)
-                self._poses[row] = np.nan if pose is None else pose
-                if figure.actor.attached:
-                    self._carried.append((row, figure.actor.id))
-
-    def _take_poses(self, scene: Scene) -> None:
-        self._poses[self._recorded] = scene.poses[self._places]
-        for row, id in self._carried:
-            pose = scene.pose_of(id)
-            self._poses[row] = np.nan if pose is None else pose
-
-    def _take_lights(self, scene: Scene) -> bool:
-        states = scene.light_states
-        shown = states["id"].tobytes() + states["state"].tobytes()
-        if shown == self._light_states:
-            return False
-        self._light_states = shown
-        changed = False
-        for id, state in zip(states["id"].tolist(), states["state"].tolist(), strict=True):
-            figure = self._figures.get(id)
-            if figure is not None and figure.state != state:
-                figure.state = state
-                figure.draw()
-                changed = True
-        return changed
-
-    def _take_moves(self, there: NDArray[np.bool_]) -> bool:
-        """Note who moves for the first time; says whether anybody does."""
-        for row in np.flatnonzero(there & np.isnan(self._firsts[:, 0])).tolist():
-            self._firsts[row] = self._cast[row].first = self._poses[row].copy()
-        candidates = np.flatnonzero(there & ~self._moved)
-        with np.errstate(invalid="ignore", over="ignore"):
-            ways = change(self._firsts[candidates], self._poses[candidates])
-        stirred = candidates[(np.abs(ways) > _STIR).any(axis=1)].tolist()
-        for row in stirred:
-            self._cast[row].moved = self._moved[row] = True
-        return bool(stirred)
-
-    def _drawing(self, topic: str, rows: NDArray[np.intp], gone: Iterable[str], time: int) -> Drawing:
-        key = rows.tobytes()
-        before = self._shapes.get(topic)
-        if before is None or before[0] != key:
-            cast = [self._cast[row] for row in rows.tolist()]
-            centers = np.array([figure.center for figure in cast]).reshape(-1, 3, 1)
-            before = self._shapes[topic] = (key, Shapes(Heads(figure.head for figure in cast), centers))
-        return Drawing(before[1], self._poses[rows], deletions(gone, time), time)
-
-
-class _Shown:
-    """The actors that a topic shows."""
-
-    def __init__(self) -> None:
-        self._ids: Ids = NO_IDS
-
-    def take(self, ids: Ids) -> list[str] | None:
-        """Take the next ones; gives the entities of those that are gone, None if all are the same."""
-        before, self._ids = self._ids, ids
-        return None if np.array_equal(before, ids) else [entity(id) for id in np.setdiff1d(before, ids).tolist()]
-
-
-def _has_body(actor: Present) -> bool:
-    return actor.kind != ActorKind.SENSOR and not actor.type_id.startswith("sensor.")
+def _deletions(ids: Iterable[str], time: int) -> bytes:
+    """Return the part of a `SceneUpdate` that deletes entities, at a time in ns since 1970."""
+    deletions = [SceneEntityDeletion(type=SceneEntityDeletion.MATCHING_ID, id=id) for id in ids]
+    for deletion in deletions:
+        deletion.timestamp.FromNanoseconds(time)
+    return SceneUpdate(deletions=deletions).SerializeToString()

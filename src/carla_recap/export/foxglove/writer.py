@@ -1,0 +1,235 @@
+"""Writes an export: all topics of each batch of scenes, in the order of time."""
+
+from __future__ import annotations
+
+from functools import partial
+from typing import TYPE_CHECKING, Final
+
+import numpy as np
+from mcap.opcode import Opcode
+from mcap_protobuf.schema import build_file_descriptor_set
+
+from carla_recap.export.event_text import Level, Teller
+from carla_recap.export.foxglove import followed, scene
+from carla_recap.export.foxglove.followed import finite_poses
+from carla_recap.export.foxglove.messages import FrameTransforms, Log, SceneUpdate, single
+from carla_recap.formats.mcap.chunk import Chunk
+from carla_recap.formats.mcap.file import ChunkedFile, Topic
+from carla_recap.formats.mcap.schema import EXPORT_METADATA, MESSAGE, RECORD, LogClock
+from carla_recap.replay import Played
+from carla_recap.v1.followed_pb2 import Followed, ShownLights
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator, Mapping, Sequence
+    from pathlib import Path
+
+    from google.protobuf.message import Message
+
+    from carla_recap.export.foxglove.followed import FinitePoses
+    from carla_recap.export.foxglove.messages import Indices, Messages, Times
+    from carla_recap.maps import RoadMap
+    from carla_recap.model.frame import Header
+    from carla_recap.replay.scene import SceneBatch
+
+LOG: Final = "/log"
+
+TOPICS: Final[Mapping[str, type[Message]]] = {
+    scene.MOVED: SceneUpdate,
+    scene.STILL: SceneUpdate,
+    scene.MAP: SceneUpdate,
+    followed.TRANSFORMS: FrameTransforms,
+    followed.HERO: Followed,
+    followed.LIGHTS: ShownLights,
+    LOG: Log,
+}
+"""The message of each topic."""
+
+RATE: Final = 20.0
+"""The number of scenes shown per second, at most; scenes with events are shown besides."""
+
+_TOGETHER: Final = 64  # scenes whose messages are made at once
+_SLACK: Final = 0.9  # frames do not come quite evenly
+_CHUNK_SIZE: Final = 1 << 20
+_COMPRESSION_LEVEL: Final = 1  # the files are as small as those of level 3
+_LEVELS: Final = {Level.DEBUG: Log.DEBUG, Level.INFO: Log.INFO, Level.WARNING: Log.WARNING, Level.ERROR: Log.ERROR}
+_HEADER: Final = np.dtype(
+    [
+        ("opcode", "u1"),
+        ("length", "<u8"),
+        ("channel", "<u2"),
+        ("sequence", "<u4"),
+        ("log_time", "<u8"),
+        ("publish_time", "<u8"),
+    ]
+)
+"""`MESSAGE`, the header of a message's record."""
+
+
+class FoxgloveWriter(ChunkedFile):
+    """Writes scenes.
+
+    Args:
+        path: The destination.
+        header: The header of the recording.
+        description: The metadata.
+        follow: The id of the followed actor.
+        road_map: The map, if there is one.
+
+    Raises:
+        RecapError: The file cannot be written.
+    """
+
+    def __init__(
+        self, path: Path | str, header: Header, description: dict[str, str], follow: int | None, road_map: RoadMap | None
+    ) -> None:
+        topics = [Topic(name, type.DESCRIPTOR.full_name, partial(_schema, type)) for name, type in TOPICS.items()]
+        super().__init__(path, topics, level=_COMPRESSION_LEVEL)
+        self._channel_of = {name: channel for channel, name in enumerate(TOPICS, 1)}
+        self._chunk = Chunk()
+        self._clock = LogClock(header)
+        self._follow = follow
+        self._road_map = road_map
+        self._entities = scene.ActorEntities()
+        self._frames = followed.ViewFrames()
+        self._motion = followed.FollowedMotion()
+        self._lights = followed.LightMessages()
+        self._teller = Teller()
+        self._due = 0.0  # the elapsed time of the next scene to show
+        self._start = 0.0  # the elapsed time of the first scene
+        self._last: tuple[SceneBatch, Times] | None = None
+        self._shown = False  # whether the last scene is shown
+        self._count = 0
+        self._begin(lambda: self._write_description(description))
+
+    def write(self, batch: SceneBatch) -> None:
+        """Add scenes, which follow those before.
+
+        Raises:
+            RecapError: The disk is full, or broken.
+        """
+        for start in range(0, len(batch), _TOGETHER):
+            part = batch[start : start + _TOGETHER]
+            times = self._times_of(part)
+            self._add(list(self._messages(part, times)), times)
+            self._last = part, times
+            self._count += len(part)
+
+    def end(self) -> Played:
+        """Show the last scene, if it is not shown yet; return how much was written.
+
+        Raises:
+            RecapError: The disk is full, or broken.
+        """
+        if self._last is None:
+            return Played(0, 0.0)
+        batch, times = self._last
+        row, elapsed = len(batch) - 1, batch.time[-1].item()
+        messages: list[Messages] = []
+        if not self._shown:
+            messages += self._show(batch, np.array([row]), times, finite_poses(batch, self._follow))
+        if self._lights.latest.elapsed != elapsed:
+            self._lights.latest.elapsed = elapsed
+            messages.append(single(followed.LIGHTS, row, self._lights.latest))
+        self._add(messages, times)
+        return Played(self._count, elapsed - self._start)
+
+    def _messages(self, batch: SceneBatch, times: Times) -> Iterator[Messages]:
+        """Yield the messages of scenes, given the time of each in ns since 1970."""
+        if self._last is None:
+            self._start = batch.time[0].item()
+            yield single(scene.MAP, 0, scene.map_message(self._road_map, int(times[0])))
+        for level, subject, text, _ in self._teller.tell(next(iter(batch))):
+            line = Log(level=_LEVELS[level], name=subject, message=text)
+            line.timestamp.FromNanoseconds(int(times[0]))
+            yield single(LOG, 0, line)
+        found = finite_poses(batch, self._follow)
+        if self._follow is not None:
+            yield from self._motion.messages(batch, self._follow, found)
+        rows = self._choose(batch)
+        if len(rows):
+            yield from self._show(batch, rows, times, found)
+
+    def _choose(self, batch: SceneBatch) -> Indices:
+        """Return the positions of the scenes that are shown."""
+        rows = []
+        for row, time in enumerate(batch.time.tolist()):
+            self._shown = not time < self._due or (not row and bool(batch.events))
+            if self._shown:
+                self._due = time + _SLACK / RATE
+                rows.append(row)
+        return np.array(rows, np.intp)
+
+    def _show(self, batch: SceneBatch, rows: Indices, times: Times, found: FinitePoses) -> Iterator[Messages]:
+        """Yield the messages of the scenes that are shown, given the poses of the followed actor."""
+        found = found.among(rows)
+        yield from self._frames.messages(batch, rows, times[rows], found)
+        yield from self._entities.messages(batch, rows, times[rows])
+        yield from self._lights.messages(batch, rows, found)
+
+    def _times_of(self, batch: SceneBatch) -> Times:
+        times = self._clock.times_of(batch.time)
+        if times is None:
+            return np.array([self._clock.times(time)[0] for time in batch.time.tolist()], np.uint64)
+        return times[:, 0]
+
+    # --- the file ------------------------------------------------------------------------------------------------------
+
+    def _write_description(self, description: dict[str, str]) -> None:
+        self._write_start()
+        self._write_metadata(EXPORT_METADATA, description)
+        for channel in self._channel_of.values():
+            self._declare(channel)
+
+    def _add(self, messages: Sequence[Messages], times: Times) -> None:
+        """Add messages, in the order of time; where times are equal, in the given order."""
+        if not messages:
+            return
+        rows = np.concatenate([some.rows for some in messages])
+        order = np.argsort(rows, kind="stable")
+        counts = [len(some.rows) for some in messages]
+        channels = np.repeat([self._channel_of[some.topic] for some in messages], counts)[order]
+        sizes = np.repeat([some.data.shape[1] for some in messages], counts)[order]
+        log_times = times[rows[order]]
+        records: list[memoryview] = []
+        for some in messages:
+            records += _records(some, self._channel_of[some.topic], times)
+        begin, offsets = 0, np.concatenate(([0], np.cumsum(sizes)))
+        while begin < len(order):
+            room = offsets[begin] + _CHUNK_SIZE - self._chunk.size
+            stop = max(begin + 1, min(int(np.searchsorted(offsets, room)), len(order)))
+            entries = np.stack((log_times[begin:stop], (offsets[begin:stop] - offsets[begin]).astype(np.uint64)), axis=1)
+            index = {channel: entries[channels[begin:stop] == channel] for channel in set(channels[begin:stop].tolist())}
+            data = b"".join([records[record] for record in order[begin:stop].tolist()])
+            self._chunk.add_rows(data, index, int(log_times[begin]), int(log_times[stop - 1]))
+            if self._chunk.size >= _CHUNK_SIZE:
+                self._cut()
+            begin = stop
+
+    def _cut(self) -> None:
+        if not self._chunk.is_empty:
+            chunk, self._chunk = self._chunk, Chunk()
+            self._add_chunk(chunk)
+
+    def _finish(self) -> None:
+        self._cut()
+        super()._finish()
+
+
+def _records(messages: Messages, channel: int, times: Times) -> list[memoryview]:
+    """Return the records of messages, whose headers are set."""
+    size = messages.data.shape[1]
+    header = messages.data[:, : MESSAGE.size].view(_HEADER)[:, 0]
+    header["opcode"], header["length"], header["channel"], header["sequence"] = (
+        Opcode.MESSAGE,
+        size - RECORD.size,
+        channel,
+        0,
+    )
+    header["log_time"] = header["publish_time"] = times[messages.rows]
+    data = messages.data.reshape(-1).data
+    return [data[start : start + size] for start in range(0, len(data), size)]
+
+
+def _schema(message: type[Message]) -> bytes:
+    data: bytes = build_file_descriptor_set(message).SerializeToString()
+    return data
