@@ -1,4 +1,4 @@
-"""Measures the speed and the sizes that the README claims, and prints a table."""
+"""Measure the speed and the sizes that the README states, and print them as a table with their goals."""
 
 from __future__ import annotations
 
@@ -7,12 +7,12 @@ import sys
 import traceback
 from pathlib import Path
 
-from benchmarks import exports, rows, server, simulator
+from benchmarks import core, exports, server, simulator
 from benchmarks.hour import FRAMES, cached
-from benchmarks.rows import Subject, in_new_process, measure
+from benchmarks.measuring import Subject, in_new_process, measure
 
 REAL = Path("../shared/data/carla-logs/carla-0.9.13-lane-center.log")
-ROWS = (*rows.ROWS, *exports.ROWS, *simulator.ROWS, *server.ROWS)
+ROWS = (*core.ROWS, *exports.ROWS, *simulator.ROWS, *server.ROWS)
 WIDTHS = (46, 18, 18, 18, 8)
 
 
@@ -26,36 +26,38 @@ def main() -> None:
         type=Path,
         default=REAL if REAL.exists() else None,
         metavar="LOG",
-        help="a real recording, for its size as MCAP (default: %(default)s)",
+        help="a recording of CARLA itself (default: %(default)s)",
     )
     options = parser.parse_args()
-    tell("making the recording")
+    show_progress("making the recording")
     in_new_process(cached, options.frames)
-    show("what", "measured", "ratio", "must reach", "ok?")
-    crashed = False
+    print_cells("what", "measured", "ratio", "goal", "met?")
+    failed = False
     for row in ROWS:
         if options.only and row.__name__ not in options.only:
             continue
-        tell(row.__name__)
+        show_progress(row.__name__)
         try:
             lines = in_new_process(measure, row, Subject(options.frames, options.real))
         except Exception:
-            show(row.__name__, "crashed")
+            print_cells(row.__name__, "failed")
             traceback.print_exc()
-            crashed = True
+            failed = True
             continue
         for line in lines:
-            show(line.what, line.measured, line.ratio, line.goal, "ok" if line.ok else "MISSED")
-    sys.exit(crashed)
+            print_cells(
+                line.what, line.measured, line.ratio, line.goal, "" if not line.goal else "ok" if line.ok else "MISSED"
+            )
+    sys.exit(failed)
 
 
-def tell(what: str) -> None:
-    """Say what is going on, to a person."""
+def show_progress(what: str) -> None:
+    """Print on a terminal what is measured now."""
     if sys.stderr.isatty():
         print(f"\r\033[K{what} …", end="", file=sys.stderr, flush=True)
 
 
-def show(*cells: str) -> None:
+def print_cells(*cells: str) -> None:
     if sys.stderr.isatty():
         print("\r\033[K", end="", file=sys.stderr, flush=True)
     print("  ".join(cell.ljust(width) for cell, width in zip(cells, WIDTHS, strict=False)).rstrip(), flush=True)

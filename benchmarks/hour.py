@@ -1,9 +1,8 @@
-"""A synthetic hour of traffic as a CARLA log: 150 actors that have a pose, 20 frames a second, 72,000 frames.
+"""A synthetic hour of traffic as a CARLA log: 150 actors with transforms, 20 frames a second, 72,000 frames.
 
-It has the packets of CARLA 0.9.13 in CARLA's order, empty ones included, as with additional data but
-without velocities. The low bits of whatever moves are as good as random: zstd leaves 0.8 of a moving car's
-poses, as with the car of a real recording. What stands repeats its pose bit for bit, as CARLA does once a
-body sleeps. More than half of the actors move at any time.
+It has the packets of CARLA 0.9.13 in CARLA's order, empty ones included, with additional data but without velocities. The
+low bits of moving actors are random: zstd compresses the transforms of a moving car to 0.8, as in recordings of CARLA.
+Actors that do not move repeat their transforms exactly, as in CARLA. More than half of the actors move at any time.
 """
 
 from __future__ import annotations
@@ -32,7 +31,7 @@ FRAMES: Final = 3600 * RATE
 TICK: Final = float(np.float32(1 / RATE))
 DIRECTORY: Final = Path("build/bench")
 
-# The actors that have a pose, in the order of their records.
+# The actors with transforms, in the order of their records.
 PROPS: Final = 39
 VEHICLES: Final = 50
 PARKED: Final = 5
@@ -44,12 +43,12 @@ FIRST_WALKER: Final = HERO + VEHICLES
 LIGHTS: Final = 36
 GREEN, YELLOW, RED = 10, 3, 2  # seconds, as in CARLA's towns
 
-RESTLESS: Final = 7  # walkers, at most, that a restless recording leaves out of a frame
+RESTLESS: Final = 7  # the most walkers that a frame of a restless recording leaves out
 
-TURNOVER: Final = 20 * RATE  # every so many frames an actor goes and another one comes
-REFIT: Final = 60 * RATE  # every so many frames the hero gets a new collision sensor
-BUMP: Final = 30 * RATE  # every so many frames something bumps into something, for up to BUMP_LENGTH frames
-BUMP_LENGTH: Final = 12
+TURNOVER: Final = 20 * RATE  # frames until an actor is replaced by another one
+REFIT: Final = 60 * RATE  # frames until the hero gets a new collision sensor
+COLLISION: Final = 30 * RATE  # frames between two collisions
+COLLISION_LENGTH: Final = 12  # frames, at most
 
 ORDER: Final = (
     "spawned",
@@ -74,7 +73,7 @@ SPECTATOR: Final = (542.5, 4236.7, 490.9, 0.0, 0.0, -131.8)
 
 
 class Hour:
-    """The traffic, planned for its whole length; `frames` puts it into frames."""
+    """The traffic of the whole recording, as arrays and events; `frames` makes frames of it."""
 
     def __init__(self, count: int, seed: int) -> None:
         self.count = count
@@ -101,9 +100,9 @@ class Hour:
         self._plan_props()
         turnovers = self._plan_turnovers()
         for slot in range(HERO, ACTORS):
-            self._plan_mover(slot, [at for at, which in turnovers if which == slot])
-        for at, slot in [(0, slot) for slot in range(HERO, ACTORS)] + turnovers:
-            self._replace(at, slot)
+            self._plan_mover(slot, [index for index, which in turnovers if which == slot])
+        for index, slot in [(0, slot) for slot in range(HERO, ACTORS)] + turnovers:
+            self._replace(index, slot)
         self._plan_sensors()
         self._plan_collisions()
         self._state["platform_time"]["seconds"][:, 0] = np.cumsum(self._rng.gamma(40, TICK / 40, count))
@@ -112,24 +111,24 @@ class Hour:
         self._state["walker_controls"]["id"] = self._poses["id"][:, FIRST_WALKER:]
 
     def frames(self, *, restless: bool = False) -> Iterator[Frame]:
-        """Yield the frames; if `restless`, each with another number of walkers than the one before."""
+        """Yield the frames; if `restless`, each has another number of walkers than the one before."""
         types = [UE4.named(name) for name in ORDER]
         empty = {type.name: Packet(type.id, type, None, type.records([])) for type in types}
         elapsed = 0.0
-        for at in range(self.count):
-            events: dict[str, list[Any]] = self._events.get(at, {})
+        for index in range(self.count):
+            events: dict[str, list[Any]] = self._events.get(index, {})
             packets = []
             for type in types:
                 if type.name in self._state:
-                    records = self._state[type.name][at]
+                    records = self._state[type.name][index]
                     if restless and type.name in ("transforms", "walker_controls"):
-                        records = records[: len(records) - at % (RESTLESS + 1)]
+                        records = records[: len(records) - index % (RESTLESS + 1)]
                     packets.append(Packet(type.id, type, None, records))
                 elif type.name in events:
                     packets.append(Packet(type.id, type, None, type.records(events[type.name])))
                 elif type.name not in ONLY_WITH_RECORDS:
                     packets.append(empty[type.name])
-            yield Frame(at, at + 1, elapsed, TICK if at + 1 < self.count else LAST_FRAME_DURATION, packets)
+            yield Frame(index, index + 1, elapsed, TICK if index + 1 < self.count else LAST_FRAME_DURATION, packets)
             elapsed += TICK
 
     def _new_id(self) -> int:
@@ -138,7 +137,7 @@ class Hour:
 
     def _spawn(
         self,
-        at: int,
+        index: int,
         id: int,
         kind: ActorKind,
         type_id: str,
@@ -148,10 +147,10 @@ class Hour:
     ) -> None:
         x, y, z, roll, pitch, yaw = pose
         held = [Attribute(_code(value), key, value) for key, value in attributes.items()]
-        self._events[at]["spawned"].append(Spawn(id, kind, x, y, z, roll, pitch, yaw, uid, type_id, held))
+        self._events[index]["spawned"].append(Spawn(id, kind, x, y, z, roll, pitch, yaw, uid, type_id, held))
 
     def _plan_lights(self) -> None:
-        """Traffic lights in threes: one is served, the others wait."""
+        """Plan the traffic lights, in groups of three: one is green or yellow, the others are red."""
         clock = np.arange(self.count)[:, None] * TICK + 0.167
         turn = GREEN + YELLOW + RED
         inside = np.where(clock // turn % 3 == np.arange(LIGHTS) % 3, clock % turn, GREEN + YELLOW)
@@ -177,12 +176,12 @@ class Hour:
             self._events[0]["bounding_boxes"].append((id, 0, 0, 63.57, 36.52, 37.52, 63.57))
 
     def _plan_turnovers(self) -> list[tuple[int, int]]:
-        """Frames, and whose place is taken by a new actor; the hero and parked cars stay."""
+        """Return the frames and slots in which a new actor replaces another; the hero and parked cars stay."""
         times = range(TURNOVER, self.count, TURNOVER)
-        return [(at, int(self._rng.integers(HERO + 1, ACTORS - PARKED))) for at in times]
+        return [(index, int(self._rng.integers(HERO + 1, ACTORS - PARKED))) for index in times]
 
     def _plan_mover(self, slot: int, jumps: list[int]) -> None:
-        """Drive or walk round a curved loop, with halts; at each jump appear somewhere else on it."""
+        """Plan an actor that moves along a closed curve, with stops; each jump moves it to another position on the curve."""
         rng, count = self._rng, self.count
         car = slot < FIRST_WALKER
         cruise, go, halt = ((500, 1400), (30, 150), (10, 60)) if car else ((90, 180), (30, 200), (5, 30))
@@ -190,8 +189,8 @@ class Hour:
         if FIRST_WALKER - PARKED <= slot < FIRST_WALKER:
             speed[:] = 0
         distance = np.cumsum(speed * TICK)
-        for at in jumps:
-            distance[at:] += rng.uniform(0, 1e5)
+        for index in jumps:
+            distance[index:] += rng.uniform(0, 1e5)
         x, y, yaw = _loop(rng, distance, rng.uniform(6_000, 25_000) if car else rng.uniform(2_000, 6_000))
         pose = self._poses[:, slot]
         pose["x"], pose["y"], pose["yaw"] = x, y, np.degrees(yaw)
@@ -217,16 +216,16 @@ class Hour:
         lights = self._state["vehicle_lights"][:, car]
         lights["flags"] = (force < 0) * 8 + (turn > 0.2) * 16 + (turn < -0.2) * 32
 
-    def _replace(self, at: int, slot: int) -> None:
-        """A new actor in a place; the one that had it, if any, is destroyed."""
-        if at:
-            self._events[at]["destroyed"].append((self._poses["id"][at, slot],))
+    def _replace(self, index: int, slot: int) -> None:
+        """Put a new actor in a slot; the previous one, if any, is destroyed."""
+        if index:
+            self._events[index]["destroyed"].append((self._poses["id"][index, slot],))
         id = self._new_id()
-        self._poses["id"][at:, slot] = id
-        pose = self._poses[at, slot].item()[1:]
+        self._poses["id"][index:, slot] = id
+        pose = self._poses[index, slot].item()[1:]
         if slot < FIRST_WALKER:
             self._spawn(
-                at,
+                index,
                 id,
                 ActorKind.VEHICLE,
                 f"vehicle.{CARS[slot % len(CARS)]}",
@@ -239,10 +238,10 @@ class Hour:
                 color=",".join(map(str, self._rng.integers(0, 256, 3))),
                 role_name="hero" if slot == HERO else "autopilot",
             )
-            self._events[at]["bounding_boxes"].append((id, 2.2, 0, 72.4, 245.1, 106.1, 75.5))
+            self._events[index]["bounding_boxes"].append((id, 2.2, 0, 72.4, 245.1, 106.1, 75.5))
         else:
             self._spawn(
-                at,
+                index,
                 id,
                 ActorKind.WALKER,
                 f"walker.pedestrian.{1 + slot % 29:04}",
@@ -255,40 +254,40 @@ class Hour:
                 role_name="pedestrian",
                 speed="1.4",
             )
-            self._events[at]["bounding_boxes"].append((id, 0, 0, 0, 18.8, 18.8, 93))
+            self._events[index]["bounding_boxes"].append((id, 0, 0, 0, 18.8, 18.8, 93))
 
     def _plan_sensors(self) -> None:
-        """The hero's collision sensor, now and then a new one."""
+        """Plan the collision sensors of the hero, one after another."""
         id = 0
-        for at in range(0, self.count, REFIT):
-            if at:
-                self._events[at]["destroyed"].append((id,))
+        for index in range(0, self.count, REFIT):
+            if index:
+                self._events[index]["destroyed"].append((id,))
             id = self._new_id()
-            self._spawn(at, id, ActorKind.SENSOR, "sensor.other.collision", [0.0] * 6, 40, role_name="front")
-            if at:  # what was there when the recording began is listed without its parent
-                self._events[at]["parented"].append((id, self._poses["id"][at, HERO]))
+            self._spawn(index, id, ActorKind.SENSOR, "sensor.other.collision", [0.0] * 6, 40, role_name="front")
+            if index:  # CARLA records no parents of actors that exist when the recording begins
+                self._events[index]["parented"].append((id, self._poses["id"][index, HERO]))
 
     def _plan_collisions(self) -> None:
-        """Contacts of a few frames, recorded in each of them; from both sides where both are vehicles."""
+        """Plan collisions of several frames, recorded in each of them, and for both vehicles if there are two."""
         rng = self._rng
-        bumps: defaultdict[int, list[tuple[int, int]]] = defaultdict(list)
-        for start in range(BUMP, self.count, BUMP):
+        contacts: defaultdict[int, list[tuple[int, int]]] = defaultdict(list)
+        for start in range(COLLISION, self.count, COLLISION):
             actor1 = HERO if rng.random() < 0.5 else int(rng.integers(HERO, FIRST_WALKER))
             actor2 = int(rng.choice([-1, *range(1, actor1), *range(actor1 + 1, ACTORS)]))
-            for at in range(start, min(start + int(rng.integers(1, BUMP_LENGTH)), self.count)):
-                bumps[at].append((actor1, actor2))
+            for index in range(start, min(start + int(rng.integers(1, COLLISION_LENGTH)), self.count)):
+                contacts[index].append((actor1, actor2))
                 if HERO <= actor2 < FIRST_WALKER:
-                    bumps[at].append((actor2, actor1))
+                    contacts[index].append((actor2, actor1))
         number = 0
-        for at, pairs in bumps.items():
+        for index, pairs in contacts.items():
             for pair in pairs:
-                ids = (NO_ACTOR if actor < 0 else self._poses["id"][at, actor] for actor in pair)
-                self._events[at]["collisions"].append((number, *ids, *(actor == HERO for actor in pair)))
+                ids = (NO_ACTOR if actor < 0 else self._poses["id"][index, actor] for actor in pair)
+                self._events[index]["collisions"].append((number, *ids, *(actor == HERO for actor in pair)))
                 number += 1
 
 
 def _code(value: str) -> int:
-    """CARLA's code: 0 bool, 1 int, 2 float, 3 string, 4 colour."""
+    """Return CARLA's code of a type of attribute: 0 bool, 1 int, 2 float, 3 string, 4 colour."""
     if value in ("true", "false"):
         return 0
     if value.count(",") == 2:
@@ -303,7 +302,7 @@ def _stop_and_go(
     go: tuple[float, float],
     halt: tuple[float, float],
 ) -> Floats:
-    """Speeds in cm/s, frame by frame: legs of `go` seconds at a `cruise` speed, then a halt, ramps of 3 s."""
+    """Return the speed in each frame in cm/s: `go` seconds at a `cruise` speed, `halt` seconds of rest, ramps of 3 s."""
     ramp = 3 * RATE
     legs = int((count + ramp) / RATE / (go[0] + halt[0])) + 2
     seconds = np.column_stack((rng.uniform(*go, legs), rng.uniform(*halt, legs)))
@@ -314,7 +313,7 @@ def _stop_and_go(
 
 
 def _loop(rng: np.random.Generator, distance: Floats, radius: float) -> tuple[Floats, Floats, Floats]:
-    """x, y and heading after some distances along a random closed curve of about a radius; in cm."""
+    """Return x, y (cm) and heading after distances (cm) along a random closed curve of about a radius (cm)."""
     orders = np.arange(6)
     weights = radius * 0.4 / np.maximum(orders, 1) ** 2 * np.exp(2j * np.pi * rng.random(6))
     weights[0] = complex(*rng.uniform(-20_000, 20_000, 2))
@@ -329,14 +328,14 @@ def _loop(rng: np.random.Generator, distance: Floats, radius: float) -> tuple[Fl
 
 
 def make(path: Path, count: int = FRAMES, seed: int = 1, *, restless: bool = False) -> None:
-    """Write the log; the same bytes for the same count and seed."""
+    """Write the log; the same count and seed give the same bytes."""
     with LogWriter(path, Header("Town05", 1_700_000_000)) as log:
         for frame in Hour(count, seed).frames(restless=restless):
             log.write(frame)
 
 
 def cached(count: int = FRAMES, *, restless: bool = False) -> Path:
-    """The log, made anew when this module has changed."""
+    """Return the log, which is made again if this module has changed."""
     name = f"{'restless' if restless else 'hour'}-{count}-"
     path = DIRECTORY / f"{name}{zlib.crc32(Path(__file__).read_bytes()):08x}.log"
     if not path.exists():

@@ -1,4 +1,4 @@
-"""What is measured of the server: the official client in this process, the server in its own, as users have them."""
+"""The server: the official client in this process, the server in another one, as users run them."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from itertools import islice
 from typing import TYPE_CHECKING
 
 from benchmarks.hour import DIRECTORY, RATE
-from benchmarks.rows import Line, Subject, cut, in_new_process, medians, timed
+from benchmarks.measuring import Line, Subject, cut, in_new_process, medians, timed
 from carla_recap.server import running
 
 if TYPE_CHECKING:
@@ -20,22 +20,22 @@ if TYPE_CHECKING:
 
 IDLE = 100
 MANAGED = 50
-ANSWER = 20_000_000  # bytes
+LONG = 20_000_000  # bytes
 ROUNDS = 8
 
 
 def sync_ticks(_: Subject) -> Iterator[Line]:
-    """Ticks a second, and what share these are of those with a server that reckons nothing; see `tape`."""
-    tape = (DIRECTORY / "server.tape").resolve()
-    with running(recordings=DIRECTORY) as port, printed_port(str(port), str(tape)) as proxy:
+    """Ticks a second, also as a share of those with a server that computes nothing; see `replies`."""
+    replies = (DIRECTORY / "server.replies").resolve()
+    with running(recordings=DIRECTORY) as port, printed_port(str(port), str(replies)) as proxy:
         in_new_process(idle_rate, proxy)
     rates, most = [], []
     for _ in range(3):
         with running(recordings=DIRECTORY) as port:
             rates.append(in_new_process(idle_rate, port))
-        with printed_port(str(tape)) as port:
+        with printed_port(str(replies)) as port:
             most.append(in_new_process(idle_rate, port))
-    tape.unlink()
+    replies.unlink()
     rate, share = max(rates), max(rates) / max(most)
     measured, ratio = f"{rate:,.0f} /s", f"{share:.0%} of {max(most):,.0f}"
     yield Line(f"sync ticks, {IDLE} idle vehicles", measured, ratio, "≥ 2,500 /s", rate >= 2500)
@@ -60,18 +60,18 @@ def controls(_: Subject) -> Iterator[Line]:
         count = 6000
 
         def steer() -> None:
-            for number in range(count):  # the client sends only what differs
+            for number in range(count):  # the client sends a control only if it differs from the last one
                 vehicle.apply_control(carla.VehicleControl(steer=number / count))
             town.tick()
 
-        yield goal("apply_control calls", count / min(timed(steer) for _ in range(3)), 1500)
+        yield rate_line("apply_control calls", count / min(timed(steer) for _ in range(3)), 1500)
 
 
 def get_world(_: Subject) -> Iterator[Line]:
     with world() as (port, town):
         spawn(town, IDLE)
         town.tick()
-        worlds: list[carla.World] = []  # the client does not bear that one is dropped at once
+        worlds: list[carla.World] = []  # the client crashes if a world is deleted at once
         (seconds,) = medians(lambda: worlds.append(connect(port).get_world()))
         yield Line("get_world", f"{seconds * 1e3:.1f} ms", "", "< 20 ms", seconds < 0.02)
 
@@ -82,9 +82,9 @@ def long_answer(subject: Subject) -> Iterator[Line]:
         while True:
             log = cut(subject.log, frames).resolve()
             size = len(client.show_recorder_file_info(str(log), True))
-            if size >= ANSWER or frames >= subject.frames:
+            if size >= LONG or frames >= subject.frames:
                 break
-            frames = int(frames * 1.1 * ANSWER / size)
+            frames = int(frames * 1.1 * LONG / size)
         seconds = min(timed(lambda: client.show_recorder_file_info(str(log), True)) for _ in range(3))
         each = f"{size / seconds / 1e6:.0f} MB/s"
         yield Line(f"file info of {size / 1e6:.0f} MB", f"{seconds:.2f} s", each, "< 2 s", seconds < 2)
@@ -95,7 +95,7 @@ ROWS = (sync_ticks, managed_ticks, controls, get_world, long_answer)
 
 @contextmanager
 def world() -> Iterator[tuple[int, carla.World]]:
-    """A client of a server with the built-in town, in synchronous mode."""
+    """Connect to a new server with the built-in town, in synchronous mode."""
     import carla
 
     with running(recordings=DIRECTORY) as port:
@@ -108,8 +108,8 @@ def world() -> Iterator[tuple[int, carla.World]]:
 
 @contextmanager
 def printed_port(*arguments: str) -> Iterator[int]:
-    """The port of a tape."""
-    command = [sys.executable, "-m", "benchmarks.tape", *arguments]
+    """Run `replies`, and return the port that it prints."""
+    command = [sys.executable, "-m", "benchmarks.replies", *arguments]
     with subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True) as process:
         assert process.stdout is not None
         yield int(process.stdout.readline())
@@ -117,7 +117,7 @@ def printed_port(*arguments: str) -> Iterator[int]:
 
 
 def idle_rate(port: int) -> float:
-    """Ticks a second of a client with idle vehicles. It does the same whenever it is called."""
+    """Return the ticks a second of a client with idle vehicles; it makes the same calls each time."""
     import carla
 
     town = connect(port).get_world()
@@ -129,9 +129,9 @@ def idle_rate(port: int) -> float:
 
 
 def managed_rate(port: int) -> tuple[float, float]:
-    """Ticks a second of a client whose traffic manager drives, and how long its own processor works for one, in s.
+    """Return the ticks a second of a client whose traffic manager drives, and the client's own processor time for one, in s.
 
-    There is no tape of that: with such fast answers, client and manager would miss each other (`TrafficManagerCycle`).
+    Replies are not replayed for this: with such fast ones, client and traffic manager lose signals (`TrafficManagerCycle`).
     """
     import carla
 
@@ -166,7 +166,7 @@ def connect(port: int) -> carla.Client:
 
 
 def spawn(town: carla.World, count: int) -> list[carla.Actor]:
-    """Vehicles, spread over the town."""
+    """Spawn vehicles all over the town."""
     models = town.get_blueprint_library().filter("vehicle.*")
     cars = [model for model in models if model.get_attribute("number_of_wheels").as_int() == 4]
     points = town.get_map().get_spawn_points()
@@ -174,11 +174,11 @@ def spawn(town: carla.World, count: int) -> list[carla.Actor]:
         town.try_spawn_actor(cars[index % len(cars)], point)
         for index, point in enumerate(points[:: max(1, len(points) // count)])
     )
-    return list(islice((vehicle for vehicle in found if vehicle), count))  # no more are spawned
+    return list(islice((vehicle for vehicle in found if vehicle), count))  # lazy, so that no more are spawned
 
 
 def per_second(work: Callable[[], object], count: int) -> float:
-    """How often some work can be done in a second: the best of some rounds, for the machine may be shared."""
+    """Return how often some work can be done in a second: the best of several rounds, since the machine may be shared."""
 
     def rounds() -> None:
         for _ in range(count):
@@ -187,5 +187,5 @@ def per_second(work: Callable[[], object], count: int) -> float:
     return count / min(timed(rounds) for _ in range(ROUNDS))
 
 
-def goal(what: str, rate: float, least: float) -> Line:
+def rate_line(what: str, rate: float, least: float) -> Line:
     return Line(what, f"{rate:,.0f} /s", "", f"≥ {least:,.0f} /s", rate >= least)

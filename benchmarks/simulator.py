@@ -1,4 +1,4 @@
-"""What is measured of the simulator, in CARLA's own towns; they are not ours to ship, and without them nothing is."""
+"""The simulator in one of CARLA's own towns, which is not part of this repository; these lines are left out without it."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 
 from benchmarks.hour import DIRECTORY
-from benchmarks.rows import Line, Subject
+from benchmarks.measuring import Line, Subject
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
@@ -28,12 +28,12 @@ TOWN: Final = Path("../shared/data/maps/Town01.xodr")
 WARM_UP: Final = 20.0  # s
 BLOCK: Final = 96  # ticks that are timed together
 ROUNDS: Final = 60  # of blocks with and without a recorder
-CALM: Final = 0.05  # s on the clock: by then what has been recorded is written
+PAUSE: Final = 0.05  # s of real time, in which the recorded ticks are written
 COUNTS: Final = (50, 100, 200, 400)
 
 
 def in_town(row: Row) -> Row:
-    """Leave a row out where the town is missing, and say so."""
+    """Make a row that is left out if the town is missing."""
 
     @wraps(row)
     def lines(subject: Subject) -> Iterator[Line]:
@@ -61,7 +61,7 @@ def parked(subject: Subject) -> Iterator[Line]:
 
 @in_town
 def recorder(subject: Subject) -> Iterator[Line]:
-    """What recording adds to a tick: with and without it in turns, in one world."""
+    """The time that recording adds to a tick: ticks with and without it alternate in one world."""
     for suffix in (".mcap", ".log"):
         world = crowded(120, 30)
         record(world, suffix)
@@ -79,7 +79,7 @@ def recorder(subject: Subject) -> Iterator[Line]:
 
 @in_town
 def scaling(subject: Subject) -> Iterator[Line]:
-    """What a tick costs with ever more vehicles."""
+    """The time of a tick by the number of vehicles."""
     each = []
     for count in COUNTS:
         world = crowded(count, 0)
@@ -92,7 +92,7 @@ def scaling(subject: Subject) -> Iterator[Line]:
 
 @in_town
 def an_hour(subject: Subject) -> Iterator[Line]:
-    """What an hour of recording leaves in memory; the first 10 minutes do not count."""
+    """The growth of memory in an hour of recording, after the first 10 minutes."""
     world = crowded(10, 5)
     world.settings.fixed_delta_seconds = 0.1
     record(world, ".mcap")
@@ -106,27 +106,27 @@ def an_hour(subject: Subject) -> Iterator[Line]:
 
 @in_town
 def traffic(subject: Subject) -> Iterator[Line]:
-    """How the autopilot gets 100 cars through 10 minutes."""
+    """100 cars on autopilot for 10 minutes: collisions and stops."""
     world = crowded(100, 0)
     world.settings.collisions_of = "all"
-    met: set[frozenset[int | None]] = set()
-    stood = longest = np.zeros(len(world.vehicles))
+    pairs: set[frozenset[int | None]] = set()
+    stopped = longest = np.zeros(len(world.vehicles))
     end = world.elapsed + 600.0
     while world.elapsed < end:
         world.tick()
-        met |= {frozenset((collision.actor1, collision.actor2)) for collision in world.events.collisions}
-        stood = np.where(np.abs(world.vehicles.speed) < 0.1, stood + world.delta, 0.0)
-        longest = np.maximum(longest, stood)
-    wait = float(longest.max())
-    yield Line("100 cars, 10 min: pairs that collide", f"{len(met)}", "", "≤ 5", len(met) <= 5)
-    yield Line("100 cars, 10 min: longest stand", f"{wait:.0f} s", "", "≤ 180 s", wait <= 180)
+        pairs |= {frozenset((collision.actor1, collision.actor2)) for collision in world.events.collisions}
+        stopped = np.where(np.abs(world.vehicles.speed) < 0.1, stopped + world.delta, 0.0)
+        longest = np.maximum(longest, stopped)
+    stop = float(longest.max())
+    yield Line("100 cars, 10 min: pairs that collide", f"{len(pairs)}", "", "≤ 5", len(pairs) <= 5)
+    yield Line("100 cars, 10 min: longest stop", f"{stop:.0f} s", "", "≤ 180 s", stop <= 180)
 
 
 ROWS: Final = (driving, parked, recorder, scaling, an_hour, traffic)
 
 
 def crowded(vehicles: int, walkers: int, *, drive: bool = True) -> World:
-    """A world with traffic that has been on its way for a while."""
+    """Return a world with traffic that has driven for a while."""
     from carla_recap.sim.town.town import load_town
     from carla_recap.sim.traffic.spawning import populate
     from carla_recap.sim.world import World
@@ -145,7 +145,7 @@ def record(world: World, suffix: str) -> None:
 
 
 def ticks(world: World, count: int) -> list[float]:
-    """How long some ticks take, in s."""
+    """Return the seconds that each of several ticks takes."""
     times = [time.perf_counter()]
     for _ in range(count):
         world.tick()
@@ -154,11 +154,11 @@ def ticks(world: World, count: int) -> list[float]:
 
 
 def in_turns(world: World) -> tuple[list[list[float]], list[list[float]]]:
-    """How long ticks take while the recorder listens, and while it does not, in s: blocks of them, in turns."""
+    """Return the seconds of ticks with and without the recorder, which alternate in blocks."""
     recorded, bare = [], []
     for _ in range(ROUNDS):
         recorded.append(ticks(world, BLOCK))
-        time.sleep(CALM)
+        time.sleep(PAUSE)
         world.listeners.remove(world.recorder)
         bare.append(ticks(world, BLOCK))
         world.listeners.append(world.recorder)
@@ -166,7 +166,7 @@ def in_turns(world: World) -> tuple[list[list[float]], list[list[float]]]:
 
 
 def peak() -> int:
-    """The most memory that this process has held, in bytes; on Linux, with what the one that writes its recording has."""
+    """Return the peak memory of this process in bytes, on Linux together with that of the writer process."""
     own = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * (1 if sys.platform == "darwin" else 1024)
     children = [id for task in Path("/proc/self/task").glob("*/children") for id in task.read_text().split()]
     statuses = [Path(f"/proc/{id}/status").read_text() for id in children]
@@ -174,7 +174,7 @@ def peak() -> int:
 
 
 def _rate(what: str, world: World, seconds: float, goal: int) -> Line:
-    """How many ticks a second there are, up to the complete recording."""
+    """Return the line of the ticks a second, including the time to complete the recording."""
     first, begin = world.frame, time.perf_counter()
     world.run(seconds)
     world.close()

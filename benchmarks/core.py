@@ -1,0 +1,341 @@
+"""Conversion, queries, tables and start-up: a function for each group of lines, each run in a process of its own.
+
+Where it makes sense, a time is compared with something else that is measured in the same run.
+"""
+
+from __future__ import annotations
+
+import filecmp
+import mmap
+import re
+import struct
+import sys
+from functools import partial
+from typing import TYPE_CHECKING, Final
+
+from benchmarks.hour import DIRECTORY, RATE, cached
+from benchmarks.measuring import COMMAND, Line, Subject, best, convert, cpu_time, cut, medians, run, timed
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Iterator
+    from pathlib import Path
+
+    from carla_recap import Recording
+    from carla_recap.formats.base import Reader
+    from carla_recap.queries.blocked import Blocked
+    from carla_recap.queries.collisions import Collisions
+    from carla_recap.queries.info import Info
+
+    Query = Callable[[Reader], Collisions | Blocked | Info]
+    Use = Callable[[Recording], object]
+
+TRAJECTORIES: Final = (
+    "import sys; from carla_recap import open_recording; r = open_recording(sys.argv[1]); "
+    "r.trajectory(r.heroes[0].id) if sys.argv[2] == 'one' else r.trajectories()"
+)
+STARTED: Final = 0.3  # s, for the start of such a process
+NUMBER: Final = re.compile(r"(?<!\w)-?(?:\d+(?:\.\d+)?(?:e[+-]\d+)?|nan|inf)\b")
+SMALL: Final = 10 * RATE  # frames of a small recording
+RESTLESS_FRAMES: Final = 5000
+
+
+def log_to_mcap(subject: Subject) -> Iterator[Line]:
+    yield from _conversion(".log → .mcap", subject.seconds, subject.log, subject.log.with_suffix(".mcap"), 1200)
+
+
+def mcap_to_log(subject: Subject) -> Iterator[Line]:
+    back = DIRECTORY / "back.log"
+    yield from _conversion(".mcap → .log", subject.seconds, subject.mcap, back, 1500)
+    equal = filecmp.cmp(subject.log, back, shallow=False)
+    yield Line(".log → .mcap → .log", f"{back.stat().st_size:,} bytes", "", "equal", equal)
+    back.unlink()
+
+
+def size(subject: Subject) -> Iterator[Line]:
+    yield _size(f"{subject.length}, 150 actors", subject.log, subject.mcap, 0.35)
+
+
+def trajectories(subject: Subject) -> Iterator[Line]:
+    """All trajectories, and one, as processes; the goals are those of an hour, or of the same share of it."""
+    share = subject.seconds / 3600
+    for (name, path), all_goal, one_goal in zip(subject.both, (4.0, 6.0), (1.0, 2.0), strict=True):
+        for what, which, goal, memory in (
+            ("all trajectories", "all", all_goal, 1500e6 * share + 100e6 * (1 - share)),
+            ("one trajectory", "one", one_goal, 150e6),
+        ):
+            taken = best(partial(run, sys.executable, "-c", TRAJECTORIES, path, which))
+            limit = goal * share + STARTED * (1 - share)
+            yield Line(f"{what}, {name}", f"{taken.seconds:.2f} s", "", f"≤ {limit:.2f} s", taken.seconds <= limit)
+            yield _memory(f"{what}, {name}", taken.peak, memory)
+
+
+def collisions(subject: Subject) -> Iterator[Line]:
+    from carla_recap.queries.collisions import collisions
+
+    yield from _query("collisions", collisions, subject)
+
+
+def info(subject: Subject) -> Iterator[Line]:
+    from carla_recap.queries.info import info
+
+    yield from _query("info", info, subject)
+
+
+def blocked(subject: Subject) -> Iterator[Line]:
+    """CARLA's distance, for which an MCAP file stores stationary intervals, and another one."""
+    from carla_recap.queries.blocked import blocked
+
+    asked = [(name, path, blocked) for name, path in subject.both]
+    other = partial(blocked, min_distance=9.0)
+    asked += [(f"by 9 cm, {name}", path, other) for name, path in subject.both]
+    for (name, path, query), goal in zip(asked, (10, 12, 10, 12), strict=True):
+        seconds = min(timed(partial(ask, query, path)) for _ in range(3))
+        each = seconds / subject.frames * 1e6
+        yield Line(f"blocked, {name}", f"{seconds:.2f} s", f"{each:.1f} µs/frame", f"≤ {goal} µs/frame", each <= goal)
+
+
+def incidents(subject: Subject) -> Iterator[Line]:
+    for name, path in subject.both:
+        each = min(timed(partial(_use, _incidents, path)) for _ in range(3)) / subject.frames * 1e6
+        total = f"{each * subject.frames / 1e6:.2f} s"
+        yield Line(f"incidents, {name}", total, f"{each:.1f} µs/frame", "≤ 20 µs/frame", each <= 20)
+
+
+def info_all(subject: Subject) -> Iterator[Line]:
+    from carla_recap.queries.info import info
+
+    everything = partial(info, all=True)
+    minute = cut(subject.log, 60 * RATE)
+    numbers = sum(1 for _ in NUMBER.finditer(ask(everything, minute)[0]))
+    seconds = min(timed(partial(ask, everything, minute)) for _ in range(3))
+    each = seconds / numbers * 1e6
+    what = f"info --all, {min(subject.seconds, 60):.0f} s"
+    yield Line(what, f"{seconds:.2f} s", f"{each:.2f} µs/number", "≤ 0.25 µs/number", each <= 0.25)
+
+
+def start(subject: Subject) -> Iterator[Line]:
+    """Queries of a small file as processes, in proportion to a process that only imports numpy."""
+    log = cut(subject.log, SMALL)
+    mcap = log.with_suffix(".mcap")
+    convert(log, mcap)
+    works = {
+        "--help": partial(run, COMMAND, "--help"),
+        "collisions, 10 s, .log": partial(run, COMMAND, "collisions", log),
+        "collisions, 10 s, .mcap": partial(run, COMMAND, "collisions", mcap),
+        "blocked, 10 s, .log": partial(run, COMMAND, "blocked", log),
+    }
+    numpy, *taken = medians(partial(run, sys.executable, "-c", "import numpy"), *works.values())
+    for what, seconds in zip(works, taken, strict=True):
+        ratio = seconds / numpy
+        yield Line(f"carla-recap {what}", f"{seconds * 1e3:.0f} ms", f"{ratio:.2f} x numpy", "≤ 1.3 x", ratio <= 1.3)
+
+
+def restless(subject: Subject) -> Iterator[Line]:
+    """A log in which each frame has another number of records than the one before.
+
+    Processor times are compared with that of a bare loop over the packet headers of the log, and this ratio with `BEFORE`.
+    """
+    frames = min(subject.frames, RESTLESS_FRAMES)
+    log = cached(frames, restless=True)
+    mcap, back = log.with_suffix(".mcap"), DIRECTORY / "back.log"
+    works = {".log → .mcap": partial(_convert, log, mcap), ".mcap → .log": partial(_convert, mcap, back)}
+    for name, use in USES.items():
+        for path in (log, mcap):
+            if f"{name}, {path.suffix}" in BEFORE:
+                works[f"{name}, {path.suffix}"] = partial(_use, use, path)
+    loop = partial(loop_over_headers, log, _header_size(log))
+    for name, work in works.items():
+        rounds = [(cpu_time(work), cpu_time(loop)) for _ in range(3)]
+        taken, bare = map(min, zip(*rounds, strict=True))
+        ratio, goal = taken / bare, BEFORE[name]
+        measured = f"{taken / frames * 1e6:.1f} µs/frame"
+        yield Line(f"restless, {name}", measured, f"{ratio:.1f} x bare loop", f"≤ {goal:g} x", ratio <= goal)
+    equal = filecmp.cmp(log, back, shallow=False)
+    back.unlink()
+    yield Line("restless, .log → .mcap → .log", "", "", "equal", equal)
+
+
+def real(subject: Subject) -> Iterator[Line]:
+    """A recording of CARLA itself, which is short: a large share of these times does not depend on its length."""
+    if not subject.real:
+        return
+    from carla_recap import open_recording
+
+    mcap, back = DIRECTORY / "real.mcap", DIRECTORY / "back.log"
+    with open_recording(subject.real) as recording:
+        length = recording.info
+    convert(subject.real, mcap)
+    yield _size("CARLA's own", subject.real, mcap, 0.08)
+    for what, source, target in ((".log → .mcap", subject.real, mcap), (".mcap → .log", mcap, back)):
+        seconds = min(timed(partial(_convert, source, target)) for _ in range(5))
+        yield Line(f"CARLA's own, {what}", f"{seconds:.3f} s", f"{length.duration / seconds:,.0f} x real time", "", True)
+    yield Line("CARLA's own, .log → .mcap → .log", "", "", "equal", filecmp.cmp(subject.real, back, shallow=False))
+    back.unlink()
+    for name, use in USES.items():
+        for path in (subject.real, mcap):
+            each = min(timed(partial(_use, use, path)) for _ in range(5)) / length.frames * 1e6
+            yield Line(f"CARLA's own, {name}, {path.suffix}", f"{each:.1f} µs/frame", "", "", True)
+
+
+def _collisions(recording: Recording) -> object:
+    return list(recording.collisions())
+
+
+def _info(recording: Recording, *, all: bool = False) -> object:
+    from carla_recap.queries.info import info
+    from carla_recap.queries.output.text import text
+
+    return "".join(text(info(recording.reader, all=all)))
+
+
+def _blocked(recording: Recording) -> object:
+    return list(recording.blocked(min_distance=9.0))  # not CARLA's distance: an MCAP file stores no intervals for it
+
+
+def _incidents(recording: Recording) -> object:
+    return list(recording.incidents())
+
+
+def _trajectory(recording: Recording) -> object:
+    return recording.trajectory(recording.heroes[0].id) if recording.heroes else None
+
+
+def _rerun(recording: Recording) -> object:
+    from carla_recap.export.rerun import export_rerun
+
+    return export_rerun(recording, DIRECTORY / "use.rrd", force=True)
+
+
+def _foxglove(recording: Recording) -> object:
+    from carla_recap.export.foxglove import export_foxglove
+
+    return export_foxglove(recording, DIRECTORY / "use.foxglove.mcap", force=True)
+
+
+USES: Final[dict[str, Use]] = {
+    "collisions": _collisions,
+    "info": _info,
+    "blocked by 9 cm": _blocked,
+    "incidents": _incidents,
+    "trajectory": _trajectory,
+    "info --all": partial(_info, all=True),
+    "to .rrd": _rerun,
+    "to Foxglove": _foxglove,
+}
+"""What is done with a recording in process."""
+BEFORE: Final = {
+    ".log → .mcap": 276.0,
+    ".mcap → .log": 23.4,
+    "collisions, .log": 1.66,
+    "collisions, .mcap": 0.3,
+    "info, .log": 1.74,
+    "info, .mcap": 0.43,
+    "blocked by 9 cm, .log": 275.0,
+    "blocked by 9 cm, .mcap": 282.0,
+    "incidents, .log": 349.0,
+    "incidents, .mcap": 42.7,
+    "trajectory, .log": 13.3,
+    "trajectory, .mcap": 25.5,
+    "info --all, .mcap": 198.0,
+    "to .rrd, .mcap": 152.0,
+    "to Foxglove, .mcap": 891.0,
+}
+"""Processor times on the restless log of 5000 frames before recordings were read in batches, in bare loops over its headers.
+
+Measured with the code that read frame by frame, alternating with the bare loop (2.1 µs a frame) on the same machine.
+"""
+ROWS: Final = (
+    log_to_mcap,
+    mcap_to_log,
+    size,
+    trajectories,
+    collisions,
+    info,
+    blocked,
+    incidents,
+    info_all,
+    start,
+    restless,
+    real,
+)
+
+
+def ask(query: Query, path: Path) -> tuple[str, int | None]:
+    """Return the text of a query, and the bytes of the file that were read, if the reader counts them."""
+    from carla_recap.formats import open_reader
+    from carla_recap.queries.output.text import text
+
+    reader = open_reader(path)
+    try:
+        answer = "".join(text(query(reader)))
+        return answer, getattr(reader, "bytes_read", None)
+    finally:
+        reader.close()
+
+
+def loop_over_headers(log: Path, offset: int) -> None:
+    """Read the packet headers of a CARLA log in a bare Python loop, from an offset on: the least that a query needs."""
+    with (
+        log.open("rb") as file,
+        mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ) as mapped,
+        memoryview(mapped) as view,
+    ):
+        head, size = struct.Struct("<BI").unpack_from, len(view)
+        while offset < size:
+            _, length = head(view, offset)
+            offset += 5 + length
+
+
+def _header_size(log: Path) -> int:
+    from carla_recap.formats.carla_log import LogReader, pack_header
+
+    reader = LogReader(log)
+    reader.close()
+    return len(pack_header(reader.header))
+
+
+def _use(use: Use, path: Path) -> object:
+    from carla_recap import open_recording
+
+    with open_recording(path) as recording:
+        return use(recording)
+
+
+def _convert(source: Path, target: Path) -> object:
+    from carla_recap.editing.convert import convert
+
+    return convert(source, target, force=True)
+
+
+def _conversion(what: str, seconds: float, source: Path, target: Path, goal: int) -> Iterator[Line]:
+    taken = best(partial(convert, source, target))
+    factor = seconds / taken.seconds
+    yield Line(what, f"{taken.seconds:.2f} s", f"{factor:,.0f} x real time", f"≥ {goal:,} x", factor >= goal)
+    yield _memory(what, taken.peak, 100e6)
+
+
+def _memory(what: str, peak: int, goal: float) -> Line:
+    return Line(f"{what}, peak memory", f"{peak / 1e6:.0f} MB", "", f"≤ {goal / 1e6:,.0f} MB", peak <= goal)
+
+
+def _size(what: str, log: Path, mcap: Path, goal: float) -> Line:
+    sizes = mcap.stat().st_size, log.stat().st_size
+    ratio = sizes[0] / sizes[1]
+    megabytes = " / ".join(f"{size / 1e6:.1f}" for size in sizes) + " MB"
+    return Line(f".mcap / .log, {what}", megabytes, f"{ratio:.3f}", f"≤ {goal}", ratio <= goal)
+
+
+def _query(name: str, query: Query, subject: Subject) -> Iterator[Line]:
+    """A query that needs events only: by index in MCAP; in a log in proportion to a bare loop over the packet headers."""
+    mcap = subject.mcap
+    (seconds,) = medians(lambda: ask(query, mcap))
+    yield Line(f"{name}, .mcap", f"{seconds * 1e3:.1f} ms", "", "< 30 ms", seconds < 0.03)
+    _, read = ask(query, mcap)
+    if read is not None:
+        share = read / mcap.stat().st_size
+        yield Line(f"{name}, .mcap, bytes read", f"{read:,}", f"{share:.2%}", "≤ 1 %", share <= 0.01)
+    loop = partial(loop_over_headers, subject.log, _header_size(subject.log))
+    rounds = [(timed(lambda: ask(query, subject.log)), timed(loop)) for _ in range(3)]
+    seconds, bare = map(min, zip(*rounds, strict=True))
+    ratio = seconds / bare
+    yield Line(f"{name}, .log", f"{seconds * 1e3:.0f} ms", f"{ratio:.2f} x bare loop", "≤ 0.5 x", ratio <= 0.5)
