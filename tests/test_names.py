@@ -15,11 +15,8 @@ UNTIL_THE_CORE_IS_REDRAWN = {
     "Actor",
     "Actors",
     "Chunk",
-    "Ground",
     "Recorder",
     "Signals",
-    "Tracks",
-    "World",
 }
 """Names that records, queries, tables, maps, replays or exporters share with each other or with the simulator or server."""
 

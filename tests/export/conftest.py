@@ -20,13 +20,13 @@ def crossing_rrd(tmp_path_factory):
     pytest.importorskip("rerun", reason="the extra `rerun` is not installed")
     from carla_recap import open_recording
     from carla_recap.export.rerun import export_rerun
-    from carla_recap.export.screenshots import Photographer
+    from carla_recap.export.screenshots import ScreenshotTaker
 
     path = tmp_path_factory.mktemp("rerun") / "crossing.rrd"
     with open_recording(SAMPLE) as recording:
         export_rerun(recording, path, start=20, duration=6)
     try:
-        with Photographer(path):
+        with ScreenshotTaker(path):
             pass
     except RecapError as error:
         pytest.skip(str(error))

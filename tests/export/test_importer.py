@@ -21,7 +21,7 @@ from rerun.chunk import RrdReader
 
 from carla_recap import convert
 from carla_recap.export.importer import FAILED, NOT_OURS
-from carla_recap.export.screenshots import Photographer
+from carla_recap.export.screenshots import ScreenshotTaker
 from tests.export.conftest import SAMPLE
 from tests.samples import CARLA_LOGS, carla_log, log_header, save, small_log, time_limit
 
@@ -165,22 +165,22 @@ def viewer_path(crossing_rrd, monkeypatch):
 
 
 @contextmanager
-def opened(path: Path, seconds: float) -> Iterator[Photographer]:
+def opened(path: Path, seconds: float) -> Iterator[ScreenshotTaker]:
     """The viewer, once it has all of a recording that ends after some seconds."""
-    with Photographer(path) as photographer:
+    with ScreenshotTaker(path) as screenshots:
 
         def complete() -> bool:
-            timelines = [timeline for recording in photographer.state.recordings for timeline in recording.timelines]
+            timelines = [timeline for recording in screenshots.state.recordings for timeline in recording.timelines]
             return ("sim_time", round(seconds * 1e9)) in [(timeline.name, timeline.end) for timeline in timelines]
 
         with time_limit(60):
-            photographer._program.wait_for(f"{seconds} s", complete)
-        yield photographer
+            screenshots._process.wait_for(f"{seconds} s", complete)
+        yield screenshots
 
 
 def test_the_viewer_opens_a_log(viewer_path):
-    with opened(SAMPLE, 53) as photographer:
-        state = photographer.state
+    with opened(SAMPLE, 53) as screenshots:
+        state = screenshots.state
     assert len(state.recordings) == 1
     assert {"Chase", "Top", "Map", "Events"} <= {view.name for view in state.views}
     assert not [report for view in state.views for report in view.reports]
@@ -189,8 +189,8 @@ def test_the_viewer_opens_a_log(viewer_path):
 def test_the_viewer_opens_a_real_log_with_its_map(viewer_path, monkeypatch):
     pytest.importorskip("carla", reason="the extra `carla` is not installed")
     monkeypatch.setenv("CARLA_RECAP_MAPS", str(CARLA_LOGS.parent / "maps"))
-    with opened(carla_log("carla-0.9.13-lane-center.log"), 12.528_204_977) as photographer:
-        schema = photographer._client.get_recording_schema(paths_only=True)
+    with opened(carla_log("carla-0.9.13-lane-center.log"), 12.528_204_977) as screenshots:
+        schema = screenshots._client.get_recording_schema(paths_only=True)
     entities = {entity.entity_path for entity in schema.entities}
     assert {"/world/chase", "/world/actors/234", "/events"} <= entities
     assert [path for path in entities if path.startswith("/world/map")]

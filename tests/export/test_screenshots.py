@@ -18,9 +18,8 @@ from PIL import Image
 
 from carla_recap import open_recording
 from carla_recap.errors import MissingExtra, RecapError
-from carla_recap.export import viewer_process
-from carla_recap.export.screenshots import Photographer
-from carla_recap.export.snapshot import _save
+from carla_recap.export import viewer
+from carla_recap.export.screenshots import ScreenshotTaker, _save
 from carla_recap.export.style import HERO
 from carla_recap.replay import Player
 from tests.export.conftest import SAMPLE
@@ -49,9 +48,9 @@ def runs(pid: int) -> bool:
 def test_several_pictures_come_out_of_one_viewer(crossing_rrd, tmp_path, temporary):
     with open_recording(SAMPLE) as recording:
         _save(tmp_path / "view.rrd", Player(recording, start=20, duration=6), "chase", None)
-    with Photographer(tmp_path / "view.rrd", (640, 360), only_view=True) as photographer:
-        first, second, again = (photographer.take(time) for time in (21, 24.6, 21))
-        pid = photographer._program.pid
+    with ScreenshotTaker(tmp_path / "view.rrd", (640, 360), only_view=True) as screenshots:
+        first, second, again = (screenshots.take(time) for time in (21, 24.6, 21))
+        pid = screenshots._process.pid
         assert runs(pid)
     assert not runs(pid)
     assert first == again != second
@@ -61,50 +60,50 @@ def test_several_pictures_come_out_of_one_viewer(crossing_rrd, tmp_path, tempora
 
 
 def test_the_whole_window_shows_the_blueprint_of_the_recording(crossing_rrd, temporary):
-    with Photographer(crossing_rrd, (800, 600)) as photographer:
-        picture = photographer.take(24.6)
-        views = photographer.state.views
+    with ScreenshotTaker(crossing_rrd, (800, 600)) as screenshots:
+        picture = screenshots.take(24.6)
+        views = screenshots.state.views
     assert Image.open(io.BytesIO(picture)).size == (800, 600)
     assert {"3D", "2D", "TimeSeries", "TextLog"} <= {view.view_class for view in views}
     assert not [report for view in views for report in view.reports]
 
 
 def test_no_notices_lie_over_the_first_picture(crossing_rrd):
-    with Photographer(crossing_rrd, (800, 600)) as photographer:
-        early = photographer.take(24.6)
+    with ScreenshotTaker(crossing_rrd, (800, 600)) as screenshots:
+        early = screenshots.take(24.6)
         threading.Event().wait(1.5)
-        late = photographer.take(24.6)
+        late = screenshots.take(24.6)
     assert early == late
 
 
 @pytest.mark.parametrize("size", [(0, 100), (100, 63), (4097, 100), (-5, 10**9)])
 def test_sizes_have_limits(size):
     with pytest.raises(RecapError, match=r"from 64 to 4096 pixels"):
-        Photographer("any.rrd", size)
+        ScreenshotTaker("any.rrd", size)
 
 
 def test_without_a_graphics_driver_the_error_says_what_to_install(crossing_rrd, temporary, monkeypatch):
     monkeypatch.setenv("VK_ICD_FILENAMES", "/nonexistent")
     monkeypatch.setenv("VK_DRIVER_FILES", "/nonexistent")
     with time_limit(20), pytest.raises(RecapError, match=r"^the Rerun viewer found no graphics .* mesa-vulkan-drivers$"):
-        Photographer(crossing_rrd).__enter__()
+        ScreenshotTaker(crossing_rrd).__enter__()
 
 
 def test_what_the_viewer_cannot_load_is_an_error(tmp_path, temporary, monkeypatch, crossing_rrd):
-    monkeypatch.setattr(viewer_process, "PATIENCE", 2.0)
+    monkeypatch.setattr(viewer, "TIMEOUT", 2.0)
     cut = tmp_path / "cut.rrd"
     cut.write_bytes(crossing_rrd.read_bytes()[:3000])
     with time_limit(20), pytest.raises(RecapError, match="no recording within 2 s: failed to read RRD metadata"):
-        Photographer(cut).__enter__()
+        ScreenshotTaker(cut).__enter__()
 
 
 def test_a_viewer_that_hangs_is_given_up(crossing_rrd, temporary, monkeypatch):
-    with Photographer(crossing_rrd) as photographer:
-        pid = photographer._program.pid
-        monkeypatch.setattr(viewer_process, "PATIENCE", 0.5)
+    with ScreenshotTaker(crossing_rrd) as screenshots:
+        pid = screenshots._process.pid
+        monkeypatch.setattr(viewer, "TIMEOUT", 0.5)
         os.kill(pid, signal.SIGSTOP)
         with time_limit(10), pytest.raises(RecapError, match="the Rerun viewer does not answer"):
-            photographer.take(21)
+            screenshots.take(21)
     assert not runs(pid)
 
 
@@ -112,8 +111,8 @@ def test_an_interruption_ends_the_viewer(crossing_rrd, temporary):
     pids = []
 
     def interrupted() -> None:
-        with Photographer(crossing_rrd) as photographer:
-            pids.append(photographer._program.pid)
+        with ScreenshotTaker(crossing_rrd) as screenshots:
+            pids.append(screenshots._process.pid)
             raise KeyboardInterrupt
 
     with pytest.raises(KeyboardInterrupt):
@@ -123,9 +122,9 @@ def test_an_interruption_ends_the_viewer(crossing_rrd, temporary):
 
 WAITING = """
 import sys, time
-from carla_recap.export.screenshots import Photographer
-with Photographer(sys.argv[1]) as photographer:
-    print(photographer._program.pid, flush=True)
+from carla_recap.export.screenshots import ScreenshotTaker
+with ScreenshotTaker(sys.argv[1]) as screenshots:
+    print(screenshots._process.pid, flush=True)
     time.sleep(60)
 """
 
@@ -146,18 +145,18 @@ def test_no_usage_data_and_no_settings_are_left(crossing_rrd, tmp_path, monkeypa
     for name in ("XDG_CONFIG_HOME", "XDG_DATA_HOME", "XDG_STATE_HOME"):
         monkeypatch.delenv(name, raising=False)
     monkeypatch.setenv("HOME", str(home))
-    with Photographer(crossing_rrd) as photographer:
-        photographer.take(21)
+    with ScreenshotTaker(crossing_rrd) as screenshots:
+        screenshots.take(21)
     assert not [path for path in home.rglob("*") if "rerun" in path.name]
 
 
 def test_without_the_viewer_the_error_names_the_extra(monkeypatch):
     monkeypatch.setitem(sys.modules, "rerun_cli", None)
     with pytest.raises(MissingExtra, match=r"the Rerun viewer needs .*\.\[rerun\]"):
-        Photographer("any.rrd").__enter__()
+        ScreenshotTaker("any.rrd").__enter__()
 
 
 def test_the_viewer_listens_on_the_loopback_alone(crossing_rrd):
-    with Photographer(crossing_rrd) as photographer:
-        sockets = psutil.Process(photographer._program.pid).net_connections("inet")
-        assert {socket.laddr.ip for socket in sockets} == {viewer_process.HOST}
+    with ScreenshotTaker(crossing_rrd) as screenshots:
+        sockets = psutil.Process(screenshots._process.pid).net_connections("inet")
+        assert {socket.laddr.ip for socket in sockets} == {viewer.HOST}

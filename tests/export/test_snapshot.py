@@ -15,7 +15,7 @@ from PIL import Image
 
 from carla_recap import open_recording
 from carla_recap.errors import RecapError
-from carla_recap.export.snapshot import picture, snapshot
+from carla_recap.export.screenshots import picture, snapshot
 from carla_recap.export.style import COLLISION, HERO, STYLES
 from carla_recap.model.records import ActorKind
 from tests.export.conftest import SAMPLE
@@ -114,7 +114,7 @@ def test_an_actor_without_a_place_is_one_line(tmp_path, temporary):
 def test_a_full_disk_for_temporary_files_is_one_line(tmp_path, temporary, limited):
     lines = (
         "from carla_recap import open_recording",
-        "from carla_recap.export.snapshot import snapshot",
+        "from carla_recap.export.screenshots import snapshot",
         f"with open_recording({str(SAMPLE)!r}) as recording:",
         f"    snapshot(recording, {str(tmp_path / 'out.png')!r}, at=24)",
     )
@@ -150,7 +150,7 @@ def test_a_picture_that_fails_leaves_the_one_before(crossing, tmp_path, monkeypa
 
 
 def test_without_rerun_the_error_names_the_extra():
-    code = "import sys; sys.modules['rerun'] = None; import carla_recap.export.snapshot"
+    code = "import sys; sys.modules['rerun'] = None; import carla_recap.export.screenshots"
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=30)
     assert done.stderr.splitlines()[-1].endswith(
         "needs an optional dependency: pip install '.[rerun]' in a clone of carla-recap"

@@ -18,7 +18,7 @@ import psutil
 
 from carla_recap import open_recording
 from carla_recap.errors import RecapError
-from carla_recap.export.screenshots import Photographer
+from carla_recap.export.screenshots import ScreenshotTaker
 from carla_recap.export.viewer import view
 from tests.export.conftest import SAMPLE
 from tests.samples import time_limit
@@ -82,14 +82,14 @@ def test_where_nobody_reads_the_address_it_ends(temporary):
 
 def test_the_browser_gets_the_recording(served, crossing_rrd):
     (source,) = parse_qs(urlsplit(served[1]).query)["url"]
-    with Photographer(source) as photographer, time_limit(60):
-        while _times(photographer) != (20_000_000_000, 26_000_000_000):
+    with ScreenshotTaker(source) as screenshots, time_limit(60):
+        while _times(screenshots) != (20_000_000_000, 26_000_000_000):
             sleep(0.05)
 
 
-def _times(photographer: Photographer) -> tuple[int, int] | None:
+def _times(screenshots: ScreenshotTaker) -> tuple[int, int] | None:
     """Return the first and the last time of what the viewer has received so far, in ns."""
-    timelines = [timeline for recording in photographer.state.recordings for timeline in recording.timelines]
+    timelines = [timeline for recording in screenshots.state.recordings for timeline in recording.timelines]
     return next(((timeline.start, timeline.end) for timeline in timelines if timeline.name == "sim_time"), None)
 
 

@@ -185,7 +185,7 @@ def test_the_server_answers_while_a_replay_loads_a_map(
     folder: Path, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:
     may_parse = Event()
-    parse = town.ask_about
+    parse = town.parse_in_child
 
     def slow(*arguments: Any) -> bytes:
         assert may_parse.wait(30)
@@ -198,7 +198,7 @@ def test_the_server_answers_while_a_replay_loads_a_map(
     host.world.stop_recorder()
     town._towns.clear()
     monkeypatch.setenv(cache.FOLDER, "")
-    monkeypatch.setattr(town, "ask_about", slow)
+    monkeypatch.setattr(town, "parse_in_child", slow)
 
     async def work(port: int) -> None:
         one, other = [await asyncio.open_connection("127.0.0.1", port) for _ in range(2)]

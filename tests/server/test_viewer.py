@@ -82,12 +82,12 @@ def test_it_is_what_an_export_holds(rrd: Path) -> None:
 
 
 def test_the_camera_follows_the_hero(rrd: Path) -> None:
-    from carla_recap.export.screenshots import Photographer
+    from carla_recap.export.screenshots import ScreenshotTaker
 
     try:
-        with Photographer(rrd) as photographer:
-            names = {view.name for view in photographer.state.views}
-            picture = photographer.take(4.0)
+        with ScreenshotTaker(rrd) as screenshots:
+            names = {view.name for view in screenshots.state.views}
+            picture = screenshots.take(4.0)
     except RecapError as failure:
         pytest.skip(str(failure))
     assert {"Chase", "Map", "Events", "Traffic lights"} <= names

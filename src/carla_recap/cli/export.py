@@ -118,7 +118,7 @@ def view(source: str, road_map: str | None, **play: Any) -> None:
 @options.force
 def snapshot(source: str, destination: str, road_map: str | None, **picture: Any) -> None:
     """Take a picture of a moment, without GPU or display."""
-    from carla_recap.export.snapshot import snapshot as run
+    from carla_recap.export.screenshots import snapshot as run
     from carla_recap.recording import open_recording
 
     with open_recording(source) as recording:

@@ -1,1 +1,14 @@
-"""Exports: a recording as Rerun, Foxglove, a picture or a page shows it; each behind the extra that it needs."""
+"""Exports of recordings: Rerun, Foxglove, Parquet, pictures, incident pages and clips; each with the extra that it needs."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Final
+
+_PACKAGE: Final = Path(__file__).parents[1]
+_FOLDERS: Final = (_PACKAGE / "viewer", _PACKAGE.parents[1] / "viewer")  # of a wheel, and of the source tree
+
+
+def viewer_folder() -> Path:
+    """Return the folder of the incident page and of the Foxglove layouts."""
+    return next(folder for folder in _FOLDERS if folder.is_dir())

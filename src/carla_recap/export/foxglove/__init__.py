@@ -19,7 +19,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 from carla_recap.editing.convert import check_destination
-from carla_recap.export.assets import viewer_folder
+from carla_recap.export import viewer_folder
 from carla_recap.recording import Recording
 from carla_recap.replay import Played, Player
 from carla_recap.util.text import readable

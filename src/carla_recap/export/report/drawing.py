@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
-from carla_recap.export.report.ground import ROAD_WIDTH, runs, thinned
+from carla_recap.export.report.base_map import ROAD_WIDTH, runs, thinned
 from carla_recap.export.report.script import hexadecimal, shortened
 from carla_recap.export.style import BACKGROUND, COLLISION, OTHER, box_of, color_of, label_of, light
 from carla_recap.model.records import ActorKind
@@ -20,8 +20,8 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    from carla_recap.export.report.ground import Ground, Lines
-    from carla_recap.export.report.tracks import Life, Tracks
+    from carla_recap.export.report.base_map import BaseMap, Lines
+    from carla_recap.export.report.samples import SampledActor, SampledReplay
     from carla_recap.queries.incidents import Incident
 
     Floats = NDArray[np.float64]
@@ -30,7 +30,7 @@ WIDTH: Final = 640
 HEIGHT: Final = 400
 NARROWEST: Final = 38.0  # m from left to right, at least
 WIDEST: Final = 400.0  # m, at most
-_MARGIN: Final = 1.6  # of what is to be seen
+_MARGIN: Final = 1.6  # times the extent of the actors involved
 _NEAR: Final = 0.25  # m between points of a line
 
 _ROAD: Final = "#262a34"
@@ -42,31 +42,31 @@ _UNDRAWN: Final = (ActorKind.SENSOR, ActorKind.TRAFFIC_LIGHT)
 _UNPRINTABLE: Final = re.compile(r"[\x00-\x1f\x7f-\x9f\ud800-\udfff\ufffe\uffff]")
 
 
-def draw(incident: Incident, tracks: Tracks, ground: Ground, *, before: float, after: float) -> str:
-    """An incident as it began, with the ways of who took part.
+def draw(incident: Incident, replay: SampledReplay, base_map: BaseMap, *, before: float, after: float) -> str:
+    """Return a picture of the beginning of an incident, with the paths of the actors involved.
 
     Args:
         incident: The incident.
-        tracks: Where everybody is.
-        ground: What they stand on.
-        before: Seconds of the way to it.
-        after: Seconds of the way from it.
+        replay: The poses of all actors.
+        base_map: The lines below them.
+        before: The seconds of the paths before the incident.
+        after: The seconds of the paths after it.
     """
-    return _Picture(incident, tracks, ground, before, after).svg()
+    return _Drawing(incident, replay, base_map, before, after).svg()
 
 
-class _Picture:
-    """The parts of the picture; coordinates are metres from its middle, x to the right, y upwards."""
+class _Drawing:
+    """The parts of a picture; coordinates are metres from its middle, x to the right, y upwards."""
 
-    def __init__(self, incident: Incident, tracks: Tracks, ground: Ground, before: float, after: float) -> None:
+    def __init__(self, incident: Incident, replay: SampledReplay, base_map: BaseMap, before: float, after: float) -> None:
         self._incident = incident
-        self._tracks = tracks
-        self._ground = ground
+        self._replay = replay
+        self._base_map = base_map
         self._time = incident.start
         self._span = (incident.start - before, incident.start + after)
-        self._poses = tracks.poses(self._time)
-        self._involved = [life for life in self._poses if tracks.lives[life].id in incident.actors]
-        points = np.array([(incident.x, incident.y), *(self._poses[life][:2] for life in self._involved)])
+        self._poses = replay.poses(self._time)
+        self._involved = [actor for actor in self._poses if replay.actors[actor].id in incident.actors]
+        points = np.array([(incident.x, incident.y), *(self._poses[actor][:2] for actor in self._involved)])
         points = points[np.isfinite(points).all(axis=1)]
         if not len(points):
             points = np.zeros((1, 2))
@@ -80,73 +80,76 @@ class _Picture:
     def svg(self) -> str:
         head = f'<svg xmlns="http://www.w3.org/2000/svg" viewBox="0 0 {WIDTH} {HEIGHT}" width="{WIDTH}" height="{HEIGHT}">'
         title = f"<title>{_escape(self._incident.text)}</title>"
-        ground = f'<rect width="{WIDTH}" height="{HEIGHT}" fill="{hexadecimal(BACKGROUND)}"/>'
+        background = f'<rect width="{WIDTH}" height="{HEIGHT}" fill="{hexadecimal(BACKGROUND)}"/>'
         world = f'<g transform="translate({WIDTH / 2:g} {HEIGHT / 2:g}) scale({self._scale:.4f} {-self._scale:.4f})">'
         parts = (
             head,
             title,
-            ground,
+            background,
             world,
             *self._roads(),
             *self._trails(),
             *self._boxes(),
-            *self._lamps(),
+            *self._lights(),
             *self._mark(),
             "</g>",
             *self._labels(),
-            *self._rule(),
+            *self._scale_bar(),
             "</svg>",
         )
         return "\n".join(parts) + "\n"
 
     def _roads(self) -> Iterator[str]:
-        ground = self._ground
-        yield self._layer(ground.lanes, f'stroke="{_ROAD}" stroke-width="{ground.width}" stroke-linecap="round"')
-        yield self._layer(ground.junctions, fill=_ROAD)
-        yield self._layer(ground.crossings, fill=_CROSSING)
-        yield self._layer(ground.borders, f'stroke="{_LINE}" stroke-width="0.13"')
-        yield self._layer(ground.stops, f'stroke="{_STOP}" stroke-width="0.35"')
+        base_map = self._base_map
+        yield self._layer(base_map.lanes, f'stroke="{_ROAD}" stroke-width="{base_map.width}" stroke-linecap="round"')
+        yield self._layer(base_map.junctions, fill=_ROAD)
+        yield self._layer(base_map.crossings, fill=_CROSSING)
+        yield self._layer(base_map.borders, f'stroke="{_LINE}" stroke-width="0.13"')
+        yield self._layer(base_map.stops, f'stroke="{_STOP}" stroke-width="0.35"')
 
     def _trails(self) -> Iterator[str]:
-        for life in self._involved:
-            stroke = f'stroke="{_color(self._tracks.lives[life])}" stroke-width="0.4" stroke-linecap="round"'
+        for actor in self._involved:
+            stroke = f'stroke="{_color(self._replay.actors[actor])}" stroke-width="0.4" stroke-linecap="round"'
             start, stop = self._span
-            yield self._lines(self._tracks.ways(life, self._time, stop), stroke + ' opacity="0.45" stroke-dasharray="0.1 1"')
-            yield self._lines(self._tracks.ways(life, start, self._time), stroke + ' opacity="0.9"')
+            yield self._lines(
+                self._replay.paths(actor, self._time, stop), stroke + ' opacity="0.45" stroke-dasharray="0.1 1"'
+            )
+            yield self._lines(self._replay.paths(actor, start, self._time), stroke + ' opacity="0.9"')
 
     def _boxes(self) -> Iterator[str]:
-        def rank(life: int) -> tuple[bool, int]:
-            actor = self._tracks.lives[life].actor
-            return life in self._involved, actor.kind in (ActorKind.VEHICLE, ActorKind.WALKER) if actor else 0
+        def rank(actor: int) -> tuple[bool, int]:
+            details = self._replay.actors[actor].details
+            return actor in self._involved, details.kind in (ActorKind.VEHICLE, ActorKind.WALKER) if details else 0
 
-        for life in sorted(self._poses, key=rank):
-            x, y, yaw = self._poses[life]
+        for actor in sorted(self._poses, key=rank):
+            x, y, yaw = self._poses[actor]
             x, y = x - self._middle[0], y - self._middle[1]
-            actor = self._tracks.lives[life].actor
-            if max(abs(x) - self._width / 2, abs(y) - self._height / 2) < 10 and not (actor and actor.kind in _UNDRAWN):
-                yield self._box(self._tracks.lives[life], x, y, yaw, involved=life in self._involved)
+            details = self._replay.actors[actor].details
+            is_near = max(abs(x) - self._width / 2, abs(y) - self._height / 2) < 10
+            if is_near and not (details and details.kind in _UNDRAWN):
+                yield self._box(self._replay.actors[actor], x, y, yaw, involved=actor in self._involved)
 
-    def _box(self, life: Life, x: float, y: float, yaw: float, *, involved: bool) -> str:
-        box = BoundingBox(0, 0, 0, *OTHER.extent) if life.actor is None else box_of(life.actor)
+    def _box(self, actor: SampledActor, x: float, y: float, yaw: float, *, involved: bool) -> str:
+        box = BoundingBox(0, 0, 0, *OTHER.extent) if actor.details is None else box_of(actor.details)
         length, width = 2 * box.extent_x, 2 * box.extent_y
         corner = min(length, width) * 0.2
         shape = f'x="{box.x - box.extent_x:.2f}" y="{box.y - box.extent_y:.2f}" width="{length:.2f}" height="{width:.2f}"'
         border = f' stroke="{_TEXT}" stroke-width="0.16"' if involved else ""
         drawn = f'<rect {shape} rx="{corner:.2f}"{border}/>'
-        if life.actor is not None and life.actor.kind == ActorKind.VEHICLE:
+        if actor.details is not None and actor.details.kind == ActorKind.VEHICLE:
             glass = box.x + 0.35 * box.extent_x, box.y - 0.8 * box.extent_y
             size = 0.3 * box.extent_x, 1.6 * box.extent_y
             drawn += f'<rect x="{glass[0]:.2f}" y="{glass[1]:.2f}" width="{size[0]:.2f}" height="{size[1]:.2f}" '
             drawn += f'rx="0.15" fill="{hexadecimal(BACKGROUND)}" opacity="0.6"/>'
         shade = "" if involved else ' opacity="0.7"'
-        place = f"translate({x:.2f} {y:.2f}) rotate({yaw:.1f})"
-        return f'<g transform="{place}" fill="{_color(life)}"{shade}>{drawn}</g>'
+        transform = f"translate({x:.2f} {y:.2f}) rotate({yaw:.1f})"
+        return f'<g transform="{transform}" fill="{_color(actor)}"{shade}>{drawn}</g>'
 
-    def _lamps(self) -> Iterator[str]:
-        for life, state in self._tracks.light_states(self._time).items():
-            if life not in self._poses:
+    def _lights(self) -> Iterator[str]:
+        for actor, state in self._replay.light_states(self._time).items():
+            if actor not in self._poses:
                 continue
-            x, y = self._poses[life][:2] - self._middle
+            x, y = self._poses[actor][:2] - self._middle
             if max(abs(x) - self._width / 2, abs(y) - self._height / 2) < 1:
                 color = hexadecimal(light(state)[1])
                 yield f'<circle cx="{x:.2f}" cy="{y:.2f}" r="1.5" fill="{color}" opacity="0.25"/>'
@@ -163,19 +166,19 @@ class _Picture:
     def _labels(self) -> Iterator[str]:
         style = f'font-family="system-ui,sans-serif" font-size="21" font-weight="600" fill="{_TEXT}" text-anchor="middle"'
         halo = f'stroke="{hexadecimal(BACKGROUND)}" stroke-width="5" stroke-linejoin="round" paint-order="stroke"'
-        above = sorted(self._involved, key=lambda life: float(-self._poses[life][1]))
-        for place, life in enumerate(above):
-            actor = self._tracks.lives[life].actor
-            right, up = (self._poses[life][:2] - self._middle) * self._scale
+        above = sorted(self._involved, key=lambda actor: float(-self._poses[actor][1]))
+        for index, actor in enumerate(above):
+            details = self._replay.actors[actor].details
+            right, up = (self._poses[actor][:2] - self._middle) * self._scale
             x, y = WIDTH / 2 + right, HEIGHT / 2 - up
             # The upper one is named above, the lower one below, so that names of neighbours stay apart.
-            y += -4.2 * self._scale if place == 0 else 4.2 * self._scale + 16
-            name = label_of(actor) if actor else f"actor {self._tracks.lives[life].id}"
+            y += -4.2 * self._scale if index == 0 else 4.2 * self._scale + 16
+            name = label_of(details) if details else f"actor {self._replay.actors[actor].id}"
             x, y = min(max(x, 110), WIDTH - 110), min(max(y, 24), HEIGHT - 12)
             yield f'<text x="{x:.0f}" y="{y:.0f}" {style} {halo}>{_escape(name)}</text>'
 
-    def _rule(self) -> Iterator[str]:
-        """How long 10 m are, or 100 m."""
+    def _scale_bar(self) -> Iterator[str]:
+        """Yield a scale bar of 10 m or 100 m."""
         metres = 10 if self._width < 150 else 100
         right, low, width = WIDTH - 16, HEIGHT - 20, metres * self._scale
         yield f'<path d="M{right - width:.1f} {low}v6h{width:.1f}v-6" fill="none" stroke="{_STOP}" stroke-width="1.5"/>'
@@ -187,7 +190,7 @@ class _Picture:
         return self._lines(lines.within(self._middle - reach, self._middle + reach), style, fill)
 
     def _lines(self, lines: Iterable[Floats], style: str = "", fill: str = "none") -> str:
-        """Lines, as far as they can be seen, as one path; filled ones are closed."""
+        """Return the visible parts of lines as one SVG path; filled lines are closed."""
         pieces: list[Floats] = []
         for line in lines:
             centred = line - self._middle
@@ -200,12 +203,12 @@ class _Picture:
         thin = thinned(line, _NEAR)
         reach = np.array((self._width, self._height)) / 2 + ROAD_WIDTH
         least, most = np.minimum(thin[:-1], thin[1:]), np.maximum(thin[:-1], thin[1:])
-        crosses = ((least < reach) & (most > -reach)).all(axis=1)  # both ends of what does may be far away
+        crosses = ((least < reach) & (most > -reach)).all(axis=1)  # even with both ends far away
         return runs(thin, np.append(crosses, False))
 
 
-def _color(life: Life) -> str:
-    return hexadecimal(OTHER.color if life.actor is None else color_of(life.actor))
+def _color(actor: SampledActor) -> str:
+    return hexadecimal(OTHER.color if actor.details is None else color_of(actor.details))
 
 
 def _escape(text: str) -> str:

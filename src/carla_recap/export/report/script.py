@@ -1,4 +1,4 @@
-"""Data as scripts, which a page may load from the disk too: plain JSON, arrays of numbers in base64."""
+"""The data of the incident page as scripts, which load from the disk, too: JSON, with arrays of numbers in base64."""
 
 from __future__ import annotations
 
@@ -17,8 +17,8 @@ if TYPE_CHECKING:
 
     from numpy.typing import ArrayLike, NDArray
 
-    from carla_recap.export.report.ground import Ground
-    from carla_recap.export.report.tracks import Life, Tracks
+    from carla_recap.export.report.base_map import BaseMap
+    from carla_recap.export.report.samples import SampledActor, SampledReplay
     from carla_recap.export.style import Color
 
 LONGEST: Final = 120  # characters of a name
@@ -26,82 +26,82 @@ _TURN: Final = 65536 / 360  # units of a yaw per degree
 
 
 def script(name: str, value: Any) -> str:
-    """A script that gives a value to a global name.
+    """Return a script that assigns a value to a global name.
 
     Args:
         name: The name.
-        value: Anything that JSON knows; a number that is none becomes null.
+        value: A value of JSON's types, without NaN or infinity.
     """
     text = json.dumps(value, separators=(",", ":"), allow_nan=False)
-    # JSON in ASCII is a script, unless it ends one where somebody puts it into a page.
+    # "<" could end the script, if it is put into a page.
     return f"var {name}={text};\n".replace("<", "\\u003c")
 
 
 def number(value: float, digits: int = 3) -> float | None:
-    """A number that JSON can hold; None for what is not one."""
+    """Return a rounded number; None for NaN and infinity, which JSON does not have."""
     return round(value, digits) if math.isfinite(value) else None
 
 
 def shortened(text: str) -> str:
-    """A name of a bearable length."""
+    """Return a name, cut to `LONGEST` characters."""
     return text if len(text) <= LONGEST else text[: LONGEST - 1] + "…"
 
 
 def hexadecimal(color: Color) -> str:
-    """A colour as style sheets have it."""
+    """Return a colour in the notation of style sheets."""
     return "#{:02x}{:02x}{:02x}".format(*color)
 
 
-def life(life: Life) -> dict[str, Any]:
-    """An actor, as the page knows it: the box is x, y and half extents in m, in its own axes."""
-    actor = life.actor
+def actor_data(sampled: SampledActor) -> dict[str, Any]:
+    """Return an actor; `box` is x, y and half extents in m, in its own axes."""
+    actor = sampled.details
     box = BoundingBox(0, 0, 0, *OTHER.extent) if actor is None else box_of(actor)
     return {
-        "id": life.id,
+        "id": sampled.id,
         "kind": OTHER.name if actor is None else style_of(actor).name,
         "type": "" if actor is None else shortened(actor.type_id),
         "role": "" if actor is None else shortened(actor.role_name),
-        "label": f"actor {life.id}" if actor is None else shortened(label_of(actor)),
+        "label": f"actor {sampled.id}" if actor is None else shortened(label_of(actor)),
         "hero": actor is not None and actor.is_hero,
         "color": hexadecimal(OTHER.color if actor is None else color_of(actor)),
         "box": [number(size) or 0 for size in (box.x, box.y, box.extent_x, box.extent_y)],
-        "since": number(life.since),
-        "until": None if life.until is None else number(life.until),
+        "since": number(sampled.since),
+        "until": None if sampled.until is None else number(sampled.until),
     }
 
 
-def recording(tracks: Tracks) -> dict[str, Any]:
-    """All ways, as columns.
+def recording_data(replay: SampledReplay) -> dict[str, Any]:
+    """Return the samples as columns.
 
-    `tracks` has a row of five numbers for each stretch: the actor, the first and the last sample, where its rows begin in
-    `x`, `y` and `yaw`, and how many they are: one for each sample, or a single one.
+    `tracks` has a row of five numbers for each track: the actor, the first and the last sample, the index of its first row
+    in `x`, `y` and `yaw`, and the number of its rows: one for each sample, or a single one.
     """
     table, rows, begin = [], [], 0
-    for track in tracks.tracks:
-        table.append((track.life, track.first, track.last, begin, len(track.rows)))
+    for track in replay.tracks:
+        table.append((track.actor, track.first, track.last, begin, len(track.rows)))
         rows.append(track.rows)
         begin += len(track.rows)
     x, y, yaw = np.concatenate(rows).T if rows else np.zeros((3, 0))
     return {
-        "times": column(tracks.times, "<f8"),
-        "spans": [[number(start, 6), number(stop, 6)] for start, stop in tracks.spans],
-        "actors": [life(one) for one in tracks.lives],
+        "times": column(replay.times, "<f8"),
+        "spans": [[number(start, 6), number(stop, 6)] for start, stop in replay.spans],
+        "actors": [actor_data(actor) for actor in replay.actors],
         "tracks": column(table, "<u4"),
         "x": column(x, "<f4"),
         "y": column(y, "<f4"),
         "yaw": column(np.rint(yaw % 360 * _TURN).astype(np.int64) & 0xFFFF, "<u2"),
         "lights": {
-            "actor": column([life for life, _, _ in tracks.lights], "<u4"),
-            "time": column([time for _, time, _ in tracks.lights], "<f8"),
-            "state": column([state & 0xFF for _, _, state in tracks.lights], "u1"),
+            "actor": column([actor for actor, _, _ in replay.lights], "<u4"),
+            "time": column([time for _, time, _ in replay.lights], "<f8"),
+            "state": column([state & 0xFF for _, _, state in replay.lights], "u1"),
         },
     }
 
 
-def layers(ground: Ground) -> dict[str, Any]:
-    """The lines of the ground: of each layer all points, and how many each line has."""
+def base_map_data(base_map: BaseMap) -> dict[str, Any]:
+    """Return the lines of a base map: the points of each layer, and the number of points of each line."""
     names = ("lanes", "junctions", "crossings", "borders", "stops")
-    return {"width": ground.width, **{name: _layer(getattr(ground, name).lines) for name in names}}
+    return {"width": base_map.width, **{name: _layer(getattr(base_map, name).lines) for name in names}}
 
 
 def _layer(lines: Sequence[NDArray[np.float64]]) -> dict[str, str]:
@@ -110,5 +110,5 @@ def _layer(lines: Sequence[NDArray[np.float64]]) -> dict[str, str]:
 
 
 def column(values: ArrayLike, code: str) -> str:
-    """Numbers in base64, as a numpy type code has them."""
+    """Return numbers in base64, with the numpy type of a code."""
     return base64.b64encode(np.asarray(values).astype(code).tobytes()).decode()

@@ -1,4 +1,4 @@
-"""A page on the loopback, for whoever sits at this machine."""
+"""A web server for an incident page, on the loopback alone."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ HOST: Final = "127.0.0.1"
 
 
 class _Handler(SimpleHTTPRequestHandler):
-    """Gives out the files of a folder, and nothing else."""
+    """Serves the files of a folder."""
 
     extensions_map = {  # noqa: RUF012 (as the class above has it)
         "": "application/octet-stream",
@@ -31,7 +31,7 @@ class _Handler(SimpleHTTPRequestHandler):
 
     def send_head(self) -> Any:
         if self.headers.get("Host", "").rpartition(":")[0] not in (HOST, "localhost"):
-            return self.send_error(HTTPStatus.FORBIDDEN)  # a page from elsewhere, whose name leads here
+            return self.send_error(HTTPStatus.FORBIDDEN)  # a name of another site that resolves to the loopback
         if not self._is_inside():
             return self.send_error(HTTPStatus.NOT_FOUND)
         return super().send_head()
@@ -52,15 +52,15 @@ class _Handler(SimpleHTTPRequestHandler):
         super().end_headers()
 
     def log_message(self, format: str, *args: Any) -> None:
-        """Nobody reads along."""
+        """Log nothing."""
 
 
 def page_server(folder: Path | str, port: int = 0) -> ThreadingHTTPServer:
-    """A server for a folder, on the loopback alone; its `serve_forever` serves.
+    """Return a server for a folder, on the loopback alone; it serves in `serve_forever`.
 
     Args:
         folder: The folder of a page.
-        port: The port; 0: any that is free.
+        port: The port; 0: any free port.
 
     Raises:
         RecapError: The folder has no page, or the port is taken.
@@ -78,8 +78,8 @@ def serve(folder: Path | str, port: int = 0, *, ready: Callable[[str], object] =
 
     Args:
         folder: The folder of a page.
-        port: The port; 0: any that is free.
-        ready: Is given the address, once it answers.
+        port: The port; 0: any free port.
+        ready: Gets the address as soon as the server accepts connections.
 
     Raises:
         RecapError: See `page_server`.

@@ -8,17 +8,17 @@ import numpy as np
 import pytest
 
 from carla_recap import open_recording
-from carla_recap.export.report.tracks import BLOCK, Sampler
+from carla_recap.export.report.samples import BLOCK, Sampler
 from carla_recap.replay import Player, right_handed
 from tests.export.report.conftest import CROSSING, record, spawn
 
 if TYPE_CHECKING:
     from pathlib import Path
 
-    from carla_recap.export.report.tracks import Tracks
+    from carla_recap.export.report.samples import SampledReplay
 
 
-def sampled(path: Path, rate: float = 20.0) -> Tracks:
+def sampled(path: Path, rate: float = 20.0) -> SampledReplay:
     with open_recording(path) as recording:
         sampler = Sampler(rate)
         for scene in Player(recording).scenes():
@@ -27,12 +27,12 @@ def sampled(path: Path, rate: float = 20.0) -> Tracks:
 
 
 def test_poses_are_those_of_the_recording() -> None:
-    tracks = sampled(CROSSING)
+    replay = sampled(CROSSING)
     with open_recording(CROSSING) as recording:
         player = Player(recording)
         for time in (0.0, 8.3, 20.9, 24.6, 40.0, 53.0):
-            scene, poses = player.at(time), tracks.poses(time)
-            found = {tracks.lives[life].id: pose for life, pose in poses.items()}
+            scene, poses = player.at(time), replay.poses(time)
+            found = {replay.actors[actor].id: pose for actor, pose in poses.items()}
             for id, pose in zip(scene.ids.tolist(), right_handed(scene.poses), strict=True):
                 assert found[id][:2] == pytest.approx(pose[:2], abs=0.011), (time, id)
                 assert abs((found[id][2] - pose[5] + 180) % 360 - 180) < 0.21
@@ -41,49 +41,49 @@ def test_poses_are_those_of_the_recording() -> None:
 def test_who_stands_still_is_held_once_and_who_moves_in_one_piece(tmp_path: Path) -> None:
     frames = [{"transforms": [(1, n, 0, 0, 0, 0, 0), (2, 100, 200, 0, 0, 0, 90)]} for n in range(3 * BLOCK)]
     frames[0]["spawned"] = [spawn(1), spawn(2)]
-    tracks = sampled(record(tmp_path / "a.mcap", frames))
-    assert [(track.first, track.last, len(track.rows)) for track in tracks.tracks] == [
+    replay = sampled(record(tmp_path / "a.mcap", frames))
+    assert [(track.first, track.last, len(track.rows)) for track in replay.tracks] == [
         (0, 3 * BLOCK - 1, 3 * BLOCK),
         (0, 3 * BLOCK - 1, 1),
     ]
-    assert tracks.tracks[1].rows.tolist() == [[1, -2, -90]]
-    assert tracks.tracks[0].rows[:, 0] == pytest.approx(np.arange(3 * BLOCK) / 100, abs=1e-5)
+    assert replay.tracks[1].rows.tolist() == [[1, -2, -90]]
+    assert replay.tracks[0].rows[:, 0] == pytest.approx(np.arange(3 * BLOCK) / 100, abs=1e-5)
 
 
 def test_a_jump_a_gap_and_no_number_end_a_track(tmp_path: Path) -> None:
     xs = [0, 10, 20, 90_000, 90_010, float("nan"), 90_020, 90_030, None, 90_040, float("inf"), 3e38]
     frames = [{"transforms": [] if x is None else [(1, x, 0, 0, 0, 0, 0)]} for x in xs]
-    tracks = sampled(record(tmp_path / "a.log", frames))
-    assert [(track.first, track.last) for track in tracks.tracks] == [(0, 2), (3, 4), (6, 7), (9, 9)]
+    replay = sampled(record(tmp_path / "a.log", frames))
+    assert [(track.first, track.last) for track in replay.tracks] == [(0, 2), (3, 4), (6, 7), (9, 9)]
 
 
 def test_an_id_that_is_given_out_again_is_another_actor(tmp_path: Path) -> None:
     there = {"transforms": [(7, 0, 0, 0, 0, 0, 0)]}
     frames = [there | {"spawned": [spawn(7)]}, there, {"destroyed": [7]}, there | {"spawned": [spawn(7, "walker.a")]}, there]
-    tracks = sampled(record(tmp_path / "a.log", frames))
-    assert [(life.id, life.until, life.actor.type_id if life.actor else None) for life in tracks.lives] == [
+    replay = sampled(record(tmp_path / "a.log", frames))
+    assert [(actor.id, actor.until, actor.details.type_id if actor.details else None) for actor in replay.actors] == [
         (7, 0.1, "vehicle.audi.tt"),
         (7, None, "walker.a"),
     ]
-    assert [(track.life, track.first, track.last) for track in tracks.tracks] == [(0, 0, 1), (1, 3, 4)]
+    assert [(track.actor, track.first, track.last) for track in replay.tracks] == [(0, 0, 1), (1, 3, 4)]
 
 
 def test_no_more_samples_than_asked_for() -> None:
-    tracks = sampled(CROSSING, rate=2.0)
-    assert len(tracks.times) == pytest.approx(53 * 2, abs=2)
-    assert np.diff(tracks.times).min() > 0.49
+    replay = sampled(CROSSING, rate=2.0)
+    assert len(replay.times) == pytest.approx(53 * 2, abs=2)
+    assert np.diff(replay.times).min() > 0.49
 
 
 def test_who_comes_between_two_samples_is_met_at_the_next(tmp_path: Path) -> None:
     frames = [{}, {"spawned": [spawn(7, "static.prop")]}, {}, {"destroyed": [7], "spawned": [spawn(8)]}, {}, {}, {}]
-    tracks = sampled(record(tmp_path / "a.log", frames), rate=10)
-    assert [(tracks.lives[track.life].id, track.first, track.last) for track in tracks.tracks] == [(7, 1, 1), (8, 2, 3)]
+    replay = sampled(record(tmp_path / "a.log", frames), rate=10)
+    assert [(replay.actors[track.actor].id, track.first, track.last) for track in replay.tracks] == [(7, 1, 1), (8, 2, 3)]
 
 
 def test_each_change_of_a_light_is_told_once() -> None:
-    tracks = sampled(CROSSING)
-    lamp = next(place for place, life in enumerate(tracks.lives) if life.id == 20)
-    assert [(round(time), state) for life, time, state in tracks.lights if life == lamp] == [
+    replay = sampled(CROSSING)
+    lamp = next(index for index, actor in enumerate(replay.actors) if actor.id == 20)
+    assert [(round(time), state) for actor, time, state in replay.lights if actor == lamp] == [
         (0, 0),
         (2, 2),
         (12, 1),
@@ -92,4 +92,4 @@ def test_each_change_of_a_light_is_told_once() -> None:
         (42, 1),
         (45, 0),
     ]
-    assert tracks.light_states(13)[lamp] == 1
+    assert replay.light_states(13)[lamp] == 1

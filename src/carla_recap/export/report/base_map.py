@@ -1,4 +1,4 @@
-"""What the scene stands on: the roads of a map, or where there is none, the ways that vehicles drove."""
+"""The base map of the incident page: the roads of a map, or without a map, the paths of vehicles."""
 
 from __future__ import annotations
 
@@ -14,23 +14,23 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    from carla_recap.export.report.tracks import Tracks
+    from carla_recap.export.report.samples import SampledReplay
     from carla_recap.maps import RoadMap
 
     Floats = NDArray[np.float64]
 
 ROAD_WIDTH: Final = 3.7  # m
-WAY_WIDTH: Final = 2.6
-STEP: Final = 1.0  # m between points of a way
-CELL: Final = 1.5  # m; where a way was drawn already, it is not drawn again
-MOST: Final = 100_000  # points of ways
+PATH_WIDTH: Final = 2.6  # m
+STEP: Final = 1.0  # m between points of a path
+CELL: Final = 1.5  # m of a square in which one path is drawn
+MOST: Final = 100_000  # points of paths
 
 
 class Lines:
-    """Lines that are looked up by place.
+    """Lines with a spatial index.
 
     Args:
-        lines: Rows of x, y; none of them is empty.
+        lines: Rows of x, y; no line is empty.
     """
 
     def __init__(self, lines: Iterable[Floats] = ()) -> None:
@@ -39,20 +39,20 @@ class Lines:
         self._high = np.array([line.max(axis=0) for line in self.lines]).reshape(-1, 2)
 
     def within(self, low: Floats, high: Floats) -> list[Floats]:
-        """The lines that may be seen in a rectangle, given by two corners."""
+        """Return the lines that may be visible in a rectangle, given by two corners."""
         near = ((self._low <= high) & (self._high >= low)).all(axis=1)
-        return [self.lines[place] for place in np.flatnonzero(near).tolist()]
+        return [self.lines[index] for index in np.flatnonzero(near).tolist()]
 
 
 @dataclass(frozen=True)
-class Ground:
-    """Lines to draw below the actors: x, y in m, right-handed.
+class BaseMap:
+    """The lines to draw below the actors: x, y in m, right-handed.
 
     Attributes:
-        width: How broad lanes are, in m.
-        lanes: Their middles.
+        width: The width of the lanes, in m.
+        lanes: The centre lines of lanes.
         junctions, crossings: Outlines.
-        borders, stops: Thin lines, and stop lines.
+        borders, stops: The borders of lanes, and stop lines.
     """
 
     width: float
@@ -63,11 +63,11 @@ class Ground:
     stops: Lines = field(default_factory=Lines)
 
 
-def ground(road_map: RoadMap | None, tracks: Tracks) -> Ground:
-    """The roads of a map, or without one, what vehicles drove on."""
+def base_map(road_map: RoadMap | None, replay: SampledReplay) -> BaseMap:
+    """Return the roads of a map, or without one, the paths of vehicles."""
     if road_map is None:
-        return Ground(WAY_WIDTH, Lines(_worn(tracks)))
-    return Ground(
+        return BaseMap(PATH_WIDTH, Lines(_driven(replay)))
+    return BaseMap(
         ROAD_WIDTH,
         Lines(_flat(road_map.centre_lines)),
         Lines(_flat(road_map.junctions)),
@@ -83,20 +83,20 @@ def _flat(lines: Iterable[Floats]) -> Iterator[Floats]:
             yield line[:, :2]
 
 
-def _worn(tracks: Tracks) -> Iterator[Floats]:
-    """The ways of all vehicles, each place once."""
-    vehicles = {place for place, life in enumerate(tracks.lives) if life.actor and life.actor.kind == ActorKind.VEHICLE}
-    ways = [thinned(track.rows[:, :2], STEP) for track in tracks.tracks if track.life in vehicles and not track.is_still]
-    if not ways:
+def _driven(replay: SampledReplay) -> Iterator[Floats]:
+    """Yield the paths of all vehicles, without those parts where one is drawn already."""
+    vehicles = {i for i, actor in enumerate(replay.actors) if actor.details and actor.details.kind == ActorKind.VEHICLE}
+    paths = [thinned(track.rows[:, :2], STEP) for track in replay.tracks if track.actor in vehicles and not track.is_still]
+    if not paths:
         return
-    points = np.concatenate(ways)
+    points = np.concatenate(paths)
     cells = np.rint(points / CELL).astype(np.int64)
     _, firsts = np.unique(cells, axis=0, return_index=True)
     fresh = np.zeros(len(points), np.bool_)
     fresh[firsts] = True
     left = MOST
-    for way, new in zip(ways, np.split(fresh, np.cumsum([len(way) for way in ways])[:-1]), strict=True):
-        for run in runs(way, new):
+    for path, new in zip(paths, np.split(fresh, np.cumsum([len(path) for path in paths])[:-1]), strict=True):
+        for run in runs(path, new):
             if left <= 0:
                 return
             left -= len(run)
@@ -104,7 +104,7 @@ def _worn(tracks: Tracks) -> Iterator[Floats]:
 
 
 def thinned(line: Floats, step: float) -> Floats:
-    """A line with a point for each step of its length, in m, and its last one."""
+    """Return a line with a point for each step of its length, in m, and its last point."""
     far = np.cumsum(np.hypot(*np.diff(line, axis=0, prepend=line[:1]).T)) // step
     kept = np.flatnonzero(np.diff(far, prepend=-1.0) > 0)
     thin: Floats = line[np.union1d(kept, [len(line) - 1])]
@@ -112,7 +112,7 @@ def thinned(line: Floats, step: float) -> Floats:
 
 
 def runs(line: Floats, wanted: NDArray[np.bool_]) -> Iterator[Floats]:
-    """The parts of a line that hold the wanted points, and the points next to these."""
+    """Yield the parts of a line that contain the wanted points, with the points next to these."""
     near = wanted.copy()
     near[1:] |= wanted[:-1]
     near[:-1] |= wanted[1:]
