@@ -17,7 +17,7 @@ from carla_recap.capture.recording import header_of, live_frames
 from carla_recap.editing.convert import check_free
 from carla_recap.errors import RecapError
 from carla_recap.export.rerun import LiveView, View, live_blueprint, piped, sent
-from carla_recap.export.viewer import GRPC_PORT, ViewerProcess, has_display
+from carla_recap.export.viewer import GRPC_PORT, RerunViewer, has_display
 from carla_recap.export.viewer import HOST as LOOPBACK
 from carla_recap.maps import RoadMap, load_map
 from carla_recap.replay.follow import HERO, Follow
@@ -99,7 +99,7 @@ def check_target(to: Path | str | None, *, force: bool) -> None:
     if to is None:
         if not has_display():
             raise RecapError("there is no display for the Rerun viewer; an .rrd can be written instead")
-        ViewerProcess()
+        RerunViewer()
     elif not str(to).startswith(_ADDRESS):
         if Path(to).suffix.lower() != _SUFFIX:
             raise RecapError(f"{to}: an .rrd, or the address of a viewer, {_ADDRESS}://..., was expected")
@@ -111,7 +111,7 @@ def _opened(to: Path | str | None, arrangement: rrb.Blueprint) -> Iterator[tuple
     """Open the destination; yield its stream, and a function that returns whether it is still open."""
     with ExitStack() as stack:
         if to is None:
-            process = stack.enter_context(ViewerProcess())
+            process = stack.enter_context(RerunViewer())
             address = f"rerun+http://{LOOPBACK}:{process.port(GRPC_PORT)}/proxy"
             yield stack.enter_context(sent(arrangement, address)), lambda: process.is_running
         elif str(to).startswith(_ADDRESS):

@@ -13,7 +13,7 @@ import numpy as np
 from carla_recap.editing.convert import check_destination
 from carla_recap.errors import RecapError
 from carla_recap.export.rerun import Rrd, View, camera_views, write
-from carla_recap.export.viewer import GRPC_PORT, HOST, ViewerProcess
+from carla_recap.export.viewer import GRPC_PORT, HOST, RerunViewer
 from carla_recap.recording import Recording
 from carla_recap.replay import Player
 from carla_recap.util.files import WholeFile
@@ -70,7 +70,7 @@ class ScreenshotTaker:
 
         width, height = (side + around * self._only_view for side, around in zip(self._size, _AROUND, strict=True))
         with ExitStack() as stack:
-            process = ViewerProcess("--headless", "--window-size", f"{width}x{height}", self._recording)
+            process = RerunViewer("--headless", "--window-size", f"{width}x{height}", self._recording)
             self._process = stack.enter_context(process)
             self._client = ViewerClient.connect(f"rerun+http://{HOST}:{process.port(GRPC_PORT)}/proxy")
             state = process.wait_for("recording", self._loaded)

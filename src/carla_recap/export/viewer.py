@@ -45,7 +45,7 @@ _PAUSE: Final = 0.02  # s between checks
 _GRACE: Final = 5.0  # s to end by itself
 
 
-class ViewerProcess:
+class RerunViewer:
     """Rerun's viewer as a child process, which runs during a `with` block.
 
     It sends no usage data, and listens on the loopback alone, at a free port.
@@ -232,12 +232,12 @@ def view(
 
 
 def _open(path: Path) -> None:
-    with ViewerProcess(path, quiet=False) as process:
+    with RerunViewer(path, quiet=False) as process:
         process.wait()
 
 
 def _serve(path: Path, ready: Callable[[str], object]) -> None:
-    with ViewerProcess("--serve-web", "--web-viewer-port", "0", path) as process:
+    with RerunViewer("--serve-web", "--web-viewer-port", "0", path) as process:
         data = urlencode({"url": f"rerun+http://{HOST}:{process.port(GRPC_PORT)}/proxy", "theme": "dark"})
         ready(f"http://{HOST}:{process.port(WEB_PORT)}/?{data}")
         process.wait()

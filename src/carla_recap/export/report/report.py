@@ -161,10 +161,10 @@ def _add_viewer(recording: Recording, folder: Path, road_map: RoadMap | None) ->
 
 def _copy_viewer(folder: Path) -> None:
     """Copy the web viewer from Rerun's own server."""
-    from carla_recap.export.viewer import HOST, WEB_PORT, ViewerProcess
+    from carla_recap.export.viewer import HOST, WEB_PORT, RerunViewer
 
     opener = build_opener(ProxyHandler({}))
-    with ViewerProcess("--serve-web", "--web-viewer-port", "0") as process:
+    with RerunViewer("--serve-web", "--web-viewer-port", "0") as process:
         port = process.port(WEB_PORT)
         try:
             for name in VIEWER_FILES:
