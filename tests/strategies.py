@@ -10,7 +10,8 @@ from hypothesis import strategies as st
 
 from carla_recap.formats.carla_log import pack_header
 from carla_recap.model.frame import Frame, Header, Packet
-from carla_recap.model.records import UE4, UE5, Framing
+from carla_recap.model.layout import Framing
+from carla_recap.model.records import UE4, UE5
 from tests.samples import listed, text
 
 if TYPE_CHECKING:

@@ -16,7 +16,8 @@ import pytest
 
 import carla_recap
 from carla_recap import MissingExtra
-from carla_recap.model.records import UE4, Framing, Group, Layout, Many
+from carla_recap.model.layout import Framing, Layout, Many
+from carla_recap.model.records import UE4, Group
 
 if TYPE_CHECKING:
     from collections.abc import Iterator

@@ -10,18 +10,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from carla_recap import RecordError
-from carla_recap.model.layout import MAX_COUNT, PayloadError, check, pack, unpack
-from carla_recap.model.records import (
-    UE4,
-    UE5,
-    Attribute,
-    Bone,
-    Bones,
-    Framing,
-    Physics,
-    Spawn,
-    WheelSet,
-)
+from carla_recap.model.layout import MAX_COUNT, Framing, PayloadError, check, pack, unpack
+from carla_recap.model.records import UE4, UE5, Attribute, Bone, Bones, Physics, Spawn, WheelSet
 from tests import strategies
 from tests.samples import bone, listed, packet_payloads, plain, spawn, text, transform
 
@@ -52,7 +42,7 @@ def test_any_bytes_are_records_or_an_error(type, data):
     try:
         records, extra = unpack(type, data)
     except PayloadError as error:
-        assert 0 <= error.at <= len(data)  # noqa: PT017
+        assert 0 <= error.offset <= len(data)  # noqa: PT017
         with pytest.raises(PayloadError):
             check(type, data)
     else:

@@ -6,16 +6,8 @@ import numpy as np
 import pytest
 
 from carla_recap import RecordError
-from carla_recap.model.records import (
-    ORDER,
-    UE4,
-    UE5,
-    ActorKind,
-    Attribute,
-    Framing,
-    Group,
-    Spawn,
-)
+from carla_recap.model.layout import Framing
+from carla_recap.model.records import ORDER, UE4, UE5, ActorKind, Attribute, Group, Spawn
 
 # Packet id → bytes of a record in UE4 and in UE5 builds, as CARLA's format has them.
 SIZES = {

@@ -15,7 +15,8 @@ from hypothesis import strategies as st
 from carla_recap import FormatError, RecapError, RecapWarning, RecordError, create_recording, open_recording
 from carla_recap.model.batch import Batch
 from carla_recap.model.frame import Frame, Header, Packet
-from carla_recap.model.records import CM, UE4, UE5, Bone, Bones, Many, Physics
+from carla_recap.model.layout import Many
+from carla_recap.model.records import CM, UE4, UE5, Bone, Bones, Physics
 from carla_recap.util.text import readable
 from tests import strategies
 from tests.samples import (

@@ -13,7 +13,8 @@ if TYPE_CHECKING:
     import carla
     from numpy.typing import NDArray
 
-    from carla_recap.model.records import Layout, RecordType
+    from carla_recap.model.layout import Layout
+    from carla_recap.model.records import RecordType
 
     Row = tuple[float, ...]
     Pose = tuple[float, float, float, float, float, float]

@@ -21,7 +21,8 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from carla_recap.formats.base import Reader
-    from carla_recap.model.records import Physics, Records, RecordType, Spawn
+    from carla_recap.model.layout import Records
+    from carla_recap.model.records import Physics, RecordType, Spawn
 
 _POSE: Final = ("x", "y", "z", "roll", "pitch", "yaw")
 _LATEST: Final = ("bounding_boxes", "trigger_volumes", "light_times", "physics")  # of each actor the latest one holds

@@ -24,8 +24,8 @@ from carla_recap.formats.base import PIECE
 from carla_recap.formats.log_scan import PACKET, START, START_HEAD, Scanner, Window, is_sound
 from carla_recap.model.batch import Batch, ConstantColumn, PackedColumn, within
 from carla_recap.model.frame import SAME_TIME, Extent, Frame, Header, Packet
-from carla_recap.model.layout import EMPTY_LIST, OBJECTS_LIMIT, U16, Buffer
-from carla_recap.model.records import FRAME_START, UE4, UE5, Framing, RecordType
+from carla_recap.model.layout import EMPTY_LIST, OBJECTS_LIMIT, U16, Buffer, Framing
+from carla_recap.model.records import FRAME_START, UE4, UE5, RecordType
 from carla_recap.util.files import AtomicFile
 
 if TYPE_CHECKING:

@@ -14,8 +14,8 @@ import numpy as np
 
 from carla_recap.errors import FormatError, RecapError
 from carla_recap.model.batch import equal_rows
-from carla_recap.model.layout import U16, PayloadError, check
-from carla_recap.model.records import FRAME_END, FRAME_START, Framing
+from carla_recap.model.layout import U16, Framing, PayloadError, check
+from carla_recap.model.records import FRAME_END, FRAME_START
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence

@@ -8,8 +8,8 @@ import numpy as np
 
 from carla_recap.errors import RecordError
 from carla_recap.model.frame import Frame, Packet
-from carla_recap.model.layout import U16, Buffer
-from carla_recap.model.records import UE4, Framing
+from carla_recap.model.layout import U16, Buffer, Framing
+from carla_recap.model.records import UE4
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator, Sequence

@@ -9,8 +9,8 @@ from typing import TYPE_CHECKING, Any, Final, Literal, overload
 import numpy as np
 
 from carla_recap.errors import FormatError, RecapWarning
-from carla_recap.model.layout import Buffer, PayloadError, pack, unpack
-from carla_recap.model.records import FRAME_END, ORDER, UE4, UE5, Bones, Physics, Records, RecordType, Spawn, Table, WheelSet
+from carla_recap.model.layout import Buffer, PayloadError, Records, pack, unpack
+from carla_recap.model.records import FRAME_END, ORDER, UE4, UE5, Bones, Physics, RecordType, Spawn, Table, WheelSet
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -118,7 +118,7 @@ class Packet:
     def error(self, error: PayloadError) -> FormatError:
         """A fault of the payload, with the place where it lies."""
         path, at = self._place or ("a packet", None)
-        return FormatError(path, None if at is None else at + error.at, str(error))
+        return FormatError(path, None if at is None else at + error.offset, str(error))
 
     def warn_of(self, extra: int) -> None:
         """Warn of bytes behind the records."""

@@ -12,17 +12,15 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from enum import Enum, IntEnum
-from typing import Any, Final
+from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
-from numpy.typing import NDArray
 
 from carla_recap.errors import RecordError
+from carla_recap.model.layout import FLAG, REAL, TEXT, Framing, Layout, Many, Records
 
-# Field kinds. A kind is a numpy type code, or one of these:
-REAL: Final = "real"  # a length, angle or speed: float32 in UE4 builds (0.9), float64 in UE5 builds (0.10)
-FLAG: Final = "flag"  # a byte that should be 0 or 1
-TEXT: Final = "text"  # u16 byte count, then UTF-8; invalid bytes become lone surrogates (PEP 383), so nothing is lost
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
 
 CM: Final = 0.01  # m
 
@@ -49,14 +47,6 @@ class Group(Enum):
     EVENTS = "events"  # when something happens
 
     __hash__ = object.__hash__  # each member is one of its kind, and Enum's own takes ten times as long
-
-
-class Framing(Enum):
-    """How the records of a packet are counted."""
-
-    MARKER = "marker"  # no payload
-    SINGLE = "single"  # one record, no count
-    LIST = "list"  # u16 count, then the records
 
 
 @dataclass(slots=True)
@@ -160,44 +150,6 @@ class WheelSet:
 
     id: int
     wheels: NDArray[np.void]
-
-
-@dataclass(frozen=True)
-class Many:
-    """A counted array inside a record.
-
-    `layouts` are alternatives, the first with all fields: the one that consumes the packet to its last byte is taken.
-    """
-
-    count: str
-    layouts: tuple[Layout, ...]
-
-
-@dataclass(frozen=True)
-class Layout:
-    """The fields of a record, in CARLA's order; packed, little-endian. Field k has protobuf field number k.
-
-    Args:
-        fields: Name → kind, or `Many`.
-        make: The class of a record whose size varies; None where the size is fixed, and records are array rows.
-    """
-
-    fields: dict[str, str | Many]
-    make: type | None = None
-
-    def dtype(self, wide: bool) -> np.dtype[np.void]:
-        """The numpy type of a fixed-size record. `wide`: REAL is float64."""
-        real = "f8" if wide else "f4"
-        codes = {REAL: real, FLAG: "u1"}
-        return np.dtype([(name, "<" + codes.get(str(kind), str(kind))) for name, kind in self.fields.items()])
-
-    @property
-    def has_reals(self) -> bool:
-        """Whether UE4 and UE5 builds write this record differently."""
-        return any(
-            kind == REAL or (isinstance(kind, Many) and any(layout.has_reals for layout in kind.layouts))
-            for kind in self.fields.values()
-        )
 
 
 def _fixed(**fields: str) -> Layout:
@@ -395,10 +347,6 @@ class RecordType:
             if records[name].dtype.kind in "iu" and (records[name] != array).any():
                 raise ValueError(f"{name} must be whole numbers within {records[name].dtype}")
         return records
-
-
-Records = NDArray[np.void] | list[Any]
-"""The records of one type: a structured array, or a list of objects where the size varies."""
 
 
 _CONTROL = _fixed(id="u4", steer="f4", throttle="f4", brake="f4", hand_brake=FLAG, gear="i4")

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
-from carla_recap.model.records import FLAG, Framing, Layout, Many, Records
+from carla_recap.model.layout import FLAG, Framing, Layout, Many, Records
 from carla_recap.tables.records import plain_record
 
 if TYPE_CHECKING:

@@ -10,7 +10,7 @@ import numpy as np
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-    from carla_recap.model.records import Records
+    from carla_recap.model.layout import Records
 
 Ids = np.ndarray[tuple[int], np.dtype[np.uint32]]
 NO_IDS: Final = np.zeros(0, np.uint32)

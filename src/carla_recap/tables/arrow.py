@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any, Final, Literal, NamedTuple, Self, Union, 
 import numpy as np
 
 from carla_recap.errors import MissingExtra, RecapError
-from carla_recap.model.records import FLAG, REAL, TEXT, Layout, Many
+from carla_recap.model.layout import FLAG, REAL, TEXT, Layout, Many
 from carla_recap.tables.variable import Lists
 
 if TYPE_CHECKING:

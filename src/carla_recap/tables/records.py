@@ -6,8 +6,8 @@ from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
-from carla_recap.model.layout import EMPTY_LIST
-from carla_recap.model.records import FLAG, FRAME_START, TEXT, Layout, Many
+from carla_recap.model.layout import EMPTY_LIST, FLAG, TEXT, Layout, Many
+from carla_recap.model.records import FRAME_START
 from carla_recap.tables import Tabular
 from carla_recap.tables.arrow import nested_types
 from carla_recap.tables.variable import Fields, Lists, joined, record_fields

@@ -10,8 +10,7 @@ import numpy as np
 from numpy.lib.stride_tricks import as_strided
 
 from carla_recap.model.batch import equal_rows
-from carla_recap.model.layout import U16
-from carla_recap.model.records import TEXT, Layout, Many
+from carla_recap.model.layout import TEXT, U16, Layout, Many
 from carla_recap.util.text import readable
 
 if TYPE_CHECKING:

@@ -16,7 +16,7 @@ from mcap_protobuf.decoder import DecoderFactory
 
 from carla_recap import convert
 from carla_recap.model.frame import Header
-from carla_recap.model.records import Framing
+from carla_recap.model.layout import Framing
 from tests.samples import carla_log, drive, plain, reading, save, small_log, warnings_ignored, write
 
 NODE = Path(__file__).parents[2] / "node"

@@ -1,45 +1,58 @@
-"""A chunk while it is being filled."""
+"""Chunks while they are filled: messages one by one, or those of many frames that are alike, as rows of an array."""
 
 from __future__ import annotations
 
 from array import array
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Final
 
 import numpy as np
 from mcap.opcode import Opcode
 
-from carla_recap.formats.mcap import wire
-from carla_recap.formats.mcap.schema import MESSAGE, MESSAGE_FIELDS, RECORD
+from carla_recap.errors import FormatError
+from carla_recap.formats.mcap import messages
+from carla_recap.formats.mcap.fixed import fixed_codec
+from carla_recap.formats.mcap.schema import EMPTY, FILLED, MESSAGE, MESSAGE_DTYPE, MESSAGE_FIELDS, RECORD
+from carla_recap.formats.mcap.variable import encode, encode_many, encode_rows
+from carla_recap.model.batch import ConstantColumn
+from carla_recap.model.layout import EMPTY_LIST, OBJECTS_LIMIT, Framing, PayloadError
+from carla_recap.model.records import FRAME_START, Group
 
 if TYPE_CHECKING:
+    from collections.abc import Iterable, Mapping
+
     from numpy.typing import NDArray
 
+    from carla_recap.model.batch import Batch, Column
     from carla_recap.model.layout import Buffer
     from carla_recap.model.records import RecordType
 
+_HEADER: Final = np.dtype([*MESSAGE_DTYPE.descr, *messages.HEAD_DTYPE.descr])  # of each message: `MESSAGE`, `messages.HEAD`
+_DURATION: Final = _HEADER.itemsize + 1  # the offset of the duration in a frame's own message
 
-class Chunk:
-    """A chunk being filled: messages, some with bodies that are encoded together later, and such as are encoded already.
+
+class ChunkBuilder:
+    """A chunk being filled.
 
     Attributes:
         size: About how many bytes it will have.
-        start, end: First and last log time.
+        start: First log time in ns.
+        end: Last log time in ns.
     """
 
     def __init__(self) -> None:
         self.size = 0
         self.start = self.end = 0
-        # Channel, sequence, log and publish time, head and body of each; and those whose bodies are to come, by type: their
-        # places, and their payloads.
+        # Channel, sequence, log and publish time, head and body of each message that is to be encoded; and by type the
+        # indexes of those whose bodies are encoded together, with their payloads.
         self._messages: list[tuple[int, int, int, int, bytes, bytes]] = []
         self._waiting: dict[RecordType, tuple[list[int], list[Buffer]]] = {}
         self._parts: list[Buffer] = []
         self._index: dict[int, array[int]] = {}
-        self._at = 0
+        self._end = 0  # of the parts, in bytes
 
     @property
     def is_empty(self) -> bool:
-        """Whether there is nothing in it."""
+        """Whether nothing was added so far."""
         return not self._messages and not self._parts
 
     def add(self, channel: int, sequence: int, times: tuple[int, int], head: bytes, body: bytes) -> None:
@@ -50,50 +63,177 @@ class Chunk:
         self.size += MESSAGE.size + len(head) + len(body)
         self._messages.append((channel, sequence, *times, head, body))
 
-    def wait_for(self, type: RecordType, payload: Buffer, size: int) -> None:
-        """Let the body of the latest message, of some size, come with its like."""
+    def encode_later(self, type: RecordType, payload: Buffer, size: int) -> None:
+        """Give the latest message a body of a known size, which is encoded together with others of its type."""
         waiting = self._waiting.get(type)
         if waiting is None:
             waiting = self._waiting[type] = ([], [])
-        places, payloads = waiting
-        places.append(len(self._messages) - 1)
-        payloads.append(payload)
+        waiting[0].append(len(self._messages) - 1)
+        waiting[1].append(payload)
         self.size += size
 
-    def add_rows(self, data: bytes, index: dict[int, NDArray[np.uint64]], start: int, end: int) -> None:
-        """Add messages that are encoded already; see `RowForm.rows`."""
-        if self.is_empty:
-            self.start = start
-        self.end = end
-        self._encode()
-        for channel, entries in index.items():
-            entries[:, 1] += np.uint64(self._at)
-            self._index.setdefault(channel, array("Q")).frombytes(entries.tobytes())
-        self._parts.append(data)
-        self._at += len(data)
-        self.size += len(data)
+    def add_rows(
+        self, rows: NDArray[np.uint8], offsets: Iterable[tuple[int, int]], sequence: int, times: NDArray[np.uint64]
+    ) -> None:
+        """Add the messages of frames that are alike; see `FrameTemplate`.
 
-    def seal(self) -> tuple[bytes, dict[int, array[int]]]:
-        """The records, and by channel the log time and offset of each message."""
+        Args:
+            rows: The messages of each frame, (frames, bytes), which are given their sequence numbers and times.
+            offsets: Channel and offset of each message of a frame.
+            sequence: The sequence number of the first frame.
+            times: Log and publish time of each frame in ns, (frames, 2).
+        """
+        if self.is_empty:
+            self.start = int(times[0, 0])
+        self.end = int(times[-1, 0])
+        self._encode()
+        count, size = rows.shape
+        starts = np.arange(self._end, self._end + count * size, size, dtype=np.uint64)
+        for channel, offset in offsets:
+            headers = _fields(rows, MESSAGE_DTYPE, offset)
+            headers["sequence"] = np.arange(sequence, sequence + count)
+            headers["log_time"], headers["publish_time"] = times.T
+            entries = np.stack((times[:, 0], starts + np.uint64(offset)), axis=1)
+            self._index.setdefault(channel, array("Q")).frombytes(entries.tobytes())
+        self._parts.append(rows.reshape(-1).data)
+        self._end += rows.nbytes
+        self.size += rows.nbytes
+
+    def finish(self) -> tuple[bytes, dict[int, array[int]]]:
+        """Return the records, and by channel the log time and offset of each message."""
         self._encode()
         return b"".join(self._parts), self._index
 
     def _encode(self) -> None:
         """Turn the messages into records."""
         bodies: dict[int, Buffer] = {}
-        for type, (places, payloads) in self._waiting.items():
-            bodies.update(zip(places, wire.encode_many(type, payloads), strict=True))
-        parts, index, at, pack = self._parts, self._index, self._at, MESSAGE.pack
-        for place, (channel, sequence, log_time, publish_time, head, body) in enumerate(self._messages):
-            data = bodies.get(place, body)
+        for type, (indexes, payloads) in self._waiting.items():
+            bodies.update(zip(indexes, encode_many(type, payloads), strict=True))
+        parts, index, end, pack = self._parts, self._index, self._end, MESSAGE.pack
+        for number, (channel, sequence, log_time, publish_time, head, body) in enumerate(self._messages):
+            data = bodies.get(number, body)
             length = MESSAGE_FIELDS + len(head) + len(data)
             entries = index.get(channel)
             if entries is None:
                 entries = index[channel] = array("Q")
             entries.append(log_time)
-            entries.append(at)
+            entries.append(end)
             parts += (pack(Opcode.MESSAGE, length, channel, sequence, log_time, publish_time), head, data)
-            at += RECORD.size + length
-        self._at = at
+            end += RECORD.size + length
+        self._end = end
         self._messages.clear()
         self._waiting.clear()
+
+
+class FrameTemplate:
+    """The messages of frames that differ in nothing but their numbers.
+
+    Args:
+        channels: The channel of each type, by packet id.
+        frame_channel: The channel of the messages of the frames themselves.
+        batch: A batch of such frames; see `has_template`.
+
+    Attributes:
+        key: What batches with the same template have in common.
+        size: The bytes of all messages of a frame.
+        offsets: Channel and offset of each message.
+        additional: Whether some packets are such as CARLA writes only when it records additional data.
+    """
+
+    def __init__(self, channels: Mapping[int, int], frame_channel: int, batch: Batch) -> None:
+        self.key = template_key(batch)
+        self.additional = any(column.type is not None and column.type.additional for column in batch.columns)
+        self.offsets: list[tuple[int, int]] = []
+        bodies: list[tuple[int, bytes]] = []
+        for column in _filled(batch):
+            type = column.type
+            assert type is not None
+            if type.fixed:
+                bodies.append((channels[column.id], fixed_codec(type).blank(column.records.shape[1])))
+            else:
+                bodies.append((channels[column.id], encode(type, column.packet(0).payload)))
+        ids = bytes((FRAME_START, *(column.id for column in batch.columns)))
+        kinds = bytes((FRAME_START, *(EMPTY if _is_empty(column) else FILLED for column in batch.columns)))
+        frame = messages.frame_body(0.0, ids, kinds)
+        template = bytearray()
+        for channel, body in (*bodies, (frame_channel, frame)):
+            self.offsets.append((channel, len(template)))
+            length = MESSAGE_FIELDS + messages.HEAD.size + len(body)
+            template += MESSAGE.pack(Opcode.MESSAGE, length, channel, 0, 0, 0) + messages.head(0, 0.0) + body
+        self.size = len(template)
+        self._template = np.frombuffer(bytes(template), np.uint8)
+
+    def encode(self, batch: Batch) -> NDArray[np.uint8] | None:
+        """Return the messages of a batch, (frames, bytes), without sequence numbers and times.
+
+        None where the messages of the frames have other sizes after all.
+        """
+        rows = np.empty((len(batch), self.size), np.uint8)
+        rows[:] = self._template
+        ends = [offset for _, offset in self.offsets[1:]]
+        for column, (_, offset), end in zip(_filled(batch), self.offsets, ends, strict=False):
+            type = column.type
+            assert type is not None
+            if type.fixed:
+                codec = fixed_codec(type)
+                codec.fill(_fields(rows, codec.wire, offset + _HEADER.itemsize, column.records.shape[1]), column.records)
+                continue
+            bodies = encode_rows(type, column.payloads(len(batch)))
+            if bodies is None or offset + _HEADER.itemsize + bodies.shape[1] != end:
+                return None
+            rows[:, offset + _HEADER.itemsize : end] = bodies
+        for _, offset in self.offsets:
+            headers = _fields(rows, _HEADER, offset)
+            headers["frame"] = batch.id
+            headers["elapsed"] = batch.elapsed
+        _fields(rows, np.dtype([("duration", "<f8")]), offset + _DURATION)["duration"] = batch.duration
+        return rows
+
+
+def has_template(batch: Batch) -> bool:
+    """Return whether the messages of all frames of a batch can be written at once."""
+    ids = [column.id for column in _filled(batch)]
+    if batch.preamble or len(set(ids)) < len(ids):
+        return False
+    return all(map(_is_regular, _filled(batch)))
+
+
+def template_key(batch: Batch) -> tuple[tuple[int, int], ...]:
+    """Return what batches with the same template have in common."""
+    return tuple((column.id, -1 if _is_empty(column) else column.size) for column in batch.columns)
+
+
+def _fields(rows: NDArray[np.uint8], dtype: np.dtype[np.void], offset: int, count: int | None = None) -> NDArray[np.void]:
+    """Return structures at the same offset in all rows: one in each, (rows,), or some in each, (rows, count)."""
+    shape, strides = (len(rows),), (rows.shape[1],)
+    if count is not None:
+        return np.ndarray((*shape, count), dtype, rows, offset, (*strides, dtype.itemsize))
+    return np.ndarray(shape, dtype, rows, offset, strides)
+
+
+def _filled(batch: Batch) -> list[Column]:
+    return [column for column in batch.columns if not _is_empty(column)]
+
+
+def _is_empty(column: Column) -> bool:
+    """Return whether the packets hold no records."""
+    type = column.type
+    if type is None or not isinstance(column, ConstantColumn):
+        return False
+    return column.packet(0).payload == (b"" if type.framing is Framing.MARKER else EMPTY_LIST)
+
+
+def _is_regular(column: Column) -> bool:
+    """Return whether packets are like those that fill a message of state, and give their bytes back."""
+    type = column.type
+    if type is None or type.group is not Group.STATE or type.opaque or not type.topic or column.size > OBJECTS_LIMIT:
+        return False
+    if isinstance(column, ConstantColumn):
+        return False
+    try:
+        if not type.fixed:
+            return encode_rows(type, column.payloads(1)) is not None
+        codec, records = fixed_codec(type), column.records
+        return codec.payload_size(records.shape[1]) == column.size and codec.fits(records)
+    except (PayloadError, FormatError):
+        return False

@@ -28,7 +28,7 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
     from pathlib import Path
 
-    from carla_recap.formats.mcap.chunk import Chunk
+    from carla_recap.formats.mcap.chunk import ChunkBuilder
 
 _COMPRESSION: Final = "zstd"
 _WORKERS: Final = 2
@@ -120,9 +120,9 @@ class ChunkedFile(AtomicFile):
         self._counts[channel] = 0
         self._emit(_packed(declared))
 
-    def _add_chunk(self, chunk: Chunk) -> None:
+    def _add_chunk(self, chunk: ChunkBuilder) -> None:
         """Send a chunk to be compressed; chunks that are ready are written."""
-        data, index = chunk.seal()
+        data, index = chunk.finish()
         self._sealed.append(_Sealed(chunk.start, chunk.end, len(data), index, self._compressed(data)))
         self._write_chunks(0 if self._live else _QUEUE)
 

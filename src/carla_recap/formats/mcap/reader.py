@@ -19,7 +19,8 @@ from mcap import records
 from mcap.opcode import Opcode
 
 from carla_recap.errors import FormatError, NotARecording, RecapWarning
-from carla_recap.formats.mcap import wire
+from carla_recap.formats.mcap import messages
+from carla_recap.formats.mcap.fixed import Payloads, fixed_codec
 from carla_recap.formats.mcap.runs import BrokenRecords, column, message_runs
 from carla_recap.formats.mcap.schema import (
     EMPTY,
@@ -45,10 +46,11 @@ from carla_recap.formats.mcap.schema import (
     unchecked,
 )
 from carla_recap.formats.mcap.source import METADATA_LIMIT, Chunk, Source, Summary, open_chunk, parse_record, read_summary
+from carla_recap.formats.mcap.variable import decode, decode_records
 from carla_recap.model.batch import Batch, ConstantColumn, within
 from carla_recap.model.frame import SAME_TIME, Extent, Frame, Header, Packet
-from carla_recap.model.layout import EMPTY_LIST, Buffer
-from carla_recap.model.records import FRAME_END, FRAME_START, Records, RecordType
+from carla_recap.model.layout import EMPTY_LIST, Buffer, Records
+from carla_recap.model.records import FRAME_END, FRAME_START, RecordType
 from carla_recap.model.stationary import BlockedRow
 
 if TYPE_CHECKING:
@@ -92,16 +94,16 @@ class ChannelMessages:
         self.type = type
         self.path = path
         self.messages: list[memoryview] = []
-        self._payloads: wire.Payloads | None = None
+        self._payloads: Payloads | None = None
         self._decoded = False
 
     @property
-    def payloads(self) -> wire.Payloads | None:
+    def payloads(self) -> Payloads | None:
         """All payloads; None where each message is to be decoded by itself."""
         if not self._decoded:
             self._decoded = True
             if self.type is not None and self.type.fixed:
-                self._payloads = wire.decode_many(self.type, self.messages)
+                self._payloads = fixed_codec(self.type).decode(self.messages)
         return self._payloads
 
 
@@ -121,7 +123,7 @@ class _Plans:
         self._known: dict[bytes, Plan] = {}
 
     def of(self, packets: bytes) -> Plan:
-        """Return the plan for what `wire.frame_packets` wrote."""
+        """Return the plan for what `messages.frame_packets` wrote."""
         plan = self._known.get(packets)
         if plan is None:
             if len(self._known) > _PLANS:
@@ -156,8 +158,8 @@ class MessagePacket(Packet):
                 return payloads.payload(self._index)
             assert self.type
             try:
-                self._payload = wire.decode(self.type, self._batch.messages[self._index])
-            except wire.WireError as error:
+                self._payload = decode(self.type, self._batch.messages[self._index])
+            except messages.WireError as error:
                 raise self._broken(error) from None
         return self._payload
 
@@ -175,13 +177,13 @@ class MessagePacket(Packet):
             assert self.type
             try:
                 if not self.type.fixed:
-                    self._records = wire.decode_records(self.type, self._batch.messages[self._index])
-            except wire.WireError as error:
+                    self._records = decode_records(self.type, self._batch.messages[self._index])
+            except messages.WireError as error:
                 raise self._broken(error) from None
         return super().records
 
-    def _broken(self, error: wire.WireError) -> FormatError:
-        head = wire.read_head(self._batch.messages[self._index])
+    def _broken(self, error: messages.WireError) -> FormatError:
+        head = messages.read_head(self._batch.messages[self._index])
         name = self.type.topic if self.type else ""
         return FormatError(self._batch.path, None, f"{name} of frame {head[0]}: {error}" if head else f"{name}: {error}")
 
@@ -441,7 +443,7 @@ class McapReader:
         """Add the messages of runs to those of their frames, one by one; return how many that were."""
         found: dict[int, ChannelMessages] = {}
         for run in runs:
-            places = [place for place in run.places if place[0] in wanted]
+            places = [place for place in run.slots if place[0] in wanted]
             for row in range(run.count if places else 0):
                 for place in places:
                     channel = place[0]
@@ -483,7 +485,7 @@ class McapReader:
             single: list[MessageRun] = []
             for chunk, data in block:
                 for run in self._runs_in(chunk, data):
-                    messages += run.count * len(run.places)
+                    messages += run.count * len(run.slots)
                     batch = self._alike(run, plans) if plans is not None and run.count > 1 else None
                     if batch is None:
                         single.append(run)
@@ -550,29 +552,29 @@ class McapReader:
             if count:
                 ready.append((run.sequence, batch[:count] if count < run.count else batch))
             if count < run.count:
-                rest.append((run.behind(count), batch[count:]))
+                rest.append((run.after(count), batch[count:]))
         waiting[:] = rest
         return ready
 
     def _alike(self, run: MessageRun, plans: _Plans) -> Batch | None:
         """Return the frames of a run as a batch; None where they have to be put together one by one."""
-        spines = [place for place in run.places if place[0] == self._frame_channel]
-        start = wire.HEAD.size + wire.FRAME_BODY.size
+        spines = [place for place in run.slots if place[0] == self._frame_channel]
+        start = messages.HEAD.size + messages.FRAME_BODY.size
         if len(spines) != 1 or spines[0][2] < start:
             return None
-        frames = run.view(wire.FRAME_HEAD, spines[0][1])[:, 0]
-        if not wire.are_frames(frames):
+        frames = run.view(messages.FRAME_HEAD, spines[0][1])[:, 0]
+        if not messages.have_heads(frames):
             return None
         preamble, plan = plans.of(bytes(run.message(0, spines[0])[start:]))
         if preamble:
             return None
-        of_channel = {place[0]: place for place in run.places}
+        of_channel = {place[0]: place for place in run.slots}
         columns: list[Column] = []
         for step in plan:
             if not isinstance(step, int):
                 columns.append(ConstantColumn(step, run.count))
                 continue
-            if step not in of_channel or step == self._raw_channel or sum(place[0] == step for place in run.places) > 1:
+            if step not in of_channel or step == self._raw_channel or sum(place[0] == step for place in run.slots) > 1:
                 return None
             try:
                 columns.append(column(self._types[step], run, of_channel.pop(step)))
@@ -626,16 +628,16 @@ class McapReader:
             MessagePacket(batch.type, batch, place) for batch, place in gathered if batch.type is not None
         ]
         first = _message(gathered[0])
-        id, elapsed = wire.read_head(first) or self._slow_head(gathered[0][0].channel, first)
+        id, elapsed = messages.read_head(first) or self._slow_head(gathered[0][0].channel, first)
         return Frame(index, id, elapsed, math.nan, packets)
 
     def _read_spine(self, data: memoryview, plans: _Plans) -> tuple[int, float, float, bool, list[Any]]:
         """Return id, elapsed and duration of a `Frame`; whether it is a preamble; and the plan to put it together."""
-        fast = wire.read_frame(data)
+        fast = messages.read_frame(data)
         if fast is None:
             message = self._parse("frame", FRAME_MESSAGE, data)
             id, elapsed, duration = message.frame, message.elapsed, message.duration
-            rest = wire.frame_packets(message.packets, message.filled)
+            rest = messages.frame_packets(message.packets, message.filled)
         else:
             id, elapsed, duration, rest = fast
         return id, elapsed, duration, *plans.of(rest)
@@ -643,8 +645,8 @@ class McapReader:
     def _plan(self, rest: bytes, wanted: set[int], whole: bool) -> tuple[bool, list[Any]]:
         """Whether packets are a preamble; and for each of them that is wanted, itself, or the channel to take it from."""
         try:
-            message = wire.parse("frame", FRAME_MESSAGE, rest)
-        except wire.WireError as error:
+            message = messages.parse("frame", FRAME_MESSAGE, rest)
+        except messages.WireError as error:
             raise FormatError(self.path, None, str(error)) from None
         ids, kinds = message.packets, message.filled
         steps = [self._step(id, kind) for id, kind in zip(ids, kinds, strict=False) if id != FRAME_START]
@@ -680,8 +682,8 @@ class McapReader:
 
     def _parse(self, module: str, name: str, data: memoryview) -> Any:
         try:
-            return wire.parse(module, name, data)
-        except wire.WireError as error:
+            return messages.parse(module, name, data)
+        except messages.WireError as error:
             raise FormatError(self.path, None, str(error)) from None
 
     def _warn_lost(self, frame: int) -> None:

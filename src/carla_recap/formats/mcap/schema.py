@@ -25,6 +25,17 @@ MAGIC: Final = b"\x89MCAP0\r\n"
 RECORD: Final = struct.Struct("<BQ")  # opcode, length
 MESSAGE: Final = struct.Struct("<BQHIQQ")  # opcode, length, channel, sequence, log time, publish time
 MESSAGE_FIELDS: Final = MESSAGE.size - RECORD.size
+MESSAGE_DTYPE: Final = np.dtype(
+    [
+        ("opcode", "u1"),
+        ("length", "<u8"),
+        ("channel", "<u2"),
+        ("sequence", "<u4"),
+        ("log_time", "<u8"),
+        ("publish_time", "<u8"),
+    ]
+)
+"""`MESSAGE` in arrays."""
 CHUNK: Final = struct.Struct("<QQQII")  # start, end, uncompressed size, CRC, length of the compression's name
 CHUNK_INDEX: Final = struct.Struct("<QQQQI")  # start, end, offset, length, bytes of the map of message indexes
 CHUNK_OFFSETS: Final = struct.Struct("<HQ")  # channel, offset of its message index

@@ -8,11 +8,10 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
-from carla_recap.formats.mcap import wire
-from carla_recap.formats.mcap.chunk import Chunk
+from carla_recap.formats.mcap import messages
+from carla_recap.formats.mcap.chunk import ChunkBuilder, FrameTemplate, has_template, template_key
 from carla_recap.formats.mcap.file import ChunkedFile, Topic
-from carla_recap.formats.mcap.rows import RowForm, has_form
-from carla_recap.formats.mcap.rows import key as key_of
+from carla_recap.formats.mcap.fixed import fixed_codec
 from carla_recap.formats.mcap.schema import (
     EMPTY,
     EXTENT_METADATA,
@@ -30,6 +29,7 @@ from carla_recap.formats.mcap.schema import (
     checked,
     header_metadata,
 )
+from carla_recap.formats.mcap.variable import encode
 from carla_recap.model.frame import Extent, Frame, Header, Packet
 from carla_recap.model.layout import EMPTY_LIST, OBJECTS_LIMIT, PayloadError, check
 from carla_recap.model.records import FRAME_END, FRAME_START, Group, RecordType
@@ -77,7 +77,7 @@ class McapWriter(ChunkedFile):
             by_topic[topic] for topic in (FRAME_TOPIC, RAW_TOPIC, TAIL_TOPIC, STRETCHES_TOPIC)
         )
         self._channel_of = {spec.type.id: id for id, spec in enumerate(specs, 1) if spec.type}
-        self._chunks = {group: Chunk() for group in Group}
+        self._chunks = {group: ChunkBuilder() for group in Group}
         self._clock = LogClock(header)
         self._sequence = -1
         self._cut_at = self._cut_at_frame = 0
@@ -88,7 +88,7 @@ class McapWriter(ChunkedFile):
         self._telling = {header.table.named(name).id for name in TYPES}
         self._stretches: list[BlockedRow] = []
         self._stretch_count = 0
-        self._form: RowForm | None = None
+        self._template: FrameTemplate | None = None
         if live:
             for topic in topics:
                 topic.schema()  # takes long once; frames are not to wait for it
@@ -106,11 +106,11 @@ class McapWriter(ChunkedFile):
         self._begin_frame(times[0])
         if not frame.preamble:
             self._extent = Extent(self._extent.frames + 1, frame.id, frame.elapsed)
-        head = wire.head(frame.id, frame.elapsed)
+        head = messages.head(frame.id, frame.elapsed)
         start = b"" if frame.preamble else bytes((FRAME_START,))
         ids = start + bytes([packet.id for packet in frame.packets])
         kinds = start + bytes([self._add(packet, head, times) for packet in frame.packets])
-        spine = wire.frame_body(frame.duration, ids, kinds)
+        spine = messages.frame_body(frame.duration, ids, kinds)
         self._chunks[Group.STATE].add(self._frame_channel, self._sequence, times, head, spine)
         if self._standing:
             telling = [packet for packet in frame.packets if packet.id in self._telling and packet.payload != EMPTY_LIST]
@@ -126,46 +126,43 @@ class McapWriter(ChunkedFile):
             FormatError: A packet contradicts its layout.
         """
         self._check_open()
-        form = self._form_of(batch) if len(batch) > 1 else None
-        messages = form.messages(batch) if form else None
-        times = self._clock.times_of(batch.elapsed) if messages is not None else None
-        if form is None or messages is None or times is None:
+        template = self._template_of(batch) if len(batch) > 1 else None
+        rows = template.encode(batch) if template else None
+        times = self._clock.times_of(batch.elapsed) if rows is not None else None
+        if template is None or rows is None or times is None:
             for frame in batch:
                 self.write(frame)
             return
-        place = 0
-        while place < len(batch):
-            place = self._write_rows(batch, place, form, messages, times)
+        start = 0
+        while start < len(batch):
+            start += self._write_rows(batch[start:], template, rows[start:], times[start:])
 
-    def _write_rows(
-        self, batch: Batch, place: int, form: RowForm, messages: NDArray[np.uint8], times: NDArray[np.uint64]
-    ) -> int:
-        """Add the frames of a batch from a place on, as many as go in the same chunk; return how far that is."""
-        self._begin_frame(int(times[place, 0]))
+    def _write_rows(self, batch: Batch, template: FrameTemplate, rows: NDArray[np.uint8], times: NDArray[np.uint64]) -> int:
+        """Add as many frames of a batch as belong in the same chunk; return their number."""
+        self._begin_frame(int(times[0, 0]))
         chunk = self._chunks[Group.STATE]
-        room = max(1, ceil((CHUNK_SIZE - chunk.size) / form.size))
-        end = min(place + room, len(batch), place + self._cut_at_frame - self._sequence)
-        end = max(place + 1, place + int(np.searchsorted(times[place:end, 0], self._cut_at)))
-        part = batch[place:end]
-        index = form.number(messages[place:end], part, self._sequence, times[place:end])
-        chunk.add_rows(messages[place:end].tobytes(), index, int(times[place, 0]), int(times[end - 1, 0]))
-        self._sequence += len(part) - 1
+        room = max(1, ceil((CHUNK_SIZE - chunk.size) / template.size))
+        count = min(room, len(batch), self._cut_at_frame - self._sequence)
+        count = max(1, int(np.searchsorted(times[:count, 0], self._cut_at)))
+        chunk.add_rows(rows[:count], template.offsets, self._sequence, times[:count])
+        part = batch[:count]
+        self._sequence += count - 1
         last, elapsed = part.id[-1].item(), part.elapsed[-1].item()
-        self._extent = Extent(self._extent.frames + len(part), last, elapsed)
-        self._additional = self._additional or form.additional
+        self._extent = Extent(self._extent.frames + count, last, elapsed)
+        self._additional = self._additional or template.additional
         if self._standing:
             self._standing.batch(part)
-            time, publish_time = times[end - 1].tolist()
-            self._take_stretches(self._sequence, wire.head(last, elapsed), (time, publish_time))
+            time, publish_time = times[count - 1].tolist()
+            self._take_stretches(self._sequence, messages.head(last, elapsed), (time, publish_time))
         self._cut_large()
-        return end
+        return count
 
     def write_tail(self, piece: bytes) -> None:
         """Add bytes behind the last complete packet."""
         self._check_open()
         time = self._clock.next()
         self._sequence += 1
-        self._chunks[Group.STATE].add(self._tail_channel, self._sequence, (time, time), b"", wire.tail(piece))
+        self._chunks[Group.STATE].add(self._tail_channel, self._sequence, (time, time), b"", messages.tail(piece))
         self._cut(Group.STATE)
 
     # --- frames to messages --------------------------------------------------------------------------------------------
@@ -179,13 +176,13 @@ class McapWriter(ChunkedFile):
             self._cut_at = time + CHUNK_SECONDS * SECOND
             self._cut_at_frame = self._sequence + CHUNK_FRAMES
 
-    def _form_of(self, batch: Batch) -> RowForm | None:
-        """Return the form of the frames of a batch, if they have one."""
-        if not has_form(batch):
+    def _template_of(self, batch: Batch) -> FrameTemplate | None:
+        """Return the template of the frames of a batch, if they have one."""
+        if not has_template(batch):
             return None
-        if self._form is None or self._form.key != key_of(batch):
-            self._form = RowForm(self._channel_of, self._frame_channel, batch)
-        return self._form
+        if self._template is None or self._template.key != template_key(batch):
+            self._template = FrameTemplate(self._channel_of, self._frame_channel, batch)
+        return self._template
 
     def _add(self, packet: Packet, head: bytes, times: tuple[int, int]) -> int:
         """Add a packet's messages; returns what the frame is to say of it."""
@@ -197,17 +194,17 @@ class McapWriter(ChunkedFile):
         if type is None or type.opaque or not type.topic or len(payload) > OBJECTS_LIMIT:
             return self._add_raw(packet, head, times)
         chunk, channel = self._chunks[type.group], self._channel_of[id]
-        size = wire.expected_size(type, payload)
+        size = fixed_codec(type).body_size(payload) if type.fixed else None
         if size is not None:
             chunk.add(channel, self._sequence, times, head, b"")
-            chunk.wait_for(type, payload, size)
+            chunk.encode_later(type, payload, size)
             self._cut_within_frame(type.group)
             return FILLED
         try:
             if type.fixed:
                 packet.warn_of(check(type, payload))
                 self._distrust(type)
-            body = wire.encode(type, payload)
+            body = encode(type, payload)
         except PayloadError as error:
             raise packet.error(error) from None
         if len(head) + len(body) > OBJECTS_LIMIT:
@@ -226,14 +223,14 @@ class McapWriter(ChunkedFile):
     def _add_raw(self, packet: Packet, head: bytes, times: tuple[int, int]) -> int:
         """Add a packet in pieces, as the bytes that it is."""
         self._distrust(packet.type)
-        for body in wire.raw_bodies(packet.id, packet.payload):
+        for body in messages.raw_bodies(packet.id, packet.payload):
             self._chunks[Group.STATE].add(self._raw_channel, self._sequence, times, head, body)
             self._cut_within_frame(Group.STATE)
         return RAW
 
     def _add_stretches(self, sequence: int, head: bytes, times: tuple[int, int]) -> None:
         """Add the stretches in which actors stood still that have ended since this was last done."""
-        body = wire.stretches(self._stretches)
+        body = messages.stationary_intervals(self._stretches)
         self._stretch_count += len(self._stretches)
         self._chunks[Group.EVENTS].add(self._stretches_channel, sequence, times, head, body)
         self._stretches = []
@@ -268,7 +265,7 @@ class McapWriter(ChunkedFile):
         """Cut the chunk of a group, which is then compressed."""
         chunk = self._chunks[group]
         if not chunk.is_empty:
-            self._chunks[group] = Chunk()
+            self._chunks[group] = ChunkBuilder()
             self._add_chunk(chunk)
 
     def _finish(self) -> None:
@@ -277,7 +274,7 @@ class McapWriter(ChunkedFile):
         if self._standing and self._stretches:
             self._sequence += 1
             time = self._clock.next()
-            self._add_stretches(self._sequence, wire.head(self._extent.last_id, self._extent.duration), (time, time))
+            self._add_stretches(self._sequence, messages.head(self._extent.last_id, self._extent.duration), (time, time))
         for group in Group:
             self._cut(group)
         self._write_chunks(0)
@@ -301,4 +298,4 @@ def _schema(module: str, message: str) -> bytes:
     """A message's schema: the descriptors of all files that it needs."""
     from mcap_protobuf.schema import build_file_descriptor_set
 
-    return build_file_descriptor_set(wire.message_class(module, message)).SerializeToString()
+    return build_file_descriptor_set(messages.message_class(module, message)).SerializeToString()

@@ -9,8 +9,8 @@ from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
-from carla_recap.model.layout import U16
-from carla_recap.model.records import REAL, TEXT, UE4, Layout, Many, Records
+from carla_recap.model.layout import REAL, TEXT, U16, Layout, Many, Records
+from carla_recap.model.records import UE4
 from carla_recap.util.text import number, readable
 
 if TYPE_CHECKING:

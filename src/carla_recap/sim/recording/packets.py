@@ -14,7 +14,7 @@ from carla_recap.sim.recording.poses import CM_PER_M, pose
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-    from carla_recap.model.records import Layout
+    from carla_recap.model.layout import Layout
     from carla_recap.sim.actors.actor import Actor
     from carla_recap.sim.actors.lights import Sign, TrafficLight
     from carla_recap.sim.actors.moving import Vehicle

@@ -13,10 +13,10 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from carla_recap.errors import RecapWarning
-from carla_recap.formats.mcap import wire
+from carla_recap.formats.mcap import fixed, messages, variable
 from carla_recap.formats.mcap.schema import FRAME_MESSAGE, RAW_MESSAGE, TAIL_MESSAGE
-from carla_recap.model.layout import MAX_COUNT, PayloadError, unpack
-from carla_recap.model.records import FLAG, REAL, TEXT, UE4, UE5, Framing, Layout, Many
+from carla_recap.model.layout import FLAG, MAX_COUNT, REAL, TEXT, Framing, Layout, Many, PayloadError, unpack
+from carla_recap.model.records import UE4, UE5
 from tests import strategies
 from tests.samples import listed, plain
 
@@ -44,7 +44,7 @@ KINDS = {
 
 
 def head_fields(descriptor):
-    return [(f.name, f.number, f.type) for f in descriptor.fields if f.number < wire.ITEMS]
+    return [(f.name, f.number, f.type) for f in descriptor.fields if f.number < messages.ITEMS]
 
 
 def payload_of(type, data):
@@ -71,11 +71,11 @@ def repaired(type, payload):
 
 
 def encoded(type, payload, frame=3, elapsed=1.5):
-    return wire.head(frame, elapsed) + wire.encode(type, payload)
+    return messages.head(frame, elapsed) + variable.encode(type, payload)
 
 
 def message_of(type, payload):
-    return wire.message_class(type.name, type.message_name).FromString(encoded(type, payload))
+    return messages.message_class(type.name, type.message_name).FromString(encoded(type, payload))
 
 
 # --- the schemas agree with the table --------------------------------------------------------------------
@@ -98,7 +98,7 @@ def check_layout(layout: Layout, descriptor, wide: bool, first: int = 1) -> None
 
 @every_type
 def test_a_schema_has_the_fields_of_its_layout(type):
-    descriptor = wire.message_class(type.name, type.message_name).DESCRIPTOR
+    descriptor = messages.message_class(type.name, type.message_name).DESCRIPTOR
     assert descriptor.full_name == type.message_name
     assert head_fields(descriptor) == [("frame", 1, Field.TYPE_FIXED64), ("elapsed", 2, Field.TYPE_DOUBLE)]
     raw = descriptor.fields_by_name["raw"]
@@ -106,10 +106,10 @@ def test_a_schema_has_the_fields_of_its_layout(type):
     assert [f.number for f in descriptor.fields] == [1, 2, 3, 4]
     if type.framing is Framing.SINGLE:
         assert list(type.layout.fields) == [type.items]
-        check_layout(type.layout, descriptor, type.wide, first=wire.ITEMS)
+        check_layout(type.layout, descriptor, type.wide, first=messages.ITEMS)
     else:
         items = descriptor.fields_by_name[type.items]
-        assert items.number == wire.ITEMS
+        assert items.number == messages.ITEMS
         assert items.is_repeated
         check_layout(type.layout, items.message_type, type.wide)
         assert len(items.message_type.fields) == len(type.layout.fields)
@@ -174,9 +174,9 @@ def test_a_message_holds_the_records(type, data):
 def test_a_payload_comes_back(type, data):
     payload = payload_of(type, data)
     message = encoded(type, payload)
-    assert wire.decode(type, message) == payload
-    wire._shapes.clear()  # as another process would find it
-    assert wire.decode(type, message) == payload
+    assert variable.decode(type, message) == payload
+    variable._templates.clear()  # as another process would find it
+    assert variable.decode(type, message) == payload
 
 
 @every_type
@@ -186,10 +186,10 @@ def test_many_are_encoded_and_decoded_as_each_is(type, data):
     if not type.fixed:
         return
     payloads = [sound_payload_of(type, data) for _ in range(data.draw(st.integers(0, 4)))]
-    bodies = [bytes(body) for body in wire.encode_many(type, payloads)]
-    assert bodies == [wire.encode(type, payload) for payload in payloads]
-    assert [len(body) for body in bodies] == [wire.expected_size(type, payload) for payload in payloads]
-    together = wire.decode_many(type, [wire.head(1, 0.0) + body for body in bodies])
+    bodies = [bytes(body) for body in variable.encode_many(type, payloads)]
+    assert bodies == [variable.encode(type, payload) for payload in payloads]
+    assert [len(body) for body in bodies] == [fixed.fixed_codec(type).body_size(payload) for payload in payloads]
+    together = fixed.fixed_codec(type).decode([messages.head(1, 0.0) + body for body in bodies])
     assert together is not None
     for place, payload in enumerate(payloads):
         assert together.payload(place) == payload
@@ -199,49 +199,49 @@ def test_many_are_encoded_and_decoded_as_each_is(type, data):
 def test_a_full_packet_comes_back():
     type = UE4.named("transforms")
     payload = struct.pack("<H", MAX_COUNT) + np.random.default_rng(1).bytes(MAX_COUNT * 28)
-    assert wire.decode(type, encoded(type, payload)) == payload
+    assert variable.decode(type, encoded(type, payload)) == payload
 
 
 @every_type
 def test_a_payload_that_ends_too_early_is_refused(type):
     short = bytes(3) if type.framing is Framing.SINGLE else b"\2\0\1"
     with pytest.raises(PayloadError, match=type.name):
-        wire.encode(type, short)
+        variable.encode(type, short)
 
 
 @given(st.integers(0, 2**64 - 1), st.floats(), st.floats(), st.binary(max_size=300), st.data())
 def test_a_frame_is_what_protobuf_writes(frame, elapsed, duration, ids, data):
     kinds = data.draw(st.binary(min_size=len(ids), max_size=len(ids)))
-    written = wire.head(frame, elapsed) + wire.frame_body(duration, ids, kinds)
-    message = wire.parse("frame", FRAME_MESSAGE, written)
+    written = messages.head(frame, elapsed) + messages.frame_body(duration, ids, kinds)
+    message = messages.parse("frame", FRAME_MESSAGE, written)
     assert message.SerializeToString() == written
     assert plain([message.frame, message.elapsed, message.duration]) == plain([frame, elapsed, duration])
     assert (message.packets, message.filled) == (ids, kinds)
-    assert plain(wire.read_frame(written)) == plain((frame, elapsed, duration, wire.frame_packets(ids, kinds)))
+    assert plain(messages.read_frame(written)) == plain((frame, elapsed, duration, messages.frame_packets(ids, kinds)))
 
 
 @given(st.binary(max_size=80).filter(lambda data: data[:1] != b"\x09"))
 def test_what_is_no_frame_is_left_to_protobuf(data):
-    assert wire.read_frame(data) is None
+    assert messages.read_frame(data) is None
 
 
 @given(st.integers(0, 255), st.integers(0, 40))
 def test_raw_pieces_are_what_protobuf_writes(id, size):
     payload = bytes(range(size))
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(wire, "PIECE", 16)
-        bodies = list(wire.raw_bodies(id, payload))
-    messages = [wire.parse("raw_packet", RAW_MESSAGE, wire.head(1, 2.0) + body) for body in bodies]
-    assert [m.SerializeToString() for m in messages] == [wire.head(1, 2.0) + body for body in bodies]
-    assert b"".join(m.data for m in messages) == payload
-    assert {(m.id, m.size) for m in messages} == {(id, size)}
+        patch.setattr(messages, "PIECE", 16)
+        bodies = list(messages.raw_bodies(id, payload))
+    parsed = [messages.parse("raw_packet", RAW_MESSAGE, messages.head(1, 2.0) + body) for body in bodies]
+    assert [m.SerializeToString() for m in parsed] == [messages.head(1, 2.0) + body for body in bodies]
+    assert b"".join(m.data for m in parsed) == payload
+    assert {(m.id, m.size) for m in parsed} == {(id, size)}
 
 
 @given(st.binary(max_size=300))
 def test_a_tail_is_what_protobuf_writes(data):
-    message = wire.parse("tail", TAIL_MESSAGE, wire.tail(data))
+    message = messages.parse("tail", TAIL_MESSAGE, messages.tail(data))
     assert message.data == data
-    assert message.SerializeToString() == wire.tail(data)
+    assert message.SerializeToString() == messages.tail(data)
 
 
 # --- what others may write -------------------------------------------------------------------------------
@@ -255,7 +255,7 @@ def reversed_fields(message) -> bytes:
             only = type(message)()
             if field.message_type:
                 data = reversed_fields(item)
-                parts.append(wire._tag(field.number, 2) + wire._varint(len(data)) + data)
+                parts.append(messages.tag(field.number, 2) + messages.varint(len(data)) + data)
                 continue
             setattr(only, field.name, item)
             parts.append(only.SerializeToString())
@@ -274,19 +274,19 @@ def test_fields_may_come_in_any_order_and_new_ones_too(type, data):
     payload = sound_payload_of(type, data)
     if not without_nan(payload):
         payload = bytes(len(payload)) if type.framing is Framing.SINGLE else listed()
-    unknown = wire._tag(99, 2) + b"\3new"
-    assert wire.decode(type, reversed_fields(message_of(type, payload))) == payload
-    assert wire.decode(type, encoded(type, payload) + unknown) == payload
+    unknown = messages.tag(99, 2) + b"\3new"
+    assert variable.decode(type, reversed_fields(message_of(type, payload))) == payload
+    assert variable.decode(type, encoded(type, payload) + unknown) == payload
 
 
 @every_type
 def test_missing_fields_are_zero(type):
-    message = wire.message_class(type.name, type.message_name)(frame=1, elapsed=0.0)
+    message = messages.message_class(type.name, type.message_name)(frame=1, elapsed=0.0)
     if type.framing is Framing.SINGLE:
-        assert wire.decode(type, message.SerializeToString()) == bytes(8)
+        assert variable.decode(type, message.SerializeToString()) == bytes(8)
         return
     getattr(message, type.items).add()
-    records, extra = unpack(type, wire.decode(type, message.SerializeToString()))
+    records, extra = unpack(type, variable.decode(type, message.SerializeToString()))
     assert (len(records), extra) == (1, 0)
     values = plain(records)[0]
     assert not any(value for value in values)
@@ -295,7 +295,7 @@ def test_missing_fields_are_zero(type):
 @every_type
 def test_an_empty_message_is_an_empty_packet(type):
     expected = bytes(8) if type.framing is Framing.SINGLE else listed()
-    assert wire.decode(type, b"") == expected
+    assert variable.decode(type, b"") == expected
 
 
 @every_type
@@ -308,8 +308,8 @@ def test_a_broken_message_is_an_error_or_a_packet(type, data):
         message[at] = data.draw(st.integers(0, 255))
     cut = bytes(message[: data.draw(st.integers(0, len(message)))])
     try:
-        payload = wire.decode(type, cut)
-    except wire.WireError:
+        payload = variable.decode(type, cut)
+    except messages.WireError:
         return
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", RecapWarning)
@@ -318,22 +318,22 @@ def test_a_broken_message_is_an_error_or_a_packet(type, data):
 
 def test_more_records_than_a_packet_counts_are_refused():
     type = UE4.named("destroyed")
-    one = wire.encode(type, listed(bytes(4)))
-    with pytest.raises(wire.WireError, match="65536 records, a packet counts at most 65535"):
-        wire.decode(type, wire.head(1, 0.0) + one * (MAX_COUNT + 1))
+    one = variable.encode(type, listed(bytes(4)))
+    with pytest.raises(messages.WireError, match="65536 records, a packet counts at most 65535"):
+        variable.decode(type, messages.head(1, 0.0) + one * (MAX_COUNT + 1))
 
 
 def test_a_number_beyond_its_field_is_refused():
     type = UE4.named("doors")
     message = message_of(type, listed(bytes(6)))
     message.doors[0].door = 300
-    with pytest.raises(wire.WireError, match="doors"):
-        wire.decode(type, message.SerializeToString())
+    with pytest.raises(messages.WireError, match="doors"):
+        variable.decode(type, message.SerializeToString())
 
 
 def test_a_huge_message_is_not_parsed():
-    with pytest.raises(wire.WireError, match="at most 8388608 bytes"):
-        wire.parse("tail", TAIL_MESSAGE, bytes(9 << 20))
+    with pytest.raises(messages.WireError, match="at most 8388608 bytes"):
+        messages.parse("tail", TAIL_MESSAGE, bytes(9 << 20))
 
 
 @pytest.mark.parametrize("count", [0, 4])
@@ -346,12 +346,12 @@ def test_both_layouts_of_wheels_are_told_by_the_fields_that_are_there(wheel, cou
     message = message_of(type, payload)
     stiff = [w.HasField("lat_stiff_value") for w in message.vehicles[0].wheels]
     assert stiff == [wheel == 48] * count
-    assert wire.decode(type, encoded(type, payload)) == payload
-    assert wire.decode(type, reversed_fields(message)) == payload
+    assert variable.decode(type, encoded(type, payload)) == payload
+    assert variable.decode(type, reversed_fields(message)) == payload
 
 
 def test_a_message_of_records_without_content_is_an_error():
     spawned = UE4.named("spawned")
-    message = wire.head(1, 0.0) + b"\x1a\x00" * 1000
-    with pytest.raises(wire.WireError, match="1000 records in 2018 bytes, most of them without an id"):
-        wire.decode_records(spawned, message)
+    message = messages.head(1, 0.0) + b"\x1a\x00" * 1000
+    with pytest.raises(messages.WireError, match="1000 records in 2018 bytes, most of them without an id"):
+        variable.decode_records(spawned, message)

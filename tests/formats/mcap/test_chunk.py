@@ -12,11 +12,11 @@ from hypothesis import strategies as st
 
 from carla_recap.formats import create_writer
 from carla_recap.formats.mcap import writer
-from carla_recap.formats.mcap.rows import has_form
+from carla_recap.formats.mcap.chunk import has_template
 from carla_recap.model.batch import Batch, ConstantColumn, RecordsColumn
 from carla_recap.model.frame import Frame, Header, Packet
-from carla_recap.model.layout import EMPTY_LIST
-from carla_recap.model.records import FRAME_END, ORDER, UE4, Framing
+from carla_recap.model.layout import EMPTY_LIST, Framing
+from carla_recap.model.records import FRAME_END, ORDER, UE4
 
 HEADER = Header("Town01", 1_600_000_000)
 END = Packet(FRAME_END, UE4[FRAME_END], b"")
@@ -76,7 +76,7 @@ def test_a_batch_is_its_frames(batches: list[Batch]) -> None:
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(writer, "CHUNK_SIZE", FEW)
         patch.setattr(writer, "CHUNK_FRAMES", 17)
-        assert all(map(has_form, batches))
+        assert all(map(has_template, batches))
         assert written(batches, at_once=True) == written(batches, at_once=False)
 
 
@@ -84,7 +84,7 @@ def test_numbers_of_another_size_are_written_all_the_same() -> None:
     frames = batch(0, [0.05, 0.1], 2)
     (controls,) = (column for column in frames.columns if column.type and column.type.name == "vehicle_controls")
     controls.records["hand_brake"].view(np.uint8)[:] = 0xFF
-    assert not has_form(frames)
+    assert not has_template(frames)
     assert written([frames], at_once=True) == written([frames], at_once=False)
 
 

@@ -1,0 +1,342 @@
+"""Payloads of any structure ↔ their messages, such as of records whose size varies.
+
+A message is the numbers of its payload, moved, between bytes that depend on nothing but the packet's *structure*: counts and
+texts. The latest structure of each type is kept as a `Template`, which moves all numbers of a packet at once. A message that
+does not look as this module writes it is parsed by protobuf.
+
+A payload that no message can give back byte for byte (a flag of 2, broken UTF-8, surplus bytes) is kept as a whole in the
+message's field `raw` as well.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from operator import attrgetter
+from typing import TYPE_CHECKING, Any, Final
+
+import numpy as np
+
+from carla_recap.errors import RecordError
+from carla_recap.formats.mcap.fixed import fixed_codec, wire_numbers
+from carla_recap.formats.mcap.messages import (
+    HEAD,
+    HEAD_DTYPE,
+    ITEMS,
+    LEN,
+    RAW_TAG,
+    WireError,
+    have_heads,
+    parse,
+    tag,
+    varint,
+)
+from carla_recap.model.layout import FLAG, MAX_COUNT, Framing, Items, Numbers, PayloadError, Span, compiled, locate, pack
+from carla_recap.model.records import Group
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from numpy.typing import NDArray
+
+    from carla_recap.formats.mcap.fixed import WireNumbers
+    from carla_recap.model.layout import Buffer, CompiledLayout, Records
+    from carla_recap.model.records import RecordType
+
+_LEAST: Final = 7  # bytes of a record with nothing but an id
+_templates: dict[RecordType, Template] = {}  # of the latest packet of each type
+
+
+@dataclass(frozen=True, eq=False)
+class Template:
+    """A structure of packets.
+
+    Attributes:
+        payload: A packet of this structure.
+        body: The body of its message.
+        sources: The offset in the payload of each byte of a number.
+        targets: Its offset in the body.
+        payload_mask: The bits in which all packets of this structure agree.
+        body_mask: The same of the bodies.
+    """
+
+    payload: NDArray[np.uint8]
+    body: NDArray[np.uint8]
+    sources: NDArray[np.intp]
+    targets: NDArray[np.intp]
+    payload_mask: NDArray[np.uint8]
+    body_mask: NDArray[np.uint8]
+
+    def encode(self, payloads: NDArray[np.uint8]) -> NDArray[np.uint8] | None:
+        """Return the bodies of some payloads, (packets, bytes); None where one has another structure."""
+        if payloads.shape[1] != len(self.payload) or ((payloads ^ self.payload) & self.payload_mask).any():
+            return None
+        bodies = np.empty((len(payloads), len(self.body)), np.uint8)
+        bodies[:] = self.body
+        bodies[:, self.targets] = payloads[:, self.sources]
+        return bodies
+
+    def decode(self, messages: NDArray[np.uint8]) -> NDArray[np.uint8] | None:
+        """Return the payloads of some messages, (packets, bytes); None where one has another structure."""
+        if messages.shape[1] != HEAD.size + len(self.body):
+            return None
+        bodies = messages[:, HEAD.size :]
+        heads = np.ascontiguousarray(messages[:, : HEAD.size]).view(HEAD_DTYPE)
+        if ((bodies ^ self.body) & self.body_mask).any() or not have_heads(heads):
+            return None
+        payloads = np.empty((len(messages), len(self.payload)), np.uint8)
+        payloads[:] = self.payload
+        payloads[:, self.sources] = bodies[:, self.targets]
+        return payloads
+
+
+class _Encoder:
+    """Writes the records of a payload as a message.
+
+    Attributes:
+        body: The message, whose numbers are still zero.
+        moves: Numbers that are to be moved: their offset in the payload, in the message, and how they are written.
+        exact: Whether the message gives the payload back.
+    """
+
+    def __init__(self, payload: bytes) -> None:
+        self._payload = payload
+        self.body = bytearray()
+        self.moves: list[tuple[int, int, WireNumbers]] = []
+        self.exact = True
+
+    def add(self, number: int, span: Span) -> None:
+        """Add records as items of a field."""
+        layout = span.layout
+        for index in range(span.count):
+            item = _Encoder(self._payload)
+            if layout.make is None:
+                item.add_record(layout, [span.offset + index * layout.dtype.itemsize])
+            else:
+                item.add_record(layout, span.records[index])
+            self.body += tag(number, LEN) + varint(len(item.body))
+            self.moves += [(source, len(self.body) + target, form) for source, target, form in item.moves]
+            self.body += item.body
+            self.exact &= item.exact
+
+    def add_record(self, layout: CompiledLayout, parts: Sequence[int | slice | Span]) -> None:
+        """Add the fields of a record."""
+        for step, part in zip(layout.steps, parts, strict=True):
+            if isinstance(step, Numbers):
+                self.add_numbers(wire_numbers(step), part)  # type: ignore[arg-type]
+            elif isinstance(part, slice):
+                text = self._payload[part]
+                clean = text.decode("utf-8", "replace").encode()
+                self.exact &= clean == text
+                self.body += tag(step.number, LEN) + varint(len(clean)) + clean
+            else:
+                self.add(step.number, part)  # type: ignore[arg-type]
+
+    def add_numbers(self, form: WireNumbers, offset: int) -> None:
+        """Add numbers; those that do not fit a varint of one byte as what comes closest."""
+        payload = self._payload
+        if not any(size == 1 and payload[offset + at] & form.masks[at] for _, _, size, at in form.fields):
+            self.moves.append((offset, len(self.body), form))
+            self.body += form.blank
+            return
+        self.exact = False
+        for name, kind, size, at in form.fields:
+            data = payload[offset + at : offset + at + size]
+            if size == 1:
+                value = min(data[0], 1) if kind == FLAG else int.from_bytes(data, signed=kind == "i1")
+                data = varint(value % (1 << 64))
+            self.body += name + data
+
+
+def _template(type: RecordType, payload: Buffer) -> tuple[Template, bytes]:
+    """Return the structure of a packet, and what its message has behind that to give the payload back.
+
+    Raises:
+        PayloadError: The payload contradicts the type's layout.
+    """
+    data = bytes(payload)
+    span, rest = locate(type, data)
+    encoder = _Encoder(data)
+    if type.framing is Framing.SINGLE:
+        encoder.add_numbers(fixed_codec(type).numbers, 0)
+    else:
+        encoder.add(ITEMS, span)
+    none = [np.empty(0, np.intp)]
+    sources = np.concatenate(none + [source + form.sources for source, _, form in encoder.moves])
+    targets = np.concatenate(none + [target + form.targets for _, target, form in encoder.moves])
+    masks = np.concatenate([np.empty(0, np.uint8), *(form.masks for _, _, form in encoder.moves)])
+    array, body = np.frombuffer(data, np.uint8), np.frombuffer(encoder.body, np.uint8)
+    body[targets] = array[sources]
+    payload_mask, body_mask = np.full(len(array), 0xFF, np.uint8), np.full(len(body), 0xFF, np.uint8)
+    payload_mask[sources] = body_mask[targets] = masks
+    raw = b"" if encoder.exact and not rest else bytes([RAW_TAG]) + varint(len(data)) + data
+    return Template(array, body, sources, targets, payload_mask, body_mask), raw
+
+
+def encode(type: RecordType, payload: Buffer) -> bytes:
+    """Return the body of a message.
+
+    Raises:
+        PayloadError: The payload contradicts the type's layout.
+    """
+    if type.fixed:
+        return bytes(encode_many(type, [payload])[0])
+    template = _templates.get(type)
+    bodies = template.encode(_row(payload)) if template else None
+    if bodies is not None:
+        return bodies.tobytes()
+    template, raw = _template(type, payload)
+    if not raw and type.group is Group.STATE:
+        _templates[type] = template
+    return template.body.tobytes() + raw
+
+
+def encode_many(type: RecordType, payloads: Sequence[Buffer]) -> Sequence[Buffer]:
+    """Return the bodies of messages of a type whose records have one size.
+
+    Raises:
+        PayloadError: A payload contradicts the type's layout.
+    """
+    bodies = fixed_codec(type).encode(payloads)
+    if bodies is not None:
+        return bodies
+    return [template.body.tobytes() + raw for template, raw in (_template(type, payload) for payload in payloads)]
+
+
+def encode_rows(type: RecordType, payloads: NDArray[np.uint8]) -> NDArray[np.uint8] | None:
+    """Return the bodies of messages of varying size that have the structure of the first payload, (messages, bytes).
+
+    None where a payload has another structure, or one that its message does not give back.
+
+    Raises:
+        PayloadError: The first payload contradicts the type's layout.
+    """
+    encode(type, payloads[0].tobytes())
+    template = _templates.get(type)
+    return template.encode(payloads) if template else None
+
+
+def decode(type: RecordType, data: Buffer) -> bytes:
+    """Return the payload of a message.
+
+    Raises:
+        WireError: The message contradicts its schema.
+    """
+    if type.fixed:
+        found = fixed_codec(type).decode([data])
+        return found.payload(0) if found else _decode_any(type, data)
+    template = _templates.get(type)
+    payloads = template.decode(_row(data)) if template else None
+    return _decode_any(type, data) if payloads is None else payloads.tobytes()
+
+
+def decode_rows(type: RecordType, messages: NDArray[np.uint8]) -> NDArray[np.uint8] | None:
+    """Return the payloads of messages of varying size that have the structure of the first one, (messages, bytes).
+
+    None where one of them has another.
+
+    Raises:
+        WireError: The first message contradicts its schema.
+    """
+    decode(type, messages[0].tobytes())
+    template = _templates.get(type)
+    return template.decode(messages) if template else None
+
+
+def _row(data: Buffer) -> NDArray[np.uint8]:
+    return np.frombuffer(data, np.uint8)[None]
+
+
+# --- by way of protobuf ------------------------------------------------------------------------------------------------
+
+
+def decode_records(type: RecordType, data: Buffer) -> Records | None:
+    """Return the records of a message of varying size, by way of protobuf; None where its payload is to be taken.
+
+    Raises:
+        WireError: The message contradicts its schema.
+    """
+    message = parse(type.name, type.message_name, data)
+    return None if message.HasField("raw") else _records(type, message, len(data))
+
+
+def _decode_any(type: RecordType, data: Buffer) -> bytes:
+    message = parse(type.name, type.message_name, data)
+    if message.HasField("raw"):
+        return bytes(message.raw)
+    try:
+        payload = pack(type, _records(type, message, len(data)))
+        if type.fixed:
+            return payload
+        template, raw = _template(type, payload)
+    except (RecordError, PayloadError) as error:
+        raise WireError(str(error)) from None
+    # Protobuf's Python floats lose the bits of some NaNs; the message itself has them.
+    exact = None if raw else template.decode(_row(data))
+    if exact is None:
+        return payload
+    if type.group is Group.STATE:
+        _templates[type] = template
+    return exact.tobytes()
+
+
+def _records(type: RecordType, message: Any, size: int) -> Records:
+    try:
+        if type.framing is Framing.SINGLE:
+            return np.array([(getattr(message, type.items),)], type.dtype)
+        items = getattr(message, type.items)
+        if not type.fixed and _LEAST * len(items) > size:
+            raise WireError(f"{type.name}: {len(items)} records in {size} bytes, most of them without an id")
+        if len(items) > MAX_COUNT:
+            raise WireError(f"{type.name}: {len(items)} records, a packet counts at most {MAX_COUNT}")
+        return _items([compiled(type)], items)
+    except (OverflowError, ValueError) as error:
+        raise WireError(f"{type.name}: {error}") from None
+
+
+def _items(layouts: Sequence[CompiledLayout], messages: Any) -> Records:
+    """Return the records of some messages, in the one of some layouts of which all fields are present."""
+    layout = layouts[0]
+    if layout.make is not None:
+        get, special = _getter(layout)
+        return [layout.make(*_values(get(message), special)) for message in messages]
+    if messages and len(layouts) > 1:
+        names = [name for name in layout.dtype.names or () if messages[0].HasField(name)]
+        layout = next((each for each in layouts if set(each.dtype.names or ()) <= set(names)), layout)
+    fields = layout.dtype.names or ()
+    return np.array([tuple(getattr(message, name) for name in fields) for message in messages], layout.dtype)
+
+
+def _values(values: tuple[Any, ...], special: list[tuple[int, Items | None]]) -> Sequence[Any]:
+    """Return the values of the fields of a message as those of a record."""
+    if not special:
+        return values
+    found = list(values)
+    for index, step in special:
+        if step is None:
+            found[index] = int(found[index])
+            continue
+        if len(found[index]) > MAX_COUNT:
+            raise WireError(f"{len(found[index])} items in a record, at most {MAX_COUNT} were expected")
+        found[index] = _items(step.layouts, found[index])
+    return found
+
+
+_getters: dict[CompiledLayout, tuple[Any, list[tuple[int, Items | None]]]] = {}
+
+
+def _getter(layout: CompiledLayout) -> tuple[Any, list[tuple[int, Items | None]]]:
+    """Return what takes all fields from a message; and the index of each that is an array, or a flag (None)."""
+    found = _getters.get(layout)
+    if found is None:
+        names: list[str] = []
+        special: list[tuple[int, Items | None]] = []
+        for step in layout.steps:
+            if isinstance(step, Numbers):
+                special += [(len(names) + n, None) for n, (_, kind) in enumerate(step.fields.values()) if kind == FLAG]
+                names += step.fields
+                continue
+            if isinstance(step, Items):
+                special.append((len(names), step))
+            names.append(step.name)
+        found = _getters[layout] = (attrgetter(*names), special)
+    return found
