@@ -13,7 +13,7 @@ from carla_recap.export.event_text import Level, Teller
 from carla_recap.export.foxglove import followed, scene
 from carla_recap.export.foxglove.followed import finite_poses
 from carla_recap.export.foxglove.messages import FrameTransforms, Log, SceneUpdate, single
-from carla_recap.formats.mcap.chunk import Chunk
+from carla_recap.formats.mcap.chunk import ChunkBuilder
 from carla_recap.formats.mcap.file import ChunkedFile, Topic
 from carla_recap.formats.mcap.schema import EXPORT_METADATA, MESSAGE, RECORD, LogClock
 from carla_recap.replay import Played
@@ -85,7 +85,7 @@ class FoxgloveWriter(ChunkedFile):
         topics = [Topic(name, type.DESCRIPTOR.full_name, partial(_schema, type)) for name, type in TOPICS.items()]
         super().__init__(path, topics, level=_COMPRESSION_LEVEL)
         self._channel_of = {name: channel for channel, name in enumerate(TOPICS, 1)}
-        self._chunk = Chunk()
+        self._chunk = ChunkBuilder()
         self._clock = LogClock(header)
         self._follow = follow
         self._road_map = road_map
@@ -207,7 +207,7 @@ class FoxgloveWriter(ChunkedFile):
 
     def _cut(self) -> None:
         if not self._chunk.is_empty:
-            chunk, self._chunk = self._chunk, Chunk()
+            chunk, self._chunk = self._chunk, ChunkBuilder()
             self._add_chunk(chunk)
 
     def _finish(self) -> None:
