@@ -200,7 +200,7 @@ class FoxgloveWriter(ChunkedFile):
             entries = np.stack((log_times[begin:stop], (offsets[begin:stop] - offsets[begin]).astype(np.uint64)), axis=1)
             index = {channel: entries[channels[begin:stop] == channel] for channel in set(channels[begin:stop].tolist())}
             data = b"".join([records[record] for record in order[begin:stop].tolist()])
-            self._chunk.add_rows(data, index, int(log_times[begin]), int(log_times[stop - 1]))
+            self._chunk.add_records(data, index, int(log_times[begin]), int(log_times[stop - 1]))
             if self._chunk.size >= _CHUNK_SIZE:
                 self._cut()
             begin = stop

@@ -18,7 +18,7 @@ from carla_recap.model.layout import EMPTY_LIST, OBJECTS_LIMIT, Framing, Payload
 from carla_recap.model.records import FRAME_START, Group
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Mapping
+    from collections.abc import Mapping
 
     from numpy.typing import NDArray
 
@@ -72,32 +72,25 @@ class ChunkBuilder:
         waiting[1].append(payload)
         self.size += size
 
-    def add_rows(
-        self, rows: NDArray[np.uint8], offsets: Iterable[tuple[int, int]], sequence: int, times: NDArray[np.uint64]
-    ) -> None:
-        """Add the messages of frames that are alike; see `FrameTemplate`.
+    def add_records(self, data: Buffer, index: Mapping[int, NDArray[np.uint64]], start: int, end: int) -> None:
+        """Add messages that are records already.
 
         Args:
-            rows: The messages of each frame, (frames, bytes), which are given their sequence numbers and times.
-            offsets: Channel and offset of each message of a frame.
-            sequence: The sequence number of the first frame.
-            times: Log and publish time of each frame in ns, (frames, 2).
+            data: The records.
+            index: By channel, the log time in ns and the offset in the data of each message, (messages, 2).
+            start: First log time in ns.
+            end: Last log time in ns.
         """
         if self.is_empty:
-            self.start = int(times[0, 0])
-        self.end = int(times[-1, 0])
+            self.start = start
+        self.end = end
         self._encode()
-        count, size = rows.shape
-        starts = np.arange(self._end, self._end + count * size, size, dtype=np.uint64)
-        for channel, offset in offsets:
-            headers = _fields(rows, MESSAGE_DTYPE, offset)
-            headers["sequence"] = np.arange(sequence, sequence + count)
-            headers["log_time"], headers["publish_time"] = times.T
-            entries = np.stack((times[:, 0], starts + np.uint64(offset)), axis=1)
+        for channel, entries in index.items():
+            entries[:, 1] += np.uint64(self._end)
             self._index.setdefault(channel, array("Q")).frombytes(entries.tobytes())
-        self._parts.append(rows.reshape(-1).data)
-        self._end += rows.nbytes
-        self.size += rows.nbytes
+        self._parts.append(data)
+        self._end += len(data)
+        self.size += len(data)
 
     def finish(self) -> tuple[bytes, dict[int, array[int]]]:
         """Return the records, and by channel the log time and offset of each message."""
@@ -188,6 +181,23 @@ class FrameTemplate:
             headers["elapsed"] = batch.elapsed
         _fields(rows, np.dtype([("duration", "<f8")]), offset + _DURATION)["duration"] = batch.duration
         return rows
+
+    def number(self, rows: NDArray[np.uint8], sequence: int, times: NDArray[np.uint64]) -> dict[int, NDArray[np.uint64]]:
+        """Give messages their sequence numbers and times; return the index of them, see `ChunkBuilder.add_records`.
+
+        Args:
+            rows: The messages of each frame, (frames, bytes).
+            sequence: The sequence number of the first frame.
+            times: Log and publish time of each frame in ns, (frames, 2).
+        """
+        count, index = len(rows), {}
+        starts = np.arange(0, rows.nbytes, self.size, dtype=np.uint64)
+        for channel, offset in self.offsets:
+            headers = _fields(rows, MESSAGE_DTYPE, offset)
+            headers["sequence"] = np.arange(sequence, sequence + count)
+            headers["log_time"], headers["publish_time"] = times.T
+            index[channel] = np.stack((times[:, 0], starts + np.uint64(offset)), axis=1)
+        return index
 
 
 def has_template(batch: Batch) -> bool:
