@@ -7,7 +7,7 @@ codecs work through these steps, on what `locate` found in a payload; none of th
 from __future__ import annotations
 
 import struct
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from enum import Enum
 from functools import cache
 from typing import TYPE_CHECKING, Any, Final
@@ -19,8 +19,6 @@ from carla_recap.errors import RecordError
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
-
-    from carla_recap.model.records import RecordType
 
 Buffer = bytes | memoryview
 Records = NDArray[np.void] | list[Any]
@@ -113,6 +111,35 @@ class Layout:
         )
 
 
+@dataclass(frozen=True, eq=False, kw_only=True)
+class PacketType:
+    """How the packets of a type are packed.
+
+    Attributes:
+        name: The name in Python: `frame["transforms"]`.
+        layout: The fields of one record.
+        framing: How the packet counts its records.
+        wide: Whether this is UE5's double-precision layout.
+        opaque: Whether packets are kept as raw bytes, never parsed.
+        dtype: The numpy type of a record; without fields where the size varies.
+    """
+
+    name: str
+    layout: Layout
+    framing: Framing = Framing.LIST
+    wide: bool = False
+    opaque: bool = False
+    dtype: np.dtype[np.void] = field(init=False)
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "dtype", compiled(self).dtype)
+
+    @property
+    def fixed(self) -> bool:
+        """Whether every record has the same size, so that records are the rows of a structured array."""
+        return self.layout.make is None and not self.opaque
+
+
 # --- compiled ----------------------------------------------------------------------------------------------------------
 
 
@@ -168,7 +195,7 @@ class CompiledLayout:
         return max((len(step.layouts) for step in self.steps if isinstance(step, Items)), default=1)
 
 
-def compiled(type: RecordType) -> CompiledLayout:
+def compiled(type: PacketType) -> CompiledLayout:
     """Return the steps of the records of a type."""
     return _compile(type.layout, type.layout, type.wide)
 
@@ -269,7 +296,7 @@ class _Cursor:
         return start
 
 
-def locate(type: RecordType, payload: Buffer) -> tuple[Span, int]:
+def locate(type: PacketType, payload: Buffer) -> tuple[Span, int]:
     """Find the records of a payload; return them, and the number of bytes behind them.
 
     Raises:
@@ -297,7 +324,7 @@ def locate(type: RecordType, payload: Buffer) -> tuple[Span, int]:
     return found
 
 
-def check(type: RecordType, payload: Buffer) -> int:
+def check(type: PacketType, payload: Buffer) -> int:
     """Return the number of bytes that the payload has too many, found without parsing.
 
     Raises:
@@ -308,7 +335,7 @@ def check(type: RecordType, payload: Buffer) -> int:
     return len(payload) if type.framing is Framing.MARKER else locate(type, payload)[1]
 
 
-def unpack(type: RecordType, payload: Buffer) -> tuple[Records, int]:
+def unpack(type: PacketType, payload: Buffer) -> tuple[Records, int]:
     """Return the records of a payload, and the number of bytes left over behind them.
 
     Raises:
@@ -347,7 +374,7 @@ def _unpack(span: Span, data: Buffer) -> Records:
 # --- records to payloads -----------------------------------------------------------------------------------------------
 
 
-def pack(type: RecordType, records: Records) -> bytes:
+def pack(type: PacketType, records: Records) -> bytes:
     """Return the payload of some records.
 
     Raises:

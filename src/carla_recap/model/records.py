@@ -10,14 +10,14 @@ field's comment in `proto/` says otherwise.
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from enum import Enum, IntEnum
 from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
 from carla_recap.errors import RecordError
-from carla_recap.model.layout import FLAG, REAL, TEXT, Framing, Layout, Many, Records
+from carla_recap.model.layout import FLAG, REAL, TEXT, Framing, Layout, Many, PacketType, Records
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -233,51 +233,31 @@ _WEATHER = _fixed(
 )
 
 
-@dataclass(frozen=True, eq=False)
-class RecordType:
+@dataclass(frozen=True, eq=False, kw_only=True)
+class RecordType(PacketType):
     """A row of the table.
 
     Attributes:
-        name: How Python calls it: `frame["transforms"]`.
         id: CARLA's packet id, as of 0.9.16.
         topic: The MCAP topic.
         message: The protobuf message of `carla_recap.v1` that holds one packet.
         items: The message's repeated field that holds the records; for `SINGLE`, the field that holds the value.
-        layout: The fields of one record.
-        framing: How the packet counts its records.
         group: The chunk group in MCAP.
         always: CARLA writes the packet in every frame, empty or not.
         additional: CARLA writes the packet only when it records additional data.
-        wide: Whether this row describes UE5's double-precision layout.
-        opaque: Kept as raw bytes, never parsed.
     """
 
-    name: str
     id: int
     topic: str
     message: str
     items: str
-    layout: Layout
-    framing: Framing = Framing.LIST
     group: Group = Group.STATE
     always: bool = False
     additional: bool = False
-    wide: bool = False
-    opaque: bool = False
-    dtype: np.dtype[np.void] = field(init=False)
-
-    def __post_init__(self) -> None:
-        dtype = np.dtype([]) if self.layout.make else self.layout.dtype(self.wide)
-        object.__setattr__(self, "dtype", dtype)
 
     def __reduce__(self) -> tuple[Callable[[int, bool], RecordType], tuple[int, bool]]:
         """Other processes have the same table."""
         return _of_table, (self.id, self.wide)
-
-    @property
-    def fixed(self) -> bool:
-        """Whether every record has the same size, so that records are the rows of a structured array."""
-        return self.layout.make is None and not self.opaque
 
     @property
     def units(self) -> Mapping[str, str]:
@@ -369,18 +349,10 @@ _E, _N = {"always": True}, {"always": False}
 _AE, _AN = {"always": True, "additional": True}, {"additional": True}
 
 
-def _row(
-    id: int,
-    name: str,
-    topic: str,
-    message: str,
-    items: str,
-    layout: Layout,
-    framing: Framing,
-    group: Group,
-    presence: Any,
-) -> RecordType:
-    return RecordType(name, id, topic, message, items, layout, framing, group, **presence)
+def _row(*values: Any) -> RecordType:
+    *plain, presence = values
+    names = ("id", "name", "topic", "message", "items", "layout", "framing", "group")
+    return RecordType(**dict(zip(names, plain, strict=True)), **presence)
 
 
 _PLACE: Final = dict.fromkeys("xyz", "cm") | dict.fromkeys(("roll", "pitch", "yaw"), "deg")
@@ -441,13 +413,9 @@ class Table(Sequence[RecordType]):
     """All record types, as one family of builds writes them; `table[packet_id]`, `table.named("transforms")`."""
 
     def __init__(self, wide: bool) -> None:
-        def resolve(row: RecordType) -> RecordType:
-            settings = {name: getattr(row, name) for name in row.__dataclass_fields__ if name != "dtype"}
-            # UE5 writes another, larger physics record with memory images inside.
-            return RecordType(**{**settings, "wide": wide, "opaque": wide and row.name == "physics"})
-
         self.wide = wide
-        self._rows = tuple(resolve(row) for row in _ROWS)
+        # UE5 writes another, larger physics record with memory images inside.
+        self._rows = tuple(replace(row, wide=wide, opaque=wide and row.name == "physics") for row in _ROWS)
         self._named = {row.name: row for row in self._rows}
 
     def __len__(self) -> int:
