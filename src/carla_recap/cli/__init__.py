@@ -25,7 +25,7 @@ if TYPE_CHECKING:
 BAD_INPUT: Final = 2
 INTERRUPTED: Final = 130
 
-_PYTHON_HINT: Final = re.compile(r" \(in Python, [^)]*\)")  # in errors, for callers of the package
+_PYTHON_HINT: Final = r" \(in Python, [^)]*\)"  # in errors, for callers of the package
 _COMMANDS: Final = {
     "queries": ("info", "collisions", "blocked", "actors", "incidents"),
     "editing": ("convert", "recover", "clip", "clips"),
@@ -82,7 +82,7 @@ def main() -> None:
     try:
         sys.exit(cli(standalone_mode=False))
     except RecapError as error:
-        _fail(_PYTHON_HINT.sub("", str(error)))
+        _fail(re.sub(_PYTHON_HINT, "", str(error)))
     except click.exceptions.NoArgsIsHelpError as error:
         error.show()
         sys.exit(BAD_INPUT)

@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+import os
 import sys
 from functools import lru_cache
-from typing import TYPE_CHECKING, Any, Final
+from typing import TYPE_CHECKING, Any, Final, NoReturn
 
 import click
 
@@ -17,8 +18,8 @@ TOO_MANY: Final = 1
 """The exit code of an answer with more rows than allowed."""
 
 
-def show(answer: Any, form: str | None, max_rows: int | None = None) -> None:
-    """Print an answer; end the program with exit code 1 if it has more rows than allowed.
+def show(answer: Any, form: str | None, max_rows: int | None = None) -> NoReturn:
+    """Print an answer, and end the program, with exit code 1 if it has more rows than allowed.
 
     Args:
         answer: The answer of a query.
@@ -41,9 +42,11 @@ def show(answer: Any, form: str | None, max_rows: int | None = None) -> None:
         from carla_recap.queries.output.table import table
 
         table(answer)
-    if max_rows is not None and len(answer) > max_rows:
+    sys.stdout.flush()
+    too_many = max_rows is not None and len(answer) > max_rows
+    if too_many:
         click.echo(f"carla-recap: {len(answer)} rows, at most {max_rows} were allowed", err=True)
-        sys.exit(TOO_MANY)
+    os._exit(TOO_MANY if too_many else 0)  # the interpreter's own end takes longer than the answer of a small recording
 
 
 def _print(pieces: Iterable[str]) -> None:

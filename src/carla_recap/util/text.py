@@ -14,9 +14,9 @@ def readable(text: str) -> str:
     once, and one where the text ends more than a byte short of a sequence's length.
     """
     text = text.partition("\0")[0]
-    if text.isascii() or not _SUSPECT.search(text):
+    if text.isascii() or not re.search(_SUSPECT, text):
         return text
-    return _UTF8.sub(lambda match: match[1] or b"?", text.encode("utf-8", "surrogateescape")).decode()
+    return re.sub(_UTF8, lambda match: match[1] or b"?", text.encode("utf-8", "surrogateescape")).decode()
 
 
 def number(value: float) -> str:
@@ -31,9 +31,9 @@ def visible(text: str) -> str:
     return "".join(c if c.isprintable() else c.encode("unicode_escape").decode() for c in text)
 
 
-_SUSPECT: Final = re.compile(r"[\udc80-\udcff\ufffe\uffff]")
-_UTF8: Final = re.compile(
-    rb"""(
+# Most recordings need neither of these, so that both are compiled when they are used.
+_SUSPECT: Final = r"[\udc80-\udcff\ufffe\uffff]"
+_UTF8: Final = rb"""(?sx)(
         [\x00-\x7f]
         | [\xc2-\xdf] [\x80-\xbf]
         | \xe0 [\xa0-\xbf] [\x80-\xbf]
@@ -48,6 +48,4 @@ _UTF8: Final = re.compile(
     | [\xf8-\xfb] (?: [\x80-\xbf]{4} | .{0,2} \Z )
     | [\xfc-\xff] (?: [\x80-\xbf]{5} | .{0,3} \Z )
     | .
-    """,
-    re.DOTALL | re.VERBOSE,
-)
+"""
