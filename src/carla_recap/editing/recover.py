@@ -178,7 +178,7 @@ def _open(source: Path | str) -> tuple[Reader, bool, int, bool]:
         raise _unfinished(source)
     if not summary.chunks:
         raise RecapError(f"{source}: nothing can be saved: it is no CARLA log, and no whole chunk of an MCAP file was found")
-    if not any(schema.name.startswith("carla_recap.v1.") for schema in summary.schemas.values()):
+    if not any(name.startswith("carla_recap.v1.") for name in summary.schemas.values()):
         raise RecapError(f"{source}: nothing can be saved: it holds no recording")
     headless = HEADER_METADATA not in summary.metadata
     header = guess_header(summary) if headless else None

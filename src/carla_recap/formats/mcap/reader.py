@@ -15,7 +15,6 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final, NamedTuple
 
 import numpy as np
-from mcap import records
 from mcap.opcode import Opcode
 
 from carla_recap.errors import FormatError, NotARecording, RecapWarning
@@ -338,14 +337,14 @@ class McapReader:
     # --- what the file says of itself ----------------------------------------------------------------------------------
 
     def _read_metadata(self, name: str) -> dict[str, str] | None:
-        index = self._summary.metadata.get(name)
-        if index is None:
+        offset = self._summary.metadata.get(name)
+        if offset is None:
             return None
-        content = self._source.record(index.offset, Opcode.METADATA, f"the metadata {name}", METADATA_LIMIT)
+        content = self._source.record(offset, Opcode.METADATA, f"the metadata {name}", METADATA_LIMIT)
         try:
-            return unchecked(dict(parse_record(records.Metadata, content).metadata))
+            return unchecked(parse_record(Opcode.METADATA, content)[1])
         except ValueError as error:
-            raise FormatError(self.path, index.offset, f"broken MCAP metadata {name!r}: {error}") from None
+            raise FormatError(self.path, offset, f"broken MCAP metadata {name!r}: {error}") from None
 
     def _read_header(self) -> Header:
         metadata = self._read_metadata(HEADER_METADATA)
@@ -715,8 +714,7 @@ def _match(summary: Summary, specs: list[ChannelSpec]) -> dict[int, ChannelSpec]
     known = {(spec.topic, spec.message): spec for spec in specs}
     found: dict[int, ChannelSpec] = {}
     for id, channel in summary.channels.items():
-        schema = summary.schemas.get(channel.schema_id)
-        spec = known.pop((channel.topic, schema.name), None) if schema else None
-        if spec is not None and channel.message_encoding == "protobuf":
+        spec = known.pop((channel.topic, summary.schemas.get(channel.schema, "")), None)
+        if spec is not None and channel.encoding == "protobuf":
             found[id] = spec
     return found

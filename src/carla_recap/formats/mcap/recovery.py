@@ -5,7 +5,6 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Final
 
-from mcap import records
 from mcap.opcode import Opcode
 
 from carla_recap.errors import FormatError
@@ -25,6 +24,7 @@ from carla_recap.formats.mcap.source import (
     CHUNK_LIMIT,
     METADATA_LIMIT,
     RECORDS_LIMIT,
+    ChannelRecord,
     Chunk,
     Source,
     Summary,
@@ -87,7 +87,7 @@ def salvage(source: Source) -> tuple[Summary, Damage]:
     scan.damage = Damage()
     for offset in (chunk.offset for chunk in own.chunks if chunk.offset not in met):
         scan.take(offset)
-    for offset in (index.offset for name, index in own.metadata.items() if name not in summary.metadata):
+    for offset in (offset for name, offset in own.metadata.items() if name not in summary.metadata):
         scan.take(offset)
     _declare_lost(summary)
     summary.chunks.sort(key=lambda chunk: (chunk.start, chunk.offset))
@@ -96,7 +96,7 @@ def salvage(source: Source) -> tuple[Summary, Damage]:
 
 def guess_header(summary: Summary) -> Header:
     """The header of a recording whose own is lost; its map is unknown."""
-    wide = any(schema.name.endswith("Double") for schema in summary.schemas.values())
+    wide = any(name.endswith("Double") for name in summary.schemas.values())
     return Header("", summary.chunks[0].start // SECOND if summary.chunks else 0, wide=wide)
 
 
@@ -106,10 +106,8 @@ def _declare_lost(summary: Summary) -> None:
     for id in {id for chunk in summary.chunks for id in chunk.channels} - summary.channels.keys():
         if 0 < id <= len(specs):
             spec = specs[id - 1]
-            summary.schemas.setdefault(id, records.Schema(id=id, data=b"", encoding="protobuf", name=spec.message))
-            summary.channels[id] = records.Channel(
-                id=id, topic=spec.topic, message_encoding="protobuf", metadata={}, schema_id=id
-            )
+            summary.schemas.setdefault(id, spec.message)
+            summary.channels[id] = ChannelRecord(id, id, spec.topic, "protobuf")
 
 
 class _Scan:
@@ -205,17 +203,16 @@ class _Scan:
         summary = self.summary
         content = self._source.read(at + RECORD.size, length, "a record")
         if opcode == Opcode.SCHEMA:
-            schema = parse_record(records.Schema, content)
-            summary.schemas[schema.id] = schema
+            id, name = parse_record(opcode, content)
+            summary.schemas[id] = name
         elif opcode == Opcode.CHANNEL:
-            channel = parse_record(records.Channel, content)
+            channel = parse_record(opcode, content)
             summary.channels[channel.id] = channel
         else:
-            metadata = parse_record(records.Metadata, content)
-            if metadata.name in (HEADER_METADATA, EXTENT_METADATA):
-                unchecked(dict(metadata.metadata))
-            index = records.MetadataIndex(offset=at, length=RECORD.size + length, name=metadata.name)
-            summary.metadata[metadata.name] = index
+            name, values = parse_record(opcode, content)
+            if name in (HEADER_METADATA, EXTENT_METADATA):
+                unchecked(values)
+            summary.metadata[name] = at
 
     def _is_record(self, at: int) -> bool:
         if at + RECORD.size > self._source.size:

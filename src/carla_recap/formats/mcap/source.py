@@ -7,19 +7,13 @@ from __future__ import annotations
 
 import struct
 import zlib
-from dataclasses import dataclass, field
 from functools import lru_cache
-from io import BytesIO
 from itertools import pairwise
 from pathlib import Path
 from threading import Lock, local
 from typing import TYPE_CHECKING, Any, Final, NamedTuple
 
-import lz4.frame
 import zstandard
-from mcap import records
-from mcap.data_stream import ReadDataStream
-from mcap.exceptions import McapError
 from mcap.opcode import Opcode
 
 from carla_recap.errors import Closed, FormatError, NotARecording, RecapError
@@ -34,7 +28,7 @@ from carla_recap.formats.mcap.schema import (
 )
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator
+    from collections.abc import Callable, Iterator
 
 CHUNK_LIMIT: Final = 64 << 20
 """The largest chunk that is read, in bytes, compressed or not; ours are about 1 MiB."""
@@ -126,24 +120,84 @@ def split_records(data: bytes | memoryview) -> Iterator[tuple[int, int, int]]:
         yield opcode, start, at
 
 
-def parse_record(kind: Any, data: bytes | memoryview) -> Any:
-    """A record's content as the `mcap` package's object of that kind.
+class ChannelRecord(NamedTuple):
+    """The declaration of a channel: its id, its schema's id, its topic, and the encoding of its messages."""
+
+    id: int
+    schema: int
+    topic: str
+    encoding: str
+
+
+def parse_record(opcode: int, content: bytes | memoryview) -> Any:
+    """Return what a record of a summary contains.
+
+    Returns:
+        Of a schema, its id and name; a `ChannelRecord`; of metadata, their name and a dict; of a metadata index, the name
+        and the offset; of statistics, the numbers of messages and chunks.
 
     Raises:
         ValueError: The content is broken.
     """
     try:
-        return kind.read(ReadDataStream(BytesIO(data)))
-    except (
-        McapError,
-        UnicodeDecodeError,
-        struct.error,
-        OverflowError,
-        MemoryError,
-        KeyError,
-        TypeError,
-    ) as error:
-        raise ValueError(f"broken {kind.__name__} record ({type(error).__name__})") from None
+        return _PARSERS[opcode](memoryview(content))
+    except (struct.error, ValueError) as error:
+        raise ValueError(f"broken {Opcode(opcode).name} record ({error})") from None
+
+
+def _string(data: memoryview, offset: int) -> tuple[str, int]:
+    """Return a string with its length in front, and the offset behind it."""
+    (size,) = _U32.unpack_from(data, offset)
+    end = offset + _U32.size + size
+    if end > len(data):
+        raise ValueError("a text goes beyond the end")
+    return str(data[offset + _U32.size : end], "utf-8"), end
+
+
+def _schema(data: memoryview) -> tuple[int, str]:
+    (id,) = _U16.unpack_from(data)
+    return id, _string(data, _U16.size)[0]
+
+
+def _channel(data: memoryview) -> ChannelRecord:
+    id, schema = _CHANNEL.unpack_from(data)
+    topic, offset = _string(data, _CHANNEL.size)
+    return ChannelRecord(id, schema, topic, _string(data, offset)[0])
+
+
+def _metadata(data: memoryview) -> tuple[str, dict[str, str]]:
+    name, offset = _string(data, 0)
+    (size,) = _U32.unpack_from(data, offset)
+    offset += _U32.size
+    values, end = {}, offset + size
+    while offset < end:
+        key, offset = _string(data, offset)
+        values[key], offset = _string(data, offset)
+    return name, values
+
+
+def _metadata_index(data: memoryview) -> tuple[str, int]:
+    offset, _ = _METADATA_INDEX.unpack_from(data)
+    return _string(data, _METADATA_INDEX.size)[0], offset
+
+
+def _statistics(data: memoryview) -> tuple[int, int]:
+    messages, _, _, _, _, chunks = _STATISTICS.unpack_from(data)
+    return messages, chunks
+
+
+_U16: Final = struct.Struct("<H")
+_U32: Final = struct.Struct("<I")
+_CHANNEL: Final = struct.Struct("<HH")  # id, schema
+_METADATA_INDEX: Final = struct.Struct("<QQ")  # offset, length
+_STATISTICS: Final = struct.Struct("<QHIIII")  # numbers of messages, schemas, channels, attachments, metadata, chunks
+_PARSERS: Final[dict[int, Callable[[memoryview], Any]]] = {
+    Opcode.SCHEMA: _schema,
+    Opcode.CHANNEL: _channel,
+    Opcode.METADATA: _metadata,
+    Opcode.METADATA_INDEX: _metadata_index,
+    Opcode.STATISTICS: _statistics,
+}
 
 
 _of_thread: Final = local()
@@ -173,6 +227,8 @@ def decompress(compression: str, data: bytes | memoryview, size: int) -> bytes:
                 raise ValueError("the compressed data announce another size than the chunk")
             records = _decompressor().decompress(data, max_output_size=size) if size else b""
         elif compression == "lz4":
+            import lz4.frame
+
             records = bytes(lz4.frame.LZ4FrameDecompressor().decompress(data, max_length=size + 1))
         else:
             raise ValueError(f"unknown compression {compression!r:.40}")
@@ -216,16 +272,27 @@ class Chunk(NamedTuple):
     channels: frozenset[int]
 
 
-@dataclass
 class Summary:
-    """What an MCAP file says of its content. `finished`: its data section ends properly."""
+    """The content of an MCAP file, as its summary describes it.
 
-    schemas: dict[int, records.Schema] = field(default_factory=dict)
-    channels: dict[int, records.Channel] = field(default_factory=dict)
-    chunks: list[Chunk] = field(default_factory=list)
-    metadata: dict[str, records.MetadataIndex] = field(default_factory=dict)
-    statistics: records.Statistics | None = None
-    finished: bool = False
+    Attributes:
+        schemas: The names of the schemas, by id.
+        channels: The channels, by id.
+        chunks: The chunks, in order of time.
+        metadata: The offsets of metadata records, by name.
+        messages: The number of messages; None if unknown.
+        chunk_count: The number of chunks; None if unknown.
+        finished: Whether the data section ends properly.
+    """
+
+    def __init__(self) -> None:
+        self.schemas: dict[int, str] = {}
+        self.channels: dict[int, ChannelRecord] = {}
+        self.chunks: list[Chunk] = []
+        self.metadata: dict[str, int] = {}
+        self.messages: int | None = None
+        self.chunk_count: int | None = None
+        self.finished = False
 
 
 def read_summary(source: Source) -> Summary:
@@ -276,15 +343,14 @@ def read_summary(source: Source) -> Summary:
     placed = sorted((chunk.offset, chunk.offset + chunk.length) for chunk in summary.chunks)
     if any(end > after for (_, end), (after, _) in pairwise(placed)):
         raise FormatError(path, start, "the summary names chunks that lie in one another")
-    stated = summary.statistics
-    if stated and stated.chunk_count != len(offsets):
+    if summary.chunk_count not in (None, len(offsets)):
         raise FormatError(
             path,
             start,
-            f"the summary names {len(offsets)} of {stated.chunk_count} chunks; 'carla-recap recover' makes a new one",
+            f"the summary names {len(offsets)} of {summary.chunk_count} chunks; 'carla-recap recover' makes a new one",
         )
-    if stated and stated.message_count and not offsets:
-        raise FormatError(path, start, f"{stated.message_count} messages lie outside chunks, where none are read")
+    if summary.messages and not offsets:
+        raise FormatError(path, start, f"{summary.messages} messages lie outside chunks, where none are read")
     return summary
 
 
@@ -292,16 +358,16 @@ def _take(summary: Summary, opcode: int, data: memoryview) -> None:
     if opcode == Opcode.CHUNK_INDEX:
         summary.chunks.append(_chunk_index(data))
     elif opcode == Opcode.SCHEMA:
-        schema = parse_record(records.Schema, data)
-        summary.schemas[schema.id] = schema
+        id, name = parse_record(opcode, data)
+        summary.schemas[id] = name
     elif opcode == Opcode.CHANNEL:
-        channel = parse_record(records.Channel, data)
+        channel = parse_record(opcode, data)
         summary.channels[channel.id] = channel
     elif opcode == Opcode.METADATA_INDEX:
-        index = parse_record(records.MetadataIndex, data)
-        summary.metadata[index.name] = index
+        name, offset = parse_record(opcode, data)
+        summary.metadata[name] = offset
     elif opcode == Opcode.STATISTICS:
-        summary.statistics = parse_record(records.Statistics, data)
+        summary.messages, summary.chunk_count = parse_record(opcode, data)
 
 
 def _chunk_index(data: memoryview) -> Chunk:
