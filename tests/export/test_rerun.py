@@ -25,7 +25,7 @@ pytest.importorskip("rerun", reason="the extra rerun is not installed")
 
 from rerun.chunk import RrdReader
 
-from carla_recap.export.rerun import APPLICATION, actors, blueprint, export_rerun, tracks, writer
+from carla_recap.export.rerun import APPLICATION, actors, blueprint, export_rerun, poses, writer
 
 CROSSING = Path(__file__).parents[2] / "samples" / "crossing.log"
 HERO, BLOCKING, GONE, LATE, CYCLIST, WALKER, LIGHT, SENSOR = 100, 101, 103, 104, 105, 110, 20, 120  # of the crossing
@@ -383,8 +383,8 @@ def driven(count: int, of: int = 1, **first):
 
 @pytest.mark.parametrize("rows", [1, 3, 7])
 def test_blocks_leave_no_seams(rows: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(tracks, "ROWS", rows)
-    monkeypatch.setattr("carla_recap.export.rerun.ego.ROWS", rows)
+    monkeypatch.setattr(poses, "ROWS", rows)
+    monkeypatch.setattr("carla_recap.export.rerun.followed.ROWS", rows)
     rrd = export(CROSSING, tmp_path / "blocks.rrd", start=12, duration=18)
     monkeypatch.undo()
     whole = export(CROSSING, tmp_path / "whole.rrd", start=12, duration=18)

@@ -1,4 +1,4 @@
-"""What happens, line by line: many who come or go at once in one line, and a contact of many frames once."""
+"""The events of a recording as lines of text: of many actors at once a single line, of a contact of many frames one."""
 
 from __future__ import annotations
 
@@ -13,12 +13,12 @@ if TYPE_CHECKING:
 
     from carla_recap.replay import Collided, Present, Scene
 
-_MANY: Final = 5  # so many who come or go in a scene are counted, not named
-_PAUSE: Final = 1.0  # s; who touch again within so much have not parted
+_MANY: Final = 5  # the number of actors that appear or disappear in a scene from which on they are counted, not named
+_PAUSE: Final = 1.0  # s; actors that touch again within this time are still in the same contact
 
 
 class Level(IntEnum):
-    """How much a line matters."""
+    """The importance of a line."""
 
     DEBUG = 1
     INFO = 2
@@ -27,7 +27,7 @@ class Level(IntEnum):
 
 
 class Line(NamedTuple):
-    """A line: how much it matters, what it is about, what it says, and the contact that it tells of, if any."""
+    """A line of text, its level and subject, and the contact that it reports, if any."""
 
     level: Level
     subject: str
@@ -35,57 +35,53 @@ class Line(NamedTuple):
     contact: Collided | None = None
 
 
-class Teller:
-    """Tells of the events of a recording, scene by scene."""
+class EventText:
+    """Puts the events of a recording into words, scene by scene."""
 
     def __init__(self) -> None:
-        self._actors: dict[int, Present] = {}  # who is there, or is just going
-        self._contacts: dict[frozenset[int], float] = {}  # pairs, and when they touched last
+        self._actors: dict[int, Present] = {}  # the present ones, and those destroyed in the current scene
+        self._contacts: dict[frozenset[int], float] = {}  # the latest time of contact of pairs, in elapsed seconds
 
-    def tell(self, scene: Scene) -> Iterator[Line]:
-        """The lines of a scene, which comes behind those before."""
+    def lines(self, scene: Scene) -> Iterator[Line]:
+        """Yield the lines of a scene; scenes have to come in order."""
         if not scene.events and not scene.fresh:
             return
         spawned, destroyed = scene.spawned, scene.destroyed
         self._actors.update((event.actor.id, event.actor) for event in spawned)
         if scene.fresh:
-            yield _about_actors(_count([event.actor for event in spawned], "are there"))
+            yield _actor_line(_count([event.actor for event in spawned], "are there"))
         elif len(spawned) >= _MANY:
-            yield _about_actors(_count([event.actor for event in spawned], "appear"))
+            yield _actor_line(_count([event.actor for event in spawned], "appear"))
         else:
-            yield from (_about_actors(style.sentence(event, self._actors)) for event in spawned)
+            yield from (_actor_line(style.sentence(event, self._actors)) for event in spawned)
             yield from (Line(Level.DEBUG, "actors", style.sentence(event, self._actors)) for event in scene.parented)
-        yield from self._contacts_of(scene)
+        yield from self._contact_lines(scene)
         if len(destroyed) >= _MANY:
             gone = [self._actors[event.id] for event in destroyed if event.id in self._actors]
-            yield _about_actors(_count(gone, "disappear"))
+            yield _actor_line(_count(gone, "disappear"))
         else:
-            yield from (_about_actors(style.sentence(event, self._actors)) for event in destroyed)
+            yield from (_actor_line(style.sentence(event, self._actors)) for event in destroyed)
         for event in destroyed:
             if event.id not in scene.actors:
                 self._actors.pop(event.id, None)
 
-    def _contacts_of(self, scene: Scene) -> Iterator[Line]:
+    def _contact_lines(self, scene: Scene) -> Iterator[Line]:
         self._contacts = {pair: time for pair, time in self._contacts.items() if scene.time - time <= _PAUSE}
         for event in scene.collisions:
-            if self._begins(event):
+            pair = frozenset((event.actor1, event.actor2))
+            is_new = pair not in self._contacts
+            self._contacts[pair] = event.elapsed
+            if is_new:
                 level = Level.ERROR if event.hero1 or event.hero2 else Level.WARNING
                 yield Line(level, "collisions", style.sentence(event, self._actors), event)
 
-    def _begins(self, event: Collided) -> bool:
-        """Note a contact; says whether it begins."""
-        pair = frozenset((event.actor1, event.actor2))
-        begins = pair not in self._contacts
-        self._contacts[pair] = event.elapsed
-        return begins
 
-
-def _about_actors(text: str) -> Line:
+def _actor_line(text: str) -> Line:
     return Line(Level.INFO, "actors", text)
 
 
 def _count(actors: Sequence[Present], verb: str) -> str:
-    """Many actors in a sentence: `150 actors appear: 60 walkers, 50 vehicles, 40 others`."""
+    """Return a sentence that counts actors: `150 actors appear: 60 walkers, 50 vehicles, 40 others`."""
     kinds = Counter(style.style_of(actor).name for actor in actors)
     counts = ", ".join(f"{count} {name}{'s' * (count > 1)}" for name, count in kinds.most_common())
     return f"{len(actors)} actor{'s' * (len(actors) != 1)} {verb}{': ' * bool(counts)}{counts}"

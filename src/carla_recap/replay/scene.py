@@ -86,6 +86,10 @@ class SceneBatch:
             light_states=self.light_states[start:stop],
         )
 
+    def scene(self, row: int) -> Scene:
+        """Return one of the scenes."""
+        return Scene(self, row)
+
     def records(self, name: str) -> NDArray[np.void]:
         """Return the records of a type as in the frames, the last one of each id, ascending by id: (scenes, ids)."""
         if name not in self._records:

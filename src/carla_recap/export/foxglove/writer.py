@@ -9,7 +9,7 @@ import numpy as np
 from mcap.opcode import Opcode
 from mcap_protobuf.schema import build_file_descriptor_set
 
-from carla_recap.export.event_text import Level, Teller
+from carla_recap.export.event_text import EventText, Level
 from carla_recap.export.foxglove import followed, scene
 from carla_recap.export.foxglove.followed import finite_poses
 from carla_recap.export.foxglove.messages import FrameTransforms, Log, SceneUpdate, single
@@ -93,7 +93,7 @@ class FoxgloveWriter(ChunkedFile):
         self._frames = followed.ViewFrames()
         self._motion = followed.FollowedMotion()
         self._lights = followed.LightMessages()
-        self._teller = Teller()
+        self._text = EventText()
         self._due = 0.0  # the elapsed time of the next scene to show
         self._start = 0.0  # the elapsed time of the first scene
         self._last: tuple[SceneBatch, Times] | None = None
@@ -138,7 +138,7 @@ class FoxgloveWriter(ChunkedFile):
         if self._last is None:
             self._start = batch.time[0].item()
             yield single(scene.MAP, 0, scene.map_message(self._road_map, int(times[0])))
-        for level, subject, text, _ in self._teller.tell(next(iter(batch))):
+        for level, subject, text, _ in self._text.lines(batch.scene(0)):
             line = Log(level=_LEVELS[level], name=subject, message=text)
             line.timestamp.FromNanoseconds(int(times[0]))
             yield single(LOG, 0, line)

@@ -1,4 +1,4 @@
-"""How the viewer arranges a recording: the followed actor large, beside it the map, its plots, the lights and the log."""
+"""The arrangement of the viewer: the followed actor large, beside it the map, its plots, the lights and the log."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ import rerun as rr
 import rerun.blueprint as rrb
 
 from carla_recap.export import style
-from carla_recap.export.rerun import tree
+from carla_recap.export.rerun import paths
 from carla_recap.export.rerun.stream import FRAME, SIM_TIME
 from carla_recap.model.records import CM
 from carla_recap.replay import Player, camera, right_handed
@@ -22,36 +22,36 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
 View = Literal["chase", "top"]
-"""From behind and above, or from straight above."""
+"""The camera: behind and above the actor, or straight above it."""
 
-_TRAIL: Final = 4.0  # s
-_TRAIL_FRAMES: Final = 80
-_NEAREST: Final = 30.0  # m; an overview is of no less
+_TRAIL: Final = 4.0  # s; the time for which the trail is shown
+_TRAIL_FRAMES: Final = 80  # the same in frames
+_MIN_RADIUS: Final = 30.0  # m; of what an overview shows
 
 
 def blueprint(player: Player, *, view: View = "chase", followed: int | None = None) -> rrb.Blueprint:
-    """The arrangement of views for a recording.
+    """Return the arrangement of views for a recording.
 
     Args:
-        player: Plays it.
-        view: Which of the two cameras is shown first; the other one is a tab beside it.
-        followed: Whom they follow; None: the one that the player follows, and where that is nobody, they stand still.
-            Anybody else needs the axes that `write` adds with `cameras`.
+        player: The player of the recording.
+        view: The camera that is shown first; the other one is a tab beside it.
+        followed: The actor that they follow; None: the one that the player follows, and without one, they stand still.
+            Any other actor needs the axes that `write` adds with `cameras`.
     """
     return arranged(camera_views(player, followed=followed), view, player.followed)
 
 
 def arranged(cameras: Mapping[View, rrb.Spatial3DView], view: View, ego: int | None, *, live: bool = False) -> rrb.Blueprint:
-    """The arrangement of views around those of the cameras.
+    """Return the arrangement of views around those of the cameras.
 
     Args:
         cameras: The views of the cameras.
-        view: Which of them is shown first.
-        ego: Who has plots.
-        live: Whether it goes on: the viewer then shows what came last.
+        view: The camera that is shown first.
+        ego: The actor that has plots, if any.
+        live: Whether frames are still being added: the viewer then shows the latest one.
     """
     beside: list[rrb.View | rrb.Container] = [
-        rrb.Spatial2DView(origin=tree.MAP, name="Map", background=[*style.BACKGROUND, 255])
+        rrb.Spatial2DView(origin=paths.MAP, name="Map", background=[*style.BACKGROUND, 255])
     ]
     if ego is not None:
         beside.append(rrb.Vertical(*_plots(ego)))
@@ -63,9 +63,9 @@ def arranged(cameras: Mapping[View, rrb.Spatial3DView], view: View, ego: int | N
                 column_shares=[5, 2],
             ),
             rrb.Horizontal(
-                rrb.StateTimelineView(origin=tree.STATES, name="Traffic lights"),
+                rrb.StateTimelineView(origin=paths.STATES, name="Traffic lights"),
                 rrb.TextLogView(
-                    origin=tree.EVENTS,
+                    origin=paths.EVENTS,
                     name="Events",
                     columns=rrb.TextLogColumns(timeline_columns=[SIM_TIME], text_log_columns=["loglevel", "body"]),
                 ),
@@ -79,46 +79,46 @@ def arranged(cameras: Mapping[View, rrb.Spatial3DView], view: View, ego: int | N
 
 
 def camera_views(player: Player, *, followed: int | None = None) -> dict[View, rrb.Spatial3DView]:
-    """The views of both cameras; see `blueprint`."""
+    """Return the views of both cameras; see `blueprint`."""
     followed = player.followed if followed is None else followed
     if followed is None:
-        return overviews(first_places(player))
+        return overviews(first_locations(player))
     if followed == player.followed:
-        return follow_views(tree.CHASE, "", player.followed)
-    return follow_views(tree.camera(followed), f" {followed}", player.followed)
+        return follow_views(paths.CHASE, "", player.followed)
+    return follow_views(paths.camera(followed), f" {followed}", player.followed)
 
 
-def overviews(places: NDArray[np.float64]) -> dict[View, rrb.Spatial3DView]:
-    """The views of cameras that stand still, and see some places: (n, 3) in m, right-handed."""
-    (x, y, z), radius = _extent(places)
+def overviews(locations: NDArray[np.float64]) -> dict[View, rrb.Spatial3DView]:
+    """Return the views of cameras that stand still and see some locations: (n, 3) in m, right-handed."""
+    (x, y, z), radius = _extent(locations)
     return {
-        "chase": _view("Overview", tree.WORLD, (x - 1.5 * radius, y, z + 1.2 * radius), (x, y, z), (0, 0, 1)),
-        "top": _view("Top", tree.WORLD, (x, y, z + 2.2 * radius), (x, y, z), (0, 1, 0)),
+        "chase": _view("Overview", paths.WORLD, (x - 1.5 * radius, y, z + 1.2 * radius), (x, y, z), (0, 0, 1)),
+        "top": _view("Top", paths.WORLD, (x, y, z + 2.2 * radius), (x, y, z), (0, 1, 0)),
     }
 
 
-def follow_views(axes: str, whom: str, ego: int | None) -> dict[View, rrb.Spatial3DView]:
-    """The views of cameras that stand still in axes that move.
+def follow_views(axes: str, suffix: str, ego: int | None) -> dict[View, rrb.Spatial3DView]:
+    """Return the views of cameras that stand still in axes that move.
 
     Args:
-        axes: Where in the tree the axes are.
-        whom: Whom they follow, for the titles.
-        ego: Whose trail is shown.
+        axes: The path of the axes.
+        suffix: The end of the titles.
+        ego: The actor whose trail is shown, if any.
     """
     back, up = camera.CHASE_BACK * CM, camera.CHASE_UP * CM
     ahead = up + back * math.tan(math.radians(camera.CHASE_PITCH))
     return {
-        "chase": _view(f"Chase{whom}", axes, (-back, 0, up), (0, 0, ahead), (0, 0, 1), ego),
-        "top": _view(f"Top{whom}", axes, (0, 0, camera.TOP_UP * CM), (0, 0, 0), (1, 0, 0), ego),
+        "chase": _view(f"Chase{suffix}", axes, (-back, 0, up), (0, 0, ahead), (0, 0, 1), ego),
+        "top": _view(f"Top{suffix}", axes, (0, 0, camera.TOP_UP * CM), (0, 0, 0), (1, 0, 0), ego),
     }
 
 
 def _plots(id: int) -> tuple[rrb.TimeSeriesView, rrb.TimeSeriesView]:
     no_legend = rrb.PlotLegend(visible=False)  # it would cover the lines
     return (
-        rrb.TimeSeriesView(origin=tree.SPEED, name=f"Speed of {id} (km/h)", plot_legend=no_legend),
+        rrb.TimeSeriesView(origin=paths.SPEED, name=f"Speed of {id} (km/h)", plot_legend=no_legend),
         rrb.TimeSeriesView(
-            origin=tree.CONTROLS,
+            origin=paths.CONTROLS,
             name="Throttle (green), brake (red), steer (blue)",
             axis_y=rrb.ScalarAxis(range=(-1.05, 1.05)),
             plot_legend=no_legend,
@@ -134,7 +134,7 @@ def _view(
     up: tuple[float, float, float],
     ego: int | None = None,
 ) -> rrb.Spatial3DView:
-    """A view from a camera in some axes; of the ego, the trail is shown."""
+    """Return the view of a camera in some axes, with the trail of the ego."""
     now = rr.TimeRangeBoundary.cursor_relative()
     trail = rrb.VisibleTimeRanges(
         [
@@ -144,26 +144,26 @@ def _view(
     )
     return rrb.Spatial3DView(
         origin=origin,
-        contents=f"{tree.WORLD}/**",
+        contents=f"{paths.WORLD}/**",
         name=name,
         background=[*style.BACKGROUND, 255],
         line_grid=False,
         eye_controls=rrb.EyeControls3D(position=position, look_target=target, eye_up=up),
-        overrides={tree.trail(ego): trail} if ego is not None else None,
+        overrides={paths.trail(ego): trail} if ego is not None else None,
     )
 
 
-def _extent(places: NDArray[np.float64]) -> tuple[list[float], float]:
-    """The middle of some places, and how far they go from there; in m, right-handed."""
-    if not len(places):
-        return [0.0, 0.0, 0.0], _NEAREST
-    low, high = places.min(axis=0), places.max(axis=0)
-    return ((low + high) / 2).tolist(), max(_NEAREST, float(np.linalg.norm(high - low)) / 2)
+def _extent(locations: NDArray[np.float64]) -> tuple[list[float], float]:
+    """Return the centre and the radius of some locations, in m, right-handed."""
+    if not len(locations):
+        return [0.0, 0.0, 0.0], _MIN_RADIUS
+    low, high = locations.min(axis=0), locations.max(axis=0)
+    return ((low + high) / 2).tolist(), max(_MIN_RADIUS, float(np.linalg.norm(high - low)) / 2)
 
 
-def first_places(player: Player) -> NDArray[np.float64]:
-    """Where actors are when it begins, (n, 3) in m, right-handed."""
+def first_locations(player: Player) -> NDArray[np.float64]:
+    """Return the locations of the actors at the start, (n, 3) in m, right-handed."""
     scene = Player(player.reader).at(player.start)
     poses = [pose for id in {*scene.ids.tolist(), *scene.actors} if (pose := scene.pose_of(id)) is not None]
-    places = right_handed(np.array(poses).reshape(-1, 6))[:, LOCATION]
-    return places[np.isfinite(places).all(axis=1)]
+    locations = right_handed(np.array(poses).reshape(-1, 6))[:, LOCATION]
+    return locations[np.isfinite(locations).all(axis=1)]

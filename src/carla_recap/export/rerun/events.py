@@ -1,4 +1,4 @@
-"""What happens, as a log; and collisions as marks in the world, one for each contact."""
+"""The log of events, and marks in the world where actors collide, one for each contact."""
 
 from __future__ import annotations
 
@@ -9,9 +9,9 @@ import numpy as np
 import rerun as rr
 
 from carla_recap.export import style
-from carla_recap.export.event_text import Level, Teller
-from carla_recap.export.rerun import tree
-from carla_recap.export.rerun.stream import Times
+from carla_recap.export.event_text import EventText, Level
+from carla_recap.export.rerun import paths
+from carla_recap.export.rerun.stream import TimeColumns
 from carla_recap.replay import right_handed
 from carla_recap.replay.pose import LOCATION
 
@@ -19,16 +19,16 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from carla_recap.export.event_text import Line
-    from carla_recap.export.rerun.stream import Moment, Stream
-    from carla_recap.replay import Collided, Scene
+    from carla_recap.export.rerun.stream import Stream, TimePoint
+    from carla_recap.replay import Collided, SceneBatch
 
     Floats = NDArray[np.float64]
 
-_SHOWN: Final = 2_000_000_000  # ns; so long a collision is marked
-_ABOVE: Final = 2.5  # m; so high above the ground
-_MARK: Final = 0.5  # m
-_MOST: Final = 50  # so many contacts are marked at once: those that came last
-_HELD: Final = 8192  # so many lines are held back at the most
+_DURATION: Final = 2_000_000_000  # ns; the time for which a contact is marked
+_HEIGHT: Final = 2.5  # m; of a mark above the ground
+_RADIUS: Final = 0.5  # m; of a mark
+_MAX_MARKS: Final = 50  # the number of latest contacts that are marked at a time
+_MAX_LINES: Final = 8192  # the number of lines that are held back
 _LEVELS: Final = {
     Level.DEBUG: rr.TextLogLevel.DEBUG,
     Level.INFO: rr.TextLogLevel.INFO,
@@ -37,64 +37,73 @@ _LEVELS: Final = {
 }
 
 
-class Chronicle:
-    """Writes the log, and the collisions.
+class EventWriter:
+    """Writes the log and the collisions.
 
     Args:
-        stream: Where to.
+        stream: The stream.
     """
 
     def __init__(self, stream: Stream) -> None:
         self._stream = stream
-        self._teller = Teller()
-        self._told: list[tuple[Moment, Line]] = []
-        self._marks: deque[tuple[int, Floats]] = deque(maxlen=_MOST)  # until when, in ns, and where
+        self._text = EventText()
+        self._lines: list[tuple[TimePoint, Line]] = []
+        self._marks: deque[tuple[int, Floats]] = deque(maxlen=_MAX_MARKS)  # the end in ns, and the location
 
-    def enter(self, scene: Scene, moment: Moment) -> None:
-        """Take a scene in."""
-        changed = False
-        while self._marks and self._marks[0][0] <= moment.elapsed:
-            self._marks.popleft()
-            changed = True
-        for line in self._teller.tell(scene):
-            self._told.append((moment, line))
+    def write(self, batch: SceneBatch, times: TimeColumns) -> None:
+        """Write scenes."""
+        time = times.point(0)
+        changed = self._remove_marks(time)
+        for line in self._text.lines(batch.scene(0)):
+            self._lines.append((time, line))
             if line.contact is not None:
-                changed |= self._mark(line.contact, scene, moment)
+                changed |= self._add_mark(line.contact, batch, time)
         if changed:
-            self._draw(moment)
-        if len(self._told) >= _HELD:
+            self._draw(time)
+        while self._marks and self._marks[0][0] <= times.elapsed[-1]:
+            time = times.point(int(np.searchsorted(times.elapsed, self._marks[0][0])))
+            self._remove_marks(time)
+            self._draw(time)
+        if len(self._lines) >= _MAX_LINES:
             self.flush()
 
     def flush(self) -> None:
         """Write what is held back."""
-        if self._told:
-            times = Times.of(moment for moment, _ in self._told)
-            texts, levels = zip(*((line.text, _LEVELS[line.level]) for _, line in self._told), strict=True)
-            self._stream.columns(tree.EVENTS, times, rr.TextLog.columns(text=texts, level=levels))
-        self._told.clear()
+        if self._lines:
+            times = TimeColumns.of_points(time for time, _ in self._lines)
+            texts, levels = zip(*((line.text, _LEVELS[line.level]) for _, line in self._lines), strict=True)
+            self._stream.columns(paths.EVENTS, times, rr.TextLog.columns(text=texts, level=levels))
+        self._lines.clear()
 
-    def _mark(self, contact: Collided, scene: Scene, moment: Moment) -> bool:
-        """Note where a contact is; says whether that is known."""
-        poses = [pose for id in (contact.actor1, contact.actor2) if (pose := scene.pose_of(id)) is not None]
+    def _remove_marks(self, time: TimePoint) -> bool:
+        """Remove the marks that end at or before a time, and return whether there are any."""
+        count = len(self._marks)
+        while self._marks and self._marks[0][0] <= time.elapsed:
+            self._marks.popleft()
+        return len(self._marks) < count
+
+    def _add_mark(self, contact: Collided, batch: SceneBatch, time: TimePoint) -> bool:
+        """Add the mark of a contact, and return whether its location is known."""
+        poses = [pose for id in (contact.actor1, contact.actor2) if (pose := batch.pose_of(id, 0)) is not None]
         if poses:
-            self._marks.append((moment.elapsed + _SHOWN, right_handed(np.mean(poses, axis=0))[LOCATION]))
+            self._marks.append((time.elapsed + _DURATION, right_handed(np.mean(poses, axis=0))[LOCATION]))
         return bool(poses)
 
-    def _draw(self, moment: Moment) -> None:
+    def _draw(self, time: TimePoint) -> None:
         """Show the marks: each one is a ball, and above it a point with the label."""
         count = len(self._marks)
         if not count:
-            self._stream.clear(tree.COLLISIONS, moment)
+            self._stream.clear(paths.COLLISIONS, time)
             return
-        places = np.repeat([place for _, place in self._marks], 2, axis=0)
-        places[:, 2] += np.tile((_ABOVE, _ABOVE + 2 * _MARK), count)
+        locations = np.repeat([location for _, location in self._marks], 2, axis=0)
+        locations[:, 2] += np.tile((_HEIGHT, _HEIGHT + 2 * _RADIUS), count)
         self._stream.log(
-            tree.COLLISIONS,
-            moment,
+            paths.COLLISIONS,
+            time,
             rr.Points3D(
-                places,
+                locations,
                 colors=[style.COLLISION],
-                radii=[_MARK, 0] * count,
+                radii=[_RADIUS, 0] * count,
                 labels=["", "collision"] * count,
                 show_labels=True,
             ),

@@ -1,4 +1,4 @@
-"""A recording into a Rerun stream, and into an .rrd."""
+"""A recording, or the frames of a running simulation, as a Rerun stream; and the .rrd of a recording."""
 
 from __future__ import annotations
 
@@ -7,31 +7,109 @@ from contextlib import nullcontext
 from pathlib import Path
 from typing import TYPE_CHECKING, Final
 
+import rerun as rr
+
 from carla_recap.editing.convert import check_destination
 from carla_recap.errors import RecapError, RecapWarning
-from carla_recap.export.rerun import roads
-from carla_recap.export.rerun.actors import MOVERS
-from carla_recap.export.rerun.blueprint import View, blueprint, first_places
+from carla_recap.export.rerun.actors import MOVERS, ActorWriter
+from carla_recap.export.rerun.blueprint import View, blueprint, first_locations
+from carla_recap.export.rerun.events import EventWriter
+from carla_recap.export.rerun.followed import FollowedWriter
 from carla_recap.export.rerun.rrd import piped, rbl
-from carla_recap.export.rerun.stage import Stage, introduce
+from carla_recap.export.rerun.stream import Stream, TimeColumns
+from carla_recap.export.rerun.town import TrafficLightWriter, is_elsewhere, write_roads
 from carla_recap.queries.actors import actors
 from carla_recap.recording import Recording
 from carla_recap.replay import Played, Player
 from carla_recap.util.files import WholeFile, check_folder, new_folder
+from carla_recap.util.text import readable
 
 if TYPE_CHECKING:
     from collections.abc import Collection, Iterable
 
-    import rerun as rr
-
     from carla_recap.formats.base import Reader
     from carla_recap.maps import RoadMap
-    from carla_recap.replay import Scene
+    from carla_recap.model.frame import Header
+    from carla_recap.replay import SceneBatch
     from carla_recap.replay.follow import Follow
     from carla_recap.replay.player import Progress
 
 MOST_CAMERAS: Final = 500
-"""So many actors get a camera."""
+"""The number of actors that get a camera, the first ones."""
+
+_MAX_DATE: Final = 9_000_000_000  # s; as nanoseconds it fits into 64 bits
+
+
+def describe(stream: rr.RecordingStream, header: Header, name: str, source: str) -> None:
+    """Write the name, the date and the properties of a recording."""
+    stream.send_recording_name(readable(name))
+    if 0 <= header.date <= _MAX_DATE:
+        stream.send_recording_start_time_nanos(header.date * 1_000_000_000)
+    about = rr.AnyValues(map=readable(header.map_name), source=readable(source), recorder_version=header.version)
+    stream.send_property("recording", about)
+
+
+class SceneWriter:
+    """Writes scenes: the actors, the traffic lights, the events, and what is shown of the followed actor.
+
+    Args:
+        stream: The stream.
+        followed: The actor that the camera follows, if any.
+        road_map: The map of the town.
+        cameras: Ids of other actors that get the axes of a camera.
+    """
+
+    def __init__(
+        self,
+        stream: rr.RecordingStream,
+        *,
+        followed: int | None = None,
+        road_map: RoadMap | None = None,
+        cameras: Iterable[int] = (),
+    ) -> None:
+        self._stream = Stream(stream)
+        self._has_roads = road_map is not None
+        if road_map is not None:
+            write_roads(self._stream, road_map)
+        self._actors = ActorWriter(self._stream, followed, roads=self._has_roads, cameras=cameras)
+        self._lights = TrafficLightWriter(self._stream)
+        self._events = EventWriter(self._stream)
+        self._followed: FollowedWriter | None = None
+        if followed is not None:
+            self.follow(followed)
+
+    def follow(self, id: int) -> None:
+        """Follow another actor from the next scene on."""
+        if self._followed is not None:
+            self._followed.flush()
+        self._actors.follow(id)
+        self._followed = FollowedWriter(self._stream, id, ground=not self._has_roads)
+
+    def write(self, batch: SceneBatch) -> None:
+        """Write scenes."""
+        times = TimeColumns.of(batch)
+        self._actors.write(batch, times)
+        self._lights.write(batch, times)
+        self._events.write(batch, times)
+        if self._followed is not None:
+            self._followed.write(batch, times)
+
+    def flush(self) -> None:
+        """Write what is held back."""
+        self._actors.flush()
+        self._lights.flush()
+        self._events.flush()
+        if self._followed is not None:
+            self._followed.flush()
+
+    def close(self) -> None:
+        """Write what is held back, and what is known only at the end.
+
+        Warns:
+            RecapWarning: There are too many actors to show all of them.
+        """
+        self.flush()
+        self._actors.close()
 
 
 def write(
@@ -46,10 +124,10 @@ def write(
 
     Args:
         stream: A file, a viewer or a pipe.
-        player: Plays it.
+        player: The player of the recording.
         road_map: The map of the town.
         progress: Is given the stream of scenes and their player, and passes the scenes on.
-        cameras: Ids of others than the followed actor who get the axes of a camera, too.
+        cameras: Ids of other actors than the followed one that get the axes of a camera, too.
 
     Warns:
         RecapWarning: The map is that of another town, or there are too many actors to show all of them.
@@ -58,17 +136,16 @@ def write(
         FormatError: The file contradicts its format.
     """
     reader = player.reader
-    introduce(stream, reader.header, reader.path.name, str(reader.path))
-    if road_map is not None and roads.lies_elsewhere(road_map, first_places(player)):
+    describe(stream, reader.header, reader.path.name, str(reader.path))
+    if road_map is not None and is_elsewhere(road_map, first_locations(player)):
         warnings.warn(f"{road_map.name}: no actor is near this map, which is left out", RecapWarning, stacklevel=2)
         road_map = None
-    stage = Stage(stream, followed=player.followed, road_map=road_map, cameras=cameras)
-    scenes: Iterable[Scene] = player.scenes()
+    writer = SceneWriter(stream, followed=player.followed, road_map=road_map, cameras=cameras)
     count = 0
-    for scene in progress(scenes, player) if progress else scenes:
-        stage.enter(scene)
-        count += 1
-    stage.close()
+    for batch in player.batches(progress):
+        writer.write(batch)
+        count += len(batch)
+    writer.close()
     return Played(count, player.stop - player.start)
 
 
@@ -90,14 +167,14 @@ def export_rerun(
     Args:
         source: The recording.
         destination: The .rrd; it appears when it is complete.
-        follow: Whom the camera follows: an id or "hero"; None: see `choose_followed`.
-        start: Where to begin, in elapsed seconds; negative: so long before the end.
-        duration: How many seconds; 0: all of the rest.
-        view: Which camera is shown first.
+        follow: The actor that the camera follows: an id or "hero"; None: see `choose_followed`.
+        start: The elapsed time to begin at, in seconds; negative: before the end.
+        duration: The duration in seconds; 0: all of the rest.
+        view: The camera that is shown first.
         road_map: The map of the town.
         cameras: A folder for a blueprint of each vehicle and walker, `follow_<id>.rbl`: opened together with the .rrd, it
             makes the camera follow that actor.
-        force: Overwrite what is there.
+        force: Overwrite existing files.
         progress: See `write`.
 
     Raises:
@@ -113,18 +190,18 @@ def export_rerun(
     player = Player(reader, start=start, duration=duration, follow=follow)
     filmed = [] if cameras is None else _filmed(player)
     with (
-        nullcontext(Path()) if cameras is None else new_folder(cameras) as room,
+        nullcontext(Path()) if cameras is None else new_folder(cameras) as folder,
         WholeFile(destination) as file,
     ):
         with piped(blueprint(player, view=view), file.write) as stream:
             played = write(stream, player, road_map=road_map, progress=progress, cameras=filmed)
         for id in filmed:
-            (room / f"follow_{id}.rbl").write_bytes(rbl(blueprint(player, view=view, followed=id)))
+            (folder / f"follow_{id}.rbl").write_bytes(rbl(blueprint(player, view=view, followed=id)))
     return played
 
 
 def _filmed(player: Player) -> list[int]:
-    """Who gets a camera: vehicles and walkers that are there while it plays; of many, the first ones."""
+    """Return the vehicles and walkers that get a camera: the first ones of those present while the recording is played."""
     kinds = {kind.name.lower() for kind in MOVERS}
     ids: dict[int, None] = {}  # in their order, each once
     for actor in actors(player.reader):

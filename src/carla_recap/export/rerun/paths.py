@@ -1,4 +1,4 @@
-"""Where everything is in the tree of entities; `writer` fills it, `blueprint` shows it."""
+"""The paths of entities: the writers fill them, the blueprint shows them."""
 
 from __future__ import annotations
 
@@ -27,25 +27,25 @@ MAP_FOLLOWED: Final = "/map/followed"
 
 
 def actor(id: int) -> str:
-    """The box of an actor, in its own axes."""
+    """Return the path of an actor: its box, in its own axes."""
     return f"{ACTORS}/{id}"
 
 
 def camera(id: int) -> str:
-    """The axes in which the camera that follows an actor stands still."""
+    """Return the path of the axes in which the camera that follows an actor is fixed."""
     return f"{CAMERAS}/{id}"
 
 
 def trail(id: int) -> str:
-    """Where an actor came from."""
+    """Return the path of the trail behind an actor."""
     return f"{TRAIL}/{id}"
 
 
 def lamp(id: int) -> str:
-    """The lamp of a traffic light in the world."""
+    """Return the path of the lamp of a traffic light in the world."""
     return f"{LAMPS}/tl_{id}"
 
 
 def state(id: int) -> str:
-    """The states of a traffic light, as a lane."""
+    """Return the path of the states of a traffic light, shown as a lane of a timeline."""
     return f"{STATES}/tl_{id}"
