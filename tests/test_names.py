@@ -15,7 +15,6 @@ UNTIL_THE_CORE_IS_REDRAWN = {
     "Actor",
     "Actors",
     "Chunk",
-    "Recorder",
     "Signals",
 }
 """Names that records, queries, tables, maps, replays or exporters share with each other or with the simulator or server."""

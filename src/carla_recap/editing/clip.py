@@ -6,12 +6,14 @@ import math
 from dataclasses import replace
 from typing import TYPE_CHECKING, Final
 
+import numpy as np
+
 from carla_recap.editing.convert import check_destination
 from carla_recap.editing.initial_state import InitialState
 from carla_recap.errors import RecapError
 from carla_recap.formats import create_writer, open_reader
 from carla_recap.model.batch import Batch
-from carla_recap.model.frame import LAST_FRAME_DURATION, SAME_TIME, Extent, Frame
+from carla_recap.model.frame import LAST_FRAME_DURATION, SAME_TIME, Extent
 from carla_recap.replay.player import Player
 
 if TYPE_CHECKING:
@@ -20,7 +22,7 @@ if TYPE_CHECKING:
 
     from carla_recap.editing.convert import Progress
     from carla_recap.formats.base import Reader
-    from carla_recap.model.frame import Header
+    from carla_recap.model.frame import Frame, Header
 
 _LATEST_DATE: Final = (1 << 63) - 1
 
@@ -100,22 +102,26 @@ class ClipCutter:
     def write(self, destination: Path | str, first: Frame, stop: float, progress: Progress | None = None) -> Extent:
         """Write the clip from a frame to a time, in elapsed seconds of the source, and return its extent."""
         start = origin(first)
-        batches: Iterable[Batch] = map(Batch.of, _renumbered(self._frames(first, stop), start))
+        batches: Iterable[Batch] = _renumbered(self._batches(first, stop), start)
         extent = Extent()
         with create_writer(destination, _moved(self._reader.header, start)) as writer:
             for batch in progress(batches, self._reader) if progress else batches:
                 writer.write_batch(batch)
-                last = batch.frame(-1)
-                extent = Extent(last.index + 1, last.id, last.elapsed)
+                last = batch.index + len(batch)
+                extent = Extent(last, last, batch.elapsed[-1].item())
         return extent
 
-    def _frames(self, first: Frame, stop: float) -> Iterator[Frame]:
-        yield self._initial_state.begin(first)
+    def _batches(self, first: Frame, stop: float) -> Iterator[Batch]:
+        yield Batch.of(self._initial_state.complete(first))
         start = first.elapsed if math.isfinite(first.elapsed) else -math.inf
         # The stop is part of the clip, as are frames within `SAME_TIME` of it.
-        for frame in self._reader.frames(start=start, stop=stop + 2 * SAME_TIME):
-            if frame.index > first.index:
-                yield self._initial_state.go_on(frame)
+        for batch in self._reader.batches(start=start, stop=stop + 2 * SAME_TIME):
+            rest = batch[max(first.index + 1 - batch.index, 0) :]
+            if len(rest) and self._initial_state.has_late_parents:
+                yield Batch.of(self._initial_state.add_parents(rest.frame(0)))
+                rest = rest[1:]
+            if len(rest):
+                yield rest
 
 
 def origin(first: Frame) -> float:
@@ -123,15 +129,17 @@ def origin(first: Frame) -> float:
     return first.elapsed if math.isfinite(first.elapsed) else 0.0
 
 
-def _renumbered(frames: Iterable[Frame], origin: float) -> Iterator[Frame]:
-    """Yield frames counted from 0 s and from 1; the last one has no duration, as in CARLA's recordings."""
-    latest = None
-    for index, frame in enumerate(frames):
+def _renumbered(batches: Iterable[Batch], origin: float) -> Iterator[Batch]:
+    """Yield batches whose frames count from 0 s and from 1; the last frame has no duration, as in CARLA's recordings."""
+    latest, count = None, 0
+    for batch in batches:
         if latest is not None:
             yield latest
-        latest = Frame(index, index + 1, frame.elapsed - origin, frame.duration, frame.packets)
+        index, count = count, count + len(batch)
+        numbers = np.arange(index + 1, count + 1, dtype=np.uint64)
+        latest = Batch(index, numbers, batch.elapsed - origin, batch.duration, batch.columns)
     if latest is not None:
-        latest.duration = LAST_FRAME_DURATION
+        latest.duration = np.append(latest.duration[:-1], LAST_FRAME_DURATION)
         yield latest
 
 

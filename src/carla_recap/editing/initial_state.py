@@ -1,4 +1,4 @@
-"""What lasts: records that are written once and hold on, gathered so that a recording can begin anywhere."""
+"""The state of a recording at any of its frames, as records with which another recording can begin."""
 
 from __future__ import annotations
 
@@ -25,58 +25,61 @@ if TYPE_CHECKING:
     from carla_recap.model.records import Physics, RecordType, Spawn
 
 _POSE: Final = ("x", "y", "z", "roll", "pitch", "yaw")
-_LATEST: Final = ("bounding_boxes", "trigger_volumes", "light_times", "physics")  # of each actor the latest one holds
-_BEHIND: Final = {id: rank for rank, id in enumerate((*ORDER, FRAME_END))}
+_PROPERTIES: Final = ("bounding_boxes", "trigger_volumes", "light_times", "physics")  # an actor keeps its latest one
+_RANKS: Final = {id: rank for rank, id in enumerate((*ORDER, FRAME_END))}
 
 
 class InitialState:
-    """What the frames before one have left behind: who is there, who has gone, what is known of them, weather, lamps, doors.
+    """The state that earlier frames have left: actors, destroyed actors, their properties, weather, lights, doors.
 
-    The physics of UE5 builds, which are kept as bytes, and what CARLA tells anew in each frame are not among it.
+    It has neither the physics of UE5 builds, which are raw bytes, nor records that CARLA writes in each frame.
 
     Args:
         source: The recording.
     """
 
-    _next: Frame | None  # the first frame with events that is not taken in
-    _read: int  # the index behind the latest one that is
-    _late: dict[int, int]  # by actor, the parents that `go_on` is to tell
+    _next: Frame | None  # the first frame with events that has not been applied
+    _applied: int  # the number of frames up to the latest one that has been applied
+    _late: dict[int, int]  # the parents that `add_parents` adds, by actor
 
     def __init__(self, source: Reader) -> None:
         self.source = source
         self._table = source.header.table
         self._rewind()
 
-    def begin(self, frame: Frame) -> Frame:
-        """A frame with all that lasts told in it, too: first what lasts, then its own, packet by packet.
+    @property
+    def has_late_parents(self) -> bool:
+        """Whether the frame after the completed one gets parents; see `add_parents`."""
+        return bool(self._late)
 
-        Of an actor whose parent was told in its spawn's frame, the spawn has its pose on the parent; of another one, the
-        pose in the world. So the parent of such another one must not be told before the next frame; see `go_on`.
+    def complete(self, frame: Frame) -> Frame:
+        """Return a frame with the records of the state before it, in each packet before its own records.
 
-        To ask for frames in their order is fastest.
+        The pose in a spawn is relative to the parent if the parent is recorded in the same frame. Parents that the source
+        records later than the spawn are therefore left out here; see `add_parents`.
+
+        Frames in ascending order are fastest.
 
         Raises:
             FormatError: The file contradicts its format.
         """
-        if self._read > frame.index:
+        if self._applied > frame.index:
             self._rewind()
         while self._next is not None and self._next.index < frame.index:
             self._apply(self._next)
             self._next = next(self._stream, None)
         self._late = self._late_parents(frame)
-        begun = [_without_parents(packet, self._late) for packet in frame.packets]
+        packets = [_without_parents(packet, self._late) for packet in frame.packets]
         for name, records in self._records(frame):
-            _insert(begun, self._table.named(name), records)
-        return Frame(frame.index, frame.id, frame.elapsed, frame.duration, begun)
+            _insert(packets, self._table.named(name), records)
+        return Frame(frame.index, frame.id, frame.elapsed, frame.duration, packets)
 
-    def go_on(self, frame: Frame) -> Frame:
-        """A frame behind the one that was begun with, in order; the next one tells the parents that had to wait."""
+    def add_parents(self, frame: Frame) -> Frame:
+        """Return the frame after a completed one, with the parents that were left out there."""
         late, self._late = self._late, {}
-        if not late:
-            return frame
-        come_or_gone = _spawned(frame).union(array(frame["destroyed"])["id"].tolist())
+        changed = _spawned(frame).union(array(frame["destroyed"])["id"].tolist())
         packets = list(frame.packets)
-        rows = [(id, parent) for id, parent in late.items() if id not in come_or_gone]
+        rows = [(id, parent) for id, parent in late.items() if id not in changed]
         _insert(packets, self._table.named("parented"), self._rows("parented", rows))
         return Frame(frame.index, frame.id, frame.elapsed, frame.duration, packets)
 
@@ -84,61 +87,61 @@ class InitialState:
         types = [type.name for type in self._table if type.group is Group.EVENTS and type.name != "collisions"]
         self._stream = self.source.frames(types, sparse=True)
         self._next = next(self._stream, None)
-        self._read = 0
+        self._applied = 0
         self._late = {}
-        self._world = self._new_world()
-        self._latest: dict[str, dict[int, Any]] = defaultdict(dict)
+        self._state = self._new_state()
+        self._properties: dict[str, dict[int, Any]] = defaultdict(dict)
 
     def _apply(self, frame: Frame) -> None:
-        self._read = frame.index + 1
-        self._world.apply(frame)
+        self._applied = frame.index + 1
+        self._state.apply(frame)
         for packet in frame.packets:
             if packet.type is not None:
-                self._note(packet.type.name, packet.records)
+                self._update_properties(packet.type.name, packet.records)
 
-    def _new_world(self) -> ReplayState:
+    def _new_state(self) -> ReplayState:
         return ReplayState(self._table, ignore_hero=False, ignore_spectator=False)
 
-    def _note(self, name: str, records: Records) -> None:
+    def _update_properties(self, name: str, records: Records) -> None:
         if name in ("spawned", "destroyed"):
             ids = [spawn.id for spawn in records] if name == "spawned" else array(records)["id"].tolist()
-            for held in self._latest.values():
+            for properties in self._properties.values():
                 for id in ids:
-                    held.pop(id, None)
-        elif name in _LATEST:
-            for place, record in enumerate(records):
+                    properties.pop(id, None)
+        elif name in _PROPERTIES:
+            for index, record in enumerate(records):
                 if isinstance(records, np.ndarray):
-                    self._latest[name][int(record["id"])] = records[place : place + 1].copy()
+                    self._properties[name][int(record["id"])] = records[index : index + 1].copy()
                 else:
-                    self._latest[name][record.id] = record
+                    self._properties[name][record.id] = record
 
     def _records(self, frame: Frame) -> Iterator[tuple[str, Records]]:
-        """By type, what lasts and is not told by a frame itself."""
-        world, new = self._world, _spawned(frame)
-        actors = [actor for actor in world.actors.values() if actor.id not in new]
+        """Yield the records of the state that a frame does not replace, by type."""
+        state, new = self._state, _spawned(frame)
+        actors = [actor for actor in state.actors.values() if actor.id not in new]
         poses = {pose["id"].item(): pose for pose in latest(array(frame["transforms"]))}
-        yield "spawned", [a.spawn if a.attached else _placed(a.spawn, poses.get(a.id)) for a in actors]
-        gone = world.hidden[~np.isin(world.hidden, [*new, *array(frame["destroyed"])["id"].tolist()])]
-        yield "destroyed", self._rows("destroyed", [(id,) for id in gone.tolist()])
+        yield "spawned", [a.spawn if a.attached else _moved(a.spawn, poses.get(a.id)) for a in actors]
+        destroyed = state.hidden[~np.isin(state.hidden, [*new, *array(frame["destroyed"])["id"].tolist()])]
+        yield "destroyed", self._rows("destroyed", [(id,) for id in destroyed.tolist()])
         attached = [(a.id, a.parent) for a in actors if a.attached and a.id not in self._late]
         yield "parented", self._rows("parented", attached)
-        doors = [(id, door, 1) for id, open in world.doors.items() if id not in new for door in sorted(open)]
+        doors = [(id, door, 1) for id, open in state.doors.items() if id not in new for door in sorted(open)]
         yield "doors", self._rows("doors", doors)
         yield "light_states", self._light_states(frame, new)
-        yield "scene_lights", _without(world.scene_lights, set(array(frame["scene_lights"])["id"].tolist()))
-        if world.weather is not None and not len(frame["weather"]):
-            yield "weather", np.atleast_1d(world.weather)
-        for name, held in self._latest.items():
-            told = new | {int(record["id"]) if isinstance(record, np.void) else record.id for record in frame[name]}
-            kept = [record for id, record in held.items() if id not in told]
+        yield "scene_lights", _without(state.scene_lights, set(array(frame["scene_lights"])["id"].tolist()))
+        if state.weather is not None and not len(frame["weather"]):
+            yield "weather", np.atleast_1d(state.weather)
+        for name, properties in self._properties.items():
+            own = new | {int(record["id"]) if isinstance(record, np.void) else record.id for record in frame[name]}
+            kept = [record for id, record in properties.items() if id not in own]
             if name == "physics":
                 yield name, _alike(kept, frame["physics"])
             elif kept:
                 yield name, np.concatenate(kept)
 
     def _late_parents(self, frame: Frame) -> dict[int, int]:
-        """By actor, the parents that are told in a later frame than the spawn, until a frame and in it."""
-        actors, new = self._world.actors, _spawned(frame)
+        """Return the parents by actor that are recorded after the spawn, in the frames up to a frame."""
+        actors, new = self._state.actors, _spawned(frame)
         late = {actor.id: actor.parent for actor in actors.values() if actor.parent is not None and not actor.attached}
         late.update((id, parent) for id, parent in array(frame["parented"]).tolist() if id in actors)
         return {id: parent for id, parent in late.items() if id not in new}
@@ -147,21 +150,21 @@ class InitialState:
         return self._table.named(name).records(rows)
 
     def _light_states(self, frame: Frame, new: set[int]) -> NDArray[np.void]:
-        """The latest states of the traffic lights that a frame does not tell of; most recordings have all in each."""
-        told = set(array(frame["light_states"])["id"].tolist())
-        if told.issuperset(set(self._world.lights.tolist()) - new):
+        """Return the latest states of the traffic lights that a frame does not contain; most frames contain all."""
+        own = set(array(frame["light_states"])["id"].tolist())
+        if own.issuperset(set(self._state.lights.tolist()) - new):
             return np.empty(0, self._table.named("light_states").dtype)
-        cursor = Cursor(self.source, self._new_world)
+        cursor = Cursor(self.source, self._new_state)
         cursor.seek(frame.elapsed)
-        return _without(cursor.state.light_states, told)
+        return _without(cursor.state.light_states, own)
 
 
 def _spawned(frame: Frame) -> set[int]:
     return {spawn.id for spawn in frame["spawned"]}
 
 
-def _placed(spawn: Spawn, pose: np.void | None) -> Spawn:
-    """A spawn where its actor is by now."""
+def _moved(spawn: Spawn, pose: np.void | None) -> Spawn:
+    """Return a spawn with the present pose of its actor."""
     return spawn if pose is None else replace(spawn, **{name: pose[name].item() for name in _POSE})
 
 
@@ -170,26 +173,26 @@ def _without(records: NDArray[np.void], ids: Collection[int]) -> NDArray[np.void
 
 
 def _without_parents(packet: Packet, ids: Collection[int]) -> Packet:
-    """A packet that tells no parents of some actors."""
+    """Return a packet without the parents of some actors."""
     if not ids or packet.type is None or packet.type.name != "parented":
         return packet
     return Packet(packet.id, packet.type, records=_without(array(packet.records), ids))
 
 
-def _alike(held: list[Physics], own: list[Physics]) -> list[Physics]:
-    """Those whose wheels can stand in one packet with the others: a build writes all wheels alike."""
-    wheels = [physics.wheels.dtype for physics in (*held, *own) if len(physics.wheels)]
-    return [physics for physics in held if not len(physics.wheels) or physics.wheels.dtype == wheels[-1]]
+def _alike(kept: list[Physics], own: list[Physics]) -> list[Physics]:
+    """Return the physics whose wheels have the layout of the last ones, which all records of a packet share."""
+    wheels = [physics.wheels.dtype for physics in (*kept, *own) if len(physics.wheels)]
+    return [physics for physics in kept if not len(physics.wheels) or physics.wheels.dtype == wheels[-1]]
 
 
 def _insert(packets: list[Packet], type: RecordType, records: Records) -> None:
-    """Put records before all that CARLA writes behind them, or into the packet that stands there."""
+    """Insert records into the packet of their type, or as a new packet in CARLA's order."""
     if not len(records):
         return
-    rank = _BEHIND[type.id]
-    at = next((at for at, packet in enumerate(packets) if _BEHIND.get(packet.id, -1) >= rank), len(packets))
-    if at < len(packets) and packets[at].id == type.id:
-        own = packets.pop(at).records
+    rank = _RANKS[type.id]
+    index = next((i for i, packet in enumerate(packets) if _RANKS.get(packet.id, -1) >= rank), len(packets))
+    if index < len(packets) and packets[index].id == type.id:
+        own = packets.pop(index).records
         records = np.concatenate((array(records), own)) if isinstance(own, np.ndarray) else [*records, *own]
     parts = [records[start : start + MAX_COUNT] for start in range(0, len(records), MAX_COUNT)]
-    packets[at:at] = [Packet(type.id, type, records=part) for part in parts]
+    packets[index:index] = [Packet(type.id, type, records=part) for part in parts]

@@ -34,7 +34,7 @@ if TYPE_CHECKING:
     from carla_recap.sim.physics.plane import Plane
     from carla_recap.sim.physics.vehicles import Vehicles
     from carla_recap.sim.physics.walkers import Walkers
-    from carla_recap.sim.recording.recorder import Recorder
+    from carla_recap.sim.recording.recorder import WorldRecorder
     from carla_recap.sim.replaying.replayer import Replay, Replayer
     from carla_recap.sim.traffic.autopilot import Autopilot
     from carla_recap.sim.traffic.pedestrians import PedestrianNavigation
@@ -89,7 +89,7 @@ class World:
         self.listeners: list[Callable[[], None]] = []
         self.recordings = recordings
         self.maps = maps
-        self._recorder: Recorder | None = None
+        self._recorder: WorldRecorder | None = None
         self._replayer: Replayer | None = None
         self.episode = 0
         self._begin(self._load("" if town is None else town), Clock(delta=fixed_delta_seconds or _DELTA), 1)
@@ -252,12 +252,12 @@ class World:
         return self._traffic.pedestrians
 
     @property
-    def recorder(self) -> Recorder:
+    def recorder(self) -> WorldRecorder:
         """The recorder; made when first used."""
         if self._recorder is None:
-            from carla_recap.sim.recording.recorder import Recorder
+            from carla_recap.sim.recording.recorder import WorldRecorder
 
-            self._recorder = Recorder(self, self.recordings)
+            self._recorder = WorldRecorder(self, self.recordings)
             self.listeners.insert(0, self._recorder)  # what other listeners do belongs to the next tick
         return self._recorder
 
@@ -277,7 +277,7 @@ class World:
         return None if self._replayer is None else self._replayer.path
 
     def start_recorder(self, name: Path | str, additional_data: bool = False, *, force: bool = True) -> Path:
-        """Begin a recording, which replaces an older one of that name, as in CARLA; see `Recorder.start`."""
+        """Begin a recording, which replaces an older one of that name, as in CARLA; see `WorldRecorder.start`."""
         return self.recorder.start(name, additional_data, force=force)
 
     def stop_recorder(self) -> None:

@@ -72,7 +72,7 @@ def _is_path(name: Path | str) -> bool:
     return bool(re.search(r"[/\\:]", str(name)))
 
 
-class Recorder:
+class WorldRecorder:
     """Records a world; a listener of its ticks.
 
     A disk error ends the recording, and not the simulation: a warning contains the reason.
@@ -91,8 +91,8 @@ class Recorder:
         self._folder = folder
         self._sampler: WorldSampler | None = None
         self._writer: WriterProcess | None = None
-        self._finish: weakref.finalize[[], Recorder] | None = None
-        self._spare: weakref.finalize[[subprocess.Popen[bytes]], Recorder] | None = None
+        self._finish: weakref.finalize[[], WorldRecorder] | None = None
+        self._spare: weakref.finalize[[subprocess.Popen[bytes]], WorldRecorder] | None = None
         self._lock = RLock()  # a recording may be stopped by several threads
 
     @property
