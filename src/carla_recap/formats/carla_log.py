@@ -11,8 +11,8 @@ import os
 import stat
 import struct
 import warnings
+from array import array
 from bisect import bisect_right
-from dataclasses import dataclass
 from pathlib import Path
 from threading import Lock
 from typing import TYPE_CHECKING, BinaryIO, Final
@@ -29,16 +29,15 @@ from carla_recap.model.records import FRAME_START, UE4, UE5, RecordType
 from carla_recap.util.files import AtomicFile
 
 if TYPE_CHECKING:
-    from collections.abc import Collection, Iterator
+    from collections.abc import Collection, Iterator, Sequence
 
-    from numpy.typing import NDArray
-
-    from carla_recap.formats.log_scan import Place, Run
+    from carla_recap.formats.log_scan import Run, Span
     from carla_recap.model.batch import Column
 
 MAGIC: Final = b"CARLA_RECORDER"
 DATE: Final = struct.Struct("<q")
-_START: Final = struct.Struct("<Qdd")  # frame, duration, elapsed
+_STARTS: Final = np.dtype([("id", "<u8"), ("duration", "<f8"), ("elapsed", "<f8")])
+_BARE: Final = {Framing.LIST: EMPTY_LIST, Framing.MARKER: b""}  # payloads without records
 
 SHIFT: Final = {21: 23, 22: 21, 23: 22}
 """Packet ids of the development builds that put the doors first, and what they are in all others."""
@@ -50,7 +49,6 @@ SYNC_SECONDS: Final = 5.0
 """How many seconds of a live recording may be lost when the process dies."""
 
 _LONGEST_HEADER: Final = 1 << 18  # bytes: two texts of at most 64 KiB, and some numbers
-_LAYOUTS: Final = 1024  # shapes that are remembered
 _TELLING: Final = frozenset((2, 6, 12, 13, 17, *SHIFT))
 """Ids of the packets that tell which builds wrote a file."""
 
@@ -104,6 +102,13 @@ class LogReader:
         self._types: list[RecordType | None] = [None] * 256
         for type in self.header.table:
             self._types[UNSHIFT.get(type.id, type.id) if self.header.shifted else type.id] = type
+        self._ids = [SHIFT.get(id, id) if self.header.shifted else id for id in range(256)]
+        # Packets without records, which are in every frame; by id in the file and payload.
+        self._empty = {
+            (id, bare): Packet(self._ids[id], type, bare)
+            for id, type in enumerate(self._types)
+            if type is not None and (bare := _BARE.get(type.framing)) is not None
+        }
         start = self._window().read(self._start, 1)
         self._preamble = bool(start) and start[0] != FRAME_START
 
@@ -126,7 +131,7 @@ class LogReader:
         first = (0, self._start) if start == -math.inf else self._first_at(start)
         if first is None:
             return
-        batches = self._batches(self._runs(*first), names, sparse=sparse)
+        batches = map(self._batch, self._runs(*first, names, sparse=sparse))
         yield from batches if start == -math.inf and stop == math.inf else within(batches, start, stop)
 
     def frames(
@@ -147,17 +152,16 @@ class LogReader:
         """Return the last frame that begins at or before a time; see `Reader.frame_at`."""
         self._check_open()
         index = self._indexed()
-        earlier = np.flatnonzero(index.elapsed <= elapsed + SAME_TIME)
+        earlier = np.flatnonzero(np.frombuffer(index.elapsed) <= elapsed + SAME_TIME)
         if not len(earlier):
             return None
         position = int(earlier[-1])
-        runs = self._runs(position, index.offset(position))
-        return next(self._batches(runs, None, sparse=False)).frame(0)
+        return self._batch(next(self._runs(position, index.offset(position), None))).frame(0)
 
     def extent(self) -> Extent:
         """Return how far the recording goes."""
         if self._extent is None:
-            for _ in self._runs(0, self._start):
+            for _ in self._runs(0, self._start, frozenset(), sparse=True):
                 pass
         assert self._extent
         return self._extent
@@ -208,7 +212,7 @@ class LogReader:
                 break
             window.begin(at)
             id, length = PACKET.unpack(window.read(at, PACKET.size))
-            if at + PACKET.size + length > size or (id == FRAME_START and length != START.itemsize):
+            if at + PACKET.size + length > size or (id == FRAME_START and length != START.size):
                 whole = scanner.next_frame(at + 1) if self._salvage else None
                 if whole is None:
                     break
@@ -241,83 +245,76 @@ class LogReader:
         self._check_open()
         return Window(self.path, self._file, self._size, self._lock)
 
-    def _runs(self, index: int, at: int) -> Iterator[Run]:
-        """Scan the frames from one on, whose position in the recording is given, to the end."""
+    def _runs(self, index: int, offset: int, names: frozenset[str] | None, *, sparse: bool = False) -> Iterator[Run]:
+        """Scan the frames from one on, whose position in the recording is given, to the end.
+
+        Args:
+            index: The position of the first frame.
+            offset: The offset of the first frame in the file.
+            names: The types of the packets that are wanted, if they have records; None for all packets.
+            sparse: Whether to leave out frames without such packets.
+        """
         window = self._window()
-        scanner = Scanner(self.path, window, self._types, salvage=self._salvage)
-        last: Run | None = None
-        preamble = self._preamble and at == self._start
-        for run in scanner.runs(index, at, preamble=preamble):
-            last = run
+        wanted = None if names is None else [type is not None and type.name in names for type in self._types]
+        scanner = Scanner(self.path, window, self._types, wanted=wanted, sparse=sparse, salvage=self._salvage)
+        for run in scanner.runs(index, offset, preamble=self._preamble and offset == self._start):
             yield run
             self._check_open()
         self.lost_bytes += scanner.lost_bytes
-        self._note_end(scanner.end, last)
+        assert scanner.end is not None
+        self._end = scanner.end
+        self._extent = Extent()
+        if scanner.last is not None:
+            id, _, elapsed = START.unpack(window.read(scanner.last + PACKET.size, START.size))
+            self._extent = Extent(scanner.count - self._preamble, id, elapsed)
+        if self._end < self._size:
+            dropped = self._size - self._end
+            message = f"the recording was cut short; the last {dropped} bytes are no complete packet"
+            self._warn("tail", f"byte {self._end}: {message}")
 
-    def _note_end(self, end: int | None, last: Run | None) -> None:
-        assert end is not None
-        self._end = end
-        if last is None or last.preamble:
-            self._extent = Extent()
-        else:
-            id, _, elapsed = last.starts[-1].item()
-            self._extent = Extent(last.index + last.count - self._preamble, id, elapsed)
-        if end < self._size:
-            dropped = self._size - end
-            self._warn("tail", f"byte {end}: the recording was cut short; the last {dropped} bytes are no complete packet")
-
-    def _batches(self, runs: Iterator[Run], names: frozenset[str] | None, *, sparse: bool) -> Iterator[Batch]:
-        """Yield the batches of runs, with the packets of some types.
-
-        Args:
-            runs: The runs.
-            names: The types, of which empty packets are left out; None for all packets.
-            sparse: Whether to leave out frames without packets of the types.
-        """
-        layouts: dict[tuple[Place, ...], list[_Slot]] = {}
-        for run in runs:
-            layout = layouts.get(run.places)
-            if layout is None:
-                if len(layouts) >= _LAYOUTS:
-                    layouts.clear()
-                layout = layouts[run.places] = [slot for slot in map(self._slot, run.places) if slot.is_wanted(names)]
-            if not layout and sparse:
-                continue
-            if run.count == 1 and not self._salvage:
-                yield Batch.of(self._single(run, layout))
-                continue
-            start = run.offset - run.base
-            origin = self.path, run.base
-            columns = [slot.column(run.data, start, run.stride, run.count, origin) for slot in layout]
-            if self._salvage:
-                columns = self._sound(columns)
-            starts = run.starts
-            yield Batch(run.index, starts["id"], starts["elapsed"], starts["duration"], columns, preamble=run.preamble)
-
-    def _single(self, run: Run, layout: list[_Slot]) -> Frame:
-        """Return the frame of a run of one."""
-        view, start = memoryview(run.data), run.offset - run.base
-        packets = [slot.packet(view, start, self.path, run.base) for slot in layout]
-        if run.preamble:
-            return Frame(run.index, 0, 0.0, 0.0, packets, preamble=True)
-        id, duration, elapsed = _START.unpack_from(run.data, start + PACKET.size)
-        return Frame(run.index, id, elapsed, duration, packets)
-
-    def _slot(self, place: Place) -> _Slot:
-        id, offset, size = place
-        type = self._types[id]
-        plain = SHIFT.get(id, id) if self.header.shifted else id
-        return _Slot(plain, type, offset, size)
-
-    def _sound(self, columns: list[Column]) -> list[Column]:
-        """Return the columns of a frame whose packets are sound, and count the bytes of the others as lost."""
-        kept = []
-        for column in columns:
-            payload = column.packet(0).payload
-            if is_sound(column.type, payload):
-                kept.append(column)
+    def _batch(self, run: Run) -> Batch:
+        """Return the frames of a run."""
+        index, offset, count, stride, packets, preamble, data, base = run
+        start = offset - base
+        if count == 1:
+            return Batch.of(self._frame(index, start, packets, data, base, preamble=preamble))
+        origin = self.path, base
+        columns: list[Column] = []
+        for id, at, size in packets:
+            at += start
+            empty = self._empty.get((id, data[at : at + size])) if size <= len(EMPTY_LIST) else None
+            if empty is not None:
+                columns.append(ConstantColumn(empty, count))
             else:
-                self.lost_bytes += len(payload)
+                columns.append(PackedColumn(self._ids[id], self._types[id], size, data, at, stride, count, origin))
+        starts = np.ndarray((count,), _STARTS, data, start + PACKET.size, (stride,))
+        return Batch(index, starts["id"], starts["elapsed"], starts["duration"], columns)
+
+    def _frame(self, index: int, start: int, spans: Sequence[Span], data: bytes, base: int, *, preamble: bool) -> Frame:
+        """Return the frame that starts at an index of the data, which are at `base` in the file."""
+        view, path, types, ids, empty = memoryview(data), self.path, self._types, self._ids, self._empty
+        packets = []
+        for id, at, size in spans:
+            at += start
+            if size <= 2 and (ready := empty.get((id, data[at : at + size]))):
+                packets.append(ready)
+            else:
+                packets.append(Packet(ids[id], types[id], view[at : at + size], None, (path, base + at)))
+        if self._salvage:
+            packets = self._sound(packets)
+        if preamble:
+            return Frame(index, 0, 0.0, 0.0, packets, preamble=True)
+        id, duration, elapsed = START.unpack_from(data, start + PACKET.size)
+        return Frame(index, id, elapsed, duration, packets)
+
+    def _sound(self, packets: list[Packet]) -> list[Packet]:
+        """Return those packets that are sound, and count the bytes of the others as lost."""
+        kept = []
+        for packet in packets:
+            if is_sound(packet.type, packet.payload):
+                kept.append(packet)
+            else:
+                self.lost_bytes += len(packet.payload)
         return kept
 
     def _warn(self, key: str, message: str) -> None:
@@ -329,85 +326,47 @@ class LogReader:
 
     def _indexed(self) -> _Index:
         if self._index is None:
-            runs = [(run.index, run.offset, run.stride, run.starts["elapsed"].copy()) for run in self._runs(0, self._start)]
-            self._index = _Index.of(runs)
+            index = _Index()
+            for run in self._runs(0, self._start, frozenset()):
+                index.add(run)
+            self._index = index
         return self._index
 
     def _first_at(self, start: float) -> tuple[int, int] | None:
-        """Return the position and the place of the first frame at or after a time."""
+        """Return the position and the offset of the first frame at or after a time."""
         index = self._indexed()
-        later = np.flatnonzero(index.elapsed >= start)
+        later = np.flatnonzero(np.frombuffer(index.elapsed) >= start)
         return (int(later[0]), index.offset(int(later[0]))) if len(later) else None
 
 
-@dataclass(frozen=True)
 class _Index:
-    """Where the frames are.
+    """The offset and the time of each frame.
 
     Attributes:
-        elapsed: Their times in seconds, (frames,).
-        first: The position of the first frame of each run.
-        offsets: Where each run begins in the file, in bytes.
-        strides: Bytes from one frame of a run to the next.
+        elapsed: The times in seconds.
     """
 
-    elapsed: NDArray[np.float64]
-    first: list[int]
-    offsets: list[int]
-    strides: list[int]
+    def __init__(self) -> None:
+        self.elapsed = array("d")
+        self._first = array("q")  # the position of the first frame of each run
+        self._offsets = array("q")
+        self._strides = array("q")
 
-    @classmethod
-    def of(cls, runs: list[tuple[int, int, int, NDArray[np.float64]]]) -> _Index:
-        """Return the index of runs: position, offset, stride and times of each."""
-        elapsed = np.concatenate([times for *_, times in runs]) if runs else np.empty(0)
-        return cls(elapsed, [run[0] for run in runs], [run[1] for run in runs], [run[2] for run in runs])
+    def add(self, run: Run) -> None:
+        """Add the frames of a run."""
+        self._first.append(run.first)
+        self._offsets.append(run.offset)
+        self._strides.append(run.stride)
+        if run.preamble:
+            self.elapsed.append(0.0)
+        else:
+            starts = np.ndarray((run.frames,), _STARTS, run.data, run.offset - run.base + PACKET.size, (run.stride,))
+            self.elapsed.frombytes(starts["elapsed"].tobytes())
 
     def offset(self, position: int) -> int:
-        """Return where a frame begins in the file, in bytes."""
-        run = bisect_right(self.first, position) - 1
-        return self.offsets[run] + (position - self.first[run]) * self.strides[run]
-
-
-class _Slot:
-    """A packet that each frame of a shape has.
-
-    Args:
-        id: The packet id, as of CARLA 0.9.16.
-        type: The record type; None for an unknown id.
-        offset: Where the payload begins in the frame.
-        size: Its size.
-    """
-
-    __slots__ = ("_bare", "_empty", "_id", "_offset", "_size", "_type")
-
-    def __init__(self, id: int, type: RecordType | None, offset: int, size: int) -> None:
-        self._id = id
-        self._type = type
-        self._offset = offset
-        self._size = size
-        self._bare = {Framing.LIST: EMPTY_LIST, Framing.MARKER: b""}.get(type.framing) if type is not None else None
-        self._empty = Packet(id, type, self._bare)
-
-    def is_wanted(self, names: frozenset[str] | None) -> bool:
-        """Return whether the packet is of some types and has records; None stands for all packets."""
-        if names is None:
-            return True
-        return self._type is not None and self._type.name in names and self._size != len(EMPTY_LIST)
-
-    def column(self, data: bytes, start: int, stride: int, count: int, origin: tuple[Path, int]) -> Column:
-        """Return the packets of some frames, of which the first begins at `start` in the data."""
-        at = start + self._offset
-        if self._size <= len(EMPTY_LIST) and data[at : at + self._size] == self._bare:
-            return ConstantColumn(self._empty, count)
-        return PackedColumn(self._id, self._type, self._size, data, at, stride, count, origin)
-
-    def packet(self, view: memoryview, start: int, path: Path, base: int) -> Packet:
-        """Return the packet of the frame that begins at `start` in the data, which begin at `base` in the file."""
-        at = start + self._offset
-        payload = view[at : at + self._size]
-        if self._size <= len(EMPTY_LIST) and bytes(payload) == self._bare:
-            return self._empty
-        return Packet(self._id, self._type, payload, None, (path, base + at))
+        """Return the offset of a frame in the file, in bytes."""
+        run = bisect_right(self._first, position) - 1
+        return self._offsets[run] + (position - self._first[run]) * self._strides[run]
 
 
 def _read_text(data: bytes, at: int) -> tuple[bytes, int]:
@@ -481,7 +440,7 @@ class LogWriter(AtomicFile):
         """Add a frame."""
         parts: list[Buffer] = []
         if not frame.preamble:
-            parts += (START_HEAD, _START.pack(frame.id, frame.duration, frame.elapsed))
+            parts += (START_HEAD, START.pack(frame.id, frame.duration, frame.elapsed))
         for packet in frame.packets:
             payload = packet.payload
             parts += (PACKET.pack(self._shift.get(packet.id, packet.id), len(payload)), payload)
@@ -494,7 +453,7 @@ class LogWriter(AtomicFile):
             for frame in batch:
                 self.write(frame)
             return
-        template = bytearray(START_HEAD + bytes(START.itemsize))
+        template = bytearray(START_HEAD + bytes(START.size))
         payloads = []
         for column in batch.columns:
             template += PACKET.pack(self._shift.get(column.id, column.id), column.size)
@@ -502,7 +461,7 @@ class LogWriter(AtomicFile):
             template += bytes(column.size)
         data = np.empty((len(batch), len(template)), np.uint8)
         data[:] = np.frombuffer(template, np.uint8)
-        starts = np.ndarray((len(batch),), START, data.data, PACKET.size, (len(template),))
+        starts = np.ndarray((len(batch),), _STARTS, data.data, PACKET.size, (len(template),))
         starts["id"], starts["duration"], starts["elapsed"] = batch.id, batch.duration, batch.elapsed
         for at, column in payloads:
             if column.size:

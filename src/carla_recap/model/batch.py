@@ -22,8 +22,9 @@ if TYPE_CHECKING:
     Floats = NDArray[np.float64]
 
 
-_FIRST_STEP: Final = 16  # rows that are compared at once, at first
+_FIRST_STEP: Final = 128  # rows that are compared at once, at first
 _GROWTH: Final = 8
+_TIMES: Final = ("id", "elapsed", "duration")
 
 
 class Column:
@@ -310,45 +311,57 @@ def _read_only(array: NDArray[Any]) -> NDArray[Any]:
 
 
 class _Single(Batch):
-    """A batch of a frame that exists as an object; its columns are made when they are asked for."""
+    """A batch of a frame that exists as an object; its arrays and columns are made when they are first asked for."""
 
-    __slots__ = ("_columns", "_frame")
+    __slots__ = ("_frame",)
 
     def __init__(self, frame: Frame) -> None:
         self._frame = frame
-        self._columns: Sequence[Column] | None = None
         self.index = frame.index
-        self.id = _read_only(np.array([frame.id], np.uint64))
-        self.elapsed = _read_only(np.array([frame.elapsed]))
-        self.duration = _read_only(np.array([frame.duration]))
         self.preamble = frame.preamble
 
-    @property
-    def columns(self) -> Sequence[Column]:  # type: ignore[override]
-        """See `Batch`."""
-        if self._columns is None:
-            self._columns = [ConstantColumn(packet) for packet in self._frame.packets]
-        return self._columns
+    def __getattr__(self, name: str) -> Any:
+        frame = self._frame
+        if name == "columns":
+            self.columns = [ConstantColumn(packet) for packet in frame.packets]
+        elif name in _TIMES:
+            dtype = np.uint64 if name == "id" else np.float64
+            setattr(self, name, _read_only(np.array([getattr(frame, name)], dtype)))
+        else:
+            raise AttributeError(f"a batch has no {name}")
+        return getattr(self, name)
 
     def __len__(self) -> int:
         return 1
 
     def __iter__(self) -> Iterator[Frame]:
-        yield self._frame
+        return iter((self._frame,))
 
     def frame(self, row: int) -> Frame:
         """See `Batch.frame`."""
         return self._frame
 
 
-def equal_rows(rows: NDArray[Any], columns: NDArray[np.intp]) -> int:
-    """Return the number of rows, from the first one on, that equal the first one in some columns."""
+def equal_rows(rows: NDArray[Any], columns: NDArray[np.intp], masks: NDArray[Any] | None = None) -> int:
+    """Return the number of rows, from the first one on, that equal the first one in some columns.
+
+    Args:
+        rows: The rows.
+        columns: The columns that count.
+        masks: The bits of each of these columns that count; None for all.
+    """
     expected = rows[0, columns]
+    if masks is not None:
+        expected &= masks
     equal, step = 1, _FIRST_STEP
     while equal < len(rows):
-        different = np.flatnonzero((rows[equal : equal + step, columns] != expected).any(axis=1))
-        if len(different):
-            return equal + int(different[0])
+        found = rows[equal : equal + step, columns]
+        if masks is not None:
+            found &= masks
+        different = found != expected
+        first = int(different.argmax())
+        if different.item(first):
+            return equal + first // len(columns)
         equal = min(equal + step, len(rows))
         step *= _GROWTH
     return equal
