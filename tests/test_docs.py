@@ -1,4 +1,4 @@
-"""The pages of the documentation: they name what there is, and what they show works."""
+"""The documentation: its tables are complete, its code runs, and its commands print what it shows."""
 
 from __future__ import annotations
 
@@ -40,7 +40,7 @@ every_type = pytest.mark.parametrize("type", UE4, ids=lambda type: type.name)
 
 
 def section(name: str) -> str:
-    """The section of docs/records.md that has a record type in its heading."""
+    """Return the section of docs/records.md about a record type."""
     (found,) = re.findall(rf"^### [^\n]*`{name}`.*?(?=^##|\Z)", RECORDS, re.DOTALL | re.MULTILINE)
     return found
 
@@ -56,11 +56,11 @@ def blocks(page: Path, language: str) -> list[str]:
     return re.findall(rf"^```{language}\n(.*?)^```$", page.read_text("utf-8"), re.DOTALL | re.MULTILINE)
 
 
-# --- what there is ---------------------------------------------------------------------------------------
+# --- contents ---------------------------------------------------------------------------------------
 
 
 @every_type
-def test_a_record_type_has_its_section(type):
+def test_a_record_type_has_a_section(type):
     words = section(type.name)
     missing = [name for name in field_names(type.layout) if f"`{name}`" not in words]
     assert not missing
@@ -73,32 +73,32 @@ def test_a_record_type_has_its_section(type):
 
 
 @pytest.mark.parametrize(("name", "enum"), ENUMS.items(), ids=ENUMS)
-def test_an_enumeration_is_told(name, enum):
+def test_the_values_of_an_enumeration_are_listed(name, enum):
     values = getattr(import_module(f"carla_recap.v1.{name}_pb2"), enum).DESCRIPTOR.values
     prefix = re.sub("(?<=[a-z])(?=[A-Z])", "_", enum).upper() + "_"
     for value in values:
         assert f"{value.number} {value.name.removeprefix(prefix).replace('_', ' ').lower()}" in section(name)
 
 
-def test_the_fields_of_records_are_told_of_nothing_else():
+def test_each_section_about_records_is_about_a_record_type():
     headings = set(re.findall(r"`(\w+)`", " ".join(re.findall("^### .*$", RECORDS, re.MULTILINE))))
     assert headings == {type.name for type in UE4}
 
 
 @every_type
-def test_the_topic_of_a_record_type_is_told(type):
+def test_the_topic_of_a_record_type_is_listed(type):
     if type.topic:
         group = "state" if type.group is Group.STATE else "events"
         assert f"| `{type.topic}` | `{type.message}` | {type.id} | {group} |" in FORMAT
 
 
-def test_the_table_of_calls_is_that_of_the_server():
+def test_the_table_of_calls_is_up_to_date():
     pytest.importorskip("pymunk", reason="the extra `sim` is not installed")
     script = runpy.run_path(str(ROOT / "tools" / "make-calls"))
     assert script["PAGE"].read_text("utf-8") == script["page"](), "run tools/make-calls"
 
 
-def test_every_sensor_has_its_row():
+def test_every_sensor_has_a_row():
     pytest.importorskip("pymunk", reason="the extra `sim` is not installed")
     from carla_recap.server.sensors import SENSOR_KINDS
 
@@ -133,7 +133,7 @@ def test_every_public_name_is_in_the_reference():
 
 
 def test_a_data_frame_of_all_vehicles_takes_three_lines():
-    """What README.md shows: each vehicle in each frame, with its speed."""
+    """The code of README.md: each vehicle in each frame, with its speed."""
     pytest.importorskip("pandas", reason="the extra `pandas` is not installed")
     (code,) = [block for block in blocks(PAGES[0], "python") if "to_pandas" in block]
     assert len([line for line in code.splitlines() if line]) == 3
@@ -146,12 +146,12 @@ def test_a_data_frame_of_all_vehicles_takes_three_lines():
     assert vehicles["speed"].tolist() == [speed for path in paths.values() for speed in path.speed.tolist()]
 
 
-# --- what works ------------------------------------------------------------------------------------------
+# --- examples ------------------------------------------------------------------------------------------
 
 
 @pytest.fixture
-def desk(tmp_path, monkeypatch):
-    """A place to try things, with the samples at hand."""
+def working_directory(tmp_path, monkeypatch):
+    """An empty working directory with a link to the samples."""
     (tmp_path / "samples").symlink_to(ROOT / "samples")
     monkeypatch.chdir(tmp_path)
     return tmp_path
@@ -166,7 +166,7 @@ def snippets() -> list[object]:
 
 
 @pytest.mark.parametrize("code", snippets())
-def test_a_snippet_runs(desk, code):
+def test_a_snippet_runs(working_directory, code):
     try:
         exec(compile(code, "snippet", "exec"), {"__name__": "snippet"})
     except MissingExtra as error:
@@ -176,16 +176,16 @@ def test_a_snippet_runs(desk, code):
 @pytest.mark.parametrize(
     "page", [page for page in PAGES if "$ carla-recap" in page.read_text("utf-8")], ids=lambda p: p.name
 )
-def test_commands_answer_as_shown(desk, page):
-    """All commands of a page on samples, or on what another one made of them, in a row."""
+def test_commands_print_what_is_shown(working_directory, page):
+    """The commands of a page that use samples, or files that other commands have made of them, one after another."""
     for command, shown in commands(page):
-        if "samples/" in command or any((desk / word).exists() for word in command.split()):
-            answer = run(command)
-            assert not shown or lines(answer) == lines(shown), command
+        if "samples/" in command or any((working_directory / word).exists() for word in command.split()):
+            printed = run(command)
+            assert not shown or lines(printed) == lines(shown), command
 
 
 def commands(page: Path) -> list[tuple[str, str]]:
-    """The calls of the command, and what is shown as their answer."""
+    """Return the commands, and the output that is shown for each."""
     return re.findall(r"^\$ (carla-recap .*)\n((?:(?!\$ ).*\n)*)", "".join(blocks(page, "console")), re.MULTILINE)
 
 
@@ -203,6 +203,6 @@ def lines(text: str) -> list[str]:
     return [line.rstrip() for line in text.splitlines()]
 
 
-def test_the_readme_shows_something():
+def test_the_readme_has_examples():
     assert blocks(PAGES[0], "python")
     assert any("samples/" in command for command, _ in commands(PAGES[0]))

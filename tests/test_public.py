@@ -1,4 +1,4 @@
-"""The names that the package offers, and what importing it costs."""
+"""The public names of the package, and that importing it imports little."""
 
 from __future__ import annotations
 
@@ -59,7 +59,7 @@ def test_these_names_are_public():
 
 
 @pytest.mark.parametrize("name", NAMES)
-def test_a_public_name_is_there_and_documented(name):
+def test_a_public_name_exists_and_is_documented(name):
     assert name in dir(carla_recap)
     found = getattr(carla_recap, name)
     assert found.__name__ == name
@@ -72,7 +72,7 @@ def test_every_name_can_be_imported_at_once():
     assert set(NAMES) <= set(found)
 
 
-def test_another_name_is_not_there():
+def test_another_name_is_an_error():
     with pytest.raises(AttributeError, match="module 'carla_recap' has no attribute 'wings'"):
         carla_recap.wings  # noqa: B018
 

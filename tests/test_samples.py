@@ -1,4 +1,4 @@
-"""The recordings next to the documentation: what they answer is what was staged, and their script makes the same ones."""
+"""The samples: queries find what happens in them, and their script writes the same recordings."""
 
 from __future__ import annotations
 
@@ -38,27 +38,27 @@ BLOCKED = """
 """
 
 
-def told(command: str, name: str, *options: str) -> str:
-    """What a command says of a sample, without blanks at the ends of lines."""
+def printed(command: str, name: str, *options: str) -> str:
+    """Return what a command prints about a sample, without spaces at the ends of lines."""
     text = answer(command, SAMPLES / f"{name}.mcap", *options)
     return "".join(f"{line.rstrip()}\n" for line in text.splitlines())
 
 
 def rows(command: str, name: str, *keys: str) -> list[tuple[object, ...]]:
-    """The answer as JSON has it, in part; times to the tick."""
+    """Return fields of the rows in the JSON answer, with times rounded to the tick."""
     found = json.loads(answer(command, SAMPLES / f"{name}.mcap", "--json"))
     assert (found["map"], found["date"]) == ("Brickfield", 1767261600)
     return [tuple(round(row[key], 3) if isinstance(row[key], float) else row[key] for key in keys) for row in found["rows"]]
 
 
 @pytest.mark.parametrize("name", SIMULATED)
-def test_they_are_small(name):
+def test_the_samples_are_small(name):
     assert (SAMPLES / f"{name}.mcap").stat().st_size < LARGEST
 
 
 @pytest.mark.parametrize("name", SIMULATED)
-def test_info_tells_of_them(name):
-    text = told("info", name)
+def test_info_lists_their_frames(name):
+    text = printed("info", name)
     assert text.startswith(HEAD)
     assert text.endswith(HALF_A_MINUTE if name == "junction" else A_MINUTE)
     with carla_recap.open_recording(SAMPLES / f"{name}.mcap") as recording:
@@ -67,7 +67,7 @@ def test_info_tells_of_them(name):
 
 
 def test_in_the_crash_the_hero_hits_the_walker_and_then_the_van():
-    assert told("collisions", "crash") == (
+    assert printed("collisions", "crash") == (
         HEAD
         + COLLISIONS
         + "      12   v w      41 vehicle.tesla.model3                    44 walker.pedestrian.0004\n"
@@ -81,7 +81,7 @@ def test_in_the_crash_the_hero_hits_the_walker_and_then_the_van():
 
 
 def test_after_the_crash_both_cars_stay_where_they_are_and_the_walker_is_not_blocked():
-    assert told("blocked", "crash") == (
+    assert printed("blocked", "crash") == (
         HEAD
         + BLOCKED
         + "       0      1 spectator                                   60\n"
@@ -97,9 +97,9 @@ def test_after_the_crash_both_cars_stay_where_they_are_and_the_walker_is_not_blo
 
 
 def test_in_the_blocked_lane_three_cars_queue_behind_the_van_one_after_another():
-    assert told("collisions", "blocked") == HEAD + COLLISIONS + A_MINUTE
+    assert printed("collisions", "blocked") == HEAD + COLLISIONS + A_MINUTE
     assert rows("collisions", "blocked") == []
-    assert told("blocked", "blocked") == (
+    assert printed("blocked", "blocked") == (
         HEAD
         + BLOCKED
         + "       0      1 spectator                                   60\n"
@@ -119,10 +119,10 @@ def test_in_the_blocked_lane_three_cars_queue_behind_the_van_one_after_another()
     assert places == sorted(places)  # they drive towards lower x
 
 
-def test_at_the_junction_nobody_collides_and_some_wait():
-    assert told("collisions", "junction") == HEAD + COLLISIONS + HALF_A_MINUTE
-    assert told("blocked", "junction") == HEAD + BLOCKED + HALF_A_MINUTE
-    assert told("blocked", "junction", "--min-time", "10") == (
+def test_at_the_junction_there_are_no_collisions_and_some_actors_wait():
+    assert printed("collisions", "junction") == HEAD + COLLISIONS + HALF_A_MINUTE
+    assert printed("blocked", "junction") == HEAD + BLOCKED + HALF_A_MINUTE
+    assert printed("blocked", "junction", "--min-time", "10") == (
         HEAD
         + BLOCKED
         + "       0      1 spectator                                   30\n"
@@ -135,7 +135,7 @@ def test_at_the_junction_nobody_collides_and_some_wait():
 
 
 @pytest.mark.parametrize(("waits", "light"), [(41, 28), (49, 19), (54, 17), (46, 17), (64, 28)])
-def test_who_waits_at_the_junction_waits_for_a_light(waits, light):
+def test_actors_at_the_junction_wait_for_a_light(waits, light):
     with carla_recap.open_recording(SAMPLES / "junction.mcap") as recording:
         (stop,) = (row for row in recording.blocked(5) if row.id == waits)
         lights = recording.light_states(light)
@@ -143,7 +143,7 @@ def test_who_waits_at_the_junction_waits_for_a_light(waits, light):
     assert shown == ({GREEN, YELLOW} if waits == 64 else {RED})  # the walker waits for the cars to have red
 
 
-def test_their_script_makes_the_same_frames(tmp_path):
+def test_the_script_makes_the_same_frames(tmp_path):
     pytest.importorskip("pymunk", reason="the extra `sim` is not installed")
     pytest.importorskip("carla", reason="the extra `carla` is not installed")
     environment = ENVIRONMENT | {"PATH": f"{COMMAND.parent}{os.pathsep}{os.environ['PATH']}"}
