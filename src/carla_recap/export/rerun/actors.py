@@ -91,8 +91,7 @@ class ActorWriter:
         """Write what is held back."""
         block = self._poses.take()
         if block is not None:
-            for id, times, transforms in block.tracks(self._boxed):
-                self._stream.transforms(paths.actor(id), times, transforms)
+            block.write(self._stream, self._boxed)
             self._write_map(block)
             self._write_cameras(block)
         self._colors = {id: color for id, color in self._colors.items() if id in self._present}
@@ -152,10 +151,10 @@ class ActorWriter:
                 self._stream.clear(paths.actor(id), time)
 
     def _write_map(self, block: PoseBlock) -> None:
-        shown = [index for index, id in enumerate(block.ids.tolist()) if id in self._colors]
-        colors = np.array([self._colors[id] for id in block.ids[shown].tolist()], np.uint32)
-        present = block.present[1:, shown]
-        locations = block.poses[1:, shown, :2][present] * CM
+        shown = np.isin(block.ids, list(self._colors))
+        colors = np.array([self._colors.get(id, 0) for id in block.ids.tolist()], np.uint32)
+        present = block.present[1:] & shown
+        locations = block.poses[1:][present][:, :2] * CM
         if len(locations):
             low, high = np.split(self._extent, 2)
             self._extent = np.concatenate((np.minimum(low, locations.min(axis=0)), np.maximum(high, locations.max(axis=0))))

@@ -11,7 +11,7 @@ import rerun as rr
 from carla_recap.export import style
 from carla_recap.export.rerun import paths
 from carla_recap.export.rerun.poses import ROWS
-from carla_recap.export.rerun.stream import TimeColumns, Transforms, screen_radii
+from carla_recap.export.rerun.stream import TimeColumns, screen_radii
 from carla_recap.replay import calm_headings, level, right_handed
 from carla_recap.replay.motion import JUMP, TOP_SPEED
 from carla_recap.replay.pose import LOCATION, YAW
@@ -79,7 +79,7 @@ class CameraAxes:
         calm = calm[held:]
         changed = np.flatnonzero(np.diff(calm, axis=0, prepend=before).any(axis=1))
         if len(changed):
-            self._stream.transforms(self._path, times.take(present[changed]), Transforms.of(calm[changed]))
+            self._stream.transforms(self._path, times.take(present[changed]), calm[changed])
 
 
 class FollowedWriter:

@@ -9,14 +9,16 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
-from carla_recap.export.rerun.stream import TimeColumns, Transforms
+from carla_recap.export.rerun import paths
+from carla_recap.export.rerun.stream import TimeColumns
 from carla_recap.replay.rows import NO_IDS
 
 if TYPE_CHECKING:
-    from collections.abc import Container, Iterable, Iterator
+    from collections.abc import Container, Iterable
 
     from numpy.typing import NDArray
 
+    from carla_recap.export.rerun.stream import Stream
     from carla_recap.replay import SceneBatch
     from carla_recap.replay.rows import Ids
 
@@ -50,14 +52,16 @@ class PoseBlock:
     present: Flags
     written: Flags
 
-    def tracks(self, shown: Container[int]) -> Iterator[tuple[int, TimeColumns, Transforms]]:
-        """Yield the times and transforms to be written of each of the actors that are shown."""
+    def write(self, stream: Stream, shown: Container[int]) -> None:
+        """Write the transforms of the actors that are shown."""
         actors, rows = np.nonzero(self.written.T)
-        times, transforms = self.times.take(rows), Transforms.of(self.poses[rows, actors])
         ends = np.searchsorted(actors, np.arange(len(self.ids) + 1)).tolist()
-        for id, (start, end) in zip(self.ids.tolist(), pairwise(ends), strict=True):
-            if start < end and id in shown:
-                yield id, times.take(slice(start, end)), transforms.take(slice(start, end))
+        tracks = (
+            (paths.actor(id), start, end)
+            for id, (start, end) in zip(self.ids.tolist(), pairwise(ends), strict=True)
+            if start < end and id in shown
+        )
+        stream.tracks(tracks, self.times.take(rows), self.poses[rows, actors])
 
 
 class PoseBuffer:

@@ -5,7 +5,9 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Any, Final, NamedTuple, Self
 
 import numpy as np
+import pyarrow as pa
 import rerun as rr
+import rerun_bindings as bindings
 
 from carla_recap.replay import quaternions, right_handed
 from carla_recap.replay.pose import LOCATION
@@ -72,28 +74,6 @@ class TimeColumns(NamedTuple):
         return TimeColumns(self.frame[rows], self.elapsed[rows])
 
 
-class Transforms(NamedTuple):
-    """Right-handed transforms, as columns.
-
-    Attributes:
-        translations: x, y, z in m.
-        rotations: Quaternions x, y, z, w.
-    """
-
-    translations: NDArray[np.float32]
-    rotations: NDArray[np.float32]
-
-    @classmethod
-    def of(cls, poses: NDArray[np.float64]) -> Self:
-        """Return those of CARLA's poses, in cm and degrees, left-handed."""
-        single = right_handed(poses).astype(np.float32)
-        return cls(single[:, LOCATION], quaternions(single))
-
-    def take(self, rows: slice) -> Transforms:
-        """Return some of the transforms."""
-        return Transforms(self.translations[rows], self.rotations[rows])
-
-
 class Stream:
     """Writes to a Rerun stream, by rows and by columns.
 
@@ -119,21 +99,45 @@ class Stream:
         """Remove an entity and all below it."""
         self.log(path, time, rr.Clear(recursive=True))
 
-    def transforms(self, path: str, times: TimeColumns, transforms: Transforms) -> None:
-        """Log many transforms; `rr.Transform3D.columns` takes ten times as long."""
-        translations = rr.components.Translation3DBatch(transforms.translations)
-        rotations = rr.components.RotationQuatBatch(transforms.rotations)
-        self.columns(path, times, (rr.ComponentColumn(_TRANSLATION, translations), rr.ComponentColumn(_ROTATION, rotations)))
+    def transforms(self, path: str, times: TimeColumns, poses: NDArray[np.float64]) -> None:
+        """Log CARLA's poses, in cm and degrees, left-handed, as transforms."""
+        self.tracks([(path, 0, len(poses))], times, poses)
+
+    def tracks(self, tracks: Iterable[tuple[str, int, int]], times: TimeColumns, poses: NDArray[np.float64]) -> None:
+        """Log CARLA's poses as the transforms of many entities.
+
+        Args:
+            tracks: The path of each entity, and its first row and the one after its last.
+            times: The times of the rows.
+            poses: The poses, in cm and degrees, left-handed.
+        """
+        single = right_handed(poses).astype(np.float32)
+        indexes = _indexes(times)
+        columns = {
+            _TRANSLATION: rr.components.Translation3DBatch(single[:, LOCATION]).as_arrow_array(),
+            _ROTATION: rr.components.RotationQuatBatch(quaternions(single)).as_arrow_array(),
+        }
+        for path, start, stop in tracks:  # slices, since to make arrays for each entity takes longer than to send them
+            bindings.send_arrow_chunk(
+                path,
+                timelines={name: column.slice(start, stop - start) for name, column in indexes.items()},
+                components={name: column.slice(start, stop - start) for name, column in columns.items()},
+                recording=self._recording.to_native(),
+            )
 
     def columns(self, path: str, times: TimeColumns, *columns: Iterable[rr.ComponentColumn]) -> None:
         """Log many rows: columns of times and columns of components."""
         if not len(times.frame):  # the viewer would wait for rows that never come
             return
-        indexes = (
+        indexes = [
             rr.TimeColumn(FRAME, sequence=times.frame),
-            rr.TimeColumn(SIM_TIME, duration=times.elapsed.view("timedelta64[ns]")),
-        )
+            rr.TimeColumn(SIM_TIME, duration=times.elapsed.view("m8[ns]")),
+        ]
         self._recording.send_columns(path, indexes, [column for group in columns for column in group])
+
+
+def _indexes(times: TimeColumns) -> dict[str, pa.Array]:
+    return {FRAME: pa.array(times.frame), SIM_TIME: pa.array(times.elapsed).view(pa.duration("ns"))}
 
 
 def screen_radii(points: float) -> list[float]:
