@@ -66,6 +66,10 @@ def test_a_public_name_exists_and_is_documented(name):
     assert found.__doc__
 
 
+def test_the_package_lists_its_public_names():
+    assert [name for name in dir(carla_recap) if not name.startswith("_")] == sorted(NAMES)
+
+
 def test_every_name_can_be_imported_at_once():
     found = {}
     exec("from carla_recap import *", found)

@@ -90,7 +90,7 @@ __all__ = [
     "write_report",
 ]
 
-# The command line should not wait for numpy to print its help.
+# The command line prints its help without importing numpy.
 _get, __dir__ = lazily(
     __name__,
     {

@@ -1,12 +1,12 @@
-"""What can go wrong, as exceptions: every message is one line that names the file, the place and what was expected.
+"""The errors of the package: each message is one line, with the file, the offset and what was expected.
 
 RecapError
-├── FormatError            a file contradicts its format, at a known place
-│   └── NotARecording      a file is no recording at all
-├── Closed                 a recording is used that is closed
+├── FormatError            a file contradicts its format
+│   └── NotARecording      a file is not a recording
+├── Closed                 a closed recording is used
 ├── RecordError            records that cannot be written (too many, wrong shape, unknown name)
 └── MissingExtra           an optional dependency is not installed
-RecapWarning               something was left out, and the rest is used
+RecapWarning               part of a file is left out
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ class FormatError(RecapError):
 
     Args:
         path: The file.
-        offset: Where in the file, in bytes; None where the fault has no single place.
+        offset: The offset of the fault, in bytes; None where it has no single one.
         message: What was found and what was expected.
     """
 
@@ -35,8 +35,8 @@ class FormatError(RecapError):
         self.message = message
 
     def __str__(self) -> str:
-        place = f"{self.path}" if self.offset is None else f"{self.path}: byte {self.offset}"
-        return f"{place}: {self.message}"
+        offset = "" if self.offset is None else f"byte {self.offset}: "
+        return f"{self.path}: {offset}{self.message}"
 
 
 class NotARecording(FormatError):
@@ -48,7 +48,7 @@ class NotARecording(FormatError):
 
 
 class Closed(RecapError):
-    """A recording is used that is closed.
+    """A closed recording is used.
 
     Args:
         path: The file.
@@ -71,7 +71,7 @@ _WITH_CARLA = ("carla", "sim", "server")  # the extras that need CARLA's library
 
 def _has_carla() -> bool:
     """Return whether CARLA publishes its library for this Python and machine."""
-    import platform  # errors are imported by all that is
+    import platform  # which every start would wait for
 
     machines = {"linux": "x86_64", "win32": "AMD64"}
     return sys.version_info < (3, 13) and machines.get(sys.platform) == platform.machine()
@@ -97,4 +97,4 @@ class MissingExtra(RecapError):
 
 
 class RecapWarning(UserWarning):
-    """Part of a file was left out; the message says how much, and why."""
+    """Part of a file was left out; the message contains how much, and why."""

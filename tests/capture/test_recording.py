@@ -72,7 +72,7 @@ def test_it_is_what_the_server_records(client: carla.Client, world: carla.World,
     capture = capturing("captured.mcap", "--additional-data")
     path = drive(client, world)
     own = {actor.id for actor in own_sensors(world)}
-    assert capture.end().endswith(" s: SIGINT\n")
+    assert capture.end().endswith(" s: stopped by SIGINT\n")
     theirs, ours = frames_of(path), frames_of(capture.path)
     begin = next(place for place, frame in enumerate(ours) if time_of(frame) == time_of(theirs[0]))
     ours = ours[begin : begin + len(theirs)]

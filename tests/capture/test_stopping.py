@@ -57,7 +57,7 @@ def test_it_is_completed_though_more_signals_come(port: int, tmp_path: Path, nam
             time.sleep(gap)
         said, _ = process.communicate(timeout=PATIENCE)
     assert process.returncode == 0, said
-    assert said.endswith(": SIGINT\n")
+    assert said.endswith(": stopped by SIGINT\n")
     assert "Traceback" not in said
     assert [path.name for path in tmp_path.iterdir()] == [name]
     assert (tmp_path / name).stat().st_size > 1000
@@ -127,7 +127,7 @@ def test_an_actor_that_the_client_cannot_make_out_is_left_out(tmp_path: Path, na
     assert process.returncode == 0, said
     warning, last = said.splitlines()[-2:]
     assert "warning: actors that CARLA's client cannot make out are left out: " in warning
-    assert last.endswith(": SIGINT")
+    assert last.endswith(": stopped by SIGINT")
     if name.endswith(".mcap"):
         with open_recording(tmp_path / name) as recording:
             recorded = {spawned.type_id for frame in recording for spawned in frame["spawned"]}

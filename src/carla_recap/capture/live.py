@@ -22,7 +22,6 @@ from carla_recap.export.viewer import HOST as LOOPBACK
 from carla_recap.maps import RoadMap, load_map
 from carla_recap.replay.follow import HERO, Follow
 from carla_recap.util.files import WholeFile
-from carla_recap.util.signals import call_on_termination
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
@@ -68,7 +67,7 @@ def watch(
         MissingExtra: There is no viewer.
     """
     check_target(to, force=force)
-    with Observer(host, port, additional_data=True, interval=1 / RATE) as observer, call_on_termination(observer.end):
+    with Observer(host, port, additional_data=True, interval=1 / RATE) as observer, observer.until_signal():
         road_map = _road_map(observer.map)
         arrangement = live_blueprint(road_map, view=view)
         with _opened(to, arrangement) as (stream, is_open):

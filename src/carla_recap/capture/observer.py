@@ -24,9 +24,11 @@ from carla_recap.capture.actors import UNANSWERED, ActorTracker, readable
 from carla_recap.capture.collisions import CollisionListener
 from carla_recap.errors import RecapError
 from carla_recap.model.records import NO_ACTOR, UE4, ActorKind
+from carla_recap.util.signals import call_on_termination
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
+    from contextlib import AbstractContextManager
     from types import TracebackType
 
 HOST: Final = "127.0.0.1"
@@ -131,6 +133,10 @@ class Observer:
     def end(self, why: str) -> None:
         """End `observations`; of several reasons, the first one counts."""
         self.why = self.why or why
+
+    def until_signal(self) -> AbstractContextManager[None]:
+        """Return a context in which SIGINT, SIGTERM and SIGHUP end `observations`, instead of the process."""
+        return call_on_termination(lambda name: self.end(f"stopped by {name}"))
 
     def observations(self, idle: Callable[[], None] = lambda: None) -> Iterator[Observation]:
         """Yield the observed ticks until the end.

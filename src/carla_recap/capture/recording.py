@@ -15,7 +15,6 @@ from carla_recap.editing.recover import rescue
 from carla_recap.formats import create_writer
 from carla_recap.model.frame import LAST_FRAME_DURATION, Frame, Header, Packet
 from carla_recap.model.records import FRAME_END, UE4
-from carla_recap.util.signals import call_on_termination
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Iterator
@@ -74,7 +73,7 @@ def capture(
             message contains its path.
     """
     check_free(destination, force=force)
-    with Observer(host, port, additional_data=additional_data, attach=True) as observer, call_on_termination(observer.end):
+    with Observer(host, port, additional_data=additional_data, attach=True) as observer, observer.until_signal():
         header = header_of(observer)
         writer = create_writer(Path(destination), header, live=True)
         try:

@@ -71,7 +71,7 @@ def serve(
 
     log_to_stderr()
     if attached and sys.stdin is None:
-        raise RecapError("--attached: a standard input was expected")
+        raise RecapError("--attached needs a standard input")
     if recordings is not None:
         _make_folder(recordings)
     if host not in (_LOOPBACK, "localhost", "::1"):

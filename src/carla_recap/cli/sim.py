@@ -22,7 +22,7 @@ _ROUNDING = 1e-6  # of a tick
 _FAILED = 2  # the exit code for bad input
 
 
-def _no_blank(context: click.Context, option: click.Parameter, value: str | None) -> str | None:
+def _not_empty(context: click.Context, option: click.Parameter, value: str | None) -> str | None:
     if value == "":
         raise click.BadParameter("the name of a map or an .xodr was expected, found an empty text.", context, option)
     return value
@@ -40,7 +40,7 @@ _additional_data = click.option("--additional-data", is_flag=True, help="Record 
 
 @click.command()
 @options.destination
-@click.option("--town", callback=_no_blank, metavar="NAME", help="A map's name or an .xodr; else the built-in town.")
+@click.option("--town", callback=_not_empty, metavar="NAME", help="A map's name or an .xodr; else the built-in town.")
 @click.option("--vehicles", type=click.IntRange(0, 1000), default=30, show_default=True, metavar="N", help="On autopilot.")
 @click.option("--walkers", type=click.IntRange(0, 1000), default=10, show_default=True, metavar="N", help="On foot.")
 @click.option("--duration", type=options.POSITIVE, default=60, show_default=True, metavar="S", help="How long, in s.")
@@ -88,7 +88,7 @@ def record(
 @click.command()
 @options.source
 @options.destination
-@click.option("--town", callback=_no_blank, metavar="NAME", help="A map's name or an .xodr; else that of the recording.")
+@click.option("--town", callback=_not_empty, metavar="NAME", help="A map's name or an .xodr; else that of the recording.")
 @options.start
 @options.duration
 @click.option(

@@ -1,4 +1,4 @@
-"""Names of a package that are imported when they are asked for, so that nobody waits for what it does not use."""
+"""Names of a package that are imported when they are first used (PEP 562)."""
 
 from __future__ import annotations
 
@@ -10,23 +10,23 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Mapping, Sequence
 
 
-def lazily(package: str, homes: Mapping[str, Sequence[str]]) -> tuple[Callable[[str], Any], Callable[[], list[str]]]:
-    """What a package has as `__getattr__` and `__dir__` (PEP 562).
+def lazily(package: str, names: Mapping[str, Sequence[str]]) -> tuple[Callable[[str], Any], Callable[[], list[str]]]:
+    """Return the `__getattr__` and the `__dir__` of a package.
 
     Args:
-        package: Its name.
-        homes: The names that each of its modules has for it.
+        package: The name of the package.
+        names: The names that it offers, by the module of the package that defines them.
     """
-    home_of = {name: home for home, names in homes.items() for name in names}
+    modules = {name: module for module, defined in names.items() for name in defined}
 
     def get(name: str) -> Any:
-        if name not in home_of:
+        if name not in modules:
             raise AttributeError(f"module {package!r} has no attribute {name!r}")
-        found = getattr(import_module(f"{package}.{home_of[name]}"), name)
+        found = getattr(import_module(f"{package}.{modules[name]}"), name)
         setattr(sys.modules[package], name, found)
         return found
 
-    def names() -> list[str]:
-        return sorted({*vars(sys.modules[package]), *home_of})
+    def list_names() -> list[str]:
+        return sorted([*modules, *(name for name in vars(sys.modules[package]) if name.startswith("__"))])
 
-    return get, names
+    return get, list_names

@@ -125,7 +125,7 @@ class FixedCodec:
         targets = form.targets + len(header)
         self.stride = len(blank)
         self._blank = blank.view(np.void(self.stride).dtype)
-        self._constants = [(offset, blank[offset]) for offset in np.setdiff1d(np.arange(self.stride), targets).tolist()]
+        self._constants = [(offset, blank[offset]) for offset in {*range(self.stride)} - {*targets.tolist()}]
         fields: Any = type.dtype.fields
         offsets = {name: int(targets[offset]) for name, (_, offset, *_) in fields.items()}
         self._masks = {name: mask for name, (_, offset, *_) in fields.items() if (mask := form.masks[offset])}
