@@ -1,1 +1,1 @@
-"""Recordings made from recordings, or from nothing: convert, clip, recover, author."""
+"""Recordings written from other recordings or from records: convert, clip, recover, author."""

@@ -1,4 +1,4 @@
-"""Recordings of one's own: frames from trajectories, logs of other simulators, or tests."""
+"""Recordings of records from elsewhere: trajectories, logs of other simulators, tests."""
 
 from __future__ import annotations
 
@@ -21,10 +21,10 @@ if TYPE_CHECKING:
 
 
 class Recorder:
-    """A recording being written; see `create_recording`. Complete when it is closed, removed when its block fails.
+    """A recording that is being written; see `create_recording`. It is removed if its `with` block raises.
 
     Attributes:
-        extent: How far it goes so far.
+        extent: The extent of the frames added so far.
     """
 
     def __init__(self, path: Path | str, header: Header, *, additional_data: bool, live: bool) -> None:
@@ -40,13 +40,13 @@ class Recorder:
         """Add a frame.
 
         Args:
-            elapsed: Seconds since the recording began; more than the frame before.
+            elapsed: Seconds since the recording began; more than in the frame before.
             records: Records by type, in CARLA's units: `transforms=`, `spawned=`, `collisions=` … Each a structured array,
-                columns by name, rows, or objects such as `Spawn`; a clock (`platform_time=`) is a number. Whatever
-                `frame[...]` gives will do.
+                columns by name, rows, or objects such as `Spawn`; a clock (`platform_time=`) is a number. The values of
+                `frame[...]` are accepted, too.
 
         Raises:
-            RecordError: They do not fit their type, or time does not go on.
+            RecordError: The records do not fit their type, or the time is not after that of the frame before.
             RecapError: The file cannot be written.
         """
         if self._closed:
@@ -64,7 +64,7 @@ class Recorder:
         self.extent = Extent(number, number, elapsed)
 
     def close(self) -> None:
-        """Finish the recording, and put it under its name."""
+        """Finish the recording and rename it to its path."""
         self._closed = True
         try:
             if self._latest is not None:
@@ -76,7 +76,7 @@ class Recorder:
             raise
 
     def abort(self) -> None:
-        """Give the recording up."""
+        """Remove the recording."""
         self._closed = True
         self._writer.abort()
 
@@ -95,15 +95,15 @@ class Recorder:
 
 
 def packets_of(table: Table, records: Mapping[str, Any], *, additional_data: bool) -> list[Packet]:
-    """The packets of a frame, between its start and its end, as CARLA's recorder writes them.
+    """Return the packets of a frame, between its start and its end, in the order of CARLA's recorder.
 
     Args:
         table: The record types of the recording.
-        records: Records by type; those that CARLA tells of in each frame have empty packets where nothing is given.
-        additional_data: Whether the packets of CARLA's additional data are among these.
+        records: Records by type; types that CARLA writes in each frame get empty packets if they are missing.
+        additional_data: Whether the types of CARLA's additional data get empty packets, too.
 
     Raises:
-        RecordError: They do not fit their type.
+        RecordError: The records do not fit their type.
     """
     given = {table.named(name).id: values for name, values in records.items()}
     if min(given, default=FRAME_END + 1) <= FRAME_END:
@@ -124,21 +124,21 @@ def create_recording(
     additional_data: bool = False,
     live: bool = False,
 ) -> Recorder:
-    """Begin a recording of one's own.
+    """Create a recording, to which frames are added.
 
     Args:
         path: The destination; the suffix, .mcap or .log, says the format.
         map_name: The map.
-        date: When it begins, as a time or in Unix seconds; now, by default.
+        date: The beginning, as a time or in Unix seconds; now, by default.
         additional_data: Write the packets of CARLA's additional data in every frame, empty ones too, as CARLA does.
-        live: Put the data on the disk as it comes, so that a crash costs 5 s at the most (MCAP). What a crash leaves is a
-            hidden file beside the destination, which `recover` takes.
+        live: Write to the disk continuously, so that a crash loses at most the last 5 s (MCAP). A crash leaves a hidden
+            file beside the destination, which `recover` reads.
 
     An existing file is replaced when the recording is closed.
 
     Raises:
         RecordError: The date or the name of the map cannot be written.
-        RecapError: The suffix is of no format, or the place cannot be written to.
+        RecapError: The suffix is of no format, or the file cannot be created.
     """
     if not isinstance(map_name, str):
         raise RecordError(f"{path}: the name of a map was expected, found {map_name!r}")

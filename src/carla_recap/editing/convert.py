@@ -1,4 +1,4 @@
-"""From one format to another, without losing a bit."""
+"""Conversion from one format to the other without loss."""
 
 from __future__ import annotations
 
@@ -29,12 +29,12 @@ def convert(
 
     Args:
         source: A recording of any format.
-        destination: Where to write; the suffix says the format. It appears when it is complete.
-        force: Overwrite what is there.
-        progress: Is given the stream of batches and their reader, and passes the batches on.
+        destination: The file to write; the suffix says the format. It appears when it is complete.
+        force: Overwrite an existing file.
+        progress: Gets the batches and their reader, and yields the batches.
 
     Returns:
-        How far the recording goes.
+        The extent of the recording.
 
     Raises:
         RecapError: The source is damaged, or the destination cannot be written.
@@ -54,10 +54,10 @@ def convert(
 
 
 def check_destination(source: Path | str, destination: Path | str, *, force: bool) -> None:
-    """Refuse to write over the source, or over anything without `force`.
+    """Check that a destination is not the source, and that it does not exist or `force` is true.
 
     Raises:
-        RecapError: That would happen.
+        RecapError: It is the source, or it exists.
     """
     target = Path(destination)
     try:
@@ -70,10 +70,10 @@ def check_destination(source: Path | str, destination: Path | str, *, force: boo
 
 
 def check_free(destination: Path | str, *, force: bool) -> None:
-    """Refuse to write over anything without `force`.
+    """Check that a destination does not exist, or that `force` is true.
 
     Raises:
-        RecapError: That would happen.
+        RecapError: It exists.
     """
     try:
         exists = Path(destination).exists() or Path(destination).is_symlink()
@@ -84,10 +84,10 @@ def check_free(destination: Path | str, *, force: bool) -> None:
 
 
 def check_new(destination: Path | str, *, force: bool) -> None:
-    """Refuse, before any work is done, where no recording can be written; see `check_free`.
+    """Check that a recording can be written to a destination; see `check_free`.
 
     Raises:
-        RecapError: The suffix is of no format, there is no such folder, or something is there.
+        RecapError: The suffix is of no format, the folder is missing, or the destination exists.
     """
     format_of(destination)
     check_free(destination, force=force)

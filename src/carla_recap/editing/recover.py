@@ -1,4 +1,4 @@
-"""Rebuilds a recording that is damaged, or whose writer died, from all that is whole in it."""
+"""Recovery of recordings that are damaged or were never finished."""
 
 from __future__ import annotations
 
@@ -29,16 +29,16 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class Recovery:
-    """What a recovery brought, and what it could not.
+    """The result of a recovery.
 
     Attributes:
-        frames: Frames that were saved.
-        lost_frames: Frames that are known to be missing between them.
-        lost_bytes: Bytes of the source that belong to nothing whole.
-        duration: Elapsed seconds of the last frame that was saved.
-        finished: Whether the source had a proper end.
+        frames: The number of frames that were saved.
+        lost_frames: The number of frames that are known to be missing between them.
+        lost_bytes: The number of bytes of the source that were not used.
+        duration: The elapsed seconds of the last saved frame.
+        finished: Whether the source was complete up to its end.
         headless: Whether its header was lost, so that the map is unknown.
-        lost_packets: Packets of saved frames that hold something else than their type announces.
+        lost_packets: The number of packets of saved frames that contradict their type.
     """
 
     frames: int
@@ -68,14 +68,14 @@ def recover(
     progress: Progress | None = None,
     format: str | None = None,
 ) -> Recovery:
-    """Write what is whole in a recording to a new one.
+    """Write the intact frames of a recording to a new one.
 
     Args:
         source: The damaged file, MCAP or log.
-        destination: Where to write; the suffix says the format.
-        force: Overwrite what is there.
+        destination: The file to write; the suffix says the format.
+        force: Overwrite an existing file.
         progress: As in `convert`.
-        format: The suffix of the format, whatever that of the destination.
+        format: The suffix of the format, if it is not that of the destination.
 
     Raises:
         RecapError: Nothing can be saved, or the destination cannot be written.
@@ -92,7 +92,7 @@ def recover(
             stream: Iterable[Batch] = map(Batch.of, reader.frames())
             for batch in progress(stream, reader) if progress else stream:
                 frame = batch.frame(0)
-                if frame.preamble and frames:  # its packets would become those of the frame before
+                if frame.preamble and frames:  # its packets would be added to the frame before
                     continue
                 sound = [packet for packet in frame.packets if _is_sound(packet)][:PACKETS_LIMIT]
                 lost_packets += len(frame.packets) - len(sound)
@@ -111,25 +111,25 @@ def recover(
 
 
 def rescue(writer: Writer, path: Path, error: Exception, *, force: bool = False, format: str | None = None) -> RecapError:
-    """Make a recording whose writer has failed whole, up to there; if that cannot be done, leave what is there beside it.
+    """Finish a recording whose writer has failed with the frames written so far; if that fails, keep the partial file.
 
     Args:
         writer: The writer.
         path: Its destination.
-        error: Why it failed.
-        force: Overwrite what is there.
-        format: The suffix of the format, whatever that of the destination.
+        error: The error of the writer.
+        force: Overwrite an existing file.
+        format: The suffix of the format, if it is not that of the destination.
 
     Returns:
-        What to tell: why it failed, and where what was recorded is.
+        An error with the reason, and with the end of the recording or the path of the partial file.
     """
     partial = writer.abandon()
     if not partial.exists():
         return RecapError(f"{error}; nothing of what was recorded is left")
     try:
-        with warnings.catch_warnings(action="ignore", category=RecapWarning):  # that it was cut short is told anyway
+        with warnings.catch_warnings(action="ignore", category=RecapWarning):  # the returned error says that it was cut
             saved = recover(partial, path, force=force, format=format)
-    except Exception:  # whatever it is: the frames are safe where they are
+    except Exception:  # any error: the partial file has the frames
         return RecapError(f"{error}; what was recorded until then lies in {partial}, for carla-recap recover")
     with suppress(OSError):
         partial.unlink()
@@ -137,13 +137,13 @@ def rescue(writer: Writer, path: Path, error: Exception, *, force: bool = False,
 
 
 def _unfinished(source: Path | str) -> RecapError:
-    """Return the error about a recording that was never finished, with the paths of what was written of it."""
+    """Return the error about a recording that was never finished, with the paths of its partial files."""
     paths = " and ".join(map(str, partials(source)))
     return RecapError(f"{source}: was never finished; what was written of it until then lies in {paths}")
 
 
 def _is_sound(packet: Packet) -> bool:
-    """Return whether a packet holds what its type announces, so that any format can have it and be read again."""
+    """Return whether a packet matches its type, so that it can be written in any format and read again."""
     try:
         payload = packet.payload
         if packet.id <= FRAME_END:
@@ -156,12 +156,12 @@ def _is_sound(packet: Packet) -> bool:
 
 
 def _stated_frames(reader: Reader) -> int:
-    """How many frames a file says that it has; 0 if it does not."""
+    """Return the number of frames according to the file; 0 if it has none."""
     return int(getattr(reader, "metadata", {}).get("frames", 0))
 
 
 def _open(source: Path | str) -> tuple[Reader, bool, int, bool]:
-    """The reader of what is whole, whether the file has an end, its lost bytes, and whether its header is lost."""
+    """Return a reader of the intact parts, whether the file has an end, its lost bytes, and whether its header is lost."""
     if is_log(read_start(source)):
         return LogReader(source, salvage=True), True, 0, False
     from carla_recap.formats.mcap.reader import McapReader
