@@ -14,9 +14,17 @@ from carla_recap.errors import Closed, RecapError
 from carla_recap.formats import open_reader
 from carla_recap.queries.actors import Actor, Actors, actors
 from carla_recap.tables import Rows, Tabular
-from carla_recap.tables.actor_rows import ActorRows, actor_rows
 from carla_recap.tables.records import RecordTable, record_table
-from carla_recap.tables.trajectories import Axes, Controls, LightStates, Trajectories, Trajectory, trajectories
+from carla_recap.tables.trajectories import (
+    ActorRows,
+    Axes,
+    Controls,
+    LightStates,
+    Trajectories,
+    Trajectory,
+    actor_rows,
+    trajectories,
+)
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Collection, Iterator, Mapping

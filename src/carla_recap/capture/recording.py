@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any, Final, NamedTuple
 from carla_recap.capture.observer import HOST, PORT, Observer
 from carla_recap.editing.author import packets_of
 from carla_recap.editing.convert import check_free
-from carla_recap.editing.recover import rescue
+from carla_recap.editing.recover import finish_partial
 from carla_recap.formats import create_writer
 from carla_recap.model.frame import LAST_FRAME_DURATION, Frame, Header, Packet
 from carla_recap.model.records import FRAME_END, UE4
@@ -82,7 +82,7 @@ def capture(
             last = deque(enumerate(progress(elapsed) if progress else elapsed, 1), maxlen=1)
             writer.close()
         except Exception as error:
-            raise rescue(writer, Path(destination), error, force=force) from None
+            raise finish_partial(writer, Path(destination), error, force=force) from None
         except BaseException:
             writer.abort()
             raise

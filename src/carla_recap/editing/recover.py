@@ -110,7 +110,9 @@ def recover(
     return Recovery(frames, expected - frames, lost_bytes, duration, finished, headless, lost_packets)
 
 
-def rescue(writer: Writer, path: Path, error: Exception, *, force: bool = False, format: str | None = None) -> RecapError:
+def finish_partial(
+    writer: Writer, path: Path, error: Exception, *, force: bool = False, format: str | None = None
+) -> RecapError:
     """Finish a recording whose writer has failed with the frames written so far; if that fails, keep the partial file.
 
     Args:

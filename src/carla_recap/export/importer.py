@@ -1,6 +1,6 @@
-"""`rerun-importer-carla-recap`: with it on the PATH, Rerun's viewer opens recordings as they are.
+"""`rerun-importer-carla-recap`: if it is on the PATH, Rerun's viewer opens recordings directly.
 
-The viewer runs it for every file that is opened, so it looks at the content first, and imports little before that.
+The viewer runs it for every file that is opened, so it checks the content first, and imports little before that.
 """
 
 from __future__ import annotations
@@ -24,25 +24,25 @@ if TYPE_CHECKING:
     from carla_recap.replay import Player, Scene
 
 NOT_OURS: Final = 66
-"""The exit code that tells the viewer to ask the next importer."""
+"""The exit code for files that are not recordings; the viewer then tries the next importer."""
 FAILED: Final = 1
 
 PART: Final = 256
-"""So many frames are sent at once."""
+"""The number of frames that are sent at once."""
 
 _NAME: Final = "rerun-importer-carla-recap"
 
 _LOG_MAGIC: Final = b"CARLA_RECORDER"
 _MCAP_MAGIC: Final = b"\x89MCAP"
 _MCAP_NAME: Final = b"carla_recap.header"
-_ENDS: Final = 64 << 10  # bytes, at each end of an MCAP file, in which its metadata is named
+_ENDS: Final = 64 << 10  # bytes at each end of an MCAP file, one of which contains the name of its metadata
 
 
 def main() -> None:
-    """Write a recording to stdout as the viewer reads it."""
+    """Write a recording to stdout in the format of the viewer."""
     for name in ("SIGINT", "SIGPIPE"):
         if hasattr(signal, name):
-            signal.signal(getattr(signal, name), signal.SIG_DFL)  # there is nothing to clean up, nor anybody to tell
+            signal.signal(getattr(signal, name), signal.SIG_DFL)  # nothing needs to be cleaned up
     warnings.simplefilter("always", RecapWarning)
     warnings.showwarning = lambda message, *_, **__: _say(f"warning: {message}")
     arguments = _arguments()
@@ -54,7 +54,7 @@ def main() -> None:
         sys.exit(NOT_OURS)
     except (RecapError, OSError, MemoryError) as error:
         _say(str(error) or "not enough memory")
-        os._exit(FAILED)  # without another try to write what stdout did not take
+        os._exit(FAILED)  # without flushing stdout again
 
 
 def _arguments() -> Namespace:
@@ -68,7 +68,7 @@ def _arguments() -> Namespace:
 
 
 def _may_be_ours(path: Path) -> bool:
-    """Whether the content looks like a recording, at a glance."""
+    """Return whether the content may be a recording."""
     try:
         if not path.is_file():
             return False
@@ -116,7 +116,7 @@ def _send(data: bytes) -> None:
 
 
 def _road_map(header: Header) -> RoadMap | None:
-    """The map, where there is one and what reads it."""
+    """Return the map, or None if it is missing or cannot be read."""
     from carla_recap.maps import find_map, load_map
 
     path = find_map(header.map_name)
@@ -127,4 +127,4 @@ def _road_map(header: Header) -> RoadMap | None:
 
 
 def _say(message: str) -> None:
-    print(f"{_NAME}:", *message.split(), file=sys.stderr)  # a name from a stranger's file must not break the line
+    print(f"{_NAME}:", *message.split(), file=sys.stderr)  # one line, whatever the names in the file contain

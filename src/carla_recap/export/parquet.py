@@ -1,4 +1,4 @@
-"""Recordings as folders of Parquet files, for DuckDB, Polars, Spark and the like."""
+"""Export to Parquet files, for DuckDB, Polars, Spark and other tools."""
 
 from __future__ import annotations
 
@@ -22,10 +22,10 @@ if TYPE_CHECKING:
 ROWS: Final = 1 << 18
 MEMORY: Final = 64 << 20
 """The limits of a row group, in rows and in bytes."""
-_PIECE: Final = 4 << 20  # bytes of a type that are gathered at once
+_PIECE: Final = 4 << 20  # bytes of a type that are handled at once
 
 RENAMED: Final = {"collisions": "collision_records"}
-"""The names of the files of record types whose own name is that of a query's answer."""
+"""The names of the files of record types whose own name is that of a query."""
 
 
 def export_parquet(
@@ -33,15 +33,15 @@ def export_parquet(
 ) -> list[Path]:
     """Write the tables of a recording into a folder, as Parquet files.
 
-    There is a file for each record type that the recording has, such as `transforms.parquet`, with the columns of
-    `Recording.table`; and `actors.parquet`, `collisions.parquet` and `incidents.parquet` with the answers of the queries
-    (the records of collisions are in `collision_records.parquet`). Columns have their unit in the metadata.
+    Each record type of the recording gets a file, such as `transforms.parquet`, with the columns of `Recording.table`;
+    `actors.parquet`, `collisions.parquet` and `incidents.parquet` contain the results of the queries (the records of
+    collisions are in `collision_records.parquet`). The metadata of columns contain their units.
 
     Args:
         recording: The recording.
-        folder: The folder; it appears when all files are complete.
-        force: Write into a folder that has files already, over those of the same names.
-        progress: Is given the stream of batches and their reader, and passes the batches on.
+        folder: The folder to write. It appears when all files are complete.
+        force: Write into a folder that is not empty, over files of the same names.
+        progress: Gets the batches and their reader, and yields the batches.
 
     Returns:
         The files.
@@ -82,7 +82,7 @@ def _write_records(batches: Iterable[Batch], frame: RecordType, folder: Path) ->
 
 
 def _pieces(batch: Batch) -> Iterable[Batch]:
-    """Yield parts of a batch whose records need little memory."""
+    """Yield a batch in parts whose records need little memory."""
     largest = max((column.size * (1 if _is_fixed(column) else PARSED) for column in batch.columns), default=0)
     count = max(_PIECE // max(largest, 1), 1)
     if count >= len(batch):
@@ -97,7 +97,7 @@ def _is_fixed(column: Column) -> bool:
 
 
 class _RecordFile:
-    """The file of a record type, which is created when there are records.
+    """The file of a record type, created with its first records.
 
     Args:
         type: The record type.
@@ -118,7 +118,7 @@ class _RecordFile:
             self.flush()
 
     def flush(self) -> None:
-        """Write what was gathered as a row group."""
+        """Write the gathered records as a row group."""
         if not self._builder.rows:
             return
         table = self._builder.take().to_arrow()

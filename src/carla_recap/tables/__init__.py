@@ -1,4 +1,4 @@
-"""Tables: rows or columns that become a pandas DataFrame, an Arrow table or a Parquet file."""
+"""Tables: rows or columns, as pandas DataFrames, Arrow tables and Parquet files."""
 
 from __future__ import annotations
 
@@ -22,14 +22,14 @@ _INT64_MAX = 2**63 - 1
 
 
 class Tabular:
-    """Base of what has columns of one length."""
+    """Base of classes with columns of one length."""
 
     def columns(self) -> dict[str, Any]:
-        """Return the columns by name: arrays; lists of what is not a number."""
+        """Return the columns by name: arrays of numbers, or lists."""
         raise NotImplementedError
 
     def units(self) -> Mapping[str, str]:
-        """Return the units of the columns that have one, by name."""
+        """Return the units of columns by name."""
         return {}
 
     def to_pandas(self) -> pd.DataFrame:
@@ -51,7 +51,7 @@ class Tabular:
         )
 
     def to_arrow(self) -> pa.Table:
-        """Return an Arrow table, with `unit` in the metadata of the columns that have one.
+        """Return an Arrow table, with the units of columns in their metadata.
 
         Raises:
             MissingExtra: pyarrow is not installed.
@@ -63,7 +63,7 @@ class Tabular:
         return arrow.table(self._arrow_columns(), types, self.units())
 
     def to_parquet(self, path: Path | str) -> None:
-        """Write a Parquet file, with `unit` in the metadata of the columns that have one.
+        """Write a Parquet file, with the units of columns in their metadata.
 
         Raises:
             MissingExtra: pyarrow is not installed.
@@ -75,7 +75,7 @@ class Tabular:
         arrow.write_parquet(path, self.to_arrow())
 
     def _types(self) -> Mapping[str, Any]:
-        """Return the types of the columns that are lists, by name: type hints, or `Nested`."""
+        """Return the types of columns that are lists, by name: type hints, or `Nested`."""
         return {}
 
     def _arrow_columns(self) -> dict[str, Any]:
@@ -101,7 +101,7 @@ class Rows(list[T], Tabular):
     """A list of rows, all of one dataclass.
 
     Attributes:
-        row_type: The dataclass, so that an empty list has columns too; None: that of the first row.
+        row_type: The dataclass, which gives an empty list its columns; None: that of the first row.
         row_units: The units of its fields.
     """
 

@@ -1,6 +1,6 @@
 """The bridge to pyarrow: Arrow tables with units, and Parquet files.
 
-Types are those of numpy's arrays; what is not a number has its type from a type hint or from the layout of nested records.
+The types of arrays are numpy's; those of lists come from type hints or from the layout of nested records.
 """
 
 from __future__ import annotations
@@ -46,7 +46,7 @@ class Nested(NamedTuple):
 
     Attributes:
         layout: The layout of the records in a list.
-        wide: Whether lengths are in double precision.
+        wide: Whether REAL fields are in double precision.
     """
 
     layout: Layout
@@ -54,10 +54,13 @@ class Nested(NamedTuple):
 
 
 def require(feature: str) -> None:
-    """Refuse a feature that needs pyarrow where it is not installed.
+    """Check that pyarrow is installed.
+
+    Args:
+        feature: The feature that needs it.
 
     Raises:
-        MissingExtra: That is so.
+        MissingExtra: It is not installed.
     """
     try:
         import pyarrow  # noqa: F401
@@ -66,7 +69,7 @@ def require(feature: str) -> None:
 
 
 def type_of(kind: Any) -> pa.DataType | None:
-    """Return the Arrow type of a type hint or of nested records; None where values have to tell."""
+    """Return the Arrow type of a type hint or of nested records; None if it must be inferred from the values."""
     import pyarrow as pa
 
     if isinstance(kind, Nested):
@@ -111,9 +114,9 @@ def table(columns: Mapping[str, Any], types: Mapping[str, Any], units: Mapping[s
     """Return columns as an Arrow table.
 
     Args:
-        columns: Arrays and lists, by name.
-        types: The Arrow types of the columns that are lists.
-        units: The units of the columns that have one; they go into the metadata.
+        columns: Arrays, lists and `Lists` by name.
+        types: The Arrow types of columns that are lists.
+        units: The units of columns, for the metadata.
     """
     import pyarrow as pa
 
@@ -139,16 +142,16 @@ def _array(values: Any, type: pa.DataType | None) -> pa.Array:
 
 
 class ParquetFile:
-    """A Parquet file that is written table by table, a row group for each; a context manager.
+    """Writes a Parquet file table by table, each as a row group; a context manager.
 
-    Numbers that repeat are written as a dictionary, measurements as they are: a dictionary of them takes thrice the time.
+    Integers, texts and times are dictionary-encoded; other real numbers are not, which would take three times as long.
 
     Args:
         path: The file.
         schema: The schema of the tables.
 
     Attributes:
-        rows: The number of rows that were written.
+        rows: The number of rows written.
     """
 
     def __init__(self, path: Path, schema: pa.Schema) -> None:

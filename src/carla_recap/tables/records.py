@@ -1,4 +1,4 @@
-"""The records of a type as a table: the frame and the time of each, and its fields, as CARLA records them."""
+"""The records of a type as a table: the frame and the time of each record, and its fields in CARLA's units."""
 
 from __future__ import annotations
 
@@ -47,7 +47,7 @@ class RecordTable(Tabular):
         """Return a column.
 
         Raises:
-            KeyError: There is none of this name.
+            KeyError: There is no column of this name.
         """
         if name in ("frame", "time"):
             return self.frame if name == "frame" else self.time
@@ -170,7 +170,7 @@ def record_table(reader: Reader, name: str) -> RecordTable:
 
 
 def _frame_records(batch: Batch, type: RecordType) -> NDArray[np.void]:
-    """Return what the packets that start the frames of a batch hold, (frames, 1)."""
+    """Return the records of the packets that start the frames of a batch, (frames, 1)."""
     records = np.empty((0 if batch.preamble else len(batch), 1), type.dtype)
     if len(records):
         records["id"][:, 0], records["duration"][:, 0], records["elapsed"][:, 0] = batch.id, batch.duration, batch.elapsed
@@ -178,7 +178,7 @@ def _frame_records(batch: Batch, type: RecordType) -> NDArray[np.void]:
 
 
 def plain_record(layout: Layout, record: Any) -> dict[str, Any]:
-    """Return a record whose size varies as plain Python: its fields by name."""
+    """Return the fields of a record of variable size by name, as plain Python values."""
     return {name: _plain(kind, getattr(record, name)) for name, kind in layout.fields.items()}
 
 

@@ -1,4 +1,4 @@
-"""Records whose size varies, as columns: numbers as arrays, nested records as lists of one flat column per field."""
+"""Records of variable size as columns: arrays of numbers and texts, and lists of nested records."""
 
 from __future__ import annotations
 
@@ -163,7 +163,7 @@ def joined(layout: Layout, wide: bool, pieces: Sequence[Fields], counts: Sequenc
 
     Args:
         layout: The layout of the records.
-        wide: Whether lengths are in double precision.
+        wide: Whether REAL fields are in double precision.
         pieces: The fields of each piece.
         counts: The number of records of each piece.
     """

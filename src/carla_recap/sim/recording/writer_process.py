@@ -20,7 +20,7 @@ from select import select
 from threading import Thread
 from typing import TYPE_CHECKING, Any, BinaryIO, Final
 
-from carla_recap.editing.recover import rescue
+from carla_recap.editing.recover import finish_partial
 from carla_recap.errors import RecapError
 from carla_recap.formats import create_writer
 from carla_recap.sim.errors import DestinationError
@@ -238,7 +238,7 @@ class Commands:
             for frames in batch.batches():
                 self._writer.write_batch(frames)
         except Exception as error:
-            raise self._rescued(error) from None
+            raise self._finish_partial(error) from None
 
     def close(self) -> None:
         """Complete the recording, if there is one.
@@ -251,7 +251,7 @@ class Commands:
         try:
             self._writer.close()
         except Exception as error:
-            raise self._rescued(error) from None
+            raise self._finish_partial(error) from None
         self._writer = None
 
     def finish(self) -> None:
@@ -265,10 +265,10 @@ class Commands:
         else:
             self.close()
 
-    def _rescued(self, error: Exception) -> RecapError:
+    def _finish_partial(self, error: Exception) -> RecapError:
         assert self._writer is not None
         writer, self._writer = self._writer, None
-        return rescue(writer, self._path, error, force=self._is_visible, format=self._format)
+        return finish_partial(writer, self._path, error, force=self._is_visible, format=self._format)
 
 
 def serve(commands: BinaryIO, answers: BinaryIO) -> None:
