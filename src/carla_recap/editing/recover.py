@@ -184,4 +184,4 @@ def _open(source: Path | str) -> tuple[Reader, bool, int, bool]:
         raise RecapError(f"{source}: nothing can be saved: it holds no recording")
     headless = HEADER_METADATA not in summary.metadata
     header = guess_header(summary) if headless else None
-    return McapReader(source, summary=summary, header=header, salvage=True), damage.finished, damage.bytes, headless
+    return McapReader(source, summary=summary, header=header, lenient=True), damage.finished, damage.bytes, headless

@@ -10,7 +10,7 @@ import struct
 from dataclasses import dataclass, field
 from enum import Enum
 from functools import cache
-from typing import TYPE_CHECKING, Any, Final
+from typing import TYPE_CHECKING, Any, Final, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from carla_recap.errors import RecordError
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping
+    from collections.abc import Mapping, Sequence
 
 Buffer = bytes | memoryview
 Records = NDArray[np.void] | list[Any]
@@ -143,7 +143,6 @@ class PacketType:
 # --- compiled ----------------------------------------------------------------------------------------------------------
 
 
-@dataclass(frozen=True, eq=False)
 class Numbers:
     """A step of a layout: numbers that follow each other.
 
@@ -152,20 +151,19 @@ class Numbers:
         struct: Their layout.
     """
 
-    fields: Mapping[str, tuple[int, str]]
-    struct: struct.Struct
+    def __init__(self, fields: Mapping[str, tuple[int, str]]) -> None:
+        self.fields = fields
+        self.struct = struct.Struct("<" + "".join(_STRUCT_CODES[kind] for _, kind in fields.values()))
 
 
-@dataclass(frozen=True, eq=False)
-class Text:
+class Text(NamedTuple):
     """A step of a layout: a text with its length."""
 
     number: int
     name: str
 
 
-@dataclass(frozen=True, eq=False)
-class Items:
+class Items(NamedTuple):
     """A step of a layout: a counted array, in one of some layouts; the first of these has all fields."""
 
     number: int
@@ -174,7 +172,9 @@ class Items:
     layouts: tuple[CompiledLayout, ...]
 
 
-@dataclass(frozen=True, eq=False)
+Step = Numbers | Text | Items
+
+
 class CompiledLayout:
     """A layout as steps.
 
@@ -182,12 +182,12 @@ class CompiledLayout:
         steps: The steps, in order.
         make: The class of a record; None where the size is fixed.
         dtype: The numpy type of a record whose size is fixed.
-        choices: The number of alternatives among its arrays.
     """
 
-    steps: tuple[Numbers | Text | Items, ...]
-    make: type | None
-    dtype: np.dtype[np.void]
+    def __init__(self, steps: Sequence[Step], make: type | None, dtype: np.dtype[np.void]) -> None:
+        self.steps = steps
+        self.make = make
+        self.dtype = dtype
 
     @property
     def choices(self) -> int:
@@ -203,13 +203,12 @@ def compiled(type: PacketType) -> CompiledLayout:
 @cache
 def _compile(layout: Layout, full: Layout, wide: bool) -> CompiledLayout:
     """Compile a layout whose fields have the numbers that they have in another one."""
-    steps: list[Numbers | Text | Items] = []
+    steps: list[Step] = []
     run: dict[str, tuple[int, str]] = {}
 
     def end_run() -> None:
         if run:
-            codes = "".join(_STRUCT_CODES[kind] for _, kind in run.values())
-            steps.append(Numbers(dict(run), struct.Struct("<" + codes)))
+            steps.append(Numbers(dict(run)))
             run.clear()
 
     numbers = {name: number for number, name in enumerate(full.fields, 1)}
@@ -225,27 +224,26 @@ def _compile(layout: Layout, full: Layout, wide: bool) -> CompiledLayout:
             run[name] = numbers[name], ("f8" if wide else "f4") if kind == REAL else kind
     end_run()
     dtype = np.dtype([]) if layout.make else layout.dtype(wide)
-    return CompiledLayout(tuple(steps), layout.make, dtype)
+    return CompiledLayout(steps, layout.make, dtype)
 
 
 # --- payloads to records -----------------------------------------------------------------------------------------------
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Span:
+class Span(NamedTuple):
     """Some records in a payload.
 
     Attributes:
         layout: Their layout.
         offset: The offset of the first one, in bytes.
-        count: How many they are.
+        number: The number of records.
         records: Of each record whose size varies, what each step of the layout is in the payload: the offset of numbers,
             the bytes of a text, the span of an array.
     """
 
     layout: CompiledLayout
     offset: int
-    count: int
+    number: int
     records: list[list[int | slice | Span]]
 
 
@@ -279,7 +277,7 @@ class _Cursor:
         (count,) = counter.unpack_from(self._data, self._skip(counter.size, f"a count of {counter.size} bytes"))
         return int(count)
 
-    def _part(self, step: Numbers | Text | Items) -> int | slice | Span:
+    def _part(self, step: Step) -> int | slice | Span:
         if isinstance(step, Numbers):
             return self._skip(step.struct.size, "its numbers")
         if isinstance(step, Text):
@@ -356,7 +354,7 @@ def unpack(type: PacketType, payload: Buffer) -> tuple[Records, int]:
 def _unpack(span: Span, data: Buffer) -> Records:
     layout, make = span.layout, span.layout.make
     if make is None:
-        return np.frombuffer(data, layout.dtype, span.count, span.offset)
+        return np.frombuffer(data, layout.dtype, span.number, span.offset)
     records = []
     for parts in span.records:
         values: list[Any] = []

@@ -25,7 +25,7 @@ from carla_recap import (
     create_writer,
     open_recording,
 )
-from carla_recap.formats.mcap import reader as reader_module
+from carla_recap.formats.mcap import frames as frames_module
 from carla_recap.formats.mcap.source import CHUNK_LIMIT
 from carla_recap.model.frame import Frame, Header, Packet
 from carla_recap.queries.blocked import blocked
@@ -419,14 +419,14 @@ def test_chunks_that_all_overlap_are_read(driven):
 
 
 def test_chunks_that_all_overlap_are_not_held_without_bound(driven, monkeypatch):
-    monkeypatch.setattr(reader_module, "PENDING_LIMIT", 100_000)
+    monkeypatch.setattr(frames_module, "PENDING_LIMIT", 100_000)
     overlapping(driven)
     with pytest.raises(FormatError, match=r"more than 100000 bytes or .* overlap in time"):
         images(driven)
 
 
 def test_a_long_recording_is_not_taken_for_one_that_overlaps(tmp_path, monkeypatch):
-    monkeypatch.setattr(reader_module, "PENDING_LIMIT", 4 << 20)
+    monkeypatch.setattr(frames_module, "PENDING_LIMIT", 4 << 20)
     path = write(tmp_path / "long.mcap", Header("Town01", 1_600_000_000), drive(60, 20, 600))
     assert sum(chunk.uncompressed_size for chunk in chunks_of(data_records(path))) > 20 << 20
     with reading(path) as reader:

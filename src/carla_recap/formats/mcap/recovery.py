@@ -25,7 +25,7 @@ from carla_recap.formats.mcap.source import (
     METADATA_LIMIT,
     RECORDS_LIMIT,
     ChannelRecord,
-    Chunk,
+    ChunkIndex,
     Source,
     Summary,
     open_chunk,
@@ -249,7 +249,7 @@ def _announced(start: bytes, length: int) -> int:
     return int(size)
 
 
-def _described(data: bytes, offset: int, size: int, most: int) -> tuple[Chunk, int]:
+def _described(data: bytes, offset: int, size: int, most: int) -> tuple[ChunkIndex, int]:
     """Return a chunk as its messages have it, and how many those are: what it says of its times is under no checksum.
 
     Raises:
@@ -268,4 +268,4 @@ def _described(data: bytes, offset: int, size: int, most: int) -> tuple[Chunk, i
         at += RECORD.size + length
     if at > len(data):
         raise ValueError("the last record of a chunk is not whole")
-    return Chunk(min(times, default=0), max(times, default=0), offset, size, frozenset(channels)), len(times)
+    return ChunkIndex(min(times, default=0), max(times, default=0), offset, size, frozenset(channels)), len(times)

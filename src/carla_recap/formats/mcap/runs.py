@@ -6,8 +6,7 @@ of the same sizes, in the same order, repeat at equal distances, so that numpy c
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Final
+from typing import TYPE_CHECKING, Final, NamedTuple
 
 import numpy as np
 from mcap.opcode import Opcode
@@ -36,13 +35,12 @@ class BrokenRecords(ValueError):
     """The content of a chunk is no sequence of whole records."""
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class MessageRun:
+class MessageRun(NamedTuple):
     """Frames with the same slots that follow each other in a chunk.
 
     Attributes:
         sequence: The sequence number of the first one, which is its position in the recording.
-        count: The number of frames.
+        number: The number of frames.
         data: The records of the chunk.
         start: The offset in the data of the messages of the first frame, in bytes.
         stride: Bytes from one frame to the next.
@@ -51,7 +49,7 @@ class MessageRun:
     """
 
     sequence: int
-    count: int
+    number: int
     data: memoryview
     start: int
     stride: int
@@ -60,29 +58,29 @@ class MessageRun:
 
     @property
     def times(self) -> NDArray[np.uint64]:
-        """The log times of the frames in ns, (count,)."""
+        """The log times of the frames in ns, (frames,)."""
         return self.view(MESSAGE_DTYPE, self.slots[0][1] - MESSAGE.size)["log_time"][:, 0]
 
     def after(self, count: int) -> MessageRun:
         """Return the run without its first frames."""
         start, time = self.start + count * self.stride, int(self.times[count])
-        return replace(self, sequence=self.sequence + count, count=self.count - count, start=start, time=time)
+        return self._replace(sequence=self.sequence + count, number=self.number - count, start=start, time=time)
 
     def message(self, row: int, slot: Slot) -> memoryview:
         """Return the data of a message of one of the frames."""
         offset = self.start + row * self.stride + slot[1]
         return self.data[offset : offset + slot[2]]
 
-    def view(self, dtype: np.dtype[np.void], offset: int, number: int = 1) -> NDArray[np.void]:
-        """Return structures at the same offset in all frames, (count, number)."""
-        if not number:
-            return np.empty((self.count, 0), dtype)
+    def view(self, dtype: np.dtype[np.void], offset: int, count: int = 1) -> NDArray[np.void]:
+        """Return structures at the same offset in all frames, (frames, count)."""
+        if not count:
+            return np.empty((self.number, 0), dtype)
         strides = (self.stride, dtype.itemsize)
-        return np.ndarray((self.count, number), dtype, self.data, self.start + offset, strides)
+        return np.ndarray((self.number, count), dtype, self.data, self.start + offset, strides)
 
     def bytes_at(self, offset: int, size: int) -> NDArray[np.uint8]:
-        """Return bytes at the same offset in all frames, (count, size)."""
-        return np.ndarray((self.count, size), np.uint8, self.data, self.start + offset, (self.stride, 1))
+        """Return bytes at the same offset in all frames, (frames, size)."""
+        return np.ndarray((self.number, size), np.uint8, self.data, self.start + offset, (self.stride, 1))
 
 
 def message_runs(data: bytes, frame_channel: int) -> Iterator[MessageRun]:
@@ -105,8 +103,8 @@ def message_runs(data: bytes, frame_channel: int) -> Iterator[MessageRun]:
             if before.slots == frame.slots and before.stride == frame.stride and before.sequence + 1 == frame.sequence:
                 before = _extended(before, frame_channel)
             yield before
-            if before.count > 1:
-                offset, before = before.start + before.count * before.stride, None
+            if before.number > 1:
+                offset, before = before.start + before.number * before.stride, None
                 continue
         before, offset = frame, end
     if before is not None:
@@ -158,14 +156,14 @@ def _extended(run: MessageRun, frame_channel: int) -> MessageRun:
     same = equal_rows(words, np.array(compared, np.intp))
     numbers = np.arange(run.sequence, run.sequence + same)
     for _, offset, _ in run.slots:
-        found = replace(run, count=same).view(MESSAGE_DTYPE, offset - MESSAGE.size)["sequence"][:, 0]
+        found = run._replace(number=same).view(MESSAGE_DTYPE, offset - MESSAGE.size)["sequence"][:, 0]
         wrong = np.flatnonzero(found != numbers[:same])
         same = int(wrong[0]) if len(wrong) else same
     # Another message of the last frame may follow, which the others do not have.
     end = run.start + same * run.stride
     if end + MESSAGE.size <= len(run.data) and run.data[end] == Opcode.MESSAGE:
         same -= MESSAGE.unpack_from(run.data, end)[3] == run.sequence + same - 1
-    return replace(run, count=max(same, 1))
+    return run._replace(number=max(same, 1))
 
 
 def column(type: RecordType, run: MessageRun, slot: Slot) -> Column:
@@ -181,7 +179,7 @@ def column(type: RecordType, run: MessageRun, slot: Slot) -> Column:
         if payloads is None:
             raise ValueError(f"messages of {type.message_name} of several forms")
         size = payloads.shape[1]
-        return PackedColumn(type.id, type, size, payloads.reshape(-1).data, 0, size, run.count)
+        return PackedColumn(type.id, type, size, payloads.reshape(-1).data, 0, size, run.number)
     codec, start, size = fixed_codec(type), offset + HEAD.size, size - HEAD.size
     count = codec.count_in(size)
     if count is None or not have_heads(run.view(HEAD_DTYPE, offset)) or not codec.matches(run.bytes_at(start, size)):

@@ -262,7 +262,7 @@ def open_chunk(content: bytes | memoryview) -> tuple[int, int, bytes]:
     return start, end, records
 
 
-class Chunk(NamedTuple):
+class ChunkIndex(NamedTuple):
     """A chunk as the index describes it. Times in ns; `channels` are those that it holds, empty where unknown."""
 
     start: int
@@ -288,7 +288,7 @@ class Summary:
     def __init__(self) -> None:
         self.schemas: dict[int, str] = {}
         self.channels: dict[int, ChannelRecord] = {}
-        self.chunks: list[Chunk] = []
+        self.chunks: list[ChunkIndex] = []
         self.metadata: dict[str, int] = {}
         self.messages: int | None = None
         self.chunk_count: int | None = None
@@ -370,14 +370,14 @@ def _take(summary: Summary, opcode: int, data: memoryview) -> None:
         summary.messages, summary.chunk_count = parse_record(opcode, data)
 
 
-def _chunk_index(data: memoryview) -> Chunk:
+def _chunk_index(data: memoryview) -> ChunkIndex:
     if len(data) < CHUNK_INDEX.size:
         raise ValueError("a chunk index of less than its fixed fields")
     start, end, offset, length, size = CHUNK_INDEX.unpack_from(data)
     offsets = data[CHUNK_INDEX.size : CHUNK_INDEX.size + size]
     if len(offsets) != size or size % CHUNK_OFFSETS.size or length > CHUNK_LIMIT:
         raise ValueError("a chunk index that does not fit")
-    return Chunk(start, end, offset, length, _channels(_offsets(size // CHUNK_OFFSETS.size).unpack(offsets)))
+    return ChunkIndex(start, end, offset, length, _channels(_offsets(size // CHUNK_OFFSETS.size).unpack(offsets)))
 
 
 @lru_cache(64)

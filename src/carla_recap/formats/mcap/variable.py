@@ -10,9 +10,8 @@ message's field `raw` as well.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from operator import attrgetter
-from typing import TYPE_CHECKING, Any, Final
+from typing import TYPE_CHECKING, Any, Final, NamedTuple
 
 import numpy as np
 
@@ -46,8 +45,7 @@ _LEAST: Final = 7  # bytes of a record with nothing but an id
 _templates: dict[RecordType, Template] = {}  # of the latest packet of each type
 
 
-@dataclass(frozen=True, eq=False)
-class Template:
+class Template(NamedTuple):
     """A structure of packets.
 
     Attributes:
@@ -107,7 +105,7 @@ class _Encoder:
     def add(self, number: int, span: Span) -> None:
         """Add records as items of a field."""
         layout = span.layout
-        for index in range(span.count):
+        for index in range(span.number):
             item = _Encoder(self._payload)
             if layout.make is None:
                 item.add_record(layout, [span.offset + index * layout.dtype.itemsize])
