@@ -36,20 +36,20 @@ wheel: venv ## Build the wheel and try it in an empty environment
 
 check: lint types check-proto wheel ## Everything but the tests
 
-bench: venv ## Measure the speed and the sizes that the README claims
+bench: venv ## Measure the speed and the sizes that the README states
 	$(python) -m benchmarks
 
-soak: venv ## Let clients wear a server for half an hour, and see whether anything leaks, hangs or is left over
+soak: venv ## Run a server with clients for half an hour, and check that nothing leaks, hangs or is left over
 	$(python) -m benchmarks.soak
 
 search: venv ## Try 10,000 random sequences of world operations, for crashes and for damage to the physics space
 	@mkdir -p build
 	$(python) -X faulthandler -m tests.sim.sequences --random --trace build/operations.txt
 
-demo: venv ## Record a simulated crash, query it, and make what shows it
+demo: venv ## Simulate and record a crash, query it, and export it
 	PATH="$(CURDIR)/.venv/bin:$$PATH" samples/demo.sh
 
-clean: ## Remove whatever the other targets made
+clean: ## Remove everything that the other targets make
 	rm -rf .venv build dist $(node_modules) .pytest_cache .mypy_cache .ruff_cache .hypothesis
 	find src tests benchmarks -name __pycache__ -prune -exec rm -rf {} +
 

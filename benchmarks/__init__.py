@@ -1,1 +1,1 @@
-"""Measures what the README claims: `python -m benchmarks`."""
+"""Speed and sizes, as the README states them: `python -m benchmarks`."""

@@ -1,4 +1,4 @@
-"""Runs a server for half an hour under clients that connect, drive, reload, record, replay and crash.
+"""Run a server for half an hour with clients that connect, drive, reload, record, replay and crash.
 
 `python -m benchmarks.soak --minutes 30` prints figures every minute, and ends with exit code 1 if the server crashes, leaks
 or hangs, or if anything is left over.
@@ -20,15 +20,15 @@ from pathlib import Path
 
 import carla
 
-TIMEOUT = 90.0  # s: a round that takes longer hangs
-WARM_UP = 2  # rounds of each kind at least
+TIMEOUT = 90.0  # s, after which a round hangs
+WARM_UP = 2  # the least number of rounds of each kind
 GROWTH = 1.15  # allowed factor of memory from the first half to the second
 SLACK = 24 << 20  # bytes, allowed on top of that
 DELTA = 0.05  # s
 MANAGERS = range(20_000, 30_000)  # ports of traffic managers
 PROC = Path("/proc")
 MAPS = ("Town01", "Town02", "Town10HD")
-"""Names under which copies of the built-in town are served where no folder of maps is given."""
+"""The names of copies of the built-in town, if no folder of maps is given."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -40,7 +40,7 @@ class Figures:
         files: Number of open files, connections among them.
         threads: Number of threads.
         children: Number of child processes.
-        actors: Number of actors that do not belong to the town and could not be destroyed.
+        actors: Number of spawned actors that could not be destroyed.
     """
 
     memory: int
@@ -57,39 +57,39 @@ class Soak:
     Attributes:
         port: Port of the server.
         process: Process id of the server.
-        failures: What has gone wrong, a line each.
-        seen: Figures after each series of rounds.
+        failures: The failures, a line each.
+        figures: Figures after each series of rounds.
     """
 
     port: int
     process: int
     failures: list[str] = field(default_factory=list)
-    seen: list[Figures] = field(default_factory=list)
+    figures: list[Figures] = field(default_factory=list)
 
     def run(self, minutes: float, seed: int) -> None:
-        """Run rounds of all kinds in random order for some minutes; ends early when the server has crashed."""
-        chance = random.Random(seed)
+        """Run rounds of all kinds in random order for a number of minutes; end early if the server has crashed."""
+        generator = random.Random(seed)
         end = time.monotonic() + 60 * minutes
         printed = time.monotonic()
         number = 0
         while time.monotonic() < end or number < WARM_UP * len(ROUNDS):
             names = list(ROUNDS)
-            chance.shuffle(names)
+            generator.shuffle(names)
             for name in names:
                 number += 1
-                self.round(number, name, chance.choice(MANAGERS))
+                self.round(number, name, generator.choice(MANAGERS))
                 if not (PROC / str(self.process) / "fd").exists() or not self.is_running():
                     self.fail(f"round {number}, {name}: the server has crashed")
                     return
-            self.seen.append(self.look())
-            if time.monotonic() - printed > 60 or len(self.seen) == 1:
+            self.figures.append(self.measure())
+            if time.monotonic() - printed > 60 or len(self.figures) == 1:
                 printed = time.monotonic()
                 self.print_figures(number)
         self.print_figures(number)
 
     def round(self, number: int, name: str, seed: int) -> None:
         """Run a client in a process of its own, and check how it ends."""
-        command = [sys.executable, "-m", "benchmarks.soak", "--round", name, "--port", str(self.port), "--chance", str(seed)]
+        command = [sys.executable, "-m", "benchmarks.soak", "--round", name, "--port", str(self.port), "--number", str(seed)]
         try:
             done = subprocess.run(command, timeout=TIMEOUT, capture_output=True, text=True, check=False)
         except subprocess.TimeoutExpired:
@@ -100,7 +100,7 @@ class Soak:
         return None
 
     def fail(self, failure: str) -> None:
-        """Take note of a failure, and print it."""
+        """Record a failure, and print it."""
         print(failure, flush=True)
         self.failures.append(failure)
 
@@ -108,7 +108,7 @@ class Soak:
         """Return whether the server has not ended."""
         return "\nState:\tZ" not in (PROC / str(self.process) / "status").read_text()
 
-    def look(self) -> Figures:
+    def measure(self) -> Figures:
         """Return the figures of the server, after destroying the actors that killed clients have left."""
         client, world = connect(self.port)
         client.stop_recorder()
@@ -130,7 +130,7 @@ class Soak:
         return Figures(memory, files, int(status["Threads"]), children, actors)
 
     def print_figures(self, number: int) -> None:
-        latest = self.seen[-1]
+        latest = self.figures[-1]
         print(
             f"{number:6} rounds  {latest.memory / 1e6:7.1f} MB  {latest.files:4} files  {latest.threads:3} threads  "
             f"{latest.children:2} children  {latest.actors:3} actors left  {len(self.failures):3} failures",
@@ -139,9 +139,9 @@ class Soak:
 
     def judge(self) -> list[str]:
         """Return what is wrong, a line each."""
-        if not self.seen:
+        if not self.figures:
             return self.failures
-        settled = self.seen[len(self.seen) // 3 :] or self.seen
+        settled = self.figures[len(self.figures) // 3 :] or self.figures
         first, last = settled[: len(settled) // 2] or settled, settled[len(settled) // 2 :]
         before, after = max(figures.memory for figures in first), max(figures.memory for figures in last)
         wrong = list(self.failures)
@@ -151,7 +151,7 @@ class Soak:
             before, after = (min(getattr(figures, name) for figures in half) for half in (first, last))
             if after > before + 1:
                 wrong.append(f"the number of {name} has grown from {before} to {after}")
-        if any(figures.actors for figures in self.seen):
+        if any(figures.actors for figures in self.figures):
             wrong.append("actors were left that could not be destroyed")
         return wrong
 
@@ -208,7 +208,7 @@ def sleep_and_freeze(client: carla.Client, world: carla.World, seed: int) -> Non
 
 
 def be_killed(client: carla.Client, world: carla.World, seed: int) -> None:
-    """Die by SIGKILL with a live traffic manager, sensors and a recording, at a random moment."""
+    """End by SIGKILL with a running traffic manager, sensors and a recording, at a random time."""
     world.apply_settings(settings())
     _, vehicles = managed(client, world, seed, 15, hybrid=seed % 2 == 0)
     listening(world, vehicles, "sensor.lidar.ray_cast")
@@ -218,7 +218,7 @@ def be_killed(client: carla.Client, world: carla.World, seed: int) -> None:
 
 
 def be_killed_while_loading(client: carla.Client, world: carla.World, seed: int) -> None:
-    """Die by SIGKILL while a map is loaded."""
+    """End by SIGKILL while a map is loaded."""
     maps = client.get_available_maps()
     threading.Timer(random.Random(seed).uniform(0.0, 1.0), os.kill, (os.getpid(), 9)).start()
     for number in range(100_000):
@@ -226,7 +226,7 @@ def be_killed_while_loading(client: carla.Client, world: carla.World, seed: int)
 
 
 def reload(client: carla.Client, world: carla.World, seed: int) -> None:
-    """Begin episodes while a traffic manager lives."""
+    """Begin episodes while a traffic manager runs."""
     for turn in range(3):
         world.apply_settings(settings())
         managed(client, world, seed, 15)
@@ -312,7 +312,7 @@ def listening(world: carla.World, parents: list[carla.Actor], sensor: str) -> li
 
 
 def spawn(world: carla.World, count: int, role_name: str = "autopilot") -> list[carla.Actor]:
-    """Return new vehicles, in place of all that killed clients have left; the role name is that of the first one."""
+    """Return new vehicles, after destroying those of killed clients; the role name is that of the first vehicle."""
     for actor in world.get_actors():
         if not belongs_to_town(actor):
             actor.destroy()
@@ -327,13 +327,13 @@ def spawn(world: carla.World, count: int, role_name: str = "autopilot") -> list[
 
 
 def ticks(world: carla.World, count: int) -> None:
-    """Tick some times."""
+    """Tick a number of times."""
     for _ in range(count):
         world.tick()
 
 
 def belongs_to_town(actor: carla.Actor) -> bool:
-    """Return whether an actor is there without a client's having spawned it."""
+    """Return whether an actor belongs to the town, and was not spawned by a client."""
     return actor.type_id.startswith(("traffic.", "spectator"))
 
 
@@ -350,7 +350,7 @@ def connect(port: int) -> tuple[carla.Client, carla.World]:
 
 
 def copied_maps(folder: Path) -> Path:
-    """Fill a folder with copies of the built-in town under the names of others."""
+    """Fill a folder with copies of the built-in town under the names of other maps."""
     from carla_recap.maps.road_map import find_map
 
     built_in = find_map("Brickfield")
@@ -368,10 +368,10 @@ def main() -> None:
     parser.add_argument("--maps", type=Path, help="folder of maps; else copies of the built-in one")
     parser.add_argument("--round", choices=ROUNDS, help=argparse.SUPPRESS)
     parser.add_argument("--port", type=int, help=argparse.SUPPRESS)
-    parser.add_argument("--chance", type=int, default=MANAGERS[0], help=argparse.SUPPRESS)
+    parser.add_argument("--number", type=int, default=MANAGERS[0], help=argparse.SUPPRESS)
     options = parser.parse_args()
     if options.round:
-        ROUNDS[options.round](*connect(options.port), options.chance)
+        ROUNDS[options.round](*connect(options.port), options.number)
         return
     with tempfile.TemporaryDirectory() as folder:
         maps = options.maps or copied_maps(Path(folder) / "maps")
