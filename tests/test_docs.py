@@ -8,6 +8,7 @@ import runpy
 import subprocess
 import sys
 import tomllib
+from contextlib import suppress
 from importlib import import_module
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -123,13 +124,21 @@ def test_the_layers_on_the_page_are_those_of_the_contract_and_of_the_folder(cont
 
 def test_every_public_name_is_in_the_reference():
     reference = (ROOT / "docs" / "reference.md").read_text("utf-8")
-    names, *classes = re.split("^## (?=`)", reference, flags=re.MULTILINE)
-    assert sorted(re.findall(r"^\| `(\w+)` \| \w.* \|$", names, re.MULTILINE)) == sorted(carla_recap.__all__)
-    listed = {re.findall(r"\w+", text)[0]: re.findall(r"^\| (`.*`) \| \w.* \|$", text, re.MULTILINE) for text in classes}
-    assert set(listed) == {"Recording", "Batch"}
-    for name, rows in listed.items():
+    sections = dict(part.split("\n", 1) for part in re.split("^## ", reference, flags=re.MULTILINE)[1:])
+    tables = {
+        heading.strip("`"): re.findall(r"`([\w.]+)`", " ".join(re.findall(r"^\| (`.*`) \| \w.* \|$", text, re.MULTILINE)))
+        for heading, text in sections.items()
+    }
+    for name in ("Recording", "Batch"):
         members = {member for member in dir(getattr(carla_recap, name)) if not member.startswith("_")}
-        assert set(re.findall(r"\w+", " ".join(rows))) == members
+        assert set(tables.pop(name)) == members
+    simulator, others = tables.pop("Simulator"), tables.pop("Other packages")
+    assert sorted(name for names in tables.values() for name in names) == sorted(carla_recap.__all__)
+    assert sorted(simulator) == sorted(import_module("carla_recap.sim").__all__)
+    for path in others:
+        package, _, name = path.rpartition(".")
+        with suppress(MissingExtra):
+            assert name in import_module(package).__all__
 
 
 def test_a_data_frame_of_all_vehicles_takes_three_lines():
