@@ -354,4 +354,4 @@ def test_a_message_of_records_without_content_is_an_error():
     spawned = UE4.named("spawned")
     message = messages.head(1, 0.0) + b"\x1a\x00" * 1000
     with pytest.raises(messages.WireError, match="1000 records in 2018 bytes, most of them without an id"):
-        variable.decode_records(spawned, message)
+        variable.decode(spawned, message)

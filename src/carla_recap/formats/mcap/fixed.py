@@ -50,6 +50,7 @@ class WireNumbers:
         sources: The offset in the payload of each byte of a number.
         targets: Its offset in the message.
         masks: Of each of these bytes, the bits that are not free: a number of one byte is to fit a varint of one byte.
+        blank_mask: The same of all bytes of the message.
     """
 
     def __init__(self, numbers: Numbers, first: int = 1) -> None:
@@ -68,6 +69,8 @@ class WireNumbers:
         self.sources = np.arange(offset)
         self.targets = np.array(targets)
         self.masks = np.frombuffer(bytes(masks), np.uint8)
+        self.blank_mask = np.full(len(blank), 0xFF, np.uint8)
+        self.blank_mask[self.targets] = self.masks
 
 
 @cache

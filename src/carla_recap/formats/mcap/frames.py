@@ -27,7 +27,7 @@ from carla_recap.formats.mcap.schema import (
     STRETCHES_TOPIC,
     TAIL_TOPIC,
 )
-from carla_recap.formats.mcap.variable import decode, decode_records
+from carla_recap.formats.mcap.variable import decode
 from carla_recap.model.batch import Batch, ConstantColumn
 from carla_recap.model.frame import Frame, Packet
 from carla_recap.model.layout import EMPTY_LIST
@@ -153,12 +153,6 @@ class MessagePacket(Packet):
             payloads = self._source.payloads
             if payloads is not None:
                 return payloads.records(self._index)
-            assert self.type
-            try:
-                if not self.type.fixed:
-                    self._records = decode_records(self.type, self._source.messages[self._index])
-            except messages.WireError as error:
-                raise self._broken(error) from None
         return super().records
 
     def _broken(self, error: messages.WireError) -> FormatError:

@@ -10,6 +10,8 @@ message's field `raw` as well.
 
 from __future__ import annotations
 
+import struct
+from contextlib import suppress
 from operator import attrgetter
 from typing import TYPE_CHECKING, Any, Final, NamedTuple
 
@@ -26,10 +28,24 @@ from carla_recap.formats.mcap.messages import (
     WireError,
     have_heads,
     parse,
+    read_head,
     tag,
     varint,
 )
-from carla_recap.model.layout import FLAG, MAX_COUNT, Framing, Items, Numbers, PayloadError, Span, compiled, locate, pack
+from carla_recap.model.layout import (
+    FLAG,
+    MAX_COUNT,
+    OBJECTS_LIMIT,
+    U16,
+    Framing,
+    Items,
+    Numbers,
+    PayloadError,
+    Span,
+    compiled,
+    locate,
+    pack,
+)
 from carla_recap.model.records import Group
 
 if TYPE_CHECKING:
@@ -145,6 +161,77 @@ class _Encoder:
             self.body += name + data
 
 
+class _Decoder:
+    """Reads a message that looks as `_Encoder` writes it; all methods raise `ValueError` or `struct.error` if it does not.
+
+    Args:
+        message: The message.
+        choice: Which of alternative layouts to take.
+    """
+
+    def __init__(self, message: bytes, choice: int) -> None:
+        self._message = message
+        self._choice = choice
+        self._offset = HEAD.size
+
+    def payload(self, type: RecordType) -> bytes:
+        """Return the payload."""
+        size = len(self._message)
+        payload = self._items(ITEMS, U16, compiled(type), size)
+        if read_head(self._message) is None or self._offset != size:
+            raise ValueError("other fields")
+        return payload
+
+    def _items(self, number: int, counter: struct.Struct, layout: CompiledLayout, end: int) -> bytes:
+        """Return the items of a field of a message that ends at an offset, with their number in front."""
+        name, items = tag(number, LEN), []
+        while self._offset < end and self._message.startswith(name, self._offset):
+            size = self._size(name)
+            items.append(self._record(layout, self._offset + size))
+        return counter.pack(len(items)) + b"".join(items)
+
+    def _record(self, layout: CompiledLayout, end: int) -> bytes:
+        parts = []
+        for step in layout.steps:
+            if isinstance(step, Numbers):
+                parts.append(self._numbers(wire_numbers(step)))
+            elif isinstance(step, Items):
+                inner = step.layouts[min(self._choice, len(step.layouts) - 1)]
+                parts.append(self._items(step.number, step.counter, inner, end))
+            else:
+                text = self._take(self._size(tag(step.number, LEN)))
+                text.decode()
+                parts.append(U16.pack(len(text)) + text)
+        if self._offset != end:
+            raise ValueError("another size")
+        return b"".join(parts)
+
+    def _numbers(self, form: WireNumbers) -> bytes:
+        found = np.frombuffer(self._take(len(form.blank)), np.uint8)
+        if ((found ^ np.frombuffer(form.blank, np.uint8)) & form.blank_mask).any():
+            raise ValueError("other numbers")
+        return bytes(found[form.targets])
+
+    def _size(self, name: bytes) -> int:
+        """Go over a tag and the size behind it."""
+        if self._take(len(name)) != name:
+            raise ValueError("another field")
+        size = shift = 0
+        while True:
+            (byte,) = self._take(1)
+            size |= (byte & 0x7F) << shift
+            shift += 7
+            if byte < 0x80:
+                return size
+
+    def _take(self, size: int) -> bytes:
+        found = self._message[self._offset : self._offset + size]
+        if len(found) < size:
+            raise ValueError("too few bytes")
+        self._offset += size
+        return found
+
+
 def _template(type: RecordType, payload: Buffer) -> tuple[Template, bytes]:
     """Return the structure of a packet, and what its message has behind that to give the payload back.
 
@@ -247,17 +334,18 @@ def _row(data: Buffer) -> NDArray[np.uint8]:
 # --- by way of protobuf ------------------------------------------------------------------------------------------------
 
 
-def decode_records(type: RecordType, data: Buffer) -> Records | None:
-    """Return the records of a message of varying size, by way of protobuf; None where its payload is to be taken.
-
-    Raises:
-        WireError: The message contradicts its schema.
-    """
-    message = parse(type.name, type.message_name, data)
-    return None if message.HasField("raw") else _records(type, message, len(data))
-
-
 def _decode_any(type: RecordType, data: Buffer) -> bytes:
+    message = bytes(data)
+    for choice in range(0 if type.fixed or len(data) > OBJECTS_LIMIT else compiled(type).choices):
+        with suppress(ValueError, struct.error):
+            payload = _Decoder(message, choice).payload(type)
+            if type.group is Group.STATE:
+                _templates[type], _ = _template(type, payload)
+            return payload
+    return _decode_by_protobuf(type, data)
+
+
+def _decode_by_protobuf(type: RecordType, data: Buffer) -> bytes:
     message = parse(type.name, type.message_name, data)
     if message.HasField("raw"):
         return bytes(message.raw)
