@@ -1,36 +1,36 @@
-"""What the sample scripts have in common: the options of the server, and the way into synchronous mode."""
+"""Functions that the sample scripts share: options, connecting, synchronous mode, and a collision course."""
 
 from argparse import ArgumentDefaultsHelpFormatter, ArgumentParser
 from contextlib import contextmanager
 
 import carla
 
-DELTA = 0.05  # s, a tick in synchronous mode
-HEIGHT = 0.5  # m above the road, to spawn vehicles at
+DELTA = 0.05  # s, the length of a tick in synchronous mode
+HEIGHT = 0.5  # m above the road, where vehicles are spawned
 
 
 def options(description):
-    """The options that every script has."""
+    """Return a parser with the options of all scripts."""
     parser = ArgumentParser(description=description.splitlines()[0], formatter_class=ArgumentDefaultsHelpFormatter)
-    parser.add_argument("--host", default="127.0.0.1", metavar="H", help="where the server is")
+    parser.add_argument("--host", default="127.0.0.1", metavar="H", help="the address of the server")
     parser.add_argument("-p", "--port", default=2000, type=int, metavar="P", help="its port")
     return parser
 
 
 def recording_options(description):
-    """Those of a script that is about a recording."""
+    """Return a parser with the options of scripts about a recording."""
     parser = options(description)
     parser.add_argument("-f", "--recorder-filename", default="test1.log", metavar="F", help="the recording")
     return parser
 
 
 def traffic_options(parser):
-    """Those of a script that has vehicles driven by the traffic manager."""
+    """Add the options of scripts with a traffic manager."""
     parser.add_argument("--tm-port", default=8000, type=int, metavar="P", help="the port of the traffic manager")
 
 
 def connect(arguments):
-    """The client of a server."""
+    """Return a client of the server."""
     client = carla.Client(arguments.host, arguments.port)
     client.set_timeout(60.0)
     return client
@@ -38,7 +38,7 @@ def connect(arguments):
 
 @contextmanager
 def synchronous(world, traffic=None):
-    """The world waits for `tick`, and so does the traffic manager, if there is one; afterwards all is as before."""
+    """Switch the world, and the traffic manager if there is one, to synchronous mode, and back afterwards."""
     before = world.get_settings()
     settings = world.get_settings()
     settings.synchronous_mode = True
@@ -55,17 +55,17 @@ def synchronous(world, traffic=None):
 
 
 def straight_roads(world, length):
-    """Where a lane goes straight on for so many meters: pairs of transforms to spawn vehicles at, at its ends."""
+    """Yield the ends of straight lanes of a length in m, as pairs of transforms for vehicles."""
     for start in world.get_map().get_spawn_points():
         for end in world.get_map().get_waypoint(start.location).next(length):
-            place = end.transform.location + carla.Location(z=HEIGHT)
-            is_straight = abs(place.distance(start.location) - length) < 0.01 * length
+            location = end.transform.location + carla.Location(z=HEIGHT)
+            is_straight = abs(location.distance(start.location) - length) < 0.01 * length
             if is_straight and start.get_forward_vector().dot(end.transform.get_forward_vector()) > 0.9999:
-                yield start, carla.Transform(place, end.transform.rotation)
+                yield start, carla.Transform(location, end.transform.rotation)
 
 
 def spawn_collision_course(client, length):
-    """A hero, and a car with its hand brake on straight ahead of it, so many meters away."""
+    """Spawn a hero, and a car with its hand brake on at a distance in m straight ahead of it."""
     world = client.get_world()
     blueprints = world.get_blueprint_library()
     hero_blueprint = blueprints.find("vehicle.tesla.model3")
@@ -78,6 +78,6 @@ def spawn_collision_course(client, length):
         if obstacle is not None:
             obstacle.apply_control(carla.VehicleControl(hand_brake=True))
             return hero, obstacle
-        # `destroy` does nothing to an actor that no tick has shown to the client yet.
+        # `destroy` has no effect on an actor that the client has not yet seen in a tick.
         client.apply_batch_sync([carla.command.DestroyActor(hero)], False)
     raise SystemExit(f"{world.get_map().name} has no straight lane of {length:g} m that is free")

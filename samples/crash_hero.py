@@ -1,4 +1,4 @@
-"""Let a hero run into the back of a car that has broken down; run it while `start_recording.py` records."""
+"""Let a hero collide with a car that has broken down; run it while `start_recording.py` records."""
 
 import queue
 
@@ -7,10 +7,12 @@ from common import connect, options, spawn_collision_course
 
 
 def main():
-    """Spawn both, drive, and wait for the crash."""
+    """Spawn both, drive, and wait for the collision."""
     parser = options(__doc__)
-    parser.add_argument("--length", default=50.0, type=float, metavar="M", help="how many meters they are apart")
-    parser.add_argument("--patience", default=30.0, type=float, metavar="T", help="how many seconds to wait for the crash")
+    parser.add_argument("--length", default=50.0, type=float, metavar="M", help="the distance between them in m")
+    parser.add_argument(
+        "--patience", default=30.0, type=float, metavar="T", help="the longest time to wait for the collision, in s"
+    )
     arguments = parser.parse_args()
 
     client = connect(arguments)

@@ -1,6 +1,6 @@
-"""Replay a recording without its hero, and let the traffic manager drive a hero from where the recorded one started.
+"""Replay a recording without its hero, and let the traffic manager drive a hero from the position of the recorded one.
 
-All others do what they did in the recording, whatever the new hero does: it shows how another driver would have fared.
+All other actors follow the recording, independently of the new hero.
 """
 
 import carla
@@ -8,11 +8,11 @@ from common import DELTA, connect, recording_options, synchronous, traffic_optio
 
 
 def main():
-    """Drive, and tell once a second where the hero is, and whom it touches."""
+    """Drive, and print the position of the hero once a second, and its collisions."""
     parser = recording_options(__doc__)
     traffic_options(parser)
     parser.add_argument("-s", "--start", default=0.0, type=float, metavar="S", help="where to start in the recording, in s")
-    parser.add_argument("-t", "--time", default=10.0, type=float, metavar="T", help="how many seconds to drive")
+    parser.add_argument("-t", "--time", default=10.0, type=float, metavar="T", help="how long to drive, in s")
     arguments = parser.parse_args()
 
     client = connect(arguments)
@@ -32,7 +32,7 @@ def main():
             for number in range(round(arguments.time / DELTA)):
                 world.tick()
                 if number % round(1 / DELTA) == 0:
-                    tell(arguments.start + number * DELTA, hero)
+                    print_state(arguments.start + number * DELTA, hero)
         finally:
             sensor.destroy()
             hero.destroy()
@@ -41,7 +41,7 @@ def main():
 
 
 def recorded_hero(client, world, arguments):
-    """What the hero of the recording is, and where and how fast it is at the start: a short replay shows it."""
+    """Return the blueprint, transform and velocity of the recorded hero at the start, from a short replay."""
     client.set_replayer_ignore_hero(False)
     client.set_replayer_time_factor(1.0)
     print(client.replay_file(arguments.recorder_filename, arguments.start, 0.0, 0))
@@ -59,10 +59,10 @@ def recorded_hero(client, world, arguments):
     return found
 
 
-def tell(elapsed, hero):
-    """Print where the hero is, and how fast."""
-    place, speed = hero.get_location(), 3.6 * hero.get_velocity().length()
-    print(f"{elapsed:5.1f} s: ({place.x:.1f}, {place.y:.1f}) at {speed:.0f} km/h")
+def print_state(elapsed, hero):
+    """Print the position and the speed of the hero."""
+    location, speed = hero.get_location(), 3.6 * hero.get_velocity().length()
+    print(f"{elapsed:5.1f} s: ({location.x:.1f}, {location.y:.1f}) at {speed:.0f} km/h")
 
 
 if __name__ == "__main__":

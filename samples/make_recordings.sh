@@ -1,9 +1,9 @@
 #!/usr/bin/env bash
-# Makes the recordings of simulated traffic next to this script, or in the folder that is named: the same on every machine.
+# Simulates the recordings next to this script, or in the given folder; they are the same on every machine.
 set -euo pipefail
 folder=${1:-$(dirname "$0")}
 export SOURCE_DATE_EPOCH=1767261600
-# Without instructions that only some processors have: with these, numpy rounds sines differently.
+# Disable instructions that only some processors have, since with these numpy rounds sines differently.
 NPY_DISABLE_CPU_FEATURES=$(python -c 'from numpy._core._multiarray_umath import __cpu_dispatch__ as names; print(*names)')
 export NPY_DISABLE_CPU_FEATURES
 

@@ -8,7 +8,7 @@ from common import connect, recording_options
 
 
 def main():
-    """Ask the server, and print its answer."""
+    """Print the answer of the server."""
     parser = recording_options(__doc__)
     parser.add_argument("-t", "--types", default="aa", metavar="T", help="the two types, such as vv; h, v, w, t, o or a")
     arguments = parser.parse_args()

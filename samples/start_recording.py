@@ -11,13 +11,11 @@ from common import connect, recording_options, traffic_options
 
 
 def main():
-    """Record until the time is over, or Ctrl-C."""
+    """Record for a time, or until Ctrl-C."""
     parser = recording_options(__doc__)
     traffic_options(parser)
-    parser.add_argument("-n", "--number-of-vehicles", default=10, type=int, metavar="N", help="how many vehicles to spawn")
-    parser.add_argument(
-        "-t", "--recorder-time", default=0.0, type=float, metavar="T", help="how many seconds; 0: until Ctrl-C"
-    )
+    parser.add_argument("-n", "--number-of-vehicles", default=10, type=int, metavar="N", help="the number of vehicles")
+    parser.add_argument("-t", "--recorder-time", default=0.0, type=float, metavar="T", help="duration in s; 0: until Ctrl-C")
     parser.add_argument("--safe", action="store_true", help="spawn no two-wheelers")
     parser.add_argument("--additional-data", action="store_true", help="record velocities, boxes and physics, too")
     arguments = parser.parse_args()
@@ -43,7 +41,7 @@ def main():
 
 
 def spawn(client, arguments):
-    """Spawn vehicles on autopilot at random places; returns their ids."""
+    """Spawn vehicles on autopilot at random spawn points; return their ids."""
     world = client.get_world()
     blueprints = list(world.get_blueprint_library().filter("vehicle.*"))
     if arguments.safe:

@@ -4,16 +4,16 @@ from common import connect, recording_options
 
 
 def main():
-    """Begin a replay; the server goes on with it after this script has ended."""
+    """Begin a replay, which continues after this script has ended."""
     parser = recording_options(__doc__)
     parser.add_argument(
         "-s", "--start", default=0.0, type=float, metavar="S", help="starting time in s; negative: from the end"
     )
-    parser.add_argument("-d", "--duration", default=0.0, type=float, metavar="D", help="duration in s; 0: all of the rest")
+    parser.add_argument("-d", "--duration", default=0.0, type=float, metavar="D", help="duration in s; 0: to the end")
     parser.add_argument(
         "-c", "--camera", default=0, type=int, metavar="C", help="id of the recorded actor to follow; 0: none"
     )
-    parser.add_argument("-x", "--time-factor", "--factor", default=1.0, type=float, metavar="X", help="how fast time passes")
+    parser.add_argument("-x", "--time-factor", "--factor", default=1.0, type=float, metavar="X", help="the time factor")
     parser.add_argument("-i", "--ignore-hero", action="store_true", help="leave the hero out")
     parser.add_argument("--move-spectator", action="store_true", help="move the spectator as in the recording")
     parser.add_argument("--spawn-sensors", action="store_true", help="spawn the sensors of the recording")
