@@ -17,6 +17,7 @@ from carla_recap.formats.mcap import fixed, messages, variable
 from carla_recap.formats.mcap.schema import FRAME_MESSAGE, RAW_MESSAGE, TAIL_MESSAGE
 from carla_recap.model.layout import FLAG, MAX_COUNT, REAL, TEXT, Framing, Layout, Many, PayloadError, unpack
 from carla_recap.model.records import UE4, UE5
+from carla_recap.model.stationary import BlockedRow
 from tests import strategies
 from tests.samples import listed, plain
 
@@ -355,3 +356,15 @@ def test_a_message_of_records_without_content_is_an_error():
     message = messages.head(1, 0.0) + b"\x1a\x00" * 1000
     with pytest.raises(messages.WireError, match="1000 records in 2018 bytes, most of them without an id"):
         variable.decode(spawned, message)
+
+
+def test_stretches_are_read_as_protobuf_reads_them():
+    rows = [BlockedRow(1.5, 30.0, 7, "vehicle.ä", 1.0, -2.0, 0.5), BlockedRow(2.0, 31.0, 8, "", 0.0, 0.0, 0.0)]
+    message = messages.head(5, 2.5) + messages.stationary_intervals(rows)
+    other = messages.parse("stretches", "carla_recap.v1.Stretches", message)
+    for data in (message, reversed_fields(other)):
+        found = [BlockedRow(s.start, s.duration, s.id, s.type_id, s.x, s.y, s.z) for s in variable.decode_stretches(data)]
+        assert found == rows
+    assert list(variable.decode_stretches(messages.head(5, 2.5))) == []
+    with pytest.raises(messages.WireError, match="not a carla_recap"):
+        variable.decode_stretches(message[:-1])

@@ -9,20 +9,20 @@ import itertools
 import math
 import warnings
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Final
+from typing import TYPE_CHECKING, Final
 
 import numpy as np
 from mcap.opcode import Opcode
 
 from carla_recap.errors import FormatError, NotARecording, RecapWarning
 from carla_recap.formats.mcap.frames import MESSAGES_LIMIT, Channels, FrameAssembler, channel_messages, parsed
+from carla_recap.formats.mcap.messages import WireError
 from carla_recap.formats.mcap.schema import (
     EXPORT_METADATA,
     EXTENT_METADATA,
     HEADER_METADATA,
     RECORD,
     STRETCHES,
-    STRETCHES_MESSAGE,
     STRETCHES_TOPIC,
     TAIL_MESSAGE,
     TAIL_TOPIC,
@@ -34,6 +34,7 @@ from carla_recap.formats.mcap.schema import (
     unchecked,
 )
 from carla_recap.formats.mcap.source import METADATA_LIMIT, Source, open_chunk, parse_record, read_summary
+from carla_recap.formats.mcap.variable import decode_stretches
 from carla_recap.model.batch import Batch, within
 from carla_recap.model.frame import SAME_TIME, Extent, Frame, Header
 from carla_recap.model.stationary import BlockedRow
@@ -160,15 +161,18 @@ class McapReader:
 
     def tail(self) -> Iterator[bytes]:
         """The bytes behind the last complete packet, in pieces."""
-        return (bytes(message.data) for message in self._messages(TAIL_TOPIC, "tail", TAIL_MESSAGE))
+        messages = self._messages(TAIL_TOPIC)
+        return (bytes(parsed(self.path, "tail", TAIL_MESSAGE, message).data) for message in messages)
 
     def stretches(self, min_time: float, min_distance: float) -> list[BlockedRow] | None:
         """The stretches in which actors stood still, read from the events; see `Reader.stretches`."""
         least, distance, count = _summed_up(self.metadata)
         if min_time < least or min_distance != distance:
             return None
-        messages = self._messages(STRETCHES_TOPIC, "stretches", STRETCHES_MESSAGE)
-        rows = [row for message in messages for row in message.stretches]
+        try:
+            rows = [row for message in self._messages(STRETCHES_TOPIC) for row in decode_stretches(message)]
+        except WireError as error:
+            raise FormatError(self.path, None, str(error)) from None
         if len(rows) != count:  # another program has left some out
             return None
         return [
@@ -177,13 +181,12 @@ class McapReader:
             if row.duration >= min_time
         ]
 
-    def _messages(self, topic: str, module: str, name: str) -> Iterator[Any]:
+    def _messages(self, topic: str) -> Iterator[memoryview]:
         """Yield the messages of a topic that belong to no frame."""
         self._source.check_open()
         channel = self._channels.of(topic)
         for chunk in self._chunks({channel}) if channel in self._channels.specs else []:
-            for message in channel_messages(self.path, chunk, self._open(chunk), channel):
-                yield parsed(self.path, module, name, message)
+            yield from channel_messages(self.path, chunk, self._open(chunk), channel)
 
     # --- what the file says of itself ----------------------------------------------------------------------------------
 

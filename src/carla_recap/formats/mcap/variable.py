@@ -32,24 +32,29 @@ from carla_recap.formats.mcap.messages import (
     tag,
     varint,
 )
+from carla_recap.formats.mcap.schema import STRETCHES_MESSAGE
 from carla_recap.model.layout import (
     FLAG,
     MAX_COUNT,
     OBJECTS_LIMIT,
+    TEXT,
     U16,
     Framing,
     Items,
+    Layout,
     Numbers,
+    PacketType,
     PayloadError,
     Span,
     compiled,
     locate,
     pack,
+    unpack,
 )
 from carla_recap.model.records import Group
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import Iterable, Sequence
 
     from numpy.typing import NDArray
 
@@ -174,7 +179,7 @@ class _Decoder:
         self._choice = choice
         self._offset = HEAD.size
 
-    def payload(self, type: RecordType) -> bytes:
+    def payload(self, type: PacketType) -> bytes:
         """Return the payload."""
         size = len(self._message)
         payload = self._items(ITEMS, U16, compiled(type), size)
@@ -325,6 +330,34 @@ def decode_rows(type: RecordType, messages: NDArray[np.uint8]) -> NDArray[np.uin
     decode(type, messages[0].tobytes())
     template = _templates.get(type)
     return template.decode(messages) if template else None
+
+
+class _Stretch(NamedTuple):
+    id: int
+    type_id: str
+    start: float
+    duration: float
+    x: float
+    y: float
+    z: float
+
+
+_STRETCHES: Final = PacketType(
+    name="stretches",
+    layout=Layout({"id": "u4", "type_id": TEXT, "start": "f8", "duration": "f8", "x": "f8", "y": "f8", "z": "f8"}, _Stretch),
+)
+
+
+def decode_stretches(data: Buffer) -> Iterable[Any]:
+    """Return the stretches of a `Stretches` message, with the attributes of a `Stretch`.
+
+    Raises:
+        WireError: It is no such message.
+    """
+    with suppress(ValueError, struct.error):
+        return unpack(_STRETCHES, _Decoder(bytes(data), 0).payload(_STRETCHES))[0]
+    found: Iterable[Any] = parse(_STRETCHES.name, STRETCHES_MESSAGE, data).stretches
+    return found
 
 
 def _row(data: Buffer) -> NDArray[np.uint8]:
