@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 
 from carla_recap import Player, open_recording
-from carla_recap.replay.live import LiveScenes
+from carla_recap.replay.player import LiveScenes
 
 SAMPLE = Path(__file__).parents[2] / "samples" / "crossing.log"
 

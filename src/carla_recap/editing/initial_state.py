@@ -12,7 +12,7 @@ from carla_recap.model.frame import Frame, Packet
 from carla_recap.model.layout import MAX_COUNT
 from carla_recap.model.records import FRAME_END, ORDER, Group
 from carla_recap.replay.cursor import Cursor
-from carla_recap.replay.rows import array, latest
+from carla_recap.replay.selection import array, latest
 from carla_recap.replay.state import ReplayState
 
 if TYPE_CHECKING:

@@ -1,4 +1,4 @@
-"""Replay: a recording at any moment, for whoever shows it.
+"""Replay: a recording at any moment.
 
 with carla_recap.open_recording("crash.log") as recording:
     for scene in Player(recording, start=20, duration=5).scenes(rate=30):

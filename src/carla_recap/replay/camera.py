@@ -1,4 +1,4 @@
-"""The camera that follows an actor, as CARLA's replay has it, but with a level horizon and a calm heading.
+"""The camera that follows an actor, as in CARLA's replay, but with a level horizon and a calm heading.
 
 Poses are arrays as in `carla_recap.replay.pose`: x, y, z in cm, roll, pitch, yaw in degrees, left-handed.
 """
@@ -22,14 +22,14 @@ CHASE_UP: Final = 500.0  # cm
 CHASE_PITCH: Final = -25.0  # degrees
 TOP_UP: Final = 4000.0  # cm
 TOP_PITCH: Final = -90.0  # degrees
-CALM: Final = 0.5  # s
+CALM: Final = 0.5  # s; the time constant of the heading
 
 
 def level(poses: Floats, heading: ArrayLike | None = None) -> Floats:
-    """Poses without roll and pitch: the axes in which a following camera stands still.
+    """Return poses without roll and pitch: the axes in which a following camera stands still.
 
     Args:
-        poses: Those of the actor.
+        poses: The poses of the actor.
         heading: The yaw to look along, in degrees, instead of the actor's own; see `calm_headings`.
     """
     levelled = np.zeros_like(poses)
@@ -46,14 +46,14 @@ def chase(
     up: float = CHASE_UP,
     pitch: float = CHASE_PITCH,
 ) -> Floats:
-    """The poses of a camera behind and above an actor, looking down at it.
+    """Return the poses of a camera behind and above an actor, looking down at it.
 
     Args:
-        poses: Those of the actor.
+        poses: The poses of the actor.
         heading: The yaw to look along, in degrees; None: the actor's own.
-        back: How far behind, in cm.
-        up: How far above, in cm.
-        pitch: Where the camera looks, in degrees; downwards is negative.
+        back: The distance behind the actor, in cm.
+        up: The height above the actor, in cm.
+        pitch: The pitch of the camera, in degrees; downwards is negative.
     """
     camera = level(poses, heading)
     yaw = np.radians(camera[..., YAW])
@@ -65,12 +65,12 @@ def chase(
 
 
 def top(poses: Floats, heading: ArrayLike | None = None, *, up: float = TOP_UP) -> Floats:
-    """The poses of a camera straight above an actor, looking down.
+    """Return the poses of a camera straight above an actor, looking down.
 
     Args:
-        poses: Those of the actor.
+        poses: The poses of the actor.
         heading: The yaw that is upwards in the picture, in degrees; None: the actor's own.
-        up: How far above, in cm.
+        up: The height above the actor, in cm.
     """
     camera = level(poses, heading)
     camera[..., 2] += up
@@ -79,13 +79,13 @@ def top(poses: Floats, heading: ArrayLike | None = None, *, up: float = TOP_UP) 
 
 
 def calm_heading(yaw: float, previous: float | None, delta: float, seconds: float = CALM) -> float:
-    """The heading of a camera that turns after an actor without haste.
+    """Return the heading of a camera that follows the yaw of an actor with a delay.
 
     Args:
-        yaw: The actor's, in degrees.
-        previous: What this function gave last; None at the beginning, and after the actor has jumped.
+        yaw: The yaw of the actor, in degrees.
+        previous: The last heading; None at the beginning, and after the actor has jumped.
         delta: Seconds since then.
-        seconds: After so many seconds, two thirds of a turn are done.
+        seconds: The time constant: two thirds of a turn are done after this time.
     """
     if previous is None or not math.isfinite(previous):
         return yaw
@@ -94,10 +94,10 @@ def calm_heading(yaw: float, previous: float | None, delta: float, seconds: floa
 
 
 def calm_headings(times: Floats, yaws: Floats, seconds: float = CALM) -> Floats:
-    """`calm_heading` for a whole drive, without jumps from 180 to -180 degrees.
+    """Return `calm_heading` at many times, without jumps from 180 to -180 degrees.
 
     Args:
-        times: In seconds, ascending.
+        times: Times in seconds, ascending.
         yaws: The actor's yaw at these times, in degrees.
         seconds: See `calm_heading`.
     """

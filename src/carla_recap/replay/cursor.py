@@ -10,7 +10,7 @@ import numpy as np
 from carla_recap.errors import RecapError
 from carla_recap.model.frame import SAME_TIME
 from carla_recap.replay.events import Collided, Event, Parented, Spawned
-from carla_recap.replay.rows import array
+from carla_recap.replay.selection import array
 from carla_recap.replay.state import EVENTS, ReplayState
 
 if TYPE_CHECKING:
@@ -55,13 +55,13 @@ class Cursor:
         self._new_state = new_state
         self._batches: Iterator[Batch] = iter(())
         self._opened = False
-        self._batch: Batch | None = None  # the one that `next` belongs to
-        self._row = 0  # of `next` in it
-        self._ahead: Batch | None = None  # the one after it, if it has been read
-        self._changes: NDArray[np.bool_] | None = None  # of each row of the batch, whether its ids differ from the last ones
+        self._batch: Batch | None = None  # that of `next`
+        self._row = 0  # of `next` in its batch
+        self._ahead: Batch | None = None  # the batch after it, if it has been read
+        self._changes: NDArray[np.bool_] | None = None  # whether the ids of a row of the batch differ from the row before
         self.state = new_state()
         self.events: list[Event] = []
-        self._entered: list[Event] = []  # the events of the frame
+        self._frame_events: list[Event] = []
 
     def advance(self, time: float) -> None:
         """Read on until some elapsed seconds."""
@@ -69,14 +69,14 @@ class Cursor:
             self._enter(self.next)
 
     def advance_batch(self, time: float, stop: float) -> tuple[Batch, NDArray[np.void]] | None:
-        """Read on over frames without events that have the same ids as the next one, and are more than `SAME_TIME` apart.
+        """Read on over frames without events that have the same ids, and are more than `SAME_TIME` apart.
 
         Args:
             time: The current elapsed time, in seconds.
             stop: The elapsed time at which to stop (exclusive), in seconds.
 
         Returns:
-            The frames and their latest light states; None if the next frame is to be read by `advance`.
+            The frames and the latest light states in each; None if the next frame has to be read by `advance`.
         """
         batch, start = self._batch, self._row
         if batch is None or len(batch) - start < 2 or _has_events(batch):
@@ -96,7 +96,7 @@ class Cursor:
             return None
         frames = batch if end - start == len(batch) else batch[start:end]
         states = self.state.apply_batch(frames)
-        self.frame, self._entered = frames.frame(-1), []
+        self.frame, self._frame_events = frames.frame(-1), []
         self._row = end
         self._read_next()
         return frames, states
@@ -113,7 +113,7 @@ class Cursor:
         actors = self.state.actors.values()
         self.events = [Spawned(actor.since, actor) for actor in actors]
         self.events += [Parented(actor.since, actor.id, actor.parent) for actor in actors if actor.parent is not None]
-        self.events += [event for event in self._entered if isinstance(event, Collided)]
+        self.events += [event for event in self._frame_events if isinstance(event, Collided)]
 
     def take_events(self) -> tuple[Event, ...]:
         """Return the events since the last call."""
@@ -123,8 +123,8 @@ class Cursor:
     def _enter(self, frame: Frame) -> None:
         """Make `next` the current frame."""
         self.frame = frame
-        self._entered = self.state.apply(frame)
-        self.events += self._entered
+        self._frame_events = self.state.apply(frame)
+        self.events += self._frame_events
         self._row += 1
         self._read_next()
 
@@ -150,7 +150,7 @@ class Cursor:
         self._enter(self.next)
 
     def _recall_lights(self, found: Frame) -> None:
-        """Look back for the states of traffic lights that a frame does not have; most recordings have all in each."""
+        """Search earlier frames for the states of traffic lights that a frame lacks; most recordings have all in each."""
         actors = self.state.actors
         missing = set(self.state.lights.tolist()) - set(array(found["light_states"])["id"].tolist())
         stop, width = found.elapsed, _LOOK_BACK

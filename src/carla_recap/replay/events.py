@@ -1,4 +1,4 @@
-"""What happens in a recording, as a replay tells of it; and an actor that is there."""
+"""The events of a recording as a replay gives them, and the actors that are present."""
 
 from __future__ import annotations
 
@@ -18,14 +18,14 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, slots=True)
 class Present:
-    """An actor that is there.
+    """A present actor.
 
     Attributes:
-        spawn: How it was spawned: blueprint, attributes, pose (cm, degrees, left-handed).
-        since: Elapsed seconds at which it appeared.
+        spawn: The record of its spawn: blueprint, attributes, pose (cm, degrees, left-handed).
+        since: The elapsed seconds at which it appeared.
         parent: The actor that it is attached to, if any.
-        attached: Whether it was spawned upon its parent: the pose of its spawn is in the parent's axes.
-        box: Its box in m, right-handed, where a sane one was recorded.
+        attached: Whether it was attached when it was spawned: the pose of its spawn is then in the parent's axes.
+        box: Its box in m, right-handed, if a valid one was recorded.
     """
 
     spawn: Spawn
@@ -41,7 +41,7 @@ class Present:
 
     @property
     def kind(self) -> int:
-        """What it is; see `carla_recap.ActorKind`."""
+        """The kind of actor; see `carla_recap.ActorKind`."""
         return self.spawn.kind
 
     @property
@@ -61,24 +61,21 @@ class Present:
 
     @property
     def spawn_pose(self) -> NDArray[np.float64]:
-        """x, y, z in cm and roll, pitch, yaw in degrees, left-handed.
-
-        In the world, or where it is `attached`, in the parent's axes.
-        """
+        """x, y, z in cm and roll, pitch, yaw in degrees, in the world; in the parent's axes if it is `attached`."""
         spawn = self.spawn
         return np.array((spawn.x, spawn.y, spawn.z, spawn.roll, spawn.pitch, spawn.yaw))
 
 
 @dataclass(frozen=True, slots=True)
 class Event:
-    """Something happened, at some elapsed seconds."""
+    """An event at some elapsed seconds."""
 
     elapsed: float
 
 
 @dataclass(frozen=True, slots=True)
 class Spawned(Event):
-    """An actor appeared. `actor`: as it was at the end of that frame."""
+    """An actor appeared; it is given as at the end of that frame."""
 
     actor: Present
 
@@ -104,7 +101,7 @@ class Collided(Event):
 
     Attributes:
         number: CARLA's number of the collision.
-        actor1: The one with the sensor.
+        actor1: The actor that has the sensor.
         actor2: What it touched; 4294967295 for what is no actor.
         hero1: Whether the first one is the hero.
         hero2: Whether the second one is.

@@ -1,9 +1,8 @@
-"""The player: the one clock by which recordings are shown, exported, cut and simulated anew."""
+"""The player, by which recordings are shown, exported, cut and simulated again, and scenes of a running recording."""
 
 from __future__ import annotations
 
 import math
-from collections import defaultdict
 from functools import cached_property
 from typing import TYPE_CHECKING, Final, NamedTuple
 
@@ -12,11 +11,11 @@ import numpy as np
 from carla_recap.errors import RecapError
 from carla_recap.model.batch import Batch
 from carla_recap.model.frame import SAME_TIME
+from carla_recap.model.records import UE4
 from carla_recap.recording import Recording
 from carla_recap.replay.cursor import Cursor
 from carla_recap.replay.follow import Follow, choose_followed, find_followed
-from carla_recap.replay.motion import Motion
-from carla_recap.replay.rows import Selection
+from carla_recap.replay.pose import Interpolator
 from carla_recap.replay.scene import Scene, SceneBatch
 from carla_recap.replay.state import ReplayState
 
@@ -26,7 +25,8 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from carla_recap.formats.base import Reader
-    from carla_recap.replay.rows import Ids
+    from carla_recap.model.frame import Frame
+    from carla_recap.replay.selection import Ids
 
     Floats = NDArray[np.float64]
     Progress = Callable[[Iterable[Scene], "Player"], Iterable[Scene]]
@@ -34,44 +34,42 @@ if TYPE_CHECKING:
 FAST: Final = 2.0
 """From this time factor on nothing is interpolated, as in CARLA."""
 
-_PRINTED: Final = 1e-5  # the end may be given as it is printed, with six digits
+_PRINTED: Final = 1e-5  # relative tolerance of times after the end, which is printed with six digits
 
 
 class Played(NamedTuple):
-    """How much was played: the number of scenes, and the seconds of the recording that they span."""
+    """The number of scenes that were played, and the duration of that part of the recording, in seconds."""
 
     frames: int
     seconds: float
 
 
 class Player:
-    """Plays a recording: a scene for each tick of whoever shows it.
+    """Plays a recording: a scene for each tick, or for each frame.
 
-    The pose of an actor at a moment lies between those of the frame at or before it and of the next one: its location on
-    the straight line, its angles each on the shortest way. (CARLA's own replay lags one frame behind that.) An actor that
-    jumps, goes or is replaced until the next frame keeps its pose; so does everything in the last frame.
-
-    Only the frame at a moment and the next one are held. Before the first frame, the first is shown.
+    Poses are interpolated between the frame at or before a moment and the next one: locations linearly, and each angle by
+    the shortest rotation. (CARLA's own replay is one frame late.) An actor that jumps, disappears or is replaced until the
+    next frame keeps its pose; so do all actors in the last frame. Before the first frame, the first one is shown.
 
     Args:
         source: The recording; it must stay open.
-        start: Where to begin, in elapsed seconds; negative: so long before the end.
-        duration: How many seconds of the recording to play; 0: all of the rest.
-        time_factor: How many seconds of the recording pass in a second of a tick; from `FAST` on there is no interpolation.
-        follow: Whom the camera follows: an id or "hero"; None: see `choose_followed`.
+        start: The elapsed seconds to begin at; negative: before the end.
+        duration: The seconds of the recording to play; 0: all of the rest.
+        time_factor: The seconds of the recording that pass in a second of a tick; from `FAST` on, nothing is interpolated.
+        follow: The actor that the camera follows: an id or "hero"; None: see `choose_followed`.
         ignore_hero: Leave out the actors with the role_name hero.
         ignore_spectator: Leave out the spectator.
         smooth: Interpolate; False: poses are those of the frame at or before the moment.
 
     Attributes:
-        reader: That of the recording.
-        total: Elapsed seconds of the last frame.
-        start: Where it begins, in elapsed seconds.
-        stop: Where it ends.
+        reader: The reader of the recording.
+        total: The elapsed seconds of the last frame.
+        start: The elapsed seconds of the first scene.
+        stop: The elapsed seconds of the last scene.
         smooth: See above; can be changed while playing.
 
     Raises:
-        RecapError: The start lies outside the recording, there is no such actor to follow, or a number makes no sense.
+        RecapError: The start lies outside the recording, the actor to follow does not exist, or a number is invalid.
         FormatError: The file contradicts its format.
     """
 
@@ -107,24 +105,23 @@ class Player:
             reader,
             lambda: ReplayState(reader.header.table, ignore_hero=ignore_hero, ignore_spectator=ignore_spectator),
         )
-        self._motion = Motion()
-        self._selections: defaultdict[str, Selection] = defaultdict(Selection)
+        self._interpolator = Interpolator()
         if follow is not None:
             self.followed = find_followed(reader, follow, ignore_hero=ignore_hero)
 
     @property
     def time(self) -> float:
-        """The moment that is played, in elapsed seconds."""
+        """The current moment, in elapsed seconds."""
         return self._time
 
     @property
     def finished(self) -> bool:
-        """Whether the scene at the stop has been given."""
+        """Whether the scene at the stop has been returned."""
         return self._finished
 
     @property
     def time_factor(self) -> float:
-        """Seconds of the recording per second of a tick; can be changed while playing, 0 holds it."""
+        """Seconds of the recording per second of a tick; can be changed while playing, 0 pauses it."""
         return self._time_factor
 
     @time_factor.setter
@@ -135,22 +132,22 @@ class Player:
 
     @cached_property
     def followed(self) -> int | None:
-        """Whom the camera follows; None where there is nobody. Chosen when first asked for, if nobody was named."""
+        """The actor that the camera follows, if any; it is chosen on first use, unless it was given."""
         return choose_followed(self.reader, start=self.start, stop=self.stop, ignore_hero=self._ignore_hero)
 
     def tick(self, delta: float) -> Scene | None:
-        """Let time go on, and see what there is then.
+        """Advance the time, and return the scene.
 
-        The first tick goes on from the start; `tick(0)` shows the start itself. The last scene is that of the stop.
+        The first tick advances from the start; `tick(0)` shows the start itself. The last scene is that of the stop.
 
         Args:
-            delta: Seconds, which the time factor stretches.
+            delta: Seconds, which are multiplied by the time factor.
 
         Returns:
             The scene; None after the last one.
 
         Raises:
-            RecapError: Time cannot go backwards; `at` can.
+            RecapError: The time is negative or infinite; `at` can go back.
             FormatError: The file contradicts its format.
         """
         if not 0 <= delta < math.inf:
@@ -158,10 +155,10 @@ class Player:
         return self._play(self._time + delta * self.time_factor)
 
     def at(self, time: float) -> Scene:
-        """Leap to a moment anywhere in the recording; ticks go on from there.
+        """Seek to a moment of the recording, and return the scene; ticks advance from there.
 
         Args:
-            time: Elapsed seconds; negative: so long before the end.
+            time: Elapsed seconds; negative: before the end.
 
         Raises:
             RecapError: The moment lies outside the recording.
@@ -177,11 +174,11 @@ class Player:
         """Play on to the stop.
 
         Args:
-            rate: Scenes per second of ticks, which the time factor stretches; None: a scene for each frame of the
-                recording, at its very time. Either way the first scene is that of now, the last one that of the stop.
+            rate: Scenes per second of ticks, which are multiplied by the time factor; None: a scene for each frame of the
+                recording, at its time. Either way the first scene is the current one, and the last one that of the stop.
 
         Raises:
-            RecapError: That is no rate.
+            RecapError: The rate is not positive.
             FormatError: The file contradicts its format.
         """
         if rate is not None and not 0 < rate < math.inf:
@@ -221,7 +218,7 @@ class Player:
             while not self._finished and (found := cursor.advance_batch(self._time, self.stop - SAME_TIME)):
                 frames, light_states = found
                 self._time = float(frames.elapsed[-1])
-                ids, poses = self._motion.read(frames.records("transforms"), cursor.state.hidden)
+                ids, poses = self._interpolator.read(frames.records("transforms"), cursor.state.hidden)
                 yield self._batch(frames.elapsed, frames, ids, poses, light_states)
             scene = self._play(self.stop if cursor.next is None else cursor.next.elapsed)
 
@@ -249,30 +246,16 @@ class Player:
             length = following.elapsed - frame.elapsed
             part = (time - frame.elapsed) / length if length > 0 else 0.0
             part = part if 0 <= part <= 1 else 0.0
-        ids, poses = self._motion.at(frame, following, state.hidden, part)
+        ids, poses = self._interpolator.at(frame, following, state.hidden, part)
         return Scene(self._batch(np.array([time]), Batch.of(frame), ids, poses[None], state.light_states[None]))
 
     def _batch(self, time: Floats, frames: Batch, ids: Ids, poses: Floats, light_states: NDArray[np.void]) -> SceneBatch:
-        state = self._cursor.state
         fresh, self._fresh = self._fresh, False
-        return SceneBatch(
-            time,
-            frames,
-            fresh,
-            self._cursor.take_events(),
-            ids,
-            poses,
-            state.actors,
-            light_states,
-            state.doors,
-            state.weather,
-            state.scene_lights,
-            state.hidden,
-            self._selections,
-        )
+        events = self._cursor.take_events()
+        return self._cursor.state.scenes(time, frames, events, ids, poses, light_states, fresh=fresh)
 
     def _moment(self, time: float) -> float:
-        """A time in elapsed seconds, of one that may count from the end."""
+        """Return a time in elapsed seconds, which is given from the end if it is negative."""
         if time < 0:
             return max(0.0, self.total + time)
         if time <= self.total:
@@ -280,3 +263,21 @@ class Player:
         if time <= self.total * (1 + _PRINTED):
             return self.total
         raise RecapError(f"{self.reader.path}: nothing at {time:g} s; the recording ends at {self.total:g} s")
+
+
+class LiveScenes:
+    """Turns the frames of a recording that is still being made into scenes, from the first one on."""
+
+    def __init__(self) -> None:
+        self._state = ReplayState(UE4, ignore_hero=False, ignore_spectator=True)
+        self._interpolator = Interpolator()
+        self._fresh = True
+
+    def scene(self, frame: Frame) -> Scene:
+        """Return the scene of the next frame."""
+        state = self._state
+        events = state.apply(frame)
+        ids, poses = self._interpolator.at(frame, None, state.hidden, 0.0)
+        fresh, self._fresh = self._fresh, False
+        time, states = np.array([frame.elapsed]), state.light_states[None]
+        return Scene(state.scenes(time, Batch.of(frame), events, ids, poses[None], states, fresh=fresh))

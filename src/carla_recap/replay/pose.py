@@ -1,8 +1,8 @@
-"""Poses as arrays: blending, putting one upon another, and the way to metres and right-handed axes.
+"""Poses as arrays: conversion to metres and right-handed axes, attachment, and interpolation between frames.
 
 A pose is six numbers, along the last axis of an array: x, y, z in cm, then roll, pitch, yaw in degrees, as CARLA has them:
-left-handed, x forward, y right, z up. What is called right-handed here is in m and has x forward, y left, z up, as ROS,
-Rerun and Foxglove do; rotations there are Rz(yaw) · Ry(pitch) · Rx(roll).
+left-handed, x forward, y right, z up. Right-handed poses are in m and have x forward, y left, z up, as in ROS, Rerun and
+Foxglove; their rotations are Rz(yaw) · Ry(pitch) · Rx(roll).
 """
 
 from __future__ import annotations
@@ -12,9 +12,12 @@ from typing import TYPE_CHECKING, Final, TypeVar
 import numpy as np
 
 from carla_recap.model.records import CM
+from carla_recap.replay.selection import NO_IDS, Ids, Selection, array, find, latest, numbers
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
+
+    from carla_recap.model.frame import Frame
 
     Floats = NDArray[np.float64]
 
@@ -24,37 +27,42 @@ LOCATION: Final = slice(0, 3)
 ROTATION: Final = slice(3, 6)
 YAW: Final = 5
 
+JUMP: Final = 500.0  # cm; a shorter step is never a jump
+TOP_SPEED: Final = 10_000.0  # cm/s; the speed below which a step is no jump if no velocity is recorded
+_SLACK: Final = 3.0  # the factor by which a step must exceed that of the recorded velocity to be a jump
+_NEAR: Final = JUMP / 2  # steps along each axis, in cm, and rotations, in degrees, are shorter in most frames
+
 _TO_RIGHT_HANDED: Final = np.array([CM, -CM, CM, 1, -1, -1])
 _VELOCITY_TO_RIGHT_HANDED: Final = np.array([1.0, -1, 1, 1, -1, -1])
 
 
 def wrap(angles: Floats) -> Floats:
-    """The same angles within ±180 degrees."""
+    """Return the same angles within ±180 degrees."""
     wrapped: Floats = angles - 360 * np.rint(angles / 360)
     return wrapped
 
 
 def change(before: Floats, after: Floats) -> Floats:
-    """What leads from some poses to others: a way in cm, and about each axis by itself the shortest turn in degrees."""
+    """Return the differences of poses: of locations in cm, and of each angle the shortest rotation in degrees."""
     difference = after - before
     difference[..., ROTATION] = wrap(difference[..., ROTATION])
     return difference
 
 
 def right_handed(poses: Floats) -> Floats:
-    """Poses in m and degrees, right-handed: y, pitch and yaw change their sign."""
+    """Return poses in m and degrees, right-handed: y, pitch and yaw change their sign."""
     converted: Floats = poses * _TO_RIGHT_HANDED
     return converted
 
 
 def left_handed(poses: Floats) -> Floats:
-    """CARLA's poses, in cm and degrees, of right-handed ones."""
+    """Return CARLA's poses, in cm and degrees, of right-handed ones."""
     converted: Floats = poses / _TO_RIGHT_HANDED
     return converted
 
 
 def right_handed_velocities(velocities: Floats) -> Floats:
-    """Velocities, right-handed.
+    """Return velocities, right-handed.
 
     Args:
         velocities: Rows of linear x, y, z in m/s and angular x, y, z in degrees/s, as recorded.
@@ -64,7 +72,7 @@ def right_handed_velocities(velocities: Floats) -> Floats:
 
 
 def quaternions(poses: NDArray[F]) -> NDArray[F]:
-    """The rotations of right-handed poses as quaternions x, y, z, w, in the precision of the poses."""
+    """Return the rotations of right-handed poses as quaternions x, y, z, w, in the precision of the poses."""
     half = np.radians(poses[..., ROTATION]) / 2
     (sr, sp, sy), (cr, cp, cy) = np.moveaxis(np.sin(half), -1, 0), np.moveaxis(np.cos(half), -1, 0)
     return np.stack(
@@ -79,7 +87,7 @@ def quaternions(poses: NDArray[F]) -> NDArray[F]:
 
 
 def rotations(poses: Floats) -> Floats:
-    """The rotations of right-handed poses as matrices: their columns point forward, left and up."""
+    """Return the rotations of right-handed poses as matrices: their columns point forward, left and up."""
     angles = np.radians(poses[..., ROTATION])
     (sr, sp, sy), (cr, cp, cy) = np.moveaxis(np.sin(angles), -1, 0), np.moveaxis(np.cos(angles), -1, 0)
     rows = (
@@ -91,35 +99,35 @@ def rotations(poses: Floats) -> Floats:
 
 
 def attach(parent: Floats, relative: Floats) -> Floats:
-    """Where an actor is in the world (cm, degrees, left-handed) that is fixed to a parent.
+    """Return the pose in the world (cm, degrees, left-handed) of an actor that is fixed to a parent.
 
     Args:
         parent: The parent's pose in the world.
         relative: The actor's pose in the parent's axes.
     """
     parent, relative = right_handed(parent), right_handed(relative)
-    turn = rotations(parent)
-    location = parent[..., LOCATION] + (turn @ relative[..., LOCATION, None])[..., 0]
-    return _left_handed_of(location, turn @ rotations(relative))
+    rotation = rotations(parent)
+    location = parent[..., LOCATION] + (rotation @ relative[..., LOCATION, None])[..., 0]
+    return _left_handed_of(location, rotation @ rotations(relative))
 
 
 def detach(parent: Floats, child: Floats) -> Floats:
-    """The pose of an actor in its parent's axes (cm, degrees, left-handed): what `attach` takes.
+    """Return the pose of an actor in its parent's axes (cm, degrees, left-handed), as `attach` takes it.
 
     Args:
         parent: The parent's pose in the world.
         child: The actor's pose in the world.
     """
     parent, child = right_handed(parent), right_handed(child)
-    back = np.swapaxes(rotations(parent), -1, -2)
-    location = (back @ (child - parent)[..., LOCATION, None])[..., 0]
-    return _left_handed_of(location, back @ rotations(child))
+    inverse = np.swapaxes(rotations(parent), -1, -2)
+    location = (inverse @ (child - parent)[..., LOCATION, None])[..., 0]
+    return _left_handed_of(location, inverse @ rotations(child))
 
 
 def _left_handed_of(location: Floats, matrix: Floats) -> Floats:
-    """CARLA's pose of a right-handed location and rotation."""
+    """Return CARLA's pose of a right-handed location and rotation."""
     sine = np.clip(-matrix[..., 2, 0], -1, 1)
-    upright = np.abs(sine) > 1 - 1e-12  # nose up or down: roll and yaw are one, and called yaw
+    upright = np.abs(sine) > 1 - 1e-12  # pointing up or down: roll and yaw are the same rotation, which is given as yaw
     roll = np.where(upright, 0.0, np.arctan2(matrix[..., 2, 1], matrix[..., 2, 2]))
     yaw = np.where(
         upright,
@@ -128,3 +136,104 @@ def _left_handed_of(location: Floats, matrix: Floats) -> Floats:
     )
     angles = np.degrees(np.stack((roll, np.arcsin(sine), yaw), axis=-1))
     return left_handed(np.concatenate((location, angles), axis=-1)) + 0.0
+
+
+class Interpolator:
+    """Interpolates the poses of all actors between a frame and the next one.
+
+    CARLA's own replay interpolates between the frame at a time and the one before, so it is always a frame late.
+    """
+
+    def __init__(self) -> None:
+        self._selection = Selection()
+        self._frame: Frame | None = None
+        self._next: Frame | None = None
+        self._hidden: Ids = NO_IDS
+        self._ids: Ids = NO_IDS
+        self._poses: Floats = np.zeros((0, 6))
+        self._ahead: tuple[Ids, Floats] | None = None  # ids and poses of the next frame
+        self._change: Floats | None = None
+        self._wraps = False  # whether an angle passes ±180 degrees
+
+    def at(self, frame: Frame, next: Frame | None, hidden: Ids, part: float) -> tuple[Ids, Floats]:
+        """Return ids, ascending, and poses; both are read-only.
+
+        Args:
+            frame: The frame at or before the moment.
+            next: The frame after it, if any.
+            hidden: Ids to leave out.
+            part: The part of the time between the two that has passed, from 0 to 1.
+        """
+        if frame is not self._frame or hidden is not self._hidden:
+            if frame is self._next and hidden is self._hidden and self._ahead:
+                self._ids, self._poses = self._ahead
+            else:
+                self._ids, self._poses = self.read(array(frame["transforms"]), hidden)
+            self._frame, self._hidden, self._next = frame, hidden, None
+            self._ahead = self._change = None
+        if next is None or part <= 0:
+            return self._ids, self._poses
+        if self._change is None or next is not self._next:
+            self._next, self._ahead = next, self.read(array(next["transforms"]), hidden)
+            with np.errstate(invalid="ignore", over="ignore"):
+                self._change = self._steps(frame, next, *self._ahead)
+                angles = np.stack((self._poses, self._poses + self._change))[:, :, ROTATION]
+                self._wraps = not np.abs(angles).max(initial=0) <= 180
+        poses = self._poses + part * self._change
+        if self._wraps:
+            with np.errstate(invalid="ignore"):
+                poses[:, ROTATION] = wrap(poses[:, ROTATION])
+        poses.setflags(write=False)
+        return self._ids, poses
+
+    def read(self, records: NDArray[np.void], hidden: Ids) -> tuple[Ids, Floats]:
+        """Return the recorded ids, ascending, and the poses; both are read-only.
+
+        Args:
+            records: The transforms of a frame, or of frames with the same ids, (frames, records of each).
+            hidden: The ids to leave out.
+        """
+        rows = self._selection.choose(records if records.ndim == 1 else records[0], hidden)
+        with np.errstate(invalid="ignore"):  # a signaling NaN
+            poses = numbers(records)[..., rows, :].astype(np.float64)
+        poses.setflags(write=False)
+        return self._selection.ids, poses
+
+    def _steps(self, frame: Frame, next: Frame, ids: Ids, poses: Floats) -> Floats:
+        """Return the difference of each pose to the next one; 0 for an actor that jumps, disappears or is replaced."""
+        if ids is self._ids:
+            steps = change(self._poses, poses)
+            still = np.zeros(len(ids), np.bool_)
+        else:
+            where, found = find(self._ids, ids)
+            steps = change(self._poses, poses[where] if len(poses) else self._poses)
+            still = ~found
+        # NaN fails these comparisons, so that it counts as a jump.
+        if not np.abs(steps).max(initial=0) <= _NEAR:
+            distances = np.sqrt((steps[:, LOCATION] ** 2).sum(axis=1))
+            far = ~(distances <= JUMP)
+            far[far] = ~(distances[far] <= _possible_distances(frame, next, self._ids[far]))
+            still |= far | ~np.isfinite(steps).all(axis=1)
+        replaced = [actor.id for actor in next["spawned"]] + array(next["destroyed"])["id"].tolist()
+        if replaced:
+            still |= np.isin(self._ids, replaced)
+        if still.any():
+            steps[still] = 0
+        return steps
+
+
+def _possible_distances(frame: Frame, next: Frame, ids: Ids) -> Floats:
+    """Return the distances, in cm, that actors can move from a frame to the next by the velocity recorded in either."""
+    seconds = next.elapsed - frame.elapsed
+    speeds = np.fmax(_speeds(frame, ids), _speeds(next, ids)) / CM
+    return np.where(np.isnan(speeds), TOP_SPEED * seconds, np.maximum(JUMP, _SLACK * speeds * seconds))
+
+
+def _speeds(frame: Frame, ids: Ids) -> Floats:
+    """Return recorded speeds in m/s; NaN for actors without one."""
+    records = latest(array(frame["velocities"]))
+    speeds = np.full(len(ids), np.nan)
+    where, found = find(ids, records["id"])
+    velocity = numbers(records)[where[found], LOCATION].astype(np.float64)
+    speeds[found] = np.sqrt(np.einsum("ij,ij->i", velocity, velocity))
+    return speeds

@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 
     from carla_recap.model.batch import Batch
     from carla_recap.model.frame import Frame
-    from carla_recap.replay.rows import Ids, Selection
+    from carla_recap.replay.selection import Ids, Selection
 
 E = TypeVar("E", bound=Event)
 
@@ -58,8 +58,8 @@ class SceneBatch:
     events: tuple[Event, ...]
     ids: Ids
     poses: NDArray[np.float64]
-    actors: Mapping[int, Present]
     light_states: NDArray[np.void]
+    actors: Mapping[int, Present]
     doors: Mapping[int, frozenset[int]]
     weather: np.void | None
     scene_lights: NDArray[np.void]
@@ -135,75 +135,35 @@ class Scene:
     Args:
         batch: The batch.
         row: The position in it.
-    """
 
-    __slots__ = ("__dict__", "batch", "row")
+    Attributes:
+        time: The moment, in elapsed seconds.
+        frame_id: CARLA's number of the last frame at or before it.
+        fresh: Whether this is the first scene, or the first one after a seek.
+        events: The events since the previous scene.
+        poses: x, y, z in cm and roll, pitch, yaw in degrees of each of the `ids`, (ids, 6).
+        light_states: The latest state of each traffic light, ascending by id.
+    """
 
     def __init__(self, batch: SceneBatch, row: int = 0) -> None:
         self.batch = batch
         self.row = row
-
-    @property
-    def time(self) -> float:
-        """The moment, in elapsed seconds."""
-        return float(self.batch.time[self.row])
+        self.time = float(batch.time[row])
+        self.frame_id = int(batch.frames.id[row])
+        self.fresh = batch.fresh and not row
+        self.events: tuple[Event, ...] = () if row else batch.events
+        self.ids = batch.ids
+        self.poses: NDArray[np.float64] = batch.poses[row]
+        self.actors = batch.actors
+        self.light_states: NDArray[np.void] = batch.light_states[row]
+        self.doors = batch.doors
+        self.weather = batch.weather
+        self.scene_lights = batch.scene_lights
 
     @cached_property
     def frame(self) -> Frame:
         """The last frame at or before the moment, with the record types that a replay reads."""
         return self.batch.frames.frame(self.row)
-
-    @property
-    def frame_id(self) -> int:
-        """CARLA's number of the frame."""
-        return int(self.batch.frames.id[self.row])
-
-    @property
-    def fresh(self) -> bool:
-        """Whether this is the first scene, or the first one after a seek."""
-        return self.batch.fresh and not self.row
-
-    @property
-    def events(self) -> tuple[Event, ...]:
-        """The events since the previous scene; see `SceneBatch`."""
-        return () if self.row else self.batch.events
-
-    @property
-    def ids(self) -> Ids:
-        """The actors that have a recorded pose, ascending."""
-        return self.batch.ids
-
-    @property
-    def poses(self) -> NDArray[np.float64]:
-        """x, y, z in cm and roll, pitch, yaw in degrees of each of them, (ids, 6)."""
-        poses: NDArray[np.float64] = self.batch.poses[self.row]
-        return poses
-
-    @property
-    def actors(self) -> Mapping[int, Present]:
-        """The present actors by id; see `SceneBatch`."""
-        return self.batch.actors
-
-    @property
-    def light_states(self) -> NDArray[np.void]:
-        """The latest state of each traffic light, ascending by id; see `SceneBatch`."""
-        states: NDArray[np.void] = self.batch.light_states[self.row]
-        return states
-
-    @property
-    def doors(self) -> Mapping[int, frozenset[int]]:
-        """The open doors of each actor that has any; see `SceneBatch`."""
-        return self.batch.doors
-
-    @property
-    def weather(self) -> np.void | None:
-        """The latest weather; None if none was recorded yet."""
-        return self.batch.weather
-
-    @property
-    def scene_lights(self) -> NDArray[np.void]:
-        """The latest state of each lamp of the scene, ascending by id."""
-        return self.batch.scene_lights
 
     @property
     def vehicle_controls(self) -> NDArray[np.void]:

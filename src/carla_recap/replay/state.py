@@ -1,8 +1,9 @@
-"""What the frames so far have left behind: who is there, open doors, weather, lights."""
+"""The state that the frames so far lead to: present actors, open doors, weather, lights."""
 
 from __future__ import annotations
 
 import math
+from collections import defaultdict
 from dataclasses import replace
 from types import MappingProxyType
 from typing import TYPE_CHECKING, Any, Final
@@ -12,7 +13,8 @@ import numpy as np
 from carla_recap.model.records import CM, ActorKind, Spawn
 from carla_recap.queries.actors import BoundingBox
 from carla_recap.replay.events import Collided, Destroyed, Event, Parented, Present, Spawned
-from carla_recap.replay.rows import NO_IDS, Ids, Selection, merged
+from carla_recap.replay.scene import SceneBatch
+from carla_recap.replay.selection import NO_IDS, Ids, Selection, merged
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Mapping
@@ -28,7 +30,7 @@ DOORS: Final = range(ALL_DOORS)
 
 
 class ReplayState:
-    """The state that grows frame by frame; what it hands out does not change any more.
+    """The state after the frames that were applied; what it returns never changes afterwards.
 
     Args:
         table: The record types of the recording.
@@ -38,9 +40,10 @@ class ReplayState:
     Attributes:
         weather: The latest weather; None before the first.
         scene_lights: The latest state of each lamp of the scene, ascending by id.
-        light_states: The latest state of each traffic light, ascending by id. That of an actor which was not
-            spawned as one holds for its frame alone.
-        hidden: The ids that are not there though they may have records: ignored or destroyed actors; ascending.
+        light_states: The latest state of each traffic light, ascending by id; that of an actor that was not spawned as a
+            traffic light holds in its own frame only.
+        lights: The present traffic lights, ascending.
+        hidden: The ids of ignored and destroyed actors, whose records do not count, ascending.
     """
 
     def __init__(self, table: Table, *, ignore_hero: bool, ignore_spectator: bool) -> None:
@@ -53,44 +56,40 @@ class ReplayState:
         self._ignore_spectator = ignore_spectator
         self._actors: dict[int, Present] = {}
         self._doors: dict[int, frozenset[int]] = {}
-        self._shared = False  # whether someone holds the two above
-        self._lights = NO_IDS  # the traffic lights that are there
-        self._stray_lights = False  # whether a light state is held of an actor that is no traffic light
+        self._shared = False  # whether the two above have been returned, and must not be changed any more
+        self.lights = NO_IDS
+        self._stray_lights = False  # whether `light_states` has an actor that is no traffic light
         self._selection = Selection()
-        self._born: set[int] = set()  # in this frame
+        self._selections: defaultdict[str, Selection] = defaultdict(Selection)
+        self._spawned: set[int] = set()  # in this frame
         self._events: list[Event] = []
         self._light_records: list[NDArray[np.void]] = []
-        self._roster_changed = False
+        self._actors_changed = False
 
     @property
     def actors(self) -> Mapping[int, Present]:
-        """The actors that are there, in order of appearance."""
+        """The present actors by id, in order of appearance."""
         self._shared = True
         return MappingProxyType(self._actors)
 
     @property
     def doors(self) -> Mapping[int, frozenset[int]]:
-        """The open doors of each actor that has any: 0 front left, 1 front right, 2, 3 rear, 4 hood, 5 trunk."""
+        """The open doors of each actor that has any."""
         self._shared = True
         return MappingProxyType(self._doors)
 
-    @property
-    def lights(self) -> Ids:
-        """The traffic lights that are there, ascending."""
-        return self._lights
-
     def apply(self, frame: Frame) -> list[Event]:
-        """Take in a frame; what happened in it is given back."""
+        """Apply a frame, and return its events."""
         self._events = []
-        self._born.clear()
+        self._spawned.clear()
         self._light_records.clear()
         for packet in frame.packets:
             handler = _HANDLERS.get(packet.type.name) if packet.type else None
             if handler is not None and len(packet.records):
                 handler(self, packet.records, frame.elapsed)
-        if self._roster_changed:
-            self._settle()
-        self._settle_lights()
+        if self._actors_changed:
+            self._finish_actors()
+        self._finish_lights()
         return self._events
 
     def apply_batch(self, batch: Batch) -> NDArray[np.void]:
@@ -104,20 +103,37 @@ class ReplayState:
         """
         return self._apply_light_states(batch.records("light_states"))
 
+    def scenes(
+        self,
+        time: NDArray[np.float64],
+        frames: Batch,
+        events: Iterable[Event],
+        ids: Ids,
+        poses: NDArray[np.float64],
+        light_states: NDArray[np.void],
+        *,
+        fresh: bool,
+    ) -> SceneBatch:
+        """Return scenes in this state; see `SceneBatch` for the arguments."""
+        lasting = self.actors, self.doors, self.weather, self.scene_lights
+        return SceneBatch(
+            time, frames, fresh, tuple(events), ids, poses, light_states, *lasting, self.hidden, self._selections
+        )
+
     def recall_lights(self, states: NDArray[np.void]) -> None:
-        """Take light states from earlier frames."""
+        """Add light states of earlier frames."""
         self.light_states = merged(self.light_states, states)
 
     # --- handlers, one per record type -----------------------------------------------------------------------
 
-    def _own(self) -> None:
-        """Make sure that nobody else holds what is about to change."""
+    def _unshare(self) -> None:
+        """Copy what has been returned, so that it can be changed."""
         if self._shared:
             self._actors, self._doors = dict(self._actors), dict(self._doors)
             self._shared = False
 
     def _spawn(self, spawns: Iterable[Spawn], elapsed: float) -> None:
-        self._own()
+        self._unshare()
         for spawn in spawns:
             self._forget(spawn.id)
             actor = Present(spawn, elapsed)
@@ -126,11 +142,11 @@ class ReplayState:
                 continue
             self._hidden.discard(spawn.id)
             self._actors[spawn.id] = actor
-            self._born.add(spawn.id)
+            self._spawned.add(spawn.id)
             self._events.append(Spawned(elapsed, actor))
 
     def _destroy(self, records: NDArray[np.void], elapsed: float) -> None:
-        self._own()
+        self._unshare()
         for id in records["id"].tolist():
             self._forget(id)
             if id not in self._hidden:
@@ -138,19 +154,19 @@ class ReplayState:
                 self._events.append(Destroyed(elapsed, id))
 
     def _forget(self, id: int) -> None:
-        self._roster_changed = True
+        self._actors_changed = True
         self._actors.pop(id, None)
         self._doors.pop(id, None)
         if id in self.light_states["id"]:
             self.light_states = self.light_states[self.light_states["id"] != id]
 
     def _parent(self, records: NDArray[np.void], elapsed: float) -> None:
-        self._own()
+        self._unshare()
         for id, parent in records.tolist():
             if id in self._hidden:
                 continue
             if id in self._actors:
-                self._actors[id] = replace(self._actors[id], parent=parent, attached=id in self._born)
+                self._actors[id] = replace(self._actors[id], parent=parent, attached=id in self._spawned)
             self._events.append(Parented(elapsed, id, parent))
 
     def _collide(self, records: NDArray[np.void], elapsed: float) -> None:
@@ -158,7 +174,7 @@ class ReplayState:
             self._events.append(Collided(elapsed, number, actor1, actor2, bool(hero1), bool(hero2)))
 
     def _move_doors(self, records: NDArray[np.void], elapsed: float) -> None:
-        self._own()
+        self._unshare()
         for id, door, is_open in records.tolist():
             if id in self._hidden:
                 continue
@@ -171,7 +187,7 @@ class ReplayState:
                 self._doors.pop(id, None)
 
     def _box(self, records: NDArray[np.void], elapsed: float) -> None:
-        self._own()
+        self._unshare()
         for id, *sizes in records.tolist():
             if id in self._actors and all(map(math.isfinite, sizes)) and min(sizes[3:]) > 0:
                 x, y, z, *extent = (size * CM for size in sizes)
@@ -180,28 +196,28 @@ class ReplayState:
     def _change_weather(self, records: NDArray[np.void], elapsed: float) -> None:
         self.weather = records[-1]
 
-    def _switch(self, records: NDArray[np.void], elapsed: float) -> None:
+    def _change_scene_lights(self, records: NDArray[np.void], elapsed: float) -> None:
         self.scene_lights = merged(self.scene_lights, records)
 
-    def _note_lights(self, records: NDArray[np.void], elapsed: float) -> None:
+    def _keep_light_records(self, records: NDArray[np.void], elapsed: float) -> None:
         self._light_records.append(records)
 
     # --- at the end of a frame -------------------------------------------------------------------------------
 
-    def _settle(self) -> None:
-        self._roster_changed = False
+    def _finish_actors(self) -> None:
+        self._actors_changed = False
         if len(self._hidden) != len(self.hidden) or not self._hidden.issuperset(self.hidden.tolist()):
             self.hidden = np.array(sorted(self._hidden), np.uint32)
         lights = sorted(id for id, actor in self._actors.items() if actor.kind == ActorKind.TRAFFIC_LIGHT)
-        self._lights = np.array(lights, np.uint32)
+        self.lights = np.array(lights, np.uint32)
         self._stray_lights = len(self.light_states) > 0
-        for place, event in enumerate(self._events):
+        for index, event in enumerate(self._events):
             if isinstance(event, Spawned):
                 now = self._actors.get(event.actor.id)
                 if now is not None and now.spawn is event.actor.spawn:
-                    self._events[place] = Spawned(event.elapsed, now)
+                    self._events[index] = Spawned(event.elapsed, now)
 
-    def _settle_lights(self) -> None:
+    def _finish_lights(self) -> None:
         parts = self._light_records or [self.light_states[:0]]
         self._apply_light_states((parts[0] if len(parts) == 1 else np.concatenate(parts))[None])
 
@@ -210,24 +226,24 @@ class ReplayState:
         count = len(records)
         if not records.shape[1]:
             if self._stray_lights:
-                self.light_states = self._lasting()
+                self.light_states = self._traffic_light_states()
                 self._stray_lights = False
             return np.broadcast_to(self.light_states, (count, len(self.light_states)))
         before = self._selection.ids
         states = records[:, self._selection.choose(records[0], self.hidden)]
         kept = self._selection.ids is before and states.shape[1] == len(self.light_states)
         if not kept or self._stray_lights:
-            first = merged(self._lasting(), states[0])
+            first = merged(self._traffic_light_states(), states[0])
             latest = np.repeat(first[None], count, axis=0)
             latest[:, np.searchsorted(first["id"], self._selection.ids)] = states
             states = latest
-            self._stray_lights = not bool(np.isin(first["id"], self._lights).all())
+            self._stray_lights = not bool(np.isin(first["id"], self.lights).all())
         self.light_states = states[-1]
         return states
 
-    def _lasting(self) -> NDArray[np.void]:
-        """The light states that outlast their frame."""
-        return self.light_states[np.isin(self.light_states["id"], self._lights)]
+    def _traffic_light_states(self) -> NDArray[np.void]:
+        """Return the light states that hold beyond their frame: those of traffic lights."""
+        return self.light_states[np.isin(self.light_states["id"], self.lights)]
 
 
 _HANDLERS: Final[dict[str, Callable[[ReplayState, Any, float], None]]] = {
@@ -238,9 +254,9 @@ _HANDLERS: Final[dict[str, Callable[[ReplayState, Any, float], None]]] = {
     "doors": ReplayState._move_doors,
     "weather": ReplayState._change_weather,
     "bounding_boxes": ReplayState._box,
-    "scene_lights": ReplayState._switch,
-    "light_states": ReplayState._note_lights,
+    "scene_lights": ReplayState._change_scene_lights,
+    "light_states": ReplayState._keep_light_records,
 }
 
 EVENTS: Final = tuple(name for name in _HANDLERS if name != "light_states")
-"""The record types that change the world only now and then."""
+"""The record types that change the state now and then; all other ones are in each frame."""

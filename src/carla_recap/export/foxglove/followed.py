@@ -25,8 +25,7 @@ from carla_recap.export.foxglove.messages import (
 from carla_recap.export.foxglove.scene import entity_id
 from carla_recap.model.records import CM
 from carla_recap.replay import calm_heading, level, quaternions, right_handed
-from carla_recap.replay.motion import JUMP, TOP_SPEED
-from carla_recap.replay.pose import LOCATION, YAW
+from carla_recap.replay.pose import JUMP, LOCATION, TOP_SPEED, YAW
 from carla_recap.v1.followed_pb2 import Followed, ShownLight, ShownLights
 from carla_recap.v1.light_states_pb2 import TRAFFIC_LIGHT_COLOR_UNKNOWN, TrafficLightColor
 

@@ -35,7 +35,7 @@ from carla_recap.formats.mcap.schema import MESSAGE
 from carla_recap.model.records import ActorKind, Spawn
 from carla_recap.replay import Present, quaternions, right_handed
 from carla_recap.replay.pose import LOCATION, change
-from carla_recap.replay.rows import NO_IDS
+from carla_recap.replay.selection import NO_IDS
 from carla_recap.v1.light_states_pb2 import TRAFFIC_LIGHT_COLOR_UNKNOWN
 
 if TYPE_CHECKING:
@@ -45,8 +45,8 @@ if TYPE_CHECKING:
 
     from carla_recap.export.foxglove.messages import Floats, Indices, Times
     from carla_recap.maps import RoadMap
-    from carla_recap.replay.rows import Ids
     from carla_recap.replay.scene import SceneBatch
+    from carla_recap.replay.selection import Ids
 
 MOVED: Final = "/scene"
 STILL: Final = "/scene/still"

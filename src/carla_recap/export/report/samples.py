@@ -11,9 +11,8 @@ import numpy as np
 
 from carla_recap.model.records import CM, ActorKind
 from carla_recap.replay.events import Destroyed
-from carla_recap.replay.motion import JUMP, TOP_SPEED
-from carla_recap.replay.pose import YAW, right_handed
-from carla_recap.replay.rows import NO_IDS
+from carla_recap.replay.pose import JUMP, TOP_SPEED, YAW, right_handed
+from carla_recap.replay.selection import NO_IDS
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping

@@ -26,7 +26,7 @@ if TYPE_CHECKING:
     from carla_recap.export.rerun.poses import PoseBlock
     from carla_recap.export.rerun.stream import Stream, TimeColumns, TimePoint
     from carla_recap.replay import SceneBatch
-    from carla_recap.replay.rows import Ids
+    from carla_recap.replay.selection import Ids
 
 MOVERS: Final = (ActorKind.VEHICLE, ActorKind.WALKER)
 """The kinds that are on the map and that a camera can follow."""

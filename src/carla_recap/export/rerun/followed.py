@@ -13,8 +13,7 @@ from carla_recap.export.rerun import paths
 from carla_recap.export.rerun.poses import ROWS
 from carla_recap.export.rerun.stream import TimeColumns, screen_radii
 from carla_recap.replay import calm_headings, level, right_handed
-from carla_recap.replay.motion import JUMP, TOP_SPEED
-from carla_recap.replay.pose import LOCATION, YAW
+from carla_recap.replay.pose import JUMP, LOCATION, TOP_SPEED, YAW
 
 if TYPE_CHECKING:
     from collections.abc import Sequence

@@ -11,7 +11,7 @@ from carla_recap.export.rerun.blueprint import View, arranged, follow_views, ove
 from carla_recap.export.rerun.rrd import send_blueprint
 from carla_recap.export.rerun.writer import SceneWriter, describe
 from carla_recap.replay.follow import HERO, Follow
-from carla_recap.replay.live import LiveScenes
+from carla_recap.replay.player import LiveScenes
 
 if TYPE_CHECKING:
     import rerun as rr

@@ -11,7 +11,7 @@ import numpy as np
 
 from carla_recap.export.rerun import paths
 from carla_recap.export.rerun.stream import TimeColumns
-from carla_recap.replay.rows import NO_IDS
+from carla_recap.replay.selection import NO_IDS
 
 if TYPE_CHECKING:
     from collections.abc import Container, Iterable
@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 
     from carla_recap.export.rerun.stream import Stream
     from carla_recap.replay import SceneBatch
-    from carla_recap.replay.rows import Ids
+    from carla_recap.replay.selection import Ids
 
     Floats = NDArray[np.float64]
     Flags = NDArray[np.bool_]
