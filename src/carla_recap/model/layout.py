@@ -10,18 +10,19 @@ import struct
 from dataclasses import dataclass, field
 from enum import Enum
 from functools import cache
-from typing import TYPE_CHECKING, Any, Final, NamedTuple
+from typing import TYPE_CHECKING, Any, Final, NamedTuple, TypeAlias
 
 import numpy as np
-from numpy.typing import NDArray
 
 from carla_recap.errors import RecordError
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
 
+    from numpy.typing import NDArray
+
 Buffer = bytes | memoryview
-Records = NDArray[np.void] | list[Any]
+Records: TypeAlias = "NDArray[np.void] | list[Any]"
 """The records of one type: a structured array, or a list of objects where the size varies."""
 
 # Field kinds. A kind is a numpy type code, or one of these:

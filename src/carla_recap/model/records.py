@@ -415,7 +415,7 @@ class Table(Sequence[RecordType]):
     def __init__(self, wide: bool) -> None:
         self.wide = wide
         # UE5 writes another, larger physics record with memory images inside.
-        self._rows = tuple(replace(row, wide=wide, opaque=wide and row.name == "physics") for row in _ROWS)
+        self._rows = tuple(replace(row, wide=True, opaque=row.name == "physics") for row in _ROWS) if wide else _ROWS
         self._named = {row.name: row for row in self._rows}
 
     def __len__(self) -> int:

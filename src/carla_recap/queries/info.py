@@ -8,7 +8,6 @@ from typing import TYPE_CHECKING, Any, Final
 import numpy as np
 
 from carla_recap.model.layout import FLAG, Framing, Layout, Many, Records
-from carla_recap.tables.records import plain_record
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -97,6 +96,8 @@ def _records(layout: Layout, records: Records) -> Iterator[dict[str, Any]]:
         for row in zip(*columns, strict=True):
             yield dict(zip(names, row, strict=True))
     else:
+        from carla_recap.tables.records import plain_record
+
         for record in records:
             yield plain_record(layout, record)
 

@@ -37,12 +37,12 @@ from carla_recap.formats.mcap.source import METADATA_LIMIT, Source, open_chunk, 
 from carla_recap.formats.mcap.variable import decode_stretches
 from carla_recap.model.batch import Batch, within
 from carla_recap.model.frame import SAME_TIME, Extent, Frame, Header
-from carla_recap.model.stationary import BlockedRow
 
 if TYPE_CHECKING:
     from collections.abc import Collection, Iterator
 
     from carla_recap.formats.mcap.source import ChunkIndex, Summary
+    from carla_recap.model.stationary import BlockedRow
 
 BLOCK_SIZE: Final = 256 << 10
 """Chunks that are smaller than this, in bytes, are taken several at a time."""
@@ -175,6 +175,8 @@ class McapReader:
             raise FormatError(self.path, None, str(error)) from None
         if len(rows) != count:  # another program has left some out
             return None
+        from carla_recap.model.stationary import BlockedRow
+
         return [
             BlockedRow(row.start, row.duration, row.id, row.type_id, row.x, row.y, row.z)
             for row in rows

@@ -13,7 +13,6 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 
 from carla_recap.errors import RecordError
-from carla_recap.formats.carla_log import pack_header
 from carla_recap.model.frame import Extent, Header
 
 if TYPE_CHECKING:
@@ -165,6 +164,8 @@ def _checksum(values: dict[str, str]) -> str:
 
 def header_metadata(header: Header) -> dict[str, str]:
     """A header as MCAP metadata."""
+    from carla_recap.formats.carla_log import pack_header
+
     raw = pack_header(header)  # and the check that it can be written
     plain = {
         "map": header.map_name.encode("utf-8", "surrogateescape").decode("utf-8", "replace"),
@@ -191,8 +192,12 @@ def parse_header(metadata: dict[str, str]) -> Header:
     if raw is not None:
         name = raw[2 + 2 + int.from_bytes(raw[2:4], "little") + 8 + 2 :].decode("utf-8", "surrogateescape")
     header = Header(name, date, version, wide, shifted)
+    if raw is None:
+        return header
+    from carla_recap.formats.carla_log import pack_header
+
     try:
-        return header if raw is None or pack_header(header) == raw else Header(name, date, version, wide, shifted, raw)
+        return header if pack_header(header) == raw else Header(name, date, version, wide, shifted, raw)
     except RecordError as error:
         raise ValueError(str(error)) from None
 
