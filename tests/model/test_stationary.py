@@ -11,7 +11,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from carla_recap.model.frame import Frame, Header, Packet
-from carla_recap.model.stationary import Standing, _square_of_reach
+from carla_recap.model.stationary import StationaryTracker, _squared_limit
 
 TABLE = Header("Town01", 0).table
 
@@ -23,13 +23,13 @@ def frame(number: int, x: float) -> Frame:
 
 
 def test_stretches_can_be_taken_as_they_end() -> None:
-    standing = Standing(TABLE, min_time=2)
+    tracker = StationaryTracker(TABLE, min_time=2)
     taken = []
     for number in range(1000):
-        standing.frame(frame(number, 100.0 * (number // 4)))
-        taken.append(standing.take())
+        tracker.frame(frame(number, 100.0 * (number // 4)))
+        taken.append(tracker.take())
     assert sum(map(len, taken)) > 200
-    rows = [row for rows in taken for row in rows] + standing.finish()
+    rows = [row for rows in taken for row in rows] + tracker.finish()
     assert [(row.start, row.duration, row.x) for row in rows] == (
         [(0.0, 4.0, 0.0)] + [(4.0 * stop + 1, 3.0, 100.0 * stop) for stop in range(1, 250)]
     )
@@ -38,14 +38,14 @@ def test_stretches_can_be_taken_as_they_end() -> None:
 def test_frames_that_are_held() -> None:
     """A profiler holds the frames of what runs, with all that their variables refer to."""
     held = []
-    standing = Standing(TABLE, min_time=2)
+    tracker = StationaryTracker(TABLE, min_time=2)
     sys.setprofile(lambda frame, *_: held.append(frame))
     try:
         for number in range(1000):
-            standing.frame(frame(number, 100.0 * (number // 4)))
+            tracker.frame(frame(number, 100.0 * (number // 4)))
     finally:
         sys.setprofile(None)
-    assert len(standing.finish()) == 250
+    assert len(tracker.finish()) == 250
 
 
 @pytest.mark.parametrize(("real", "width"), [("f4", 32), ("f8", 64)])
@@ -53,7 +53,7 @@ def test_frames_that_are_held() -> None:
 def test_squares_compare_as_distances_do(real: str, width: Any, data: st.DataObject) -> None:
     distance = data.draw(st.floats(-1, allow_nan=False))
     with np.errstate(all="ignore"):
-        limit = _square_of_reach(distance, np.dtype(real))
+        limit = _squared_limit(distance, np.dtype(real))
     near = [limit, np.nextafter(limit, limit.dtype.type(0)), np.nextafter(limit, limit.dtype.type(np.inf))]
     for square in [*near, np.dtype(real).type(data.draw(st.floats(0, width=width)))]:
         assert (square < limit) == (float(np.sqrt(square)) < distance)

@@ -266,7 +266,7 @@ frames = st.lists(st.lists(packets, max_size=4), min_size=1, max_size=12)
 lasting = st.sampled_from([0.5, 0.5, 0.1, 1.0, 0.0, -1.0, 30.0])
 
 
-@pytest.mark.parametrize(("compat", "rounds"), [(False, 8), (True, 8), (True, 1)])
+@pytest.mark.parametrize("compat", [False, True])
 @given(
     frames=frames,
     data=st.data(),
@@ -277,13 +277,11 @@ def test_by_definition(
     make: Make,
     monkeypatch: pytest.MonkeyPatch,
     compat: bool,
-    rounds: int,
     frames: Any,
     data: st.DataObject,
     min_time: float,
     min_distance: float,
 ) -> None:
-    monkeypatch.setattr("carla_recap.model.stationary._ROUNDS", rounds)
     durations = data.draw(st.lists(lasting, min_size=len(frames), max_size=len(frames)))
     reader = make(*frames, durations=durations)
     rows = blocked(reader, min_time, min_distance, compat=compat)

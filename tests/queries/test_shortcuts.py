@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 import pytest
 
 from carla_recap import create_recording, open_recording
-from carla_recap.model.records import UE4
+from carla_recap.model.records import UE4, ActorKind, Spawn
 from carla_recap.queries import braking
 from carla_recap.queries.blocked import blocked
 
@@ -50,9 +52,53 @@ def test_no_hard_braking_is_missed(path, monkeypatch):
 
 
 @pytest.mark.parametrize("compat", [False, True])
-def test_packets_followed_without_a_group_count_the_same(path, monkeypatch, compat):
+@pytest.mark.parametrize(("min_time", "min_distance"), [(0.3, 20.0), (4.0, 20.0), (0.3, 1e-18), (0.0, 3.0), (30.0, 1e20)])
+def test_packets_processed_together_and_record_by_record_give_the_same_intervals(
+    path, monkeypatch, compat, min_time, min_distance
+):
     with open_recording(path) as recording:
-        found = list(blocked(recording.reader, 0.3, 20.0, compat=compat))
-        monkeypatch.setattr("carla_recap.model.stationary._FEW", 0)
-        assert found == list(blocked(recording.reader, 0.3, 20.0, compat=compat))
-    assert len(found) > 5
+        found = repr(blocked(recording.reader, min_time, min_distance, compat=compat))
+        monkeypatch.setattr("carla_recap.model.stationary._FEW", math.inf)
+        assert found == repr(blocked(recording.reader, min_time, min_distance, compat=compat))
+
+
+@pytest.fixture(params=range(4))
+def busy(request, tmp_path):
+    """A recording of vehicles and walkers of any speed that come and go; walkers fall, and some actors are listed twice."""
+    rng = np.random.default_rng(request.param)
+    present, path, number = {}, tmp_path / "busy.log", 0
+    speeds = np.array([0.0, 0.0, 0.003, 0.4, 2.0, 4.9, 7.0, 19.0, 21.0, 70.0, 1e-20, 1e30])
+    with create_recording(path, map_name="Town01") as recording:
+        for row in range(400):
+            change = {}
+            if row % 97 == 0 or rng.random() < 0.01:
+                number += 1
+                kind, name = (ActorKind.WALKER, "walker.a") if number % 2 else (ActorKind.VEHICLE, "vehicle.a")
+                change["spawned"] = [Spawn(number, kind, 0, 0, 0, 0, 0, 0, 0, name, [])]
+                present[number] = [rng.normal(0, 1000, 3), 0.0, 0.0]
+            if len(present) > 5 and rng.random() < 0.01:
+                change["destroyed"] = [(int(rng.choice(list(present))),)]
+                present.pop(change["destroyed"][0][0])
+            for id, state in present.items():
+                if rng.random() < (0.03 if id % 3 else 0.003):
+                    state[1] = rng.choice(speeds)
+                if rng.random() < 0.02:
+                    state[2] = rng.choice([0.0, 0.0, 90.0])
+                state[0] = state[0] + state[1] * rng.normal(1, 0.1, 3) / math.sqrt(3) * rng.choice([1, 1, 1, 0, -1])
+            poses = [(id, *state[0], state[2], 0, 0) for id, state in present.items()]
+            if request.param > 2 and rng.random() < 0.05:
+                poses.append((poses[0][0], *rng.normal(0, 10, 3), 0, 0, 0))
+            change["transforms"] = np.array(poses, UE4.named("transforms").dtype)
+            recording.add_frame(row * TICK + (0.0 if row < 200 else 1.0), **change)
+    return path
+
+
+@pytest.mark.parametrize("compat", [False, True])
+@pytest.mark.parametrize(("min_time", "min_distance"), [(0.2, 10.0), (3.0, 10.0), (7.0, 10.0), (3.0, 0.0), (0.0, 10.0)])
+def test_blocks_and_records_of_coming_and_going_actors(busy, monkeypatch, compat, min_time, min_distance):
+    with open_recording(busy) as recording:
+        found = repr(blocked(recording.reader, min_time, min_distance, compat=compat))
+        for name, value in (("_BLOCK", 7), ("_TIMES", 200), ("_LAGS", 1), ("_WINDOW", 3), ("_HOPS", 1), ("_FEW", math.inf)):
+            monkeypatch.setattr(f"carla_recap.model.stationary.{name}", value)
+            assert found == repr(blocked(recording.reader, min_time, min_distance, compat=compat)), name
+    assert "BlockedRow" in found or min_distance == 0.0

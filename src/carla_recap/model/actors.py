@@ -11,7 +11,7 @@ if TYPE_CHECKING:
 A = TypeVar("A")
 
 
-class Roster(Generic[A]):
+class PresentActors(Generic[A]):
     """The actors by id, in the order in which they came.
 
     Of a destroyed actor, CARLA forgets the one that was spawned last instead, or id 0 before any spawn; so does `compat`.

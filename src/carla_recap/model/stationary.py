@@ -1,4 +1,4 @@
-"""Who stands still, since when, and for how long: follows the actors of a recording frame by frame."""
+"""Stationary intervals: when, where and for how long each actor of a recording does not move."""
 
 from __future__ import annotations
 
@@ -9,47 +9,52 @@ from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
-from carla_recap.model.actors import HashOrder, Roster
-from carla_recap.model.batch import ConstantColumn
+from carla_recap.model.actors import HashOrder, PresentActors
 from carla_recap.util.text import readable
 
 if TYPE_CHECKING:
     from collections.abc import Iterable
 
-    from numpy.typing import ArrayLike, NDArray
+    from numpy.typing import NDArray
 
     from carla_recap.model.batch import Batch
     from carla_recap.model.frame import Frame, Packet
     from carla_recap.model.records import Table
 
+    Booleans = NDArray[np.bool_]
     Floats = NDArray[np.float64]
-    _Paths = NDArray[np.floating[Any]]  # x, y, z along an axis
+    Indices = NDArray[np.intp]
+    Positions = NDArray[np.floating[Any]]  # x, y, z along the first axis, in cm
 
 MIN_TIME: Final = 30.0  # s
 MIN_DISTANCE: Final = 10.0  # cm
 TRANSFORMS: Final = "transforms"
 TYPES: Final = ("spawned", "destroyed", TRANSFORMS)
-"""The record types that tell of it."""
+"""The record types that stationary intervals are computed from."""
 
 _WALKER: Final = "walker."
-_LYING: Final = 60.0  # degrees of pitch or roll: a walker that is turned farther lies
-_ROUNDING: Final = 1e-6  # more than sums of the lengths of frames ever differ by, as a share
-_PACKETS: Final = 64  # so many, or so many records, are taken together
-_RECORDS: Final = 1 << 17
-_FEW: Final = 4  # frames that list other actors than those before; fewer are followed one by one
-_ROUNDS: Final = 8  # a packet that lists an actor more often than that is followed record by record
+_LYING: Final = 60.0  # degrees of pitch or roll from which on a walker lies on the ground
+_ROUNDING: Final = 1e-6  # a bound of the relative difference between two sums of the same durations
+_FEW: Final = 4  # packets in a row that list the same actors; fewer are processed record by record
+_BLOCK: Final = 192  # packets that are processed together, at most
+_RECORDS: Final = 1 << 17  # records that are processed together, at most
+_TIMES: Final = 1 << 16  # packets whose times are kept, at most
+_SMALLEST, _LARGEST = 1e-30, 1e30  # squared limits with which no arithmetic over- or underflows unnoticed
+_LAGS: Final = 6  # packets after which a slow actor has usually moved
+_HOPS: Final = 16  # moves that are followed before looking for actors that have stopped
+_WINDOW: Final = 32  # packets in which the next move of such an actor is looked for first
 
 
 @dataclass(frozen=True, slots=True)
 class BlockedRow:
-    """A stretch of time in which an actor stayed where it was.
+    """An interval in which an actor did not move.
 
     Attributes:
         start: When it began, in seconds since the recording began.
         duration: How long it lasted, in seconds.
         id: The actor.
         type_id: Its blueprint, such as `vehicle.audi.tt`; empty for an actor whose spawn is not recorded.
-        x: Where it stood, in cm, left-handed.
+        x: The position, in cm, left-handed.
         y: The same, to the right.
         z: The same, upwards.
     """
@@ -65,52 +70,71 @@ class BlockedRow:
 
 @dataclass(slots=True)
 class _Actor:
-    """An actor: the place where it last moved to, and its stretch, of duration 0 where there is none."""
+    """The state of an actor: the position that it last moved to, and its current interval, of duration 0 if none."""
 
     id: int
     type_id: str
-    place: tuple[float, ...] = (0.0, 0.0, 0.0)
+    anchor: tuple[float, ...] = (0.0, 0.0, 0.0)
     start: float = 0.0
     duration: float = 0.0
 
-    def row(self) -> BlockedRow:
-        x, y, z = self.place
-        return BlockedRow(self.start, self.duration, self.id, self.type_id, x, y, z)
+    def interval(self) -> BlockedRow:
+        return BlockedRow(self.start, self.duration, self.id, self.type_id, *self.anchor)
 
 
-class Standing:
-    """Follows the actors through the frames of a recording.
+class StationaryTracker:
+    """Finds the stationary intervals of all actors in the frames of a recording.
 
-    An actor stands still while it stays within a distance of the place where it last moved to; a walker that lies on the
-    ground does not stand. The actors of a transforms packet are taken together as a `_Group`, which is kept for as long as
-    the packets list the same ids.
+    An actor is stationary while it stays within a distance of its anchor, the position that it last moved to. A walker
+    that lies on the ground is not stationary. Packets in a row that list the same actors are processed together.
 
     Args:
         table: The record types of the recording.
-        min_time: The shortest stretch to tell of, in seconds.
-        min_distance: The distance at which an actor has moved, in cm.
-        compat: Follow them as CARLA 0.9.16 does, with its slips.
+        min_time: The shortest interval to report, in seconds.
+        min_distance: The distance from the anchor at which an actor has moved, in cm.
+        compat: Whether to reproduce the mistakes of CARLA 0.9.16.
     """
 
     def __init__(
         self, table: Table, min_time: float = MIN_TIME, min_distance: float = MIN_DISTANCE, *, compat: bool = False
     ) -> None:
         self._min_time = min_time
-        self._square_of_reach = _square_of_reach(min_distance, table.named("transforms").dtype["x"])
+        self._limit = _squared_limit(min_distance, table.named(TRANSFORMS).dtype["x"])
+        # Squares in double precision below and above which the result of single precision is certain.
+        certain = _SMALLEST < self._limit < _LARGEST
+        self._near = self._limit.item() * (1 - 1e-5) if certain else -1.0
+        self._far = self._limit.item() * (1 + 1e-5) if certain else math.inf
         self._compat = compat
-        self._roster = Roster[_Actor](compat=compat)
+        self._present = PresentActors[_Actor](compat=compat)
         self._order = HashOrder() if compat else None
-        self._rows: list[BlockedRow] = []
-        self._group: _Group | None = None
-        self._rounds: tuple[bytes, list[NDArray[np.intp]]] = (b"", [])  # of the ids of the last packet
-        self._followed_alone = b""  # the ids of the last packet that was followed without a group
+        self._intervals: list[BlockedRow] = []
+        self._block = _Block(min_time, self._limit, walkers_can_lie=not compat)
+        self._key = b""  # the ids of the previous packet
+        self._counted = np.empty(0, np.intp)  # the indices of its records that count
+        self._run = 0  # the number of packets in a row with these ids
+
+    def batch(self, batch: Batch) -> None:
+        """Process the frames of a batch.
+
+        Raises:
+            FormatError: A packet contradicts its layout.
+        """
+        columns = [column for column in batch.columns if column.type is not None and column.type.name in TYPES]
+        filled = [column for column in columns if len(column.packet(0).records)] if len(batch) > 1 else columns
+        moving = [column.records for column in filled if column.type is not None and column.type.name == TRANSFORMS]
+        if len(batch) > 1 and len(moving) == len(filled) < 2:
+            for records in moving:
+                self._transforms(batch.elapsed, batch.duration, records)
+        else:
+            for frame in batch:
+                self.frame(frame)
 
     def frame(self, frame: Frame, packets: Iterable[Packet] | None = None) -> None:
-        """Take in a frame.
+        """Process a frame.
 
         Args:
             frame: The frame.
-            packets: Those of its packets that may tell something; None: all.
+            packets: The packets to process; None for all.
 
         Raises:
             FormatError: A packet contradicts its layout.
@@ -120,436 +144,407 @@ class Standing:
             if name not in TYPES or not len(packet.records):
                 continue
             if name == TRANSFORMS:
-                one = np.array([frame.elapsed]), np.array([frame.duration])
-                self.move(*one, packet.records[None])  # type: ignore[call-overload]
-                continue
-            self._put_back()
-            if name == "spawned":
+                times = np.array([frame.elapsed]), np.array([frame.duration])
+                self._transforms(*times, packet.records[None])  # type: ignore[call-overload]
+            elif name == "spawned":
                 for spawn in packet.records:
-                    self._roster.spawn(spawn.id, _Actor(spawn.id, readable(spawn.type_id)))
+                    self._release(spawn.id)
+                    self._present.spawn(spawn.id, _Actor(spawn.id, readable(spawn.type_id)))
                     if self._order is not None:
                         self._order.add(spawn.id)
             else:
                 for (id,) in packet.records.tolist():  # type: ignore[union-attr]
                     self._destroy(id)
 
-    def batch(self, batch: Batch) -> None:
-        """Take in the frames of a batch; see `frame`.
-
-        Raises:
-            FormatError: A packet contradicts its layout.
-        """
-        telling = [column for column in batch.columns if column.type is not None and column.type.name in TYPES]
-        filled = [column for column in telling if not isinstance(column, ConstantColumn)]
-        moving = [column.records for column in filled if column.type is not None and column.type.name == TRANSFORMS]
-        if len(batch) > 1 and len(moving) == len(filled) < 2:
-            for records in moving:
-                self.move(batch.elapsed, batch.duration, records)
-            return
-        for frame in batch:
-            self.frame(frame)
-
     def take(self) -> list[BlockedRow]:
-        """The stretches that have ended since this was last asked, in that order; some may come later."""
-        rows, self._rows = self._rows, []
-        return rows
+        """Return the intervals that were found to have ended since the previous call, in order of their ends."""
+        intervals, self._intervals = self._intervals, []
+        return intervals
 
     def finish(self) -> list[BlockedRow]:
-        """The rest: stretches that have ended, then those that last until the end."""
-        self._put_back()
-        actors = self._roster.actors
+        """Return the remaining intervals: those that have ended, then those that last until the end."""
+        self._follow(b"", ())
+        actors = self._present.actors
         left = actors.values() if self._order is None else [actors[id] for id in self._order.ids()]
-        return self.take() + [actor.row() for actor in left if actor.duration >= self._min_time]
+        return self.take() + [actor.interval() for actor in left if actor.duration >= self._min_time]
 
     def _destroy(self, id: int) -> None:
-        actor = self._roster.destroy(id)
+        actor = self._present.destroy(id)
         if actor is None:
             return
+        self._release(actor.id)
         if self._order is not None:
             self._order.remove(actor.id)
         elif actor.duration >= self._min_time:
-            self._rows.append(actor.row())
+            self._intervals += self._block.settle()
+            self._intervals.append(actor.interval())
 
     def _actor(self, id: int) -> _Actor:
         """Return the actor of an id; one whose spawn is not recorded begins with its first transform."""
-        actor = self._roster.actors.get(id)
+        actor = self._present.actors.get(id)
         if actor is None:
-            actor = self._roster.actors[id] = _Actor(id, "")
+            actor = self._present.actors[id] = _Actor(id, "")
             if self._order is not None:
                 self._order.add(id)
         return actor
 
-    def move(self, elapsed: Floats, duration: Floats, records: NDArray[np.void]) -> None:
-        """Take in the transforms of some frames.
+    def _release(self, id: int) -> None:
+        """Bring an actor up to date that the block follows; the block does so no more."""
+        if id in self._block:
+            self._intervals += self._block.settle()
+            self._block.release(id)
+
+    def _follow(self, key: bytes, ids: Iterable[int]) -> None:
+        """Let the block follow these actors and no others."""
+        self._intervals += self._block.settle()
+        self._block.follow(key, [self._actor(id) for id in ids])
+
+    def _transforms(self, elapsed: Floats, duration: Floats, records: NDArray[np.void]) -> None:
+        """Process the transforms of consecutive frames.
 
         Args:
-            elapsed: Seconds from the beginning of the recording to each frame.
-            duration: Seconds until the next one, of each.
+            elapsed: The beginning of each frame, in seconds.
+            duration: The length of each frame, in seconds.
             records: The transforms, (frames, transforms of each).
         """
         if not records.shape[1]:
             return
-        lengths = duration if self._compat else np.where(duration > 0.0, duration, 0.0)
+        lengths = duration if self._compat else np.fmax(duration, 0.0)
         ids = np.ascontiguousarray(records["id"])
         edges = [0, *(np.flatnonzero((ids[1:] != ids[:-1]).any(axis=1)) + 1).tolist(), len(ids)]
         for start, stop in pairwise(edges):
-            self._move(elapsed[start:stop], lengths[start:stop], records[start:stop], ids[start])
+            self._same_actors(elapsed[start:stop], lengths[start:stop], records[start:stop], ids[start])
 
-    def _move(self, elapsed: Floats, lengths: Floats, records: NDArray[np.void], ids: NDArray[np.uint32]) -> None:
-        """Take in the transforms of some frames that list the same actors."""
+    def _same_actors(self, elapsed: Floats, lengths: Floats, records: NDArray[np.void], ids: NDArray[np.uint32]) -> None:
+        """Process the transforms of consecutive frames that list the same actors."""
         key = ids.tobytes()
-        if self._group is None or self._group.key != key:
-            if key != self._rounds[0]:
-                self._rounds = key, _rounds(ids) if self._compat else [_latest(ids)]
-            rounds = self._rounds[1]
-            if len(rounds) != 1:
-                for place in range(len(records)):
-                    self._move_repeated(elapsed[place : place + 1], lengths[place : place + 1], records[place], rounds)
-                return
-            if len(rounds[0]) < len(ids):  # the last record of each actor counts
-                records = records[:, rounds[0]]
-            if len(records) < _FEW and key != self._followed_alone:
-                self._put_back()
-                self._followed_alone = key
-                for place, (begin, length) in enumerate(zip(elapsed.tolist(), lengths.tolist(), strict=True)):
-                    self._move_alone(begin, length, records[place])
-                return
-        group = self._group_of(records[0])
-        step = max(1, min(_PACKETS, _RECORDS // len(ids)))
-        for at in range(0, len(records), step):
-            part = slice(at, at + step)
-            group.add(records[part], elapsed[part], lengths[part])
-            if group.full:
-                self._rows += [row for _, row in group.settle()]
-
-    def _move_repeated(
-        self, elapsed: Floats, length: Floats, records: NDArray[np.void], rounds: list[NDArray[np.intp]]
-    ) -> None:
-        """Follow a packet that lists actors repeatedly as CARLA does: the first record of each counts, then the second.
-
-        Args:
-            elapsed: The beginning of the frame, in seconds, (1,).
-            length: The length of the frame, in seconds, (1,).
-            records: The transforms.
-            rounds: See `_rounds`.
-        """
-        if not rounds:
-            self._put_back()
-            self._move_one_by_one(elapsed.item(), length.item(), records)
+        previous = self._run
+        if key != self._key:
+            self._key, self._counted, self._run = key, _last_of_each(ids), 0
+        self._run += len(records)
+        repeated = len(self._counted) < len(ids)
+        if repeated and not self._compat:  # the last record of each actor counts
+            records, ids = records[:, self._counted], ids[self._counted]
+        if max(previous, self._run) < _FEW or (repeated and self._compat):
+            self._follow(b"", ())
+            for begin, length, packet in zip(elapsed.tolist(), lengths.tolist(), records, strict=True):
+                self._one_by_one(begin, length, packet)
             return
-        if self._group:  # what ended in earlier frames comes before all that ends in this one
-            self._rows += [row for _, row in self._group.settle()]
-        ended = []
-        for places in rounds:
-            part = records[places]
-            group = self._group_of(part)
-            group.add(part[None], elapsed, length)
-            ended += [(places[number], row) for number, row in group.settle()]
-        self._rows += [row for _, row in sorted(ended, key=lambda item: item[0])]
+        if self._block.key != key:
+            self._follow(key, ids.tolist())
+        self._intervals += self._block.add(elapsed, lengths, records)
 
     @np.errstate(all="ignore")
-    def _move_one_by_one(self, elapsed: float, length: float, records: NDArray[np.void]) -> None:
-        real = self._square_of_reach.dtype.type
-        for id, *place in zip(*(records[name].tolist() for name in ("id", "x", "y", "z")), strict=True):
-            actor = self._actor(id)
-            x, y, z = (real(now) - real(before) for now, before in zip(place, actor.place, strict=True))
-            if x * x + y * y + z * z < self._square_of_reach:
+    def _one_by_one(self, elapsed: float, length: float, records: NDArray[np.void]) -> None:
+        """Process the transforms of a frame record by record."""
+        present, near, far, min_time = self._present.actors, self._near, self._far, self._min_time
+        lying = [] if self._compat else np.flatnonzero(_lies(records)).tolist()
+        for row, (id, x, y, z) in enumerate(zip(*(records[name].tolist() for name in ("id", "x", "y", "z")), strict=True)):
+            actor = present.get(id) or self._actor(id)
+            anchor_x, anchor_y, anchor_z = actor.anchor
+            dx, dy, dz = x - anchor_x, y - anchor_y, z - anchor_z
+            square = dx * dx + dy * dy + dz * dz
+            if (square < near or (not square > far and self._is_exactly_near((x, y, z), actor.anchor))) and not (
+                row in lying and actor.type_id.startswith(_WALKER)
+            ):
                 if actor.duration == 0.0:
                     actor.start = elapsed
                 actor.duration += length
             else:
-                if actor.duration >= self._min_time:
-                    self._rows.append(actor.row())
+                if actor.duration >= min_time:
+                    self._intervals.append(actor.interval())
                 actor.duration = 0.0
-                actor.place = tuple(place)
+                actor.anchor = x, y, z
 
-    @np.errstate(all="ignore")
-    def _move_alone(self, elapsed: float, length: float, records: NDArray[np.void]) -> None:
-        """Follow a packet that lists each actor once, without a group: to make one costs more than it saves for a frame."""
-        real = self._square_of_reach.dtype
-        actors = [self._actor(id) for id in records["id"].tolist()]
-        places = np.array([actor.place for actor in actors], real).reshape(-1, 3).T
-        now = np.stack([records[name] for name in "xyz"]).astype(real, copy=False)
-        steps = now - places
-        still = (_squares(steps, tuple(steps)) < self._square_of_reach).tolist()
-        if not self._compat:
-            lies = (np.abs(records["pitch"]) > _LYING) | (np.abs(records["roll"]) > _LYING)
-            for number in np.flatnonzero(lies).tolist():
-                still[number] = still[number] and not actors[number].type_id.startswith(_WALKER)
-        for actor, stands, place in zip(actors, still, zip(*now.tolist(), strict=True), strict=True):
-            if stands:
-                if actor.duration == 0.0:
-                    actor.start = elapsed
-                actor.duration += length
-            else:
-                if actor.duration >= self._min_time:
-                    self._rows.append(actor.row())
-                actor.duration = 0.0
-                actor.place = place
-
-    def _group_of(self, records: NDArray[np.void]) -> _Group:
-        """Return the group of the actors of some transforms; it is the one that is followed from then on."""
-        key = records["id"].tobytes()
-        if self._group is None or self._group.key != key:
-            self._put_back()
-            actors = [self._actor(id) for id in records["id"].tolist()]
-            walkers = [] if self._compat else [n for n, actor in enumerate(actors) if actor.type_id.startswith(_WALKER)]
-            self._group = _Group(key, actors, walkers, self._min_time, self._square_of_reach)
-        return self._group
-
-    def _put_back(self) -> None:
-        if self._group:
-            self._rows += [row for _, row in self._group.settle()]
-            self._group.put_back()
-            self._group = None
+    def _is_exactly_near(self, position: tuple[float, ...], anchor: tuple[float, ...]) -> bool:
+        here, there = np.array([position, anchor], self._limit.dtype)
+        return bool(_is_near(here, there, self._limit))
 
 
-class _Group:
-    """The actors that a transforms packet lists, all different, through packets that list the same.
+class _Block:
+    """Actors that are listed once each by packets in a row, and the packets that are not processed yet.
 
-    Packets are taken in several at a time. What an actor that stands has stood so far follows from when it last
-    moved, and is summed up only when it is asked for.
+    Of an actor that has not moved for long, the duration is summed up only when it is needed. An `_Actor` here is as it
+    was before the packet `_since`, without duration if it has moved.
 
     Args:
-        key: Their ids, as bytes.
-        actors: The actors.
-        walkers: The numbers of those that do not stand when they lie.
-        min_time: The shortest stretch to tell of, in seconds.
-        square_of_reach: See `_square_of_reach`.
+        min_time: The shortest interval to report, in seconds.
+        limit: The squared distance at which an actor has moved, see `_squared_limit`.
+        walkers_can_lie: Whether a walker on the ground is not stationary.
+
+    Attributes:
+        key: The ids that the packets list, as bytes; empty where the block does not follow all of these actors.
     """
 
-    def __init__(
-        self, key: bytes, actors: list[_Actor], walkers: list[int], min_time: float, square_of_reach: np.floating[Any]
-    ) -> None:
-        self.key = key
-        self._actors = actors
-        self._walkers = np.array(walkers, np.intp)
+    def __init__(self, min_time: float, limit: np.floating[Any], *, walkers_can_lie: bool) -> None:
         self._min_time = min_time
-        self._square_of_reach = square_of_reach
-        self._places = np.array([actor.place for actor in actors], square_of_reach.dtype).T.copy()
-        self._waiting: list[tuple[NDArray[np.void], Floats, Floats]] = []
-        self._waits = 0  # packets
-        self._elapsed, self._lengths = _Series(), _Series()  # of the packets so far
-        # The first packet from which on a stretch's duration may come back to 0.
-        self._first_odd = 0 if any(actor.duration < 0.0 for actor in actors) else None
-        self._moved_at = np.full(len(actors), -1)  # the packet in which each last moved
-        # A clock that only goes forward: no stretch is longer than the time on it since the actor moved.
-        self._clocks = _Series((0.0,))  # before each packet
-        self._origins = np.array([-max(actor.duration, 0.0) for actor in actors])  # what it showed when each last moved
+        self._limit = limit
+        self._walkers_can_lie = walkers_can_lie
+        self.key = b""
+        self._actors: list[_Actor] = []
+        self._columns: dict[int, int] = {}  # by id
+        self._walkers = np.empty(0, np.intp)  # columns
+        self._since = np.empty(0, np.intp)
+        # A clock that never goes back: no interval is longer than the time on it since the actor moved.
+        self._origins = np.empty(0)  # the clock when each actor moved
+        self._paths: Positions = np.empty((3, 1, 0), limit.dtype)  # the anchors, then the packets that wait
+        self._lying = np.empty((0, 0), np.bool_)  # whether walkers lie in the packets that wait
+        self._elapsed, self._lengths, self._clock = np.empty(_TIMES), np.empty(_TIMES), np.zeros(_TIMES + 1)
+        self._count = 0  # packets whose times are known
+        self._waiting = 0  # packets
 
-    @property
-    def full(self) -> bool:
-        """Whether enough packets wait to be settled."""
-        return self._waits >= _PACKETS or self._waits * len(self._actors) >= _RECORDS
+    def __contains__(self, id: int) -> bool:
+        return id in self._columns
 
-    def add(self, records: NDArray[np.void], elapsed: Floats, lengths: Floats) -> None:
-        """Take in where the actors are in some frames.
+    def add(self, elapsed: Floats, lengths: Floats, records: NDArray[np.void]) -> list[BlockedRow]:
+        """Add packets.
 
         Args:
+            elapsed: The beginning of each frame, in seconds.
+            lengths: The length of each frame, in seconds.
             records: The transforms, (frames, actors).
-            elapsed: When each frame begins, in seconds.
-            lengths: How long each is, in seconds.
-        """
-        self._waiting.append((records, elapsed, lengths))
-        self._waits += len(records)
-
-    def settle(self) -> list[tuple[int, BlockedRow]]:
-        """Follow the actors through the packets that wait.
 
         Returns:
-            The stretches that ended and are long enough, in order, each with its record's number.
+            The intervals that have ended, as far as packets were processed.
         """
-        if not self._waiting:
+        intervals: list[BlockedRow] = []
+        start = 0
+        while start < len(records):
+            part = records[start : start + self._paths.shape[1] - 1 - self._waiting]
+            stop = start + len(part)
+            first, last = self._count, self._count + len(part)
+            self._elapsed[first:last], self._lengths[first:last] = elapsed[start:stop], lengths[start:stop]
+            waiting = slice(self._waiting, self._waiting + len(part))
+            for axis, name in zip(self._paths[:, 1:], "xyz", strict=True):
+                axis[waiting] = part[name]
+            if len(self._walkers):
+                self._lying[waiting] = _lies(part, self._walkers)
+            start, self._count, self._waiting = stop, last, waiting.stop
+            if self._waiting == self._paths.shape[1] - 1:
+                intervals += self.settle()
+        return intervals
+
+    def release(self, id: int) -> None:
+        """Bring an actor up to date and stop following it. No packets may wait."""
+        column = self._columns.pop(id)
+        self._sum_up(column, self._count)
+        self._actors[column].anchor = tuple(self._paths[:, 0, column].tolist())
+        self.key = b""
+
+    def follow(self, key: bytes, actors: list[_Actor]) -> None:
+        """Follow the actors that packets of a key list from now on, and no others. No packets may wait."""
+        staying = np.array([self._columns.pop(actor.id, -1) for actor in actors], np.intp)
+        for id in list(self._columns):
+            self.release(id)
+        old, new = staying[staying >= 0], np.flatnonzero(staying < 0)
+        if not len(old):
+            self._count = 0
+        size = max(1, min(_BLOCK, _RECORDS // max(len(actors), 1)))
+        paths = np.empty((3, size + 1, len(actors)), self._limit.dtype)
+        since, origins = np.full(len(actors), self._count), np.empty(len(actors))
+        paths[:, 0, staying >= 0] = self._paths[:, 0, old]
+        since[staying >= 0], origins[staying >= 0] = self._since[old], self._origins[old]
+        for column in new.tolist():
+            paths[:, 0, column] = actors[column].anchor
+            origins[column] = self._clock[self._count] - max(actors[column].duration, 0.0)
+        self._paths, self._since, self._origins = paths, since, origins
+        self.key, self._actors = key, actors
+        self._columns = {actor.id: column for column, actor in enumerate(actors)}
+        walkers = [column for column, actor in enumerate(actors) if actor.type_id.startswith(_WALKER)]
+        self._walkers = np.array(walkers if self._walkers_can_lie else [], np.intp)
+        self._lying = np.empty((size, len(self._walkers)), np.bool_)
+
+    @np.errstate(all="ignore")
+    def settle(self) -> list[BlockedRow]:
+        """Process the packets that wait and return the intervals that end in them."""
+        waiting, self._waiting = self._waiting, 0
+        if not waiting:
             return []
-        with np.errstate(all="ignore"):
-            return self._settle()
+        first = self._count - waiting
+        times = np.fmax(self._lengths[first : self._count], 0.0)
+        np.add.accumulate(np.append(self._clock[first], times), out=self._clock[first : self._count + 1])
+        paths, lying = self._paths[:, : waiting + 1], self._lying[:waiting]
+        near = _is_near(paths[:, 1:], paths[:, :1], self._limit)
+        forced = None
+        if lying.any():
+            forced = np.zeros((waiting + 1, len(self._actors)), np.bool_)
+            forced[1:, self._walkers] = lying
+            near &= ~forced[1:]
+        movers = np.flatnonzero(~near.all(axis=0))
+        intervals = self._move(movers, near.take(movers, axis=1), forced) if len(movers) else []
+        if self._count + _BLOCK > _TIMES:
+            self._forget_times()
+        return intervals
 
-    def _settle(self) -> list[tuple[int, BlockedRow]]:
-        first, count = len(self._lengths), self._waits
-        paths = np.empty((3, count, len(self._actors)), self._places.dtype)
-        at = 0
-        for records, elapsed, lengths in self._waiting:
-            for axis, name in enumerate("xyz"):
-                paths[axis, at : at + len(records)] = records[name]
-            at += len(records)
-            self._elapsed.extend(elapsed)
-            self._lengths.extend(lengths)
-        lying = self._lying([records for records, _, _ in self._waiting])
-        self._waiting, self._waits = [], 0
-        lengths = self._lengths.values[first:]
-        clock = np.add.accumulate(np.append(self._clocks.values[-1], np.fmax(lengths, 0.0)))
-        self._clocks.extend(clock[1:])
-        if self._first_odd is None:
-            odd = np.flatnonzero(~(lengths > 0.0))
-            self._first_odd = first + int(odd[0]) if len(odd) else None
-        steps = paths - self._places[:, None]
-        still = _squares(steps, tuple(steps)) < self._square_of_reach
-        if lying is not None:
-            still &= ~lying
-        movers = np.flatnonzero(~still.all(axis=0))
-        if not len(movers):
-            return []
-        paths, places = paths[:, :, movers].swapaxes(0, 1).copy(), self._places[:, movers]
-        moves = np.empty((count, len(movers)), np.bool_)
-        reach, steps = np.full(len(movers), self._square_of_reach), np.empty_like(places)
-        axes = tuple(steps)
-        for number, (now, moved) in enumerate(zip(paths, moves, strict=True)):
-            np.subtract(now, places, steps)
-            np.less(_squares(steps, axes), reach, moved)
-            np.logical_not(moved, moved)  # so that what is not a number moves
-            if lying is not None:
-                moved |= lying[number, movers]
-            np.copyto(places, now, where=moved)
-        ended = self._end(first, movers, moves, paths)
-        self._places[:, movers] = places
-        return ended
-
-    def _lying(self, blocks: list[NDArray[np.void]]) -> NDArray[np.bool_] | None:
-        """Return which walkers lie on the ground, (packets, actors); None if none does."""
-        if not len(self._walkers):
-            return None
-        pitch, roll = (np.concatenate([block[name][:, self._walkers] for block in blocks]) for name in ("pitch", "roll"))
-        some = (np.abs(pitch) > _LYING) | (np.abs(roll) > _LYING)
-        if not some.any():
-            return None
-        lying = np.zeros((len(some), len(self._actors)), np.bool_)
-        lying[:, self._walkers] = some
-        return lying
-
-    def put_back(self) -> None:
-        """Bring the actors up to date."""
-        for number, (actor, place) in enumerate(zip(self._actors, self._places.T.tolist(), strict=True)):
-            self._update(number, int(self._moved_at[number]), len(self._lengths))
-            actor.place = tuple(place)
-
-    def _end(
-        self, first: int, movers: NDArray[np.intp], moves: NDArray[np.bool_], paths: _Paths
-    ) -> list[tuple[int, BlockedRow]]:
-        """The stretches that end within some packets, where they are long enough.
+    def _move(self, movers: Indices, near: Booleans, forced: Booleans | None) -> list[BlockedRow]:
+        """Process the packets that wait for some actors, and return the intervals that end in them.
 
         Args:
-            first: The first of the packets.
-            movers: The numbers of the actors that move in any of them.
-            moves: Of each packet, which of the movers move in it.
-            paths: Of each packet, where the movers are.
+            movers: The columns of the actors that move.
+            near: Where they are near to their anchors, (packets, movers).
+            forced: See `_moves`, for all actors.
         """
-        clocks = self._clocks.values[first:]
-        # The clock has other roundings than the sum of a stretch, which decides in the end.
-        least = self._min_time - _ROUNDING * (1.0 + clocks[-1])
-        rows = []
-        for place, column, before in _stops(moves, self._origins[movers], clocks, least):
-            number = int(movers[column])
-            actor = self._actors[number]
-            moved_at = first + before if before >= 0 else int(self._moved_at[number])
-            self._update(number, moved_at, first + place)
-            if actor.duration >= self._min_time:
-                stood = paths[before, :, column] if before >= 0 else self._places[:, number]
-                actor.place = tuple(stood.tolist())
-                rows.append((number, actor.row()))
-        last = len(moves) - 1 - np.argmax(moves[::-1], axis=0)
-        self._moved_at[movers] = first + last
-        self._origins[movers] = clocks[last + 1]
-        return rows
+        first = self._count - len(near)
+        clock = self._clock[first : self._count + 1]
+        # The clock is rounded otherwise than the sum of an interval, which decides in the end.
+        least = self._min_time - _ROUNDING * (1.0 + clock[-1])
+        paths = self._paths[:, : len(clock)].take(movers, axis=2)
+        forced = None if forced is None else forced[:, movers]
+        leaving = start = near.argmin(axis=0) + 1
+        if clock[-1] - clock[0] < least:  # no interval begins and ends in these packets
+            start = np.maximum(leaving, _last_leap(paths, self._limit))
+        moves = _moves(paths, forced, start, self._limit)
+        old = np.flatnonzero(~(clock[-1] - self._origins[movers] < least))
+        intervals = []
+        if len(old):
+            moves_of_old = np.concatenate((np.zeros_like(start)[None], leaving[None], moves))[:, old]
+            before, after = moves_of_old[:-1], moves_of_old[1:]
+            begun = np.where(before == 0, self._origins[movers[old]], clock[before])
+            found = np.nonzero((after != before) & ~(clock[after - 1] - begun < least))
+            ends = sorted(zip(after[found].tolist(), old[found[1]].tolist(), before[found].tolist(), strict=True))
+            for end, mover, anchor in ends:
+                column = int(movers[mover])
+                actor = self._actors[column]
+                if anchor:
+                    actor.duration = 0.0
+                    self._since[column] = first + anchor
+                self._sum_up(column, first + end - 1)
+                if actor.duration >= self._min_time:
+                    actor.anchor = tuple(paths[:, anchor, mover].tolist())
+                    intervals.append(actor.interval())
+        last = moves[-1]
+        self._paths[:, 0, movers] = paths[:, last, np.arange(len(movers))]
+        self._since[movers] = first + last
+        self._origins[movers] = clock[last]
+        for column in movers.tolist():
+            self._actors[column].duration = 0.0
+        return intervals
 
-    def _update(self, number: int, moved_at: int, until: int) -> None:
-        """Sum up what an actor has stood since a packet, packet by packet, as CARLA does: the sum depends on the order."""
-        actor, first = self._actors[number], moved_at + 1
-        elapsed, lengths = self._elapsed.values, self._lengths.values
-        if first:
-            actor.duration = 0.0
-        at = until if self._first_odd is None else min(max(self._first_odd, first), until)
-        if at > first:
-            if actor.duration == 0.0:
-                actor.start = elapsed[first].item()
-            actor.duration = np.add.accumulate(np.append(actor.duration, lengths[first:at]))[-1].item()
-        for place in range(max(at, first), until):
-            if actor.duration == 0.0:
-                actor.start = elapsed[place].item()
-            actor.duration += lengths[place].item()
+    def _sum_up(self, column: int, until: int) -> None:
+        """Add the lengths of the packets before one to an actor's interval, in order, so that it is rounded as CARLA's."""
+        actor, since = self._actors[column], int(self._since[column])
+        sums = np.add.accumulate(np.append(actor.duration, self._lengths[since:until]))
+        zeros = np.flatnonzero(sums[:-1] == 0.0)
+        if len(zeros):
+            actor.start = self._elapsed[since + zeros[-1]].item()
+        actor.duration = sums[-1].item()
+        self._since[column] = until
 
-
-class _Series:
-    """Numbers of which there come more and more, as an array."""
-
-    def __init__(self, values: ArrayLike = ()) -> None:
-        self._room = np.empty(_PACKETS)
+    def _forget_times(self) -> None:
+        for column in self._columns.values():
+            self._sum_up(column, self._count)
+            self._origins[column] = -max(self._actors[column].duration, 0.0)
+        self._since[:] = 0
         self._count = 0
-        self.extend(values)
-
-    def __len__(self) -> int:
-        return self._count
-
-    @property
-    def values(self) -> NDArray[np.float64]:
-        """The numbers so far."""
-        return self._room[: self._count]
-
-    def extend(self, values: ArrayLike) -> None:
-        """Add numbers."""
-        values = np.asarray(values, np.float64)
-        count = self._count + len(values)
-        if count > len(self._room):
-            room = np.empty(2 * count)
-            room[: self._count] = self.values
-            self._room = room
-        self._room[self._count : count] = values
-        self._count = count
 
 
-def _stops(
-    moves: NDArray[np.bool_], origins: NDArray[np.float64], clocks: NDArray[np.float64], least: float
-) -> list[list[int]]:
-    """The moves that end a stretch which may be long enough: packet, actor, packet of the move before (or -1).
+def _moves(paths: Positions, forced: Booleans | None, start: Indices, limit: np.floating[Any]) -> Indices:
+    """Return the rows that actors move in, (moves, actors), ascending from a start, the last one repeated.
+
+    From each row, the next move is found for all rows at once if it comes within the next few. Actors then hop from move to
+    move; where one has stopped, the rows behind are searched.
 
     Args:
-        moves: Of each packet, which actors move in it.
-        origins: What the clock showed when each moved before.
-        clocks: What it shows before each packet, and after the last one.
-        least: How long a stretch has to be.
+        paths: Positions, (3, rows, actors).
+        forced: Rows that are moves wherever the actor is, (rows, actors).
+        start: The row of a move of each actor.
+        limit: See `_squared_limit`.
     """
-    old = np.flatnonzero(~(clocks[-1] - origins < least))
-    if not len(old):
-        return []
-    moves = moves[:, old]
-    numbers = np.broadcast_to(np.arange(len(moves))[:, None], moves.shape)
-    latest = np.maximum.accumulate(np.where(moves, numbers, -1))
-    before = np.vstack((np.full_like(latest[:1], -1), latest[:-1]))
-    begun = np.where(before < 0, origins[old], clocks[before + 1])
-    places, columns = np.nonzero(moves & ~(clocks[:-1, None] - begun < least))
-    return np.stack((places, old[columns], before[places, columns]), axis=1).tolist()  # type: ignore[no-any-return]
+    count, width = paths.shape[1:]
+    rows = np.arange(count * width).reshape(count, width)  # indices of flat arrays
+    following = rows.copy()
+    for lag in range(min(_LAGS, count - 1), 0, -1):
+        moved = ~_is_near(paths[:, lag:], paths[:, :-lag], limit)
+        if forced is not None:
+            moved |= forced[lag:]
+        np.copyto(following[:-lag], rows[lag:], where=moved)
+    next_of = following.ravel()
+    paths, forced = paths.reshape(3, -1), None if forced is None else forced.ravel()
+    pending = np.arange(width)
+    current = start * width + pending
+    moves = [current]
+    while len(pending):
+        hopping = True
+        while hopping:
+            for _ in range(_HOPS):
+                current = next_of.take(current)
+                moves.append(current)
+            hopping = bool((next_of.take(current) != current).any())
+        anchors = current[pending]
+        found = _next_moves(paths, forced, anchors, width, limit)
+        next_of[anchors] = found
+        pending = pending[found != anchors]
+    all_moves: Indices = np.stack(moves) // width
+    return all_moves
 
 
-def _squares(steps: _Paths, axes: tuple[_Paths, ...]) -> _Paths:
-    """The squares of the lengths of steps, in place of those along x; `axes` are the steps, taken apart."""
-    squares, y, z = axes
-    np.multiply(steps, steps, steps)
-    np.add(squares, y, squares)
-    return np.add(squares, z, squares)
+def _last_leap(paths: Positions, limit: np.floating[Any]) -> Indices:
+    """Return the last row of each actor after a step of twice the limit: a move wherever the anchor is."""
+    if not _SMALLEST < limit < _LARGEST:
+        return np.zeros(paths.shape[2], np.intp)
+    leaps = ~_is_near(paths[:, :0:-1], paths[:, -2::-1], limit * limit.dtype.type(4.001))
+    return np.where(leaps.any(axis=0), len(leaps) - leaps.argmax(axis=0), 0)
 
 
-def _rounds(ids: NDArray[np.uint32]) -> list[NDArray[np.intp]]:
-    """Return the places of the first record of each id, of the second one, and so on; nothing if there are too many."""
-    order = np.argsort(ids, kind="stable")
-    ranks = np.arange(len(ids))
-    first = np.append(True, np.diff(ids[order]) != 0)
-    number = np.empty_like(ranks)
-    number[order] = ranks - np.maximum.accumulate(np.where(first, ranks, 0))
-    counts = np.bincount(number)
-    return np.split(np.argsort(number, kind="stable"), np.cumsum(counts)[:-1]) if len(counts) <= _ROUNDS else []
+def _next_moves(paths: Positions, forced: Booleans | None, anchors: Indices, width: int, limit: np.floating[Any]) -> Indices:
+    """Return the next moves of some actors, or their anchors where there are none, as indices of flat arrays.
+
+    Args:
+        paths: Positions, (3, rows of actors).
+        forced: See `_moves`.
+        anchors: The index of the last move of each actor.
+        width: The number of actors of a row.
+        limit: See `_squared_limit`.
+    """
+    found = anchors.copy()
+    size = paths.shape[1]
+    left = np.arange(len(anchors))
+    for window in (_WINDOW, size // width):
+        if not len(left):
+            break
+        ahead = anchors[left, None] + np.arange(1, window + 1) * width
+        inside = ahead < size
+        ahead = np.minimum(ahead, size - 1)
+        moved = ~_is_near(paths.take(ahead, axis=1), paths.take(anchors[left, None], axis=1), limit)
+        if forced is not None:
+            moved |= forced[ahead]
+        moved &= inside
+        first = moved.argmax(axis=1)
+        hit = moved[np.arange(len(left)), first]
+        found[left[hit]] = ahead[hit, first[hit]]
+        left = left[~hit & inside[:, -1]]
+    return found
 
 
-def _latest(ids: NDArray[np.uint32]) -> NDArray[np.intp]:
-    """The places of the last record of each id."""
+def _is_near(positions: Positions, anchors: Positions, limit: np.floating[Any]) -> Booleans:
+    """Return which positions are nearer to anchors than a limit, in CARLA's order of arithmetic; NaN is not near."""
+    steps = positions - anchors
+    steps *= steps
+    squares = steps[0]
+    squares += steps[1]
+    squares += steps[2]
+    near: Booleans = squares < limit
+    return near
+
+
+def _lies(records: NDArray[np.void], columns: Indices | slice = slice(None)) -> Booleans:
+    """Return which transforms are turned as those of a walker that lies on the ground."""
+    lies: Booleans = (np.abs(records["pitch"][..., columns]) > _LYING) | (np.abs(records["roll"][..., columns]) > _LYING)
+    return lies
+
+
+def _last_of_each(ids: NDArray[np.uint32]) -> Indices:
+    """Return the indices of the last record of each id, ascending."""
     _, behind = np.unique(ids[::-1], return_index=True)
     return np.sort(len(ids) - 1 - behind)
 
 
 @np.errstate(all="ignore")
-def _square_of_reach(distance: float, real: np.dtype[Any]) -> np.floating[Any]:
-    """The smallest square whose root is not below a distance.
+def _squared_limit(distance: float, real: np.dtype[Any]) -> np.floating[Any]:
+    """Return the smallest square whose root is not below a distance.
 
-    To compare squares with it is as good, to the last bit, as to compare their roots with the distance, in
-    the precision of the file's lengths, which is that of CARLA's arithmetic.
+    To compare squares with it gives exactly the results of comparing their roots with the distance, in the precision of the
+    recording's lengths, which is that of CARLA's arithmetic.
     """
     zero, infinity = real.type(0.0), real.type(math.inf)
     square = np.square(real.type(max(distance, 0.0)))

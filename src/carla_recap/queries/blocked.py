@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, ClassVar
 
-from carla_recap.model.stationary import MIN_DISTANCE, MIN_TIME, TYPES, BlockedRow, Standing
+from carla_recap.model.stationary import MIN_DISTANCE, MIN_TIME, TYPES, BlockedRow, StationaryTracker
 from carla_recap.queries.answer import Answer
 
 if TYPE_CHECKING:
@@ -40,10 +40,10 @@ def blocked(
     """
     rows = None if compat else source.stretches(min_time, min_distance)
     if rows is None:
-        standing = Standing(source.header.table, min_time, min_distance, compat=compat)
+        tracker = StationaryTracker(source.header.table, min_time, min_distance, compat=compat)
         for batch in source.batches(TYPES):
-            standing.batch(batch)
-        rows = standing.finish()
+            tracker.batch(batch)
+        rows = tracker.finish()
     if compat:
         rows.sort(key=lambda row: -row.duration)
     else:

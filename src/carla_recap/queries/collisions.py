@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, ClassVar, Final
 
 from carla_recap.errors import RecapError
-from carla_recap.model.actors import Roster
+from carla_recap.model.actors import PresentActors
 from carla_recap.model.records import NO_ACTOR
 from carla_recap.queries.answer import Answer
 from carla_recap.util.text import readable
@@ -81,13 +81,13 @@ def collisions(source: Reader, type1: str = "a", type2: str = "a", *, compat: bo
         _check(type1)
         _check(type2)
     kinds = _KINDS_OF_CARLA if compat else _KINDS
-    roster = Roster[_Actor](compat=compat)
+    present = PresentActors[_Actor](compat=compat)
     rows: list[CollisionRow] = []
     touching: set[tuple[int, int]] = set()
     index = -2
 
     def look_up(id: int) -> tuple[str, str]:
-        kind, type_id = roster.actors.get(id, _UNKNOWN)
+        kind, type_id = present.actors.get(id, _UNKNOWN)
         return kinds[kind] if kind < len(kinds) and id != NO_ACTOR else "o", type_id
 
     for frame in source.frames(_TYPES, sparse=True):
@@ -97,10 +97,10 @@ def collisions(source: Reader, type1: str = "a", type2: str = "a", *, compat: bo
             assert packet.type is not None
             if packet.type.name == "spawned":
                 for spawn in packet.records:
-                    roster.spawn(spawn.id, (spawn.kind, readable(spawn.type_id)))
+                    present.spawn(spawn.id, (spawn.kind, readable(spawn.type_id)))
             elif packet.type.name == "destroyed":
                 for (id,) in packet.records.tolist():  # type: ignore[union-attr]
-                    roster.destroy(id)
+                    present.destroy(id)
             else:
                 for _, id1, id2, hero1, hero2 in packet.records.tolist():  # type: ignore[union-attr]
                     letter1, type_id1 = look_up(id1)

@@ -33,7 +33,7 @@ from carla_recap.formats.mcap.variable import encode
 from carla_recap.model.frame import Extent, Frame, Header, Packet
 from carla_recap.model.layout import EMPTY_LIST, OBJECTS_LIMIT, PayloadError, check
 from carla_recap.model.records import FRAME_END, FRAME_START, Group, RecordType
-from carla_recap.model.stationary import MIN_DISTANCE, TYPES, Standing
+from carla_recap.model.stationary import MIN_DISTANCE, TYPES, StationaryTracker
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -84,7 +84,7 @@ class McapWriter(ChunkedFile):
         self._extent = Extent()
         self._heroes: dict[int, None] = {}
         self._additional = False
-        self._standing: Standing | None = Standing(header.table, STRETCH_TIME)
+        self._stationary: StationaryTracker | None = StationaryTracker(header.table, STRETCH_TIME)
         self._telling = {header.table.named(name).id for name in TYPES}
         self._stretches: list[BlockedRow] = []
         self._stretch_count = 0
@@ -112,9 +112,9 @@ class McapWriter(ChunkedFile):
         kinds = start + bytes([self._add(packet, head, times) for packet in frame.packets])
         spine = messages.frame_body(frame.duration, ids, kinds)
         self._chunks[Group.STATE].add(self._frame_channel, self._sequence, times, head, spine)
-        if self._standing:
+        if self._stationary:
             telling = [packet for packet in frame.packets if packet.id in self._telling and packet.payload != EMPTY_LIST]
-            self._standing.frame(frame, telling)
+            self._stationary.frame(frame, telling)
             self._take_stretches(self._sequence, head, times)
         self._cut_large()
 
@@ -151,8 +151,8 @@ class McapWriter(ChunkedFile):
         last, elapsed = part.id[-1].item(), part.elapsed[-1].item()
         self._extent = Extent(self._extent.frames + count, last, elapsed)
         self._additional = self._additional or template.additional
-        if self._standing:
-            self._standing.batch(part)
+        if self._stationary:
+            self._stationary.batch(part)
             time, publish_time = times[count - 1].tolist()
             self._take_stretches(self._sequence, messages.head(last, elapsed), (time, publish_time))
         self._cut_large()
@@ -219,7 +219,7 @@ class McapWriter(ChunkedFile):
     def _distrust(self, type: RecordType | None) -> None:
         """A packet is odd: should it tell who stands still, nobody sums that up."""
         if type is not None and type.name in TYPES:
-            self._standing = None
+            self._stationary = None
 
     def _add_raw(self, packet: Packet, head: bytes, times: tuple[int, int]) -> int:
         """Add a packet in pieces, as the bytes that it is."""
@@ -238,8 +238,8 @@ class McapWriter(ChunkedFile):
 
     def _take_stretches(self, sequence: int, head: bytes, times: tuple[int, int]) -> None:
         """Take over the stretches that have ended; add them once there are many."""
-        if self._standing:
-            self._stretches += self._standing.take()
+        if self._stationary:
+            self._stretches += self._stationary.take()
             if len(self._stretches) >= STRETCHES_TOGETHER:
                 self._add_stretches(sequence, head, times)
 
@@ -270,9 +270,9 @@ class McapWriter(ChunkedFile):
             self._add_chunk(chunk)
 
     def _finish(self) -> None:
-        if self._standing:
-            self._stretches += self._standing.finish()
-        if self._standing and self._stretches:
+        if self._stationary:
+            self._stretches += self._stationary.finish()
+        if self._stationary and self._stretches:
             self._sequence += 1
             time = self._clock.next()
             self._add_stretches(self._sequence, messages.head(self._extent.last_id, self._extent.duration), (time, time))
@@ -290,7 +290,7 @@ class McapWriter(ChunkedFile):
             "hero_ids": ",".join(map(str, self._heroes)),
             "additional_data": str(int(self._additional)),
             "steady_clock": str(int(self._clock.steady)),
-            **({STRETCHES: f"{STRETCH_TIME:g} {MIN_DISTANCE:g} {self._stretch_count}"} if self._standing else {}),
+            **({STRETCHES: f"{STRETCH_TIME:g} {MIN_DISTANCE:g} {self._stretch_count}"} if self._stationary else {}),
         }
 
 
