@@ -86,7 +86,7 @@ class ConstantColumn(Column):
         """See `Column.records`."""
         records = self._packet.records
         assert isinstance(records, np.ndarray)
-        return np.broadcast_to(records, (self._count, len(records)))
+        return _read_only(records[None]) if self._count == 1 else np.broadcast_to(records, (self._count, len(records)))
 
     def packet(self, row: int) -> Packet:
         """See `Column.packet`."""

@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, fields
-from itertools import pairwise
-from typing import TYPE_CHECKING, Any, ClassVar, Literal, get_args
+from itertools import chain, pairwise
+from typing import TYPE_CHECKING, Any, ClassVar, Final, Literal, get_args
 
 import numpy as np
 
@@ -19,12 +19,15 @@ if TYPE_CHECKING:
 
     from carla_recap.formats.base import Reader
     from carla_recap.model.batch import Batch
+    from carla_recap.model.frame import Frame
 
     Floats = NDArray[np.float64]
     Integers = NDArray[np.int64]
 
 Axes = Literal["right-handed", "carla"]
 """Right-handed: x forward, y left, z up, as in ROS, Rerun and Foxglove. CARLA's own: y right, yaw and pitch reversed."""
+
+_FRAMES: Final = 1024  # unlike their neighbours, which are handled at once
 
 
 @dataclass(frozen=True)
@@ -239,9 +242,17 @@ def actor_rows(
     """
     wanted = None if actors is None else np.array(sorted(actors), np.uint32)
     blocks: dict[str, list[_Block]] = {name: [] for name in names}
-    for batch in reader.batches(tuple(names)):
-        for name in names:
-            blocks[name].extend(_blocks(batch, name, wanted))
+    frames: list[Frame] = []  # of batches of one
+    for batch in chain(reader.batches(tuple(names)), (None,)):
+        if frames and (len(frames) == _FRAMES or batch is None or len(batch) > 1):
+            for name in names:
+                blocks[name].extend(_blocks_of_frames(frames, name, wanted))
+            frames = []
+        if batch is not None and len(batch) == 1:
+            frames.append(batch.frame(0))
+        elif batch is not None:
+            for name in names:
+                blocks[name].extend(_blocks(batch, name, wanted))
     return {name: _by_actor(blocks.pop(name)) for name in names}
 
 
@@ -265,6 +276,26 @@ def _blocks(batch: Batch, name: str, wanted: NDArray[np.uint32] | None) -> Itera
                 kept = kept[np.sort(len(kept) - 1 - from_end)]
         part = records[start:stop] if len(kept) == len(listed) else records[start:stop, kept]
         yield _Block(listed[kept], frame[start:stop], batch.elapsed[start:stop].copy(), part.copy())
+
+
+def _blocks_of_frames(frames: list[Frame], name: str, wanted: NDArray[np.uint32] | None) -> Iterator[_Block]:
+    """Yield the records of a type in frames, a block for each actor."""
+    pieces = [np.ascontiguousarray(frame[name]) for frame in frames]
+    dtype = next((piece.dtype for piece in pieces if len(piece)), pieces[0].dtype)
+    records = np.frombuffer(b"".join(piece.data for piece in pieces), dtype)  # `np.concatenate` is slow here
+    rows = np.repeat(np.arange(len(frames)), [len(piece) for piece in pieces])
+    if wanted is not None:
+        kept = _among(records["id"], wanted)
+        records, rows = records[kept], rows[kept]
+    order = np.argsort(records["id"], kind="stable")
+    ids, rows = records["id"][order], rows[order]
+    last = np.append((ids[1:] != ids[:-1]) | (rows[1:] != rows[:-1]), True)[: len(ids)]  # of an actor in a frame
+    order, ids, rows = order[last], ids[last], rows[last]
+    starts = np.flatnonzero(np.append(True, ids[1:] != ids[:-1])[: len(ids)])
+    frame, time = np.array([frame.index for frame in frames]), np.array([frame.elapsed for frame in frames])
+    blocks = zip(np.split(order, starts[1:]), np.split(rows, starts[1:]), ids[starts].tolist(), strict=True)
+    for mine, at, id in sorted(blocks, key=lambda block: int(block[0][0])) if len(ids) else ():
+        yield _Block(np.array([id], np.uint32), frame[at], time[at], records[mine, None])
 
 
 def _among(ids: NDArray[np.uint32], wanted: NDArray[np.uint32]) -> NDArray[np.bool_]:
