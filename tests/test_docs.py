@@ -24,6 +24,7 @@ if TYPE_CHECKING:
     from collections.abc import Iterator
 
 ROOT = Path(__file__).parents[1]
+PACKAGE = Path(carla_recap.__file__).parent
 PAGES = [ROOT / "README.md", *sorted((ROOT / "docs").glob("*.md"))]
 FORMAT = (ROOT / "docs" / "format.md").read_text("utf-8")
 RECORDS = (ROOT / "docs" / "records.md").read_text("utf-8")
@@ -105,6 +106,16 @@ def test_every_sensor_has_a_row():
 
     for name, kind in SENSOR_KINDS.items():
         assert f"| `{name}` | {kind.support} | {kind.what} |" in SERVING
+
+
+@pytest.mark.parametrize("page", [*PAGES, ROOT / "CONTRIBUTING.md"], ids=lambda page: page.name)
+def test_files_and_folders_that_a_page_names_exist(page):
+    text = page.read_text("utf-8")
+    for name in {path.partition("#")[0] for path in re.findall(r"\]\(([^):]+)\)", text)} - {""}:
+        assert (page.parent / name).exists(), name
+    for name in re.findall(r"`((?:[\w-]+/)+[\w.-]*)`", text):
+        homes = [home for home in (ROOT, ROOT / "src", PACKAGE) if (home / name.partition("/")[0]).is_dir()]
+        assert not homes or any((home / name).exists() for home in homes), name
 
 
 @pytest.mark.parametrize(
