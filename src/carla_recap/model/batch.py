@@ -301,7 +301,9 @@ class Batch:
         if not type.fixed:
             raise RecordError(f"{name}: the records vary in size; take them from the frames")
         found = [column.records for column in self.columns if column.type is not None and column.type.name == name]
-        records = found[0] if len(found) == 1 else np.concatenate(found or [np.empty((len(self), 0), type.dtype)], axis=1)
+        if not found:
+            found.append(np.empty((len(self), 0), type.dtype))
+        records = found[0] if len(found) == 1 else np.concatenate(found, axis=1)
         return _read_only(records.view()) if records.flags.writeable else records
 
 

@@ -198,15 +198,16 @@ class FixedCodec:
 
     def decode(self, messages: Sequence[Buffer]) -> Payloads | None:
         """Return the payloads of some messages; None where one is not as `encode` writes it."""
-        counts = [count for message in messages if (count := self.count_in(len(message) - HEAD.size)) is not None]
-        if len(counts) < len(messages):
+        sizes = np.array([len(message) for message in messages], np.int64) - HEAD.size
+        counts, rest = np.divmod(sizes, self.stride)
+        if rest.any() or (self._single and (counts != 1).any()) or not ((counts >= 0) & (counts <= MAX_COUNT)).all():
             return None
         if not have_heads(np.frombuffer(b"".join([message[: HEAD.size] for message in messages]), HEAD_DTYPE)):
             return None
         bodies = b"".join([message[HEAD.size :] for message in messages])
         if not self.matches(np.frombuffer(bodies, np.uint8).reshape(1, -1)):
             return None
-        return Payloads(self.records(np.frombuffer(bodies, self.wire)), list(accumulate(counts)), counted=not self._single)
+        return Payloads(self.records(np.frombuffer(bodies, self.wire)), np.cumsum(counts).tolist(), counted=not self._single)
 
 
 @cache

@@ -91,24 +91,23 @@ class Channels:
 class ChannelMessages:
     """The messages of a channel in some chunks; those whose records have one size are decoded together."""
 
-    __slots__ = ("_decoded", "_payloads", "channel", "messages", "path", "type")
+    __slots__ = ("channel", "decoded", "messages", "path", "payloads", "type")
 
     def __init__(self, channel: int, type: RecordType | None, path: Path) -> None:
         self.channel = channel
         self.type = type
         self.path = path
         self.messages: list[memoryview] = []
-        self._payloads: Payloads | None = None
-        self._decoded = False
+        self.payloads: Payloads | None = None
+        self.decoded = False
 
-    @property
-    def payloads(self) -> Payloads | None:
-        """All payloads; None where each message is to be decoded by itself."""
-        if not self._decoded:
-            self._decoded = True
+    def decode(self) -> Payloads | None:
+        """Return all payloads; None where each message is to be decoded by itself."""
+        if not self.decoded:
+            self.decoded = True
             if self.type is not None and self.type.fixed:
-                self._payloads = fixed_codec(self.type).decode(self.messages)
-        return self._payloads
+                self.payloads = fixed_codec(self.type).decode(self.messages)
+        return self.payloads
 
 
 class MessagePacket(Packet):
@@ -116,7 +115,9 @@ class MessagePacket(Packet):
 
     __slots__ = ("_index", "_source")
 
-    def __init__(self, type: RecordType, source: ChannelMessages, index: int) -> None:
+    def __init__(self, source: ChannelMessages, index: int) -> None:
+        type = source.type
+        assert type is not None
         self.id = type.id
         self.type = type
         self._source = source
@@ -132,7 +133,7 @@ class MessagePacket(Packet):
             FormatError: The message contradicts its schema.
         """
         if self._payload is None:
-            payloads = self._source.payloads
+            payloads = self._source.payloads or self._source.decode()
             if payloads is not None:
                 return payloads.payload(self._index)
             assert self.type
@@ -150,7 +151,7 @@ class MessagePacket(Packet):
             FormatError: The message contradicts its schema.
         """
         if self._records is None:
-            payloads = self._source.payloads
+            payloads = self._source.payloads or self._source.decode()
             if payloads is not None:
                 return payloads.records(self._index)
         return super().records
@@ -165,10 +166,17 @@ Found = tuple[ChannelMessages, int]  # a message: those of its channel, and its 
 
 
 class _Plan(NamedTuple):
-    """How to put a frame together: its packets, or the channels to take them from."""
+    """How to put a frame together.
+
+    Attributes:
+        preamble: Whether these are packets before the first frame starts.
+        packets: The packets; None for each that comes as a message.
+        steps: The index of each of these, and its channel.
+    """
 
     preamble: bool
-    steps: list[Packet | int]
+    packets: list[Packet | None]
+    steps: list[tuple[int, int]]
 
 
 class _Block(NamedTuple):
@@ -361,56 +369,54 @@ class FrameAssembler:
         if not messages.have_heads(heads):
             return None
         plan = self._plan(bytes(run.message(0, own)[start:]))
-        steps = [step for step in plan.steps if isinstance(step, int)]
-        numbers = [slot[0] for slot in run.slots]
-        if plan.preamble or channels.raw in steps or any(numbers.count(step) != 1 for step in (channels.frames, *steps)):
-            return None
-        if len(set(steps)) < len(steps):
+        steps = [channel for _, channel in plan.steps]
+        present = [slot[0] for slot in run.slots]
+        once = all(present.count(channel) == 1 for channel in (channels.frames, *steps)) and len({*steps}) == len(steps)
+        if plan.preamble or channels.raw in steps or not once:
             return None
         columns: list[Column] = []
-        for step in plan.steps:
-            if not isinstance(step, int):
-                columns.append(ConstantColumn(step, run.number))
+        taken = iter(steps)
+        for packet in plan.packets:
+            if packet is not None:
+                columns.append(ConstantColumn(packet, run.number))
                 continue
+            channel = next(taken)
             try:
-                columns.append(column(channels.types[step], run, slots[step]))
+                columns.append(column(channels.types[channel], run, slots[channel]))
             except ValueError:
                 return None
         return Batch(run.sequence, heads["frame"], heads["elapsed"], heads["duration"], columns)
 
     def _frame(self, index: int, found: list[Found]) -> Frame:
         """Return the frame of some messages."""
-        queues: dict[int, list[Found]] = {}  # the first one last
-        for each in reversed(found):
-            channel = each[0].channel
-            if channel in queues:
-                queues[channel].append(each)
-            else:
-                queues[channel] = [each]
-        own = queues.get(self._channels.frames)
+        first = {each[0].channel: each for each in reversed(found)}
+        own = first.get(self._channels.frames)
         if own is None or self._sparse:
             return self._frame_of_messages(index, found)
-        id, elapsed, duration, plan = self._read_frame(_data(own[-1]))
-        packets: list[Packet] = []
-        lost = False
-        for step in plan.steps:
-            if step.__class__ is not int:
-                packets.append(step)  # type: ignore[arg-type]
+        rest: dict[int, list[Found]] = {}  # what comes after the first message of each channel, in reverse order
+        for each in reversed(found) if len(first) < len(found) else ():
+            if each is not first[each[0].channel]:
+                rest.setdefault(each[0].channel, []).append(each)
+        id, elapsed, duration, plan = self._read_frame(_data(own))
+        packets = plan.packets.copy()
+        for position, channel in plan.steps:
+            message = first.pop(channel, None)
+            if message is None:
                 continue
-            queue = queues.get(step)
-            if not queue:
-                lost = True
-            elif step == self._channels.raw:
-                packets.append(self._raw_packet(queue))
+            if channel == self._channels.raw:
+                packets[position] = self._raw_packet(message, rest.get(channel, []))
             else:
-                packets.append(MessagePacket(self._channels.types[step], *queue.pop()))
-        if lost and not (elapsed < self._start or elapsed >= self._stop < math.inf):
+                packets[position] = MessagePacket(*message)
+            if rest and rest.get(channel):
+                first[channel] = rest[channel].pop()
+        whole = [packet for packet in packets if packet is not None]
+        if len(whole) < len(packets) and not (elapsed < self._start or elapsed >= self._stop < math.inf):
             self._warn(id)
-        return Frame(index, id, elapsed, duration, packets, preamble=plan.preamble)
+        return Frame(index, id, elapsed, duration, whole, preamble=plan.preamble)
 
     def _frame_of_messages(self, index: int, found: list[Found]) -> Frame:
         """Return a frame without its own message, which is not read, or lost."""
-        packets: list[Packet] = [MessagePacket(source.type, source, row) for source, row in found if source.type is not None]
+        packets: list[Packet] = [MessagePacket(source, row) for source, row in found if source.type is not None]
         data = _data(found[0])
         head = messages.read_head(data)
         if head is None:
@@ -439,7 +445,11 @@ class FrameAssembler:
             ids, kinds = message.packets, message.filled
             steps = [self._step(id, kind) for id, kind in zip(ids, kinds, strict=False) if id != FRAME_START]
             kept = [step for step in steps if self._whole or (isinstance(step, int) and step in self._wanted)]
-            plan = self._plans[packets] = _Plan(not ids.startswith(bytes((FRAME_START,))), kept)
+            plan = self._plans[packets] = _Plan(
+                not ids.startswith(bytes((FRAME_START,))),
+                [None if isinstance(step, int) else step for step in kept],
+                [(position, step) for position, step in enumerate(kept) if isinstance(step, int)],
+            )
         return plan
 
     def _step(self, id: int, kind: int) -> Packet | int:
@@ -451,12 +461,13 @@ class FrameAssembler:
             return self._channels.of(type.topic)
         return self._channels.raw
 
-    def _raw_packet(self, queue: list[Found]) -> Packet:
-        message = parsed(self._path, "raw_packet", RAW_MESSAGE, _data(queue.pop()))
+    def _raw_packet(self, first: Found, rest: list[Found]) -> Packet:
+        """Return a packet of raw pieces, and take those after the first one out of the rest."""
+        message = parsed(self._path, "raw_packet", RAW_MESSAGE, _data(first))
         pieces = [message.data]
         missing = message.size - len(message.data)
-        while missing > 0 and queue:
-            pieces.append(parsed(self._path, "raw_packet", RAW_MESSAGE, _data(queue.pop())).data)
+        while missing > 0 and rest:
+            pieces.append(parsed(self._path, "raw_packet", RAW_MESSAGE, _data(rest.pop())).data)
             missing -= len(pieces[-1])
         if not FRAME_START < message.id <= 0xFF:
             raise FormatError(self._path, None, f"a raw packet of id {message.id}; 1 to 255 were expected")

@@ -27,6 +27,8 @@ if TYPE_CHECKING:
 
 Slot = tuple[int, int, int]  # of a message in a frame: its channel, the offset and size of its data
 
+_MESSAGE: Final = int(Opcode.MESSAGE)
+_NO_MESSAGE: Final = (0,) * 6  # instead of the fields of one
 _HEADER_BYTES: Final = 11  # of a message: opcode, length and channel
 _WORD: Final = 8
 
@@ -113,14 +115,14 @@ def message_runs(data: bytes, frame_channel: int) -> Iterator[MessageRun]:
 
 def _frame(data: memoryview, offset: int) -> tuple[MessageRun | None, int]:
     """Return the frame at an offset as a run of its own, and the offset of its end."""
-    unpack, size, start = MESSAGE.unpack_from, len(data), offset
+    unpack, header, size, start = MESSAGE.unpack_from, MESSAGE.size, len(data), offset
     slots: list[Slot] = []
     sequence, time = -1, 0
     while offset < size:
-        if offset + MESSAGE.size > size or data[offset] != Opcode.MESSAGE:
+        opcode, length, channel, number, log_time, _ = unpack(data, offset) if offset + header <= size else _NO_MESSAGE
+        if opcode != _MESSAGE:
             offset = _end_of_other(data, offset)
             continue
-        _, length, channel, number, log_time, _ = unpack(data, offset)
         if slots and number != sequence:
             break
         end = offset + RECORD.size + length
@@ -128,7 +130,8 @@ def _frame(data: memoryview, offset: int) -> tuple[MessageRun | None, int]:
             raise BrokenRecords(f"no whole record at byte {offset} of its content")
         if not slots:
             sequence, time = number, log_time
-        slots.append((channel, offset + MESSAGE.size - start, end - offset - MESSAGE.size))
+        offset += header
+        slots.append((channel, offset - start, end - offset))
         offset = end
     return (MessageRun(sequence, 1, data, start, offset - start, tuple(slots), time) if slots else None), offset
 
@@ -136,7 +139,7 @@ def _frame(data: memoryview, offset: int) -> tuple[MessageRun | None, int]:
 def _end_of_other(data: memoryview, offset: int) -> int:
     """Return the end of a record that is no message, such as a schema or channel."""
     opcode, length = RECORD.unpack_from(data, offset) if offset + RECORD.size <= len(data) else (0, len(data))
-    if offset + RECORD.size + length > len(data) or opcode == Opcode.MESSAGE:
+    if offset + RECORD.size + length > len(data) or opcode == _MESSAGE:
         raise BrokenRecords(f"no whole record at byte {offset} of its content")
     return offset + RECORD.size + int(length)
 
@@ -161,7 +164,7 @@ def _extended(run: MessageRun, frame_channel: int) -> MessageRun:
         same = int(wrong[0]) if len(wrong) else same
     # Another message of the last frame may follow, which the others do not have.
     end = run.start + same * run.stride
-    if end + MESSAGE.size <= len(run.data) and run.data[end] == Opcode.MESSAGE:
+    if end + MESSAGE.size <= len(run.data) and run.data[end] == _MESSAGE:
         same -= MESSAGE.unpack_from(run.data, end)[3] == run.sequence + same - 1
     return run._replace(number=max(same, 1))
 
