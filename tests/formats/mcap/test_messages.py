@@ -9,7 +9,7 @@ from dataclasses import fields
 import numpy as np
 import pytest
 from google.protobuf.descriptor import FieldDescriptor as Field
-from hypothesis import given, settings
+from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
 from carla_recap.errors import RecapWarning
@@ -368,3 +368,17 @@ def test_stretches_are_read_as_protobuf_reads_them():
     assert list(variable.decode_stretches(messages.head(5, 2.5))) == []
     with pytest.raises(messages.WireError, match="not a carla_recap"):
         variable.decode_stretches(message[:-1])
+
+
+@given(ids=st.binary(max_size=300), kinds=st.binary(max_size=300))
+@example(ids=b"", kinds=b"")
+@example(ids=bytes(127), kinds=bytes(127))
+def test_the_packets_of_a_frame_are_read_as_protobuf_reads_them(ids, kinds):
+    data = messages.frame_packets(ids, kinds)
+    message = messages.parse("frame", FRAME_MESSAGE, data)
+    assert (message.packets, message.filled) == (ids, kinds)
+    assert messages.read_frame_packets(data) in (None, (ids, kinds))
+    if len(ids) == len(kinds) < 128:
+        assert messages.read_frame_packets(data) == (ids, kinds)
+    assert messages.read_frame_packets(data[:-1]) is None
+    assert messages.read_frame_packets(data + b"\x01") is None

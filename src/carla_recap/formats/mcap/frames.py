@@ -441,8 +441,11 @@ class FrameAssembler:
         if plan is None:
             if len(self._plans) > _PLANS:
                 self._plans.clear()
-            message = parsed(self._path, "frame", FRAME_MESSAGE, packets)
-            ids, kinds = message.packets, message.filled
+            found = messages.read_frame_packets(packets)
+            if found is None:
+                message = parsed(self._path, "frame", FRAME_MESSAGE, packets)
+                found = message.packets, message.filled
+            ids, kinds = found
             steps = [self._step(id, kind) for id, kind in zip(ids, kinds, strict=False) if id != FRAME_START]
             kept = [step for step in steps if self._whole or (isinstance(step, int) and step in self._wanted)]
             plan = self._plans[packets] = _Plan(

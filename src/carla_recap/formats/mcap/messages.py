@@ -71,6 +71,13 @@ def frame_packets(ids: bytes, kinds: bytes) -> bytes:
     return b"\x22" + varint(len(ids)) + ids + b"\x2a" + varint(len(kinds)) + kinds
 
 
+def read_frame_packets(data: bytes) -> tuple[bytes, bytes] | None:
+    """Return the ids and kinds that `frame_packets` wrote; None for other data, or more than 127 packets."""
+    count = data[1] if len(data) > 1 else 0
+    ids, kinds = data[2 : 2 + count], data[4 + count :]
+    return (ids, kinds) if frame_packets(ids, kinds) == data else None
+
+
 def read_frame(data: Buffer) -> tuple[int, float, float, bytes] | None:
     """Return frame id, elapsed, duration, and what `frame_packets` wrote; None where they are not in this order."""
     if len(data) < HEAD.size + FRAME_BODY.size:
