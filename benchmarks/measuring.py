@@ -50,7 +50,7 @@ class Subject:
     def mcap(self) -> Path:
         """The recording as MCAP; it is converted again if the sources are newer."""
         path = self.log.with_suffix(".mcap")
-        newest = max(source.stat().st_mtime for source in Path("src").rglob("*.py"))
+        newest = max((source.stat().st_mtime for source in Path("src").rglob("*.py")), default=0.0)
         if not path.exists() or path.stat().st_mtime < newest:
             convert(self.log, path)
         return path
