@@ -76,13 +76,13 @@ def test_an_unknown_packet_has_no_records():
 
 
 def test_a_packet_that_contradicts_its_type_names_its_place():
-    packet = Packet(3, UE4[3], b"\2\0\0", place=(Path("a.log"), 100))
+    packet = Packet(3, UE4[3], b"\2\0\0", origin=(Path("a.log"), 100))
     with pytest.raises(FormatError, match=r"^a\.log: byte 102: destroyed: 2 records need 10 bytes"):
         _ = packet.records
 
 
 def test_surplus_bytes_are_warned_of():
-    packet = Packet(3, UE4[3], b"\0\0abc", place=(Path("a.log"), 100))
+    packet = Packet(3, UE4[3], b"\0\0abc", origin=(Path("a.log"), 100))
     with pytest.warns(RecapWarning, match=r"^a\.log: byte 100: destroyed has 3 bytes more"):
         assert len(packet.records) == 0
     with warnings.catch_warnings():

@@ -292,14 +292,14 @@ class LogReader:
 
     def _frame(self, index: int, start: int, spans: Sequence[Span], data: bytes, base: int, *, preamble: bool) -> Frame:
         """Return the frame that starts at an index of the data, which are at `base` in the file."""
-        view, path, types, ids, empty = memoryview(data), self.path, self._types, self._ids, self._empty
+        origin, types, ids, empty = (self.path, base), self._types, self._ids, self._empty
         packets = []
         for id, at, size in spans:
             at += start
-            if size <= 2 and (ready := empty.get((id, data[at : at + size]))):
-                packets.append(ready)
+            if size > 2 or (ready := empty.get((id, data[at : at + size]))) is None:
+                packets.append(Packet(ids[id], types[id], (data, at, size), None, origin))
             else:
-                packets.append(Packet(ids[id], types[id], view[at : at + size], None, (path, base + at)))
+                packets.append(ready)
         if self._salvage:
             packets = self._sound(packets)
         if preamble:

@@ -101,6 +101,10 @@ class Window:
         if not self.base <= offset < self.base + len(self.data):
             self._read(offset, 0)
 
+    def move(self, offset: int) -> None:
+        """Move the window to an offset."""
+        self._read(offset, 0)
+
     def grow(self, offset: int, size: int = 0) -> bool:
         """Hold more bytes from an offset on than now.
 
@@ -180,6 +184,7 @@ class Scanner:
         self._sparse = sparse
         self._salvage = salvage
         self._next_whole: tuple[int, int | None] = (0, -1)  # an offset, and the first frame behind it that looks whole
+        self._offset = 0
         self.count = 0
         self.last: int | None = None
         self.end: int | None = None
@@ -206,55 +211,69 @@ class Scanner:
             if behind != offset + _FIRST_PACKET:
                 self.lost_bytes += behind - offset
                 offset = behind
-        careful = preamble or self._salvage
+        self.count, self._offset = index, offset
         while True:
-            found = None if careful else self._ordinary_frame(offset)
-            found = found or self._frame(offset, preamble=preamble)
+            if not (preamble or self._salvage):
+                yield from self._ordinary_runs()
+            found = self._frame(self._offset, preamble=preamble)
             if found is None:
                 break
             packets, end = found
-            count, stride = 1, end - offset
-            if self._ends_at(end + stride) and not careful:
-                count = self._alike(window.data, offset - window.base, stride)
             if packets or not self._sparse:
-                yield Run(index, offset, count, stride, packets, preamble, window.data, window.base)
-            index += count
-            end = offset + count * stride
+                size = end - self._offset
+                yield Run(self.count, self._offset, 1, size, packets, preamble, window.data, window.base)
+            self.count += 1
             if not preamble:
-                self.last = end - stride
-            offset, preamble, careful = end, False, self._salvage
-        self.count = index
-        self.end = offset
+                self.last = self._offset
+            self._offset, preamble = end, False
+        self.end = self._offset
 
-    def _ordinary_frame(self, offset: int) -> tuple[list[Span], int] | None:
-        """Return the wanted packets of a frame, and where it ends; None if it is not all in memory, or needs care."""
-        head, skipped, ignored = PACKET.unpack_from, self._skipped, self._ignored
-        data, start = self._window.data, offset - self._window.base
-        packets: list[Span] = []
-        at = start
-        try:
-            id, size = head(data, at)
-            if id or size != 24:
-                return None
-            while True:
-                at += 5 + size
-                id, size = head(data, at)
-                if skipped[id]:
-                    continue
-                if id > FRAME_END:
-                    if size != ignored:
-                        packets.append((id, at + 5 - start, size))
-                elif not id:
-                    break
-                elif size:
-                    return None
-                elif self._wanted[id]:
-                    packets.append((id, at + 5 - start, size))
-        except struct.error:
-            return None
-        if size != 24 or at - start > PACKETS_LIMIT * PACKET.size:
-            return None
-        return packets, offset + at - start
+    def _ordinary_runs(self) -> Iterator[Run]:
+        """Yield the runs up to a frame that needs care: the last one, a broken one, or one that is larger than a window."""
+        window, head = self._window, PACKET.unpack_from
+        wanted, skipped, ignored, sparse = self._wanted, self._skipped, self._ignored, self._sparse
+        window.begin(self._offset)
+        while True:
+            data, base = window.data, window.base
+            start, limit = self._offset - base, window.size - base - PACKET.size
+            if not data.startswith(START_HEAD, start):
+                return
+            try:
+                while True:
+                    packets = []
+                    at = start + 29
+                    while True:
+                        id, size = head(data, at)
+                        at += size + 5
+                        if skipped[id]:
+                            continue
+                        if id > 1:
+                            if size != ignored:
+                                packets.append((id, at - size - start, size))
+                        elif not id:
+                            break
+                        elif size:
+                            return
+                        elif wanted[1]:
+                            packets.append((1, at - start, 0))
+                    at -= 29
+                    stride = at - start
+                    if size != 24 or stride > PACKETS_LIMIT * 5:
+                        return
+                    count = 1
+                    if data.startswith(START_HEAD, at + stride) or at + stride > limit:
+                        count = self._alike(data, start, stride)
+                    if packets or not sparse:
+                        yield Run(self.count, base + start, count, stride, packets, False, data, base)
+                    start += count * stride
+                    self.count += count
+                    self._offset = base + start
+                    self.last = self._offset - stride
+            except struct.error:  # the frame goes on behind what is in memory
+                if start == 0 or base + len(data) == window.size:
+                    return
+            data = b""
+            window.move(self._offset)
 
     def _alike(self, data: bytes, start: int, stride: int) -> int:
         """Return the number of frames in some data that are like the first one, which starts and ends where it is said."""
@@ -270,12 +289,9 @@ class Scanner:
             at += size
         words = np.ndarray(((len(data) - start) // stride, stride - _WORD + 1), "<u8", data, start, (stride, 1))
         same = equal_rows(words, np.array(where), np.array(masks, np.uint64))
-        return max(same if self._ends_at(self._window.base + start + same * stride) else same - 1, 1)
-
-    def _ends_at(self, offset: int) -> bool:
-        """Return whether a frame, if it has no further packets at an offset, ends there."""
-        window = self._window
-        return window.data.startswith(START_HEAD, offset - window.base) or offset + PACKET.size > window.size
+        behind = start + same * stride
+        ends = data.startswith(START_HEAD, behind) or self._window.base + behind + PACKET.size > self._window.size
+        return max(same if ends else same - 1, 1)
 
     def _frame(self, offset: int, *, preamble: bool) -> tuple[list[Span], int] | None:
         """Return the wanted packets of a frame, and where it ends; None where none begins."""

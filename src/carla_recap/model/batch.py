@@ -126,7 +126,7 @@ class PackedColumn(Column):
         offset: int,
         stride: int,
         count: int,
-        origin: tuple[Path, int] | None = None,
+        origin: tuple[Path, int | None] | None = None,
     ) -> None:
         super().__init__(id, type, size)
         self._buffer = buffer
@@ -159,8 +159,7 @@ class PackedColumn(Column):
     def packet(self, row: int) -> Packet:
         """See `Column.packet`."""
         start = self._offset + row * self._stride
-        origin = None if self._origin is None else (self._origin[0], self._origin[1] + start)
-        return Packet(self.id, self.type, memoryview(self._buffer)[start : start + self.size], None, origin)
+        return Packet(self.id, self.type, (self._buffer, start, self._size), None, self._origin)
 
     def payloads(self, count: int) -> NDArray[np.uint8]:
         """See `Column.payloads`: a strided view of the buffer."""

@@ -67,35 +67,41 @@ class Packet:
     Args:
         id: The packet id, as of CARLA 0.9.16.
         type: The row of the table; None for an unknown id.
-        payload: The bytes, for a packet that was read; None for one that is made from records.
+        payload: The bytes, or a buffer, and their offset and size in it; None for a packet that is made from records.
         records: The records, where they are known already.
-        place: The file it was read from, and where the payload begins there in bytes, if anywhere.
+        origin: The file that the bytes or the buffer were read from, and the offset in it, where there is one.
     """
 
-    __slots__ = ("_payload", "_place", "_records", "id", "type")
+    __slots__ = ("_origin", "_payload", "_records", "id", "type")
 
     def __init__(
         self,
         id: int,
         type: RecordType | None,
-        payload: Buffer | None = None,
+        payload: Buffer | tuple[Buffer, int, int] | None = None,
         records: Records | None = None,
-        place: tuple[Path, int | None] | None = None,
+        origin: tuple[Path, int | None] | None = None,
     ) -> None:
         self.id = id
         self.type = type
-        self._payload = payload
+        self._payload: Any = payload
         self._records = records
-        self._place = place
+        self._origin = origin
 
     @property
     def payload(self) -> Buffer:
         """The bytes behind the packet header."""
-        if self._payload is None:
+        payload = self._payload
+        if isinstance(payload, tuple):
+            buffer, start, size = payload
+            payload = self._payload = memoryview(buffer)[start : start + size]
+            if self._origin is not None and self._origin[1] is not None:
+                self._origin = self._origin[0], self._origin[1] + start
+        elif payload is None:
             assert self.type is not None
             assert self._records is not None
-            self._payload = pack(self.type, self._records)
-        return self._payload
+            payload = self._payload = pack(self.type, self._records)
+        return payload
 
     @property
     def records(self) -> Records:
@@ -116,16 +122,16 @@ class Packet:
         return self._records
 
     def error(self, error: PayloadError) -> FormatError:
-        """A fault of the payload, with the place where it lies."""
-        path, at = self._place or ("a packet", None)
-        return FormatError(path, None if at is None else at + error.offset, str(error))
+        """Return the error of a payload that contradicts its layout."""
+        path, offset = self._origin or ("a packet", None)
+        return FormatError(path, None if offset is None else offset + error.offset, str(error))
 
     def warn_of(self, extra: int) -> None:
         """Warn of bytes behind the records."""
-        path, at = self._place or ("a packet", None)
+        path, offset = self._origin or ("a packet", None)
         name = self.type.name if self.type else self.id
-        place = path if at is None else f"{path}: byte {at}"
-        message = f"{place}: {name} has {extra} bytes more than its records need; they are kept as they are"
+        where = path if offset is None else f"{path}: byte {offset}"
+        message = f"{where}: {name} has {extra} bytes more than its records need; they are kept as they are"
         warnings.warn(message, RecapWarning, stacklevel=3)
 
 

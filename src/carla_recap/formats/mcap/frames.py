@@ -123,7 +123,7 @@ class MessagePacket(Packet):
         self._source = source
         self._index = index
         self._payload = self._records = None
-        self._place = (source.path, None)
+        self._origin = (source.path, None)
 
     @property
     def payload(self) -> Buffer:
@@ -476,7 +476,7 @@ class FrameAssembler:
             raise FormatError(self._path, None, f"a raw packet of id {message.id}; 1 to 255 were expected")
         table = self._channels.table
         type = table[message.id] if message.id < len(table) else None
-        return Packet(message.id, type, b"".join(pieces), place=(self._path, None))
+        return Packet(message.id, type, b"".join(pieces), origin=(self._path, None))
 
 
 def channel_messages(path: Path, chunk: ChunkIndex, data: bytes, channel: int) -> Iterator[memoryview]:
