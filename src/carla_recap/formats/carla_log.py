@@ -297,7 +297,7 @@ class LogReader:
         for id, at, size in spans:
             at += start
             if size > 2 or (ready := empty.get((id, data[at : at + size]))) is None:
-                packets.append(Packet(ids[id], types[id], (data, at, size), None, origin))
+                packets.append(Packet(ids[id], types[id], None, None, origin, (data, at, size)))
             else:
                 packets.append(ready)
         if self._salvage:

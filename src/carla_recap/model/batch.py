@@ -159,7 +159,7 @@ class PackedColumn(Column):
     def packet(self, row: int) -> Packet:
         """See `Column.packet`."""
         start = self._offset + row * self._stride
-        return Packet(self.id, self.type, (self._buffer, start, self._size), None, self._origin)
+        return Packet(self.id, self.type, None, None, self._origin, (self._buffer, start, self._size))
 
     def payloads(self, count: int) -> NDArray[np.uint8]:
         """See `Column.payloads`: a strided view of the buffer."""

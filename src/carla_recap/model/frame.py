@@ -67,41 +67,44 @@ class Packet:
     Args:
         id: The packet id, as of CARLA 0.9.16.
         type: The row of the table; None for an unknown id.
-        payload: The bytes, or a buffer, and their offset and size in it; None for a packet that is made from records.
+        payload: The bytes, where they are a buffer of their own.
         records: The records, where they are known already.
-        origin: The file that the bytes or the buffer were read from, and the offset in it, where there is one.
+        origin: The file that the packet was read from, and the offset in it of the payload, or of the buffer, if known.
+        part: A buffer that holds the payload, and the offset and the size of the payload in it.
     """
 
-    __slots__ = ("_origin", "_payload", "_records", "id", "type")
+    __slots__ = ("_origin", "_part", "_payload", "_records", "id", "type")
 
     def __init__(
         self,
         id: int,
         type: RecordType | None,
-        payload: Buffer | tuple[Buffer, int, int] | None = None,
+        payload: Buffer | None = None,
         records: Records | None = None,
         origin: tuple[Path, int | None] | None = None,
+        part: tuple[Buffer, int, int] | None = None,
     ) -> None:
         self.id = id
         self.type = type
-        self._payload: Any = payload
+        self._payload = payload
         self._records = records
         self._origin = origin
+        self._part = part
 
     @property
     def payload(self) -> Buffer:
         """The bytes behind the packet header."""
-        payload = self._payload
-        if isinstance(payload, tuple):
-            buffer, start, size = payload
-            payload = self._payload = memoryview(buffer)[start : start + size]
-            if self._origin is not None and self._origin[1] is not None:
-                self._origin = self._origin[0], self._origin[1] + start
-        elif payload is None:
-            assert self.type is not None
-            assert self._records is not None
-            payload = self._payload = pack(self.type, self._records)
-        return payload
+        if self._payload is None:
+            if self._part is not None:
+                buffer, start, size = self._part
+                self._payload = memoryview(buffer)[start : start + size]
+                if self._origin is not None and self._origin[1] is not None:
+                    self._origin = self._origin[0], self._origin[1] + start
+            else:
+                assert self.type is not None
+                assert self._records is not None
+                self._payload = pack(self.type, self._records)
+        return self._payload
 
     @property
     def records(self) -> Records:
