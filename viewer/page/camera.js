@@ -1,24 +1,24 @@
-// What part of the world is seen, and whom the view follows.
+// The visible part of the world, and the actor that the view follows.
 "use strict";
 
 const CLOSEST = 60; // px/m
 const FARTHEST = 0.02;
-const CALM = 0.5; // s; after so long, two thirds of a turn are done
+const CALM = 0.5; // s, in which two thirds of a rotation are done
 const UP = Math.PI / 2;
 
 class Camera {
   constructor() {
-    this.x = 0; // m, of the middle
+    this.x = 0; // m, of the centre
     this.y = 0;
     this.scale = 6; // px/m
-    this.up = UP; // the direction that is upwards, in radians
+    this.up = UP; // the direction that points up on the screen, in radians
     this.width = 1; // px
     this.height = 1;
-    this.turns = false; // whether it turns with the followed actor
+    this.turns = false; // whether it rotates with the followed actor
     this.followed = null; // an id
   }
 
-  /** Move on after the followed actor; pose is null where there is none. */
+  /** Follow the followed actor; pose is null if it is absent. */
   step(pose, seconds, jumped) {
     if (pose) {
       this.x = pose.x;
@@ -30,7 +30,7 @@ class Camera {
     return Math.abs(turn) > 1e-3;
   }
 
-  /** Put a context's axes into the world, relative to an origin. */
+  /** Set a context's axes to those of the world, relative to an origin. */
   apply(context, ratio, origin) {
     context.setTransform(ratio, 0, 0, ratio, 0, 0);
     context.translate(this.width / 2, this.height / 2);
@@ -51,12 +51,12 @@ class Camera {
     return [this.x + (cosine * right + sine * down) / this.scale, this.y + (sine * right - cosine * down) / this.scale];
   }
 
-  /** Half of what is seen, in m, from the middle to a corner. */
+  /** Return half of the visible diagonal, in m. */
   get reach() {
     return Math.hypot(this.width, this.height) / 2 / this.scale;
   }
 
-  /** Zoom so that what lies under a point stays there. */
+  /** Zoom with a fixed point on the screen. */
   zoom(factor, left = this.width / 2, top = this.height / 2) {
     const [x, y] = this.toWorld(left, top);
     this.scale = Math.min(CLOSEST, Math.max(FARTHEST, this.scale * factor));
@@ -66,7 +66,7 @@ class Camera {
     this.y += y - newY;
   }
 
-  /** Move the view by px; whoever is followed is let go. */
+  /** Move the view by px, and stop following. */
   pan(right, down) {
     this.followed = null;
     const [x, y] = this.toWorld(this.width / 2 - right, this.height / 2 - down);
@@ -82,7 +82,7 @@ class Camera {
     this.scale = Math.min(CLOSEST / 4, Math.max(FARTHEST, across));
   }
 
-  /** Show at least so many m from side to side, and no more than twice as many. */
+  /** Show at least a width in m, and at most twice that width. */
   show(metres) {
     const shortest = Math.min(this.width, this.height * 1.6);
     this.scale = Math.min(shortest / metres, Math.max(this.scale, shortest / metres / 2));

@@ -1,8 +1,8 @@
-// The time that is shown, and how it goes on.
+// The time that is shown, and its progress.
 "use strict";
 
 class Clock extends EventTarget {
-  /** spans: the stretches of time that can be shown, [start, stop] in seconds. */
+  /** spans: the intervals that can be shown, [start, stop] in seconds. */
   constructor(spans) {
     super();
     this.spans = spans.length ? spans : [[0, 0]];
@@ -11,7 +11,7 @@ class Clock extends EventTarget {
     this.time = this.start;
     this.playing = false;
     this.pace = 1;
-    this.jumps = 0; // how often time did not just go on
+    this.jumps = 0; // the number of jumps in time
   }
 
   /** Go to a time, or to the next one that can be shown. */
@@ -48,7 +48,7 @@ class Clock extends EventTarget {
     this.dispatchEvent(new Event("state"));
   }
 
-  /** Let some seconds pass. */
+  /** Advance by some seconds. */
   tick(seconds) {
     const time = this.time + seconds * this.pace;
     const shown = this.nearest(time);
@@ -58,7 +58,7 @@ class Clock extends EventTarget {
   }
 }
 
-/** Seconds as minutes and seconds: 1:02.5. */
+/** Return seconds as minutes and seconds: 1:02.5. */
 function clockTime(seconds, digits = 1) {
   const unit = 10 ** digits;
   const rounded = Math.round(seconds * unit) / unit;

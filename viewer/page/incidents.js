@@ -1,7 +1,7 @@
 // The list of incidents.
 "use strict";
 
-/** An element with a class, a text and children. */
+/** Return an element with a class, a text and children. */
 function element(name, className = "", text = "", children = []) {
   const node = document.createElement(name);
   if (className) node.className = className;
@@ -10,7 +10,7 @@ function element(name, className = "", text = "", children = []) {
   return node;
 }
 
-/** A small picture, of a path. */
+/** Return an icon with a path. */
 function icon(path) {
   const space = "http://www.w3.org/2000/svg";
   const drawing = document.createElementNS(space, "svg");
@@ -23,7 +23,7 @@ function icon(path) {
 }
 
 class Incidents {
-  /** open: is called with the number of an incident that is chosen. */
+  /** open: is called with the index of the chosen incident. */
   constructor(report, tracks, open) {
     this.incidents = report.incidents;
     this.tracks = tracks;
@@ -32,7 +32,7 @@ class Incidents {
     this.hidden = new Set(); // kinds
     this.list = document.getElementById("list");
     this.nothing = document.getElementById("nothing");
-    this.items = this.incidents.map((incident, place) => this.item(incident, place));
+    this.items = this.incidents.map((incident, index) => this.item(incident, index));
     this.list.append(...this.items.map(({ row }) => row));
     this.list.addEventListener("keydown", (event) => this.key(event));
     this.addFilters();
@@ -47,7 +47,7 @@ class Incidents {
     note.hidden = !notes.length;
   }
 
-  item(incident, place) {
+  item(incident, index) {
     const { name, icon: path } = KINDS[incident.kind];
     const replayed = incident.start !== null && this.tracks.covers(incident.start);
     const badge = element("span", "badge", "", [icon(path), element("span", "", name)]);
@@ -57,7 +57,7 @@ class Incidents {
     button.type = "button";
     button.dataset.kind = incident.kind;
     button.disabled = !replayed;
-    button.addEventListener("click", () => this.open(place));
+    button.addEventListener("click", () => this.open(index));
     if (incident.picture) {
       const picture = element("img", "picture");
       Object.assign(picture, { src: incident.picture, alt: "", loading: "lazy", decoding: "async", width: 640, height: 400 });
@@ -78,8 +78,8 @@ class Incidents {
   }
 
   name(id, type) {
-    const life = this.tracks.actors[this.tracks.lifeOf(id, Infinity)];
-    if (life) return { text: life.label, color: life.color };
+    const actor = this.tracks.actors[this.tracks.indexOf(id, Infinity)];
+    if (actor) return { text: actor.label, color: actor.color };
     return { text: id === 0xffffffff ? "no actor" : `${type || "actor"} ${id}`, color: "#969696" };
   }
 
@@ -113,12 +113,12 @@ class Incidents {
       : "Nobody collided, braked hard or stood still for long.";
   }
 
-  /** Show which incident is chosen. */
-  choose(place) {
-    if (place === this.current) return;
+  /** Mark the chosen incident. */
+  choose(index) {
+    if (index === this.current) return;
     this.items[this.current]?.button.removeAttribute("aria-current");
-    this.current = place;
-    const button = this.items[place]?.button;
+    this.current = index;
+    const button = this.items[index]?.button;
     if (!button) return;
     button.setAttribute("aria-current", "true");
     const [box, frame] = [button.getBoundingClientRect(), this.list.getBoundingClientRect()];
@@ -126,11 +126,11 @@ class Incidents {
     if (scrolls && (box.top < frame.top || box.bottom > frame.bottom)) button.scrollIntoView({ block: "nearest" });
   }
 
-  /** The next incident that can be shown, or with -1 the one before. */
+  /** Return the next incident that can be shown, or with -1 the one before. */
   neighbour(step) {
     const start = this.current < 0 && step < 0 ? 0 : this.current;
-    for (let place = start + step; this.items[place]; place += step) {
-      if (this.items[place].replayed && !this.items[place].row.hidden) return place;
+    for (let index = start + step; this.items[index]; index += step) {
+      if (this.items[index].replayed && !this.items[index].row.hidden) return index;
     }
     return -1;
   }

@@ -1,10 +1,10 @@
-// Mouse, pen and fingers on the stage: drag, pinch, wheel, click.
+// Mouse, pen and touch on the stage: drag, pinch, wheel, click.
 "use strict";
 
-const SLACK = 5; // px that a click may move
+const SLACK = 5; // px, the largest movement of a click
 
 class Pointing {
-  /** on: what happens when an actor is picked, and when the view changes. */
+  /** on: the callbacks for a picked actor, and for a changed view. */
   constructor(stage, on) {
     this.stage = stage;
     this.on = on;

@@ -1,8 +1,8 @@
-// Puts the page together.
+// The page: its parts, and what connects them.
 "use strict";
 
 const LEAD = 2; // s before an incident
-const CLOSE_VIEW = 70; // m from side to side
+const CLOSE_VIEW = 70; // m, the width of the view
 
 class Replay {
   constructor(report, recording, ground) {
@@ -11,8 +11,8 @@ class Replay {
     this.clock = new Clock(this.tracks.spans);
     this.camera = new Camera();
     this.stage = new Stage(document.getElementById("canvas"), this.tracks, this.camera, report, ground);
-    this.incidents = new Incidents(report, this.tracks, (place) => this.open(place));
-    this.transport = new Transport(this.clock, report, (place) => this.open(place));
+    this.incidents = new Incidents(report, this.tracks, (index) => this.open(index));
+    this.transport = new Transport(this.clock, report, (index) => this.open(index));
     this.space = new Space(report, () => this.changed());
     this.jumps = -1;
     this.last = 0; // ms
@@ -71,7 +71,7 @@ class Replay {
     }).observe(this.stage.canvas);
   }
 
-  /** Show the beginning, or what the address says. */
+  /** Show the beginning, or the time and actor in the address. */
   start() {
     this.stage.resize();
     this.follow(this.report.follow, { quiet: true });
@@ -80,18 +80,18 @@ class Replay {
       this.stage.draw(this.clock.time);
       this.fit();
     }
-    this.begun = this.link(); // needs no mention in the address
+    this.begun = this.link(); // is left out of the address
     this.readLink();
     this.changed();
   }
 
-  // --- what can be done ---------------------------------------------------------------------------------
+  // --- actions ------------------------------------------------------------------------------------------
 
-  /** Go to a little before an incident, and follow the first who has a part in it. */
-  open(place) {
-    const incident = this.report.incidents[place];
-    if (!incident || !this.incidents.items[place].replayed) return;
-    this.incidents.choose(place);
+  /** Go to shortly before an incident, and follow the first of its actors. */
+  open(index) {
+    const incident = this.report.incidents[index];
+    if (!incident || !this.incidents.items[index].replayed) return;
+    this.incidents.choose(index);
     this.clock.seek(Math.max(0, incident.start - LEAD));
     const present = incident.actors.find((id) => this.poseOf(id) !== null);
     this.follow(present ?? null, { quiet: true });
@@ -100,17 +100,17 @@ class Replay {
     }
     this.camera.show(CLOSE_VIEW);
     const { length } = this.report.incidents;
-    this.say(`Incident ${place + 1} of ${length}: ${incident.text}`);
+    this.say(`Incident ${index + 1} of ${length}: ${incident.text}`);
   }
 
   step(direction) {
-    const place = this.incidents.neighbour(direction);
-    if (place >= 0) this.open(place);
+    const index = this.incidents.neighbour(direction);
+    if (index >= 0) this.open(index);
   }
 
   follow(id, { quiet = false } = {}) {
     this.camera.followed = id;
-    if (!quiet) this.say(id === null ? "Nobody is followed" : `Following ${this.life(id)?.label ?? id}`);
+    if (!quiet) this.say(id === null ? "Nobody is followed" : `Following ${this.actor(id)?.label ?? id}`);
     this.changed();
   }
 
@@ -171,23 +171,23 @@ class Replay {
     action();
   }
 
-  // --- what is seen -------------------------------------------------------------------------------------
+  // --- drawing ------------------------------------------------------------------------------------------
 
-  life(id) {
-    return this.tracks.actors[this.tracks.lifeOf(id, this.clock.time)] ?? null;
+  actor(id) {
+    return this.tracks.actors[this.tracks.indexOf(id, this.clock.time)] ?? null;
   }
 
   poseOf(id) {
-    const [pose, place] = [{}, this.tracks.lifeOf(id, this.clock.time)];
+    const [pose, index] = [{}, this.tracks.indexOf(id, this.clock.time)];
     const { time } = this.clock;
-    return place >= 0 && this.tracks.pose(place, time, this.tracks.sampleAt(time), pose) ? pose : null;
+    return index >= 0 && this.tracks.pose(index, time, this.tracks.sampleAt(time), pose) ? pose : null;
   }
 
   pose() {
     return this.camera.followed === null ? null : this.poseOf(this.camera.followed);
   }
 
-  /** Something is not as it was drawn. */
+  /** Request another drawing. */
   changed() {
     if (this.stale) return;
     this.stale = true;
@@ -202,7 +202,7 @@ class Replay {
     const jumped = this.jumps !== this.clock.jumps;
     this.jumps = this.clock.jumps;
     const turning = this.camera.step(this.pose(), seconds, jumped);
-    if (this.space.isOpen) this.space.show(this.clock.time, this.life(this.camera.followed));
+    if (this.space.isOpen) this.space.show(this.clock.time, this.actor(this.camera.followed));
     else this.stage.draw(this.clock.time);
     this.transport.showTime();
     this.showFollowed();
@@ -214,22 +214,22 @@ class Replay {
 
   showFollowed() {
     const { followed } = this.camera;
-    const life = followed === null ? null : this.life(followed);
-    document.getElementById("followed").hidden = !life;
-    document.getElementById("heading").disabled = !life;
-    if (!life) return;
-    const place = this.tracks.lifeOf(followed, this.clock.time);
+    const actor = followed === null ? null : this.actor(followed);
+    document.getElementById("followed").hidden = !actor;
+    document.getElementById("heading").disabled = !actor;
+    if (!actor) return;
+    const index = this.tracks.indexOf(followed, this.clock.time);
     const set = (id, text) => {
       const node = document.getElementById(id);
       if (node.textContent !== text) node.textContent = text;
     };
-    document.getElementById("followed-color").style.background = life.color;
-    set("followed-name", life.label);
-    set("followed-type", [life.type || life.kind, life.role && life.role !== "hero" ? life.role : ""].filter(Boolean).join(" · "));
-    set("speed", (this.tracks.speed(place, this.clock.time) * 3.6).toFixed(0));
+    document.getElementById("followed-color").style.background = actor.color;
+    set("followed-name", actor.label);
+    set("followed-type", [actor.type || actor.kind, actor.role && actor.role !== "hero" ? actor.role : ""].filter(Boolean).join(" · "));
+    set("speed", (this.tracks.speed(index, this.clock.time) * 3.6).toFixed(0));
   }
 
-  /** Say what happens about now. */
+  /** Show the text of the incident around the present time. */
   showCaption() {
     const { time } = this.clock;
     const { incidents } = this.report;
@@ -252,7 +252,7 @@ class Replay {
     document.getElementById("status").textContent = text;
   }
 
-  // --- the address keeps the time and who is followed ---------------------------------------------------
+  // --- the time and the followed actor in the address ---------------------------------------------------
 
   readLink() {
     if (location.hash === this.linked) return;

@@ -1,4 +1,4 @@
-// The scene in Rerun's viewer, in the place of the view from above.
+// The scene in Rerun's viewer, instead of the view from above.
 "use strict";
 
 class Space {
@@ -16,7 +16,7 @@ class Space {
       this.button.title = "View in 3D (V)";
     }
     this.button.addEventListener("click", () => this.toggle());
-    // The viewer says when it is ready; what it is to show is told once more then.
+    // When the viewer reports that it is ready, the request is sent again.
     window.addEventListener("message", (event) => {
       if (event.source !== this.frame.contentWindow || event.origin !== location.origin) return;
       this.shown = "";
@@ -37,7 +37,7 @@ class Space {
     this.changed();
   }
 
-  /** Show a time, from behind an actor: an entry of the tracks, or null. */
+  /** Show a time, from behind an actor of the tracks, or null. */
   show(time, actor) {
     if (!this.isOpen) return;
     const moves = actor && (actor.kind === "vehicle" || actor.kind === "walker");

@@ -23,7 +23,7 @@ const SMALLEST = 7; // px
 const ORDER = ["other", "sensor", "traffic sign", "traffic light", "walker", "vehicle"];
 const REST = new Set(["other", "sensor", "traffic sign"]);
 
-/** Lines that are drawn only where they can be seen. */
+/** Lines of which only the visible ones are drawn. */
 class Lines {
   constructor(runs, origin, closed = false) {
     this.runs = runs.filter((run) => run.length >= 4).map((run) => Lines.path(run, origin, closed));
@@ -48,7 +48,7 @@ class Lines {
     }
   }
 
-  /** The rectangle around all, as left, low, right, high. */
+  /** The rectangle around all lines: left, low, right, high. */
   get bounds() {
     return this.runs.reduce(
       (all, run) => [
@@ -62,7 +62,7 @@ class Lines {
   }
 }
 
-/** The lines of a layer of the map, as runs of x, y, x, y, … */
+/** Return the lines of a layer of the map, each as x, y, x, y, … */
 function layerRuns({ points, lengths }) {
   const [coordinates, runs] = [numbers(points, Float32Array), []];
   let begin = 0;
@@ -82,14 +82,14 @@ class Stage {
     this.report = report;
     this.labels = this.trails = true;
     this.hovered = -1;
-    this.shown = []; // who was drawn: { actor, x, y, yaw }
+    this.shown = []; // the drawn actors: { actor, x, y, yaw }
     this.origin = tracks.x.length ? { x: tracks.x[0], y: tracks.y[0] } : { x: 0, y: 0 };
-    this.order = tracks.actors.map((_, place) => place).sort((a, b) => this.rank(a) - this.rank(b));
+    this.order = tracks.actors.map((_, index) => index).sort((a, b) => this.rank(a) - this.rank(b));
     this.build(ground);
   }
 
-  rank(place) {
-    const actor = this.tracks.actors[place];
+  rank(index) {
+    const actor = this.tracks.actors[index];
     return ORDER.indexOf(actor.kind) + (actor.hero ? ORDER.length : 0);
   }
 
@@ -103,7 +103,7 @@ class Stage {
     this.stops = lines("stops");
   }
 
-  /** The rectangle around all roads, or around everybody where there are none. */
+  /** Return the rectangle around all roads, or around all actors if there are no roads. */
   get bounds() {
     const roads = this.lanes.bounds;
     if (roads[0] <= roads[2]) return roads;
@@ -113,7 +113,7 @@ class Stage {
     return [Math.min(...xs), Math.min(...ys), Math.max(...xs), Math.max(...ys)];
   }
 
-  /** Make the canvas as fine as the screen is. */
+  /** Give the canvas the resolution of the screen. */
   resize() {
     const { clientWidth, clientHeight } = this.canvas;
     this.ratio = Math.min(3, window.devicePixelRatio || 1);
@@ -142,7 +142,7 @@ class Stage {
     if (this.labels) this.drawLabels();
   }
 
-  /** Find out who is where. */
+  /** Find the poses of all actors. */
   place() {
     const { tracks, camera, time, sample } = this;
     this.shown = [];
@@ -281,7 +281,7 @@ class Stage {
     context.fill();
   }
 
-  /** Rings where something happens about now. */
+  /** Draw rings at the incidents around the present time. */
   drawIncidents() {
     const { context, camera, time } = this;
     for (const { kind, start, place } of this.report.incidents) {
@@ -302,7 +302,7 @@ class Stage {
     }
   }
 
-  /** Names, the most important first; one that would lie upon another is left out. */
+  /** Draw names, the most important first; those that would overlap others are left out. */
   drawLabels() {
     const { context, camera, tracks } = this;
     const taken = [];
@@ -335,7 +335,7 @@ class Stage {
     context.globalAlpha = 1;
   }
 
-  /** Who is under a point of the screen; -1: nobody. */
+  /** Return the actor at a point of the screen, or -1. */
   actorAt(left, top) {
     let [nearest, least] = [-1, 18];
     for (const one of this.shown) {

@@ -1,7 +1,7 @@
-// Where everybody is at a time: x, y in m, yaw in radians, right-handed.
+// The poses of all actors at a time: x, y in m, yaw in radians, right-handed.
 "use strict";
 
-/** Numbers out of base64. */
+/** Return the numbers in base64. */
 function numbers(text, Type) {
   const raw = atob(text);
   const bytes = new Uint8Array(raw.length);
@@ -9,7 +9,7 @@ function numbers(text, Type) {
   return new Type(bytes.buffer);
 }
 
-/** How many values of an ascending array are at or before one. */
+/** Return the number of values of an ascending array that are at most a value. */
 function countUntil(values, value) {
   let low = 0;
   let high = values.length;
@@ -21,8 +21,8 @@ function countUntil(values, value) {
   return low;
 }
 
-const TURN = (2 * Math.PI) / 65536; // radians per unit of a recorded yaw
-const SLOPE = 0.1; // s; speeds are measured over twice as much
+const TURN = (2 * Math.PI) / 65536; // radians per unit of a sampled yaw
+const SLOPE = 0.1; // s; speeds are measured over twice this time
 
 class Tracks {
   constructor(recording) {
@@ -36,9 +36,9 @@ class Tracks {
     this.own = this.actors.map(() => []); // the tracks of each actor, in order of time
     for (let at = 0; at < this.table.length; at += 5) this.own[this.table[at]].push(at);
     this.byId = new Map();
-    this.actors.forEach((actor, place) => {
+    this.actors.forEach((actor, index) => {
       if (!this.byId.has(actor.id)) this.byId.set(actor.id, []);
-      this.byId.get(actor.id).push(place);
+      this.byId.get(actor.id).push(index);
     });
     this.readLights(recording.lights);
   }
@@ -55,24 +55,24 @@ class Tracks {
     });
   }
 
-  /** What a traffic light shows, as CARLA numbers it. */
+  /** Return the state of a traffic light, in CARLA's numbers. */
   lightState(actor, time) {
     const light = this.lights.get(actor);
     const count = light ? countUntil(light.times, time + 1e-4) : 0;
     return count ? light.states[count - 1] : null;
   }
 
-  /** Whether there is anything to see at a time. */
+  /** Return whether a time was sampled. */
   covers(time) {
     return this.spans.some(([start, stop]) => start <= time && time <= stop);
   }
 
-  /** The sample at or before a time. */
+  /** Return the sample at or before a time. */
   sampleAt(time) {
     return Math.max(0, countUntil(this.times, time) - 1);
   }
 
-  /** Where an actor is; false where it is not there. */
+  /** Return the pose of an actor; false if it is absent. */
   pose(actor, time, sample, pose) {
     const { until } = this.actors[actor];
     if (until !== null && until <= time) return false;
@@ -87,13 +87,13 @@ class Tracks {
       const part = (time - this.times[sample]) / (this.times[sample + 1] - this.times[sample]);
       pose.x += part * (this.x[row + 1] - pose.x);
       pose.y += part * (this.y[row + 1] - pose.y);
-      // Numbers of 16 bits go round as angles do: the shortest way comes by itself.
+      // Numbers of 16 bits overflow as angles do, so this is the shorter rotation.
       pose.yaw += part * (((this.yaw[row + 1] - this.yaw[row]) << 16) >> 16) * TURN;
     }
     return true;
   }
 
-  /** The track that leads on from a sample, or else the one that ends there. */
+  /** Return the track that continues at a sample, or else the one that ends at it. */
   trackAt(actor, sample) {
     const own = this.own[actor];
     let low = 0;
@@ -106,7 +106,7 @@ class Tracks {
     return low && this.table[own[low - 1] + 2] >= sample ? own[low - 1] : -1;
   }
 
-  /** How fast an actor goes, in m/s. */
+  /** Return the speed of an actor, in m/s. */
   speed(actor, time) {
     const [before, after] = [{}, {}];
     const [start, stop] = [Math.max(this.times[0], time - SLOPE), Math.min(this.times[this.times.length - 1], time + SLOPE)];
@@ -116,10 +116,10 @@ class Tracks {
       this.pose(actor, start, this.sampleAt(start), before) &&
       this.pose(actor, stop, this.sampleAt(stop), after);
     const speed = found ? Math.hypot(after.x - before.x, after.y - before.y) / (stop - start) : 0;
-    return speed < 100 ? speed : 0; // what is faster has jumped
+    return speed < 100 ? speed : 0; // a jump
   }
 
-  /** The places of an actor within a time, as runs of x, y, x, y, …, the last at the end of it. */
+  /** Return the path of an actor in an interval, as lines of x, y, x, y, …, up to its end. */
   way(actor, start, stop) {
     const [from, to] = [this.sampleAt(start), this.sampleAt(stop)];
     const runs = [];
@@ -135,10 +135,10 @@ class Tracks {
     return runs;
   }
 
-  /** The life of an id at a time; the nearest one where it is not there. */
-  lifeOf(id, time) {
-    const lives = this.byId.get(id) ?? [];
-    const begun = lives.filter((place) => this.actors[place].since <= time + 1e-6);
-    return begun.length ? begun[begun.length - 1] : lives.length ? lives[0] : -1;
+  /** Return the actor that has an id at a time, or the nearest one in time. */
+  indexOf(id, time) {
+    const indices = this.byId.get(id) ?? [];
+    const begun = indices.filter((index) => this.actors[index].since <= time + 1e-6);
+    return begun.length ? begun[begun.length - 1] : indices.length ? indices[0] : -1;
   }
 }

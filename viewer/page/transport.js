@@ -1,4 +1,4 @@
-// Play, pause, speed, and the line of time with its marks.
+// Play, pause, speed, and the timeline with its marks.
 "use strict";
 
 class Transport {
@@ -26,7 +26,7 @@ class Transport {
     return this.length ? `${(100 * Math.min(1, time / this.length)).toFixed(3)}%` : "0%";
   }
 
-  /** What of the recording can be shown. */
+  /** Draw the intervals of the recording that can be shown. */
   addSpans() {
     const covered = document.getElementById("covered");
     for (const [start, stop] of this.clock.spans) {
@@ -37,31 +37,31 @@ class Transport {
     }
   }
 
-  /** Marks of the incidents that can be shown; collisions lie above the others. */
+  /** Draw marks of the incidents that can be shown; collisions above the others. */
   addMarks(open) {
     const kinds = Object.keys(KINDS).reverse();
-    const places = this.report.incidents.map((_, place) => place).filter((place) => this.canShow(place));
-    places.sort((a, b) => kinds.indexOf(this.report.incidents[a].kind) - kinds.indexOf(this.report.incidents[b].kind));
-    for (const place of places) {
-      const { kind, start, text } = this.report.incidents[place];
+    const indices = this.report.incidents.map((_, index) => index).filter((index) => this.canShow(index));
+    indices.sort((a, b) => kinds.indexOf(this.report.incidents[a].kind) - kinds.indexOf(this.report.incidents[b].kind));
+    for (const index of indices) {
+      const { kind, start, text } = this.report.incidents[index];
       const mark = element("button", "mark");
       mark.type = "button";
-      mark.tabIndex = -1; // the list has them all for the keyboard
+      mark.tabIndex = -1; // on the keyboard, incidents are chosen in the list
       mark.title = `${clockTime(start)} ${text}`;
       mark.setAttribute("aria-label", mark.title);
       mark.dataset.kind = kind;
       mark.style.left = this.share(start);
-      mark.addEventListener("click", () => open(place));
+      mark.addEventListener("click", () => open(index));
       document.getElementById("marks").append(mark);
     }
   }
 
-  canShow(place) {
-    const { start } = this.report.incidents[place];
+  canShow(index) {
+    const { start } = this.report.incidents[index];
     return start !== null && this.clock.spans.some(([from, to]) => from <= start && start <= to);
   }
 
-  /** A step slower or faster. */
+  /** Change the speed by a step. */
   changePace(step) {
     const { options } = this.pace;
     this.pace.selectedIndex = Math.min(options.length - 1, Math.max(0, this.pace.selectedIndex + step));

@@ -1,12 +1,12 @@
-// Rerun's viewer, which shows the time and the actor that the page around it asks for.
+// Rerun's viewer, which shows the time and the actor that the surrounding page requests.
 "use strict";
 
-const SET_TIME = 6; // of the operations in Rerun's viewer_control.proto
+const SET_TIME = 6; // an operation of Rerun's viewer_control.proto
 const PAUSED = 1;
 const BILLION = 1e9; // ns
 const RETRY = 200; // ms
 
-/** A whole number as protobuf writes it. */
+/** Return an integer in protobuf's encoding. */
 function varint(value) {
   const bytes = [];
   let rest = BigInt.asUintN(64, BigInt(value));
@@ -14,12 +14,12 @@ function varint(value) {
   return [...bytes, Number(rest)];
 }
 
-/** A field that holds a message or a text. */
+/** Return a field with a message or a text. */
 function block(field, bytes) {
   return [...varint(field * 8 + 2), ...varint(bytes.length), ...bytes];
 }
 
-/** The request to show a moment of a timeline, standing still. */
+/** Return the request to show a time of a timeline, paused. */
 function timeRequest(timeline, seconds) {
   const name = block(1, new TextEncoder().encode(timeline));
   const time = [8, ...varint(Math.round(seconds * BILLION))];
@@ -30,18 +30,18 @@ class Viewer {
   constructor(handle) {
     this.handle = handle;
     this.wanted = null;
-    this.camera = null; // null: as the recording itself has it
-    this.time = null; // what is shown, in s
+    this.camera = null; // null: the recording's own blueprint
+    this.time = null; // the time that is shown, in s
     this.busy = false;
   }
 
-  /** Show a time, from a camera: the address of a blueprint, or null to leave it. */
+  /** Show a time, from a camera: the address of a blueprint, or null to keep the present one. */
   show(wanted) {
     this.wanted = wanted;
     if (!this.busy) this.work();
   }
 
-  /** Do what was wanted last, until nothing else is wanted. */
+  /** Apply the latest request, until no other has arrived. */
   async work() {
     this.busy = true;
     while (this.wanted) {
