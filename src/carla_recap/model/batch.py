@@ -342,6 +342,11 @@ class _Single(Batch):
         """See `Batch.frame`."""
         return self._frame
 
+    def records(self, name: str) -> NDArray[np.void]:
+        """See `Batch.records`."""
+        records = self._frame[name]
+        return _read_only(records[None]) if isinstance(records, np.ndarray) else super().records(name)
+
 
 def equal_rows(rows: NDArray[Any], columns: NDArray[np.intp], masks: NDArray[Any] | None = None) -> int:
     """Return the number of rows, from the first one on, that equal the first one in some columns.

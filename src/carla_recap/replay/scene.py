@@ -138,7 +138,6 @@ class Scene:
 
     Attributes:
         time: The moment, in elapsed seconds.
-        frame_id: CARLA's number of the last frame at or before it.
         fresh: Whether this is the first scene, or the first one after a seek.
         events: The events since the previous scene.
         poses: x, y, z in cm and roll, pitch, yaw in degrees of each of the `ids`, (ids, 6).
@@ -149,7 +148,6 @@ class Scene:
         self.batch = batch
         self.row = row
         self.time = float(batch.time[row])
-        self.frame_id = int(batch.frames.id[row])
         self.fresh = batch.fresh and not row
         self.events: tuple[Event, ...] = () if row else batch.events
         self.ids = batch.ids
@@ -159,6 +157,11 @@ class Scene:
         self.doors = batch.doors
         self.weather = batch.weather
         self.scene_lights = batch.scene_lights
+
+    @property
+    def frame_id(self) -> int:
+        """CARLA's number of the frame."""
+        return self.frame.id
 
     @cached_property
     def frame(self) -> Frame:

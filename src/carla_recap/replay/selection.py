@@ -29,6 +29,8 @@ def latest(records: NDArray[np.void]) -> NDArray[np.void]:
 
 
 def _last(ids: NDArray[np.integer]) -> NDArray[np.intp]:
+    if (ids[1:] > ids[:-1]).all():
+        return np.arange(len(ids))
     _, index = np.unique(ids[::-1], return_index=True)
     last: NDArray[np.intp] = len(ids) - 1 - index
     return last
@@ -88,7 +90,7 @@ class Selection:
             ids = records["id"].astype(np.uint32)
             rows = _last(ids)
             if len(hidden):
-                rows = rows[~np.isin(ids[rows], hidden)]
+                rows = rows[~find(ids[rows], hidden)[1]]
             self.ids = ids[rows]
             self.ids.setflags(write=False)
             self._rows = rows if len(rows) else slice(0)

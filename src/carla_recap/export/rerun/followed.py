@@ -192,11 +192,11 @@ class FollowedWriter:
 def _values(batch: SceneBatch, name: str, id: int, fields: Sequence[str]) -> Floats:
     """Return some fields of the records of an actor, (scenes, fields); NaN if it has no records."""
     values = np.full((len(batch), len(fields)), np.nan)
-    records = batch.records(name)
+    records = batch.frames.records(name)
     found = np.flatnonzero(records["id"][0] == id)
-    if len(found):
+    if len(found):  # the last record of an actor counts
         for column, field in enumerate(fields):
-            values[:, column] = records[field][:, found[0]]
+            values[:, column] = records[field][:, found[-1]]
     return values
 
 
