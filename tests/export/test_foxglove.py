@@ -337,6 +337,13 @@ def test_a_place_that_is_no_number_is_not_shown(record):
     assert [message.transforms[0].translation.x for _, message in topics["/tf"]] == [0, 1, 1, 3]
 
 
+def test_an_actor_ten_thousand_kilometres_away_is_not_shown(record):
+    xs = [0, 1e9, 9.99e8]
+    topics = record(*({"spawned": [spawn(1)] if n == 0 else [], "transforms": [pose(1, x=x)]} for n, x in enumerate(xs)))
+    shown = [{**seen(topics["/scene"], n / 10), **seen(topics["/scene/still"], n / 10)} for n in range(3)]
+    assert [bool(entities) for entities in shown] == [True, False, True]
+
+
 def test_who_stands_still_shows_up_once_its_place_is_a_number(record):
     xs = [math.nan, 100, 100]
     topics = record(*({"spawned": [spawn(1)] if n == 0 else [], "transforms": [pose(1, x=x)]} for n, x in enumerate(xs)))

@@ -73,17 +73,14 @@ def right_handed_velocities(velocities: Floats) -> Floats:
 
 def quaternions(poses: NDArray[F]) -> NDArray[F]:
     """Return the rotations of right-handed poses as quaternions x, y, z, w, in the precision of the poses."""
-    half = np.radians(poses[..., ROTATION]) / 2
-    (sr, sp, sy), (cr, cp, cy) = np.moveaxis(np.sin(half), -1, 0), np.moveaxis(np.cos(half), -1, 0)
-    return np.stack(
-        (
-            sr * cp * cy - cr * sp * sy,
-            cr * sp * cy + sr * cp * sy,
-            cr * cp * sy - sr * sp * cy,
-            cr * cp * cy + sr * sp * sy,
-        ),
-        axis=-1,
-    )
+    half = np.ascontiguousarray(np.moveaxis(np.radians(poses[..., ROTATION]) / 2, -1, 0))
+    (sr, sp, sy), (cr, cp, cy) = np.sin(half), np.cos(half)
+    found = np.empty((*poses.shape[:-1], 4), poses.dtype)
+    found[..., 0] = sr * cp * cy - cr * sp * sy
+    found[..., 1] = cr * sp * cy + sr * cp * sy
+    found[..., 2] = cr * cp * sy - sr * sp * cy
+    found[..., 3] = cr * cp * cy + sr * sp * sy
+    return found
 
 
 def rotations(poses: Floats) -> Floats:

@@ -20,11 +20,10 @@ from carla_recap.export.foxglove.messages import (
     pose_numbers,
     single,
     timestamp,
-    timestamps,
 )
 from carla_recap.export.foxglove.scene import entity_id
 from carla_recap.model.records import CM
-from carla_recap.replay import calm_heading, level, quaternions, right_handed
+from carla_recap.replay import Destroyed, Spawned, calm_heading, level, quaternions, right_handed
 from carla_recap.replay.pose import JUMP, LOCATION, TOP_SPEED, YAW
 from carla_recap.v1.followed_pb2 import Followed, ShownLight, ShownLights
 from carla_recap.v1.light_states_pb2 import TRAFFIC_LIGHT_COLOR_UNKNOWN, TrafficLightColor
@@ -34,7 +33,8 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    from carla_recap.export.foxglove.messages import Floats, Indices, Times
+    from carla_recap.export.foxglove.messages import Floats, Indices, Stamps
+    from carla_recap.replay import Event
     from carla_recap.replay.scene import SceneBatch
 
 TRANSFORMS: Final = "/tf"
@@ -52,49 +52,48 @@ _POSE: Final = ("x", "y", "z", "roll", "pitch", "yaw")
 _CONTROL: Final = ("throttle", "brake", "steer", "hand_brake", "gear")
 
 
-class FinitePoses(NamedTuple):
-    """The poses of an actor in the scenes of a batch in which they are known and finite.
+class KnownPoses(NamedTuple):
+    """The poses of an actor in some scenes.
 
     Attributes:
-        rows: The positions of these scenes.
-        time: Their moments, in elapsed seconds.
+        time: The moments, in elapsed seconds.
         poses: The poses, in cm and degrees, (scenes, 6).
+        known: Whether each pose is known and finite.
     """
 
-    rows: Indices
     time: Floats
     poses: Floats
+    known: NDArray[np.bool_]
 
-    def among(self, rows: Indices) -> FinitePoses:
-        """Return those in some scenes."""
-        kept = np.isin(self.rows, rows)
-        return FinitePoses(self.rows[kept], self.time[kept], self.poses[kept])
+    def of(self, rows: Indices) -> KnownPoses:
+        """Return those of some of the scenes."""
+        return KnownPoses(self.time[rows], self.poses[rows], self.known[rows])
 
 
-def finite_poses(batch: SceneBatch, id: int | None) -> FinitePoses:
-    """Return the poses of an actor, if any."""
+def known_poses(batch: SceneBatch, id: int | None) -> KnownPoses:
+    """Return the poses of an actor, if any, in the scenes of a batch."""
     poses = None if id is None else batch.pose_of(id)
     if poses is None:
         poses = np.full((len(batch), 6), np.nan)
-    rows = np.flatnonzero(np.isfinite(poses).all(axis=1))
-    return FinitePoses(rows, batch.time[rows], poses[rows])
+    return KnownPoses(batch.time, poses, np.asarray(np.isfinite(poses).all(axis=1)))
 
 
 class _Path:
     """The path of an actor from scene to scene."""
 
     def __init__(self) -> None:
-        self._last: tuple[float, list[float]] | None = None
+        self._time = 0.0
+        self._location = [math.nan] * 3
 
-    def steps(self, found: FinitePoses) -> Iterator[tuple[float, float | None]]:
-        """Yield the seconds since the previous pose and the distance to it in cm, None for the first and after a jump."""
-        for time, location in zip(found.time.tolist(), found.poses[:, LOCATION].tolist(), strict=True):
-            before, self._last = self._last, (time, location)
-            if before is None:
-                yield 0.0, None
-                continue
-            seconds, distance = time - before[0], math.dist(before[1], location)
-            yield seconds, distance if distance <= max(JUMP, TOP_SPEED * seconds) else None
+    def steps(self, found: KnownPoses) -> tuple[Floats, Floats]:
+        """Return the seconds and the distance in cm from the previous known pose to each; infinite after a jump."""
+        times = np.concatenate(([self._time], found.time[found.known]))
+        locations = [self._location, *found.poses[found.known, LOCATION].tolist()]
+        self._time, self._location = times[-1].item(), locations[-1]
+        seconds = np.diff(times)
+        distances = np.array(list(map(math.dist, locations, locations[1:])))
+        distances[~(distances <= np.maximum(JUMP, TOP_SPEED * seconds))] = math.inf  # the first one, too
+        return seconds, distances
 
 
 class ViewFrames:
@@ -109,36 +108,41 @@ class ViewFrames:
         self._view = np.zeros(6)
         self._path = _Path()
 
-    def messages(self, batch: SceneBatch, rows: Indices, times: Times, followed: FinitePoses) -> Iterator[Messages]:
+    def messages(self, batch: SceneBatch, rows: Indices, stamps: Stamps, followed: KnownPoses) -> Iterator[Messages]:
         """Yield the messages of some scenes of a batch.
 
         Args:
             batch: The scenes.
             rows: The positions of the scenes that are shown.
-            times: The time of each of these, in ns since 1970.
+            stamps: The timestamp of each of these.
             followed: The followed actor in these.
         """
-        if batch.events and not rows[0]:
+        if any(self._may_be_hero(event) for event in batch.events):
             self._hero = next((actor.id for actor in batch.actors.values() if actor.is_hero), None)
-        views = self._views(rows, followed)
-        hero = finite_poses(batch, self._hero).among(rows)
-        with_hero = np.isin(rows, hero.rows)
-        for some, poses in (
-            (~with_hero, {_FOLLOWED_FRAME: views[~with_hero]}),
-            (with_hero, {_FOLLOWED_FRAME: views[with_hero], _HERO_FRAME: hero.poses}),
+        views = self._views(followed)
+        hero = known_poses(batch, self._hero).of(rows)
+        for some, frames in (
+            (~hero.known, {_FOLLOWED_FRAME: views}),
+            (hero.known, {_FOLLOWED_FRAME: views, _HERO_FRAME: hero.poses}),
         ):
             if some.any():
-                yield _transforms(rows[some], timestamps(times[some]), poses)
+                yield _transforms(rows[some], stamps[some], {name: poses[some] for name, poses in frames.items()})
 
-    def _views(self, rows: Indices, followed: FinitePoses) -> Floats:
+    def _may_be_hero(self, event: Event) -> bool:
+        """Return whether a hero appears or disappears."""
+        if isinstance(event, Spawned):
+            return event.actor.is_hero or event.actor.id == self._hero
+        return isinstance(event, Destroyed) and event.id == self._hero
+
+    def _views(self, followed: KnownPoses) -> Floats:
         """Return the poses of the calm frame; the previous one where that of the actor is unknown."""
-        heading = float(self._view[YAW])
-        headings = []
-        for (seconds, distance), yaw in zip(self._path.steps(followed), followed.poses[:, YAW].tolist(), strict=True):
-            heading = calm_heading(yaw, None if distance is None else heading, seconds)
+        poses = followed.poses[followed.known]
+        seconds, distances = self._path.steps(followed)
+        heading, headings = float(self._view[YAW]), []
+        for yaw, delta, distance in zip(poses[:, YAW].tolist(), seconds.tolist(), distances.tolist(), strict=True):
+            heading = calm_heading(yaw, heading if distance < math.inf else None, delta)
             headings.append(heading)
-        views = np.concatenate((self._view[None], level(followed.poses, headings)))
-        views = views[np.searchsorted(followed.rows, rows, side="right")]
+        views = np.concatenate((self._view[None], level(poses, headings)))[np.cumsum(followed.known)]
         self._view = views[-1]
         return views
 
@@ -149,8 +153,8 @@ class FollowedMotion:
     def __init__(self) -> None:
         self._path = _Path()
 
-    def messages(self, batch: SceneBatch, id: int, found: FinitePoses) -> Iterator[Messages]:
-        """Yield the messages of a batch.
+    def messages(self, batch: SceneBatch, id: int, found: KnownPoses) -> Iterator[Messages]:
+        """Yield the messages of the scenes of a batch in which the pose is known.
 
         Args:
             batch: The scenes.
@@ -159,30 +163,34 @@ class FollowedMotion:
         """
         actor = batch.actors.get(id)
         type_id = None if actor is None else actor.type_id
-        values = {"elapsed": found.time, "id": np.full(len(found.rows), id)}
+        values = {"elapsed": found.time, "id": np.full(len(batch), id)}
         values |= dict(zip(_POSE, right_handed(found.poses).T, strict=True))
         control = _records_of(batch, "vehicle_controls", id)
         if control is not None:
-            values |= {name: control[name][found.rows] for name in _CONTROL}
+            values |= {name: control[name] for name in _CONTROL}
             values["hand_brake"] = values["hand_brake"] != 0
         speeds = self._speeds(batch, id, found)
-        known = ~np.isnan(speeds)
-        for some, columns in ((~known, values), (known, values | {"speed": speeds, "speed_kmh": speeds * _KMH})):
+        moving = found.known & np.isfinite(speeds)
+        for some, columns in (
+            (found.known & ~moving, values),
+            (moving, values | {"speed": speeds, "speed_kmh": speeds * _KMH}),
+        ):
             if some.any():
-                messages, rows = _followed_template(tuple(columns), type_id).messages(HERO, found.rows[some])
+                messages, rows = _followed_template(tuple(columns), type_id).messages(HERO, np.flatnonzero(some))
                 for name, column in columns.items():
                     rows[name] = column[some]
                 yield messages
 
-    def _speeds(self, batch: SceneBatch, id: int, found: FinitePoses) -> Floats:
-        """Return speeds in m/s: as recorded, or else from the distance to the previous pose; NaN after a jump."""
-        steps = list(self._path.steps(found))
+    def _speeds(self, batch: SceneBatch, id: int, found: KnownPoses) -> Floats:
+        """Return speeds in m/s: as recorded, or else from the distance to the previous pose; not finite after a jump."""
+        seconds, distances = self._path.steps(found)
         velocity = _records_of(batch, "velocities", id)
-        if velocity is None:
-            speeds = [math.nan if d is None or seconds <= 0 else d * CM / seconds for seconds, d in steps]
-        else:
-            speeds = list(map(math.hypot, *(velocity[name][found.rows].tolist() for name in "xyz")))
-        return np.array([speed if math.isfinite(speed) else math.nan for speed in speeds])
+        if velocity is not None:
+            return np.array(list(map(math.hypot, *(velocity[name].tolist() for name in "xyz"))))
+        speeds = np.full(len(batch), np.nan)
+        with np.errstate(divide="ignore", invalid="ignore"):
+            speeds[found.known] = np.where(seconds > 0, distances * CM / seconds, np.nan)
+        return speeds
 
 
 class LightMessages:
@@ -198,7 +206,7 @@ class LightMessages:
         self._locations: Floats = np.zeros((0, 2))  # cm
         self._shown: tuple[bytes, int] | None = None  # the latest states, and the index of the light ahead
 
-    def messages(self, batch: SceneBatch, rows: Indices, followed: FinitePoses) -> Iterator[Messages]:
+    def messages(self, batch: SceneBatch, rows: Indices, followed: KnownPoses) -> Iterator[Messages]:
         """Yield a message for each of some scenes in which a light has changed, or another light is ahead.
 
         Args:
@@ -212,8 +220,7 @@ class LightMessages:
             self._ids, self._shown = ids.tobytes(), None
             poses = [batch.pose_of(id, int(rows[0])) for id in ids.tolist()]
             self._locations = np.array([(np.nan, np.nan) if pose is None else pose[:2] for pose in poses]).reshape(-1, 2)
-        ahead = np.full(len(rows), -1)
-        ahead[np.isin(rows, followed.rows)] = self._lights_ahead(followed.poses)
+        ahead = self._lights_ahead(followed)
         states = lights["state"]
         changed = (states[1:] != states[:-1]).any(axis=1) | (ahead[1:] != ahead[:-1])
         for row in (0, *(np.flatnonzero(changed) + 1).tolist()):
@@ -223,16 +230,18 @@ class LightMessages:
                 self.latest = _shown_lights(batch.time[rows[row]].item(), ids, states[row], shown[1])
                 yield single(LIGHTS, int(rows[row]), self.latest)
 
-    def _lights_ahead(self, poses: Floats) -> Indices:
+    def _lights_ahead(self, followed: KnownPoses) -> Indices:
         """Return the index of the nearest light ahead of each pose; -1 without one."""
         if not len(self._locations):
-            return np.full(len(poses), -1)
-        ways = self._locations - poses[:, None, :2]
-        distances = np.hypot(ways[..., 0], ways[..., 1])
-        yaw = np.radians(poses[:, YAW, None])
-        forward = ways[..., 0] * np.cos(yaw) + ways[..., 1] * np.sin(yaw)
-        distances[~((distances < _AHEAD) & (forward > _ASIDE * distances))] = np.inf
-        nearest: Indices = np.where(np.isfinite(distances).any(axis=1), distances.argmin(axis=1), -1)
+            return np.full(len(followed.poses), -1)
+        with np.errstate(invalid="ignore", over="ignore"):
+            ways = self._locations - followed.poses[:, None, :2]
+            distances = np.hypot(ways[..., 0], ways[..., 1])
+            yaw = np.radians(followed.poses[:, YAW, None])
+            forward = ways[..., 0] * np.cos(yaw) + ways[..., 1] * np.sin(yaw)
+            ahead = (distances < _AHEAD) & (forward > _ASIDE * distances) & followed.known[:, None]
+        distances[~ahead] = np.inf
+        nearest: Indices = np.where(ahead.any(axis=1), distances.argmin(axis=1), -1)
         return nearest
 
 
@@ -269,13 +278,13 @@ def _transform_part(frame: str) -> Part:
     return (Part(constant) + stamp + pose).within(FrameTransforms.TRANSFORMS_FIELD_NUMBER)
 
 
-def _transforms(rows: Indices, stamps: NDArray[np.uint8], frames: dict[str, Floats]) -> Messages:
+def _transforms(rows: Indices, stamps: Stamps, frames: dict[str, Floats]) -> Messages:
     """Return messages with the poses of some frames, in cm and degrees, by name."""
     messages, transforms = _transforms_template(tuple(frames)).messages(TRANSFORMS, rows)
-    for frame, poses in frames.items():
-        poses = right_handed(poses)
+    poses = right_handed(np.stack(list(frames.values())))
+    for frame, positions, turns in zip(frames, poses[..., LOCATION], quaternions(poses), strict=True):
         transforms[f"{frame}timestamp"] = stamps
-        fill_pose(transforms, poses[:, LOCATION], quaternions(poses), frame)
+        fill_pose(transforms, positions, turns, frame)
     return messages
 
 

@@ -43,6 +43,7 @@ if TYPE_CHECKING:
 
     Floats = NDArray[np.float64]
     Indices = NDArray[np.intp]
+    Stamps = NDArray[np.uint8]
     Times = NDArray[np.uint64]
 
 __all__ = [
@@ -178,7 +179,7 @@ def timestamp(field: int, prefix: str = "") -> Part:
     return Part(bytes(_TIMESTAMP), ((f"{prefix}timestamp", ("u1", (_TIMESTAMP,)), 0),)).within(field)
 
 
-def timestamps(times: Times) -> NDArray[np.uint8]:
+def timestamps(times: Times) -> Stamps:
     """Return times in ns since 1970 as they are filled in for a `timestamp`, (times, bytes)."""
     data = np.empty((len(times), 2, 1 + _VARINT), np.uint8)
     data[..., 0] = (1 << 3, 2 << 3)  # seconds, nanoseconds

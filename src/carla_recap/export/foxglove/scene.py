@@ -29,7 +29,6 @@ from carla_recap.export.foxglove.messages import (
     pose_numbers,
     single,
     timestamp,
-    timestamps,
 )
 from carla_recap.formats.mcap.schema import MESSAGE
 from carla_recap.model.records import ActorKind, Spawn
@@ -43,7 +42,7 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    from carla_recap.export.foxglove.messages import Floats, Indices, Times
+    from carla_recap.export.foxglove.messages import Floats, Indices, Stamps
     from carla_recap.maps import RoadMap
     from carla_recap.replay.scene import SceneBatch
     from carla_recap.replay.selection import Ids
@@ -78,6 +77,7 @@ class _ActorEntity:
     Attributes:
         actor: The actor.
         state: The state of a traffic light.
+        has_body: Whether the actor is no sensor.
         first: The first pose; NaN before.
         moved: Whether the actor has moved since.
         data: The serialized entity, with the actor at the origin.
@@ -85,44 +85,64 @@ class _ActorEntity:
     """
 
     actor: Present
-    state: int
+    state: int = TRAFFIC_LIGHT_COLOR_UNKNOWN
+    has_body: bool = True
     first: Floats = field(default_factory=lambda: np.full(6, np.nan))
     moved: bool = False
     data: bytes = b""
     center: tuple[float, float, float] = (0.0, 0.0, 0.0)
 
-    def draw(self) -> None:
-        """Set what depends on the actor and its state."""
+    _drawn: dict[int, bytes] = field(default_factory=dict)  # by state
+
+    def draw(self, actor: Present) -> None:
+        """Set the actor, and what depends on it."""
+        self.actor = actor
+        self.has_body = actor.kind != ActorKind.SENSOR and not actor.type_id.startswith("sensor.")
+        self._drawn = {}
+        self.set_state(self.state)
+
+    def set_state(self, state: int) -> None:
+        """Set the state of a traffic light, and what depends on it."""
+        self.state = state
+        if state not in self._drawn:
+            self._drawn[state] = self._serialize()
+        self.data = self._drawn[state]
+
+    def _serialize(self) -> bytes:
         actor = self.actor
         metadata = {"actor": style.label_of(actor), "type_id": actor.type_id, "role_name": actor.role_name}
         if actor.kind == ActorKind.TRAFFIC_LIGHT:
             state, rgb = style.light(self.state)
             start = _start(actor, metadata | {"state": state}, _pole(actor))
             self.center = (0.0, 0.0, style.LAMP_UP)
-            self.data = _serialized(start, _SPHERES, (style.LAMP, style.LAMP, style.LAMP), _color(rgb))
-        else:
-            box = style.box_of(actor)
-            size = (2 * box.extent_x, 2 * box.extent_y, 2 * box.extent_z)
-            opacity = _FAINT if style.is_outlined(actor) else 1.0
-            self.center = (box.x, box.y, box.z)
-            self.data = _serialized(_start(actor, metadata), _CUBES, size, _color(style.color_of(actor), opacity))
+            return _serialized(start, _SPHERES, (style.LAMP, style.LAMP, style.LAMP), _color(rgb))
+        box = style.box_of(actor)
+        size = (2 * box.extent_x, 2 * box.extent_y, 2 * box.extent_z)
+        opacity = _FAINT if style.is_outlined(actor) else 1.0
+        self.center = (box.x, box.y, box.z)
+        return _serialized(_start(actor, metadata), _CUBES, size, _color(style.color_of(actor), opacity))
 
 
 class _EntitiesTemplate:
-    """A message with the entities of some actors, whose poses differ from message to message."""
+    """A message with the entities of some actors, whose poses differ from message to message.
+
+    Attributes:
+        entities: The serialized entities.
+    """
 
     def __init__(self, entities: Sequence[_ActorEntity]) -> None:
-        self._template = Template(Part(b"".join(entity.data for entity in entities)))
+        self.entities = [entity.data for entity in entities]
+        self._template = Template(Part(b"".join(self.entities)))
         self._ends = (MESSAGE.size + np.cumsum([len(entity.data) for entity in entities], dtype=np.intp)).tolist()
         self._centers = np.array([entity.center for entity in entities]).reshape(-1, 3)
 
-    def messages(self, topic: str, rows: Indices, times: Times, poses: Floats) -> Messages:
+    def messages(self, topic: str, rows: Indices, stamps: Stamps, poses: Floats) -> Messages:
         """Return the messages of some scenes.
 
         Args:
             topic: The topic.
             rows: The positions of the scenes in the batch.
-            times: The time of each scene, in ns since 1970.
+            stamps: The timestamp of each scene.
             poses: The poses of the actors, (scenes, actors, 6).
         """
         poses = right_handed(poses)
@@ -134,11 +154,52 @@ class _EntitiesTemplate:
         with np.errstate(over="ignore"):
             positions = (poses[..., LOCATION] + _rotated(self._centers, turns)).astype(np.float32)
             fill_pose(ends, positions, turns.astype(np.float32))
-        ends["timestamp"] = timestamps(times)[:, None]
+        ends["timestamp"] = stamps[:, None]
         messages, _ = self._template.messages(topic, rows)
         for entity, end in enumerate(self._ends):
             messages.data[:, end - ends.itemsize : end] = changing[:, entity]
         return messages
+
+
+class _ShownPoses:
+    """The poses of the shown actors in some scenes.
+
+    Args:
+        recorded: The recorded poses, (scenes, actors, 6).
+        others: The poses of the shown actors without recorded ones, (scenes, others, 6); of one scene if they are constant.
+        columns: The position of each shown actor among both.
+    """
+
+    def __init__(self, recorded: Floats, others: Floats, columns: Indices) -> None:
+        self._recorded = recorded
+        self._others = others
+        self._columns = columns
+
+    def of(self, actors: Indices, scenes: slice) -> Floats:
+        """Return the poses of some actors in some scenes, (scenes, actors, 6)."""
+        columns = self._columns[actors]
+        recorded = self._recorded[scenes]
+        others = columns - recorded.shape[1]
+        if not (others >= 0).any():
+            return recorded.take(columns, axis=1)
+        poses = np.empty((len(recorded), len(columns), 6))
+        poses[:, others < 0] = recorded.take(columns[others < 0], axis=1)
+        kept = self._others[scenes if len(self._others) > 1 else slice(None)]
+        poses[:, others >= 0] = kept.take(others[others >= 0], axis=1)
+        return poses
+
+    def present(self) -> NDArray[np.bool_]:
+        """Return whether each shown actor is near enough to be shown, (scenes, actors); NaN is not."""
+        others = np.broadcast_to(_within(self._others, _FAR), (len(self._recorded), self._others.shape[1]))
+        return np.concatenate((_within(self._recorded, _FAR), others), axis=1)[:, self._columns]
+
+    def away(self, actors: Indices, first: Floats) -> NDArray[np.bool_]:
+        """Return whether some actors are away from their first poses, (scenes, actors)."""
+        poses = self.of(actors, slice(None))
+        if (poses == first).all():
+            return np.zeros(poses.shape[:2], np.bool_)
+        with np.errstate(invalid="ignore", over="ignore"):
+            return np.asarray((np.abs(change(first, poses)) > _MOVED_BY).any(axis=2))
 
 
 class ActorEntities:
@@ -150,27 +211,26 @@ class ActorEntities:
         self._entities: dict[int, _ActorEntity] = {}
         self._shown: list[_ActorEntity] = []  # those with a body
         self._shown_ids = NO_IDS
-        self._recorded: Indices = np.zeros(0, np.intp)  # the shown actors that have recorded poses,
-        self._indices: Indices = np.zeros(0, np.intp)  # and the indices of these poses
-        self._carried: list[int] = []  # the shown actors without, but attached to a parent
-        self._poses: Floats = np.zeros((0, 6))  # of all shown actors, at first
+        self._columns: Indices = np.zeros(0, np.intp)  # see `_ShownPoses`
+        self._others: Floats = np.zeros((0, 6))  # the poses of the shown actors without recorded ones
+        self._carried: list[tuple[int, int]] = []  # position and id of those of them that are attached to a parent
         self._first: Floats = np.zeros((0, 6))  # the first finite poses
         self._moved: NDArray[np.bool_] = np.zeros(0, np.bool_)
         self._lights: tuple[bytes, bytes] | None = None  # the latest ids and states
         self._before = {MOVED: NO_IDS, STILL: NO_IDS}  # the actors of the latest message
-        self._templates: dict[str, tuple[bytes, _EntitiesTemplate]] = {}  # and its template
+        self._templates = {MOVED: _EntitiesTemplate([]), STILL: _EntitiesTemplate([])}  # and its template
 
-    def messages(self, batch: SceneBatch, rows: Indices, times: Times) -> Iterator[Messages]:
+    def messages(self, batch: SceneBatch, rows: Indices, stamps: Stamps) -> Iterator[Messages]:
         """Yield the messages of some scenes of a batch.
 
         Args:
             batch: The scenes.
             rows: The positions of the scenes that are shown.
-            times: The time of each of these, in ns since 1970.
+            stamps: The timestamp of each of these.
         """
         changed = self._take_actors(batch)
-        poses = self._all_poses(batch, rows)
-        present = np.asarray((np.abs(poses) < _FAR).all(axis=2))  # and no NaN
+        poses = self._poses(batch, rows)
+        present = poses.present()
         moves = self._find_moves(poses, present)
         ids, states = batch.light_states["id"][0], batch.light_states["state"][rows]
         starts = {0, *moves[moves < len(rows)].tolist()}
@@ -179,8 +239,6 @@ class ActorEntities:
         edges = [*sorted(starts), len(rows)]
         for start, stop in pairwise(edges):
             changed |= self._take_lights(ids, states[start])
-            if changed:
-                self._templates.clear()
             for index in np.flatnonzero(moves == start).tolist():
                 self._shown[index].moved = self._moved[index] = changed = True
             fresh = batch.fresh and not rows[start]
@@ -188,12 +246,12 @@ class ActorEntities:
             gone = self._take_shown(MOVED, indices)
             if len(indices) or gone or fresh:
                 some = slice(start, stop if len(indices) else start + 1)
-                yield from self._messages(MOVED, indices, gone or (), rows[some], times[some], poses[some])
+                yield from self._messages(MOVED, indices, gone or (), rows[some], stamps[some], poses.of(indices, some))
             indices = np.flatnonzero(present[start] & ~self._moved)
             gone = self._take_shown(STILL, indices)
             if changed or gone is not None or fresh:
                 some = slice(start, start + 1)
-                yield from self._messages(STILL, indices, gone or (), rows[some], times[some], poses[some])
+                yield from self._messages(STILL, indices, gone or (), rows[some], stamps[some], poses.of(indices, some))
             changed = False
 
     def _take_actors(self, batch: SceneBatch) -> bool:
@@ -206,47 +264,53 @@ class ActorEntities:
         entities: dict[int, _ActorEntity] = {}
         for actor in (*actors, *(Present(Spawn(id), batch.time[0].item()) for id in unknown)):
             entity = self._entities.get(actor.id)
-            if entity is None or entity.actor.spawn != actor.spawn:
-                entity = _ActorEntity(actor, TRAFFIC_LIGHT_COLOR_UNKNOWN)
-            if not entity.data or entity.actor != actor:
-                entity.actor = actor
-                entity.draw()
+            if entity is None or (entity.actor is not actor and entity.actor.spawn != actor.spawn):
+                entity = _ActorEntity(actor)
+            if not entity.data or (entity.actor is not actor and entity.actor != actor):
+                entity.draw(actor)
             entities[actor.id] = entity
         self._entities = entities
-        self._shown = [entity for entity in entities.values() if _has_body(entity.actor)]
+        self._shown = [entity for entity in entities.values() if entity.has_body]
         self._shown_ids = np.array([entity.actor.id for entity in self._shown], np.uint32)
         self._first = np.array([entity.first for entity in self._shown]).reshape(-1, 6)
         self._moved = np.array([entity.moved for entity in self._shown], np.bool_)
         self._lights = None
-        indices = [batch.index_of(entity.actor.id) for entity in self._shown]
-        self._recorded = np.array([row for row, index in enumerate(indices) if index is not None], np.intp)
-        self._indices = np.array([index for index in indices if index is not None], np.intp)
-        self._poses = np.full((len(self._shown), 6), np.nan)
         self._carried = []
-        for row, entity in enumerate(self._shown):
-            if indices[row] is None:
-                self._poses[row] = _pose(batch, entity.actor.id, 0)
+        columns: list[int] = []
+        others: list[Floats | None] = []
+        for entity in self._shown:
+            id = entity.actor.id
+            index = batch.index_of(id)
+            if index is None:
+                index = len(batch.ids) + len(others)
                 if entity.actor.attached:
-                    self._carried.append(row)
+                    self._carried.append((len(others), id))
+                others.append(batch.pose_of(id, 0))
+            columns.append(index)
+        self._columns = np.array(columns, np.intp)
+        self._others = np.array([np.full(6, np.nan) if pose is None else pose for pose in others]).reshape(-1, 6)
         return True
 
-    def _all_poses(self, batch: SceneBatch, rows: Indices) -> Floats:
-        """Return the poses of all shown actors, (scenes, actors, 6)."""
-        poses = np.empty((len(rows), *self._poses.shape))
-        poses[:] = self._poses
-        poses[:, self._recorded] = batch.poses[rows[:, None], self._indices]
-        for row in self._carried:
-            poses[:, row] = _pose(batch, self._shown[row].actor.id, rows)
-        return poses
+    def _poses(self, batch: SceneBatch, rows: Indices) -> _ShownPoses:
+        """Return the poses of all shown actors in some scenes."""
+        others = self._others[None]
+        if self._carried:
+            others = np.repeat(others, len(rows), axis=0)
+            for column, id in self._carried:
+                poses = batch.pose_of(id)
+                others[:, column] = np.nan if poses is None else poses[rows]
+        recorded = batch.poses if len(rows) == len(batch) else batch.poses[rows]
+        return _ShownPoses(recorded, others, self._columns)
 
-    def _find_moves(self, poses: Floats, present: NDArray[np.bool_]) -> Indices:
-        """Return the position at which each actor moves for the first time; the number of scenes for the others."""
-        for row in np.flatnonzero(np.isnan(self._first[:, 0]) & present.any(axis=0)).tolist():
-            self._first[row] = self._shown[row].first = poses[present[:, row].argmax(), row].copy()
-        moves = np.full(len(self._shown), len(poses))
+    def _find_moves(self, poses: _ShownPoses, present: NDArray[np.bool_]) -> Indices:
+        """Return the position of the scene in which each actor moves for the first time; the number of scenes if in none."""
+        for index in np.flatnonzero(np.isnan(self._first[:, 0]) & present.any(axis=0)).tolist():
+            scene = int(present[:, index].argmax())
+            first = poses.of(np.array([index]), slice(scene, scene + 1))[0, 0]
+            self._first[index] = self._shown[index].first = first
         still = np.flatnonzero(~self._moved)
-        with np.errstate(invalid="ignore", over="ignore"):
-            away = (np.abs(change(self._first[still], poses[:, still])) > _MOVED_BY).any(axis=2) & present[:, still]
+        away = poses.away(still, self._first[still]) & present[:, still]
+        moves = np.full(len(self._shown), len(present))
         moves[still[away.any(axis=0)]] = away.argmax(axis=0)[away.any(axis=0)]
         return moves
 
@@ -260,8 +324,7 @@ class ActorEntities:
         for id, state in zip(ids.tolist(), states.tolist(), strict=True):
             entity = self._entities.get(id)
             if entity is not None and entity.state != state:
-                entity.state = state
-                entity.draw()
+                entity.set_state(state)
                 changed = True
         return changed
 
@@ -272,18 +335,17 @@ class ActorEntities:
         return None if np.array_equal(before, now) else [entity_id(id) for id in np.setdiff1d(before, now).tolist()]
 
     def _messages(
-        self, topic: str, indices: Indices, gone: Iterable[str], rows: Indices, times: Times, poses: Floats
+        self, topic: str, indices: Indices, gone: Iterable[str], rows: Indices, stamps: Stamps, poses: Floats
     ) -> Iterator[Messages]:
         """Yield messages that show the same actors; the first of them deletes the entities that are gone."""
-        key = indices.tobytes()
-        before = self._templates.get(topic)
-        if before is None or before[0] != key:
-            before = (key, _EntitiesTemplate([self._shown[index] for index in indices.tolist()]))
-            self._templates[topic] = before
-        messages = before[1].messages(topic, rows, times, poses[:, indices])
+        entities = [self._shown[index] for index in indices.tolist()]
+        template = self._templates[topic]
+        if template.entities != [entity.data for entity in entities]:
+            template = self._templates[topic] = _EntitiesTemplate(entities)
+        messages = template.messages(topic, rows, stamps, poses)
         if gone:
             update = messages.data[0, MESSAGE.size :].tobytes()
-            yield single(topic, int(rows[0]), _deletions(gone, int(times[0])) + update)
+            yield single(topic, int(rows[0]), _deletions(gone, stamps[0]) + update)
             messages = Messages(topic, rows[1:], messages.data[1:])
         yield messages
 
@@ -316,21 +378,21 @@ def _lines(name: str, lines: list[Floats], rgb: style.Color, width: float) -> Sc
     return SceneEntity(frame_id=WORLD, id=name.replace("_", " "), lines=[primitive])
 
 
-def _has_body(actor: Present) -> bool:
-    return actor.kind != ActorKind.SENSOR and not actor.type_id.startswith("sensor.")
-
-
-def _pose(batch: SceneBatch, id: int, rows: Indices | int) -> Floats | float:
-    """Return the poses of an actor in some scenes; NaN if unknown."""
-    poses = batch.pose_of(id)
-    return np.nan if poses is None else poses[rows]
+def _within(values: Floats, limit: float) -> NDArray[np.bool_]:
+    """Return whether all numbers along the last axis are below a limit."""
+    if values.min(initial=0) > -limit and values.max(initial=0) < limit:
+        return np.ones(values.shape[:-1], np.bool_)
+    return np.asarray((np.abs(values) < limit).all(axis=-1))
 
 
 def _rotated(vectors: Floats, quaternions: Floats) -> Floats:
     """Return vectors that are rotated by quaternions x, y, z, w."""
-    axes, w = quaternions[..., :3], quaternions[..., 3:]
-    half = np.cross(axes, vectors)
-    rotated: Floats = vectors + 2 * (w * half + np.cross(axes, half))
+    (x, y, z, w), (a, b, c) = np.moveaxis(quaternions, -1, 0), vectors.T
+    d, e, f = y * c - z * b, z * a - x * c, x * b - y * a
+    rotated = np.empty((*quaternions.shape[:-1], 3))
+    rotated[..., 0] = a + 2 * (w * d + y * f - z * e)
+    rotated[..., 1] = b + 2 * (w * e + z * d - x * f)
+    rotated[..., 2] = c + 2 * (w * f + x * e - y * d)
     return rotated
 
 
@@ -370,9 +432,9 @@ def _serialized(start: SceneEntity, field: int, size: tuple[float, float, float]
     return (Part(start.SerializeToString()) + primitive + _TIMESTAMP).within(SceneUpdate.ENTITIES_FIELD_NUMBER).data
 
 
-def _deletions(ids: Iterable[str], time: int) -> bytes:
-    """Return the part of a `SceneUpdate` that deletes entities, at a time in ns since 1970."""
-    deletions = [SceneEntityDeletion(type=SceneEntityDeletion.MATCHING_ID, id=id) for id in ids]
-    for deletion in deletions:
-        deletion.timestamp.FromNanoseconds(time)
-    return SceneUpdate(deletions=deletions).SerializeToString()
+def _deletions(ids: Iterable[str], stamp: Stamps) -> bytes:
+    """Return the part of a `SceneUpdate` that deletes entities, given the timestamp."""
+    time = Part(stamp.tobytes()).within(SceneEntityDeletion.TIMESTAMP_FIELD_NUMBER)
+    deletions = [SceneEntityDeletion(type=SceneEntityDeletion.MATCHING_ID, id=id).SerializeToString() for id in ids]
+    field = SceneUpdate.DELETIONS_FIELD_NUMBER
+    return b"".join((time + Part(deletion)).within(field).data for deletion in deletions)

@@ -11,11 +11,11 @@ from mcap_protobuf.schema import build_file_descriptor_set
 
 from carla_recap.export.event_text import EventText, Level
 from carla_recap.export.foxglove import followed, scene
-from carla_recap.export.foxglove.followed import finite_poses
-from carla_recap.export.foxglove.messages import FrameTransforms, Log, SceneUpdate, single
+from carla_recap.export.foxglove.followed import known_poses
+from carla_recap.export.foxglove.messages import FrameTransforms, Log, SceneUpdate, single, timestamps
 from carla_recap.formats.mcap.chunk import ChunkBuilder
 from carla_recap.formats.mcap.file import ChunkedFile, Topic
-from carla_recap.formats.mcap.schema import EXPORT_METADATA, MESSAGE, RECORD, LogClock
+from carla_recap.formats.mcap.schema import EXPORT_METADATA, MESSAGE, MESSAGE_DTYPE, RECORD, LogClock
 from carla_recap.replay import Played
 from carla_recap.v1.followed_pb2 import Followed, ShownLights
 
@@ -25,7 +25,7 @@ if TYPE_CHECKING:
 
     from google.protobuf.message import Message
 
-    from carla_recap.export.foxglove.followed import FinitePoses
+    from carla_recap.export.foxglove.followed import KnownPoses
     from carla_recap.export.foxglove.messages import Indices, Messages, Times
     from carla_recap.maps import RoadMap
     from carla_recap.model.frame import Header
@@ -47,22 +47,11 @@ TOPICS: Final[Mapping[str, type[Message]]] = {
 RATE: Final = 20.0
 """The number of scenes shown per second, at most; scenes with events are shown besides."""
 
-_TOGETHER: Final = 64  # scenes whose messages are made at once
+_TOGETHER: Final = 128  # scenes whose messages are made at once
 _SLACK: Final = 0.9  # frames do not come quite evenly
 _CHUNK_SIZE: Final = 1 << 20
 _COMPRESSION_LEVEL: Final = 1  # the files are as small as those of level 3
 _LEVELS: Final = {Level.DEBUG: Log.DEBUG, Level.INFO: Log.INFO, Level.WARNING: Log.WARNING, Level.ERROR: Log.ERROR}
-_HEADER: Final = np.dtype(
-    [
-        ("opcode", "u1"),
-        ("length", "<u8"),
-        ("channel", "<u2"),
-        ("sequence", "<u4"),
-        ("log_time", "<u8"),
-        ("publish_time", "<u8"),
-    ]
-)
-"""`MESSAGE`, the header of a message's record."""
 
 
 class FoxgloveWriter(ChunkedFile):
@@ -126,7 +115,7 @@ class FoxgloveWriter(ChunkedFile):
         row, elapsed = len(batch) - 1, batch.time[-1].item()
         messages: list[Messages] = []
         if not self._shown:
-            messages += self._show(batch, np.array([row]), times, finite_poses(batch, self._follow))
+            messages += self._show(batch, np.array([row]), times, known_poses(batch, self._follow))
         if self._lights.latest.elapsed != elapsed:
             self._lights.latest.elapsed = elapsed
             messages.append(single(followed.LIGHTS, row, self._lights.latest))
@@ -142,7 +131,7 @@ class FoxgloveWriter(ChunkedFile):
             line = Log(level=_LEVELS[level], name=subject, message=text)
             line.timestamp.FromNanoseconds(int(times[0]))
             yield single(LOG, 0, line)
-        found = finite_poses(batch, self._follow)
+        found = known_poses(batch, self._follow)
         if self._follow is not None:
             yield from self._motion.messages(batch, self._follow, found)
         rows = self._choose(batch)
@@ -159,11 +148,11 @@ class FoxgloveWriter(ChunkedFile):
                 rows.append(row)
         return np.array(rows, np.intp)
 
-    def _show(self, batch: SceneBatch, rows: Indices, times: Times, found: FinitePoses) -> Iterator[Messages]:
+    def _show(self, batch: SceneBatch, rows: Indices, times: Times, found: KnownPoses) -> Iterator[Messages]:
         """Yield the messages of the scenes that are shown, given the poses of the followed actor."""
-        found = found.among(rows)
-        yield from self._frames.messages(batch, rows, times[rows], found)
-        yield from self._entities.messages(batch, rows, times[rows])
+        found, stamps = found.of(rows), timestamps(times[rows])
+        yield from self._frames.messages(batch, rows, stamps, found)
+        yield from self._entities.messages(batch, rows, stamps)
         yield from self._lights.messages(batch, rows, found)
 
     def _times_of(self, batch: SceneBatch) -> Times:
@@ -199,8 +188,8 @@ class FoxgloveWriter(ChunkedFile):
             stop = max(begin + 1, min(int(np.searchsorted(offsets, room)), len(order)))
             entries = np.stack((log_times[begin:stop], (offsets[begin:stop] - offsets[begin]).astype(np.uint64)), axis=1)
             index = {channel: entries[channels[begin:stop] == channel] for channel in set(channels[begin:stop].tolist())}
-            data = b"".join([records[record] for record in order[begin:stop].tolist()])
-            self._chunk.add_records(data, index, int(log_times[begin]), int(log_times[stop - 1]))
+            added = [records[record] for record in order[begin:stop].tolist()]
+            self._chunk.add_records(added, index, int(log_times[begin]), int(log_times[stop - 1]))
             if self._chunk.size >= _CHUNK_SIZE:
                 self._cut()
             begin = stop
@@ -218,7 +207,7 @@ class FoxgloveWriter(ChunkedFile):
 def _records(messages: Messages, channel: int, times: Times) -> list[memoryview]:
     """Return the records of messages, whose headers are set."""
     size = messages.data.shape[1]
-    header = messages.data[:, : MESSAGE.size].view(_HEADER)[:, 0]
+    header = messages.data[:, : MESSAGE.size].view(MESSAGE_DTYPE)[:, 0]
     header["opcode"], header["length"], header["channel"], header["sequence"] = (
         Opcode.MESSAGE,
         size - RECORD.size,

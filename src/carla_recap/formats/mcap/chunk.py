@@ -18,7 +18,7 @@ from carla_recap.model.layout import EMPTY_LIST, OBJECTS_LIMIT, Framing, Payload
 from carla_recap.model.records import FRAME_START, Group
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping
+    from collections.abc import Mapping, Sequence
 
     from numpy.typing import NDArray
 
@@ -72,12 +72,12 @@ class ChunkBuilder:
         waiting[1].append(payload)
         self.size += size
 
-    def add_records(self, data: Buffer, index: Mapping[int, NDArray[np.uint64]], start: int, end: int) -> None:
+    def add_records(self, records: Sequence[Buffer], index: Mapping[int, NDArray[np.uint64]], start: int, end: int) -> None:
         """Add messages that are records already.
 
         Args:
-            data: The records.
-            index: By channel, the log time in ns and the offset in the data of each message, (messages, 2).
+            records: The records, some or all of them together.
+            index: By channel, the log time in ns and the offset in the records of each message, (messages, 2).
             start: First log time in ns.
             end: Last log time in ns.
         """
@@ -88,9 +88,10 @@ class ChunkBuilder:
         for channel, entries in index.items():
             entries[:, 1] += np.uint64(self._end)
             self._index.setdefault(channel, array("Q")).frombytes(entries.tobytes())
-        self._parts.append(data)
-        self._end += len(data)
-        self.size += len(data)
+        self._parts += records
+        size = sum(map(len, records))
+        self._end += size
+        self.size += size
 
     def finish(self) -> tuple[bytes, dict[int, array[int]]]:
         """Return the records, and by channel the log time and offset of each message."""
