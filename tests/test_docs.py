@@ -25,7 +25,7 @@ if TYPE_CHECKING:
 
 ROOT = Path(__file__).parents[1]
 PACKAGE = Path(carla_recap.__file__).parent
-PAGES = [ROOT / "README.md", *sorted((ROOT / "docs").glob("*.md"))]
+PAGES = [ROOT / "README.md", ROOT / "samples" / "README.md", *sorted((ROOT / "docs").glob("*.md"))]
 FORMAT = (ROOT / "docs" / "format.md").read_text("utf-8")
 RECORDS = (ROOT / "docs" / "records.md").read_text("utf-8")
 ARCHITECTURE = (ROOT / "docs" / "architecture.md").read_text("utf-8")
@@ -108,7 +108,7 @@ def test_every_sensor_has_a_row():
         assert f"| `{name}` | {kind.support} | {kind.what} |" in SERVING
 
 
-@pytest.mark.parametrize("page", [*PAGES, ROOT / "CONTRIBUTING.md"], ids=lambda page: page.name)
+@pytest.mark.parametrize("page", [*PAGES, ROOT / "CONTRIBUTING.md"], ids=lambda page: str(page.relative_to(ROOT)))
 def test_files_and_folders_that_a_page_names_exist(page):
     text = page.read_text("utf-8")
     for name in {path.partition("#")[0] for path in re.findall(r"\]\(([^):]+)\)", text)} - {""}:
@@ -194,7 +194,9 @@ def test_a_snippet_runs(working_directory, code):
 
 
 @pytest.mark.parametrize(
-    "page", [page for page in PAGES if "$ carla-recap" in page.read_text("utf-8")], ids=lambda p: p.name
+    "page",
+    [page for page in PAGES if "$ carla-recap" in page.read_text("utf-8")],
+    ids=lambda page: str(page.relative_to(ROOT)),
 )
 def test_commands_print_what_is_shown(working_directory, page):
     """The commands of a page that use samples, or files that other commands have made of them, one after another."""
