@@ -1,4 +1,4 @@
-"""Recordings of any format in Python: frames, actors, tables and queries."""
+"""`Recording`: the frames, actors, tables and queries of a recording of either format."""
 
 from __future__ import annotations
 
@@ -46,12 +46,12 @@ class RecordingInfo:
     """The summary of a recording.
 
     Attributes:
-        map_name: The map.
-        date: The time when it began, UTC; None where the file's date is out of range.
+        map_name: The name of the map.
+        date: The time of its beginning, in UTC; None if the file's date is out of range.
         version: The version of CARLA's format.
         frames: The number of frames.
-        duration: The elapsed seconds of the last frame.
-        additional_data: Whether CARLA recorded additional data: velocities, boxes, physics, times.
+        duration: The elapsed time of the last frame, in s.
+        additional_data: Whether the first frame has additional data: velocities, bounding boxes, physics, times of lights.
     """
 
     map_name: str
@@ -85,10 +85,13 @@ class ActorsById(dict[int, Actor], Tabular):
 
 
 class Recording:
-    """A recording, open for reading; also a context manager, and iterable over its frames.
+    """An open recording; a context manager, which closes it, and iterable over its frames.
+
+    Whatever reads the file raises `FormatError` if the file contradicts its format, and `Closed` after `close`. Times are
+    elapsed seconds, from the beginning of the recording; a time within a microsecond of a frame is that of the frame.
 
     Args:
-        reader: The format's reader.
+        reader: The reader of the file's format.
     """
 
     def __init__(self, reader: Reader) -> None:
@@ -109,34 +112,30 @@ class Recording:
 
     @property
     def path(self) -> Path:
-        """The file."""
+        """The path of the file."""
         return self._reader.path
 
     @property
     def header(self) -> Header:
-        """The header."""
+        """The header: map, date, version."""
         return self._reader.header
 
     @property
     def reader(self) -> Reader:
-        """The reader of the file's format.
-
-        Raises:
-            Closed: The recording is closed.
-        """
+        """The reader of the file's format."""
         if self._closed:
             raise Closed(self.path)
         return self._reader
 
     def close(self) -> None:
-        """Close the file; closing it twice is harmless."""
+        """Close the file; do nothing if it is closed."""
         if not self._closed:
             self._closed = True
             self._reader.close()
 
     @cached_property
     def info(self) -> RecordingInfo:
-        """The summary of the recording."""
+        """The summary: map, date, version, frames, duration."""
         header, extent = self.header, self.reader.extent()
         first = next(self.reader.frames(), None)
         additional = first is not None and any(p.type is not None and p.type.additional for p in first.packets)
@@ -148,10 +147,7 @@ class Recording:
 
     @cached_property
     def actors(self) -> ActorsById:
-        """The actors by id, in order of appearance; of several that had an id, the latest.
-
-        On MCAP, read from the events alone.
-        """
+        """The actors by id, in order of appearance; of several with the same id, the latest."""
         return ActorsById((actor.id, actor) for actor in actors(self.reader))
 
     @property
@@ -160,22 +156,22 @@ class Recording:
         return [actor for actor in self.actors.values() if actor.is_hero]
 
     def frames(self, start: float = -math.inf, stop: float = math.inf) -> Iterator[Frame]:
-        """Stream the frames.
+        """Yield the frames.
 
         Args:
-            start: First elapsed time, in seconds.
-            stop: Elapsed time, in seconds, at which to stop (exclusive). A frame within a microsecond of either is at it.
-
-        Raises:
-            FormatError: The file contradicts its format.
+            start: The time of the first frame, in s.
+            stop: The time before which the last frame begins, in s.
         """
         return self.reader.frames(start=start, stop=stop)
 
     def frame_at(self, elapsed: float) -> Frame:
-        """Return the last frame that begins at or before a time in seconds, or within a microsecond of it; found by index.
+        """Return the last frame that begins at or before a time, found by index; after the end, the last one of all.
+
+        Args:
+            elapsed: The time, in s.
 
         Raises:
-            RecapError: The recording has none.
+            RecapError: The recording begins later, or has no frames.
         """
         frame = self.reader.frame_at(elapsed)
         if frame is None:
@@ -185,25 +181,25 @@ class Recording:
         return frame
 
     def trajectory(self, actor_id: int, *, axes: Axes = "right-handed") -> Trajectory:
-        """Return the trajectory of an actor, in metres.
+        """Return the trajectory of an actor: arrays of shape (n,), for the n frames in which it has a transform.
+
+        Positions are in m, rotations in degrees, velocities in m/s. If several actors had the id, it is that of all.
 
         Args:
-            actor_id: The actor.
+            actor_id: The id of the actor.
             axes: "right-handed", x forward, y left, z up, as in ROS, Rerun and Foxglove; or "carla", CARLA's own, with y to
                 the right, and pitch and yaw turning the other way.
 
-        Where a recording gives an id out again, the trajectory is of all actors that had it.
-
         Raises:
-            RecapError: There is no such actor.
+            RecapError: There is no such actor, or no such axes.
         """
         return self._of_one(actor_id, trajectories(self.reader, {actor_id}, axes=axes), lambda: Trajectory.empty(actor_id))
 
     def trajectories(self, kind: str | None = None, *, axes: Axes = "right-handed") -> Trajectories:
-        """Return the trajectories of actors by id, in metres, in one pass over the recording.
+        """Return the trajectories of actors by id, read in one pass; see `trajectory`. They are a table, too.
 
         Args:
-            kind: The kind of actors, such as "vehicle" or "walker"; None for all that have transforms.
+            kind: The kind of the actors, such as "vehicle" or "walker"; None for all that have transforms.
             axes: See `trajectory`.
 
         Raises:
@@ -218,34 +214,35 @@ class Recording:
         return trajectories(self.reader, ids, axes=axes)
 
     def table(self, name: str) -> RecordTable:
-        """Return all records of a type as columns, with the frame and the time of each; numbers as CARLA records them.
+        """Return all records of a type as columns: arrays of shape (n,), a value for each of n records.
+
+        The first columns are the frame number and the time of the frame. Numbers have CARLA's units: cm, degrees, s, in
+        left-handed axes.
 
         Args:
             name: The record type, such as "transforms"; docs/records.md lists them.
 
         Raises:
             RecordError: There is no such type.
-            FormatError: The file contradicts its format.
         """
         return record_table(self.reader, name)
 
     def batches(
         self, types: Collection[str] | None = None, start: float = -math.inf, stop: float = math.inf
     ) -> Iterator[Batch]:
-        """Stream the frames in batches of frames of one shape, whose records are arrays, (frames, records of each).
+        """Yield the frames in batches: consecutive frames with the same packets and the same numbers of records.
+
+        `batch.records(name)` is a structured array of shape (frames, records of a frame), in CARLA's units.
 
         Args:
-            types: Names of record types: frames hold the packets of these alone, and no empty ones. None: all packets.
-            start: First elapsed time, in seconds.
-            stop: Elapsed time, in seconds, at which to stop (exclusive).
-
-        Raises:
-            FormatError: The file contradicts its format.
+            types: The names of record types; frames have only their packets, and no empty ones. None: all packets.
+            start: The time of the first frame, in s.
+            stop: The time before which the last frame begins, in s.
         """
         return self.reader.batches(types, start=start, stop=stop)
 
     def controls(self, actor_id: int) -> Controls:
-        """Return the controls of a vehicle.
+        """Return the controls of a vehicle: arrays of shape (n,), for the n frames in which they are recorded.
 
         Raises:
             RecapError: There is no such actor.
@@ -255,7 +252,7 @@ class Recording:
         return Controls(found.time, rows["steer"], rows["throttle"], rows["brake"], rows["hand_brake"] != 0, rows["gear"])
 
     def light_states(self, actor_id: int) -> LightStates:
-        """Return the states of a traffic light.
+        """Return the states of a traffic light: arrays of shape (n,), for the n frames in which they are recorded.
 
         Raises:
             RecapError: There is no such actor.
@@ -265,25 +262,49 @@ class Recording:
         return LightStates(found.time, rows["state"], rows["elapsed"], rows["frozen"] != 0)
 
     def collisions(self, type1: str = "a", type2: str = "a", *, compat: bool = False) -> Collisions:
-        """Return the collisions; see `carla_recap.queries.collisions`."""
+        """Return the collisions between two kinds of actors, a row for each contact of two actors.
+
+        Args:
+            type1: The kind of the first actor, which has the collision sensor: h hero, v vehicle, w walker, t traffic light,
+                o other, a any.
+            type2: The kind of the second actor.
+            compat: Answer as CARLA 0.9.16 does, errors included.
+
+        Raises:
+            RecapError: There is no such kind.
+        """
         from carla_recap.queries.collisions import collisions
 
         return collisions(self.reader, type1, type2, compat=compat)
 
     def blocked(self, min_time: float = 30.0, min_distance: float = 10.0, *, compat: bool = False) -> Blocked:
-        """Return the actors that did not move; see `carla_recap.queries.blocked`. Seconds and centimetres."""
+        """Return the stops of actors, the longest first.
+
+        Args:
+            min_time: The least duration of a stop, in s.
+            min_distance: The distance from which on an actor has moved, in cm.
+            compat: Answer as CARLA 0.9.16 does, errors included.
+        """
         from carla_recap.queries.blocked import blocked
 
         return blocked(self.reader, min_time, min_distance, compat=compat)
 
-    def incidents(self, **which: Any) -> Incidents:
-        """Return the incidents: collisions, long stops, hard braking; see `carla_recap.queries.incidents`."""
+    def incidents(self, **options: Any) -> Incidents:
+        """Return the incidents: collisions, long stops, hard braking, in order of time.
+
+        Args:
+            options: Those of `carla_recap.queries.incidents.incidents`: `collisions`, `blocked` and `braking`, whether to
+                return these, `min_time` in s and `min_distance` in cm of stops, `deceleration` in m/s² of hard braking.
+
+        Raises:
+            RecapError: The deceleration is not above 0.
+        """
         from carla_recap.queries.incidents import incidents
 
-        return incidents(self.reader, **which)
+        return incidents(self.reader, **options)
 
     def _rows(self, actor_id: int, name: str) -> ActorRows:
-        """Return the records of an actor; the last of each frame, where it has several."""
+        """Return the records of an actor; of several in a frame, the last one."""
         rows = actor_rows(self.reader, (name,), {actor_id})[name]
         empty = ActorRows(np.empty(0, np.int64), np.empty(0), np.empty(0, self.header.table.named(name).dtype))
         return self._of_one(actor_id, rows, lambda: empty)
@@ -303,11 +324,11 @@ class Recording:
 
 
 def open_recording(path: Path | str) -> Recording:
-    """Open a recording of either format, CARLA's log or MCAP; the content says which.
+    """Open a recording: CARLA's log or MCAP, recognized by the content.
 
     Raises:
-        NotARecording: It is neither.
-        FormatError: It is damaged.
-        RecapError: It cannot be read.
+        NotARecording: The file is neither.
+        FormatError: The file is damaged.
+        RecapError: The file cannot be read.
     """
     return Recording(open_reader(path))
