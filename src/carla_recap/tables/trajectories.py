@@ -216,7 +216,7 @@ class ActorRows:
 
 
 @dataclass(frozen=True, eq=False)
-class _Block:
+class _ActorBlock:
     """Frames with the same actors: their indices and times, and the records, (frames, actors)."""
 
     ids: NDArray[np.uint32]
@@ -241,7 +241,7 @@ def actor_rows(
         FormatError: The file contradicts its format.
     """
     wanted = None if actors is None else np.array(sorted(actors), np.uint32)
-    blocks: dict[str, list[_Block]] = {name: [] for name in names}
+    blocks: dict[str, list[_ActorBlock]] = {name: [] for name in names}
     frames: list[Frame] = []  # of batches of one
     for batch in chain(reader.batches(tuple(names)), (None,)):
         if frames and (len(frames) == _FRAMES or batch is None or len(batch) > 1):
@@ -256,7 +256,7 @@ def actor_rows(
     return {name: _by_actor(blocks.pop(name)) for name in names}
 
 
-def _blocks(batch: Batch, name: str, wanted: NDArray[np.uint32] | None) -> Iterator[_Block]:
+def _blocks(batch: Batch, name: str, wanted: NDArray[np.uint32] | None) -> Iterator[_ActorBlock]:
     """Yield the records of a type in a batch, in blocks of frames with the same actors."""
     records = batch.records(name)
     if not records.shape[1]:
@@ -275,10 +275,10 @@ def _blocks(batch: Batch, name: str, wanted: NDArray[np.uint32] | None) -> Itera
             if len(from_end) < len(kept):  # the last record of each actor counts
                 kept = kept[np.sort(len(kept) - 1 - from_end)]
         part = records[start:stop] if len(kept) == len(listed) else records[start:stop, kept]
-        yield _Block(listed[kept], frame[start:stop], batch.elapsed[start:stop].copy(), part.copy())
+        yield _ActorBlock(listed[kept], frame[start:stop], batch.elapsed[start:stop].copy(), part.copy())
 
 
-def _blocks_of_frames(frames: list[Frame], name: str, wanted: NDArray[np.uint32] | None) -> Iterator[_Block]:
+def _blocks_of_frames(frames: list[Frame], name: str, wanted: NDArray[np.uint32] | None) -> Iterator[_ActorBlock]:
     """Yield the records of a type in frames, a block for each actor."""
     pieces = [np.ascontiguousarray(frame[name]) for frame in frames]
     dtype = next((piece.dtype for piece in pieces if len(piece)), pieces[0].dtype)
@@ -295,7 +295,7 @@ def _blocks_of_frames(frames: list[Frame], name: str, wanted: NDArray[np.uint32]
     frame, time = np.array([frame.index for frame in frames]), np.array([frame.elapsed for frame in frames])
     blocks = zip(np.split(order, starts[1:]), np.split(rows, starts[1:]), ids[starts].tolist(), strict=True)
     for mine, at, id in sorted(blocks, key=lambda block: int(block[0][0])) if len(ids) else ():
-        yield _Block(np.array([id], np.uint32), frame[at], time[at], records[mine, None])
+        yield _ActorBlock(np.array([id], np.uint32), frame[at], time[at], records[mine, None])
 
 
 def _among(ids: NDArray[np.uint32], wanted: NDArray[np.uint32]) -> NDArray[np.bool_]:
@@ -306,7 +306,7 @@ def _among(ids: NDArray[np.uint32], wanted: NDArray[np.uint32]) -> NDArray[np.bo
     return found
 
 
-def _by_actor(blocks: list[_Block]) -> dict[int, ActorRows]:
+def _by_actor(blocks: list[_ActorBlock]) -> dict[int, ActorRows]:
     """Return the rows by actor, in the order in which the actors appear; empties the list of blocks, to save memory."""
     pieces: dict[int, list[tuple[int, int]]] = {}
     merged = list(_merged(blocks))
@@ -323,7 +323,7 @@ def _by_actor(blocks: list[_Block]) -> dict[int, ActorRows]:
     }
 
 
-def _merged(blocks: list[_Block]) -> Iterator[_Block]:
+def _merged(blocks: list[_ActorBlock]) -> Iterator[_ActorBlock]:
     """Yield blocks of the same actors as one, with records by actor, (actors, frames); empties the list."""
     blocks.reverse()
     while blocks:
@@ -336,4 +336,4 @@ def _merged(blocks: list[_Block]) -> Iterator[_Block]:
         for block in same:
             records[:, start : start + len(block.frame)] = block.records.T
             start += len(block.frame)
-        yield _Block(same[0].ids, frame, time, records)
+        yield _ActorBlock(same[0].ids, frame, time, records)

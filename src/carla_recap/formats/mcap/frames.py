@@ -179,7 +179,7 @@ class _Plan(NamedTuple):
     steps: list[tuple[int, int]]
 
 
-class _Block(NamedTuple):
+class _PendingChunks(NamedTuple):
     """Chunks of which some frames are not complete yet.
 
     Attributes:
@@ -232,7 +232,7 @@ class FrameAssembler:
         self._start, self._stop = period
         self._pending: dict[int, tuple[int, list[Found]]] = {}  # by sequence number: log time and messages
         self._waiting: list[tuple[MessageRun, Batch]] = []
-        self._blocks: list[_Block] = []
+        self._blocks: list[_PendingChunks] = []
         self._plans: dict[bytes, _Plan] = {}
 
     def add(self, chunks: list[tuple[ChunkIndex, bytes]]) -> None:
@@ -257,7 +257,7 @@ class FrameAssembler:
         self._resolve()
         last = max((time for time, _ in self._pending.values()), default=0)
         last = max(last, *(int(run.times[-1]) for run, _ in self._waiting)) if self._waiting else last
-        self._blocks.append(_Block(last, sum(len(data) for _, data in chunks), count))
+        self._blocks.append(_PendingChunks(last, sum(len(data) for _, data in chunks), count))
         self._allowance -= count
         chunk = chunks[-1][0]
         if self._allowance < 0:

@@ -1,8 +1,8 @@
 """Payloads of any structure ↔ their messages, such as of records whose size varies.
 
 A message is the numbers of its payload, moved, between bytes that depend on nothing but the packet's *structure*: counts and
-texts. The latest structure of each type is kept as a `Template`, which moves all numbers of a packet at once. A message that
-does not look as this module writes it is parsed by protobuf.
+texts. The latest structure of each type is kept as a `PacketTemplate`, which moves all numbers of a packet at once. Any
+message that this module would write in another way is parsed by protobuf.
 
 A payload that no message can give back byte for byte (a flag of 2, broken UTF-8, surplus bytes) is kept as a whole in the
 message's field `raw` as well.
@@ -63,10 +63,10 @@ if TYPE_CHECKING:
     from carla_recap.model.records import RecordType
 
 _LEAST: Final = 7  # bytes of a record with nothing but an id
-_templates: dict[RecordType, Template] = {}  # of the latest packet of each type
+_templates: dict[RecordType, PacketTemplate] = {}  # of the latest packet of each type
 
 
-class Template(NamedTuple):
+class PacketTemplate(NamedTuple):
     """A structure of packets.
 
     Attributes:
@@ -237,7 +237,7 @@ class _Decoder:
         return found
 
 
-def _template(type: RecordType, payload: Buffer) -> tuple[Template, bytes]:
+def _template(type: RecordType, payload: Buffer) -> tuple[PacketTemplate, bytes]:
     """Return the structure of a packet, and what its message has behind that to give the payload back.
 
     Raises:
@@ -259,7 +259,7 @@ def _template(type: RecordType, payload: Buffer) -> tuple[Template, bytes]:
     payload_mask, body_mask = np.full(len(array), 0xFF, np.uint8), np.full(len(body), 0xFF, np.uint8)
     payload_mask[sources] = body_mask[targets] = masks
     raw = b"" if encoder.exact and not rest else bytes([RAW_TAG]) + varint(len(data)) + data
-    return Template(array, body, sources, targets, payload_mask, body_mask), raw
+    return PacketTemplate(array, body, sources, targets, payload_mask, body_mask), raw
 
 
 def encode(type: RecordType, payload: Buffer) -> bytes:
