@@ -1,4 +1,4 @@
-"""What is closed says so, whatever it was used for before; and what was read cannot be written to."""
+"""Closed readers, writers and recordings raise `Closed`; arrays that were read are read-only."""
 
 from __future__ import annotations
 
@@ -92,7 +92,7 @@ def test_a_closed_reader(path: Path, use: Callable[[Reader], Any], before: bool)
         use(reader)
 
 
-def test_what_was_read_before_stays(path: Path) -> None:
+def test_arrays_outlive_the_reader(path: Path) -> None:
     reader = open_reader(path)
     frame = next(reader.frames())
     records = frame["transforms"]

@@ -1,4 +1,4 @@
-"""What the extras ask for, by Python and machine: CARLA's library is not published for all."""
+"""The requirements of the extras, by Python and machine: CARLA's library is not published for all."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ WINDOWS = {"sys_platform": "win32", "platform_machine": "AMD64", "platform_syste
 
 
 def asked_for(extra: str, python: str, machine: dict[str, str]) -> set[str]:
-    """The packages that an extra, and those that it names, install."""
+    """Return the packages that an extra installs, including those of the extras that it names."""
     environment = default_environment() | machine | {"python_version": python, "python_full_version": f"{python}.0"}
     found = set()
     for requirement in map(Requirement, EXTRAS[extra]):
@@ -40,7 +40,7 @@ def asked_for(extra: str, python: str, machine: dict[str, str]) -> set[str]:
 
 @pytest.mark.parametrize("machine", [LINUX, ARM, MAC, WINDOWS], ids=["linux", "arm", "mac", "windows"])
 @pytest.mark.parametrize("python", PYTHONS)
-def test_carla_is_asked_for_where_it_exists(python: str, machine: dict[str, str]) -> None:
+def test_carla_is_required_where_it_exists(python: str, machine: dict[str, str]) -> None:
     exists = python < "3.13" and machine in (LINUX, WINDOWS)
     for extra in ("carla", "sim", "server", "all", "dev"):
         assert ("carla" in asked_for(extra, python, machine)) == exists
@@ -49,16 +49,14 @@ def test_carla_is_asked_for_where_it_exists(python: str, machine: dict[str, str]
     assert "carla" not in asked_for("rerun", python, machine)
 
 
-def test_the_pythons() -> None:
+def test_the_versions_of_python() -> None:
     assert all(python in SpecifierSet(PROJECT["requires-python"]) for python in PYTHONS)
     named = [line.rpartition(" ")[2] for line in PROJECT["classifiers"] if "Python :: 3." in line]
     assert tuple(named) == PYTHONS
 
 
 @pytest.mark.parametrize(("extra", "needs"), [("server", "carla"), ("sim", "carla"), ("carla", "carla"), ("rerun", "pip")])
-def test_where_carla_does_not_exist_nobody_is_asked_to_install_it(
-    monkeypatch: pytest.MonkeyPatch, extra: str, needs: str
-) -> None:
+def test_an_extra_that_cannot_be_installed_is_not_suggested(monkeypatch: pytest.MonkeyPatch, extra: str, needs: str) -> None:
     monkeypatch.setattr(sys, "version_info", (3, 13, 0))
     message = str(MissingExtra("a thing", extra))
     assert ("pip install" in message) == (needs == "pip")

@@ -1,4 +1,4 @@
-"""Recordings as Python sees them: actors, trajectories, controls, lights; the same in both formats."""
+"""`Recording`: actors, trajectories, controls, lights; equal in both formats."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ def spawn(id, kind, type_id, **attributes):
 
 
 def record(path):
-    """A hero drives 20 frames along x; a walker leaves, a prop never moves, a light turns."""
+    """A recording: a hero drives 20 frames along x, a walker is destroyed, a prop never moves, a light changes."""
     with create_recording(path, map_name="Town10HD", date=DATE, additional_data=True) as recorder:
         for n in range(20):
             records = {
@@ -116,7 +116,7 @@ def test_a_date_out_of_range_is_none(tmp_path):
         ("carla-0.9.10-lane-center", "Town01", 461, 15.880943656899035),
     ],
 )
-def test_info_of_carlas_own(name, map_name, frames, duration):
+def test_info_of_recordings_of_carla(name, map_name, frames, duration):
     with open_recording(carla_log(f"{name}.log")) as recording:
         info = recording.info
         assert (info.map_name, info.frames, info.duration) == (map_name, frames, duration)
@@ -141,11 +141,11 @@ def test_an_actor_has_its_attributes(recording):
     assert recording.actors[LIGHT].role_name == ""
 
 
-def test_a_kind_that_is_none_is_a_number(recording):
+def test_an_unknown_kind_is_a_number(recording):
     assert recording.actors[WALKER].kind == "42"
 
 
-def test_actors_go(recording):
+def test_actors_are_destroyed(recording):
     gone = {actor.id: actor.destroyed_at for actor in recording.actors.values() if actor.destroyed_at}
     assert gone == {WALKER: 3.0}
 
@@ -166,7 +166,7 @@ def test_boxes_without_a_size_are_left_out(recording):
     assert recording.actors[PROP].bounding_box is None
 
 
-def test_an_id_that_is_given_out_again_is_the_latest_actor(tmp_path):
+def test_an_id_that_is_used_again_is_the_latest_actor(tmp_path):
     with create_recording(tmp_path / "again.log", map_name="T") as recorder:
         recorder.add_frame(0.0, spawned=[spawn(1, 1, "vehicle.a")])
         recorder.add_frame(1.0, destroyed=[(1,)])
@@ -209,7 +209,7 @@ def test_velocities_are_recorded_or_derived(recording):
     assert path.speed[0] == pytest.approx((11**2 + 12**2 + 13**2) ** 0.5)
 
 
-def test_who_stands_has_no_speed(recording):
+def test_an_actor_that_stands_has_no_speed(recording):
     path = recording.trajectory(PROP)
     assert path.x == pytest.approx(np.full(20, 0.07))
     assert path.vx == pytest.approx(np.zeros(20), abs=1e-9)
@@ -227,7 +227,7 @@ def test_a_trajectory_of_one_sample_has_no_speed(tmp_path):
         assert recording.trajectory(1).vx.tolist() == [0.0]
 
 
-def test_a_trajectory_is_what_the_log_has():
+def test_a_trajectory_has_the_transforms_of_the_log():
     with open_recording(carla_log("carla-0.9.13-lane-center.log")) as recording:
         hero = next(actor.id for actor in recording.actors.values() if actor.is_hero)
         path = recording.trajectory(hero)
@@ -283,13 +283,13 @@ def test_frames_within_a_time(recording):
     assert len(list(recording.frames())) == len(list(recording)) == 20
 
 
-def test_a_frame_at_a_time_is_whole(recording):
+def test_a_frame_at_a_time_has_all_packets(recording):
     every = [image(frame) for frame in recording]
     for time, index in ((0.0, 0), (0.49, 0), (4.99, 9), (5.0, 10), (9.5, 19), (1e6, 19)):
         assert image(recording.frame_at(time)) == every[index]
 
 
-def test_before_the_first_frame_is_an_error(recording):
+def test_a_time_before_the_first_frame_is_an_error(recording):
     with pytest.raises(RecapError, match=r"drive\.\w+: no frame at -1 s; it has 20, up to 9\.5 s"):
         recording.frame_at(-1)
 
@@ -313,13 +313,13 @@ def test_answers_become_arrow_tables(recording):
 @pytest.mark.parametrize(
     ("method", "package", "extra"), [("to_pandas", "pandas", "pandas"), ("to_arrow", "pyarrow", "arrow")]
 )
-def test_without_the_extra_it_is_named(recording, monkeypatch, method, package, extra):
+def test_a_missing_extra_is_named(recording, monkeypatch, method, package, extra):
     monkeypatch.setitem(sys.modules, package, None)
     with pytest.raises(MissingExtra, match=rf"pip install '\.\[{extra}\]'"):
         getattr(recording.trajectory(HERO), method)()
 
 
-def test_both_formats_answer_alike(tmp_path):
+def test_both_formats_give_equal_answers(tmp_path):
     log, mcap = carla_log("carla-0.9.10-lane-center.log"), tmp_path / "there.mcap"
     convert(log, mcap)
     with open_recording(log) as one, open_recording(mcap) as other:
@@ -332,7 +332,7 @@ def test_both_formats_answer_alike(tmp_path):
                     np.testing.assert_array_equal(getattr(a, name), getattr(b, name))
 
 
-def test_a_closed_recording_says_so(recording):
+def test_a_closed_recording_is_an_error(recording):
     recording = open_recording(recording.path)
     recording.close()
     recording.close()

@@ -1,4 +1,4 @@
-"""A time within a microsecond of a frame's is the frame's: CARLA adds up 32-bit steps, and people type round numbers."""
+"""A time within a microsecond of a frame is that of the frame: CARLA adds up 32-bit steps, users type round numbers."""
 
 from __future__ import annotations
 
@@ -42,7 +42,7 @@ def recording(path: Path) -> Iterator[Recording]:
 
 
 @pytest.mark.parametrize("time", [0.0, 0.05, 10, 12.1, 24.95])
-def test_a_round_time_is_a_frame_s(recording: Recording, time: float) -> None:
+def test_a_round_time_is_that_of_its_frame(recording: Recording, time: float) -> None:
     number = round(time / 0.05)
     assert TIMES[number] == pytest.approx(time, abs=1e-6)
     for near in (time, TIMES[number], TIMES[number] - 9e-7, TIMES[number] + 9e-7):

@@ -26,7 +26,7 @@ Done = subprocess.CompletedProcess[bytes]
 
 
 def before_others(folder: Path) -> str:
-    """The path on which Python looks for packages, with a folder in front."""
+    """Return the import path with a folder in front."""
     return os.pathsep.join(filter(None, (str(folder), ENVIRONMENT.get("PYTHONPATH"))))
 
 
@@ -39,14 +39,14 @@ def run(*arguments: object, **options: Any) -> Done:
 
 
 def answer(*arguments: object) -> str:
-    """What a command that succeeds prints, and says nothing besides."""
+    """Run a command that succeeds without messages; return what it prints."""
     done = run(*arguments)
     assert (done.returncode, done.stderr) == (0, b"")
     return done.stdout.decode()
 
 
 def error(*arguments: object, code: int = 2, **options: Any) -> str:
-    """The one line with which a command fails."""
+    """Run a command that fails; return its message."""
     done = run(*arguments, **options)
     assert done.returncode == code
     assert done.stdout == b""
@@ -54,7 +54,7 @@ def error(*arguments: object, code: int = 2, **options: Any) -> str:
 
 
 def the_line(stderr: bytes) -> str:
-    """What stands in the one line on stderr, behind the command's name; it can be shown anywhere."""
+    """Return the only line of stderr, without the name of the command; all its characters are printable."""
     (line,) = stderr.decode().splitlines()
     assert line.isprintable()
     assert line.startswith("carla-recap: ")
@@ -64,7 +64,8 @@ def the_line(stderr: bytes) -> str:
 def on_terminal(*arguments: object, stream: str = "stdout") -> tuple[int, str, bytes]:
     """Run the command with one stream on a terminal.
 
-    Returns: The exit code, what the terminal got, and what the other stream got.
+    Returns:
+        The exit code, the text on the terminal, and the bytes of the other stream.
     """
     ours, theirs = pty.openpty()
     streams = {"stdout": subprocess.PIPE, "stderr": subprocess.PIPE, stream: theirs}
@@ -84,7 +85,7 @@ def read_terminal(terminal: int) -> str:
         while True:
             try:
                 piece = os.read(terminal, 1 << 16)
-            except OSError:  # Linux's way to say that the other side has hung up
+            except OSError:  # Linux, when the other side is closed
                 piece = b""
             if not piece:
                 return b"".join(pieces).decode().replace("\r\n", "\n")

@@ -1,4 +1,4 @@
-"""The commands that ask and convert, and what all have in common."""
+"""The commands that query and convert, and the behaviour of all commands."""
 
 from __future__ import annotations
 
@@ -77,7 +77,7 @@ def crossing_mcap(tmp_path_factory) -> Path:
 
 @pytest.fixture
 def evil(tmp_path) -> Path:
-    """A recording whose texts would steer a terminal, and with numbers that are not finite."""
+    """A recording with texts that would control a terminal, and with numbers that are not finite."""
     path = tmp_path / "evil.mcap"
     nan = float("nan")
     with create_recording(path, map_name=EVIL, date=0) as recorder:
@@ -92,7 +92,7 @@ def evil(tmp_path) -> Path:
 
 
 def strict(document: str) -> Any:
-    """What JSON says, by the letter of its standard."""
+    """Parse JSON strictly."""
 
     def refuse(constant: str) -> NoReturn:
         raise AssertionError(constant)
@@ -101,7 +101,7 @@ def strict(document: str) -> Any:
 
 
 def text_of(query: Callable[..., Any], path: Path, *arguments: Any, **options: Any) -> str:
-    """The Python API's answer, in CARLA's text."""
+    """Return the answer of the Python API as CARLA's text."""
     with reading(path) as reader:
         return "".join(text(query(reader, *arguments, **options)))
 
@@ -123,17 +123,17 @@ def text_of(query: Callable[..., Any], path: Path, *arguments: Any, **options: A
     ],
     ids=lambda value: " ".join(value) if isinstance(value, list) else "",
 )
-def test_a_pipe_gets_the_text(arguments, query, options):
+def test_a_pipe_gets_text(arguments, query, options):
     command, *rest = arguments
     assert answer(command, CROSSING, *rest) == text_of(query, CROSSING, **options)
 
 
 @pytest.mark.parametrize("query", [info, collisions, blocked, actors])
-def test_the_format_makes_no_difference(crossing_mcap, query):
+def test_answers_are_equal_on_both_formats(crossing_mcap, query):
     assert answer(query.__name__, crossing_mcap) == text_of(query, CROSSING)
 
 
-def test_text_is_bytes_of_utf8(tmp_path):
+def test_text_is_written_as_utf8_bytes(tmp_path):
     path = tmp_path / "été.log"
     with create_recording(path, map_name="Zürich 🚗") as recorder:
         recorder.add_frame(0.0)
@@ -150,7 +150,7 @@ def test_text_is_bytes_of_utf8(tmp_path):
     ],
     ids=lambda value: " ".join(value) if isinstance(value, list) else "",
 )
-def test_compat_is_what_carla_prints(arguments, expected):
+def test_compat_prints_what_carla_prints(arguments, expected):
     name = "carla-0.9.13-lane-center"
     data = (carla_log(f"{name}.log").parent / "expected" / f"{name}.{expected}").read_bytes()
     wanted = gzip.decompress(data) if expected.endswith(".gz") else data
@@ -160,14 +160,14 @@ def test_compat_is_what_carla_prints(arguments, expected):
     assert done.stdout.splitlines() == wanted.splitlines()
 
 
-def test_carla_takes_a_negative_time():
+def test_compat_accepts_a_negative_time():
     rows = answer("blocked", CROSSING, "--compat", "--min-time", "-1").splitlines()
     assert len(rows) > len(answer("blocked", CROSSING, "--compat", "--min-time", "0.5").splitlines())
     assert "'--min-time': '-1'" in error("blocked", CROSSING, "--min-time", "-1")
 
 
 @pytest.mark.parametrize("command", [["info"], ["info", "--compat"], ["collisions"], ["blocked"], ["actors"]], ids=" ".join)
-def test_text_on_a_terminal_does_not_steer_it(evil, command):
+def test_text_cannot_control_a_terminal(evil, command):
     name, *rest = command
     code, shown, _ = on_terminal(name, evil, "--text", *rest)
     assert code == 0
@@ -197,7 +197,7 @@ def test_json(command):
     assert document["rows"]
 
 
-def test_json_of_what_is_not_finite(evil):
+def test_json_of_numbers_that_are_not_finite(evil):
     rows = strict(answer("info", evil, "--all", "--json"))["rows"]
     (pose,) = (row["record"] for row in rows if row["type"] == "transforms")
     assert (pose["x"], pose["y"], pose["z"]) == (None, None, 0.0)
@@ -225,7 +225,7 @@ def test_a_terminal_gets_a_table(command, words):
 
 
 @pytest.mark.parametrize("form", ["--text", "--json", "--compat"])
-def test_a_terminal_gets_another_form_when_asked(form):
+def test_options_choose_the_form_on_a_terminal(form):
     code, shown, errors = on_terminal("collisions", CROSSING, form)
     assert (code, errors) == (0, b"")
     if form == "--json":
@@ -235,14 +235,14 @@ def test_a_terminal_gets_another_form_when_asked(form):
 
 
 @pytest.mark.parametrize("command", [["info", "--all"], ["collisions"], ["blocked"], ["actors"]], ids=" ".join)
-def test_a_recording_steers_no_terminal(evil, command):
+def test_a_table_cannot_control_a_terminal(evil, command):
     code, shown, errors = on_terminal(command[0], evil, *command[1:])
     assert (code, errors) == (0, b"")
     assert "\\x1b]0;evil\\x07" in shown
     assert not re.search("\x1b\\]|\x07|\x9b", shown)
 
 
-def test_a_terminal_sees_how_far_a_conversion_is(tmp_path):
+def test_a_conversion_has_a_progress_bar_on_a_terminal(tmp_path):
     code, shown, output = on_terminal("convert", CROSSING, tmp_path / "c.mcap", stream="stderr")
     assert (code, output) == (0, b"")
     assert "converting" in shown
@@ -250,7 +250,7 @@ def test_a_terminal_sees_how_far_a_conversion_is(tmp_path):
     assert shown.count("\x1b[?25l") == shown.count("\x1b[?25h") > 0  # the cursor is back
 
 
-def test_a_file_name_steers_no_terminal(tmp_path):
+def test_a_file_name_cannot_control_a_terminal(tmp_path):
     source, destination = tmp_path / f"[bold]{EVIL}.log", tmp_path / f"[bold]{EVIL}.mcap"
     source.symlink_to(CROSSING)
     code, shown, _ = on_terminal("convert", source, destination, stream="stderr")
@@ -279,7 +279,7 @@ def test_max_rows_with_json():
     the_line(done.stderr)
 
 
-def test_no_rows_at_all():
+def test_max_rows_of_an_empty_answer():
     answer("collisions", CROSSING, "--types", "tt", "--max-rows", 0)
 
 
@@ -287,27 +287,27 @@ def test_no_rows_at_all():
 
 
 @pytest.mark.parametrize("name", ["missing.log", "empty.log", "text.log", "directory", "foreign.mcap"])
-def test_no_recording(tmp_path, name):
+def test_a_file_that_is_not_a_recording(tmp_path, name):
     prepare_no_recordings(tmp_path)
     assert error("info", name, cwd=tmp_path).startswith(f"{name}: ")
 
 
 @pytest.mark.parametrize("command", ["collisions", "blocked", "actors"])
-def test_no_recording_to_ask(tmp_path, command):
+def test_a_query_of_a_missing_recording(tmp_path, command):
     prepare_no_recordings(tmp_path)
     assert error(command, "text.log", cwd=tmp_path).startswith("text.log: ")
 
 
 @pytest.mark.parametrize("command", ["convert", "recover"])
 @pytest.mark.parametrize("name", ["missing.log", "text.log", "foreign.mcap"])
-def test_no_recording_to_write(tmp_path, command, name):
+def test_a_conversion_of_a_missing_recording(tmp_path, command, name):
     before = prepare_no_recordings(tmp_path)
     assert error(command, name, "new.mcap", cwd=tmp_path).startswith(f"{name}: ")
     assert names_in(tmp_path) == before
 
 
 def prepare_no_recordings(directory: Path) -> list[str]:
-    """Files that are no recordings; returns their names."""
+    """Make files that are not recordings; return their names."""
     save(directory / "empty.log", b"")
     save(directory / "text.log", b"once upon a time\n")
     (directory / "directory").mkdir()
@@ -373,12 +373,12 @@ def test_a_damaged_log(tmp_path):
     ],
     ids=lambda value: re.sub(r"\W+", "-", " ".join(getattr(word, "name", word) for word in value)),
 )
-def test_what_the_command_does_not_know(arguments):
+def test_invalid_arguments(arguments):
     error(*arguments)
 
 
 @pytest.mark.parametrize("name", [f"{EVIL}.log", "two\nlines.log", "\u202egol.log", "\udcff.log"])
-def test_an_error_steers_no_terminal(tmp_path, name):
+def test_an_error_cannot_control_a_terminal(tmp_path, name):
     assert "No such file" in error("info", name, cwd=tmp_path)
     assert "unknown format" in error("convert", CROSSING, f"new.x{name.removesuffix('.log')}", cwd=tmp_path)
 
@@ -387,7 +387,7 @@ def test_an_error_steers_no_terminal(tmp_path, name):
 
 
 @pytest.mark.parametrize("command", ["convert", "recover"])
-def test_a_destination_is_not_overwritten_unasked(tmp_path, command):
+def test_a_destination_is_not_overwritten_without_force(tmp_path, command):
     there = save(tmp_path / "there.mcap", b"precious")
     assert error(command, CROSSING, there).startswith(f"{there}: exists already")
     assert there.read_bytes() == b"precious"
@@ -415,7 +415,7 @@ def test_a_source_is_not_overwritten(tmp_path, command):
         ("dir.log", "directory"),
     ],
 )
-def test_a_destination_that_cannot_be(tmp_path, command, destination, words):
+def test_an_invalid_destination(tmp_path, command, destination, words):
     (tmp_path / "dir.log").mkdir()
     line = error(command, CROSSING, destination, "--force", cwd=tmp_path)
     assert line.startswith(f"{destination}: ")
@@ -434,7 +434,7 @@ def test_a_conversion_that_fails_leaves_the_old_file(tmp_path, crossing_mcap):
 # --- conversion and recovery -------------------------------------------------------------------------------
 
 
-def test_there_and_back(tmp_path):
+def test_a_log_is_converted_and_back(tmp_path):
     for source, destination in ((CROSSING, "c.mcap"), ("c.mcap", "back.log")):
         done = run("convert", source, destination, cwd=tmp_path)
         assert (done.returncode, done.stdout) == (0, b"")
@@ -443,7 +443,7 @@ def test_there_and_back(tmp_path):
 
 
 @pytest.mark.parametrize("suffix", [".log", ".mcap"])
-def test_recovery(tmp_path, crossing_mcap, suffix):
+def test_recover(tmp_path, crossing_mcap, suffix):
     whole = CROSSING if suffix == ".log" else crossing_mcap
     half = save(tmp_path / f"half{suffix}", whole.read_bytes()[: whole.stat().st_size // 2])
     done = run("recover", half, tmp_path / "saved.mcap")
@@ -479,7 +479,7 @@ def test_a_cut_log_converts_with_a_warning(tmp_path):
 
 @pytest.fixture(scope="module")
 def long_log(tmp_path_factory) -> Path:
-    """A log that takes a second or so to convert."""
+    """A log whose conversion takes about a second."""
     data = CROSSING.read_bytes()
     reader = LogReader(CROSSING)
     begin = reader._start
@@ -509,7 +509,7 @@ def test_a_conversion_that_is_stopped_leaves_nothing(tmp_path, long_log, command
 
 
 @pytest.mark.parametrize("arguments", [["info", "--all"], ["info", "--all", "--json"]], ids=" ".join)
-def test_a_reader_that_has_seen_enough(arguments):
+def test_the_reader_of_a_pipe_closes_it(arguments):
     command = [COMMAND, arguments[0], CROSSING, *arguments[1:]]
     with subprocess.Popen(command, env=ENVIRONMENT, stdout=subprocess.PIPE, stderr=subprocess.PIPE) as process:
         assert process.stdout.readline()
@@ -520,7 +520,7 @@ def test_a_reader_that_has_seen_enough(arguments):
 
 @pytest.mark.skipif(not Path("/dev/full").exists(), reason="there is no /dev/full here")
 @pytest.mark.parametrize("arguments", [["info"], ["actors", "--json"]], ids=" ".join)
-def test_an_output_that_is_full(arguments):
+def test_a_full_disk_behind_stdout(arguments):
     with Path("/dev/full").open("wb") as full:
         command = [COMMAND, arguments[0], CROSSING, *arguments[1:]]
         done = subprocess.run(command, env=ENVIRONMENT, stdout=full, stderr=subprocess.PIPE, timeout=TIMEOUT, check=False)
@@ -557,7 +557,7 @@ def test_version():
 
 
 def imported(*arguments: object) -> set[str]:
-    """The packages that a command imports."""
+    """Return the packages that a command imports."""
     command = [sys.executable, "-X", "importtime", COMMAND, *map(str, arguments)]
     done = subprocess.run(command, env=ENVIRONMENT, capture_output=True, timeout=TIMEOUT, check=True)
     modules = re.findall(r"\| +([\w.]+)$", done.stderr.decode(), re.MULTILINE)
@@ -572,7 +572,7 @@ def test_help_imports_nothing_heavy():
 
 
 @pytest.mark.parametrize("command", ["info", "collisions", "blocked", "actors", "incidents"])
-def test_a_query_imports_what_it_uses(command):
+def test_a_query_imports_only_what_it_uses(command):
     """A small recording is read in less time than some packages take to import."""
     unused = {"asyncio", "google", "json", "lz4", "pyarrow", "rich", "shutil", "ssl"}
     threads = {"concurrent", "logging"}  # for chunks that are read ahead
@@ -581,5 +581,5 @@ def test_a_query_imports_what_it_uses(command):
     assert not imported(command, CROSSING.with_name("crash.mcap")) & ((unused | threads) - ahead)
 
 
-def test_a_query_of_a_log_imports_what_it_needs():
+def test_collisions_of_a_log_import_only_what_they_use():
     assert not imported("collisions", CROSSING) & {"google", "json", "mcap", "pandas", "pyarrow", "rich", "zstandard"}

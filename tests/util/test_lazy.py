@@ -1,4 +1,4 @@
-"""Names that are imported when they are asked for."""
+"""Names that are imported when they are first used."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ import pytest
 from carla_recap import sim
 
 
-def test_what_a_package_offers_is_there():
+def test_a_package_has_its_public_names():
     pytest.importorskip("pymunk", reason="the extra `sim` is not installed")
     assert {name for name in dir(sim) if not name.startswith("_")} == set(sim.__all__)
     for name in sim.__all__:
@@ -19,6 +19,6 @@ def test_what_a_package_offers_is_there():
         sim.wings  # noqa: B018
 
 
-def test_it_imports_nothing_before():
+def test_a_name_imports_only_its_module():
     code = "import sys; from carla_recap.sim import Location; sys.exit('pymunk' in sys.modules or 'numpy' in sys.modules)"
     assert subprocess.run([sys.executable, "-c", code], check=False, timeout=60).returncode == 0

@@ -1,4 +1,4 @@
-"""Child processes find this package and this process's modules, and end."""
+"""Child processes: their import path, and how they are ended."""
 
 from __future__ import annotations
 

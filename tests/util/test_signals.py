@@ -10,7 +10,7 @@ from carla_recap.util import signals
 from carla_recap.util.signals import call_on_termination
 
 
-def test_the_first_signal_is_told_and_others_are_ignored() -> None:
+def test_the_first_signal_is_handled_and_others_are_ignored() -> None:
     calls: list[str] = []
     before = signal.getsignal(signal.SIGTERM)
     with call_on_termination(calls.append):
@@ -28,7 +28,7 @@ def test_each_block_has_a_first_signal() -> None:
     assert calls == ["SIGINT", "SIGINT"]
 
 
-def test_what_is_ignored_stays_so() -> None:
+def test_an_ignored_signal_stays_ignored() -> None:
     calls: list[str] = []
     before = signal.signal(signal.SIGHUP, signal.SIG_IGN)
     try:
@@ -56,7 +56,7 @@ with signals.call_on_termination(print):
 
 @pytest.mark.parametrize("number", signals.TERMINATION)
 def test_a_command_that_is_stopped_finishes_though_more_signals_come(number: int) -> None:
-    """They come while it tidies up, and while the interpreter ends."""
+    """More signals arrive during clean-up, and while the interpreter ends."""
     code = f"""
 import atexit, signal, sys
 from carla_recap import cli
@@ -78,7 +78,7 @@ cli.main()
 
 
 def outcome(code: str) -> tuple[int, str]:
-    """With what a process ends, and what it prints."""
+    """Run a process; return its exit code and what it prints."""
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=30)
     assert done.stderr.strip() == ""
     return done.returncode, done.stdout

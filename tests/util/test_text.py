@@ -1,4 +1,4 @@
-"""Texts that CARLA's own decoder would refuse."""
+"""Texts of recordings that are not valid UTF-8."""
 
 from __future__ import annotations
 

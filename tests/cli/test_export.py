@@ -1,4 +1,4 @@
-"""The commands that show and cut."""
+"""The commands that export, show and cut recordings."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ REAL = "carla-0.9.13-lane-center.log"
 
 
 def said(*arguments: object) -> str:
-    """What a command that succeeds says on stderr, and prints nothing besides."""
+    """Run a command that succeeds; return its messages on stderr."""
     done = run(*arguments)
     assert (done.returncode, done.stdout) == (0, b""), done.stderr
     return done.stderr.decode()
@@ -29,7 +29,7 @@ def said(*arguments: object) -> str:
 # --- incidents -------------------------------------------------------------------------------------------------
 
 
-def test_incidents_as_json_and_with_a_limit():
+def test_incidents_as_json_and_with_max_rows():
     done = run("incidents", CROSSING, "--json", "--max-rows", "3")
     assert done.returncode == 1
     rows = json.loads(done.stdout)["rows"]
@@ -89,7 +89,7 @@ def test_a_camera_for_each_actor(tmp_path):
     ],
     ids=lambda value: value if isinstance(value, str) else " ".join(value),
 )
-def test_what_export_refuses(tmp_path, arguments, message):
+def test_invalid_arguments_of_export(tmp_path, arguments, message):
     (tmp_path / "broken.xodr").write_text("<html>")
     assert message in error("export", CROSSING, *arguments, cwd=tmp_path)
     assert [path.name for path in tmp_path.iterdir()] == ["broken.xodr"]
@@ -104,7 +104,7 @@ def test_export_does_not_overwrite(tmp_path):
     assert target.read_bytes().startswith(b"RRF")
 
 
-def test_export_shows_how_far_it_is(tmp_path):
+def test_export_has_a_progress_bar(tmp_path):
     code, shown, _ = on_terminal("export", CROSSING, tmp_path / "out.rrd", "--force", stream="stderr")
     assert code == 0
     assert "exporting" in shown
@@ -153,7 +153,7 @@ def test_clips_need_no_rerun(tmp_path, option):
 # --- pictures, the page, the viewer ----------------------------------------------------------------------------
 
 
-def test_a_moment_outside_cannot_be_taken(tmp_path):
+def test_a_snapshot_outside_the_recording_is_an_error(tmp_path):
     assert "nothing at 99 s" in error("snapshot", CROSSING, tmp_path / "out.png", "--at", "99")
     assert "'12' is no size" in error("snapshot", CROSSING, tmp_path / "out.png", "--at", "1", "--size", "12")
 
@@ -178,14 +178,14 @@ def test_the_page_is_served_until_it_is_interrupted(tmp_path):
         assert process.wait(TIMEOUT) == 0
 
 
-def test_without_a_display_the_viewer_says_what_to_do(monkeypatch):
+def test_a_viewer_without_a_display_is_an_error(monkeypatch):
     environment = {name: value for name, value in ENVIRONMENT.items() if "DISPLAY" not in name}
     done = subprocess.run([COMMAND, "view", CROSSING], env=environment, capture_output=True, timeout=TIMEOUT, check=False)
     assert done.returncode == 2
     assert "--web" in the_line(done.stderr)
 
 
-def test_without_the_extra_there_is_one_line(tmp_path):
+def test_a_missing_extra_is_an_error_in_one_line(tmp_path):
     (tmp_path / "rerun.py").write_text("raise ImportError('no rerun here')")
     environment = ENVIRONMENT | {"PYTHONPATH": before_others(tmp_path)}
     command = [COMMAND, "export", CROSSING, tmp_path / "out.rrd"]
@@ -196,7 +196,7 @@ def test_without_the_extra_there_is_one_line(tmp_path):
     )
 
 
-def test_without_the_maps_extra_the_rest_is_shown(tmp_path):
+def test_a_missing_extra_for_maps_is_a_warning(tmp_path):
     (tmp_path / "carla.py").write_text("raise ImportError('no carla here')")
     environment = ENVIRONMENT | {"PYTHONPATH": before_others(tmp_path), "CARLA_RECAP_MAPS": str(town("Town01").parent)}
     command = [COMMAND, "export", carla_log(REAL), tmp_path / "out.rrd", "--duration", "0.1"]

@@ -1,4 +1,4 @@
-"""The commands that make recordings."""
+"""The commands that simulate: record and replay."""
 
 from __future__ import annotations
 
@@ -55,13 +55,13 @@ def test_a_seed_sets_the_date(tmp_path):
     assert abs(dates[1] - time.time()) < 60
 
 
-def test_what_is_there_stays(tmp_path):
+def test_an_existing_file_is_kept(tmp_path):
     (tmp_path / "mine.log").write_text("mine")
     assert "exists already" in error("record", tmp_path / "mine.log", *FEW)
     assert (tmp_path / "mine.log").read_text() == "mine"
 
 
-def test_what_cannot_be_recorded(tmp_path):
+def test_invalid_arguments_of_record(tmp_path):
     assert "town 'Atlantis': expected Brickfield" in error("record", tmp_path / "a.log", "--town", "Atlantis")
     assert "unknown format" in error("record", tmp_path / "a.txt", *FEW)
     assert "has room for" in error("record", tmp_path / "a.log", "--vehicles", "1000", "--walkers", "0")
@@ -75,7 +75,7 @@ def test_what_cannot_be_recorded(tmp_path):
     assert list(tmp_path.iterdir()) == []
 
 
-def test_where_nothing_can_be_recorded(tmp_path):
+def test_invalid_destinations_of_record(tmp_path):
     (tmp_path / "folder.log").mkdir()
     without = "no suffix, which says the format; .log or .mcap was expected"
     town = ("--town", "Atlantis")  # the destination is looked at first
@@ -87,7 +87,7 @@ def test_where_nothing_can_be_recorded(tmp_path):
     assert [path.name for path in tmp_path.iterdir()] == ["folder.log"]
 
 
-def test_the_message_says_where_maps_were_looked_for(tmp_path):
+def test_a_missing_map_is_an_error_with_the_folders(tmp_path):
     for folder, told in (
         ("", "is not set"),
         (tmp_path / "no", f"{tmp_path / 'no'}, which is missing"),
@@ -103,7 +103,7 @@ def test_the_message_says_where_maps_were_looked_for(tmp_path):
         assert the_line(done.stderr).endswith(str(told))
 
 
-def test_as_many_ticks_as_the_time_takes(tmp_path):
+def test_the_number_of_ticks_is_that_of_the_duration(tmp_path):
     done = run("record", tmp_path / "a.mcap", "--vehicles", "0", "--walkers", "0", "--duration", "60")
     assert done.stderr.decode() == f"{tmp_path / 'a.mcap'}: 1200 frames, 60 s\n"
 
@@ -118,7 +118,7 @@ def test_as_many_ticks_as_the_time_takes(tmp_path):
         ("--blocked", ["vehicle.mercedes.sprinter", "vehicle.tesla.model3", "vehicle.audi.a2", "vehicle.mini.cooper_s"]),
     ],
 )
-def test_a_staged_scene_brings_its_cast(tmp_path, scene, cast):
+def test_a_staged_scene_has_its_actors(tmp_path, scene, cast):
     assert run("record", tmp_path / "a.mcap", scene, "--hero", *FEW).returncode == 0
     with open_recording(tmp_path / "a.mcap") as recording:
         movers = [actor.type_id for actor in recording.actors.values() if actor.id > 40]
@@ -126,7 +126,7 @@ def test_a_staged_scene_brings_its_cast(tmp_path, scene, cast):
         assert len(recording.heroes) == 1
 
 
-def test_around_the_junction(tmp_path):
+def test_traffic_begins_around_the_junction(tmp_path):
     assert run("record", tmp_path / "a.mcap", "--junction", *FEW).returncode == 0
     with open_recording(tmp_path / "a.mcap") as recording:
         vehicles = [actor.id for actor in recording.actors.values() if actor.kind == "vehicle"]
@@ -135,7 +135,7 @@ def test_around_the_junction(tmp_path):
 
 
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM, signal.SIGHUP])
-def test_who_ends_it_early_has_what_was_recorded(tmp_path, number):
+def test_a_signal_completes_the_recording(tmp_path, number):
     path = tmp_path / "a.mcap"
     command = [COMMAND, "record", path, "--vehicles", "1", "--walkers", "0", "--duration", "inf"]
     with subprocess.Popen(command, env=ENVIRONMENT, stderr=subprocess.PIPE) as process:
@@ -155,7 +155,7 @@ def test_who_ends_it_early_has_what_was_recorded(tmp_path, number):
 
 
 @pytest.mark.parametrize("suffix", [".mcap", ".log"])
-def test_a_full_disk_ends_it_and_leaves_what_was_recorded(tmp_path, suffix):
+def test_a_full_disk_ends_the_recording_and_keeps_it(tmp_path, suffix):
     path = tmp_path / f"a{suffix}"
     record = shlex.join([str(COMMAND), "record", str(path), "--vehicles", "3", "--walkers", "0"])
     done = subprocess.run(
@@ -173,13 +173,13 @@ def test_a_full_disk_ends_it_and_leaves_what_was_recorded(tmp_path, suffix):
         assert 1 < recording.info.duration < 60
 
 
-def test_it_shows_how_far_it_is(tmp_path):
+def test_record_has_a_progress_bar(tmp_path):
     code, shown, _ = on_terminal("record", tmp_path / "a.mcap", *FEW, stream="stderr")
     assert code == 0
     assert "simulating" in shown
 
 
-def test_without_the_extra_there_is_one_line(tmp_path):
+def test_a_missing_extra_is_an_error_in_one_line(tmp_path):
     (tmp_path / "pymunk.py").write_text("raise ModuleNotFoundError('no pymunk here')")
     command = [COMMAND, "record", tmp_path / "a.mcap", *FEW]
     environment = ENVIRONMENT | {"PYTHONPATH": before_others(tmp_path)}
@@ -226,7 +226,7 @@ def test_the_hero_can_be_left_out(crash, tmp_path):
         assert recording.info.frames == 61
 
 
-def test_a_recording_of_carlas_goes_on_in_our_town(tmp_path):
+def test_a_recording_of_carla_is_replayed_in_the_built_in_town(tmp_path):
     log = carla_log("carla-0.9.13-lane-center.log")
     done = run("replay", log, tmp_path / "a.mcap", "--town", town("Town01"), "--duration", "2", "--then", "2")
     assert done.returncode == 0
@@ -235,7 +235,7 @@ def test_a_recording_of_carlas_goes_on_in_our_town(tmp_path):
         assert recording.info.frames == 81
 
 
-def test_a_town_that_is_named_is_the_one_of_the_replay(tmp_path):
+def test_a_replay_in_a_given_town(tmp_path):
     done = run("replay", CROSSING, tmp_path / "a.mcap", "--town", "Brickfield", "--duration", "1", "--then", "0")
     assert done.returncode == 0
     first, second = done.stderr.decode().splitlines()
@@ -254,7 +254,7 @@ def test_a_recording_is_not_replayed_onto_itself(crash, tmp_path):
     assert crash.read_bytes() == before
 
 
-def test_what_cannot_be_replayed(crash, tmp_path):
+def test_invalid_arguments_of_replay(crash, tmp_path):
     out = tmp_path / "a.mcap"
     assert "is a recording of the map 'Crossing', which cannot be loaded" in error("replay", CROSSING, out)
     assert "none.log" in error("replay", tmp_path / "none.log", out)
