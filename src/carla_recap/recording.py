@@ -12,7 +12,7 @@ import numpy as np
 
 from carla_recap.errors import Closed, RecapError
 from carla_recap.formats import open_reader
-from carla_recap.queries.actors import Actor, Actors, actors
+from carla_recap.queries.actors import Actor, RecordedActors, actors
 from carla_recap.tables import Rows, Tabular
 from carla_recap.tables.records import RecordTable, record_table
 from carla_recap.tables.trajectories import (
@@ -66,7 +66,7 @@ class ActorTable(Rows[Actor]):
     """Actors as rows."""
 
     row_type = Actor
-    row_units = Actors.row_units
+    row_units = RecordedActors.row_units
 
 
 class ActorsById(dict[int, Actor], Tabular):

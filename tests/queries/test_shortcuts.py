@@ -44,10 +44,16 @@ def path(request, tmp_path):
 
 
 def test_no_hard_braking_is_missed(path, monkeypatch):
+    def hard_braking(recording):
+        detector = braking.BrakingDetector(range(1, VEHICLES + 1), 6.0)
+        for batch in recording.batches(braking.TYPES):
+            detector.batch(batch)
+        return detector.finish()
+
     with open_recording(path) as recording:
-        found = braking.hard_braking(recording.reader, range(1, VEHICLES + 1), 6.0)
-        monkeypatch.setattr(braking, "_suspects", lambda poses, *_: poses.ids())
-        assert found == braking.hard_braking(recording.reader, range(1, VEHICLES + 1), 6.0)
+        found = hard_braking(recording)
+        monkeypatch.setattr(braking, "_suspects", lambda transforms, *_: transforms.ids())
+        assert found == hard_braking(recording)
     assert len(found) > 5
 
 

@@ -1,1 +1,30 @@
-"""Queries over a recording: what it contains, collisions, stationary actors, the actors, and incidents, as typed rows."""
+"""Queries: what an answer is, and one module per query."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, TypeVar
+
+from carla_recap.tables import Rows
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable
+
+    from carla_recap.formats.base import Reader
+
+T = TypeVar("T")
+
+
+class Answer(Rows[T]):
+    """The rows that answer a query, with the header and the extent of the recording.
+
+    Args:
+        rows: The rows.
+        source: The recording; it has been read to its end.
+        compat: Whether the answer has the mistakes of CARLA 0.9.16.
+    """
+
+    def __init__(self, rows: Iterable[T], source: Reader, *, compat: bool) -> None:
+        super().__init__(rows)
+        self.header = source.header
+        self.extent = source.extent()
+        self.compat = compat

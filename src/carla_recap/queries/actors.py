@@ -1,27 +1,23 @@
-"""Who was there: every actor, when it came and went, and what is known of it."""
+"""The actors of a recording: when each appears and disappears, and its properties."""
 
 from __future__ import annotations
 
 import math
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Any, ClassVar, Final
+from typing import TYPE_CHECKING, ClassVar, Final
 
 from carla_recap.model.records import CM, ActorKind, Spawn
-from carla_recap.queries.answer import Answer
+from carla_recap.queries import Answer
 from carla_recap.util.text import readable
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterable
-
-    import numpy as np
-    from numpy.typing import NDArray
-
     from carla_recap.formats.base import Reader
+    from carla_recap.model.frame import Packet
 
 
 @dataclass(frozen=True, slots=True)
 class BoundingBox:
-    """The box of an actor, in its own axes, right-handed (x forward, y left, z up): centre and half extents in m."""
+    """The bounding box of an actor in its own axes, right-handed (x forward, y left, z up): centre and half extents in m."""
 
     x: float
     y: float
@@ -36,15 +32,15 @@ class Actor:
     """An actor of a recording.
 
     Attributes:
-        id: The actor id; where a recording gives it out again, each actor that had it is listed.
+        id: The actor id; if a recording uses it again, each actor that had it is listed.
         type_id: The blueprint, such as vehicle.tesla.model3.
-        kind: What it is: vehicle, walker, traffic_light, traffic_sign, sensor, other; or CARLA's number, if unknown.
+        kind: The kind: vehicle, walker, traffic_light, traffic_sign, sensor, other; or CARLA's number, if unknown.
         role_name: The attribute role_name, "" without one.
-        spawned_at: Elapsed seconds at which it appeared.
-        destroyed_at: Elapsed seconds at which it disappeared; None: it stayed.
+        spawned_at: The elapsed seconds at which it appears.
+        destroyed_at: The elapsed seconds at which it disappears; None if it stays.
         parent: The actor that it is attached to, if any.
         attributes: All attributes, as text.
-        bounding_box: Its box, where a sane one is recorded.
+        bounding_box: Its bounding box; None unless a finite one of positive size is recorded.
     """
 
     id: int
@@ -63,77 +59,67 @@ class Actor:
         return self.role_name == "hero"
 
 
-class Actors(Answer[Actor]):
+class RecordedActors(Answer[Actor]):
     """The actors of a recording, in order of appearance."""
 
     row_type = Actor
     row_units: ClassVar = {"spawned_at": "s", "destroyed_at": "s"}
 
 
-def actors(source: Reader) -> Actors:
-    """The actors of a recording; on MCAP, read from the events alone.
+def actors(source: Reader) -> RecordedActors:
+    """Return the actors of a recording; on MCAP, they are read from the events alone.
 
     Raises:
         FormatError: The file contradicts its format.
     """
-    found: list[Actor] = []
-    present: dict[int, Actor] = {}
-    for frame in source.frames(tuple(_EVENTS), sparse=True):
+    collector = ActorCollector()
+    for frame in source.frames(TYPES, sparse=True):
         for packet in frame.packets:
-            assert packet.type is not None
-            found += _EVENTS[packet.type.name](present, packet.records, frame.elapsed)
-    return Actors(found, source, compat=False)
+            collector.add(packet, frame.elapsed)
+    return RecordedActors(collector.actors, source, compat=False)
 
 
-def _spawn(present: dict[int, Actor], spawns: Iterable[Spawn], elapsed: float) -> list[Actor]:
-    new = []
-    for spawn in spawns:
+TYPES: Final = ("spawned", "destroyed", "parented", "bounding_boxes")
+"""The record types that describe actors."""
+
+
+class ActorCollector:
+    """Collects the actors that are described by packets.
+
+    Attributes:
+        actors: The actors, in order of appearance.
+    """
+
+    def __init__(self) -> None:
+        self.actors: list[Actor] = []
+        self._present: dict[int, Actor] = {}
+
+    def add(self, packet: Packet, elapsed: float) -> None:
+        """Add a packet of one of `TYPES`, which belongs to a frame at a time in seconds."""
+        assert packet.type is not None
+        name, records, present = packet.type.name, packet.records, self._present
+        if name == "spawned":
+            for spawn in records:
+                self._spawn(spawn, elapsed)
+            return
+        for id, *values in records.tolist():  # type: ignore[union-attr]
+            if id not in present:
+                continue
+            if name == "destroyed":
+                present.pop(id).destroyed_at = elapsed
+            elif name == "parented":
+                (present[id].parent,) = values
+            elif all(map(math.isfinite, values)) and min(values[3:]) > 0:
+                x, y, z, *extent = (value * CM for value in values)
+                present[id].bounding_box = BoundingBox(x, -y, z, *extent)
+
+    def _spawn(self, spawn: Spawn, elapsed: float) -> None:
         attributes = {readable(item.key): readable(item.value) for item in spawn.attributes}
-        actor = Actor(
-            spawn.id,
-            readable(spawn.type_id),
-            _kind(spawn.kind),
-            attributes.get("role_name", ""),
-            elapsed,
-            attributes=attributes,
-        )
-        present[spawn.id] = actor
-        new.append(actor)
-    return new
+        kind = ActorKind(spawn.kind).name.lower() if spawn.kind in _KINDS else str(spawn.kind)
+        role_name = attributes.get("role_name", "")
+        actor = Actor(spawn.id, readable(spawn.type_id), kind, role_name, elapsed, attributes=attributes)
+        self._present[spawn.id] = actor
+        self.actors.append(actor)
 
 
-def _kind(kind: int) -> str:
-    try:
-        return ActorKind(kind).name.lower()
-    except ValueError:
-        return str(kind)
-
-
-def _destroy(present: dict[int, Actor], records: NDArray[np.void], elapsed: float) -> tuple[()]:
-    for id in records["id"].tolist():
-        if id in present:
-            present.pop(id).destroyed_at = elapsed
-    return ()
-
-
-def _parent(present: dict[int, Actor], records: NDArray[np.void], elapsed: float) -> tuple[()]:
-    for id, parent in records.tolist():
-        if id in present:
-            present[id].parent = parent
-    return ()
-
-
-def _box(present: dict[int, Actor], records: NDArray[np.void], elapsed: float) -> tuple[()]:
-    for id, *sizes in records.tolist():
-        if id in present and all(map(math.isfinite, sizes)) and min(sizes[3:]) > 0:
-            x, y, z, *extent = (size * CM for size in sizes)
-            present[id].bounding_box = BoundingBox(x, -y, z, *extent)
-    return ()
-
-
-_EVENTS: Final[dict[str, Callable[[dict[int, Actor], Any, float], Iterable[Actor]]]] = {
-    "spawned": _spawn,
-    "destroyed": _destroy,
-    "parented": _parent,
-    "bounding_boxes": _box,
-}
+_KINDS: Final = frozenset(ActorKind)

@@ -1,20 +1,22 @@
-"""Who stood still, since when, and for how long."""
+"""Blocked actors: when, where and for how long actors do not move."""
 
 from __future__ import annotations
 
 from typing import TYPE_CHECKING, ClassVar
 
 from carla_recap.model.stationary import MIN_DISTANCE, MIN_TIME, TYPES, BlockedRow, StationaryTracker
-from carla_recap.queries.answer import Answer
+from carla_recap.queries import Answer
 
 if TYPE_CHECKING:
+    from collections.abc import Iterable
+
     from carla_recap.formats.base import Reader
 
 __all__ = ["Blocked", "BlockedRow", "blocked"]
 
 
 class Blocked(Answer[BlockedRow]):
-    """The stretches in which actors of a recording stood still, the longest first."""
+    """The intervals in which actors of a recording did not move, the longest first."""
 
     row_type = BlockedRow
     row_units: ClassVar = {"start": "s", "duration": "s", "x": "cm", "y": "cm", "z": "cm"}
@@ -23,17 +25,17 @@ class Blocked(Answer[BlockedRow]):
 def blocked(
     source: Reader, min_time: float = MIN_TIME, min_distance: float = MIN_DISTANCE, *, compat: bool = False
 ) -> Blocked:
-    """The actors that stood still.
+    """Return the intervals in which actors did not move.
 
-    An actor stands still while it stays within a distance of the place where it last moved to. Everything that has a
-    recorded transform counts: vehicles, walkers, props, the spectator; but no walker that was hit and lies on the ground
-    (with `compat`, it does). On MCAP, the answer for the usual distance is read from the events alone.
+    An actor does not move while it stays within a distance of the position that it last moved to. Every actor with recorded
+    transforms counts: vehicles, walkers, props, the spectator; but no walker that was hit and lies on the ground (with
+    `compat`, it does). On MCAP, the answer for the default distance is read from the events alone.
 
     Args:
         source: The recording.
-        min_time: The shortest stretch to tell of, in seconds.
+        min_time: The shortest interval to report, in seconds.
         min_distance: The distance at which an actor has moved, in cm.
-        compat: Answer as CARLA 0.9.16 does, with its slips.
+        compat: Whether to reproduce the mistakes of CARLA 0.9.16.
 
     Raises:
         FormatError: The file contradicts its format.
@@ -44,8 +46,11 @@ def blocked(
         for batch in source.batches(TYPES):
             tracker.batch(batch)
         rows = tracker.finish()
-    if compat:
-        rows.sort(key=lambda row: -row.duration)
-    else:
-        rows.sort(key=lambda row: (-row.duration, row.start, row.id))
+    # CARLA leaves rows of one duration in the order in which they were found.
+    rows = sorted(rows, key=lambda row: -row.duration) if compat else longest_first(rows)
     return Blocked(rows, source, compat=compat)
+
+
+def longest_first(rows: Iterable[BlockedRow]) -> list[BlockedRow]:
+    """Return rows sorted by duration, the longest first, then by start and id."""
+    return sorted(rows, key=lambda row: (-row.duration, row.start, row.id))

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, ClassVar, Final
 from carla_recap.errors import RecapError
 from carla_recap.model.actors import PresentActors
 from carla_recap.model.records import NO_ACTOR
-from carla_recap.queries.answer import Answer
+from carla_recap.queries import Answer
 from carla_recap.util.text import readable
 
 if TYPE_CHECKING:

@@ -1,4 +1,4 @@
-"""What went wrong in a recording: collisions, vehicles and walkers that stood still for long, and hard braking."""
+"""Incidents: collisions, vehicles and walkers that do not move for long, and hard braking."""
 
 from __future__ import annotations
 
@@ -13,46 +13,53 @@ import numpy as np
 from carla_recap.errors import RecapError
 from carla_recap.model.frame import SAME_TIME
 from carla_recap.model.records import CM, NO_ACTOR
-from carla_recap.queries.actors import actors
-from carla_recap.queries.answer import Answer
-from carla_recap.queries.blocked import blocked as find_blocked
-from carla_recap.queries.braking import HALF_WINDOW, SHORTEST, hard_braking
+from carla_recap.model.stationary import TYPES as STATIONARY_TYPES
+from carla_recap.model.stationary import StationaryTracker
+from carla_recap.queries import Answer
+from carla_recap.queries.actors import TYPES as ACTOR_TYPES
+from carla_recap.queries.actors import ActorCollector
+from carla_recap.queries.blocked import longest_first
+from carla_recap.queries.braking import HALF_WINDOW, SHORTEST, BrakingDetector
+from carla_recap.queries.braking import TYPES as BRAKING_TYPES
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator
+    from collections.abc import Iterable, Iterator
+
+    from numpy.typing import NDArray
 
     from carla_recap.formats.base import Reader
-    from carla_recap.model.frame import Frame
-    from carla_recap.queries.actors import Actor, Actors
+    from carla_recap.model.stationary import BlockedRow
+    from carla_recap.queries.actors import Actor
+    from carla_recap.queries.braking import Braking
 
 Kind = Literal["collision", "blocked", "hard braking"]
 
 HARD: Final = 6.0
 """The deceleration from which on braking is hard, in m/s²."""
 
-_TOGETHER: Final = 1.0  # s; records of a pair that are less apart are of one contact
-_AFTERMATH: Final = 0.5  # s; so long after a contact, slowing down is part of it
-_LOOK_UPS: Final = 500  # frames that are found by index; more are found by reading all
+_SAME_CONTACT: Final = 1.0  # s; records of a pair with a shorter interval between them belong to one contact
+_AFTERMATH: Final = 0.5  # s after a contact in which a deceleration is part of it
+_LOOK_UPS: Final = 500  # frames that are looked up one by one; to find more, all frames are read
 _KMH: Final = 3.6  # km/h in m/s
 _ROAD_USERS: Final = ("vehicle", "walker")
 
-Place = tuple[float, float, float]
-_NOWHERE: Final[Place] = (math.nan, math.nan, math.nan)
+Position = tuple[float, float, float]
+_UNKNOWN: Final[Position] = (math.nan, math.nan, math.nan)
 
 
 @dataclass(frozen=True, slots=True)
 class Incident:
-    """Something that went wrong.
+    """A collision, an actor that does not move for long, or hard braking.
 
     Attributes:
-        kind: What it is: a collision, somebody who is blocked, hard braking.
-        start: When it begins, in elapsed seconds.
-        stop: When it ends; of a collision, the time of its last record.
-        actors: Who is part of it, the one to follow first: the hero, else a vehicle, else a walker. What was hit but is no
-            actor (a wall, a kerb) is not among them.
-        type_ids: The blueprint of each of them; empty for an unknown actor.
-        x, y, z: Where the first actor is at the start: m, right-handed. NaN where nothing tells.
-        text: What happened, as a sentence without its full stop.
+        kind: Which of these it is.
+        start: The beginning, in elapsed seconds.
+        stop: The end, in elapsed seconds; of a collision, the time of its last record.
+        actors: The ids of the actors, the most important first: the hero, else a vehicle, else a walker. What was hit but is
+            no actor (a wall, a kerb) is not included.
+        type_ids: The blueprint of each actor; empty for an unknown actor.
+        x, y, z: The position of the first actor at the start, in m, right-handed; NaN where it is unknown.
+        text: A description: a sentence without its full stop.
     """
 
     kind: Kind
@@ -83,19 +90,19 @@ def incidents(
     min_distance: float = 10.0,
     deceleration: float = HARD,
 ) -> Incidents:
-    """What went wrong, sorted by start, then kind.
+    """Return the incidents of a recording, sorted by start, then kind.
 
-    A contact of two actors is one collision, however many frames record it. Slowing down that begins right after a contact
-    is part of it, and no braking.
+    A contact of two actors is one collision, in however many frames it is recorded. A deceleration that begins right after a
+    contact is part of it and no hard braking.
 
     Args:
-        source: The recording. For collisions alone, only the events of an MCAP file are read, and where they took place.
-        collisions: Tell of collisions.
-        blocked: Tell of vehicles and walkers that stood still.
-        braking: Tell of vehicles that braked hard, for at least 0.3 s.
-        min_time: How long one must stand still to be blocked, in seconds.
+        source: The recording. For collisions alone, only the events of an MCAP file and the frames of collisions are read.
+        collisions: Whether to include collisions.
+        blocked: Whether to include vehicles and walkers that do not move for long.
+        braking: Whether to include vehicles that brake hard, for at least 0.3 s.
+        min_time: The shortest time without a movement to include, in seconds.
         min_distance: The distance at which an actor has moved, in cm.
-        deceleration: From which deceleration on braking is hard, in m/s².
+        deceleration: The deceleration from which on braking is hard, in m/s².
 
     Raises:
         RecapError: The deceleration is not above 0.
@@ -103,56 +110,76 @@ def incidents(
     """
     if not deceleration > 0:
         raise RecapError(f"a deceleration of {deceleration:g} m/s² is no braking; it must be above 0")
-    cast = _Cast(actors(source))
-    contacts = _contacts(source) if collisions or braking else []
+    collector, contacts = ActorCollector(), _Contacts()
+    for frame in source.frames((*ACTOR_TYPES, "collisions"), sparse=True):
+        for packet in frame.packets:
+            if packet.type is not None and packet.type.name == "collisions":
+                contacts.add(packet.records.tolist(), frame.index, frame.elapsed)  # type: ignore[union-attr]
+            else:
+                collector.add(packet, frame.elapsed)
+    actors = _ActorsByTime(collector.actors)
+    intervals = source.stretches(min_time, min_distance) if blocked else []
+    tracker = StationaryTracker(source.header.table, min_time, min_distance) if intervals is None else None
+    detector = BrakingDetector(actors.ids("vehicle"), deceleration) if braking else None
+    positions = _Positions(contacts.contacts if collisions else [])
+    types = {*(STATIONARY_TYPES if tracker else ()), *(BRAKING_TYPES if detector else ())}
+    if not types and positions.count <= _LOOK_UPS and getattr(source, "metadata", {}).get("steady_clock") == "1":
+        positions.look_up(source)
+    elif types or positions.count:
+        for batch in source.batches((*types, "transforms")):
+            if tracker:
+                tracker.batch(batch)
+            if detector:
+                detector.batch(batch)
+            for row in positions.rows(batch.index, len(batch)):
+                positions.add(batch.index + row, batch.frame(row)["transforms"])
     found: list[Incident] = []
     if collisions:
-        found += _collisions(source, contacts, cast)
-    if blocked:
-        found += _blocked(source, cast, min_time, min_distance)
-    if braking:
-        found += _braking(source, contacts, cast, deceleration)
+        found += _collisions(contacts.contacts, actors, positions.found)
+    found += _blocked(longest_first(tracker.finish() if tracker else intervals or []), actors)
+    if detector:
+        found += _braking(detector.finish(), contacts.contacts, actors)
     return Incidents(sorted(found, key=lambda incident: (incident.start, incident.kind)), source, compat=False)
 
 
-class _Cast:
-    """Who had an id at some time."""
+class _ActorsByTime:
+    """The actors that had an id at some time."""
 
-    def __init__(self, all: Actors) -> None:
+    def __init__(self, actors: Iterable[Actor]) -> None:
         self._actors: dict[int, list[Actor]] = defaultdict(list)
-        self._since: dict[int, list[float]] = defaultdict(list)
-        for actor in all:
+        self._spawned: dict[int, list[float]] = defaultdict(list)
+        for actor in actors:
             self._actors[actor.id].append(actor)
-            self._since[actor.id].append(actor.spawned_at)
+            self._spawned[actor.id].append(actor.spawned_at)
 
     def ids(self, kind: str) -> list[int]:
-        """The ids that were of a kind at some time."""
-        return [id for id, those in self._actors.items() if any(actor.kind == kind for actor in those)]
+        """Return the ids that an actor of a kind had at some time."""
+        return [id for id, actors in self._actors.items() if any(actor.kind == kind for actor in actors)]
 
-    def who(self, id: int, time: float) -> Actor | None:
-        """The actor; None for an unknown one."""
+    def get(self, id: int, time: float) -> Actor | None:
+        """Return the actor that had an id at a time; None if unknown."""
         if id not in self._actors:
             return None
-        return self._actors[id][max(bisect_right(self._since[id], time) - 1, 0)]
+        return self._actors[id][max(bisect_right(self._spawned[id], time) - 1, 0)]
 
     def kind(self, id: int, time: float) -> str:
-        """What an actor is; empty for an unknown one."""
-        actor = self.who(id, time)
+        """Return the kind of an actor; empty if unknown."""
+        actor = self.get(id, time)
         return actor.kind if actor else ""
 
     def type_ids(self, ids: tuple[int, ...], time: float) -> tuple[str, ...]:
-        """Blueprints; empty for unknown actors."""
-        return tuple(actor.type_id if (actor := self.who(id, time)) else "" for id in ids)
+        """Return the blueprints of actors; empty for unknown actors."""
+        return tuple(actor.type_id if (actor := self.get(id, time)) else "" for id in ids)
 
-    def is_nothing(self, id: int) -> bool:
-        """Whether an id stands for what is no actor; before CARLA 0.9.13 it is 0."""
+    def is_no_actor(self, id: int) -> bool:
+        """Return whether an id stands for an object that is no actor; before CARLA 0.9.13 that is 0."""
         return id == NO_ACTOR or (id == 0 and id not in self._actors)
 
     def name(self, id: int, time: float) -> str:
-        """An actor in words."""
-        if self.is_nothing(id):
+        """Return the name of an actor for a text."""
+        if self.is_no_actor(id):
             return "something that is no actor"
-        actor = self.who(id, time)
+        actor = self.get(id, time)
         if actor is None:
             return f"actor {id}"
         return "hero" if actor.is_hero else f"{actor.type_id} ({id})"
@@ -163,7 +190,15 @@ class _Cast:
 
 @dataclass(slots=True)
 class _Contact:
-    """Two actors touch, the first with a collision sensor: from when to when, and the frame in which it begins."""
+    """A contact of two actors.
+
+    Attributes:
+        ids: The actors, the one with the collision sensor first.
+        heroes: Whether each is the hero.
+        index: The frame in which it begins.
+        start: The time of its first record, in elapsed seconds.
+        stop: The time of its last record, in elapsed seconds.
+    """
 
     ids: tuple[int, int]
     heroes: tuple[bool, bool]
@@ -172,41 +207,84 @@ class _Contact:
     stop: float
 
 
-def _contacts(source: Reader) -> list[_Contact]:
-    contacts: list[_Contact] = []
-    latest: dict[frozenset[int], _Contact] = {}
-    for frame in source.frames(("collisions",), sparse=True):
-        for _, id1, id2, hero1, hero2 in frame["collisions"].tolist():
+class _Contacts:
+    """The contacts that collision records belong to."""
+
+    def __init__(self) -> None:
+        self.contacts: list[_Contact] = []
+        self._latest: dict[frozenset[int], _Contact] = {}
+
+    def add(self, records: list[tuple[int, int, int, int, int]], index: int, elapsed: float) -> None:
+        """Add the collision records of a frame."""
+        for _, id1, id2, hero1, hero2 in records:
             pair = frozenset((id1, id2))
-            contact = latest.get(pair)
-            if contact is not None and abs(frame.elapsed - contact.stop) < _TOGETHER:
-                contact.stop = frame.elapsed
+            contact = self._latest.get(pair)
+            if contact is not None and abs(elapsed - contact.stop) < _SAME_CONTACT:
+                contact.stop = elapsed
             else:
-                contact = _Contact((id1, id2), (bool(hero1), bool(hero2)), frame.index, frame.elapsed, frame.elapsed)
-                latest[pair] = contact
-                contacts.append(contact)
-    return contacts
+                contact = self._latest[pair] = _Contact((id1, id2), (bool(hero1), bool(hero2)), index, elapsed, elapsed)
+                self.contacts.append(contact)
 
 
-def _collisions(source: Reader, contacts: list[_Contact], cast: _Cast) -> Iterator[Incident]:
-    places = _places(source, contacts)
+class _Positions:
+    """The positions of actors at the beginning of their contacts.
+
+    Attributes:
+        found: The positions by frame and id, in m, right-handed.
+    """
+
+    def __init__(self, contacts: Iterable[_Contact]) -> None:
+        self.found: dict[tuple[int, int], Position] = {}
+        self._ids: dict[int, set[int]] = defaultdict(set)  # by frame
+        self._times: dict[int, float] = {}
+        for contact in contacts:
+            self._ids[contact.index].update(contact.ids)
+            self._times[contact.index] = contact.start
+
+    @property
+    def count(self) -> int:
+        """The number of frames."""
+        return len(self._times)
+
+    def rows(self, first: int, count: int) -> list[int]:
+        """Return which of some frames are needed, counted from the first one."""
+        return [row for row in range(count) if first + row in self._times] if self._times else []
+
+    def add(self, index: int, transforms: NDArray[np.void]) -> None:
+        """Add the transforms of a frame."""
+        for row in np.flatnonzero(np.isin(transforms["id"], list(self._ids[index]))).tolist():
+            id, x, y, z, *_ = transforms[row].tolist()
+            self.found[index, id] = _metres(x, y, z)
+
+    def look_up(self, source: Reader) -> None:
+        """Read the frames one by one, from a recording whose clock always goes forward."""
+        for index, time in self._times.items():
+            for frame in source.frames(("transforms",), start=time, stop=time + 2 * SAME_TIME):
+                if frame.index == index:
+                    self.add(index, frame["transforms"])
+
+
+def _collisions(
+    contacts: Iterable[_Contact], actors: _ActorsByTime, positions: dict[tuple[int, int], Position]
+) -> Iterator[Incident]:
     for contact in contacts:
-        first, second = _sides(contact, cast)
-        if cast.is_nothing(first):
+        first, second = _ranked(contact, actors)
+        if actors.is_no_actor(first):
             continue
-        ids = (first,) if cast.is_nothing(second) else (first, second)
-        place = next((places[contact.index, id] for id in ids if (contact.index, id) in places), _NOWHERE)
-        text = f"{cast.name(first, contact.start)} collides with {cast.name(second, contact.start)}"
-        yield Incident("collision", contact.start, contact.stop, ids, cast.type_ids(ids, contact.start), *place, text)
+        ids = (first,) if actors.is_no_actor(second) else (first, second)
+        position = next((positions[contact.index, id] for id in ids if (contact.index, id) in positions), _UNKNOWN)
+        text = f"{actors.name(first, contact.start)} collides with {actors.name(second, contact.start)}"
+        type_ids = actors.type_ids(ids, contact.start)
+        yield Incident("collision", contact.start, contact.stop, ids, type_ids, *position, text)
 
 
-def _sides(contact: _Contact, cast: _Cast) -> tuple[int, int]:
-    """Both actors, the hero first, or a vehicle, or a walker, or the one with the sensor; what is no actor last."""
+def _ranked(contact: _Contact, actors: _ActorsByTime) -> tuple[int, int]:
+    """Return both ids: the hero first, else a vehicle, a walker, the actor with the sensor; what is no actor last."""
 
     def rank(side: int) -> int:
         id = contact.ids[side]
-        actor = cast.who(id, contact.start)
-        if cast.is_nothing(id):
+        actor = actors.get(id, contact.start)
+        if actors.is_no_actor(id):
             return 5
         if contact.heroes[side] or (actor and actor.is_hero):
             return 0
@@ -216,71 +294,44 @@ def _sides(contact: _Contact, cast: _Cast) -> tuple[int, int]:
     return contact.ids[first], contact.ids[second]
 
 
-def _places(source: Reader, contacts: list[_Contact]) -> dict[tuple[int, int], Place]:
-    """Where actors are when they touch, by frame and id."""
-    wanted: dict[int, set[int]] = defaultdict(set)
-    for contact in contacts:
-        wanted[contact.index].update(contact.ids)
-    places = {}
-    for frame in _frames(source, {contact.index: contact.start for contact in contacts}):
-        records = frame["transforms"]
-        for row in np.flatnonzero(np.isin(records["id"], list(wanted[frame.index]))).tolist():
-            id, x, y, z, *_ = records[row].tolist()
-            places[frame.index, id] = _metres(x, y, z)
-    return places
+# --- blocked actors and hard braking -------------------------------------------------------------------------------------
 
 
-def _frames(source: Reader, times: dict[int, float]) -> Iterator[Frame]:
-    """Some frames, with transforms; `times`: the elapsed seconds of each, by its index."""
-    steady = getattr(source, "metadata", {}).get("steady_clock") == "1"
-    if steady and len(times) <= _LOOK_UPS:
-        for index, time in times.items():
-            near = source.frames(("transforms",), start=time, stop=time + 2 * SAME_TIME)
-            yield from (frame for frame in near if frame.index == index)
-    elif times:
-        for batch in source.batches(("transforms",)):
-            rows = (row for row in range(len(batch)) if batch.index + row in times)
-            yield from (batch.frame(row) for row in rows)
+def _blocked(rows: Iterable[BlockedRow], actors: _ActorsByTime) -> Iterator[Incident]:
+    for row in rows:
+        if actors.kind(row.id, row.start) in _ROAD_USERS:
+            text = f"{actors.name(row.id, row.start)} stands still for {row.duration:.0f} s"
+            position = _metres(row.x, row.y, row.z)
+            yield Incident("blocked", row.start, row.start + row.duration, (row.id,), (row.type_id,), *position, text)
 
 
-# --- the others ----------------------------------------------------------------------------------------------------------
-
-
-def _blocked(source: Reader, cast: _Cast, min_time: float, min_distance: float) -> Iterator[Incident]:
-    for row in find_blocked(source, min_time, min_distance):
-        if cast.kind(row.id, row.start) in _ROAD_USERS:
-            text = f"{cast.name(row.id, row.start)} stands still for {row.duration:.0f} s"
-            place = _metres(row.x, row.y, row.z)
-            yield Incident("blocked", row.start, row.start + row.duration, (row.id,), (row.type_id,), *place, text)
-
-
-def _braking(source: Reader, contacts: list[_Contact], cast: _Cast, deceleration: float) -> Iterator[Incident]:
-    touching = _touching(contacts)
-    for row in hard_braking(source, cast.ids("vehicle"), deceleration):
-        spans, ids = touching.get(row.id, []), (row.id,)
+def _braking(rows: Iterable[Braking], contacts: Iterable[_Contact], actors: _ActorsByTime) -> Iterator[Incident]:
+    slowed = _slowed_by(contacts)
+    for row in rows:
+        spans, ids = slowed.get(row.id, []), (row.id,)
         later = bisect_right(spans, (row.start, math.inf))
         stop = min(row.stop, spans[later][0]) if later < len(spans) else row.stop
         in_contact = later > 0 and row.start <= spans[later - 1][1]
-        if in_contact or stop - row.start < SHORTEST or cast.kind(row.id, row.start) != "vehicle":
+        if in_contact or stop - row.start < SHORTEST or actors.kind(row.id, row.start) != "vehicle":
             continue
-        text = f"{cast.name(row.id, row.start)} brakes hard at {row.speed * _KMH:.0f} km/h"
-        place = _metres(row.x, row.y, row.z)
-        yield Incident("hard braking", row.start, stop, ids, cast.type_ids(ids, row.start), *place, text)
+        text = f"{actors.name(row.id, row.start)} brakes hard at {row.speed * _KMH:.0f} km/h"
+        position = _metres(row.x, row.y, row.z)
+        yield Incident("hard braking", row.start, stop, ids, actors.type_ids(ids, row.start), *position, text)
 
 
-def _touching(contacts: list[_Contact]) -> dict[int, list[tuple[float, float]]]:
-    """By actor, when contacts slow it down, in order of time; what overlaps is one."""
-    touching: dict[int, list[tuple[float, float]]] = defaultdict(list)
+def _slowed_by(contacts: Iterable[_Contact]) -> dict[int, list[tuple[float, float]]]:
+    """Return by actor the spans of time in which contacts slow it down, in order; those that overlap are joined."""
+    slowed: dict[int, list[tuple[float, float]]] = defaultdict(list)
     for contact in sorted(contacts, key=lambda contact: contact.start):
         start, stop = contact.start - HALF_WINDOW, contact.stop + _AFTERMATH
         for id in contact.ids:
-            spans = touching[id]
+            spans = slowed[id]
             if spans and start <= spans[-1][1]:
                 spans[-1] = (spans[-1][0], max(stop, spans[-1][1]))
             else:
                 spans.append((start, stop))
-    return touching
+    return slowed
 
 
-def _metres(x: float, y: float, z: float) -> Place:
+def _metres(x: float, y: float, z: float) -> Position:
     return x * CM, 0.0 - y * CM, z * CM

@@ -16,13 +16,13 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Iterator, Mapping
 
     from carla_recap.model.frame import Frame, Header
-    from carla_recap.queries.actors import Actors
+    from carla_recap.queries.actors import RecordedActors
     from carla_recap.queries.blocked import Blocked
     from carla_recap.queries.collisions import Collisions
     from carla_recap.queries.incidents import Incidents
     from carla_recap.queries.info import Info
 
-    AnyAnswer = Actors | Info | Collisions | Blocked | Incidents
+    AnyAnswer = RecordedActors | Info | Collisions | Blocked | Incidents
 
 _NAME_WIDTH: Final = 35
 
@@ -81,7 +81,7 @@ def _blocked(answer: Blocked) -> Iterator[str]:
         yield f"{_whole(row.start):>8} {row.id:>6} {_padded(row.type_id)} {_whole(row.duration):>10}\n"
 
 
-def _actors(answer: Actors) -> Iterator[str]:
+def _actors(answer: RecordedActors) -> Iterator[str]:
     yield f"{'Id':>8} {'Kind':<13} {'Actor':<35} {'Role':<20} {'From':>8} {'To':>8} {'Parent':>8}\n"
     for row in answer:
         until = "" if row.destroyed_at is None else number(row.destroyed_at)
@@ -117,7 +117,7 @@ _BODIES: Final[Mapping[str, Callable[[Any], Iterator[str]]]] = {
     "Info": _info,
     "Collisions": _collisions,
     "Blocked": _blocked,
-    "Actors": _actors,
+    "RecordedActors": _actors,
     "Incidents": _incidents,
 }
 """By the name of an answer's class, since only the module of the query that was asked is imported."""
