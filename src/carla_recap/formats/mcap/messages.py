@@ -6,7 +6,6 @@ Messages with records are in `fixed` and `variable`.
 from __future__ import annotations
 
 import struct
-from dataclasses import asdict
 from functools import cache, lru_cache
 from importlib import import_module
 from typing import TYPE_CHECKING, Any, Final
@@ -106,7 +105,9 @@ def stationary_intervals(rows: Iterable[BlockedRow]) -> bytes:
     """Return the body of a `Stretches` message."""
     message: Any = message_class("stretches", STRETCHES_MESSAGE)()
     for row in rows:
-        message.stretches.add(**asdict(row))
+        message.stretches.add(
+            start=row.start, duration=row.duration, id=row.id, type_id=row.type_id, x=row.x, y=row.y, z=row.z
+        )
     data: bytes = message.SerializeToString()
     return data
 
