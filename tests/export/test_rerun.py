@@ -41,7 +41,7 @@ ROADS = RoadMap(
 
 
 class Rrd:
-    """What an .rrd holds, as the viewer would see it."""
+    """The content of an .rrd, as the viewer sees it."""
 
     def __init__(self, path: Path) -> None:
         self.reader = RrdReader(path)
@@ -65,12 +65,12 @@ class Rrd:
         return {chunk.entity_path for chunk in self.chunks}
 
     def rows(self, entity: str, component: str) -> list[tuple[float, list]]:
-        """Seconds and values."""
+        """Return seconds and values."""
         rows = sorted(row for row in self._rows[entity][component] if row[2] is not None)
         return [(time / 1e9, value) for time, _, value in rows]
 
     def at(self, entity: str, component: str, seconds: float) -> list | None:
-        """The latest at a time; None where there is none, or it was cleared."""
+        """Return the latest value at a time; None if there is none, or it was cleared."""
         until = round(seconds * 1e9)
         parents = [entity, *map(str, Path(entity).parents)]
         clears = [row[:2] for parent in parents for row in self._rows[parent]["Clear:is_recursive"] if row[0] <= until]
@@ -83,13 +83,13 @@ class Rrd:
         return found and found[0]
 
     def angle(self, entity: str, seconds: float) -> float:
-        """The yaw, in degrees."""
+        """Return the yaw, in degrees."""
         ((x, y, z, w),) = self.at(entity, "Transform3D:quaternion", seconds)
         return float(np.degrees(np.arctan2(2 * (w * z + x * y), 1 - 2 * (y * y + z * z))))
 
 
 class Arrangement:
-    """What a blueprint holds."""
+    """The content of a blueprint."""
 
     def __init__(self, path: Path) -> None:
         reader = RrdReader(path)
@@ -171,7 +171,7 @@ def test_actors_are_where_they_were(crossing, id: int) -> None:
         assert near(crossing.rrd.angle(path, time), yaw)
 
 
-def test_who_stands_still_has_few_rows(crossing) -> None:
+def test_stationary_actors_have_few_rows(crossing) -> None:
     rows = crossing.rrd.rows(f"/world/actors/{HERO}", "Transform3D:translation")
     way = crossing.recording.trajectory(HERO)
     assert 100 < len(rows) < len(way) - 100
@@ -180,7 +180,7 @@ def test_who_stands_still_has_few_rows(crossing) -> None:
     assert times[:3] == pytest.approx([0, waits - 0.1, waits])
 
 
-def test_lifetimes(crossing) -> None:
+def test_boxes_exist_from_spawn_to_destruction(crossing) -> None:
     for actor in crossing.recording.actors.values():
         if actor.type_id == "spectator":
             continue
@@ -250,7 +250,7 @@ def test_the_camera_is_calm_and_level(crossing) -> None:
     assert np.abs(np.diff(np.unwrap(turns, period=360))).max() < quickest
 
 
-def test_plots(crossing) -> None:
+def test_plots_of_speed_and_controls(crossing) -> None:
     way, controls = crossing.recording.trajectory(HERO), crossing.recording.controls(HERO)
     assert way.velocity_recorded.all()
     times, speeds = zip(*crossing.rrd.rows("/ego/speed_kmh", "Scalars:scalars"), strict=True)
@@ -269,7 +269,7 @@ def test_the_trail_is_where_it_drove(crossing) -> None:
     assert length == pytest.approx(np.linalg.norm(np.diff((way.x, way.y, way.z)), axis=0).sum(), rel=1e-3)
 
 
-def test_the_blueprint_follows(crossing) -> None:
+def test_the_blueprint_follows_the_hero(crossing) -> None:
     arrangement = Arrangement(crossing.path)
     assert arrangement.store.application_id == APPLICATION
     chase, top = arrangement.view("Chase"), arrangement.view("Top")
@@ -326,7 +326,7 @@ def test_a_contact_is_one_marker_and_one_line(crossing) -> None:
     assert stops == pytest.approx([time + 2 for time in begins])
 
 
-def test_many_at_once_are_counted(crossing) -> None:
+def test_many_events_at_once_are_counted(crossing) -> None:
     time, (text,) = crossing.rrd.rows("/events", "TextLog:text")[0]
     assert (time, text) == (0, "10 actors are there: 4 traffic lights, 4 vehicles, 2 others")
 
@@ -373,16 +373,16 @@ def test_real_recordings(name: str, view: str, tmp_path: Path) -> None:
     assert "/world/ground" not in rrd.entities
 
 
-# --- what is special ---------------------------------------------------------------------------------------
+# --- special recordings ---------------------------------------------------------------------------------------
 
 
 def driven(count: int, of: int = 1, **first):
-    """Frames in which an actor drives."""
+    """Return frames in which an actor drives."""
     return [{"transforms": [pose(of, 100 * n)], **(first if n == 0 else {})} for n in range(count)]
 
 
 @pytest.mark.parametrize("rows", [1, 3, 7])
-def test_blocks_leave_no_seams(rows: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_size_of_blocks_does_not_change_rows(rows: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(poses, "ROWS", rows)
     monkeypatch.setattr("carla_recap.export.rerun.followed.ROWS", rows)
     rrd = export(CROSSING, tmp_path / "blocks.rrd", start=12, duration=18)
@@ -397,7 +397,7 @@ def test_blocks_leave_no_seams(rows: int, tmp_path: Path, monkeypatch: pytest.Mo
                 assert np.ravel(one) == pytest.approx(np.ravel(other), abs=1e-6)
 
 
-def test_an_id_given_out_again(tmp_path: Path) -> None:
+def test_an_id_that_is_used_again(tmp_path: Path) -> None:
     frames = driven(8, spawned=[spawn(1)])
     frames[3] = {"destroyed": [(1,)]}
     frames[5] |= {"spawned": [spawn(1, "walker.pedestrian.0001", x=900)]}
@@ -411,7 +411,7 @@ def test_an_id_given_out_again(tmp_path: Path) -> None:
     assert rrd.at(path, "LineStrips3D:strips", 6) is None  # the arrow on the roof of the car
 
 
-def test_an_id_given_out_again_in_the_same_frame(tmp_path: Path) -> None:
+def test_an_id_that_is_used_again_in_the_same_frame(tmp_path: Path) -> None:
     frames = [{"spawned": [spawn(1)], "transforms": [pose(1)]}, {"transforms": [pose(1)]}]
     frames += [{"destroyed": [(1,)], "spawned": [spawn(1)], "transforms": [pose(1)]}, {"transforms": [pose(1)]}]
     path = write(tmp_path / "same.log", frames)
@@ -422,7 +422,7 @@ def test_an_id_given_out_again_in_the_same_frame(tmp_path: Path) -> None:
     assert [rrd.place("/world/actors/1", t) is not None for t in range(4)] == alive
 
 
-def test_a_jump_is_not_turned_through(tmp_path: Path) -> None:
+def test_the_camera_does_not_turn_slowly_after_a_jump(tmp_path: Path) -> None:
     frames = [
         {"spawned": [spawn(1)], "transforms": [pose(1, 100 * n)]} if n == 0 else {"transforms": [pose(1, 100 * n)]}
         for n in range(5)
@@ -436,7 +436,7 @@ def test_a_jump_is_not_turned_through(tmp_path: Path) -> None:
     assert max(value[0] for _, value in rrd.rows("/ego/speed_kmh", "Scalars:scalars")) == pytest.approx(36, rel=1e-3)
 
 
-def test_the_camera_waits_for_who_comes_late(tmp_path: Path) -> None:
+def test_the_camera_waits_where_the_actor_will_appear(tmp_path: Path) -> None:
     frames = [{"spawned": [spawn(2, "static.prop.bin")], "transforms": [pose(2)]}, {}, {"spawned": [spawn(1)]}]
     frames += [{"transforms": [pose(1, 700)]}]
     frames[2] |= {"transforms": [pose(1, 700, 300)]}
@@ -451,7 +451,7 @@ def test_speed_of_recorded_velocities_and_of_poses(tmp_path: Path) -> None:
     assert [value[0] for _, value in rrd.rows("/ego/speed_kmh", "Scalars:scalars")] == pytest.approx([3.6, 3.6, 72, 3.6])
 
 
-def test_what_is_no_number_is_left_out(tmp_path: Path) -> None:
+def test_invalid_numbers_are_left_out(tmp_path: Path) -> None:
     frames = driven(5, spawned=[spawn(1)])
     frames[2] = {"transforms": [pose(1, np.nan)]}
     rrd = export(write(tmp_path / "nan.log", frames), tmp_path / "nan.rrd")
@@ -465,7 +465,7 @@ def test_an_actor_that_was_never_spawned(tmp_path: Path) -> None:
     assert rrd.place("/world/actors/9", 2) == [2, 0, 0]
 
 
-def test_nobody_to_follow(tmp_path: Path) -> None:
+def test_no_actor_to_follow(tmp_path: Path) -> None:
     lamps = [spawn(id, "traffic.traffic_light", x=1000 * id) for id in (10, 30)]
     frames = [
         {"spawned": lamps, "light_states": [light(10, 2), light(30, 0)]},
@@ -480,7 +480,7 @@ def test_nobody_to_follow(tmp_path: Path) -> None:
     assert len(rrd.rows("/signals/tl_30", "StateChange:state")) == 1
 
 
-def test_a_light_that_goes_and_comes(tmp_path: Path) -> None:
+def test_a_light_that_is_destroyed_and_spawned_again(tmp_path: Path) -> None:
     lamp = spawn(10, "traffic.traffic_light")
     frames = [
         {"spawned": [lamp], "light_states": [light(10, 2)]},
@@ -518,7 +518,7 @@ def test_part_of_a_recording(tmp_path: Path) -> None:
     assert rrd.place(f"/world/actors/{LATE}", 30.05)[:2] == pytest.approx(middle, abs=1e-3)
 
 
-def test_progress_sees_every_scene(tmp_path: Path) -> None:
+def test_progress_is_given_every_scene(tmp_path: Path) -> None:
     seen = []
 
     def progress(scenes, player):
@@ -530,7 +530,7 @@ def test_progress_sees_every_scene(tmp_path: Path) -> None:
     assert seen == [0, 0.25, 0.5, 0.75, 1]
 
 
-# --- much of everything ---
+# --- large numbers ---
 
 
 def test_boxes_are_limited_but_not_the_map(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -551,7 +551,7 @@ def test_cameras_are_limited(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) ->
     assert names_in(tmp_path / "cameras") == ["follow_1.rbl", "follow_2.rbl"]
 
 
-def test_of_many_contacts_the_last_ones_are_marked(tmp_path: Path) -> None:
+def test_only_the_latest_of_many_contacts_are_marked(tmp_path: Path) -> None:
     contacts = [(id, id, style.NOTHING, 0, 0) for id in range(1, 201)]
     there = [pose(id, 100 * id) for id in range(1, 201)]
     frames = [{"transforms": there, "spawned": [spawn(id) for id in range(1, 201)], "collisions": contacts}]
@@ -563,7 +563,7 @@ def test_of_many_contacts_the_last_ones_are_marked(tmp_path: Path) -> None:
     assert len(rrd.rows("/events", "TextLog:text")) == 201
 
 
-def test_memory_is_given_back(tmp_path: Path) -> None:
+def test_threads_end_after_an_export(tmp_path: Path) -> None:
     source = write(tmp_path / "short.log", driven(3, spawned=[spawn(1), spawn(2)]))
 
     def threads() -> int:
@@ -577,7 +577,7 @@ def test_memory_is_given_back(tmp_path: Path) -> None:
     assert counts[-1] == counts[1]
 
 
-# --- what an actor looks like ---
+# --- the look of actors ---
 
 
 def test_the_trail_has_the_colour_of_the_actor(tmp_path: Path) -> None:
@@ -589,7 +589,7 @@ def test_the_trail_has_the_colour_of_the_actor(tmp_path: Path) -> None:
         assert tuple(shown.to_bytes(4, "big")[:3]) == color
 
 
-def test_sensors_and_invented_boxes_hide_nothing(tmp_path: Path) -> None:
+def test_sensors_and_unknown_boxes_are_outlines(tmp_path: Path) -> None:
     sensor, prop, car = spawn(1, "sensor.camera.rgb"), spawn(2, "static.prop.bin"), spawn(3)
     there = [pose(id) for id in (1, 2, 3)]
     rrd = export(write(tmp_path / "x.log", [{"spawned": [sensor, prop, car], "transforms": there}]), tmp_path / "x.rrd")
@@ -631,13 +631,13 @@ def test_nothing_is_overwritten_without_force(tmp_path: Path) -> None:
     ("options", "message"),
     [({"follow": 102_000}, "no actor 102000 to follow; near ids are"), ({"start": 99}, "nothing at 99 s")],
 )
-def test_who_and_when_must_exist(options, message: str, tmp_path: Path) -> None:
+def test_unknown_actors_and_times(options, message: str, tmp_path: Path) -> None:
     with pytest.raises(RecapError, match=message):
         export(CROSSING, tmp_path / "x.rrd", **options)
     assert list(tmp_path.iterdir()) == []
 
 
-def test_nothing_is_left_of_a_failure(tmp_path: Path) -> None:
+def test_a_failed_export_leaves_no_files(tmp_path: Path) -> None:
     def progress(scenes, player):
         yield next(iter(scenes))
         raise KeyboardInterrupt
@@ -648,7 +648,7 @@ def test_nothing_is_left_of_a_failure(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("place", ["missing/x.rrd", "."])
-def test_a_place_that_cannot_be_written(place: str, tmp_path: Path) -> None:
+def test_a_destination_that_cannot_be_written(place: str, tmp_path: Path) -> None:
     with pytest.raises(RecapError, match="cannot be written"):
         export(CROSSING, tmp_path / place, force=True)
     assert list(tmp_path.iterdir()) == []
@@ -676,7 +676,7 @@ def test_a_full_disk(kept: int, tmp_path: Path, limited) -> None:
     assert list(tmp_path.iterdir()) == []
 
 
-def test_cameras_come_with_the_rrd_or_not_at_all(tmp_path: Path) -> None:
+def test_cameras_and_rrd_are_written_together_or_not_at_all(tmp_path: Path) -> None:
     (tmp_path / "taken" / "follow_100.rbl").mkdir(parents=True)
     with pytest.raises(RecapError, match="taken: cannot be written: Is a directory"):
         export(CROSSING, tmp_path / "x.rrd", duration=1, cameras=tmp_path / "taken", force=True)
@@ -689,20 +689,20 @@ def test_cameras_come_with_the_rrd_or_not_at_all(tmp_path: Path) -> None:
 
 
 @pytest.mark.skipif(not sys.platform.startswith("linux"), reason="elsewhere names are text")
-def test_a_destination_that_is_no_text(tmp_path: Path) -> None:
+def test_a_destination_that_is_not_utf8(tmp_path: Path) -> None:
     destination = tmp_path / "\udcff.rrd"
     with open_recording(CROSSING) as recording:
         export_rerun(recording, destination, duration=1)
     verify(destination.rename(tmp_path / "text.rrd"))
 
 
-def test_names_that_are_no_text(tmp_path: Path) -> None:
+def test_names_that_are_not_utf8(tmp_path: Path) -> None:
     odd = Spawn(1, ActorKind.VEHICLE, type_id="vehicle.\udcff")
     rrd = export(write(tmp_path / "odd.log", driven(2, spawned=[odd])), tmp_path / "odd.rrd")
     assert rrd.at("/world/actors/1", "Boxes3D:labels", 0)[0].endswith(" 1")
 
 
-def test_the_extra_is_named() -> None:
+def test_the_missing_extra_is_named() -> None:
     lines = (
         "import sys",
         "sys.modules['rerun'] = None",
@@ -714,7 +714,7 @@ def test_the_extra_is_named() -> None:
     assert printed == f"{MissingExtra('an export to Rerun', 'rerun')}\n"
 
 
-def test_a_blueprint_for_anybody(tmp_path: Path) -> None:
+def test_a_blueprint_for_any_actor(tmp_path: Path) -> None:
     with open_recording(CROSSING) as recording:
         player = Player(recording, follow=BLOCKING)
         blueprint(player, view="top").save(APPLICATION, str(tmp_path / "own.rbl"))

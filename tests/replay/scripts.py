@@ -1,4 +1,4 @@
-"""Small recordings, written as what happens in each frame; and scenes in a form that can be compared."""
+"""Small recordings, written as the records of each frame; and scenes in a form that can be compared."""
 
 from __future__ import annotations
 
@@ -45,7 +45,7 @@ def write(
 
 
 def state(scene: Scene) -> dict[str, Any]:
-    """All of a scene but what happened on the way to it."""
+    """Return all of a scene but its events."""
     return {
         "time": scene.time,
         "frame": scene.frame_id,

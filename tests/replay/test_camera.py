@@ -23,7 +23,7 @@ def test_chase_has_a_level_horizon_and_stays_above() -> None:
     assert chase(upside_down) == pytest.approx([-1000, 0, 500, 0, -25, 0])
 
 
-def test_chase_as_wished() -> None:
+def test_chase_with_options() -> None:
     assert chase(CAR, 180.0, back=100, up=50, pitch=-5) == pytest.approx([200, 200, 80, 0, -5, 180])
 
 
@@ -36,7 +36,7 @@ def test_level() -> None:
     assert level(CAR).tolist() == [100, 200, 30, 0, 0, 90]
 
 
-def test_many_at_once() -> None:
+def test_arrays_of_poses() -> None:
     drive = np.stack([CAR, CAR + 1])
     for camera in (chase, top, level):
         assert camera(drive)[1] == pytest.approx(camera(drive[1]))
@@ -55,13 +55,13 @@ def test_two_thirds_of_a_turn_in_half_a_second() -> None:
     assert calm_heading(90.0, 0.0, 0.1, seconds=0) == 90
 
 
-def test_the_heading_turns_the_short_way() -> None:
+def test_the_heading_takes_the_shorter_rotation() -> None:
     assert calm_heading(-170.0, 170.0, 1e9) == pytest.approx(-170)
     assert 170 < calm_heading(-170.0, 170.0, 0.1) < 180
 
 
 @given(st.floats(-180, 180), st.integers(1, 50))
-def test_steps_of_any_size_come_to_the_same(yaw: float, steps: int) -> None:
+def test_the_heading_does_not_depend_on_the_steps(yaw: float, steps: int) -> None:
     heading = 0.0
     for _ in range(steps):
         heading = calm_heading(yaw, heading, 0.4 / steps)
@@ -69,7 +69,7 @@ def test_steps_of_any_size_come_to_the_same(yaw: float, steps: int) -> None:
 
 
 @given(st.lists(st.tuples(st.floats(0.001, 1), st.floats(-180, 180)), min_size=1, max_size=20))
-def test_a_whole_drive_as_step_by_step(samples: list[tuple[float, float]]) -> None:
+def test_headings_at_many_times_equal_single_steps(samples: list[tuple[float, float]]) -> None:
     times = np.cumsum([delta for delta, _ in samples])
     yaws = [0.0]
     for _, turn in samples[1:]:
@@ -80,12 +80,12 @@ def test_a_whole_drive_as_step_by_step(samples: list[tuple[float, float]]) -> No
         assert math.remainder(heading - calm, 360) == pytest.approx(0, abs=1e-6)
 
 
-def test_a_whole_drive_has_no_leap_at_180() -> None:
+def test_headings_at_many_times_do_not_jump_at_180() -> None:
     yaws = np.array([math.remainder(10 * step, 360) for step in range(72)])
     headings = calm_headings(np.arange(72) * 0.1, yaws)
     assert np.abs(np.diff(headings)).max() <= 10
     assert headings[-1] > 600
 
 
-def test_no_drive() -> None:
+def test_headings_at_no_times() -> None:
     assert calm_headings(np.zeros(0), np.zeros(0)).tolist() == []

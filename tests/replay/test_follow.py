@@ -1,4 +1,4 @@
-"""Whom the camera follows."""
+"""The actor that the camera follows."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ NO_HERO = [actor for actor in CAST if actor.id != 14]
 
 
 def frames(cast: list[Any], where: Callable[[int, int], float], count: int = 5) -> list[dict[str, Any]]:
-    """`where`: x of an actor in a frame."""
+    """Return a recording; `where` gives the x of an actor in a frame."""
     poses = [{"transforms": [pose(actor.id, where(actor.id, n)) for actor in cast]} for n in range(count)]
     return [{"spawned": cast, **poses[0]}, *poses[1:]]
 
@@ -37,13 +37,13 @@ def speeds(**speeds: float) -> Callable[[int, int], float]:
     return lambda id, n: speeds.get(f"id{id}", 0) * n
 
 
-def test_who_is_named(record: Record) -> None:
+def test_a_given_actor(record: Record) -> None:
     recording = record({"spawned": CAST})
     assert Player(recording, follow=12).followed == 12
     assert Player(recording, follow="hero").followed == 14
 
 
-def test_nobody_of_that_id(record: Record) -> None:
+def test_an_unknown_id(record: Record) -> None:
     recording = record({"spawned": CAST})
     with pytest.raises(RecapError, match="no actor 16 to follow; near ids are 15, 14, 13"):
         Player(recording, follow=16)
@@ -65,13 +65,13 @@ def test_an_ignored_hero_cannot_be_followed(record: Record) -> None:
             Player(recording, follow=follow, ignore_hero=True)
 
 
-def test_the_hero_first(record: Record) -> None:
+def test_the_hero_is_chosen_first(record: Record) -> None:
     recording = record({"spawned": CAST, "collisions": [(0, 12, 11, 0, 0)]})
     assert choose_followed(recording.reader) == 14
     assert Player(recording).followed == 14
 
 
-def test_then_who_collides_first(record: Record) -> None:
+def test_the_first_to_collide_is_chosen_next(record: Record) -> None:
     recording = record(
         {"spawned": NO_HERO, "collisions": [(0, NO_ACTOR, 15, 0, 0)]},
         {"collisions": [(1, NO_ACTOR, 12, 0, 0)]},
@@ -81,35 +81,35 @@ def test_then_who_collides_first(record: Record) -> None:
     assert Player(recording, start=2).followed == 11, "in what is played"
 
 
-def test_then_who_drives_farthest(record: Record) -> None:
+def test_the_one_that_moves_farthest_is_chosen_last(record: Record) -> None:
     recording = record(*frames(NO_HERO, speeds(id10=900, id11=100, id12=200, id13=300, id15=400)))
     assert Player(recording).followed == 12
     assert Player(recording, ignore_hero=True).followed == 12
 
 
-def test_a_way_is_not_a_distance(record: Record) -> None:
-    """Round and round is farther than a bit ahead."""
+def test_the_length_of_the_path_counts(record: Record) -> None:
+    """An actor that drives in circles moves farther than one that drives a bit ahead."""
     recording = record(*frames(NO_HERO, lambda id, n: n * 30 if id == 11 else n % 2 * 100 if id == 12 else 0))
     assert Player(recording).followed == 12
 
 
-def test_a_jump_is_no_way(record: Record) -> None:
+def test_jumps_do_not_count(record: Record) -> None:
     recording = record(*frames(NO_HERO, lambda id, n: n * 30 if id == 11 else (n > 2) * 1e6 if id == 12 else 0))
     assert Player(recording).followed == 11
 
 
-def test_without_vehicles_a_walker(record: Record) -> None:
+def test_a_walker_is_chosen_if_no_vehicle_moves(record: Record) -> None:
     cast = [actor for actor in NO_HERO if not actor.type_id.startswith("vehicle")]
     assert Player(record(*frames(cast, speeds(id13=1, id15=9)))).followed == 13
 
 
-def test_nobody(record: Record) -> None:
+def test_nothing_moves(record: Record) -> None:
     recording = record(*frames([CAST[0], CAST[-1]], speeds(id10=5)))
     assert Player(recording).followed is None
     assert Player(record({})).followed is None
 
 
-def test_actors_that_come_and_go(record: Record) -> None:
+def test_actors_that_are_not_present_do_not_count(record: Record) -> None:
     recording = record(
         {"spawned": [spawn(1)], "transforms": [pose(1)]},
         {"spawned": [spawn(2)], "transforms": [pose(1, 100), pose(2)]},

@@ -1,4 +1,4 @@
-"""Frames as they come, beside the same recording when it is complete."""
+"""Scenes of frames as they come, compared with those of the complete recording."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from carla_recap.replay.player import LiveScenes
 SAMPLE = Path(__file__).parents[2] / "samples" / "crossing.log"
 
 
-def test_the_scenes_are_those_of_a_player() -> None:
+def test_live_scenes_equal_those_of_a_player() -> None:
     live = LiveScenes()
     with open_recording(SAMPLE) as recording, open_recording(SAMPLE) as again:
         scenes = Player(recording, smooth=False).scenes()

@@ -1,4 +1,4 @@
-"""Time: where a replay begins, how it goes on, and what lies between two frames."""
+"""Playing: start and stop, ticks, rates, and poses between two frames."""
 
 from __future__ import annotations
 
@@ -41,14 +41,14 @@ def ticks(player: Player, *deltas: float) -> list[Scene]:
 # --- between frames ------------------------------------------------------------------------------------------
 
 
-def test_between_the_frame_at_the_time_and_the_next(drive: Recording) -> None:
+def test_poses_between_frames_are_interpolated(drive: Recording) -> None:
     scenes = ticks(Player(drive), 0.0, 0.25, 0.75, 1.5)
     assert [x_of(scene) for scene in scenes] == [0, 25, 100, 250]
     assert [scene.time for scene in scenes] == [0, 0.25, 1, 2.5]
     assert [scene.frame_id for scene in scenes] == [1, 1, 2, 3]
 
 
-def test_a_reader_will_do(drive: Recording) -> None:
+def test_the_source_can_be_a_reader(drive: Recording) -> None:
     assert x_of(Player(drive.reader).at(1.5)) == 150
 
 
@@ -57,7 +57,7 @@ def test_a_reader_will_do(drive: Recording) -> None:
     ("before", "after", "middle"),
     [(170, -170, 180), (-170, 170, 180), (179, -178, -179.5), (10, 50, 30), (-100, 100, 180), (350, 10, 0)],
 )
-def test_angles_turn_the_short_way(record: Record, axis: str, before: float, after: float, middle: float) -> None:
+def test_angles_take_the_shorter_rotation(record: Record, axis: str, before: float, after: float, middle: float) -> None:
     recording = record({"transforms": [pose(1, **{axis: before})]}, {"transforms": [pose(1, **{axis: after})]})
     player = Player(recording)
     column = ["roll", "pitch", "yaw"].index(axis) + 3
@@ -74,7 +74,7 @@ def test_angles_turn_the_short_way(record: Record, axis: str, before: float, aft
     ),
     st.lists(st.floats(0, 1), max_size=8),
 )
-def test_as_the_trajectory_has_it(
+def test_poses_equal_those_of_the_trajectory(
     tmp_path_factory: pytest.TempPathFactory, path: list[tuple[float, ...]], parts: list[float]
 ) -> None:
     file = tmp_path_factory.mktemp("drive") / "drive.log"
@@ -102,14 +102,14 @@ def test_fast_is_not_interpolated(drive: Recording) -> None:
     assert x_of(Player(drive, time_factor=1.9).tick(0.25)) == 47.5
 
 
-def test_not_smooth(drive: Recording) -> None:
+def test_without_interpolation(drive: Recording) -> None:
     player = Player(drive, smooth=False)
     assert x_of(player.tick(0.75)) == 0
     player.smooth = True
     assert x_of(player.tick(0.0)) == 75
 
 
-def test_the_last_frame_holds(drive: Recording) -> None:
+def test_poses_at_the_last_frame(drive: Recording) -> None:
     player = Player(drive)
     last = player.at(10.0)
     assert (x_of(last), last.frame_id, player.finished) == (1000, FRAMES, True)
@@ -122,7 +122,7 @@ def test_the_first_frame_is_shown_before_its_time(record: Record) -> None:
     assert [x_of(scene) for scene in ticks(player, 0.0, 3.0, 2.5)] == [100, 100, 150]
 
 
-def test_who_comes_and_goes_is_not_interpolated(record: Record) -> None:
+def test_actors_missing_in_one_frame_are_not_interpolated(record: Record) -> None:
     recording = record(
         {"transforms": [pose(1, 0), pose(2, 0)]},
         {"transforms": [pose(2, 100), pose(3, 100)]},
@@ -135,7 +135,7 @@ def test_who_comes_and_goes_is_not_interpolated(record: Record) -> None:
     ]
 
 
-def test_of_several_records_the_last_counts(record: Record) -> None:
+def test_the_last_of_several_records_counts(record: Record) -> None:
     recording = record(
         {
             "transforms": [pose(2, 1), pose(1, 5), pose(2, 100)],
@@ -186,7 +186,7 @@ def test_a_replaced_actor_jumps(record: Record) -> None:
 
 @pytest.mark.parametrize("odd", [math.nan, math.inf, 3e38])
 @pytest.mark.parametrize("field", ["x", "yaw"])
-def test_what_is_not_a_place_is_not_interpolated(record: Record, field: str, odd: float) -> None:
+def test_invalid_numbers_are_not_interpolated(record: Record, field: str, odd: float) -> None:
     recording = record(
         {"transforms": [pose(1, 0), pose(2, 0)]},
         {"transforms": [pose(1, **{field: odd}), pose(2, 100)]},
@@ -208,7 +208,7 @@ def test_start_and_duration(drive: Recording) -> None:
     assert player.tick(1.0) is None
 
 
-def test_all_of_it(drive: Recording) -> None:
+def test_default_start_and_stop(drive: Recording) -> None:
     player = Player(drive)
     assert (player.start, player.stop) == (0, 10)
 
@@ -223,7 +223,7 @@ def test_start_from_the_end(drive: Recording, start: float, expected: float) -> 
 
 
 @pytest.mark.parametrize("start", [10.1, 1e300, math.inf, math.nan])
-def test_start_outside(drive: Recording, start: float) -> None:
+def test_start_outside_the_recording(drive: Recording, start: float) -> None:
     with pytest.raises(RecapError, match=r"nothing at .* s; the recording ends at 10 s"):
         Player(drive, start=start)
     with pytest.raises(RecapError, match="nothing at"):
@@ -231,25 +231,25 @@ def test_start_outside(drive: Recording, start: float) -> None:
 
 
 @pytest.mark.parametrize("duration", [-1, math.inf, math.nan])
-def test_a_duration_that_is_none(drive: Recording, duration: float) -> None:
+def test_invalid_durations(drive: Recording, duration: float) -> None:
     with pytest.raises(RecapError, match="duration"):
         Player(drive, duration=duration)
 
 
 @pytest.mark.parametrize("factor", [-1, math.inf, math.nan])
-def test_a_factor_that_is_none(drive: Recording, factor: float) -> None:
+def test_invalid_time_factors(drive: Recording, factor: float) -> None:
     with pytest.raises(RecapError, match="time factor"):
         Player(drive, time_factor=factor)
 
 
 @pytest.mark.parametrize("delta", [-0.1, math.inf, math.nan])
-def test_time_goes_forward(drive: Recording, delta: float) -> None:
+def test_invalid_ticks(drive: Recording, delta: float) -> None:
     with pytest.raises(RecapError, match="tick"):
         Player(drive).tick(delta)
 
 
 @pytest.mark.parametrize("rate", [0, -1, math.inf, math.nan])
-def test_a_rate_that_is_none(drive: Recording, rate: float) -> None:
+def test_invalid_rates(drive: Recording, rate: float) -> None:
     with pytest.raises(RecapError, match="scenes per second"):
         next(Player(drive).scenes(rate))
 
@@ -276,7 +276,7 @@ def test_one_frame(record: Record) -> None:
     assert (scene.time, x_of(scene)) == (0, 7)
 
 
-# --- scenes, and leaps ---------------------------------------------------------------------------------------
+# --- scenes, and seeking ---------------------------------------------------------------------------------------
 
 
 def test_a_scene_for_each_frame(drive: Recording) -> None:
@@ -296,17 +296,17 @@ def test_scenes_at_a_rate(drive: Recording, rate: int) -> None:
     assert times[-1] == 10
 
 
-def test_the_rate_is_of_ticks(drive: Recording) -> None:
+def test_the_time_factor_applies_to_rates(drive: Recording) -> None:
     assert [scene.time for scene in Player(drive, time_factor=4).scenes(1)] == [0, 4, 8, 10]
 
 
-def test_leaps(drive: Recording) -> None:
+def test_seeking(drive: Recording) -> None:
     player = Player(drive)
     assert [x_of(player.at(time)) for time in (9.5, 0.5, 0.25, 4.75, 4.0, -1.0)] == [950, 50, 25, 475, 400, 900]
     assert x_of(player.tick(0.5)) == 950, "ticks go on from there"
 
 
-def test_a_leap_back_from_the_end_plays_on(drive: Recording) -> None:
+def test_playing_again_after_seeking_back_from_the_end(drive: Recording) -> None:
     player = Player(drive, duration=2)
     assert len(list(player.scenes(1))) == 3
     assert player.tick(1) is None
@@ -315,7 +315,7 @@ def test_a_leap_back_from_the_end_plays_on(drive: Recording) -> None:
     assert len(list(player.scenes(1))) == 3
 
 
-def test_old_frames_are_let_go(tmp_path: Path) -> None:
+def test_old_frames_are_freed(tmp_path: Path) -> None:
     with open_recording(write(tmp_path / "long.log", [{"transforms": [pose(1, n)]} for n in range(200)])) as recording:
         gc.collect()
         before = sum(isinstance(thing, Frame) for thing in gc.get_objects())
@@ -326,7 +326,7 @@ def test_old_frames_are_let_go(tmp_path: Path) -> None:
         assert held <= 4
 
 
-def test_poses_are_not_to_be_written(drive: Recording) -> None:
+def test_poses_are_read_only(drive: Recording) -> None:
     for time in (0.0, 0.5):
         with pytest.raises(ValueError, match="read-only"):
             Player(drive).at(time).poses[0, 0] = 1

@@ -1,4 +1,4 @@
-"""Poses: turns, axes, and actors upon actors."""
+"""Poses: rotations, axes, and attached actors."""
 
 from __future__ import annotations
 
@@ -16,14 +16,14 @@ POSES = arrays(np.float64, (6,), elements=st.floats(-180, 180, allow_subnormal=F
 
 
 @given(ANGLES, ANGLES)
-def test_the_shortest_turn(before: float, after: float) -> None:
+def test_change_takes_the_shortest_rotation(before: float, after: float) -> None:
     turn = wrap(np.array(after - before))
     assert -180 <= turn <= 180
     assert np.cos(np.radians(before + turn)) == pytest.approx(np.cos(np.radians(after)), abs=1e-9)
     assert np.sin(np.radians(before + turn)) == pytest.approx(np.sin(np.radians(after)), abs=1e-9)
 
 
-def test_change_leaves_locations_alone() -> None:
+def test_change_of_locations() -> None:
     before, after = np.array([[0.0, 0, 0, 170, -170, 0]]), np.array([[500.0, -400, 300, -170, 170, 90]])
     assert change(before, after).tolist() == [[500, -400, 300, 20, -20, 90]]
 
@@ -34,11 +34,11 @@ def test_right_handed() -> None:
 
 
 @given(POSES)
-def test_there_and_back(place: np.ndarray) -> None:
+def test_left_handed_inverts_right_handed(place: np.ndarray) -> None:
     assert left_handed(right_handed(place)) == pytest.approx(place)
 
 
-def test_axes_point_where_unreal_points_them() -> None:
+def test_axes_equal_those_of_unreal() -> None:
     """Yaw 90 looks along Unreal's y, which is right, so -y; pitch 90 looks up; roll 90 puts the left side up."""
     forward, left, up = np.eye(3)
     for carla, columns in (
@@ -51,7 +51,7 @@ def test_axes_point_where_unreal_points_them() -> None:
 
 
 @given(POSES)
-def test_quaternions_turn_as_matrices_do(place: np.ndarray) -> None:
+def test_quaternions_equal_matrices(place: np.ndarray) -> None:
     x, y, z, w = quaternions(place)
     expected = [
         [1 - 2 * (y * y + z * z), 2 * (x * y - z * w), 2 * (x * z + y * w)],
@@ -61,7 +61,7 @@ def test_quaternions_turn_as_matrices_do(place: np.ndarray) -> None:
     assert rotations(place) == pytest.approx(np.array(expected), abs=1e-12)
 
 
-def test_many_at_once() -> None:
+def test_arrays_of_poses() -> None:
     many = np.arange(24.0).reshape(2, 2, 6)
     assert quaternions(many).shape == (2, 2, 4)
     assert rotations(many)[1, 0] == pytest.approx(rotations(many[1, 0]))
@@ -83,14 +83,14 @@ def test_attached_on_a_slope() -> None:
 
 
 @given(POSES, POSES)
-def test_attached_turns_with_its_parent(parent: np.ndarray, relative: np.ndarray) -> None:
+def test_attached_poses_rotate_with_the_parent(parent: np.ndarray, relative: np.ndarray) -> None:
     world = rotations(right_handed(attach(parent, relative)))
     expected = rotations(right_handed(parent)) @ rotations(right_handed(relative))
     assert world == pytest.approx(expected, abs=1e-5)
 
 
 @given(POSES, POSES)
-def test_detached_is_what_attached_takes(parent: np.ndarray, child: np.ndarray) -> None:
+def test_detach_inverts_attach(parent: np.ndarray, child: np.ndarray) -> None:
     again = attach(parent, detach(parent, child))
     assert again[:3] == pytest.approx(child[:3], abs=1e-3)
     assert rotations(right_handed(again)) == pytest.approx(rotations(right_handed(child)), abs=1e-5)

@@ -35,7 +35,7 @@ def recording(request: pytest.FixtureRequest, tmp_path: Path, suffix: str) -> It
         yield opened
 
 
-def test_the_hero_goes_where_it_went(recording: Recording) -> None:
+def test_the_hero_follows_its_trajectory(recording: Recording) -> None:
     player = Player(recording)
     hero = player.followed
     assert hero is not None
@@ -66,7 +66,7 @@ def test_starting_in_the_middle(recording: Recording) -> None:
             assert repr(state(started)) == repr(state(scene))  # NaN is NaN
 
 
-def test_lights_and_actors_have_a_place(recording: Recording) -> None:
+def test_lights_and_actors_have_a_pose(recording: Recording) -> None:
     scene = Player(recording).at(-1.0)
     lights = scene.light_states["id"].tolist()
     assert lights
@@ -88,7 +88,7 @@ def test_the_camera_is_behind_the_car(recording: Recording) -> None:
 
 
 def build(path: Path, header: Header, frames: list[dict[str, Any]], *, preamble: bool = False) -> Path:
-    """A recording as only some builds write it."""
+    """Write a recording as only some builds write it."""
     with create_writer(path, header) as writer:
         for place, frame in enumerate(frames):
             table = header.table

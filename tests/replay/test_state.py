@@ -1,4 +1,4 @@
-"""What is there: actors, events, doors, lights, weather; and who is left out."""
+"""The state of a scene: actors, events, doors, lights, weather; and ignored actors."""
 
 from __future__ import annotations
 
@@ -48,7 +48,7 @@ def test_events_since_the_previous_scene(record: Record) -> None:
     assert [event.actor.id for event in player.tick(0.4).spawned] == [2]
 
 
-def test_a_fresh_scene_makes_the_world_out_of_nothing(record: Record) -> None:
+def test_the_events_of_a_fresh_scene_build_up_the_state(record: Record) -> None:
     recording = record(
         {"spawned": [HERO, spawn(2)]},
         {"spawned": [spawn(3)], "parented": [(3, 1)], "destroyed": [(2,)], "collisions": [(0, 1, 2, 1, 0)]},
@@ -67,7 +67,7 @@ def test_a_fresh_scene_makes_the_world_out_of_nothing(record: Record) -> None:
     assert player.at(0.0).fresh
 
 
-def test_the_first_tick_tells_of_the_start_and_of_what_followed(record: Record) -> None:
+def test_the_first_tick_has_the_events_of_the_start_and_those_after_it(record: Record) -> None:
     recording = record({"spawned": [HERO]}, {"spawned": [spawn(2)]}, {"destroyed": [(2,)]}, {})
     scene = Player(recording, start=0.5).tick(2)
     assert scene is not None
@@ -112,7 +112,7 @@ def test_the_spectator_is_left_out(record: Record) -> None:
     assert scene.doors == {1: {0}}
 
 
-def test_the_spectator_is_left_in(record: Record) -> None:
+def test_the_spectator_is_kept_on_request(record: Record) -> None:
     assert cast(record, ignore_spectator=False).ids.tolist() == [1, 2, 3]
 
 
@@ -125,7 +125,7 @@ def test_the_hero_is_left_out(record: Record) -> None:
     assert scene.poses[:, 0].tolist() == [50]
 
 
-def test_an_ignored_id_that_somebody_else_gets(record: Record) -> None:
+def test_an_ignored_id_that_another_actor_gets(record: Record) -> None:
     both = {"transforms": [pose(1)]}
     recording = record({"spawned": [HERO], **both}, {"destroyed": [(1,)]}, {"spawned": [spawn(1)], **both}, both)
     scenes = [list(scene.ids) for scene in Player(recording, ignore_hero=True).scenes()]
@@ -147,7 +147,7 @@ def test_actors_that_were_never_spawned_are_shown(record: Record) -> None:
 # --- state ---------------------------------------------------------------------------------------------------
 
 
-def test_doors_add_up(record: Record) -> None:
+def test_open_doors_are_kept(record: Record) -> None:
     recording = record(
         {"spawned": [HERO], "doors": [(1, 0, 1), (1, 5, 1)]},
         {"doors": [(1, 0, 0)]},
@@ -161,14 +161,14 @@ def test_doors_add_up(record: Record) -> None:
     assert doors == [{0, 5}, {5}, {0, 1, 2, 3, 4, 5}, {0, 1, 2, 3, 5}, None, {1}, None]
 
 
-def test_weather_lasts(record: Record) -> None:
+def test_weather_is_kept(record: Record) -> None:
     weather = [[], [(80,) + (0,) * 13], [], [(10,) + (0,) * 13, (20,) + (0,) * 13]]
     scenes = list(Player(record(*({"weather": rows} if rows else {} for rows in weather))).scenes())
     assert scenes[0].weather is None
     assert [scene.weather["cloudiness"] for scene in scenes[1:] if scene.weather is not None] == [80, 80, 20]
 
 
-def test_light_states_last(record: Record) -> None:
+def test_light_states_are_kept(record: Record) -> None:
     signals = [spawn(5, "traffic.traffic_light"), spawn(6, "traffic.traffic_light")]
     recording = record(
         {"spawned": signals, "light_states": [light(6, 1), light(5, 0)]},
@@ -183,12 +183,12 @@ def test_light_states_last(record: Record) -> None:
     assert scenes[2].light_states["elapsed"].tolist() == [1.5, 0]
 
 
-def test_light_states_of_who_was_not_spawned_do_not_last(record: Record) -> None:
+def test_light_states_of_other_actors_hold_in_their_frame_only(record: Record) -> None:
     recording = record({"light_states": [light(5, 1)]}, {"light_states": [light(6, 1)]}, {})
     assert [scene.light_states["id"].tolist() for scene in Player(recording).scenes()] == [[5], [6], []]
 
 
-def test_scene_lights_last(record: Record) -> None:
+def test_scene_lights_are_kept(record: Record) -> None:
     def lamp(id: int, on: int) -> tuple[float, ...]:
         return (id, 10, 1, 1, 1, 1, on, 2)
 
@@ -226,7 +226,7 @@ def test_controls_are_those_of_the_frame(record: Record) -> None:
     assert not len(player.at(1.0).walker_controls)
 
 
-# --- places that are not recorded ----------------------------------------------------------------------------
+# --- poses that are not recorded ----------------------------------------------------------------------------
 
 
 def test_without_a_record_an_actor_is_where_it_was_spawned(record: Record) -> None:
@@ -236,7 +236,7 @@ def test_without_a_record_an_actor_is_where_it_was_spawned(record: Record) -> No
     assert scene.pose_of(6) is None
 
 
-def test_attached_actors_go_with_their_parent(record: Record) -> None:
+def test_attached_actors_move_with_their_parent(record: Record) -> None:
     recording = record(
         {"spawned": [HERO], "transforms": [pose(1, yaw=90)]},
         {
@@ -251,7 +251,7 @@ def test_attached_actors_go_with_their_parent(record: Record) -> None:
     assert scene.pose_of(3) == pytest.approx([150, 110, 0, 0, 0, 180])
 
 
-def test_attached_in_a_circle(record: Record) -> None:
+def test_actors_attached_to_each_other(record: Record) -> None:
     recording = record({"spawned": [spawn(1), spawn(2)], "parented": [(1, 2), (2, 1)]})
     assert Player(recording).at(0).pose_of(1) is None
 
@@ -299,7 +299,7 @@ FRAMES = st.fixed_dictionaries(
     ignore_hero=st.booleans(),
     smooth=st.booleans(),
 )
-def test_starting_in_the_middle_is_the_same_as_playing_there(
+def test_seeking_gives_the_same_scene_as_playing(
     tmp_path_factory: pytest.TempPathFactory, kind: str, frames, time, ticks, tick, ignore_hero, smooth
 ) -> None:
     path = write(tmp_path_factory.mktemp("any") / f"any{kind}", frames, tick=tick)
@@ -326,7 +326,7 @@ def test_starting_in_the_middle_is_the_same_as_playing_there(
         assert state(roamer.at(moment)) == expected, "a small leap ahead"
 
 
-def test_light_states_are_looked_for_far_back(record: Record) -> None:
+def test_light_states_are_searched_far_back(record: Record) -> None:
     """A state long ago, one of an earlier actor of that id, and a light that never had a state."""
     lights = [spawn(id, "traffic.traffic_light") for id in (5, 6, 7, 8)]
     frames = [{} for _ in range(200)]

@@ -1,4 +1,4 @@
-"""How things look, whoever shows them: colours, boxes where none are recorded, and events in words."""
+"""The look of actors in all exports: colours, boxes if none are recorded, and events in words."""
 
 from __future__ import annotations
 
@@ -21,11 +21,11 @@ HERO: Final[Color] = (255, 176, 32)
 COLLISION: Final[Color] = (255, 64, 64)
 
 NOTHING: Final = 0xFFFF_FFFF
-"""The id of what is hit but is no actor: a wall, the ground."""
+"""The id of anything hit that is no actor: a wall, the ground."""
 
 
 class Style(NamedTuple):
-    """How actors of a kind look, and the half extents, in m, of one whose box is not recorded."""
+    """The name and colour of a kind of actor, and the half extents, in m, of an actor whose box is not recorded."""
 
     name: str
     color: Color
@@ -49,9 +49,9 @@ LIGHTS: Final[tuple[tuple[str, Color], ...]] = (
     ("off", (70, 70, 75)),
     ("unknown", (130, 130, 135)),
 )
-"""The states of a traffic light, as CARLA numbers them."""
+"""The states of a traffic light, in the order of CARLA's numbers."""
 
-LAMP_UP: Final = 4.5  # m; so high above the foot of a traffic light is its lamp: recordings do not say
+LAMP_UP: Final = 4.5  # m; the height of the lamp of a traffic light, which is not recorded
 LAMP: Final = 0.8  # m, across
 POLE: Final[Color] = (95, 95, 105)
 POLE_WIDTH: Final = 0.12  # m
@@ -67,62 +67,62 @@ ROADS: Final[tuple[tuple[str, Color, float], ...]] = (
 
 
 def light(state: int) -> tuple[str, Color]:
-    """The name and the colour of a traffic light's state."""
+    """Return the name and the colour of a traffic light's state."""
     return LIGHTS[state] if 0 <= state < len(LIGHTS) else LIGHTS[-1]
 
 
 def style_of(actor: Present) -> Style:
-    """How the actors of its kind look."""
+    """Return the style of the kind of an actor."""
     return STYLES.get(_kind_of(actor), OTHER)
 
 
 def is_outlined(actor: Present) -> bool:
-    """Whether only the edges of its box are drawn: that of a sensor, or one that is invented for something unknown."""
+    """Return whether only the edges of the box are drawn: of a sensor, or an unknown actor without a recorded box."""
     return style_of(actor) is STYLES[ActorKind.SENSOR] or (style_of(actor) is OTHER and actor.box is None)
 
 
 def color_of(actor: Present) -> Color:
-    """The colour of an actor: the hero's own, or that of its kind."""
+    """Return the colour of an actor: that of the hero, or that of its kind."""
     return HERO if actor.is_hero else style_of(actor).color
 
 
 def label_of(actor: Present) -> str:
-    """An actor in a word or two, such as `hero 24` or `audi.tt 31`."""
+    """Return a short name of an actor, such as `hero 24` or `audi.tt 31`."""
     name = "hero" if actor.is_hero else actor.type_id.partition(".")[2] or actor.type_id or style_of(actor).name
     return f"{name} {actor.id}"
 
 
 def box_of(actor: Present) -> BoundingBox:
-    """The box of an actor in its own right-handed axes: as recorded, or else one that fits its kind."""
+    """Return the box of an actor in its own right-handed axes: as recorded, or else that of its kind."""
     if actor.box is not None:
         return actor.box
     extent = style_of(actor).extent
     kind = _kind_of(actor)
     if kind == ActorKind.VEHICLE and actor.spawn.attribute("number_of_wheels") == "2":
         extent = TWO_WHEELS
-    # A walker's place is its middle; that of all others is on the ground.
+    # The origin of a walker or a sensor is its centre; that of all other actors is on the ground.
     height = 0.0 if kind in (ActorKind.WALKER, ActorKind.SENSOR) else extent[2]
     return BoundingBox(0.0, 0.0, height, *extent)
 
 
 def _kind_of(actor: Present) -> int:
-    """What it is; older simulators record sensors as something other."""
+    """Return the kind of an actor; older simulators record sensors as of another kind."""
     return ActorKind.SENSOR if actor.type_id.startswith("sensor.") else actor.kind
 
 
 def name_of(id: int, actors: Mapping[int, Present]) -> str:
-    """Who an id is, for a sentence: `vehicle.audi.tt (31)`."""
+    """Return the name of an actor for a sentence: `vehicle.audi.tt (31)`."""
     if id == NOTHING:
         return "something that is no actor"
     return f"{actors[id].type_id} ({id})" if id in actors else f"actor {id}"
 
 
 def sentence(event: Event, actors: Mapping[int, Present]) -> str:
-    """An event in words.
+    """Return a sentence about an event.
 
     Args:
-        event: What happened.
-        actors: Who is there, or was before.
+        event: The event.
+        actors: The actors that are or were present.
     """
     if isinstance(event, Spawned):
         return f"{event.actor.type_id} ({event.actor.id}) appears"

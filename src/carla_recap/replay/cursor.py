@@ -22,11 +22,7 @@ if TYPE_CHECKING:
     from carla_recap.model.batch import Batch
     from carla_recap.model.frame import Frame
 
-NUMBERS: Final = ("transforms", "light_states", "vehicle_controls", "walker_controls", "vehicle_lights", "velocities")
-"""The record types that a replay reads in each frame."""
-TYPES: Final = (*EVENTS, *NUMBERS)
-"""The record types that a replay reads."""
-
+_NUMBERS: Final = ("transforms", "light_states", "vehicle_controls", "walker_controls", "vehicle_lights", "velocities")
 _LOOK_BACK: Final = 10.0  # s; the time before a frame in which light states are searched first
 _WIDER: Final = 4.0  # the factor by which it grows
 _NEAR: Final = 10.0  # s; the time up to which reading on is no slower than seeking
@@ -79,7 +75,7 @@ class Cursor:
             The frames and the latest light states in each; None if the next frame has to be read by `advance`.
         """
         batch, start = self._batch, self._row
-        if batch is None or len(batch) - start < 2 or _has_events(batch):
+        if batch is None or len(batch) - start < 2 or any(c.type and c.type.name in EVENTS for c in batch.columns):
             return None
         times = batch.elapsed[start : start + _MAX_FRAMES]
         if not np.all(np.diff(times, prepend=time) > SAME_TIME) or not times[-1] < math.inf:
@@ -142,7 +138,7 @@ class Cursor:
             for frame in self._reader.frames(EVENTS, sparse=True, stop=start):
                 self.state.apply(frame)
             self._recall_lights(found)
-        self._batches, self._opened = self._reader.batches(TYPES, start=start), True
+        self._batches, self._opened = self._reader.batches((*EVENTS, *_NUMBERS), start=start), True
         self._batch = self._ahead = None
         self._read_next()
         if self.next is None:
@@ -175,15 +171,10 @@ class Cursor:
         return states
 
 
-def _has_events(batch: Batch) -> bool:
-    return any(column.type is not None and column.type.name in EVENTS for column in batch.columns)
-
-
 def _id_changes(batch: Batch) -> NDArray[np.bool_]:
     """Return of each frame whether the ids of any records differ from those of the frame before."""
     changes = np.zeros(len(batch), np.bool_)
-    if len(batch) > 1:
-        for name in NUMBERS:
-            ids = batch.records(name)["id"]
-            changes[1:] |= (ids[1:] != ids[:-1]).any(axis=1)
+    for name in _NUMBERS:
+        ids = batch.records(name)["id"]
+        changes[1:] |= (ids[1:] != ids[:-1]).any(axis=1)
     return changes

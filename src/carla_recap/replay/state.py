@@ -63,7 +63,6 @@ class ReplayState:
         self._selections: defaultdict[str, Selection] = defaultdict(Selection)
         self._spawned: set[int] = set()  # in this frame
         self._events: list[Event] = []
-        self._light_records: list[NDArray[np.void]] = []
         self._actors_changed = False
 
     @property
@@ -82,14 +81,13 @@ class ReplayState:
         """Apply a frame, and return its events."""
         self._events = []
         self._spawned.clear()
-        self._light_records.clear()
         for packet in frame.packets:
             handler = _HANDLERS.get(packet.type.name) if packet.type else None
             if handler is not None and len(packet.records):
                 handler(self, packet.records, frame.elapsed)
         if self._actors_changed:
             self._finish_actors()
-        self._finish_lights()
+        self._apply_light_states(frame["light_states"][None])
         return self._events
 
     def apply_batch(self, batch: Batch) -> NDArray[np.void]:
@@ -199,9 +197,6 @@ class ReplayState:
     def _change_scene_lights(self, records: NDArray[np.void], elapsed: float) -> None:
         self.scene_lights = merged(self.scene_lights, records)
 
-    def _keep_light_records(self, records: NDArray[np.void], elapsed: float) -> None:
-        self._light_records.append(records)
-
     # --- at the end of a frame -------------------------------------------------------------------------------
 
     def _finish_actors(self) -> None:
@@ -216,10 +211,6 @@ class ReplayState:
                 now = self._actors.get(event.actor.id)
                 if now is not None and now.spawn is event.actor.spawn:
                     self._events[index] = Spawned(event.elapsed, now)
-
-    def _finish_lights(self) -> None:
-        parts = self._light_records or [self.light_states[:0]]
-        self._apply_light_states((parts[0] if len(parts) == 1 else np.concatenate(parts))[None])
 
     def _apply_light_states(self, records: NDArray[np.void]) -> NDArray[np.void]:
         """Keep the states of frames with the same ids in each, and return the latest ones in each of them."""
@@ -255,8 +246,7 @@ _HANDLERS: Final[dict[str, Callable[[ReplayState, Any, float], None]]] = {
     "weather": ReplayState._change_weather,
     "bounding_boxes": ReplayState._box,
     "scene_lights": ReplayState._change_scene_lights,
-    "light_states": ReplayState._keep_light_records,
 }
 
-EVENTS: Final = tuple(name for name in _HANDLERS if name != "light_states")
+EVENTS: Final = tuple(_HANDLERS)
 """The record types that change the state now and then; all other ones are in each frame."""

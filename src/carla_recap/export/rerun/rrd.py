@@ -1,4 +1,4 @@
-"""An .rrd in memory, or through a pipe: Rerun's own writer of files waits for ever where a disk is full."""
+"""Rerun streams in memory, through a pipe or to a viewer. Rerun's own writer of files never returns if a disk is full."""
 
 from __future__ import annotations
 
@@ -20,23 +20,23 @@ if TYPE_CHECKING:
     import rerun.blueprint as rrb
 
 APPLICATION: Final = "carla_recap"
-"""The kind of data, by which the viewer knows which blueprints fit."""
+"""The application id, by which the viewer finds the blueprints of a recording."""
 
-_PATIENCE: Final = 60.0  # s; so long it may take to compress what is left
+_TIMEOUT: Final = 60.0  # s; to compress what is left
 _PIECE: Final = 1 << 20
-_DESCRIPTORS: Final = Path("/dev/fd")  # where a pipe has a name
+_DESCRIPTORS: Final = Path("/dev/fd")  # in which pipes have names
 
 
 class Rrd:
-    """A Rerun stream whose bytes are kept, compressed, until they are taken; while a `with` block runs.
+    """A Rerun stream whose bytes are kept, compressed, until they are taken; a context manager.
 
     Args:
-        arrangement: How the viewer is to show it.
-        application: The kind of data.
-        recording_id: Which recording it is; else one of its own.
+        arrangement: The arrangement of the viewer.
+        application: The application id.
+        recording_id: The id of the recording; None: a new one.
 
     Attributes:
-        stream: Writes to it.
+        stream: The stream to write to.
     """
 
     def __init__(
@@ -51,26 +51,26 @@ class Rrd:
 
     def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None) -> None:
         self.stream.disconnect()
-        self.take()  # what nobody took, Rerun would complain of
+        self.take()  # or else Rerun prints a warning
         del self.stream, self._bytes
-        _give_back()
+        _clean_up()
 
     def take(self) -> bytes:
-        """All that was written since it was taken last, which is an .rrd in itself.
+        """Return what was written since the last call, which is a complete .rrd.
 
         Raises:
-            RecapError: Rerun does not give it.
+            RecapError: Rerun fails.
         """
         return _read(self._bytes)
 
 
 @contextmanager
 def piped(arrangement: rrb.Blueprint, put: Callable[[bytes], object]) -> Iterator[rr.RecordingStream]:
-    """A stream whose bytes are handed on as they come, so that they never fill the memory; while a `with` block runs.
+    """Open a stream whose bytes are passed on as they come, so that they do not fill the memory; a context manager.
 
     Args:
-        arrangement: How the viewer is to show it.
-        put: Takes the bytes, in a thread of its own; what it raises is raised at the end.
+        arrangement: The arrangement of the viewer.
+        put: Takes the bytes, in another thread; its errors are raised at the end.
     """
     if not _DESCRIPTORS.exists():
         with Rrd(arrangement) as rrd:
@@ -89,19 +89,19 @@ def piped(arrangement: rrb.Blueprint, put: Callable[[bytes], object]) -> Iterato
         drain.check()
     finally:
         del stream
-        _give_back()
+        _clean_up()
 
 
 @contextmanager
 def sent(arrangement: rrb.Blueprint, address: str) -> Iterator[rr.RecordingStream]:
-    """A stream to a viewer that listens; while a `with` block runs.
+    """Open a stream to a running viewer; a context manager.
 
     Args:
-        arrangement: How the viewer is to show it.
-        address: Where it listens: `rerun+http://127.0.0.1:9876/proxy`.
+        arrangement: The arrangement of the viewer.
+        address: The address of the viewer, as `rerun+http://127.0.0.1:9876/proxy`.
 
     Raises:
-        RecapError: That is no address.
+        RecapError: The address is invalid.
     """
     stream = rr.RecordingStream(APPLICATION, send_properties=False)
     try:
@@ -114,25 +114,25 @@ def sent(arrangement: rrb.Blueprint, address: str) -> Iterator[rr.RecordingStrea
     finally:
         stream.disconnect()
         del stream
-        _give_back()
+        _clean_up()
 
 
-def _connect(stream: rr.RecordingStream, put: Callable[[bytes], object]) -> _Drain:
-    end, ours = os.pipe()
+def _connect(stream: rr.RecordingStream, put: Callable[[bytes], object]) -> _PipeReader:
+    end, own = os.pipe()
     try:
-        stream.save(f"{_DESCRIPTORS}/{ours}")
+        stream.save(f"{_DESCRIPTORS}/{own}")
     except RuntimeError as error:
         os.close(end)
         raise RecapError(f"a pipe for Rerun cannot be made: {' '.join(str(error).split())}") from None
     finally:
-        os.close(ours)
-    drain = _Drain(end, put)
+        os.close(own)
+    drain = _PipeReader(end, put)
     drain.start()
     return drain
 
 
-class _Drain(Thread):
-    """Hands on what comes through a pipe; it is read to its end, whatever happens to the pieces."""
+class _PipeReader(Thread):
+    """Passes on what comes through a pipe, which is read to its end even if that fails."""
 
     def __init__(self, end: int, put: Callable[[bytes], object]) -> None:
         super().__init__(name="carla-recap-rrd", daemon=True)
@@ -141,7 +141,7 @@ class _Drain(Thread):
         self._error: Exception | None = None
 
     def run(self) -> None:
-        """Read on."""
+        """Read the pipe to its end."""
         with os.fdopen(self._end, "rb", buffering=0) as pipe:
             while piece := pipe.read(_PIECE):
                 if self._error is None:
@@ -151,16 +151,16 @@ class _Drain(Thread):
                         self._error = error
 
     def check(self) -> None:
-        """Raise what went wrong, if anything did."""
+        """Raise the first error, if any."""
         if self._error is not None:
             raise self._error
 
 
 def rbl(arrangement: rrb.Blueprint) -> bytes:
-    """The content of a blueprint's file.
+    """Return the content of a blueprint's file.
 
     Raises:
-        RecapError: Rerun does not give it.
+        RecapError: Rerun fails.
     """
     stream = _blueprint_stream(APPLICATION)
     data = rr.binary_stream(stream)
@@ -168,12 +168,12 @@ def rbl(arrangement: rrb.Blueprint) -> bytes:
     content = _read(data)
     stream.disconnect()
     del stream, data
-    _give_back()
+    _clean_up()
     return content
 
 
 def send_blueprint(arrangement: rrb.Blueprint, stream: rr.RecordingStream) -> None:
-    """Send an arrangement, as the one to use; `stream.send_blueprint` would keep a copy as long as the process lives."""
+    """Send an arrangement and use it; `stream.send_blueprint` would keep a copy until the process ends."""
     drawn = _blueprint_stream(rr.get_application_id(stream) or APPLICATION)
     arrangement._log_to_stream(drawn)
     memory = drawn.memory_recording().storage
@@ -192,11 +192,11 @@ def _blueprint_stream(application: str) -> rr.RecordingStream:
 
 def _read(stream: rr.BinaryStream) -> bytes:
     try:
-        return stream.read(flush_timeout_sec=_PATIENCE) or b""
+        return stream.read(flush_timeout_sec=_TIMEOUT) or b""
     except RuntimeError as error:
         raise RecapError(f"Rerun: {' '.join(str(error).split())}") from None
 
 
-def _give_back() -> None:
-    """Let Rerun end the threads of streams that are no longer used, each of which has its memory."""
+def _clean_up() -> None:
+    """End the threads of unused streams, and free their memory."""
     bindings.flush_and_cleanup_orphaned_recordings()
