@@ -37,13 +37,13 @@ class Capture:
         self.process = process
 
     def end(self) -> str:
-        """End it by Ctrl-C, when it has seen what there is to see; returns what it says."""
+        """End it by Ctrl-C, when it has observed the present world; return its output."""
         time.sleep(BEHIND)
         self.process.send_signal(signal.SIGINT)
         return self.ended()
 
     def ended(self) -> str:
-        """Wait until it has ended; returns what it says."""
+        """Wait until it has ended, and return its output."""
         said, _ = self.process.communicate(timeout=PATIENCE)
         assert self.process.returncode == 0, said
         return said
@@ -61,7 +61,7 @@ def started(path: Path, port: int, *options: str) -> Iterator[Capture]:
 
 @pytest.fixture
 def capturing(port: int, world: carla.World, tmp_path: Path) -> Iterator[Callable[..., Capture]]:
-    """Begins a capture of a world in which there is a hero; it is seen to run by its sensor."""
+    """Start a capture of a world with a hero; the sensor of the capture shows that it runs."""
     running = []
 
     def begin(name: str, *options: str) -> Capture:
@@ -87,8 +87,8 @@ def own_sensors(world: carla.World) -> list[carla.Actor]:
     return [actor for actor in world.get_actors().filter("sensor.*") if actor.attributes["role_name"] == "carla-recap"]
 
 
-def spawn(world: carla.World, blueprint: str, place: int, **attributes: str) -> carla.Actor:
+def spawn(world: carla.World, blueprint: str, index: int, **attributes: str) -> carla.Actor:
     described = world.get_blueprint_library().find(blueprint)
     for key, value in attributes.items():
         described.set_attribute(key, value)
-    return world.spawn_actor(described, world.get_map().get_spawn_points()[place])
+    return world.spawn_actor(described, world.get_map().get_spawn_points()[index])

@@ -34,7 +34,7 @@ STATES = ("transforms", "velocities", "vehicle_controls", "walker_controls", "ve
 
 
 def drive(client: carla.Client, world: carla.World) -> str:
-    """A hero runs into a parked van, somebody comes and goes, a walker walks, lights change; returns the recording."""
+    """Record a hero that hits a parked van, actors that come and go, a walker, lights that change; return the recording."""
     hero = next(actor for actor in world.get_actors() if actor.attributes.get("role_name") == "hero")
     ahead = hero.get_transform()
     ahead.location += 15.0 * ahead.get_forward_vector()
@@ -66,7 +66,9 @@ def drive(client: carla.Client, world: carla.World) -> str:
     return path
 
 
-def test_it_is_what_the_server_records(client: carla.Client, world: carla.World, capturing: Capturing) -> None:
+def test_a_capture_equals_the_recording_of_the_server(
+    client: carla.Client, world: carla.World, capturing: Capturing
+) -> None:
     spawn(world, "vehicle.tesla.model3", 0, role_name="hero")
     world.tick()
     capture = capturing("captured.mcap", "--additional-data")
@@ -74,7 +76,7 @@ def test_it_is_what_the_server_records(client: carla.Client, world: carla.World,
     own = {actor.id for actor in own_sensors(world)}
     assert capture.end().endswith(" s: stopped by SIGINT\n")
     theirs, ours = frames_of(path), frames_of(capture.path)
-    begin = next(place for place, frame in enumerate(ours) if time_of(frame) == time_of(theirs[0]))
+    begin = next(index for index, frame in enumerate(ours) if time_of(frame) == time_of(theirs[0]))
     ours = ours[begin : begin + len(theirs)]
     assert len(theirs) == len(ours) == 80
     np.testing.assert_allclose([time_of(frame) for frame in ours], [time_of(frame) for frame in theirs])
@@ -109,8 +111,8 @@ def pose_of(spawned: Spawn) -> list[float]:
 
 
 def records_named(name: str, frames: list[Frame]) -> list[tuple[int, Any]]:
-    """All records of a type, each with its place."""
-    return [(place, row.item()) for place, frame in enumerate(frames) for row in frame[name]]
+    """Return all records of a type, each with the index of its frame."""
+    return [(index, row.item()) for index, frame in enumerate(frames) for row in frame[name]]
 
 
 def spawns(frames: list[Frame], own: set[int]) -> list[Spawn]:
@@ -124,7 +126,7 @@ def assert_near(ours: Any, theirs: Any) -> None:
         np.testing.assert_allclose(ours[field], theirs[field], err_msg=field, **NEAR)
 
 
-def test_what_is_there_at_the_beginning_is_told_with_all_its_data(
+def test_the_first_frame_contains_all_data_of_present_actors(
     client: carla.Client, world: carla.World, capturing: Capturing
 ) -> None:
     hero = spawn(world, "vehicle.tesla.model3", 0, role_name="hero")
@@ -145,7 +147,7 @@ def test_what_is_there_at_the_beginning_is_told_with_all_its_data(
     assert set(first["light_times"]["id"]) == set(first["light_states"]["id"])
 
 
-def test_its_sensor_is_taken_away_and_in_no_recording(world: carla.World, capturing: Capturing) -> None:
+def test_its_sensor_is_destroyed_and_in_no_recording(world: carla.World, capturing: Capturing) -> None:
     spawn(world, "vehicle.tesla.model3", 0, role_name="hero")
     world.tick()
     capture = capturing("captured.log")
@@ -186,12 +188,12 @@ def started_after_server(path: Path) -> Iterator[Capture]:
         yield capture
 
 
-def test_where_no_server_is() -> None:
+def test_a_missing_server_is_an_error() -> None:
     assert error("capture", "a.mcap", "--port", 1) == "127.0.0.1:1: there is no CARLA server"
 
 
 @pytest.mark.parametrize("name", ["Carla/Maps/Town01", "Town01", "/Game/Carla/Maps/Town01"])
-def test_the_map_has_its_plain_name(name: str) -> None:
+def test_the_name_of_the_map_has_no_folder(name: str) -> None:
     observer: Any = SimpleNamespace(map=SimpleNamespace(name=name))
     assert header_of(observer).map_name == "Town01"
 
@@ -208,7 +210,7 @@ def test_frames_last_until_the_next_one() -> None:
     assert [frame["visual_time"]["seconds"][0] for frame in sampled] == pytest.approx([2.0, 2.05, 2.2])
 
 
-def test_a_full_disk_is_told_in_a_line(port: int, world: carla.World, tmp_path: Path) -> None:
+def test_a_full_disk_is_an_error_of_one_line(port: int, world: carla.World, tmp_path: Path) -> None:
     """As on a full disk, the file cannot grow."""
     size = 60_000
     limit = "import resource, signal; signal.signal(signal.SIGXFSZ, signal.SIG_IGN); "

@@ -47,7 +47,7 @@ def running(path: Path, port: int) -> Iterator[subprocess.Popen[str]]:
 
 @pytest.mark.parametrize("gap", [0.001, 0.05])
 @pytest.mark.parametrize("name", ["a.mcap", "a.log", "a.rrd"])
-def test_it_is_completed_though_more_signals_come(port: int, tmp_path: Path, name: str, gap: float) -> None:
+def test_further_signals_do_not_prevent_its_completion(port: int, tmp_path: Path, name: str, gap: float) -> None:
     if name.endswith(".rrd"):
         pytest.importorskip("rerun", reason="the extra `rerun` is not installed")
     with running(tmp_path / name, port) as process:
@@ -80,14 +80,14 @@ def test_no_callback_of_the_client_is_left_when_the_interpreter_ends(tmp_path: P
         world.apply_settings(carla.WorldSettings(fixed_delta_seconds=0.002))  # hundreds of ticks in a second
         hero = world.get_blueprint_library().find("vehicle.tesla.model3")
         hero.set_attribute("role_name", "hero")
-        for place in world.get_map().get_spawn_points()[:10]:
-            world.try_spawn_actor(hero, place)
+        for pose in world.get_map().get_spawn_points()[:10]:
+            world.try_spawn_actor(hero, pose)
         ended = list(threads.map(interrupted, range(9)))
     assert [code for code, _ in ended] == [0] * 9, ended
 
 
 @pytest.mark.parametrize("name", ["a.mcap", "a.log"])
-def test_what_was_recorded_outlives_the_process(world: carla.World, port: int, tmp_path: Path, name: str) -> None:
+def test_the_recorded_frames_survive_the_process(world: carla.World, port: int, tmp_path: Path, name: str) -> None:
     path = tmp_path / name
     with running(path, port) as process:
         begin = world.tick()
@@ -114,7 +114,7 @@ def test_a_live_file_is_on_the_disk_while_it_is_written(port: int, tmp_path: Pat
 
 
 @pytest.mark.parametrize("name", ["a.mcap", "a.rrd"])
-def test_an_actor_that_the_client_cannot_make_out_is_left_out(tmp_path: Path, name: str) -> None:
+def test_an_actor_that_the_client_cannot_read_is_left_out(tmp_path: Path, name: str) -> None:
     with showing_a_ghost(tmp_path) as (port, world), running(tmp_path / name, port) as process:
         wait_for(world, lambda: "vehicle.tesla.model3" in types(world))
         with pytest.raises(ValueError, match="color"):
@@ -138,9 +138,9 @@ def test_an_actor_that_the_client_cannot_make_out_is_left_out(tmp_path: Path, na
 def types(world: carla.World) -> list[str]:
     """The blueprints of all actors that can be made out."""
     listed, found = world.get_actors(), []
-    for place in range(len(listed)):
+    for index in range(len(listed)):
         try:
-            found.append(listed[place].type_id)
+            found.append(listed[index].type_id)
         except ValueError:
             continue
     return found
@@ -148,7 +148,7 @@ def types(world: carla.World) -> list[str]:
 
 @contextmanager
 def showing_a_ghost(folder: Path) -> Iterator[tuple[int, carla.World]]:
-    """A server that tells what it finds in a recording, where somebody has a color that is none; in synchronous mode."""
+    """A server in synchronous mode that replays a recording in which an actor has an invalid color."""
     path = folder / "ghost.log"
     with create_recording(path, map_name="Brickfield") as recorder:
         ghost = Spawn(GHOST, 1, 1000.0, type_id="vehicle.audi.tt", attributes=[Attribute(4, "color", "256,0,0")])

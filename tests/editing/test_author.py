@@ -25,7 +25,7 @@ def ids_of(path):
 
 
 @both_formats
-def test_a_recording_is_what_was_added(tmp_path, suffix):
+def test_a_recording_contains_the_added_frames(tmp_path, suffix):
     path = tmp_path / f"own{suffix}"
     with create_recording(path, map_name="Town03", date=1_700_000_000.9) as recorder:
         hero = Spawn(7, 1, 0, 0, 0, 0, 0, 90, 0, "vehicle.a", [Attribute(3, "role_name", "hero")])
@@ -46,7 +46,7 @@ def test_a_recording_is_what_was_added(tmp_path, suffix):
 
 @both_formats
 @given(times=st.lists(st.floats(0, 1e6), min_size=1, max_size=8, unique=True).map(sorted))
-def test_durations_lead_to_the_next_frame(tmp_path, suffix, times):
+def test_durations_end_at_the_next_frame(tmp_path, suffix, times):
     path = tmp_path / f"own{suffix}"
     with create_recording(path, map_name="T", date=0) as recorder:
         for elapsed in times:
@@ -60,7 +60,7 @@ def test_durations_lead_to_the_next_frame(tmp_path, suffix, times):
 
 @both_formats
 @pytest.mark.parametrize("additional", [False, True])
-def test_packets_come_in_the_order_of_carla_with_the_empty_ones(tmp_path, suffix, additional):
+def test_packets_are_in_the_order_of_carla_including_empty_ones(tmp_path, suffix, additional):
     path = tmp_path / f"own{suffix}"
     with create_recording(path, map_name="T", date=0, additional_data=additional) as recorder:
         recorder.add_frame(0.0)
@@ -86,12 +86,12 @@ def test_every_type_can_be_added(tmp_path, suffix):
 
 
 @both_formats
-def test_a_recording_without_a_frame_is_one(tmp_path, suffix):
+def test_a_recording_without_frames_is_valid(tmp_path, suffix):
     create_recording(tmp_path / f"none{suffix}", map_name="T").close()
     assert images(tmp_path / f"none{suffix}") == []
 
 
-def test_a_recording_begins_now(tmp_path):
+def test_the_default_date_is_now(tmp_path):
     before = int(time.time())
     create_recording(tmp_path / "now.log", map_name="T").close()
     with open_recording(tmp_path / "now.log") as recording:
@@ -112,7 +112,7 @@ def test_a_recording_begins_now(tmp_path):
     ids=lambda value: str(value)[:40],
 )
 @both_formats
-def test_records_that_do_not_fit_are_refused_and_the_rest_is_kept(tmp_path, suffix, records, reason):
+def test_invalid_records_are_refused_and_the_other_frames_kept(tmp_path, suffix, records, reason):
     path = tmp_path / f"own{suffix}"
     with create_recording(path, map_name="T", date=0) as recorder:
         recorder.add_frame(0.0)
@@ -124,7 +124,7 @@ def test_records_that_do_not_fit_are_refused_and_the_rest_is_kept(tmp_path, suff
 
 
 @pytest.mark.parametrize("elapsed", [1.0, 0.5])
-def test_time_must_go_on(tmp_path, elapsed):
+def test_times_must_increase(tmp_path, elapsed):
     with create_recording(tmp_path / "own.log", map_name="T") as recorder:
         recorder.add_frame(1.0)
         with pytest.raises(RecordError, match=r"a frame at .* s cannot follow one at 1 s"):
@@ -141,7 +141,7 @@ def test_time_is_a_number_of_seconds(tmp_path, elapsed):
 
 
 @both_formats
-def test_a_closed_recording_takes_no_more(tmp_path, suffix):
+def test_a_closed_recording_refuses_frames(tmp_path, suffix):
     recorder = create_recording(tmp_path / f"own{suffix}", map_name="T")
     recorder.add_frame(0.0)
     recorder.close()
@@ -166,7 +166,7 @@ def test_a_recording_can_be_written_again_frame_by_frame(tmp_path, suffix):
 
 @both_formats
 @pytest.mark.parametrize("date", [1e30, -1e30, math.nan, math.inf])
-def test_a_date_that_cannot_be_is_refused(tmp_path, suffix, date):
+def test_an_impossible_date_is_refused(tmp_path, suffix, date):
     with pytest.raises(RecordError, match="cannot be written"):
         create_recording(tmp_path / f"own{suffix}", map_name="T", date=date)
     assert names_in(tmp_path) == []
@@ -178,7 +178,7 @@ def test_an_unknown_suffix_is_refused(tmp_path):
 
 
 @both_formats
-def test_nothing_is_left_of_a_block_that_fails(tmp_path, suffix):
+def test_a_block_that_fails_leaves_no_file(tmp_path, suffix):
     def failing():
         with create_recording(tmp_path / f"own{suffix}", map_name="T") as recorder:
             recorder.add_frame(0.0)

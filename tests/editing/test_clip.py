@@ -64,7 +64,7 @@ def packets_of(frame: Frame) -> list[tuple[int, bytes]]:
 
 
 def parent_of(actor: Present, scene: Scene) -> int | None:
-    """Its parent; in the first scene only one that was told with its spawn, for others are told after the first frame."""
+    """Return its parent; in the first scene only one recorded with its spawn, as others are recorded in the next frame."""
     return actor.parent if actor.attached or not scene.fresh else None
 
 
@@ -98,7 +98,7 @@ def seen(scene: Scene) -> Any:
 
 
 def assert_same_show(source: Path, cut: Path, first: float) -> None:
-    """A clip shows what its source shows, frame by frame."""
+    """Check that a clip shows the scenes of its source, frame by frame."""
     with open_recording(source) as long, open_recording(cut) as short:
         count = short.info.frames
         scenes = islice(Player(long, start=first, ignore_spectator=False).scenes(), count)
@@ -129,7 +129,7 @@ def test_a_clip_is_a_recording(crossing: dict[str, Path], tmp_path: Path, suffix
         assert reader.header == Header("Crossing", original.header.date + 28)
 
 
-def test_the_first_frame_begins_the_world(crossing: dict[str, Path], tmp_path: Path) -> None:
+def test_the_first_frame_contains_the_initial_state(crossing: dict[str, Path], tmp_path: Path) -> None:
     path = tmp_path / "clip.log"
     clip(crossing[".mcap"], path, start=28.0, duration=7.0)
     first = frames_of(path)[0]
@@ -157,7 +157,7 @@ def test_the_first_frame_begins_the_world(crossing: dict[str, Path], tmp_path: P
 
 
 @pytest.mark.parametrize("start", [0.0, 12.3, 24.6, 30.0, 52.9])
-def test_a_clip_shows_the_same(crossing: dict[str, Path], tmp_path: Path, start: float) -> None:
+def test_a_clip_shows_the_same_scenes(crossing: dict[str, Path], tmp_path: Path, start: float) -> None:
     path = tmp_path / "clip.mcap"
     clip(crossing[".mcap"], path, start=start, duration=2.0)
     with reading(crossing[".mcap"]) as reader:
@@ -228,13 +228,15 @@ def test_windows(small: Path, tmp_path: Path, start: float, duration: float, fou
         (0.0, math.nan, "a duration of nan s"),
     ],
 )
-def test_no_such_window(small: Path, tmp_path: Path, start: float, duration: float, message: str) -> None:
+def test_windows_outside_the_recording_are_errors(
+    small: Path, tmp_path: Path, start: float, duration: float, message: str
+) -> None:
     with pytest.raises(RecapError, match=message):
         clip(small, tmp_path / "clip.mcap", start=start, duration=duration)
     assert names_in(tmp_path) == [small.name]
 
 
-def test_of_nothing(tmp_path: Path) -> None:
+def test_a_clip_of_an_empty_recording_is_an_error(tmp_path: Path) -> None:
     write(tmp_path / "empty.log", Header("Town01", 0), [])
     with pytest.raises(RecapError, match="has no frames"):
         clip(tmp_path / "empty.log", tmp_path / "clip.log", start=0.0)
@@ -266,7 +268,7 @@ def test_progress_sees_the_frames_of_the_clip(small: Path, tmp_path: Path) -> No
     assert ids == [1, 2, 3]
 
 
-def test_what_fails_leaves_nothing(small: Path, tmp_path: Path) -> None:
+def test_a_failure_leaves_no_file(small: Path, tmp_path: Path) -> None:
     def fail(frames: Any, reader: Reader) -> Any:
         yield next(iter(frames))
         raise KeyboardInterrupt
@@ -276,7 +278,7 @@ def test_what_fails_leaves_nothing(small: Path, tmp_path: Path) -> None:
     assert names_in(tmp_path) == [small.name]
 
 
-# --- what lasts ----------------------------------------------------------------------------------------
+# --- initial state -------------------------------------------------------------------------------------
 
 
 def later_frame(source: Path, path: Path, start: float = 1.0) -> Frame:
@@ -285,7 +287,7 @@ def later_frame(source: Path, path: Path, start: float = 1.0) -> Frame:
 
 
 @pytest.mark.parametrize("suffix", [".log", ".mcap"])
-def test_all_that_is_told_once_is_told_again(small: Path, tmp_path: Path, suffix: str) -> None:
+def test_records_written_once_are_repeated_in_the_first_frame(small: Path, tmp_path: Path, suffix: str) -> None:
     before, after = frames_of(small)[0], later_frame(small, tmp_path / f"clip{suffix}")
     for name in ("parented", "doors", "light_states", "scene_lights", "weather", "bounding_boxes"):
         assert plain(after[name]) == plain(before[name])
@@ -300,14 +302,14 @@ def test_all_that_is_told_once_is_told_again(small: Path, tmp_path: Path, suffix
         assert len(after[name]) == 0
 
 
-def test_an_actor_that_goes_in_the_first_frame(small: Path, tmp_path: Path) -> None:
+def test_an_actor_destroyed_in_the_first_frame(small: Path, tmp_path: Path) -> None:
     first = later_frame(small, tmp_path / "clip.log", 3.0)
     assert [spawn.id for spawn in first["spawned"]] == [7, 8, 9]
     assert first["destroyed"]["id"].tolist() == [8]
 
 
-def test_an_actor_that_went_before(tmp_path: Path) -> None:
-    """Nothing of it is told; of one that has its id again, only what is its own."""
+def test_an_actor_destroyed_before_the_first_frame(tmp_path: Path) -> None:
+    """It has no records; an actor that reuses its id has only its own."""
     path = tmp_path / "own.log"
     box = {"bounding_boxes": [(1, 0, 0, 0, 1, 1, 1), (2, 0, 0, 0, 2, 2, 2)]}
     with create_recording(path, map_name="Town01", date=0, additional_data=True) as recorder:
@@ -321,7 +323,7 @@ def test_an_actor_that_went_before(tmp_path: Path) -> None:
     assert first["destroyed"]["id"].tolist() == [1]
 
 
-def test_the_latest_counts(tmp_path: Path) -> None:
+def test_the_latest_records_are_used(tmp_path: Path) -> None:
     path = tmp_path / "own.log"
     light = {"intensity": 1.0, "red": 0, "green": 0, "blue": 0, "alpha": 0, "on": 1, "group": 0}
     with create_recording(path, map_name="Town01", date=0, additional_data=True) as recorder:
@@ -352,7 +354,7 @@ def test_the_latest_counts(tmp_path: Path) -> None:
     assert later_frame(path, tmp_path / "last.log", 3.0)["weather"]["cloudiness"].tolist() == [3]
 
 
-def test_lights_that_are_told_of_only_when_they_change(tmp_path: Path) -> None:
+def test_lights_recorded_only_when_they_change(tmp_path: Path) -> None:
     path = tmp_path / "own.mcap"
     with create_recording(path, map_name="Town01", date=0) as recorder:
         recorder.add_frame(0.0, spawned=[Spawn(1, 3), Spawn(2, 3)], light_states=[(1, 0, 0, 2), (2, 0, 0, 0)])
@@ -366,7 +368,7 @@ def test_lights_that_are_told_of_only_when_they_change(tmp_path: Path) -> None:
     assert sorted(first["light_states"][["id", "state"]].tolist()) == [(1, 3), (2, 1)]
 
 
-def test_an_attached_actor_keeps_its_place_on_the_parent(tmp_path: Path) -> None:
+def test_an_attached_actor_keeps_its_pose_relative_to_the_parent(tmp_path: Path) -> None:
     path = tmp_path / "own.log"
     with create_recording(path, map_name="Town01", date=0) as recorder:
         recorder.add_frame(0.0, spawned=[Spawn(1, 1)], transforms=[(1, 0, 0, 0, 0, 0, 0)])
@@ -377,7 +379,7 @@ def test_an_attached_actor_keeps_its_place_on_the_parent(tmp_path: Path) -> None
     assert_same_show(path, tmp_path / "clip.log", 2.0)
 
 
-def test_destroyed_actors_stay_away(tmp_path: Path) -> None:
+def test_destroyed_actors_do_not_reappear(tmp_path: Path) -> None:
     """Though their transforms are still recorded."""
     path = tmp_path / "own.log"
     both = [(1, 5, 0, 0, 0, 0, 0), (2, 6, 0, 0, 0, 0, 0)]
@@ -414,7 +416,7 @@ def test_more_destroyed_actors_than_a_packet_holds(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("parent", [1, 2, 3])
-def test_an_actor_that_is_parented_late_stays_in_the_world(tmp_path: Path, parent: int) -> None:
+def test_an_actor_with_a_late_parent_keeps_its_pose_in_the_world(tmp_path: Path, parent: int) -> None:
     """To a car that drives away, to itself, and in a ring."""
     path = tmp_path / "own.log"
     with create_recording(path, map_name="Town01", date=0) as recorder:
@@ -435,8 +437,8 @@ def test_an_actor_that_is_parented_late_stays_in_the_world(tmp_path: Path, paren
                 assert plain([scene.pose_of(id) for id in (1, 2, 3)]) == plain([shown.pose_of(id) for id in (1, 2, 3)])
 
 
-def test_an_actor_that_is_parented_late_and_gone_soon(tmp_path: Path) -> None:
-    """Nothing is told of it when it has gone, or come anew, in the second frame."""
+def test_an_actor_with_a_late_parent_that_is_destroyed_next(tmp_path: Path) -> None:
+    """No parent is recorded if it is destroyed or spawned again in the second frame."""
     path = tmp_path / "own.log"
     with create_recording(path, map_name="Town01", date=0) as recorder:
         recorder.add_frame(0.0, spawned=[Spawn(id, 1) for id in (1, 2, 3, 4)])
@@ -448,7 +450,7 @@ def test_an_actor_that_is_parented_late_and_gone_soon(tmp_path: Path) -> None:
     assert_same_show(path, tmp_path / "clip.log", 2.0)
 
 
-def test_actors_of_the_window_come_and_go(tmp_path: Path) -> None:
+def test_actors_are_spawned_and_destroyed_within_a_clip(tmp_path: Path) -> None:
     path = tmp_path / "own.log"
     with create_recording(path, map_name="Town01", date=0) as recorder:
         for second in range(6):
@@ -467,7 +469,7 @@ def test_actors_of_the_window_come_and_go(tmp_path: Path) -> None:
 # --- headers and dialects ------------------------------------------------------------------------------
 
 
-def test_dialects_stay(tmp_path: Path) -> None:
+def test_the_dialect_is_kept(tmp_path: Path) -> None:
     for wide, shifted in ((True, False), (False, True), (True, True)):
         header = Header("Town10HD", 1_000, 2, wide, shifted)
         table = header.table
@@ -502,7 +504,7 @@ def test_a_frame_without_a_known_packet_in_a_wide_recording(tmp_path: Path) -> N
     assert [spawn.id for spawn in first["spawned"]] == [7]
 
 
-def test_packets_before_the_first_frame_are_of_the_past(tmp_path: Path) -> None:
+def test_packets_before_the_first_frame_are_applied(tmp_path: Path) -> None:
     payloads = [packed(id, payload) for id, payload in packet_payloads()]
     frames = [frame_start(5, 1.0, 1.0), packed(6, listed(transform(7, 9))), frame_start(6, 2.0)]
     source = save(tmp_path / "early.log", b"".join([log_header(), *payloads, *frames]))
@@ -512,7 +514,7 @@ def test_packets_before_the_first_frame_are_of_the_past(tmp_path: Path) -> None:
     assert [(spawn.id, spawn.x) for spawn in own[0]["spawned"]][:2] == [(7, 9.0), (8, 100.0)]
 
 
-def test_a_date_that_cannot_be_moved(tmp_path: Path) -> None:
+def test_a_date_out_of_range_is_kept(tmp_path: Path) -> None:
     latest = (1 << 63) - 1
     source = save(tmp_path / "late.log", small_log())
     with reading(source) as reader:
@@ -527,7 +529,7 @@ def test_a_date_that_cannot_be_moved(tmp_path: Path) -> None:
 
 
 def worlds(path: Path, first: int = 0) -> list[Any]:
-    """Who is there after each frame, and the transforms in it; `first`: the frame that does not tell late parents."""
+    """Return the actors after each frame, and its transforms; `first`: the frame without late parents."""
     with reading(path) as reader:
         world = ReplayState(reader.header.table, ignore_hero=False, ignore_spectator=False)
         found = []
@@ -580,7 +582,7 @@ def check_any(source: Path, path: Path, start: float, duration: float) -> None:
         assert "nothing at" in str(error) or "has no frames" in str(error)  # noqa: PT017
         return
     with reading(source) as one, reading(path) as other:
-        # In a log nothing but its packets tells the dialect, and those with surplus bytes may mislead.
+        # In a log, the dialect is found from its packets alone, and those with surplus bytes may mislead.
         assume((one.header.wide, one.header.shifted) == (other.header.wide, other.header.shifted))
     indices = window(source, start, duration)
     here, there = images(source), images(path)
@@ -638,10 +640,10 @@ def test_any_history(tmp_path: Path, frames: list[dict[str, Any]], start: int, d
     check_any(source, tmp_path / f"clip{to}", start / 2, duration / 2)
 
 
-places = st.tuples(*[st.integers(-900, 900)] * 3, *[st.integers(-179, 180)] * 3)
-standing = st.builds(lambda id, place: Spawn(id, 1, *place, type_id="vehicle.a"), ids, places)
+poses = st.tuples(*[st.integers(-900, 900)] * 3, *[st.integers(-179, 180)] * 3)
+standing = st.builds(lambda id, pose: Spawn(id, 1, *pose, type_id="vehicle.a"), ids, poses)
 changes = st.fixed_dictionaries(
-    {"transforms": st.tuples(places, places)},
+    {"transforms": st.tuples(poses, poses)},
     optional={
         "spawned": st.lists(standing, max_size=3, unique_by=lambda spawn: spawn.id),
         "destroyed": st.lists(ids, max_size=1),
@@ -657,7 +659,7 @@ def test_any_scene(tmp_path: Path, frames: list[dict[str, Any]], start: int, dur
     start = min(start, len(frames) - 1)
     with create_recording(source, map_name="Town01", date=0) as recorder:
         for number, records in enumerate(frames):
-            moving = [(id, *place) for id, place in enumerate(records["transforms"], 1)]
+            moving = [(id, *pose) for id, pose in enumerate(records["transforms"], 1)]
             recorder.add_frame(number / 2, **records | {"transforms": moving})
     clip(source, path, start=start / 2, duration=duration / 2, force=True)
     assert_same_show(source, path, start / 2)

@@ -82,7 +82,7 @@ def test_every_log_of_carla_is_covered():
 
 
 @pytest.mark.parametrize("name", READABLE)
-def test_a_log_comes_back_byte_by_byte(name, tmp_path):
+def test_a_log_survives_a_round_trip_byte_by_byte(name, tmp_path):
     log = carla_log(f"{name}.log")
     mcap, back = tmp_path / "there.mcap", tmp_path / "back.log"
     extent = convert(log, mcap)
@@ -91,7 +91,7 @@ def test_a_log_comes_back_byte_by_byte(name, tmp_path):
 
 
 @pytest.mark.parametrize(("name", "dropped"), CUT.items())
-def test_a_cut_log_comes_back_with_its_tail(name, dropped, tmp_path):
+def test_a_cut_log_survives_a_round_trip_with_its_tail(name, dropped, tmp_path):
     log = carla_log(f"{name}.log")
     mcap, back = tmp_path / "there.mcap", tmp_path / "back.log"
     with pytest.warns(RecapWarning, match=f"cut short; the last {dropped} bytes"):
@@ -101,7 +101,7 @@ def test_a_cut_log_comes_back_with_its_tail(name, dropped, tmp_path):
 
 
 @pytest.mark.parametrize("name", [*READABLE, *CUT])
-def test_both_formats_say_the_same(name, tmp_path):
+def test_both_formats_give_the_same_frames(name, tmp_path):
     log, mcap = carla_log(f"{name}.log"), tmp_path / "there.mcap"
     with warnings_ignored():
         convert(log, mcap)
@@ -114,7 +114,7 @@ def test_both_formats_say_the_same(name, tmp_path):
 
 @given(strategies.recordings())
 @example((Header("Town01", 0), []))
-def test_any_recording_comes_back(tmp_path, recording):
+def test_any_recording_survives_a_round_trip(tmp_path, recording):
     header, frames = recording
     log = write(tmp_path / "any.log", header, frames)
     with warnings_ignored(), time_limit(20):
@@ -135,7 +135,7 @@ def test_records_are_the_same_in_both_formats(tmp_path, recording):
 
 
 @given(st.booleans(), st.data())
-def test_any_frames_live_in_mcap_without_a_log(tmp_path, wide, data):
+def test_any_frames_can_be_written_as_mcap_without_a_log(tmp_path, wide, data):
     table = UE5 if wide else UE4
     header = Header("Town01", 1_600_000_000, wide=wide, shifted=data.draw(st.booleans()))
     frames = data.draw(strategies.frame_lists(table, []))
@@ -148,7 +148,7 @@ def test_any_frames_live_in_mcap_without_a_log(tmp_path, wide, data):
 
 @given(data=st.binary(min_size=1, max_size=60), date=st.sampled_from([0, -5, 1_600_000_000]))
 @example(data=b"\0\x18\0\0\0", date=0)
-def test_any_tail_comes_back(tmp_path, data, date):
+def test_any_tail_survives_a_round_trip(tmp_path, data, date):
     log = save(tmp_path / "cut.log", log_header(date=date) + data)
     with warnings_ignored():
         try:
@@ -159,25 +159,25 @@ def test_any_tail_comes_back(tmp_path, data, date):
 
 
 @pytest.mark.parametrize("frames", [b"", start(1, 0.0) + END], ids=["no frame", "a frame"])
-def test_a_tail_of_megabytes_comes_back(frames, tmp_path):
+def test_a_tail_of_megabytes_survives_a_round_trip(frames, tmp_path):
     torn = packet(6, bytes(3_000_000))[:-1]
     log = save(tmp_path / "cut.log", log_header() + frames + torn)
     with pytest.warns(RecapWarning, match="cut short"):
         assert there_and_back(log) == log.read_bytes()
 
 
-def test_a_packet_of_megabytes_that_nobody_knows_comes_back(tmp_path):
+def test_an_unknown_packet_of_megabytes_survives_a_round_trip(tmp_path):
     blob = os.urandom(1_500_000) + bytes(1_500_000)
     log = save(tmp_path / "blob.log", log_header() + start(1, 0.0) + packet(150, blob) + packet(150, b"") + END)
     assert there_and_back(log) == log.read_bytes()
 
 
-def test_a_packet_larger_than_any_chunk_that_is_read_comes_back(tmp_path):
+def test_a_packet_larger_than_the_largest_chunk_survives_a_round_trip(tmp_path):
     log = save(tmp_path / "map.log", log_header() + start(1, 0.0) + packet(150, bytes(70 << 20)) + END)
     assert there_and_back(log) == log.read_bytes()
 
 
-def test_packets_that_grow_beyond_what_is_parsed_come_back(tmp_path, monkeypatch):
+def test_packets_that_grow_beyond_the_parsing_limit_survive_a_round_trip(tmp_path, monkeypatch):
     limit = 4000
     monkeypatch.setattr("carla_recap.formats.mcap.messages.PIECE", 1000)
     for module in ("model.layout", "formats.mcap.messages", "formats.mcap.writer"):
@@ -191,7 +191,7 @@ def test_packets_that_grow_beyond_what_is_parsed_come_back(tmp_path, monkeypatch
     assert (tmp_path / "back.log").read_bytes() == log.read_bytes()
 
 
-def test_surplus_bytes_are_kept_and_told_of(tmp_path):
+def test_surplus_bytes_are_kept_with_a_warning(tmp_path):
     log = save(tmp_path / "more.log", log_header() + start(1, 0.0) + packet(3, listed(bytes(4)) + b"more") + END)
     with pytest.warns(RecapWarning, match="destroyed has 4 bytes more than its records need"):
         convert(log, tmp_path / "more.mcap")
@@ -208,7 +208,7 @@ def test_a_copy_in_the_same_format_is_equal(small, tmp_path, suffix):
     assert copy.read_bytes() == source.read_bytes()
 
 
-def test_a_list_longer_than_its_packet_is_an_error_at_its_place(tmp_path):
+def test_a_list_longer_than_its_packet_is_an_error_with_its_offset(tmp_path):
     before = log_header() + start(1, 0.0)
     log = save(tmp_path / "short.log", before + packet(6, b"\x09\0" + bytes(28)) + END)
     with pytest.raises(RecapError, match="transforms: 9 records need 254 bytes, the packet has 30") as caught:
@@ -253,7 +253,7 @@ def test_the_source_is_never_the_destination(small, tmp_path, link):
     assert small.read_bytes() == small_log()
 
 
-def test_a_failure_leaves_the_destination_as_it_was(tmp_path):
+def test_a_failure_leaves_the_destination_unchanged(tmp_path):
     there = save(tmp_path / "there.mcap", b"precious")
     broken = save(tmp_path / "broken.log", log_header() + start(1, 0.0) + packet(6, b"\x09\0") + END)
     with pytest.raises(RecapError):
@@ -271,14 +271,14 @@ def test_a_failure_leaves_the_destination_as_it_was(tmp_path):
         ("recording", "no suffix, which says the format"),
     ],
 )
-def test_a_destination_that_cannot_be(small, tmp_path, destination, reason):
+def test_an_impossible_destination_is_an_error(small, tmp_path, destination, reason):
     with pytest.raises(RecapError, match=reason) as caught:
         convert(small, tmp_path / destination)
     assert str(tmp_path / destination) in str(caught.value)
     assert names_in(tmp_path) == ["small.log"]
 
 
-def test_a_directory_is_no_destination(small, tmp_path):
+def test_a_directory_as_destination_is_an_error(small, tmp_path):
     (tmp_path / "dir.mcap").mkdir()
     with pytest.raises(RecapError, match="directory"):
         convert(small, tmp_path / "dir.mcap", force=True)
@@ -286,7 +286,7 @@ def test_a_directory_is_no_destination(small, tmp_path):
 
 @pytest.mark.parametrize("suffix", [".log", ".mcap"])
 @pytest.mark.parametrize("size", [100, 200_000, 3_000_000])
-def test_a_full_disk_is_an_error_and_leaves_nothing_behind(tmp_path, suffix, size):
+def test_a_full_disk_is_an_error_and_leaves_no_file(tmp_path, suffix, size):
     blobs = b"".join(start(n, n / 10) + packet(150, os.urandom(40_000)) + END for n in range(100))
     log = save(tmp_path / "large.log", log_header() + blobs)
     limits = resource.getrlimit(resource.RLIMIT_FSIZE)
@@ -336,7 +336,7 @@ def test_both_formats_find_the_same_frames_by_time(tmp_path, jumps, data):
                 assert [image(f) for f in log.frames(at, stop)] == [image(f) for f in mcap.frames(at, stop)]
 
 
-def test_a_moment_before_a_chunk_belongs_to_the_one_before(tmp_path):
+def test_a_time_before_a_chunk_belongs_to_the_chunk_before(tmp_path):
     with both(tmp_path, [0.0, 1.0, 5.0000011, 6.0]) as (_, mcap):
         assert mcap.frame_at(5.0).elapsed == 1.0
         assert mcap.frame_at(5.0000002).elapsed == 5.0000011  # within a microsecond
@@ -348,7 +348,7 @@ def test_of_frames_at_one_time_the_last_is_found(tmp_path):
         assert [recording.frame_at(4.0).index for recording in recordings] == [1, 1]
 
 
-def test_warnings_come_once(tmp_path):
+def test_warnings_are_given_once(tmp_path):
     log = save(tmp_path / "cut.log", small_log()[:-2])
     with warnings.catch_warnings(record=True) as caught:
         warnings.simplefilter("always")

@@ -1,4 +1,4 @@
-"""Recovery of what is damaged, or whose writer died."""
+"""Recovery of recordings that are damaged or were never finished."""
 
 from __future__ import annotations
 
@@ -46,19 +46,19 @@ def chunk_places(data):
 
 
 @pytest.mark.parametrize("suffix", [".mcap", ".log"])
-def test_a_sound_file_is_all_saved(driven, tmp_path, suffix):
+def test_an_intact_file_is_saved_completely(driven, tmp_path, suffix):
     saved = tmp_path / f"saved{suffix}"
     assert recover(driven, saved) == Recovery(600, 0, 0, 29.95, True)
     assert images(saved) == images(driven)
 
 
-def test_a_sound_file_with_everything_is_all_saved(small, small_mcap, tmp_path):
+def test_an_intact_file_with_all_records_is_saved_completely(small, small_mcap, tmp_path):
     recover(small_mcap, tmp_path / "saved.log")
     assert (tmp_path / "saved.log").read_bytes() == small_log()
 
 
 @pytest.mark.parametrize("kept", [0.99, 0.5, 0.2])
-def test_a_file_without_an_end_is_saved_up_to_there(driven, tmp_path, kept):
+def test_a_file_without_an_end_is_saved_up_to_the_cut(driven, tmp_path, kept):
     whole = images(driven)
     data = driven.read_bytes()
     save(driven, data[: int(len(data) * kept)])
@@ -71,7 +71,7 @@ def test_a_file_without_an_end_is_saved_up_to_there(driven, tmp_path, kept):
     assert [frame[0] for frame in saved] == [frame[0] for frame in whole[: len(saved)]]
 
 
-def test_a_lost_chunk_costs_only_itself(driven, tmp_path):
+def test_a_lost_chunk_costs_only_its_frames(driven, tmp_path):
     whole = images(driven)
     data = bytearray(driven.read_bytes())
     at, size = sorted(chunk_places(data), key=lambda place: -place[1])[2]
@@ -89,7 +89,7 @@ def test_a_lost_chunk_costs_only_itself(driven, tmp_path):
     assert sum(ids[frame[1]] == frame[2:] for frame in saved) >= 499 - 101
 
 
-def test_a_lost_chunk_of_events_is_told_of(driven, tmp_path):
+def test_a_lost_chunk_of_events_is_reported(driven, tmp_path):
     data = bytearray(driven.read_bytes())
     at, size = min(chunk_places(data), key=lambda place: place[1])
     data[at + size - 1] ^= 0xFF
@@ -100,7 +100,7 @@ def test_a_lost_chunk_of_events_is_told_of(driven, tmp_path):
 
 
 @pytest.mark.parametrize("place", [b"/actors/transforms", b"carla_recap.v1.Transforms", b"\x04\0\0\0zstd"])
-def test_frames_stay_in_order_whatever_is_hit(driven, tmp_path, place):
+def test_frames_stay_in_order_whatever_is_damaged(driven, tmp_path, place):
     before = images(driven)
     data = bytearray(driven.read_bytes())
     at = data.index(place)
@@ -116,7 +116,7 @@ def test_frames_stay_in_order_whatever_is_hit(driven, tmp_path, place):
 
 
 @pytest.mark.parametrize("data", [b"", b"\x89MCAP", MAGIC, bytes(1000), b"\1\0\x0e\0CARLA"])
-def test_nothing_comes_of_nothing(tmp_path, data):
+def test_a_file_without_chunks_is_an_error(tmp_path, data):
     path = save(tmp_path / "nothing.mcap", data)
     with pytest.raises(RecapError, match=r"nothing\.mcap: nothing can be saved") as caught:
         recover(path, tmp_path / "saved.mcap")
@@ -130,7 +130,7 @@ def test_a_missing_file_is_an_error(tmp_path):
 
 
 @pytest.mark.parametrize("suffix", [".mcap", ".log"])
-def test_a_broken_packet_costs_only_itself(driven, tmp_path, suffix):
+def test_a_broken_packet_costs_only_that_packet(driven, tmp_path, suffix):
     whole = images(driven)
 
     def change(topic, sequence, data):
@@ -148,7 +148,7 @@ def test_a_broken_packet_costs_only_itself(driven, tmp_path, suffix):
 
 
 @pytest.mark.parametrize("suffix", [".mcap", ".log"])
-def test_a_frame_whose_own_message_is_broken_costs_only_itself(driven, tmp_path, suffix):
+def test_a_broken_frame_message_costs_only_that_frame(driven, tmp_path, suffix):
     edited(driven, lambda topic, sequence, data: b"\xff" * 30 if topic == "/frames" and sequence == 10 else data)
     with pytest.raises(RecapError):
         images(driven)
@@ -158,7 +158,7 @@ def test_a_frame_whose_own_message_is_broken_costs_only_itself(driven, tmp_path,
 
 
 @pytest.mark.parametrize("id", [0, 256, 70_000])
-def test_raw_packets_that_cannot_be(tmp_path, id):
+def test_impossible_raw_packets_are_left_out(tmp_path, id):
     """A packet of id 0 would begin a frame."""
     from carla_recap.v1.raw_packet_pb2 import RawPacket
 
@@ -182,7 +182,7 @@ def test_raw_packets_that_cannot_be(tmp_path, id):
         assert [frame[1] for frame in images(tmp_path / f"saved{suffix}")] == [1, 2, 4, 5]
 
 
-def test_packets_that_contradict_their_type_do_not_get_into_a_log(driven, tmp_path):
+def test_packets_that_contradict_their_type_are_not_written_to_a_log(driven, tmp_path):
     """A clock without a number is no packet that a log can be read with."""
     from carla_recap.v1.frame_pb2 import Frame
 
@@ -203,13 +203,13 @@ def test_packets_that_contradict_their_type_do_not_get_into_a_log(driven, tmp_pa
 # --- logs ------------------------------------------------------------------------------------------------
 
 
-def test_a_sound_log_is_all_saved(small, tmp_path):
+def test_an_intact_log_is_saved_completely(small, tmp_path):
     assert recover(small, tmp_path / "saved.log") == Recovery(4, 0, 0, 3.0, True)
     assert (tmp_path / "saved.log").read_bytes() == small_log()
 
 
 @pytest.mark.parametrize(("name", "dropped"), [("cut_in_position", 53), ("cut_in_add_string", 48)])
-def test_a_cut_log_is_saved_up_to_there(tmp_path, name, dropped):
+def test_a_cut_log_is_saved_up_to_the_cut(tmp_path, name, dropped):
     with pytest.warns(RecapWarning, match="cut short"):
         recovery = recover(carla_log(f"{name}.log"), tmp_path / "saved.log")
     assert (recovery.frames, recovery.lost_bytes, recovery.finished) == (2, dropped, False)
@@ -235,8 +235,8 @@ def test_a_packet_that_contradicts_its_type_is_left_out(tmp_path):
     assert (tmp_path / "saved.log").read_bytes() == log_header() + start(1, 0.0) + packet(150, b"kept") + END
 
 
-def test_thousands_of_unknown_packets_cost_little(tmp_path):
-    """Behind each, the next frame is looked for: there is none."""
+def test_thousands_of_unknown_packets_take_little_time(tmp_path):
+    """After each, the next frame is searched, in vain."""
     data = log_header() + start(1, 0.0) + END + start(2, 0.1) + packet(150, b"") * 190_000 + bytes((0,)) * 4_000_000
     with time_limit(20), warnings_ignored():
         recovery = recover(save(tmp_path / "many.log", data), tmp_path / "saved.log")
@@ -260,7 +260,7 @@ def test_a_header_that_is_cut_is_an_error(tmp_path):
 
 @pytest.mark.parametrize("kind", [".log", ".mcap"])
 @given(data=st.data())
-def test_any_damage_ends_in_a_recording_or_in_an_error_of_ours(tmp_path, kind, data):
+def test_any_damage_ends_in_a_recording_or_a_recap_error(tmp_path, kind, data):
     original = tmp_path / f"whole{kind}"
     if not original.exists():
         write(original, Header("T", 5), drive(8, 5, 2))
@@ -283,7 +283,7 @@ def test_any_damage_ends_in_a_recording_or_in_an_error_of_ours(tmp_path, kind, d
     assert {name for name in names_in(tmp_path) if name.endswith(".partial")} == set()
 
 
-def test_destinations_are_guarded(driven, tmp_path):
+def test_existing_destinations_are_not_overwritten(driven, tmp_path):
     there = save(tmp_path / "there.mcap", b"precious")
     with pytest.raises(RecapError, match="exists already"):
         recover(driven, there)
@@ -315,15 +315,15 @@ def test_progress_sees_every_frame(driven, tmp_path):
         (Recovery(5, 2, 9, 1.5, True), "5 frames saved, up to 1.5 s; 2 frames lost; 9 bytes lost"),
     ],
 )
-def test_a_recovery_tells_in_words(recovery, words):
+def test_a_recovery_is_described_in_words(recovery, words):
     assert str(recovery) == words
 
 
-def test_a_recovery_of_a_file_without_an_end_tells_so():
+def test_a_recovery_of_a_file_without_an_end_says_so():
     assert str(Recovery(5, 0, 0, 1.5, False)).endswith("never finished, or its end is damaged")
 
 
-def test_of_a_recording_that_was_never_finished_the_message_says_where_it_is(tmp_path):
+def test_the_error_about_an_unfinished_recording_contains_the_path_of_its_partial_file(tmp_path):
     partial = tmp_path / ".k.mcap.0123abcd.partial"
     partial.write_bytes(b"")
     told = f"was never finished; what was written of it until then lies in {partial}"
@@ -331,7 +331,7 @@ def test_of_a_recording_that_was_never_finished_the_message_says_where_it_is(tmp
         recover(tmp_path / "k.mcap", tmp_path / "b.mcap")
 
 
-def test_a_chunk_that_is_there_twice_is_saved_once(driven, tmp_path):
+def test_a_repeated_chunk_is_saved_once(driven, tmp_path):
     data = driven.read_bytes()
     twice, at = bytearray(data[:8]), 8
     while data[at] != 0x0F:  # up to the end of the data section

@@ -1,4 +1,4 @@
-"""What the tests of the viewer share: whether it can draw here, and what it leaves behind."""
+"""Fixtures for tests of exports: a recording for the viewer, and checks of temporary files."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ SAMPLE = Path(__file__).parents[2] / "samples" / "crossing.log"
 
 @pytest.fixture(scope="session")
 def crossing_rrd(tmp_path_factory):
-    """Six seconds of the crossing, around the collision of the hero; skips the test where the viewer cannot draw."""
+    """Six seconds of the crossing, around the collision of the hero; skips the test if the viewer cannot draw."""
     pytest.importorskip("rerun", reason="the extra `rerun` is not installed")
     from carla_recap import open_recording
     from carla_recap.export.rerun import export_rerun
@@ -35,7 +35,7 @@ def crossing_rrd(tmp_path_factory):
 
 @pytest.fixture
 def temporary(tmp_path, monkeypatch):
-    """An empty folder for temporary files, where the test is to leave none."""
+    """An empty folder for temporary files, in which the test must leave none."""
     folder = tmp_path / "temporary"
     folder.mkdir()
     monkeypatch.setenv("TMPDIR", str(folder))
@@ -46,7 +46,7 @@ def temporary(tmp_path, monkeypatch):
 
 @pytest.fixture
 def limited():
-    """Runs some code in a process whose files cannot grow beyond so many bytes, as on a disk that is full."""
+    """Runs code in a process whose files are limited to a number of bytes, as on a full disk."""
 
     def run(code, size):
         limit = (

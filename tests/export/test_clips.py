@@ -64,7 +64,7 @@ def test_clips_of_all_kinds(crossing: dict[str, Path], tmp_path: Path) -> None:
         assert recording.info.duration == pytest.approx(0.8)
 
 
-def test_a_clip_of_a_moment_is_no_clip_of_the_rest(tmp_path: Path) -> None:
+def test_a_clip_of_an_instant_has_one_frame(tmp_path: Path) -> None:
     path = tmp_path / "own.log"
     with create_recording(path, map_name="Town01", date=0) as recorder:
         for second in range(5):
@@ -73,7 +73,7 @@ def test_a_clip_of_a_moment_is_no_clip_of_the_rest(tmp_path: Path) -> None:
     assert len(images(found.recording)) == 1
 
 
-def test_more_incidents_than_wanted(crossing: dict[str, Path], tmp_path: Path) -> None:
+def test_more_incidents_than_the_limit_are_a_warning(crossing: dict[str, Path], tmp_path: Path) -> None:
     with pytest.warns(RecapWarning, match="only the first 1 of 2 incidents"):
         written = clips(crossing[".log"], tmp_path / "clips", limit=1, rerun=False)
     assert [type(found) for found in written] == [IncidentClip]
@@ -88,10 +88,10 @@ def test_more_incidents_than_wanted(crossing: dict[str, Path], tmp_path: Path) -
         ({4: {"destroyed": [1, 2]}}, None),
     ],
 )
-def test_who_is_followed(
+def test_the_followed_actor(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, late: dict[int, dict[str, Any]], followed: int | None
 ) -> None:
-    """The first actor of the incident that is there; else whom the player chooses."""
+    """The first actor of the incident that is present; else the one that the player chooses."""
     rerun = pytest.importorskip("carla_recap.export.rerun")
     path, asked, roads = tmp_path / "own.log", [], RoadMap("Town01", [], [], [], [], [])
 
@@ -113,7 +113,7 @@ def test_who_is_followed(
     assert found.rrd.exists()
 
 
-def test_what_counts_as_an_incident_is_the_callers(crossing: dict[str, Path], tmp_path: Path) -> None:
+def test_the_caller_chooses_the_kinds_of_incidents(crossing: dict[str, Path], tmp_path: Path) -> None:
     def count(**options: Any) -> int:
         return len(clips(crossing[".mcap"], tmp_path / "clips", collisions=False, rerun=False, force=True, **options))
 
@@ -124,7 +124,7 @@ def test_what_counts_as_an_incident_is_the_callers(crossing: dict[str, Path], tm
         count(braking=True, deceleration=0.0)
 
 
-def test_errors_name_the_place_where_clips_should_be(
+def test_errors_contain_the_final_path_of_a_clip(
     crossing: dict[str, Path], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     def full(path: Path, *args: Any) -> Any:
@@ -133,8 +133,8 @@ def test_errors_name_the_place_where_clips_should_be(
     monkeypatch.setattr("carla_recap.editing.clip.create_writer", full)
     with pytest.raises(RecapError) as raised:
         clips(crossing[".log"], tmp_path / "clips", rerun=False)
-    place = tmp_path / "clips" / "01-collision-20.9s-105-110.mcap"
-    assert str(raised.value) == f"{place}: cannot be written: No space left on device"
+    path = tmp_path / "clips" / "01-collision-20.9s-105-110.mcap"
+    assert str(raised.value) == f"{path}: cannot be written: No space left on device"
     assert names_in(tmp_path) == []
 
 
@@ -147,7 +147,7 @@ def test_a_long_incident(tmp_path: Path) -> None:
     assert 60 <= len(images(found.recording)) <= 66
 
 
-def test_a_folder_that_is_in_use(crossing: dict[str, Path], tmp_path: Path) -> None:
+def test_a_folder_that_is_not_empty_is_an_error(crossing: dict[str, Path], tmp_path: Path) -> None:
     save(tmp_path / "mine.txt", b"mine")
     with pytest.raises(RecapError, match="not empty"):
         clips(crossing[".log"], tmp_path, rerun=False)
@@ -173,13 +173,15 @@ def test_clips_are_not_written_over_their_source(crossing: dict[str, Path], tmp_
         ({"suffix": ".txt"}, r"unknown format '\.txt'"),
     ],
 )
-def test_what_makes_no_clips(crossing: dict[str, Path], tmp_path: Path, options: dict[str, Any], message: str) -> None:
+def test_invalid_options_are_errors(
+    crossing: dict[str, Path], tmp_path: Path, options: dict[str, Any], message: str
+) -> None:
     with pytest.raises(RecapError, match=message):
         clips(crossing[".log"], tmp_path / "clips", rerun=False, **options)
     assert names_in(tmp_path) == []
 
 
-def test_clips_that_fail_leave_nothing(crossing: dict[str, Path], tmp_path: Path) -> None:
+def test_a_failure_leaves_no_files(crossing: dict[str, Path], tmp_path: Path) -> None:
     def fail(found: Any) -> Any:
         yield found[0]
         raise KeyboardInterrupt

@@ -61,7 +61,7 @@ def foreign_mcap(library: str = "somebody's") -> bytes:
 
 
 @pytest.mark.parametrize("suffix", [".log", ".mcap", ".anything"])
-def test_a_recording_of_either_format_by_its_content(tmp_path, suffix):
+def test_recordings_are_recognized_by_their_content(tmp_path, suffix):
     path = tmp_path / f"a recording{suffix}"
     path.write_bytes(small_log())
     if suffix == ".mcap":
@@ -80,18 +80,18 @@ def test_a_recording_of_either_format_by_its_content(tmp_path, suffix):
     [b"", b"\x89PNG\r\n", b"CARLA_RECORDER", b"a server's log\n" * 100, bytes(100_000), foreign_mcap(), b"\x89MCAP0\r\n"],
     ids=["empty", "png", "magic at another place", "text", "zeros", "foreign mcap", "cut mcap"],
 )
-def test_foreign_files_are_left_to_others(tmp_path, content):
+def test_other_files_are_left_to_other_importers(tmp_path, content):
     done = run(save(tmp_path / "file.log", content))
     assert (done.returncode, done.stdout, done.stderr) == (NOT_OURS, b"", b"")
 
 
 @pytest.mark.parametrize("path", ["", ".", "/nonexistent/file.log", os.devnull, "\udcff.log"])
-def test_what_is_no_file_is_left_to_others(path):
+def test_folders_and_devices_are_left_to_other_importers(path):
     done = run(path)
     assert (done.returncode, done.stdout, done.stderr) == (NOT_OURS, b"", b"")
 
 
-def test_for_foreign_files_nothing_heavy_is_imported(tmp_path):
+def test_other_files_cause_no_slow_imports(tmp_path):
     check = f"import sys; sys.argv[1:] = [{str(save(tmp_path / 'file.log', b'text'))!r}]; import atexit; " + (
         "atexit.register(lambda: print({'numpy', 'rerun', 'mcap', 'google.protobuf'} & set(sys.modules))); " + RUN
     )
@@ -99,13 +99,13 @@ def test_for_foreign_files_nothing_heavy_is_imported(tmp_path):
     assert (done.returncode, done.stdout) == (NOT_OURS, b"set()\n")
 
 
-def test_a_mention_of_our_name_makes_no_recording(tmp_path):
+def test_a_file_that_contains_our_name_is_no_recording(tmp_path):
     done = run(save(tmp_path / "file.mcap", foreign_mcap("after carla_recap.header")))
     assert (done.returncode, done.stdout) == (NOT_OURS, b"")
 
 
 @pytest.mark.parametrize(("name", "content"), [("no frames", log_header()), ("damaged", None)])
-def test_a_damaged_recording_is_one_line(tmp_path, name, content):
+def test_a_damaged_recording_is_an_error_of_one_line(tmp_path, name, content):
     path = save(tmp_path / f"{name}\n.mcap", content if content is not None else damaged_mcap(tmp_path / "whole.mcap"))
     done = run(path)
     assert done.returncode == FAILED
@@ -114,7 +114,7 @@ def test_a_damaged_recording_is_one_line(tmp_path, name, content):
 
 
 @pytest.mark.skipif(os.name != "posix", reason="signals are POSIX's")
-def test_where_the_viewer_has_gone_it_ends():
+def test_it_ends_when_the_viewer_has_ended():
     command = [sys.executable, "-c", RUN, SAMPLE]
     with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE) as process:
         process.stdout.close()
@@ -126,7 +126,7 @@ def test_where_the_viewer_has_gone_it_ends():
 
 
 @pytest.mark.skipif(not Path("/dev/full").exists(), reason="there is no /dev/full")
-def test_a_place_that_takes_nothing_is_one_line():
+def test_a_full_destination_is_an_error_of_one_line():
     command = [sys.executable, "-c", RUN, SAMPLE]
     with Path("/dev/full").open("wb") as full:
         done = subprocess.run(command, stdout=full, stderr=subprocess.PIPE, timeout=30)
@@ -135,14 +135,14 @@ def test_a_place_that_takes_nothing_is_one_line():
 
 
 @pytest.mark.skipif(os.name != "posix", reason="descriptors are POSIX's")
-def test_without_stdout_it_fails_in_one_line():
+def test_without_stdout_it_fails_with_one_line():
     closed = f"import os; os.close(1); os.execv({sys.executable!r}, [{sys.executable!r}, '-c', {RUN!r}, {str(SAMPLE)!r}])"
     done = subprocess.run([sys.executable, "-c", closed], stderr=subprocess.PIPE, timeout=30)
     assert (done.returncode, done.stderr.decode().count("\n")) == (FAILED, 1)
 
 
 @pytest.mark.skipif(os.name != "posix", reason="signals are POSIX's")
-def test_an_interruption_is_quiet():
+def test_an_interruption_prints_nothing():
     command = [sys.executable, "-c", RUN, SAMPLE]
     with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE) as process:
         try:

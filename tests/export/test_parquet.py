@@ -42,12 +42,12 @@ def exported(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def check_equal(read: pa.Table, written: pa.Table) -> None:
-    """Compare what a file has with a table; Parquet has names of its own for what is in lists and maps."""
+    """Compare a file with a table, apart from the names of the items of lists and maps, which Parquet changes."""
     assert read.to_pylist() == written.to_pylist()
     assert [(field.name, field.metadata) for field in read.schema] == [(f.name, f.metadata) for f in written.schema]
 
 
-def test_there_is_a_file_for_each_record_type(tmp_path: Path, small: Path) -> None:
+def test_each_record_type_has_a_file(tmp_path: Path, small: Path) -> None:
     with open_recording(small) as recording:
         export_parquet(recording, tmp_path / "out")
         types = {type.name for type in UE4 if type.name not in ("frame_end", "collisions")} | {"collision_records"}
@@ -58,7 +58,7 @@ def test_there_is_a_file_for_each_record_type(tmp_path: Path, small: Path) -> No
                 check_equal(parquet.read_table(file), recording.table(name).to_arrow())
 
 
-def test_record_types_that_a_recording_does_not_have_get_no_file(exported: Path) -> None:
+def test_missing_record_types_have_no_file(exported: Path) -> None:
     names = set(names_in(exported))
     assert {"transforms.parquet", "spawned.parquet", "frame.parquet"} < names
     assert not {"weather.parquet", "walker_bones.parquet", "frame_end.parquet"} & names
@@ -72,7 +72,7 @@ def test_columns_have_their_units(exported: Path) -> None:
     assert parquet.read_schema(exported / "incidents.parquet").field("x").metadata[b"unit"] == b"m"
 
 
-def test_the_answers_are_those_of_the_queries(exported: Path) -> None:
+def test_the_files_of_queries_contain_their_results(exported: Path) -> None:
     with open_recording(CROSSING) as recording:
         hits = parquet.read_table(exported / "collisions.parquet").to_pylist()
         assert [(hit["elapsed"], hit["id1"], hit["type_id2"]) for hit in hits] == [
@@ -114,7 +114,7 @@ def test_records_that_vary_in_size_are_written_in_groups(tmp_path: Path, monkeyp
         assert file.read().to_pylist() == recording.table("walker_bones").to_arrow().to_pylist()
 
 
-def test_an_empty_recording_has_empty_answers(tmp_path: Path) -> None:
+def test_an_empty_recording_has_empty_files_of_queries(tmp_path: Path) -> None:
     with create_recording(tmp_path / "empty.log", map_name="T"):
         pass
     with open_recording(tmp_path / "empty.log") as recording:
@@ -124,7 +124,7 @@ def test_an_empty_recording_has_empty_answers(tmp_path: Path) -> None:
     assert (table.num_rows, str(table.schema.field("attributes").type).partition(" (")[0]) == (0, "map<string, string")
 
 
-def test_a_folder_that_has_files_is_left_alone(tmp_path: Path, small: Path) -> None:
+def test_a_folder_that_is_not_empty_is_an_error(tmp_path: Path, small: Path) -> None:
     (tmp_path / "out").mkdir()
     (tmp_path / "out" / "mine.txt").write_text("mine")
     with open_recording(small) as recording:
@@ -135,7 +135,7 @@ def test_a_folder_that_has_files_is_left_alone(tmp_path: Path, small: Path) -> N
         assert {"mine.txt", "transforms.parquet"} < set(names_in(tmp_path / "out"))
 
 
-def test_an_export_that_fails_leaves_nothing(tmp_path: Path) -> None:
+def test_a_failure_leaves_no_files(tmp_path: Path) -> None:
     broken = log_header() + start(1, 0.0) + packet(6, b"\1") + start(2, 1.0)
     with open_recording(save(tmp_path / "broken.log", broken)) as recording, pytest.raises(RecapError, match="transforms"):
         export_parquet(recording, tmp_path / "out")
@@ -214,19 +214,19 @@ def test_options_of_the_viewers_are_refused(tmp_path: Path, option: tuple[str, s
     assert names_in(tmp_path) == []
 
 
-def test_a_file_is_no_folder(tmp_path: Path) -> None:
+def test_a_file_as_destination_is_an_error(tmp_path: Path) -> None:
     (tmp_path / "out").write_text("mine")
     assert "out: is a file; a folder was expected" in error(
         "export", CROSSING, tmp_path / "out", "--to", "parquet", "--force"
     )
 
 
-def test_the_command_shows_how_far_it_is(tmp_path: Path) -> None:
+def test_the_command_shows_its_progress(tmp_path: Path) -> None:
     code, shown, _ = on_terminal("export", CROSSING, tmp_path / "out", "--to", "parquet", stream="stderr")
     assert (code, "exporting" in shown) == (0, True)
 
 
-def test_without_pyarrow_there_is_one_line(tmp_path: Path) -> None:
+def test_without_pyarrow_the_error_is_one_line(tmp_path: Path) -> None:
     (tmp_path / "pyarrow.py").write_text("raise ImportError('no pyarrow here')")
     environment = ENVIRONMENT | {"PYTHONPATH": before_others(tmp_path)}
     command = [COMMAND, "export", CROSSING, tmp_path / "out", "--to", "parquet"]
@@ -237,7 +237,7 @@ def test_without_pyarrow_there_is_one_line(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("method", ["to_arrow", "to_parquet", "export_parquet"])
-def test_in_python_the_extra_is_named(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, method: str) -> None:
+def test_in_python_the_error_names_the_extra(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, method: str) -> None:
     monkeypatch.setitem(sys.modules, "pyarrow", None)
     with open_recording(CROSSING) as recording:
         table = recording.table("transforms")

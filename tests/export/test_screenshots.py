@@ -1,4 +1,4 @@
-"""Pictures from the real viewer, and how its process ends."""
+"""Pictures taken by the viewer, and the end of its process."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ from tests.samples import time_limit
 
 
 def share(picture: bytes, color: tuple[int, int, int]) -> float:
-    """How much of a picture is nearly of a colour."""
+    """Return the share of a picture that has nearly a colour."""
     image = Image.open(io.BytesIO(picture)).convert("RGB")
     near = sum(
         count
@@ -45,7 +45,7 @@ def runs(pid: int) -> bool:
     return True
 
 
-def test_several_pictures_come_out_of_one_viewer(crossing_rrd, tmp_path, temporary):
+def test_one_viewer_takes_several_pictures(crossing_rrd, tmp_path, temporary):
     with open_recording(SAMPLE) as recording:
         _save(tmp_path / "view.rrd", Player(recording, start=20, duration=6), "chase", None)
     with ScreenshotTaker(tmp_path / "view.rrd", (640, 360), only_view=True) as screenshots:
@@ -68,7 +68,7 @@ def test_the_whole_window_shows_the_blueprint_of_the_recording(crossing_rrd, tem
     assert not [report for view in views for report in view.reports]
 
 
-def test_no_notices_lie_over_the_first_picture(crossing_rrd):
+def test_no_notices_cover_the_first_picture(crossing_rrd):
     with ScreenshotTaker(crossing_rrd, (800, 600)) as screenshots:
         early = screenshots.take(24.6)
         threading.Event().wait(1.5)
@@ -89,7 +89,7 @@ def test_without_a_graphics_driver_the_error_says_what_to_install(crossing_rrd, 
         ScreenshotTaker(crossing_rrd).__enter__()
 
 
-def test_what_the_viewer_cannot_load_is_an_error(tmp_path, temporary, monkeypatch, crossing_rrd):
+def test_a_file_that_the_viewer_cannot_load_is_an_error(tmp_path, temporary, monkeypatch, crossing_rrd):
     monkeypatch.setattr(viewer, "TIMEOUT", 2.0)
     cut = tmp_path / "cut.rrd"
     cut.write_bytes(crossing_rrd.read_bytes()[:3000])
@@ -97,7 +97,7 @@ def test_what_the_viewer_cannot_load_is_an_error(tmp_path, temporary, monkeypatc
         ScreenshotTaker(cut).__enter__()
 
 
-def test_a_viewer_that_hangs_is_given_up(crossing_rrd, temporary, monkeypatch):
+def test_a_viewer_that_hangs_is_killed(crossing_rrd, temporary, monkeypatch):
     with ScreenshotTaker(crossing_rrd) as screenshots:
         pid = screenshots._process.pid
         monkeypatch.setattr(viewer, "TIMEOUT", 0.5)

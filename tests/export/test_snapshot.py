@@ -1,4 +1,4 @@
-"""Pictures of moments, and what is no moment, place or actor."""
+"""Pictures of recordings, and invalid times, destinations and actors."""
 
 from __future__ import annotations
 
@@ -52,7 +52,7 @@ def test_the_collision_of_the_hero(crossing, tmp_path, temporary, draws):
     assert middle[0] > middle[2]
 
 
-def test_seen_from_above_the_hero_is_in_the_middle_and_upright(crossing, draws):
+def test_from_above_the_hero_is_in_the_middle_and_points_up(crossing, draws):
     data = picture(crossing, at=22, view="top", size=(400, 400))
     image = Image.open(io.BytesIO(data)).convert("RGB")
     red, green, blue = HERO
@@ -64,11 +64,11 @@ def test_seen_from_above_the_hero_is_in_the_middle_and_upright(crossing, draws):
 
 
 @pytest.mark.parametrize("size", [(64, 64), (333, 517), (1921, 1081)])
-def test_pictures_have_the_size_asked_for(crossing, draws, size):
+def test_pictures_have_the_given_size(crossing, draws, size):
     assert Image.open(io.BytesIO(picture(crossing, at=24, size=size))).size == size
 
 
-def test_at_the_very_beginning_and_at_the_end(crossing, draws):
+def test_pictures_of_the_beginning_and_of_the_end(crossing, draws):
     first, last = (picture(crossing, at=at, size=(320, 180)) for at in (0, 53))
     assert share(first, HERO) > 0.01 < share(last, HERO)
     assert last == picture(crossing, at=crossing.info.duration, size=(320, 180))
@@ -94,14 +94,14 @@ def test_a_real_recording(draws):
         ({"at": 5, "size": (10, 10)}, "the sides of a picture are from 64 to 4096 pixels"),
     ],
 )
-def test_what_cannot_be_pictured_is_one_line(crossing, tmp_path, temporary, options, message):
+def test_invalid_arguments_are_errors_of_one_line(crossing, tmp_path, temporary, options, message):
     with pytest.raises(RecapError, match=message) as caught:
         snapshot(crossing, tmp_path / "out.png", **options)
     assert "\n" not in str(caught.value)
     assert names_in(tmp_path) == ["temporary"]
 
 
-def test_an_actor_without_a_place_is_one_line(tmp_path, temporary):
+def test_an_actor_whose_pose_is_nan_is_an_error_of_one_line(tmp_path, temporary):
     nowhere = [{"transforms": [pose(1, float("nan"))], "spawned": [spawn(1)] * (n == 0)} for n in range(3)]
     source = write(tmp_path / "nan.log", nowhere)
     with open_recording(source) as recording, pytest.raises(RecapError) as caught:
@@ -111,7 +111,7 @@ def test_an_actor_without_a_place_is_one_line(tmp_path, temporary):
 
 
 @pytest.mark.skipif(os.name != "posix", reason="there are no such limits")
-def test_a_full_disk_for_temporary_files_is_one_line(tmp_path, temporary, limited):
+def test_a_full_disk_for_temporary_files_is_an_error_of_one_line(tmp_path, temporary, limited):
     lines = (
         "from carla_recap import open_recording",
         "from carla_recap.export.screenshots import snapshot",
@@ -131,14 +131,14 @@ def test_a_full_disk_for_temporary_files_is_one_line(tmp_path, temporary, limite
         ("there.png", "there.png: exists already"),
     ],
 )
-def test_what_is_no_place_for_a_picture(crossing, tmp_path, name, message):
+def test_invalid_destinations_are_errors(crossing, tmp_path, name, message):
     (tmp_path / "there.png").write_bytes(b"before")
     with pytest.raises(RecapError, match=message):
         snapshot(crossing, tmp_path / name, at=5)
     assert (tmp_path / "there.png").read_bytes() == b"before"
 
 
-def test_a_picture_that_fails_leaves_the_one_before(crossing, tmp_path, monkeypatch, draws):
+def test_a_failure_leaves_the_earlier_picture(crossing, tmp_path, monkeypatch, draws):
     monkeypatch.setenv("VK_ICD_FILENAMES", "/nonexistent")
     monkeypatch.setenv("VK_DRIVER_FILES", "/nonexistent")
     there = tmp_path / "there.png"

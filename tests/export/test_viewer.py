@@ -1,4 +1,4 @@
-"""The viewer for a person: served to a browser, and where there is no display."""
+"""The viewer, served to a browser, and without a display."""
 
 from __future__ import annotations
 
@@ -62,7 +62,7 @@ def test_a_browser_is_served_until_it_is_interrupted(served):
 
 
 @pytest.mark.skipif(os.name != "posix", reason="signals are POSIX's")
-def test_a_terminal_that_goes_ends_the_viewer(served):
+def test_a_closed_terminal_ends_the_viewer(served):
     process, _ = served
     children = psutil.Process(process.pid).children()
     process.send_signal(signal.SIGHUP)
@@ -72,7 +72,7 @@ def test_a_terminal_that_goes_ends_the_viewer(served):
 
 
 @pytest.mark.skipif(os.name != "posix", reason="signals are POSIX's")
-def test_where_nobody_reads_the_address_it_ends(temporary):
+def test_a_closed_stdout_ends_the_viewer(temporary):
     code = f"import signal; signal.signal(signal.SIGPIPE, signal.SIG_DFL)\n{SERVE}"
     with subprocess.Popen([sys.executable, "-c", code, SAMPLE], stdout=subprocess.PIPE, stderr=subprocess.PIPE) as process:
         process.stdout.close()
@@ -88,7 +88,7 @@ def test_the_browser_gets_the_recording(served, crossing_rrd):
 
 
 def _times(screenshots: ScreenshotTaker) -> tuple[int, int] | None:
-    """Return the first and the last time of what the viewer has received so far, in ns."""
+    """Return the first and the last time of the data that the viewer has received so far, in ns."""
     timelines = [timeline for recording in screenshots.state.recordings for timeline in recording.timelines]
     return next(((timeline.start, timeline.end) for timeline in timelines if timeline.name == "sim_time"), None)
 
@@ -114,6 +114,6 @@ def test_a_window_that_does_not_open_is_an_error(temporary, monkeypatch):
 
 
 @pytest.mark.parametrize(("options", "message"), [({"start": 60}, "nothing at 60 s"), ({"follow": 9999}, "no actor 9999")])
-def test_what_cannot_be_shown(temporary, options, message):
+def test_invalid_arguments_are_errors(temporary, options, message):
     with open_recording(SAMPLE) as recording, pytest.raises(RecapError, match=message):
         view(recording, web=True, **options)

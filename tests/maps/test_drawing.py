@@ -1,4 +1,4 @@
-"""What is drawn of a road, by small maps written by hand."""
+"""The lines of small maps written by hand."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ def draw(tmp_path: Path):
 
 
 def near(lines: list[np.ndarray], *expected: list[tuple[float, float, float]]) -> bool:
-    """Whether the lines are these, to a millimetre, in any order."""
+    """Return whether the lines are these, in any order."""
     found = sorted(np.round(line, 2).tolist() for line in lines)
     wanted = sorted(np.round(line, 2).tolist() for line in expected)
     return len(found) == len(wanted) and all(
@@ -51,17 +51,17 @@ def test_a_straight_road_in_right_handed_metres(draw):
     assert town.junctions == town.crossings == town.stop_lines == []
 
 
-def test_a_road_to_the_left_goes_to_positive_y(draw):
+def test_a_road_that_turns_left_has_positive_y(draw):
     town = draw(road(x=10, y=20, heading=math.pi / 2, sections=section(0, right=lane(-1))))
     assert near(town.centre_lines, [(11.75, 20, 0), (11.75, 120, 0)])
 
 
-def test_roads_that_follow_each_other_are_one_line(draw):
+def test_successive_roads_are_one_line(draw):
     town = draw(road(1), road(2, x=100), road(3, x=200))
     assert near(town.centre_lines, [(0, -1.75, 0), (300, -1.75, 0)], [(300, 1.75, 0), (0, 1.75, 0)])
 
 
-def test_a_curve_is_smooth_and_light(draw):
+def test_a_curve_is_smooth_and_has_few_points(draw):
     radius = 20.0
     town = draw(road(length=radius * math.pi, shape=f'<arc curvature="{1 / radius}"/>', sections=section(0, right=lane(-1))))
     (line,) = town.centre_lines
@@ -78,12 +78,12 @@ def test_shoulders_and_pavements_have_borders_but_no_centre_lines(draw):
     assert near(town.lane_borders, *([(0, -y, 0), (100, -y, 0)] for y in (0, 3.5, 4.5, 6.5)))
 
 
-def test_a_lane_that_ends_ends_there(draw):
+def test_lines_end_with_their_lane(draw):
     town = draw(road(sections=section(0, right=lane(-1) + lane(-2)) + section(40, right=lane(-1))))
     assert near(town.centre_lines, [(0, -1.75, 0), (100, -1.75, 0)], [(0, -5.25, 0), (40, -5.25, 0)])
 
 
-def test_the_ground_of_a_junction(draw):
+def test_the_outline_of_a_junction(draw):
     one_way = section(0, right=lane(-1))
     town = draw(
         road(1, sections=one_way),
@@ -101,7 +101,7 @@ def test_the_ground_of_a_junction(draw):
     assert not (np.linalg.norm(within[:, :2] - [110, -1.5], axis=1) < 1).any()
 
 
-def test_a_stop_sign_on_the_way(draw):
+def test_a_stop_sign_between_junctions(draw):
     town = draw(road(inside=stop_sign(80, -1, -1), height=2))
     assert near(town.stop_lines, [(80, 0, 2), (80, -3.5, 2)])
 
@@ -111,7 +111,7 @@ def test_stop_lines_of_lanes_side_by_side_are_one(draw):
     assert near(town.stop_lines, [(80, 0, 0), (80, -7, 0)])
 
 
-def test_a_stop_sign_within_a_junction_stops_before_it(draw):
+def test_a_stop_sign_within_a_junction_has_its_line_before_the_junction(draw):
     town = draw(
         road(1),
         road(2, x=100, length=20, junction=9, inside=stop_sign(3, -1, -1)),
@@ -120,17 +120,17 @@ def test_a_stop_sign_within_a_junction_stops_before_it(draw):
     assert near(town.stop_lines, [(100, 0, 0), (100, -3.5, 0)])
 
 
-def test_against_the_direction_of_the_road_one_enters_a_junction_at_its_end(draw):
+def test_lanes_against_the_road_enter_a_junction_at_the_end_of_the_road(draw):
     town = draw(road(2, x=100, length=20, junction=9, inside=stop_sign(3, 1, 1)))
     assert near(town.stop_lines, [(120, 0, 0), (120, 3.5, 0)])
 
 
-def test_a_sign_for_all_lanes_that_numbers_can_name_takes_no_time(draw):
+def test_a_sign_for_a_huge_range_of_lanes_takes_no_time(draw):
     town = draw(road(inside=stop_sign(80, -(2**31), 2**31 - 1)))
     assert len(town.stop_lines) in (1, 2)
 
 
-def test_a_painted_stop_line_is_drawn_as_it_is(draw):
+def test_a_painted_stop_line_is_drawn_unchanged(draw):
     town = draw(road(inside=painted_stop(80, -1.75, 3.0) + stop_sign(82, -1, -1)))
     assert near(town.stop_lines, [(80, -3.25, 0), (80, -0.25, 0)])
 
@@ -142,6 +142,6 @@ def test_a_crossing_is_closed(draw):
     assert sorted(np.round(polygon[:4, :2]).tolist()) == [[48, -4], [48, 4], [52, -4], [52, 4]]
 
 
-def test_a_lane_with_places_that_are_no_numbers_is_left_out(draw):
+def test_a_lane_with_nan_is_left_out(draw):
     town = draw(road(1), road(2, x="nan"), road(3, y=50, sections=section(0, right=lane(-1, "inf"))))
     assert len(town.centre_lines) == 2

@@ -12,7 +12,7 @@ if TYPE_CHECKING:
     from pathlib import Path
 
 
-def test_without_the_extra(tmp_path, monkeypatch):
+def test_a_missing_extra_is_named(tmp_path, monkeypatch):
     monkeypatch.setitem(sys.modules, "carla", None)
     with pytest.raises(MissingExtra, match=r"a map needs .* pip install '\.\[carla\]'"):
         load_map(tmp_path / "Town01.xodr")
@@ -67,5 +67,5 @@ def test_the_folder_comes_from_the_environment(folder, monkeypatch):
     assert find_map("Town01", folder.parent) is None
 
 
-def test_no_such_folder(tmp_path):
+def test_a_missing_folder_has_no_maps(tmp_path):
     assert find_map("Town01", tmp_path / "none") is None

@@ -46,7 +46,7 @@ def test_a_closed_line_stays_closed():
 
 
 @given(LINES, st.floats(0.001, 10))
-def test_no_point_is_farther_from_the_simpler_line_than_the_tolerance(points, tolerance):
+def test_no_point_deviates_by_more_than_the_tolerance(points, tolerance):
     lighter = simplify(points, tolerance)
     assert lighter[0].tolist() == points[0].tolist()
     assert lighter[-1].tolist() == points[-1].tolist()
@@ -54,7 +54,7 @@ def test_no_point_is_farther_from_the_simpler_line_than_the_tolerance(points, to
     assert nearest.max() <= tolerance * (1 + 1e-9)
 
 
-def test_distance_to_a_line_ends_at_its_ends():
+def test_distances_are_to_the_ends_beyond_them():
     assert distances_to(line((5, 2), (-3, 4), (13, 4)), *line((0, 0), (10, 0))).tolist() == [2, 5, 5]
 
 
@@ -62,7 +62,7 @@ def test_distance_to_a_line_without_length():
     assert distances_to(line((3, 4)), *line((0, 0), (0, 0))).tolist() == [5]
 
 
-def test_lines_that_follow_each_other_become_one():
+def test_successive_lines_become_one():
     (joined,) = join([line((2, 0), (3, 0)), line((0, 0), (1, 0)), line((1, 0), (2, 0))])
     assert joined.tolist() == [[0, 0], [1, 0], [2, 0], [3, 0]]
 
@@ -71,7 +71,7 @@ def test_lines_that_fork_stay_apart():
     assert len(join([line((0, 0), (1, 0)), line((1, 0), (2, 0)), line((1, 0), (2, 1))])) == 3
 
 
-def test_lines_that_begin_at_the_same_place_stay_apart():
+def test_lines_that_begin_at_the_same_point_stay_apart():
     assert len(join([line((0, 0), (1, 0)), line((0, 0), (-1, 0))])) == 2
 
 
@@ -85,7 +85,7 @@ def test_a_closed_line_is_not_joined_to_itself():
     assert [joined.tolist() for joined in join([closed])] == [closed.tolist()]
 
 
-def test_nothing_to_join():
+def test_no_lines_are_joined_to_none():
     assert join([]) == []
 
 
@@ -125,7 +125,7 @@ def test_two_pieces_have_two_outlines():
     assert sorted(round(area(outline)) for outline in surface.outlines()) == pytest.approx([26, 26], abs=2)
 
 
-def test_what_is_covered_later_is_covered():
+def test_points_can_be_covered_later():
     surface = Surface(grid((0, 10), (0, 10)))
     edge = line((0, 5), (0, 5.5), (50, 5))
     assert not surface.covers(edge).any()

@@ -55,7 +55,7 @@ def nearest(place: np.ndarray, points: np.ndarray) -> int:
 # --- CARLA's towns ---------------------------------------------------------------------------------------
 
 
-def test_a_town_is_whole_and_light(loaded):
+def test_a_town_is_complete_and_has_few_points(loaded):
     assert loaded.name in TOWNS
     for line in lines_of(loaded):
         assert line.shape == (len(line), 3)
@@ -75,14 +75,14 @@ def test_a_town_loads_fast():
     assert time.perf_counter() - start < 5  # it takes less than one second where nothing else runs
 
 
-def test_the_borders_are_half_a_lane_beside_the_centre_lines(loaded):
+def test_the_borders_are_half_a_lane_width_from_the_centre_lines(loaded):
     borders, _ = dense(loaded.lane_borders)
     centres, _ = dense([line for line in loaded.centre_lines if np.linalg.norm(line[0] - line[-1]) > 100])
     distances = [np.linalg.norm(borders - centre, axis=1).min() for centre in centres[::40]]
     assert np.median(distances) == pytest.approx({"Town10HD": 1.75}.get(loaded.name, 2.0), abs=0.1)
 
 
-def test_junctions_are_closed_and_one_drives_on_them(loaded):
+def test_junctions_are_closed_and_contain_centre_lines(loaded):
     centres, _ = dense(loaded.centre_lines)
     for outline in loaded.junctions:
         assert outline[0].tolist() == outline[-1].tolist()
@@ -161,7 +161,7 @@ NOT_MAPS = {
 
 
 @pytest.mark.parametrize("content", NOT_MAPS.values(), ids=NOT_MAPS)
-def test_what_is_no_map_is_told_in_one_line(tmp_path, content):
+def test_a_file_that_is_no_map_is_an_error_of_one_line(tmp_path, content):
     path = tmp_path / "odd.xodr"
     path.write_bytes(content if isinstance(content, bytes) else content.encode())
     with time_limit(20), pytest.raises(RecapError) as caught:
@@ -183,13 +183,13 @@ def test_a_damaged_map_is_loaded_or_refused(tmp_path, seed):
         assert all(np.isfinite(line).all() for line in lines_of(load_map(path)))
 
 
-def test_names_in_another_encoding_do_no_harm(tmp_path):
+def test_names_in_another_encoding_are_accepted(tmp_path):
     path = tmp_path / "odd.xodr"
     path.write_bytes(SOUND.replace('road name=""', 'road name="Straße"').encode("latin-1"))
     assert len(load_map(path).centre_lines) == 2
 
 
-def test_a_parser_that_takes_too_long_is_ended(tmp_path, monkeypatch):
+def test_a_parser_that_takes_too_long_is_killed(tmp_path, monkeypatch):
     monkeypatch.setattr(parsing, "_TIMEOUT", 0.02)
     path = tmp_path / "slow.xodr"
     path.write_text(SOUND)
@@ -197,7 +197,7 @@ def test_a_parser_that_takes_too_long_is_ended(tmp_path, monkeypatch):
         load_map(path)
 
 
-def test_a_file_without_end_is_not_read(tmp_path, monkeypatch):
+def test_an_endless_file_is_not_read(tmp_path, monkeypatch):
     monkeypatch.setattr(parsing, "_LARGEST", 1 << 20)
     path = tmp_path / "large.xodr"
     path.write_bytes(b" " * ((1 << 20) + 1))
@@ -205,7 +205,7 @@ def test_a_file_without_end_is_not_read(tmp_path, monkeypatch):
         load_map(path)
 
 
-def test_what_is_no_file(tmp_path):
+def test_something_other_than_a_file_is_an_error(tmp_path):
     with pytest.raises(RecapError, match="No such file"):
         load_map(tmp_path / "none.xodr")
     with pytest.raises(RecapError, match="is not a regular file"):
@@ -217,7 +217,7 @@ def test_what_is_no_file(tmp_path):
         load_map("a\0b.xodr")
 
 
-def test_modules_of_the_working_directory_are_not_run(tmp_path, monkeypatch):
+def test_modules_of_the_working_directory_are_not_imported(tmp_path, monkeypatch):
     (tmp_path / "carla.py").write_text("raise SystemExit('run')")
     path = tmp_path / "small.xodr"
     path.write_text(SOUND)

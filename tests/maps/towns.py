@@ -1,4 +1,4 @@
-"""Towns to test with: CARLA's own, and small ones written by hand."""
+"""Maps for tests: CARLA's own, and small ones written by hand."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ TOWNS = Path(__file__).parents[3] / "shared" / "data" / "maps"
 
 
 def town(name: str) -> Path:
-    """A map of CARLA's; skips the test where there is none."""
+    """Return a map of CARLA; skips the test if it is missing."""
     path = TOWNS / f"{name}.xodr"
     if not path.exists():
         pytest.skip(f"{path} is not here: it is data that is not part of the repository")

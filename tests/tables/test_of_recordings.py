@@ -1,4 +1,4 @@
-"""Tables and trajectories of any recording hold what its frames hold, in both formats."""
+"""Tables and trajectories of recordings, compared with their frames, in both formats."""
 
 from __future__ import annotations
 
@@ -104,7 +104,7 @@ def comparable(rows: list[dict[str, Any]]) -> list[Any]:
 
 @given(strategies.recordings(), st.sampled_from([".log", ".mcap"]))
 @settings(max_examples=25, deadline=None)
-def test_a_table_is_what_the_frames_hold(recorded: tuple[Header, list[Frame]], suffix: str) -> None:
+def test_a_table_contains_the_records_of_the_frames(recorded: tuple[Header, list[Frame]], suffix: str) -> None:
     with TemporaryDirectory() as folder, warnings_ignored():
         path = write(Path(folder) / f"run{suffix}", *recorded)
         with open_recording(path) as recording:
@@ -145,7 +145,7 @@ def test_the_table_of_frames(tmp_path: Path, suffix: str) -> None:
         assert table["duration"].tolist() == [1, 1, 1, -1]
 
 
-def test_packets_before_the_first_frame_are_none_in_the_table_of_frames(tmp_path: Path) -> None:
+def test_packets_before_the_first_frame_are_not_in_the_table_of_frames(tmp_path: Path) -> None:
     data = log_header() + packet(6, listed(transform(3))) + start(1, 0.0) + packet(6, listed(transform(4))) + END
     with open_recording(save(tmp_path / "early.log", data)) as recording:
         assert recording.table("frame")["id"].tolist() == [1]
@@ -169,8 +169,8 @@ def test_doubles_of_ue5_stay_doubles(tmp_path: Path, suffix: str) -> None:
 
 
 @both_formats
-def test_records_of_other_forms_with_packets_of_one_size(tmp_path: Path, suffix: str) -> None:
-    """Names of other lengths in sum as long, and records that some frames have in two packets."""
+def test_records_of_different_forms_in_packets_of_one_size(tmp_path: Path, suffix: str) -> None:
+    """Names of different lengths with the same sum, and records in two packets of a frame."""
     names = [("ab", "c"), ("ab", "c"), ("a", "bc"), ("a", "bc"), ("x", "yz"), ("ab", "c")]
     type = UE4.named("walker_bones")
     frames = []
@@ -235,7 +235,7 @@ def test_an_unknown_record_type_is_an_error() -> None:
 
 
 @pytest.mark.parametrize("payload", [b"", b"\1", listed(transform(7))[:-1]], ids=["nothing", "half a count", "too short"])
-def test_a_packet_that_is_too_short_is_an_error_with_its_place(tmp_path: Path, payload: bytes) -> None:
+def test_a_packet_that_is_too_short_is_an_error_with_its_offset(tmp_path: Path, payload: bytes) -> None:
     data = log_header() + b"".join(start(n, n - 1.0) + packet(6, payload) + END for n in range(1, 6))
     with open_recording(save(tmp_path / "short.log", data)) as recording:
         for ask in (lambda: recording.table("transforms"), recording.trajectories):
@@ -298,7 +298,7 @@ def test_a_batch_of_one_is_read_only() -> None:
 
 
 @pytest.mark.parametrize("name", ["wings", "spawned"])
-def test_records_of_no_array_are_an_error(crossing: Recording, name: str) -> None:
+def test_records_of_variable_size_are_an_error(crossing: Recording, name: str) -> None:
     with pytest.raises(RecordError, match=name):
         next(crossing.batches()).records(name)
 
@@ -338,7 +338,7 @@ def check(recording: Recording, id: int, path: Trajectory) -> None:
 
 @given(st.data())
 @settings(max_examples=25, deadline=None)
-def test_trajectories_are_what_the_frames_hold(data: st.DataObject) -> None:
+def test_trajectories_contain_the_poses_of_the_frames(data: st.DataObject) -> None:
     """Ids that repeat, in a frame and later; velocities in some frames only."""
     ids = st.lists(st.integers(1, 4), max_size=5)
     frames = data.draw(st.lists(st.tuples(ids, ids, st.integers(1, 3)), max_size=8))

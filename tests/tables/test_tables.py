@@ -24,7 +24,7 @@ class Row:
 
 
 class TypedRows(Rows[Row]):
-    """Rows that know their type when there are none."""
+    """Rows with a type, also if there are none."""
 
     row_type = Row
 

@@ -1,4 +1,4 @@
-"""Pages, and a browser to open them in."""
+"""Pages, and a browser."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 
 CROSSING = Path(__file__).parents[3] / "samples" / "crossing.log"
 NASTY = "</script><img src=x onerror=\"document.title='broken'\">\u2028\u2029\x01\"'&amp;"
-"""What breaks a page that believes what it reads."""
+"""Text that breaks a page that does not escape it."""
 
 
 @pytest.fixture(scope="session")
@@ -33,7 +33,7 @@ def crossing_page(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def data(folder: Path, name: str) -> Any:
-    """What a data script of a page gives: `report`, `recording` or `map`."""
+    """Return the data in a script of a page: `report`, `recording` or `ground`."""
     text = (folder / "data" / f"{name}.js").read_text("ascii")
     return json.loads(text.partition("=")[2].removesuffix(";\n"))
 
@@ -50,8 +50,8 @@ def record(
 ) -> Path:
     """Write a recording, one mapping of records per frame."""
     with create_recording(path, map_name=map_name, date=0, **options) as recorder:
-        for place, frame in enumerate(frames):
-            recorder.add_frame(place * tick, **frame)
+        for index, frame in enumerate(frames):
+            recorder.add_frame(index * tick, **frame)
     return path
 
 
@@ -64,7 +64,7 @@ def report(source: Path, folder: Path, **options: Any) -> Path:
 
 @contextmanager
 def browser(*arguments: str) -> Iterator[Chrome]:
-    """A browser without a window; skips the test where there is none."""
+    """Yield a browser without a window; skips the test if it is not installed."""
     binary, driver = shutil.which("chromium"), shutil.which("chromedriver")
     if not binary or not driver:
         pytest.skip("chromium or chromedriver is not installed")

@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 
 
 class Page:
-    """A page that is open."""
+    """An open page."""
 
     def __init__(self, browser: Chrome, folder: Path, link: str = "") -> None:
         self.browser = browser
@@ -39,8 +39,8 @@ class Page:
             assert time.monotonic() < patience
             time.sleep(0.02)
 
-    def click(self, selector: str, place: int = 0) -> None:
-        self.browser.execute_script("document.querySelectorAll(arguments[0])[arguments[1]].click()", selector, place)
+    def click(self, selector: str, index: int = 0) -> None:
+        self.browser.execute_script("document.querySelectorAll(arguments[0])[arguments[1]].click()", selector, index)
 
     def press(self, *keys: str) -> None:
         from selenium.webdriver import ActionChains
@@ -65,7 +65,7 @@ def crossing(chromium: Chrome, crossing_page: Path) -> Page:
     return Page(chromium, crossing_page)
 
 
-def test_the_list_is_right(crossing: Page, crossing_page: Path) -> None:
+def test_the_list_contains_the_incidents(crossing: Page, crossing_page: Path) -> None:
     rows = crossing.ask(
         "[...document.querySelectorAll('.incident')].map(row => [row.dataset.kind, row.querySelector('.text').textContent])"
     )
@@ -77,16 +77,18 @@ def test_the_list_is_right(crossing: Page, crossing_page: Path) -> None:
     assert crossing.errors == []
 
 
-def test_a_click_goes_to_two_seconds_before_and_follows_the_first_actor(crossing: Page, crossing_page: Path) -> None:
-    for place, incident in enumerate(data(crossing_page, "report")["incidents"]):
-        crossing.click(".incident", place)
+def test_a_click_shows_two_seconds_before_an_incident_and_follows_its_first_actor(
+    crossing: Page, crossing_page: Path
+) -> None:
+    for index, incident in enumerate(data(crossing_page, "report")["incidents"]):
+        crossing.click(".incident", index)
         assert crossing.time == pytest.approx(incident["start"] - 2, abs=0.001)
         assert crossing.ask("replay.camera.followed") == incident["actors"][0]
         assert crossing.ask("document.querySelectorAll('[aria-current]').length") == 1
     assert crossing.errors == []
 
 
-def test_playing_lets_time_go_on_until_the_end(crossing: Page) -> None:
+def test_playing_stops_at_the_end(crossing: Page) -> None:
     crossing.click("#play")
     crossing.until(lambda: crossing.time > 0.2)
     crossing.browser.execute_script("replay.clock.seek(52.9)")
@@ -95,7 +97,7 @@ def test_playing_lets_time_go_on_until_the_end(crossing: Page) -> None:
     assert crossing.text("now") == "0:53.0"
 
 
-def test_it_shows_everybody_where_the_player_does(crossing: Page) -> None:
+def test_all_actors_have_the_poses_of_the_player(crossing: Page) -> None:
     with open_recording(CROSSING) as recording:
         player = Player(recording)
         for moment in (0.0, 3.33, 12.05, 20.9, 27.03, 41.77, 53.0):
@@ -110,7 +112,7 @@ def test_it_shows_everybody_where_the_player_does(crossing: Page) -> None:
         assert crossing.ask("[replay.poseOf(104), replay.poseOf(103)]") == [None, None]
 
 
-def test_yaw_takes_the_shortest_way(chromium: Chrome, tmp_path: Path) -> None:
+def test_yaw_is_interpolated_along_the_shorter_rotation(chromium: Chrome, tmp_path: Path) -> None:
     frames = [{"transforms": [(1, 0, 0, 0, 0, 0, yaw)]} for yaw in (170, -170, -110)]
     page = Page(chromium, report(record(tmp_path / "a.log", frames, tick=1), tmp_path / "page"))
     page.browser.execute_script("replay.clock.seek(0.5)")
@@ -119,7 +121,7 @@ def test_yaw_takes_the_shortest_way(chromium: Chrome, tmp_path: Path) -> None:
     assert np.degrees(page.ask("replay.poseOf(1).yaw")) % 360 == pytest.approx(140, abs=0.1)
 
 
-def test_the_keyboard_is_enough(crossing: Page) -> None:
+def test_everything_works_with_the_keyboard(crossing: Page) -> None:
     from selenium.webdriver.common.keys import Keys
 
     crossing.press("n")
@@ -175,7 +177,7 @@ def test_a_click_on_an_actor_follows_it_and_the_wheel_zooms(crossing: Page) -> N
     assert crossing.ask("replay.camera.followed") is None
 
 
-def test_a_link_leads_to_a_moment(chromium: Chrome, crossing_page: Path) -> None:
+def test_a_link_leads_to_a_time(chromium: Chrome, crossing_page: Path) -> None:
     page = Page(chromium, crossing_page, "#t=12.3&follow=101")
     assert page.time == pytest.approx(12.3)
     assert page.ask("replay.camera.followed") == 101
@@ -186,15 +188,15 @@ def test_a_link_leads_to_a_moment(chromium: Chrome, crossing_page: Path) -> None
     assert page.errors == []
 
 
-def test_hostile_words_are_shown_as_words(chromium: Chrome, tmp_path: Path) -> None:
+def test_hostile_texts_are_shown_as_texts(chromium: Chrome, tmp_path: Path) -> None:
     there = {"transforms": [(1, 0, 0, 0, 0, 0, 0), (2**32 - 2, 100, float("nan"), 0, 0, 0, 0), (3, 3e38, -3e38, 0, 0, 0, 0)]}
     actors = [spawn(1, f"vehicle.{NASTY}", role_name=NASTY), spawn(2**32 - 2, NASTY), spawn(3, "")]
     hits = [(1, 2**32 - 2, 1, 0, 0), (2, 3, 7, 0, 0)]
     frames = [there | {"spawned": actors}, there | {"collisions": hits}, there]
     source = record(tmp_path / "a.log", frames, map_name=NASTY)
     page = Page(chromium, report(source, tmp_path / "page"))
-    for place in range(page.ask("document.querySelectorAll('.incident').length")):
-        page.click(".incident", place)
+    for index in range(page.ask("document.querySelectorAll('.incident').length")):
+        page.click(".incident", index)
     page.press("f", "h", "l")
     assert page.ask("document.querySelector('.incident .text').textContent").count("onerror") >= 1
     assert page.ask("document.querySelectorAll('img[src=x], .incident script').length") == 0
@@ -202,7 +204,7 @@ def test_hostile_words_are_shown_as_words(chromium: Chrome, tmp_path: Path) -> N
     assert page.errors == []
 
 
-def test_one_frame_and_nobody(chromium: Chrome, tmp_path: Path) -> None:
+def test_a_recording_of_one_frame_without_actors(chromium: Chrome, tmp_path: Path) -> None:
     page = Page(chromium, report(record(tmp_path / "a.log", [{}]), tmp_path / "page"))
     assert page.ask("document.getElementById('play').disabled")
     assert "Nobody collided" in page.text("nothing")
@@ -210,7 +212,7 @@ def test_one_frame_and_nobody(chromium: Chrome, tmp_path: Path) -> None:
     assert page.errors == []
 
 
-def test_a_minute_of_dense_traffic_is_there_at_once(chromium: Chrome, tmp_path: Path, record_property: Any) -> None:
+def test_a_minute_of_dense_traffic_loads_at_once(chromium: Chrome, tmp_path: Path, record_property: Any) -> None:
     ids = np.arange(1, 151)
     turns = np.linspace(0, 40, 1201)[:, None] + ids
     frames: list[dict[str, Any]] = [

@@ -1,4 +1,4 @@
-"""What lies in a page's folder, and what does not."""
+"""The files of an incident page."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     from pathlib import Path
 
 
-def test_the_summary_is_the_recordings(crossing_page: Path) -> None:
+def test_the_summary_is_that_of_the_recording(crossing_page: Path) -> None:
     summary = data(crossing_page, "report")
     assert (summary["source"], summary["map"], summary["frames"]) == ("crossing.log", "Crossing", 531)
     assert (summary["duration"], summary["version"], summary["whole"], summary["follow"]) == (53.0, 1, True, 100)
@@ -44,7 +44,7 @@ def test_the_incidents_are_those_of_the_query(crossing_page: Path) -> None:
     assert len(listed) >= 3
 
 
-def test_each_incident_has_a_picture_that_shows_who_takes_part(crossing_page: Path) -> None:
+def test_each_incident_has_a_picture_with_its_actors(crossing_page: Path) -> None:
     for incident in data(crossing_page, "report")["incidents"]:
         picture = ElementTree.parse(crossing_page / incident["picture"]).getroot()
         words = [node.text for node in picture.iter("{http://www.w3.org/2000/svg}text")]
@@ -71,7 +71,7 @@ def test_a_long_recording_is_replayed_around_its_incidents(tmp_path: Path, monke
         assert any(start <= incident["start"] <= stop for start, stop in recording["spans"])
 
 
-def test_what_is_over_the_budget_is_listed_without_a_replay(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_incidents_beyond_the_budget_are_listed_without_a_replay(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(module, "BUDGET", 5_000)
     report(CROSSING, tmp_path / "page", before=2, after=1)
     listed = data(tmp_path / "page", "report")["incidents"]
@@ -79,7 +79,7 @@ def test_what_is_over_the_budget_is_listed_without_a_replay(tmp_path: Path, monk
     assert [one["picture"] is None for one in listed] == [False, True, True, True]
 
 
-def test_nothing_is_written_where_something_is(tmp_path: Path) -> None:
+def test_a_folder_that_is_not_empty_is_an_error(tmp_path: Path) -> None:
     (tmp_path / "mine.txt").write_text("mine")
     with pytest.raises(RecapError, match="is not empty"):
         report(CROSSING, tmp_path)
@@ -88,7 +88,7 @@ def test_nothing_is_written_where_something_is(tmp_path: Path) -> None:
     assert names_in(tmp_path) == ["mine.txt"]
 
 
-def test_force_leaves_what_is_not_of_the_page(tmp_path: Path) -> None:
+def test_force_keeps_other_files(tmp_path: Path) -> None:
     (tmp_path / "page" / "pictures").mkdir(parents=True)
     for name in ("mine.txt", "index.html", "pictures/mine.png"):
         (tmp_path / "page" / name).write_text("mine")
@@ -98,7 +98,7 @@ def test_force_leaves_what_is_not_of_the_page(tmp_path: Path) -> None:
     assert names_in(tmp_path) == ["page"]
 
 
-def test_a_failure_leaves_nothing(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_failure_leaves_no_files(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     def fail(*_: object, **__: object) -> None:
         raise OSError(28, "No space left on device")
 
@@ -108,7 +108,7 @@ def test_a_failure_leaves_nothing(tmp_path: Path, monkeypatch: pytest.MonkeyPatc
     assert names_in(tmp_path) == []
 
 
-def test_hostile_words_stay_words_in_pictures_and_scripts(tmp_path: Path) -> None:
+def test_hostile_texts_stay_texts_in_pictures_and_scripts(tmp_path: Path) -> None:
     there = {"transforms": [(1, 0, 0, 0, 0, 0, 0), (2, 100, 0, 0, 0, 0, 0)]}
     first = there | {"spawned": [spawn(1, f"vehicle.{NASTY}", role_name=NASTY), spawn(2, "\udc80\udcff" * 9)]}
     source = record(tmp_path / "a.log", [first, there | {"collisions": [(1, 1, 2, 0, 0)]}, there], map_name=NASTY)
@@ -120,12 +120,12 @@ def test_hostile_words_stay_words_in_pictures_and_scripts(tmp_path: Path) -> Non
 
 
 @pytest.mark.parametrize("span", [{"before": -1}, {"after": float("nan")}])
-def test_a_span_that_makes_no_sense_is_refused(tmp_path: Path, span: dict[str, float]) -> None:
+def test_invalid_times_are_refused(tmp_path: Path, span: dict[str, float]) -> None:
     with pytest.raises(RecapError, match="0 or more were expected"):
         report(CROSSING, tmp_path / "page", **span)
 
 
-def test_a_road_whose_points_lie_all_beside_a_picture_is_drawn(tmp_path: Path) -> None:
+def test_a_road_with_all_points_outside_a_picture_is_drawn(tmp_path: Path) -> None:
     with open_recording("samples/blocked.mcap") as recording:
         write_report(recording, tmp_path / "page", road_map=road_map_of(recording, None))
     pictures = sorted((tmp_path / "page" / "pictures").iterdir())

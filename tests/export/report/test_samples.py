@@ -1,4 +1,4 @@
-"""Samples of a replay: nothing is lost that can be seen, nothing is held twice."""
+"""Samples of a replay: complete and without repetition."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ def test_poses_are_those_of_the_recording() -> None:
                 assert abs((found[id][2] - pose[5] + 180) % 360 - 180) < 0.21
 
 
-def test_who_stands_still_is_held_once_and_who_moves_in_one_piece(tmp_path: Path) -> None:
+def test_an_actor_that_stands_still_has_one_row_and_one_that_moves_has_one_track(tmp_path: Path) -> None:
     frames = [{"transforms": [(1, n, 0, 0, 0, 0, 0), (2, 100, 200, 0, 0, 0, 90)]} for n in range(3 * BLOCK)]
     frames[0]["spawned"] = [spawn(1), spawn(2)]
     replay = sampled(record(tmp_path / "a.mcap", frames))
@@ -50,14 +50,14 @@ def test_who_stands_still_is_held_once_and_who_moves_in_one_piece(tmp_path: Path
     assert replay.tracks[0].rows[:, 0] == pytest.approx(np.arange(3 * BLOCK) / 100, abs=1e-5)
 
 
-def test_a_jump_a_gap_and_no_number_end_a_track(tmp_path: Path) -> None:
+def test_a_jump_a_gap_and_nan_end_a_track(tmp_path: Path) -> None:
     xs = [0, 10, 20, 90_000, 90_010, float("nan"), 90_020, 90_030, None, 90_040, float("inf"), 3e38]
     frames = [{"transforms": [] if x is None else [(1, x, 0, 0, 0, 0, 0)]} for x in xs]
     replay = sampled(record(tmp_path / "a.log", frames))
     assert [(track.first, track.last) for track in replay.tracks] == [(0, 2), (3, 4), (6, 7), (9, 9)]
 
 
-def test_an_id_that_is_given_out_again_is_another_actor(tmp_path: Path) -> None:
+def test_a_reused_id_is_another_actor(tmp_path: Path) -> None:
     there = {"transforms": [(7, 0, 0, 0, 0, 0, 0)]}
     frames = [there | {"spawned": [spawn(7)]}, there, {"destroyed": [7]}, there | {"spawned": [spawn(7, "walker.a")]}, there]
     replay = sampled(record(tmp_path / "a.log", frames))
@@ -68,19 +68,19 @@ def test_an_id_that_is_given_out_again_is_another_actor(tmp_path: Path) -> None:
     assert [(track.actor, track.first, track.last) for track in replay.tracks] == [(0, 0, 1), (1, 3, 4)]
 
 
-def test_no_more_samples_than_asked_for() -> None:
+def test_the_rate_limits_the_samples() -> None:
     replay = sampled(CROSSING, rate=2.0)
     assert len(replay.times) == pytest.approx(53 * 2, abs=2)
     assert np.diff(replay.times).min() > 0.49
 
 
-def test_who_comes_between_two_samples_is_met_at_the_next(tmp_path: Path) -> None:
+def test_an_actor_spawned_between_two_samples_is_in_the_next(tmp_path: Path) -> None:
     frames = [{}, {"spawned": [spawn(7, "static.prop")]}, {}, {"destroyed": [7], "spawned": [spawn(8)]}, {}, {}, {}]
     replay = sampled(record(tmp_path / "a.log", frames), rate=10)
     assert [(replay.actors[track.actor].id, track.first, track.last) for track in replay.tracks] == [(7, 1, 1), (8, 2, 3)]
 
 
-def test_each_change_of_a_light_is_told_once() -> None:
+def test_each_change_of_a_light_is_recorded_once() -> None:
     replay = sampled(CROSSING)
     lamp = next(index for index, actor in enumerate(replay.actors) if actor.id == 20)
     assert [(round(time), state) for actor, time, state in replay.lights if actor == lamp] == [

@@ -50,20 +50,20 @@ def get(port: int, path: str, **headers: str) -> tuple[int, str | None, bytes]:
     return found
 
 
-def test_it_gives_out_files_with_their_types(folder: Path) -> None:
+def test_it_serves_files_with_their_types(folder: Path) -> None:
     with serving(folder) as port:
         assert get(port, "/") == (200, "text/html", b"<h1>page</h1>")
         assert get(port, "/page.js")[:2] == (200, "text/javascript")
 
 
-def test_it_gives_out_nothing_else(folder: Path) -> None:
+def test_it_serves_nothing_else(folder: Path) -> None:
     with serving(folder) as port:
         for path in ("/data/", "/../secret.txt", "/%2e%2e/secret.txt", "/link.txt", "//etc/passwd", "/nothing", "/%00"):
             assert get(port, path)[0] == 404, path
         assert get(port, "/", Host="elsewhere.example")[0] == 403
 
 
-def test_it_ends_with_ctrl_c(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_ctrl_c_ends_it(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     def interrupt(*_: object) -> None:
         raise KeyboardInterrupt
 
@@ -73,7 +73,7 @@ def test_it_ends_with_ctrl_c(folder: Path, monkeypatch: pytest.MonkeyPatch) -> N
     assert addresses[0].startswith("http://127.0.0.1:")
 
 
-def test_what_cannot_be_served_is_said(folder: Path) -> None:
+def test_invalid_arguments_are_errors(folder: Path) -> None:
     with pytest.raises(RecapError, match=r"has no index\.html"):
         page_server(folder / "data")
     with page_server(folder) as server, pytest.raises(RecapError, match="cannot be served"):
