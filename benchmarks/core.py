@@ -39,6 +39,7 @@ STARTED: Final = 0.3  # s, for the start of such a process
 NUMBER: Final = re.compile(r"(?<!\w)-?(?:\d+(?:\.\d+)?(?:e[+-]\d+)?|nan|inf)\b")
 SMALL: Final = 10 * RATE  # frames of a small recording
 RESTLESS_FRAMES: Final = 5000
+NOISE: Final = 1.1  # between measurements of the same code
 
 
 def log_to_mcap(subject: Subject) -> Iterator[Line]:
@@ -149,9 +150,9 @@ def restless(subject: Subject) -> Iterator[Line]:
     for name, work in works.items():
         rounds = [(cpu_time(work), cpu_time(loop)) for _ in range(3)]
         taken, bare = map(min, zip(*rounds, strict=True))
-        ratio, goal = taken / bare, BEFORE[name]
+        ratio, goal = taken / bare, BEFORE[name] * NOISE
         measured = f"{taken / RESTLESS_FRAMES * 1e6:.1f} µs/frame"
-        yield Line(f"restless, {name}", measured, f"{ratio:.1f} x bare loop", f"≤ {goal:g} x", ratio <= goal)
+        yield Line(f"restless, {name}", measured, f"{ratio:.1f} x bare loop", f"≤ {goal:.3g} x", ratio <= goal)
     equal = filecmp.cmp(log, back, shallow=False)
     back.unlink()
     yield Line("restless, .log → .mcap → .log", "", "", "equal", equal)
