@@ -1,4 +1,4 @@
-"""Settings of the whole suite, and the recordings that several modules ask for."""
+"""Settings of the whole suite, and recordings that several modules use."""
 
 from __future__ import annotations
 
@@ -37,13 +37,13 @@ settings.load_profile(os.environ.get("HYPOTHESIS_PROFILE", "suite"))
 
 @pytest.fixture
 def small(tmp_path: Path) -> Path:
-    """The small log, on the disk."""
+    """Return the path of the small log."""
     return save(tmp_path / "small.log", small_log())
 
 
 @pytest.fixture
 def small_mcap(small: Path) -> Path:
-    """The small log as MCAP."""
+    """Return the path of the small log as MCAP."""
     from carla_recap import convert
 
     convert(small, small.with_suffix(".mcap"))
@@ -52,5 +52,5 @@ def small_mcap(small: Path) -> Path:
 
 @pytest.fixture
 def driven(tmp_path):
-    """A drive of half a minute."""
+    """Return the path of a drive of half a minute."""
     return write(tmp_path / "drive.mcap", Header("Town01", 1_600_000_000), drive())

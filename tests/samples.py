@@ -1,4 +1,4 @@
-"""Recordings to test with, and what is in them: CARLA's own, and small ones packed by hand."""
+"""Recordings for tests, CARLA's own and small ones packed by hand, and functions that read them."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ DATE = 1_637_671_165
 
 
 def carla_log(name: str) -> Path:
-    """A recording of CARLA's; skips the test where there is none."""
+    """Return the path of a recording of CARLA; skip the test if it is missing."""
     path = CARLA_LOGS / name
     if not path.exists():
         pytest.skip(f"{path} is not here: it is data that is not part of the repository")
@@ -82,7 +82,7 @@ def bone(name: str, *pose: float) -> bytes:
 
 
 def packet_payloads() -> list[tuple[int, bytes]]:
-    """Packets of every type, with records in all but one, in CARLA's order; and one of a fork."""
+    """Return packets of every type, with records in all but one, in CARLA's order, and one of a fork of CARLA."""
     wheels = struct.pack("<I", 2) + b"".join(struct.pack("<Bff", n, 1.5, 90) for n in range(2))
     bones = listed(bone("crl_root", *range(6)), bone("crl_hips", *range(6)))
     curve = struct.pack("<I4f", 2, 0, 400, 5000, 500)
@@ -120,7 +120,7 @@ def packet_payloads() -> list[tuple[int, bytes]]:
 
 
 def small_log() -> bytes:
-    """Four frames, a second apart; the first one has records of every type."""
+    """Return four frames, a second apart; the first one has records of every type."""
     first = [start(1, 0.0, 1.0), *(packet(id, payload) for id, payload in packet_payloads()), END]
     quiet = [
         part
@@ -138,7 +138,7 @@ def small_log() -> bytes:
 
 
 def drive(seconds: float = 30.0, rate: float = 20.0, size: int = 10) -> Iterator[Frame]:
-    """Frames of a drive: transforms in each, a collision now and then."""
+    """Return the frames of a drive, with transforms in each and collisions in some."""
     transforms, collisions, end = UE4.named("transforms"), UE4.named("collisions"), UE4[1]
     for n in range(int(seconds * rate)):
         poses = listed(*(transform(id, n, id) for id in range(size)))
@@ -164,13 +164,13 @@ def save(path: Path, data: bytes) -> Path:
 
 
 def names_in(directory: Path) -> list[str]:
-    """The names of everything in a directory, hidden things too."""
+    """Return the names of all files and folders in a directory, hidden ones included."""
     return sorted(path.name for path in directory.iterdir())
 
 
 @contextmanager
 def warnings_ignored() -> Iterator[None]:
-    """Let a recording be cut, or hold surplus bytes: that is what the test is about."""
+    """Ignore the warnings about truncated recordings and surplus bytes."""
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", RecapWarning)
         yield
@@ -178,7 +178,7 @@ def warnings_ignored() -> Iterator[None]:
 
 @contextmanager
 def time_limit(seconds: float) -> Iterator[None]:
-    """Fail instead of hanging."""
+    """Fail after a time instead of hanging."""
 
     def give_up(*_: object) -> None:
         raise TimeoutError(f"not done after {seconds} s")
@@ -192,23 +192,23 @@ def time_limit(seconds: float) -> Iterator[None]:
         signal.signal(signal.SIGALRM, before)
 
 
-# --- what a recording holds, in a form that can be compared --------------------------------------------
+# --- the content of a recording, in a form that can be compared --------------------------------------------
 
 
 def double(value: float) -> bytes:
-    """The bits of a number, so that NaN is itself."""
+    """Return the bits of a number, so that a NaN equals itself."""
     return struct.pack("<d", value)
 
 
 def image(frame: Frame) -> tuple[Any, ...]:
-    """All of a frame, as bytes."""
+    """Return the number, times and packets of a frame, comparable by their bytes."""
     packets = [(packet.id, bytes(packet.payload)) for packet in frame.packets]
     return frame.index, frame.id, double(frame.elapsed), double(frame.duration), frame.preamble, packets
 
 
 @contextmanager
 def reading(path: Path) -> Iterator[Any]:
-    """A recording's reader, while it is open."""
+    """Open the reader of a recording, and close it afterwards."""
     reader = open_reader(path)
     try:
         yield reader
@@ -217,19 +217,19 @@ def reading(path: Path) -> Iterator[Any]:
 
 
 def images(path: Path) -> list[tuple[Any, ...]]:
-    """All frames of a recording; see `image`."""
+    """Return all frames of a recording; see `image`."""
     with reading(path) as reader:
         return [image(frame) for frame in reader.frames()]
 
 
 def all_records(path: Path) -> list[Any]:
-    """The records of every packet of a recording; see `plain`."""
+    """Return the records of every packet of a recording; see `plain`."""
     with reading(path) as reader:
         return [plain(packet.records) for frame in reader.frames() for packet in frame.packets]
 
 
 def plain(value: Any) -> Any:
-    """Records as plain tuples and numbers, where every NaN is equal."""
+    """Return records as tuples and numbers, in which all NaNs are equal."""
     if isinstance(value, np.ndarray):
         return [plain(row) for row in value.tolist()]
     if isinstance(value, (list, tuple)):
@@ -242,9 +242,10 @@ def plain(value: Any) -> Any:
 
 
 def explore(path: Path) -> list[str]:
-    """Ask a recording, sound or not, everything there is to ask.
+    """Call everything that a recording offers, damaged or not.
 
-    Returns: the answers, in words; an error is an answer if it is one of ours.
+    Returns:
+        The answers as text; errors of the package are answers, too.
     """
     answers = []
 

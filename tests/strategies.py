@@ -1,4 +1,4 @@
-"""Any recording that the format allows, for tests with hypothesis."""
+"""Strategies for hypothesis: any recording that the format allows, and damaged ones."""
 
 from __future__ import annotations
 
@@ -69,7 +69,7 @@ def wheel_records() -> SearchStrategy[bytes]:
 
 
 def physics_packets() -> SearchStrategy[list[bytes]]:
-    """Both layouts of wheels; one packet has one of them."""
+    """Return strategies for both layouts of wheels; a packet has one of them."""
 
     def of(wheel: int) -> SearchStrategy[bytes]:
         curve = counted("<I", sized(8), 2)
@@ -87,13 +87,13 @@ def physics_packets() -> SearchStrategy[list[bytes]]:
 
 
 def fixed_records(type: RecordType) -> SearchStrategy[bytes]:
-    """Any bytes; half of the time with small ones, of which flags and states are made."""
+    """Return any bytes; half of them are small values, such as flags and states."""
     size = type.dtype.itemsize
     return st.one_of(st.lists(st.integers(0, 1), min_size=size, max_size=size).map(bytes), sized(size))
 
 
 def payloads(type: RecordType, table: Table, extra: SearchStrategy[bytes] = surplus) -> SearchStrategy[bytes]:
-    """Payloads of a type, some with bytes behind the records."""
+    """Return payloads of a type, some with bytes after the records."""
     if type.opaque:
         return st.binary(max_size=40)
     if type.framing is Framing.SINGLE:
@@ -113,7 +113,7 @@ def payloads(type: RecordType, table: Table, extra: SearchStrategy[bytes] = surp
 
 
 def known_types(table: Table) -> list[RecordType]:
-    """The record types that a packet can have behind a frame's start."""
+    """Return the record types of packets within a frame."""
     return [type for type in table if type.id > 1]
 
 
@@ -132,7 +132,7 @@ def packets(table: Table, extra: SearchStrategy[bytes] = surplus) -> SearchStrat
 
 
 def frame_lists(table: Table, first: list[Packet], elapsed: SearchStrategy[float] = real64) -> SearchStrategy[list[Frame]]:
-    """Frames; the very first packets are given, so that the dialect can be told from them."""
+    """Return frames; the first packets are given, so that the reader can detect the dialect."""
 
     def build(parts: list[tuple[int, float, float, list[Packet]]], preamble: list[Packet] | None) -> list[Frame]:
         frames = [] if preamble is None else [Frame(0, 0, 0.0, 0.0, first + preamble, preamble=True)]
@@ -149,7 +149,7 @@ def frame_lists(table: Table, first: list[Packet], elapsed: SearchStrategy[float
 
 
 def headers(*, wide: bool = False, shifted: bool = False) -> SearchStrategy[Header]:
-    """Headers with any name, date and version; some with a magic in small letters."""
+    """Return headers with any name, date and version, some with a magic in lower case."""
 
     def build(name: bytes, date: int, version: int, small: bool) -> Header:
         header = Header(name.decode("utf-8", "surrogateescape"), date, version, wide, shifted)
@@ -163,7 +163,7 @@ def headers(*, wide: bool = False, shifted: bool = False) -> SearchStrategy[Head
 
 
 def signature(*, wide: bool, shifted: bool) -> list[Packet]:
-    """Packets that tell the dialect without doubt: a door, which fits no other type, and a transform."""
+    """Return packets that only one dialect can have: a door, which fits no other type, and a transform."""
     table = UE5 if wide else UE4
     door, transforms = table.named("doors"), table.named("transforms")
     return [
@@ -174,7 +174,7 @@ def signature(*, wide: bool, shifted: bool) -> list[Packet]:
 
 @st.composite
 def recordings(draw: st.DrawFn) -> tuple[Header, list[Frame]]:
-    """A header and frames, in any dialect."""
+    """Return a header and frames, in any dialect."""
     wide, shifted = draw(st.sampled_from([(False, False), (False, False), (True, False), (False, True), (True, True)]))
     header = draw(headers(wide=wide, shifted=shifted))
     frames = draw(frame_lists(header.table, signature(wide=wide, shifted=shifted)))
@@ -185,7 +185,7 @@ def recordings(draw: st.DrawFn) -> tuple[Header, list[Frame]]:
 
 
 def clocks(*, jumps: bool) -> SearchStrategy[list[float]]:
-    """Elapsed seconds of frames: they grow, or they do as they like."""
+    """Return elapsed seconds of frames, increasing or arbitrary."""
     if jumps:
         return st.lists(st.one_of(st.floats(-20, 60), st.sampled_from([0.0, 5.0, math.nan, math.inf])), max_size=20)
     steps = st.lists(st.one_of(st.floats(0.01, 0.1), st.floats(1, 8)), max_size=20)
@@ -193,7 +193,7 @@ def clocks(*, jumps: bool) -> SearchStrategy[list[float]]:
 
 
 def mutations(size: int) -> SearchStrategy[list[tuple[str, int, Any]]]:
-    """Ways to damage some bytes: places, and what happens there."""
+    """Return ways to damage bytes: offsets and changes."""
     at = st.integers(0, size)
     return st.lists(
         st.one_of(
@@ -209,7 +209,7 @@ def mutations(size: int) -> SearchStrategy[list[tuple[str, int, Any]]]:
 
 
 def damaged(data: bytes, changes: list[tuple[str, int, Any]]) -> bytes:
-    """Bytes after some mutations; see `mutations`."""
+    """Return the bytes after mutations; see `mutations`."""
     for what, at, value in changes:
         if what == "set":
             data = data[:at] + value + data[at + len(value) :]
