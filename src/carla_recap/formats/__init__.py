@@ -1,4 +1,4 @@
-"""The file formats of recordings, each a reader and a writer of frames; found by content to read, by suffix to write."""
+"""The file formats of recordings: recognised by content when read, by suffix when written."""
 
 from __future__ import annotations
 
@@ -14,24 +14,22 @@ if TYPE_CHECKING:
     from carla_recap.model.frame import Header
 
 SUFFIXES = (".log", ".mcap")
-
-
 _PATIENCE = 2.0  # s
 _PAUSE = 0.01  # s
-_SMALL = 4096  # bytes; a recording without frames is not larger
+_SMALL = 4096  # bytes; a recording without frames is at most this large
 
 
 def open_reader(path: Path | str) -> Reader:
     """Open a recording of either format.
 
-    A server's recording has no frames under its name until it is complete; it is waited for, since clients do not wait for
-    the end of `stop_recorder`.
+    While a server records, the file of that name has no frames. This function waits until it has, since clients do not
+    wait for the end of `stop_recorder`.
 
     Warns:
-        RecapWarning: It is not complete after `_PATIENCE` seconds.
+        RecapWarning: The recording is still incomplete after `_PATIENCE` seconds.
 
     Raises:
-        NotARecording: The content is of neither.
+        NotARecording: The content is in neither format.
         FormatError: The content is damaged.
         RecapError: The file cannot be read.
     """
@@ -47,15 +45,15 @@ def open_reader(path: Path | str) -> Reader:
         if not left and _identity(path) == opened:
             return reader
         if monotonic() > deadline:
-            told = f"{path}: is being recorded, or was interrupted; its frames are in {' and '.join(map(str, left))}"
-            warnings.warn(told, RecapWarning, stacklevel=3)
+            message = f"{path}: is being recorded, or was interrupted; its frames are in {' and '.join(map(str, left))}"
+            warnings.warn(message, RecapWarning, stacklevel=3)
             return reader
         reader.close()
         sleep(_PAUSE)
 
 
 def _identity(path: Path | str) -> int | None:
-    """Return the number of a file that may have no frames; None for one that is larger, or cannot be read."""
+    """Return the inode of a file that may have no frames; None for one that is larger, or cannot be read."""
     try:
         status = Path(path).stat()
     except (OSError, ValueError):
@@ -87,10 +85,10 @@ def _open(path: Path | str) -> Reader:
 
 
 def read_start(path: Path | str) -> bytes:
-    """The first bytes of a file, by which its format is known.
+    """Return the first bytes of a file, which say its format.
 
     Raises:
-        NotARecording: It is no regular file.
+        NotARecording: It is not a regular file.
         RecapError: It cannot be read.
     """
     try:
@@ -105,10 +103,10 @@ def read_start(path: Path | str) -> bytes:
 
 
 def format_of(path: Path | str) -> str:
-    """The suffix of a destination, which says its format.
+    """Return the suffix of a destination, which says its format.
 
     Raises:
-        RecapError: It is of no format.
+        RecapError: The suffix belongs to no format.
     """
     suffix = Path(path).suffix.lower()
     if suffix not in SUFFIXES:
@@ -120,18 +118,18 @@ def format_of(path: Path | str) -> str:
 def create_writer(
     path: Path | str, header: Header, *, live: bool = False, force: bool = True, format: str | None = None
 ) -> Writer:
-    """Begin a recording in the format of a path's suffix.
+    """Return a writer of a new recording, in the format of a path's suffix.
 
     Args:
         path: The destination, ending in .log or .mcap unless the format is given.
         header: The header.
-        live: Write the data as it comes, so that a crash costs 5 s of recording at the most. What cannot be
-            finished is left beside the destination, where `recover` takes it.
-        force: Take the place of what is at the destination by the end; else that is an error.
-        format: The suffix of the format, whatever that of the destination.
+        live: Write the data as it comes, so that a crash loses at most 5 s of the recording. An unfinished file is left
+            beside the destination, and `recover` can read it.
+        force: Replace a file of that name; without it, such a file is an error.
+        format: The suffix of the format, if it is not that of the destination.
 
     Raises:
-        RecapError: The suffix is of no format, or the place cannot be written to.
+        RecapError: The suffix belongs to no format, or the destination cannot be written.
     """
     if (format or format_of(path)) == ".log":
         from carla_recap.formats.carla_log import LogWriter

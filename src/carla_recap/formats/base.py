@@ -1,4 +1,4 @@
-"""What every format offers: a reader and a writer of frames."""
+"""The protocols of readers and writers, which every format implements."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ if TYPE_CHECKING:
     from carla_recap.model.stationary import BlockedRow
 
 PIECE = 1 << 20
-"""Bytes that no schema describes travel in pieces of this size."""
+"""The size in bytes of the pieces in which bytes without a schema are handed on."""
 
 
 class Reader(Protocol):
@@ -32,7 +32,7 @@ class Reader(Protocol):
         start: float = -math.inf,
         stop: float = math.inf,
     ) -> Iterator[Frame]:
-        """Stream the frames, one by one; see `batches`."""
+        """Yield the frames one by one; see `batches`."""
         ...
 
     def batches(
@@ -43,13 +43,14 @@ class Reader(Protocol):
         start: float = -math.inf,
         stop: float = math.inf,
     ) -> Iterator[Batch]:
-        """Stream the frames, in batches of frames that are alike.
+        """Yield the frames in batches of frames that are alike.
 
         Args:
             types: Names of record types: frames hold the packets of these alone, and no empty ones. None: all packets.
             sparse: Leave out frames that hold no packet of `types`.
-            start: First elapsed time, in seconds.
-            stop: Elapsed time, in seconds, at which to stop (exclusive). A frame within `SAME_TIME` of either is at it.
+            start: The first elapsed time, in seconds.
+            stop: The elapsed time at which to stop, in seconds (exclusive). A frame within `SAME_TIME` of either counts as
+                being at it.
 
         Raises:
             FormatError: The file contradicts its format.
@@ -61,15 +62,15 @@ class Reader(Protocol):
         ...
 
     def extent(self) -> Extent:
-        """How far the recording goes."""
+        """Return the number of frames, the last id and the duration."""
         ...
 
     def stretches(self, min_time: float, min_distance: float) -> list[BlockedRow] | None:
-        """The stretches in which actors stood still, in no order; None where only the frames tell.
+        """Return the intervals in which actors were stationary, in no order; None if the file does not list them.
 
         Args:
-            min_time: The shortest stretch to tell of, in seconds.
-            min_distance: The distance at which an actor has moved, in cm.
+            min_time: The shortest interval to return, in seconds.
+            min_distance: The distance in cm from which on an actor counts as moved.
 
         Raises:
             FormatError: The file contradicts its format.
@@ -77,16 +78,16 @@ class Reader(Protocol):
         ...
 
     def tail(self) -> Iterator[bytes]:
-        """The bytes behind the last complete packet, in pieces."""
+        """Yield the bytes behind the last complete packet, in pieces."""
         ...
 
     def close(self) -> None:
-        """Let go of the file."""
+        """Close the file."""
         ...
 
 
 class Writer(Protocol):
-    """A recording being written; complete after `close`, removed after `abort`, left as it is after `abandon`."""
+    """A recording that is being written: complete after `close`, removed after `abort`, left unfinished after `abandon`."""
 
     def write(self, frame: Frame) -> None:
         """Add a frame."""
@@ -101,15 +102,15 @@ class Writer(Protocol):
         ...
 
     def close(self) -> None:
-        """Finish the file, and put it under its name."""
+        """Finish the file, and give it its name."""
         ...
 
     def abort(self) -> None:
-        """Give the file up."""
+        """Remove what was written."""
         ...
 
     def abandon(self) -> Path:
-        """Give the file up, but leave what was written where it is, which is returned; `recover` takes it."""
+        """Stop writing; return the unfinished file, which `recover` can read."""
         ...
 
     def __enter__(self) -> Self: ...

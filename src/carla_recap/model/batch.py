@@ -1,4 +1,4 @@
-"""Runs of consecutive frames that have the same packets of the same sizes, handled as arrays."""
+"""Batches: runs of consecutive frames that have the same packets of the same sizes, as arrays."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any, Final, overload
 import numpy as np
 
 from carla_recap.errors import RecordError
-from carla_recap.model.frame import Frame, Packet
+from carla_recap.model.frame import Frame, Packet, read_only
 from carla_recap.model.layout import U16, Buffer, Framing
 from carla_recap.model.records import UE4
 
@@ -86,7 +86,7 @@ class ConstantColumn(Column):
         """See `Column.records`."""
         records = self._packet.records
         assert isinstance(records, np.ndarray)
-        return _read_only(records[None]) if self._count == 1 else np.broadcast_to(records, (self._count, len(records)))
+        return read_only(records[None]) if self._count == 1 else np.broadcast_to(records, (self._count, len(records)))
 
     def packet(self, row: int) -> Packet:
         """See `Column.packet`."""
@@ -214,7 +214,7 @@ class Batch:
 
     Attributes:
         index: The position of the first frame in the recording, from 0.
-        columns: The packets after those that start the frames, in file order.
+        columns: The packets of the frames, in file order; those that start the frames are not among them.
         id: CARLA's frame numbers, (n,).
         elapsed: Seconds since the recording began, (n,).
         duration: Seconds until the next frame, (n,); -1 for the last one of a recording.
@@ -303,16 +303,11 @@ class Batch:
         if not found:
             found.append(np.empty((len(self), 0), type.dtype))
         records = found[0] if len(found) == 1 else np.concatenate(found, axis=1)
-        return _read_only(records.view()) if records.flags.writeable else records
-
-
-def _read_only(array: NDArray[Any]) -> NDArray[Any]:
-    array.flags.writeable = False
-    return array
+        return read_only(records.view()) if records.flags.writeable else records
 
 
 class _Single(Batch):
-    """A batch of a frame that exists as an object; its arrays and columns are made when they are first asked for."""
+    """The batch of a frame that exists already; its arrays and columns are made when they are first used."""
 
     __slots__ = ("_frame",)
 
@@ -327,7 +322,7 @@ class _Single(Batch):
             self.columns = [ConstantColumn(packet) for packet in frame.packets]
         elif name in _TIMES:
             dtype = np.uint64 if name == "id" else np.float64
-            setattr(self, name, _read_only(np.array([getattr(frame, name)], dtype)))
+            setattr(self, name, read_only(np.array([getattr(frame, name)], dtype)))
         else:
             raise AttributeError(f"a batch has no {name}")
         return getattr(self, name)
@@ -345,7 +340,7 @@ class _Single(Batch):
     def records(self, name: str) -> NDArray[np.void]:
         """See `Batch.records`."""
         records = self._frame[name]
-        return _read_only(records[None]) if isinstance(records, np.ndarray) else super().records(name)
+        return read_only(records[None]) if isinstance(records, np.ndarray) else super().records(name)
 
 
 def equal_rows(rows: NDArray[Any], columns: NDArray[np.intp], masks: NDArray[Any] | None = None) -> int:

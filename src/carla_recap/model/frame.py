@@ -1,4 +1,4 @@
-"""What a recording consists of: a header, and frames, each with its packets in file order."""
+"""The parts of a recording: a header, and frames, each with its packets in file order."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 SAME_TIME: Final = 1e-6
 """The tolerance in s within which a time is that of a frame: CARLA's times are sums of 32-bit steps."""
 LAST_FRAME_DURATION: Final = -1.0
-"""What CARLA leaves as the duration of a recording's last frame."""
+"""The duration in s that CARLA writes for the last frame of a recording."""
 
 
 @dataclass(frozen=True)
@@ -34,7 +34,7 @@ class Header:
         version: The version of CARLA's format: 1, or 2 where attribute types count from 1.
         wide: Whether lengths are in double precision, as UE5 builds (0.10) write them.
         shifted: Whether doors, wheels and bikers have the packet ids 21, 22, 23, as some development builds write them.
-        raw: CARLA's header as read, where the fields above cannot give it back.
+        raw: CARLA's header as read, where it differs from what the fields above would be written as.
     """
 
     map_name: str
@@ -52,7 +52,13 @@ class Header:
 
 @dataclass(frozen=True)
 class Extent:
-    """How far a recording goes: the number of frames, the id of the last one, and its elapsed seconds."""
+    """The size of a recording.
+
+    Attributes:
+        frames: The number of frames.
+        last_id: The id of the last one.
+        duration: The elapsed time of the last one, in seconds.
+    """
 
     frames: int = 0
     last_id: int = 0
@@ -66,7 +72,7 @@ class Packet:
 
     Args:
         id: The packet id, as of CARLA 0.9.16.
-        type: The row of the table; None for an unknown id.
+        type: The record type; None for an unknown id.
         payload: The bytes, where they are a buffer of their own.
         records: The records, where they are known already.
         origin: The file that the packet was read from, and the offset in it of the payload, or of the buffer, if known.
@@ -138,8 +144,9 @@ class Packet:
         warnings.warn(message, RecapWarning, stacklevel=3)
 
 
-def _read_only(array: NDArray[np.void]) -> NDArray[np.void]:
-    array.setflags(write=False)
+def read_only(array: NDArray[Any]) -> NDArray[Any]:
+    """Return an array after making it read-only."""
+    array.flags.writeable = False
     return array
 
 
@@ -148,10 +155,10 @@ class Frame:
 
     Attributes:
         index: The position in the recording, from 0.
-        id: CARLA's frame number, from 1 in a recording of CARLA's; 0 for packets before the first frame.
+        id: CARLA's frame number, from 1; 0 for packets before the first frame.
         elapsed: Seconds since the recording began.
         duration: Seconds until the next frame; -1 for the last one of a recording.
-        packets: The packets behind the one that starts the frame; empty ones, too, as CARLA writes them.
+        packets: The packets after the one that starts the frame, empty ones included.
         preamble: Whether these are packets before the first frame starts.
     """
 
@@ -175,8 +182,8 @@ class Frame:
         self.preamble = preamble
 
     def __repr__(self) -> str:
-        held = ", ".join(f"{name}: {len(records)}" for name, records in self.items())
-        return f"Frame({self.id} at {self.elapsed:g} s; {held})"
+        names = ", ".join(f"{name}: {len(records)}" for name, records in self.items())
+        return f"Frame({self.id} at {self.elapsed:g} s; {names})"
 
     @overload
     def __getitem__(self, name: Literal["spawned"]) -> list[Spawn]: ...  # type: ignore[overload-overlap]
@@ -189,9 +196,9 @@ class Frame:
     @overload
     def __getitem__(self, name: str) -> NDArray[np.void]: ...
     def __getitem__(self, name: str) -> Records:
-        """The records of a type, in CARLA's units: a structured array, or a list of objects; empty where there are none.
+        """Return the records of a type, in CARLA's units: a structured array, or a list of objects; empty if there are none.
 
-        Arrays are views of what was read, and read-only: copy one to change it, and `replace` it.
+        Arrays are read-only views of what was read: copy one to change it, and `replace` it.
 
         Raises:
             RecordError: There is no such type.
@@ -202,16 +209,16 @@ class Frame:
             return found[0]
         if not found:
             type = UE4.named(name)
-            return _read_only(np.empty(0, type.dtype)) if type.fixed else []
+            return read_only(np.empty(0, type.dtype)) if type.fixed else []
         if isinstance(found[0], np.ndarray):
-            return _read_only(np.concatenate([array for array in found if isinstance(array, np.ndarray)]))
+            return read_only(np.concatenate([array for array in found if isinstance(array, np.ndarray)]))
         return [record for records in found for record in records]
 
     def replace(self, **records: Any) -> Frame:
-        """This frame with other records of some types; see `RecordType.records` for what they may be.
+        """Return this frame with other records of some types; see `RecordType.records` for the forms they may have.
 
         Raises:
-            RecordError: They do not fit their type.
+            RecordError: Records do not fit their type.
         """
         table = UE5 if any(p.type is not None and p.type.wide for p in self.packets) else UE4
         new: dict[int, Packet] = {}
@@ -219,19 +226,18 @@ class Frame:
             type = table.named(name)
             new[type.id] = Packet(type.id, type, records=type.records(values))
         packets: list[Packet] = []
-        placed: set[int] = set()
         for packet in self.packets:
-            if packet.id not in placed:
-                packets.append(new.get(packet.id, packet))
-            if packet.id in new:
-                placed.add(packet.id)
-        for added in (packet for id, packet in new.items() if id not in placed):
-            behind = (*ORDER[ORDER.index(added.id) + 1 :], FRAME_END)
-            places = [place for place, packet in enumerate(packets) if packet.id in behind]
-            packets.insert(places[0] if places else len(packets), added)
+            if packet.id not in new:
+                packets.append(packet)
+            elif new[packet.id] not in packets:  # of several packets of a type, the first one is replaced
+                packets.append(new[packet.id])
+        for packet in new.values():
+            if packet not in packets:
+                later = (*ORDER[ORDER.index(packet.id) + 1 :], FRAME_END)
+                packets.insert(next((n for n, other in enumerate(packets) if other.id in later), len(packets)), packet)
         return Frame(self.index, self.id, self.elapsed, self.duration, packets, preamble=self.preamble)
 
     def items(self) -> Iterator[tuple[str, Records]]:
-        """Name and records of every type that has any, in file order of the first."""
+        """Yield the name and the records of each type that has records, in file order."""
         names = dict.fromkeys(p.type.name for p in self.packets if p.type is not None and p.type.id > 1)
         return ((name, records) for name in names if len(records := self[name]))
