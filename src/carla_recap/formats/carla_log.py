@@ -1,7 +1,7 @@
 """CARLA's own binary `.log`: a header, then packets, each with an id and a size.
 
-The format is little-endian and packed. Facts: CARLA's public documentation of the recorder's binary file format, and what
-real recordings of 0.9.10 and 0.9.13 hold.
+The format is little-endian and packed. Sources: CARLA's public documentation of the recorder's binary file format, and real
+recordings of 0.9.10 and 0.9.13.
 """
 
 from __future__ import annotations
@@ -40,21 +40,20 @@ _STARTS: Final = np.dtype([("id", "<u8"), ("duration", "<f8"), ("elapsed", "<f8"
 _BARE: Final = {Framing.LIST: EMPTY_LIST, Framing.MARKER: b""}  # payloads without records
 
 SHIFT: Final = {21: 23, 22: 21, 23: 22}
-"""Packet ids of the development builds that put the doors first, and what they are in all others."""
+"""Packet ids of the development builds that put the doors first, and the ids of all other builds."""
 UNSHIFT: Final = {plain: shifted for shifted, plain in SHIFT.items()}
 
 _SNIFFED_FRAMES: Final = 3  # builds that have the shifted packets write them in every frame
 _SNIFFED_PACKETS: Final = 20_000
 SYNC_SECONDS: Final = 5.0
-"""How many seconds of a live recording may be lost when the process dies."""
+"""The time in seconds that a live recording loses at most if its process dies."""
 
 _LONGEST_HEADER: Final = 1 << 18  # bytes: two texts of at most 64 KiB, and some numbers
-_TELLING: Final = frozenset((2, 6, 12, 13, 17, *SHIFT))
-"""Ids of the packets that tell which builds wrote a file."""
+_SNIFFED: Final = frozenset((2, 6, 12, 13, 17, *SHIFT))  # ids of packets by which builds differ
 
 
 def is_log(start: bytes) -> bool:
-    """Whether a file that starts so is a CARLA log; CARLA ignores the case of the magic."""
+    """Return whether a file that starts with some bytes is a CARLA log; CARLA ignores the case of the magic."""
     return len(start) >= 4 and start[4 : 4 + U16.unpack_from(start, 2)[0]].upper() == MAGIC
 
 
@@ -68,11 +67,11 @@ class LogReader:
     Attributes:
         path: The file.
         header: The header.
-        lost_bytes: Bytes that salvage had to leave out so far.
+        lost_bytes: The number of bytes that salvage has left out so far.
 
     Raises:
-        NotARecording: It is no CARLA log.
-        FormatError: It contradicts the format.
+        NotARecording: The file is no CARLA log.
+        FormatError: The header contradicts the format.
     """
 
     def __init__(self, path: Path | str, *, salvage: bool = False) -> None:
@@ -113,7 +112,7 @@ class LogReader:
         self._preamble = bool(start) and start[0] != FRAME_START
 
     def close(self) -> None:
-        """Close the file; arrays that came from it stay as they are."""
+        """Close the file; arrays that were read from it stay valid."""
         self._file.close()
 
     def batches(
@@ -124,7 +123,7 @@ class LogReader:
         start: float = -math.inf,
         stop: float = math.inf,
     ) -> Iterator[Batch]:
-        """Stream the frames in batches; see `Reader.batches`."""
+        """Yield the frames in batches; see `Reader.batches`."""
         self._check_open()
         start, stop = start - SAME_TIME, stop - SAME_TIME
         names = None if types is None else frozenset(self.header.table.named(name).name for name in types)
@@ -142,7 +141,7 @@ class LogReader:
         start: float = -math.inf,
         stop: float = math.inf,
     ) -> Iterator[Frame]:
-        """Stream the frames; see `Reader.frames`."""
+        """Yield the frames; see `Reader.frames`."""
         for batch in self.batches(types, sparse=sparse, start=start, stop=stop):
             for frame in batch:
                 yield frame
@@ -159,7 +158,7 @@ class LogReader:
         return self._batch(next(self._runs(position, index.offset(position), None))).frame(0)
 
     def extent(self) -> Extent:
-        """Return how far the recording goes."""
+        """Return the number of frames, the last id and the duration."""
         if self._extent is None:
             for _ in self._runs(0, self._start, frozenset(), sparse=True):
                 pass
@@ -167,15 +166,15 @@ class LogReader:
         return self._extent
 
     def stretches(self, min_time: float, min_distance: float) -> None:
-        """Return None: only the frames of a log tell who stood still."""
+        """Return None: a log does not list stationary intervals."""
 
     def tail(self) -> Iterator[bytes]:
         """Yield the bytes behind the last complete packet, in pieces."""
         self._check_open()
         self.extent()
         assert self._end is not None
-        for at in range(self._end, self._size, PIECE):
-            yield self._window().read(at, PIECE)
+        for offset in range(self._end, self._size, PIECE):
+            yield self._window().read(offset, PIECE)
 
     # --- the header ----------------------------------------------------------------------------------------------------
 
@@ -183,11 +182,11 @@ class LogReader:
         start = self._window().read(0, _LONGEST_HEADER)
         try:
             (version,) = U16.unpack_from(start)
-            magic, at = _read_text(start, 2)
+            magic, offset = _read_text(start, 2)
             if magic.upper() != MAGIC:
                 raise NotARecording(self.path, "is not a CARLA log (the magic CARLA_RECORDER is missing)")
-            (date,) = DATE.unpack_from(start, at)
-            name, end = _read_text(start, at + DATE.size)
+            (date,) = DATE.unpack_from(start, offset)
+            name, end = _read_text(start, offset + DATE.size)
         except (struct.error, IndexError):
             if not is_log(start[:64]):
                 raise NotARecording(self.path, "is not a CARLA log (the magic CARLA_RECORDER is missing)") from None
@@ -197,8 +196,8 @@ class LogReader:
         wide, shifted = self._sniff(end)
         return Header(plain.map_name, date, version, wide, shifted, None if raw == pack_header(plain) else raw), end
 
-    def _sniff(self, at: int) -> tuple[bool, bool]:
-        """Return which builds wrote the file: whether lengths are doubles, whether the ids are shifted."""
+    def _sniff(self, offset: int) -> tuple[bool, bool]:
+        """Return by what builds the file was written: whether lengths are doubles, and whether the ids are shifted."""
         wide: bool | None = None
         shifted: bool | None = None
         spawns: bytes | None = None
@@ -208,18 +207,18 @@ class LogReader:
         frames = 0
         for _ in range(_SNIFFED_PACKETS):
             sized = wide is not None or spawns is not None
-            if at + PACKET.size > size or (sized and (shifted is not None or frames > _SNIFFED_FRAMES)):
+            if offset + PACKET.size > size or (sized and (shifted is not None or frames > _SNIFFED_FRAMES)):
                 break
-            window.begin(at)
-            id, length = PACKET.unpack(window.read(at, PACKET.size))
-            if at + PACKET.size + length > size or (id == FRAME_START and length != START.size):
-                whole = scanner.next_frame(at + 1) if self._salvage else None
+            window.begin(offset)
+            id, length = PACKET.unpack(window.read(offset, PACKET.size))
+            if offset + PACKET.size + length > size or (id == FRAME_START and length != START.size):
+                whole = scanner.next_frame(offset + 1) if self._salvage else None
                 if whole is None:
                     break
-                at = whole
+                offset = whole
                 continue
-            payload = window.read(at + PACKET.size, length) if id in _TELLING and length <= OBJECTS_LIMIT else b""
-            at += PACKET.size + length
+            payload = window.read(offset + PACKET.size, length) if id in _SNIFFED and length <= OBJECTS_LIMIT else b""
+            offset += PACKET.size + length
             if id == FRAME_START:
                 after = False
                 frames += 1
@@ -280,24 +279,25 @@ class LogReader:
             return Batch.of(self._frame(index, start, packets, data, base, preamble=preamble))
         origin = self.path, base
         columns: list[Column] = []
-        for id, at, size in packets:
-            at += start
-            empty = self._empty.get((id, data[at : at + size])) if size <= len(EMPTY_LIST) else None
+        for id, offset, size in packets:
+            offset += start
+            empty = self._empty.get((id, data[offset : offset + size])) if size <= len(EMPTY_LIST) else None
             if empty is not None:
                 columns.append(ConstantColumn(empty, count))
             else:
-                columns.append(PackedColumn(self._ids[id], self._types[id], size, data, at, stride, count, origin))
+                columns.append(PackedColumn(self._ids[id], self._types[id], size, data, offset, stride, count, origin))
         starts = np.ndarray((count,), _STARTS, data, start + PACKET.size, (stride,))
         return Batch(index, starts["id"], starts["elapsed"], starts["duration"], columns)
 
     def _frame(self, index: int, start: int, spans: Sequence[Span], data: bytes, base: int, *, preamble: bool) -> Frame:
-        """Return the frame that starts at an index of the data, which are at `base` in the file."""
-        origin, types, ids, empty = (self.path, base), self._types, self._ids, self._empty
+        """Return the frame that starts at an index of some data, which are at `base` in the file."""
+        origin = self.path, base
+        types, ids, empty = self._types, self._ids, self._empty
         packets = []
-        for id, at, size in spans:
-            at += start
-            if size > 2 or (ready := empty.get((id, data[at : at + size]))) is None:
-                packets.append(Packet(ids[id], types[id], None, None, origin, (data, at, size)))
+        for id, offset, size in spans:
+            offset += start
+            if size > 2 or (ready := empty.get((id, data[offset : offset + size]))) is None:
+                packets.append(Packet(ids[id], types[id], None, None, origin, (data, offset, size)))
             else:
                 packets.append(ready)
         if self._salvage:
@@ -369,20 +369,20 @@ class _Index:
         return self._offsets[run] + (position - self._first[run]) * self._strides[run]
 
 
-def _read_text(data: bytes, at: int) -> tuple[bytes, int]:
-    end = at + 2 + U16.unpack_from(data, at)[0]
+def _read_text(data: bytes, offset: int) -> tuple[bytes, int]:
+    end = offset + 2 + U16.unpack_from(data, offset)[0]
     if end > len(data):
         raise IndexError
-    return data[at + 2 : end], end
+    return data[offset + 2 : end], end
 
 
 def _is_shifted(id: int, payload: bytes, after: bool) -> bool | None:
-    """Whether a packet with one of the ambiguous ids comes from a build with shifted ids; None if it could be either.
+    """Return whether a packet with one of the ambiguous ids is of a build with shifted ids; None if both are possible.
 
     Args:
         id: The packet id as in the file.
         payload: The payload.
-        after: Whether transforms or later packets came before it in the frame: doors come before, the others after.
+        after: Whether it follows transforms or later packets of the frame: doors precede them, the others follow.
     """
     if len(payload) > len(EMPTY_LIST):
         plain, shifted = is_sound(UE4[id], payload), is_sound(UE4[SHIFT[id]], payload)
@@ -394,7 +394,7 @@ def _is_shifted(id: int, payload: bytes, after: bool) -> bool | None:
 
 
 def pack_header(header: Header) -> bytes:
-    """A header's bytes."""
+    """Return the bytes of a header."""
     if header.raw is not None:
         return header.raw
     try:
@@ -426,7 +426,7 @@ class LogWriter(AtomicFile):
         force: See `AtomicFile`.
 
     Raises:
-        RecapError: The place cannot be written to.
+        RecapError: The destination cannot be written.
     """
 
     def __init__(self, path: Path | str, header: Header, *, live: bool = False, force: bool = True) -> None:
@@ -463,9 +463,9 @@ class LogWriter(AtomicFile):
         data[:] = np.frombuffer(template, np.uint8)
         starts = np.ndarray((len(batch),), _STARTS, data.data, PACKET.size, (len(template),))
         starts["id"], starts["duration"], starts["elapsed"] = batch.id, batch.duration, batch.elapsed
-        for at, column in payloads:
+        for offset, column in payloads:
             if column.size:
-                data[:, at : at + column.size] = column.payloads(len(batch))
+                data[:, offset : offset + column.size] = column.payloads(len(batch))
         self._put(data.data)
         self._sync_from(batch.elapsed[-1].item())
 

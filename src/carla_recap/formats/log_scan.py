@@ -230,43 +230,43 @@ class Scanner:
 
     def _ordinary_runs(self) -> Iterator[Run]:
         """Yield the runs up to a frame that needs care: the last one, a broken one, or one that is larger than a window."""
-        window, head = self._window, PACKET.unpack_from
+        window, unpack, header, first = self._window, PACKET.unpack_from, PACKET.size, _FIRST_PACKET
         wanted, skipped, ignored, sparse = self._wanted, self._skipped, self._ignored, self._sparse
         window.begin(self._offset)
         while True:
             data, base = window.data, window.base
-            start, limit = self._offset - base, window.size - base - PACKET.size
+            start, limit = self._offset - base, window.size - base - header
             if not data.startswith(START_HEAD, start):
                 return
             try:
                 while True:
                     packets = []
-                    at = start + 29
+                    end = start + first
                     while True:
-                        id, size = head(data, at)
-                        at += size + 5
+                        id, size = unpack(data, end)
+                        end += size + header
                         if skipped[id]:
                             continue
-                        if id > 1:
+                        if id > FRAME_END:
                             if size != ignored:
-                                packets.append((id, at - size - start, size))
-                        elif not id:
+                                packets.append((id, end - size - start, size))
+                        elif id == FRAME_START:
                             break
                         elif size:
                             return
-                        elif wanted[1]:
-                            packets.append((1, at - start, 0))
-                    at -= 29
-                    stride = at - start
-                    if size != 24 or stride > PACKETS_LIMIT * 5:
+                        elif wanted[id]:
+                            packets.append((id, end - start, 0))
+                    end -= first
+                    stride = end - start
+                    if size != START.size or stride > PACKETS_LIMIT * header:
                         return
-                    count = 1
-                    if data.startswith(START_HEAD, at + stride) or at + stride > limit:
-                        count = self._alike(data, start, stride)
+                    frames = 1
+                    if data.startswith(START_HEAD, end + stride) or end + stride > limit:
+                        frames = self._alike(data, start, stride)
                     if packets or not sparse:
-                        yield Run(self.count, base + start, count, stride, packets, False, data, base)
-                    start += count * stride
-                    self.count += count
+                        yield Run(self.count, base + start, frames, stride, packets, False, data, base)
+                    start += frames * stride
+                    self.count += frames
                     self._offset = base + start
                     self.last = self._offset - stride
             except struct.error:  # the frame goes on behind what is in memory
@@ -276,17 +276,22 @@ class Scanner:
             window.move(self._offset)
 
     def _alike(self, data: bytes, start: int, stride: int) -> int:
-        """Return the number of frames in some data that are like the first one, which starts and ends where it is said."""
-        # Words of all bytes, which overlap: the last ones are those of headers, and of numbers of records.
+        """Return the number of frames in some data that are like the first one, which is all in memory.
+
+        Args:
+            data: The data.
+            start: The index of the first frame in the data.
+            stride: Its size in bytes.
+        """
+        # Headers, and numbers of records, are compared as the last bytes of words; words begin at every byte.
         where, masks = [0], [(1 << 8 * PACKET.size) - 1]
-        at = start + _FIRST_PACKET
-        while at < start + stride:
-            id, size = PACKET.unpack_from(data, at)
-            at += PACKET.size
-            used = PACKET.size + (U16.size if self._counted[id] and size >= U16.size else 0)
-            where.append(at - start - PACKET.size + used - _WORD)
-            masks.append((1 << 64) - (1 << 8 * (_WORD - used)))
-            at += size
+        end = start + _FIRST_PACKET
+        while end < start + stride:
+            id, size = PACKET.unpack_from(data, end)
+            compared = PACKET.size + (U16.size if self._counted[id] and size >= U16.size else 0)
+            where.append(end - start + compared - _WORD)
+            masks.append((1 << 64) - (1 << 8 * (_WORD - compared)))
+            end += PACKET.size + size
         words = np.ndarray(((len(data) - start) // stride, stride - _WORD + 1), "<u8", data, start, (stride, 1))
         same = equal_rows(words, np.array(where), np.array(masks, np.uint64))
         behind = start + same * stride
