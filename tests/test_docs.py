@@ -14,9 +14,11 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 import pytest
+from click import Context
 
 import carla_recap
 from carla_recap import MissingExtra
+from carla_recap.cli import cli
 from carla_recap.model.layout import Framing, Layout, Many
 from carla_recap.model.records import UE4, Group
 
@@ -106,6 +108,15 @@ def test_every_sensor_has_a_row():
 
     for name, kind in SENSOR_KINDS.items():
         assert f"| `{name}` | {kind.support} | {kind.what} |" in SERVING
+
+
+def test_the_readme_lists_every_command_and_every_extra():
+    text = PAGES[0].read_text("utf-8")
+    command_line = text.partition("\n## The command line\n")[2].partition("\n## ")[0]
+    assert set(re.findall(r"^\| `carla-recap (\w+)", command_line, re.MULTILINE)) == set(cli.list_commands(Context(cli)))
+    requirements = text.partition("\n## Requirements\n")[2]
+    extras = tomllib.loads((ROOT / "pyproject.toml").read_text("utf-8"))["project"]["optional-dependencies"]
+    assert {name for name in extras if f"`{name}`" not in requirements} == {"all", "dev"}
 
 
 @pytest.mark.parametrize("page", [*PAGES, ROOT / "CONTRIBUTING.md"], ids=lambda page: str(page.relative_to(ROOT)))
