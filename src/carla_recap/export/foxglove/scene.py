@@ -195,11 +195,16 @@ class _ShownPoses:
 
     def away(self, actors: Indices, first: Floats) -> NDArray[np.bool_]:
         """Return whether some actors are away from their first poses, (scenes, actors)."""
-        poses = self.of(actors, slice(None))
-        if (poses == first).all():
-            return np.zeros(poses.shape[:2], np.bool_)
-        with np.errstate(invalid="ignore", over="ignore"):
-            return np.asarray((np.abs(change(first, poses)) > _MOVED_BY).any(axis=2))
+        found = np.zeros((len(self._recorded), len(actors)), np.bool_)
+        columns = self._columns[actors]
+        recorded = columns < self._recorded.shape[1]
+        columns[~recorded] -= self._recorded.shape[1]
+        for poses, some in ((self._recorded, recorded), (self._others, ~recorded)):
+            now, before = poses.take(columns[some], axis=1), first[some]
+            if not (now == before).all():
+                with np.errstate(invalid="ignore", over="ignore"):
+                    found[:, some] = (np.abs(change(before, now)) > _MOVED_BY).any(axis=2)
+        return found
 
 
 class ActorEntities:
@@ -275,20 +280,17 @@ class ActorEntities:
         self._first = np.array([entity.first for entity in self._shown]).reshape(-1, 6)
         self._moved = np.array([entity.moved for entity in self._shown], np.bool_)
         self._lights = None
+        self._columns = np.searchsorted(batch.ids, self._shown_ids)
+        others = np.flatnonzero(~np.isin(self._shown_ids, batch.ids))
+        self._columns[others] = len(batch.ids) + np.arange(len(others))
         self._carried = []
-        columns: list[int] = []
-        others: list[Floats | None] = []
-        for entity in self._shown:
-            id = entity.actor.id
-            index = batch.index_of(id)
-            if index is None:
-                index = len(batch.ids) + len(others)
-                if entity.actor.attached:
-                    self._carried.append((len(others), id))
-                others.append(batch.pose_of(id, 0))
-            columns.append(index)
-        self._columns = np.array(columns, np.intp)
-        self._others = np.array([np.full(6, np.nan) if pose is None else pose for pose in others]).reshape(-1, 6)
+        self._others = np.full((len(others), 6), np.nan)
+        for column, index in enumerate(others.tolist()):
+            actor = self._shown[index].actor
+            if actor.attached:
+                self._carried.append((column, actor.id))
+            else:
+                self._others[column] = actor.spawn_pose
         return True
 
     def _poses(self, batch: SceneBatch, rows: Indices) -> _ShownPoses:
@@ -332,7 +334,9 @@ class ActorEntities:
         """Set the actors that a topic shows; return the entities that it no longer shows, None if all are the same."""
         before, now = self._before[topic], self._shown_ids[indices]
         self._before[topic] = now
-        return None if np.array_equal(before, now) else [entity_id(id) for id in np.setdiff1d(before, now).tolist()]
+        if np.array_equal(before, now):
+            return None
+        return [entity_id(id) for id in sorted(set(before.tolist()).difference(now.tolist()))]
 
     def _messages(
         self, topic: str, indices: Indices, gone: Iterable[str], rows: Indices, stamps: Stamps, poses: Floats

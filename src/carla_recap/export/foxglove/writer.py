@@ -97,7 +97,7 @@ class FoxgloveWriter(ChunkedFile):
             RecapError: The disk is full, or broken.
         """
         for start in range(0, len(batch), _TOGETHER):
-            part = batch[start : start + _TOGETHER]
+            part = batch if len(batch) <= _TOGETHER else batch[start : start + _TOGETHER]
             times = self._times_of(part)
             self._add(list(self._messages(part, times)), times)
             self._last = part, times
