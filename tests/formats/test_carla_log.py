@@ -145,7 +145,7 @@ BIKERS = struct.pack("<Iff", 7, 500, 0.5)
         ([], False),
     ],
 )
-def test_shifted_ids_are_told_by_content_and_place(tmp_path, packets, shifted):
+def test_shifted_ids_are_recognised_by_content_and_position(tmp_path, packets, shifted):
     body = start(1, 0.0) + b"".join(packet(*each) for each in packets) + END
     path = save(tmp_path / "ids.log", log_header() + body)
     assert header_of(path).shifted == shifted
@@ -182,7 +182,7 @@ def wide_spawn(attributes=0):
         ([(6, listed())], False),
     ],
 )
-def test_double_precision_is_told_by_sizes(tmp_path, packets, wide):
+def test_double_precision_is_recognised_by_sizes(tmp_path, packets, wide):
     path = save(tmp_path / "wide.log", log_header() + start(1, 0.0) + b"".join(packet(*p) for p in packets))
     assert header_of(path).wide == wide
 
@@ -247,7 +247,7 @@ def test_zeros_at_the_end_are_left_out(tmp_path, zeros):
         (packet(1, b"x"), "FrameEnd of 1 bytes, 0 were expected"),
     ],
 )
-def test_a_frame_of_the_wrong_size_is_an_error_at_its_place(tmp_path, broken, message):
+def test_a_frame_of_the_wrong_size_is_an_error_with_its_offset(tmp_path, broken, message):
     path = save(tmp_path / "broken.log", small_log() + broken + END)
     with pytest.raises(FormatError, match=message) as caught:
         images(path)
@@ -263,7 +263,7 @@ def test_a_frame_of_the_wrong_size_is_an_error_at_its_place(tmp_path, broken, me
         (b"\3\0" + bytes(4), "3 records need 44 bytes, the packet has 6", 2),
     ],
 )
-def test_a_list_longer_than_its_packet_is_an_error_at_its_place(tmp_path, payload, message, at):
+def test_a_list_longer_than_its_packet_is_an_error_with_its_offset(tmp_path, payload, message, at):
     before = log_header() + start(1, 0.0)
     path = save(tmp_path / "short.log", before + packet(5, payload) + END)
     with reading(path) as reader:
@@ -273,7 +273,7 @@ def test_a_list_longer_than_its_packet_is_an_error_at_its_place(tmp_path, payloa
     assert caught.value.offset == len(before) + 5 + at
 
 
-def test_a_spawn_that_ends_within_a_text_is_an_error_at_its_place(tmp_path):
+def test_a_spawn_that_ends_within_a_text_is_an_error_with_its_offset(tmp_path):
     before = log_header() + start(1, 0.0)
     torn = listed(struct.pack("<IB6fI", 7, 1, 0, 0, 0, 0, 0, 0, 1) + b"\xff\0vehicle")
     path = save(tmp_path / "torn.log", before + packet(2, torn) + END)
@@ -285,7 +285,7 @@ def test_a_spawn_that_ends_within_a_text_is_an_error_at_its_place(tmp_path):
     assert len(before) < caught.value.offset <= len(before) + 5 + 2 + 33 + 2 + 255
 
 
-def test_a_count_that_cannot_be_is_an_error_and_takes_no_memory(tmp_path):
+def test_an_impossible_count_is_an_error_and_takes_no_memory(tmp_path):
     wheels = listed(struct.pack("<II", 7, 0xFFFFFFFF))
     path = save(tmp_path / "many.log", log_header() + start(1, 0.0) + packet(6, listed()) + packet(21, wheels))
     with reading(path) as reader, time_limit(5):
@@ -424,6 +424,43 @@ def test_windows_of_any_size_give_the_same_frames(tmp_path, monkeypatch, window)
     expected = images(path)
     monkeypatch.setattr("carla_recap.formats.log_scan._WINDOW", window)
     assert images(path) == expected
+
+
+def busy_log(frames: int, *, restless: bool) -> bytes:
+    """Return a log with a collision in every seventh frame, whose frames differ in their counts or do not."""
+    data = log_header()
+    for n in range(frames):
+        struck = listed(collision(n, 7, 8)) if n % 7 == 3 else listed()
+        actors = (transform(id, n) for id in range(n % 5 + 1 if restless else 3))
+        data += start(n + 1, n / 10) + packet(4, listed()) + packet(5, struck) + packet(6, listed(*actors)) + END
+    return data
+
+
+@pytest.mark.parametrize("window", [64, 1000, 1 << 14])
+@pytest.mark.parametrize("restless", [False, True])
+def test_events_alone_are_those_of_all_frames(tmp_path, monkeypatch, window, restless):
+    monkeypatch.setattr("carla_recap.formats.log_scan._WINDOW", window)
+    path = save(tmp_path / "busy.log", busy_log(300, restless=restless))
+    with reading(path) as reader:
+        everything = [(f.index, f.id, f.elapsed, f["collisions"].tolist()) for f in reader.frames() if len(f["collisions"])]
+        events = reader.frames(("collisions", "parented"), sparse=True)
+        assert [(f.index, f.id, f.elapsed, f["collisions"].tolist()) for f in events] == everything
+        assert len(everything) == 43
+    with reading(path) as reader:
+        assert (reader.extent().frames, reader.extent().last_id, reader.extent().duration) == (300, 300, 29.9)
+
+
+def test_a_frame_of_many_packets_is_read_up_to_a_limit(tmp_path):
+    """Such a frame is larger than what the scan takes for an ordinary one, but not than a window."""
+    many = start(2, 0.1) + 200_000 * packet(200)
+    path = save(tmp_path / "many.log", log_header() + start(1, 0.0) + END + many + start(3, 0.2) + END)
+    with reading(path) as reader:
+        assert [len(frame.packets) for frame in reader.frames()] == [1, 200_000, 1]
+        assert [frame.id for frame in reader.frames(("frame_end",), sparse=True)] == [1, 3]
+    path = save(tmp_path / "too-many.log", log_header() + start(1, 0.0) + END + many + packet(200) + start(3, 0.2))
+    for types in (None, ("collisions",)):
+        with reading(path) as reader, pytest.raises(FormatError, match="more than 200000 packets in a frame"):
+            list(reader.frames(types, sparse=True))
 
 
 def test_frames_that_are_alike_come_in_one_batch(tmp_path):
