@@ -166,14 +166,14 @@ def _open(source: Path | str) -> tuple[Reader, bool, int, bool]:
     """Return a reader of the intact parts, whether the file has an end, its lost bytes, and whether its header is lost."""
     if is_log(read_start(source)):
         return LogReader(source, salvage=True), True, 0, False
+    from carla_recap.formats.mcap.index import Source
     from carla_recap.formats.mcap.reader import McapReader
-    from carla_recap.formats.mcap.recovery import guess_header, salvage
+    from carla_recap.formats.mcap.recovery import guess_header, recover_summary
     from carla_recap.formats.mcap.schema import HEADER_METADATA
-    from carla_recap.formats.mcap.source import Source
 
     raw = Source(source)
     try:
-        summary, damage = salvage(raw)
+        summary, damage = recover_summary(raw)
     finally:
         raw.close()
     if not summary.chunks and partials(source):

@@ -65,7 +65,7 @@ class Reader(Protocol):
         """Return the number of frames, the last id and the duration."""
         ...
 
-    def stretches(self, min_time: float, min_distance: float) -> list[BlockedRow] | None:
+    def stationary_intervals(self, min_time: float, min_distance: float) -> list[BlockedRow] | None:
         """Return the intervals in which actors were stationary, in no order; None if the file does not list them.
 
         Args:

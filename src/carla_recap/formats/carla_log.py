@@ -165,7 +165,7 @@ class LogReader:
         assert self._extent
         return self._extent
 
-    def stretches(self, min_time: float, min_distance: float) -> None:
+    def stationary_intervals(self, min_time: float, min_distance: float) -> None:
         """Return None: a log does not list stationary intervals."""
 
     def tail(self) -> Iterator[bytes]:

@@ -59,7 +59,7 @@ class Attribute:
 
 
 def attributes(**values: str | bool | int | float) -> list[Attribute]:
-    """Attributes from Python values: `attributes(role_name="hero", number_of_wheels=4)`."""
+    """Return attributes of Python values: `attributes(role_name="hero", number_of_wheels=4)`."""
     return [Attribute(_type_code(value), key, _as_text(value)) for key, value in values.items()]
 
 
@@ -95,7 +95,7 @@ class Spawn:
     attributes: list[Attribute] = field(default_factory=list)
 
     def attribute(self, key: str) -> str | None:
-        """The value of an attribute, None where there is none."""
+        """Return the value of an attribute; None where the actor has no such attribute."""
         return next((a.value for a in self.attributes if a.key == key), None)
 
 
@@ -270,7 +270,7 @@ class RecordType(PacketType):
         return f"carla_recap.v1.{self.message}" + ("Double" if self.wide and self.layout.has_reals else "")
 
     def records(self, values: Any) -> Records:
-        """Records of this type from what a person has at hand.
+        """Return records of this type from arrays, columns, rows or objects.
 
         Args:
             values: A structured array of `dtype`; columns by name (a single value stands for all rows, a missing field is
@@ -425,10 +425,10 @@ class Table(Sequence[RecordType]):
         return self._rows[index]
 
     def named(self, name: str) -> RecordType:
-        """The row of a name.
+        """Return the row of a name.
 
         Raises:
-            RecordError: There is none.
+            RecordError: No type has that name.
         """
         try:
             return self._named[name]

@@ -40,7 +40,7 @@ def blocked(
     Raises:
         FormatError: The file contradicts its format.
     """
-    rows = None if compat else source.stretches(min_time, min_distance)
+    rows = None if compat else source.stationary_intervals(min_time, min_distance)
     if rows is None:
         tracker = StationaryTracker(source.header.table, min_time, min_distance, compat=compat)
         for batch in source.batches(TYPES):

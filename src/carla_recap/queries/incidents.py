@@ -118,7 +118,7 @@ def incidents(
             else:
                 collector.add(packet, frame.elapsed)
     actors = _ActorsByTime(collector.actors)
-    intervals = source.stretches(min_time, min_distance) if blocked else []
+    intervals = source.stationary_intervals(min_time, min_distance) if blocked else []
     tracker = StationaryTracker(source.header.table, min_time, min_distance) if intervals is None else None
     detector = BrakingDetector(actors.ids("vehicle"), deceleration) if braking else None
     positions = _Positions(contacts.contacts if collisions else [])

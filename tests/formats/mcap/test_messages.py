@@ -363,11 +363,11 @@ def test_stretches_are_read_as_protobuf_reads_them():
     message = messages.head(5, 2.5) + messages.stationary_intervals(rows)
     other = messages.parse("stretches", "carla_recap.v1.Stretches", message)
     for data in (message, reversed_fields(other)):
-        found = [BlockedRow(s.start, s.duration, s.id, s.type_id, s.x, s.y, s.z) for s in variable.decode_stretches(data)]
+        found = [BlockedRow(s.start, s.duration, s.id, s.type_id, s.x, s.y, s.z) for s in variable.decode_intervals(data)]
         assert found == rows
-    assert list(variable.decode_stretches(messages.head(5, 2.5))) == []
+    assert list(variable.decode_intervals(messages.head(5, 2.5))) == []
     with pytest.raises(messages.WireError, match="not a carla_recap"):
-        variable.decode_stretches(message[:-1])
+        variable.decode_intervals(message[:-1])
 
 
 @given(ids=st.binary(max_size=300), kinds=st.binary(max_size=300))

@@ -26,7 +26,7 @@ from carla_recap import (
     open_recording,
 )
 from carla_recap.formats.mcap import frames as frames_module
-from carla_recap.formats.mcap.source import CHUNK_LIMIT
+from carla_recap.formats.mcap.index import CHUNK_LIMIT
 from carla_recap.model.frame import Frame, Header, Packet
 from carla_recap.queries.blocked import blocked
 from tests import strategies
@@ -246,7 +246,7 @@ def test_a_bomb_is_an_error_and_takes_no_memory(small_mcap, claimed, announced):
 
 
 def test_a_chunk_larger_than_the_limit_is_not_read(small_mcap, monkeypatch):
-    monkeypatch.setattr("carla_recap.formats.mcap.source.CHUNK_LIMIT", 2000)
+    monkeypatch.setattr("carla_recap.formats.mcap.index.CHUNK_LIMIT", 2000)
     with_chunks(small_mcap, lambda _: seal(bytes(3000)))
     with pytest.raises(FormatError, match=r"a chunk of \d+ bytes, at most 2000 are read"):
         images(small_mcap)
@@ -565,13 +565,13 @@ class Blind:
     def __getattr__(self, name):
         return getattr(self._reader, name)
 
-    def stretches(self, min_time, min_distance):
+    def stationary_intervals(self, min_time, min_distance):
         return None
 
 
 def stood(path):
     with reading(path) as reader:
-        return reader.stretches(1, 10)
+        return reader.stationary_intervals(1, 10)
 
 
 def test_stretches_that_another_program_left_out_are_missed(standing, tmp_path):

@@ -9,8 +9,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 from mcap import records
 
-from carla_recap.formats.mcap.recovery import salvage
-from carla_recap.formats.mcap.source import Source, read_summary
+from carla_recap.formats.mcap.index import Source, read_summary
+from carla_recap.formats.mcap.recovery import recover_summary
 from tests import strategies
 from tests.formats.mcap.forge import MAGIC, Forge, data_records, seal
 from tests.samples import save, time_limit
@@ -19,7 +19,7 @@ from tests.samples import save, time_limit
 def salvaged(path):
     source = Source(path)
     try:
-        return salvage(source)
+        return recover_summary(source)
     finally:
         source.close()
 
@@ -177,7 +177,7 @@ def test_false_heads_of_chunks_cost_little(driven, honest):
     save(driven, data[: chunks[1]] + bytes(junk) + bytes(100_000) + data[chunks[1] :])
     with time_limit(10):
         source = Source(driven)
-        summary, damage = salvage(source)
+        summary, damage = recover_summary(source)
         source.close()
     assert source.bytes_read < 12 * source.size + (64 << 20)
     assert damage.bytes >= len(junk)
@@ -189,7 +189,7 @@ def test_small_false_heads_are_found_in_one_window(tmp_path):
     path = save(tmp_path / "x.mcap", MAGIC + junk)
     source = Source(path)
     with time_limit(10):
-        salvage(source)
+        recover_summary(source)
     source.close()
     assert source.bytes_read < 4 * len(junk)
 

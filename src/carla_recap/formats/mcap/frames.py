@@ -38,9 +38,9 @@ if TYPE_CHECKING:
     from pathlib import Path
 
     from carla_recap.formats.mcap.fixed import Payloads
+    from carla_recap.formats.mcap.index import ChunkIndex
     from carla_recap.formats.mcap.runs import MessageRun
     from carla_recap.formats.mcap.schema import ChannelSpec
-    from carla_recap.formats.mcap.source import ChunkIndex
     from carla_recap.model.batch import Column
     from carla_recap.model.layout import Buffer, Records
     from carla_recap.model.records import RecordType, Table

@@ -16,6 +16,7 @@ from mcap.opcode import Opcode
 
 from carla_recap.errors import FormatError, NotARecording, RecapWarning
 from carla_recap.formats.mcap.frames import MESSAGES_LIMIT, Channels, FrameAssembler, channel_messages, parsed
+from carla_recap.formats.mcap.index import METADATA_LIMIT, Source, open_chunk, parse_record, read_summary
 from carla_recap.formats.mcap.messages import WireError
 from carla_recap.formats.mcap.schema import (
     EXPORT_METADATA,
@@ -33,15 +34,14 @@ from carla_recap.formats.mcap.schema import (
     parse_header,
     unchecked,
 )
-from carla_recap.formats.mcap.source import METADATA_LIMIT, Source, open_chunk, parse_record, read_summary
-from carla_recap.formats.mcap.variable import decode_stretches
+from carla_recap.formats.mcap.variable import decode_intervals
 from carla_recap.model.batch import Batch, within
 from carla_recap.model.frame import SAME_TIME, Extent, Frame, Header
 
 if TYPE_CHECKING:
     from collections.abc import Collection, Iterator
 
-    from carla_recap.formats.mcap.source import ChunkIndex, Summary
+    from carla_recap.formats.mcap.index import ChunkIndex, Summary
     from carla_recap.model.stationary import BlockedRow
 
 BLOCK_SIZE: Final = 256 << 10
@@ -90,7 +90,7 @@ class McapReader:
         return self._read_metadata(EXTENT_METADATA) or {}
 
     def close(self) -> None:
-        """Let go of the file."""
+        """Close the file."""
         self._source.close()
 
     def frames(
@@ -126,7 +126,7 @@ class McapReader:
             self._source.check_open()
 
     def frame_at(self, elapsed: float) -> Frame | None:
-        """The last frame that begins at or before a time; see `Reader.frame_at`."""
+        """Return the last frame that begins at or before a time; see `Reader.frame_at`."""
         elapsed += SAME_TIME
         found = None
         wanted = self._channels.wanted((), frames=True)
@@ -150,7 +150,7 @@ class McapReader:
         raise FormatError(self.path, None, f"frame {found.id} is in no chunk of its time: the index is wrong")
 
     def extent(self) -> Extent:
-        """How far the recording goes."""
+        """Return how far the recording goes."""
         if self._extent is None:
             extent = Extent()
             for frame in self.frames(()):
@@ -160,17 +160,17 @@ class McapReader:
         return self._extent
 
     def tail(self) -> Iterator[bytes]:
-        """The bytes behind the last complete packet, in pieces."""
+        """Yield the bytes behind the last complete packet, in pieces."""
         messages = self._messages(TAIL_TOPIC)
         return (bytes(parsed(self.path, "tail", TAIL_MESSAGE, message).data) for message in messages)
 
-    def stretches(self, min_time: float, min_distance: float) -> list[BlockedRow] | None:
-        """The stretches in which actors stood still, read from the events; see `Reader.stretches`."""
+    def stationary_intervals(self, min_time: float, min_distance: float) -> list[BlockedRow] | None:
+        """Return the stationary intervals, read from the events; see `Reader.stationary_intervals`."""
         least, distance, count = _summed_up(self.metadata)
         if min_time < least or min_distance != distance:
             return None
         try:
-            rows = [row for message in self._messages(STRETCHES_TOPIC) for row in decode_stretches(message)]
+            rows = [row for message in self._messages(STRETCHES_TOPIC) for row in decode_intervals(message)]
         except WireError as error:
             raise FormatError(self.path, None, str(error)) from None
         if len(rows) != count:  # another program has left some out
@@ -223,7 +223,7 @@ class McapReader:
     # --- chunks --------------------------------------------------------------------------------------------------------
 
     def _chunks(self, wanted: set[int], start: float = -math.inf, stop: float = math.inf) -> list[ChunkIndex]:
-        """The chunks that hold wanted channels within a time, in order of time."""
+        """Return the chunks with wanted channels within a time, in order of time."""
         clock = LogClock(self.header)
         first = clock.at(start) if start > -math.inf and self._steady else None
         last = clock.at(stop) if stop < math.inf and self._steady else None
@@ -238,7 +238,7 @@ class McapReader:
         return [c for c in chunks if c.end >= from_time and c.start <= until]
 
     def _opened(self, chunks: list[ChunkIndex], *, ahead: bool) -> Iterator[bytes]:
-        """The records of some chunks; `ahead`: the next one is unpacked while this one is used."""
+        """Yield the records of some chunks; `ahead`: the next one is decompressed while this one is used."""
         if not ahead or len(chunks) < 2:
             yield from map(self._open, chunks)
             return
@@ -317,7 +317,7 @@ class McapReader:
 
 
 def _summed_up(metadata: dict[str, str]) -> tuple[float, float, int]:
-    """From how many seconds and cm on stretches are summed up, and how many there are."""
+    """Return the least seconds and the cm of the stationary intervals of a file, and their number."""
     try:
         least, distance, count = metadata[STRETCHES].split()
         return float(least), float(distance), int(count)
@@ -326,7 +326,7 @@ def _summed_up(metadata: dict[str, str]) -> tuple[float, float, int]:
 
 
 def _match(summary: Summary, specs: list[ChannelSpec]) -> dict[int, ChannelSpec]:
-    """The file's channels that are ours, by id."""
+    """Return the file's channels that are those of a recording, by id."""
     known = {(spec.topic, spec.message): spec for spec in specs}
     found: dict[int, ChannelSpec] = {}
     for id, channel in summary.channels.items():

@@ -8,6 +8,18 @@ from typing import Final
 from mcap.opcode import Opcode
 
 from carla_recap.errors import FormatError
+from carla_recap.formats.mcap.index import (
+    CHUNK_LIMIT,
+    METADATA_LIMIT,
+    RECORDS_LIMIT,
+    ChannelRecord,
+    ChunkIndex,
+    Source,
+    Summary,
+    open_chunk,
+    parse_record,
+    read_summary,
+)
 from carla_recap.formats.mcap.schema import (
     CHUNK,
     EXTENT_METADATA,
@@ -19,18 +31,6 @@ from carla_recap.formats.mcap.schema import (
     U64,
     channel_specs,
     unchecked,
-)
-from carla_recap.formats.mcap.source import (
-    CHUNK_LIMIT,
-    METADATA_LIMIT,
-    RECORDS_LIMIT,
-    ChannelRecord,
-    ChunkIndex,
-    Source,
-    Summary,
-    open_chunk,
-    parse_record,
-    read_summary,
 )
 from carla_recap.model.frame import Header
 
@@ -64,7 +64,7 @@ class Damage:
     finished: bool = True
 
 
-def salvage(source: Source) -> tuple[Summary, Damage]:
+def recover_summary(source: Source) -> tuple[Summary, Damage]:
     """Return a summary of all that is whole in a file, whether or not it has one of its own, and what is damaged."""
     scan = _Scan(source)
     summary, damage = scan.summary, scan.damage
@@ -95,7 +95,7 @@ def salvage(source: Source) -> tuple[Summary, Damage]:
 
 
 def guess_header(summary: Summary) -> Header:
-    """The header of a recording whose own is lost; its map is unknown."""
+    """Return the header of a recording whose own is lost; its map is unknown."""
     wide = any(name.endswith("Double") for name in summary.schemas.values())
     return Header("", summary.chunks[0].start // SECOND if summary.chunks else 0, wide=wide)
 
@@ -122,14 +122,14 @@ class _Scan:
         self.summary = Summary()
         self.damage = Damage()
         self._source = source
-        self._window = (0, b"")  # a place, and what stands there
+        self._window = (0, b"")  # an offset, and the bytes from there on
         self._false = _FALSE_LEAST + _FALSE_FACTOR * source.size
         self._unpacked = _UNPACKED_LEAST + _UNPACKED_FACTOR * source.size
         self._messages = _MESSAGES_LEAST + source.size // _MESSAGE_BYTES
         self._parsed = RECORDS_LIMIT
 
     def take(self, at: int) -> int | None:
-        """Add the record at a place to the summary; return where it ends, None where there is no whole record."""
+        """Add the record at an offset to the summary; return its end, None where no whole record is found."""
         source, damage = self._source, self.damage
         if at + RECORD.size > source.size:
             return None
@@ -155,7 +155,7 @@ class _Scan:
                 self._take_other(opcode, at, length)
         except ValueError:
             damage.chunks += is_chunk
-            # The length may be what is broken: go on behind it only if a record stands there. Or if too much was read for
+            # The length may be what is broken: go on behind it only if a record follows. Or if too much was read for
             # nothing: what is inside is lost then.
             spent = self._false < min(false, 0)
             if not spent and not self._is_record(end):
@@ -164,7 +164,7 @@ class _Scan:
         return end
 
     def next_chunk(self, at: int) -> int:
-        """Return where the next thing that looks like a chunk begins; the end of the file where there is none."""
+        """Return the offset of what looks like the next chunk; the end of the file where nothing does."""
         size = self._source.size
         while at < size:
             begin, window = self._window

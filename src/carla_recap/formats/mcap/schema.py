@@ -1,4 +1,4 @@
-"""How a recording lies in an MCAP file, for writer, reader and recovery: layouts, channels, metadata, times.
+"""How a recording is stored in an MCAP file, for writer, reader and recovery: layouts, channels, metadata, times.
 
 Specification: https://mcap.dev/spec
 """
@@ -63,13 +63,13 @@ EXTENT_METADATA: Final = "carla_recap.extent"
 EXPORT_METADATA: Final = "carla_recap.export"
 """What a file has that shows a recording, but is none."""
 STRETCHES: Final = "stretches"
-"""In the extent's metadata: from how many s and cm on stretches are summed up, and how many; missing if they are not."""
+"""In the extent's metadata: the least s and the cm of stationary intervals, and their number; missing without them."""
 CHECKSUM: Final = "checksum"
 
 
 @dataclass(frozen=True)
 class ChannelSpec:
-    """A channel that every recording has: its id is its place in `channel_specs`, from 1."""
+    """A channel that every recording has: its id is its position in `channel_specs`, from 1."""
 
     topic: str
     module: str
@@ -78,7 +78,7 @@ class ChannelSpec:
 
 
 def channel_specs(table: Table) -> list[ChannelSpec]:
-    """The channels of a recording."""
+    """Return the channels of a recording."""
     specs = [
         ChannelSpec(type.topic, type.name, type.message_name, type)
         for type in table
@@ -109,13 +109,13 @@ class LogClock:
         self.steady = True
 
     def at(self, elapsed: float) -> int | None:
-        """The time of some elapsed seconds, None where there is no such time."""
+        """Return the time of some elapsed seconds; None where MCAP has no such time."""
         nanoseconds = elapsed * SECOND
         time = self._base + round(nanoseconds) if abs(nanoseconds) < MAX_TIME else -1
         return time if 0 <= time <= MAX_TIME else None
 
     def times(self, elapsed: float) -> tuple[int, int]:
-        """Log time and publish time of the next frame."""
+        """Return log time and publish time of the next frame."""
         time = self.at(elapsed)
         if time is None or time <= self.last:
             self.steady = False
@@ -136,18 +136,18 @@ class LogClock:
         return np.stack((times, times), axis=1).astype(np.uint64)
 
     def next(self) -> int:
-        """The log time of whatever comes behind the latest frame."""
+        """Return the log time of what comes behind the latest frame."""
         self.last = min(self.last + 1, MAX_TIME)
         return self.last
 
 
 def checked(values: dict[str, str]) -> dict[str, str]:
-    """Metadata with a checksum of themselves: MCAP has none for those that are read by index."""
+    """Return metadata with a checksum of themselves: MCAP has none for those that are read by index."""
     return values | {CHECKSUM: _checksum(values)}
 
 
 def unchecked(values: dict[str, str]) -> dict[str, str]:
-    """Metadata without the checksum that they came with.
+    """Return metadata without the checksum that they came with.
 
     Raises:
         ValueError: It does not match.
@@ -163,7 +163,7 @@ def _checksum(values: dict[str, str]) -> str:
 
 
 def header_metadata(header: Header) -> dict[str, str]:
-    """A header as MCAP metadata."""
+    """Return a header as MCAP metadata."""
     from carla_recap.formats.carla_log import pack_header
 
     raw = pack_header(header)  # and the check that it can be written
@@ -178,7 +178,7 @@ def header_metadata(header: Header) -> dict[str, str]:
 
 
 def parse_header(metadata: dict[str, str]) -> Header:
-    """The header that a file's metadata describe.
+    """Return the header that a file's metadata describe.
 
     Raises:
         ValueError: They do not.
@@ -203,7 +203,7 @@ def parse_header(metadata: dict[str, str]) -> Header:
 
 
 def parse_extent(metadata: dict[str, str]) -> Extent:
-    """How far the recording goes, from a file's metadata.
+    """Return how far the recording goes, from a file's metadata.
 
     Raises:
         ValueError: They do not say.

@@ -12,7 +12,6 @@ from __future__ import annotations
 
 import struct
 from contextlib import suppress
-from operator import attrgetter
 from typing import TYPE_CHECKING, Any, Final, NamedTuple
 
 import numpy as np
@@ -332,7 +331,7 @@ def decode_rows(type: RecordType, messages: NDArray[np.uint8]) -> NDArray[np.uin
     return template.decode(messages) if template else None
 
 
-class _Stretch(NamedTuple):
+class _Interval(NamedTuple):
     id: int
     type_id: str
     start: float
@@ -342,21 +341,23 @@ class _Stretch(NamedTuple):
     z: float
 
 
-_STRETCHES: Final = PacketType(
+_INTERVALS: Final = PacketType(
     name="stretches",
-    layout=Layout({"id": "u4", "type_id": TEXT, "start": "f8", "duration": "f8", "x": "f8", "y": "f8", "z": "f8"}, _Stretch),
+    layout=Layout(
+        {"id": "u4", "type_id": TEXT, "start": "f8", "duration": "f8", "x": "f8", "y": "f8", "z": "f8"}, _Interval
+    ),
 )
 
 
-def decode_stretches(data: Buffer) -> Iterable[Any]:
-    """Return the stretches of a `Stretches` message, with the attributes of a `Stretch`.
+def decode_intervals(data: Buffer) -> Iterable[Any]:
+    """Return the stationary intervals of a `Stretches` message, with the attributes of a `Stretch`.
 
     Raises:
         WireError: It is no such message.
     """
     with suppress(ValueError, struct.error):
-        return unpack(_STRETCHES, _Decoder(bytes(data), 0).payload(_STRETCHES))[0]
-    found: Iterable[Any] = parse(_STRETCHES.name, STRETCHES_MESSAGE, data).stretches
+        return unpack(_INTERVALS, _Decoder(bytes(data), 0).payload(_INTERVALS))[0]
+    found: Iterable[Any] = parse(_INTERVALS.name, STRETCHES_MESSAGE, data).stretches
     return found
 
 
@@ -416,8 +417,7 @@ def _items(layouts: Sequence[CompiledLayout], messages: Any) -> Records:
     """Return the records of some messages, in the one of some layouts of which all fields are present."""
     layout = layouts[0]
     if layout.make is not None:
-        get, special = _getter(layout)
-        return [layout.make(*_values(get(message), special)) for message in messages]
+        return [_record(layout, message) for message in messages]
     if messages and len(layouts) > 1:
         names = [name for name in layout.dtype.names or () if messages[0].HasField(name)]
         layout = next((each for each in layouts if set(each.dtype.names or ()) <= set(names)), layout)
@@ -425,37 +425,17 @@ def _items(layouts: Sequence[CompiledLayout], messages: Any) -> Records:
     return np.array([tuple(getattr(message, name) for name in fields) for message in messages], layout.dtype)
 
 
-def _values(values: tuple[Any, ...], special: list[tuple[int, Items | None]]) -> Sequence[Any]:
-    """Return the values of the fields of a message as those of a record."""
-    if not special:
-        return values
-    found = list(values)
-    for index, step in special:
-        if step is None:
-            found[index] = int(found[index])
-            continue
-        if len(found[index]) > MAX_COUNT:
-            raise WireError(f"{len(found[index])} items in a record, at most {MAX_COUNT} were expected")
-        found[index] = _items(step.layouts, found[index])
-    return found
-
-
-_getters: dict[CompiledLayout, tuple[Any, list[tuple[int, Items | None]]]] = {}
-
-
-def _getter(layout: CompiledLayout) -> tuple[Any, list[tuple[int, Items | None]]]:
-    """Return what takes all fields from a message; and the index of each that is an array, or a flag (None)."""
-    found = _getters.get(layout)
-    if found is None:
-        names: list[str] = []
-        special: list[tuple[int, Items | None]] = []
-        for step in layout.steps:
-            if isinstance(step, Numbers):
-                special += [(len(names) + n, None) for n, (_, kind) in enumerate(step.fields.values()) if kind == FLAG]
-                names += step.fields
-                continue
-            if isinstance(step, Items):
-                special.append((len(names), step))
-            names.append(step.name)
-        found = _getters[layout] = (attrgetter(*names), special)
-    return found
+def _record(layout: CompiledLayout, message: Any) -> Any:
+    values: list[Any] = []
+    for step in layout.steps:
+        if isinstance(step, Numbers):
+            values += [getattr(message, name) for name in step.fields]
+        elif isinstance(step, Items):
+            items = getattr(message, step.name)
+            if len(items) > MAX_COUNT:
+                raise WireError(f"{len(items)} items in a record, at most {MAX_COUNT} were expected")
+            values.append(_items(step.layouts, items))
+        else:
+            values.append(getattr(message, step.name))
+    assert layout.make
+    return layout.make(*values)

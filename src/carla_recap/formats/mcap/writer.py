@@ -47,10 +47,10 @@ CHUNK_SIZE: Final = 1 << 20
 CHUNK_SECONDS: Final = 5
 CHUNK_FRAMES: Final = 5_000  # of recordings whose clock stands still
 FRAME_SIZE: Final = 16 << 20
-"""So many bytes of one frame are a chunk: what is much larger could not be read."""
-STRETCH_TIME: Final = 1.0
-"""From so many seconds on, the stretches in which actors stand still are summed up."""
-STRETCHES_TOGETHER: Final = 1_000
+"""The bytes of one frame at which a chunk is cut: what is much larger could not be read."""
+INTERVAL_TIME: Final = 1.0
+"""The shortest stationary intervals that are kept, in seconds."""
+INTERVALS_TOGETHER: Final = 1_000
 LEVEL: Final = 3
 
 
@@ -64,7 +64,7 @@ class McapWriter(ChunkedFile):
         force: See `AtomicFile`.
 
     Raises:
-        RecapError: The place cannot be written to.
+        RecapError: The destination cannot be written to.
     """
 
     def __init__(self, path: Path | str, header: Header, *, live: bool = False, force: bool = True) -> None:
@@ -73,7 +73,7 @@ class McapWriter(ChunkedFile):
         topics = [Topic(spec.topic, spec.message, partial(_schema, spec.module, spec.message)) for spec in specs]
         super().__init__(path, topics, level=LEVEL, live=live, force=force)
         by_topic = {spec.topic: id for id, spec in enumerate(specs, 1)}
-        self._frame_channel, self._raw_channel, self._tail_channel, self._stretches_channel = (
+        self._frame_channel, self._raw_channel, self._tail_channel, self._interval_channel = (
             by_topic[topic] for topic in (FRAME_TOPIC, RAW_TOPIC, TAIL_TOPIC, STRETCHES_TOPIC)
         )
         self._channel_of = {spec.type.id: id for id, spec in enumerate(specs, 1) if spec.type}
@@ -84,10 +84,10 @@ class McapWriter(ChunkedFile):
         self._extent = Extent()
         self._heroes: dict[int, None] = {}
         self._additional = False
-        self._stationary: StationaryTracker | None = StationaryTracker(header.table, STRETCH_TIME)
-        self._telling = {header.table.named(name).id for name in TYPES}
-        self._stretches: list[BlockedRow] = []
-        self._stretch_count = 0
+        self._stationary: StationaryTracker | None = StationaryTracker(header.table, INTERVAL_TIME)
+        self._stationary_ids = {header.table.named(name).id for name in TYPES}
+        self._intervals: list[BlockedRow] = []
+        self._interval_count = 0
         self._template: FrameTemplate | None = None
         if live:
             for topic in topics:
@@ -108,14 +108,14 @@ class McapWriter(ChunkedFile):
             self._extent = Extent(self._extent.frames + 1, frame.id, frame.elapsed)
         head = messages.head(frame.id, frame.elapsed)
         start = b"" if frame.preamble else bytes((FRAME_START,))
-        ids = start + bytes([packet.id for packet in frame.packets])
+        packets = start + bytes([packet.id for packet in frame.packets])
         kinds = start + bytes([self._add(packet, head, times) for packet in frame.packets])
-        spine = messages.frame_body(frame.duration, ids, kinds)
-        self._chunks[Group.STATE].add(self._frame_channel, self._sequence, times, head, spine)
+        body = messages.frame_body(frame.duration, packets, kinds)
+        self._chunks[Group.STATE].add(self._frame_channel, self._sequence, times, head, body)
         if self._stationary:
-            telling = [packet for packet in frame.packets if packet.id in self._telling and packet.payload != EMPTY_LIST]
-            self._stationary.frame(frame, telling)
-            self._take_stretches(self._sequence, head, times)
+            ids = self._stationary_ids
+            self._stationary.frame(frame, [each for each in frame.packets if each.id in ids and each.payload != EMPTY_LIST])
+            self._take_intervals(self._sequence, head, times)
         self._cut_large()
 
     def write_batch(self, batch: Batch) -> None:
@@ -154,7 +154,7 @@ class McapWriter(ChunkedFile):
         if self._stationary:
             self._stationary.batch(part)
             time, publish_time = times[count - 1].tolist()
-            self._take_stretches(self._sequence, messages.head(last, elapsed), (time, publish_time))
+            self._take_intervals(self._sequence, messages.head(last, elapsed), (time, publish_time))
         self._cut_large()
         return count
 
@@ -186,7 +186,7 @@ class McapWriter(ChunkedFile):
         return self._template
 
     def _add(self, packet: Packet, head: bytes, times: tuple[int, int]) -> int:
-        """Add a packet's messages; returns what the frame is to say of it."""
+        """Add a packet's messages; return how it is recorded: `EMPTY`, `FILLED` or `RAW`."""
         type, id, payload = packet.type, packet.id, packet.payload
         if type is not None:
             self._additional = self._additional or type.additional
@@ -204,7 +204,7 @@ class McapWriter(ChunkedFile):
         try:
             if type.fixed:
                 packet.warn_of(check(type, payload))
-                self._distrust(type)
+                self._found_irregular(type)
             body = encode(type, payload)
         except PayloadError as error:
             raise packet.error(error) from None
@@ -216,32 +216,32 @@ class McapWriter(ChunkedFile):
             self._heroes |= {actor.id: None for actor in packet.records if actor.attribute("role_name") == "hero"}
         return FILLED
 
-    def _distrust(self, type: RecordType | None) -> None:
-        """A packet is odd: should it tell who stands still, nobody sums that up."""
+    def _found_irregular(self, type: RecordType | None) -> None:
+        """Keep no stationary intervals, if they depend on a type of which a packet is irregular."""
         if type is not None and type.name in TYPES:
             self._stationary = None
 
     def _add_raw(self, packet: Packet, head: bytes, times: tuple[int, int]) -> int:
-        """Add a packet in pieces, as the bytes that it is."""
-        self._distrust(packet.type)
+        """Add a packet in pieces of its bytes."""
+        self._found_irregular(packet.type)
         for body in messages.raw_bodies(packet.id, packet.payload):
             self._chunks[Group.STATE].add(self._raw_channel, self._sequence, times, head, body)
             self._cut_within_frame(Group.STATE)
         return RAW
 
-    def _add_stretches(self, sequence: int, head: bytes, times: tuple[int, int]) -> None:
-        """Add the stretches in which actors stood still that have ended since this was last done."""
-        body = messages.stationary_intervals(self._stretches)
-        self._stretch_count += len(self._stretches)
-        self._chunks[Group.EVENTS].add(self._stretches_channel, sequence, times, head, body)
-        self._stretches = []
+    def _add_intervals(self, sequence: int, head: bytes, times: tuple[int, int]) -> None:
+        """Write the stationary intervals that have ended since the latest call."""
+        body = messages.stationary_intervals(self._intervals)
+        self._interval_count += len(self._intervals)
+        self._chunks[Group.EVENTS].add(self._interval_channel, sequence, times, head, body)
+        self._intervals = []
 
-    def _take_stretches(self, sequence: int, head: bytes, times: tuple[int, int]) -> None:
-        """Take over the stretches that have ended; add them once there are many."""
+    def _take_intervals(self, sequence: int, head: bytes, times: tuple[int, int]) -> None:
+        """Collect the stationary intervals that have ended; write them once they are many."""
         if self._stationary:
-            self._stretches += self._stationary.take()
-            if len(self._stretches) >= STRETCHES_TOGETHER:
-                self._add_stretches(sequence, head, times)
+            self._intervals += self._stationary.take()
+            if len(self._intervals) >= INTERVALS_TOGETHER:
+                self._add_intervals(sequence, head, times)
 
     def _cut_large(self) -> None:
         """Cut the chunks that are large enough."""
@@ -271,11 +271,11 @@ class McapWriter(ChunkedFile):
 
     def _finish(self) -> None:
         if self._stationary:
-            self._stretches += self._stationary.finish()
-        if self._stationary and self._stretches:
+            self._intervals += self._stationary.finish()
+        if self._stationary and self._intervals:
             self._sequence += 1
             time = self._clock.next()
-            self._add_stretches(self._sequence, messages.head(self._extent.last_id, self._extent.duration), (time, time))
+            self._add_intervals(self._sequence, messages.head(self._extent.last_id, self._extent.duration), (time, time))
         for group in Group:
             self._cut(group)
         self._write_chunks(0)
@@ -290,13 +290,13 @@ class McapWriter(ChunkedFile):
             "hero_ids": ",".join(map(str, self._heroes)),
             "additional_data": str(int(self._additional)),
             "steady_clock": str(int(self._clock.steady)),
-            **({STRETCHES: f"{STRETCH_TIME:g} {MIN_DISTANCE:g} {self._stretch_count}"} if self._stationary else {}),
+            **({STRETCHES: f"{INTERVAL_TIME:g} {MIN_DISTANCE:g} {self._interval_count}"} if self._stationary else {}),
         }
 
 
 @cache
 def _schema(module: str, message: str) -> bytes:
-    """A message's schema: the descriptors of all files that it needs."""
+    """Return a message's schema: the descriptors of all files that it needs."""
     from mcap_protobuf.schema import build_file_descriptor_set
 
     return build_file_descriptor_set(messages.message_class(module, message)).SerializeToString()

@@ -14,7 +14,7 @@ from mcap import records
 from mcap.opcode import Opcode
 
 from carla_recap import FormatError, NotARecording, RecapError, open_recording, recover
-from carla_recap.formats.mcap.source import (
+from carla_recap.formats.mcap.index import (
     CHUNK_LIMIT,
     RECORDS_LIMIT,
     Source,

@@ -1,4 +1,4 @@
-"""Reads an MCAP file within bounds: places of it, chunks, and its summary.
+"""Reads an MCAP file within bounds: parts of it, chunks, and its summary, which has the index of the chunks.
 
 No chunk takes more memory than `CHUNK_LIMIT`, whatever it claims; every checksum is checked.
 """
@@ -41,10 +41,10 @@ RECORDS_LIMIT: Final = 1 << 17
 
 
 class Source:
-    """A file read in places, each of them checked against its size.
+    """A file of which parts are read, each of them checked against its size.
 
     Attributes:
-        bytes_read: How much was read so far.
+        bytes_read: The number of bytes that were read so far.
     """
 
     def __init__(self, path: Path | str) -> None:
@@ -57,36 +57,36 @@ class Source:
         self.bytes_read = 0
         self._lock = Lock()
 
-    def read(self, at: int, size: int, what: str) -> bytes:
-        """Bytes of the file.
+    def read(self, offset: int, size: int, what: str) -> bytes:
+        """Return bytes of the file.
 
         Raises:
-            FormatError: They lie outside; `what` says what they should be.
+            FormatError: The file has no such bytes; `what` says what they should be.
         """
-        if at < 0 or size < 0 or at + size > self.size:
-            raise FormatError(self.path, at, f"{what} of {size} bytes does not fit in the file of {self.size}")
+        if offset < 0 or size < 0 or offset + size > self.size:
+            raise FormatError(self.path, offset, f"{what} of {size} bytes does not fit in the file of {self.size}")
         self.check_open()
         try:
             with self._lock:  # the next chunk may be read by another thread
-                self._file.seek(at)
+                self._file.seek(offset)
                 data = self._file.read(size)
                 self.bytes_read += len(data)
         except OSError as error:
             raise RecapError(f"{self.path}: {error.strerror}") from None
         if len(data) < size:
-            raise FormatError(self.path, at + len(data), f"the file ends inside {what}")
+            raise FormatError(self.path, offset + len(data), f"the file ends inside {what}")
         return data
 
-    def record(self, at: int, opcode: Opcode, what: str, limit: int = CHUNK_LIMIT) -> bytes:
-        """The content of the record at a place.
+    def record(self, offset: int, opcode: Opcode, what: str, limit: int = CHUNK_LIMIT) -> bytes:
+        """Return the content of the record at an offset.
 
         Raises:
-            FormatError: There is none of that kind, or it is too large.
+            FormatError: It is of another kind, or too large.
         """
-        found, size = RECORD.unpack(self.read(at, RECORD.size, what))
+        found, size = RECORD.unpack(self.read(offset, RECORD.size, what))
         if found != opcode or size > limit:
-            raise FormatError(self.path, at, f"{what} was expected, found a record of kind {found} with {size} bytes")
-        return self.read(at + RECORD.size, size, what)
+            raise FormatError(self.path, offset, f"{what} was expected, found a record of kind {found} with {size} bytes")
+        return self.read(offset + RECORD.size, size, what)
 
     def check_open(self) -> None:
         """Check that the file is not closed.
@@ -98,12 +98,12 @@ class Source:
             raise Closed(self.path)
 
     def close(self) -> None:
-        """Let go of the file."""
+        """Close the file."""
         self._file.close()
 
 
 def split_records(data: bytes | memoryview) -> Iterator[tuple[int, int, int]]:
-    """Opcode, start and end of each record in a run of whole records.
+    """Yield opcode, start and end of each record in a run of whole records.
 
     Raises:
         ValueError: The last one is not whole.
@@ -204,7 +204,7 @@ _of_thread: Final = local()
 
 
 def _decompressor() -> zstandard.ZstdDecompressor:
-    """This thread's decompressor: to make one takes longer than to unpack a small chunk."""
+    """Return this thread's decompressor: to make one takes longer than to decompress a small chunk."""
     if not hasattr(_of_thread, "decompressor"):
         _of_thread.decompressor = zstandard.ZstdDecompressor()
     found: zstandard.ZstdDecompressor = _of_thread.decompressor
@@ -212,7 +212,7 @@ def _decompressor() -> zstandard.ZstdDecompressor:
 
 
 def decompress(compression: str, data: bytes | memoryview, size: int) -> bytes:
-    """A chunk's records, never more than the chunk says.
+    """Return a chunk's records, never more than the chunk says.
 
     Raises:
         ValueError: They are not of the size that the chunk says, or damaged.
@@ -240,7 +240,7 @@ def decompress(compression: str, data: bytes | memoryview, size: int) -> bytes:
 
 
 def open_chunk(content: bytes | memoryview) -> tuple[int, int, bytes]:
-    """First and last log time, and the records, of a chunk record's content.
+    """Return first and last log time, and the records, of a chunk record's content.
 
     Raises:
         ValueError: It is damaged.
@@ -263,7 +263,7 @@ def open_chunk(content: bytes | memoryview) -> tuple[int, int, bytes]:
 
 
 class ChunkIndex(NamedTuple):
-    """A chunk as the index describes it. Times in ns; `channels` are those that it holds, empty where unknown."""
+    """A chunk as the index describes it. Times in ns; `channels` are those of its messages, empty where unknown."""
 
     start: int
     end: int
@@ -296,7 +296,7 @@ class Summary:
 
 
 def read_summary(source: Source) -> Summary:
-    """The summary of a finished file.
+    """Return the summary of a finished file.
 
     Raises:
         NotARecording: It is no MCAP file.
@@ -382,7 +382,7 @@ def _chunk_index(data: memoryview) -> ChunkIndex:
 
 @lru_cache(64)
 def _offsets(count: int) -> struct.Struct:
-    """The channels of so many message indexes."""
+    """Return the layout of a number of message indexes, of which only the channels are read."""
     return struct.Struct("<" + "H8x" * count)
 
 
