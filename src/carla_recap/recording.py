@@ -311,14 +311,10 @@ class Recording:
 
     def _of_one(self, actor_id: int, found: Mapping[int, T], empty: Callable[[], T]) -> T:
         """Return the result for an actor, or an empty one; raise if there is no such actor."""
-        if actor_id not in found:
-            self._check_actor(actor_id)
-        return found[actor_id] if actor_id in found else empty()
-
-    def _check_actor(self, actor_id: int) -> None:
-        """Raise if there is no such actor."""
+        if actor_id in found:
+            return found[actor_id]
         if actor_id in self.actors:
-            return
+            return empty()
         near = sorted(self.actors, key=lambda id: abs(id - actor_id))[:3]
         raise RecapError(f"{self.path}: no actor {actor_id}; near ids are {', '.join(map(str, near)) or 'none'}")
 

@@ -39,7 +39,7 @@ _server = options.together(
 def capture(destination: str, host: str, port: int, duration: float, additional_data: bool, force: bool) -> None:
     """Record what a CARLA server does, as one of its clients, to .mcap or .log."""
     from carla_recap.capture import capture as run
-    from carla_recap.cli.progress import watch_live
+    from carla_recap.cli.progress import watch_ticks
 
     captured = run(
         destination,
@@ -48,7 +48,7 @@ def capture(destination: str, host: str, port: int, duration: float, additional_
         duration=duration,
         additional_data=additional_data,
         force=force,
-        progress=watch_live("capturing", duration),
+        progress=watch_ticks("capturing", duration),
     )
     missed = f", {captured.missed} ticks missed" if captured.missed else ""
     say(f"{destination}: {captured.frames} frames, {captured.seconds:g} s{missed}: {captured.why}")

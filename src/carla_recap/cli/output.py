@@ -46,7 +46,7 @@ def show(answer: Any, form: str | None, max_rows: int | None = None) -> NoReturn
     too_many = max_rows is not None and len(answer) > max_rows
     if too_many:
         click.echo(f"carla-recap: {len(answer)} rows, at most {max_rows} were allowed", err=True)
-    os._exit(TOO_MANY if too_many else 0)  # the interpreter's own end takes longer than the answer of a small recording
+    os._exit(TOO_MANY if too_many else 0)  # ending the interpreter takes longer than a small query
 
 
 def _print(pieces: Iterable[str]) -> None:

@@ -1,9 +1,10 @@
-"""How far a command is: a bar on a terminal, nothing in a pipe."""
+"""Progress bars: wrappers of what a command goes through, which show a bar on a terminal, and nothing in a pipe."""
 
 from __future__ import annotations
 
 import math
 import sys
+from time import monotonic
 from typing import TYPE_CHECKING, TypeVar
 
 if TYPE_CHECKING:
@@ -19,59 +20,54 @@ if TYPE_CHECKING:
 
 T = TypeVar("T")
 
-_REST = 256  # items between two looks at the bar
-_LIVE_REST = 10  # the same, where items come one by one
+_INTERVAL = 0.1  # s between two updates of a bar
 
 
-def watch(what: str) -> Progress:
-    """Watches a stream of batches go by; `what` is being done to them."""
+def watch(title: str) -> Progress:
+    """Return a wrapper of the batches of a recording."""
 
     def progress(batches: Iterable[Batch], reader: Reader) -> Iterable[Batch]:
-        return _bar(batches, what, reader.extent().duration, lambda batch: batch.elapsed[-1].item(), rest=1)
+        return _bar(batches, title, reader.extent().duration, lambda batch: batch.elapsed[-1].item())
 
     return progress
 
 
-def watch_scenes(what: str) -> SceneProgress:
-    """Watches a recording being played; `what` is being done to it."""
+def watch_scenes(title: str) -> SceneProgress:
+    """Return a wrapper of the scenes of a recording."""
 
     def progress(scenes: Iterable[Scene], player: Player) -> Iterable[Scene]:
-        return _bar(scenes, what, player.stop - player.start, lambda scene: scene.time - player.start)
+        return _bar(scenes, title, player.stop - player.start, lambda scene: scene.time - player.start)
 
     return progress
 
 
-def watch_incidents(what: str) -> Callable[[Sequence[Incident]], Iterable[Incident]]:
-    """Watches incidents go by; `what` is being done to them."""
+def watch_incidents(title: str) -> Callable[[Sequence[Incident]], Iterable[Incident]]:
+    """Return a wrapper of incidents."""
 
     def progress(found: Sequence[Incident]) -> Iterable[Incident]:
-        places = iter(range(len(found)))
-        return _bar(found, what, len(found), lambda _: next(places), rest=1)
+        return _bar(found, title, len(found), found.index)
 
     return progress
 
 
-def watch_ticks(what: str, seconds: float) -> Callable[[Iterable[float]], Iterable[float]]:
-    """Watches a simulation, whose ticks tell the time; `what` is being done for so many seconds."""
-    return lambda ticks: _bar(ticks, what, seconds, lambda elapsed: elapsed)
+def watch_ticks(title: str, seconds: float) -> Callable[[Iterable[float]], Iterable[float]]:
+    """Return a wrapper of the elapsed seconds of a simulation that ends after a number of seconds."""
+    return lambda ticks: _bar(ticks, title, seconds, float)
 
 
-def watch_live(what: str, seconds: float) -> Callable[[Iterable[float]], Iterable[float]]:
-    """Watches a world whose ticks come in their own time, and tell the time; `what` is being done for so many seconds."""
-    return lambda ticks: _bar(ticks, what, seconds, lambda elapsed: elapsed, rest=_LIVE_REST)
+def _bar(items: Iterable[T], title: str, total: float, position: Callable[[T], float]) -> Iterable[T]:
+    return _watched(items, title, total, position) if sys.stderr.isatty() else items
 
 
-def _bar(items: Iterable[T], title: str, total: float, position: Callable[[T], float], rest: int = _REST) -> Iterable[T]:
-    return _watched(items, title, total, position, rest) if sys.stderr.isatty() else items
-
-
-def _watched(items: Iterable[T], title: str, total: float, position: Callable[[T], float], rest: int) -> Iterator[T]:
+def _watched(items: Iterable[T], title: str, total: float, position: Callable[[T], float]) -> Iterator[T]:
     from rich.console import Console
     from rich.progress import Progress as Bar
 
     with Bar(console=Console(stderr=True), transient=True) as bar:
         task = bar.add_task(title, total=total if math.isfinite(total) else None)
-        for number, item in enumerate(items):
-            if number % rest == 0:
+        due = 0.0
+        for item in items:
+            if monotonic() >= due:
                 bar.update(task, completed=position(item))
+                due = monotonic() + _INTERVAL
             yield item

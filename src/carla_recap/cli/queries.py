@@ -52,7 +52,7 @@ def blocked(file: str, min_time: float, min_distance: float, form: str | None, c
     """Print the actors that stood still for long."""
     from carla_recap.queries.blocked import blocked as query
 
-    if min_time < 0 and not compat:  # CARLA takes it
+    if min_time < 0 and not compat:  # which CARLA accepts
         raise click.BadParameter(f"'{min_time:g}' is not a number of 0 or more.", param_hint="'--min-time'")
     show(query(options.opened(file), min_time, min_distance, compat=compat), form, max_rows)
 
@@ -79,7 +79,7 @@ def actors(file: str, form: str | None) -> None:
 def incidents(file: str, form: str | None, max_rows: int | None, **limits: Any) -> None:
     """Print the incidents: collisions, hard braking, long stops.
 
-    Long stops are those of vehicles and walkers.
+    Only stops of vehicles and walkers are incidents.
     """
     from carla_recap.queries.incidents import incidents as query
 

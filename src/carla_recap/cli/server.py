@@ -62,7 +62,7 @@ def serve(
     attached: bool,
 ) -> None:
     """Serve a simulated town to CARLA's own client."""
-    import asyncio  # which takes longer to import than a small recording to read
+    import asyncio
 
     from carla_recap.server.host import Host
     from carla_recap.server.quirks import busy_polling_loop

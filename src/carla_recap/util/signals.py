@@ -1,4 +1,4 @@
-"""The signals that ask a process to end: the first one counts, and those that follow while it cleans up do not.
+"""The signals that ask a process to end: the first one is handled, further ones are ignored while it cleans up.
 
 Many arrive more than once: Ctrl-C is pressed twice, and `timeout` signals its child, and then its child's group.
 """
@@ -24,31 +24,28 @@ TERMINATION: Final = tuple(
 """The signals that ask a process to end, as far as the system has them."""
 
 
-class _First:
-    """The time of the first signal, in s; None before it. Signals concern the whole process, as does this."""
-
-    at: float | None = None
+_first: float | None = None  # the time of the first signal to this process, in s
 
 
 def is_terminating() -> bool:
     """Return whether a signal has arrived."""
-    return _First.at is not None
+    return _first is not None
 
 
 def is_first(number: int) -> bool:
     """Return whether the signal that has just arrived is the first one; one after `GRACE` ends the process here."""
-    now = monotonic()
-    if _First.at is None:
-        _First.at = now
+    global _first
+    if _first is None:
+        _first = monotonic()
         return True
-    if now - _First.at > GRACE:
+    if monotonic() - _first > GRACE:
         signal.signal(number, signal.SIG_DFL)
         signal.raise_signal(number)
     return False
 
 
 def set_handlers(handler: Any) -> dict[signal.Signals, Any]:
-    """Set the handler of `TERMINATION`, except of those that are ignored, as under nohup, or have no handler in Python.
+    """Set the handler of `TERMINATION`, except for signals that are ignored, as under nohup, or have no handler in Python.
 
     Returns:
         The handlers until now.
@@ -70,6 +67,7 @@ def call_on_termination(callback: Callable[[str], object]) -> Iterator[None]:
     Args:
         callback: Is called with the name of the first signal.
     """
+    global _first
 
     def handle(number: int, _: FrameType | None) -> None:
         if is_first(number):
@@ -78,7 +76,7 @@ def call_on_termination(callback: Callable[[str], object]) -> Iterator[None]:
     if threading.current_thread() is not threading.main_thread():
         yield
         return
-    _First.at = None
+    _first = None
     before = set_handlers(handle)
     try:
         yield

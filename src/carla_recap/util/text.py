@@ -1,4 +1,4 @@
-"""Texts of recordings, as people see them."""
+"""Texts and numbers of recordings, for people."""
 
 from __future__ import annotations
 
@@ -8,10 +8,10 @@ from typing import Final
 
 
 def readable(text: str) -> str:
-    """A recorded text as CARLA shows it: up to the first NUL, with `?` in place of what is not UTF-8.
+    """Return a recorded text as CARLA shows it: up to the first NUL, with `?` instead of invalid UTF-8.
 
-    That is a `?` for each wrong byte, but only one for a sequence of five or six bytes, as UTF-8 had them
-    once, and one where the text ends more than a byte short of a sequence's length.
+    Each invalid byte becomes a `?`, but a sequence of five or six bytes, as in early UTF-8, becomes one, as does the end of
+    a text that is more than a byte shorter than its last sequence.
     """
     text = text.partition("\0")[0]
     if text.isascii() or not re.search(_SUSPECT, text):
