@@ -394,11 +394,14 @@ class _Block:
         if clock[-1] - clock[0] < least:  # no interval begins and ends in these packets
             start = np.maximum(leaving, _last_leap(paths, self._limit))
         moves = _moves(paths, forced, start, self._limit)
+        last = moves[-1] // len(movers)
         old = np.flatnonzero(~(clock[-1] - self._origins[movers] < least))
         intervals = []
         if len(old):
-            moves_of_old = np.concatenate((np.zeros_like(start)[None], leaving[None], moves))[:, old]
-            before, after = moves_of_old[:-1], moves_of_old[1:]
+            chain = [np.zeros(len(old), np.intp), leaving[old]]
+            if start is leaving:
+                chain += [rows[old] // len(movers) for rows in moves[1:]]
+            before, after = np.stack(chain[:-1]), np.stack(chain[1:])
             begun = np.where(before == 0, self._origins[movers[old]], clock[before])
             found = np.nonzero((after != before) & ~(clock[after - 1] - begun < least))
             ends = sorted(zip(after[found].tolist(), old[found[1]].tolist(), before[found].tolist(), strict=True))
@@ -412,7 +415,6 @@ class _Block:
                 if actor.duration >= self._min_time:
                     actor.anchor = tuple(paths[:, anchor, mover].tolist())
                     intervals.append(actor.interval())
-        last = moves[-1]
         self._paths[:, 0, movers] = paths[:, last, np.arange(len(movers))]
         self._since[movers] = first + last
         self._origins[movers] = clock[last]
@@ -438,8 +440,8 @@ class _Block:
         self._count = 0
 
 
-def _moves(paths: Positions, forced: Booleans | None, start: Indices, limit: np.floating[Any]) -> Indices:
-    """Return the rows that actors move in, (moves, actors), ascending from a start, the last one repeated.
+def _moves(paths: Positions, forced: Booleans | None, start: Indices, limit: np.floating[Any]) -> list[Indices]:
+    """Return the first moves of all actors, their next moves, and so on, as flat indices; the last move is repeated.
 
     From each row, the next move is found for all rows at once if it comes within the next few. Actors then hop from move to
     move; where one has stopped, the rows behind are searched.
@@ -447,18 +449,19 @@ def _moves(paths: Positions, forced: Booleans | None, start: Indices, limit: np.
     Args:
         paths: Positions, (3, rows, actors).
         forced: Rows that are moves wherever the actor is, (rows, actors).
-        start: The row of a move of each actor.
+        start: The row of the first move of each actor.
         limit: See `_squared_limit`.
     """
     count, width = paths.shape[1:]
-    rows = np.arange(count * width).reshape(count, width)  # indices of flat arrays
-    following = rows.copy()
-    for lag in range(min(_LAGS, count - 1), 0, -1):
-        moved = ~_is_near(paths[:, lag:], paths[:, :-lag], limit)
+    wait, near = np.ones((count, width), np.uint8), np.ones((count, width), np.bool_)
+    lags = min(_LAGS, count - 1)
+    for lag in range(1, lags + 1):
+        near[:-lag] &= _is_near(paths[:, lag:], paths[:, :-lag], limit)
         if forced is not None:
-            moved |= forced[lag:]
-        np.copyto(following[:-lag], rows[lag:], where=moved)
-    next_of = following.ravel()
+            near[:-lag] &= ~forced[lag:]
+        wait += near
+    wait[wait > lags] = 0
+    following = np.arange(count * width) + np.multiply(wait, width, dtype=np.intp).ravel()
     paths, forced = paths.reshape(3, -1), None if forced is None else forced.ravel()
     pending = np.arange(width)
     current = start * width + pending
@@ -467,15 +470,14 @@ def _moves(paths: Positions, forced: Booleans | None, start: Indices, limit: np.
         hopping = True
         while hopping:
             for _ in range(_HOPS):
-                current = next_of.take(current)
+                current = following.take(current)
                 moves.append(current)
-            hopping = bool((next_of.take(current) != current).any())
+            hopping = bool((following.take(current) != current).any())
         anchors = current[pending]
         found = _next_moves(paths, forced, anchors, width, limit)
-        next_of[anchors] = found
+        following[anchors] = found
         pending = pending[found != anchors]
-    all_moves: Indices = np.stack(moves) // width
-    return all_moves
+    return moves
 
 
 def _last_leap(paths: Positions, limit: np.floating[Any]) -> Indices:
