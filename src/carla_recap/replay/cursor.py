@@ -150,25 +150,18 @@ class Cursor:
         actors = self.state.actors
         missing = set(self.state.lights.tolist()) - set(array(found["light_states"])["id"].tolist())
         stop, width = found.elapsed, _LOOK_BACK
-        recalled: list[NDArray[np.void]] = []
+        recalled: dict[int, NDArray[np.void]] = {}
         while missing and stop > (earliest := min(actors[id].since for id in missing)):
             start = max(stop - width, earliest)
-            states = self._light_states(start, stop, {id: actors[id].since for id in missing})
-            missing -= states.keys()
-            recalled += states.values()
+            for frame in self._reader.frames(("light_states",), start=start, stop=stop):
+                records = array(frame["light_states"])
+                for row, id in enumerate(records["id"].tolist()):
+                    if id in missing and frame.elapsed >= actors[id].since:
+                        recalled[id] = records[row : row + 1]
+            missing -= recalled.keys()
             stop, width = start, width * _WIDER
         if recalled:
-            self.state.recall_lights(np.concatenate(recalled))
-
-    def _light_states(self, start: float, stop: float, since: dict[int, float]) -> dict[int, NDArray[np.void]]:
-        """Return the latest states within a time of lights, each since its spawn."""
-        states: dict[int, NDArray[np.void]] = {}
-        for frame in self._reader.frames(("light_states",), start=start, stop=stop):
-            records = array(frame["light_states"])
-            for row, id in enumerate(records["id"].tolist()):
-                if id in since and frame.elapsed >= since[id]:
-                    states[id] = records[row : row + 1]
-        return states
+            self.state.recall_lights(np.concatenate(list(recalled.values())))
 
 
 def _id_changes(batch: Batch) -> NDArray[np.bool_]:

@@ -13,6 +13,10 @@ from carla_recap.replay.pose import JUMP, LOCATION, TOP_SPEED
 from carla_recap.replay.selection import NO_IDS, Ids, Selection, array, find, numbers
 
 if TYPE_CHECKING:
+    from collections.abc import Iterator
+
+    from numpy.typing import NDArray
+
     from carla_recap.formats.base import Reader
     from carla_recap.queries.actors import Actor
 
@@ -101,14 +105,9 @@ def _distances(reader: Reader, start: float, stop: float) -> dict[int, float]:
     step = min(_MAX_STEP, (min(stop, reader.extent().duration) - start) / _MIN_STEPS)
     distances: dict[int, float] = {}
     selection = Selection()
-    ids, locations, distance, due, before = NO_IDS, np.zeros((0, 3)), np.zeros(0), -math.inf, 0.0
-    for frame in reader.frames(("transforms",), start=start):
-        if frame.elapsed > stop:
-            break
-        if frame.elapsed < due:
-            continue
-        records = array(frame["transforms"])
-        with np.errstate(invalid="ignore"):  # a NaN that signals
+    ids, locations, distance, before = NO_IDS, np.zeros((0, 3)), np.zeros(0), 0.0
+    for elapsed, records in _samples(reader, start, stop, step):
+        with np.errstate(invalid="ignore"):  # a signaling NaN
             now = numbers(records)[selection.choose(records, NO_IDS), LOCATION].astype(np.float64)
         if selection.ids is not ids:
             _add(distances, ids, distance)
@@ -117,13 +116,27 @@ def _distances(reader: Reader, start: float, stop: float) -> dict[int, float]:
             ids, distance = selection.ids, np.zeros(len(now))
         with np.errstate(invalid="ignore", over="ignore"):
             steps = np.sqrt(((now - locations) ** 2).sum(axis=1))
-        possible = max(JUMP, TOP_SPEED * (frame.elapsed - before))
+        possible = max(JUMP, TOP_SPEED * (elapsed - before))
         distance += np.where(steps <= possible, steps, 0)
-        locations, before, due = now, frame.elapsed, frame.elapsed + step
+        locations, before = now, elapsed
     _add(distances, ids, distance)
     return distances
 
 
-def _add(distances: dict[int, float], ids: Ids, more: np.ndarray[tuple[int], np.dtype[np.float64]]) -> None:
+def _samples(reader: Reader, start: float, stop: float, step: float) -> Iterator[tuple[float, NDArray[np.void]]]:
+    """Yield the elapsed seconds and the transforms of frames that are at least a step, in seconds, apart."""
+    due = -math.inf
+    for batch in reader.batches(("transforms",), start=start):
+        records, row = batch.records("transforms"), int(np.searchsorted(batch.elapsed, due))
+        while row < len(batch):
+            elapsed = float(batch.elapsed[row])
+            if elapsed > stop:
+                return
+            yield elapsed, records[row]
+            due = elapsed + step
+            row += 1 + int(np.searchsorted(batch.elapsed[row + 1 :], due))
+
+
+def _add(distances: dict[int, float], ids: Ids, more: NDArray[np.float64]) -> None:
     for id, distance in zip(ids.tolist(), more.tolist(), strict=True):
         distances[id] = distances.get(id, 0.0) + distance
