@@ -1,4 +1,4 @@
-"""The actors that are there, as spawns and destructions say, and the order in which CARLA goes through them."""
+"""The actors that are present at a time, and the order in which CARLA iterates over them."""
 
 from __future__ import annotations
 
@@ -12,9 +12,10 @@ A = TypeVar("A")
 
 
 class PresentActors(Generic[A]):
-    """The actors by id, in the order in which they came.
+    """The actors that are present, by id, in the order of their spawns.
 
-    Of a destroyed actor, CARLA forgets the one that was spawned last instead, or id 0 before any spawn; so does `compat`.
+    When an actor is destroyed, CARLA removes the one that was spawned last instead, or id 0 before any spawn; with `compat`,
+    this is reproduced.
     """
 
     def __init__(self, *, compat: bool) -> None:
@@ -28,16 +29,16 @@ class PresentActors(Generic[A]):
         self._newest = id
 
     def destroy(self, id: int) -> A | None:
-        """Forget an actor and return it; None where there is no such."""
+        """Remove an actor and return it; None if it is not present."""
         return self.actors.pop(self._newest if self._compat else id, None)
 
 
 class HashOrder:
-    """Ids in the order in which CARLA goes through its table of actors, an `unordered_map` of libc++.
+    """Ids in the order in which CARLA iterates over its table of actors, an `unordered_map` of libc++.
 
-    The hash of an id is the id itself. All entries are one linked list, in which those of a bucket are neighbours: a
-    bucket's new entry becomes its first one, and a new bucket comes to the front of the list. A full table first gets a
-    prime number of buckets, at least twice as many as it had.
+    The hash of an id is the id itself. All entries form one linked list, in which the entries of a bucket are neighbours: a
+    new entry becomes the first of its bucket, and a new bucket is inserted at the front of the list. A full table grows first,
+    to a prime number of buckets that is at least twice the number before.
     """
 
     def __init__(self) -> None:
@@ -47,17 +48,17 @@ class HashOrder:
 
     def ids(self) -> Iterator[int]:
         """Yield the ids."""
-        at = self._next[_FRONT]
-        while at is not None:
-            yield at
-            at = self._next[at]
+        id = self._next[_FRONT]
+        while id is not None:
+            yield id
+            id = self._next[id]
 
     def add(self, id: int) -> None:
-        """Add an id; nothing happens to one that is there."""
+        """Add an id if it is not present."""
         if id in self._next:
             return
-        if len(self._next) > self._buckets:  # one of them is the front
-            # A power of two only ever comes of an empty table, as 2 buckets.
+        if len(self._next) > self._buckets:  # of which one is the front
+            # The number of buckets is a power of two only in a table of 2, which grows from an empty one.
             self._grow(_next_prime(max(2 * self._buckets + 1, 2)))
         bucket = id % self._buckets
         if bucket in self._before:
@@ -70,14 +71,13 @@ class HashOrder:
             self._before[behind % self._buckets] = id
 
     def remove(self, id: int) -> None:
-        """Remove an id that is there."""
+        """Remove an id that is present."""
         bucket = id % self._buckets
         before = self._before[bucket]
         while self._next[before] != id:
             before = self._next[before]  # type: ignore[assignment]
         behind = self._next[before] = self._next.pop(id)
-        goes_on = behind is not None and behind % self._buckets == bucket
-        if not goes_on:
+        if behind is None or behind % self._buckets != bucket:
             if before == self._before[bucket]:
                 del self._before[bucket]
             if behind is not None:
@@ -88,7 +88,7 @@ class HashOrder:
         self._next[before] = id
 
     def _grow(self, buckets: int) -> None:
-        """Sort the list into more buckets: each entry goes behind the one that its bucket's first entry follows."""
+        """Distribute the list over more buckets: each entry goes behind the one before the first entry of its bucket."""
         self._buckets = buckets
         self._before = {}
         last, latest = _FRONT, None
@@ -104,7 +104,7 @@ class HashOrder:
                 self._put_behind(self._before[bucket], id)
 
 
-_FRONT = -1  # stands before the first id
+_FRONT = -1  # the key of the first id
 
 
 def _next_prime(number: int) -> int:

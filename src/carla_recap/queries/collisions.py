@@ -1,4 +1,4 @@
-"""Who hit whom, and when."""
+"""Collisions: which actors collide, and when."""
 
 from __future__ import annotations
 
@@ -15,10 +15,10 @@ if TYPE_CHECKING:
     from carla_recap.formats.base import Reader
 
 LETTERS: Final = {"v": "vehicle", "w": "walker", "t": "traffic light", "o": "other", "h": "hero", "a": "any"}
-"""What a side of a collision can be asked to be."""
+"""The kinds that a side of a collision can be filtered by."""
 
-_KINDS: Final = "ovwt"  # by ActorKind; signs and sensors are others
-_KINDS_OF_CARLA: Final = "ovwtha"  # CARLA takes the letters for hero and any into its list of kinds
+_KINDS: Final = "ovwt"  # by ActorKind; signs and sensors count as others
+_KINDS_OF_CARLA: Final = "ovwtha"  # CARLA includes the letters for hero and any in its list of kinds
 _TYPES: Final = ("spawned", "destroyed", "collisions")
 
 _Actor = tuple[int, str]  # kind and type id
@@ -27,16 +27,16 @@ _UNKNOWN: Final[_Actor] = (0, "")
 
 @dataclass(frozen=True, slots=True)
 class CollisionRow:
-    """A collision that begins; while it goes on in the following frames, no further row tells of it.
+    """The beginning of a collision; the frames in which it continues give no further rows.
 
     Attributes:
         elapsed: Seconds since the recording began.
         frame: CARLA's frame number.
-        letter1: What the first actor is: `v` vehicle, `w` walker, `t` traffic light, `o` anything else.
-        id1: Its id; 4294967295 for what is no actor: a building, a barrier.
+        letter1: The kind of the first actor: `v` vehicle, `w` walker, `t` traffic light, `o` other.
+        id1: Its id; 4294967295 for an object that is no actor, such as a building.
         type_id1: Its blueprint, such as `vehicle.audi.tt`; empty for an unknown actor.
         hero1: Whether it is the hero.
-        letter2: What the second actor is.
+        letter2: The kind of the second actor.
         id2: Its id.
         type_id2: Its blueprint.
         hero2: Whether it is the hero.
@@ -62,16 +62,16 @@ class Collisions(Answer[CollisionRow]):
 
 
 def collisions(source: Reader, type1: str = "a", type2: str = "a", *, compat: bool = False) -> Collisions:
-    """The collisions between two kinds of actors.
+    """Return the collisions between two kinds of actors.
 
-    Each ordered pair of actors gives a row in the first frame of its contact. First comes the actor that has
-    the collision sensor.
+    Each ordered pair of actors gives a row in the first frame of its contact. The first actor is the one with the collision
+    sensor.
 
     Args:
         source: The recording.
-        type1: What the first actor must be: a letter of `LETTERS`.
-        type2: What the second actor must be.
-        compat: Answer as CARLA 0.9.16 does, with its slips.
+        type1: The kind of the first actor: a letter of `LETTERS`.
+        type2: The kind of the second actor.
+        compat: Whether to reproduce the mistakes of CARLA 0.9.16.
 
     Raises:
         RecapError: There is no such letter.

@@ -1,4 +1,4 @@
-"""What happened in a recording: its events, or every record."""
+"""Info: the events of a recording, or all its records."""
 
 from __future__ import annotations
 
@@ -16,12 +16,12 @@ if TYPE_CHECKING:
     from carla_recap.model.frame import Extent, Frame, Header
 
 EVENTS: Final = ("spawned", "destroyed", "parented", "collisions")
-"""The record types that tell of events."""
+"""The record types of events."""
 
 
 @dataclass(frozen=True, slots=True)
 class InfoRow:
-    """A record, and when it was recorded.
+    """A record and its time.
 
     Attributes:
         elapsed: Seconds since the recording began.
@@ -42,8 +42,8 @@ class Info:
 
     Args:
         source: The recording.
-        all: Whether every record is wanted, or only the events.
-        compat: Whether the text is to be CARLA's, slips included.
+        all: Whether to include all records, or only events.
+        compat: Whether the text reproduces the mistakes of CARLA 0.9.16.
     """
 
     row_type = InfoRow
@@ -55,16 +55,16 @@ class Info:
 
     @property
     def header(self) -> Header:
-        """The recording's header."""
+        """The header of the recording."""
         return self.source.header
 
     @property
     def extent(self) -> Extent:
-        """How far the recording goes; at hand after an iteration."""
+        """The extent of the recording; known after an iteration."""
         return self.source.extent()
 
     def frames(self) -> Iterator[Frame]:
-        """The frames that hold what is wanted, with packets that hold other things too if everything is."""
+        """Return the frames with the records; with `all`, their packets include those without records."""
         return self.source.frames() if self.all else self.source.frames(EVENTS, sparse=True)
 
     def __iter__(self) -> Iterator[InfoRow]:
@@ -79,12 +79,12 @@ class Info:
 
 
 def info(source: Reader, *, all: bool = False, compat: bool = False) -> Info:
-    """The events of a recording: spawns, destructions, parentings, collisions.
+    """Return the events of a recording: spawns, destructions, parentings, collisions.
 
     Args:
         source: The recording.
-        all: Take every record instead.
-        compat: Let the text report be as CARLA 0.9.16 prints it, with its slips.
+        all: Whether to return all records instead.
+        compat: Whether the text reproduces the mistakes of CARLA 0.9.16.
     """
     return Info(source, all=all, compat=compat)
 

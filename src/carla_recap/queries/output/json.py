@@ -16,9 +16,9 @@ if TYPE_CHECKING:
 
 
 def json(answer: AnyAnswer) -> Iterator[str]:
-    """An answer as one JSON object, in pieces: its `rows` have the fields and units of the row's class.
+    """Yield an answer as one JSON object, in pieces; its `rows` have the fields and units of the row's class.
 
-    What is not finite becomes null.
+    Numbers that are not finite become null.
     """
     header = {
         "version": answer.header.version,

@@ -1,4 +1,4 @@
-"""How CARLA's info text prints each type of record: a table of templates, one row per type."""
+"""The text of records in CARLA's info text: a table of templates, one row per record type."""
 
 from __future__ import annotations
 
@@ -22,12 +22,12 @@ if TYPE_CHECKING:
 
 
 class _Template:
-    """Prints records, each in the same way.
+    """Formats the records of a type.
 
     Args:
         layout: The fields of the records.
-        line: What to print of a record, with fields in braces; `{index}` is its place among the others.
-        words: For some fields, what to print for a value.
+        line: The text of a record, with fields in braces; `{index}` is the number of the record in its packet.
+        words: For some fields, a function that returns the text of a value.
     """
 
     def __init__(self, layout: Layout, line: str, /, **words: Callable[[Any], Any]) -> None:
@@ -43,14 +43,14 @@ class _Template:
         self._of_row: itemgetter[Any] = itemgetter(0)
 
     def text(self, records: Records) -> str:
-        """The text of some records."""
+        """Return the text of some records."""
         if not len(records):
             return ""
         text = "".join(map(self._line.__mod__, self._rows(records)))
         return self._text_with_signs(records) if "nan" in text else text
 
     def _rows(self, records: Records) -> Iterable[Any]:
-        """What to print of each record, in the order of the line."""
+        """Return the values of each record, in the order of the line."""
         if not isinstance(records, np.ndarray):
             rows: Iterable[Any] = map(self._of_object, records)
         elif len(records) < _FEW:
@@ -62,8 +62,8 @@ class _Template:
     def _few_rows(self, records: NDArray[np.void]) -> Iterable[Any]:
         names = records.dtype.names or ()
         if names != self._names:
-            self._names, places = names, ("index", *names)
-            self._of_row = itemgetter(*map(places.index, self._fields))
+            self._names, all_names = names, ("index", *names)
+            self._of_row = itemgetter(*map(all_names.index, self._fields))
         rows = [(index, *row) for index, row in enumerate(records.tolist())]
         if len(self._fields) == 1:  # of which `itemgetter` makes no tuple
             return [(self._of_row(row),) for row in rows]
@@ -74,27 +74,27 @@ class _Template:
 
     def _in_words(self, row: Iterable[Any]) -> tuple[Any, ...]:
         values = list(row)
-        for place, word in self._words:
-            values[place] = word(values[place])
+        for index, word in self._words:
+            values[index] = word(values[index])
         return tuple(values)
 
     def _text_with_signs(self, records: Records) -> str:
-        """The text of records with a NaN among them, whose sign Python does not print."""
+        """Return the text of records with a NaN among them, whose sign Python's formatting omits."""
         rows = ([number(v) if real else v for v, real in zip(row, self._reals, strict=True)] for row in self._rows(records))
         return "".join(self._line_of_texts % tuple(row) for row in rows)
 
 
 _FIELD: Final = re.compile(r"\{(\w+)\}")
-_FEW: Final = 16  # so many records are taken apart sooner one by one than field by field
+_FEW: Final = 16  # records, up to which they are faster converted one by one than field by field
 
 
 class PacketLines:
-    """Prints the packets of a type.
+    """Formats the packets of a type.
 
     Args:
-        template: Prints the records.
-        heading: What comes first, before the number of records; None for nothing.
-        end: What comes last.
+        template: Formats the records.
+        heading: The heading, which the number of records follows; None for no heading.
+        end: The text after the records.
     """
 
     def __init__(self, template: _Template, heading: str | None, end: str = "") -> None:
@@ -103,7 +103,7 @@ class PacketLines:
         self._end = end
 
     def __call__(self, packet: Packet) -> str:
-        """The text of a packet."""
+        """Return the text of a packet."""
         text = self._template.text(packet.records)
         if self._heading is None:
             return text
@@ -149,12 +149,12 @@ def _door(door: int) -> str:
 
 
 def _door_of_carla(door: int) -> str:
-    """CARLA leaves the line of an unknown door open."""
+    """Return the name of a door; for an unknown one, CARLA prints no end of line."""
     return _door(door) if door < len(_DOORS) else ""
 
 
 def _light_state(state: int) -> str:
-    """One character, as far behind `0` as the state says; `?` for what is not ASCII."""
+    """Return the character with the code of `0` plus the state; `?` if it is not ASCII."""
     code = (ord("0") + state) & 0xFF
     return chr(code) if code < 0x80 else "?"
 
@@ -163,8 +163,8 @@ def _hero(flag: int) -> str:
     return " (hero) " if flag else ""
 
 
-def _there_and_back(metres: float) -> float:
-    """Return a length as CARLA shows it, which takes it from m to cm and back in 32 bits."""
+def _rounded_as_in_carla(metres: float) -> float:
+    """Return a length as CARLA prints it, converted from m to cm and back in single precision."""
     with np.errstate(all="ignore"):
         return float(np.float32(0.01) * (np.float32(100.0) * np.float32(metres)))
 
@@ -205,7 +205,7 @@ _POINT: Final = _Template(_inside("physics", "torque_curve"), " ({x}, {y})")
 
 
 def _curve(points: NDArray[np.void]) -> str:
-    """The points by their first number; of equal ones, the later recorded comes first."""
+    """Return the text of points, sorted by x; of equal ones, the one recorded last comes first."""
     backwards = points[::-1]
     return _POINT.text(backwards[np.argsort(backwards["x"], kind="stable")])
 
@@ -248,7 +248,7 @@ _PHYSICS_WORDS: Final[dict[str, Callable[[Any], Any]]] = {
     "wheels": _WHEEL.text,
 }
 _CENTER_OF_CARLA: Final[dict[str, Callable[[Any], Any]]] = dict.fromkeys(
-    (f"center_of_mass_{axis}" for axis in "xyz"), _there_and_back
+    (f"center_of_mass_{axis}" for axis in "xyz"), _rounded_as_in_carla
 )
 
 
@@ -318,5 +318,5 @@ _LINES_OF_CARLA: Final = dict((*_ROWS, *_ROWS_OF_CARLA))
 
 
 def packet_lines(*, compat: bool) -> Mapping[str, PacketLines]:
-    """What prints the packets of each record type that CARLA shows."""
+    """Return the formatters of packets, by the record types that CARLA prints."""
     return _LINES_OF_CARLA if compat else _LINES

@@ -27,16 +27,16 @@ if TYPE_CHECKING:
 class _Column:
     heading: str
     cell: Callable[[Any], str]
-    width: int | None = None  # where a table comes in pages, which must look like one
+    width: int | None = None  # of a table that is printed in pages
     is_number: bool = False
 
 
 def table(answer: AnyAnswer, console: Console | None = None) -> None:
-    """Print an answer as a table; whatever could control the terminal is shown as an escape sequence.
+    """Print an answer as a table; characters that could control the terminal are shown as escape sequences.
 
     Args:
         answer: The answer.
-        console: Where to; the standard output if None.
+        console: The console to print to; None for the standard output.
     """
     from rich.console import Console
     from rich.text import Text

@@ -1,4 +1,4 @@
-"""CARLA's text of the answers, as its query functions print it."""
+"""Answers as the text that CARLA's query functions print."""
 
 from __future__ import annotations
 
@@ -28,11 +28,11 @@ _NAME_WIDTH: Final = 35
 
 
 def text(answer: AnyAnswer) -> Iterator[str]:
-    """CARLA's text of an answer, in pieces; of actors and incidents, for which CARLA has none, a list in its manner."""
+    """Yield CARLA's text of an answer, in pieces; of actors and incidents, which CARLA has no text for, a similar list."""
     kind = type(answer).__name__
     yield _preamble(answer.header)
     yield from _BODIES[kind](answer)
-    # In CARLA, a collision's row leaves the stream without decimals.
+    # In CARLA, the row of a collision sets the number format of the stream to no decimals.
     rounded = answer.compat and kind == "Collisions" and any(answer)
     duration = (_whole if rounded else number)(answer.extent.duration)
     yield f"\nFrames: {answer.extent.last_id}\nDuration: {duration} seconds\n"
@@ -43,7 +43,7 @@ def _preamble(header: Header) -> str:
 
 
 def local_date(seconds: int) -> str:
-    """A date in local time, as in the C locale; the number itself where no calendar reaches."""
+    """Return a date in local time, as in the C locale; the number itself if it is out of range."""
     try:
         return time.strftime("%m/%d/%y %H:%M:%S", time.localtime(seconds))
     except (OverflowError, ValueError, OSError):
@@ -51,12 +51,12 @@ def local_date(seconds: int) -> str:
 
 
 def _whole(value: float) -> str:
-    """A number without decimals, the even one of two equally near."""
+    """Return a number rounded to no decimals, half to even."""
     return "-nan" if number(value) == "-nan" else f"{value:.0f}"
 
 
 def _padded(name: str) -> str:
-    """A name of at least a column's width; CARLA counts bytes."""
+    """Return a name padded to the width of a column, which CARLA counts in bytes."""
     return name + " " * (_NAME_WIDTH - len(name.encode()))
 
 
@@ -110,7 +110,7 @@ def _info(answer: Info) -> Iterator[str]:
             parts.append(lines[packet.type.name](packet))
         yield "".join(parts)
     if answer.compat:
-        yield _once_more(answer, frame)
+        yield _repeated_end(answer, frame)
 
 
 _BODIES: Final[Mapping[str, Callable[[Any], Iterator[str]]]] = {
@@ -120,19 +120,18 @@ _BODIES: Final[Mapping[str, Callable[[Any], Iterator[str]]]] = {
     "RecordedActors": _actors,
     "Incidents": _incidents,
 }
-"""By the name of an answer's class, since only the module of the query that was asked is imported."""
+"""By the name of the answer's class: the modules of other queries are not imported."""
 
 
 def _frame_line(id: int, elapsed: float) -> str:
     return f"Frame {id} at {number(elapsed)} seconds\n"
 
 
-def _once_more(answer: Info, last: Frame | None) -> str:
-    """What CARLA prints at the end of a file that does not end with a frame's end.
+def _repeated_end(answer: Info, last: Frame | None) -> str:
+    """Return what CARLA prints in addition at the end of a file whose last packet is not the end of a frame.
 
-    It takes the last packet for read once more, with the values that it holds already: as many copies of its
-    last record as it has records. In a file without packets, that is the start of a frame 0. Of a file that
-    was cut short, nothing is to be had this way but a wrong answer: then nothing is printed.
+    CARLA processes the last packet once more, with its last record repeated; in a file without packets, the start of a
+    frame 0. For a file that was cut short, this cannot be reproduced, and nothing is returned.
     """
     from carla_recap.queries.info import EVENTS
     from carla_recap.queries.output.packet_lines import packet_lines
