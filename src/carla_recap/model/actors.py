@@ -37,8 +37,8 @@ class HashOrder:
     """Ids in the order in which CARLA iterates over its table of actors, an `unordered_map` of libc++.
 
     The hash of an id is the id itself. All entries form one linked list, in which the entries of a bucket are neighbours: a
-    new entry becomes the first of its bucket, and a new bucket is inserted at the front of the list. A full table grows first,
-    to a prime number of buckets that is at least twice the number before.
+    new entry becomes the first of its bucket, and a new bucket is inserted at the front of the list. A full table first
+    grows to a prime number of buckets that is at least twice the number before.
     """
 
     def __init__(self) -> None:
