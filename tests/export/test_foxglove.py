@@ -49,7 +49,7 @@ def export(source: Path, destination: Path, **options):
 
 
 def read(path: Path):
-    """The messages of each topic, each with its seconds since the first one."""
+    """Return the messages of each topic, each with its seconds since the first one."""
     topics = defaultdict(list)
     with path.open("rb") as file:
         reader = make_reader(file, validate_crcs=True, decoder_factories=[DecoderFactory()])
@@ -60,7 +60,7 @@ def read(path: Path):
 
 
 def seen(messages, until: float = math.inf):
-    """The entities that a viewer shows which has seen all messages until some time."""
+    """Return the entities that a viewer shows after all messages until some time."""
     entities = {}
     for time, message in messages:
         if time > until + 1e-6:
@@ -72,7 +72,7 @@ def seen(messages, until: float = math.inf):
 
 
 def latest(messages, time: float):
-    """The message that a viewer shows which has leapt to a time."""
+    """Return the message that a viewer shows after it has sought a time."""
     return [message for at, message in messages if at <= time + 1e-6][-1]
 
 
@@ -90,7 +90,7 @@ def crossing(tmp_path_factory):
 
 @pytest.fixture
 def record(tmp_path):
-    """Write a recording from what happens in its frames, export it, and read that."""
+    """Return a function that writes a recording of some frames, exports it and reads the export."""
 
     def make(*frames, tick=0.1, times=None, **options):
         source = write(tmp_path / "source.log", frames, tick=tick, times=times)
@@ -105,7 +105,7 @@ def record(tmp_path):
 
 @pytest.mark.skipif(not shutil.which("node"), reason="node is not installed")
 @pytest.mark.parametrize("name", ["crossing", *REAL])
-def test_foxgloves_own_libraries_read_it(tmp_path, name):
+def test_foxgloves_own_libraries_read_an_export(tmp_path, name):
     if not (NODE / "node_modules").is_dir():
         pytest.skip("the libraries of the independent reader are not installed: npm ci --prefix tests/node")
     export(CROSSING if name == "crossing" else carla_log(name), tmp_path / "export.mcap")
@@ -124,13 +124,13 @@ def test_foxgloves_own_libraries_read_it(tmp_path, name):
     assert metadata["metadata"]["followed"] == str(found["topics"]["/hero"]["first"]["id"])
 
 
-def test_it_is_no_recording(tmp_path):
+def test_an_export_is_no_recording(tmp_path):
     export(CROSSING, tmp_path / "export.mcap", duration=1)
     with pytest.raises(NotARecording):
         open_recording(tmp_path / "export.mcap")
 
 
-def test_it_is_written_over_nothing(tmp_path):
+def test_a_file_is_overwritten_only_by_force(tmp_path):
     (tmp_path / "out.mcap").write_bytes(b"precious")
     with pytest.raises(RecapError, match="exists already; --force"):
         export(CROSSING, tmp_path / "out.mcap")
@@ -139,7 +139,7 @@ def test_it_is_written_over_nothing(tmp_path):
     assert read(tmp_path / "out.mcap")["/scene"]
 
 
-def test_a_failure_leaves_nothing_behind(tmp_path):
+def test_a_failure_leaves_no_file(tmp_path):
     def fail(scenes, player):
         yield next(iter(scenes))
         raise RuntimeError("enough")
@@ -149,18 +149,18 @@ def test_a_failure_leaves_nothing_behind(tmp_path):
     assert names_in(tmp_path) == []
 
 
-def test_a_place_that_is_none_is_told(tmp_path):
+def test_a_missing_folder_is_an_error(tmp_path):
     with pytest.raises(RecapError, match=r"nowhere.*out\.mcap: cannot be written"):
         export(CROSSING, tmp_path / "nowhere" / "out.mcap")
 
 
-def test_nobody_to_follow_leaves_nothing_behind(tmp_path):
+def test_an_unknown_actor_to_follow_leaves_no_file(tmp_path):
     with pytest.raises(RecapError, match="no actor 7 to follow; near ids are"):
         export(CROSSING, tmp_path / "out.mcap", follow=7)
     assert names_in(tmp_path) == []
 
 
-def test_progress_sees_every_scene(tmp_path):
+def test_progress_is_given_every_scene(tmp_path):
     times = []
 
     def watch(scenes, player):
@@ -172,7 +172,7 @@ def test_progress_sees_every_scene(tmp_path):
     assert (len(times), times[0], times[-1]) == (21, pytest.approx(51 / 53), 1)
 
 
-def test_without_the_extra_it_says_what_to_install(tmp_path):
+def test_without_the_extra_the_error_names_what_to_install(tmp_path):
     code = f"""
 import sys
 sys.modules["foxglove_schemas_protobuf"] = None
@@ -189,11 +189,27 @@ except MissingExtra as error:
     assert names_in(tmp_path) == []
 
 
+@pytest.mark.parametrize("name", ["crossing", *REAL])
+@pytest.mark.parametrize("together", [1, 7])
+def test_messages_do_not_depend_on_how_many_are_made_at_once(tmp_path, monkeypatch, name, together):
+    source = CROSSING if name == "crossing" else carla_log(name)
+    export(source, tmp_path / "many.mcap", duration=15)
+    monkeypatch.setattr("carla_recap.export.foxglove.writer._TOGETHER", together)
+    export(source, tmp_path / "few.mcap", duration=15)
+    many, few = (_serialized(tmp_path / f"{name}.mcap") for name in ("many", "few"))
+    assert many == few
+
+
+def _serialized(path):
+    with path.open("rb") as file:
+        return [(channel.topic, message.log_time, message.data) for _, channel, message in make_reader(file).iter_messages()]
+
+
 # --- the scene -----------------------------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize("time", [0.3, 10.0, 24.7, 53.0])
-def test_actors_are_where_they_were(crossing, time):
+def test_actors_have_their_recorded_poses(crossing, time):
     with open_recording(CROSSING) as recording:
         trajectory = recording.trajectory(HERO)
         box = recording.actors[HERO].bounding_box
@@ -208,7 +224,7 @@ def test_actors_are_where_they_were(crossing, time):
 
 
 @pytest.mark.parametrize("name", REAL)
-def test_actors_of_real_recordings_are_where_they_were(tmp_path, name):
+def test_actors_of_real_recordings_have_their_recorded_poses(tmp_path, name):
     source = carla_log(name)
     export(source, tmp_path / "export.mcap", follow="hero")
     topics = read(tmp_path / "export.mcap")
@@ -227,7 +243,7 @@ def test_actors_of_real_recordings_are_where_they_were(tmp_path, name):
     assert len(times) >= len(trajectory.time) - 1
 
 
-def test_a_box_with_its_middle_elsewhere_turns_with_its_actor(record):
+def test_a_box_with_a_center_turns_with_its_actor(record):
     box = (1, 100, 50, 75, 200, 100, 75)  # cm, left-handed: the middle is 1 m ahead and 0.5 m to the right
     frames = [{"spawned": [spawn(1)], "transforms": [pose(1)], "bounding_boxes": [box]}]
     frames += [{"transforms": [pose(1, x=1000 * n, y=200, yaw=90)]} for n in range(1, 3)]
@@ -237,7 +253,7 @@ def test_a_box_with_its_middle_elsewhere_turns_with_its_actor(record):
     assert xyz(cube.size) == pytest.approx([4, 2, 1.5])
 
 
-def test_who_is_destroyed_is_deleted_then(crossing):
+def test_a_destroyed_actor_is_deleted_at_its_time(crossing):
     (time,) = [time for time, message in crossing["/scene"] for gone in message.deletions if gone.id == f"actor {GONE}"]
     assert time == pytest.approx(27.0)
     assert f"actor {GONE}" in seen(crossing["/scene"], 26.9)
@@ -245,14 +261,14 @@ def test_who_is_destroyed_is_deleted_then(crossing):
 
 
 @pytest.mark.parametrize("time", [0.0, 12.0, 24.7, 37.0, 53.0])
-def test_a_leap_shows_the_same_as_playing_on(crossing, time):
+def test_seeking_shows_the_same_as_playing(crossing, time):
     for topic in ("/scene", "/scene/still"):
-        leapt = seen([(0, latest(crossing[topic], time))])
-        assert leapt == seen(crossing[topic], time)
+        sought = seen([(0, latest(crossing[topic], time))])
+        assert sought == seen(crossing[topic], time)
 
 
 @pytest.mark.parametrize("time", [0.0, 12.0, 24.7, 37.0, 53.0])
-def test_everybody_with_a_body_is_on_one_of_the_topics(crossing, time):
+def test_every_actor_with_a_body_is_on_one_of_the_topics(crossing, time):
     from carla_recap.replay import Player
 
     with open_recording(CROSSING) as recording:
@@ -262,13 +278,13 @@ def test_everybody_with_a_body_is_on_one_of_the_topics(crossing, time):
     assert not moved.keys() & still.keys()
 
 
-def test_who_stands_still_is_told_only_once(crossing):
+def test_an_actor_that_stands_still_is_not_repeated(crossing):
     barrel = [time for time, message in crossing["/scene"] for entity in message.entities if entity.id == "actor 11"]
     assert not barrel
     assert len(crossing["/scene/still"]) < 60
 
 
-def test_who_starts_to_move_changes_the_topic(record):
+def test_an_actor_that_starts_to_move_changes_the_topic(record):
     xs = [0, 0.2, 0.4, 50, 100, 100]
     topics = record(*({"spawned": [spawn(1)] if n == 0 else [], "transforms": [pose(1, x=x)]} for n, x in enumerate(xs)))
     assert [time for time, _ in topics["/scene/still"]] == pytest.approx([0, 0.3])
@@ -278,7 +294,7 @@ def test_who_starts_to_move_changes_the_topic(record):
     assert found == pytest.approx([0.5, 1, 1])
 
 
-def test_what_is_known_of_an_actor_is_told(crossing):
+def test_an_entity_has_the_metadata_of_its_actor(crossing):
     entity = seen(crossing["/scene"])[f"actor {HERO}"]
     metadata = {pair.key: pair.value for pair in entity.metadata}
     assert metadata == {"actor": "hero 100", "type_id": "vehicle.tesla.model3", "role_name": "hero"}
@@ -286,7 +302,7 @@ def test_what_is_known_of_an_actor_is_told(crossing):
     assert [round(255 * part) for part in (entity.cubes[0].color.r, entity.cubes[0].color.g)] == [255, 176]
 
 
-def test_entities_carry_the_time_of_their_message(crossing):
+def test_entities_have_the_time_of_their_message(crossing):
     for time, message in crossing["/scene"][100:200]:
         stamps = {entity.timestamp.ToNanoseconds() for entity in message.entities}
         assert len(stamps) == 1
@@ -294,7 +310,7 @@ def test_entities_carry_the_time_of_their_message(crossing):
         assert stamps.pop() - start == pytest.approx(time * 1e9, abs=2)
 
 
-def test_an_id_that_is_given_out_again_is_somebody_else(record):
+def test_an_id_that_is_used_again_is_another_actor(record):
     topics = record(
         {"spawned": [spawn(1)], "transforms": [pose(1)]},
         {"transforms": [pose(1, x=100)]},
@@ -308,26 +324,26 @@ def test_an_id_that_is_given_out_again_is_somebody_else(record):
     assert walker.cubes[0].size.z == pytest.approx(1.86)
 
 
-def test_an_actor_that_nobody_spawned_is_shown(record):
+def test_an_actor_without_a_spawn_is_shown(record):
     topics = record(*({"transforms": [pose(5, x=100 * n)]} for n in range(3)))
     assert list(seen(topics["/scene"])) == ["actor 5"]
 
 
-def test_a_box_that_is_invented_is_faint(record):
+def test_a_box_that_is_not_recorded_is_faint(record):
     bag = Spawn(2, ActorKind.OTHER, type_id="static.prop.bag")
     topics = record({"spawned": [spawn(1), bag], "transforms": [pose(1), pose(2)]})
     entities = seen(topics["/scene/still"])
     assert [entities[f"actor {id}"].cubes[0].color.a for id in (1, 2)] == [1.0, 0.35]
 
 
-def test_what_is_attached_goes_along(record):
+def test_an_attached_actor_moves_with_its_parent(record):
     bag = Spawn(2, ActorKind.OTHER, x=-100, type_id="static.prop.bag")
     frames = [{"spawned": [spawn(1), bag], "parented": [(2, 1)]}, {}, {}]
     topics = record(*({**frame, "transforms": [pose(1, x=1000 * n)]} for n, frame in enumerate(frames)))
     assert seen(topics["/scene"])["actor 2"].cubes[0].pose.position.x == pytest.approx(19)
 
 
-def test_a_place_that_is_no_number_is_not_shown(record):
+def test_an_actor_at_nan_is_not_shown(record):
     xs = [0, 100, math.nan, 300]
     topics = record(
         *({"spawned": [spawn(1)] if n == 0 else [], "transforms": [pose(1, x=x)]} for n, x in enumerate(xs)), follow=1
@@ -344,7 +360,7 @@ def test_an_actor_ten_thousand_kilometres_away_is_not_shown(record):
     assert [bool(entities) for entities in shown] == [True, False, True]
 
 
-def test_who_stands_still_shows_up_once_its_place_is_a_number(record):
+def test_an_actor_that_stands_still_is_shown_once_its_location_is_a_number(record):
     xs = [math.nan, 100, 100]
     topics = record(*({"spawned": [spawn(1)] if n == 0 else [], "transforms": [pose(1, x=x)]} for n, x in enumerate(xs)))
     assert [bool(seen(topics["/scene/still"], n / 10)) for n in range(3)] == [False, True, True]
@@ -353,7 +369,7 @@ def test_who_stands_still_shows_up_once_its_place_is_a_number(record):
 @pytest.mark.parametrize(
     "name", ["times.log", "physics_0910.log", "events.log", "collisions.log", "all_packets.log", "floats.log"]
 )
-def test_odd_recordings_can_be_shown(tmp_path, name):
+def test_odd_recordings_are_exported(tmp_path, name):
     export(carla_log(name), tmp_path / "export.mcap")
     for topic in ("/scene", "/scene/still"):
         for _, message in read(tmp_path / "export.mcap")[topic]:
@@ -362,7 +378,7 @@ def test_odd_recordings_can_be_shown(tmp_path, name):
                     assert np.isfinite([*xyz(shape.pose.position), shape.pose.orientation.w]).all()
 
 
-def test_a_fast_recording_is_thinned_but_for_the_followed_actor(record):
+def test_a_fast_recording_is_thinned_except_for_the_followed_actor(record):
     times = [n / 100 for n in range(101)]
     frames = [{"spawned": [spawn(1)] if n == 0 else [], "transforms": [pose(1, x=10 * n)]} for n in range(101)]
     frames[33]["spawned"] = [spawn(2)]
@@ -373,7 +389,7 @@ def test_a_fast_recording_is_thinned_but_for_the_followed_actor(record):
     assert topics["/scene"][-1][0] == pytest.approx(1.0)
 
 
-def test_a_recording_of_bare_frames_can_be_seen(record):
+def test_a_recording_of_empty_frames_is_exported(record):
     topics = record({}, {}, {})
     assert set(topics) == set(SCHEMAS) - {"/hero"}
     (transform,) = topics["/tf"][-1][1].transforms
@@ -400,7 +416,7 @@ def test_lamps_have_the_colour_of_their_state(crossing):
         assert [light.state for light in told.lights if light.id == FIRST_LIGHT] == [state]
 
 
-def test_lights_are_told_when_they_change_and_at_the_end(record):
+def test_lights_are_written_when_they_change_and_at_the_end(record):
     states = [0, 0, 2, 2, 2]
     topics = record(
         *(
@@ -431,7 +447,7 @@ def test_the_light_ahead_is_the_nearest_in_front(record):
 # --- the followed actor --------------------------------------------------------------------------------------------
 
 
-def test_what_the_followed_actor_does(crossing):
+def test_the_followed_actor_has_its_trajectory_and_controls(crossing):
     with open_recording(CROSSING) as recording:
         trajectory, controls = recording.trajectory(HERO), recording.controls(HERO)
     rows = [message for _, message in crossing["/hero"]]
@@ -445,7 +461,7 @@ def test_what_the_followed_actor_does(crossing):
     np.testing.assert_allclose([row.speed_kmh for row in rows[1:]], speeds * 3.6)
 
 
-def test_the_recorded_speed_is_taken(record):
+def test_the_recorded_speed_is_used(record):
     topics = record(
         *(
             {"spawned": [spawn(1)] if n == 0 else [], "transforms": [pose(1, x=n)], "velocities": [velocity(1, 7.5)]}
@@ -489,7 +505,7 @@ def test_the_followed_frame_is_level_and_calm(record):
     assert abs(heroes[0].rotation.x) > 0.1
 
 
-def test_somebody_else_can_be_followed(tmp_path):
+def test_another_actor_can_be_followed(tmp_path):
     export(CROSSING, tmp_path / "out.mcap", follow=101, duration=5)
     topics = read(tmp_path / "out.mcap")
     assert {message.id for _, message in topics["/hero"]} == {101}
@@ -500,7 +516,7 @@ def test_somebody_else_can_be_followed(tmp_path):
 # --- events --------------------------------------------------------------------------------------------------------
 
 
-def test_the_log_tells_each_contact_once(crossing):
+def test_the_log_has_each_contact_once(crossing):
     told = [(round(time, 3), line.message) for time, line in crossing["/log"] if line.name == "collisions"]
     assert told == [
         (20.9, "vehicle.bh.crossbike (105) collides with walker.pedestrian.0004 (110)"),
@@ -510,17 +526,17 @@ def test_the_log_tells_each_contact_once(crossing):
     assert [levels[text] for _, text in told] == [3, 4]
 
 
-def test_the_log_begins_with_who_is_there(crossing):
+def test_the_log_begins_with_the_present_actors(crossing):
     assert crossing["/log"][0][1].message == "10 actors are there: 4 traffic lights, 4 vehicles, 2 others"
 
 
-def test_the_log_tells_who_comes_and_goes(crossing):
+def test_the_log_has_spawns_and_destructions(crossing):
     lines = [(time, line.message) for time, line in crossing["/log"] if line.name == "actors" and line.level == 2]
     assert (pytest.approx(10.0), "vehicle.bh.crossbike (105) appears") in lines
     assert (pytest.approx(27.0), "vehicle.nissan.micra (103) disappears") in lines
 
 
-def test_many_who_come_or_go_are_counted(record):
+def test_many_spawns_and_destructions_are_counted(record):
     crowd = range(10, 20)
     topics = record(
         {},
@@ -537,7 +553,7 @@ def test_many_who_come_or_go_are_counted(record):
 # --- the map -------------------------------------------------------------------------------------------------------
 
 
-def test_the_map_is_there_from_the_beginning(record):
+def test_the_map_is_written_at_the_beginning(record):
     line = np.array([(0, 0, 0), (10, 0, 0), (20, 5, 1)], float)
     square = np.array([(0, 0, 0), (1, 0, 0), (1, 1, 0), (0, 0, 0)], float)
     roads = SimpleNamespace(
@@ -561,7 +577,7 @@ def test_the_map_is_there_from_the_beginning(record):
 
 
 def panels(layout):
-    """Kind and settings of the panels of a layout, in whichever form, in the order in which they are seen."""
+    """Return kind and settings of the panels of a layout, in either form, in the order in which they are seen."""
     if "configById" in layout:
         return [(id.split("!")[0], layout["configById"][id]) for id in leaves(layout["layout"])]
     return [*contents(layout["content"])]
@@ -581,7 +597,7 @@ def contents(node):
 
 
 def texts(value):
-    """All texts within a value, and all keys."""
+    """Return all texts within a value, and all keys."""
     if isinstance(value, dict):
         return [text for pair in value.items() for part in pair for text in texts(part)]
     if isinstance(value, list):
@@ -598,20 +614,20 @@ def test_there_are_two_layouts():
     assert [path.name for path in layout_files().values()] == ["carla-recap.foxglove.json", "carla-recap.lichtblick.json"]
 
 
-def test_both_layouts_are_one():
+def test_both_layouts_have_the_same_panels():
     (new, old) = (json.loads(path.read_text("utf-8")) for path in layout_files().values())
     kinds = {"ThreeDee": "3D", "Log": "RosOut"}
     assert [(kinds.get(kind, kind), config) for kind, config in panels(new)] == panels(old)
     assert new["variables"] == old["globalVariables"]
 
 
-def test_a_layout_names_only_topics_that_there_are(layout, record):
+def test_a_layout_names_only_topics_of_an_export(layout, record):
     named = {text for text in texts(layout) if text.startswith("/")}
     assert {re.match(r"/[a-z_/]+", text)[0] for text in named} <= set(SCHEMAS)
     assert set(SCHEMAS) - {"/tf"} <= {re.match(r"/[a-z_/]+", text)[0] for text in named}
 
 
-def test_the_paths_of_a_layout_lead_somewhere(layout, crossing):
+def test_the_paths_of_a_layout_name_existing_fields(layout, crossing):
     paths = [path["value"] for _, config in panels(layout) for path in config.get("paths", [])]
     assert len(paths) == 7
     for path in paths:
@@ -642,6 +658,5 @@ def test_the_event_log_is_shown(layout):
     assert (config["topicToRender"], config["minLogLevel"]) == ("/log", 2)
 
 
-def test_every_topic_is_of_no_recording():
-    """So that nobody takes an export for a recording."""
+def test_no_topic_is_one_of_a_recording():
     assert not {type.topic for type in UE4} & set(SCHEMAS)

@@ -1,17 +1,17 @@
-"""An export to Foxglove: an MCAP file with the schemas that its panels show, and layouts that show them.
+"""An export to Foxglove: an MCAP file with the schemas that its panels show, and layouts for them.
 
 | Topic          | Schema                       | What                                                                   |
 |----------------|------------------------------|------------------------------------------------------------------------|
-| `/scene`       | foxglove.SceneUpdate         | whoever has moved so far, all of them in each message                  |
-| `/scene/still` | foxglove.SceneUpdate         | whoever has not, and traffic lights; all of them whenever one changes  |
+| `/scene`       | foxglove.SceneUpdate         | all actors that have moved so far, in each message                     |
+| `/scene/still` | foxglove.SceneUpdate         | all others, and traffic lights, whenever one of them changes           |
 | `/map`         | foxglove.SceneUpdate         | the road map, once; empty without one                                  |
 | `/tf`          | foxglove.FrameTransforms     | from `world` to `followed`, a calm and level frame, and to `hero`      |
 | `/hero`        | carla_recap.v1.Followed      | pose, speed and controls of the followed actor, in each frame          |
 | `/lights`      | carla_recap.v1.ShownLights   | the traffic light ahead of it, and all traffic lights                  |
-| `/log`         | foxglove.Log                 | what happens                                                           |
+| `/log`         | foxglove.Log                 | events, as text                                                        |
 
-Every message of a scene stands for itself: a viewer that leaps to a moment reads the latest message of each topic alone.
-Positions are in m, axes right-handed: x forward, y left, z up.
+Every message of a scene is complete: a viewer that seeks reads only the latest message of each topic. Positions are in m,
+axes right-handed: x forward, y left, z up.
 """
 
 from __future__ import annotations
@@ -20,7 +20,6 @@ from typing import TYPE_CHECKING
 
 from carla_recap.editing.convert import check_destination
 from carla_recap.export import viewer_folder
-from carla_recap.recording import Recording
 from carla_recap.replay import Played, Player
 from carla_recap.util.text import readable
 
@@ -29,6 +28,7 @@ if TYPE_CHECKING:
 
     from carla_recap.formats.base import Reader
     from carla_recap.maps import RoadMap
+    from carla_recap.recording import Recording
     from carla_recap.replay import Follow
     from carla_recap.replay.player import Progress
 
@@ -36,7 +36,7 @@ __all__ = ["export_foxglove", "layout_files"]
 
 
 def export_foxglove(
-    source: Recording | Reader,
+    source: Recording,
     destination: Path | str,
     *,
     follow: Follow | None = None,
@@ -46,30 +46,30 @@ def export_foxglove(
     force: bool = False,
     progress: Progress | None = None,
 ) -> Played:
-    """Write a recording as an MCAP file for Foxglove and its relatives.
+    """Write a recording as an MCAP file for Foxglove and Lichtblick.
 
     Args:
         source: The recording.
-        destination: Where to write; it appears when it is complete.
-        follow: Whom the layouts follow: an id or "hero"; None: see `carla_recap.replay.choose_followed`.
-        start: Where to begin, in elapsed seconds; negative: so long before the end.
-        duration: How many seconds to export; 0: all of the rest.
-        road_map: The lines of the road, to be seen on `/map`.
-        force: Overwrite what is there.
+        destination: The file; it appears when it is complete.
+        follow: The actor that the layouts follow: an id or "hero"; None: see `carla_recap.replay.choose_followed`.
+        start: The beginning, in elapsed seconds; negative: in seconds before the end.
+        duration: The number of seconds to export; 0: all of the rest.
+        road_map: The lines of the road, for `/map`.
+        force: Overwrite the file if it exists.
         progress: Is given the stream of scenes and their player, and passes the scenes on.
 
     Returns:
-        How much was exported.
+        The number of scenes, and the seconds that they span.
 
     Raises:
         MissingExtra: The extra `foxglove` is not installed.
-        RecapError: There is nothing at that time, nobody to follow, or the destination cannot be written.
+        RecapError: The recording has no such time or no such actor, or the file cannot be written.
     """
     from carla_recap.export.foxglove.writer import FoxgloveWriter
 
-    reader = source.reader if isinstance(source, Recording) else source
+    reader = source.reader
     check_destination(reader.path, destination, force=force)
-    player = Player(reader, start=start, duration=duration, follow=follow)
+    player = Player(source, start=start, duration=duration, follow=follow)
     with FoxgloveWriter(destination, reader.header, _description(reader, player), player.followed, road_map) as writer:
         for batch in player.batches(progress):
             writer.write(batch)
@@ -77,7 +77,7 @@ def export_foxglove(
 
 
 def layout_files() -> dict[str, Path]:
-    """The layouts for such a file, by the viewers that import them."""
+    """Return the layouts for such a file, by the viewers that import them."""
     folder = viewer_folder() / "foxglove"
     return {
         "Foxglove": folder / "carla-recap.foxglove.json",
