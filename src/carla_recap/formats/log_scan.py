@@ -35,6 +35,8 @@ FRAME_LIMIT: Final = 1 << 30
 _WINDOW: Final = 2 << 20  # bytes that are read at once
 _PACKETS_IN_A_FRAME: Final = 256  # at most, where a frame is searched for in a damaged file
 _FIRST_PACKET: Final = PACKET.size + START.size  # its offset in a frame
+_SHORT_RUN: Final = 16  # frames; fewer take longer to compare than to be found one by one
+_LONGEST_WAIT: Final = 128  # frames after several short runs
 _WORD: Final = 8  # bytes that are compared at once
 
 Span = tuple[int, int, int]  # id of a packet as in the file, offset in the frame and size of its payload
@@ -232,6 +234,7 @@ class Scanner:
         """Yield the runs up to a frame that needs care: the last one, a broken one, or one that is larger than a window."""
         window, unpack, header, first = self._window, PACKET.unpack_from, PACKET.size, _FIRST_PACKET
         wanted, skipped, ignored, sparse = self._wanted, self._skipped, self._ignored, self._sparse
+        short_runs = wait = 0  # in a row; the number of frames until the next run is searched for
         window.begin(self._offset)
         while True:
             data, base = window.data, window.base
@@ -261,8 +264,12 @@ class Scanner:
                     if size != START.size or stride > PACKETS_LIMIT * header:
                         return
                     frames = 1
-                    if data.startswith(START_HEAD, end + stride) or end + stride > limit:
+                    if wait:
+                        wait -= 1
+                    elif data.startswith(START_HEAD, end + stride) or end + stride > limit:
                         frames = self._alike(data, start, stride)
+                        short_runs = short_runs + 1 if frames < _SHORT_RUN else 0
+                        wait = min(1 << short_runs, _LONGEST_WAIT) if short_runs > 1 else 0
                     if packets or not sparse:
                         yield Run(self.count, base + start, frames, stride, packets, False, data, base)
                     start += frames * stride
