@@ -75,7 +75,7 @@ class Tabular:
         arrow.write_parquet(path, self.to_arrow())
 
     def _types(self) -> Mapping[str, Any]:
-        """Return the types of columns that are lists, by name: type hints, or `Nested`."""
+        """Return the types of columns that are lists, by name, as type hints."""
         return {}
 
     def _arrow_columns(self) -> dict[str, Any]:

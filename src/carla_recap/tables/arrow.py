@@ -1,6 +1,6 @@
 """The bridge to pyarrow: Arrow tables with units, and Parquet files.
 
-The types of arrays are numpy's; those of lists come from type hints or from the layout of nested records.
+The types of arrays are numpy's, those of lists come from type hints.
 """
 
 from __future__ import annotations
@@ -8,12 +8,11 @@ from __future__ import annotations
 from dataclasses import fields, is_dataclass
 from pathlib import Path
 from types import NoneType, UnionType
-from typing import TYPE_CHECKING, Any, Final, Literal, NamedTuple, Self, Union, get_args, get_origin, get_type_hints
+from typing import TYPE_CHECKING, Any, Final, Literal, Self, Union, get_args, get_origin, get_type_hints
 
 import numpy as np
 
 from carla_recap.errors import MissingExtra, RecapError
-from carla_recap.model.layout import FLAG, REAL, TEXT, Layout, Many
 from carla_recap.tables.variable import Lists
 
 if TYPE_CHECKING:
@@ -22,35 +21,9 @@ if TYPE_CHECKING:
 
     import pyarrow as pa
 
-    from carla_recap.model.records import RecordType
 
-_CODES: Final = {
-    "u1": "uint8",
-    "i1": "int8",
-    "u2": "uint16",
-    "u4": "uint32",
-    "i4": "int32",
-    "u8": "uint64",
-    "f4": "float32",
-    "f8": "float64",
-    FLAG: "bool_",
-    TEXT: "string",
-}
-"""The Arrow types of field kinds."""
 _HINTS: Final = {int: "int64", float: "float64", bool: "bool_", str: "string"}
 """The Arrow types of Python's."""
-
-
-class Nested(NamedTuple):
-    """A column of lists of records.
-
-    Attributes:
-        layout: The layout of the records in a list.
-        wide: Whether REAL fields are in double precision.
-    """
-
-    layout: Layout
-    wide: bool
 
 
 def require(feature: str) -> None:
@@ -69,13 +42,9 @@ def require(feature: str) -> None:
 
 
 def type_of(kind: Any) -> pa.DataType | None:
-    """Return the Arrow type of a type hint or of nested records; None if it must be inferred from the values."""
+    """Return the Arrow type of a type hint; None if it must be inferred from the values."""
     import pyarrow as pa
 
-    if isinstance(kind, Nested):
-        return pa.list_(
-            pa.struct([pa.field(name, _field_type(each, kind.wide)) for name, each in kind.layout.fields.items()])
-        )
     if kind in _HINTS:
         return getattr(pa, _HINTS[kind])()
     origin, arguments = get_origin(kind), get_args(kind)
@@ -91,23 +60,6 @@ def type_of(kind: Any) -> pa.DataType | None:
         hints = get_type_hints(kind)
         return pa.struct([pa.field(field.name, type_of(hints[field.name])) for field in fields(kind)])
     return None
-
-
-def _field_type(kind: str | Many, wide: bool) -> pa.DataType:
-    import pyarrow as pa
-
-    if isinstance(kind, Many):
-        return type_of(Nested(kind.layouts[0], wide))
-    return getattr(pa, _CODES[("f8" if wide else "f4") if kind == REAL else kind])()
-
-
-def nested_types(type: RecordType) -> dict[str, Any]:
-    """Return the types of the fields of a record type that are not numbers: `str` or `Nested`."""
-    return {
-        name: Nested(kind.layouts[0], type.wide) if isinstance(kind, Many) else str
-        for name, kind in type.layout.fields.items()
-        if kind == TEXT or isinstance(kind, Many)
-    }
 
 
 def table(columns: Mapping[str, Any], types: Mapping[str, Any], units: Mapping[str, str]) -> pa.Table:
@@ -131,11 +83,12 @@ def table(columns: Mapping[str, Any], types: Mapping[str, Any], units: Mapping[s
 def _array(values: Any, type: pa.DataType | None) -> pa.Array:
     import pyarrow as pa
 
-    if isinstance(values, Lists) and type is not None:
-        fields = [pa.field(field.name, field.type) for field in type.value_type]
-        items = [_array(values.fields[field.name], field.type) for field in fields]
+    if isinstance(values, Lists):
         offsets = np.concatenate(([0], np.cumsum(values.lengths))).astype(np.int32)
-        return pa.ListArray.from_arrays(offsets, pa.StructArray.from_arrays(items, fields=fields))
+        items = [_array(each, None) for each in values.fields.values()]
+        return pa.ListArray.from_arrays(offsets, pa.StructArray.from_arrays(items, list(values.fields)))
+    if isinstance(values, np.ndarray) and values.dtype == object:
+        return pa.array(values, pa.string())
     if type is not None and pa.types.is_map(type):
         values = [list(value.items()) for value in values]
     return pa.array(values, type)

@@ -9,7 +9,6 @@ import numpy as np
 from carla_recap.model.layout import EMPTY_LIST, FLAG, TEXT, Layout, Many
 from carla_recap.model.records import FRAME_START
 from carla_recap.tables import Tabular
-from carla_recap.tables.arrow import nested_types
 from carla_recap.tables.variable import Fields, Lists, joined, record_fields
 from carla_recap.util.text import readable
 
@@ -67,7 +66,7 @@ class RecordTable(Tabular):
         return {"time": "s", **self.type.units}
 
     def _types(self) -> Mapping[str, Any]:
-        return nested_types(self.type)
+        return {name: str for name, kind in self.type.layout.fields.items() if kind == TEXT}
 
     def _arrow_columns(self) -> dict[str, Any]:
         return {"frame": self.frame, "time": self.time, **self._fields}
