@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, fields
-from itertools import chain, pairwise
+from itertools import pairwise
 from typing import TYPE_CHECKING, Any, ClassVar, Final, Literal, get_args
 
 import numpy as np
@@ -13,13 +13,12 @@ from carla_recap.model.records import CM
 from carla_recap.tables import Columns, Tabular
 
 if TYPE_CHECKING:
-    from collections.abc import Collection, Iterator, Mapping
+    from collections.abc import Collection, Iterable, Iterator, Mapping
 
     from numpy.typing import NDArray
 
     from carla_recap.formats.base import Reader
     from carla_recap.model.batch import Batch
-    from carla_recap.model.frame import Frame
 
     Floats = NDArray[np.float64]
     Integers = NDArray[np.int64]
@@ -27,7 +26,7 @@ if TYPE_CHECKING:
 Axes = Literal["right-handed", "carla"]
 """Right-handed: x forward, y left, z up, as in ROS, Rerun and Foxglove. CARLA's own: y right, yaw and pitch reversed."""
 
-_FRAMES: Final = 1024  # unlike their neighbours, which are handled at once
+_FRAMES: Final = 1024  # that are handled at once
 
 
 @dataclass(frozen=True)
@@ -215,16 +214,6 @@ class ActorRows:
     records: NDArray[np.void]
 
 
-@dataclass(frozen=True, eq=False)
-class _ActorBlock:
-    """Frames with the same actors: their indices and times, and the records, (frames, actors)."""
-
-    ids: NDArray[np.uint32]
-    frame: Integers
-    time: Floats
-    records: NDArray[np.void]
-
-
 def actor_rows(
     reader: Reader, names: Collection[str], actors: Collection[int] | None = None
 ) -> dict[str, dict[int, ActorRows]]:
@@ -240,100 +229,53 @@ def actor_rows(
     Raises:
         FormatError: The file contradicts its format.
     """
-    wanted = None if actors is None else np.array(sorted(actors), np.uint32)
-    blocks: dict[str, list[_ActorBlock]] = {name: [] for name in names}
-    frames: list[Frame] = []  # of batches of one
-    for batch in chain(reader.batches(tuple(names)), (None,)):
-        if frames and (len(frames) == _FRAMES or batch is None or len(batch) > 1):
-            for name in names:
-                blocks[name].extend(_blocks_of_frames(frames, name, wanted))
-            frames = []
-        if batch is not None and len(batch) == 1:
-            frames.append(batch.frame(0))
-        elif batch is not None:
-            for name in names:
-                blocks[name].extend(_blocks(batch, name, wanted))
-    return {name: _by_actor(blocks.pop(name)) for name in names}
+    wanted = None if actors is None else np.array(list(actors), np.uint32)
+    pieces: dict[str, dict[int, list[ActorRows]]] = {name: {} for name in names}
+    for batches in _portions(reader.batches(tuple(names))):
+        for name in names:
+            for id, rows in _rows_by_actor(batches, name, wanted):
+                pieces[name].setdefault(id, []).append(rows)
+    return {name: {id: _joined(found.pop(id)) for id in list(found)} for name, found in pieces.items()}
 
 
-def _blocks(batch: Batch, name: str, wanted: NDArray[np.uint32] | None) -> Iterator[_ActorBlock]:
-    """Yield the records of a type in a batch, in blocks of frames with the same actors."""
-    records = batch.records(name)
-    if not records.shape[1]:
-        return
-    ids = records["id"]
-    frame = np.arange(batch.index, batch.index + len(batch))
-    changes = np.flatnonzero((ids[1:] != ids[:-1]).any(axis=1)) + 1 if len(ids) > 1 else ids[:0, 0]
-    edges = [0, *changes.tolist(), len(ids)]
-    for start, stop in pairwise(edges):
-        listed = np.ascontiguousarray(ids[start])
-        kept = np.arange(len(listed)) if wanted is None else np.flatnonzero(_among(listed, wanted))
-        if not len(kept):
-            continue
-        if len(kept) > 1:
-            _, from_end = np.unique(listed[kept][::-1], return_index=True)
-            if len(from_end) < len(kept):  # the last record of each actor counts
-                kept = kept[np.sort(len(kept) - 1 - from_end)]
-        part = records[start:stop] if len(kept) == len(listed) else records[start:stop, kept]
-        yield _ActorBlock(listed[kept], frame[start:stop], batch.elapsed[start:stop].copy(), part.copy())
+def _portions(batches: Iterable[Batch]) -> Iterator[list[Batch]]:
+    """Yield batches in lists of about `_FRAMES` frames."""
+    portion, frames = [], 0
+    for batch in batches:
+        for start in range(0, len(batch), _FRAMES):
+            part = batch if len(batch) <= _FRAMES else batch[start : start + _FRAMES]
+            portion.append(part)
+            frames += len(part)
+            if frames >= _FRAMES:
+                yield portion
+                portion, frames = [], 0
+    if portion:
+        yield portion
 
 
-def _blocks_of_frames(frames: list[Frame], name: str, wanted: NDArray[np.uint32] | None) -> Iterator[_ActorBlock]:
-    """Yield the records of a type in frames, a block for each actor."""
-    pieces = [np.ascontiguousarray(frame[name]) for frame in frames]
-    dtype = next((piece.dtype for piece in pieces if len(piece)), pieces[0].dtype)
-    records = np.frombuffer(b"".join(piece.data for piece in pieces), dtype)  # `np.concatenate` is slow here
-    rows = np.repeat(np.arange(len(frames)), [len(piece) for piece in pieces])
-    if wanted is not None:
-        kept = _among(records["id"], wanted)
-        records, rows = records[kept], rows[kept]
-    order = np.argsort(records["id"], kind="stable")
-    ids, rows = records["id"][order], rows[order]
-    last = np.append((ids[1:] != ids[:-1]) | (rows[1:] != rows[:-1]), True)[: len(ids)]  # of an actor in a frame
-    order, ids, rows = order[last], ids[last], rows[last]
-    starts = np.flatnonzero(np.append(True, ids[1:] != ids[:-1])[: len(ids)])
-    frame, time = np.array([frame.index for frame in frames]), np.array([frame.elapsed for frame in frames])
-    blocks = zip(np.split(order, starts[1:]), np.split(rows, starts[1:]), ids[starts].tolist(), strict=True)
-    for mine, at, id in sorted(blocks, key=lambda block: int(block[0][0])) if len(ids) else ():
-        yield _ActorBlock(np.array([id], np.uint32), frame[at], time[at], records[mine, None])
+def _rows_by_actor(batches: list[Batch], name: str, wanted: NDArray[np.uint32] | None) -> Iterator[tuple[int, ActorRows]]:
+    """Yield the records of a type in batches by actor, in the order in which the actors appear."""
+    pieces = [np.ascontiguousarray(batch.records(name)) for batch in batches]
+    dtype = next((piece.dtype for piece in pieces if piece.size), pieces[0].dtype)
+    records = np.frombuffer(b"".join(piece.data for piece in pieces if piece.size), dtype)
+    counts = np.repeat([piece.shape[1] for piece in pieces], [len(piece) for piece in pieces])
+    frame = np.concatenate([np.arange(batch.index, batch.index + len(batch)) for batch in batches])
+    rows, ids = np.repeat(np.arange(len(frame)), counts), records["id"]
+    kept = np.arange(len(ids)) if wanted is None else np.flatnonzero(np.isin(ids, wanted))
+    order = kept[np.argsort(ids[kept], kind="stable")]
+    ids, rows = ids[order], rows[order]
+    is_last = np.append((ids[1:] != ids[:-1]) | (rows[1:] != rows[:-1]), True)[: len(ids)]  # of an actor in a frame
+    order, ids, rows = order[is_last], ids[is_last], rows[is_last]
+    time = np.concatenate([batch.elapsed for batch in batches])[rows]
+    frame, records = frame[rows], records[order]
+    edges = np.flatnonzero(np.append(True, ids[1:] != ids[:-1])[: len(ids)]).tolist()
+    for start, stop in sorted(pairwise([*edges, len(ids)]), key=lambda edge: int(order[edge[0]])):
+        yield int(ids[start]), ActorRows(frame[start:stop], time[start:stop], records[start:stop])
 
 
-def _among(ids: NDArray[np.uint32], wanted: NDArray[np.uint32]) -> NDArray[np.bool_]:
-    """Return which ids are among others, which ascend; `np.isin` takes longer for few."""
-    if not len(wanted):
-        return np.zeros(len(ids), np.bool_)
-    found: NDArray[np.bool_] = wanted[np.minimum(np.searchsorted(wanted, ids), len(wanted) - 1)] == ids
-    return found
-
-
-def _by_actor(blocks: list[_ActorBlock]) -> dict[int, ActorRows]:
-    """Return the rows by actor, in the order in which the actors appear; empties the list of blocks, to save memory."""
-    pieces: dict[int, list[tuple[int, int]]] = {}
-    merged = list(_merged(blocks))
-    for number, block in enumerate(merged):
-        for row, id in enumerate(block.ids.tolist()):
-            pieces.setdefault(id, []).append((number, row))
-    return {
-        id: ActorRows(
-            np.concatenate([merged[number].frame for number, _ in mine]),
-            np.concatenate([merged[number].time for number, _ in mine]),
-            np.concatenate([merged[number].records[row] for number, row in mine]),
-        )
-        for id, mine in pieces.items()
-    }
-
-
-def _merged(blocks: list[_ActorBlock]) -> Iterator[_ActorBlock]:
-    """Yield blocks of the same actors as one, with records by actor, (actors, frames); empties the list."""
-    blocks.reverse()
-    while blocks:
-        same = [blocks.pop()]
-        while blocks and np.array_equal(blocks[-1].ids, same[0].ids):
-            same.append(blocks.pop())
-        frame, time = (np.concatenate([getattr(block, name) for block in same]) for name in ("frame", "time"))
-        records = np.empty((len(same[0].ids), len(frame)), same[0].records.dtype)
-        start = 0
-        for block in same:
-            records[:, start : start + len(block.frame)] = block.records.T
-            start += len(block.frame)
-        yield _ActorBlock(same[0].ids, frame, time, records)
+def _joined(pieces: list[ActorRows]) -> ActorRows:
+    """Return rows of an actor, one after the other."""
+    frame, time, records = (
+        np.concatenate([getattr(piece, name) for piece in pieces]) for name in ("frame", "time", "records")
+    )
+    return ActorRows(frame, time, records)
