@@ -15,8 +15,8 @@ from hypothesis import strategies as st
 from carla_recap.errors import RecapWarning
 from carla_recap.formats.mcap import fixed, messages, variable
 from carla_recap.formats.mcap.schema import FRAME_MESSAGE, RAW_MESSAGE, TAIL_MESSAGE
-from carla_recap.model.layout import FLAG, MAX_COUNT, REAL, TEXT, Framing, Layout, Many, PayloadError, unpack
-from carla_recap.model.records import UE4, UE5
+from carla_recap.model.layout import FLAG, MAX_COUNT, REAL, TEXT, Framing, Layout, Many, PayloadError, pack, unpack
+from carla_recap.model.records import UE4, UE5, Spawn, attributes
 from carla_recap.model.stationary import BlockedRow
 from tests import strategies
 from tests.samples import listed, plain
@@ -382,3 +382,19 @@ def test_the_packets_of_a_frame_are_read_as_protobuf_reads_them(ids, kinds):
         assert messages.read_frame_packets(data) == (ids, kinds)
     assert messages.read_frame_packets(data[:-1]) is None
     assert messages.read_frame_packets(data + b"\x01") is None
+
+
+SPAWNED = [Spawn(id, 1, 1.0, type_id="vehicle.ä", attributes=attributes(role_name="hero")) for id in (1, 2)]
+
+
+@given(index=st.integers(0, 200), byte=st.integers(0, 255), cut=st.integers(0, 2))
+@settings(max_examples=300)
+def test_a_changed_message_is_read_as_protobuf_reads_it(index, byte, cut):
+    type = UE4.named("spawned")
+    message = bytearray(messages.head(1, 0.0) + variable.encode(type, pack(type, SPAWNED)))
+    message[index : index + cut] = bytes([byte])
+    try:
+        found = variable.decode(type, bytes(message))
+    except messages.WireError:
+        return
+    assert found == variable._decode_by_protobuf(type, bytes(message))
