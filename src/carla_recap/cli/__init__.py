@@ -28,8 +28,8 @@ INTERRUPTED: Final = 130
 _PYTHON_HINT: Final = r" \(in Python, [^)]*\)"  # in errors, for callers of the package
 _COMMANDS: Final = {
     "queries": ("info", "collisions", "blocked", "actors", "incidents"),
-    "editing": ("convert", "recover", "clip", "clips"),
-    "export": ("export", "view", "snapshot", "report"),
+    "editing": ("convert", "recover", "clip"),
+    "export": ("export", "clips", "view", "snapshot", "report"),
     "sim": ("record", "replay"),
     "server": ("serve",),
     "capture": ("capture", "watch"),

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 import click
 
 from carla_recap.cli import options
@@ -51,60 +49,3 @@ def clip(source: str, destination: str, force: bool, start: float, duration: flo
 
     extent = run(source, destination, start=start, duration=duration, force=force, progress=watch("cutting"))
     say(f"{destination}: {extent.frames} frames, {extent.duration:g} s")
-
-
-@click.command()
-@options.source
-@options.folder
-@options.force
-@click.option("--collisions", is_flag=True, help="Of collisions; without any of these three, of all incidents.")
-@click.option("--blocked", is_flag=True, help="Of long stops of vehicles and walkers.")
-@click.option("--braking", is_flag=True, help="Of vehicles that braked hard.")
-@options.before
-@options.after
-@click.option(
-    "--format", "suffix", type=click.Choice(["mcap", "log"]), default="mcap", show_default=True, help="Of the clips."
-)
-@click.option("--rrd/--no-rrd", default=None, help="Write an .rrd beside each clip; by default if Rerun is installed.")
-@options.min_time
-@options.min_distance
-@options.deceleration
-@options.road_map
-@click.option(
-    "--limit", type=click.IntRange(min=1), default=100, show_default=True, metavar="N", help="The largest number of clips."
-)
-def clips(
-    source: str,
-    folder: str,
-    collisions: bool,
-    blocked: bool,
-    braking: bool,
-    suffix: str,
-    rrd: bool | None,
-    road_map: str | None,
-    **which: Any,
-) -> None:
-    """Cut a clip of each incident, into a folder."""
-    from carla_recap.cli.progress import watch_incidents
-    from carla_recap.export.clips import clips as run
-    from carla_recap.recording import open_recording
-
-    every = not (collisions or blocked or braking)
-    with open_recording(source) as recording:
-        roads = options.road_map_of(recording, road_map) if rrd is not False else None
-    written = run(
-        source,
-        folder,
-        collisions=collisions or every,
-        blocked=blocked or every,
-        braking=braking or every,
-        suffix=f".{suffix}",
-        rerun=rrd,
-        road_map=roads,
-        progress=watch_incidents("cutting"),
-        **which,
-    )
-    for each in written:
-        say(f"{each.recording}: {each.incident.text}")
-    if not written:
-        say(f"{folder}: no incidents, no clips")

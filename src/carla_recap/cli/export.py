@@ -1,4 +1,4 @@
-"""The commands that show: exports for viewers, the viewer itself, pictures, the incident page."""
+"""The commands that export: files for viewers, clips, pictures, the incident page; and the viewer itself."""
 
 from __future__ import annotations
 
@@ -88,6 +88,63 @@ def _export_scenes(
 
 @click.command()
 @options.source
+@options.folder
+@options.force
+@click.option("--collisions", is_flag=True, help="Of collisions; without any of these three, of all incidents.")
+@click.option("--blocked", is_flag=True, help="Of long stops of vehicles and walkers.")
+@click.option("--braking", is_flag=True, help="Of vehicles that braked hard.")
+@options.before
+@options.after
+@click.option(
+    "--format", "suffix", type=click.Choice(["mcap", "log"]), default="mcap", show_default=True, help="Of the clips."
+)
+@click.option("--rrd/--no-rrd", default=None, help="Write an .rrd beside each clip; by default if Rerun is installed.")
+@options.min_time
+@options.min_distance
+@options.deceleration
+@options.road_map
+@click.option(
+    "--limit", type=click.IntRange(min=1), default=100, show_default=True, metavar="N", help="The largest number of clips."
+)
+def clips(
+    source: str,
+    folder: str,
+    collisions: bool,
+    blocked: bool,
+    braking: bool,
+    suffix: str,
+    rrd: bool | None,
+    road_map: str | None,
+    **which: Any,
+) -> None:
+    """Cut a clip of each incident, into a folder."""
+    from carla_recap.cli.progress import watch_incidents
+    from carla_recap.export.clips import clips as run
+    from carla_recap.recording import open_recording
+
+    every = not (collisions or blocked or braking)
+    with open_recording(source) as recording:
+        roads = options.road_map_of(recording, road_map) if rrd is not False else None
+    written = run(
+        source,
+        folder,
+        collisions=collisions or every,
+        blocked=blocked or every,
+        braking=braking or every,
+        suffix=f".{suffix}",
+        rerun=rrd,
+        road_map=roads,
+        progress=watch_incidents("cutting"),
+        **which,
+    )
+    for each in written:
+        say(f"{each.recording}: {each.incident.text}")
+    if not written:
+        say(f"{folder}: no incidents, no clips")
+
+
+@click.command()
+@options.source
 @_window
 @options.camera
 @click.option("--web", is_flag=True, help="Serve the viewer to a browser on this machine.")
@@ -142,7 +199,7 @@ def snapshot(source: str, destination: str, road_map: str | None, **picture: Any
 @click.option("--viewer", is_flag=True, help="Add Rerun's viewer, in 3D; it needs --serve or another server.")
 @options.force
 @click.option("--serve", is_flag=True, help="Serve the page to a browser on this machine, until Ctrl-C.")
-@click.option("--port", type=click.IntRange(0, 65535), metavar="N", help="Where to serve; else any free port.")
+@click.option("--port", type=click.IntRange(0, 65535), metavar="N", help="The port to serve at; else any free one.")
 @options.min_time
 @options.min_distance
 @options.deceleration
@@ -169,7 +226,7 @@ def report(source: str, folder: str, road_map: str | None, serve: bool, port: in
 
 
 def _announce(address: str) -> None:
-    """Print where something is served, for a program, too."""
+    """Print the address of a server, on stdout for programs."""
     click.echo(address)
     sys.stdout.flush()
     say("Ctrl-C ends it")
