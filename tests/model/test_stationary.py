@@ -1,4 +1,4 @@
-"""Who stands still: what `queries.test_blocked` does not see."""
+"""Stationary intervals: what `queries.test_blocked` does not cover."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ def frame(number: int, x: float) -> Frame:
     return Frame(number, number, float(number), 1.0, [Packet(transforms.id, transforms, records=records)])
 
 
-def test_stretches_can_be_taken_as_they_end() -> None:
+def test_intervals_can_be_taken_as_they_end() -> None:
     tracker = StationaryTracker(TABLE, min_time=2)
     taken = []
     for number in range(1000):

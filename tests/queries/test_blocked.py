@@ -58,9 +58,9 @@ def test_no_frame_subtracts(make: Make) -> None:
 
 
 def test_a_destroyed_actor_has_stood_until_then(make: Make) -> None:
-    cast = {"spawned": [spawn(1), spawn(2, "walker.b"), spawn(3, "static.c")]}
+    spawned = {"spawned": [spawn(1), spawn(2, "walker.b"), spawn(3, "static.c")]}
     standing = at((1, 1), (2, 2), (3, 3))
-    reader = make([cast, standing], standing, [{"destroyed": [(1,)]}, at((2, 2), (3, 3))], {})
+    reader = make([spawned, standing], standing, [{"destroyed": [(1,)]}, at((2, 2), (3, 3))], {})
     rows = blocked(reader, 1)
     assert [(row.id, row.type_id, row.duration) for row in rows] == [
         (2, "walker.b", 1.5),
@@ -88,7 +88,7 @@ def test_a_spawn_begins_anew(make: Make) -> None:
 
 
 @pytest.mark.parametrize(("drive", "stand"), [(19, 66), (56, 62), (3, 30)])
-def test_a_stretch_of_just_the_time(make: Make, drive: int, stand: int) -> None:
+def test_an_interval_of_exactly_the_minimum_time(make: Make, drive: int, stand: int) -> None:
     """It is summed up frame by frame; the difference of two times would be rounded otherwise."""
     frames = [at((1, 100.0 * (frame + 1))) for frame in range(drive)]
     frames += [frames[-1]] * (stand - 1) + [at((1, 0.0))]
@@ -99,7 +99,7 @@ def test_a_stretch_of_just_the_time(make: Make, drive: int, stand: int) -> None:
 
 
 def test_a_duration_that_comes_back_to_0(make: Make) -> None:
-    """Then CARLA begins the stretch anew."""
+    """CARLA then begins a new interval."""
     both = at((1, 1), (2, 1))
     reader = make(at((1, 1)), {}, both, both, {}, durations=[-1.0, 3.0, 1.0, 1.0, 1.0])
     rows = blocked(reader, 0.5, compat=True)
@@ -107,10 +107,10 @@ def test_a_duration_that_comes_back_to_0(make: Make) -> None:
 
 
 def test_ties(make: Make) -> None:
-    """By start, then id; in CARLA, stretches that ended first, then the latest-added actor first."""
-    cast = {"spawned": [spawn(id) for id in (5, 1, 9, 4)]}
+    """By start, then id; in CARLA, intervals that ended first, then the actor that was added last first."""
+    spawned = {"spawned": [spawn(id) for id in (5, 1, 9, 4)]}
     reader = make(
-        [cast, at((9, 1), (1, 1), (5, 1))],
+        [spawned, at((9, 1), (1, 1), (5, 1))],
         at((9, 100), (1, 100), (5, 1)),
         at((4, 1), (5, 100)),
         at((9, 100), (1, 100), (4, 1), (5, 100)),
@@ -140,7 +140,7 @@ def test_ties(make: Make) -> None:
     ],
 )
 def test_carla_goes_through_a_hash_table(make: Make, spawned: tuple[int, ...], order: tuple[int, ...]) -> None:
-    """Of stretches of one length, those that last until the end come in the order of libc++'s `unordered_map`."""
+    """Of intervals of the same length, those that last until the end come in the order of libc++'s `unordered_map`."""
     standing = at(*((id, 1) for id in sorted(spawned)))
     reader = make({"spawned": [spawn(id) for id in spawned], **standing}, standing, {})
     assert tuple(row.id for row in blocked(reader, 0.5, compat=True)) == order
@@ -156,7 +156,7 @@ def test_without_a_spawn_carla_forgets_actor_0(make: Make) -> None:
 
 
 def test_a_repeated_record_behind_packets_without_one(make: Make) -> None:
-    """Stretches of one length that end in different frames come in the order of the frames."""
+    """Intervals of the same length that end in different frames come in the order of the frames."""
     reader = make(
         at((1, 100), (2, 0)),
         at((1, 100), (2, 100)),
@@ -186,7 +186,7 @@ def test_the_footer_keeps_its_decimals(make: Make, compat: bool) -> None:
 
 
 def test_double_precision(make: Make) -> None:
-    """Lengths in double precision are compared so: 1e9 cm and a few are no place in single precision."""
+    """Lengths in double precision are compared so: 1e9 cm and a few are the same position in single precision."""
     wide = Header("Town10HD", 0, wide=True)
     far = [at((1, 1e9)), at((1, 1e9 + 12)), at((1, 1e9 + 24)), {}]
     assert blocked(make(*far, header=wide), 0.5) == []
@@ -211,7 +211,7 @@ def by_definition(
     rows: list[tuple[float, float, int, str]] = []
     newest = -1
 
-    def tell(id: int, actor: Actor) -> None:
+    def report(id: int, actor: Actor) -> None:
         if actor.duration >= min_time:
             rows.append((actor.start, actor.duration, id, actor.type_id))
 
@@ -227,7 +227,7 @@ def by_definition(
                 for (id,) in packet.records.tolist():
                     gone = actors.pop(newest if compat else id, None)
                     if gone and not compat:
-                        tell(id, gone)
+                        report(id, gone)
             elif name == "transforms":
                 latest = {int(record["id"]): record for record in packet.records}
                 for record in packet.records if compat else latest.values():
@@ -240,12 +240,12 @@ def by_definition(
                             actor.start = frame.elapsed
                         actor.duration += length
                     else:
-                        tell(id, actor)
+                        report(id, actor)
                         actor.duration = 0.0
                         actor.place = place
     left = list(actors.items())
     for id, actor in reversed(left) if compat else left:
-        tell(id, actor)
+        report(id, actor)
     return sorted(rows, key=lambda row: -row[1] if compat else (-row[1], row[0], row[2]))
 
 

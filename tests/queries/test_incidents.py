@@ -135,7 +135,7 @@ def test_the_place_is_that_of_the_first_actor_at_the_start(make: Make) -> None:
     assert (row.x, row.y, row.z) == (1.0, -2.0, 0.5)
 
 
-def test_a_place_that_nothing_tells(make: Make) -> None:
+def test_an_unknown_position(make: Make) -> None:
     answer = incidents(make({"spawned": CAST}, {"collisions": [(0, 4, 99, 0, 0)]}))
     assert math.isnan(answer[0].x)
     assert stdlib.loads("".join(json_text(answer)))["rows"][0]["x"] is None
@@ -151,7 +151,7 @@ def test_the_actor_is_the_one_that_had_the_id_then(make: Make) -> None:
     assert [row.type_ids[0] for row in rows] == ["vehicle.b", "vehicle.later"]
 
 
-# --- blocked stretches ---------------------------------------------------------------------------------
+# --- blocked actors ------------------------------------------------------------------------------------
 
 
 def test_only_vehicles_and_walkers_are_blocked(make: Make) -> None:
@@ -171,7 +171,7 @@ def ways(speeds: Sequence[float], rate: float = RATE) -> list[float]:
 
 
 def slowing(deceleration: float, speed: float = 20.0, seconds: float = 4.0, at: float = 1.0) -> list[float]:
-    """Speeds, frame by frame, of a vehicle that brakes from some time on until it stands."""
+    """Speeds, frame by frame, of a vehicle that brakes from a time on until it stops."""
     times = np.arange(seconds * RATE) / RATE
     return np.maximum(0.0, speed - np.maximum(0.0, times - at) * deceleration).tolist()
 

@@ -129,7 +129,7 @@ def test_light_states_are_one_character(make: Make, state: int, shown: str) -> N
 
 @pytest.mark.parametrize(("payload", "count"), [(b"\2\0" + bytes(600), 2), (b"\1", 0)])
 def test_physics_of_newer_builds_is_a_heading(make: Make, payload: bytes, count: int) -> None:
-    pose = {"transforms": [(1, 0, 0, 0, 0, 0, 0)]}  # what tells a log of such a build
+    pose = {"transforms": [(1, 0, 0, 0, 0, 0, 0)]}  # by which a log of such a build is recognised
     reader = make({**pose, "physics": payload}, header=Header("Town10HD", 0, wide=True))
     assert f" Physics Control events: {count}\n\nFrames" in printed(reader, all=True)
     assert [row.type for row in info(reader, all=True)] == ["frame", "transforms"]
