@@ -202,6 +202,10 @@ def test_a_snippet_runs(working_directory, code):
         exec(compile(code, "snippet", "exec"), {"__name__": "snippet"})
     except MissingExtra as error:
         pytest.skip(str(error))
+    except ModuleNotFoundError as error:
+        if error.name != "carla":
+            raise
+        pytest.skip("the extra `carla` is not installed")
 
 
 @pytest.mark.parametrize(
@@ -213,7 +217,10 @@ def test_commands_print_what_is_shown(working_directory, page):
     """The commands of a page that use samples, or files that other commands have made of them, one after another."""
     for command, shown in commands(page):
         if "samples/" in command or any((working_directory / word).exists() for word in command.split()):
-            printed = run(command)
+            code, printed = run(command)
+            if code == 2 and re.match(r"carla-recap: carla-recap \w+ needs ", printed):
+                continue  # an extra is not installed
+            assert code in (0, 1), command
             assert not shown or lines(printed) == lines(shown), command
 
 
@@ -222,14 +229,13 @@ def commands(page: Path) -> list[tuple[str, str]]:
     return re.findall(r"^\$ (carla-recap .*)\n((?:(?!\$ ).*\n)*)", "".join(blocks(page, "console")), re.MULTILINE)
 
 
-def run(command: str) -> str:
+def run(command: str) -> tuple[int, str]:
     path = f"{Path(sys.executable).parent}{os.pathsep}{os.environ['PATH']}"
     environment = {**os.environ, "PATH": path, "TZ": "UTC"}
     done = subprocess.run(
         command, shell=True, env=environment, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, timeout=60, check=False
     )
-    assert done.returncode in (0, 1), command
-    return done.stdout.decode()
+    return done.returncode, done.stdout.decode()
 
 
 def lines(text: str) -> list[str]:
