@@ -19,7 +19,7 @@ from carla_recap.model.layout import FLAG, MAX_COUNT, REAL, TEXT, Framing, Layou
 from carla_recap.model.records import UE4, UE5, Spawn, attributes
 from carla_recap.model.stationary import BlockedRow
 from tests import strategies
-from tests.samples import listed, plain
+from tests.samples import listed, plain, time_limit
 
 TYPES = [
     type
@@ -398,3 +398,18 @@ def test_a_changed_message_is_read_as_protobuf_reads_it(index, byte, cut):
     except messages.WireError:
         return
     assert found == variable._decode_by_protobuf(type, bytes(message))
+
+
+def test_a_number_without_an_end_costs_no_time():
+    message = messages.head(1, 0.0) + b"\x1a" + b"\xff" * (1 << 20)
+    with time_limit(5), pytest.raises(messages.WireError):
+        variable.decode(UE4.named("spawned"), message)
+
+
+@pytest.mark.parametrize(("name", "field", "value"), [("light_states", "state", -1), ("doors", "door", 200)])
+def test_a_number_that_takes_more_than_a_byte_is_read(name, field, value):
+    type = UE4.named(name)
+    message = message_of(type, listed(bytes(type.dtype.itemsize)))
+    setattr(getattr(message, type.items)[0], field, value)
+    records, extra = unpack(type, variable.decode(type, message.SerializeToString()))
+    assert (records[field].tolist(), extra) == ([value], 0)

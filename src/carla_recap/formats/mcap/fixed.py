@@ -50,7 +50,8 @@ class WireNumbers:
         sources: The offset in the payload of each byte of a number.
         targets: Its offset in the message.
         masks: Of each of these bytes, the bits that are not free: a number of one byte is to fit a varint of one byte.
-        blank_mask: The same of all bytes of the message.
+        blank_array: `blank` as an array.
+        blank_mask: The same as `masks`, of all bytes of the message.
     """
 
     def __init__(self, numbers: Numbers, first: int = 1) -> None:
@@ -69,14 +70,15 @@ class WireNumbers:
         self.sources = np.arange(offset)
         self.targets = np.array(targets)
         self.masks = np.frombuffer(bytes(masks), np.uint8)
+        self.blank_array = np.frombuffer(self.blank, np.uint8)
         self.blank_mask = np.full(len(blank), 0xFF, np.uint8)
         self.blank_mask[self.targets] = self.masks
 
 
 @cache
-def wire_numbers(numbers: Numbers) -> WireNumbers:
-    """Return how some numbers are written in a message."""
-    return WireNumbers(numbers)
+def wire_numbers(numbers: Numbers, first: int = 1) -> WireNumbers:
+    """Return how some numbers are written in a message; see `WireNumbers`."""
+    return WireNumbers(numbers, first)
 
 
 class Payloads:
@@ -111,7 +113,6 @@ class FixedCodec:
     """Encodes and decodes the packets of a type whose records have one size.
 
     Attributes:
-        numbers: How the numbers of a record are written.
         stride: Bytes of a record in a body.
         wire: The numpy type of a record in a body: its numbers, with gaps for what is the same in each.
     """
@@ -122,7 +123,7 @@ class FixedCodec:
         self._dtype = type.dtype
         self._single = type.framing is Framing.SINGLE
         self._start = 0 if self._single else U16.size
-        self.numbers = form = WireNumbers(numbers, ITEMS if self._single else 1)
+        form = wire_numbers(numbers, ITEMS if self._single else 1)
         header = b"" if self._single else tag(ITEMS, LEN) + varint(len(form.blank))
         blank = np.frombuffer(header + form.blank, np.uint8)
         targets = form.targets + len(header)

@@ -1,8 +1,8 @@
 """Payloads of any structure ↔ their messages, such as of records whose size varies.
 
 A message is the numbers of its payload, moved, between bytes that depend on nothing but the packet's *structure*: counts and
-texts. The latest structure of each type is kept as a `PacketTemplate`, which moves all numbers of a packet at once. Any
-message that this module would write in another way is parsed by protobuf.
+texts. The latest structure of each type is kept as a `PacketTemplate`, which moves all numbers of a packet at once. A
+message with other fields, or in another order, is put in order by protobuf.
 
 A payload that no message can give back byte for byte (a flag of 2, broken UTF-8, surplus bytes) is kept as a whole in the
 message's field `raw` as well.
@@ -16,7 +16,6 @@ from typing import TYPE_CHECKING, Any, Final, NamedTuple
 
 import numpy as np
 
-from carla_recap.errors import RecordError
 from carla_recap.formats.mcap.fixed import fixed_codec, wire_numbers
 from carla_recap.formats.mcap.messages import (
     HEAD,
@@ -43,11 +42,9 @@ from carla_recap.model.layout import (
     Layout,
     Numbers,
     PacketType,
-    PayloadError,
     Span,
     compiled,
     locate,
-    pack,
     unpack,
 )
 from carla_recap.model.records import Group
@@ -58,7 +55,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from carla_recap.formats.mcap.fixed import WireNumbers
-    from carla_recap.model.layout import Buffer, CompiledLayout, Records
+    from carla_recap.model.layout import Buffer, CompiledLayout
     from carla_recap.model.records import RecordType
 
 _LEAST: Final = 7  # bytes of a record with nothing but an id
@@ -166,7 +163,7 @@ class _Encoder:
 
 
 class _Decoder:
-    """Reads a message that looks as `_Encoder` writes it; all methods raise `ValueError` or `struct.error` if it does not.
+    """Reads a message whose fields are all present and in order; methods raise `ValueError` or `struct.error` otherwise.
 
     Args:
         message: The message.
@@ -180,8 +177,11 @@ class _Decoder:
 
     def payload(self, type: PacketType) -> bytes:
         """Return the payload."""
-        size = len(self._message)
-        payload = self._items(ITEMS, U16, compiled(type), size)
+        layout, size = compiled(type), len(self._message)
+        if type.framing is Framing.SINGLE:
+            payload = self._numbers(wire_numbers(layout.steps[0], ITEMS))
+        else:
+            payload = self._items(ITEMS, U16, layout, size)
         if read_head(self._message) is None or self._offset != size:
             raise ValueError("other fields")
         return payload
@@ -211,22 +211,39 @@ class _Decoder:
         return b"".join(parts)
 
     def _numbers(self, form: WireNumbers) -> bytes:
-        found = np.frombuffer(self._take(len(form.blank)), np.uint8)
-        if ((found ^ np.frombuffer(form.blank, np.uint8)) & form.blank_mask).any():
-            raise ValueError("other numbers")
-        return bytes(found[form.targets])
+        found = np.frombuffer(self._message[self._offset : self._offset + len(form.blank)], np.uint8)
+        if len(found) == len(form.blank) and not ((found ^ form.blank_array) & form.blank_mask).any():
+            self._offset += len(found)
+            return bytes(found[form.targets])
+        data = bytearray()
+        for name, kind, size, _ in form.fields:
+            if self._take(len(name)) != name:
+                raise ValueError("another field")
+            if size > 1:
+                data += self._take(size)
+                continue
+            value = self._varint()
+            if kind == "i1":
+                data += struct.pack("b", value - (value >> 63 << 64))
+            else:
+                data.append(min(value, 1) if kind == FLAG else value)
+        return bytes(data)
 
     def _size(self, name: bytes) -> int:
         """Go over a tag and the size behind it."""
         if self._take(len(name)) != name:
             raise ValueError("another field")
-        size = shift = 0
-        while True:
+        return self._varint()
+
+    def _varint(self) -> int:
+        value = shift = 0
+        while shift < 64:
             (byte,) = self._take(1)
-            size |= (byte & 0x7F) << shift
+            value |= (byte & 0x7F) << shift
             shift += 7
             if byte < 0x80:
-                return size
+                return value
+        raise ValueError("a number of more than 64 bits")
 
     def _take(self, size: int) -> bytes:
         found = self._message[self._offset : self._offset + size]
@@ -246,7 +263,7 @@ def _template(type: RecordType, payload: Buffer) -> tuple[PacketTemplate, bytes]
     span, rest = locate(type, data)
     encoder = _Encoder(data)
     if type.framing is Framing.SINGLE:
-        encoder.add_numbers(fixed_codec(type).numbers, 0)
+        encoder.add_numbers(wire_numbers(span.layout.steps[0], ITEMS), 0)
     else:
         encoder.add(ITEMS, span)
     none = [np.empty(0, np.intp)]
@@ -369,73 +386,69 @@ def _row(data: Buffer) -> NDArray[np.uint8]:
 
 
 def _decode_any(type: RecordType, data: Buffer) -> bytes:
-    message = bytes(data)
-    for choice in range(0 if type.fixed or len(data) > OBJECTS_LIMIT else compiled(type).choices):
-        with suppress(ValueError, struct.error):
-            payload = _Decoder(message, choice).payload(type)
-            if type.group is Group.STATE:
-                _templates[type], _ = _template(type, payload)
-            return payload
-    return _decode_by_protobuf(type, data)
+    payload = _decode_in_order(type, bytes(data)) if len(data) <= OBJECTS_LIMIT else None
+    if payload is None:
+        return _decode_by_protobuf(type, data)
+    if not type.fixed and type.group is Group.STATE:
+        _templates[type], _ = _template(type, payload)
+    return payload
 
 
 def _decode_by_protobuf(type: RecordType, data: Buffer) -> bytes:
     message = parse(type.name, type.message_name, data)
     if message.HasField("raw"):
         return bytes(message.raw)
-    try:
-        payload = pack(type, _records(type, message, len(data)))
-        if type.fixed:
-            return payload
-        template, raw = _template(type, payload)
-    except (RecordError, PayloadError) as error:
-        raise WireError(str(error)) from None
-    # Protobuf's Python floats lose the bits of some NaNs; the message itself has them.
-    exact = None if raw else template.decode(_row(data))
-    if exact is None:
-        return payload
-    if type.group is Group.STATE:
-        _templates[type] = template
-    return exact.tobytes()
+    _complete(type, message, len(data))
+    payload = _decode_in_order(type, message.SerializeToString())
+    if payload is None:
+        raise WireError(f"{type.name}: numbers beyond their fields")
+    return payload
 
 
-def _records(type: RecordType, message: Any, size: int) -> Records:
-    try:
-        if type.framing is Framing.SINGLE:
-            return np.array([(getattr(message, type.items),)], type.dtype)
+def _decode_in_order(type: RecordType, message: bytes) -> bytes | None:
+    """Return the payload of a message whose fields are all present and in order; None if they are not."""
+    for choice in range(compiled(type).choices):
+        with suppress(ValueError, struct.error):
+            return _Decoder(message, choice).payload(type)
+    return None
+
+
+def _complete(type: RecordType, message: Any, size: int) -> None:
+    """Set the missing fields of a message to zero, and remove all that its type does not have."""
+    message.DiscardUnknownFields()
+    names = ["frame", "elapsed"]
+    if type.framing is Framing.SINGLE:
+        names.append(type.items)
+    else:
         items = getattr(message, type.items)
         if not type.fixed and _LEAST * len(items) > size:
             raise WireError(f"{type.name}: {len(items)} records in {size} bytes, most of them without an id")
         if len(items) > MAX_COUNT:
             raise WireError(f"{type.name}: {len(items)} records, a packet counts at most {MAX_COUNT}")
-        return _items([compiled(type)], items)
-    except (OverflowError, ValueError) as error:
-        raise WireError(f"{type.name}: {error}") from None
+        _complete_items([compiled(type)], items)
+    _set_missing(message, names)
 
 
-def _items(layouts: Sequence[CompiledLayout], messages: Any) -> Records:
-    """Return the records of some messages, in the one of some layouts of which all fields are present."""
+def _complete_items(layouts: Sequence[CompiledLayout], messages: Any) -> None:
+    """Complete messages of the one of some layouts of which the first message has all fields."""
     layout = layouts[0]
-    if layout.make is not None:
-        return [_record(layout, message) for message in messages]
     if messages and len(layouts) > 1:
-        names = [name for name in layout.dtype.names or () if messages[0].HasField(name)]
-        layout = next((each for each in layouts if set(each.dtype.names or ()) <= set(names)), layout)
-    fields = layout.dtype.names or ()
-    return np.array([tuple(getattr(message, name) for name in fields) for message in messages], layout.dtype)
+        layout = next((each for each in layouts if all(map(messages[0].HasField, each.dtype.names or ()))), layout)
+    others = set(layouts[0].dtype.names or ()) - set(layout.dtype.names or ())
+    for message in messages:
+        for name in others:
+            message.ClearField(name)
+        for step in layout.steps:
+            if isinstance(step, Items):
+                items = getattr(message, step.name)
+                if len(items) > MAX_COUNT:
+                    raise WireError(f"{len(items)} items in a record, at most {MAX_COUNT} were expected")
+                _complete_items(step.layouts, items)
+            else:
+                _set_missing(message, step.fields if isinstance(step, Numbers) else [step.name])
 
 
-def _record(layout: CompiledLayout, message: Any) -> Any:
-    values: list[Any] = []
-    for step in layout.steps:
-        if isinstance(step, Numbers):
-            values += [getattr(message, name) for name in step.fields]
-        elif isinstance(step, Items):
-            items = getattr(message, step.name)
-            if len(items) > MAX_COUNT:
-                raise WireError(f"{len(items)} items in a record, at most {MAX_COUNT} were expected")
-            values.append(_items(step.layouts, items))
-        else:
-            values.append(getattr(message, step.name))
-    assert layout.make
-    return layout.make(*values)
+def _set_missing(message: Any, names: Iterable[str]) -> None:
+    for name in names:
+        if not message.HasField(name):
+            setattr(message, name, getattr(message, name))
