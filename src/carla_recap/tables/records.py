@@ -113,9 +113,8 @@ class RecordTableBuilder:
 
     def take(self) -> RecordTable:
         """Return the table of the gathered records, and forget them."""
-        layout, counts = self._type.layout, [len(times) for times in self._times]
-        fields = joined(layout, self._type.wide, self._pieces, counts)
-        flags = {name: fields[name] != 0 for name, kind in layout.fields.items() if kind == FLAG}
+        fields = joined(self._type, self._pieces)
+        flags = {name: fields[name] != 0 for name, kind in self._type.layout.fields.items() if kind == FLAG}
         frames, times = np.concatenate([_NO_FRAMES, *self._frames]), np.concatenate([_NO_TIMES, *self._times])
         self._clear()
         return RecordTable(self._type, frames, times, fields | flags)
