@@ -235,10 +235,10 @@ class LightMessages:
         if not len(self._locations):
             return np.full(len(followed.poses), -1)
         with np.errstate(invalid="ignore", over="ignore"):
-            ways = self._locations - followed.poses[:, None, :2]
-            distances = np.hypot(ways[..., 0], ways[..., 1])
+            x, y = self._locations.T[:, None] - followed.poses[:, :2].T[..., None]
+            distances = np.hypot(x, y)
             yaw = np.radians(followed.poses[:, YAW, None])
-            forward = ways[..., 0] * np.cos(yaw) + ways[..., 1] * np.sin(yaw)
+            forward = x * np.cos(yaw) + y * np.sin(yaw)
             ahead = (distances < _AHEAD) & (forward > _ASIDE * distances) & followed.known[:, None]
         distances[~ahead] = np.inf
         nearest: Indices = np.where(ahead.any(axis=1), distances.argmin(axis=1), -1)

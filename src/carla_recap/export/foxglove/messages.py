@@ -17,21 +17,21 @@ from carla_recap.errors import MissingExtra
 from carla_recap.formats.mcap.schema import MESSAGE, SECOND
 
 try:
-    from foxglove_schemas_protobuf.Color_pb2 import Color
-    from foxglove_schemas_protobuf.CubePrimitive_pb2 import CubePrimitive
-    from foxglove_schemas_protobuf.CylinderPrimitive_pb2 import CylinderPrimitive
-    from foxglove_schemas_protobuf.FrameTransform_pb2 import FrameTransform
-    from foxglove_schemas_protobuf.FrameTransforms_pb2 import FrameTransforms
-    from foxglove_schemas_protobuf.KeyValuePair_pb2 import KeyValuePair
-    from foxglove_schemas_protobuf.LinePrimitive_pb2 import LinePrimitive
-    from foxglove_schemas_protobuf.Log_pb2 import Log
-    from foxglove_schemas_protobuf.Point3_pb2 import Point3
-    from foxglove_schemas_protobuf.Pose_pb2 import Pose
-    from foxglove_schemas_protobuf.Quaternion_pb2 import Quaternion
-    from foxglove_schemas_protobuf.SceneEntity_pb2 import SceneEntity
-    from foxglove_schemas_protobuf.SceneEntityDeletion_pb2 import SceneEntityDeletion
-    from foxglove_schemas_protobuf.SceneUpdate_pb2 import SceneUpdate
-    from foxglove_schemas_protobuf.Vector3_pb2 import Vector3
+    from foxglove_schemas_protobuf.Color_pb2 import Color as Color
+    from foxglove_schemas_protobuf.CubePrimitive_pb2 import CubePrimitive as CubePrimitive
+    from foxglove_schemas_protobuf.CylinderPrimitive_pb2 import CylinderPrimitive as CylinderPrimitive
+    from foxglove_schemas_protobuf.FrameTransform_pb2 import FrameTransform as FrameTransform
+    from foxglove_schemas_protobuf.FrameTransforms_pb2 import FrameTransforms as FrameTransforms
+    from foxglove_schemas_protobuf.KeyValuePair_pb2 import KeyValuePair as KeyValuePair
+    from foxglove_schemas_protobuf.LinePrimitive_pb2 import LinePrimitive as LinePrimitive
+    from foxglove_schemas_protobuf.Log_pb2 import Log as Log
+    from foxglove_schemas_protobuf.Point3_pb2 import Point3 as Point3
+    from foxglove_schemas_protobuf.Pose_pb2 import Pose as Pose
+    from foxglove_schemas_protobuf.Quaternion_pb2 import Quaternion as Quaternion
+    from foxglove_schemas_protobuf.SceneEntity_pb2 import SceneEntity as SceneEntity
+    from foxglove_schemas_protobuf.SceneEntityDeletion_pb2 import SceneEntityDeletion as SceneEntityDeletion
+    from foxglove_schemas_protobuf.SceneUpdate_pb2 import SceneUpdate as SceneUpdate
+    from foxglove_schemas_protobuf.Vector3_pb2 import Vector3 as Vector3
 except ImportError:
     raise MissingExtra("an export to Foxglove", "foxglove") from None
 
@@ -45,33 +45,6 @@ if TYPE_CHECKING:
     Indices = NDArray[np.intp]
     Stamps = NDArray[np.uint8]
     Times = NDArray[np.uint64]
-
-__all__ = [
-    "WORLD",
-    "Color",
-    "CubePrimitive",
-    "CylinderPrimitive",
-    "FrameTransform",
-    "FrameTransforms",
-    "KeyValuePair",
-    "LinePrimitive",
-    "Log",
-    "Messages",
-    "Part",
-    "Point3",
-    "Pose",
-    "SceneEntity",
-    "SceneEntityDeletion",
-    "SceneUpdate",
-    "Template",
-    "Vector3",
-    "fill_pose",
-    "numbers",
-    "pose_numbers",
-    "single",
-    "timestamp",
-    "timestamps",
-]
 
 WORLD: Final = "world"
 """The frame of all positions."""
