@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 import signal
 from datetime import timedelta
+from importlib.util import find_spec
 from typing import TYPE_CHECKING
 
 import pytest
@@ -16,13 +17,16 @@ from tests.samples import drive, save, small_log, write
 if TYPE_CHECKING:
     from pathlib import Path
 
-# Whoever runs the suite in the background, or under nohup, ignores signals, and commands take that over; tests send them.
+# CARLA's library is not published for every system and Python.
+collect_ignore = [] if all(map(find_spec, ("carla", "pymunk", "msgpack"))) else ["capture", "server", "sim"]
+
+# In the background, or under nohup, signals are ignored, which commands would inherit; tests send them.
 for _signal, _handler in ((signal.SIGINT, signal.default_int_handler), (signal.SIGHUP, signal.SIG_DFL)):
     if signal.getsignal(_signal) is signal.SIG_IGN:
         signal.signal(_signal, _handler)
 
-# The same examples in every run; HYPOTHESIS_PROFILE=search looks for new ones, and longer.
-_CALM = {
+# The same examples in every run; HYPOTHESIS_PROFILE=search tries more and new ones.
+_SETTINGS = {
     "deadline": timedelta(seconds=20),
     "suppress_health_check": [
         HealthCheck.function_scoped_fixture,  # tests overwrite what is in their directory
@@ -30,8 +34,8 @@ _CALM = {
         HealthCheck.data_too_large,
     ],
 }
-settings.register_profile("suite", max_examples=60, derandomize=True, database=None, **_CALM)
-settings.register_profile("search", max_examples=1500, **_CALM)
+settings.register_profile("suite", max_examples=60, derandomize=True, database=None, **_SETTINGS)
+settings.register_profile("search", max_examples=1500, **_SETTINGS)
 settings.load_profile(os.environ.get("HYPOTHESIS_PROFILE", "suite"))
 
 
