@@ -3,12 +3,16 @@
 from __future__ import annotations
 
 import math
-from typing import Any
+from typing import TYPE_CHECKING
 
 import click
 
 from carla_recap.cli import options
 from carla_recap.cli.output import say
+
+if TYPE_CHECKING:
+    from carla_recap.export.rerun.blueprint import View
+    from carla_recap.replay.follow import Follow
 
 _follow = click.option(
     "--follow",
@@ -62,9 +66,9 @@ def capture(destination: str, host: str, port: int, duration: float, additional_
 )
 @_follow
 @options.camera
-def watch(to: str | None, **where: Any) -> None:
+def watch(to: str | None, host: str, port: int, follow: Follow, view: View, force: bool) -> None:
     """Show what a CARLA server does in Rerun's viewer, live."""
     from carla_recap.capture.live import watch as run
 
-    why = run(to, **where)
+    why = run(to, host=host, port=port, follow=follow, view=view, force=force)
     say(f"{to or 'the viewer'}: {why}")

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import sys
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Final
 
 import click
 from click.core import ParameterSource
@@ -12,7 +12,13 @@ from click.core import ParameterSource
 from carla_recap.cli import options
 from carla_recap.cli.output import say
 
-VIEWERS = {".rrd": "rerun", ".mcap": "foxglove"}
+if TYPE_CHECKING:
+    from carla_recap.export.report import Pictures
+    from carla_recap.export.rerun.blueprint import View
+    from carla_recap.replay.follow import Follow
+
+VIEWERS: Final = {".rrd": "rerun", ".mcap": "foxglove"}
+_TABLES: Final = ("source", "destination", "to", "force")  # the parameters of exports of tables
 
 _window = options.together(options.follow, options.start, options.duration, options.road_map)
 
@@ -30,60 +36,84 @@ _window = options.together(options.follow, options.start, options.duration, opti
 @click.option("--cameras", type=click.Path(), metavar="DIR", help="Write a small .rbl for each actor, to follow it (Rerun).")
 @options.force
 @click.pass_context
-def export(ctx: click.Context, /, source: str, destination: str, to: str | None, force: bool, **show: Any) -> None:
+def export(
+    ctx: click.Context,
+    /,
+    source: str,
+    destination: str,
+    to: str | None,
+    follow: Follow | None,
+    start: float,
+    duration: float,
+    road_map: str | None,
+    view: View,
+    cameras: str | None,
+    force: bool,
+) -> None:
     """Write a recording for Rerun (.rrd) or Foxglove (.mcap), or as Parquet files.
 
     With --to parquet, DST is a folder: a file for each record type, and actors, collisions and incidents.
     """
+    from carla_recap.cli.progress import watch_scenes
+    from carla_recap.recording import open_recording
+
     if to == "parquet":
-        given = [name for name in show if ctx.get_parameter_source(name) is ParameterSource.COMMANDLINE]
-        for param in ctx.command.params:
-            if param.name in given:
-                raise click.UsageError(f"{param.opts[0]} does not go with --to parquet.", ctx)
-        _export_tables(source, destination, force=force)
-    else:
-        _export_scenes(source, destination, to, force=force, **show)
+        _export_tables(ctx, source, destination, force=force)
+        return
+    viewer = VIEWERS.get(Path(destination).suffix.lower())
+    if viewer is None or to not in (None, viewer):
+        expected = "".join(name for name, each in VIEWERS.items() if each == to) or " or ".join(VIEWERS)
+        raise click.BadParameter(f"{destination!r} does not end in {expected}.", param_hint="DST")
+    if viewer == "foxglove" and cameras:
+        raise click.BadParameter("Foxglove has no such files.", param_hint="--cameras")
+    with open_recording(source) as recording:
+        roads, progress = options.road_map_of(recording, road_map), watch_scenes("exporting")
+        if viewer == "rerun":
+            from carla_recap.export.rerun import export_rerun
+
+            played = export_rerun(
+                recording,
+                destination,
+                follow=follow,
+                start=start,
+                duration=duration,
+                road_map=roads,
+                view=view,
+                cameras=cameras,
+                progress=progress,
+                force=force,
+            )
+        else:
+            from carla_recap.export.foxglove import export_foxglove, layout_files
+
+            played = export_foxglove(
+                recording,
+                destination,
+                follow=follow,
+                start=start,
+                duration=duration,
+                road_map=roads,
+                progress=progress,
+                force=force,
+            )
+            for viewer, path in layout_files().items():
+                say(f"the layout for {viewer}: {path}")
+    say(f"{destination}: {played.frames} frames, {played.seconds:g} s")
 
 
-def _export_tables(source: str, folder: str, *, force: bool) -> None:
-    """Write Parquet files."""
+def _export_tables(ctx: click.Context, source: str, folder: str, *, force: bool) -> None:
+    """Write Parquet files; refuse options that concern viewers."""
     from carla_recap.cli.progress import watch
     from carla_recap.export.parquet import export_parquet
     from carla_recap.recording import open_recording
 
+    for param in ctx.command.params:
+        name = param.name or ""
+        if name not in _TABLES and ctx.get_parameter_source(name) is ParameterSource.COMMANDLINE:
+            raise click.UsageError(f"{param.opts[0]} does not go with --to parquet.", ctx)
     with open_recording(source) as recording:
         files = export_parquet(recording, folder, force=force, progress=watch("exporting"))
         say(f"{folder}: {len(files)} files, {recording.info.frames} frames, {recording.info.duration:g} s")
-
-
-def _export_scenes(
-    source: str, destination: str, to: str | None, *, road_map: str | None, view: str, cameras: str | None, **play: Any
-) -> None:
-    """Write a file for a viewer."""
-    from carla_recap.cli.progress import watch_scenes
-    from carla_recap.recording import open_recording
-
-    suffix = Path(destination).suffix.lower()
-    viewer = VIEWERS.get(suffix)
-    if viewer is None or to not in (None, viewer):
-        expected = "".join(name for name, each in VIEWERS.items() if each == to) or " or ".join(VIEWERS)
-        raise click.BadParameter(f"{destination!r} does not end in {expected}.", param_hint="DST")
-    play["progress"] = watch_scenes("exporting")
-    with open_recording(source) as recording:
-        if viewer == "rerun":
-            from carla_recap.export.rerun import export_rerun
-
-            play |= {"road_map": options.road_map_of(recording, road_map), "view": view, "cameras": cameras}
-            played = export_rerun(recording, destination, **play)
-        else:
-            from carla_recap.export.foxglove import export_foxglove, layout_files
-
-            if cameras:
-                raise click.BadParameter("Foxglove has no such files.", param_hint="--cameras")
-            played = export_foxglove(recording, destination, road_map=options.road_map_of(recording, road_map), **play)
-            for viewer, path in layout_files().items():
-                say(f"the layout for {viewer}: {path}")
-    say(f"{destination}: {played.frames} frames, {played.seconds:g} s")
 
 
 @click.command()
@@ -114,8 +144,14 @@ def clips(
     braking: bool,
     suffix: str,
     rrd: bool | None,
+    before: float,
+    after: float,
+    min_time: float,
+    min_distance: float,
+    deceleration: float,
     road_map: str | None,
-    **which: Any,
+    limit: int,
+    force: bool,
 ) -> None:
     """Cut a clip of each incident, into a folder."""
     from carla_recap.cli.progress import watch_incidents
@@ -131,11 +167,17 @@ def clips(
         collisions=collisions or every,
         blocked=blocked or every,
         braking=braking or every,
+        before=before,
+        after=after,
         suffix=f".{suffix}",
         rerun=rrd,
+        min_time=min_time,
+        min_distance=min_distance,
+        deceleration=deceleration,
         road_map=roads,
+        limit=limit,
         progress=watch_incidents("cutting"),
-        **which,
+        force=force,
     )
     for each in written:
         say(f"{each.recording}: {each.incident.text}")
@@ -148,7 +190,9 @@ def clips(
 @_window
 @options.camera
 @click.option("--web", is_flag=True, help="Serve the viewer to a browser on this machine.")
-def view(source: str, road_map: str | None, **play: Any) -> None:
+def view(
+    source: str, follow: Follow | None, start: float, duration: float, road_map: str | None, view: View, web: bool
+) -> None:
     """Open a recording in Rerun's viewer."""
     from carla_recap.cli.progress import watch_scenes
     from carla_recap.export.viewer import view as run
@@ -160,7 +204,11 @@ def view(source: str, road_map: str | None, **play: Any) -> None:
             road_map=options.road_map_of(recording, road_map),
             progress=watch_scenes("exporting"),
             ready=_announce,
-            **play,
+            follow=follow,
+            start=start,
+            duration=duration,
+            view=view,
+            web=web,
         )
 
 
@@ -173,13 +221,23 @@ def view(source: str, road_map: str | None, **play: Any) -> None:
 @options.road_map
 @click.option("--size", type=options.SIZE, default="1280x720", show_default=True, metavar="WxH", help="In pixels.")
 @options.force
-def snapshot(source: str, destination: str, road_map: str | None, **picture: Any) -> None:
+def snapshot(
+    source: str,
+    destination: str,
+    at: float,
+    follow: Follow | None,
+    view: View,
+    road_map: str | None,
+    size: tuple[int, int],
+    force: bool,
+) -> None:
     """Take a picture of a moment, without GPU or display."""
     from carla_recap.export.screenshots import snapshot as run
     from carla_recap.recording import open_recording
 
     with open_recording(source) as recording:
-        run(recording, destination, road_map=options.road_map_of(recording, road_map), **picture)
+        roads = options.road_map_of(recording, road_map)
+        run(recording, destination, at=at, follow=follow, view=view, road_map=roads, size=size, force=force)
     say(destination)
 
 
@@ -203,7 +261,21 @@ def snapshot(source: str, destination: str, road_map: str | None, **picture: Any
 @options.min_time
 @options.min_distance
 @options.deceleration
-def report(source: str, folder: str, road_map: str | None, serve: bool, port: int | None, **page: Any) -> None:
+def report(
+    source: str,
+    folder: str,
+    before: float,
+    after: float,
+    road_map: str | None,
+    pictures: Pictures,
+    viewer: bool,
+    force: bool,
+    serve: bool,
+    port: int | None,
+    min_time: float,
+    min_distance: float,
+    deceleration: float,
+) -> None:
     """Write the incident page, for any browser.
 
     It lists what went wrong, with pictures and a replay from above. --before and --after are for the pictures, and for a
@@ -218,7 +290,18 @@ def report(source: str, folder: str, road_map: str | None, serve: bool, port: in
 
     with open_recording(source) as recording:
         written = write_report(
-            recording, folder, road_map=options.road_map_of(recording, road_map), progress=watch_scenes("sampling"), **page
+            recording,
+            folder,
+            before=before,
+            after=after,
+            min_time=min_time,
+            min_distance=min_distance,
+            deceleration=deceleration,
+            road_map=options.road_map_of(recording, road_map),
+            pictures=pictures,
+            viewer=viewer,
+            progress=watch_scenes("sampling"),
+            force=force,
         )
     say(f"{Path(folder) / 'index.html'}: {written.incidents} incidents, {written.size / 1e6:.1f} MB")
     if serve:

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 import click
 
 from carla_recap.cli import options
@@ -76,11 +74,14 @@ def actors(file: str, form: str | None) -> None:
 @options.min_distance
 @options.deceleration
 @options.max_rows
-def incidents(file: str, form: str | None, max_rows: int | None, **limits: Any) -> None:
+def incidents(
+    file: str, form: str | None, min_time: float, min_distance: float, deceleration: float, max_rows: int | None
+) -> None:
     """Print the incidents: collisions, hard braking, long stops.
 
     Only stops of vehicles and walkers are incidents.
     """
     from carla_recap.queries.incidents import incidents as query
 
-    show(query(options.opened(file), **limits), form, max_rows)
+    reader = options.opened(file)
+    show(query(reader, min_time=min_time, min_distance=min_distance, deceleration=deceleration), form, max_rows)
