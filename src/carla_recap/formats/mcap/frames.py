@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import math
 from bisect import bisect_left
+from collections import Counter
 from operator import itemgetter
 from typing import TYPE_CHECKING, Any, Final, NamedTuple
 
@@ -361,30 +362,24 @@ class FrameAssembler:
         """Return the frames of a run as a batch; None where they have to be put together one by one."""
         channels = self._channels
         slots = {slot[0]: slot for slot in run.slots}
+        counts = Counter(slot[0] for slot in run.slots)
         own = slots.get(channels.frames)
         start = messages.FRAME_HEAD.itemsize
-        if own is None or own[2] < start:
+        if own is None or own[2] < start or counts[channels.frames] > 1:
             return None
         heads = run.view(messages.FRAME_HEAD, own[1])[:, 0]
         if not messages.have_heads(heads):
             return None
         plan = self._plan(bytes(run.message(0, own)[start:]))
         steps = [channel for _, channel in plan.steps]
-        present = [slot[0] for slot in run.slots]
-        once = all(present.count(channel) == 1 for channel in (channels.frames, *steps)) and len({*steps}) == len(steps)
-        if plan.preamble or channels.raw in steps or not once:
+        if plan.preamble or channels.raw in steps or len({*steps}) < len(steps) or any(counts[step] != 1 for step in steps):
             return None
-        columns: list[Column] = []
-        taken = iter(steps)
-        for packet in plan.packets:
-            if packet is not None:
-                columns.append(ConstantColumn(packet, run.number))
-                continue
-            channel = next(taken)
-            try:
-                columns.append(column(channels.types[channel], run, slots[channel]))
-            except ValueError:
-                return None
+        columns: list[Column] = [ConstantColumn(packet, run.number) for packet in plan.packets if packet is not None]
+        try:
+            for position, channel in plan.steps:
+                columns.insert(position, column(channels.types[channel], run, slots[channel]))
+        except ValueError:
+            return None
         return Batch(run.sequence, heads["frame"], heads["elapsed"], heads["duration"], columns)
 
     def _frame(self, index: int, found: list[Found]) -> Frame:
