@@ -12,9 +12,9 @@ from carla_recap.export.foxglove.messages import (
     WORLD,
     FrameTransform,
     FrameTransforms,
-    Messages,
-    Part,
-    Template,
+    MessagePart,
+    MessageTemplate,
+    TopicMessages,
     fill_pose,
     numbers,
     pose_numbers,
@@ -108,7 +108,7 @@ class ViewFrames:
         self._view = np.zeros(6)
         self._path = _Path()
 
-    def messages(self, batch: SceneBatch, rows: Indices, stamps: Stamps, followed: KnownPoses) -> Iterator[Messages]:
+    def messages(self, batch: SceneBatch, rows: Indices, stamps: Stamps, followed: KnownPoses) -> Iterator[TopicMessages]:
         """Yield the messages of some scenes of a batch.
 
         Args:
@@ -153,7 +153,7 @@ class FollowedMotion:
     def __init__(self) -> None:
         self._path = _Path()
 
-    def messages(self, batch: SceneBatch, id: int, found: KnownPoses) -> Iterator[Messages]:
+    def messages(self, batch: SceneBatch, id: int, found: KnownPoses) -> Iterator[TopicMessages]:
         """Yield the messages of the scenes of a batch in which the pose is known.
 
         Args:
@@ -206,7 +206,7 @@ class LightMessages:
         self._locations: Floats = np.zeros((0, 2))  # cm
         self._shown: tuple[bytes, int] | None = None  # the latest states, and the index of the light ahead
 
-    def messages(self, batch: SceneBatch, rows: Indices, followed: KnownPoses) -> Iterator[Messages]:
+    def messages(self, batch: SceneBatch, rows: Indices, followed: KnownPoses) -> Iterator[TopicMessages]:
         """Yield a message for each of some scenes in which a light has changed, or another light is ahead.
 
         Args:
@@ -267,18 +267,18 @@ def _records_of(batch: SceneBatch, name: str, id: int) -> NDArray[np.void] | Non
 
 
 @cache
-def _transforms_template(frames: tuple[str, ...]) -> Template:
-    return Template(*(_transform_part(frame) for frame in frames))
+def _transforms_template(frames: tuple[str, ...]) -> MessageTemplate:
+    return MessageTemplate(*(_transform_part(frame) for frame in frames))
 
 
-def _transform_part(frame: str) -> Part:
+def _transform_part(frame: str) -> MessagePart:
     constant = FrameTransform(parent_frame_id=WORLD, child_frame_id=frame).SerializeToString()
     stamp = timestamp(FrameTransform.TIMESTAMP_FIELD_NUMBER, frame)
     pose = pose_numbers(FrameTransform.TRANSLATION_FIELD_NUMBER, FrameTransform.ROTATION_FIELD_NUMBER, frame)
-    return (Part(constant) + stamp + pose).within(FrameTransforms.TRANSFORMS_FIELD_NUMBER)
+    return (MessagePart(constant) + stamp + pose).within(FrameTransforms.TRANSFORMS_FIELD_NUMBER)
 
 
-def _transforms(rows: Indices, stamps: Stamps, frames: dict[str, Floats]) -> Messages:
+def _transforms(rows: Indices, stamps: Stamps, frames: dict[str, Floats]) -> TopicMessages:
     """Return messages with the poses of some frames, in cm and degrees, by name."""
     messages, transforms = _transforms_template(tuple(frames)).messages(TRANSFORMS, rows)
     poses = right_handed(np.stack(list(frames.values())))
@@ -289,5 +289,5 @@ def _transforms(rows: Indices, stamps: Stamps, frames: dict[str, Floats]) -> Mes
 
 
 @cache
-def _followed_template(names: tuple[str, ...], type_id: str | None) -> Template:
-    return Template(Part(Followed(type_id=type_id).SerializeToString()), numbers(Followed, names))
+def _followed_template(names: tuple[str, ...], type_id: str | None) -> MessageTemplate:
+    return MessageTemplate(MessagePart(Followed(type_id=type_id).SerializeToString()), numbers(Followed, names))

@@ -1,7 +1,7 @@
 """Messages of Foxglove's schemas, serialized for many moments at once.
 
-Consecutive messages of a topic differ only in numbers of a fixed size: a `Template` has the other bytes, and the rows of
-an array have the numbers. Integers of protobuf differ in size; those of a timestamp are written with as many bytes
+Consecutive messages of a topic differ only in numbers of a fixed size: a `MessageTemplate` has the other bytes, and the
+rows of an array have the numbers. Integers of protobuf differ in size; those of a timestamp are written with as many bytes
 as the largest needs, which every reader accepts.
 """
 
@@ -12,8 +12,10 @@ from functools import cache
 from typing import TYPE_CHECKING, Final, NamedTuple
 
 import numpy as np
+from google.protobuf.descriptor import FieldDescriptor
 
 from carla_recap.errors import MissingExtra
+from carla_recap.formats.mcap.messages import FIXED32, FIXED64, LEN, VARINT, tag, varint
 from carla_recap.formats.mcap.schema import MESSAGE, SECOND
 
 try:
@@ -49,16 +51,21 @@ if TYPE_CHECKING:
 WORLD: Final = "world"
 """The frame of all positions."""
 
-_LENGTH_DELIMITED: Final = 2  # wire type
-_FORMATS: Final = {1: (1, "<f8"), 2: (5, "<f4"), 7: (5, "<u4"), 8: (0, "u1"), 15: (5, "<i4")}
-"""Wire type and format by protobuf's type: double, float, fixed32, bool, sfixed32."""
+_FORMATS: Final = {
+    FieldDescriptor.TYPE_DOUBLE: (FIXED64, "<f8"),
+    FieldDescriptor.TYPE_FLOAT: (FIXED32, "<f4"),
+    FieldDescriptor.TYPE_FIXED32: (FIXED32, "<u4"),
+    FieldDescriptor.TYPE_SFIXED32: (FIXED32, "<i4"),
+    FieldDescriptor.TYPE_BOOL: (VARINT, "u1"),
+}
+"""Wire type and format of the numbers whose size is fixed."""
 _POSE: Final = ("x", "y", "z", "qx", "qy", "qz", "qw")
-_VARINT: Final = 5  # bytes of the integers of a timestamp
-_TIMESTAMP: Final = 2 * (1 + _VARINT)
+_INTEGER: Final = 5  # bytes of the integers of a timestamp
+_TIMESTAMP: Final = 2 * (1 + _INTEGER)
 
 
 @dataclass(frozen=True)
-class Part:
+class MessagePart:
     """A part of a serialized message.
 
     Attributes:
@@ -69,14 +76,14 @@ class Part:
     data: bytes = b""
     numbers: tuple[tuple[str, DTypeLike, int], ...] = ()
 
-    def __add__(self, other: Part) -> Part:
+    def __add__(self, other: MessagePart) -> MessagePart:
         """Return this part followed by another one."""
         moved = tuple((name, format, len(self.data) + offset) for name, format, offset in other.numbers)
-        return Part(self.data + other.data, self.numbers + moved)
+        return MessagePart(self.data + other.data, self.numbers + moved)
 
-    def within(self, field: int) -> Part:
+    def within(self, field: int) -> MessagePart:
         """Return the part as a nested message, with the number of its field."""
-        return Part(_varint(field << 3 | _LENGTH_DELIMITED) + _varint(len(self.data))) + self
+        return MessagePart(tag(field, LEN) + varint(len(self.data))) + self
 
     @property
     def dtype(self) -> np.dtype[np.void]:
@@ -85,7 +92,7 @@ class Part:
         return np.dtype({"names": names, "formats": formats, "offsets": offsets, "itemsize": len(self.data)})
 
 
-class Messages(NamedTuple):
+class TopicMessages(NamedTuple):
     """Messages of a topic.
 
     Attributes:
@@ -99,40 +106,40 @@ class Messages(NamedTuple):
     data: NDArray[np.uint8]
 
 
-def single(topic: str, row: int, message: Message | bytes) -> Messages:
+def single(topic: str, row: int, message: Message | bytes) -> TopicMessages:
     """Return the only message of a topic."""
     data = message if isinstance(message, bytes) else message.SerializeToString()
-    return Messages(topic, np.array([row]), np.frombuffer(bytearray(MESSAGE.size) + data, np.uint8)[None])
+    return TopicMessages(topic, np.array([row]), np.frombuffer(bytearray(MESSAGE.size) + data, np.uint8)[None])
 
 
-class Template:
+class MessageTemplate:
     """A message that differs from moment to moment only in the numbers of its parts."""
 
-    def __init__(self, *parts: Part) -> None:
-        message = sum(parts, Part(bytes(MESSAGE.size)))
+    def __init__(self, *parts: MessagePart) -> None:
+        message = sum(parts, MessagePart(bytes(MESSAGE.size)))
         self._data = np.frombuffer(message.data, np.uint8)
         self._dtype = message.dtype
 
-    def messages(self, topic: str, rows: Indices) -> tuple[Messages, NDArray[np.void]]:
+    def messages(self, topic: str, rows: Indices) -> tuple[TopicMessages, NDArray[np.void]]:
         """Return a message for each of some moments, and the numbers in them, which are to be filled in."""
         data = np.empty((len(rows), len(self._data)), np.uint8)
         data[:] = self._data
-        return Messages(topic, rows, data), data.view(self._dtype)[:, 0]
+        return TopicMessages(topic, rows, data), data.view(self._dtype)[:, 0]
 
 
-def numbers(message: type[Message], names: Iterable[str], prefix: str = "") -> Part:
+def numbers(message: type[Message], names: Iterable[str], prefix: str = "") -> MessagePart:
     """Return the fields of a message that hold numbers of a fixed size, which get the names of the fields."""
-    part = Part()
+    part = MessagePart()
     for name in names:
         field = message.DESCRIPTOR.fields_by_name[name]
         wire_type, format = _FORMATS[field.type]
-        key = _varint(field.number << 3 | wire_type)
-        part += Part(key + bytes(np.dtype(format).itemsize), ((prefix + name, format, len(key)),))
+        start = tag(field.number, wire_type)
+        part += MessagePart(start + bytes(np.dtype(format).itemsize), ((prefix + name, format, len(start)),))
     return part
 
 
 @cache
-def pose_numbers(position: int, orientation: int, prefix: str = "") -> Part:
+def pose_numbers(position: int, orientation: int, prefix: str = "") -> MessagePart:
     """Return a position and an orientation, in fields of some numbers; see `fill_pose`."""
     xyz = numbers(Vector3, "xyz", prefix)
     return xyz.within(position) + numbers(Quaternion, "xyzw", f"{prefix}q").within(orientation)
@@ -147,24 +154,16 @@ def fill_pose(
             rows[prefix + name] = values[..., column]
 
 
-def timestamp(field: int, prefix: str = "") -> Part:
+def timestamp(field: int, prefix: str = "") -> MessagePart:
     """Return a timestamp, in a field of some number; see `timestamps`."""
-    return Part(bytes(_TIMESTAMP), ((f"{prefix}timestamp", ("u1", (_TIMESTAMP,)), 0),)).within(field)
+    return MessagePart(bytes(_TIMESTAMP), ((f"{prefix}timestamp", ("u1", (_TIMESTAMP,)), 0),)).within(field)
 
 
 def timestamps(times: Times) -> Stamps:
     """Return times in ns since 1970 as they are filled in for a `timestamp`, (times, bytes)."""
-    data = np.empty((len(times), 2, 1 + _VARINT), np.uint8)
+    data = np.empty((len(times), 2, 1 + _INTEGER), np.uint8)
     data[..., 0] = (1 << 3, 2 << 3)  # seconds, nanoseconds
     parts = np.stack(np.divmod(times, np.uint64(SECOND)), axis=1)
-    data[..., 1:] = parts[..., None] >> np.arange(0, 7 * _VARINT, 7, dtype=np.uint64) & np.uint64(0x7F)
+    data[..., 1:] = parts[..., None] >> np.arange(0, 7 * _INTEGER, 7, dtype=np.uint64) & np.uint64(0x7F)
     data[..., 1:-1] |= 0x80
     return data.reshape(len(times), _TIMESTAMP)
-
-
-def _varint(value: int) -> bytes:
-    data = bytearray()
-    while value > 0x7F:
-        data.append(value & 0x7F | 0x80)
-        value >>= 7
-    return bytes((*data, value))

@@ -16,14 +16,14 @@ from carla_recap.export.foxglove.messages import (
     CylinderPrimitive,
     KeyValuePair,
     LinePrimitive,
-    Messages,
-    Part,
+    MessagePart,
+    MessageTemplate,
     Point3,
     Pose,
     SceneEntity,
     SceneEntityDeletion,
     SceneUpdate,
-    Template,
+    TopicMessages,
     Vector3,
     fill_pose,
     pose_numbers,
@@ -132,11 +132,11 @@ class _EntitiesTemplate:
 
     def __init__(self, entities: Sequence[_ActorEntity]) -> None:
         self.entities = [entity.data for entity in entities]
-        self._template = Template(Part(b"".join(self.entities)))
+        self._template = MessageTemplate(MessagePart(b"".join(self.entities)))
         self._ends = (MESSAGE.size + np.cumsum([len(entity.data) for entity in entities], dtype=np.intp)).tolist()
         self._centers = np.array([entity.center for entity in entities]).reshape(-1, 3)
 
-    def messages(self, topic: str, rows: Indices, stamps: Stamps, poses: Floats) -> Messages:
+    def messages(self, topic: str, rows: Indices, stamps: Stamps, poses: Floats) -> TopicMessages:
         """Return the messages of some scenes.
 
         Args:
@@ -225,7 +225,7 @@ class ActorEntities:
         self._before = {MOVED: NO_IDS, STILL: NO_IDS}  # the actors of the latest message
         self._templates = {MOVED: _EntitiesTemplate([]), STILL: _EntitiesTemplate([])}  # and its template
 
-    def messages(self, batch: SceneBatch, rows: Indices, stamps: Stamps) -> Iterator[Messages]:
+    def messages(self, batch: SceneBatch, rows: Indices, stamps: Stamps) -> Iterator[TopicMessages]:
         """Yield the messages of some scenes of a batch.
 
         Args:
@@ -340,7 +340,7 @@ class ActorEntities:
 
     def _messages(
         self, topic: str, indices: Indices, gone: Iterable[str], rows: Indices, stamps: Stamps, poses: Floats
-    ) -> Iterator[Messages]:
+    ) -> Iterator[TopicMessages]:
         """Yield messages that show the same actors; the first of them deletes the entities that are gone."""
         entities = [self._shown[index] for index in indices.tolist()]
         template = self._templates[topic]
@@ -350,7 +350,7 @@ class ActorEntities:
         if gone:
             update = messages.data[0, MESSAGE.size :].tobytes()
             yield single(topic, int(rows[0]), _deletions(gone, stamps[0]) + update)
-            messages = Messages(topic, rows[1:], messages.data[1:])
+            messages = TopicMessages(topic, rows[1:], messages.data[1:])
         yield messages
 
 
@@ -432,13 +432,13 @@ def _serialized(start: SceneEntity, field: int, size: tuple[float, float, float]
         shade: The colour of the primitive.
     """
     shape = CubePrimitive(size=Vector3(x=size[0], y=size[1], z=size[2]), color=shade).SerializeToString()
-    primitive = (Part(shape) + _POSE).within(field)
-    return (Part(start.SerializeToString()) + primitive + _TIMESTAMP).within(SceneUpdate.ENTITIES_FIELD_NUMBER).data
+    primitive = (MessagePart(shape) + _POSE).within(field)
+    return (MessagePart(start.SerializeToString()) + primitive + _TIMESTAMP).within(SceneUpdate.ENTITIES_FIELD_NUMBER).data
 
 
 def _deletions(ids: Iterable[str], stamp: Stamps) -> bytes:
     """Return the part of a `SceneUpdate` that deletes entities, given the timestamp."""
-    time = Part(stamp.tobytes()).within(SceneEntityDeletion.TIMESTAMP_FIELD_NUMBER)
+    time = MessagePart(stamp.tobytes()).within(SceneEntityDeletion.TIMESTAMP_FIELD_NUMBER)
     deletions = [SceneEntityDeletion(type=SceneEntityDeletion.MATCHING_ID, id=id).SerializeToString() for id in ids]
     field = SceneUpdate.DELETIONS_FIELD_NUMBER
-    return b"".join((time + Part(deletion)).within(field).data for deletion in deletions)
+    return b"".join((time + MessagePart(deletion)).within(field).data for deletion in deletions)

@@ -26,7 +26,7 @@ if TYPE_CHECKING:
     from google.protobuf.message import Message
 
     from carla_recap.export.foxglove.followed import KnownPoses
-    from carla_recap.export.foxglove.messages import Indices, Messages, Times
+    from carla_recap.export.foxglove.messages import Indices, Times, TopicMessages
     from carla_recap.maps import RoadMap
     from carla_recap.model.frame import Header
     from carla_recap.replay.scene import SceneBatch
@@ -113,7 +113,7 @@ class FoxgloveWriter(ChunkedFile):
             return Played(0, 0.0)
         batch, times = self._last
         row, elapsed = len(batch) - 1, batch.time[-1].item()
-        messages: list[Messages] = []
+        messages: list[TopicMessages] = []
         if not self._shown:
             messages += self._show(batch, np.array([row]), times, known_poses(batch, self._follow))
         if self._lights.latest.elapsed != elapsed:
@@ -122,7 +122,7 @@ class FoxgloveWriter(ChunkedFile):
         self._add(messages, times)
         return Played(self._count, elapsed - self._start)
 
-    def _messages(self, batch: SceneBatch, times: Times) -> Iterator[Messages]:
+    def _messages(self, batch: SceneBatch, times: Times) -> Iterator[TopicMessages]:
         """Yield the messages of scenes, given the time of each in ns since 1970."""
         if self._last is None:
             self._start = batch.time[0].item()
@@ -148,7 +148,7 @@ class FoxgloveWriter(ChunkedFile):
                 rows.append(row)
         return np.array(rows, np.intp)
 
-    def _show(self, batch: SceneBatch, rows: Indices, times: Times, found: KnownPoses) -> Iterator[Messages]:
+    def _show(self, batch: SceneBatch, rows: Indices, times: Times, found: KnownPoses) -> Iterator[TopicMessages]:
         """Yield the messages of the scenes that are shown, given the poses of the followed actor."""
         found, stamps = found.of(rows), timestamps(times[rows])
         yield from self._frames.messages(batch, rows, stamps, found)
@@ -169,7 +169,7 @@ class FoxgloveWriter(ChunkedFile):
         for channel in self._channel_of.values():
             self._declare(channel)
 
-    def _add(self, messages: Sequence[Messages], times: Times) -> None:
+    def _add(self, messages: Sequence[TopicMessages], times: Times) -> None:
         """Add messages, in the order of time; where times are equal, in the given order."""
         if not messages:
             return
@@ -204,7 +204,7 @@ class FoxgloveWriter(ChunkedFile):
         super()._finish()
 
 
-def _records(messages: Messages, channel: int, times: Times) -> list[memoryview]:
+def _records(messages: TopicMessages, channel: int, times: Times) -> list[memoryview]:
     """Return the records of messages, whose headers are set."""
     size = messages.data.shape[1]
     header = messages.data[:, : MESSAGE.size].view(MESSAGE_DTYPE)[:, 0]
