@@ -252,7 +252,7 @@ class Player:
     def _batch(self, time: Floats, frames: Batch, ids: Ids, poses: Floats, light_states: NDArray[np.void]) -> SceneBatch:
         fresh, self._fresh = self._fresh, False
         events = self._cursor.take_events()
-        return self._cursor.state.scenes(time, frames, events, ids, poses, light_states, fresh=fresh)
+        return SceneBatch(self._cursor.state, time, frames, ids, poses, light_states, events, fresh=fresh)
 
     def _moment(self, time: float) -> float:
         """Return a time in elapsed seconds, which is given from the end if it is negative."""
@@ -276,8 +276,8 @@ class LiveScenes:
     def scene(self, frame: Frame) -> Scene:
         """Return the scene of the next frame."""
         state = self._state
-        events = state.apply(frame)
+        events = tuple(state.apply(frame))
         ids, poses = self._interpolator.at(frame, None, state.hidden, 0.0)
         fresh, self._fresh = self._fresh, False
-        time, states = np.array([frame.elapsed]), state.light_states[None]
-        return Scene(state.scenes(time, Batch.of(frame), events, ids, poses[None], states, fresh=fresh))
+        time, lights = np.array([frame.elapsed]), state.light_states[None]
+        return Scene(SceneBatch(state, time, Batch.of(frame), ids, poses[None], lights, events, fresh=fresh))

@@ -2,31 +2,30 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field, replace
+from copy import copy
 from functools import cached_property
 from typing import TYPE_CHECKING, TypeVar
 
 import numpy as np
 
-from carla_recap.replay.events import Collided, Destroyed, Event, Parented, Present, Spawned
+from carla_recap.replay.events import Collided, Destroyed, Event, Parented, Spawned
 from carla_recap.replay.pose import attach
 
 if TYPE_CHECKING:
-    from collections import defaultdict
-    from collections.abc import Iterator, Mapping
+    from collections.abc import Iterator
 
     from numpy.typing import NDArray
 
     from carla_recap.model.batch import Batch
     from carla_recap.model.frame import Frame
-    from carla_recap.replay.selection import Ids, Selection
+    from carla_recap.replay.selection import Ids
+    from carla_recap.replay.state import ReplayState
 
 E = TypeVar("E", bound=Event)
 
 _MAX_PARENTS = 16
 
 
-@dataclass(eq=False)
 class SceneBatch:
     """The scenes of consecutive frames, as arrays: the same actors in each, and no events after the first.
 
@@ -52,20 +51,32 @@ class SceneBatch:
         scene_lights: The latest state of each lamp of the scene, ascending by id.
     """
 
-    time: NDArray[np.float64]
-    frames: Batch
-    fresh: bool
-    events: tuple[Event, ...]
-    ids: Ids
-    poses: NDArray[np.float64]
-    light_states: NDArray[np.void]
-    actors: Mapping[int, Present]
-    doors: Mapping[int, frozenset[int]]
-    weather: np.void | None
-    scene_lights: NDArray[np.void]
-    hidden: Ids = field(repr=False)
-    selections: defaultdict[str, Selection] = field(repr=False)
-    _records: dict[str, NDArray[np.void]] = field(default_factory=dict, init=False, repr=False)
+    def __init__(
+        self,
+        state: ReplayState,
+        time: NDArray[np.float64],
+        frames: Batch,
+        ids: Ids,
+        poses: NDArray[np.float64],
+        light_states: NDArray[np.void],
+        events: tuple[Event, ...] = (),
+        *,
+        fresh: bool = False,
+    ) -> None:
+        self.time = time
+        self.frames = frames
+        self.fresh = fresh
+        self.events = events
+        self.ids = ids
+        self.poses = poses
+        self.light_states = light_states
+        self.actors = state.actors
+        self.doors = state.doors
+        self.weather = state.weather
+        self.scene_lights = state.scene_lights
+        self._hidden = state.hidden
+        self._selections = state.selections
+        self._records: dict[str, NDArray[np.void]] = {}
 
     def __len__(self) -> int:
         return len(self.time)
@@ -75,16 +86,12 @@ class SceneBatch:
 
     def __getitem__(self, rows: slice) -> SceneBatch:
         """Return some consecutive scenes."""
-        start, stop, _ = rows.indices(len(self))
-        return replace(
-            self,
-            time=self.time[start:stop],
-            frames=self.frames[start:stop],
-            fresh=self.fresh and not start,
-            events=() if start else self.events,
-            poses=self.poses[start:stop],
-            light_states=self.light_states[start:stop],
-        )
+        part, later = copy(self), rows.indices(len(self))[0] > 0
+        part.time, part.frames = self.time[rows], self.frames[rows]
+        part.poses, part.light_states = self.poses[rows], self.light_states[rows]
+        part.fresh, part.events = self.fresh and not later, () if later else self.events
+        part._records = {}
+        return part
 
     def scene(self, row: int) -> Scene:
         """Return one of the scenes."""
@@ -94,7 +101,7 @@ class SceneBatch:
         """Return the records of a type as in the frames, the last one of each id, ascending by id: (scenes, ids)."""
         if name not in self._records:
             records = self.frames.records(name)
-            self._records[name] = records[:, self.selections[name].choose(records[0], self.hidden)]
+            self._records[name] = records[:, self._selections[name].choose(records[0], self._hidden)]
         return self._records[name]
 
     def index_of(self, id: int) -> int | None:

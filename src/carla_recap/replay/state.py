@@ -13,7 +13,6 @@ import numpy as np
 from carla_recap.model.records import CM, ActorKind, Spawn
 from carla_recap.queries.actors import BoundingBox
 from carla_recap.replay.events import Collided, Destroyed, Event, Parented, Present, Spawned
-from carla_recap.replay.scene import SceneBatch
 from carla_recap.replay.selection import NO_IDS, Ids, Selection, merged
 
 if TYPE_CHECKING:
@@ -43,6 +42,7 @@ class ReplayState:
         light_states: The latest state of each traffic light, ascending by id; that of an actor that was not spawned as a
             traffic light holds in its own frame only.
         lights: The present traffic lights, ascending.
+        selections: The rows of each record type that count.
         hidden: The ids of ignored and destroyed actors, whose records do not count, ascending.
     """
 
@@ -60,7 +60,7 @@ class ReplayState:
         self.lights = NO_IDS
         self._stray_lights = False  # whether `light_states` has an actor that is no traffic light
         self._selection = Selection()
-        self._selections: defaultdict[str, Selection] = defaultdict(Selection)
+        self.selections: defaultdict[str, Selection] = defaultdict(Selection)
         self._spawned: set[int] = set()  # in this frame
         self._events: list[Event] = []
         self._actors_changed = False
@@ -100,23 +100,6 @@ class ReplayState:
             FormatError: A packet contradicts its layout.
         """
         return self._apply_light_states(batch.records("light_states"))
-
-    def scenes(
-        self,
-        time: NDArray[np.float64],
-        frames: Batch,
-        events: Iterable[Event],
-        ids: Ids,
-        poses: NDArray[np.float64],
-        light_states: NDArray[np.void],
-        *,
-        fresh: bool,
-    ) -> SceneBatch:
-        """Return scenes in this state; see `SceneBatch` for the arguments."""
-        lasting = self.actors, self.doors, self.weather, self.scene_lights
-        return SceneBatch(
-            time, frames, fresh, tuple(events), ids, poses, light_states, *lasting, self.hidden, self._selections
-        )
 
     def recall_lights(self, states: NDArray[np.void]) -> None:
         """Add light states of earlier frames."""
