@@ -13,9 +13,9 @@ import carla
 import numpy as np
 import pytest
 
-from carla_recap import open_recording
+from carla_recap import RecapError, open_recording
 from carla_recap.capture.observer import Observation
-from carla_recap.capture.recording import frames, header_of
+from carla_recap.capture.recording import capture, frames, header_of
 from carla_recap.server import running
 from tests.capture.conftest import PATIENCE, own_sensors, spawn, started, wait_for
 from tests.cli.command import error
@@ -223,3 +223,9 @@ def test_a_full_disk_is_an_error_of_one_line(port: int, world: carla.World, tmp_
     assert said.startswith(f"carla-recap: {tmp_path / 'a.log'}: cannot be written: File too large; the recording ends at ")
     assert said.count("\n") == 1
     assert len(frames_of(tmp_path / "a.log")) > 5
+
+
+@pytest.mark.parametrize(("name", "message"), [("a.xyz", "unknown format"), ("missing/a.log", "there is no folder")])
+def test_an_invalid_destination_is_refused_before_a_server_is_asked(tmp_path: Path, name: str, message: str) -> None:
+    with pytest.raises(RecapError, match=message):
+        capture(tmp_path / name, port=1)

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any, Final, NamedTuple
 
 from carla_recap.capture.observer import HOST, PORT, Observer
 from carla_recap.editing.author import packets_of
-from carla_recap.editing.convert import check_free
+from carla_recap.editing.convert import check_new
 from carla_recap.editing.recover import finish_partial
 from carla_recap.formats import create_writer
 from carla_recap.model.frame import LAST_FRAME_DURATION, Frame, Header, Packet
@@ -72,7 +72,7 @@ def capture(
         RecapError: There is no server, or the recording cannot be written: what was captured until then is kept, and the
             message contains its path.
     """
-    check_free(destination, force=force)
+    check_new(destination, force=force)
     with Observer(host, port, additional_data=additional_data, attach=True) as observer, observer.until_signal():
         header = header_of(observer)
         writer = create_writer(Path(destination), header, live=True)
