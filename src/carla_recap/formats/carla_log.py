@@ -441,9 +441,11 @@ class LogWriter(AtomicFile):
         parts: list[Buffer] = []
         if not frame.preamble:
             parts += (START_HEAD, START.pack(frame.id, frame.duration, frame.elapsed))
+        pack, shift = PACKET.pack, self._shift
         for packet in frame.packets:
-            payload = packet.payload
-            parts += (PACKET.pack(self._shift.get(packet.id, packet.id), len(payload)), payload)
+            id, payload = packet.id, packet.payload
+            parts.append(pack(shift.get(id, id), len(payload)))
+            parts.append(payload)
         self._put(b"".join(parts))
         self._sync_from(frame.elapsed)
 
