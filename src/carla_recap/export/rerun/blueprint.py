@@ -21,6 +21,8 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
+    from carla_recap.maps import RoadMap
+
 View = Literal["chase", "top"]
 """The camera: behind and above the actor, or straight above it."""
 
@@ -76,6 +78,20 @@ def arranged(cameras: Mapping[View, rrb.Spatial3DView], view: View, ego: int | N
         rrb.SelectionPanel(state="collapsed"),
         rrb.TimePanel(state="collapsed", timeline=SIM_TIME, play_state="following" if live else "playing"),
     )
+
+
+def live_blueprint(road_map: RoadMap | None = None, *, view: View = "chase", followed: int | None = None) -> rrb.Blueprint:
+    """Return the arrangement of views for a running simulation.
+
+    Args:
+        road_map: The map of the town, which is shown as a whole until an actor is followed.
+        view: The camera that is shown first.
+        followed: The actor that the cameras follow, if any.
+    """
+    if followed is not None:
+        return arranged(follow_views(paths.CHASE, "", followed), view, followed, live=True)
+    locations = np.concatenate(road_map.centre_lines) if road_map is not None else np.zeros((0, 3))
+    return arranged(overviews(locations), view, None, live=True)
 
 
 def camera_views(player: Player, *, followed: int | None = None) -> dict[View, rrb.Spatial3DView]:

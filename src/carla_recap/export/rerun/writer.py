@@ -12,15 +12,17 @@ import rerun as rr
 from carla_recap.editing.convert import check_destination
 from carla_recap.errors import RecapError, RecapWarning
 from carla_recap.export.rerun.actors import MOVERS, ActorWriter
-from carla_recap.export.rerun.blueprint import View, blueprint, first_locations
+from carla_recap.export.rerun.blueprint import View, blueprint, first_locations, live_blueprint
 from carla_recap.export.rerun.events import EventWriter
 from carla_recap.export.rerun.followed import FollowedWriter
-from carla_recap.export.rerun.rrd import piped, rbl
+from carla_recap.export.rerun.rrd import piped, rbl, send_blueprint
 from carla_recap.export.rerun.stream import Stream, TimeColumns
 from carla_recap.export.rerun.town import TrafficLightWriter, is_elsewhere, write_roads
 from carla_recap.queries.actors import actors
 from carla_recap.recording import Recording
 from carla_recap.replay import Played, Player
+from carla_recap.replay.follow import HERO, Follow
+from carla_recap.replay.player import LiveScenes
 from carla_recap.util.files import WholeFile, check_folder, new_folder
 from carla_recap.util.text import readable
 
@@ -29,9 +31,8 @@ if TYPE_CHECKING:
 
     from carla_recap.formats.base import Reader
     from carla_recap.maps import RoadMap
-    from carla_recap.model.frame import Header
-    from carla_recap.replay import SceneBatch
-    from carla_recap.replay.follow import Follow
+    from carla_recap.model.frame import Frame, Header
+    from carla_recap.replay import Scene, SceneBatch
     from carla_recap.replay.player import Progress
 
 MOST_CAMERAS: Final = 500
@@ -213,3 +214,63 @@ def _filmed(player: Player) -> list[int]:
             f"{player.reader.path}: only {MOST_CAMERAS} of {len(ids)} actors get a camera", RecapWarning, stacklevel=3
         )
     return list(ids)[:MOST_CAMERAS]
+
+
+class LiveView:
+    """Shows frames as they come.
+
+    Args:
+        stream: The stream, whose blueprint is that of `live_blueprint`.
+        header: The header of the recording.
+        source: The origin of the frames.
+        follow: The actor that the camera follows as soon as it is present: an id, or "hero".
+        view: The camera that is shown first.
+        road_map: The map of the town.
+    """
+
+    def __init__(
+        self,
+        stream: rr.RecordingStream,
+        header: Header,
+        source: str,
+        *,
+        follow: Follow = HERO,
+        view: View = "chase",
+        road_map: RoadMap | None = None,
+    ) -> None:
+        self._stream = stream
+        self._follow = follow
+        self._view: View = view
+        self._followed: int | None = None
+        self._scenes = LiveScenes()
+        describe(stream, header, f"{header.map_name}, live", source)
+        self._writer = SceneWriter(stream, road_map=road_map)
+
+    def enter(self, frame: Frame) -> None:
+        """Add a frame."""
+        scene = self._scenes.scene(frame)
+        if self._followed not in scene.actors:
+            self._find_followed(scene)
+        self._writer.write(scene.batch)
+
+    def flush(self) -> None:
+        """Show all frames that were added."""
+        self._writer.flush()
+
+    def close(self) -> None:
+        """Show all frames that were added, and what is known only at the end.
+
+        Warns:
+            RecapWarning: There were too many actors to show all of them.
+        """
+        self._writer.close()
+
+    def _find_followed(self, scene: Scene) -> None:
+        if self._follow == HERO:
+            found = next((id for id, actor in scene.actors.items() if actor.is_hero), None)
+        else:
+            found = self._follow if self._follow in scene.actors else None
+        if found is not None and found != self._followed:
+            self._followed = found
+            self._writer.follow(found)
+            send_blueprint(live_blueprint(view=self._view, followed=found), self._stream)
