@@ -165,7 +165,16 @@ def test_doubles_of_ue5_stay_doubles(tmp_path: Path, suffix: str) -> None:
         assert table["x"].dtype == np.float64
         assert table["x"][table["id"] == 1].tolist() == [0.1] * 3
         assert recording.trajectory(1, axes="carla").x.tolist() == [0.1 * CM] * 3
-        assert len(recording.table("physics")) == 0
+
+
+@both_formats
+def test_packets_that_are_kept_as_bytes_have_an_empty_table(tmp_path: Path, suffix: str) -> None:
+    type = UE5.named("physics")
+    packets = [*strategies.signature(wide=True, shifted=False), Packet(type.id, type, b"\1\0" + bytes(range(200)))]
+    frames = [Frame(n, n + 1, float(n), 1.0, packets) for n in range(3)]
+    with open_recording(write(tmp_path / f"ue5{suffix}", Header("Town10", 0, wide=True), frames)) as recording:
+        table = recording.table("physics")
+        assert (len(table), list(table.columns())) == (0, ["frame", "time", *type.layout.fields])
 
 
 @both_formats

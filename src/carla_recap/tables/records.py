@@ -101,6 +101,8 @@ class RecordTableBuilder:
         """
         if self._type.id == FRAME_START:
             records = _frame_records(batch, self._type)
+        elif self._type.opaque:
+            return
         elif self._type.fixed:
             records = batch.records(self._type.name)
         else:
