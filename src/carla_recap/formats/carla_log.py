@@ -180,16 +180,14 @@ class LogReader:
 
     def _read_header(self) -> tuple[Header, int]:
         start = self._window().read(0, _LONGEST_HEADER)
+        if not is_log(start):
+            raise NotARecording(self.path, "is not a CARLA log (the magic CARLA_RECORDER is missing)")
         try:
             (version,) = U16.unpack_from(start)
-            magic, offset = _read_text(start, 2)
-            if magic.upper() != MAGIC:
-                raise NotARecording(self.path, "is not a CARLA log (the magic CARLA_RECORDER is missing)")
+            _, offset = _read_text(start, 2)
             (date,) = DATE.unpack_from(start, offset)
             name, end = _read_text(start, offset + DATE.size)
         except (struct.error, IndexError):
-            if not is_log(start[:64]):
-                raise NotARecording(self.path, "is not a CARLA log (the magic CARLA_RECORDER is missing)") from None
             raise FormatError(self.path, len(start), "the file ends inside the header") from None
         plain = Header(name.decode("utf-8", "surrogateescape"), date, version)
         raw = start[:end]

@@ -249,10 +249,7 @@ class Batch:
         return len(self.id)
 
     def __iter__(self) -> Iterator[Frame]:
-        rows = zip(self.id.tolist(), self.elapsed.tolist(), self.duration.tolist(), strict=True)
-        for row, (id, elapsed, duration) in enumerate(rows):
-            packets = [column.packet(row) for column in self.columns]
-            yield Frame(self.index + row, id, elapsed, duration, packets, preamble=self.preamble)
+        return map(self.frame, range(len(self)))
 
     def __repr__(self) -> str:
         names = ", ".join(column.type.name if column.type else str(column.id) for column in self.columns)
@@ -260,9 +257,10 @@ class Batch:
 
     def frame(self, row: int) -> Frame:
         """Return one of the frames; -1 stands for the last one."""
-        packets = [column.packet(row % len(self)) for column in self.columns]
-        id, elapsed, duration = self.id[row].item(), self.elapsed[row].item(), self.duration[row].item()
-        return Frame(self.index + row % len(self), id, elapsed, duration, packets, preamble=self.preamble)
+        row = range(len(self))[row]
+        packets = [column.packet(row) for column in self.columns]
+        id, elapsed, duration = self.id.item(row), self.elapsed.item(row), self.duration.item(row)
+        return Frame(self.index + row, id, elapsed, duration, packets, preamble=self.preamble)
 
     @overload
     def __getitem__(self, key: str) -> NDArray[np.void]: ...
@@ -272,10 +270,7 @@ class Batch:
         """Return the records of a type by its name, see `records`; or the batch of some consecutive frames by a slice."""
         if isinstance(key, str):
             return self.records(key)
-        return self._sliced(key)
-
-    def _sliced(self, rows: slice) -> Batch:
-        start, stop, _ = rows.indices(len(self))
+        start, stop, _ = key.indices(len(self))
         stop = max(start, stop)
         return Batch(
             self.index + start,
@@ -317,12 +312,11 @@ class _Single(Batch):
         self.preamble = frame.preamble
 
     def __getattr__(self, name: str) -> Any:
-        frame = self._frame
         if name == "columns":
-            self.columns = [ConstantColumn(packet) for packet in frame.packets]
+            self.columns = [ConstantColumn(packet) for packet in self._frame.packets]
         elif name in _TIMES:
-            dtype = np.uint64 if name == "id" else np.float64
-            setattr(self, name, read_only(np.array([getattr(frame, name)], dtype)))
+            value = np.array([getattr(self._frame, name)], np.uint64 if name == "id" else np.float64)
+            setattr(self, name, read_only(value))
         else:
             raise AttributeError(f"a batch has no {name}")
         return getattr(self, name)
