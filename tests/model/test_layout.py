@@ -78,7 +78,7 @@ def test_wheels_are_read_as_the_format_has_them():
 
 @pytest.mark.parametrize("count", [0, 1, 2, 4])
 @pytest.mark.parametrize("size", [36, 48])
-def test_both_layouts_of_wheels_are_told_by_size(size, count):
+def test_the_layout_of_wheels_is_the_one_that_fits_the_size(size, count):
     physics = UE4.named("physics")
     numbers = [float(n) for n in range(size // 4 * count)]
     payload = listed(bytes(53) + bytes(12) + struct.pack(f"<I{len(numbers)}f", count, *numbers))

@@ -1,4 +1,4 @@
-"""Takes MCAP files apart and puts them together again, in ways that no honest writer would."""
+"""Parts of MCAP files, and files of any parts, valid or not."""
 
 from __future__ import annotations
 
@@ -45,7 +45,7 @@ def chunk_records(chunk: records.Chunk) -> bytes:
 
 
 def seal(content: bytes, packer: str = "zstd", **changes: Any) -> records.Chunk:
-    """A chunk of some records; `changes` are lies about it."""
+    """Return a chunk of some records; `changes` are false statements about it."""
     pack = {"zstd": zstandard.compress, "lz4": lz4.frame.compress}.get(packer, bytes)
     fields = {
         "compression": packer,

@@ -1,4 +1,4 @@
-"""Reading places of a file, and records, within bounds."""
+"""Reading parts of a file, and records, within bounds."""
 
 from __future__ import annotations
 

@@ -92,10 +92,12 @@ def test_the_values_are_those_of_the_records(recording):
         by_frame.setdefault((message.sequence, topic), []).append(content)
     with reading(recording) as reader:
         for frame in reader.frames():
-            (spine,) = by_frame.get((frame.index, "/frames"), [None])
-            assert plain([spine.frame, spine.elapsed, spine.duration]) == plain([frame.id, frame.elapsed, frame.duration])
+            (message,) = by_frame.get((frame.index, "/frames"), [None])
+            assert plain([message.frame, message.elapsed, message.duration]) == plain(
+                [frame.id, frame.elapsed, frame.duration]
+            )
             ids = bytes(packet.id for packet in frame.packets)
-            assert spine.packets == (ids if frame.preamble else b"\0" + ids)
+            assert message.packets == (ids if frame.preamble else b"\0" + ids)
             check_packets(frame, {t: m for (n, t), m in by_frame.items() if n == frame.index})
 
 

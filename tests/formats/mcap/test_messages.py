@@ -339,7 +339,7 @@ def test_a_huge_message_is_not_parsed():
 
 @pytest.mark.parametrize("count", [0, 4])
 @pytest.mark.parametrize("wheel", [36, 48])
-def test_both_layouts_of_wheels_are_told_by_the_fields_that_are_there(wheel, count):
+def test_the_layout_of_wheels_is_the_one_whose_fields_are_present(wheel, count):
     type = UE4.named("physics")
     curve = struct.pack("<I", 0)
     wheels = struct.pack("<I", count) + struct.pack("<f", 1.5) * (wheel // 4 * count)

@@ -1,4 +1,4 @@
-"""Reading MCAP: files of other writers, files that lie, and files with a flipped bit."""
+"""Reading MCAP: files of other writers, files with false statements, and files with a flipped bit."""
 
 from __future__ import annotations
 
@@ -220,7 +220,7 @@ def test_a_header_of_another_kind_of_lengths_is_seen(small_mcap):
         list(reader.frames())
 
 
-# --- files that lie --------------------------------------------------------------------------------------
+# --- false statements ------------------------------------------------------------------------------------
 
 
 def bomb(size, *, announced):
@@ -270,10 +270,10 @@ def test_a_chunk_larger_than_the_limit_is_not_read(small_mcap, monkeypatch):
 def test_a_chunk_that_lies_is_an_error(small_mcap, changes, reason):
     offset = None
 
-    def lie(chunk):
+    def changed(chunk):
         return resealed(chunk, "zstd", **changes)
 
-    forged = Forge([lie(p) if isinstance(p, records.Chunk) else p for p in data_records(small_mcap)])
+    forged = Forge([changed(p) if isinstance(p, records.Chunk) else p for p in data_records(small_mcap)])
     forged.write(small_mcap)
     offset = forged.indexes[0].chunk_start_offset
     with pytest.raises(FormatError, match=reason) as caught:
@@ -304,7 +304,7 @@ def test_a_chunk_without_whole_records_is_an_error(small_mcap, junk):
 
 
 def tampered(path, change):
-    """A file with a chunk index that tells something else."""
+    """Return a file with a chunk index that says something else."""
     forged = Forge(data_records(path))
     forged.write(path)
     return forged.write(path, summary=[*forged.described, *change(forged.indexes)])
@@ -540,7 +540,7 @@ def test_an_unknown_type_is_an_error(small_mcap):
 # --- stretches, summed up by the writer --------------------------------------------------------------------
 
 
-def test_who_stood_still_is_read_from_the_events(tmp_path):
+def test_stationary_intervals_are_read_from_the_events(tmp_path):
     path = tmp_path / "standing.mcap"
     with create_recording(path, map_name="Town01") as recorder:
         for number in range(4000):

@@ -1,4 +1,4 @@
-"""How recordings lie in MCAP: chunks, times, channels, and what is left of a file that is given up."""
+"""How recordings are stored in MCAP: chunks, times, channels, and what is left of a file that is given up."""
 
 from __future__ import annotations
 

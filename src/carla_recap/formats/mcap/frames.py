@@ -194,43 +194,52 @@ class _PendingChunks(NamedTuple):
     messages: int
 
 
+class ReadSelection(NamedTuple):
+    """What is read.
+
+    Attributes:
+        channels: The channels.
+        whole: Whether all packets are wanted, empty ones too.
+        sparse: Whether frames are wanted for their messages alone; their own messages are not read.
+        start: The elapsed time in seconds from which on frames are expected to be complete.
+        stop: The elapsed time in seconds until which they are.
+    """
+
+    channels: set[int]
+    whole: bool = False
+    sparse: bool = False
+    start: float = -math.inf
+    stop: float = math.inf
+
+
 class FrameAssembler:
     """Puts the frames of a read together.
 
     Args:
         path: The file, for messages.
         channels: The channels of the file.
-        wanted: The channels that are read.
+        selection: What is read.
         allowance: The most messages that are accepted.
         warn: Called with the id of a frame of which messages are missing.
-        whole: Whether all packets are wanted, empty ones too.
-        sparse: Whether frames are wanted for their messages alone; their own messages are not read.
         lenient: Leave out frames that contradict their schema.
-        period: The elapsed times in seconds between which frames are expected to be complete.
     """
 
     def __init__(
         self,
         path: Path,
         channels: Channels,
-        wanted: set[int],
+        selection: ReadSelection,
         allowance: int,
         warn: Callable[[int], None],
         *,
-        whole: bool = False,
-        sparse: bool = False,
         lenient: bool = False,
-        period: tuple[float, float] = (-math.inf, math.inf),
     ) -> None:
         self._path = path
         self._channels = channels
-        self._wanted = wanted
+        self._selection = selection
         self._allowance = allowance
         self._warn = warn
-        self._whole = whole
-        self._sparse = sparse
         self._lenient = lenient
-        self._start, self._stop = period
         self._pending: dict[int, tuple[int, list[Found]]] = {}  # by sequence number: log time and messages
         self._waiting: list[tuple[MessageRun, Batch]] = []
         self._blocks: list[_PendingChunks] = []
@@ -247,7 +256,7 @@ class FrameAssembler:
         for chunk, data in chunks:
             for run in self._runs(chunk, data):
                 count += run.number * len(run.slots)
-                batch = self._alike(run) if run.number > 1 and not self._sparse else None
+                batch = self._alike(run) if run.number > 1 and not self._selection.sparse else None
                 if batch is None:
                     single.append(run)
                 else:
@@ -302,9 +311,9 @@ class FrameAssembler:
     def _split(self, runs: Iterable[MessageRun]) -> None:
         """Add the messages of runs to those of their frames, one by one."""
         found: dict[int, ChannelMessages] = {}
-        pending = self._pending
+        pending, wanted = self._pending, self._selection.channels
         for run in runs:
-            slots = [slot for slot in run.slots if slot[0] in self._wanted]
+            slots = [slot for slot in run.slots if slot[0] in wanted]
             if not slots:
                 continue
             data, start = run.data, run.start
@@ -386,7 +395,7 @@ class FrameAssembler:
         """Return the frame of some messages."""
         first = {each[0].channel: each for each in reversed(found)}
         own = first.get(self._channels.frames)
-        if own is None or self._sparse:
+        if own is None or self._selection.sparse:
             return self._frame_of_messages(index, found)
         rest: dict[int, list[Found]] = {}  # what comes after the first message of each channel, in reverse order
         for each in reversed(found) if len(first) < len(found) else ():
@@ -404,8 +413,8 @@ class FrameAssembler:
                 packets[position] = MessagePacket(*message)
             if rest and rest.get(channel):
                 first[channel] = rest[channel].pop()
-        whole = [packet for packet in packets if packet is not None]
-        if len(whole) < len(packets) and not (elapsed < self._start or elapsed >= self._stop < math.inf):
+        whole, read = [packet for packet in packets if packet is not None], self._selection
+        if len(whole) < len(packets) and not (elapsed < read.start or elapsed >= read.stop < math.inf):
             self._warn(id)
         return Frame(index, id, elapsed, duration, whole, preamble=plan.preamble)
 
@@ -442,7 +451,11 @@ class FrameAssembler:
                 found = message.packets, message.filled
             ids, kinds = found
             steps = [self._step(id, kind) for id, kind in zip(ids, kinds, strict=False) if id != FRAME_START]
-            kept = [step for step in steps if self._whole or (isinstance(step, int) and step in self._wanted)]
+            kept = [
+                step
+                for step in steps
+                if self._selection.whole or (isinstance(step, int) and step in self._selection.channels)
+            ]
             plan = self._plans[packets] = _Plan(
                 not ids.startswith(bytes((FRAME_START,))),
                 [None if isinstance(step, int) else step for step in kept],

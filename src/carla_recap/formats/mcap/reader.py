@@ -15,7 +15,7 @@ import numpy as np
 from mcap.opcode import Opcode
 
 from carla_recap.errors import FormatError, NotARecording, RecapWarning
-from carla_recap.formats.mcap.frames import MESSAGES_LIMIT, Channels, FrameAssembler, channel_messages, parsed
+from carla_recap.formats.mcap.frames import MESSAGES_LIMIT, Channels, FrameAssembler, ReadSelection, channel_messages, parsed
 from carla_recap.formats.mcap.index import METADATA_LIMIT, Source, open_chunk, parse_record, read_summary
 from carla_recap.formats.mcap.messages import WireError
 from carla_recap.formats.mcap.schema import (
@@ -120,7 +120,7 @@ class McapReader:
         start, stop = start - SAME_TIME, stop - SAME_TIME
         wanted = self._channels.wanted(types, frames=not sparse)
         chunks = self._chunks(wanted, start, stop)
-        batches = self._assemble(chunks, wanted, whole=types is None, sparse=sparse, period=(start, stop))
+        batches = self._assemble(chunks, ReadSelection(wanted, types is None, sparse, start, stop))
         for batch in within(batches, start, stop):
             yield batch
             self._source.check_open()
@@ -138,7 +138,7 @@ class McapReader:
             if apart:
                 # Of a chunk that begins at that very nanosecond, the frame may still come later.
                 chunks = chunks[max(sum(chunk.start < time for chunk in chunks) - 1, 0) :]
-        for batch in self._assemble(chunks, wanted):
+        for batch in self._assemble(chunks, ReadSelection(wanted)):
             earlier = np.flatnonzero(batch.elapsed <= elapsed)
             if len(earlier):
                 found = batch.frame(int(earlier[-1]))
@@ -277,31 +277,14 @@ class McapReader:
         if block:
             yield block
 
-    def _assemble(
-        self,
-        chunks: list[ChunkIndex],
-        wanted: set[int],
-        *,
-        whole: bool = False,
-        sparse: bool = False,
-        period: tuple[float, float] = (-math.inf, math.inf),
-    ) -> Iterator[Batch]:
-        """Yield the frames of some chunks, in order; see `FrameAssembler`."""
+    def _assemble(self, chunks: list[ChunkIndex], selection: ReadSelection) -> Iterator[Batch]:
+        """Yield the frames of some chunks, in order."""
         # A message takes 16 bytes in the index alone: a file with many more of them than bytes was made to cost time.
         allowance = 2 * MESSAGES_LIMIT + self._source.size // 4
-        frames = FrameAssembler(
-            self.path,
-            self._channels,
-            wanted,
-            allowance,
-            self._warn_of_lost,
-            whole=whole,
-            sparse=sparse,
-            lenient=self._lenient,
-            period=period,
-        )
+        warn, lenient = self._warn_of_lost, self._lenient
+        frames = FrameAssembler(self.path, self._channels, selection, allowance, warn, lenient=lenient)
         count = 0
-        for block in self._blocks(chunks, ahead=not sparse):
+        for block in self._blocks(chunks, ahead=not selection.sparse):
             frames.add(block)
             count += len(block)
             yield from frames.complete(chunks[count].start if count < len(chunks) else None)
