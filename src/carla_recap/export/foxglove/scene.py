@@ -34,7 +34,7 @@ from carla_recap.formats.mcap.schema import MESSAGE
 from carla_recap.model.records import ActorKind, Spawn
 from carla_recap.replay import Present, quaternions, right_handed
 from carla_recap.replay.pose import LOCATION, change
-from carla_recap.replay.selection import NO_IDS
+from carla_recap.replay.selection import NO_IDS, find
 from carla_recap.v1.light_states_pb2 import TRAFFIC_LIGHT_COLOR_UNKNOWN
 
 if TYPE_CHECKING:
@@ -78,6 +78,7 @@ class _ActorEntity:
         actor: The actor.
         state: The state of a traffic light.
         has_body: Whether the actor is no sensor.
+        spawn_pose: The pose without a recorded one; NaN if the actor is attached to a parent.
         first: The first pose; NaN before.
         moved: Whether the actor has moved since.
         data: The serialized entity, with the actor at the origin.
@@ -87,6 +88,7 @@ class _ActorEntity:
     actor: Present
     state: int = TRAFFIC_LIGHT_COLOR_UNKNOWN
     has_body: bool = True
+    spawn_pose: Floats = field(default_factory=lambda: np.full(6, np.nan))
     first: Floats = field(default_factory=lambda: np.full(6, np.nan))
     moved: bool = False
     data: bytes = b""
@@ -98,6 +100,7 @@ class _ActorEntity:
         """Set the actor, and what depends on it."""
         self.actor = actor
         self.has_body = actor.kind != ActorKind.SENSOR and not actor.type_id.startswith("sensor.")
+        self.spawn_pose = np.full(6, np.nan) if actor.attached else actor.spawn_pose
         self._drawn = {}
         self.set_state(self.state)
 
@@ -212,12 +215,14 @@ class ActorEntities:
 
     def __init__(self) -> None:
         self._actors: list[Present] = []
+        self._unknown: list[int] = []  # the ids of recorded poses without actors
         self._ids: Ids | None = None
         self._entities: dict[int, _ActorEntity] = {}
         self._shown: list[_ActorEntity] = []  # those with a body
         self._shown_ids = NO_IDS
         self._columns: Indices = np.zeros(0, np.intp)  # see `_ShownPoses`
         self._others: Floats = np.zeros((0, 6))  # the poses of the shown actors without recorded ones
+        self._spawn_poses: Floats = np.zeros((0, 6))  # see `_ActorEntity`
         self._carried: list[tuple[int, int]] = []  # position and id of those of them that are attached to a parent
         self._first: Floats = np.zeros((0, 6))  # the first finite poses
         self._moved: NDArray[np.bool_] = np.zeros(0, np.bool_)
@@ -264,10 +269,23 @@ class ActorEntities:
         actors = list(batch.actors.values())
         if actors == self._actors and batch.ids is self._ids:
             return False
-        self._actors, self._ids = actors, batch.ids
         unknown = sorted(set(batch.ids.tolist()).difference(batch.actors))
+        if actors != self._actors or unknown != self._unknown:
+            self._take_entities([*actors, *(Present(Spawn(id), batch.time[0].item()) for id in unknown)])
+        self._actors, self._unknown, self._ids = actors, unknown, batch.ids
+        self._lights = None
+        self._columns, recorded = find(self._shown_ids, batch.ids)
+        others = np.flatnonzero(~recorded)
+        self._columns[others] = len(batch.ids) + np.arange(len(others))
+        self._others = self._spawn_poses[others]
+        carried = np.flatnonzero(np.isnan(self._others[:, 0]))
+        self._carried = list(zip(carried.tolist(), self._shown_ids[others[carried]].tolist(), strict=True))
+        return True
+
+    def _take_entities(self, actors: Iterable[Present]) -> None:
+        """Set the entities, given all actors."""
         entities: dict[int, _ActorEntity] = {}
-        for actor in (*actors, *(Present(Spawn(id), batch.time[0].item()) for id in unknown)):
+        for actor in actors:
             entity = self._entities.get(actor.id)
             if entity is None or (entity.actor is not actor and entity.actor.spawn != actor.spawn):
                 entity = _ActorEntity(actor)
@@ -277,21 +295,9 @@ class ActorEntities:
         self._entities = entities
         self._shown = [entity for entity in entities.values() if entity.has_body]
         self._shown_ids = np.array([entity.actor.id for entity in self._shown], np.uint32)
+        self._spawn_poses = np.array([entity.spawn_pose for entity in self._shown]).reshape(-1, 6)
         self._first = np.array([entity.first for entity in self._shown]).reshape(-1, 6)
         self._moved = np.array([entity.moved for entity in self._shown], np.bool_)
-        self._lights = None
-        self._columns = np.searchsorted(batch.ids, self._shown_ids)
-        others = np.flatnonzero(~np.isin(self._shown_ids, batch.ids))
-        self._columns[others] = len(batch.ids) + np.arange(len(others))
-        self._carried = []
-        self._others = np.full((len(others), 6), np.nan)
-        for column, index in enumerate(others.tolist()):
-            actor = self._shown[index].actor
-            if actor.attached:
-                self._carried.append((column, actor.id))
-            else:
-                self._others[column] = actor.spawn_pose
-        return True
 
     def _poses(self, batch: SceneBatch, rows: Indices) -> _ShownPoses:
         """Return the poses of all shown actors in some scenes."""
