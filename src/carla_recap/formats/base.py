@@ -78,7 +78,7 @@ class Reader(Protocol):
         ...
 
     def tail(self) -> Iterator[bytes]:
-        """Yield the bytes behind the last complete packet, in pieces."""
+        """Yield the bytes after the last complete packet, in pieces."""
         ...
 
     def close(self) -> None:
@@ -98,7 +98,7 @@ class Writer(Protocol):
         ...
 
     def write_tail(self, piece: bytes) -> None:
-        """Add bytes behind the last complete packet."""
+        """Add bytes after the last complete packet."""
         ...
 
     def close(self) -> None:

@@ -62,7 +62,7 @@ class LogReader:
 
     Args:
         path: The file.
-        salvage: Leave out what contradicts the format, and go on with the next frame that looks whole.
+        salvage: Leave out what contradicts the format, and go on with the next frame that looks complete.
 
     Attributes:
         path: The file.
@@ -169,7 +169,7 @@ class LogReader:
         """Return None: a log does not list stationary intervals."""
 
     def tail(self) -> Iterator[bytes]:
-        """Yield the bytes behind the last complete packet, in pieces."""
+        """Yield the bytes after the last complete packet, in pieces."""
         self._check_open()
         self.extent()
         assert self._end is not None
@@ -210,10 +210,10 @@ class LogReader:
             window.begin(offset)
             id, length = PACKET.unpack(window.read(offset, PACKET.size))
             if offset + PACKET.size + length > size or (id == FRAME_START and length != START.size):
-                whole = scanner.next_frame(offset + 1) if self._salvage else None
-                if whole is None:
+                complete = scanner.next_frame(offset + 1) if self._salvage else None
+                if complete is None:
                     break
-                offset = whole
+                offset = complete
                 continue
             payload = window.read(offset + PACKET.size, length) if id in _SNIFFED and length <= OBJECTS_LIMIT else b""
             offset += PACKET.size + length
@@ -475,5 +475,5 @@ class LogWriter(AtomicFile):
             self._sync_at = elapsed + SYNC_SECONDS
 
     def write_tail(self, piece: bytes) -> None:
-        """Add bytes behind the last complete packet."""
+        """Add bytes after the last complete packet."""
         self._put(piece)

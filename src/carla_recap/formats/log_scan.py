@@ -157,12 +157,12 @@ class Scanner:
         types: The record types by packet id, as in the file.
         wanted: Whether packets are wanted, by their id in the file, if they have records; None for all packets.
         sparse: Leave out frames without wanted packets.
-        salvage: Leave out what contradicts the format, and go on with the next frame that looks whole.
+        salvage: Leave out what contradicts the format, and go on with the next frame that looks complete.
 
     Attributes:
-        count: The position in the recording behind the last frame that was found.
+        count: The position in the recording after the last frame that was found.
         last: The offset of that frame in the file; None before any.
-        end: The offset behind the last complete packet, once the scan has come to it.
+        end: The offset after the last complete packet, once the scan has come to it.
         lost_bytes: Bytes that salvage has left out so far.
     """
 
@@ -185,7 +185,7 @@ class Scanner:
         self._ignored = -1 if wanted is None else len(EMPTY_LIST)  # the size of packets that have no records
         self._sparse = sparse
         self._salvage = salvage
-        self._next_whole: tuple[int, int | None] = (0, -1)  # an offset, and the first frame behind it that looks whole
+        self._next_complete: tuple[int, int | None] = (0, -1)  # an offset, and the first frame after it that looks complete
         self._offset = 0
         self.count = 0
         self.last: int | None = None
@@ -206,13 +206,13 @@ class Scanner:
         window = self._window
         if not preamble and offset + PACKET.size <= window.size:
             id, size = PACKET.unpack(window.read(offset, PACKET.size))
-            behind = self._next_packet(offset, id, size)
-            if behind is None:
+            following = self._next_packet(offset, id, size)
+            if following is None:
                 self.end = offset
                 return
-            if behind != offset + _FIRST_PACKET:
-                self.lost_bytes += behind - offset
-                offset = behind
+            if following != offset + _FIRST_PACKET:
+                self.lost_bytes += following - offset
+                offset = following
         self.count, self._offset = index, offset
         while True:
             if not (preamble or self._salvage):
@@ -276,7 +276,7 @@ class Scanner:
                     self.count += frames
                     self._offset = base + start
                     self.last = self._offset - stride
-            except struct.error:  # the frame goes on behind what is in memory
+            except struct.error:  # the frame goes on after what is in memory
                 if start == 0 or base + len(data) == window.size:
                     return
             data = b""
@@ -301,8 +301,8 @@ class Scanner:
             end += PACKET.size + size
         words = np.ndarray(((len(data) - start) // stride, stride - _WORD + 1), "<u8", data, start, (stride, 1))
         same = equal_rows(words, np.array(where), np.array(masks, np.uint64))
-        behind = start + same * stride
-        ends = data.startswith(START_HEAD, behind) or self._window.base + behind + PACKET.size > self._window.size
+        following = start + same * stride
+        ends = data.startswith(START_HEAD, following) or self._window.base + following + PACKET.size > self._window.size
         return max(same if ends else same - 1, 1)
 
     def _frame(self, offset: int, *, preamble: bool) -> tuple[list[Span], int] | None:
@@ -349,7 +349,7 @@ class Scanner:
         return [packet for packet in packets if wanted[packet[0]] and packet[2] != ignored], here
 
     def _next_packet(self, here: int, id: int, size: int) -> int | None:
-        """Return where to go on from a packet: behind it if it is sound, else None at the end of what is readable.
+        """Return where to go on from a packet: after it if it is sound, else None at the end of what is readable.
 
         Raises:
             FormatError: The packet contradicts the format, and nothing is to be salvaged.
@@ -376,12 +376,12 @@ class Scanner:
     # --- what is damaged -----------------------------------------------------------------------------------------------
 
     def next_frame(self, offset: int) -> int | None:
-        """Return where the next frame begins that looks whole; None where there is none."""
-        since, known = self._next_whole
+        """Return where the next frame begins that looks complete; None where there is none."""
+        since, known = self._next_complete
         if since <= offset and (known is None or offset <= known):
             return known
         found = self._find_frame(offset)
-        self._next_whole = offset, found
+        self._next_complete = offset, found
         return found
 
     def _find_frame(self, offset: int) -> int | None:
@@ -389,7 +389,7 @@ class Scanner:
             piece = self._window.read(offset, _WINDOW)
             found = piece.find(START_HEAD)
             while found >= 0:
-                if self._looks_whole(offset + found):
+                if self._looks_complete(offset + found):
                     return offset + found
                 found = piece.find(START_HEAD, found + 1)
             offset += max(len(piece) - len(START_HEAD) + 1, 1)
@@ -404,7 +404,7 @@ class Scanner:
         inside = self.next_frame(here + 1)
         return inside if inside is not None and inside < here + PACKET.size + size else None
 
-    def _looks_whole(self, offset: int) -> bool:
+    def _looks_complete(self, offset: int) -> bool:
         offset += _FIRST_PACKET
         for _ in range(_PACKETS_IN_A_FRAME):
             if offset + PACKET.size > self._window.size:

@@ -99,7 +99,7 @@ class Packet:
 
     @property
     def payload(self) -> Buffer:
-        """The bytes behind the packet header."""
+        """The bytes after the packet header."""
         if self._payload is None:
             if self._part is not None:
                 buffer, start, size = self._part
@@ -136,7 +136,7 @@ class Packet:
         return FormatError(path, None if offset is None else offset + error.offset, str(error))
 
     def warn_of(self, extra: int) -> None:
-        """Warn of bytes behind the records."""
+        """Warn of bytes after the records."""
         path, offset = self._origin or ("a packet", None)
         name = self.type.name if self.type else self.id
         where = path if offset is None else f"{path}: byte {offset}"
