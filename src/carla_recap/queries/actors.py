@@ -95,9 +95,10 @@ class ActorCollector:
         self._present: dict[int, Actor] = {}
 
     def add(self, packet: Packet, elapsed: float) -> None:
-        """Add a packet of one of `TYPES`, which belongs to a frame at a time in seconds."""
-        assert packet.type is not None
-        name, records, present = packet.type.name, packet.records, self._present
+        """Add a packet of a frame at a time in seconds; packets of other types than `TYPES` do not count."""
+        name, records, present = packet.type.name if packet.type else "", packet.records, self._present
+        if name not in TYPES:
+            return
         if name == "spawned":
             for spawn in records:
                 self._spawn(spawn, elapsed)

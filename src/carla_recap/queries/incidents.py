@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from bisect import bisect_right
 from collections import defaultdict
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, ClassVar, Final, Literal
 
 import numpy as np
@@ -28,6 +28,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from carla_recap.formats.base import Reader
+    from carla_recap.model.frame import Frame
     from carla_recap.model.stationary import BlockedRow
     from carla_recap.queries.actors import Actor
     from carla_recap.queries.braking import Braking
@@ -112,33 +113,34 @@ def incidents(
         raise RecapError(f"a deceleration of {deceleration:g} m/s² is no braking; it must be above 0")
     collector, contacts = ActorCollector(), _Contacts()
     for frame in source.frames((*ACTOR_TYPES, "collisions"), sparse=True):
+        contacts.add(frame)
         for packet in frame.packets:
-            if packet.type is not None and packet.type.name == "collisions":
-                contacts.add(packet.records.tolist(), frame.index, frame.elapsed)  # type: ignore[union-attr]
-            else:
-                collector.add(packet, frame.elapsed)
+            collector.add(packet, frame.elapsed)
     actors = _ActorsByTime(collector.actors)
     intervals = source.stationary_intervals(min_time, min_distance) if blocked else []
     tracker = StationaryTracker(source.header.table, min_time, min_distance) if intervals is None else None
     detector = BrakingDetector(actors.ids("vehicle"), deceleration) if braking else None
-    positions = _Positions(contacts.contacts if collisions else [])
+    located = defaultdict(list)  # contacts by frame
+    for contact in contacts if collisions else ():
+        located[contact.index].append(contact)
     types = {*(STATIONARY_TYPES if tracker else ()), *(BRAKING_TYPES if detector else ())}
-    if not types and positions.count <= _LOOK_UPS and getattr(source, "metadata", {}).get("steady_clock") == "1":
-        positions.look_up(source)
-    elif types or positions.count:
+    if not types and len(located) <= _LOOK_UPS and getattr(source, "metadata", {}).get("steady_clock") == "1":
+        _look_up(source, located)
+    elif types or located:
         for batch in source.batches((*types, "transforms")):
             if tracker:
                 tracker.batch(batch)
             if detector:
                 detector.batch(batch)
-            for row in positions.rows(batch.index, len(batch)):
-                positions.add(batch.index + row, batch.frame(row)["transforms"])
+            for row in range(len(batch)) if located else ():
+                if batch.index + row in located:
+                    _locate(located[batch.index + row], batch.frame(row)["transforms"])
     found: list[Incident] = []
     if collisions:
-        found += _collisions(contacts.contacts, actors, positions.found)
+        found += _collisions(contacts, actors)
     found += _blocked(longest_first(tracker.finish() if tracker else intervals or []), actors)
     if detector:
-        found += _braking(detector.finish(), contacts.contacts, actors)
+        found += _braking(detector.finish(), contacts, actors)
     return Incidents(sorted(found, key=lambda incident: (incident.start, incident.kind)), source, compat=False)
 
 
@@ -198,6 +200,7 @@ class _Contact:
         index: The frame in which it begins.
         start: The time of its first record, in elapsed seconds.
         stop: The time of its last record, in elapsed seconds.
+        positions: The positions of the actors at the start, by id, in m, right-handed.
     """
 
     ids: tuple[int, int]
@@ -205,74 +208,52 @@ class _Contact:
     index: int
     start: float
     stop: float
+    positions: dict[int, Position] = field(default_factory=dict)
 
 
-class _Contacts:
+class _Contacts(list[_Contact]):
     """The contacts that collision records belong to."""
 
     def __init__(self) -> None:
-        self.contacts: list[_Contact] = []
+        super().__init__()
         self._latest: dict[frozenset[int], _Contact] = {}
 
-    def add(self, records: list[tuple[int, int, int, int, int]], index: int, elapsed: float) -> None:
+    def add(self, frame: Frame) -> None:
         """Add the collision records of a frame."""
-        for _, id1, id2, hero1, hero2 in records:
+        for _, id1, id2, hero1, hero2 in frame["collisions"].tolist():
             pair = frozenset((id1, id2))
             contact = self._latest.get(pair)
-            if contact is not None and abs(elapsed - contact.stop) < _SAME_CONTACT:
-                contact.stop = elapsed
+            if contact is not None and abs(frame.elapsed - contact.stop) < _SAME_CONTACT:
+                contact.stop = frame.elapsed
             else:
-                contact = self._latest[pair] = _Contact((id1, id2), (bool(hero1), bool(hero2)), index, elapsed, elapsed)
-                self.contacts.append(contact)
+                heroes = bool(hero1), bool(hero2)
+                contact = self._latest[pair] = _Contact((id1, id2), heroes, frame.index, frame.elapsed, frame.elapsed)
+                self.append(contact)
 
 
-class _Positions:
-    """The positions of actors at the beginning of their contacts.
+def _look_up(source: Reader, contacts: dict[int, list[_Contact]]) -> None:
+    """Read the frames of contacts, which are given by frame, one by one; the clock of the recording always goes forward."""
+    for index, (contact, *_) in contacts.items():
+        for frame in source.frames(("transforms",), start=contact.start, stop=contact.start + 2 * SAME_TIME):
+            if frame.index == index:
+                _locate(contacts[index], frame["transforms"])
 
-    Attributes:
-        found: The positions by frame and id, in m, right-handed.
-    """
 
-    def __init__(self, contacts: Iterable[_Contact]) -> None:
-        self.found: dict[tuple[int, int], Position] = {}
-        self._ids: dict[int, set[int]] = defaultdict(set)  # by frame
-        self._times: dict[int, float] = {}
-        for contact in contacts:
-            self._ids[contact.index].update(contact.ids)
-            self._times[contact.index] = contact.start
-
-    @property
-    def count(self) -> int:
-        """The number of frames."""
-        return len(self._times)
-
-    def rows(self, first: int, count: int) -> list[int]:
-        """Return which of some frames are needed, counted from the first one."""
-        return [row for row in range(count) if first + row in self._times] if self._times else []
-
-    def add(self, index: int, transforms: NDArray[np.void]) -> None:
-        """Add the transforms of a frame."""
-        for row in np.flatnonzero(np.isin(transforms["id"], list(self._ids[index]))).tolist():
+def _locate(contacts: Iterable[_Contact], transforms: NDArray[np.void]) -> None:
+    """Note the positions of the actors of contacts that begin in a frame."""
+    for contact in contacts:
+        for row in np.flatnonzero(np.isin(transforms["id"], contact.ids)).tolist():
             id, x, y, z, *_ = transforms[row].tolist()
-            self.found[index, id] = _metres(x, y, z)
-
-    def look_up(self, source: Reader) -> None:
-        """Read the frames one by one, from a recording whose clock always goes forward."""
-        for index, time in self._times.items():
-            for frame in source.frames(("transforms",), start=time, stop=time + 2 * SAME_TIME):
-                if frame.index == index:
-                    self.add(index, frame["transforms"])
+            contact.positions[id] = _metres(x, y, z)
 
 
-def _collisions(
-    contacts: Iterable[_Contact], actors: _ActorsByTime, positions: dict[tuple[int, int], Position]
-) -> Iterator[Incident]:
+def _collisions(contacts: Iterable[_Contact], actors: _ActorsByTime) -> Iterator[Incident]:
     for contact in contacts:
         first, second = _ranked(contact, actors)
         if actors.is_no_actor(first):
             continue
         ids = (first,) if actors.is_no_actor(second) else (first, second)
-        position = next((positions[contact.index, id] for id in ids if (contact.index, id) in positions), _UNKNOWN)
+        position = next((contact.positions[id] for id in ids if id in contact.positions), _UNKNOWN)
         text = f"{actors.name(first, contact.start)} collides with {actors.name(second, contact.start)}"
         type_ids = actors.type_ids(ids, contact.start)
         yield Incident("collision", contact.start, contact.stop, ids, type_ids, *position, text)

@@ -34,7 +34,7 @@ class _Template:
         self._fields = _FIELD.findall(line)
         kinds = {"index": "u4", **layout.fields}
         texts = {field: readable for field in self._fields if kinds[field] == TEXT}
-        self._words = [(self._fields.index(field), word) for field, word in {**texts, **words}.items()]
+        self._words = {**texts, **words}
         self._reals = [kinds[field] in (REAL, "f4", "f8") for field in self._fields]
         self._line = _FIELD.sub(lambda match: "%.6g" if self._reals[self._fields.index(match[1])] else "%s", line)
         self._line_of_texts = _FIELD.sub("%s", line)
@@ -51,12 +51,9 @@ class _Template:
 
     def _rows(self, records: Records) -> Iterable[Any]:
         """Return the values of each record, in the order of the line."""
-        if not isinstance(records, np.ndarray):
-            rows: Iterable[Any] = map(self._of_object, records)
-        elif len(records) < _FEW:
-            rows = self._few_rows(records)
-        else:
-            rows = zip(*(self._column(field, records) for field in self._fields), strict=True)
+        if isinstance(records, np.ndarray) and len(records) >= _FEW:
+            return zip(*(self._column(field, records) for field in self._fields), strict=True)
+        rows = self._few_rows(records) if isinstance(records, np.ndarray) else map(self._of_object, records)
         return map(self._in_words, rows) if self._words else rows
 
     def _few_rows(self, records: NDArray[np.void]) -> Iterable[Any]:
@@ -70,13 +67,12 @@ class _Template:
         return map(self._of_row, rows)
 
     def _column(self, field: str, records: NDArray[np.void]) -> Iterable[Any]:
-        return range(len(records)) if field == "index" else records[field].tolist()
+        values: Iterable[Any] = range(len(records)) if field == "index" else records[field].tolist()
+        return map(self._words[field], values) if field in self._words else values
 
     def _in_words(self, row: Iterable[Any]) -> tuple[Any, ...]:
-        values = list(row)
-        for index, word in self._words:
-            values[index] = word(values[index])
-        return tuple(values)
+        words = self._words
+        return tuple(words[field](v) if field in words else v for field, v in zip(self._fields, row, strict=True))
 
     def _text_with_signs(self, records: Records) -> str:
         """Return the text of records with a NaN among them, whose sign Python's formatting omits."""
