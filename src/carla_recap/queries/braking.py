@@ -6,7 +6,6 @@ little effect. It must last for a while, so that a sudden stop (in a crash, by a
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from itertools import pairwise
 from typing import TYPE_CHECKING, Any, Final, NamedTuple
 
@@ -146,14 +145,18 @@ class _VehicleRecords:
         edges = [0, *(np.flatnonzero((ids[1:] != ids[:-1]).any(axis=1)) + 1).tolist(), len(ids)]
         for start, stop in pairwise(edges):
             columns = np.flatnonzero(_among(ids[start], self._vehicles))
-            part = _Part(records[start:stop], columns, ids[start, columns])
-            self._parts.append(part)
-            self.count += part.count
+            self._parts.append(_Part(records[start:stop], columns, ids[start, columns]))
+            self.count += (stop - start) * len(columns)
+
+    @property
+    def frames(self) -> int:
+        """The number of frames."""
+        return sum(len(part.records) for part in self._parts)
 
     @property
     def is_restless(self) -> bool:
         """Whether most frames list other vehicles than the frames around them."""
-        return 2 * len(self._parts) > sum(map(len, self._parts))
+        return 2 * len(self._parts) > self.frames
 
     def ids(self) -> Ids:
         """Return the vehicles that have any records, ascending."""
@@ -167,13 +170,13 @@ class _VehicleRecords:
             names: The fields, each of one letter.
             ids: All vehicles that have any records, ascending.
         """
-        values = np.full((len(names), sum(map(len, self._parts)), len(ids)), np.nan, self._parts[0].records.dtype[names[0]])
+        values = np.full((len(names), self.frames, len(ids)), np.nan, self._parts[0].records.dtype[names[0]])
         first = 0
         for part in self._parts:
             columns = np.searchsorted(ids, part.ids)
             for number, name in enumerate(names):
-                values[number, first : first + len(part), columns] = part.records[name][:, part.columns].T
-            first += len(part)
+                values[number, first : first + len(part.records), columns] = part.records[name][:, part.columns].T
+            first += len(part.records)
         return values
 
     def table(self, ids: Ids) -> tuple[NDArray[np.void], Indices]:
@@ -189,18 +192,14 @@ class _VehicleRecords:
 
     def drop(self, count: int) -> None:
         """Drop the first frames."""
-        while self._parts and len(self._parts[0]) <= count:
-            part = self._parts.pop(0)
-            count -= len(part)
-            self.count -= part.count
+        while self._parts and len(self._parts[0].records) <= count:
+            count -= len(self._parts.pop(0).records)
         if count:
-            part = self._parts[0]
-            self._parts[0] = _Part(part.records[count:], part.columns, part.ids)
-            self.count -= count * len(part.columns)
+            self._parts[0] = self._parts[0]._replace(records=self._parts[0].records[count:])
+        self.count = sum(len(part.records) * len(part.columns) for part in self._parts)
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class _Part:
+class _Part(NamedTuple):
     """The packets of consecutive frames that list the same vehicles.
 
     Attributes:
@@ -212,14 +211,6 @@ class _Part:
     records: NDArray[np.void]
     columns: Indices
     ids: Ids
-
-    def __len__(self) -> int:
-        return len(self.records)
-
-    @property
-    def count(self) -> int:
-        """The number of records of vehicles."""
-        return len(self.records) * len(self.columns)
 
 
 def _suspects(transforms: _VehicleRecords, velocities: _VehicleRecords, elapsed: Floats, deceleration: float) -> Ids:
