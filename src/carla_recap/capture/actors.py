@@ -30,7 +30,7 @@ UNREADABLE: Final = (ValueError, LookupError, OverflowError)
 Boost.Python makes these of the C++ exceptions for bad values, and RuntimeError of all others.
 """
 UNANSWERED: Final = (RuntimeError, *UNREADABLE)
-"""What CARLA's client raises where a question is not answered."""
+"""What CARLA's client raises if a request is not answered."""
 OWN: Final = "carla-recap"
 """The role of this package's own sensors, which are left out."""
 _HERO: Final = "hero"
@@ -143,7 +143,7 @@ class ActorTracker:
 
 
 def readable(listed: carla.ActorList) -> list[carla.Actor]:
-    """Return the actors of a list that the client can read; where it cannot read one, iterating raises an error."""
+    """Return the actors of a list that the client can read; iterating raises an error at the first unreadable one."""
     found = (_actor_at(listed, index) for index in range(len(listed)))
     return [actor for actor in found if actor is not None]
 

@@ -49,7 +49,7 @@ def watch(
 ) -> str:
     """Show the world of a CARLA server, until the viewer is closed, the server has gone, or Ctrl-C is pressed.
 
-    The world is not changed. Collisions are shown where a collision sensor reports them.
+    The world is not changed. Collisions are shown if a collision sensor reports them.
 
     Args:
         to: An .rrd, or the address of a viewer that listens: `rerun+http://127.0.0.1:9876/proxy`; else a viewer is opened.
@@ -121,7 +121,7 @@ def _opened(to: Path | str | None, arrangement: rrb.Blueprint) -> Iterator[tuple
 
 
 def _road_map(map: carla.Map) -> RoadMap | None:
-    """Return the roads; None where they cannot be read."""
+    """Return the roads, or None if they cannot be read."""
     with TemporaryDirectory(prefix="carla-recap-") as folder:
         path = Path(folder) / f"{map.name.rpartition('/')[2]}.xodr"
         path.write_text(map.to_opendrive(), "utf-8")

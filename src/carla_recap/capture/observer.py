@@ -238,7 +238,7 @@ class Observer:
                 self._tracker = before
 
     def _poll(self) -> None:
-        """Request other data when it is due, and check that the server is there."""
+        """Request other data when it is due, and check that the server is running."""
         now = monotonic()
         is_quiet = now - self._observed_at > _QUIET
         if now - self._asked_at < (_QUIET if is_quiet else _ASKING):
@@ -268,7 +268,7 @@ class Observer:
             self._listener.update(self._tracker)
 
     def _answer(self, question: Callable[[], Any], default: Any) -> Any:
-        """Return the server's answer; a default where an actor, or the server, has gone."""
+        """Return the server's answer; a default if the actor or the server is gone."""
         try:
             return question()
         except UNANSWERED:

@@ -210,7 +210,7 @@ def view(
         ready: Gets the address for the browser as soon as the server accepts connections.
 
     Raises:
-        RecapError: There is no such actor or time, there is no display, or the viewer failed.
+        RecapError: The actor or the time does not exist, no display is available, or the viewer failed.
         MissingExtra: There is no viewer.
         FormatError: The file contradicts its format.
     """
