@@ -94,6 +94,6 @@ class Selection:
             self.ids = ids[rows]
             self.ids.setflags(write=False)
             self._rows = rows if len(rows) else slice(0)
-            if len(rows) and (np.diff(rows) == 1).all():
+            if len(rows) and rows[-1] - rows[0] == len(rows) - 1 and (rows[1:] > rows[:-1]).all():
                 self._rows = slice(rows[0], rows[-1] + 1)  # a view is faster than a copy
         return self._rows

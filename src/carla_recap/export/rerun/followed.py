@@ -193,8 +193,7 @@ def _values(batch: SceneBatch, name: str, id: int, fields: Sequence[str]) -> Flo
     """Return some fields of the records of an actor, (scenes, fields); NaN if it has no records."""
     values = np.full((len(batch), len(fields)), np.nan)
     records = batch.frames.records(name)
-    found = np.flatnonzero(records["id"][0] == id)
-    if len(found):  # the last record of an actor counts
+    if records.size and len(found := np.flatnonzero(records["id"][0] == id)):  # the last record of an actor counts
         for column, field in enumerate(fields):
             values[:, column] = records[field][:, found[-1]]
     return values
