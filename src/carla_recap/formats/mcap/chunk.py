@@ -191,13 +191,16 @@ class FrameTemplate:
             sequence: The sequence number of the first frame.
             times: Log and publish time of each frame in ns, (frames, 2).
         """
-        count, index = len(rows), {}
-        starts = np.arange(0, rows.nbytes, self.size, dtype=np.uint64)
+        index = {}
+        numbers = np.arange(sequence, sequence + len(rows))
+        entries = np.empty((len(rows), 2), np.uint64)
+        entries[:, 0] = times[:, 0]
+        entries[:, 1] = np.arange(0, rows.nbytes, self.size)
         for channel, offset in self.offsets:
             headers = _fields(rows, MESSAGE_DTYPE, offset)
-            headers["sequence"] = np.arange(sequence, sequence + count)
+            headers["sequence"] = numbers
             headers["log_time"], headers["publish_time"] = times.T
-            index[channel] = np.stack((times[:, 0], starts + np.uint64(offset)), axis=1)
+            index[channel] = entries + np.array([0, offset], np.uint64)
         return index
 
 
