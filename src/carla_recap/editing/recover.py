@@ -165,7 +165,7 @@ def _stated_frames(reader: Reader) -> int:
 def _open(source: Path | str) -> tuple[Reader, bool, int, bool]:
     """Return a reader of the intact parts, whether the file has an end, its lost bytes, and whether its header is lost."""
     if is_log(read_start(source)):
-        return LogReader(source, salvage=True), True, 0, False
+        return LogReader(source, lenient=True), True, 0, False
     from carla_recap.formats.mcap.index import Source
     from carla_recap.formats.mcap.reader import McapReader
     from carla_recap.formats.mcap.recovery import guess_header, recover_summary

@@ -62,23 +62,23 @@ class LogReader:
 
     Args:
         path: The file.
-        salvage: Leave out what contradicts the format, and go on with the next frame that looks complete.
+        lenient: Leave out what contradicts the format, and go on with the next frame that looks complete.
 
     Attributes:
         path: The file.
         header: The header.
-        lost_bytes: The number of bytes that salvage has left out so far.
+        lost_bytes: The number of bytes that were left out so far.
 
     Raises:
         NotARecording: The file is no CARLA log.
         FormatError: The header contradicts the format.
     """
 
-    def __init__(self, path: Path | str, *, salvage: bool = False) -> None:
+    def __init__(self, path: Path | str, *, lenient: bool = False) -> None:
         self.path = Path(path)
         self.lost_bytes = 0
         self._lock = Lock()
-        self._salvage = salvage
+        self._lenient = lenient
         self._warned: set[str] = set()
         self._extent: Extent | None = None
         self._index: _Index | None = None
@@ -210,7 +210,7 @@ class LogReader:
             window.begin(offset)
             id, length = PACKET.unpack(window.read(offset, PACKET.size))
             if offset + PACKET.size + length > size or (id == FRAME_START and length != START.size):
-                complete = scanner.next_frame(offset + 1) if self._salvage else None
+                complete = scanner.next_frame(offset + 1) if self._lenient else None
                 if complete is None:
                     break
                 offset = complete
@@ -253,7 +253,7 @@ class LogReader:
         """
         window = self._window()
         wanted = None if names is None else [type is not None and type.name in names for type in self._types]
-        scanner = Scanner(self.path, window, self._types, wanted=wanted, sparse=sparse, salvage=self._salvage)
+        scanner = Scanner(self.path, window, self._types, wanted=wanted, sparse=sparse, lenient=self._lenient)
         for run in scanner.runs(index, offset, preamble=self._preamble and offset == self._start):
             yield run
             self._check_open()
@@ -298,7 +298,7 @@ class LogReader:
                 packets.append(Packet(ids[id], types[id], None, None, origin, (data, offset, size)))
             else:
                 packets.append(ready)
-        if self._salvage:
+        if self._lenient:
             packets = self._sound(packets)
         if preamble:
             return Frame(index, 0, 0.0, 0.0, packets, preamble=True)

@@ -157,13 +157,13 @@ class Scanner:
         types: The record types by packet id, as in the file.
         wanted: Whether packets are wanted, by their id in the file, if they have records; None for all packets.
         sparse: Leave out frames without wanted packets.
-        salvage: Leave out what contradicts the format, and go on with the next frame that looks complete.
+        lenient: Leave out what contradicts the format, and go on with the next frame that looks complete.
 
     Attributes:
         count: The position in the recording after the last frame that was found.
         last: The offset of that frame in the file; None before any.
         end: The offset after the last complete packet, once the scan has come to it.
-        lost_bytes: Bytes that salvage has left out so far.
+        lost_bytes: Bytes that were left out so far.
     """
 
     def __init__(
@@ -174,7 +174,7 @@ class Scanner:
         *,
         wanted: Sequence[bool] | None = None,
         sparse: bool = False,
-        salvage: bool = False,
+        lenient: bool = False,
     ) -> None:
         self._path = path
         self._window = window
@@ -184,7 +184,7 @@ class Scanner:
         self._skipped = [id > FRAME_END and not wanted for id, wanted in enumerate(self._wanted)]
         self._ignored = -1 if wanted is None else len(EMPTY_LIST)  # the size of packets that have no records
         self._sparse = sparse
-        self._salvage = salvage
+        self._lenient = lenient
         self._next_complete: tuple[int, int | None] = (0, -1)  # an offset, and the first frame after it that looks complete
         self._offset = 0
         self.count = 0
@@ -215,7 +215,7 @@ class Scanner:
                 offset = following
         self.count, self._offset = index, offset
         while True:
-            if not (preamble or self._salvage):
+            if not (preamble or self._lenient):
                 yield from self._ordinary_runs()
             found = self._frame(self._offset, preamble=preamble)
             if found is None:
@@ -307,7 +307,7 @@ class Scanner:
 
     def _frame(self, offset: int, *, preamble: bool) -> tuple[list[Span], int] | None:
         """Return the wanted packets of a frame, and where it ends; None where none begins."""
-        window, head, salvage = self._window, PACKET.unpack_from, self._salvage
+        window, head, lenient = self._window, PACKET.unpack_from, self._lenient
         size = window.size
         here = offset if preamble else offset + _FIRST_PACKET
         if offset + (PACKET.size if preamble else _FIRST_PACKET) > size:
@@ -329,7 +329,7 @@ class Scanner:
             if id == FRAME_START and length == START.size:
                 break
             end = here + PACKET.size + length
-            if (id <= FRAME_END and length) or not id or end > size or salvage:
+            if (id <= FRAME_END and length) or not id or end > size or lenient:
                 step = self._next_packet(here, id, length)
                 if step is None:
                     break
@@ -338,7 +338,7 @@ class Scanner:
                     here = step
                     continue
             packets.append((id, here + PACKET.size - offset, length))
-            if len(packets) > PACKETS_LIMIT and salvage:
+            if len(packets) > PACKETS_LIMIT and lenient:
                 self.lost_bytes += PACKET.size + packets.pop()[2]
             elif len(packets) > PACKETS_LIMIT:
                 raise FormatError(self._path, here, f"more than {PACKETS_LIMIT} packets in a frame")
@@ -352,19 +352,19 @@ class Scanner:
         """Return where to go on from a packet: after it if it is sound, else None at the end of what is readable.
 
         Raises:
-            FormatError: The packet contradicts the format, and nothing is to be salvaged.
+            FormatError: The packet contradicts the format, and the reader is not lenient.
         """
         end = here + PACKET.size + size
         if end > self._window.size:
-            return self.next_frame(here + 1) if self._salvage else None
+            return self.next_frame(here + 1) if self._lenient else None
         if id > FRAME_END:
-            inside = self._frame_inside(here, id, size) if self._salvage else None
+            inside = self._frame_inside(here, id, size) if self._lenient else None
             return end if inside is None else inside
         if size == (START.size if id == FRAME_START else 0):
             return end
         if self._only_zeros(here):
             return None
-        if self._salvage:
+        if self._lenient:
             return self.next_frame(here + 1) or self._window.size
         name, expected = ("FrameEnd", 0) if id else ("FrameStart", START.size)
         raise FormatError(self._path, here, f"{name} of {size} bytes, {expected} were expected")

@@ -16,7 +16,7 @@ from tests.formats.mcap.forge import MAGIC, Forge, data_records, seal
 from tests.samples import save, time_limit
 
 
-def salvaged(path):
+def recovered(path):
     source = Source(path)
     try:
         return recover_summary(source)
@@ -39,7 +39,7 @@ def test_a_sound_file_is_all_found(driven):
     source = Source(driven)
     own = read_summary(source)
     source.close()
-    summary, damage = salvaged(driven)
+    summary, damage = recovered(driven)
     assert (damage.chunks, damage.bytes, damage.finished) == (0, 0, True)
     assert summary.chunks == own.chunks
     assert (summary.schemas, summary.channels, summary.metadata) == (own.schemas, own.channels, own.metadata)
@@ -50,7 +50,7 @@ def test_a_file_without_an_end_has_all_its_chunks(driven):
     whole = offsets_of(data)
     last = whole[-1]
     save(driven, data[: last + 100])
-    summary, damage = salvaged(driven)
+    summary, damage = recovered(driven)
     assert sorted(chunk.offset for chunk in summary.chunks) == whole[:-1]
     assert not damage.finished
     assert damage.bytes == 100
@@ -62,7 +62,7 @@ def test_a_chunk_that_is_hit_is_lost_and_no_other(driven, place):
     whole = offsets_of(data)
     data[whole[3] + place] ^= 0xFF
     save(driven, bytes(data))
-    summary, damage = salvaged(driven)
+    summary, damage = recovered(driven)
     assert sorted(chunk.offset for chunk in summary.chunks) == whole[:3] + whole[4:]
     assert damage.bytes > 0
     assert damage.finished
@@ -70,11 +70,11 @@ def test_a_chunk_that_is_hit_is_lost_and_no_other(driven, place):
 
 @pytest.mark.parametrize("place", [9, 16, 17, 24])
 def test_the_times_of_a_chunk_are_those_of_its_messages(driven, place):
-    own = salvaged(driven)[0].chunks
+    own = recovered(driven)[0].chunks
     data = bytearray(driven.read_bytes())
     data[offsets_of(data)[3] + place] ^= 0xFF
     save(driven, bytes(data))
-    summary, damage = salvaged(driven)
+    summary, damage = recovered(driven)
     assert (summary.chunks, damage.chunks) == (own, 0)
 
 
@@ -83,7 +83,7 @@ def test_bytes_in_between_cost_nothing_but_themselves(driven):
     at = offsets_of(data)[2]
     junk = b"\xee" * 1000 + b"zstd" + b"\x04\0\0\0zstd" * 3
     save(driven, data[:at] + junk + data[at:])
-    summary, damage = salvaged(driven)
+    summary, damage = recovered(driven)
     assert len(summary.chunks) == len(offsets_of(data))
     assert damage.bytes == len(junk)
     assert not damage.finished
@@ -94,7 +94,7 @@ def test_a_chunk_behind_megabytes_of_nothing_is_found(driven):
     chunks = offsets_of(data)
     for size in ((1 << 20) - 40, 1 << 20, (1 << 20) + 7, 3 << 20):
         path = save(driven.with_name("gap.mcap"), data[: chunks[1]] + b"\xff" * size + data[chunks[1] :])
-        summary, damage = salvaged(path)
+        summary, damage = recovered(path)
         assert len(summary.chunks) == len(chunks), size
         assert damage.bytes == size
 
@@ -103,7 +103,7 @@ def test_channels_of_the_summary_win_over_damaged_ones(driven):
     data = driven.read_bytes()
     hit = data.index(b"/actors/transforms")
     save(driven, data[:hit] + b"\x01" + data[hit + 1 :])
-    topics = {channel.topic for channel in salvaged(driven)[0].channels.values()}
+    topics = {channel.topic for channel in recovered(driven)[0].channels.values()}
     assert topics == {"/frames", "/actors/transforms", "/collisions"}
 
 
@@ -111,7 +111,7 @@ def test_a_summary_without_channels_does_not_matter(driven):
     forged = Forge(data_records(driven))
     forged.write(driven)
     forged.write(driven, summary=[])
-    summary, _ = salvaged(driven)
+    summary, _ = recovered(driven)
     assert len(summary.channels) == 3
     assert len(summary.chunks) == len(forged.indexes)
 
@@ -119,12 +119,12 @@ def test_a_summary_without_channels_does_not_matter(driven):
 def test_a_lost_magic_does_not_matter(driven):
     count = len(offsets_of(driven.read_bytes()))
     save(driven, bytes(8) + driven.read_bytes()[8:])
-    assert len(salvaged(driven)[0].chunks) == count
+    assert len(recovered(driven)[0].chunks) == count
 
 
 @pytest.mark.parametrize("data", [b"", MAGIC, bytes(100), b"\5" * 3000, b"\x04\0\0\0zstd" * 500])
 def test_a_file_of_nothing_holds_nothing(tmp_path, data):
-    summary, damage = salvaged(save(tmp_path / "x.mcap", data))
+    summary, damage = recovered(save(tmp_path / "x.mcap", data))
     assert summary.chunks == []
     assert not damage.finished
 
@@ -134,7 +134,7 @@ def test_a_bomb_is_dropped(driven):
     count = sum(isinstance(part, records.Chunk) for part in parts)
     bomb = seal(bytes(100 << 20), uncompressed_size=10)
     Forge([*parts, bomb]).write(driven)
-    summary, damage = salvaged(driven)
+    summary, damage = recovered(driven)
     assert (len(summary.chunks), damage.chunks) == (count, 1)
 
 
@@ -149,7 +149,7 @@ def test_any_damage_is_survived(tmp_path, data):
         save(tmp_path / "whole", whole)
     damaged = strategies.damaged(whole, data.draw(strategies.mutations(len(whole))))
     with time_limit(5):
-        summary, _ = salvaged(save(tmp_path / "damaged.mcap", damaged))
+        summary, _ = recovered(save(tmp_path / "damaged.mcap", damaged))
     for chunk in summary.chunks:
         assert chunk.offset + chunk.length <= len(damaged)
 
@@ -201,7 +201,7 @@ def test_bombs_cost_little(driven):
     bombs = [seal(bytes(64 << 20))] * 20 + [seal(message * ((64 << 20) // len(message)))] * 20
     Forge([*parts, *bombs]).write(driven)
     with time_limit(20):
-        summary, damage = salvaged(driven)
+        summary, damage = recovered(driven)
     assert len(summary.chunks) >= count
     assert damage.chunks >= 38
 
@@ -212,5 +212,5 @@ def test_thousands_of_channels_cost_little(driven):
     data = Forge([*parts, *[channel] * 300_000]).write(driven, summary=[]).read_bytes()
     save(driven, data[:-100])
     with time_limit(20):
-        summary, _ = salvaged(driven)
+        summary, _ = recovered(driven)
     assert len(summary.chunks) == len(offsets_of(data))
