@@ -270,13 +270,13 @@ class _Cursor:
     def span(self, layout: CompiledLayout, count: int) -> Span:
         """Go over some records."""
         if layout.make is None:
-            return Span(layout, self._skip(count * layout.dtype.itemsize, f"{count} records"), count, [])
+            return Span(layout, self._skip(count * layout.dtype.itemsize, "{} records", count), count, [])
         return Span(layout, self.offset, count, [[self._part(step) for step in layout.steps] for _ in range(count)])
 
     def count(self, counter: struct.Struct) -> int:
         """Go over a number of records."""
-        (count,) = counter.unpack_from(self._data, self._skip(counter.size, f"a count of {counter.size} bytes"))
-        return int(count)
+        count: int = counter.unpack_from(self._data, self._skip(counter.size, "a count of {} bytes", counter.size))[0]
+        return count
 
     def _part(self, step: Step) -> int | slice | Span:
         if isinstance(step, Numbers):
@@ -287,10 +287,10 @@ class _Cursor:
             return slice(start, start + size)
         return self.span(step.layouts[min(self._choice, len(step.layouts) - 1)], self.count(step.counter))
 
-    def _skip(self, size: int, what: str) -> int:
+    def _skip(self, size: int, what: str, number: int = 0) -> int:
         start, end = self.offset, self.offset + size
         if end > self._size:
-            raise PayloadError(start, f"{self._name}: {what} need {end} bytes, the packet has {self._size}")
+            raise PayloadError(start, f"{self._name}: {what.format(number)} need {end} bytes, the packet has {self._size}")
         self.offset = end
         return start
 

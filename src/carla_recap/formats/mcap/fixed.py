@@ -6,6 +6,7 @@ each record. A body is what follows `messages.HEAD`.
 
 from __future__ import annotations
 
+import struct
 from functools import cache
 from itertools import accumulate, pairwise
 from typing import TYPE_CHECKING, Any, Final
@@ -50,8 +51,8 @@ class WireNumbers:
         sources: The offset in the payload of each byte of a number.
         targets: Its offset in the message.
         masks: Of each of these bytes, the bits that are not free: a number of one byte is to fit a varint of one byte.
-        blank_array: `blank` as an array.
-        blank_mask: The same as `masks`, of all bytes of the message.
+        fixed_bits: The bits of the message that are not free, as one number.
+        values: The numbers in the message, as bytes.
     """
 
     def __init__(self, numbers: Numbers, first: int = 1) -> None:
@@ -70,9 +71,15 @@ class WireNumbers:
         self.sources = np.arange(offset)
         self.targets = np.array(targets)
         self.masks = np.frombuffer(bytes(masks), np.uint8)
-        self.blank_array = np.frombuffer(self.blank, np.uint8)
-        self.blank_mask = np.full(len(blank), 0xFF, np.uint8)
-        self.blank_mask[self.targets] = self.masks
+        fixed_bits = np.full(len(blank), 0xFF, np.uint8)
+        fixed_bits[self.targets] = self.masks
+        self.fixed_bits = int.from_bytes(fixed_bits.tobytes(), "little")
+        self.values = struct.Struct("".join(f"{len(name)}x{size}s" for name, _, size, _ in self.fields))
+
+    def matches(self, data: bytes) -> bool:
+        """Return whether some bytes are these numbers in a message."""
+        different = int.from_bytes(data, "little") ^ int.from_bytes(self.blank, "little")
+        return len(data) == len(self.blank) and not different & self.fixed_bits
 
 
 @cache

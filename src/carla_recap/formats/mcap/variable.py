@@ -58,6 +58,7 @@ if TYPE_CHECKING:
     from carla_recap.model.layout import Buffer, CompiledLayout
     from carla_recap.model.records import RecordType
 
+_VARINT_SIZE: Final = 10  # bytes of a number of 64 bits
 _LEAST: Final = 7  # bytes of a record with nothing but an id
 _templates: dict[RecordType, PacketTemplate] = {}  # of the latest packet of each type
 
@@ -211,10 +212,10 @@ class _Decoder:
         return b"".join(parts)
 
     def _numbers(self, form: WireNumbers) -> bytes:
-        found = np.frombuffer(self._message[self._offset : self._offset + len(form.blank)], np.uint8)
-        if len(found) == len(form.blank) and not ((found ^ form.blank_array) & form.blank_mask).any():
+        found = self._message[self._offset : self._offset + len(form.blank)]
+        if form.matches(found):
             self._offset += len(found)
-            return bytes(found[form.targets])
+            return b"".join(form.values.unpack(found))
         data = bytearray()
         for name, kind, size, _ in form.fields:
             if self._take(len(name)) != name:
@@ -231,19 +232,19 @@ class _Decoder:
 
     def _size(self, name: bytes) -> int:
         """Go over a tag and the size behind it."""
-        if self._take(len(name)) != name:
+        if not self._message.startswith(name, self._offset):
             raise ValueError("another field")
+        self._offset += len(name)
         return self._varint()
 
     def _varint(self) -> int:
-        value = shift = 0
-        while shift < 64:
-            (byte,) = self._take(1)
-            value |= (byte & 0x7F) << shift
-            shift += 7
+        value = 0
+        for index, byte in enumerate(self._message[self._offset : self._offset + _VARINT_SIZE]):
+            value |= (byte & 0x7F) << 7 * index
             if byte < 0x80:
+                self._offset += index + 1
                 return value
-        raise ValueError("a number of more than 64 bits")
+        raise ValueError("no whole number of at most 64 bits")
 
     def _take(self, size: int) -> bytes:
         found = self._message[self._offset : self._offset + size]
