@@ -10,20 +10,22 @@ import struct
 from dataclasses import dataclass, field
 from enum import Enum
 from functools import cache
-from typing import TYPE_CHECKING, Any, Final, NamedTuple, TypeAlias
+from typing import TYPE_CHECKING, Any, Final, NamedTuple, TypeAlias, TypeVar
 
 import numpy as np
 
 from carla_recap.errors import RecordError
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping, Sequence
+    from collections.abc import Callable, Mapping, Sequence
 
     from numpy.typing import NDArray
 
 Buffer = bytes | memoryview
 Records: TypeAlias = "NDArray[np.void] | list[Any]"
 """The records of one type: a structured array, or a list of objects where the size varies."""
+
+T = TypeVar("T")
 
 # Field kinds. A kind is a numpy type code, or one of these:
 REAL: Final = "real"  # a length, angle or speed: float32 in UE4 builds (0.9), float64 in UE5 builds (0.10)
@@ -273,6 +275,25 @@ class _Cursor:
             return Span(layout, self._skip(count * layout.dtype.itemsize, "{} records", count), count, [])
         return Span(layout, self.offset, count, [[self._part(step) for step in layout.steps] for _ in range(count)])
 
+    def records(self, layout: CompiledLayout, count: int) -> Records:
+        """Read some records."""
+        make = layout.make
+        if make is None:
+            start = self._skip(count * layout.dtype.itemsize, "{} records", count)
+            return np.frombuffer(self._data, layout.dtype, count, start)
+        return [make(*self._values(layout)) for _ in range(count)]
+
+    def _values(self, layout: CompiledLayout) -> list[Any]:
+        values: list[Any] = []
+        for step in layout.steps:
+            if isinstance(step, Numbers):
+                values += step.struct.unpack_from(self._data, self._skip(step.struct.size, "its numbers"))
+            elif isinstance(step, Text):
+                values.append(str(self._data[self._text(step)], "utf-8", "surrogateescape"))
+            else:
+                values.append(self.records(self._chosen(step), self.count(step.counter)))
+        return values
+
     def count(self, counter: struct.Struct) -> int:
         """Go over a number of records."""
         count: int = counter.unpack_from(self._data, self._skip(counter.size, "a count of {} bytes", counter.size))[0]
@@ -282,10 +303,16 @@ class _Cursor:
         if isinstance(step, Numbers):
             return self._skip(step.struct.size, "its numbers")
         if isinstance(step, Text):
-            size = self.count(U16)
-            start = self._skip(size, step.name)
-            return slice(start, start + size)
-        return self.span(step.layouts[min(self._choice, len(step.layouts) - 1)], self.count(step.counter))
+            return self._text(step)
+        return self.span(self._chosen(step), self.count(step.counter))
+
+    def _text(self, step: Text) -> slice:
+        size = self.count(U16)
+        start = self._skip(size, step.name)
+        return slice(start, start + size)
+
+    def _chosen(self, step: Items) -> CompiledLayout:
+        return step.layouts[min(self._choice, len(step.layouts) - 1)]
 
     def _skip(self, size: int, what: str, number: int = 0) -> int:
         start, end = self.offset, self.offset + size
@@ -301,22 +328,27 @@ def locate(type: PacketType, payload: Buffer) -> tuple[Span, int]:
     Raises:
         PayloadError: The payload is too short for what it announces, or too large to parse.
     """
+    return _read(type, payload, _Cursor.span)
+
+
+def _read(type: PacketType, payload: Buffer, read: Callable[[_Cursor, CompiledLayout, int], T]) -> tuple[T, int]:
+    """Return what is read by the layout that uses all bytes, else the first possible one, and the number of bytes left."""
     if len(payload) > OBJECTS_LIMIT and not type.fixed:
         raise PayloadError(0, f"{type.name}: a packet of at most {OBJECTS_LIMIT} bytes, this has {len(payload)}")
     layout = compiled(type)
-    found: tuple[Span, int] | None = None
+    found: tuple[T, int] | None = None
     failure: PayloadError | None = None
     for choice in range(layout.choices):
         cursor = _Cursor(type.name, payload, choice)
         try:
-            span = cursor.span(layout, 1 if type.framing is Framing.SINGLE else cursor.count(U16))
+            records = read(cursor, layout, 1 if type.framing is Framing.SINGLE else cursor.count(U16))
         except PayloadError as error:
             failure = failure or error
             continue
         rest = len(payload) - cursor.offset
         if not rest:
-            return span, 0
-        found = found or (span, rest)
+            return records, 0
+        found = found or (records, rest)
     if found is None:
         assert failure
         raise failure
@@ -347,27 +379,7 @@ def unpack(type: PacketType, payload: Buffer) -> tuple[Records, int]:
         rest = len(payload) - U16.size - count * type.dtype.itemsize
         if rest >= 0:
             return np.frombuffer(payload, type.dtype, count, U16.size), rest
-    data = payload if type.fixed else bytes(payload)
-    span, rest = locate(type, data)
-    return _unpack(span, data), rest
-
-
-def _unpack(span: Span, data: Buffer) -> Records:
-    layout, make = span.layout, span.layout.make
-    if make is None:
-        return np.frombuffer(data, layout.dtype, span.number, span.offset)
-    records = []
-    for parts in span.records:
-        values: list[Any] = []
-        for step, part in zip(layout.steps, parts, strict=True):
-            if isinstance(step, Numbers):
-                values += step.struct.unpack_from(data, part)  # type: ignore[arg-type]
-            elif isinstance(part, slice):
-                values.append(str(data[part], "utf-8", "surrogateescape"))
-            else:
-                values.append(_unpack(part, data))  # type: ignore[arg-type]
-        records.append(make(*values))
-    return records
+    return _read(type, payload if type.fixed else bytes(payload), _Cursor.records)
 
 
 # --- records to payloads -----------------------------------------------------------------------------------------------

@@ -12,6 +12,7 @@ from __future__ import annotations
 
 import struct
 from contextlib import suppress
+from functools import lru_cache
 from typing import TYPE_CHECKING, Any, Final, NamedTuple
 
 import numpy as np
@@ -59,6 +60,8 @@ if TYPE_CHECKING:
     from carla_recap.model.records import RecordType
 
 _VARINT_SIZE: Final = 10  # bytes of a number of 64 bits
+_REPEATED: Final = 64  # bytes of a record: smaller ones are kept once they are decoded, for many are alike
+_SMALL: Final = 1 << 14  # bytes of a message: those that are larger are read faster by protobuf, its import included
 _LEAST: Final = 7  # bytes of a record with nothing but an id
 _templates: dict[RecordType, PacketTemplate] = {}  # of the latest packet of each type
 
@@ -169,12 +172,13 @@ class _Decoder:
     Args:
         message: The message.
         choice: Which of alternative layouts to take.
+        offset: The offset of the first field that belongs to the payload.
     """
 
-    def __init__(self, message: bytes, choice: int) -> None:
+    def __init__(self, message: bytes, choice: int, offset: int = HEAD.size) -> None:
         self._message = message
         self._choice = choice
-        self._offset = HEAD.size
+        self._offset = offset
 
     def payload(self, type: PacketType) -> bytes:
         """Return the payload."""
@@ -192,8 +196,12 @@ class _Decoder:
         name, items = tag(number, LEN), []
         while self._offset < end and self._message.startswith(name, self._offset):
             size = self._size(name)
-            items.append(self._record(layout, self._offset + size))
+            items.append(self._record(layout, self._offset + size) if size > _REPEATED else self._repeated(layout, size))
         return counter.pack(len(items)) + b"".join(items)
+
+    def _repeated(self, layout: CompiledLayout, size: int) -> bytes:
+        """Return a small record, such as an attribute, of which many are alike."""
+        return _decoded(layout, self._choice, self._take(size))
 
     def _record(self, layout: CompiledLayout, end: int) -> bytes:
         parts = []
@@ -252,6 +260,12 @@ class _Decoder:
             raise ValueError("too few bytes")
         self._offset += size
         return found
+
+
+@lru_cache(maxsize=1 << 12)
+def _decoded(layout: CompiledLayout, choice: int, record: bytes) -> bytes:
+    """Return the bytes of a record in a payload."""
+    return _Decoder(record, choice, 0)._record(layout, len(record))
 
 
 def _template(type: RecordType, payload: Buffer) -> tuple[PacketTemplate, bytes]:
@@ -373,8 +387,9 @@ def decode_intervals(data: Buffer) -> Iterable[Any]:
     Raises:
         WireError: It is no such message.
     """
-    with suppress(ValueError, struct.error):
-        return unpack(_INTERVALS, _Decoder(bytes(data), 0).payload(_INTERVALS))[0]
+    if len(data) < _SMALL:
+        with suppress(ValueError, struct.error):
+            return unpack(_INTERVALS, _Decoder(bytes(data), 0).payload(_INTERVALS))[0]
     found: Iterable[Any] = parse(_INTERVALS.name, STRETCHES_MESSAGE, data).stretches
     return found
 
