@@ -16,6 +16,7 @@ NAMES = [
     "Attribute",
     "Batch",
     "BlockedRow",
+    "Closed",
     "CollisionRow",
     "Controls",
     "FormatError",

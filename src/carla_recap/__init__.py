@@ -22,6 +22,7 @@ if TYPE_CHECKING:
     from carla_recap.editing.convert import convert
     from carla_recap.editing.recover import Recovery, recover
     from carla_recap.errors import (
+        Closed,
         FormatError,
         MissingExtra,
         NotARecording,
@@ -53,6 +54,7 @@ __all__ = [
     "Attribute",
     "Batch",
     "BlockedRow",
+    "Closed",
     "CollisionRow",
     "Controls",
     "FormatError",
@@ -98,7 +100,7 @@ _get, __dir__ = lazily(
         "editing.author": ("Recorder", "create_recording"),
         "editing.clip": ("clip",),
         "editing.convert": ("convert",),
-        "errors": ("FormatError", "MissingExtra", "NotARecording", "RecapError", "RecapWarning", "RecordError"),
+        "errors": ("Closed", "FormatError", "MissingExtra", "NotARecording", "RecapError", "RecapWarning", "RecordError"),
         "export.clips": ("clips",),
         "export.report": ("write_report",),
         "export.parquet": ("export_parquet",),

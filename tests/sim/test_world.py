@@ -497,3 +497,9 @@ for _ in range(20):
 @pytest.mark.parametrize("end", ["for car in cars: car.destroy()", "world.reload()"])
 def test_the_physics_of_sleeping_vehicles_can_be_switched_off(end: str) -> None:
     subprocess.run([sys.executable, "-c", _SLEEPING_CARS.format(end=end)], check=True)
+
+
+@pytest.mark.parametrize("weather", ["HardRainNoon", None, 3])
+def test_the_weather_is_a_weather(weather: object) -> None:
+    with World(seed=1) as world, pytest.raises(SimError, match=r"a Weather was expected, such as PRESETS\['HardRainNoon'\]"):
+        world.weather = weather  # type: ignore[assignment]

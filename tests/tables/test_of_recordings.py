@@ -430,3 +430,12 @@ def test_one_trajectory_has_the_columns_of_all(crossing: Recording) -> None:
         np.testing.assert_array_equal(values, every[name][rows])
     sensor = next(actor.id for actor in crossing.actors.values() if actor.id not in found)
     assert list(crossing.trajectory(sensor).columns()) == list(one.columns())
+
+
+@pytest.mark.parametrize("key", [0, slice(None, None, 2), slice(None, None, -1), ("transforms",)])
+def test_a_batch_takes_names_and_slices_of_frames_in_a_row(key: object) -> None:
+    with open_recording(CROSSING) as recording:
+        batch = max(recording.batches(), key=len)
+        assert len(batch[1:4]) == len(batch[1:4:1]) == 3
+        with pytest.raises(TypeError, match="the name of a record type, or a slice of frames in a row, was expected"):
+            batch[key]  # type: ignore[call-overload]

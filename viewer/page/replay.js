@@ -67,6 +67,7 @@ class Replay {
     window.addEventListener("hashchange", () => this.readLink());
     new ResizeObserver(() => {
       this.stage.resize();
+      this.stage.draw(this.clock.time); // resizing clears the canvas, which is painted before the next frame
       this.changed();
     }).observe(this.stage.canvas);
   }

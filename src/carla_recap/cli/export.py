@@ -63,7 +63,8 @@ def export(
     viewer = VIEWERS.get(Path(destination).suffix.lower())
     if viewer is None or to not in (None, viewer):
         expected = "".join(name for name, each in VIEWERS.items() if each == to) or " or ".join(VIEWERS)
-        raise click.BadParameter(f"{destination!r} does not end in {expected}.", param_hint="DST")
+        hint = "; tables are written to a folder with --to parquet" if to is None else ""
+        raise click.BadParameter(f"{destination!r} does not end in {expected}{hint}.", param_hint="DST")
     if viewer == "foxglove" and cameras:
         raise click.BadParameter("Foxglove has no such files.", param_hint="--cameras")
     with open_recording(source) as recording:

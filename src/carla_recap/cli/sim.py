@@ -46,8 +46,8 @@ _additional_data = click.option("--additional-data", is_flag=True, help="Record 
 @click.option("--duration", type=options.POSITIVE, default=60, show_default=True, metavar="S", help="How long, in s.")
 @click.option("--hero", is_flag=True, help="The first vehicle is the hero, with a collision sensor.")
 @click.option("--junction", is_flag=True, help="All begin around the town's largest junction with traffic lights.")
-@click.option("--crash", is_flag=True, help="Stage one: the hero hits a walker, then a van that blocks its lane.")
-@click.option("--blocked", is_flag=True, help="Stage one: a van breaks down; the hero and others queue behind it.")
+@click.option("--crash", is_flag=True, help="Add a crash: the hero hits a walker, then a van that blocks its lane.")
+@click.option("--blocked", is_flag=True, help="Add a breakdown: a van stops; the hero and others queue behind it.")
 @_seed
 @_additional_data
 @options.force

@@ -267,9 +267,17 @@ class Batch:
     @overload
     def __getitem__(self, key: slice) -> Batch: ...
     def __getitem__(self, key: str | slice) -> NDArray[np.void] | Batch:
-        """Return the records of a type by its name, see `records`; or the batch of some consecutive frames by a slice."""
+        """Return the records of a type by its name, see `records`; or the batch of some consecutive frames by a slice.
+
+        Raises:
+            RecordError: See `records`.
+            FormatError: See `records`.
+            TypeError: The key is neither, or the slice leaves frames out.
+        """
         if isinstance(key, str):
             return self.records(key)
+        if not isinstance(key, slice) or key.step not in (None, 1):
+            raise TypeError(f"the name of a record type, or a slice of frames in a row, was expected, not {key!r}")
         start, stop, _ = key.indices(len(self))
         stop = max(start, stop)
         return Batch(

@@ -127,12 +127,14 @@ class World:
         """The weather; set it to change it.
 
         Raises:
-            SimError: A number is too large for a recording, when it is set.
+            SimError: When it is set: it is no `Weather`, or a number is too large for a recording.
         """
         return self._weather
 
     @weather.setter
     def weather(self, weather: Weather) -> None:
+        if not isinstance(weather, Weather):
+            raise SimError(f"the weather: a Weather was expected, such as PRESETS['HardRainNoon'], not {weather!r:.60}")
         expect_numbers("the weather", weather)
         self._weather = weather
 
