@@ -484,7 +484,7 @@ def long_log(tmp_path_factory) -> Path:
     reader = LogReader(CROSSING)
     begin = reader._start
     reader.close()
-    return save(tmp_path_factory.mktemp("cli") / "long.log", data[:begin] + data[begin:] * 40)
+    return save(tmp_path_factory.mktemp("cli") / "long.log", data[:begin] + data[begin:] * 150)
 
 
 @pytest.mark.parametrize("command", ["convert", "recover"])

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 import pytest
 
-from carla_recap import RecapError, create_recording
+from carla_recap import Header, RecapError, create_recording, create_writer
 from carla_recap.util.files import WholeFile, check_folder, new_folder, partials
 from tests.samples import names_in
 
@@ -97,3 +97,11 @@ def test_a_folder_that_is_not_empty_needs_force(tmp_path: Path) -> None:
         check_folder(tmp_path, force=False)
     with pytest.raises(RecapError, match="is a file; a folder was expected"):
         check_folder(tmp_path / "a", force=True)
+
+
+@pytest.mark.parametrize("suffix", [".log", ".mcap"])
+def test_an_unused_writer_leaves_nothing(tmp_path: Path, suffix: str) -> None:
+    writer = create_writer(tmp_path / f"a{suffix}", Header("Town01", 0))
+    assert len(list(tmp_path.iterdir())) == 1
+    del writer
+    assert list(tmp_path.iterdir()) == []

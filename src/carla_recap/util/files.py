@@ -59,6 +59,7 @@ class AtomicFile:
         self._force = force
         self._next_sync = 0.0
         self._partial = _partial_path(self.path)
+        self._is_unused = False
 
     def _begin(self, write_start: Callable[[], None]) -> None:
         """Open the file and write its start; remove it again if that fails."""
@@ -69,12 +70,17 @@ class AtomicFile:
                 raise FileExistsError(EEXIST, "is not a regular file")
             self._file = self._partial.open("xb", buffering=_BUFFER_SIZE)
             write_start()
+            self._is_unused = True
         except OSError as error:
             self.abort()
             raise self._unwritable(error) from None
         except BaseException:
             self.abort()
             raise
+
+    def __del__(self) -> None:
+        if getattr(self, "_is_unused", False):  # a signal came before the `with` block that would have closed it
+            self.abort()
 
     def close(self) -> None:
         """Finish the file, and move it to its destination.
@@ -136,6 +142,7 @@ class AtomicFile:
             RecapError: The disk is full or broken, or the file is closed.
         """
         self._check_open()
+        self._is_unused = False
         try:
             self._file.write(data)
         except OSError as error:
@@ -163,6 +170,7 @@ class AtomicFile:
         return RecapError(f"{self.path}: cannot be written: {error.strerror}")
 
     def __enter__(self) -> Self:
+        self._is_unused = False
         return self
 
     def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None) -> None:
