@@ -111,7 +111,7 @@ class Replay {
 
   follow(id, { quiet = false } = {}) {
     this.camera.followed = id;
-    if (!quiet) this.say(id === null ? "Nobody is followed" : `Following ${this.actor(id)?.label ?? id}`);
+    if (!quiet) this.say(id === null ? "No actor is followed" : `Following ${this.actor(id)?.label ?? id}`);
     this.changed();
   }
 

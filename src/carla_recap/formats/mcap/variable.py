@@ -60,8 +60,8 @@ if TYPE_CHECKING:
     from carla_recap.model.records import RecordType
 
 _VARINT_SIZE: Final = 10  # bytes of a number of 64 bits
-_REPEATED: Final = 64  # bytes of a record: smaller ones are kept once they are decoded, for many are alike
-_SMALL: Final = 1 << 14  # bytes of a message: those that are larger are read faster by protobuf, its import included
+_REPEATED: Final = 64  # bytes of a record: smaller ones, such as attributes, are cached, since many are equal
+_SMALL: Final = 1 << 17  # bytes of a message: for larger ones, protobuf is worth the time of its import
 _LEAST: Final = 7  # bytes of a record with nothing but an id
 _templates: dict[RecordType, PacketTemplate] = {}  # of the latest packet of each type
 
@@ -196,12 +196,11 @@ class _Decoder:
         name, items = tag(number, LEN), []
         while self._offset < end and self._message.startswith(name, self._offset):
             size = self._size(name)
-            items.append(self._record(layout, self._offset + size) if size > _REPEATED else self._repeated(layout, size))
+            if size > _REPEATED:
+                items.append(self._record(layout, self._offset + size))
+            else:
+                items.append(_decoded(layout, self._choice, self._take(size)))
         return counter.pack(len(items)) + b"".join(items)
-
-    def _repeated(self, layout: CompiledLayout, size: int) -> bytes:
-        """Return a small record, such as an attribute, of which many are alike."""
-        return _decoded(layout, self._choice, self._take(size))
 
     def _record(self, layout: CompiledLayout, end: int) -> bytes:
         parts = []
