@@ -68,7 +68,7 @@ def clips(
         folder: A new folder, or an empty one. It appears when it is complete. The names of the files contain the kind of
             the incident, its time and the ids of its actors: `01-collision-21.3s-105-110.mcap`.
         collisions: Include collisions.
-        blocked: Include vehicles and walkers that stood still for long; see `LONGEST`.
+        blocked: Include vehicles and walkers that stood still for long; such a clip shows the first 60 s.
         braking: Include hard braking of vehicles.
         min_time: The shortest time of standing still that counts as blocked, in seconds.
         min_distance: The distance at which an actor has moved, in cm.

@@ -55,8 +55,9 @@ class Player:
         source: The recording; it must stay open.
         start: The elapsed seconds to begin at; negative: before the end.
         duration: The seconds of the recording to play; 0: all of the rest.
-        time_factor: The seconds of the recording that pass in a second of a tick; from `FAST` on, nothing is interpolated.
-        follow: The actor that the camera follows: an id or "hero"; None: see `choose_followed`.
+        time_factor: The seconds of the recording that pass in a second of a tick; from 2 on, nothing is interpolated.
+        follow: The actor that the camera follows: an id or "hero"; None: the hero, else the first vehicle or walker to
+            collide, else the one that moves farthest.
         ignore_hero: Leave out the actors with the role_name hero.
         ignore_spectator: Leave out the spectator.
         smooth: Interpolate; False: poses are those of the frame at or before the moment.

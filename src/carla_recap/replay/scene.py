@@ -147,6 +147,7 @@ class Scene:
         time: The moment, in elapsed seconds.
         fresh: Whether this is the first scene, or the first one after a seek.
         events: The events since the previous scene.
+        ids: The actors that have a pose, ascending, (ids,).
         poses: x, y, z in cm and roll, pitch, yaw in degrees of each of the `ids`, (ids, 6).
         light_states: The latest state of each traffic light, ascending by id.
     """

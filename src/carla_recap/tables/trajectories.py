@@ -33,7 +33,7 @@ _FRAMES: Final = 1024  # that are handled at once
 class Trajectory(Columns):
     """The trajectory of an actor: arrays of one length, a value for each frame in which it has a transform.
 
-    World axes are right-handed (x forward, y left, z up) by default; see `Axes`.
+    World axes are right-handed (x forward, y left, z up); with `axes="carla"`, they are CARLA's (y right).
 
     As a table it has these arrays, the speed, and the id in each row.
 

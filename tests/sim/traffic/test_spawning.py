@@ -42,8 +42,11 @@ def test_the_seed_determines_actors_and_places(town):
 
 
 def test_more_vehicles_than_there_is_room_for_are_an_error(town):
+    world = World(town, date=0)
+    before = len(world.actors)
     with pytest.raises(SimError, match=r"Brickfield has room for \d+ more vehicles, 100000 were expected"):
-        populate(World(town, date=0), 100_000, 0)
+        populate(world, 100_000, 0)
+    assert len(world.actors) == before
 
 
 def test_traffic_around_a_location(town):

@@ -40,7 +40,7 @@ def populate(
         The vehicles, then the walkers.
 
     Raises:
-        SimError: There is no room for all vehicles, no sidewalk, or a number is negative.
+        SimError: There is no room for all vehicles, in which case none is left, no sidewalk, or a number is negative.
     """
     expect_count("vehicles", vehicles)
     expect_count("walkers", walkers)
@@ -82,6 +82,8 @@ def _vehicles(world: ScenarioWorld, count: int, around: Location | None, *, hero
             vehicle.set_autopilot()
             found.append(vehicle)
     if len(found) < count:
+        for vehicle in found:
+            vehicle.destroy()
         raise SimError(f"{world.town.name} has room for {len(found)} more vehicles, {count} were expected")
     return found
 
