@@ -1,0 +1,66 @@
+"""Pinhole cameras, and the kinds of images that they take."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from enum import StrEnum
+from math import radians, tan
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+    Floats = NDArray[np.float64]
+
+
+class ImageKind(StrEnum):
+    """A kind of image: an array (height, width, channels), its first row at the top.
+
+    All kinds but the last are of uint8, and their channels are blue, green, red, alpha, in the encodings of CARLA's sensors;
+    alpha is 255. Optical flow is of float32, and its channels are x and y.
+    """
+
+    RGB = "rgb"
+    DEPTH = "depth"
+    SEMANTIC = "semantic_segmentation"
+    INSTANCE = "instance_segmentation"
+    NORMALS = "normals"
+    FLOW = "optical_flow"
+
+
+@dataclass(frozen=True, eq=False)
+class Camera:
+    """A pinhole camera.
+
+    Attributes:
+        width: The width of its images, in pixels.
+        height: The height, in pixels.
+        fov: The horizontal field of view, in degrees.
+        location: The position in m, (3,), right-handed.
+        rotation: A matrix, (3, 3), whose columns point forward, left and up.
+    """
+
+    width: int
+    height: int
+    fov: float
+    location: Floats
+    rotation: Floats
+
+    @property
+    def focal_length(self) -> float:
+        """The distance of the image plane, in pixels."""
+        return self.width / 2 / tan(radians(self.fov) / 2)
+
+    def project(self, points: Floats) -> Floats:
+        """Return the pixels of points: x to the right, y down, and the depth along the view axis in m, (n, 3).
+
+        Args:
+            points: The points in m, (n, 3), right-handed.
+        """
+        forward, left, up = ((np.asarray(points) - self.location) @ self.rotation).T
+        with np.errstate(divide="ignore", invalid="ignore"):
+            x = self.width / 2 - self.focal_length * left / forward
+            y = self.height / 2 - self.focal_length * up / forward
+        return np.stack((x, y, forward), axis=1)

@@ -1,0 +1,182 @@
+"""The materials of all surfaces: their colours and CARLA's semantic tags."""
+
+from __future__ import annotations
+
+from enum import IntEnum
+from typing import TYPE_CHECKING, Final, NamedTuple
+
+import numpy as np
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+Color = tuple[int, int, int]
+"""Red, green, blue, from 0 to 255."""
+
+
+class Tag(IntEnum):
+    """The semantic tags of CARLA 0.9.16 (`carla.CityObjectLabel`)."""
+
+    UNLABELLED = 0
+    ROADS = 1
+    SIDEWALKS = 2
+    BUILDINGS = 3
+    WALLS = 4
+    FENCES = 5
+    POLES = 6
+    TRAFFIC_LIGHT = 7
+    TRAFFIC_SIGNS = 8
+    VEGETATION = 9
+    TERRAIN = 10
+    SKY = 11
+    PEDESTRIANS = 12
+    RIDER = 13
+    CAR = 14
+    TRUCK = 15
+    BUS = 16
+    TRAIN = 17
+    MOTORCYCLE = 18
+    BICYCLE = 19
+    STATIC = 20
+    DYNAMIC = 21
+    OTHER = 22
+    WATER = 23
+    ROAD_LINES = 24
+    GROUND = 25
+    BRIDGE = 26
+    RAIL_TRACK = 27
+    GUARD_RAIL = 28
+
+
+class Material(IntEnum):
+    """The material of a vertex: an index of `MATERIALS`."""
+
+    GRASS = 0
+    GROUND = 1
+    MEDIAN = 2
+    SHOULDER = 3
+    PARKING = 4
+    BIKE_LANE = 5
+    ROAD = 6
+    JUNCTION = 7
+    SIDEWALK = 8
+    KERB = 9
+    BRIDGE = 10
+    CROSSING = 11
+    WHITE_LINE = 12
+    YELLOW_LINE = 13
+    STOP_LINE = 14
+    COLLISION_MARK = 15
+    POLE = 16
+    LIGHT_HOUSING = 17
+    SIGN_BACK = 18
+    SIGN_WHITE = 19
+    SIGN_RED = 20
+    SIGN_YELLOW = 21
+    RED_LAMP = 22
+    YELLOW_LAMP = 23
+    GREEN_LAMP = 24
+    PAINT = 25
+    SECOND_PAINT = 26
+    GLASS = 27
+    TRIM = 28
+    CHROME = 29
+    TYRE = 30
+    RIM = 31
+    HEADLIGHT = 32
+    TAIL_LIGHT = 33
+    LEFT_INDICATOR = 34
+    RIGHT_INDICATOR = 35
+    REVERSE_LIGHT = 36
+    BEACON = 37
+    SKIN = 38
+    HAIR = 39
+    TROUSERS = 40
+    SHOES = 41
+    RIDER_SKIN = 42
+    RIDER_CLOTHES = 43
+    RIDER_TROUSERS = 44
+    RIDER_HELMET = 45
+    WOOD = 46
+    CARDBOARD = 47
+    CONCRETE = 48
+    WARNING_ORANGE = 49
+    FOLIAGE = 50
+
+
+class Finish(NamedTuple):
+    """How a material looks.
+
+    Attributes:
+        color: The colour in white light; of a lamp, that of the unlit lamp. Paint has the actor's colour instead.
+        tag: The semantic tag; None: that of the actor.
+        glow: The colour of a lamp that is lit; None: it is no lamp.
+        gloss: The share of light that is reflected like by a mirror, 0 to 1.
+    """
+
+    color: Color
+    tag: Tag | None = None
+    glow: Color | None = None
+    gloss: float = 0.0
+
+
+_M: Final = Material
+MATERIALS: Final[dict[Material, Finish]] = {
+    _M.GRASS: Finish((98, 124, 68), Tag.TERRAIN),
+    _M.GROUND: Finish((134, 128, 112), Tag.GROUND),
+    _M.MEDIAN: Finish((118, 120, 112), Tag.GROUND),
+    _M.SHOULDER: Finish((92, 92, 92), Tag.ROADS),
+    _M.PARKING: Finish((82, 83, 88), Tag.ROADS),
+    _M.BIKE_LANE: Finish((124, 74, 66), Tag.ROADS),
+    _M.ROAD: Finish((70, 71, 74), Tag.ROADS),
+    _M.JUNCTION: Finish((70, 71, 74), Tag.ROADS),
+    _M.SIDEWALK: Finish((164, 160, 152), Tag.SIDEWALKS),
+    _M.KERB: Finish((186, 184, 178), Tag.SIDEWALKS),
+    _M.BRIDGE: Finish((150, 150, 148), Tag.BRIDGE),
+    _M.CROSSING: Finish((224, 224, 220), Tag.ROAD_LINES),
+    _M.WHITE_LINE: Finish((228, 228, 224), Tag.ROAD_LINES),
+    _M.YELLOW_LINE: Finish((226, 180, 48), Tag.ROAD_LINES),
+    _M.STOP_LINE: Finish((232, 232, 228), Tag.ROAD_LINES),
+    _M.COLLISION_MARK: Finish((214, 40, 40), Tag.ROADS),
+    _M.POLE: Finish((96, 100, 104), Tag.POLES),
+    _M.LIGHT_HOUSING: Finish((38, 40, 42), Tag.TRAFFIC_LIGHT),
+    _M.SIGN_BACK: Finish((150, 152, 154), Tag.TRAFFIC_SIGNS),
+    _M.SIGN_WHITE: Finish((236, 236, 234), Tag.TRAFFIC_SIGNS),
+    _M.SIGN_RED: Finish((196, 34, 40), Tag.TRAFFIC_SIGNS),
+    _M.SIGN_YELLOW: Finish((240, 192, 40), Tag.TRAFFIC_SIGNS),
+    _M.RED_LAMP: Finish((64, 20, 20), Tag.TRAFFIC_LIGHT, (255, 48, 40)),
+    _M.YELLOW_LAMP: Finish((64, 52, 16), Tag.TRAFFIC_LIGHT, (255, 200, 40)),
+    _M.GREEN_LAMP: Finish((16, 56, 32), Tag.TRAFFIC_LIGHT, (48, 240, 120)),
+    _M.PAINT: Finish((200, 200, 200), gloss=0.35),
+    _M.SECOND_PAINT: Finish((235, 235, 235), gloss=0.3),
+    _M.GLASS: Finish((32, 40, 50), gloss=0.6),
+    _M.TRIM: Finish((44, 45, 48), gloss=0.1),
+    _M.CHROME: Finish((176, 180, 184), gloss=0.6),
+    _M.TYRE: Finish((30, 30, 32)),
+    _M.RIM: Finish((142, 146, 150), gloss=0.4),
+    _M.HEADLIGHT: Finish((216, 220, 222), glow=(255, 252, 226), gloss=0.4),
+    _M.TAIL_LIGHT: Finish((110, 18, 22), glow=(255, 44, 40), gloss=0.3),
+    _M.LEFT_INDICATOR: Finish((150, 92, 28), glow=(255, 170, 40), gloss=0.3),
+    _M.RIGHT_INDICATOR: Finish((150, 92, 28), glow=(255, 170, 40), gloss=0.3),
+    _M.REVERSE_LIGHT: Finish((190, 190, 192), glow=(255, 255, 255), gloss=0.3),
+    _M.BEACON: Finish((36, 60, 140), glow=(70, 130, 255), gloss=0.3),
+    _M.SKIN: Finish((198, 152, 124)),
+    _M.HAIR: Finish((58, 42, 34)),
+    _M.TROUSERS: Finish((58, 66, 84)),
+    _M.SHOES: Finish((40, 38, 38)),
+    _M.RIDER_SKIN: Finish((198, 152, 124), Tag.RIDER),
+    _M.RIDER_CLOTHES: Finish((70, 90, 120), Tag.RIDER),
+    _M.RIDER_TROUSERS: Finish((54, 56, 62), Tag.RIDER),
+    _M.RIDER_HELMET: Finish((220, 220, 216), Tag.RIDER, gloss=0.2),
+    _M.WOOD: Finish((136, 104, 72)),
+    _M.CARDBOARD: Finish((182, 148, 104)),
+    _M.CONCRETE: Finish((168, 166, 160)),
+    _M.WARNING_ORANGE: Finish((240, 106, 34)),
+    _M.FOLIAGE: Finish((74, 106, 54), Tag.VEGETATION),
+}
+"""All materials."""
+
+
+def palette() -> NDArray[np.uint8]:
+    """Return the colours of all materials, by their numbers: (materials, 3)."""
+    return np.array([MATERIALS[material].color for material in Material], np.uint8)
