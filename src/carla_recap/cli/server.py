@@ -5,6 +5,7 @@ from __future__ import annotations
 import sys
 import warnings
 from contextlib import nullcontext
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -15,6 +16,7 @@ from carla_recap.cli.output import log_to_stderr, warn
 from carla_recap.errors import RecapError, RecapWarning
 
 if TYPE_CHECKING:
+    from carla_recap.rendering.camera import Quality
     from carla_recap.replay.follow import Follow
     from carla_recap.server.viewer import ViewerProcess
     from carla_recap.sim import Town
@@ -31,7 +33,13 @@ _FOLDER = click.Path(exists=True, file_okay=False, path_type=Path)
     type=click.IntRange(0, 65534),
     default=2000,
     show_default=True,
-    help="The port for calls; the next one is for streams.",
+    help="The port for calls.",
+)
+@click.option(
+    "--streaming-port",
+    type=click.IntRange(0, 65535),
+    metavar="PORT",
+    help="The port for streams; else the next one after the port for calls.",
 )
 @click.option("--town", default="", metavar="NAME", help="A map's name or an .xodr; else the built-in town.")
 @click.option("--maps", type=_FOLDER, metavar="DIR", help="The folder of maps.")
@@ -40,6 +48,14 @@ _FOLDER = click.Path(exists=True, file_okay=False, path_type=Path)
 @click.option("--stand-in", is_flag=True, help="Serve the built-in town under the name of a map that is missing.")
 @click.option(
     "--seed", type=click.IntRange(min=0), default=0, show_default=True, metavar="K", help="The seed of everything random."
+)
+@click.option("--fps", type=options.POSITIVE, metavar="N", help="Ticks of equal length, N in a second; else as time passes.")
+@click.option(
+    "--quality",
+    type=click.Choice(["low", "epic"], case_sensitive=False),
+    default="epic",
+    show_default=True,
+    help="The images of cameras without or with shadows and smooth edges.",
 )
 @click.option("--rerun", is_flag=True, help="Show the world live in Rerun's viewer.")
 @click.option(
@@ -50,12 +66,15 @@ _FOLDER = click.Path(exists=True, file_okay=False, path_type=Path)
 def serve(
     host: str,
     port: int,
+    streaming_port: int | None,
     town: str,
     maps: Path | None,
     recordings: Path | None,
     confine: bool,
     stand_in: bool,
     seed: int,
+    fps: float | None,
+    quality: Quality,
     rerun: bool,
     rerun_to: str | None,
     follow: Follow | None,
@@ -86,7 +105,10 @@ def serve(
 
         warnings.simplefilter("once", RecapWarning)  # however often a client asks about a damaged recording
         with asyncio.Runner(loop_factory=busy_polling_loop) as runner:
-            runner.run(serve_clients(Host(world, confined=confine, stand_in=stand_in), host, port, ready, attached=attached))
+            served = Host(world, confined=confine, stand_in=stand_in, quality=quality)
+            if fps is not None:
+                served.apply_settings(replace(served.settings, fixed_delta_seconds=1 / fps))
+            runner.run(serve_clients(served, host, port, ready, streaming_port=streaming_port, attached=attached))
 
 
 def _town(name: str, maps: Path | None, stand_in: bool) -> Town:

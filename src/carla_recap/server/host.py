@@ -23,6 +23,7 @@ from carla_recap.sim.errors import DeadActor
 if TYPE_CHECKING:
     from collections.abc import Callable
 
+    from carla_recap.rendering.camera import Quality
     from carla_recap.server.actor_records import DestroyedActor
     from carla_recap.server.quirks import SnapshotReceiver
     from carla_recap.sim.actors.actor import Actor
@@ -37,9 +38,11 @@ class Host:
         world: The world; from now on, only the host ticks it.
         confined: Refuse recordings outside the folder of recordings.
         stand_in: Serve the built-in town under the name of a map that is missing.
+        quality: The quality of the images of cameras: "low" or "epic".
 
     Attributes:
         world: The world.
+        quality: The quality of the images of cameras.
         maps: The maps that clients can load.
         recordings: The recordings that clients may read and write.
         settings: The settings that clients have made.
@@ -56,8 +59,9 @@ class Host:
     _encoder: SnapshotEncoder
     _is_new: bool
 
-    def __init__(self, world: World, *, confined: bool = False, stand_in: bool = False) -> None:
+    def __init__(self, world: World, *, confined: bool = False, stand_in: bool = False, quality: Quality = "epic") -> None:
         self.world = world
+        self.quality = quality
         self.maps = Maps(world.town, world.maps, stand_in=stand_in)
         self.recordings = Recordings(world, confined=confined)
         self.settings = EpisodeSettings()

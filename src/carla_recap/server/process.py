@@ -18,6 +18,8 @@ if TYPE_CHECKING:
     from collections.abc import Iterator
     from pathlib import Path
 
+    from carla_recap.rendering.camera import Quality
+
 _TO_END: Final = 30.0  # s, for the recording to be completed
 
 
@@ -31,6 +33,7 @@ def running(
     seed: int = 0,
     confine: bool = False,
     stand_in: bool = False,
+    quality: Quality = "epic",
 ) -> Iterator[int]:
     """Run a server until the end of a `with` block or of this process, however that ends; a recording is completed.
 
@@ -44,6 +47,7 @@ def running(
         seed: The seed of everything random.
         confine: Refuse recordings outside the folder of recordings.
         stand_in: Serve the built-in town under the name of a map that is missing.
+        quality: The quality of the images of cameras: "low" or "epic".
 
     Yields:
         The port, for `carla.Client("localhost", port)`.
@@ -51,7 +55,7 @@ def running(
     Raises:
         RecapError: The server does not start; the message is the server's.
     """
-    options = {"town": town, "port": port, "maps": maps, "recordings": recordings, "seed": seed}
+    options = {"town": town, "port": port, "maps": maps, "recordings": recordings, "seed": seed, "quality": quality}
     arguments = [f"--{name}={value}" for name, value in options.items() if value not in (None, "")]
     arguments += [flag for flag, is_set in (("--confine", confine), ("--stand-in", stand_in)) if is_set]
     command = module_command("carla_recap", "serve", "--attached", *arguments)

@@ -34,14 +34,23 @@ _LONGEST: Final = 0.25  # s: a longer tick, because something took its time, is 
 _BEHIND: Final = 1.0  # s: a longer delay is not made up for
 
 
-async def serve(host: Host, address: str, port: int, ready: Callable[[int], None], *, attached: bool = False) -> None:
+async def serve(
+    host: Host,
+    address: str,
+    port: int,
+    ready: Callable[[int], None],
+    *,
+    streaming_port: int | None = None,
+    attached: bool = False,
+) -> None:
     """Serve a world until SIGINT, SIGTERM or SIGHUP.
 
     Args:
         host: The served world.
         address: The address to listen on.
-        port: The port for calls; the next one is for streams. 0 for two free ports.
+        port: The port for calls; 0 for a free one.
         ready: A callback that gets the port for calls when clients can connect.
+        streaming_port: The port for streams; None for the one after `port`, 0 for a free one.
         attached: End, too, when the standard input ends or has data: its other end belongs to a process that may be killed.
 
     Raises:
@@ -61,7 +70,7 @@ async def serve(host: Host, address: str, port: int, ready: Callable[[int], None
     with call_on_termination(lambda _: end()):
         host.prepare()
         connect = partial(ClientConnection, CALLS, host.connections, partial(Client, host))
-        calls, streams = await _listen_both(connect, host.streams.connection, address, port)
+        calls, streams = await _listen_both(connect, host.streams.connection, address, port, streaming_port)
         port, host.streams.port = (server.sockets[0].getsockname()[1] for server in (calls, streams))
         ticker = asyncio.create_task(Ticker(host).run())
         ready(port)
@@ -124,13 +133,18 @@ def _wait_for_input(end: Callable[[], None]) -> None:
 
 
 async def _listen_both(
-    call: Callable[[], asyncio.Protocol], stream: Callable[[], asyncio.Protocol], address: str, port: int
+    call: Callable[[], asyncio.Protocol],
+    stream: Callable[[], asyncio.Protocol],
+    address: str,
+    port: int,
+    streaming_port: int | None,
 ) -> tuple[asyncio.Server, asyncio.Server]:
-    """Listen on a port and the next one; for port 0, try until both are free."""
+    """Listen on two ports; for port 0 without a port for streams, try until that and the next one are free."""
     for left in reversed(range(_TRIES)):
         calls = await _listen(call, address, port)
+        after = calls.sockets[0].getsockname()[1] + 1
         try:
-            return calls, await _listen(stream, address, calls.sockets[0].getsockname()[1] + 1)
+            return calls, await _listen(stream, address, after if streaming_port is None else streaming_port)
         except RecapError:
             calls.close()
             if port or not left:

@@ -1,0 +1,141 @@
+"""`CarlaUE4.sh`, run as scripts do that start a server of CARLA, and CARLA's own client."""
+
+from __future__ import annotations
+
+import os
+import signal
+import socket
+import subprocess
+from contextlib import contextmanager
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import carla
+import pytest
+
+from carla_recap.cli.launcher import serve_arguments
+from tests.cli.command import ENVIRONMENT
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+
+LAUNCHER = Path(__file__).parents[2] / "CarlaUE4.sh"
+USUAL = "-RenderOffScreen -nosound -benchmark -windowed -ResX=800 -ResY=600 -opengl -vulkan -prefernvidia -carla-server"
+
+pytestmark = pytest.mark.skipif(os.name != "posix", reason="a shell script")
+
+
+@contextmanager
+def launched(*arguments: str) -> Iterator[tuple[subprocess.Popen[str], int]]:
+    """Run the launcher until the end of the block; yields its process and the port for calls."""
+    with subprocess.Popen(
+        [LAUNCHER, *arguments],
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        stdin=subprocess.DEVNULL,
+        text=True,
+        env=ENVIRONMENT,
+    ) as process:
+        try:
+            assert process.stdout is not None
+            yield process, int(process.stdout.readline().rsplit(":", 1)[1])
+        finally:
+            process.kill()
+
+
+def connected(port: int) -> carla.Client:
+    client = carla.Client("127.0.0.1", port)
+    client.set_timeout(20.0)
+    return client
+
+
+def free_ports() -> tuple[int, int]:
+    with socket.create_server(("127.0.0.1", 0)) as one, socket.create_server(("127.0.0.1", 0)) as other:
+        return one.getsockname()[1], other.getsockname()[1]
+
+
+def test_the_usual_arguments_start_a_server_for_clients() -> None:
+    with launched("Brickfield", *USUAL.split(), "-carla-rpc-port=0", "-quality-level=Low", "-fps=10") as (process, port):
+        world = connected(port).get_world()
+        assert world.get_map().name.endswith("Brickfield")
+        assert world.get_settings().fixed_delta_seconds == 0.1
+        assert world.wait_for_tick(20.0).timestamp.delta_seconds == pytest.approx(0.1)
+        process.terminate()
+        _, errors = process.communicate(timeout=20)
+    assert errors == ""
+
+
+def test_streams_have_the_port_of_the_arguments() -> None:
+    calls, streams = free_ports()
+    with launched(f"-carla-rpc-port={calls}", f"-carla-streaming-port={streams}") as (_, port):
+        assert port == calls
+        world = connected(port).get_world()
+        assert world.wait_for_tick(20.0).frame > 0
+        socket.create_connection(("127.0.0.1", streams)).close()
+
+
+@pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGINT])
+def test_a_signal_to_the_launcher_ends_the_server(number: int) -> None:
+    with launched("-carla-rpc-port=0") as (process, port):
+        process.send_signal(number)
+        assert process.wait(20) == 0
+        with pytest.raises(ConnectionRefusedError):
+            socket.create_connection(("127.0.0.1", port))
+
+
+def test_a_killed_launcher_leaves_no_server() -> None:
+    with launched("-carla-rpc-port=0") as (process, port):
+        process.kill()
+        assert process.wait(20) == -signal.SIGKILL
+        with pytest.raises(ConnectionRefusedError):
+            socket.create_connection(("127.0.0.1", port))
+
+
+def test_a_missing_map_is_replaced_by_the_built_in_town() -> None:
+    with launched("/Game/Carla/Maps/Town77", "-carla-rpc-port=0") as (_, port):
+        assert connected(port).get_world().get_map().name.endswith("Town77")
+
+
+def test_a_wrong_port_is_an_error_in_one_line() -> None:
+    done = subprocess.run([LAUNCHER, "-carla-rpc-port=many"], capture_output=True, text=True, timeout=60, check=False)
+    assert done.returncode == 2
+    (line,) = done.stderr.splitlines()
+    assert "'many' is not a valid integer range" in line
+
+
+def test_help_lists_the_arguments() -> None:
+    done = subprocess.run([LAUNCHER, "--help"], capture_output=True, text=True, timeout=60, check=True)
+    assert "-quality-level=Low|Epic" in done.stderr
+    assert "--maps DIR" in done.stdout
+
+
+@pytest.mark.parametrize(
+    ("arguments", "expected"),
+    [
+        ("-carla-port=3000", ["--port=3000"]),
+        ("-carla-world-port=3000", ["--port=3000"]),
+        ("--carla-rpc-port=3000", ["--port=3000"]),
+        ("-carla-streaming-port=0", ["--streaming-port=0"]),
+        ("-Quality-Level=EPIC", ["--quality=epic"]),
+        ("CarlaUE4 Town02 -RenderOffscreen", ["--town", "Town02"]),
+        ("/Game/Carla/Maps/Town03?listen", ["--town", "/Game/Carla/Maps/Town03"]),
+        ("--maps folder --confine -nosound", ["--maps", "folder", "--confine"]),
+        ("--maps=folder", ["--maps=folder"]),
+        (USUAL, []),
+    ],
+)
+def test_arguments_of_carla_are_translated(arguments: str, expected: list[str], capsys: pytest.CaptureFixture[str]) -> None:
+    assert serve_arguments(arguments.split()) == expected
+    assert capsys.readouterr().err == ""
+
+
+@pytest.mark.parametrize("argument", ["-teleport", "-carla-rpc-port", "-quality-level=Cinematic", "", "-ports=3"])
+def test_unknown_arguments_are_ignored_with_a_warning(argument: str, capsys: pytest.CaptureFixture[str]) -> None:
+    assert serve_arguments(["-nosound", argument, "-fps=20"]) == ["--fps=20"]
+    (line,) = capsys.readouterr().err.splitlines()
+    assert line.startswith(f"carla-recap: warning: {argument}: is ") or "neither Low nor Epic" in line
+
+
+def test_a_name_that_is_not_first_is_no_map(capsys: pytest.CaptureFixture[str]) -> None:
+    assert serve_arguments(["-nosound", "Town02"]) == []
+    assert "Town02: is unknown" in capsys.readouterr().err
