@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 import struct
-from dataclasses import dataclass
 from math import radians, tan, tau
 from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
+from carla_recap.rendering.rays import OrientedBoxes
 from carla_recap.server.actor_records import tag
 from carla_recap.server.sensors.feed import generator, interval, number
 from carla_recap.sim.actors.actor import Prop
@@ -19,6 +19,7 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
+    from carla_recap.rendering.rays import RayHits
     from carla_recap.server.sensors.feed import Feed, FeedContext
     from carla_recap.sim.actors.actor import Actor
     from carla_recap.sim.geometry import Location, Transform, Vector
@@ -26,7 +27,6 @@ if TYPE_CHECKING:
     Floats = NDArray[np.float64]
     Integers = NDArray[np.int64]
 
-_PARALLEL: Final = 1e-12  # instead of 0, for a ray along a side of a box
 # horizontal angle in radians, channels; then the number of points of each channel
 _LIDAR_HEADER: Final = struct.Struct("<fI")
 _POINT: Final = np.dtype([("location", "<(3,)f4"), ("intensity", "<f4")])
@@ -70,28 +70,7 @@ def _with_children(actor: Actor) -> set[Actor]:
     return {actor}.union(*map(_with_children, actor.children))
 
 
-@dataclass(frozen=True, eq=False, slots=True)
-class RayHits:
-    """The hits of rays on boxes.
-
-    Attributes:
-        ray: The index of the ray of each hit, ascending.
-        box: The index of the box.
-        distance: The distance in m.
-        cosine: The cosine of the angle between the ray and the normal of the side that it hits.
-    """
-
-    ray: Integers
-    box: Integers
-    distance: Floats
-    cosine: Floats
-
-    def take(self, index: Integers | NDArray[np.bool_]) -> RayHits:
-        """Return some of the hits."""
-        return RayHits(self.ray[index], self.box[index], self.distance[index], self.cosine[index])
-
-
-class ActorBoxes:
+class ActorBoxes(OrientedBoxes):
     """The boxes of actors in the world, in three dimensions.
 
     Args:
@@ -106,46 +85,8 @@ class ActorBoxes:
         self.actors = actors
         transforms = [actor.transform for actor in actors]
         centres = [transform.transform(actor.box.location) for transform, actor in zip(transforms, actors, strict=True)]
-        self._axes = np.array([transform.rotation.matrix() for transform in transforms]).reshape(-1, 3, 3)
-        self._centre = rows(centres)
-        self._extent = rows(actor.box.extent for actor in actors) + margin
-
-    def cast(self, origin: Floats, directions: Floats, reach: float) -> RayHits:
-        """Return the first hit of each ray that hits something.
-
-        Args:
-            origin: The start of all rays, (3,) in m.
-            directions: The directions, (n, 3), of length 1.
-            reach: The length of the rays in m.
-        """
-        hits = self.pierce(origin, directions, reach)
-        return hits.take(np.unique(hits.ray, return_index=True)[1])
-
-    def pierce(self, origin: Floats, directions: Floats, reach: float) -> RayHits:
-        """Return all hits of rays that pass through boxes, the nearest of each ray first; see `cast`."""
-        ray, box = self._candidates(origin, directions, reach)
-        start = ((origin - self._centre)[:, None] @ self._axes)[box, 0]
-        along = (directions[ray][:, None] @ self._axes[box])[:, 0]
-        along = np.where(np.abs(along) < _PARALLEL, _PARALLEL, along)
-        extent = self._extent[box]
-        enter = (-np.sign(along) * extent - start) / along
-        leave = (np.sign(along) * extent - start) / along
-        side = enter.argmax(axis=1)
-        distance = np.maximum(enter.max(axis=1), 0.0)
-        cosine = np.abs(np.take_along_axis(along, side[:, None], 1)[:, 0])
-        hit = np.flatnonzero((distance <= leave.min(axis=1)) & (distance <= reach))
-        return RayHits(ray, box, distance, cosine).take(hit[np.lexsort((distance[hit], ray[hit]))])
-
-    def _candidates(self, origin: Floats, directions: Floats, reach: float) -> tuple[Integers, Integers]:
-        """Return the pairs of rays and boxes where the ray passes through the sphere around the box."""
-        to = self._centre - origin
-        size = np.linalg.norm(self._extent, axis=1)
-        away = np.linalg.norm(to, axis=1)
-        boxes = np.flatnonzero(away - size <= reach)
-        least = np.sqrt(np.maximum(away[boxes] ** 2 - size[boxes] ** 2, 0.0))  # the projection of a ray that touches it
-        least[away[boxes] <= size[boxes]] = -np.inf
-        ray, box = np.nonzero(directions @ to[boxes].T >= least)
-        return ray, boxes[box]
+        axes = np.array([transform.rotation.matrix() for transform in transforms]).reshape(-1, 3, 3)
+        super().__init__(rows(centres), axes, rows(actor.box.extent for actor in actors) + margin)
 
 
 class Lidar:
