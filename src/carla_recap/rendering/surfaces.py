@@ -1,0 +1,252 @@
+"""The surfaces of the roads: lanes, kerbs, and the slopes beside them."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Final
+
+import numpy as np
+
+from carla_recap.rendering.heights import TriangleGrid
+from carla_recap.rendering.materials import Material
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator, Sequence
+
+    from numpy.typing import NDArray
+
+    from carla_recap.maps.road_geometry import Road, RoadLane, RoadSection
+    from carla_recap.rendering.building import MeshBuilder
+
+    Floats = NDArray[np.float64]
+    Flags = NDArray[np.bool_]
+
+KERB_HEIGHT: Final = 0.12
+"""The height of sidewalks above the road, in m."""
+
+_DRIVING: Final = (
+    *("driving", "bidirectional", "entry", "exit", "onramp", "offramp", "connectingramp", "mwyentry", "mwyexit"),
+    *("roadworks", "hov", "bus", "taxi"),
+)
+_KINDS: Final = {
+    **dict.fromkeys(_DRIVING, Material.ROAD),
+    **dict.fromkeys(("shoulder", "border", "stop", "restricted", "special1", "special2", "special3"), Material.SHOULDER),
+    "parking": Material.PARKING,
+    "biking": Material.BIKE_LANE,
+    "median": Material.MEDIAN,
+    **dict.fromkeys(("sidewalk", "walking"), Material.SIDEWALK),
+    "curb": Material.KERB,
+    **dict.fromkeys(("tram", "rail"), Material.GROUND),
+}
+_RAISED: Final = (Material.SIDEWALK, Material.KERB)
+_LAYERS: Final = {
+    Material.GRASS: -0.024,
+    Material.GROUND: -0.016,
+    Material.MEDIAN: -0.016,
+    Material.SHOULDER: -0.008,
+    Material.PARKING: -0.008,
+    Material.BIKE_LANE: -0.004,
+}
+"""How far flat surfaces are above the lanes for cars, in m, so that one hides the other where they overlap."""
+
+_DENSE: Final = 1.0  # m between the points at which the course of a road is examined
+_TOLERANCE: Final = 0.02  # m
+_STEPS: Final = (0.5, 12.0)  # m; the least and the largest between points
+_MOST_POINTS: Final = 400_000  # at which roads are examined
+_BEFORE_END: Final = 1e-6  # m
+_NARROW: Final = 0.02  # m
+
+
+@dataclass(frozen=True, eq=False)
+class SampledSection:
+    """The borders of the lanes of a section as points.
+
+    Attributes:
+        road: The road.
+        number: The number of the road.
+        section: The section.
+        stations: The distances along the road, ascending, (n,).
+        lefts: The directions to the left, (n, 3).
+        normals: The directions away from the surface, (n, 3).
+        offsets: How far to the left of the reference line each border is, (lanes + 1, n).
+        borders: The points of the borders, from the left, (lanes + 1, n, 3).
+        lanes: The lanes, from the left.
+        materials: Their materials; None for those that are not drawn.
+    """
+
+    road: Road
+    number: int
+    section: RoadSection
+    stations: Floats
+    lefts: Floats
+    normals: Floats
+    offsets: Floats
+    borders: Floats
+    lanes: tuple[RoadLane, ...]
+    materials: tuple[Material | None, ...]
+
+    def is_driving(self, lane: int) -> bool:
+        """Return whether a lane is for cars."""
+        return self.materials[lane] in (Material.ROAD, Material.JUNCTION)
+
+    def widths(self, lane: int) -> Floats:
+        """Return the width of a lane at each station."""
+        widths: Floats = self.offsets[lane] - self.offsets[lane + 1]
+        return widths
+
+    def raised(self, lane: int) -> Floats:
+        """Return how far the surface of a lane is above the road at each station; 0 where there is no such lane."""
+        if not 0 <= lane < len(self.lanes):
+            return np.zeros(len(self.stations))
+        return np.where(self.widths(lane) > _NARROW, height_of(self.materials[lane]), 0.0)
+
+
+def height_of(material: Material | None) -> float:
+    """Return how far a surface is above the lanes for cars, in m."""
+    if material is None:
+        return 0.0
+    return KERB_HEIGHT if material in _RAISED else _LAYERS.get(material, 0.0)
+
+
+def sample_roads(roads: Sequence[Road]) -> list[SampledSection]:
+    """Return the borders of all lanes as points, close together where roads bend, and without those of invalid roads."""
+    length = sum(road.length for road in roads)
+    spacing = max(_DENSE, length / _MOST_POINTS)
+    sections = [
+        sampled
+        for number, road in enumerate(roads)
+        for section in road.sections
+        for sampled in _sample(road, number, section, spacing)
+    ]
+    return [section for section in sections if np.isfinite(section.borders).all()]
+
+
+def _sample(road: Road, number: int, section: RoadSection, spacing: float) -> Iterator[SampledSection]:
+    lanes = (*section.left[::-1], *section.right)
+    if not lanes:
+        return
+    start, end = section.start, section.end - _BEFORE_END
+    dense = np.linspace(start, end, max(int((end - start) / spacing), 3) + 1)
+    stations = _picked(dense, _borders(road, section, dense)[1][[0, len(section.left), -1]])
+    offsets, borders, lefts = _borders(road, section, stations)
+    along = np.gradient(borders[len(section.left)], axis=0)
+    normals = np.cross(along, lefts)
+    normals /= np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-9)
+    yield SampledSection(
+        road, number, section, stations, lefts, normals, offsets, borders, lanes, tuple(_materials(road, lanes))
+    )
+
+
+def _borders(road: Road, section: RoadSection, stations: Floats) -> tuple[Floats, Floats, Floats]:
+    points, headings = road.reference(stations)
+    lefts = np.stack((-np.sin(headings), np.cos(headings), np.zeros(len(headings))), axis=1)
+    offsets = section.borders(stations) + road.lane_offset(stations)
+    return offsets, points + offsets[..., None] * lefts, lefts
+
+
+def _picked(stations: Floats, lines: Floats) -> Floats:
+    """Return stations between which lines, (lines, n, 3), are nearly straight."""
+    step = stations[1] - stations[0]
+    bends = np.linalg.norm(lines[:, 2:] - 2 * lines[:, 1:-1] + lines[:, :-2], axis=2).max(axis=0) / step**2
+    bends = np.maximum(bends[:-1], bends[1:])  # of the parts between two stations
+    bends = np.concatenate((bends[:1], bends, bends[-1:]))
+    with np.errstate(divide="ignore"):
+        steps = np.clip(np.sqrt(8 * _TOLERANCE / bends), *_STEPS)
+    numbers = np.concatenate(([0.0], np.cumsum(step / steps)))
+    count = max(int(np.ceil(numbers[-1])), 1)
+    return np.interp(np.linspace(0.0, numbers[-1], count + 1), numbers, stations)
+
+
+def _materials(road: Road, lanes: Sequence[RoadLane]) -> Iterator[Material | None]:
+    known = [index for index, lane in enumerate(lanes) if lane.kind in _KINDS]
+    for index, lane in enumerate(lanes):
+        material = _KINDS.get(lane.kind)
+        if material is None and known and known[0] < index < known[-1]:
+            material = Material.GRASS
+        yield Material.JUNCTION if material is Material.ROAD and road.in_junction else material
+
+
+def surface_grid(sections: Sequence[SampledSection], *, driving: bool = False) -> TriangleGrid:
+    """Return the surfaces of all lanes, with the number of the road as key.
+
+    Args:
+        sections: The sections.
+        driving: Only those of lanes for cars.
+    """
+    vertices, triangles, keys, count = [], [], [], 0
+    for section in sections:
+        n = len(section.stations)
+        for lane, material in enumerate(section.materials):
+            if material is None or (driving and not section.is_driving(lane)):
+                continue
+            widths = section.widths(lane)
+            first = np.flatnonzero((widths[1:] > _NARROW) | (widths[:-1] > _NARROW))
+            corners = np.concatenate((section.borders[lane], section.borders[lane + 1]))
+            corners[:, 2] += height_of(material)
+            vertices.append(corners)
+            parts = np.stack((first + n, first + n + 1, first + 1), 1), np.stack((first + n, first + 1, first), 1)
+            triangles.append(np.concatenate(parts) + count)
+            keys.append(np.full(2 * len(first), section.number))
+            count += 2 * n
+    if not vertices:
+        return TriangleGrid(np.zeros((0, 3)), np.zeros((0, 3), np.int64))
+    return TriangleGrid(np.concatenate(vertices), np.concatenate(triangles), np.concatenate(keys))
+
+
+def add_lanes(builder: MeshBuilder, sections: Sequence[SampledSection], driving: TriangleGrid) -> None:
+    """Add the surfaces of lanes, and the kerbs beside raised ones.
+
+    Args:
+        builder: Collects the triangles.
+        sections: The sections.
+        driving: The lanes for cars.
+    """
+    for section in sections:
+        for lane, material in enumerate(section.materials):
+            if material is None:
+                continue
+            height = height_of(material)
+            wanted = _wide(section, lane)
+            if height > 0 and section.road.in_junction:
+                wanted &= ~_on_lanes(section, lane, driving)
+            left, right = (section.borders[border] + (0.0, 0.0, height) for border in (lane, lane + 1))
+            builder.add_strip(left, right, section.normals, material, wanted)
+            if height > 0:
+                _add_kerbs(builder, section, lane, wanted)
+
+
+def _wide(section: SampledSection, lane: int) -> Flags:
+    wide = section.widths(lane) > _NARROW
+    parts: Flags = wide[1:] | wide[:-1]
+    return parts
+
+
+def _on_lanes(section: SampledSection, lane: int, driving: TriangleGrid) -> Flags:
+    """Return which parts of a lane are on lanes for cars of other roads."""
+    middles = (section.borders[lane] + section.borders[lane + 1]) / 2
+    middles = (middles[1:] + middles[:-1]) / 2
+    index, heights, keys = driving.hits(middles)
+    there = (keys != section.number) & (np.abs(heights - middles[index, 2]) < 1.0)
+    on = np.zeros(len(middles), np.bool_)
+    on[index[there]] = True
+    return on
+
+
+def _add_kerbs(builder: MeshBuilder, section: SampledSection, lane: int, wanted: Flags) -> None:
+    """Add the vertical faces of a raised lane on both sides and at its ends."""
+    for border, beside, outwards in ((lane, lane - 1, section.lefts), (lane + 1, lane + 1, -section.lefts)):
+        free = section.raised(beside) < KERB_HEIGHT / 2
+        parts = wanted & (free[1:] | free[:-1])
+        top = section.borders[border] + (0.0, 0.0, KERB_HEIGHT)
+        bottom = section.borders[border] - (0.0, 0.0, KERB_HEIGHT)
+        low, high = (top, bottom) if outwards is section.lefts else (bottom, top)
+        builder.add_strip(high, low, outwards, Material.KERB, parts)
+    edges = np.diff(np.concatenate(([False], wanted, [False])).astype(np.int8))
+    for at, sign in [
+        *((index, -1.0) for index in np.flatnonzero(edges > 0)),
+        *((i, 1.0) for i in np.flatnonzero(edges < 0)),
+    ]:
+        left, right = section.borders[lane, at], section.borders[lane + 1, at]
+        up = np.array((0.0, 0.0, KERB_HEIGHT))
+        corners = np.array((left - up, right - up, right + up, left + up))[:: int(-sign)]
+        builder.add_quads(corners[None], sign * np.cross(section.lefts[at], (0.0, 0.0, 1.0)), Material.KERB)

@@ -1,0 +1,183 @@
+"""A town as triangle meshes, from an OpenDRIVE map; as a module, the child process that makes them."""
+
+from __future__ import annotations
+
+import sys
+from collections import OrderedDict
+from dataclasses import dataclass, field
+from functools import cached_property
+from hashlib import sha256
+from pathlib import Path
+from threading import Lock
+from typing import TYPE_CHECKING, Any, Final
+
+import numpy as np
+
+from carla_recap.errors import FormatError
+from carla_recap.maps.parsing import pack, parse_in_child, read_content, run_child, unpack
+from carla_recap.maps.road_geometry import read_roads
+from carla_recap.rendering.building import MeshBuilder
+from carla_recap.rendering.heights import TriangleGrid
+from carla_recap.rendering.materials import Material
+from carla_recap.rendering.mesh import Mesh
+from carla_recap.rendering.surfaces import add_lanes, sample_roads, surface_grid
+from carla_recap.rendering.terrain import Terrain, add_edges
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+    Floats = NDArray[np.float64]
+    Arrays = dict[str, list[NDArray[Any]]]
+
+_KEPT: Final = 4  # towns in memory
+_STANDING: Final = frozenset(
+    {Material.POLE, Material.LIGHT_HOUSING, Material.SIGN_BACK, Material.SIGN_WHITE, Material.SIGN_RED, Material.SIGN_YELLOW}
+)
+_LEAST_UPWARDS: Final = 0.3  # of a normal, of a surface on which one can stand
+
+
+@dataclass(frozen=True, eq=False)
+class LightPost:
+    """The position of a traffic light of a map.
+
+    Attributes:
+        id: The OpenDRIVE id of the signal.
+        location: The foot of the pole, in m, (3,).
+        heading: The direction that the light faces, in radians.
+    """
+
+    id: str
+    location: Floats
+    heading: float
+
+
+@dataclass(frozen=True, eq=False)
+class TownMesh:
+    """The ground and the furniture of a town: all that does not move, but the lamps of traffic lights.
+
+    Attributes:
+        name: The name of the map; empty where there is none.
+        tiles: The triangles by squares of about 50 m.
+        bounds: The least and the largest corner of each tile, (tiles, 2, 3), in m.
+        lights: The traffic lights of the map.
+    """
+
+    name: str
+    tiles: list[Mesh]
+    bounds: Floats
+    lights: list[LightPost] = field(default_factory=list)
+
+    @classmethod
+    def of_tiles(cls, name: str, tiles: list[Mesh], lights: list[LightPost] | None = None) -> TownMesh:
+        """Return a town of tiles, none of which is empty."""
+        bounds = [(tile.vertices.min(axis=0), tile.vertices.max(axis=0)) for tile in tiles]
+        return cls(name, tiles, np.array(bounds, np.float64).reshape(-1, 2, 3), lights or [])
+
+    def ground_height(self, points: Floats) -> Floats:
+        """Return the height of the ground at points, in m; NaN where there is none.
+
+        Args:
+            points: Rows of x, y, (n, 2): the highest ground; or of x, y, z, (n, 3): the highest that is not above z by
+                more than 0.5 m.
+        """
+        return self._ground.highest(np.asarray(points, np.float64))
+
+    @cached_property
+    def _ground(self) -> TriangleGrid:
+        mesh = Mesh.concatenate(self.tiles)
+        corners = mesh.triangles
+        flat = (mesh.normals[corners[:, 0], 2] > _LEAST_UPWARDS) & ~np.isin(mesh.materials[corners[:, 0]], list(_STANDING))
+        return TriangleGrid(mesh.vertices.astype(np.float64), corners[flat].astype(np.int64))
+
+
+def load_town_mesh(path: Path | str) -> TownMesh:
+    """Return the town of an OpenDRIVE file.
+
+    Args:
+        path: The file, such as `Town01.xodr`.
+
+    Raises:
+        RecapError: The file cannot be read, or is no OpenDRIVE map with lanes.
+    """
+    path = Path(path)
+    return _town_mesh(path.stem, path, read_content(path))
+
+
+def town_mesh_of(opendrive: str, name: str = "") -> TownMesh:
+    """Return the town of the text of an OpenDRIVE file.
+
+    Args:
+        opendrive: The text.
+        name: The name of the map.
+
+    Raises:
+        FormatError: It is no OpenDRIVE map with lanes.
+    """
+    return _town_mesh(name, Path(name or "map"), opendrive.encode())
+
+
+_towns: OrderedDict[bytes, TownMesh] = OrderedDict()
+_lock = Lock()
+
+
+def _town_mesh(name: str, path: Path, content: bytes) -> TownMesh:
+    key = sha256(name.encode() + b"\0" + content).digest()
+    with _lock:
+        if key in _towns:
+            _towns.move_to_end(key)
+            return _towns[key]
+    town = _unpacked(name, unpack(parse_in_child("carla_recap.rendering.town", path, content)))
+    if not town.tiles:
+        raise FormatError(path, None, "an OpenDRIVE map was expected, and no lane is in it")
+    with _lock:
+        _towns[key] = town
+        while len(_towns) > _KEPT:
+            _towns.popitem(last=False)
+    return town
+
+
+def build_town(text: str) -> tuple[list[Mesh], list[LightPost]]:
+    """Return the tiles and lights of the text of an OpenDRIVE file, made in this process.
+
+    Raises:
+        ValueError: It is no OpenDRIVE file.
+    """
+    with np.errstate(all="ignore"):
+        roads = read_roads(text)
+        sections = sample_roads(roads)
+        if not sections:
+            return [], []
+        surfaces, driving = surface_grid(sections), surface_grid(sections, driving=True)
+        builder = MeshBuilder()
+        add_lanes(builder, sections, driving)
+        terrain = Terrain(sections)
+        add_edges(builder, sections, terrain, surfaces)
+        terrain.add_to(builder)
+        return builder.tiles(), []
+
+
+def _packed(tiles: list[Mesh], lights: list[LightPost]) -> bytes:
+    ids = [np.frombuffer(light.id.encode(), np.uint8) for light in lights]
+    return pack(
+        {
+            "vertices": [tile.vertices for tile in tiles],
+            "normals": [tile.normals for tile in tiles],
+            "materials": [tile.materials for tile in tiles],
+            "triangles": [tile.triangles for tile in tiles],
+            "lights": [np.array([[*light.location, light.heading]]) for light in lights],
+            "ids": ids,
+        }
+    )
+
+
+def _unpacked(name: str, arrays: Arrays) -> TownMesh:
+    columns = (arrays[column] for column in ("vertices", "normals", "materials", "triangles"))
+    lights = [
+        LightPost(bytes(id.tolist()).decode(errors="replace"), row[0, :3], row[0, 3].item())
+        for id, row in zip(arrays["ids"], arrays["lights"], strict=True)
+    ]
+    return TownMesh.of_tiles(name, [Mesh(*parts) for parts in zip(*columns, strict=True)], lights)
+
+
+if __name__ == "__main__":
+    sys.exit(run_child(lambda text: _packed(*build_town(text))))
