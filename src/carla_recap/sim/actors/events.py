@@ -16,11 +16,11 @@ class Collision:
     Attributes:
         actor1: The id of that actor.
         actor2: The id of the actor that it collided with; None for a barrier, which is no actor.
-        location: The first point of contact.
-        impulse: The impulse on actor1 in N s.
+        location: The first point of contact; in a replay, the point halfway between the actors.
+        impulse: The impulse on actor1 in N s; in a replay, an estimate.
         hero1: Whether actor1 is a hero.
         hero2: Whether actor2 is a hero.
-        number: The number of the collision in its episode, from 0.
+        number: The number of the collision in its episode, from 0; in a replay, the recorded number.
     """
 
     actor1: int

@@ -140,7 +140,12 @@ class CollisionDetector:
     def _should_watch(self, actor: Actor) -> bool:
         if self._registry.settings.collisions_of == "all" and isinstance(actor, (Vehicle, Walker)):
             return True
-        return actor.is_hero or any(child.type_id == COLLISION_SENSOR for child in actor.children)
+        return is_watched(actor)
+
+
+def is_watched(actor: Actor) -> bool:
+    """Return whether the collisions of an actor are reported in any case: it is a hero, or has a collision sensor."""
+    return actor.is_hero or any(child.type_id == COLLISION_SENSOR for child in actor.children)
 
 
 def _is_hero(actor: Actor | None) -> bool:

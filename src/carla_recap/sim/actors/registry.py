@@ -133,9 +133,14 @@ class ActorRegistry:
         return self.events.collisions
 
     def end_tick(self, collisions: list[Collision]) -> None:
-        """Make the pending events, and the collisions of a tick, the events of that tick."""
+        """Make the pending events, and the collisions of a tick, the events of that tick.
+
+        A pending collision, which a replay has added, is left out if physics has found one of the same actors.
+        """
         self.events, self.pending = self.pending, TickEvents()
-        self.events.collisions = collisions
+        found = {(collision.actor1, collision.actor2) for collision in collisions}
+        replayed = [each for each in self.events.collisions if (each.actor1, each.actor2) not in found]
+        self.events.collisions = collisions + replayed
 
     def report_physics_control(self, vehicle: Vehicle) -> None:
         """Add a changed physics control to the pending events."""

@@ -21,6 +21,7 @@ from carla_recap.sim.geometry import Location, Rotation, Transform, Vector
 from carla_recap.sim.recording.poses import CM_PER_M, transform
 from carla_recap.sim.recording.recorder import recording_path
 from carla_recap.sim.replaying.actor_mapping import ActorMapping
+from carla_recap.sim.replaying.collisions import CollisionReplay
 from carla_recap.sim.replaying.kinematic import KinematicReplay
 from carla_recap.sim.town.town import load_town
 from carla_recap.sim.weather import Weather
@@ -71,8 +72,8 @@ class Replay:
 class Replayer:
     """Replays recordings in a world; a controller of its ticks.
 
-    Replayed actors have the poses, the controls and the lights of the recording. All others go on as before, and collide
-    with replayed actors without moving them.
+    Replayed actors have the poses, the controls, the lights and the collisions of the recording. All others go on as
+    before, and collide with replayed actors without moving them.
 
     Args:
         world: The world.
@@ -96,6 +97,7 @@ class Replayer:
         self._close: Callable[[], object] = lambda: None
         self._mapping = ActorMapping(world, replay_sensors=False)
         self._kinematic = KinematicReplay(world, self._mapping)
+        self._collisions = CollisionReplay(world, self._mapping, self._kinematic)
         self._frozen = world.signals.frozen.copy()
         self._doors: Mapping[int, frozenset[int]] = {}
         self._weather: np.void | None = None
@@ -267,6 +269,7 @@ class Replayer:
         self._player = player
         self._mapping = ActorMapping(world, replay_sensors=replay_sensors)
         self._kinematic = KinematicReplay(world, self._mapping)
+        self._collisions = CollisionReplay(world, self._mapping, self._kinematic)
         self._doors, self._weather = {}, None
         self._frozen = world.signals.frozen.copy()
         world.signals.held = True
@@ -277,11 +280,13 @@ class Replayer:
     def _show(self, scene: Scene, delta: float, seconds: float) -> None:
         if self._world.events.destroyed or self._world.pending.destroyed:
             self._mapping.forget_dead()
+        self._collisions.prepare(scene)
         for gone in scene.destroyed:
             self._mapping.remove(gone.id)
         if scene.spawned:
             self._mapping.add({came.actor.id: came.actor for came in scene.spawned}.values(), scene)
         self._kinematic.move(scene, delta, seconds)
+        self._collisions.report()
         self._move_doors(scene)
         if self._replay_weather:
             self._change_weather(scene)
