@@ -1,0 +1,457 @@
+"""The shaders of the renderer, in GLSL, and the uniform blocks that they read.
+
+Positions are relative to the camera, in m, along the axes of the world (right-handed). Light is computed for each vertex:
+pixels then cost little, and surfaces are flat or finely divided. Fog is computed for each pixel, since the ground is not.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Final
+
+import numpy as np
+
+from carla_recap.rendering.camera import ImageKind
+from carla_recap.rendering.materials import MATERIALS, Material, Tag
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from numpy.typing import NDArray
+
+VERTEX: Final = np.dtype([("position", "3f4"), ("normal", "3f4"), ("material", "u4")])
+"""A vertex of the ground."""
+MODEL_VERTEX: Final = np.dtype([*((name, VERTEX[name]) for name in VERTEX.names or ()), ("pivot", "3f4")])
+"""A vertex of a model; `pivot` is x and y of the steering axis, and 1 if it is steered."""
+INSTANCE: Final = np.dtype(
+    [
+        ("location", "3f4"),
+        ("rotation", "9f4"),
+        ("extents", "4f4"),  # half the sizes, and the angle of the front wheels
+        ("paint", "4f4"),  # red, green, blue from 0 to 1, and the opacity
+        ("marks", "4u4"),  # the lamps as two halves, the id, the tag
+    ]
+)
+"""An instance; its rotation is a matrix, column by column."""
+PREVIOUS: Final = np.dtype([("previous_location", "3f4"), ("previous_rotation", "9f4")])
+"""Where an instance was in the previous image, relative to the previous camera."""
+FRAME: Final = np.dtype(
+    [
+        ("clip", "(4,4)f4"),
+        ("previous_clip", "(4,4)f4"),
+        ("origin", "4f4"),
+        ("previous_origin", "4f4"),
+        ("forward", "4f4"),
+        ("right", "4f4"),
+        ("up", "4f4"),
+        ("size", "4f4"),
+        ("sun", "4f4"),
+        ("sunlight", "4f4"),
+        ("skylight", "4f4"),
+        ("groundlight", "4f4"),
+        ("zenith", "4f4"),
+        ("haze", "4f4"),
+        ("fog", "4f4"),
+        ("world", "4f4"),
+    ]
+)
+"""The uniform block of an image, in std140; matrices column by column."""
+MATERIAL_COUNT: Final = 64
+
+_FRAME: Final = """
+layout(std140) uniform Frame {
+    mat4 clip;            // from positions relative to the camera to clip coordinates
+    mat4 previous_clip;   // the same of the previous image
+    vec4 origin;          // the origin of the ground, relative to the camera
+    vec4 previous_origin;
+    vec4 forward;         // the axes of the camera; right and up have the length of half the image at distance 1
+    vec4 right;
+    vec4 up;
+    vec4 size;            // width and height of the image in pixels, the focal length in pixels
+    vec4 sun;             // the direction to the sun
+    vec4 sunlight;        // linear colours; sunlight.w: the brightness of the sun's disc
+    vec4 skylight;        // light from above; w: wetness
+    vec4 groundlight;     // light from below
+    vec4 zenith;          // sRGB colours of the sky; w: cloudiness
+    vec4 haze;            // the sky at the horizon, and the fog
+    vec4 fog;             // density per m, distance at which it begins, exposure, whether surfaces have a grain
+    vec4 world;           // the location of the camera, modulo the size of the grain
+};
+"""
+
+_LIGHT: Final = """
+vec3 linear(vec3 color) { return color * color * (color * 0.3 + 0.7); }
+vec3 encoded(vec3 light) {
+    light = light * fog.z;
+    light = light * (1.0 + light * 0.12) / (1.0 + light * 0.42);   // bright surfaces keep their colours
+    return pow(light, vec3(1.0 / 2.2));
+}
+"""
+
+_VERTEX: Final = """
+layout(std140) uniform Materials {
+    vec4 finish[64];      // colour, gloss
+    vec4 glow[64];        // the colour of the lit lamp; w: depth layer
+    vec4 kind[64];        // tag or -1; whether it is paint; whether it is a narrow line; the strength of the grain
+};
+in vec3 position;
+in vec3 normal;
+in uint material;
+#ifdef INSTANCED
+in vec3 pivot;
+in vec3 location;
+in mat3 rotation;
+in vec4 extents;
+in vec4 paint;
+in uvec4 marks;
+#ifdef FLOW
+in vec3 previous_location;
+in mat3 previous_rotation;
+#endif
+#endif
+#ifdef RGB
+out vec3 v_color;
+#ifdef GRAIN
+out vec3 v_grain;
+#endif
+#endif
+#ifdef TRANSLUCENT
+flat out float v_opacity;
+#endif
+#ifdef MARKS
+flat out uvec3 v_marks;
+#endif
+#ifdef NORMALS
+out vec3 v_normal;
+#endif
+#ifdef FLOW
+out vec3 v_previous;
+#endif
+
+void main() {
+    vec4 surface = kind[material];
+#ifdef INSTANCED
+    vec3 size = max(extents.xyz, vec3(1e-3));
+    vec3 local = position * size;
+    vec3 direction = normal / size;
+    if (pivot.z > 0.5) {
+        float s = sin(extents.w), c = cos(extents.w);
+        mat2 turn = mat2(c, s, -s, c);
+        vec2 axis = pivot.xy * size.xy;
+        local.xy = turn * (local.xy - axis) + axis;
+        direction.xy = turn * direction.xy;
+    }
+    vec3 here = rotation * local + location;
+    vec3 n = normalize(rotation * direction);
+#ifdef FLOW
+    vec3 before = previous_rotation * local + previous_location;
+#endif
+#else
+    vec3 here = position + origin.xyz;
+    vec3 n = normal;
+#ifdef FLOW
+    vec3 before = position + previous_origin.xyz;
+#endif
+#endif
+    gl_Position = clip * vec4(here, 1.0);
+    gl_Position.z -= glow[material].w * gl_Position.w;
+#ifdef FLOW
+    v_previous = (previous_clip * vec4(before, 1.0)).xyw;
+#endif
+#ifdef NORMALS
+    v_normal = n;
+#endif
+#ifdef MARKS
+#ifdef INSTANCED
+    v_marks = uvec3(surface.x < 0.0 ? marks.w : uint(surface.x), marks.z & 255u, (marks.z >> 8) & 255u);
+#else
+    v_marks = uvec3(surface.x < 0.0 ? 0u : uint(surface.x), 0u, 0u);
+#endif
+#endif
+#ifdef RGB
+    vec3 color = finish[material].rgb;
+    float gloss = finish[material].a;
+#ifdef INSTANCED
+    if (surface.y > 0.5) color = paint.rgb;
+#endif
+#ifdef TRANSLUCENT
+    v_opacity = paint.a;
+#endif
+    float distance = length(here);
+    vec3 view = here / max(distance, 1e-3);
+    vec3 light = mix(groundlight.rgb, skylight.rgb, n.z * 0.5 + 0.5) + sunlight.rgb * max(dot(n, sun.xyz), 0.0);
+    vec3 seen = linear(color) * light;
+#ifndef INSTANCED
+    gloss += skylight.w * 0.35 * max(n.z, 0.0);
+    seen *= 1.0 - 0.35 * skylight.w;
+#endif
+    if (gloss > 0.0) {
+        vec3 mirrored = reflect(view, n);
+        float grazing = 1.0 - abs(dot(view, n));
+        float share = gloss * (0.12 + 0.88 * grazing * grazing * grazing);
+        vec3 sky = linear(mix(haze.rgb, zenith.rgb, sqrt(clamp(mirrored.z, 0.0, 1.0)))) * 1.1;
+        vec3 ground = groundlight.rgb * 0.5;
+        seen = mix(seen, mix(ground, sky, smoothstep(-0.1, 0.15, mirrored.z)), share);
+        seen += sunlight.rgb * gloss * pow(max(dot(mirrored, sun.xyz), 0.0), 40.0);
+    }
+    v_color = encoded(seen);
+#ifdef INSTANCED
+    uint lamps = material < 32u ? marks.x : marks.y;
+    if (((lamps >> (material & 31u)) & 1u) == 1u) v_color = glow[material].rgb;
+#endif
+#ifdef GRAIN
+    v_grain = vec3(here.xy + world.xy, surface.w * max(n.z, 0.0));
+#endif
+#endif
+}
+"""
+
+_FRAGMENT: Final = """
+#ifdef RGB
+in vec3 v_color;
+#ifdef GRAIN
+in vec3 v_grain;
+uniform sampler2D noise;
+#endif
+#endif
+#ifdef TRANSLUCENT
+flat in float v_opacity;
+#endif
+#ifdef MARKS
+flat in uvec3 v_marks;
+#endif
+#ifdef NORMALS
+in vec3 v_normal;
+#endif
+#ifdef FLOW
+in vec3 v_previous;
+#endif
+
+void main() {
+    float depth = 1.0 / gl_FragCoord.w;
+#ifdef RGB
+    vec3 color = v_color;
+#ifdef GRAIN
+    if (v_grain.z > 0.0)
+        color *= 1.0 + v_grain.z * (texture(noise, v_grain.xy / 4.0).r + texture(noise, v_grain.xy / 64.0).r - 1.0);
+#endif
+    color = mix(haze.rgb, color, exp2(-fog.x * max(depth - fog.y, 0.0)));
+#ifdef TRANSLUCENT
+    o_rgb = vec4(color.bgr, v_opacity);
+#else
+    o_rgb = vec4(color.bgr, 1.0);
+#endif
+#endif
+#ifdef SEMANTIC
+    o_semantic = vec4(0.0, 0.0, float(v_marks.x) / 255.0, 1.0);
+#endif
+#ifdef INSTANCE
+    o_instance = vec4(vec3(v_marks.zyx) / 255.0, 1.0);
+#endif
+#ifdef DEPTH
+    o_depth = vec4(encoded_depth(depth), 1.0);
+#endif
+#ifdef NORMALS
+    vec3 n = normalize(v_normal);
+    o_normals = vec4(vec3(n.z, -n.y, n.x) * 0.5 + 0.5, 1.0);
+#endif
+#ifdef FLOW
+    vec2 now = gl_FragCoord.xy / size.xy * 2.0 - 1.0;
+    vec2 before = v_previous.xy / v_previous.z;
+    o_flow = v_previous.z > 0.0 ? (now - before) * vec2(1.0, -1.0) : vec2(0.0);
+#endif
+}
+"""
+
+_ENCODED_DEPTH: Final = """
+vec3 encoded_depth(float depth) {
+    float d = clamp(depth / 1000.0, 0.0, 1.0) * 16777215.0;
+    return vec3(floor(d / 65536.0), mod(floor(d / 256.0), 256.0), mod(floor(d), 256.0)) / 255.0;
+}
+"""
+
+_SKY_VERTEX: Final = """
+in vec2 corner;
+out vec2 v_corner;
+void main() {
+    v_corner = corner;
+    gl_Position = vec4(corner, 1.0, 1.0);
+}
+"""
+
+_SKY_FRAGMENT: Final = """
+in vec2 v_corner;
+uniform sampler2D noise;
+
+void main() {
+    vec3 ray = forward.xyz + v_corner.x * right.xyz - v_corner.y * up.xyz;
+#ifdef RGB
+    vec3 view = normalize(ray);
+    float height = max(view.z, 0.0);
+    vec3 color = mix(haze.rgb, zenith.rgb, 1.0 - exp2(-height * 5.5));
+    float toward = max(dot(view, sun.xyz), 0.0);
+    if (view.z > 0.01 && zenith.w > 0.0) {
+        vec2 at = view.xy / (view.z + 0.12);
+        float cloud = texture(noise, at * 0.05).r * 0.6 + texture(noise, at * 0.17 + 0.3).r * 0.4;
+        float cover = smoothstep(0.72 - 0.6 * zenith.w, 1.02 - 0.55 * zenith.w, cloud) * smoothstep(0.01, 0.2, view.z);
+        vec3 lit = encoded(skylight.rgb * 0.55 + sunlight.rgb * 0.45 * (1.0 - 0.4 * zenith.w));
+        color = mix(color, lit, cover * (0.55 + 0.35 * zenith.w));
+    }
+    float disc = smoothstep(0.9994, 0.9998, toward) + 0.35 * pow(toward, 350.0) + 0.12 * pow(toward, 24.0);
+    color += sunlight.w * disc * vec3(1.0, 0.95, 0.85);
+    o_rgb = vec4(color.bgr, 1.0);
+#endif
+#ifdef SEMANTIC
+    o_semantic = vec4(0.0, 0.0, SKY / 255.0, 1.0);
+#endif
+#ifdef INSTANCE
+    o_instance = vec4(0.0, 0.0, SKY / 255.0, 1.0);
+#endif
+#ifdef DEPTH
+    o_depth = vec4(1.0);
+#endif
+#ifdef NORMALS
+    o_normals = vec4(0.5, 0.5, 0.5, 1.0);
+#endif
+#ifdef FLOW
+    vec3 before = (previous_clip * vec4(ray, 0.0)).xyw;
+    o_flow = before.z > 0.0 ? (v_corner - before.xy / before.z) * vec2(1.0, -1.0) : vec2(0.0);
+#endif
+}
+"""
+
+_SHADOW_VERTEX: Final = """
+in vec3 position;
+in vec3 location;
+in mat3 rotation;
+in vec4 extents;
+void main() {
+    vec3 size = max(extents.xyz, vec3(1e-3));
+    vec3 point = rotation * (position * size);
+    vec3 up = rotation[2];
+    float height = max(dot(up, point) + size.z, 0.0);
+    vec3 direction = sun.xyz / max(dot(up, sun.xyz), 0.35);
+    vec3 here = location + point - height * direction + 0.02 * up;
+    gl_Position = clip * vec4(here, 1.0);
+    gl_Position.z -= LAYER * gl_Position.w;
+}
+"""
+
+_SHADOW_FRAGMENT: Final = """
+void main() { o_rgb = vec4(1.0, 1.0, 1.0, sun.w); }
+"""
+
+_BLOB_VERTEX: Final = """
+in vec2 corner;
+in vec3 location;
+in mat3 rotation;
+in vec4 extents;
+out vec2 v_place;
+flat out vec2 v_size;
+void main() {
+    vec2 wide = extents.xy + 0.35;
+    v_size = extents.xy;
+    v_place = corner * wide;
+    vec3 here = location + rotation * vec3(v_place, 0.02 - extents.z);
+    gl_Position = clip * vec4(here, 1.0);
+    gl_Position.z -= LAYER * gl_Position.w;
+}
+"""
+
+_BLOB_FRAGMENT: Final = """
+in vec2 v_place;
+flat in vec2 v_size;
+void main() {
+    vec2 outside = abs(v_place) - (v_size - 0.25);
+    float edge = length(max(outside, vec2(0.0))) / 0.6;
+    float shade = clamp(1.0 - edge, 0.0, 1.0);
+    o_rgb = vec4(1.0, 1.0, 1.0, 1.0 - 0.5 * shade * shade);
+}
+"""
+
+_COVER_FRAGMENT: Final = """
+void main() { o_rgb = vec4(0.0, 0.0, 0.0, 1.0); }
+"""
+
+_COVER_VERTEX: Final = """
+in vec2 corner;
+void main() { gl_Position = vec4(corner, 0.0, 1.0); }
+"""
+
+_LAYERS: Final = {
+    Material.SHOULDER: 1,
+    Material.PARKING: 1,
+    Material.BIKE_LANE: 1,
+    Material.MEDIAN: 1,
+    Material.ROAD: 2,
+    Material.JUNCTION: 3,
+    Material.SIDEWALK: 2,
+    Material.CROSSING: 5,
+    Material.WHITE_LINE: 5,
+    Material.YELLOW_LINE: 5,
+    Material.STOP_LINE: 6,
+    Material.COLLISION_MARK: 8,
+}
+_LAYER: Final = 2e-6  # of the depth of clip space
+_SHADOW_LAYER: Final = 7 * _LAYER
+_PAINTS: Final = (Material.PAINT, Material.SECOND_PAINT)
+_LINES: Final = (Material.WHITE_LINE, Material.YELLOW_LINE, Material.STOP_LINE, Material.CROSSING)
+_GRAINS: Final = {
+    Material.GRASS: 0.5,
+    Material.GROUND: 0.35,
+    Material.MEDIAN: 0.2,
+    Material.SHOULDER: 0.25,
+    Material.PARKING: 0.2,
+    Material.BIKE_LANE: 0.15,
+    Material.ROAD: 0.22,
+    Material.JUNCTION: 0.22,
+    Material.SIDEWALK: 0.12,
+    Material.BRIDGE: 0.1,
+}
+
+
+def material_block() -> NDArray[np.float32]:
+    """Return the uniform block of the materials, (3, materials, 4)."""
+    block = np.zeros((3, MATERIAL_COUNT, 4), np.float32)
+    for material, finish in MATERIALS.items():
+        block[0, material] = (*(np.array(finish.color) / 255), finish.gloss)
+        block[1, material] = (*(np.array(finish.glow or finish.color) / 255), _LAYER * _LAYERS.get(material, 0))
+        tag = -1 if finish.tag is None else finish.tag
+        block[2, material] = (tag, material == Material.PAINT, material in _LINES, _GRAINS.get(material, 0))
+    return block
+
+
+def sources(name: str, kinds: Sequence[ImageKind], *options: str) -> tuple[str, str]:
+    """Return the source texts of a vertex shader and its fragment shader.
+
+    Args:
+        name: "surface", "sky", "shadow", "blob" or "cover".
+        kinds: The kinds of images that it draws, in the order of the attachments.
+        options: INSTANCED, GRAIN, TRANSLUCENT.
+    """
+    vertex, fragment = {
+        "surface": (_LIGHT + _VERTEX, _ENCODED_DEPTH + _FRAGMENT),
+        "sky": (_SKY_VERTEX, _LIGHT + _SKY_FRAGMENT),
+        "shadow": (_SHADOW_VERTEX, _SHADOW_FRAGMENT),
+        "blob": (_BLOB_VERTEX, _BLOB_FRAGMENT),
+        "cover": (_COVER_VERTEX, _COVER_FRAGMENT),
+    }[name]
+    defined = [_DEFINES[kind] for kind in kinds] + list(options)
+    if ImageKind.SEMANTIC in kinds or ImageKind.INSTANCE in kinds:
+        defined.append("MARKS")
+    head = "#version 330\n" + "".join(f"#define {each}\n" for each in defined)
+    head += f"#define SKY {Tag.SKY:d}.0\n#define LAYER {_SHADOW_LAYER:.8f}\n{_FRAME}"
+    outputs = "".join(
+        f"layout(location={index}) out {'vec2' if kind is ImageKind.FLOW else 'vec4'} o_{_DEFINES[kind].lower()};\n"
+        for index, kind in enumerate(kinds)
+    )
+    return head + vertex, head + outputs + fragment
+
+
+_DEFINES: Final = {
+    ImageKind.RGB: "RGB",
+    ImageKind.DEPTH: "DEPTH",
+    ImageKind.SEMANTIC: "SEMANTIC",
+    ImageKind.INSTANCE: "INSTANCE",
+    ImageKind.NORMALS: "NORMALS",
+    ImageKind.FLOW: "FLOW",
+}

@@ -1,0 +1,136 @@
+"""The sky, the sun and the fog of a picture, of CARLA's weather parameters."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from math import cos, isfinite, radians, sin
+from typing import TYPE_CHECKING, Any, Final, NamedTuple, Self
+
+import numpy as np
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+    Floats = NDArray[np.float64]
+
+_PLEASANT_AZIMUTH: Final = 230.0  # degrees, where the weather leaves it to the map
+
+
+class Light(NamedTuple):
+    """The light of a picture; colours of light are linear, those of the sky are as displayed, from 0 to 1.
+
+    Attributes:
+        sun: The direction to the sun, or at night to the moon, right-handed, (3,).
+        sunlight: The light from there.
+        skylight: The light from above.
+        groundlight: The light from below.
+        zenith: The colour of the sky overhead.
+        haze: The colour of the sky at the horizon, and of fog.
+        disc: The brightness of the sun's disc, from 0 to 1.
+        shade: The share of light in shadows on the ground, from 0 to 1; 1: there are none.
+    """
+
+    sun: Floats
+    sunlight: Floats
+    skylight: Floats
+    groundlight: Floats
+    zenith: Floats
+    haze: Floats
+    disc: float
+    shade: float
+
+
+@dataclass(frozen=True)
+class Sky:
+    """The weather as far as it is seen; the default is a clear day.
+
+    Attributes:
+        sun_azimuth: The direction of the sun as a yaw angle of CARLA (clockwise from the x axis), in degrees.
+        sun_altitude: The height of the sun over the horizon, in degrees; below 0, it is night.
+        cloudiness: The share of the sky that clouds cover, 0 to 1.
+        fog: The density of the fog, 0 to 1.
+        fog_distance: The distance at which fog begins, in m.
+        wetness: How wet surfaces are, 0 to 1.
+        dust: The density of dust, 0 to 1.
+    """
+
+    sun_azimuth: float = _PLEASANT_AZIMUTH
+    sun_altitude: float = 45.0
+    cloudiness: float = 0.1
+    fog: float = 0.02
+    fog_distance: float = 0.75
+    wetness: float = 0.0
+    dust: float = 0.0
+
+    @classmethod
+    def of_weather(cls, weather: Any) -> Self:
+        """Return the sky of weather parameters.
+
+        Args:
+            weather: A record of a recording, an object with CARLA's attributes, such as `carla.WeatherParameters`, or None
+                for a clear day. Negative values leave a choice to the map, and numbers that are not finite count as such.
+        """
+        if weather is None:
+            return cls()
+
+        def read(name: str, default: float, most: float) -> float:
+            value: float = float(weather[name] if isinstance(weather, np.void) else getattr(weather, name, default))
+            return min(value, most) if isfinite(value) and value >= 0 else default
+
+        altitude = weather["sun_altitude_angle"] if isinstance(weather, np.void) else weather.sun_altitude_angle
+        rain = read("precipitation", 0, 100)
+        return cls(
+            sun_azimuth=read("sun_azimuth_angle", _PLEASANT_AZIMUTH, 1e6),
+            sun_altitude=max(-90.0, min(90.0, float(altitude))) if isfinite(altitude) and altitude != -1 else 45.0,
+            cloudiness=max(read("cloudiness", 10, 100), rain) / 100,
+            fog=read("fog_density", 2, 100) / 100,
+            fog_distance=read("fog_distance", 0.75, 1e4),
+            wetness=max(read("wetness", 0, 100), read("precipitation_deposits", 0, 100), rain) / 100,
+            dust=read("dust_storm", 0, 100) / 100,
+        )
+
+    @property
+    def is_night(self) -> bool:
+        """Whether the sun is below the horizon."""
+        return self.sun_altitude < 0
+
+    @property
+    def density(self) -> float:
+        """The density of fog and dust: the share of light that is lost per m, as an exponent of 2."""
+        thick = max(self.fog, self.dust)
+        return 0.00035 + 0.03 * thick**2.2
+
+    def light(self) -> Light:
+        """Return the light of the picture."""
+        day = _smooth(-6, 8, self.sun_altitude)
+        evening = 1 - _smooth(3, 32, self.sun_altitude)  # 1: the sun is at the horizon
+        clear = 1 - 0.85 * self.cloudiness**1.5
+        high = max(self.sun_altitude, 12.0) if not self.is_night else 50.0
+        altitude, azimuth = radians(high), radians(-self.sun_azimuth)
+        sun = np.array((cos(altitude) * cos(azimuth), cos(altitude) * sin(azimuth), sin(altitude)))
+        warm = _mix((1.0, 0.965, 0.9), (1.0, 0.72, 0.45), evening)
+        sunlight = _mix((0.05, 0.065, 0.1), 1.15 * warm * clear, day)
+        grey = np.full(3, 0.55)
+        skylight = _mix((0.05, 0.065, 0.11), _mix((0.5, 0.57, 0.7), 1.1 * grey, self.cloudiness), day)
+        skylight = skylight * (1 - 0.3 * evening * day)
+        groundlight = skylight * (0.52, 0.5, 0.46) + 0.1 * sunlight
+        zenith = _mix(_mix((74, 126, 196), (70, 98, 158), evening), (150, 157, 166), self.cloudiness**1.3)
+        haze = _mix(_mix((200, 216, 230), (246, 208, 168), evening), (196, 200, 204), self.cloudiness)
+        haze = _mix(haze, (196, 168, 126), self.dust)
+        zenith = _mix(zenith, haze, min(1.0, 1.4 * max(self.fog, self.dust)))
+        zenith = _mix((12, 17, 32), zenith, day) / 255
+        haze = _mix((34, 42, 60), haze, day) / 255
+        disc = day * max(0.0, 1 - 1.1 * self.cloudiness) * (1 - max(self.fog, self.dust))
+        shade = 1 - (0.42 * clear * day + 0.12 * (1 - day))
+        return Light(sun, sunlight, skylight, groundlight, zenith, haze, disc, shade)
+
+
+def _smooth(low: float, high: float, value: float) -> float:
+    """Return 0 below `low`, 1 above `high`, and a smooth transition in between."""
+    part = min(1.0, max(0.0, (value - low) / (high - low)))
+    return part * part * (3 - 2 * part)
+
+
+def _mix(first: Any, second: Any, part: float) -> Floats:
+    mixed: Floats = np.asarray(first, float) * (1 - part) + np.asarray(second, float) * part
+    return mixed

@@ -1,0 +1,411 @@
+"""The renderer, by geometry: what the images of boxes on a plane must be."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING
+
+import numpy as np
+import pytest
+
+from carla_recap.errors import RecapError
+from carla_recap.rendering.camera import Camera, ImageKind
+from carla_recap.rendering.instances import Instances
+from carla_recap.rendering.materials import Material, Tag
+from carla_recap.rendering.mesh import Mesh
+from carla_recap.rendering.renderer import Renderer
+from carla_recap.rendering.sky import Sky
+from carla_recap.replay.pose import right_handed, rotations
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+
+    from numpy.typing import NDArray
+
+ALL = tuple(ImageKind)
+RGB, DEPTH, SEMANTIC, INSTANCE, NORMALS, FLOW = ALL
+
+
+@dataclass(frozen=True, eq=False)
+class Shape:
+    """A model."""
+
+    mesh: Mesh
+    pivots: NDArray[np.float32]
+    steered: NDArray[np.bool_]
+
+
+@dataclass(frozen=True, eq=False)
+class Plane:
+    """A town of tiles."""
+
+    tiles: list[Mesh]
+
+
+def square(x: float, y: float, size: float, z: float = 0.0, material: Material = Material.ROAD) -> Mesh:
+    corners = np.array([(x, y, z), (x + size, y, z), (x + size, y + size, z), (x, y + size, z)], np.float32)
+    normals = np.tile(np.float32((0, 0, 1)), (4, 1))
+    return Mesh(corners, normals, np.full(4, material, np.uint8), np.array([(0, 1, 2), (0, 2, 3)], np.uint32))
+
+
+def cube(material: Material = Material.PAINT) -> Mesh:
+    """Return the sides of a box from -1 to 1."""
+    sides = []
+    for axis in range(3):
+        for sign in (-1.0, 1.0):
+            normal = np.zeros(3)
+            normal[axis] = sign
+            across = np.roll(normal, 1)
+            up = np.cross(normal, across)
+            corners = [normal - across - up, normal + across - up, normal + across + up, normal - across + up]
+            vertices, normals = np.array(corners, np.float32), np.tile(normal.astype(np.float32), (4, 1))
+            triangles = np.array([(0, 1, 2), (0, 2, 3)], np.uint32)
+            sides.append(Mesh(vertices, normals, np.full(4, material, np.uint8), triangles))
+    return Mesh.concatenate(sides)
+
+
+def shape(mesh: Mesh, *, steered: bool = False) -> Shape:
+    count = len(mesh.vertices)
+    return Shape(mesh, np.zeros((count, 2), np.float32), np.full(count, steered))
+
+
+MODELS = (shape(cube()), shape(cube(Material.TAIL_LIGHT)), shape(cube(), steered=True))
+
+
+def boxes(*centres: tuple[float, float, float], half: tuple[float, float, float] = (1, 1, 1)) -> Instances:
+    count = len(centres)
+    return Instances(
+        ids=np.arange(count, dtype=np.uint32) + 0x1234,
+        models=np.zeros(count, np.uint8),
+        locations=np.array(centres, np.float64).reshape(-1, 3),
+        rotations=np.tile(np.eye(3, dtype=np.float32), (count, 1, 1)),
+        half_extents=np.tile(np.float32(half), (count, 1)),
+        colors=np.tile(np.uint8((200, 30, 30)), (count, 1)),
+        lamps=np.zeros(count, np.uint64),
+        steering=np.zeros(count, np.float32),
+        opacity=np.ones(count, np.float32),
+        tags=np.full(count, Tag.CAR, np.uint8),
+    )
+
+
+def camera(
+    location: tuple[float, float, float] = (0, 0, 2),
+    *,
+    roll: float = 0,
+    pitch: float = 0,
+    yaw: float = 0,
+    width: int = 160,
+    height: int = 120,
+    fov: float = 90,
+) -> Camera:
+    """Return a camera; its angles are CARLA's, in degrees."""
+    pose = right_handed(np.array((0, 0, 0, roll, pitch, yaw), np.float64))
+    return Camera(width, height, fov, np.array(location, np.float64), rotations(pose))
+
+
+PLANE = Plane([square(x, y, 50) for x in range(-1000, 1000, 50) for y in range(-1000, 1000, 50)])
+
+
+def create(town: Plane | None = PLANE, **options: object) -> Renderer:
+    pytest.importorskip("moderngl", reason="moderngl is not installed")
+    try:
+        return Renderer(town, models=MODELS, **options)  # type: ignore[arg-type]
+    except RecapError as error:
+        pytest.skip(str(error))
+
+
+@pytest.fixture(scope="module")
+def renderer() -> Iterator[Renderer]:
+    with create() as renderer:
+        yield renderer
+
+
+def metres(image: NDArray[np.uint8]) -> NDArray[np.float64]:
+    """Return the depths of a depth image in m."""
+    blue, green, red = np.moveaxis(image[..., :3].astype(np.float64), -1, 0)
+    found: NDArray[np.float64] = (red + 256 * green + 65536 * blue) / (2**24 - 1) * 1000
+    return found
+
+
+def ids(image: NDArray[np.uint8]) -> NDArray[np.int64]:
+    """Return the ids of an instance image."""
+    return image[..., 1].astype(np.int64) + 256 * image[..., 0].astype(np.int64)
+
+
+def extent(mask: NDArray[np.bool_]) -> tuple[int, int, int, int]:
+    """Return the left, top, right and bottom edge of the pixels of a mask."""
+    rows, columns = np.flatnonzero(mask.any(axis=1)), np.flatnonzero(mask.any(axis=0))
+    return int(columns[0]), int(rows[0]), int(columns[-1]) + 1, int(rows[-1]) + 1
+
+
+def pixel_rays(seen: Camera) -> NDArray[np.float64]:
+    """Return the view ray of each pixel's centre, of length 1 along the view axis, (height, width, 3)."""
+    x = np.arange(seen.width) + 0.5 - seen.width / 2
+    y = np.arange(seen.height) + 0.5 - seen.height / 2
+    across, down = np.meshgrid(x / seen.focal_length, y / seen.focal_length)
+    return np.stack((np.ones_like(across), -across, -down), axis=-1) @ seen.rotation.T
+
+
+# --- depth and shape ----------------------------------------------------------------------------------------------------
+
+
+def test_depth_of_a_box_is_its_distance_along_the_view_axis(renderer: Renderer) -> None:
+    image = renderer.draw(camera(), boxes((11, 0, 2)), [DEPTH])[DEPTH]
+    assert metres(image)[60, 80] == pytest.approx(10, abs=0.01)
+    off_axis = renderer.draw(camera(), boxes((11, 6, 2)), [DEPTH])[DEPTH]
+    assert metres(off_axis)[60, 80 - 48] == pytest.approx(10, abs=0.01)
+
+
+def test_depth_of_the_ground_and_of_the_sky(renderer: Renderer) -> None:
+    seen = camera(pitch=-10)
+    depths = metres(renderer.draw(seen, None, [DEPTH])[DEPTH])
+    rays = pixel_rays(seen)
+    with np.errstate(divide="ignore"):
+        expected = np.where(rays[..., 2] < 0, -2 / rays[..., 2], np.inf)
+    near = expected < 100
+    assert near.sum() > 8000
+    np.testing.assert_allclose(depths[near], expected[near], rtol=2e-4)
+    assert (depths[rays[..., 2] > 0] == 1000).all()
+
+
+@pytest.mark.parametrize("distance", [2.0, 10.0, 60.0, 300.0])
+def test_a_box_fills_its_projection_within_a_pixel(renderer: Renderer, distance: float) -> None:
+    seen = camera(width=640, height=480, fov=60)
+    box = boxes((distance + 1, 0.3, 2.2), half=(1, 0.6, 0.5))
+    mask = ids(renderer.draw(seen, box, [INSTANCE])[INSTANCE]) == 0x1234
+    corners = np.array([(distance, 0.3 + y, 2.2 + z) for y in (-0.6, 0.6) for z in (-0.5, 0.5)])
+    points = seen.project(corners)
+    expected = (*points[:, :2].min(axis=0), *points[:, :2].max(axis=0))
+    np.testing.assert_allclose(extent(mask), expected, atol=1)
+    left, top, right, bottom = extent(mask)
+    assert mask[top:bottom, left:right].all()
+
+
+@pytest.mark.parametrize("distance", [0.11, 0.3, 4000.0])
+def test_what_is_as_near_as_a_dash_camera_sees_or_far_away_is_drawn(renderer: Renderer, distance: float) -> None:
+    size = distance / 4
+    box = boxes((distance + size, 0, 2), half=(size, size, size))
+    assert (ids(renderer.draw(camera(), box, [INSTANCE])[INSTANCE]) == 0x1234)[59, 80]
+
+
+def test_the_nearer_of_two_boxes_is_seen(renderer: Renderer) -> None:
+    for centres in (((10, 0, 2), (20, 0, 2)), ((20, 0, 2), (10, 0, 2))):
+        images = renderer.draw(camera(), boxes(*centres), [INSTANCE, DEPTH])
+        assert metres(images[DEPTH])[60, 80] == pytest.approx(9, abs=0.01)
+        assert ids(images[INSTANCE])[60, 80] == 0x1234 + (centres[0][0] > centres[1][0])
+
+
+# --- the axes of the camera ---------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("pitch", [-20.0, 0.0, 15.0])
+def test_the_horizon_is_level_and_at_its_row(renderer: Renderer, pitch: float) -> None:
+    seen = camera((0, 0, 0.5), pitch=pitch)
+    ground = renderer.draw(seen, None, [SEMANTIC])[SEMANTIC][..., 2] == Tag.ROADS
+    row = seen.height / 2 + seen.focal_length * np.tan(np.radians(pitch))
+    first = ground.argmax(axis=0)
+    assert np.ptp(first) == 0
+    assert first[0] == pytest.approx(row, abs=1)
+
+
+def test_roll_turns_the_horizon_clockwise_of_the_camera(renderer: Renderer) -> None:
+    ground = renderer.draw(camera(roll=20), None, [SEMANTIC])[SEMANTIC][..., 2] == Tag.ROADS
+    first = ground.argmax(axis=0)
+    slope = (first[-1] - first[0]) / (len(first) - 1)
+    assert slope == pytest.approx(-np.tan(np.radians(20)), abs=0.02)
+
+
+def test_angles_are_those_of_carla(renderer: Renderer) -> None:
+    carla = pytest.importorskip("carla", reason="carla is not installed")
+    for roll, pitch, yaw in ((0, 0, 30), (0, 25, 0), (15, -10, 40), (-30, 20, -100)):
+        transform = carla.Transform(carla.Location(0, 0, 50), carla.Rotation(pitch=pitch, yaw=yaw, roll=roll))
+        seen = camera((0, 0, 50), roll=roll, pitch=pitch, yaw=yaw, width=400, height=300)
+        point = transform.transform(carla.Location(20, 4, 2))  # 4 m to the right, 2 m up
+        box = boxes((point.x, -point.y, point.z), half=(0.2, 0.2, 0.2))
+        left, top, right, bottom = extent(ids(renderer.draw(seen, box, [INSTANCE])[INSTANCE]) == 0x1234)
+        focal = 400 / 2 / np.tan(np.radians(45))
+        assert (left + right) / 2 == pytest.approx(200 + focal * 4 / 20, abs=1.5)
+        assert (top + bottom) / 2 == pytest.approx(150 - focal * 2 / 20, abs=1.5)
+
+
+# --- tags, ids, normals -------------------------------------------------------------------------------------------------
+
+
+def test_tags_and_ids_are_those_of_what_is_seen(renderer: Renderer) -> None:
+    images = renderer.draw(camera(), boxes((10, 0, 2)), [SEMANTIC, INSTANCE])
+    for kind in (SEMANTIC, INSTANCE):
+        tags = images[kind][..., 2]
+        assert (tags[60, 80], tags[110, 80], tags[5, 80]) == (Tag.CAR, Tag.ROADS, Tag.SKY)
+        assert (images[kind][..., 3] == 255).all()
+    assert not images[SEMANTIC][..., :2].any()
+    assert images[INSTANCE][60, 80].tolist() == [0x12, 0x34, Tag.CAR, 255]
+
+
+def test_edges_of_all_kinds_coincide() -> None:
+    with create(quality="low") as renderer:
+        box = replace(boxes((10, 1, 2), (16, -3, 1)), colors=np.uint8([(255, 0, 255)] * 2))
+        images = renderer.draw(camera(width=320, height=240), box, ALL)
+    mask = images[SEMANTIC][..., 2] == Tag.CAR
+    assert (mask == (ids(images[INSTANCE]) > 0)).all()
+    blue, green, red = np.moveaxis(images[RGB][..., :3].astype(int), -1, 0)
+    assert (mask == (np.minimum(blue, red) > green + 40)).all()
+    depths = metres(images[DEPTH])
+    assert np.where(mask, depths, 1000).min() == pytest.approx(9, abs=0.01)
+    sky = images[SEMANTIC][..., 2] == Tag.SKY
+    assert (sky == (depths >= 999)).all()
+
+
+def test_normals_are_in_the_axes_of_the_world_as_carla_has_them(renderer: Renderer) -> None:
+    seen = camera((0, -4, 4), yaw=-20, pitch=-10)  # it sees the back, the side to the right (+y of CARLA) and the top
+    image = renderer.draw(seen, boxes((8, 0, 1)), [NORMALS, SEMANTIC])
+    car = image[SEMANTIC][..., 2] == Tag.CAR
+    found = {tuple(each) for each in image[NORMALS][car][:, 2::-1].tolist()}
+    sides = ((0, 127.5, 127.5), (127.5, 255, 127.5), (127.5, 127.5, 255))
+    nearest = [[np.abs(np.subtract(each, side)).max() <= 1 for side in sides] for each in found]
+    assert np.any(nearest, axis=0).all()
+    assert np.any(nearest, axis=1).all()
+    ground = image[NORMALS][image[SEMANTIC][..., 2] == Tag.ROADS][:, 2::-1]
+    assert (np.abs(ground.astype(int) - (127.5, 127.5, 255)) <= 1).all()
+
+
+# --- optical flow -------------------------------------------------------------------------------------------------------
+
+
+def flow_in_pixels(image: NDArray[np.float32]) -> NDArray[np.float64]:
+    height, width = image.shape[:2]
+    return image.astype(np.float64) * (width / 2, -height / 2)
+
+
+def test_flow_of_a_moving_object_is_its_projected_motion(renderer: Renderer) -> None:
+    seen, before, now = camera(), boxes((11, 0.5, 2)), boxes((11, 0, 2.3))
+    images = renderer.draw(seen, now, [FLOW, INSTANCE], previous=(seen, before))
+    flow = flow_in_pixels(images[FLOW])[ids(images[INSTANCE]) == 0x1234]
+    moved = seen.project(np.array([(10, 0, 2.3)])) - seen.project(np.array([(10, 0.5, 2)]))
+    np.testing.assert_allclose(np.median(flow, axis=0), moved[0, :2], atol=0.01)
+    assert moved[0, 0] > 0 > moved[0, 1]  # to the right, and up
+    assert (np.abs(images[FLOW][ids(images[INSTANCE]) == 0]) < 1e-5).all()
+
+
+def test_flow_of_a_moving_camera_is_the_motion_of_the_ground_and_the_sky(renderer: Renderer) -> None:
+    before, now = camera((0, 0, 2), pitch=-10), camera((0.5, 0.1, 2.1), pitch=-9, yaw=2)
+    images = renderer.draw(now, None, [FLOW, DEPTH, SEMANTIC], previous=(before, None))
+    depths, rays = metres(images[DEPTH]), pixel_rays(now)
+    ground = (images[SEMANTIC][..., 2] == Tag.ROADS) & (depths < 80)
+    points = now.location + rays[ground] * depths[ground][:, None]
+    expected = (now.project(points) - before.project(points))[:, :2]
+    np.testing.assert_allclose(flow_in_pixels(images[FLOW])[ground], expected, atol=0.05)
+    sky = images[SEMANTIC][..., 2] == Tag.SKY
+    far = now.location + rays[sky] * 1e7
+    expected = (now.project(far) - before.project(far))[:, :2]
+    np.testing.assert_allclose(flow_in_pixels(images[FLOW])[sky], expected, atol=0.05)
+
+
+def test_flow_without_a_previous_image_or_of_a_new_actor_is_that_of_the_camera_alone(renderer: Renderer) -> None:
+    seen = camera()
+    assert np.abs(renderer.draw(seen, boxes((11, 0, 2)), [FLOW])[FLOW]).max() < 1e-5
+    known = boxes((30, 20, 2)).take(np.array([0]))
+    new = replace(boxes((11, 0, 2)), ids=np.array([7], np.uint32))
+    assert np.abs(renderer.draw(seen, new, [FLOW], previous=(seen, known))[FLOW]).max() < 1e-5
+
+
+# --- what is drawn, and what is not -------------------------------------------------------------------------------------
+
+
+def test_culled_tiles_and_instances_change_nothing(renderer: Renderer, monkeypatch: pytest.MonkeyPatch) -> None:
+    centres = [(float(x), float(y), 1.0) for x in range(-60, 61, 20) for y in range(-60, 61, 20)]
+    seen = camera((3, 4, 5), yaw=35, pitch=-12, roll=8)
+    culled = renderer.draw(seen, boxes(*centres), ALL)
+    view = "carla_recap.rendering.renderer._View"
+    monkeypatch.setattr(f"{view}.sees_boxes", lambda _, bounds: np.ones(len(bounds), np.bool_))
+    monkeypatch.setattr(f"{view}.sees_spheres", lambda _, offsets, radii: np.ones(len(offsets), np.bool_))
+    whole = renderer.draw(seen, boxes(*centres), ALL)
+    assert all((culled[kind] == whole[kind]).all() for kind in ALL)
+
+
+def test_actors_are_left_out_by_id(renderer: Renderer) -> None:
+    both = boxes((10, 0, 2), (20, 0, 2))
+    image = renderer.draw(camera(), both, [INSTANCE], without=[0x1234])[INSTANCE]
+    assert ids(image)[60, 80] == 0x1235
+
+
+def test_poses_that_are_not_finite_are_left_out(renderer: Renderer) -> None:
+    several = boxes((10, 0, 2), (np.nan, 0, 2), (20, 0, 2), (np.inf, 1, 1))
+    several.rotations[2] = np.nan
+    images = renderer.draw(camera(), several, ALL, previous=(camera(), several))
+    assert set(np.unique(ids(images[INSTANCE]))) == {0, 0x1234}
+    nowhere = replace(camera(), location=np.full(3, np.nan))
+    assert renderer.draw(nowhere, several, [RGB])[RGB].shape == (120, 160, 4)
+
+
+def test_what_can_be_seen_through_shows_what_is_behind(renderer: Renderer) -> None:
+    both = boxes((10, 0, 2), (20, 0, 2))
+    both.colors[1] = (20, 40, 220)
+    alone = renderer.draw(camera(), both, [RGB], without=[0x1234])[RGB][60, 80].astype(int)
+    front = renderer.draw(camera(), both, [RGB])[RGB][60, 80].astype(int)
+    both.opacity[0] = 0.25
+    images = renderer.draw(camera(), both, [RGB, INSTANCE])
+    np.testing.assert_allclose(images[RGB][60, 80], 0.75 * alone + 0.25 * front, atol=2)
+    assert ids(images[INSTANCE])[60, 80] == 0x1235
+    assert (images[RGB][..., 3] == 255).all()
+
+
+def test_lit_lamps_glow_in_the_dark(renderer: Renderer) -> None:
+    lamp = replace(boxes((10, 0, 2)), models=np.ones(1, np.uint8))
+    night = Sky(sun_altitude=-60)
+    dark = renderer.draw(camera(), lamp, [RGB], night)[RGB][60, 80]
+    lit = replace(lamp, lamps=np.array([1 << Material.TAIL_LIGHT], np.uint64))
+    glowing = renderer.draw(camera(), lit, [RGB], night)[RGB][60, 80]
+    assert dark[2] < 90
+    assert glowing[2] > 200
+
+
+def test_steered_parts_turn_to_the_left_by_a_positive_angle(renderer: Renderer) -> None:
+    wheel = replace(boxes((0, 0, 2), half=(1, 0.1, 0.1)), models=np.full(1, 2, np.uint8))
+    wheel = replace(wheel, steering=np.array([0.5], np.float32))
+    above = camera((0, 0, 12), pitch=-90)  # forward is up in the image, left is left
+    mask = ids(renderer.draw(above, wheel, [INSTANCE])[INSTANCE]) == 0x1234
+    rows, columns = np.nonzero(mask)
+    top = columns[rows == rows.min()].mean()
+    assert top < 80 - 2
+    assert np.polyfit(-(rows - 60.0), columns - 80.0, 1)[0] == pytest.approx(-np.tan(0.5), abs=0.15)
+
+
+@pytest.mark.parametrize("quality", ["low", "epic"])
+def test_markings_are_seen_far_away_although_they_are_flat(quality: str) -> None:
+    line = square(-400, -3, 6, 0.004, Material.WHITE_LINE)
+    line.vertices[1:3, 0] = 400
+    tiles = [square(x, y, 50) for x in range(-400, 400, 50) for y in (-50, 0)]
+    with create(Plane([*tiles, line]), quality=quality) as renderer:
+        image = renderer.draw(camera((0, 0, 1.5), width=640, height=480), None, [SEMANTIC])[SEMANTIC][..., 2]
+    column = image[:, 320]
+    rows = np.flatnonzero(column == Tag.ROAD_LINES)
+    assert rows[0] <= 240 + 320 * 1.5 / 300
+    assert (column[rows[0] :] == Tag.ROAD_LINES).all()
+
+
+@pytest.mark.parametrize(("width", "height"), [(0, 10), (10, 9000)])
+def test_images_of_impossible_sizes_are_refused(renderer: Renderer, width: int, height: int) -> None:
+    with pytest.raises(RecapError, match="along each side"):
+        renderer.draw(replace(camera(), width=width, height=height))
+
+
+def test_bytes_are_the_same_each_time_and_by_each_renderer(renderer: Renderer) -> None:
+    seen, box = camera(), boxes((10, 0, 2), (15, 3, 1))
+    first = renderer.draw(seen, box, ALL)
+    renderer.draw(camera(width=64, height=48), None, [RGB])
+    again = renderer.draw(seen, box, ALL)
+    with create() as other:
+        others = other.draw(seen, box, ALL)
+    assert all((first[kind] == again[kind]).all() and (first[kind] == others[kind]).all() for kind in ALL)
+
+
+def test_a_kind_is_the_same_alone_and_with_others(renderer: Renderer) -> None:
+    box = boxes((10, 0, 2))
+    together = renderer.draw(camera(), box, ALL)
+    assert all((renderer.draw(camera(), box, [kind])[kind] == together[kind]).all() for kind in ALL)
+
+
+def test_many_sizes_are_drawn_in_turn(renderer: Renderer) -> None:
+    for width in [*range(20, 220, 10), *range(20, 220, 10)]:
+        image = renderer.draw(camera(width=width), boxes((10, 0, 2)), [INSTANCE])[INSTANCE]
+        assert ids(image)[60, width // 2] == 0x1234
