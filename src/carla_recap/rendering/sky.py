@@ -74,14 +74,14 @@ class Sky:
             return cls()
 
         def read(name: str, default: float, most: float) -> float:
-            value: float = float(weather[name] if isinstance(weather, np.void) else getattr(weather, name, default))
-            return min(value, most) if isfinite(value) and value >= 0 else default
+            value = _number(weather, name)
+            return min(value, most) if value >= 0 else default
 
-        altitude = weather["sun_altitude_angle"] if isinstance(weather, np.void) else weather.sun_altitude_angle
+        altitude = _number(weather, "sun_altitude_angle")
         rain = read("precipitation", 0, 100)
         return cls(
             sun_azimuth=read("sun_azimuth_angle", _PLEASANT_AZIMUTH, 1e6),
-            sun_altitude=max(-90.0, min(90.0, float(altitude))) if isfinite(altitude) and altitude != -1 else 45.0,
+            sun_altitude=45.0 if altitude == -1 else max(-90.0, min(90.0, altitude)),
             cloudiness=max(read("cloudiness", 10, 100), rain) / 100,
             fog=read("fog_density", 2, 100) / 100,
             fog_distance=read("fog_distance", 0.75, 1e4),
@@ -123,6 +123,12 @@ class Sky:
         disc = day * max(0.0, 1 - 1.1 * self.cloudiness) * (1 - max(self.fog, self.dust))
         shade = 1 - (0.42 * clear * day + 0.12 * (1 - day))
         return Light(sun, sunlight, skylight, groundlight, zenith, haze, disc, shade)
+
+
+def _number(weather: Any, name: str) -> float:
+    """Return a parameter of the weather; -1 where it is missing or not finite."""
+    value = float(weather[name] if isinstance(weather, np.void) else getattr(weather, name, -1))
+    return value if isfinite(value) else -1.0
 
 
 def _smooth(low: float, high: float, value: float) -> float:
