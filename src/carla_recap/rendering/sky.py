@@ -98,7 +98,7 @@ class Sky:
     def density(self) -> float:
         """The density of fog and dust: the share of light that is lost per m, as an exponent of 2."""
         thick = max(self.fog, self.dust)
-        return 0.00035 + 0.03 * thick**2.2
+        return 0.00035 + 0.03 * float(thick**2.2)
 
     def light(self) -> Light:
         """Return the light of the picture."""
