@@ -409,3 +409,51 @@ def test_many_sizes_are_drawn_in_turn(renderer: Renderer) -> None:
     for width in [*range(20, 220, 10), *range(20, 220, 10)]:
         image = renderer.draw(camera(width=width), boxes((10, 0, 2)), [INSTANCE])[INSTANCE]
         assert ids(image)[60, width // 2] == 0x1234
+
+
+def test_supersampling_smooths_the_rgb_image_alone(renderer: Renderer) -> None:
+    seen, box = camera(roll=20), boxes((10, 0, 2))
+    plain = renderer.draw(seen, box, ALL)
+    with create(supersampling=2) as other:
+        smooth = other.draw(seen, box, ALL)
+    with create() as other:
+        large = other.draw(replace(seen, width=320, height=240), box, [RGB])[RGB]
+    average = large.reshape(120, 2, 160, 2, 4).mean(axis=(1, 3))
+    np.testing.assert_allclose(smooth[RGB], average, atol=1)
+    assert all((plain[kind] == smooth[kind]).all() for kind in ALL[1:])
+    assert (plain[RGB] != smooth[RGB]).any()
+
+
+# --- light --------------------------------------------------------------------------------------------------------------
+
+
+def test_shadows_are_where_the_sun_does_not_reach() -> None:
+    seen, box = camera((0, 0, 30), pitch=-90), boxes((0, 0, 1), half=(2, 2, 1))
+    sky = Sky(sun_azimuth=90, sun_altitude=45)  # to the right of the image, so that shadows of 2 m fall to the left
+    images = {}
+    for quality in ("low", "epic"):
+        with create(quality=quality) as renderer:
+            images[quality] = renderer.draw(seen, box, [RGB], sky)[RGB][60].astype(int).sum(axis=-1)
+    pixels = seen.focal_length / 30  # of a metre on the ground
+    left, right = (int(80 + side * 3 * pixels) for side in (-1, 1))
+    assert images["epic"][left] < 0.85 * images["low"][left]
+    assert images["epic"][right] == pytest.approx(images["low"][right], rel=0.2)
+
+
+def test_overlapping_shadows_are_not_darker() -> None:
+    seen, sky = camera((0, 0, 30), pitch=-90), Sky(sun_azimuth=90)
+    one, two = boxes((0, 0, 1), half=(2, 2, 1)), boxes((0, 0, 1), (0, 0, 1), half=(2, 2, 1))
+    with create() as renderer:
+        assert (renderer.draw(seen, one, [RGB], sky)[RGB] == renderer.draw(seen, two, [RGB], sky)[RGB]).all()
+
+
+def test_fog_hides_what_is_far_away(renderer: Renderer) -> None:
+    box = boxes((200, 0, 2), half=(20, 20, 20))
+    clear, foggy = (renderer.draw(camera(), box, [RGB], Sky(fog=fog))[RGB][56, [80, 0]].astype(int) for fog in (0.0, 1.0))
+    assert np.abs(clear[0] - clear[1]).max() > 60
+    assert np.abs(foggy[0] - foggy[1]).max() < 12
+
+
+def test_night_is_darker_than_day(renderer: Renderer) -> None:
+    day, night = (renderer.draw(camera(), None, [RGB], Sky(sun_altitude=angle))[RGB].mean() for angle in (45, -45))
+    assert night < 0.6 * day

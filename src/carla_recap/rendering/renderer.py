@@ -196,6 +196,30 @@ class Renderer:
     ) -> Images:
         """Draw images of a moment; see `draw`."""
         targets = self._targets_of(camera.width, camera.height)
+        moment = instances, sky, previous, without
+        if ImageKind.RGB in kinds and self._samples > 1:
+            rest = tuple(kind for kind in kinds if kind is not ImageKind.RGB)
+            size = {"width": camera.width * self._samples, "height": camera.height * self._samples}
+            large = self._targets_of(size["width"], size["height"])
+            self._draw_kinds(large, replace(camera, **size), (ImageKind.RGB,), *moment)
+            self._reduce(large, targets)
+        else:
+            rest = kinds
+        if rest:
+            self._draw_kinds(targets, camera, rest, *moment)
+        return targets.read(kinds, into)
+
+    def _draw_kinds(
+        self,
+        targets: _Targets,
+        camera: Camera,
+        kinds: tuple[ImageKind, ...],
+        instances: Instances | None,
+        sky: Sky,
+        previous: tuple[Camera, Instances | None] | None,
+        without: Collection[int],
+    ) -> None:
+        """Draw images of a moment in one pass."""
         view = _View(camera, sky, self._quality, self._ground.origin, _valid(previous[0]) if previous else None)
         self._frame.write(view.block().tobytes())
         context = self._context
@@ -218,7 +242,16 @@ class Renderer:
         if ImageKind.RGB in kinds:
             self._draw_shadows(targets, view, [*solid, *clear])
             self._draw_clear(targets, clear)
-        return targets.read(kinds, into)
+
+    def _reduce(self, large: _Targets, targets: _Targets) -> None:
+        """Average the pixels of an RGB image that is a multiple of another one."""
+        framebuffer = targets.framebuffer((ImageKind.RGB,))
+        framebuffer.use()
+        self._context.enable_only(self._context.NOTHING)
+        large.texture(ImageKind.RGB).use(1)
+        array = self._full("reduce", (ImageKind.RGB,))
+        array.program["image"], array.program["samples"] = 1, self._samples
+        array.render(self._context.TRIANGLE_STRIP)
 
     def _draw_ground(self, kinds: tuple[ImageKind, ...], view: _View) -> None:
         tiles = self._ground.visible(view)
@@ -452,6 +485,10 @@ class _Targets:
         self._depth = context.depth_renderbuffer(self._size)
         self._textures: dict[ImageKind, Any] = {}
         self._framebuffers: dict[tuple[ImageKind, ...], Any] = {}
+
+    def texture(self, kind: ImageKind) -> Any:
+        """Return the image of a kind that is being drawn."""
+        return self._textures[kind]
 
     def framebuffer(self, kinds: tuple[ImageKind, ...]) -> Any:
         """Return a framebuffer of some kinds of images; all of a size have the same buffers."""

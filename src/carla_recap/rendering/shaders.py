@@ -377,6 +377,18 @@ in vec2 corner;
 void main() { gl_Position = vec4(corner, 0.0, 1.0); }
 """
 
+_REDUCE_FRAGMENT: Final = """
+uniform sampler2D image;
+uniform int samples;
+void main() {
+    ivec2 corner = ivec2(gl_FragCoord.xy) * samples;
+    vec3 sum = vec3(0.0);
+    for (int y = 0; y < samples; y++)
+        for (int x = 0; x < samples; x++) sum += texelFetch(image, corner + ivec2(x, y), 0).rgb;
+    o_rgb = vec4(sum / float(samples * samples), 1.0);
+}
+"""
+
 _LAYERS: Final = {
     Material.SHOULDER: 1,
     Material.PARKING: 1,
@@ -424,7 +436,7 @@ def sources(name: str, kinds: Sequence[ImageKind], *options: str) -> tuple[str, 
     """Return the source texts of a vertex shader and its fragment shader.
 
     Args:
-        name: "surface", "sky", "shadow", "blob" or "cover".
+        name: "surface", "sky", "shadow", "blob", "cover" or "reduce".
         kinds: The kinds of images that it draws, in the order of the attachments.
         options: INSTANCED, GRAIN, TRANSLUCENT.
     """
@@ -434,6 +446,7 @@ def sources(name: str, kinds: Sequence[ImageKind], *options: str) -> tuple[str, 
         "shadow": (_SHADOW_VERTEX, _SHADOW_FRAGMENT),
         "blob": (_BLOB_VERTEX, _BLOB_FRAGMENT),
         "cover": (_COVER_VERTEX, _COVER_FRAGMENT),
+        "reduce": (_COVER_VERTEX, _REDUCE_FRAGMENT),
     }[name]
     defined = [_DEFINES[kind] for kind in kinds] + list(options)
     if ImageKind.SEMANTIC in kinds or ImageKind.INSTANCE in kinds:

@@ -1,0 +1,154 @@
+"""The process that draws."""
+
+from __future__ import annotations
+
+import os
+import signal
+import subprocess
+import sys
+import time
+from concurrent.futures import CancelledError
+from contextlib import suppress
+from dataclasses import replace
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+import pytest
+
+from carla_recap.errors import MissingExtra, RecapError
+from carla_recap.rendering.process import RenderProcess, RenderProcessEnded
+from tests.rendering.test_renderer import ALL, MODELS, PLANE, RGB, boxes, camera, create
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+
+BOXES = boxes((10, 0, 2), (15, 4, 1))
+TIMEOUT = 120.0  # s, after which a test fails
+
+
+@pytest.fixture(scope="module")
+def process() -> Iterator[RenderProcess]:
+    create(None).close()  # skips where there is no driver
+    with RenderProcess(PLANE, models=MODELS) as process:
+        yield process
+
+
+def test_images_are_those_of_the_renderer(process: RenderProcess) -> None:
+    arguments = camera(), BOXES, ALL, None, (camera((-1, 0, 2)), BOXES)
+    images = process.draw(*arguments, without=[0x1234])
+    with create() as renderer:
+        expected = renderer.draw(*arguments, without=[0x1234])
+    assert list(images) == list(expected)
+    assert all((images[kind] == expected[kind]).all() for kind in ALL)
+
+
+def test_pictures_of_several_sizes_come_in_their_order(process: RenderProcess) -> None:
+    sizes = [(width, 40) for width in (16, 900, 33, 500)]
+    order: list[int] = []
+    futures = [process.submit(replace(camera(), width=width, height=height), BOXES) for width, height in sizes]
+    for width, future in zip(sizes, futures, strict=True):
+        future.add_done_callback(lambda _, width=width[0]: order.append(width))
+    assert [future.result(TIMEOUT)[RGB].shape[1::-1] for future in futures] == sizes
+    process.draw(camera(), BOXES)
+    assert order == [width for width, _ in sizes]
+
+
+def test_images_stay_as_they_are_when_others_are_drawn(process: RenderProcess) -> None:
+    first = process.draw(camera(), BOXES)[RGB]
+    copy = first.copy()
+    process.draw(camera((0, 0, 9), pitch=-40), None)
+    assert (first == copy).all()
+
+
+def test_what_cannot_be_drawn_is_an_error_of_that_picture_alone(process: RenderProcess) -> None:
+    with pytest.raises(RecapError, match="100000 x 10 pixels"):
+        process.draw(replace(camera(), width=100_000, height=10))
+    broken = replace(BOXES, ids=np.zeros(7, np.uint32))
+    with pytest.raises(RecapError, match="drawing has failed"):
+        process.draw(camera(), broken, without=[3])
+    assert process.draw(camera(), BOXES)[RGB].any()
+
+
+def test_a_process_that_dies_fails_its_picture_and_another_is_started(process: RenderProcess) -> None:
+    process.draw(camera(), BOXES)
+    pid = process.pid
+    assert pid is not None
+    os.kill(pid, signal.SIGKILL)
+    with pytest.raises(RenderProcessEnded, match="exit code -9") as raised:
+        process.draw(camera(), BOXES)
+    assert "\n" not in str(raised.value)
+    assert process.draw(camera(), BOXES)[RGB].any()
+    assert process.pid not in (pid, None)
+
+
+def test_a_process_that_dies_before_each_picture_is_not_started_for_ever() -> None:
+    create(None).close()
+    with RenderProcess(None, models=MODELS) as process:
+        assert process.pid is not None
+        os.kill(process.pid, signal.SIGKILL)
+        for _ in range(2):
+            with pytest.raises(RecapError, match="has ended"):
+                process.draw(camera(), BOXES)
+        assert process.pid is None
+
+
+def test_closing_ends_the_process_and_cancels_what_is_not_drawn() -> None:
+    create(None).close()
+    process = RenderProcess(PLANE, models=MODELS)
+    pid = process.pid
+    assert pid is not None
+    futures = [process.submit(replace(camera(), width=1600, height=1200), BOXES) for _ in range(20)]
+    process.close()
+    process.close()
+    with pytest.raises(CancelledError):
+        futures[-1].result(TIMEOUT)
+    assert all(future.done() for future in futures)
+    with pytest.raises(ProcessLookupError):
+        os.kill(pid, 0)
+    with pytest.raises(RecapError, match="closed"):
+        process.draw(camera())
+
+
+PARENT = """
+import sys, time
+from carla_recap.rendering.process import RenderProcess
+process = RenderProcess(None, models=())
+print(process.pid, flush=True)
+time.sleep(600)
+"""
+
+
+def test_the_process_ends_with_its_parent() -> None:
+    create(None).close()
+    parent = subprocess.Popen([sys.executable, "-c", PARENT], stdout=subprocess.PIPE, env=dict(os.environ))
+    assert parent.stdout is not None
+    with parent:
+        pid = int(parent.stdout.readline())
+        parent.kill()
+    ended = time.monotonic() + TIMEOUT
+    while _is_running(pid):
+        assert time.monotonic() < ended
+        time.sleep(0.05)
+
+
+def _is_running(pid: int) -> bool:
+    with suppress(OSError):
+        return Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()[0] != "Z"
+    return False
+
+
+def test_missing_moderngl_names_the_extra(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    (tmp_path / "moderngl.py").write_text("raise ImportError")
+    monkeypatch.syspath_prepend(str(tmp_path))
+    with pytest.raises(MissingExtra, match=r"cameras"):
+        RenderProcess(None, models=())
+
+
+def test_a_missing_driver_names_the_packages(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    failure = "def create_context(**_): raise Exception('libEGL.so.1 not loaded')"
+    (tmp_path / "moderngl.py").write_text(failure)
+    monkeypatch.syspath_prepend(str(tmp_path))
+    with pytest.raises(RecapError, match=r"libegl1 and libgl1-mesa-dri \(libEGL.so.1 not loaded\)") as raised:
+        RenderProcess(None, models=())
+    assert "\n" not in str(raised.value)
