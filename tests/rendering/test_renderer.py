@@ -315,7 +315,7 @@ def test_culled_tiles_and_instances_change_nothing(renderer: Renderer, monkeypat
     centres = [(float(x), float(y), 1.0) for x in range(-60, 61, 20) for y in range(-60, 61, 20)]
     seen = camera((3, 4, 5), yaw=35, pitch=-12, roll=8)
     culled = renderer.draw(seen, boxes(*centres), ALL)
-    view = "carla_recap.rendering.renderer._View"
+    view = "carla_recap.rendering.camera_view.CameraView"
     monkeypatch.setattr(f"{view}.sees_boxes", lambda _, bounds: np.ones(len(bounds), np.bool_))
     monkeypatch.setattr(f"{view}.sees_spheres", lambda _, offsets, radii: np.ones(len(offsets), np.bool_))
     whole = renderer.draw(seen, boxes(*centres), ALL)

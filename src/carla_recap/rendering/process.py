@@ -22,8 +22,9 @@ from typing import TYPE_CHECKING, Any, BinaryIO, Final, Self
 import numpy as np
 
 from carla_recap.errors import MissingExtra, RecapError
+from carla_recap.rendering.buffers import image_format
 from carla_recap.rendering.camera import ImageKind
-from carla_recap.rendering.renderer import LARGEST, Quality, Renderer, image_format
+from carla_recap.rendering.renderer import LARGEST, Quality, Renderer
 from carla_recap.util.processes import close_pipes, module_command, module_environment, wait_or_kill
 from carla_recap.util.signals import ignore_termination
 
@@ -32,9 +33,9 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
+    from carla_recap.rendering.buffers import ModelShape, TiledMesh
     from carla_recap.rendering.camera import Camera
     from carla_recap.rendering.instances import Instances
-    from carla_recap.rendering.renderer import ModelShape, TiledMesh
     from carla_recap.rendering.sky import Sky
 
     Images = dict[ImageKind, NDArray[Any]]

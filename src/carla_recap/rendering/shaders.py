@@ -73,7 +73,7 @@ layout(std140) uniform Frame {
     vec4 groundlight;     // light from below
     vec4 zenith;          // sRGB colours of the sky; w: cloudiness
     vec4 haze;            // the sky at the horizon, and the fog
-    vec4 fog;             // density per m, distance at which it begins, exposure, whether surfaces have a grain
+    vec4 fog;             // density per m, distance at which it begins, exposure
     vec4 world;           // the location of the camera, modulo the size of the grain
 };
 """
