@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import time
+
 import numpy as np
 import pytest
 
@@ -10,7 +12,20 @@ from carla_recap.maps.road_geometry import read_roads
 from carla_recap.rendering.materials import Material
 from carla_recap.rendering.mesh import Mesh
 from carla_recap.rendering.town import TownMesh, build_town, load_town_mesh, town_mesh_of
-from tests.maps.towns import lane, opendrive, road, section
+from tests.maps.towns import crossing, lane, opendrive, painted_stop, road, stop_sign
+from tests.maps.towns import section as plain_section
+
+
+def section(s: float, left: str = "", right: str = "", centre: str = "none") -> str:
+    mark = (
+        f'<lane id="0" type="none" level="false"><roadMark sOffset="0" type="{centre}" color="white" width="0.12"/></lane>'
+    )
+    return plain_section(s, left, right).replace('<lane id="0" type="none" level="false"/>', mark)
+
+
+def marked(id: int) -> str:
+    """Return a lane with a solid line along its outer border."""
+    return lane(id).replace("</lane>", '<roadMark sOffset="0" type="solid" color="white" width="0.12"/></lane>')
 
 
 def built(*roads: str) -> TownMesh:
@@ -100,3 +115,135 @@ def test_the_lanes_are_where_carla_has_them(tmp_path):
     town = load_town_mesh(path)
     assert np.abs(town.ground_height(points) - points[:, 2]).max() < 0.03
     assert len(read_roads(text)) == 73
+
+
+def test_dashes_are_a_third_of_a_line_and_every_nine_metres():
+    dashes = faces(built(road(length=90, sections=section(0, lane(1), lane(-1), "broken"))), Material.WHITE_LINE)
+    stations = dashes[..., 0].ravel()
+    starts = [stations[stations // 9 == number].min() for number in range(10)]
+    assert stations.max() == pytest.approx(87, abs=0.01)
+    assert area(dashes) == pytest.approx(10 * 3 * 0.12, rel=1e-3)
+    assert starts == pytest.approx(3 + 9 * np.arange(10), abs=0.01)
+
+
+def test_a_double_line_is_two_lines_around_the_border():
+    lines = faces(built(road(sections=section(0, lane(1), lane(-1), "solid solid"))), Material.WHITE_LINE)
+    assert area(lines) == pytest.approx(2 * 100 * 0.12, rel=1e-3)
+    assert np.unique(np.round(lines[..., 1], 2)).tolist() == [-0.18, -0.06, 0.06, 0.18]
+
+
+def test_the_broken_half_of_a_double_line_is_on_its_side():
+    lines = faces(built(road(length=90, sections=section(0, lane(1), lane(-1), "solid broken"))), Material.WHITE_LINE)
+    left = lines[lines[..., 1].mean(axis=1) > 0]
+    assert area(left) == pytest.approx(90 * 0.12, rel=1e-3)
+    assert area(lines) - area(left) == pytest.approx(30 * 0.12, rel=1e-3)
+
+
+def test_a_yellow_line_has_its_colour():
+    mark = '<roadMark sOffset="0" type="solid" color="yellow" width="0.2"/>'
+    town = built(road(sections=section(0, right=lane(-1).replace("</lane>", f"{mark}</lane>") + lane(-2))))
+    assert area(faces(town, Material.YELLOW_LINE)) == pytest.approx(100 * 0.2, rel=1e-3)
+    assert not len(faces(town, Material.WHITE_LINE))
+
+
+def test_a_line_at_the_edge_is_on_the_asphalt():
+    lines = faces(built(road(sections=section(0, marked(1), marked(-1)))), Material.WHITE_LINE)
+    assert area(lines) == pytest.approx(2 * 100 * 0.12, rel=1e-3)
+    assert np.abs(lines[..., 1]).max() < 3.5
+
+
+def test_a_crossing_is_bars_in_the_direction_of_cars():
+    bars = faces(built(road(inside=crossing(50))), Material.CROSSING)
+    assert area(bars) == pytest.approx(5 * 0.5 * 4, rel=1e-3)  # and one at each end that is not on the road as a whole
+    assert np.ptp(bars[..., 0]) == pytest.approx(4, abs=0.01)
+
+
+def test_a_painted_stop_line_is_drawn_once():
+    lines = faces(built(road(inside=painted_stop(80, -1.75, 3.0) + stop_sign(82, -1, -1))), Material.STOP_LINE)
+    assert area(lines) == pytest.approx(2.8 * 0.4, rel=1e-3)
+
+
+def test_a_stop_sign_has_a_line_before_it():
+    lines = faces(built(road(inside=stop_sign(80, -1, -1))), Material.STOP_LINE)
+    assert lines[..., 0].max() == pytest.approx(79.7, abs=0.01)
+    assert (lines[..., 1] < 0).all()
+
+
+def test_gaps_in_a_junction_are_filled():
+    one_way = section(0, right=lane(-1))
+    town = built(
+        road(2, x=100, length=20, junction=9, sections=one_way),
+        road(3, x=100, length=20.05, junction=9, shape='<arc curvature="0.01"/>', sections=one_way),
+        road(4, x=120.0, y=-8.0, heading=np.pi / 2, length=16, junction=9, sections=one_way),
+    )
+    x, y = np.meshgrid(np.linspace(101, 123, 60), np.linspace(-3, -1, 10))
+    heights = town.ground_height(np.stack((x.ravel(), y.ravel()), axis=1))
+    assert heights.min() > -0.02
+
+
+def test_a_bridge_is_above_the_road_that_it_crosses():
+    town = built(road(1, height=6), road(2, x=50, y=-50, heading=np.pi / 2))
+    point = np.array([[51.75, 1.75]])
+    assert town.ground_height(point) == pytest.approx([6], abs=1e-4)
+    assert town.ground_height(np.column_stack((point, [1.0]))) == pytest.approx([0], abs=1e-4)
+    assert faces(town, Material.BRIDGE)[..., 2].min() == pytest.approx(5.2, abs=0.01)
+
+
+def test_slopes_do_not_reach_onto_roads():
+    slope = '<elevation s="0" a="0" b="0.08" c="0" d="0"/>'
+    hilly = road().replace('<elevation s="0" a="0" b="0" c="0" d="0"/>', slope)
+    town = built(hilly, road(2, y=-9, sections=section(0, right=lane(-1))))
+    stations = np.linspace(0.5, 99.5, 200)
+    for offset in (-3.3, -1.75, 0.3, 3.3):
+        points = np.column_stack((stations, np.full(200, offset)))
+        assert np.abs(town.ground_height(points) - 0.08 * stations).max() < 0.02
+
+
+def test_a_speed_limit_stands_beside_the_road_and_shows_its_number():
+    signal = (
+        '<signals><signal name="" id="3" s="50" t="-5" zOffset="2" hOffset="0" orientation="+" dynamic="no"'
+        ' country="" type="274" subtype="-1" value="30"/></signals>'
+    )
+    town = built(road(inside=signal))
+    ring = faces(town, Material.SIGN_RED)
+    assert area(ring) == pytest.approx(np.pi * 0.38**2, rel=0.05)
+    assert ring[..., 0].max() < 50  # towards cars that come along the road
+    assert ring[..., 1].mean() == pytest.approx(-5, abs=0.1)
+    assert len(faces(town, Material.SIGN_BLACK)) == 2 * (5 + 6)  # two triangles for each stroke
+
+
+def test_a_traffic_light_has_its_foot_on_the_ground_and_faces_the_cars():
+    signal = (
+        '<signals><signal name="" id="77" s="50" t="-5" zOffset="-0.5" hOffset="0" orientation="+" dynamic="yes"'
+        ' country="" type="1000001" subtype="-1" value="-1"/></signals>'
+    )
+    walk = section(0, right=lane(-1) + lane(-2, 3, "sidewalk"))
+    (light,) = built(road(height=2, sections=walk, inside=signal)).lights
+    assert light.id == "77"
+    assert light.location == pytest.approx([50, -5, 2.12], abs=1e-3)
+    assert light.heading % (2 * np.pi) == pytest.approx(np.pi)
+
+
+@pytest.mark.parametrize(
+    "roads",
+    [
+        [road(length=1e8)],
+        [road(x=1e300)],
+        [road(sections=section(0, right=lane(-1, 1e8)))],
+        [road(1), road(2, x=9e5)],
+        [road(sections=section(0, right="".join(lane(-n) for n in range(1, 300))))],
+        [road(shape='<arc curvature="1e6"/>')],
+        [road(inside=crossing(1e9))],
+    ],
+)
+def test_hostile_maps_end_soon(roads: list[str]):
+    start = time.process_time()
+    built(*roads)
+    assert time.process_time() - start < 20
+
+
+def test_a_spiral_turns_by_half_the_sum_of_its_curvatures():
+    (line,) = read_roads(opendrive(road(length=40, shape='<spiral curvStart="0" curvEnd="0.05"/>')))
+    points, headings = line.reference(np.linspace(0, 40, 401))
+    assert headings[-1] == pytest.approx(1.0)
+    assert np.linalg.norm(np.diff(points, axis=0), axis=1) == pytest.approx(0.1, rel=1e-3)

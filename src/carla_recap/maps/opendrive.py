@@ -13,6 +13,8 @@ from typing import TYPE_CHECKING, Any, Final
 import carla
 import numpy as np
 
+from carla_recap.maps.road_geometry import LIGHT, STOP
+
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator
 
@@ -24,10 +26,6 @@ DRIVING: Final = "Driving"
 NO_JUNCTION: Final = -1
 _STEP: Final = 0.5  # m
 _HALVINGS: Final = 12  # of a step, to find the end of a lane
-LIGHT: Final = "1000001"
-STOP: Final = "206"
-YIELD: Final = "205"
-SPEED_LIMIT: Final = "274"
 _BEYOND: Final = 0.01  # m from the end of a lane to its successors
 _PAINT: Final = "StopLine"
 
@@ -85,7 +83,7 @@ class Landmark:
 
     Attributes:
         id: The id in the file.
-        kind: The OpenDRIVE type, such as `LIGHT`.
+        kind: The OpenDRIVE type, such as `road_geometry.LIGHT`.
         value: The value, such as a speed.
         unit: The unit of the value.
         road: The road along which it applies.

@@ -23,12 +23,19 @@ if TYPE_CHECKING:
 OUTSIDE: Final = "-1"
 """The junction of a road that is in none."""
 
+# The types of signals in CARLA's maps.
+LIGHT: Final = "1000001"
+STOP: Final = "206"
+YIELD: Final = "205"
+SPEED_LIMIT: Final = "274"
+
 _MOST_ROADS: Final = 20_000
 _MOST_SECTIONS: Final = 2_000  # of a road
 _MOST_LANES: Final = 40  # on one side
 _MOST_RECORDS: Final = 20_000  # of one kind, of a road
 _MOST_CORNERS: Final = 100
 _LONGEST: Final = 100_000.0  # m
+_WIDEST: Final = 200.0  # m of a lane
 _FARTHEST: Final = 1e6  # m from the origin
 _SPIRAL_STEP: Final = 0.5  # m
 _MOST_SPIRAL_STEPS: Final = 4_000
@@ -112,10 +119,14 @@ class RoadSection:
     def borders(self, stations: Floats) -> Floats:
         """Return how far to the left of the central line each border is: (lanes + 1, n), from the left."""
         along = stations - self.start
-        left = np.cumsum([np.zeros(len(along)), *(np.maximum(lane.width(along), 0.0) for lane in self.left)], axis=0)
-        right = np.cumsum([np.zeros(len(along)), *(np.maximum(lane.width(along), 0.0) for lane in self.right)], axis=0)
+        left = np.cumsum([np.zeros(len(along)), *(_width(lane, along) for lane in self.left)], axis=0)
+        right = np.cumsum([np.zeros(len(along)), *(_width(lane, along) for lane in self.right)], axis=0)
         offsets: Floats = np.concatenate((left[::-1], -right[1:]))
         return offsets
+
+
+def _width(lane: RoadLane, along: Floats) -> Floats:
+    return np.clip(lane.width(along), 0.0, _WIDEST)
 
 
 @dataclass(frozen=True, eq=False)

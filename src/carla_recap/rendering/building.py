@@ -6,9 +6,12 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
+from carla_recap.rendering.heights import TriangleGrid
 from carla_recap.rendering.mesh import Mesh
 
 if TYPE_CHECKING:
+    from collections.abc import Collection
+
     from numpy.typing import NDArray
 
     from carla_recap.rendering.materials import Material
@@ -101,6 +104,11 @@ class MeshBuilder:
             np.concatenate(self._materials),
             np.concatenate(self._triangles),
         )
+
+    def grid(self, materials: Collection[Material]) -> TriangleGrid:
+        """Return the triangles of some materials so far, as surfaces."""
+        vertices, _, of_vertices, triangles = self.arrays()
+        return TriangleGrid(vertices, triangles[np.isin(of_vertices[triangles[:, 0]], list(materials))])
 
     def tiles(self) -> list[Mesh]:
         """Return the triangles by the tile in which their middle is; those of high numbers of materials first.

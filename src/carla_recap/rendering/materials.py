@@ -102,6 +102,7 @@ class Material(IntEnum):
     CONCRETE = 48
     WARNING_ORANGE = 49
     FOLIAGE = 50
+    SIGN_BLACK = 51
 
 
 class Finish(NamedTuple):
@@ -173,6 +174,7 @@ MATERIALS: Final[dict[Material, Finish]] = {
     _M.CONCRETE: Finish((168, 166, 160)),
     _M.WARNING_ORANGE: Finish((240, 106, 34)),
     _M.FOLIAGE: Finish((74, 106, 54), Tag.VEGETATION),
+    _M.SIGN_BLACK: Finish((34, 34, 36), Tag.TRAFFIC_SIGNS),
 }
 """All materials."""
 

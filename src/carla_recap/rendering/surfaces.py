@@ -11,7 +11,7 @@ from carla_recap.rendering.heights import TriangleGrid
 from carla_recap.rendering.materials import Material
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator, Sequence
+    from collections.abc import Collection, Iterator, Sequence
 
     from numpy.typing import NDArray
 
@@ -23,6 +23,9 @@ if TYPE_CHECKING:
 
 KERB_HEIGHT: Final = 0.12
 """The height of sidewalks above the road, in m."""
+
+PAVED: Final = (Material.ROAD, Material.SHOULDER, Material.PARKING, Material.BIKE_LANE)
+"""The materials of lanes that are paved and not raised, outside junctions."""
 
 _DRIVING: Final = (
     *("driving", "bidirectional", "entry", "exit", "onramp", "offramp", "connectingramp", "mwyentry", "mwyexit"),
@@ -38,11 +41,10 @@ _KINDS: Final = {
     "curb": Material.KERB,
     **dict.fromkeys(("tram", "rail"), Material.GROUND),
 }
-_RAISED: Final = (Material.SIDEWALK, Material.KERB)
+_RAISED: Final = (Material.SIDEWALK, Material.KERB, Material.MEDIAN)
 _LAYERS: Final = {
     Material.GRASS: -0.024,
     Material.GROUND: -0.016,
-    Material.MEDIAN: -0.016,
     Material.SHOULDER: -0.008,
     Material.PARKING: -0.008,
     Material.BIKE_LANE: -0.004,
@@ -87,7 +89,7 @@ class SampledSection:
 
     def is_driving(self, lane: int) -> bool:
         """Return whether a lane is for cars."""
-        return self.materials[lane] in (Material.ROAD, Material.JUNCTION)
+        return _KINDS.get(self.lanes[lane].kind) is Material.ROAD
 
     def widths(self, lane: int) -> Floats:
         """Return the width of a lane at each station."""
@@ -158,26 +160,32 @@ def _picked(stations: Floats, lines: Floats) -> Floats:
 
 
 def _materials(road: Road, lanes: Sequence[RoadLane]) -> Iterator[Material | None]:
-    known = [index for index, lane in enumerate(lanes) if lane.kind in _KINDS]
-    for index, lane in enumerate(lanes):
-        material = _KINDS.get(lane.kind)
-        if material is None and known and known[0] < index < known[-1]:
-            material = Material.GRASS
-        yield Material.JUNCTION if material is Material.ROAD and road.in_junction else material
+    kinds = [_KINDS.get(lane.kind) for lane in lanes]
+    known = [index for index, kind in enumerate(kinds) if kind is not None]
+    for index, kind in enumerate(kinds):
+        inner = bool(known) and known[0] < index < known[-1]
+        if kind is None and inner:
+            around = {kinds[max(i for i in known if i < index)], kinds[min(i for i in known if i > index)]}
+            kind = Material.GRASS if around <= {Material.ROAD} or not around <= {*PAVED} else Material.SHOULDER
+            kind = Material.SHOULDER if road.in_junction else kind
+        if kind is Material.SHOULDER and road.in_junction:
+            beside = {*kinds[max(index - 1, 0) : index], *kinds[index + 1 : index + 2]}
+            kind = kind if beside & {*_RAISED} else Material.ROAD  # within the junction
+        yield Material.JUNCTION if kind is Material.ROAD and road.in_junction else kind
 
 
-def surface_grid(sections: Sequence[SampledSection], *, driving: bool = False) -> TriangleGrid:
-    """Return the surfaces of all lanes, with the number of the road as key.
+def surface_grid(sections: Sequence[SampledSection], kinds: Collection[Material] | None = None) -> TriangleGrid:
+    """Return the surfaces of lanes, with the number of the road as key.
 
     Args:
         sections: The sections.
-        driving: Only those of lanes for cars.
+        kinds: The materials that the lanes have outside junctions; None for all.
     """
     vertices, triangles, keys, count = [], [], [], 0
     for section in sections:
         n = len(section.stations)
         for lane, material in enumerate(section.materials):
-            if material is None or (driving and not section.is_driving(lane)):
+            if material is None or (kinds is not None and _KINDS.get(section.lanes[lane].kind) not in kinds):
                 continue
             widths = section.widths(lane)
             first = np.flatnonzero((widths[1:] > _NARROW) | (widths[:-1] > _NARROW))

@@ -28,7 +28,7 @@ _AROUND: Final = 300.0  # m of ground around the roads
 _MOST_TILES: Final = 240  # along a side
 _BELOW: Final = 0.08  # m from the road down to the ground
 _FLAT: Final = 0.02  # m
-_VERGE: Final = ((0.0, -0.01), (0.8, -0.09), (3.2, -1.0))  # m outwards, and up from the road
+_VERGE: Final = ((0.0, -0.03), (0.8, -0.09), (3.2, -1.0))  # m outwards, and up from the road
 _SPAN: Final = 1.3  # m above the ground, from where on a road is a bridge
 _DECK: Final = 0.8  # m
 _PARAPET: Final = 0.5  # m
@@ -211,7 +211,7 @@ def _add_verge(
     lines: list[Floats] = []
     for number, (out, rise) in enumerate(_VERGE):
         line = edge + out * outwards
-        line[:, 2] += rise + (np.maximum(up - 0.01, 0.0) if number == 0 else 0.0)
+        line[:, 2] += rise + (up if number == 0 else 0.0)
         if number:
             index, heights, _ = surfaces.hits(line)
             above = np.zeros(len(line), np.bool_)  # a lower road, on which the slope would be

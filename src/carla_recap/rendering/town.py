@@ -18,9 +18,12 @@ from carla_recap.maps.parsing import pack, parse_in_child, read_content, run_chi
 from carla_recap.maps.road_geometry import read_roads
 from carla_recap.rendering.building import MeshBuilder
 from carla_recap.rendering.heights import TriangleGrid
+from carla_recap.rendering.junctions import fill_junctions
+from carla_recap.rendering.markings import Painter, add_lines, paint_objects, paint_stops
 from carla_recap.rendering.materials import Material
 from carla_recap.rendering.mesh import Mesh
-from carla_recap.rendering.surfaces import add_lanes, sample_roads, surface_grid
+from carla_recap.rendering.signs import LightPost, add_signs, light_posts
+from carla_recap.rendering.surfaces import PAVED, add_lanes, sample_roads, surface_grid
 from carla_recap.rendering.terrain import Terrain, add_edges
 
 if TYPE_CHECKING:
@@ -30,25 +33,10 @@ if TYPE_CHECKING:
     Arrays = dict[str, list[NDArray[Any]]]
 
 _KEPT: Final = 4  # towns in memory
-_STANDING: Final = frozenset(
-    {Material.POLE, Material.LIGHT_HOUSING, Material.SIGN_BACK, Material.SIGN_WHITE, Material.SIGN_RED, Material.SIGN_YELLOW}
-)
+_PAVEMENT: Final = (*PAVED, Material.JUNCTION)
+_SURFACES: Final = (*_PAVEMENT, Material.SIDEWALK, Material.KERB, Material.MEDIAN, Material.GROUND)
+_GROUND: Final = (*_SURFACES, Material.GRASS)
 _LEAST_UPWARDS: Final = 0.3  # of a normal, of a surface on which one can stand
-
-
-@dataclass(frozen=True, eq=False)
-class LightPost:
-    """The position of a traffic light of a map.
-
-    Attributes:
-        id: The OpenDRIVE id of the signal.
-        location: The foot of the pole, in m, (3,).
-        heading: The direction that the light faces, in radians.
-    """
-
-    id: str
-    location: Floats
-    heading: float
 
 
 @dataclass(frozen=True, eq=False)
@@ -86,7 +74,7 @@ class TownMesh:
     def _ground(self) -> TriangleGrid:
         mesh = Mesh.concatenate(self.tiles)
         corners = mesh.triangles
-        flat = (mesh.normals[corners[:, 0], 2] > _LEAST_UPWARDS) & ~np.isin(mesh.materials[corners[:, 0]], list(_STANDING))
+        flat = (mesh.normals[corners[:, 0], 2] > _LEAST_UPWARDS) & np.isin(mesh.materials[corners[:, 0]], _GROUND)
         return TriangleGrid(mesh.vertices.astype(np.float64), corners[flat].astype(np.int64))
 
 
@@ -147,13 +135,23 @@ def build_town(text: str) -> tuple[list[Mesh], list[LightPost]]:
         sections = sample_roads(roads)
         if not sections:
             return [], []
-        surfaces, driving = surface_grid(sections), surface_grid(sections, driving=True)
+        surfaces, driving = surface_grid(sections), surface_grid(sections, (Material.ROAD,))
         builder = MeshBuilder()
         add_lanes(builder, sections, driving)
+        fill_junctions(builder, sections, surfaces, surface_grid(sections, PAVED))
+        surfaces, pavement = builder.grid(_SURFACES), builder.grid(_PAVEMENT)
         terrain = Terrain(sections)
         add_edges(builder, sections, terrain, surfaces)
         terrain.add_to(builder)
-        return builder.tiles(), []
+        add_lines(builder, sections, driving)
+        painter = Painter(builder, pavement)
+        for road in roads:
+            paint_objects(painter, road)
+        paint_stops(painter, roads, sections)
+        painter.finish()
+        ground = builder.grid(_GROUND)
+        add_signs(builder, roads, ground, driving)
+        return builder.tiles(), light_posts(roads, ground)
 
 
 def _packed(tiles: list[Mesh], lights: list[LightPost]) -> bytes:

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
-from carla_recap.maps import opendrive
+from carla_recap.maps import road_geometry
 from carla_recap.sim.town.parsing.roads import in_metres_per_second
 
 if TYPE_CHECKING:
@@ -16,15 +16,16 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
+    from carla_recap.maps import opendrive
     from carla_recap.sim.town.parsing.roads import ParsedLane, Records
 
     Row = dict[str, Any]
 
 _KINDS: Final = {
-    opendrive.LIGHT: "light",
-    opendrive.STOP: "stop",
-    opendrive.YIELD: "yield",
-    opendrive.SPEED_LIMIT: "speed_limit",
+    road_geometry.LIGHT: "light",
+    road_geometry.STOP: "stop",
+    road_geometry.YIELD: "yield",
+    road_geometry.SPEED_LIMIT: "speed_limit",
 }
 _SAME_WAY: Final = np.cos(np.radians(35))  # approaches of a junction that are one, or opposite to each other
 

@@ -1,0 +1,389 @@
+"""What is painted on the roads: lines, crossings, stop lines, arrows."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from itertools import pairwise
+from typing import TYPE_CHECKING, Final
+
+import numpy as np
+
+from carla_recap.maps.road_geometry import LIGHT, STOP
+from carla_recap.rendering.building import UP
+from carla_recap.rendering.glyphs import arrow, glyphs
+from carla_recap.rendering.materials import Material
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator, Sequence
+
+    from numpy.typing import NDArray
+
+    from carla_recap.maps.road_geometry import Marking, Road, RoadObject, RoadSignal
+    from carla_recap.rendering.building import MeshBuilder
+    from carla_recap.rendering.heights import TriangleGrid
+    from carla_recap.rendering.surfaces import SampledSection
+
+    Floats = NDArray[np.float64]
+    Flags = NDArray[np.bool_]
+
+_DASH: Final = 3.0  # m
+_PERIOD: Final = 9.0  # m from dash to dash
+_LIFT: Final = 0.010  # m above the road
+_CROSSING_LIFT: Final = 0.014
+_STOP_LIFT: Final = 0.018
+_FROM_EDGE: Final = 0.12  # m from a line to a kerb or to the edge of the asphalt
+_NARROW: Final = 0.25  # m; the outer border of a narrower lane is not marked
+_IN_JUNCTIONS: Final = 0.5  # m between the points of a line, of which a part may be on other lanes
+_BESIDE: Final = 0.25  # m
+_SAME_LINE: Final = 0.5  # m between lines of two roads, of which one is drawn
+_SHORTEST: Final = 1.6  # m of a part of a line in a junction
+_TOUCH: Final = 1e-6  # m
+_BAR: Final = 0.5  # m; of a crossing
+_BARS: Final = 1.1  # m from bar to bar
+_MOST_BARS: Final = 200
+_STOP_DEPTH: Final = 0.4  # m
+_BEFORE_JUNCTION: Final = 0.3  # m from a stop line to a junction
+_SAME_PAINT: Final = 6.0  # m from a painted stop line, within which no other one is drawn
+_SAME_STOP: Final = 0.5  # m between equal stop lines
+_SPAN: Final = 2.0  # m between the points of long shapes, which follow the road
+_YELLOW: Final = ("yellow", "orange")
+
+
+@dataclass(frozen=True, eq=False)
+class _Line:
+    """Parts of a line on a road, each a quadrangle."""
+
+    corners: Floats
+    material: Material
+    section: SampledSection
+
+
+def add_lines(builder: MeshBuilder, sections: Sequence[SampledSection], driving: TriangleGrid) -> None:
+    """Add the lines along the borders of lanes; in junctions, without those across lanes of other roads.
+
+    Args:
+        builder: Collects the triangles.
+        sections: The sections of all roads.
+        driving: The lanes for cars.
+    """
+    lines = [line for section in sections for line in _lines(section)]
+    if not lines:
+        return
+    sizes = [len(line.corners) for line in lines]
+    corners = np.concatenate([line.corners for line in lines])
+    owners, materials, inside = (
+        np.repeat(column, sizes)
+        for column in (
+            [line.section.number for line in lines],
+            [line.material for line in lines],
+            [line.section.road.in_junction for line in lines],
+        )
+    )
+    left_out = np.zeros(len(corners), np.bool_)
+    left_out[inside] = _across(corners[inside], owners[inside], driving)
+    left_out |= _repeated(corners, np.where(inside, owners, -1), materials)
+    for line, part in zip(lines, np.split(~left_out, np.cumsum(sizes)[:-1]), strict=True):
+        kept = part if part.all() else _long(line.corners, part)
+        builder.add_quads(line.corners[kept], UP, line.material)
+
+
+def _repeated(corners: Floats, owners: NDArray[np.int64], materials: NDArray[np.uint8]) -> Flags:
+    """Return which quadrangles are beside one of the same material of a road with a lower number."""
+    cells = np.rint(corners.mean(axis=1) / _SAME_LINE).astype(np.int64)
+    cells = np.column_stack((cells, materials))
+    around = np.array([(x, y, 0, 0) for x in (-1, 0, 1) for y in (-1, 0, 1)])
+    later = np.flatnonzero(owners >= 0)
+    every = np.concatenate((cells, (cells[later, None] + around).reshape(-1, 4)))
+    _, numbers = np.unique(every, axis=0, return_inverse=True)
+    numbers = numbers.reshape(-1)
+    lowest = np.full(numbers.max() + 1, np.iinfo(np.int64).max)
+    np.minimum.at(lowest, numbers[: len(cells)], owners)
+    repeated = np.zeros(len(corners), np.bool_)
+    repeated[later] = lowest[numbers[len(cells) :].reshape(-1, len(around))].min(axis=1) < owners[later]
+    return repeated
+
+
+def _long(corners: Floats, kept: Flags) -> Flags:
+    """Return which of the quadrangles kept are in a row that is not too short."""
+    joined = kept[1:] & kept[:-1] & (np.abs(corners[1:, 0] - corners[:-1, 1]).max(axis=1) < _TOUCH)
+    rows = np.cumsum(np.concatenate(([True], ~joined)))
+    lengths = np.bincount(rows, np.linalg.norm(corners[:, 1] - corners[:, 0], axis=1))
+    long: Flags = kept & (lengths[rows] > _SHORTEST)
+    return long
+
+
+def _across(corners: Floats, owners: NDArray[np.int64], driving: TriangleGrid) -> Flags:
+    """Return which quadrangles have lanes of other roads on both sides."""
+    middles = corners.mean(axis=1)
+    aside = (corners[:, 3] - corners[:, 0])[:, :2]
+    aside *= _BESIDE / np.maximum(np.linalg.norm(aside, axis=1, keepdims=True), 1e-6)
+    across = np.ones(len(corners), np.bool_)
+    for sign in (1, -1):
+        points = middles.copy()
+        points[:, :2] += sign * aside
+        index, heights, keys = driving.hits(points)
+        others = (keys != owners[index]) & (np.abs(heights - points[index, 2]) < 1.0)
+        covered = np.zeros(len(corners), np.bool_)
+        covered[index[others]] = True
+        across &= covered
+    return across
+
+
+def _lines(section: SampledSection) -> Iterator[_Line]:
+    inner = len(section.section.left)
+    for border in range(len(section.lanes) + 1):
+        lane = section.section.centre if border == inner else section.lanes[border if border < inner else border - 1]
+        if lane is None:
+            continue
+        wide = np.ones(len(section.stations), np.bool_)
+        if border != inner:
+            wide = section.widths(border if border < inner else border - 1) > _NARROW
+        for number, mark in enumerate(lane.markings):
+            start = section.section.start + mark.start
+            end = section.section.end
+            if number + 1 < len(lane.markings):
+                end = min(end, section.section.start + lane.markings[number + 1].start)
+            if end - start > _BESIDE:
+                yield from _painted(section, border, mark, start, end, wide, reverse=border < inner)
+
+
+def _painted(
+    section: SampledSection, border: int, mark: Marking, start: float, end: float, wide: Flags, *, reverse: bool
+) -> Iterator[_Line]:
+    """Yield the lines of a marking."""
+    styles = [style for style in mark.kind.replace("botts dots", "broken").split() if style in ("solid", "broken")][:2]
+    if not styles:
+        return
+    shift = _shift(section, border, mark.width / 2 if len(styles) == 1 else 1.5 * mark.width)
+    if shift is None:
+        return
+    material = Material.YELLOW_LINE if mark.color in _YELLOW else Material.WHITE_LINE
+    asides = (0.0,) if len(styles) == 1 else (mark.width, -mark.width)  # from the left
+    for style, aside in zip(styles[::-1] if reverse else styles, asides, strict=True):
+        corners = _quads(section, border, style, start, end, wide, shift + aside, mark.width / 2)
+        if len(corners):
+            yield _Line(corners, material, section)
+
+
+def _shift(section: SampledSection, border: int, half: float) -> float | None:
+    """Return how far to the left a line is drawn so that it is on the asphalt; None if none is beside it."""
+    paved = [_is_paved(section, lane) for lane in (border - 1, border)]
+    if all(paved):
+        return 0.0
+    if not any(paved):
+        return None
+    return (half + _FROM_EDGE) * (1 if paved[0] else -1)
+
+
+def _is_paved(section: SampledSection, lane: int) -> bool:
+    return 0 <= lane < len(section.lanes) and section.materials[lane] in (
+        Material.ROAD,
+        Material.JUNCTION,
+        Material.SHOULDER,
+        Material.PARKING,
+        Material.BIKE_LANE,
+    )
+
+
+def _quads(
+    section: SampledSection, border: int, style: str, start: float, end: float, wide: Flags, shift: float, half: float
+) -> Floats:
+    """Return the quadrangles of a line, (n, 4, 3)."""
+    known = section.stations
+    stations = [np.array((start, end)), known]
+    if section.road.in_junction:
+        stations.append(np.arange(start, end, _IN_JUNCTIONS))
+    length = section.road.length
+    period = length / max(round(length / _PERIOD), 1)
+    if style == "broken":
+        numbers = np.arange(np.floor(start / period), np.ceil(end / period) + 1)
+        stations += [(numbers + 0.5) * period + side * _DASH * period / _PERIOD / 2 for side in (-1, 1)]
+    found = np.unique(np.concatenate(stations))
+    found = found[(found >= max(start, known[0])) & (found <= min(end, known[-1]))]
+    if len(found) < 2:
+        return np.zeros((0, 4, 3))
+    middles = (found[1:] + found[:-1]) / 2
+    kept = np.interp(middles, known, wide.astype(np.float64)) > 0.5
+    if style == "broken":
+        kept &= np.abs(middles / period % 1.0 - 0.5) < _DASH / _PERIOD / 2
+    points = np.stack([np.interp(found, known, axis) for axis in section.borders[border].T], axis=1)
+    lefts = np.stack([np.interp(found, known, axis) for axis in section.lefts.T], axis=1)
+    left, right = points + (shift + half) * lefts, points + (shift - half) * lefts
+    corners: Floats = np.stack((right[:-1], right[1:], left[1:], left[:-1]), axis=1)[kept]
+    corners[..., 2] += _LIFT
+    return corners
+
+
+class Painter:
+    """Paints flat shapes on the ground.
+
+    Args:
+        builder: Collects the triangles.
+        ground: The surfaces to paint on.
+    """
+
+    def __init__(self, builder: MeshBuilder, ground: TriangleGrid) -> None:
+        self._builder = builder
+        self._ground = ground
+        self._shapes: dict[tuple[Material, float], list[Floats]] = {}
+
+    def paint(self, corners: Floats, material: Material, lift: float) -> None:
+        """Paint a convex polygon, (n, 3), its corners counterclockwise; z is about that of the ground."""
+        self._shapes.setdefault((material, lift), []).append(corners)
+
+    def finish(self) -> None:
+        """Add the shapes that are on the ground as a whole."""
+        for (material, lift), shapes in self._shapes.items():
+            sizes = [len(shape) for shape in shapes]
+            corners = np.concatenate(shapes)
+            corners[:, 2] = self._ground.highest(corners + np.array((0.0, 0.0, _SPAN / 2))) + lift
+            for shape in np.split(corners, np.cumsum(sizes)[:-1]):
+                if np.isfinite(shape).all():
+                    self._builder.add_polygon(shape, UP, material)
+
+
+def paint_objects(painter: Painter, road: Road) -> None:
+    """Paint the crossings, stop lines, arrows and words of a road."""
+    for thing in road.objects:
+        if thing.kind == "crosswalk":
+            _paint_crossing(painter, road, thing)
+        elif thing.name == "StopLine":
+            start, stop = stop_line_ends(road, thing)
+            _paint_stop_line(painter, start, stop)
+        elif thing.name.startswith("Stencil_"):
+            point, heading = road.at(thing.station, thing.offset)
+            for shape in arrow(thing.name) if "Arrow" in thing.name else glyphs(thing.name[8:], 2.4, 2.2):
+                painter.paint(_placed(shape, point, heading + thing.heading), Material.WHITE_LINE, _CROSSING_LIFT)
+
+
+def _placed(shape: Floats, point: Floats, heading: float) -> Floats:
+    """Return a shape, (n, 2), forward and to the left, at a point, (n, 3)."""
+    cos, sin = np.cos(heading), np.sin(heading)
+    turned = shape @ np.array(((cos, sin), (-sin, cos)))
+    return np.column_stack((turned + point[:2], np.full(len(shape), point[2])))
+
+
+def _paint_crossing(painter: Painter, road: Road, crossing: RoadObject) -> None:
+    point, heading = road.at(crossing.station, crossing.offset)
+    outline = crossing.outline
+    if len(outline) > 1 and np.allclose(outline[0], outline[-1], atol=0.01):
+        outline = outline[:-1]
+    if len(outline) < 3:
+        half = np.array((crossing.length, crossing.width)) / 2
+        outline = half * ((-1, -1), (1, -1), (1, 1), (-1, 1))
+    sides = np.roll(outline, -1, axis=0) - outline
+    lengths = np.linalg.norm(sides, axis=1)
+    if not 0.5 < lengths.max() < _MOST_BARS * _BARS:
+        return
+    along = sides[lengths.argmax()] / lengths.max()  # the way of pedestrians
+    frame = np.array((along, (-along[1], along[0])))
+    outline = outline @ frame.T
+    if np.sum(outline[:, 0] * np.roll(outline[:, 1], -1) - np.roll(outline[:, 0], -1) * outline[:, 1]) < 0:
+        outline = outline[::-1]
+    low, high = outline[:, 0].min(), outline[:, 0].max()
+    count = max(int((high - low) / _BARS + 0.5), 1)
+    for middle in low + (np.arange(count) + 0.5) * (high - low) / count:
+        bar = _clipped(_clipped(outline, middle - _BAR / 2, 1), middle + _BAR / 2, -1)
+        if len(bar) > 2:
+            for part in _split(bar):
+                painter.paint(_placed(part @ frame, point, heading + crossing.heading), Material.CROSSING, _CROSSING_LIFT)
+
+
+def _clipped(polygon: Floats, limit: float, sign: int) -> Floats:
+    """Return the part of a convex polygon with x above a limit, or below if the sign is negative."""
+    corners = []
+    for index, corner in enumerate(polygon):
+        following = polygon[(index + 1) % len(polygon)]
+        here, there = sign * (corner[0] - limit), sign * (following[0] - limit)
+        if here >= 0:
+            corners.append(corner)
+        if here * there < 0:
+            corners.append(corner + here / (here - there) * (following - corner))
+    return np.array(corners).reshape(-1, 2)
+
+
+def _split(bar: Floats) -> Iterator[Floats]:
+    """Yield the parts of a bar along y, so that it follows the road."""
+    flipped = bar[:, ::-1]
+    low, high = bar[:, 1].min(), bar[:, 1].max()
+    count = max(int((high - low) / _SPAN), 1)
+    for index in range(count):
+        limits = low + (high - low) * np.array((index, index + 1)) / count
+        part = _clipped(_clipped(flipped, limits[0], 1), limits[1], -1)
+        if len(part) > 2:
+            yield part[:, ::-1]
+
+
+def stop_line_ends(road: Road, thing: RoadObject) -> tuple[Floats, Floats]:
+    """Return the ends of a painted stop line."""
+    point, heading = road.at(thing.station, thing.offset)
+    direction = heading + thing.heading
+    half = thing.length / 2 * np.array((np.cos(direction), np.sin(direction), 0.0))
+    return point - half, point + half
+
+
+def _paint_stop_line(painter: Painter, start: Floats, stop: Floats) -> None:
+    length = float(np.linalg.norm(stop - start))
+    if not 0.2 < length < 60.0:
+        return
+    along = (stop - start) / length
+    aside = np.array((-along[1], along[0], 0.0)) * _STOP_DEPTH / 2
+    start, stop = start + 0.1 * along, stop - 0.1 * along
+    points = np.linspace(start, stop, max(int(length / _SPAN), 1) + 1)
+    for first, last in pairwise(points):
+        painter.paint(np.array((first - aside, last - aside, last + aside, first + aside)), Material.STOP_LINE, _STOP_LIFT)
+
+
+def paint_stops(painter: Painter, roads: Sequence[Road], sections: Sequence[SampledSection]) -> None:
+    """Paint a stop line on each lane with a light or stop sign, unless the map has painted one there."""
+    painted = [
+        np.mean(stop_line_ends(road, thing), axis=0) for road in roads for thing in road.objects if thing.name == "StopLine"
+    ]
+    kinds = {signal.id: signal.kind for road in roads for signal in road.signals if signal.kind}
+    by_road: dict[int, list[SampledSection]] = {}
+    for section in sections:
+        by_road.setdefault(section.number, []).append(section)
+    drawn: list[Floats] = []
+    for number, road in enumerate(roads):
+        for signal in road.signals:
+            if kinds.get(signal.id) not in (LIGHT, STOP):
+                continue
+            for start, stop in _lines_at(signal, by_road.get(number, [])):
+                middle = (start + stop) / 2
+                if all(np.linalg.norm(middle - other) > _SAME_PAINT for other in painted) and all(
+                    np.linalg.norm(middle - other) > _SAME_STOP for other in drawn
+                ):
+                    drawn.append(middle)
+                    _paint_stop_line(painter, start, stop)
+
+
+def _lines_at(signal: RoadSignal, sections: Sequence[SampledSection]) -> Iterator[tuple[Floats, Floats]]:
+    """Yield the ends of a line across each lane for which a signal applies: before it, or before the junction."""
+    if not sections:
+        return
+    for side in (-1, 1):
+        if sections[0].road.in_junction:
+            section = sections[0] if side < 0 else sections[-1]
+            station = section.stations[0 if side < 0 else -1]
+        else:
+            here = [part for part in sections if part.section.start <= signal.station <= part.section.end]
+            section = here[0] if here else sections[0]
+            station = min(max(signal.station, section.stations[0]), section.stations[-1])
+        for index, lane in enumerate(section.lanes):
+            if lane.id * side > 0 and section.is_driving(index) and _applies(signal, lane.id):
+                ends = [
+                    np.array([np.interp(station, section.stations, axis) for axis in section.borders[border].T])
+                    for border in (index, index + 1)
+                ]
+                left = ends[0] - ends[1]
+                length = float(np.linalg.norm(left))
+                if length > 1.0:
+                    back = np.array((-left[1], left[0], 0.0)) / length * -side  # against the way of cars
+                    offset = back * (_BEFORE_JUNCTION + _STOP_DEPTH / 2)
+                    yield ends[0] + offset, ends[1] + offset
+
+
+def _applies(signal: RoadSignal, lane: int) -> bool:
+    if signal.lanes:
+        return any(first <= lane <= last for first, last in signal.lanes)
+    return signal.ahead is None or signal.ahead == (lane < 0)
