@@ -1,4 +1,7 @@
-"""The events of a recording as lines of text: of many actors at once a single line, of a contact of many frames one."""
+"""The events and incidents of a recording as lines of text.
+
+Of many actors at once there is a single line, and of a contact of many frames, too.
+"""
 
 from __future__ import annotations
 
@@ -9,8 +12,9 @@ from typing import TYPE_CHECKING, Final, NamedTuple
 from carla_recap.export import style
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator, Sequence
+    from collections.abc import Iterable, Iterator, Sequence
 
+    from carla_recap.queries.incidents import Incident
     from carla_recap.replay import Collided, Present, Scene
 
 _MANY: Final = 5  # the number of actors that appear or disappear in a scene from which on they are counted, not named
@@ -74,6 +78,13 @@ class EventText:
             if is_new:
                 level = Level.ERROR if event.hero1 or event.hero2 else Level.WARNING
                 yield Line(level, "collisions", style.sentence(event, self._actors), event)
+
+
+def incident_lines(found: Iterable[Incident]) -> Iterator[tuple[float, Line]]:
+    """Yield the lines of hard braking and of long stops, with their elapsed seconds; collisions are among the events."""
+    for incident in found:
+        if incident.kind != "collision":
+            yield incident.start, Line(Level.WARNING, "incidents", incident.text)
 
 
 def _actor_line(text: str) -> Line:

@@ -90,6 +90,8 @@ def incidents(
     min_time: float = 30.0,
     min_distance: float = 10.0,
     deceleration: float = HARD,
+    start: float = -math.inf,
+    stop: float = math.inf,
 ) -> Incidents:
     """Return the incidents of a recording, sorted by start, then kind.
 
@@ -104,6 +106,8 @@ def incidents(
         min_time: The shortest time without a movement to include, in seconds.
         min_distance: The distance at which an actor has moved, in cm.
         deceleration: The deceleration from which on braking is hard, in m/s².
+        start: The elapsed seconds from which on to look for incidents.
+        stop: The elapsed seconds until which to look for them. Long stops in MCAP files may begin and end outside.
 
     Raises:
         RecapError: The deceleration is not above 0.
@@ -112,8 +116,9 @@ def incidents(
     if not deceleration > 0:
         raise RecapError(f"a deceleration of {deceleration:g} m/s² is no braking; it must be above 0")
     collector, contacts = ActorCollector(), _Contacts()
-    for frame in source.frames((*ACTOR_TYPES, "collisions"), sparse=True):
-        contacts.add(frame)
+    for frame in source.frames((*ACTOR_TYPES, "collisions"), sparse=True, stop=stop):
+        if not frame.elapsed < start:
+            contacts.add(frame)
         for packet in frame.packets:
             collector.add(packet, frame.elapsed)
     actors = _ActorsByTime(collector.actors)
@@ -127,7 +132,7 @@ def incidents(
     if not types and len(located) <= _LOOK_UPS and getattr(source, "metadata", {}).get("steady_clock") == "1":
         _look_up(source, located)
     elif types or located:
-        for batch in source.batches((*types, "transforms")):
+        for batch in source.batches((*types, "transforms"), start=start, stop=stop):
             if tracker:
                 tracker.batch(batch)
             if detector:
@@ -141,6 +146,7 @@ def incidents(
     found += _blocked(longest_first(tracker.finish() if tracker else intervals or []), actors)
     if detector:
         found += _braking(detector.finish(), contacts, actors)
+    found = [incident for incident in found if not (incident.start > stop or incident.stop < start)]
     return Incidents(sorted(found, key=lambda incident: (incident.start, incident.kind)), source, compat=False)
 
 

@@ -9,17 +9,21 @@ import numpy as np
 import rerun as rr
 
 from carla_recap.export import style
-from carla_recap.export.event_text import EventText, Level
+from carla_recap.export.event_text import EventText, Level, incident_lines
 from carla_recap.export.rerun import paths
 from carla_recap.export.rerun.stream import TimeColumns
+from carla_recap.model.frame import SAME_TIME
 from carla_recap.replay import right_handed
 from carla_recap.replay.pose import LOCATION
 
 if TYPE_CHECKING:
+    from collections.abc import Iterable
+
     from numpy.typing import NDArray
 
     from carla_recap.export.event_text import Line
     from carla_recap.export.rerun.stream import Stream, TimePoint
+    from carla_recap.queries.incidents import Incident
     from carla_recap.replay import Collided, SceneBatch
 
     Floats = NDArray[np.float64]
@@ -48,10 +52,12 @@ class EventWriter:
         self._stream = stream
         self._text = EventText()
         self._lines: list[tuple[TimePoint, Line]] = []
+        self._clock: list[TimeColumns] = []  # of all scenes
         self._marks: deque[tuple[int, Floats]] = deque(maxlen=_MAX_MARKS)  # the end in ns, and the location
 
     def write(self, batch: SceneBatch, times: TimeColumns) -> None:
         """Write scenes."""
+        self._clock.append(times)
         time = times.point(0)
         changed = self._remove_marks(time)
         for line in self._text.lines(batch.scene(0)):
@@ -66,6 +72,15 @@ class EventWriter:
             self._draw(time)
         if len(self._lines) >= _MAX_LINES:
             self.flush()
+
+    def write_incidents(self, found: Iterable[Incident]) -> None:
+        """Write the incidents that began during the scenes so far, each at the scene at which it began."""
+        clock = TimeColumns.joined(self._clock) if self._clock else TimeColumns.of_points(())
+        seconds = np.maximum.accumulate(clock.seconds)
+        for start, line in incident_lines(found):
+            row = int(np.searchsorted(seconds, start - SAME_TIME))
+            if row < len(seconds) and (row or seconds[0] <= start + SAME_TIME):
+                self._lines.append((clock.point(row), line))
 
     def flush(self) -> None:
         """Write what is held back."""

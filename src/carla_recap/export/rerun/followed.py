@@ -1,4 +1,4 @@
-"""The followed actor: the axes of its camera, its trail, the ground below it, and plots of its speed and controls."""
+"""The followed actor: the axes of its camera, its trail, and the ground below it."""
 
 from __future__ import annotations
 
@@ -10,6 +10,7 @@ import rerun as rr
 
 from carla_recap.export import style
 from carla_recap.export.rerun import paths
+from carla_recap.export.rerun.plots import CONTROLS, PlotWriter
 from carla_recap.export.rerun.poses import ROWS
 from carla_recap.export.rerun.stream import TimeColumns, screen_radii
 from carla_recap.replay import calm_headings, level, right_handed
@@ -27,8 +28,6 @@ if TYPE_CHECKING:
     Flags = NDArray[np.bool_]
     Rows = NDArray[np.intp]
 
-_KMH: Final = 3.6  # in a m/s
-_CONTROLS: Final = (("throttle", (90, 200, 120)), ("brake", (240, 90, 80)), ("steer", (130, 170, 255)))
 _CELL: Final = 10.0  # m; the size of a square of the ground
 _REACH: Final = 200.0  # m; the distance to which the ground extends
 _GROUND: Final = (62, 66, 76)
@@ -95,6 +94,7 @@ class FollowedWriter:
         self._id = id
         self._ground = ground
         self._axes = CameraAxes(stream, paths.CHASE)
+        self._plots = PlotWriter(stream)
         self._first: TimePoint | None = None
         self._appeared = False
         self._bottom = 0.0  # m; of its box, above its location
@@ -104,8 +104,6 @@ class FollowedWriter:
         self._controls: list[Floats] = []
         self._rows = 0
         self._before: tuple[Floats, Floats] | None = None  # seconds and pose of the last row
-        names, colors = zip(*_CONTROLS, strict=True)
-        stream.log_static(paths.CONTROLS, rr.SeriesLines(colors=colors, names=names, widths=[1.5] * len(names)))
         if ground:
             stream.log_static(paths.GROUND, _grid())
 
@@ -118,7 +116,7 @@ class FollowedWriter:
         self._times.append(times)
         self._poses.append(np.full((len(batch), 6), np.nan) if poses is None else poses)
         self._velocities.append(_values(batch, "velocities", self._id, ("x", "y", "z")))
-        self._controls.append(_values(batch, "vehicle_controls", self._id, [name for name, _ in _CONTROLS]))
+        self._controls.append(_values(batch, "vehicle_controls", self._id, CONTROLS))
         self._rows += len(batch)
         if self._rows >= ROWS:
             self.flush()
@@ -130,14 +128,13 @@ class FollowedWriter:
         times, poses = TimeColumns.joined(self._times), np.concatenate(self._poses)
         present = np.flatnonzero(np.isfinite(poses).all(axis=1))
         self._axes.write(times, poses, present)
+        speeds = np.full(len(poses), np.nan)
         if len(present):
-            self._write_path(times.take(present), poses[present], np.concatenate(self._velocities)[present])
+            velocities = np.concatenate(self._velocities)[present]
+            speeds[present] = self._write_path(times.take(present), poses[present], velocities)
         controls = np.concatenate(self._controls)
         recorded = np.flatnonzero(np.isfinite(controls).all(axis=1))
-        if len(recorded):
-            (column,) = rr.Scalars.columns(scalars=controls[recorded].ravel())
-            lengths = np.full(len(recorded), controls.shape[1])
-            self._stream.columns(paths.CONTROLS, times.take(recorded), [column.partition(lengths)])
+        self._plots.write_controls(times.take(recorded), controls[recorded], speeds[recorded])
         self._times, self._poses, self._velocities, self._controls, self._rows = [], [], [], [], 0
 
     def _appear(self, batch: SceneBatch, times: TimeColumns, poses: Floats) -> None:
@@ -150,21 +147,24 @@ class FollowedWriter:
             box = style.box_of(actor)
             self._bottom = box.z - box.extent_z
         color = style.OTHER.color if actor is None else style.color_of(actor)
-        self._stream.log_static(paths.SPEED, rr.SeriesLines(colors=[color], names=["km/h"], widths=[2.0]))
         self._stream.log_static(paths.trail(self._id), rr.LineStrips3D.from_fields(colors=[color], radii=[_TRAIL]))
         self._stream.log_static(paths.MAP_FOLLOWED, rr.Points2D.from_fields(colors=[color], radii=screen_radii(_RADIUS)))
 
-    def _write_path(self, times: TimeColumns, poses: Floats, velocities: Floats) -> None:
-        """Write the speed and the locations at some times; velocities, in m/s, are NaN if they are not recorded."""
+    def _write_path(self, times: TimeColumns, poses: Floats, velocities: Floats) -> Floats:
+        """Write the speeds and the locations at some times, and return the speeds in m/s.
+
+        Velocities, in m/s, are NaN if they are not recorded.
+        """
         before = self._before or (times.seconds[:1], poses[:1])
         self._before = times.seconds[-1:], poses[-1:]
         seconds, poses = np.concatenate((before[0], times.seconds)), np.concatenate((before[1], poses))
         steps = np.diff(right_handed(poses)[:, LOCATION], axis=0)
         steps[jumps(seconds, poses)[1:]] = 0
         speeds = np.linalg.norm(velocities, axis=1)
-        speeds = np.where(np.isfinite(speeds), speeds, _slopes(steps, np.diff(seconds))) * _KMH
-        self._stream.columns(paths.SPEED, times, rr.Scalars.columns(scalars=speeds))
+        speeds = np.where(np.isfinite(speeds), speeds, _slopes(steps, np.diff(seconds)))
+        self._plots.write_speeds(times, speeds)
         self._write_locations(times, right_handed(poses)[1:, LOCATION], steps)
+        return speeds
 
     def _write_locations(self, times: TimeColumns, locations: Floats, steps: Floats) -> None:
         """Write the location on the map, the ground and the trail.

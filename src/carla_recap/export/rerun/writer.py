@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import warnings
+from concurrent.futures import ThreadPoolExecutor
 from contextlib import nullcontext
 from pathlib import Path
 from typing import TYPE_CHECKING, Final
@@ -11,14 +12,18 @@ import rerun as rr
 
 from carla_recap.editing.convert import check_destination
 from carla_recap.errors import RecapError, RecapWarning
+from carla_recap.export.ahead import stop_points
 from carla_recap.export.rerun.actors import MOVERS, ActorWriter
 from carla_recap.export.rerun.blueprint import View, blueprint, first_locations, live_blueprint
 from carla_recap.export.rerun.events import EventWriter
 from carla_recap.export.rerun.followed import FollowedWriter
+from carla_recap.export.rerun.lights import LightAheadWriter, TrafficLightWriter
 from carla_recap.export.rerun.rrd import piped, rbl, send_blueprint
 from carla_recap.export.rerun.stream import Stream, TimeColumns
-from carla_recap.export.rerun.town import TrafficLightWriter, is_elsewhere, write_roads
+from carla_recap.export.rerun.town import is_elsewhere, write_roads
+from carla_recap.model.frame import SAME_TIME
 from carla_recap.queries.actors import actors
+from carla_recap.queries.incidents import incidents
 from carla_recap.recording import Recording
 from carla_recap.replay import Played, Player
 from carla_recap.replay.follow import HERO, Follow
@@ -29,9 +34,11 @@ from carla_recap.util.text import readable
 if TYPE_CHECKING:
     from collections.abc import Collection, Iterable
 
+    from carla_recap.export.ahead import StopPoints
     from carla_recap.formats.base import Reader
     from carla_recap.maps import RoadMap
     from carla_recap.model.frame import Frame, Header
+    from carla_recap.queries.incidents import Incident
     from carla_recap.replay import Scene, SceneBatch
     from carla_recap.replay.player import Progress
 
@@ -58,6 +65,7 @@ class SceneWriter:
         followed: The actor that the camera follows, if any.
         road_map: The map of the town.
         cameras: Ids of other actors that get the axes of a camera.
+        stops: The points at which traffic lights stop cars; see `carla_recap.export.ahead`. More may be added later.
     """
 
     def __init__(
@@ -67,8 +75,10 @@ class SceneWriter:
         followed: int | None = None,
         road_map: RoadMap | None = None,
         cameras: Iterable[int] = (),
+        stops: StopPoints | None = None,
     ) -> None:
         self._stream = Stream(stream)
+        self._stops = {} if stops is None else stops
         self._has_roads = road_map is not None
         if road_map is not None:
             write_roads(self._stream, road_map)
@@ -76,6 +86,7 @@ class SceneWriter:
         self._lights = TrafficLightWriter(self._stream)
         self._events = EventWriter(self._stream)
         self._followed: FollowedWriter | None = None
+        self._ahead: LightAheadWriter | None = None
         if followed is not None:
             self.follow(followed)
 
@@ -83,7 +94,10 @@ class SceneWriter:
         """Follow another actor from the next scene on."""
         if self._followed is not None:
             self._followed.flush()
+        if self._ahead is not None:
+            self._ahead.flush()
         self._actors.follow(id)
+        self._ahead = LightAheadWriter(self._stream, id, self._stops)
         self._followed = FollowedWriter(self._stream, id, ground=not self._has_roads)
 
     def write(self, batch: SceneBatch) -> None:
@@ -94,6 +108,12 @@ class SceneWriter:
         self._events.write(batch, times)
         if self._followed is not None:
             self._followed.write(batch, times)
+        if self._ahead is not None:
+            self._ahead.write(batch, times)
+
+    def write_incidents(self, found: Iterable[Incident]) -> None:
+        """Write the hard braking and the long stops that began during the scenes so far."""
+        self._events.write_incidents(found)
 
     def flush(self) -> None:
         """Write what is held back."""
@@ -102,6 +122,8 @@ class SceneWriter:
         self._events.flush()
         if self._followed is not None:
             self._followed.flush()
+        if self._ahead is not None:
+            self._ahead.flush()
 
     def close(self) -> None:
         """Write what is held back, and what is known only at the end.
@@ -141,13 +163,24 @@ def write(
     if road_map is not None and is_elsewhere(road_map, first_locations(player)):
         warnings.warn(f"{road_map.name}: no actor is near this map, which is left out", RecapWarning, stacklevel=2)
         road_map = None
-    writer = SceneWriter(stream, followed=player.followed, road_map=road_map, cameras=cameras)
+    writer = SceneWriter(stream, followed=player.followed, road_map=road_map, cameras=cameras, stops=stop_points(reader))
     count = 0
-    for batch in player.batches(progress):
-        writer.write(batch)
-        count += len(batch)
+    with ThreadPoolExecutor(1, "carla-recap-incidents") as pool:  # which takes a fifth of the time of all the rest
+        found = pool.submit(_incidents, player)
+        for batch in player.batches(progress):
+            writer.write(batch)
+            count += len(batch)
+        writer.write_incidents(found.result())
     writer.close()
     return Played(count, player.stop - player.start)
+
+
+def _incidents(player: Player) -> Iterable[Incident]:
+    """Return the incidents while a recording is played; none if it is damaged elsewhere."""
+    try:
+        return incidents(player.reader, collisions=False, start=player.start, stop=player.stop + 2 * SAME_TIME)
+    except RecapError:
+        return []
 
 
 def export_rerun(

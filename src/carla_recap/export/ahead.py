@@ -1,0 +1,120 @@
+"""The traffic light that an actor drives towards."""
+
+from __future__ import annotations
+
+import math
+from collections import defaultdict
+from typing import TYPE_CHECKING, Final
+
+import numpy as np
+
+from carla_recap.replay.pose import LOCATION, YAW, right_handed
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping
+
+    from numpy.typing import NDArray
+
+    from carla_recap.formats.base import Reader
+    from carla_recap.replay import SceneBatch
+
+    Floats = NDArray[np.float64]
+    Indices = NDArray[np.intp]
+    StopPoints = Mapping[int, Floats]
+
+NO_LIGHT: Final = -1
+
+_REACH: Final = 60.0  # m; lights farther away are not ahead
+_PASSED: Final = 2.0  # m behind the stop line up to which its light is still ahead
+_WIDTH: Final = 2.2  # m from the middle of a lane to its edge, and a little more
+_SPREAD: Final = 0.1  # m to the side for each metre ahead, because roads bend
+_CONE: Final = math.tan(math.radians(25))  # without stop lines: the same for the light itself
+_FACING: Final = math.cos(math.radians(60))
+_ACROSS: Final = math.radians(90)  # the heading of the lane, from that of its light
+_EARLY: Final = 1.0  # s from the first spawns until their volumes are recorded
+
+
+def stop_points(reader: Reader) -> dict[int, Floats]:
+    """Return the points on the lanes at which traffic lights stop cars, if they are recorded: by id, (n, 3) in m.
+
+    They are the centres of the trigger volumes at the start of a recording.
+
+    Raises:
+        FormatError: The file contradicts its format.
+    """
+    points = defaultdict(list)
+    for frame in reader.frames(("trigger_volumes",), sparse=True, stop=_EARLY):
+        for id, x, y, z, *_ in frame["trigger_volumes"].tolist():
+            points[id].append((x, y, z))
+    return {
+        id: right_handed(np.pad(np.array(each, np.float64), ((0, 0), (0, 3))))[:, LOCATION] for id, each in points.items()
+    }
+
+
+class LightsAhead:
+    """Finds the light ahead: the nearest one whose stop line is in front of the actor, on its lane.
+
+    Of a light without a known stop line, its own location counts, if the light faces the actor.
+
+    Args:
+        stops: See `stop_points`.
+    """
+
+    def __init__(self, stops: StopPoints) -> None:
+        self._stops = stops
+        self._ids = b""
+        self._rows: Indices = np.zeros(0, np.intp)  # of the light of each point
+        self._points: Floats = np.zeros((0, 2))
+        self._headings: Floats = np.zeros(0)  # of the lane before a light without stop line; NaN for one with
+        self._is_stop: NDArray[np.bool_] = np.zeros(0, np.bool_)
+
+    def find(self, batch: SceneBatch, poses: Floats) -> Indices:
+        """Return the position of the light ahead in `batch.light_states` for each scene; `NO_LIGHT` without one.
+
+        Args:
+            batch: The scenes.
+            poses: The poses of the actor, in m and degrees, right-handed, (scenes, 6); NaN where it has none.
+        """
+        ids = batch.light_states["id"][0]
+        if ids.tobytes() != self._ids:
+            self._ids = ids.tobytes()
+            self._locate(batch, ids.tolist())
+        found = np.full(len(poses), NO_LIGHT)
+        known = np.flatnonzero(np.isfinite(poses).all(axis=1))
+        if not len(known) or not len(self._points):
+            return found
+        low, high = poses[known, :2].min(axis=0) - _REACH, poses[known, :2].max(axis=0) + _REACH
+        near = np.flatnonzero(((self._points >= low) & (self._points <= high)).all(axis=1))
+        if not len(near):
+            return found
+        away = self._points[near] - poses[known, None, :2]
+        yaw = np.radians(poses[known, YAW, None])
+        cos, sin = np.cos(yaw), np.sin(yaw)
+        forward, aside = away[..., 0] * cos + away[..., 1] * sin, np.abs(away[..., 1] * cos - away[..., 0] * sin)
+        is_stop = self._is_stop[near]
+        on_lane = (forward > -_PASSED) & (aside < _WIDTH + _SPREAD * np.abs(forward))
+        facing = (forward > 0) & (aside < _WIDTH + _CONE * forward) & (np.cos(yaw - self._headings[near]) > _FACING)
+        forward[~((forward < _REACH) & np.where(is_stop, on_lane, facing))] = np.inf
+        best = forward.argmin(axis=1)
+        there = np.isfinite(forward[np.arange(len(known)), best])
+        found[known[there]] = self._rows[near[best[there]]]
+        return found
+
+    def _locate(self, batch: SceneBatch, ids: list[int]) -> None:
+        rows, points, headings, is_stop = [], [], [], []
+        for row, id in enumerate(ids):
+            pose = batch.pose_of(id, 0)
+            if id in self._stops:
+                each, heading = self._stops[id][:, :2], math.nan
+            elif pose is not None:
+                moved = right_handed(pose)
+                each, heading = moved[None, :2], math.radians(moved[YAW]) + _ACROSS
+            else:
+                continue
+            rows += [row] * len(each)
+            points.append(each)
+            headings += [heading] * len(each)
+            is_stop += [id in self._stops] * len(each)
+        finite = np.isfinite(np.concatenate(points)).all(axis=1) if points else np.zeros(0, np.bool_)
+        self._rows, self._points = np.array(rows, np.intp)[finite], np.concatenate([np.zeros((0, 2)), *points])[finite]
+        self._headings, self._is_stop = np.array(headings)[finite], np.array(is_stop, np.bool_)[finite]

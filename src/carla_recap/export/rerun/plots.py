@@ -1,0 +1,103 @@
+"""Plots of the followed actor: its speed, its acceleration and its controls."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Final
+
+import numpy as np
+import rerun as rr
+from numpy.lib.stride_tricks import sliding_window_view
+
+from carla_recap.export.rerun import paths
+from carla_recap.export.rerun.stream import TimeColumns
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+    from carla_recap.export.rerun.stream import Stream
+    from carla_recap.export.style import Color
+
+    Floats = NDArray[np.float64]
+
+CONTROLS: Final = ("throttle", "brake", "steer")
+"""The recorded controls that are plotted."""
+
+THROTTLE: Final[Color] = (90, 200, 120)
+BRAKE: Final[Color] = (240, 90, 80)
+STEER: Final[Color] = (130, 170, 255)
+SPEED: Final[Color] = (255, 190, 80)
+ACCELERATION: Final[Color] = (205, 150, 240)
+
+_KMH: Final = 3.6  # in a m/s
+_SPAN: Final = 0.3  # s, over which the acceleration is a mean
+_LONGEST: Final = 1.0  # s; over a longer step there is no acceleration
+_STANDSTILL: Final = 0.1  # m/s
+_HELD: Final = 1.0  # s for which a brake counts as held at a standstill
+_MOST_HELD: Final = 200  # the same in frames, at most
+
+
+class PlotWriter:
+    """Writes the plots of an actor.
+
+    The controls are written as recorded. Pedals at a standstill chatter, as drivers are programmed; what is shown instead is
+    the brake as held for a second after each time, and no throttle meanwhile.
+
+    Args:
+        stream: The stream.
+    """
+
+    def __init__(self, stream: Stream) -> None:
+        self._stream = stream
+        self._times = TimeColumns.of_points(())  # of the last rows, before which accelerations are known
+        self._speeds: Floats = np.zeros(0)
+        self._brakes: Floats = np.zeros(0)  # of the last rows
+        colors = [THROTTLE, BRAKE, STEER]
+        stream.log_static(paths.CONTROLS, rr.SeriesLines(colors=colors, names=CONTROLS, widths=[1.5] * len(colors)))
+        names = ["throttle, none while the brake is held", "brake, held at a standstill"]
+        stream.log_static(paths.PEDALS, rr.SeriesLines(colors=colors[:2], names=names, widths=[2.0] * 2))
+        stream.log_static(paths.SPEED, rr.SeriesLines(colors=[SPEED], names=["km/h"], widths=[2.0]))
+        stream.log_static(paths.ACCELERATION, rr.SeriesLines(colors=[ACCELERATION], names=["m/s²"], widths=[1.5]))
+
+    def write_speeds(self, times: TimeColumns, speeds: Floats) -> None:
+        """Write the speeds at some times, in m/s, and the accelerations between them."""
+        self._stream.columns(paths.SPEED, times, rr.Scalars.columns(scalars=speeds * _KMH))
+        held = len(self._speeds)
+        times = TimeColumns.joined([self._times, times])
+        speeds = np.concatenate((self._speeds, speeds))
+        seconds = times.seconds
+        last = np.arange(max(held, 1), len(seconds))
+        first = np.clip(np.searchsorted(seconds, seconds[last] - _SPAN), 0, last - 1)
+        spans = seconds[last] - seconds[first]
+        usable = (spans > 0) & (spans <= _LONGEST)
+        first, last, spans = first[usable], last[usable], spans[usable]
+        changes = (speeds[last] - speeds[first]) / spans
+        self._stream.columns(paths.ACCELERATION, times.take((first + last + 1) // 2), rr.Scalars.columns(scalars=changes))
+        kept = slice(int(np.searchsorted(seconds, seconds[-1] - _SPAN)) if len(seconds) else 0, None)
+        self._times, self._speeds = times.take(kept), speeds[kept]
+
+    def write_controls(self, times: TimeColumns, controls: Floats, speeds: Floats) -> None:
+        """Write recorded controls.
+
+        Args:
+            times: The times.
+            controls: The `CONTROLS` at these, (times, 3).
+            speeds: The speeds, in m/s; NaN where they are unknown.
+        """
+        if not len(controls):
+            return
+        (column,) = rr.Scalars.columns(scalars=controls.ravel())
+        self._stream.columns(paths.CONTROLS, times, [column.partition(np.full(len(controls), controls.shape[1]))])
+        shown = self._shown(times.seconds, controls, speeds)
+        (column,) = rr.Scalars.columns(scalars=shown.ravel())
+        self._stream.columns(paths.PEDALS, times, [column.partition(np.full(len(shown), shown.shape[1]))])
+
+    def _shown(self, seconds: Floats, controls: Floats, speeds: Floats) -> Floats:
+        """Return the throttle and the brake without the chatter at a standstill, (times, 2)."""
+        throttle, brake = controls[:, 0], controls[:, 1]
+        step = float(np.median(np.diff(seconds))) if len(seconds) > 1 else _HELD
+        rows = int(np.clip(_HELD / step, 1, _MOST_HELD)) if step > 0 else 1
+        before = np.concatenate((np.zeros(rows), self._brakes))[-rows:]
+        recent = sliding_window_view(np.concatenate((before, brake)), rows + 1).max(axis=1)
+        self._brakes = np.concatenate((self._brakes, brake))[-_MOST_HELD:]
+        held = (speeds < _STANDSTILL) & (recent > 0)
+        return np.stack((np.where(held, 0.0, throttle), np.where(held, recent, brake)), axis=1)
