@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from collections import defaultdict
 from typing import TYPE_CHECKING, Final
 
 import numpy as np
@@ -16,6 +15,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from carla_recap.formats.base import Reader
+    from carla_recap.model.frame import Frame
     from carla_recap.replay import SceneBatch
 
     Floats = NDArray[np.float64]
@@ -42,13 +42,20 @@ def stop_points(reader: Reader) -> dict[int, Floats]:
     Raises:
         FormatError: The file contradicts its format.
     """
-    points = defaultdict(list)
+    stops: dict[int, Floats] = {}
     for frame in reader.frames(("trigger_volumes",), sparse=True, stop=_EARLY):
-        for id, x, y, z, *_ in frame["trigger_volumes"].tolist():
-            points[id].append((x, y, z))
-    return {
-        id: right_handed(np.pad(np.array(each, np.float64), ((0, 0), (0, 3))))[:, LOCATION] for id, each in points.items()
-    }
+        add_stop_points(stops, frame)
+    return stops
+
+
+def add_stop_points(stops: dict[int, Floats], frame: Frame) -> None:
+    """Add those of a frame; see `stop_points`."""
+    volumes = frame["trigger_volumes"]
+    for id in np.unique(volumes["id"]).tolist() if len(volumes) else ():
+        of_it = volumes[volumes["id"] == id]
+        poses = np.zeros((len(of_it), 6))
+        poses[:, LOCATION] = np.stack([of_it[axis] for axis in "xyz"], axis=1)
+        stops[id] = right_handed(poses)[:, LOCATION]
 
 
 class LightsAhead:

@@ -17,6 +17,14 @@ Color = tuple[int, int, int]
 """Red, green, blue, from 0 to 255."""
 
 BACKGROUND: Final[Color] = (20, 22, 28)
+MAP: Final[Color] = (24, 28, 36)
+"""The background of a map from above."""
+MAP_ROAD: Final[Color] = (66, 74, 90)
+MAP_LINE: Final[Color] = (96, 106, 124)
+LANE: Final = 4.0  # m; the width of a lane on the map, which is wider than most, so that no gaps are between them
+HORIZON: Final[Color] = (208, 222, 236)
+"""The sky at the horizon."""
+ZENITH: Final[Color] = (98, 146, 204)
 HERO: Final[Color] = (255, 176, 32)
 COLLISION: Final[Color] = (255, 64, 64)
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 import re
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Final
 
@@ -37,6 +37,7 @@ class RoadMap:
         junctions: The outlines of junctions, as closed lines.
         crossings: Pedestrian crossings, as closed lines.
         stop_lines: Lines across the lanes at lights and stop signs.
+        opendrive: The text of the file, from which its surfaces are made.
     """
 
     name: str
@@ -45,6 +46,7 @@ class RoadMap:
     junctions: list[Floats]
     crossings: list[Floats]
     stop_lines: list[Floats]
+    opendrive: str = field(default="", repr=False)
 
 
 def load_map(path: Path | str) -> RoadMap:
@@ -58,10 +60,11 @@ def load_map(path: Path | str) -> RoadMap:
         MissingExtra: CARLA's client library is not installed.
     """
     path = Path(path)
-    lines = unpack(parse_in_child("carla_recap.maps.drawing", path, read_content(path)))
+    content = read_content(path)
+    lines = unpack(parse_in_child("carla_recap.maps.drawing", path, content))
     if not lines["centre_lines"]:
         raise FormatError(path, None, "an OpenDRIVE map was expected, and no lane for cars is in it")
-    return RoadMap(path.stem, **lines)
+    return RoadMap(path.stem, **lines, opendrive=content.decode("utf-8", "replace"))
 
 
 def find_map(map_name: str, folder: Path | str | None = None) -> Path | None:

@@ -13,8 +13,9 @@ except ImportError:
     raise MissingExtra("an export to Rerun", "rerun") from None
 
 from carla_recap.export.rerun.blueprint import View, blueprint, camera_views, live_blueprint
+from carla_recap.export.rerun.live import LiveView
 from carla_recap.export.rerun.rrd import APPLICATION, Rrd, piped, sent
-from carla_recap.export.rerun.writer import LiveView, export_rerun, write
+from carla_recap.export.rerun.writer import export_rerun, write
 
 __all__ = [
     "APPLICATION",

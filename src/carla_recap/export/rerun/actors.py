@@ -65,6 +65,11 @@ class ActorWriter:
         stream.log_static(paths.WORLD, rr.ViewCoordinates.RIGHT_HAND_Z_UP)
         stream.log_static(paths.MAP_ACTORS, rr.Points2D.from_fields(radii=screen_radii(_RADIUS)))
 
+    @property
+    def extent(self) -> NDArray[np.float64] | None:
+        """The least x and y and the greatest x and y of the actors on the map so far, in m, left-handed."""
+        return self._extent if np.isfinite(self._extent).all() else None
+
     def follow(self, id: int) -> None:
         """Show the name of another actor from now on."""
         self._followed = id

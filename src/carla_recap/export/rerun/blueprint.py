@@ -11,6 +11,7 @@ import rerun.blueprint as rrb
 
 from carla_recap.export import style
 from carla_recap.export.rerun import paths
+from carla_recap.export.rerun.plots import CONTROLS
 from carla_recap.export.rerun.stream import FRAME, SIM_TIME
 from carla_recap.model.records import CM
 from carla_recap.replay import Player, camera, right_handed
@@ -29,6 +30,8 @@ View = Literal["chase", "top"]
 _TRAIL: Final = 4.0  # s; the time for which the trail is shown
 _TRAIL_FRAMES: Final = 80  # the same in frames
 _MIN_RADIUS: Final = 30.0  # m; of what an overview shows
+_ACCELERATIONS: Final = (-10.0, 6.0)  # m/s²; those of a collision are beyond
+_EYE_SPEED: Final = 20.0  # m/s, by the keyboard
 
 
 def blueprint(player: Player, *, view: View = "chase", followed: int | None = None) -> rrb.Blueprint:
@@ -52,28 +55,26 @@ def arranged(cameras: Mapping[View, rrb.Spatial3DView], view: View, ego: int | N
         ego: The actor that has plots, if any.
         live: Whether frames are still being added: the viewer then shows the latest one.
     """
-    beside: list[rrb.View | rrb.Container] = [
-        rrb.Spatial2DView(origin=paths.MAP, name="Map", background=[*style.BACKGROUND, 255])
-    ]
+    log = rrb.TextLogView(
+        origin=paths.EVENTS,
+        name="Events",
+        columns=rrb.TextLogColumns(timeline_columns=[SIM_TIME], text_log_columns=["loglevel", "body"]),
+    )
+    all_lights = rrb.StateTimelineView(origin=paths.STATES, name="All traffic lights")
+    lights: rrb.View | rrb.Container = all_lights
     if ego is not None:
-        beside.append(rrb.Vertical(*_plots(ego)))
+        ahead = rrb.StateTimelineView(origin=paths.LIGHT_AHEAD, name=f"Light ahead of {ego}")
+        lights = rrb.Tabs(ahead, all_lights)
+    scene = rrb.Vertical(
+        rrb.Tabs(*cameras.values(), active_tab=list(cameras).index(view)),
+        rrb.Horizontal(lights, log, column_shares=[2, 3]),
+        row_shares=[4, 1],
+    )
+    beside: list[rrb.View | rrb.Container] = [rrb.Spatial2DView(origin=paths.MAP, name="Map", background=[*style.MAP, 255])]
+    if ego is not None:
+        beside += _plots(ego)
     return rrb.Blueprint(
-        rrb.Vertical(
-            rrb.Horizontal(
-                rrb.Tabs(*cameras.values(), active_tab=list(cameras).index(view)),
-                rrb.Vertical(*beside),
-                column_shares=[5, 2],
-            ),
-            rrb.Horizontal(
-                rrb.StateTimelineView(origin=paths.STATES, name="Traffic lights"),
-                rrb.TextLogView(
-                    origin=paths.EVENTS,
-                    name="Events",
-                    columns=rrb.TextLogColumns(timeline_columns=[SIM_TIME], text_log_columns=["loglevel", "body"]),
-                ),
-            ),
-            row_shares=[3, 1],
-        ),
+        rrb.Horizontal(scene, rrb.Vertical(*beside, row_shares=[2] + [1] * (len(beside) - 1)), column_shares=[3, 1]),
         rrb.BlueprintPanel(state="collapsed"),
         rrb.SelectionPanel(state="collapsed"),
         rrb.TimePanel(state="collapsed", timeline=SIM_TIME, play_state="following" if live else "playing"),
@@ -129,17 +130,25 @@ def follow_views(axes: str, suffix: str, ego: int | None) -> dict[View, rrb.Spat
     }
 
 
-def _plots(id: int) -> tuple[rrb.TimeSeriesView, rrb.TimeSeriesView]:
+def _plots(id: int) -> list[rrb.View]:
     no_legend = rrb.PlotLegend(visible=False)  # it would cover the lines
-    return (
+    return [
         rrb.TimeSeriesView(origin=paths.SPEED, name=f"Speed of {id} (km/h)", plot_legend=no_legend),
         rrb.TimeSeriesView(
-            origin=paths.CONTROLS,
+            origin=paths.ACCELERATION,
+            name="Acceleration (m/s²)",
+            axis_y=rrb.ScalarAxis(range=_ACCELERATIONS),
+            plot_legend=no_legend,
+        ),
+        rrb.TimeSeriesView(
+            origin=paths.EGO,
+            contents=[paths.CONTROLS, paths.PEDALS],
+            overrides={paths.CONTROLS: rr.SeriesLines(visible_series=[name == "steer" for name in CONTROLS])},
             name="Throttle (green), brake (red), steer (blue)",
             axis_y=rrb.ScalarAxis(range=(-1.05, 1.05)),
             plot_legend=no_legend,
         ),
-    )
+    ]
 
 
 def _view(
@@ -162,9 +171,9 @@ def _view(
         origin=origin,
         contents=f"{paths.WORLD}/**",
         name=name,
-        background=[*style.BACKGROUND, 255],
+        background=[*style.HORIZON, 255],
         line_grid=False,
-        eye_controls=rrb.EyeControls3D(position=position, look_target=target, eye_up=up),
+        eye_controls=rrb.EyeControls3D(position=position, look_target=target, eye_up=up, speed=_EYE_SPEED),
         overrides={paths.trail(ego): trail} if ego is not None else None,
     )
 

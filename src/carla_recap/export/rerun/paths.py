@@ -27,6 +27,7 @@ LIGHT_AHEAD: Final = "/ego/light_ahead"
 
 MAP: Final = "/map"
 MAP_ROADS: Final = "/map/roads"
+MAP_BORDERS: Final = "/map/borders"
 MAP_ACTORS: Final = "/map/actors"
 MAP_EDGE: Final = "/map/edge"
 MAP_FOLLOWED: Final = "/map/followed"

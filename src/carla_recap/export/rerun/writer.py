@@ -8,26 +8,26 @@ from contextlib import nullcontext
 from pathlib import Path
 from typing import TYPE_CHECKING, Final
 
+import numpy as np
 import rerun as rr
 
 from carla_recap.editing.convert import check_destination
 from carla_recap.errors import RecapError, RecapWarning
 from carla_recap.export.ahead import stop_points
 from carla_recap.export.rerun.actors import MOVERS, ActorWriter
-from carla_recap.export.rerun.blueprint import View, blueprint, first_locations, live_blueprint
+from carla_recap.export.rerun.blueprint import View, blueprint, first_locations
 from carla_recap.export.rerun.events import EventWriter
 from carla_recap.export.rerun.followed import FollowedWriter
 from carla_recap.export.rerun.lights import LightAheadWriter, TrafficLightWriter
-from carla_recap.export.rerun.rrd import piped, rbl, send_blueprint
+from carla_recap.export.rerun.rrd import piped, rbl
 from carla_recap.export.rerun.stream import Stream, TimeColumns
-from carla_recap.export.rerun.town import is_elsewhere, write_roads
+from carla_recap.export.rerun.town import is_elsewhere, write_map, write_sky, write_town
 from carla_recap.model.frame import SAME_TIME
 from carla_recap.queries.actors import actors
 from carla_recap.queries.incidents import incidents
 from carla_recap.recording import Recording
+from carla_recap.rendering.town import town_mesh_of
 from carla_recap.replay import Played, Player
-from carla_recap.replay.follow import HERO, Follow
-from carla_recap.replay.player import LiveScenes
 from carla_recap.util.files import WholeFile, check_folder, new_folder
 from carla_recap.util.text import readable
 
@@ -37,9 +37,11 @@ if TYPE_CHECKING:
     from carla_recap.export.ahead import StopPoints
     from carla_recap.formats.base import Reader
     from carla_recap.maps import RoadMap
-    from carla_recap.model.frame import Frame, Header
+    from carla_recap.model.frame import Header
     from carla_recap.queries.incidents import Incident
-    from carla_recap.replay import Scene, SceneBatch
+    from carla_recap.rendering.town import TownMesh
+    from carla_recap.replay import SceneBatch
+    from carla_recap.replay.follow import Follow
     from carla_recap.replay.player import Progress
 
 MOST_CAMERAS: Final = 500
@@ -57,6 +59,17 @@ def describe(stream: rr.RecordingStream, header: Header, name: str, source: str)
     stream.send_property("recording", about)
 
 
+def town_of(road_map: RoadMap) -> TownMesh | None:
+    """Return the surfaces of a map; None if they cannot be made."""
+    if not road_map.opendrive:
+        return None
+    try:
+        return town_mesh_of(road_map.opendrive, road_map.name)
+    except RecapError as error:
+        warnings.warn(f"the roads have no surfaces: {error}", RecapWarning, stacklevel=2)
+        return None
+
+
 class SceneWriter:
     """Writes scenes: the actors, the traffic lights, the events, and what is shown of the followed actor.
 
@@ -66,6 +79,7 @@ class SceneWriter:
         road_map: The map of the town.
         cameras: Ids of other actors that get the axes of a camera.
         stops: The points at which traffic lights stop cars; see `carla_recap.export.ahead`. More may be added later.
+        live: Whether all roads are on the map from the start on, and not only at the end those around the actors.
     """
 
     def __init__(
@@ -76,12 +90,20 @@ class SceneWriter:
         road_map: RoadMap | None = None,
         cameras: Iterable[int] = (),
         stops: StopPoints | None = None,
+        live: bool = False,
     ) -> None:
+        self._live = live
         self._stream = Stream(stream)
         self._stops = {} if stops is None else stops
         self._has_roads = road_map is not None
-        if road_map is not None:
-            write_roads(self._stream, road_map)
+        self._road_map = road_map
+        town = None if road_map is None else town_of(road_map)
+        if town is not None:
+            write_town(self._stream, town)
+        if live and road_map is not None:
+            write_map(self._stream, road_map)
+        if town is None:
+            write_sky(self._stream, np.zeros(3), 0.0)
         self._actors = ActorWriter(self._stream, followed, roads=self._has_roads, cameras=cameras)
         self._lights = TrafficLightWriter(self._stream)
         self._events = EventWriter(self._stream)
@@ -133,6 +155,8 @@ class SceneWriter:
         """
         self.flush()
         self._actors.close()
+        if self._road_map is not None and not self._live:
+            write_map(self._stream, self._road_map, self._actors.extent)
 
 
 def write(
@@ -247,63 +271,3 @@ def _filmed(player: Player) -> list[int]:
             f"{player.reader.path}: only {MOST_CAMERAS} of {len(ids)} actors get a camera", RecapWarning, stacklevel=3
         )
     return list(ids)[:MOST_CAMERAS]
-
-
-class LiveView:
-    """Shows frames as they come.
-
-    Args:
-        stream: The stream, whose blueprint is that of `live_blueprint`.
-        header: The header of the recording.
-        source: The origin of the frames.
-        follow: The actor that the camera follows as soon as it is present: an id, or "hero".
-        view: The camera that is shown first.
-        road_map: The map of the town.
-    """
-
-    def __init__(
-        self,
-        stream: rr.RecordingStream,
-        header: Header,
-        source: str,
-        *,
-        follow: Follow = HERO,
-        view: View = "chase",
-        road_map: RoadMap | None = None,
-    ) -> None:
-        self._stream = stream
-        self._follow = follow
-        self._view: View = view
-        self._followed: int | None = None
-        self._scenes = LiveScenes()
-        describe(stream, header, f"{header.map_name}, live", source)
-        self._writer = SceneWriter(stream, road_map=road_map)
-
-    def enter(self, frame: Frame) -> None:
-        """Add a frame."""
-        scene = self._scenes.scene(frame)
-        if self._followed not in scene.actors:
-            self._find_followed(scene)
-        self._writer.write(scene.batch)
-
-    def flush(self) -> None:
-        """Show all frames that were added."""
-        self._writer.flush()
-
-    def close(self) -> None:
-        """Show all frames that were added, and what is known only at the end.
-
-        Warns:
-            RecapWarning: There were too many actors to show all of them.
-        """
-        self._writer.close()
-
-    def _find_followed(self, scene: Scene) -> None:
-        if self._follow == HERO:
-            found = next((id for id, actor in scene.actors.items() if actor.is_hero), None)
-        else:
-            found = self._follow if self._follow in scene.actors else None
-        if found is not None and found != self._followed:
-            self._followed = found
-            self._writer.follow(found)
-            send_blueprint(live_blueprint(view=self._view, followed=found), self._stream)
