@@ -315,15 +315,32 @@ def test_lights_change_as_recorded(crossing) -> None:
 
 def test_a_contact_is_one_marker_and_one_line(crossing) -> None:
     first = list(crossing.recording.collisions())
-    levels = crossing.rrd.rows("/events", "TextLog:level")
-    texts = crossing.rrd.rows("/events", "TextLog:text")
-    told = [(time, text) for (time, (level,)), (_, (text,)) in zip(levels, texts, strict=True) if level in ("WARN", "ERROR")]
+    told = [(time, text) for time, (text,) in crossing.rrd.rows("/events", "TextLog:text") if "collides" in text]
     assert [time for time, _ in told] == pytest.approx([row.elapsed for row in first])
     assert told[1][1] == f"vehicle.tesla.model3 ({HERO}) collides with vehicle.audi.a2 ({BLOCKING})"
     begins = [time for time, _ in told]
-    assert [start for start, _ in crossing.rrd.rows("/world/collisions", "Points3D:positions")] == begins
+    marks = crossing.rrd.rows("/world/collisions", "LineStrips3D:strips")
+    assert [time for time, _ in marks[:2]] == begins
     stops = [stop for stop, _ in crossing.rrd.rows("/world/collisions", "Clear:is_recursive")]
-    assert stops == pytest.approx([time + 2 for time in begins])
+    assert stops == pytest.approx([begins[1] + 5])
+    heights = [point[2] for strip in marks[0][1] for point in strip]
+    assert max(heights) < 0.2
+
+
+def test_hard_braking_and_long_stops_are_in_the_log(crossing) -> None:
+    found = crossing.recording.incidents()
+    expected = [(incident.start, incident.text) for incident in found if incident.kind != "collision"]
+    assert {incident.kind for incident in found} > {"hard braking"}
+    texts = crossing.rrd.rows("/events", "TextLog:text")
+    told = [(time, text) for time, (text,) in texts if "brakes hard" in text or "stands still" in text]
+    assert told == [(pytest.approx(time), text) for time, text in expected]
+
+
+def test_incidents_outside_of_the_exported_part_are_left_out(crossing, tmp_path: Path) -> None:
+    (hard,) = [incident.start for incident in crossing.recording.incidents() if incident.kind == "hard braking"]
+    for start, expected in ((hard - 2, [pytest.approx(hard)]), (hard + 3, [])):
+        rrd = export(CROSSING, tmp_path / "part.rrd", start=start, duration=5, force=True)
+        assert [time for time, (text,) in rrd.rows("/events", "TextLog:text") if "brakes hard" in text] == expected
 
 
 def test_many_events_at_once_are_counted(crossing) -> None:
@@ -368,9 +385,12 @@ def test_real_recordings(name: str, view: str, tmp_path: Path) -> None:
             ]
     assert len(lights) == 36
     assert Arrangement(path).active_tab == view.capitalize()
-    assert len(rrd.static["/world/map/lane_borders"]["LineStrips3D:strips"]) == len(roads.lane_borders)
-    assert rrd.static["/map/roads"]["LineStrips2D:strips"][0][0] == pytest.approx(roads.lane_borders[0][0, :2] * (1, -1))
-    assert "/world/ground" not in rrd.entities
+    points = np.concatenate(rrd.static["/map/roads"]["LineStrips2D:strips"])
+    lines = np.concatenate(roads.centre_lines)[:, :2] * (1, -1)
+    assert 0 < len(points) <= len(lines)
+    assert np.abs(lines - points[0]).sum(axis=1).min() < 1e-3
+    assert ("/world/ground" in rrd.entities) == (roads is ROADS)
+    assert ("/world/map/roads" in rrd.entities) == (roads is not ROADS)
 
 
 # --- special recordings ---------------------------------------------------------------------------------------
@@ -555,11 +575,12 @@ def test_only_the_latest_of_many_contacts_are_marked(tmp_path: Path) -> None:
     contacts = [(id, id, style.NOTHING, 0, 0) for id in range(1, 201)]
     there = [pose(id, 100 * id) for id in range(1, 201)]
     frames = [{"transforms": there, "spawned": [spawn(id) for id in range(1, 201)], "collisions": contacts}]
-    rrd = export(write(tmp_path / "crash.log", [*frames, {}, {}]), tmp_path / "crash.rrd")
-    ((time, places),) = rrd.rows("/world/collisions", "Points3D:positions")
+    rrd = export(write(tmp_path / "crash.log", [*frames, *({} for _ in range(6))]), tmp_path / "crash.rrd")
+    ((time, strips),) = rrd.rows("/world/collisions", "LineStrips3D:strips")
     assert time == 0
-    assert [place[0] for place in places[::2]] == pytest.approx(range(151, 201))
-    assert rrd.at("/world/collisions", "Points3D:positions", 2) is None
+    rings = [np.array(strip) for strip in strips if len(strip) > 2]
+    assert [(ring[:, 0].min() + ring[:, 0].max()) / 2 for ring in rings] == pytest.approx(range(151, 201), abs=1e-4)
+    assert rrd.at("/world/collisions", "LineStrips3D:strips", 5) is None
     assert len(rrd.rows("/events", "TextLog:text")) == 201
 
 
@@ -604,12 +625,10 @@ def test_a_map_of_another_town_is_left_out(tmp_path: Path) -> None:
     near = driven(2, spawned=[spawn(1, role_name="hero")])
     far = [{"transforms": [pose(1, 1e5)], "spawned": near[0]["spawned"]}]
     rrd = export(write(tmp_path / "near.log", near), tmp_path / "near.rrd", road_map=ROADS)
-    assert "/world/map/lane_borders" in rrd.entities
-    assert "/world/ground" not in rrd.entities
+    assert "/map/roads" in rrd.entities
     with pytest.warns(RecapWarning, match="Hand: no actor is near this map, which is left out"):
         rrd = export(write(tmp_path / "far.log", far), tmp_path / "far.rrd", road_map=ROADS)
-    assert "/world/map/lane_borders" not in rrd.entities
-    assert "/world/ground" in rrd.entities
+    assert "/map/roads" not in rrd.entities
 
 
 # --- bad input ---------------------------------------------------------------------------------------------
@@ -722,3 +741,47 @@ def test_a_blueprint_for_any_actor(tmp_path: Path) -> None:
     assert Arrangement(tmp_path / "own.rbl").view("Chase").origin == "/world/chase"
     assert Arrangement(tmp_path / "own.rbl").active_tab == "Top"
     assert Arrangement(tmp_path / "other.rbl").view(f"Chase {HERO}").origin == f"/world/cameras/{HERO}"
+
+
+# --- plots -------------------------------------------------------------------------------------------------
+
+
+def test_the_brake_is_shown_as_held_at_a_standstill(tmp_path: Path) -> None:
+    """The driver of a car that stands presses the brake and the throttle in turn."""
+    frames = []
+    for n in range(40):
+        stands = n >= 20
+        control = (1, 0.0, 0.0 if n % 4 else 0.3, 1.0 if n % 4 else 0.0, 0, 1) if stands else (1, 0.0, 0.3, 0.0, 0, 1)
+        frames.append({"transforms": [pose(1, 100.0 * min(n, 20))], "vehicle_controls": [control]})
+    frames[0]["spawned"] = [spawn(1)]
+    rrd = export(write(tmp_path / "x.log", frames, tick=0.1), tmp_path / "x.rrd")
+    recorded = [value for _, value in rrd.rows("/ego/controls", "Scalars:scalars")]
+    assert [value[1] for value in recorded[24:28]] == [0.0, 1.0, 1.0, 1.0]
+    shown = [value for _, value in rrd.rows("/ego/pedals", "Scalars:scalars")]
+    assert shown[:20] == [pytest.approx([0.3, 0.0])] * 20
+    assert shown[22:] == [[0.0, 1.0]] * 18
+
+
+def test_the_plotted_acceleration_is_that_of_the_speed(tmp_path: Path) -> None:
+    frames = [{"transforms": [pose(1, 100 * n)], "velocities": [velocity(1, x=0.2 * n)]} for n in range(30)]
+    frames[0]["spawned"] = [spawn(1)]
+    rrd = export(write(tmp_path / "x.log", frames, tick=0.1), tmp_path / "x.rrd")
+    times, values = zip(*rrd.rows("/ego/acceleration", "Scalars:scalars"), strict=True)
+    assert np.ravel(values) == pytest.approx(2.0, abs=1e-4)
+    assert times[0] < 0.2
+    assert times[-1] > 2.7
+
+
+# --- the light ahead ---------------------------------------------------------------------------------------
+
+
+def test_the_light_ahead_is_named(crossing) -> None:
+    rows = crossing.rrd.rows("/ego/light_ahead", "StateChange:state")
+    named = [(time, text) for time, (text,) in rows]
+    assert named[0] == (0, "none")
+    red = next(time for time, text in named if text == "light 23: red")
+    states = crossing.recording.light_states(23)
+    assert states.state[np.searchsorted(states.time, red, "right") - 1] == 0
+    (label,) = crossing.rrd.at("/world/ahead", "Points3D:labels", red)
+    assert label == "light 23: red"
+    assert crossing.rrd.at("/world/ahead", "LineStrips3D:strips", 5) is None

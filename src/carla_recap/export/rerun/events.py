@@ -1,4 +1,4 @@
-"""The log of events, and marks in the world where actors collide, one for each contact."""
+"""The log of events, and marks on the ground where actors collide, one for each contact."""
 
 from __future__ import annotations
 
@@ -28,9 +28,12 @@ if TYPE_CHECKING:
 
     Floats = NDArray[np.float64]
 
-_DURATION: Final = 2_000_000_000  # ns; the time for which a contact is marked
-_HEIGHT: Final = 2.5  # m; of a mark above the ground
-_RADIUS: Final = 0.5  # m; of a mark
+_DURATION: Final = 5_000_000_000  # ns; the time for which a contact is marked
+_ABOVE: Final = 0.05  # m; of a mark above the ground
+_RADIUS: Final = 1.1  # m; of a mark
+_CROSS: Final = (0.35, 0.8)  # the ends of the four lines of a mark, as shares of its radius
+_WIDTH: Final = 0.1  # m; of the lines of a mark
+_CORNERS: Final = 24
 _MAX_MARKS: Final = 50  # the number of latest contacts that are marked at a time
 _MAX_LINES: Final = 8192  # the number of lines that are held back
 _LEVELS: Final = {
@@ -99,27 +102,38 @@ class EventWriter:
 
     def _add_mark(self, contact: Collided, batch: SceneBatch, time: TimePoint) -> bool:
         """Add the mark of a contact, and return whether its location is known."""
-        poses = [pose for id in (contact.actor1, contact.actor2) if (pose := batch.pose_of(id, 0)) is not None]
-        if poses:
-            self._marks.append((time.elapsed + _DURATION, right_handed(np.mean(poses, axis=0))[LOCATION]))
-        return bool(poses)
+        locations = [found for id in (contact.actor1, contact.actor2) if (found := _foot(id, batch)) is not None]
+        if locations:
+            self._marks.append((time.elapsed + _DURATION, np.mean(locations, axis=0)))
+        return bool(locations)
 
     def _draw(self, time: TimePoint) -> None:
-        """Show the marks: each one is a ball, and above it a point with the label."""
-        count = len(self._marks)
-        if not count:
+        """Show the marks: each one is a ring on the ground with a cross in it, which hide nothing."""
+        if not self._marks:
             self._stream.clear(paths.COLLISIONS, time)
             return
-        locations = np.repeat([location for _, location in self._marks], 2, axis=0)
-        locations[:, 2] += np.tile((_HEIGHT, _HEIGHT + 2 * _RADIUS), count)
-        self._stream.log(
-            paths.COLLISIONS,
-            time,
-            rr.Points3D(
-                locations,
-                colors=[style.COLLISION],
-                radii=[_RADIUS, 0] * count,
-                labels=["", "collision"] * count,
-                show_labels=True,
-            ),
-        )
+        strips = [location + line for _, location in self._marks for line in _LINES]
+        self._stream.log(paths.COLLISIONS, time, rr.LineStrips3D(strips, colors=[style.COLLISION], radii=[_WIDTH / 2]))
+
+
+def _foot(id: int, batch: SceneBatch) -> Floats | None:
+    """Return the location of an actor on the ground in m, right-handed; None if it is unknown."""
+    pose = batch.pose_of(id, 0)
+    if pose is None or not np.isfinite(pose).all():
+        return None
+    actor = batch.actors.get(id)
+    box = None if actor is None else style.box_of(actor)
+    bottom = 0.0 if box is None else box.z - box.extent_z
+    return np.asarray(right_handed(pose)[LOCATION] + np.array((0, 0, bottom + _ABOVE)))
+
+
+def _mark() -> list[Floats]:
+    """Return the lines of a mark."""
+    turns = np.linspace(0, 2 * np.pi, _CORNERS + 1)
+    lines = [np.stack((np.cos(turns), np.sin(turns), np.zeros(len(turns))), axis=1)]
+    for turn in np.pi * np.array((0.25, 0.75, 1.25, 1.75)):
+        lines += [np.array([(share * np.cos(turn), share * np.sin(turn), 0) for share in _CROSS])]
+    return [_RADIUS * line for line in lines]
+
+
+_LINES: Final = _mark()

@@ -114,6 +114,7 @@ class LightAheadWriter:
         self._stream = stream
         self._id = id
         self._ahead = LightsAhead(stops)
+        self._begun = False
         self._last: tuple[int, int] | None = None  # id and state
         self._changes: list[tuple[TimePoint, str]] = []
         self._colors: dict[str, style.Color] = {_NONE: _NO_COLOR}
@@ -136,7 +137,7 @@ class LightAheadWriter:
             now = None
             if found[row] != NO_LIGHT:
                 now = int(lights["id"][row, found[row]]), int(states[row])
-            if now != self._last:
+            if now != self._last or not self._begun:
                 self._change(now, batch, row, moved[row], times.point(row))
 
     def flush(self) -> None:
@@ -150,12 +151,12 @@ class LightAheadWriter:
     def _change(
         self, now: tuple[int, int] | None, batch: SceneBatch, row: int, pose: NDArray[np.float64], time: TimePoint
     ) -> None:
-        before, self._last = self._last, now
+        before, self._last, self._begun = self._last, now, True
         text, color = _NONE, _NO_COLOR
         if now is not None:
             name, color = style.light(now[1])
             text = f"light {now[0]}: {name}"
-        if text not in self._colors or len(self._colors) == 1:
+        if text not in self._colors or not before:
             self._colors[text] = color
             values = list(self._colors)
             config = rr.StateConfiguration(values=values, colors=list(self._colors.values()))

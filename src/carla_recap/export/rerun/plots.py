@@ -6,7 +6,6 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 import rerun as rr
-from numpy.lib.stride_tricks import sliding_window_view
 
 from carla_recap.export.rerun import paths
 from carla_recap.export.rerun.stream import TimeColumns
@@ -33,7 +32,6 @@ _SPAN: Final = 0.3  # s, over which the acceleration is a mean
 _LONGEST: Final = 1.0  # s; over a longer step there is no acceleration
 _STANDSTILL: Final = 0.1  # m/s
 _HELD: Final = 1.0  # s for which a brake counts as held at a standstill
-_MOST_HELD: Final = 200  # the same in frames, at most
 
 
 class PlotWriter:
@@ -50,7 +48,8 @@ class PlotWriter:
         self._stream = stream
         self._times = TimeColumns.of_points(())  # of the last rows, before which accelerations are known
         self._speeds: Floats = np.zeros(0)
-        self._brakes: Floats = np.zeros(0)  # of the last rows
+        self._brake_seconds: Floats = np.zeros(0)  # of the last rows, within the time for which a brake is held
+        self._brakes: Floats = np.zeros(0)
         colors = [THROTTLE, BRAKE, STEER]
         stream.log_static(paths.CONTROLS, rr.SeriesLines(colors=colors, names=CONTROLS, widths=[1.5] * len(colors)))
         names = ["throttle, none while the brake is held", "brake, held at a standstill"]
@@ -94,10 +93,13 @@ class PlotWriter:
     def _shown(self, seconds: Floats, controls: Floats, speeds: Floats) -> Floats:
         """Return the throttle and the brake without the chatter at a standstill, (times, 2)."""
         throttle, brake = controls[:, 0], controls[:, 1]
-        step = float(np.median(np.diff(seconds))) if len(seconds) > 1 else _HELD
-        rows = int(np.clip(_HELD / step, 1, _MOST_HELD)) if step > 0 else 1
-        before = np.concatenate((np.zeros(rows), self._brakes))[-rows:]
-        recent = sliding_window_view(np.concatenate((before, brake)), rows + 1).max(axis=1)
-        self._brakes = np.concatenate((self._brakes, brake))[-_MOST_HELD:]
-        held = (speeds < _STANDSTILL) & (recent > 0)
-        return np.stack((np.where(held, 0.0, throttle), np.where(held, recent, brake)), axis=1)
+        held = len(self._brakes)
+        all_seconds, brakes = np.concatenate((self._brake_seconds, seconds)), np.concatenate((self._brakes, brake))
+        stops = np.arange(held, len(brakes)) + 1
+        starts = np.minimum(np.searchsorted(all_seconds, seconds - _HELD), stops - 1)
+        ends = np.stack((starts, stops), axis=1).ravel()
+        recent = np.maximum.reduceat(np.append(brakes, 0.0), ends)[::2]
+        kept = slice(int(starts[-1]), None)
+        self._brake_seconds, self._brakes = all_seconds[kept], brakes[kept]
+        is_held = (speeds < _STANDSTILL) & (recent > 0)
+        return np.stack((np.where(is_held, 0.0, throttle), np.where(is_held, recent, brake)), axis=1)

@@ -122,6 +122,6 @@ def write_map(stream: Stream, roads: RoadMap, extent: Floats | None = None) -> N
         flat = [line[:, :2] * np.array((1, -1)) for line in lines]
         if extent is not None:
             low, high = extent[:2] - _AROUND, extent[2:] + _AROUND
-            flat = [line for line in flat if ((line >= low) & (line <= high)).all(axis=1).any()]
+            flat = [line for line in flat if ((line.max(axis=0) >= low) & (line.min(axis=0) <= high)).all()]
         if flat:
             stream.log_static(path, rr.LineStrips2D(flat, colors=[color], radii=radii, draw_order=order))

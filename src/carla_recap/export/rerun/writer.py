@@ -95,16 +95,16 @@ class SceneWriter:
         self._live = live
         self._stream = Stream(stream)
         self._stops = {} if stops is None else stops
-        self._has_roads = road_map is not None
         self._road_map = road_map
         town = None if road_map is None else town_of(road_map)
         if town is not None:
             write_town(self._stream, town)
         if live and road_map is not None:
             write_map(self._stream, road_map)
+        self._has_ground = town is not None
         if town is None:
             write_sky(self._stream, np.zeros(3), 0.0)
-        self._actors = ActorWriter(self._stream, followed, roads=self._has_roads, cameras=cameras)
+        self._actors = ActorWriter(self._stream, followed, roads=road_map is not None, cameras=cameras)
         self._lights = TrafficLightWriter(self._stream)
         self._events = EventWriter(self._stream)
         self._followed: FollowedWriter | None = None
@@ -120,7 +120,7 @@ class SceneWriter:
             self._ahead.flush()
         self._actors.follow(id)
         self._ahead = LightAheadWriter(self._stream, id, self._stops)
-        self._followed = FollowedWriter(self._stream, id, ground=not self._has_roads)
+        self._followed = FollowedWriter(self._stream, id, ground=not self._has_ground)
 
     def write(self, batch: SceneBatch) -> None:
         """Write scenes."""
