@@ -103,6 +103,13 @@ class Material(IntEnum):
     WARNING_ORANGE = 49
     FOLIAGE = 50
     SIGN_BLACK = 51
+    BRAKE_LIGHT = 52
+    FAIR_SKIN = 53
+    DARK_SKIN = 54
+    FAIR_HAIR = 55
+    DARK_HAIR = 56
+    JEANS = 57
+    LIGHT_TROUSERS = 58
 
 
 class Finish(NamedTuple):
@@ -175,6 +182,13 @@ MATERIALS: Final[dict[Material, Finish]] = {
     _M.WARNING_ORANGE: Finish((240, 106, 34)),
     _M.FOLIAGE: Finish((74, 106, 54), Tag.VEGETATION),
     _M.SIGN_BLACK: Finish((34, 34, 36), Tag.TRAFFIC_SIGNS),
+    _M.BRAKE_LIGHT: Finish((96, 14, 18), glow=(255, 44, 40), gloss=0.3),
+    _M.FAIR_SKIN: Finish((232, 190, 164)),
+    _M.DARK_SKIN: Finish((116, 78, 58)),
+    _M.FAIR_HAIR: Finish((176, 134, 80)),
+    _M.DARK_HAIR: Finish((30, 26, 26)),
+    _M.JEANS: Finish((60, 86, 128)),
+    _M.LIGHT_TROUSERS: Finish((164, 150, 128)),
 }
 """All materials."""
 

@@ -1,20 +1,16 @@
-"""The library of blueprints: what CARLA 0.9.16 can spawn, with its names, attributes and sizes.
-
-`vehicles.csv`, `walkers.csv` and `props.csv` beside this module list what has a body.
-"""
+"""The library of blueprints: what CARLA 0.9.16 can spawn, with its names, attributes and sizes."""
 
 from __future__ import annotations
 
-import csv
 from dataclasses import dataclass, field, replace
 from difflib import get_close_matches
 from fnmatch import fnmatchcase
 from functools import cache
 from math import pi
-from pathlib import Path
 from types import MappingProxyType
 from typing import TYPE_CHECKING, Any, Final
 
+from carla_recap.model.blueprints import blueprint_rows
 from carla_recap.model.records import ActorKind
 from carla_recap.sim.actors.sensors import SENSORS
 from carla_recap.sim.errors import SpawnError
@@ -283,12 +279,8 @@ def speed_limit(speed: float) -> Blueprint:
 @cache
 def standard_library() -> BlueprintLibrary:
     """Return the blueprints of every world: those of CARLA 0.9.16."""
-    tables = {"vehicles": _vehicle, "walkers": _walker, "props": _prop}
-    blueprints = [make(row) for name, make in tables.items() for row in _rows(name)]
+    blueprints = [_vehicle(row) for row in blueprint_rows("vehicles")]
+    blueprints += [_walker(row) for row in blueprint_rows("walkers")]
+    blueprints += [_prop(row) for row in blueprint_rows("props")]
     ordered = sorted([*blueprints, *_others()], key=lambda blueprint: blueprint.id)
     return BlueprintLibrary([replace(blueprint, uid=uid) for uid, blueprint in enumerate(ordered, 1)])
-
-
-def _rows(table: str) -> list[dict[str, str]]:
-    with Path(__file__).with_name(f"{table}.csv").open(newline="", encoding="utf-8") as file:
-        return list(csv.DictReader(file))

@@ -1,0 +1,320 @@
+"""Passenger cars: a body between cross-sections, a cabin of glass, wheels, lamps and mirrors."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from math import sqrt
+from typing import TYPE_CHECKING, Final
+
+import numpy as np
+
+from carla_recap.rendering.materials import Material
+from carla_recap.rendering.models.solid import Solid
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from carla_recap.rendering.models.solid import Floats
+
+M: Final = Material
+Profile = tuple[tuple[float, float], ...]
+"""Distances behind the front end in m, and the value at each."""
+
+
+@dataclass(frozen=True)
+class CarShape:
+    """The measures of a car in m; along its length, they are distances behind the front end.
+
+    Attributes:
+        name: The name of the model.
+        length: The length of the body.
+        width: The width of the body without mirrors.
+        axles: The front and the rear axle.
+        wheel: The radius of the wheels.
+        clearance: The height of the sills.
+        deck: The height of the bonnet, of the belt line, and of the tail.
+        cabin: The cabin: front and rear at the belt line, front and rear of the roof.
+        roof: The height of the roof.
+        waist: How far above the sills the doors are widest, as a share of their height.
+        narrowing: How much narrower the roof is than the belt line, on each side.
+        pillars: The pillars between the side windows, as shares of the cabin's length.
+        corner: How round the front and the rear are in plan: the length of the corners.
+        paint: The material of the body.
+        roof_paint: The material of the roof.
+        lamp: The height of the head lamps and of the tail lamps.
+    """
+
+    name: str
+    length: float
+    width: float
+    axles: tuple[float, float]
+    wheel: float
+    clearance: float
+    deck: Profile
+    cabin: tuple[float, float, float, float]
+    roof: float
+    waist: float = 0.62
+    narrowing: float = 0.2
+    pillars: tuple[float, ...] = (0.47,)
+    corner: float = 0.34
+    paint: Material = M.PAINT
+    roof_paint: Material = M.PAINT
+    lamp: tuple[float, float] = (0.16, 0.17)
+
+
+def car(shape: CarShape) -> Solid:
+    """Return a car."""
+    solid = Solid()
+    _body(solid, shape)
+    _cabin(solid, shape)
+    _wheels(solid, shape)
+    _details(solid, shape)
+    return solid
+
+
+def _at(profile: Profile, distance: float) -> float:
+    places, values = zip(*profile, strict=True)
+    return float(np.interp(distance, places, values))
+
+
+def _stations(shape: CarShape) -> list[float]:
+    """Return where the cross-sections are, from the rear to the front."""
+    radius, corner = shape.wheel + 0.05, shape.corner
+    arches = [axle + radius * share for axle in shape.axles for share in (-1.001, -1, -0.8, -0.3, 0.3, 0.8, 1, 1.001)]
+    ends = [0.0, corner * 0.35, corner, shape.length - corner, shape.length - corner * 0.35, shape.length]
+    first, last = ends[2], ends[3]
+    return sorted({*ends, *(place for place in arches if first < place < last), shape.cabin[0]}, reverse=True)
+
+
+def _arch(shape: CarShape, distance: float) -> float:
+    """Return the height of the wheel arches at a distance; that of the sills elsewhere."""
+    radius = shape.wheel + 0.05
+    for axle in shape.axles:
+        if abs(distance - axle) <= radius * 1.0001:
+            return max(shape.clearance, shape.wheel + sqrt(max(radius**2 - (distance - axle) ** 2, 0.0)))
+    return shape.clearance
+
+
+def _body(solid: Solid, shape: CarShape) -> None:
+    corner, length = shape.corner, shape.length
+    plan: Profile = (
+        (0.0, 0.70),
+        (corner * 0.35, 0.86),
+        (corner, 0.965),
+        (3 * corner, 1.0),
+        (length - 3 * corner, 1.0),
+        (length - corner, 0.965),
+        (length - corner * 0.35, 0.88),
+        (length, 0.76),
+    )
+    rise: Profile = ((0.0, 0.07), (corner, 0.0), (length - corner, 0.02), (length, 0.10))
+    front, rear = shape.lamp
+    rings = []
+    stations = _stations(shape)
+    for place in stations:
+        half = shape.width / 2 * _at(plan, place)
+        deck = _at(shape.deck, place)
+        low = _arch(shape, place) + _at(rise, place)
+        shoulder = deck - _at(((0.0, 0.05), (corner, 0.07), (length - corner, 0.05), (length, 0.04)), place)
+        band = _at(((0.0, front), (corner, front), (2 * corner, 0.22), (length - 2 * corner, 0.22), (length, rear)), place)
+        middle = max(min(shoulder - band, shape.clearance + shape.waist * (deck - shape.clearance)), low + 0.015)
+        shoulder = max(shoulder, middle + 0.02)
+        inset = 0.13 if place not in (0.0, length) else 0.06
+        sides = ((half * 0.97, low), (half, middle), (half * 0.975, shoulder), (half - inset, max(deck, shoulder + 0.01)))
+        x = length / 2 - place
+        rings.append([(x, y, z) for y, z in sides] + [(x, -y, z) for y, z in reversed(sides)])
+    places = np.array(stations)
+
+    def material(i: int, j: int) -> Material:
+        if j == 7:
+            return M.TRIM  # the underside, and the wheel arches
+        if j in (1, 5):
+            nearest, farthest = sorted((places[i], places[i + 1]))
+            if farthest <= corner * 0.36:
+                return M.HEADLIGHT
+            if farthest <= corner * 1.01:
+                return M.LEFT_INDICATOR if j == 1 else M.RIGHT_INDICATOR
+            if nearest >= length - corner * 0.36:
+                return M.TAIL_LIGHT
+        return shape.paint
+
+    solid.loft(rings, material, caps=False)
+    _end(solid, np.array(rings[-1]), shape.paint, front=True)
+    _end(solid, np.array(rings[0]), shape.paint, front=False)
+
+
+def _end(solid: Solid, ring: Floats, paint: Material, *, front: bool) -> None:
+    """Add the front or the rear between the corners: bumper, grille and lamps in rows and columns."""
+    rows = [(ring[j], ring[7 - j]) for j in range(4)]
+    columns = (0.0, 0.26, 0.74, 1.0)  # from left to right
+    if front:
+        table = ((paint, M.TRIM, paint), (M.HEADLIGHT, M.TRIM, M.HEADLIGHT), (paint, paint, paint))
+    else:
+        lamps = (M.BRAKE_LIGHT, paint, M.BRAKE_LIGHT)
+        table = ((paint, paint, paint), lamps, (paint, paint, paint))
+    for (low_left, low_right), (high_left, high_right), materials in zip(rows, rows[1:], table, strict=False):
+        for start, stop, material in zip(columns, columns[1:], materials, strict=False):
+            corners = [low_left + (low_right - low_left) * share for share in (start, stop)]
+            corners += [high_left + (high_right - high_left) * share for share in (stop, start)]
+            solid.facet(corners[::-1] if front else corners, material)
+
+
+def _cabin(solid: Solid, shape: CarShape) -> None:
+    front, rear, roof_front, roof_rear = (shape.length / 2 - place for place in shape.cabin)
+    base = min(_at(shape.deck, shape.cabin[0]), _at(shape.deck, shape.cabin[1])) - 0.03
+    half = shape.width / 2 - 0.12
+    top = half - shape.narrowing
+    edge = shape.roof - 0.07
+    bow = 0.10
+    share = (0.0, 0.045, *(pillar + side for pillar in shape.pillars for side in (-0.018, 0.018)), 0.90, 1.0)
+
+    def ring(x0: float, x1: float, y: float, z: float, bow: float) -> list[tuple[float, float, float]]:
+        left = [(x0 + (x1 - x0) * s, y - 0.05 * (abs(2 * s - 1) ** 3), z) for s in share]
+        right = [(x, -y, z) for x, y, z in reversed(left)]
+        return [*left, (x1 - bow * 0.6, 0.0, z), *right, (x0 + bow, 0.0, z)]
+
+    lean = (edge - base) / max(shape.roof - base, 1e-6)
+    rings = [
+        ring(front, rear, half, base, bow),
+        ring(
+            front + (roof_front - front) * lean,
+            rear + (roof_rear - rear) * lean,
+            half - (half - top) * lean * 0.9,
+            edge,
+            bow,
+        ),
+        ring(roof_front - 0.12, roof_rear + 0.10, top - 0.08, shape.roof, bow * 0.8),
+    ]
+    columns = len(share)
+
+    def material(i: int, j: int) -> Material:
+        if i >= 1:
+            return shape.roof_paint
+        column = j if j < columns else 2 * columns - 1 - j  # of the left side; the same counted from the front on the right
+        if column < columns - 1 and j not in (columns - 1, columns):
+            if column in (0, columns - 2):
+                return shape.roof_paint
+            return M.TRIM if column % 2 == 0 else M.GLASS
+        return M.GLASS
+
+    solid.loft(rings, material)
+
+
+def wheel(solid: Solid, x: float, y: float, radius: float, width: float, *, sides: int = 10, rim: Material = M.RIM) -> None:
+    """Add a wheel of the left side, with spokes.
+
+    Args:
+        solid: The solid.
+        x: The axle.
+        y: The outer side.
+        radius: The radius.
+        width: The width of the tyre.
+        sides: The number of its sides.
+        rim: The material of the spokes.
+    """
+    profile = (
+        (radius * 0.8, -width),
+        (radius, -width * 0.92),
+        (radius, -width * 0.12),
+        (radius * 0.68, 0.0),
+        (radius * 0.2, -0.02),
+    )
+
+    def material(i: int, j: int) -> Material:
+        if i == 3:
+            return rim if j % 2 == 0 else M.TRIM
+        return rim if i > 3 else M.TYRE
+
+    solid.tube(profile, (x, y, radius), material, sides=sides)
+
+
+def _wheels(solid: Solid, shape: CarShape) -> None:
+    width = 0.12 * shape.width
+    y = shape.width / 2 - 0.015
+    left = Solid()
+    front, rear = (shape.length / 2 - axle for axle in shape.axles)
+    with left.steered(front, y - width / 2):
+        wheel(left, front, y, shape.wheel, width)
+    wheel(left, rear, y, shape.wheel, width)
+    solid.add_both(left)
+
+
+def _details(solid: Solid, shape: CarShape) -> None:
+    """Add mirrors, door handles, number plates and the lamps that are not on the corners."""
+    half, front, rear = shape.width / 2, shape.length / 2, -shape.length / 2
+    belt = _at(shape.deck, shape.cabin[0])
+    left = Solid()
+    x = front - shape.cabin[0] - 0.28
+    left.box((x - 0.07, half - 0.12, belt - 0.01), (x + 0.07, half + 0.06, belt + 0.12), shape.paint, top=(0.8, 0.95))
+    cabin = shape.cabin[1] - shape.cabin[0]
+    for pillar in shape.pillars:
+        x = front - shape.cabin[0] - cabin * (pillar - 0.03)
+        left.box((x - 0.01, half - 0.04, belt - 0.16), (x + 0.17, half + 0.004, belt - 0.12), M.TRIM)
+    tail = _at(shape.deck, shape.length)
+    z = tail - 0.06 - shape.lamp[1]
+    left.box((rear - 0.012, half * 0.42, z - 0.07), (rear + 0.02, half * 0.70, z - 0.015), M.LEFT_INDICATOR)
+    left.box((rear - 0.012, half * 0.24, z - 0.07), (rear + 0.02, half * 0.42, z - 0.015), M.REVERSE_LIGHT)
+    solid.add_both(left)
+    for x, height in ((front, shape.clearance + 0.13), (rear, z - 0.12)):
+        solid.box((x - 0.015, -0.26, height - 0.055), (x + 0.015, 0.26, height + 0.055), M.SIGN_WHITE)
+    x = front - shape.cabin[3]
+    solid.box((x - 0.05, -0.16, shape.roof - 0.06), (x + 0.06, 0.16, shape.roof - 0.025), M.BRAKE_LIGHT)
+
+
+SEDAN: Final = CarShape(
+    "sedan",
+    length=4.85,
+    width=1.86,
+    axles=(0.93, 3.78),
+    wheel=0.335,
+    clearance=0.2,
+    deck=((0.0, 0.66), (0.12, 0.72), (0.4, 0.79), (1.45, 0.95), (3.9, 1.0), (4.5, 1.02), (4.85, 0.95)),
+    cabin=(1.42, 4.28, 2.22, 3.52),
+    roof=1.46,
+)
+HATCHBACK: Final = replace(
+    SEDAN,
+    name="hatchback",
+    length=4.0,
+    width=1.76,
+    axles=(0.8, 3.33),
+    wheel=0.31,
+    deck=((0.0, 0.68), (0.12, 0.74), (0.4, 0.81), (1.1, 0.95), (3.7, 1.0), (4.0, 0.94)),
+    cabin=(1.02, 3.96, 1.8, 3.5),
+    roof=1.5,
+    pillars=(0.44, 0.74),
+)
+COUPE: Final = replace(
+    SEDAN,
+    name="coupe",
+    length=4.7,
+    width=1.9,
+    axles=(0.95, 3.7),
+    deck=((0.0, 0.6), (0.12, 0.67), (0.4, 0.75), (1.6, 0.9), (4.0, 0.97), (4.45, 1.0), (4.7, 0.94)),
+    cabin=(1.62, 4.3, 2.42, 3.2),
+    roof=1.34,
+    clearance=0.16,
+    pillars=(0.55,),
+    narrowing=0.24,
+)
+SUV: Final = replace(
+    SEDAN,
+    name="suv",
+    length=4.75,
+    width=1.94,
+    axles=(0.9, 3.72),
+    wheel=0.375,
+    clearance=0.28,
+    deck=((0.0, 0.86), (0.12, 0.93), (0.4, 1.0), (1.3, 1.12), (4.5, 1.16), (4.75, 1.08)),
+    cabin=(1.22, 4.72, 1.86, 4.4),
+    roof=1.78,
+    pillars=(0.36, 0.7),
+    narrowing=0.16,
+    corner=0.3,
+    lamp=(0.17, 0.26),
+)
+
+
+def cars() -> Sequence[tuple[str, Solid]]:
+    """Return the passenger cars by name."""
+    return [(shape.name, car(shape)) for shape in (SEDAN, HATCHBACK, COUPE, SUV)]
