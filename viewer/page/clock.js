@@ -2,7 +2,7 @@
 "use strict";
 
 class Clock extends EventTarget {
-  /** spans: the intervals that can be shown, [start, stop] in seconds. */
+  /** spans: the intervals that can be shown, [start, stop] in seconds, in order. */
   constructor(spans) {
     super();
     this.spans = spans.length ? spans : [[0, 0]];
@@ -11,12 +11,14 @@ class Clock extends EventTarget {
     this.time = this.start;
     this.playing = false;
     this.pace = 1;
+    this.goal = null; // the time at which to pause
     this.jumps = 0; // the number of jumps in time
   }
 
   /** Go to a time, or to the next one that can be shown. */
   seek(time) {
     this.time = this.nearest(Number.isFinite(time) ? time : this.start);
+    this.goal = null;
     this.jumps++;
     this.dispatchEvent(new Event("seek"));
   }
@@ -33,8 +35,16 @@ class Clock extends EventTarget {
     this.dispatchEvent(new Event("state"));
   }
 
+  /** Play from one time to another. */
+  playThrough(start, stop) {
+    this.seek(start);
+    this.goal = Math.min(stop, this.stop);
+    if (this.time < this.goal) this.play();
+  }
+
   pause() {
     this.playing = false;
+    this.goal = null;
     this.dispatchEvent(new Event("state"));
   }
 
@@ -53,9 +63,19 @@ class Clock extends EventTarget {
     const time = this.time + seconds * this.pace;
     const shown = this.nearest(time);
     if (shown > time) this.jumps++;
-    this.time = shown;
-    if (shown >= this.stop) this.pause();
+    this.time = this.goal === null ? shown : Math.min(shown, this.goal);
+    if (this.time >= (this.goal ?? this.stop)) this.pause();
   }
+}
+
+/** Return the intervals of several lists as one list; those that overlap are joined. */
+function merged(lists) {
+  const all = [];
+  for (const [start, stop] of lists.flat().sort((a, b) => a[0] - b[0])) {
+    if (all.length && start <= all.at(-1)[1]) all.at(-1)[1] = Math.max(stop, all.at(-1)[1]);
+    else all.push([start, stop]);
+  }
+  return all;
 }
 
 /** Return seconds as minutes and seconds: 1:02.5. */
@@ -63,7 +83,7 @@ function clockTime(seconds, digits = 1) {
   const unit = 10 ** digits;
   const rounded = Math.round(seconds * unit) / unit;
   const minutes = Math.floor(rounded / 60);
-  const rest = (rounded - minutes * 60).toFixed(digits).padStart(digits + 3, "0");
+  const rest = (rounded - minutes * 60).toFixed(digits).padStart(digits ? digits + 3 : 2, "0");
   if (minutes < 60) return `${minutes}:${rest}`;
   return `${Math.floor(minutes / 60)}:${String(minutes % 60).padStart(2, "0")}:${rest}`;
 }

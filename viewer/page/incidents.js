@@ -1,4 +1,4 @@
-// The list of incidents.
+// The lists of incidents, one for each recording.
 "use strict";
 
 /** Return an element with a class, a text and children. */
@@ -23,51 +23,78 @@ function icon(path) {
 }
 
 class Incidents {
-  /** open: is called with the index of the chosen incident. */
-  constructor(report, tracks, open) {
-    this.incidents = report.incidents;
-    this.tracks = tracks;
+  /** open: is called with the index of the chosen incident, and filtered when kinds are hidden or shown. */
+  constructor(recordings, pictures, open, filtered) {
+    this.recordings = recordings;
+    this.pictures = pictures;
     this.open = open;
+    this.filtered = filtered;
     this.current = -1;
     this.hidden = new Set(); // kinds
-    this.list = document.getElementById("list");
+    this.items = []; // of all recordings, in order
     this.nothing = document.getElementById("nothing");
-    this.items = this.incidents.map((incident, index) => this.item(incident, index));
-    this.list.append(...this.items.map(({ row }) => row));
-    this.list.addEventListener("keydown", (event) => this.key(event));
+    this.scroller = document.getElementById("lists");
+    for (const recording of recordings) this.addList(recording);
+    this.scroller.addEventListener("keydown", (event) => this.key(event));
     this.addFilters();
     this.filter();
+    this.addNote();
+  }
+
+  addList(recording) {
+    const { incidents } = recording.report;
+    const list = element("ol", "list");
+    list.id = recording.index ? "other-list" : "list";
+    if (this.recordings.length > 1) {
+      const name = element("b", "", recording.report.source);
+      const title = element("h3", "", "", [element("i", `letter of-${recording.letter}`, recording.letter), name]);
+      title.append(element("span", "", counted(incidents.length)));
+      this.scroller.append(title);
+    }
+    for (const incident of incidents) {
+      const item = this.item(recording, incident, this.items.length);
+      this.items.push(item);
+      list.append(item.row);
+    }
+    this.scroller.append(list);
+    if (!incidents.length && this.recordings.length > 1) this.scroller.append(element("p", "nothing small", NO_INCIDENTS));
+  }
+
+  addNote() {
     const unseen = this.items.filter(({ replayed }) => !replayed).length;
+    const omitted = this.recordings.reduce((sum, { report }) => sum + report.omitted, 0);
     const notes = [];
-    if (!report.whole) notes.push("A long recording: the replay has the time around incidents.");
+    if (!this.recordings.every(({ report }) => report.whole)) {
+      notes.push("A long recording: the replay has the time around incidents.");
+    }
     if (unseen) notes.push(`${unseen} of ${this.items.length} incidents are listed without a replay.`);
-    if (report.omitted) notes.push(`${report.omitted} more are not listed.`);
+    if (omitted) notes.push(`${omitted} more are not listed.`);
     const note = document.getElementById("note");
     note.textContent = notes.join(" ");
     note.hidden = !notes.length;
   }
 
-  item(incident, index) {
+  item(recording, incident, index) {
     const { name, icon: path } = KINDS[incident.kind];
-    const replayed = incident.start !== null && this.tracks.covers(incident.start);
+    const replayed = incident.start !== null && recording.tracks.covers(incident.start);
     const badge = element("span", "badge", "", [icon(path), element("span", "", name)]);
     const top = element("span", "top", "", [badge, element("time", "", when(incident))]);
-    const body = element("span", "body", "", [top, element("span", "text", incident.text), this.meta(incident)]);
+    const body = element("span", "body", "", [top, element("span", "text", incident.text), this.meta(recording, incident)]);
     const button = element("button", "incident", "", [body]);
     button.type = "button";
+    button.title = `Play from ${BEFORE} s before it`;
     button.dataset.kind = incident.kind;
     button.disabled = !replayed;
     button.addEventListener("click", () => this.open(index));
-    if (incident.picture) {
-      const picture = element("img", "picture");
-      Object.assign(picture, { src: incident.picture, alt: "", loading: "lazy", decoding: "async", width: 640, height: 400 });
-      button.prepend(picture);
-    }
-    return { row: element("li", "", "", [button]), button, replayed, kind: incident.kind };
+    const drawn = recording.report.drawn && replayed;
+    if (incident.picture || drawn) button.prepend(this.pictures.image(recording, incident));
+    const other = this.recordings.find((each) => each !== recording);
+    if (other && !other.has(incident)) top.firstChild.append(element("span", "only", `only in ${recording.letter}`));
+    return { row: element("li", "", "", [button]), button, replayed, recording, incident, kind: incident.kind };
   }
 
-  meta({ actors, types, place }) {
-    const names = actors.map((id, i) => this.name(id, types[i] ?? ""));
+  meta(recording, { actors, types, place }) {
+    const names = actors.map((id, i) => this.name(recording, id, types[i] ?? ""));
     const where = place[0] === null || place[1] === null ? "" : `x ${place[0].toFixed(1)}  y ${place[1].toFixed(1)} m`;
     const chips = names.map(({ text, color }) => {
       const swatch = element("i", "swatch");
@@ -77,8 +104,8 @@ class Incidents {
     return element("span", "meta", "", [...chips, ...(where ? [element("span", "place", where)] : [])]);
   }
 
-  name(id, type) {
-    const actor = this.tracks.actors[this.tracks.indexOf(id, Infinity)];
+  name({ tracks }, id, type) {
+    const actor = tracks.actors[tracks.indexOf(id, Infinity)];
     if (actor) return { text: actor.label, color: actor.color };
     return { text: id === 0xffffffff ? "no actor" : `${type || "actor"} ${id}`, color: "#969696" };
   }
@@ -86,7 +113,7 @@ class Incidents {
   addFilters() {
     const filters = document.getElementById("filters");
     for (const [kind, { many, icon: path }] of Object.entries(KINDS)) {
-      const count = this.incidents.filter((incident) => incident.kind === kind).length;
+      const count = this.items.filter((item) => item.kind === kind).length;
       if (!count) continue;
       const button = element("button", "filter", "", [icon(path), element("span", "", many), element("b", "", String(count))]);
       button.type = "button";
@@ -98,6 +125,7 @@ class Incidents {
         else this.hidden.delete(kind);
         button.setAttribute("aria-pressed", String(!hide));
         this.filter();
+        this.filtered();
       });
       filters.append(button);
     }
@@ -106,11 +134,9 @@ class Incidents {
 
   filter() {
     for (const { row, kind } of this.items) row.hidden = this.hidden.has(kind);
-    const some = this.items.some(({ row }) => !row.hidden);
+    const some = this.items.some(({ row }) => !row.hidden) || (this.recordings.length > 1 && !this.items.length);
     this.nothing.hidden = some;
-    this.nothing.textContent = this.items.length
-      ? "All kinds of incidents are hidden."
-      : "Nobody collided, braked hard or stood still for long.";
+    this.nothing.textContent = this.items.length ? "All kinds of incidents are hidden." : NO_INCIDENTS;
   }
 
   /** Mark the chosen incident. */
@@ -121,8 +147,8 @@ class Incidents {
     const button = this.items[index]?.button;
     if (!button) return;
     button.setAttribute("aria-current", "true");
-    const [box, frame] = [button.getBoundingClientRect(), this.list.getBoundingClientRect()];
-    const scrolls = this.list.scrollHeight > this.list.clientHeight;
+    const [box, frame] = [button.getBoundingClientRect(), this.scroller.getBoundingClientRect()];
+    const scrolls = this.scroller.scrollHeight > this.scroller.clientHeight;
     if (scrolls && (box.top < frame.top || box.bottom > frame.bottom)) button.scrollIntoView({ block: "nearest" });
   }
 
@@ -144,6 +170,12 @@ class Incidents {
     event.stopPropagation();
     buttons[goal]?.focus();
   }
+}
+
+const NO_INCIDENTS = "Nobody collided, braked hard or stood still for long.";
+
+function counted(count) {
+  return count === 1 ? "1 incident" : `${count || "no"} incidents`;
 }
 
 function when({ start, stop }) {

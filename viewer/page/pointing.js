@@ -44,7 +44,7 @@ class Pointing {
     } else {
       camera.pan(now[0] - before[0], now[1] - before[1]);
     }
-    this.on.view();
+    this.on.view(this.stage);
   }
 
   release(event, done) {
@@ -58,13 +58,13 @@ class Pointing {
     event.preventDefault();
     const lines = event.deltaMode ? 30 : 1;
     this.stage.camera.zoom(Math.exp(-event.deltaY * lines * (event.ctrlKey ? 0.01 : 0.0015)), event.offsetX, event.offsetY);
-    this.on.view();
+    this.on.view(this.stage);
   }
 
   hover(actor) {
     if (actor === this.stage.hovered) return;
     this.stage.hovered = actor;
     this.stage.canvas.classList.toggle("over", actor >= 0);
-    this.on.view();
+    this.on.view(this.stage);
   }
 }

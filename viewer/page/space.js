@@ -6,6 +6,7 @@ class Space {
   constructor(report, changed) {
     this.frame = document.getElementById("space");
     this.button = document.getElementById("solid");
+    this.sign = document.getElementById("loading");
     this.button.hidden = !report.viewer;
     this.changed = changed;
     this.shown = "";
@@ -16,9 +17,12 @@ class Space {
       this.button.title = "View in 3D (V)";
     }
     this.button.addEventListener("click", () => this.toggle());
-    // When the viewer reports that it is ready, the request is sent again.
-    window.addEventListener("message", (event) => {
-      if (event.source !== this.frame.contentWindow || event.origin !== location.origin) return;
+    // The viewer reports how much of it is loaded, and when it is ready: then the request is sent again.
+    window.addEventListener("message", ({ data, source, origin }) => {
+      if (source !== this.frame.contentWindow || origin !== location.origin) return;
+      if (Number.isFinite(data.loaded)) this.sign.querySelector("progress").value = data.loaded;
+      if (!data.ready && !data.failed) return;
+      this.sign.hidden = true;
       this.shown = "";
       this.changed();
     });
@@ -30,10 +34,13 @@ class Space {
 
   toggle() {
     if (this.button.hidden || this.button.disabled) return;
-    if (!this.frame.src) this.frame.src = "rerun/index.html";
+    if (!this.frame.src) {
+      this.frame.src = "rerun/index.html";
+      this.sign.hidden = false;
+    }
     this.frame.hidden = this.isOpen;
     this.button.setAttribute("aria-pressed", String(this.isOpen));
-    this.frame.parentElement.classList.toggle("solid", this.isOpen);
+    document.body.classList.toggle("solid", this.isOpen);
     this.changed();
   }
 

@@ -1,111 +1,44 @@
-// Draws the scene from above.
+// Draws the scene from above: the roads, and the actors of one recording or, over each other, of two.
 "use strict";
 
-const COLORS = {
-  ground: "#14161c",
-  grid: "#1b1e26",
-  road: "#262a34",
-  crossing: "#3a3f4c",
-  line: "#545b6b",
-  stop: "#aab1c0",
-  text: "#e9ecf3",
-  glass: "rgba(20, 22, 28, 0.62)",
-};
 const KINDS = {
-  collision: { name: "Collision", many: "Collisions", color: "#ff5a5a", icon: "M4.5 4.5l7 7m0-7l-7 7" },
-  "hard braking": { name: "Hard braking", many: "Hard braking", color: "#ffa24d", icon: "M4 4l4 4 4-4M4 8.5l4 4 4-4" },
-  blocked: { name: "Blocked", many: "Blocked", color: "#b79cff", icon: "M5.5 4v8M10.5 4v8" },
+  collision: { name: "Collision", many: "Collisions", icon: "M4.5 4.5l7 7m0-7l-7 7" },
+  "hard braking": { name: "Hard braking", many: "Hard braking", icon: "M4 4l4 4 4-4M4 8.5l4 4 4-4" },
+  blocked: { name: "Blocked", many: "Blocked", icon: "M5.5 4v8M10.5 4v8" },
 };
 const TRAIL = 3; // s
 const LONG_TRAIL = 8; // s, of the followed actor
 const NOTED = 1.5; // s before and after an incident in which it is marked
 const SMALLEST = 7; // px
+const SAME_POSE = 0.4; // m between two recordings of an actor that are shown as one
 const ORDER = ["other", "sensor", "traffic sign", "traffic light", "walker", "vehicle"];
 const REST = new Set(["other", "sensor", "traffic sign"]);
-
-/** Lines of which only the visible ones are drawn. */
-class Lines {
-  constructor(runs, origin, closed = false) {
-    this.runs = runs.filter((run) => run.length >= 4).map((run) => Lines.path(run, origin, closed));
-  }
-
-  static path(run, origin, closed) {
-    const path = new Path2D();
-    let [left, low, right, high] = [Infinity, Infinity, -Infinity, -Infinity];
-    for (let i = 0; i < run.length; i += 2) {
-      const [x, y] = [run[i], run[i + 1]];
-      if (i) path.lineTo(x - origin.x, y - origin.y);
-      else path.moveTo(x - origin.x, y - origin.y);
-      [left, low, right, high] = [Math.min(left, x), Math.min(low, y), Math.max(right, x), Math.max(high, y)];
-    }
-    if (closed) path.closePath();
-    return { path, left, low, right, high };
-  }
-
-  *seen({ x, y, reach }) {
-    for (const run of this.runs) {
-      if (run.left < x + reach && run.right > x - reach && run.low < y + reach && run.high > y - reach) yield run.path;
-    }
-  }
-
-  /** The rectangle around all lines: left, low, right, high. */
-  get bounds() {
-    return this.runs.reduce(
-      (all, run) => [
-        Math.min(all[0], run.left),
-        Math.min(all[1], run.low),
-        Math.max(all[2], run.right),
-        Math.max(all[3], run.high),
-      ],
-      [Infinity, Infinity, -Infinity, -Infinity],
-    );
-  }
-}
-
-/** Return the lines of a layer of the map, each as x, y, x, y, … */
-function layerRuns({ points, lengths }) {
-  const [coordinates, runs] = [numbers(points, Float32Array), []];
-  let begin = 0;
-  for (const length of numbers(lengths, Uint32Array)) {
-    runs.push(coordinates.subarray(begin, begin + 2 * length));
-    begin += 2 * length;
-  }
-  return runs;
-}
+const FONT = "system-ui, -apple-system, 'Segoe UI', Roboto, 'Noto Sans', sans-serif";
 
 class Stage {
-  constructor(canvas, tracks, camera, report, ground) {
+  /** recordings: the one to show, or two to show over each other. */
+  constructor(canvas, recordings, camera, ground) {
     this.canvas = canvas;
     this.context = canvas.getContext("2d", { alpha: false });
-    this.tracks = tracks;
     this.camera = camera;
-    this.report = report;
+    this.ground = ground;
+    this.origin = ground.origin;
     this.labels = this.trails = true;
+    this.marks = true; // whether incidents are marked
     this.hovered = -1;
-    this.shown = []; // the drawn actors: { actor, x, y, yaw }
-    this.origin = tracks.x.length ? { x: tracks.x[0], y: tracks.y[0] } : { x: 0, y: 0 };
-    this.order = tracks.actors.map((_, index) => index).sort((a, b) => this.rank(a) - this.rank(b));
-    this.build(ground);
+    this.show(recordings);
   }
 
-  rank(index) {
-    const actor = this.tracks.actors[index];
-    return ORDER.indexOf(actor.kind) + (actor.hero ? ORDER.length : 0);
-  }
-
-  build(ground) {
-    const lines = (name, closed) => new Lines(layerRuns(ground[name]), this.origin, closed);
-    this.laneWidth = ground.width;
-    this.lanes = lines("lanes");
-    this.junctions = lines("junctions", true);
-    this.crossings = lines("crossings", true);
-    this.borders = lines("borders");
-    this.stops = lines("stops");
+  show(recordings) {
+    [this.recording, this.ghost] = recordings;
+    this.tracks = this.recording.tracks;
+    this.shown = []; // the drawn actors: { actor, x, y, yaw, left, top }
+    this.ghosts = []; // those of the other recording
   }
 
   /** Return the rectangle around all roads, or around all actors if there are no roads. */
   get bounds() {
-    const roads = this.lanes.bounds;
+    const roads = this.ground.lanes.bounds;
     if (roads[0] <= roads[2]) return roads;
     const places = this.shown.filter(({ actor }) => !REST.has(this.tracks.actors[actor].kind));
     const some = places.length ? places : this.shown.length ? this.shown : [{ x: 0, y: 0 }];
@@ -126,185 +59,272 @@ class Stage {
   draw(time) {
     const { context, camera } = this;
     this.time = time;
-    this.sample = this.tracks.sampleAt(time);
     context.setTransform(1, 0, 0, 1, 0, 0);
-    context.fillStyle = COLORS.ground;
+    context.globalAlpha = 1;
+    context.fillStyle = theme.colors.ground;
     context.fillRect(0, 0, this.canvas.width, this.canvas.height);
-    context.lineJoin = "round";
-    this.place();
+    this.shown = this.locate(this.recording);
+    this.ghosts = this.ghost ? this.locate(this.ghost).filter((one) => this.differs(one)) : [];
     camera.apply(context, this.ratio, this.origin);
-    if (!this.borders.runs.length) this.drawGrid();
-    this.drawRoads();
+    this.ground.draw(context, camera);
     if (this.trails) this.drawTrails();
     context.setTransform(this.ratio, 0, 0, this.ratio, 0, 0);
+    if (this.marks) this.drawCollisions();
+    for (const one of this.ghosts) this.drawGhost(one);
     for (const one of this.shown) this.drawActor(one);
-    this.drawIncidents();
+    if (this.ghosts.length) this.drawDistance();
+    if (this.marks) this.drawIncidents();
     if (this.labels) this.drawLabels();
   }
 
-  /** Find the poses of all actors. */
-  place() {
-    const { tracks, camera, time, sample } = this;
-    this.shown = [];
-    for (const actor of this.order) {
+  /** Return the poses of the present actors of a recording. */
+  locate({ tracks, order }) {
+    const sample = tracks.sampleAt(this.time);
+    const found = [];
+    for (const actor of order) {
       const pose = { actor };
-      if (tracks.actors[actor].kind !== "sensor" && tracks.pose(actor, time, sample, pose)) {
-        [pose.left, pose.top] = camera.toScreen(pose.x, pose.y);
-        this.shown.push(pose);
+      if (tracks.actors[actor].kind !== "sensor" && tracks.pose(actor, this.time, sample, pose)) {
+        [pose.left, pose.top] = this.camera.toScreen(pose.x, pose.y);
+        found.push(pose);
+      }
+    }
+    return found;
+  }
+
+  /** Return whether a moving actor of the other recording is elsewhere in this one. */
+  differs({ actor, x, y }) {
+    const { kind } = this.ghost.tracks.actors[actor];
+    if (kind !== "vehicle" && kind !== "walker") return false;
+    const twin = this.ghost.twin(actor);
+    const same = this.shown.find((one) => one.actor === twin);
+    return !same || Math.hypot(same.x - x, same.y - y) > SAME_POSE;
+  }
+
+  // --- trails and marks on the road, in the axes of the world -------------------------------------------
+
+  drawTrails() {
+    const shown = new Set(this.ghosts.map(({ actor }) => this.ghost.twin(actor)));
+    for (const one of this.ghosts) this.drawTrail(this.ghost.tracks, one, theme.colors.other, LONG_TRAIL);
+    for (const one of this.shown) {
+      const { id, kind, color } = this.tracks.actors[one.actor];
+      if (REST.has(kind) || kind === "traffic light") continue;
+      const long = id === this.camera.followed || shown.has(one.actor);
+      this.drawTrail(this.tracks, one, color, long ? LONG_TRAIL : TRAIL);
+    }
+    this.context.globalAlpha = 1;
+  }
+
+  drawTrail(tracks, { actor, x, y }, color, length) {
+    const { context, camera, time } = this;
+    const run = tracks.path(actor, time - length, time).pop();
+    if (!run) return;
+    run.push(x, y);
+    const long = length > TRAIL;
+    const walks = tracks.actors[actor].kind === "walker";
+    context.lineCap = "butt";
+    context.strokeStyle = color;
+    context.lineWidth = Math.max(walks ? 0.3 : 0.6, (long ? 2.5 : 1.5) / camera.scale);
+    const points = run.length / 2;
+    for (let i = 1; i < points; i++) {
+      context.beginPath();
+      context.moveTo(run[2 * i - 2] - this.origin.x, run[2 * i - 1] - this.origin.y);
+      context.lineTo(run[2 * i] - this.origin.x, run[2 * i + 1] - this.origin.y);
+      context.globalAlpha = (long ? 0.75 : 0.4) * (i / points) ** 1.5;
+      context.stroke();
+    }
+  }
+
+  /** Draw the paths of actors from one time to another: solid up to a time, dotted from then on. */
+  drawPaths(actors, start, time, stop) {
+    const { context, camera } = this;
+    camera.apply(context, this.ratio, this.origin);
+    context.lineCap = "round";
+    for (const actor of actors) {
+      context.strokeStyle = this.tracks.actors[actor].color;
+      context.lineWidth = 3 / camera.scale;
+      for (const [from, to, dash, alpha] of [[time, stop, [0.1, 1.2], 0.6], [start, time, [], 0.9]]) {
+        context.setLineDash(dash);
+        context.globalAlpha = alpha;
+        for (const run of this.tracks.path(actor, from, to)) {
+          context.beginPath();
+          for (let i = 0; i < run.length; i += 2) context.lineTo(run[i] - this.origin.x, run[i + 1] - this.origin.y);
+          context.stroke();
+        }
+      }
+    }
+    context.setLineDash([]);
+    context.globalAlpha = 1;
+    context.setTransform(this.ratio, 0, 0, this.ratio, 0, 0);
+  }
+
+  /** Draw a cross where something collided. */
+  drawCollisions() {
+    for (const recording of this.ghost ? [this.ghost, this.recording] : [this.recording]) {
+      for (const { kind, start, place } of recording.report.incidents) {
+        if (kind === "collision" && start !== null && start <= this.time && place[0] !== null && place[1] !== null) {
+          this.drawCross(...this.camera.toScreen(place[0], place[1]), 0.75);
+        }
       }
     }
   }
 
-  drawGrid() {
+  drawCross(left, top, alpha) {
     const { context, camera } = this;
-    const step = [1, 5, 10, 50, 100, 500, 1000, 5000, 10000, 1e5, 1e6].find((metres) => metres * camera.scale > 36) ?? 1e7;
-    const reach = camera.reach;
-    context.beginPath();
-    for (let x = Math.ceil((camera.x - reach) / step) * step; x < camera.x + reach; x += step) {
-      context.moveTo(x - this.origin.x, camera.y - reach - this.origin.y);
-      context.lineTo(x - this.origin.x, camera.y + reach - this.origin.y);
-    }
-    for (let y = Math.ceil((camera.y - reach) / step) * step; y < camera.y + reach; y += step) {
-      context.moveTo(camera.x - reach - this.origin.x, y - this.origin.y);
-      context.lineTo(camera.x + reach - this.origin.x, y - this.origin.y);
-    }
-    this.stroke(COLORS.grid, 1 / camera.scale);
-    context.stroke();
-  }
-
-  drawRoads() {
-    const { context, camera } = this;
-    const fine = Math.max(0.13, 0.9 / camera.scale);
+    const arm = Math.max(4, 0.9 * camera.scale);
+    context.globalAlpha = alpha;
+    context.strokeStyle = theme.tones.collision;
+    context.lineWidth = Math.max(2, 0.3 * camera.scale);
     context.lineCap = "round";
-    this.stroke(COLORS.road, Math.max(this.laneWidth, 2 / camera.scale));
-    for (const path of this.lanes.seen(camera)) context.stroke(path);
-    context.fillStyle = COLORS.road;
-    for (const path of this.junctions.seen(camera)) context.fill(path);
-    if (camera.scale < 1) return;
-    context.fillStyle = COLORS.crossing;
-    for (const path of this.crossings.seen(camera)) context.fill(path);
-    context.lineCap = "butt";
-    this.stroke(COLORS.line, fine);
-    for (const path of this.borders.seen(camera)) context.stroke(path);
-    this.stroke(COLORS.stop, Math.max(0.35, fine));
-    for (const path of this.stops.seen(camera)) context.stroke(path);
+    context.beginPath();
+    context.moveTo(left - arm, top - arm);
+    context.lineTo(left + arm, top + arm);
+    context.moveTo(left + arm, top - arm);
+    context.lineTo(left - arm, top + arm);
+    context.stroke();
+    context.globalAlpha = 1;
   }
 
-  drawTrails() {
-    const { context, tracks, camera, time } = this;
-    context.lineCap = "butt";
-    for (const { actor, x, y } of this.shown) {
-      const { id, kind, color } = tracks.actors[actor];
-      if (REST.has(kind) || kind === "traffic light") continue;
-      const followed = id === camera.followed;
-      const length = followed ? LONG_TRAIL : TRAIL;
-      const run = tracks.way(actor, time - length, time).pop();
-      if (!run) continue;
-      run.push(x, y);
-      const width = Math.max(kind === "walker" ? 0.3 : 0.6, (followed ? 2.5 : 1.5) / camera.scale);
-      const points = run.length / 2;
-      for (let i = 1; i < points; i++) {
+  /** Mark the incidents around the present time. */
+  drawIncidents() {
+    const { context, camera, time } = this;
+    for (const recording of this.ghost ? [this.ghost, this.recording] : [this.recording]) {
+      for (const { kind, start, place } of recording.report.incidents) {
+        const late = time - start;
+        if (start === null || !(Math.abs(late) < NOTED) || place[0] === null || place[1] === null) continue;
+        const [left, top] = camera.toScreen(place[0], place[1]);
+        context.globalAlpha = 1 - Math.abs(late) / NOTED;
+        context.lineWidth = 2;
+        context.strokeStyle = theme.tones[kind];
+        context.fillStyle = theme.tones[kind] + "24";
         context.beginPath();
-        context.moveTo(run[2 * i - 2] - this.origin.x, run[2 * i - 1] - this.origin.y);
-        context.lineTo(run[2 * i] - this.origin.x, run[2 * i + 1] - this.origin.y);
-        context.globalAlpha = (followed ? 0.75 : 0.4) * (i / points) ** 1.5;
-        this.stroke(color, width);
+        context.arc(left, top, Math.max(14, 3.4 * camera.scale) * (late < 0 ? 1 + 0.6 * -late : 1), 0, 7);
+        context.fill();
         context.stroke();
       }
     }
     context.globalAlpha = 1;
   }
 
+  // --- actors, in px --------------------------------------------------------------------------------------
+
   drawActor({ actor, left, top, yaw }) {
     const { context, camera } = this;
-    const { id, kind, color, box, hero } = this.tracks.actors[actor];
-    const [middle, side, length, width] = box;
+    const { id, kind, color, paint, hero, shape } = this.tracks.actors[actor];
+    const [middle, side, length, width] = this.extent(this.recording, actor);
     const size = camera.scale * Math.max(length, width);
     if (Math.max(-left, -top, left - camera.width, top - camera.height) > size + 30) return;
     if (kind === "traffic light") {
       this.drawLamp(actor, left, top);
       return;
     }
-    const least = REST.has(kind) ? 2 : SMALLEST;
-    const scale = camera.scale * Math.max(1, least / 2 / size);
-    const followed = id === camera.followed;
+    const scale = camera.scale * Math.max(1, (REST.has(kind) ? 2 : SMALLEST) / 2 / size);
+    const marked = id === camera.followed || actor === this.hovered;
     context.save();
     context.translate(left, top);
-    if (followed || hero || actor === this.hovered) {
-      const glow = Math.max(size, SMALLEST) + 10;
-      const shade = context.createRadialGradient(0, 0, glow * 0.4, 0, 0, glow);
-      shade.addColorStop(0, color + "4d");
-      shade.addColorStop(1, color + "00");
-      context.fillStyle = shade;
-      context.beginPath();
-      context.arc(0, 0, glow, 0, 7);
-      context.fill();
-    }
+    if (marked || hero) this.drawGlow(color, Math.max(size, SMALLEST) + 12);
     context.rotate(camera.up - UP - yaw);
-    context.globalAlpha = REST.has(kind) ? 0.45 : 1;
-    context.fillStyle = color;
+    context.translate(middle * scale, -side * scale);
+    context.globalAlpha = REST.has(kind) ? 0.5 : 1;
+    const [halfLength, halfWidth] = [Math.max(length * scale, shape === "walker" ? 3 : 0), Math.max(width * scale, shape === "walker" ? 3 : 0)];
     context.beginPath();
-    if (kind === "walker") {
-      context.arc(0, 0, Math.max(3, scale * Math.max(length, width)), 0, 7);
-    } else {
-      const corner = Math.min(length, width) * scale * 0.4;
-      context.roundRect((middle - length) * scale, (-side - width) * scale, 2 * length * scale, 2 * width * scale, corner);
+    outline(context, shape, halfLength, halfWidth);
+    if (kind === "vehicle" || kind === "walker") {
+      context.shadowColor = theme.colors.shade;
+      [context.shadowBlur, context.shadowOffsetY] = [0.5 * scale * this.ratio, 0.12 * scale * this.ratio];
     }
+    context.fillStyle = visible(paint ?? color);
     context.fill();
-    if (followed || actor === this.hovered) {
-      context.lineWidth = 1.5;
-      context.strokeStyle = COLORS.text;
-      context.stroke();
-    }
-    if (kind === "vehicle" && width * scale > 2.5) {
-      context.fillStyle = COLORS.glass;
-      const [left, top, long, wide] = [middle + 0.3 * length, -side - 0.8 * width, 0.32 * length, 1.6 * width];
-      context.beginPath();
-      context.roundRect(left * scale, top * scale, long * scale, wide * scale, 0.15 * wide * scale);
-      context.fill();
-    }
+    context.shadowColor = "transparent";
+    const detailed = halfLength > DETAILED || (shape === "walker" && halfLength > 4);
+    if ((kind === "vehicle" || kind === "walker") && detailed) details(context, shape, halfLength, halfWidth);
+    context.beginPath();
+    outline(context, shape, halfLength, halfWidth);
+    context.lineWidth = marked ? 2 : 1;
+    context.strokeStyle = marked ? theme.colors.text : hero ? color : theme.colors.edge;
+    if (marked || hero || kind === "vehicle") context.stroke();
     context.restore();
+  }
+
+  /** Return x, y and half extents of an actor; a walker that was hit lies on the road. */
+  extent({ tracks, hits }, actor) {
+    const { kind, box } = tracks.actors[actor];
+    const lies = kind === "walker" && hits.get(actor) <= this.time;
+    if (lies) return [0, 0, Math.max(BODY, box[2]), Math.max(0.28, box[3])];
+    return kind === "walker" ? [box[0], box[1], Math.min(0.22, box[2]), Math.max(0.28, box[3])] : box;
+  }
+
+  drawGlow(color, radius) {
+    const { context } = this;
+    const shade = context.createRadialGradient(0, 0, radius * 0.4, 0, 0, radius);
+    shade.addColorStop(0, color + (theme.name === "dark" ? "66" : "99"));
+    shade.addColorStop(1, color + "00");
+    context.fillStyle = shade;
+    context.beginPath();
+    context.arc(0, 0, radius, 0, 7);
+    context.fill();
   }
 
   drawLamp(actor, left, top) {
     const { context, camera } = this;
     const state = this.tracks.lightState(actor, this.time);
-    const [, color] = this.report.lights[state] ?? this.report.lights[this.report.lights.length - 1];
-    const radius = Math.min(7, Math.max(2, 0.7 * camera.scale));
-    context.fillStyle = color + "33";
-    context.beginPath();
-    context.arc(left, top, radius * 2.4, 0, 7);
-    context.fill();
+    const color = this.recording.report.lights[state]?.[1] ?? "#828287";
+    const radius = Math.max(2.5, Math.min(7, 0.7 * camera.scale));
+    context.globalAlpha = 0.22;
     context.fillStyle = color;
+    context.beginPath();
+    context.arc(left, top, 2.2 * radius, 0, 7);
+    if (camera.scale > 1 && state !== null && state < 3) context.fill();
+    context.globalAlpha = 1;
     context.beginPath();
     context.arc(left, top, radius, 0, 7);
     context.fill();
   }
 
-  /** Draw rings at the incidents around the present time. */
-  drawIncidents() {
-    const { context, camera, time } = this;
-    for (const { kind, start, place } of this.report.incidents) {
-      const late = time - start;
-      if (!(Math.abs(late) < NOTED) || place[0] === null || place[1] === null) continue;
-      const [left, top] = camera.toScreen(place[0], place[1]);
-      const near = 1 - Math.abs(late) / NOTED;
-      const radius = Math.max(14, 3.4 * camera.scale) * (late < 0 ? 1 + 0.6 * -late : 1);
-      context.globalAlpha = near;
-      context.lineWidth = 2;
-      context.strokeStyle = KINDS[kind].color;
-      context.fillStyle = KINDS[kind].color + "24";
-      context.beginPath();
-      context.arc(left, top, radius, 0, 7);
-      context.fill();
-      context.stroke();
-      context.globalAlpha = 1;
-    }
+  /** Draw an actor of the other recording: its outline, dashed. */
+  drawGhost({ actor, left, top, yaw }) {
+    const { context, camera } = this;
+    const { shape } = this.ghost.tracks.actors[actor];
+    const [middle, side, length, width] = this.extent(this.ghost, actor);
+    const scale = camera.scale * Math.max(1, SMALLEST / 2 / (camera.scale * Math.max(length, width)));
+    context.save();
+    context.translate(left, top);
+    context.rotate(camera.up - UP - yaw);
+    context.translate(middle * scale, -side * scale);
+    context.beginPath();
+    outline(context, shape, Math.max(3, length * scale), Math.max(3, width * scale));
+    context.fillStyle = theme.colors.other + "40";
+    context.strokeStyle = theme.colors.other;
+    context.lineWidth = 2;
+    context.setLineDash([4, 3]);
+    context.fill();
+    context.stroke();
+    context.restore();
   }
+
+  /** Draw a line from the followed actor to itself in the other recording. */
+  drawDistance() {
+    const { context, camera } = this;
+    const own = this.shown.find(({ actor }) => this.tracks.actors[actor].id === camera.followed);
+    const ghost = own && this.ghosts.find(({ actor }) => this.ghost.twin(actor) === own.actor);
+    if (!ghost) return;
+    context.strokeStyle = theme.colors.other;
+    context.lineWidth = 1.5;
+    context.setLineDash([2, 4]);
+    context.beginPath();
+    context.moveTo(own.left, own.top);
+    context.lineTo(ghost.left, ghost.top);
+    context.stroke();
+    context.setLineDash([]);
+    if (Math.hypot(own.left - ghost.left, own.top - ghost.top) < 70) return;
+    const metres = Math.hypot(own.x - ghost.x, own.y - ghost.y);
+    this.text(`${metres.toFixed(metres < 10 ? 1 : 0)} m`, (own.left + ghost.left) / 2, (own.top + ghost.top) / 2 - 6, theme.colors.other);
+  }
+
+  // --- names ------------------------------------------------------------------------------------------------
 
   /** Draw names, the most important first; those that would overlap others are left out. */
   drawLabels() {
-    const { context, camera, tracks } = this;
+    const { camera, tracks } = this;
     const taken = [];
     const importance = ({ actor }) => {
       const { id, kind, hero } = tracks.actors[actor];
@@ -312,27 +332,45 @@ class Stage {
       if (id === camera.followed) return 4;
       return hero ? 3 : kind === "vehicle" ? 2 : kind === "walker" ? 1 : 0;
     };
-    context.font = "600 12px system-ui, -apple-system, 'Segoe UI', Roboto, sans-serif";
-    context.textAlign = "center";
-    context.lineWidth = 4;
-    context.strokeStyle = COLORS.ground;
-    context.fillStyle = COLORS.text;
     const named = this.shown.map((one) => ({ ...one, importance: importance(one) }));
     named.sort((a, b) => b.importance - a.importance);
     for (const { actor, left, top, importance } of named) {
       if (importance < (camera.scale > 3.5 ? 1 : 3)) break;
       if (left < -80 || top < -30 || left > camera.width + 80 || top > camera.height + 30) continue;
-      const { label, box } = tracks.actors[actor];
-      const bottom = top - Math.max(8, Math.max(box[2], box[3]) * camera.scale) - 8;
-      const half = context.measureText(label).width / 2 + 4;
-      const clashes = taken.some(([x, y, width]) => Math.abs(x - left) < width + half && Math.abs(y - bottom) < 15);
-      if (clashes && importance < 4) continue;
-      taken.push([left, bottom, half]);
-      context.globalAlpha = importance > 3 ? 1 : 0.75;
-      context.strokeText(label, left, bottom);
-      context.fillText(label, left, bottom);
+      if (!this.label(actor, left, top, taken, importance > 3)) continue;
     }
-    context.globalAlpha = 1;
+    this.context.globalAlpha = 1;
+  }
+
+  /** Draw the name of an actor above it; return false if there is no room. */
+  label(actor, left, top, taken, always) {
+    const { context, camera } = this;
+    const { label, box } = this.tracks.actors[actor];
+    context.font = `600 12px ${FONT}`;
+    const text = cut(label, 26);
+    const half = context.measureText(text).width / 2 + 4;
+    const reach = Math.max(9, Math.max(box[2], box[3]) * camera.scale);
+    const clashes = (line) => taken.some(([x, y, width]) => Math.abs(x - left) < width + half && Math.abs(y - line) < 15);
+    const lines = [top - reach - 8, top + reach + 17];
+    const bottom = lines.find((line) => !clashes(line)) ?? (always ? lines[0] : null);
+    if (bottom === null) return false;
+    taken.push([left, bottom, half]);
+    context.globalAlpha = always ? 1 : 0.8;
+    this.text(text, left, bottom, theme.colors.text);
+    return true;
+  }
+
+  /** Draw a text with a halo. */
+  text(text, left, bottom, color) {
+    const { context } = this;
+    context.font = `600 12px ${FONT}`;
+    context.textAlign = "center";
+    context.lineJoin = "round";
+    context.lineWidth = 4;
+    context.strokeStyle = theme.colors.halo;
+    context.fillStyle = color;
+    context.strokeText(text, left, bottom);
+    context.fillText(text, left, bottom);
   }
 
   /** Return the actor at a point of the screen, or -1. */
@@ -346,9 +384,9 @@ class Stage {
     }
     return nearest;
   }
+}
 
-  stroke(color, width) {
-    this.context.strokeStyle = color;
-    this.context.lineWidth = width;
-  }
+/** Return the beginning of a long text. */
+function cut(text, length) {
+  return text.length <= length ? text : `${text.slice(0, length - 1)}…`;
 }

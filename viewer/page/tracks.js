@@ -1,40 +1,21 @@
-// The poses of all actors at a time: x, y in m, yaw in radians, right-handed.
+// The poses of all actors of a recording at a time: x, y in m, yaw in radians, right-handed.
 "use strict";
 
-/** Return the numbers in base64. */
-function numbers(text, Type) {
-  const raw = atob(text);
-  const bytes = new Uint8Array(raw.length);
-  for (let i = 0; i < raw.length; i++) bytes[i] = raw.charCodeAt(i);
-  return new Type(bytes.buffer);
-}
-
-/** Return the number of values of an ascending array that are at most a value. */
-function countUntil(values, value) {
-  let low = 0;
-  let high = values.length;
-  while (low < high) {
-    const middle = (low + high) >> 1;
-    if (values[middle] <= value) low = middle + 1;
-    else high = middle;
-  }
-  return low;
-}
-
-const TURN = (2 * Math.PI) / 65536; // radians per unit of a sampled yaw
+const TURN = (2 * Math.PI) / 16384; // radians per unit of a sampled yaw
 const SLOPE = 0.1; // s; speeds are measured over twice this time
 
 class Tracks {
   constructor(recording) {
-    this.times = numbers(recording.times, Float64Array);
+    this.times = recording.times;
     this.spans = recording.spans;
     this.actors = recording.actors;
-    this.x = numbers(recording.x, Float32Array);
-    this.y = numbers(recording.y, Float32Array);
-    this.yaw = numbers(recording.yaw, Uint16Array);
-    this.table = numbers(recording.tracks, Uint32Array);
+    this.x = recording.x;
+    this.y = recording.y;
+    this.yaw = recording.yaw;
+    // One value for each track: its actor, its first and last sample, its first row, and the number of its rows.
+    [this.owner, this.first, this.last, this.begin, this.count] = recording.tracks;
     this.own = this.actors.map(() => []); // the tracks of each actor, in order of time
-    for (let at = 0; at < this.table.length; at += 5) this.own[this.table[at]].push(at);
+    this.owner.forEach((actor, track) => this.own[actor].push(track));
     this.byId = new Map();
     this.actors.forEach((actor, index) => {
       if (!this.byId.has(actor.id)) this.byId.set(actor.id, []);
@@ -43,11 +24,9 @@ class Tracks {
     this.readLights(recording.lights);
   }
 
-  readLights(columns) {
+  readLights({ actor: actors, time: times, state: states }) {
     this.lights = new Map(); // actor → its changes
-    const times = numbers(columns.time, Float64Array);
-    const states = numbers(columns.state, Uint8Array);
-    numbers(columns.actor, Uint32Array).forEach((actor, i) => {
+    actors.forEach((actor, i) => {
       if (!this.lights.has(actor)) this.lights.set(actor, { times: [], states: [] });
       const light = this.lights.get(actor);
       light.times.push(times[i]);
@@ -69,26 +48,25 @@ class Tracks {
 
   /** Return the sample at or before a time. */
   sampleAt(time) {
-    return Math.max(0, countUntil(this.times, time) - 1);
+    return Math.max(0, countUntil(this.times, time + 1e-5) - 1);
   }
 
   /** Return the pose of an actor; false if it is absent. */
   pose(actor, time, sample, pose) {
     const { until } = this.actors[actor];
     if (until !== null && until <= time) return false;
-    const at = this.trackAt(actor, sample);
-    if (at < 0) return false;
-    const single = this.table[at + 4] === 1;
-    const row = this.table[at + 3] + (single ? 0 : sample - this.table[at + 1]);
+    const track = this.trackAt(actor, sample);
+    if (track < 0) return false;
+    const single = this.count[track] === 1;
+    const row = this.begin[track] + (single ? 0 : sample - this.first[track]);
     pose.x = this.x[row];
     pose.y = this.y[row];
     pose.yaw = this.yaw[row] * TURN;
-    if (!single && sample < this.table[at + 2]) {
-      const part = (time - this.times[sample]) / (this.times[sample + 1] - this.times[sample]);
+    if (!single && sample < this.last[track]) {
+      const part = Math.max(0, time - this.times[sample]) / (this.times[sample + 1] - this.times[sample]);
       pose.x += part * (this.x[row + 1] - pose.x);
       pose.y += part * (this.y[row + 1] - pose.y);
-      // Numbers of 16 bits overflow as angles do, so this is the shorter rotation.
-      pose.yaw += part * (((this.yaw[row + 1] - this.yaw[row]) << 16) >> 16) * TURN;
+      pose.yaw += part * (this.yaw[row + 1] - this.yaw[row]) * TURN; // within a track, it does not jump at a full turn
     }
     return true;
   }
@@ -100,10 +78,10 @@ class Tracks {
     let high = own.length;
     while (low < high) {
       const middle = (low + high) >> 1;
-      if (this.table[own[middle] + 1] <= sample) low = middle + 1;
+      if (this.first[own[middle]] <= sample) low = middle + 1;
       else high = middle;
     }
-    return low && this.table[own[low - 1] + 2] >= sample ? own[low - 1] : -1;
+    return low && this.last[own[low - 1]] >= sample ? own[low - 1] : -1;
   }
 
   /** Return the speed of an actor, in m/s. */
@@ -120,12 +98,12 @@ class Tracks {
   }
 
   /** Return the path of an actor in an interval, as lines of x, y, x, y, …, up to its end. */
-  way(actor, start, stop) {
+  path(actor, start, stop) {
     const [from, to] = [this.sampleAt(start), this.sampleAt(stop)];
     const runs = [];
-    for (const at of this.own[actor]) {
-      const [, first, last, begin, length] = this.table.subarray(at, at + 5);
-      if (length === 1 || last <= from || first > to) continue;
+    for (const track of this.own[actor]) {
+      const [first, last, begin] = [this.first[track], this.last[track], this.begin[track]];
+      if (this.count[track] === 1 || last <= from || first > to) continue;
       const run = [];
       for (let i = Math.max(from, first); i <= Math.min(to, last); i++) {
         run.push(this.x[begin + i - first], this.y[begin + i - first]);
@@ -138,7 +116,7 @@ class Tracks {
   /** Return the actor that has an id at a time, or the nearest one in time. */
   indexOf(id, time) {
     const indices = this.byId.get(id) ?? [];
-    const begun = indices.filter((index) => this.actors[index].since <= time + 1e-6);
+    const begun = indices.filter((index) => this.actors[index].since <= time + 1e-4);
     return begun.length ? begun[begun.length - 1] : indices.length ? indices[0] : -1;
   }
 }

@@ -1,15 +1,20 @@
 // Play, pause, speed, and the timeline with its marks.
 "use strict";
 
+const MARK_WIDTH = 20; // px; marks that are nearer to each other are one
+
 class Transport {
-  constructor(clock, report, open) {
+  /** open: is called with the index of an incident. */
+  constructor(clock, length, incidents, open) {
     this.clock = clock;
-    this.report = report;
+    this.length = length;
+    this.incidents = incidents;
+    this.open = open;
     this.slider = document.getElementById("time");
     this.now = document.getElementById("now");
     this.button = document.getElementById("play");
     this.pace = document.getElementById("pace");
-    this.length = Math.max(clock.stop, report.duration ?? 0);
+    this.marks = document.getElementById("marks");
     this.slider.max = String(this.length);
     this.slider.disabled = this.button.disabled = clock.stop <= clock.start;
     document.getElementById("end").textContent = clockTime(this.length);
@@ -18,7 +23,8 @@ class Transport {
     this.pace.addEventListener("change", () => clock.setPace(Number(this.pace.value)));
     clock.addEventListener("state", () => this.showState());
     this.addSpans();
-    this.addMarks(open);
+    new ResizeObserver(() => this.addMarks()).observe(this.marks);
+    this.addMarks();
     this.showState();
   }
 
@@ -37,28 +43,55 @@ class Transport {
     }
   }
 
-  /** Draw marks of the incidents that can be shown; collisions above the others. */
-  addMarks(open) {
-    const kinds = Object.keys(KINDS).reverse();
-    const indices = this.report.incidents.map((_, index) => index).filter((index) => this.canShow(index));
-    indices.sort((a, b) => kinds.indexOf(this.report.incidents[a].kind) - kinds.indexOf(this.report.incidents[b].kind));
-    for (const index of indices) {
-      const { kind, start, text } = this.report.incidents[index];
-      const mark = element("button", "mark");
-      mark.type = "button";
-      mark.tabIndex = -1; // on the keyboard, incidents are chosen in the list
-      mark.title = `${clockTime(start)} ${text}`;
-      mark.setAttribute("aria-label", mark.title);
-      mark.dataset.kind = kind;
-      mark.style.left = this.share(start);
-      mark.addEventListener("click", () => open(index));
-      document.getElementById("marks").append(mark);
+  /** Show where two recordings begin to differ. */
+  addDifference(time) {
+    const bar = element("i", "difference");
+    bar.style.left = this.share(time);
+    document.getElementById("covered").append(bar);
+  }
+
+  /** Draw marks of the incidents that can be shown; those that would overlap are one mark, with their number. */
+  addMarks() {
+    const width = this.marks.clientWidth;
+    if (width && width === this.width && this.hidden === [...this.incidents.hidden].join()) return;
+    this.width = width;
+    this.hidden = [...this.incidents.hidden].join();
+    this.marks.replaceChildren();
+    const reach = width ? (MARK_WIDTH / width) * this.length : 0; // s
+    for (const index of new Set(this.incidents.items.map(({ recording }) => recording.index))) {
+      const items = this.incidents.items
+        .map((item, index) => ({ ...item, index }))
+        .filter(({ replayed, row, recording }) => replayed && !row.hidden && recording.index === index)
+        .sort((a, b) => a.incident.start - b.incident.start);
+      let group = [];
+      for (const item of items) {
+        if (group.length && item.incident.start - group[0].incident.start >= reach) {
+          this.addMark(group);
+          group = [];
+        }
+        group.push(item);
+      }
+      if (group.length) this.addMark(group);
     }
   }
 
-  canShow(index) {
-    const { start } = this.report.incidents[index];
-    return start !== null && this.clock.spans.some(([from, to]) => from <= start && start <= to);
+  addMark(group) {
+    const worst = Object.keys(KINDS).find((kind) => group.some((item) => item.kind === kind));
+    const mark = element("button", "mark", group.length > 1 ? (group.length > 99 ? "99+" : String(group.length)) : "");
+    const lines = group.slice(0, 8).map(({ incident }) => `${clockTime(incident.start)} ${incident.text}`);
+    mark.type = "button";
+    mark.tabIndex = -1; // on the keyboard, incidents are chosen in the list
+    mark.title = [...lines, ...(group.length > 8 ? [`and ${group.length - 8} more`] : [])].join("\n");
+    mark.setAttribute("aria-label", group.length > 1 ? `${group.length} incidents` : mark.title);
+    mark.classList.toggle("cluster", group.length > 1);
+    mark.classList.toggle("below", group[0].recording.index > 0);
+    mark.dataset.kind = worst;
+    mark.style.left = this.share(group[0].incident.start);
+    mark.addEventListener("click", () => {
+      const indices = group.map(({ index }) => index);
+      this.open(indices[(indices.indexOf(this.incidents.current) + 1) % indices.length]); // one after the other
+    });
+    this.marks.append(mark);
   }
 
   /** Change the speed by a step. */

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import sys
+from contextlib import ExitStack
 from pathlib import Path
 from typing import TYPE_CHECKING, Final
 
@@ -243,8 +244,8 @@ def snapshot(
 
 
 @click.command()
-@options.source
-@options.folder
+@click.argument("sources", nargs=-1, required=True, type=click.Path(), metavar="SRC [OTHER]")
+@click.argument("destination", type=click.Path(), metavar="DST")
 @options.before
 @options.after
 @options.road_map
@@ -255,16 +256,19 @@ def snapshot(
     show_default=True,
     help="Of incidents: drawn from above, or taken from behind by Rerun's viewer.",
 )
-@click.option("--viewer", is_flag=True, help="Add Rerun's viewer, in 3D; it needs --serve or another server.")
+@click.option("--viewer", is_flag=True, help="Add Rerun's viewer, in 3D, to a folder; it needs --serve or another server.")
 @options.force
-@click.option("--serve", is_flag=True, help="Serve the page to a browser on this machine, until Ctrl-C.")
+@click.option("--serve", is_flag=True, help="Serve the folder to a browser on this machine, until Ctrl-C.")
 @click.option("--port", type=click.IntRange(0, 65535), metavar="N", help="The port to serve at; else any free one.")
 @options.min_time
 @options.min_distance
 @options.deceleration
+@click.pass_context
 def report(
-    source: str,
-    folder: str,
+    ctx: click.Context,
+    /,
+    sources: tuple[str, ...],
+    destination: str,
     before: float,
     after: float,
     road_map: str | None,
@@ -279,20 +283,32 @@ def report(
 ) -> None:
     """Write the incident page, for any browser.
 
-    It lists what went wrong, with pictures and a replay from above. --before and --after are for the pictures, and for a
+    It lists what went wrong, with a replay from above. DST is a single file, if its name ends in .html, or else a folder.
+    With a second recording, the page compares both, side by side or one over the other. --before and --after are for a
     recording that is too long to be replayed as a whole.
     """
-    if port is not None and not serve:
-        raise click.UsageError("--port goes with --serve.")
     from carla_recap.cli.progress import watch_scenes
     from carla_recap.export.report import serve as serve_page
     from carla_recap.export.report import write_report
+    from carla_recap.export.report.report import SINGLE
     from carla_recap.recording import open_recording
 
-    with open_recording(source) as recording:
+    single = Path(destination).suffix.lower() in SINGLE
+    if len(sources) > 2:
+        raise click.UsageError("A page shows one recording, or compares two.", ctx)
+    if port is not None and not serve:
+        raise click.UsageError("--port goes with --serve.", ctx)
+    for name, given in (("--serve", serve), ("--viewer", viewer)):
+        if single and given:
+            raise click.UsageError(f"{name} goes with a folder; {destination} is a single file.", ctx)
+    if viewer and len(sources) > 1:
+        raise click.UsageError("--viewer goes with one recording.", ctx)
+    with ExitStack() as stack:
+        recording, *others = (stack.enter_context(open_recording(source)) for source in sources)
         written = write_report(
             recording,
-            folder,
+            destination,
+            other=others[0] if others else None,
             before=before,
             after=after,
             min_time=min_time,
@@ -304,9 +320,10 @@ def report(
             progress=watch_scenes("sampling"),
             force=force,
         )
-    say(f"{Path(folder) / 'index.html'}: {written.incidents} incidents, {written.size / 1e6:.1f} MB")
+    page = destination if single else Path(destination) / "index.html"
+    say(f"{page}: {written.incidents} incidents, {written.size / 1e6:.1f} MB")
     if serve:
-        serve_page(folder, port or 0, ready=_announce)
+        serve_page(destination, port or 0, ready=_announce)
 
 
 def _announce(address: str) -> None:

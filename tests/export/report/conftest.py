@@ -2,12 +2,16 @@
 
 from __future__ import annotations
 
+import base64
 import json
 import shutil
+import struct
+import zlib
 from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+import numpy as np
 import pytest
 
 from carla_recap import ActorKind, Attribute, Spawn, create_recording, open_recording
@@ -32,10 +36,35 @@ def crossing_page(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder
 
 
-def data(folder: Path, name: str) -> Any:
-    """Return the data in a script of a page: `report`, `recording` or `ground`."""
-    text = (folder / "data" / f"{name}.js").read_text("ascii")
-    return json.loads(text.partition("=")[2].removesuffix(";\n"))
+def data(page: Path, name: str, index: int = 0) -> Any:
+    """Return the data in a page, a folder or a file: `report` and `recording` of one of its recordings, or the `ground`."""
+    variable, key = {"report": ("REPORTS", index), "recording": ("RECORDINGS", index), "ground": ("GROUND", None)}[name]
+    files = [page] if page.is_file() else sorted((page / "data").iterdir())
+    text = "".join(file.read_text("utf-8") for file in files)
+    value = json.JSONDecoder().raw_decode(text, text.index(f"var {variable}=") + len(variable) + 5)[0]
+    value = value if key is None else value[key]
+    return unpack(value) if isinstance(value, str) else value
+
+
+def unpack(text: str) -> Any:
+    """Return the value in a packed text, as the page's scripts read it."""
+    content = zlib.decompress(base64.b64decode(text))
+    (length,) = struct.unpack_from("<I", content)
+
+    def revive(value: dict[str, Any]) -> Any:
+        return numbers(content[4 + length :], *value["column"]) if "column" in value else value
+
+    return json.loads(content[4 : 4 + length], object_hook=revive)
+
+
+def numbers(content: bytes, offset: int, count: int, planes: int, unit: float, order: int) -> Any:
+    """Return the numbers of a packed column."""
+    raw = np.frombuffer(content, np.uint8, planes * count, offset).reshape(planes, count).astype(np.uint32)
+    zigzag = (raw << (8 * np.arange(planes, dtype=np.uint32))[:, None]).sum(axis=0, dtype=np.uint32)
+    values = (zigzag >> 1).astype(np.int32) ^ -(zigzag & 1).astype(np.int32)
+    for _ in range(order):
+        values = np.cumsum(values, dtype=np.int32)
+    return values * unit
 
 
 def spawn(id: int, type_id: str = "vehicle.audi.tt", **attributes: str) -> Spawn:

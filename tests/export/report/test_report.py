@@ -3,15 +3,12 @@
 from __future__ import annotations
 
 from typing import TYPE_CHECKING
-from xml.etree import ElementTree
 
 import pytest
 
 from carla_recap import RecapError, open_recording
-from carla_recap.cli.options import road_map_of
 from carla_recap.export.report import report as module
-from carla_recap.export.report import write_report
-from carla_recap.export.report.drawing import _ROAD
+from carla_recap.export.report import sampling, write_report
 from carla_recap.queries.incidents import incidents
 from tests.export.report.conftest import CROSSING, NASTY, data, record, report, spawn
 from tests.samples import names_in
@@ -44,25 +41,16 @@ def test_the_incidents_are_those_of_the_query(crossing_page: Path) -> None:
     assert len(listed) >= 3
 
 
-def test_each_incident_has_a_picture_with_its_actors(crossing_page: Path) -> None:
-    for incident in data(crossing_page, "report")["incidents"]:
-        picture = ElementTree.parse(crossing_page / incident["picture"]).getroot()
-        words = [node.text for node in picture.iter("{http://www.w3.org/2000/svg}text")]
-        assert len([word for word in words if any(word.endswith(str(id)) for id in incident["actors"])]) == len(
-            incident["actors"]
-        )
-
-
 def test_the_summary_of_the_call(tmp_path: Path) -> None:
     with open_recording(CROSSING) as recording:
         written = write_report(recording, tmp_path / "page", pictures="none")
-    assert written._replace(size=0) == (tmp_path / "page", 4, 0, True, 53.0, 0)
+    assert written._replace(size=0) == (tmp_path / "page", 4, True, 53.0, 0)
     assert written.size == sum(file.stat().st_size for file in (tmp_path / "page").rglob("*") if file.is_file())
-    assert list((tmp_path / "page" / "pictures").iterdir()) == []
+    assert not data(tmp_path / "page", "report")["drawn"]
 
 
 def test_a_long_recording_is_replayed_around_its_incidents(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(module, "BUDGET", 15_000)
+    monkeypatch.setattr(sampling, "BUDGET", 15_000)
     report(CROSSING, tmp_path / "page", before=2, after=1)
     summary, recording = data(tmp_path / "page", "report"), data(tmp_path / "page", "recording")
     assert not summary["whole"]
@@ -72,11 +60,11 @@ def test_a_long_recording_is_replayed_around_its_incidents(tmp_path: Path, monke
 
 
 def test_incidents_beyond_the_budget_are_listed_without_a_replay(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(module, "BUDGET", 5_000)
+    monkeypatch.setattr(sampling, "BUDGET", 5_000)
     report(CROSSING, tmp_path / "page", before=2, after=1)
-    listed = data(tmp_path / "page", "report")["incidents"]
-    assert len(listed) == 4
-    assert [one["picture"] is None for one in listed] == [False, True, True, True]
+    page = tmp_path / "page"
+    listed, spans = data(page, "report")["incidents"], data(page, "recording")["spans"]
+    assert [any(start <= one["start"] <= stop for start, stop in spans) for one in listed] == [True, False, False, False]
 
 
 def test_a_folder_that_is_not_empty_is_an_error(tmp_path: Path) -> None:
@@ -89,11 +77,11 @@ def test_a_folder_that_is_not_empty_is_an_error(tmp_path: Path) -> None:
 
 
 def test_force_keeps_other_files(tmp_path: Path) -> None:
-    (tmp_path / "page" / "pictures").mkdir(parents=True)
-    for name in ("mine.txt", "index.html", "pictures/mine.png"):
+    (tmp_path / "page" / "data").mkdir(parents=True)
+    for name in ("mine.txt", "index.html", "data/mine.png"):
         (tmp_path / "page" / name).write_text("mine")
     page = report(CROSSING, tmp_path / "page", force=True)
-    assert (page / "mine.txt").read_text() == (page / "pictures" / "mine.png").read_text() == "mine"
+    assert (page / "mine.txt").read_text() == (page / "data" / "mine.png").read_text() == "mine"
     assert "canvas" in (page / "index.html").read_text()
     assert names_in(tmp_path) == ["page"]
 
@@ -102,36 +90,23 @@ def test_a_failure_leaves_no_files(tmp_path: Path, monkeypatch: pytest.MonkeyPat
     def fail(*_: object, **__: object) -> None:
         raise OSError(28, "No space left on device")
 
-    monkeypatch.setattr(module, "draw", fail)
+    monkeypatch.setattr(module, "copy_files", fail)
     with pytest.raises(RecapError, match="page: cannot be written: No space left"):
         report(CROSSING, tmp_path / "page")
     assert names_in(tmp_path) == []
 
 
-def test_hostile_texts_stay_texts_in_pictures_and_scripts(tmp_path: Path) -> None:
+def test_hostile_texts_stay_texts_in_scripts(tmp_path: Path) -> None:
     there = {"transforms": [(1, 0, 0, 0, 0, 0, 0), (2, 100, 0, 0, 0, 0, 0)]}
     first = there | {"spawned": [spawn(1, f"vehicle.{NASTY}", role_name=NASTY), spawn(2, "\udc80\udcff" * 9)]}
     source = record(tmp_path / "a.log", [first, there | {"collisions": [(1, 1, 2, 0, 0)]}, there], map_name=NASTY)
     page = report(source, tmp_path / "page")
     for script in (page / "data").iterdir():
         assert b"<" not in script.read_bytes()
-    picture = ElementTree.parse(page / "pictures" / "incident-0001.svg").getroot()
-    assert {node.tag.partition("}")[2] for node in picture.iter()} <= {"svg", "title", "g", "path", "rect", "circle", "text"}
+    assert "onerror" in data(page, "recording")["actors"][0]["role"]
 
 
 @pytest.mark.parametrize("span", [{"before": -1}, {"after": float("nan")}])
 def test_invalid_times_are_refused(tmp_path: Path, span: dict[str, float]) -> None:
     with pytest.raises(RecapError, match="0 or more were expected"):
         report(CROSSING, tmp_path / "page", **span)
-
-
-def test_a_road_with_all_points_outside_a_picture_is_drawn(tmp_path: Path) -> None:
-    with open_recording("samples/blocked.mcap") as recording:
-        write_report(recording, tmp_path / "page", road_map=road_map_of(recording, None))
-    pictures = sorted((tmp_path / "page" / "pictures").iterdir())
-    assert pictures
-    for picture in pictures:
-        styles = [
-            node.get("stroke") for node in ElementTree.parse(picture).getroot().iter("{http://www.w3.org/2000/svg}path")
-        ]
-        assert _ROAD in styles, picture.name

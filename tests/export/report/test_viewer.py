@@ -10,8 +10,7 @@ from typing import TYPE_CHECKING, Any
 import pytest
 
 from carla_recap import RecapError
-from carla_recap.export.report import page_server
-from carla_recap.export.report import report as module
+from carla_recap.export.report import page_server, sampling
 from tests.export.report.conftest import CROSSING, browser, data, record, report, spawn
 from tests.samples import names_in
 
@@ -39,10 +38,10 @@ def test_the_viewer_shows_the_time_and_the_actor_of_an_incident(tmp_path: Path) 
         thread.start()
         try:
             chromium.get(f"http://127.0.0.1:{server.server_port}/")
-            chromium.execute_script("replay.space.toggle(); replay.open(1)")
+            chromium.execute_script("replay.space.toggle(); replay.open(1, {play: false})")
             chromium.switch_to.frame("space")
             chromium.execute_script("starting.then(viewer => { window.viewer = viewer })")
-            before = pytest.approx(incident["start"] - 2)
+            before = pytest.approx(incident["start"] - 3)
             until(lambda: chromium.execute_script("return window.viewer && viewer.time") == before)
             assert chromium.execute_script("return viewer.camera") == f"cameras/follow_{incident['actors'][0]}.rbl"
             asked = chromium.execute_script("return performance.getEntriesByType('resource').map(entry => entry.name)")
@@ -53,7 +52,7 @@ def test_the_viewer_shows_the_time_and_the_actor_of_an_incident(tmp_path: Path) 
 
 
 def test_a_long_recording_has_no_viewer(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(module, "BUDGET", 5_000)
+    monkeypatch.setattr(sampling, "BUDGET", 5_000)
     with pytest.raises(RecapError, match="too long for the viewer"):
         report(CROSSING, tmp_path / "page", viewer=True)
     assert names_in(tmp_path) == []

@@ -63,8 +63,24 @@ class Viewer {
   }
 }
 
+/** Return the answer with the viewer's program, and report to the surrounding page how much of it is loaded. */
+async function program() {
+  const answer = await fetch("re_viewer_bg.wasm");
+  const whole = Number(answer.headers.get("Content-Length"));
+  if (!answer.ok || !answer.body || !whole) return answer;
+  let loaded = 0;
+  const counted = new TransformStream({
+    transform(chunk, controller) {
+      loaded += chunk.length;
+      window.parent.postMessage({ loaded: Math.min(1, loaded / whole) }, location.origin);
+      controller.enqueue(chunk);
+    },
+  });
+  return new Response(answer.body.pipeThrough(counted), { headers: { "Content-Type": "application/wasm" } });
+}
+
 async function start() {
-  await wasm_bindgen({ module_or_path: "re_viewer_bg.wasm" });
+  await wasm_bindgen({ module_or_path: program() });
   const handle = new wasm_bindgen.WebHandle({
     url: [new URL("recording.rrd", location.href).href],
     hide_welcome_screen: true,
@@ -84,6 +100,9 @@ window.addEventListener("message", (event) => {
   if (event.source === window.parent && event.origin === location.origin) starting.then((viewer) => viewer.show(event.data));
 });
 starting.then(
-  () => window.parent.postMessage("ready", location.origin),
-  (error) => (document.getElementById("state").textContent = `Rerun's viewer does not start: ${error}`),
+  () => window.parent.postMessage({ ready: true }, location.origin),
+  (error) => {
+    document.getElementById("state").textContent = `Rerun's viewer does not start: ${error}`;
+    window.parent.postMessage({ failed: true }, location.origin);
+  },
 );

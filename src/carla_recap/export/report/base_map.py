@@ -10,7 +10,7 @@ import numpy as np
 from carla_recap.model.records import ActorKind
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Iterator
+    from collections.abc import Iterable, Iterator, Sequence
 
     from numpy.typing import NDArray
 
@@ -26,24 +26,6 @@ CELL: Final = 1.5  # m of a square in which one path is drawn
 MOST: Final = 100_000  # points of paths
 
 
-class Lines:
-    """Lines with a spatial index.
-
-    Args:
-        lines: Rows of x, y; no line is empty.
-    """
-
-    def __init__(self, lines: Iterable[Floats] = ()) -> None:
-        self.lines = list(lines)
-        self._low = np.array([line.min(axis=0) for line in self.lines]).reshape(-1, 2)
-        self._high = np.array([line.max(axis=0) for line in self.lines]).reshape(-1, 2)
-
-    def within(self, low: Floats, high: Floats) -> list[Floats]:
-        """Return the lines that may be visible in a rectangle, given by two corners."""
-        near = ((self._low <= high) & (self._high >= low)).all(axis=1)
-        return [self.lines[index] for index in np.flatnonzero(near).tolist()]
-
-
 @dataclass(frozen=True)
 class BaseMap:
     """The lines to draw below the actors: x, y in m, right-handed.
@@ -56,24 +38,24 @@ class BaseMap:
     """
 
     width: float
-    lanes: Lines
-    junctions: Lines = field(default_factory=Lines)
-    crossings: Lines = field(default_factory=Lines)
-    borders: Lines = field(default_factory=Lines)
-    stops: Lines = field(default_factory=Lines)
+    lanes: list[Floats]
+    junctions: list[Floats] = field(default_factory=list)
+    crossings: list[Floats] = field(default_factory=list)
+    borders: list[Floats] = field(default_factory=list)
+    stops: list[Floats] = field(default_factory=list)
 
 
-def base_map(road_map: RoadMap | None, replay: SampledReplay) -> BaseMap:
+def base_map(road_map: RoadMap | None, replays: Sequence[SampledReplay]) -> BaseMap:
     """Return the roads of a map, or without one, the paths of vehicles."""
     if road_map is None:
-        return BaseMap(PATH_WIDTH, Lines(_driven(replay)))
+        return BaseMap(PATH_WIDTH, list(_driven(replays)))
     return BaseMap(
         ROAD_WIDTH,
-        Lines(_flat(road_map.centre_lines)),
-        Lines(_flat(road_map.junctions)),
-        Lines(_flat(road_map.crossings)),
-        Lines(_flat(road_map.lane_borders)),
-        Lines(_flat(road_map.stop_lines)),
+        list(_flat(road_map.centre_lines)),
+        list(_flat(road_map.junctions)),
+        list(_flat(road_map.crossings)),
+        list(_flat(road_map.lane_borders)),
+        list(_flat(road_map.stop_lines)),
     )
 
 
@@ -83,10 +65,13 @@ def _flat(lines: Iterable[Floats]) -> Iterator[Floats]:
             yield line[:, :2]
 
 
-def _driven(replay: SampledReplay) -> Iterator[Floats]:
+def _driven(replays: Sequence[SampledReplay]) -> Iterator[Floats]:
     """Yield the paths of all vehicles, without those parts where one is drawn already."""
-    vehicles = {i for i, actor in enumerate(replay.actors) if actor.details and actor.details.kind == ActorKind.VEHICLE}
-    paths = [thinned(track.rows[:, :2], STEP) for track in replay.tracks if track.actor in vehicles and not track.is_still]
+    paths = []
+    for replay in replays:
+        vehicles = {i for i, actor in enumerate(replay.actors) if actor.details and actor.details.kind == ActorKind.VEHICLE}
+        moving = (track for track in replay.tracks if track.actor in vehicles and not track.is_still)
+        paths += [thinned(track.rows[:, :2], STEP) for track in moving]
     if not paths:
         return
     points = np.concatenate(paths)

@@ -1,4 +1,4 @@
-"""The incident page: a folder that shows the incidents of a recording in a browser, with or without a server."""
+"""The incident page: what went wrong in a recording, in a browser, with or without a server; or in two, to compare them."""
 
 from __future__ import annotations
 
@@ -13,32 +13,30 @@ from carla_recap.errors import RecapError
 from carla_recap.export import viewer_folder
 from carla_recap.export.report import script
 from carla_recap.export.report.base_map import base_map
-from carla_recap.export.report.drawing import draw
-from carla_recap.export.report.samples import SampledReplay, Sampler
+from carla_recap.export.report.packing import Packer
+from carla_recap.export.report.sampling import sample
+from carla_recap.export.report.single import data_address, single_page
 from carla_recap.export.style import LIGHTS, OTHER, STYLES
 from carla_recap.model.stationary import MIN_DISTANCE, MIN_TIME
 from carla_recap.queries.incidents import HARD, Incident, incidents
 from carla_recap.recording import Recording
 from carla_recap.replay.player import Player
-from carla_recap.util.files import check_folder, copy_files, new_folder
+from carla_recap.util.files import WholeFile, check_folder, copy_files, new_folder
 from carla_recap.util.text import readable
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator, Sequence
+    from collections.abc import Iterable, Sequence
 
+    from carla_recap.export.report.samples import SampledReplay
     from carla_recap.formats.base import Reader
     from carla_recap.maps import RoadMap
     from carla_recap.replay.player import Progress
-    from carla_recap.replay.scene import Scene
 
 Pictures = Literal["drawn", "rerun", "none"]
 """The pictures of incidents: drawn from above, taken by Rerun's viewer from behind the first actor, or none."""
 
-BUDGET: Final = 15_000_000
-"""The most bytes of samples in a page, 20 MB as text; of a longer recording, a page has only the time around incidents."""
-
-RATES: Final = (20.0, 10.0)  # samples per second of a whole recording
-REPLAYED: Final = 200  # the most incidents with a picture and, of a long recording, with a replay
+SINGLE: Final = (".html", ".htm")  # the suffixes of a page that is one file
+REPLAYED: Final = 200  # the most incidents with a taken picture and, of a long recording, with a replay
 FIRST: Final = ("collision", "hard braking", "blocked")  # the kinds of incidents in the order in which they are chosen
 PICTURE_SIZE: Final = (640, 400)
 LISTED: Final = 2000  # the most incidents in the list
@@ -50,26 +48,67 @@ class Report(NamedTuple):
     """The content of a page.
 
     Attributes:
-        folder: The folder.
+        path: The folder or file.
         incidents: The number of incidents in the list.
-        pictures: The number of pictures.
         whole: Whether it replays the whole recording, not only the time around incidents.
         seconds: The length of the replay in seconds.
         size: The size of all files in bytes.
     """
 
-    folder: Path
+    path: Path
     incidents: int
-    pictures: int
     whole: bool
     seconds: float
     size: int
 
 
+class _Limits(NamedTuple):
+    """What counts as an incident, and the seconds around one."""
+
+    before: float
+    after: float
+    min_time: float
+    min_distance: float
+    deceleration: float
+
+
+class _Reported:
+    """A recording in a page.
+
+    Args:
+        recording: The recording.
+        limits: What counts as an incident.
+        progress: Gets the scenes and their player, and yields the scenes.
+    """
+
+    def __init__(self, recording: Recording, limits: _Limits, progress: Progress | None) -> None:
+        self.recording = recording
+        before, after, min_time, min_distance, deceleration = limits
+        found = incidents(recording.reader, min_time=min_time, min_distance=min_distance, deceleration=deceleration)
+        self.incidents = found[:LISTED]
+        self.omitted = len(found) - len(self.incidents)
+        chosen = sorted(range(len(self.incidents)), key=lambda index: FIRST.index(found[index].kind))[:REPLAYED]
+        self.chosen = {index: self.incidents[index] for index in chosen}
+        self.replay, self.whole = sample(recording, list(self.chosen.values()), before, after, progress)
+        self.pictures: dict[int, bytes] = {}
+
+    def take_pictures(self, road_map: RoadMap | None) -> None:
+        """Take a picture of each chosen incident, from behind the first of its actors that is present."""
+        from carla_recap.export.screenshots import picture
+
+        for index, incident in self.chosen.items():
+            followed = next((id for id in incident.actors if id in self.replay.ids(incident.start)), None)
+            if followed is not None:
+                self.pictures[index] = picture(
+                    self.recording, at=incident.start, follow=followed, road_map=road_map, size=PICTURE_SIZE
+                )
+
+
 def write_report(
     source: Recording | Reader,
-    folder: Path | str,
+    path: Path | str,
     *,
+    other: Recording | Reader | None = None,
     before: float = 5.0,
     after: float = 5.0,
     min_time: float = MIN_TIME,
@@ -81,12 +120,14 @@ def write_report(
     force: bool = False,
     progress: Progress | None = None,
 ) -> Report:
-    """Write the incident page of a recording.
+    """Write the incident page of a recording, or of two that are compared.
 
     Args:
         source: The recording.
-        folder: The folder to write; its `index.html` opens from the disk, or from any server.
-        before: The seconds before an incident in its picture and, of a long recording, in the replay.
+        path: The folder to write, whose `index.html` opens from the disk, or from any server; or if its name ends in
+            `.html`, a single file.
+        other: Another recording of the same map, to be shown beside the first one, or over it.
+        before: The seconds before an incident in the replay of a long recording.
         after: The seconds after it.
         min_time: The time of standing still that counts as an incident, in seconds; see `carla_recap.queries.incidents`.
         min_distance: The distance at which an actor has moved, in cm.
@@ -95,58 +136,90 @@ def write_report(
         pictures: "drawn": a drawing of each incident, from above; "rerun": a view from behind the first actor, which takes
             seconds for each, and the extra `rerun`; or "none".
         viewer: Add Rerun's viewer, to see the scene in 3D; it needs the extra `rerun`, and a server for the page.
-        force: Write into a folder that is not empty.
-        progress: Gets the scenes and their player, and yields the scenes.
+        force: Write into a folder that is not empty, or over a file.
+        progress: Gets the scenes and their player, and yields the scenes; once for each recording.
 
     Raises:
-        RecapError: The recording is damaged or empty, the folder is not empty, or Rerun's viewer cannot draw here.
+        RecapError: A recording is damaged or empty, the two are of different maps, the folder is not empty, the file exists,
+            the viewer is wanted in a single file or a comparison, or Rerun's viewer cannot draw here.
         MissingExtra: `pictures` or `viewer` need Rerun, and it is not installed.
     """
     if not (before >= 0 and after >= 0):
         raise RecapError(f"{before:g} s before and {after:g} s after incidents cannot be shown; 0 or more were expected")
-    check_folder(folder, force=force)
-    recording = source if isinstance(source, Recording) else Recording(source)
-    all_found = incidents(recording.reader, min_time=min_time, min_distance=min_distance, deceleration=deceleration)
-    found = all_found[:LISTED]
-    player = Player(recording)
-    shown = sorted(range(len(found)), key=lambda index: FIRST.index(found[index].kind))[:REPLAYED]
-    replay, whole = _sample(recording, [found[index] for index in shown], before, after, progress)
-    roads = base_map(road_map, replay)
-    if viewer and not whole:
-        raise RecapError(f"{recording.path}: is too long for the viewer in a page; clips of its incidents are not")
-    with new_folder(folder) as room:
-        copy_files(viewer_folder() / "page", room)
-        if viewer:
-            _add_viewer(recording, room / "rerun", road_map)
-        (room / "data").mkdir()
-        (room / "pictures").mkdir()
-        names: dict[int, str] = {}
-        for index in shown if pictures != "none" else ():
-            incident = found[index]
-            followed = next((id for id in incident.actors if id in replay.ids(incident.start)), None)
-            if pictures == "rerun" and followed is not None:
-                names[index] = f"pictures/incident-{index + 1:04}.png"
-                picture = _taken(recording, incident, followed, road_map)
-            elif replay.covers(incident.start):
-                names[index] = f"pictures/incident-{index + 1:04}.svg"
-                picture = draw(incident, replay, roads, before=before, after=after).encode()
-            else:
-                continue
-            (room / names[index]).write_bytes(picture)
-        summary = _summary(recording, player, found, names, whole=whole)
-        summary |= {"viewer": viewer, "omitted": len(all_found) - len(found)}
-        (room / "data" / "report.js").write_text(script.script("REPORT", summary), "ascii")
-        (room / "data" / "ground.js").write_text(script.script("GROUND", script.base_map_data(roads)), "ascii")
-        (room / "data" / "recording.js").write_text(script.script("RECORDING", script.recording_data(replay)), "ascii")
-        size = sum(file.stat().st_size for file in room.rglob("*") if file.is_file())
-    seconds = sum(stop - start for start, stop in replay.spans)
-    return Report(Path(folder), len(found), len(names), whole, seconds, size)
+    path = Path(path)
+    single = path.suffix.lower() in SINGLE
+    _check_destination(path, single=single, force=force)
+    recordings = [each if isinstance(each, Recording) else Recording(each) for each in (source, other) if each is not None]
+    _check_maps(recordings)
+    if viewer and (single or len(recordings) > 1):
+        raise RecapError(f"{path}: the viewer goes with a folder and one recording, not with a single file or a comparison")
+    limits = _Limits(before, after, min_time, min_distance, deceleration)
+    reported = [_Reported(recording, limits, progress) for recording in recordings]
+    if viewer and not reported[0].whole:
+        raise RecapError(f"{recordings[0].path}: is too long for the viewer in a page; clips of its incidents are not")
+    for each in reported if pictures == "rerun" else ():
+        each.take_pictures(road_map)
+    packer = Packer()
+    ground = packer.pack(script.base_map_data(base_map(road_map, [each.replay for each in reported]), packer))
+    options = {"drawn": pictures == "drawn", "viewer": viewer}
+    data = {
+        "data/ground.js": script.script("GROUND", ground),
+        "data/recordings.js": script.script("RECORDINGS", [_packed(each.replay) for each in reported]),
+    }
+    if single:
+        names = [{i: data_address(one, "image/png") for i, one in each.pictures.items()} for each in reported]
+        data["data/reports.js"] = _summaries(reported, names, options)
+        content = single_page(viewer_folder() / "page", data).encode()
+        with WholeFile(path) as file:
+            file.write(content)
+        size = len(content)
+    else:
+        with new_folder(path) as room:
+            copy_files(viewer_folder() / "page", room)
+            if viewer:
+                _add_viewer(recordings[0], room / "rerun", road_map)
+            (room / "data").mkdir()
+            data["data/reports.js"] = _summaries(reported, _write_pictures(reported, room), options)
+            for name, text in data.items():
+                (room / name).write_text(text, "ascii")
+            size = sum(file.stat().st_size for file in room.rglob("*") if file.is_file())
+    seconds = max(sum(stop - start for start, stop in each.replay.spans) for each in reported)
+    return Report(path, sum(len(each.incidents) for each in reported), all(each.whole for each in reported), seconds, size)
 
 
-def _taken(recording: Recording, incident: Incident, followed: int, road_map: RoadMap | None) -> bytes:
-    from carla_recap.export.screenshots import picture
+def _check_destination(path: Path, *, single: bool, force: bool) -> None:
+    """Refuse a file or folder that must not be replaced."""
+    if not single:
+        check_folder(path, force=force)
+    elif path.exists() and not path.is_file():
+        raise RecapError(f"{path}: is no file; the name of a file was expected, since it ends in {path.suffix}")
+    elif path.exists() and not force:
+        raise RecapError(f"{path}: exists; --force (in Python, force=True) replaces it")
 
-    return picture(recording, at=incident.start, follow=followed, road_map=road_map, size=PICTURE_SIZE)
+
+def _check_maps(recordings: Sequence[Recording]) -> None:
+    """Refuse recordings of different maps; the layered variant of a map is the same."""
+    names = [readable(recording.header.map_name).rpartition("/")[2] for recording in recordings]
+    if len({name.lower().removesuffix("_opt") for name in names if name}) > 1:
+        first, second = (recording.path for recording in recordings)
+        raise RecapError(f"{first} is of the map {names[0]}, {second} of {names[1]}; recordings of one map were expected")
+
+
+def _packed(replay: SampledReplay) -> str:
+    packer = Packer()
+    return packer.pack(script.recording_data(replay, packer))
+
+
+def _write_pictures(reported: Iterable[_Reported], folder: Path) -> list[dict[int, str]]:
+    """Write the taken pictures, and return their addresses by the indices of the incidents."""
+    names: list[dict[int, str]] = []
+    for number, each in enumerate(reported, 1):
+        names.append({})
+        for index, content in each.pictures.items():
+            (folder / "pictures").mkdir(exist_ok=True)
+            names[-1][index] = f"pictures/{number}-incident-{index + 1:04}.png"
+            (folder / names[-1][index]).write_bytes(content)
+    return names
 
 
 def _add_viewer(recording: Recording, folder: Path, road_map: RoadMap | None) -> None:
@@ -175,55 +248,14 @@ def _copy_viewer(folder: Path) -> None:
             raise RecapError(f"the Rerun viewer does not hand out {name}: {error}") from None
 
 
-def _sample(
-    recording: Recording, found: Sequence[Incident], before: float, after: float, progress: Progress | None
-) -> tuple[SampledReplay, bool]:
-    """Return the samples of a recording, or if they are too large, those around its incidents; and whether it is all."""
-    for rate in RATES:
-        player = Player(recording)
-        sampler = Sampler(rate)
-        scenes = progress(player.scenes(), player) if progress else player.scenes()
-        for scene in scenes:
-            sampler.add(scene, last=player.finished)
-            if sampler.size > BUDGET:
-                break
-        else:
-            return sampler.finish(), True
-        if scene.time - player.start < RATES[-1] / RATES[0] * (player.stop - player.start):
-            break  # it would be too large at half the rate, too
-    player, sampler = Player(recording), Sampler(RATES[0])
-    scenes = _around(player, _windows(found, before, after, player.total), sampler)
-    for scene in progress(scenes, player) if progress else scenes:
-        sampler.add(scene)
-        if sampler.size > BUDGET:
-            break
-    return sampler.finish(), False
+def _summaries(reported: Iterable[_Reported], pictures: Iterable[dict[int, str]], options: dict[str, bool]) -> str:
+    """Return the script with what is known of each recording."""
+    found = [_summary(each, names) | options for each, names in zip(reported, pictures, strict=True)]
+    return script.script("REPORTS", found)
 
 
-def _windows(found: Sequence[Incident], before: float, after: float, total: float) -> list[tuple[float, float]]:
-    """Return the intervals around incidents; those that overlap are joined."""
-    windows: list[tuple[float, float]] = []
-    for start, stop in sorted((max(0.0, one.start - before), min(total, one.start + after)) for one in found):
-        if windows and start <= windows[-1][1]:
-            windows[-1] = (windows[-1][0], max(stop, windows[-1][1]))
-        else:
-            windows.append((start, stop))
-    return windows
-
-
-def _around(player: Player, windows: Sequence[tuple[float, float]], sampler: Sampler) -> Iterator[Scene]:
-    for start, stop in windows:
-        sampler.begin()
-        yield player.at(start)
-        for scene in player.scenes():
-            if scene.time > stop:
-                break
-            yield scene
-
-
-def _summary(
-    recording: Recording, player: Player, found: Sequence[Incident], pictures: dict[int, str], *, whole: bool
-) -> dict[str, Any]:
+def _summary(reported: _Reported, pictures: dict[int, str]) -> dict[str, Any]:
+    recording = reported.recording
     info = recording.info
     counts = Counter(actor.kind.replace("_", " ") for actor in recording.actors.values())
     colors = {style.name: script.hexadecimal(style.color) for style in (*STYLES.values(), OTHER)}
@@ -238,9 +270,10 @@ def _summary(
         "duration": script.number(info.duration),
         "kinds": [[kind, counts[kind], colors.get(kind, colors[OTHER.name])] for kind in kinds],
         "lights": [[name, script.hexadecimal(color)] for name, color in LIGHTS],
-        "whole": whole,
-        "follow": player.followed,
-        "incidents": [_incident(incident, pictures.get(index)) for index, incident in enumerate(found)],
+        "whole": reported.whole,
+        "omitted": reported.omitted,
+        "follow": Player(recording).followed,
+        "incidents": [_incident(incident, pictures.get(index)) for index, incident in enumerate(reported.incidents)],
     }
 
 

@@ -111,17 +111,6 @@ class SampledReplay:
         """Return the ids of the actors that are present at a time."""
         return {self.actors[actor].id for actor in self.poses(time)}
 
-    def paths(self, actor: int, start: float, stop: float) -> list[Floats]:
-        """Return the paths of an actor, by its index, from one time to another, as x, y."""
-        begin, end = np.searchsorted(self.times, (start, stop)).tolist()
-        actors, first, last = self._bounds
-        paths = []
-        for index in np.flatnonzero((actors == actor) & (first < end) & (last > begin)).tolist():
-            track = self.tracks[index]
-            if not track.is_still:
-                paths.append(track.rows[max(begin - track.first, 0) : end - track.first + 1, :2])
-        return paths
-
     def light_states(self, time: float) -> dict[int, int]:
         """Return the states of the traffic lights at a time, by their indices in `actors`."""
         return {actor: state for actor, since, state in self.lights if since <= time + _SAME_TIME}

@@ -1,28 +1,36 @@
-"""The data of the incident page as scripts, which load from the disk, too: JSON, with arrays of numbers in base64."""
+"""The data of the incident page as scripts, which load from the disk, too."""
 
 from __future__ import annotations
 
-import base64
 import json
 import math
+import re
 from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
 from carla_recap.export.style import OTHER, box_of, color_of, label_of, style_of
+from carla_recap.model.records import ActorKind
 from carla_recap.queries.actors import BoundingBox
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    from numpy.typing import ArrayLike, NDArray
+    from numpy.typing import NDArray
 
     from carla_recap.export.report.base_map import BaseMap
+    from carla_recap.export.report.packing import Packer
     from carla_recap.export.report.samples import SampledActor, SampledReplay
     from carla_recap.export.style import Color
+    from carla_recap.replay.events import Present
 
 LONGEST: Final = 120  # characters of a name
-_TURN: Final = 65536 / 360  # units of a yaw per degree
+LENGTH_UNIT: Final = 0.002  # m
+TIME_UNIT: Final = 1e-5  # s
+MAP_UNIT: Final = 0.02  # m
+_TURN: Final = 16384 / 360  # units of a yaw per degree
+_PAINT: Final = re.compile(r" *(\d{1,3}) *, *(\d{1,3}) *, *(\d{1,3}) *")
+_LONG: Final = 3.1  # m, half the length from which a vehicle is a truck
 
 
 def script(name: str, value: Any) -> str:
@@ -64,51 +72,76 @@ def actor_data(sampled: SampledActor) -> dict[str, Any]:
         "label": f"actor {sampled.id}" if actor is None else shortened(label_of(actor)),
         "hero": actor is not None and actor.is_hero,
         "color": hexadecimal(OTHER.color if actor is None else color_of(actor)),
+        "paint": None if actor is None else _paint(actor),
+        "shape": "box" if actor is None else _shape(actor, box),
         "box": [number(size) or 0 for size in (box.x, box.y, box.extent_x, box.extent_y)],
         "since": number(sampled.since),
         "until": None if sampled.until is None else number(sampled.until),
     }
 
 
-def recording_data(replay: SampledReplay) -> dict[str, Any]:
-    """Return the samples as columns.
+def _paint(actor: Present) -> str | None:
+    """Return the recorded colour of a vehicle."""
+    match = _PAINT.fullmatch(actor.spawn.attribute("color") or "") if actor.kind == ActorKind.VEHICLE else None
+    if match is None:
+        return None
+    red, green, blue = (min(255, int(part)) for part in match.groups())
+    return hexadecimal((red, green, blue))
 
-    `tracks` has a row of five numbers for each track: the actor, the first and the last sample, the index of its first row
-    in `x`, `y` and `yaw`, and the number of its rows: one for each sample, or a single one.
+
+def _shape(actor: Present, box: BoundingBox) -> str:
+    """Return the outline to draw: car, truck, cycle, walker or box."""
+    if actor.kind == ActorKind.WALKER:
+        return "walker"
+    if actor.kind != ActorKind.VEHICLE:
+        return "box"
+    if actor.spawn.attribute("number_of_wheels") == "2" or box.extent_y < 0.5:
+        return "cycle"
+    return "truck" if box.extent_x > _LONG else "car"
+
+
+def recording_data(replay: SampledReplay, packer: Packer) -> dict[str, Any]:
+    """Return the samples, with columns for the numbers.
+
+    `tracks` has five columns, with a row for each track: the actor, the first and the last sample, the index of its first
+    row in `x`, `y` and `yaw`, and the number of its rows: one for each sample, or a single one. A yaw of 16384 is a full
+    turn.
     """
     table, rows, begin = [], [], 0
     for track in replay.tracks:
         table.append((track.actor, track.first, track.last, begin, len(track.rows)))
-        rows.append(track.rows)
+        turned = np.column_stack((track.rows[:, :2], np.unwrap(track.rows[:, 2] % 360, period=360)))
+        rows.append(turned)
         begin += len(track.rows)
     x, y, yaw = np.concatenate(rows).T if rows else np.zeros((3, 0))
+    columns = np.array(table, np.float64).reshape(-1, 5).T
+    actors, times, states = np.array(replay.lights, np.float64).reshape(-1, 3).T
     return {
-        "times": column(replay.times, "<f8"),
+        "times": packer.column(replay.times, TIME_UNIT, order=2),
         "spans": [[number(start, 6), number(stop, 6)] for start, stop in replay.spans],
         "actors": [actor_data(actor) for actor in replay.actors],
-        "tracks": column(table, "<u4"),
-        "x": column(x, "<f4"),
-        "y": column(y, "<f4"),
-        "yaw": column(np.rint(yaw % 360 * _TURN).astype(np.int64) & 0xFFFF, "<u2"),
+        "tracks": [packer.column(each) for each in columns],
+        "x": packer.column(x, LENGTH_UNIT, order=2),
+        "y": packer.column(y, LENGTH_UNIT, order=2),
+        "yaw": packer.column(np.rint(yaw * _TURN), order=2),
         "lights": {
-            "actor": column([actor for actor, _, _ in replay.lights], "<u4"),
-            "time": column([time for _, time, _ in replay.lights], "<f8"),
-            "state": column([state & 0xFF for _, _, state in replay.lights], "u1"),
+            "actor": packer.column(actors),
+            "time": packer.column(times, TIME_UNIT),
+            "state": packer.column(states % 256, order=0),
         },
     }
 
 
-def base_map_data(base_map: BaseMap) -> dict[str, Any]:
-    """Return the lines of a base map: the points of each layer, and the number of points of each line."""
+def base_map_data(base_map: BaseMap, packer: Packer) -> dict[str, Any]:
+    """Return the lines of a base map: x and y of the points of each layer, and the number of points of each line."""
     names = ("lanes", "junctions", "crossings", "borders", "stops")
-    return {"width": base_map.width, **{name: _layer(getattr(base_map, name).lines) for name in names}}
+    return {"width": base_map.width, **{name: _layer(getattr(base_map, name), packer) for name in names}}
 
 
-def _layer(lines: Sequence[NDArray[np.float64]]) -> dict[str, str]:
-    points = np.concatenate(lines) if lines else np.zeros((0, 2))
-    return {"points": column(points, "<f4"), "lengths": column([len(line) for line in lines], "<u4")}
-
-
-def column(values: ArrayLike, code: str) -> str:
-    """Return numbers in base64, with the numpy type of a code."""
-    return base64.b64encode(np.asarray(values).astype(code).tobytes()).decode()
+def _layer(lines: Sequence[NDArray[np.float64]], packer: Packer) -> dict[str, Any]:
+    x, y = np.concatenate(lines).T if lines else np.zeros((2, 0))
+    return {
+        "x": packer.column(x, MAP_UNIT, order=2),
+        "y": packer.column(y, MAP_UNIT, order=2),
+        "lengths": packer.column([len(line) for line in lines]),
+    }

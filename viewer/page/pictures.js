@@ -1,0 +1,86 @@
+// The pictures of incidents in the list: drawn when they are about to be seen, in the colours of the theme.
+"use strict";
+
+const PICTURE = [480, 300]; // px
+const NARROWEST = 36; // m from left to right, at least
+const WIDEST = 400; // m, at most
+const PATH_TIME = 5; // s before and after an incident
+
+class Pictures {
+  constructor(ground) {
+    this.ground = ground;
+    this.entries = new Map(); // image → { recording, incident }
+    this.stages = new Map(); // recording → stage
+    this.observer = new IntersectionObserver((seen) => this.see(seen), { rootMargin: "300px" });
+    theme.addEventListener("change", () => this.redraw());
+  }
+
+  /** Return an image of an incident, which is drawn later. */
+  image(recording, incident) {
+    const image = element("img", "picture");
+    Object.assign(image, { alt: "", width: PICTURE[0], height: PICTURE[1] });
+    if (incident.picture) {
+      Object.assign(image, { src: incident.picture, loading: "lazy", decoding: "async" });
+      return image;
+    }
+    this.entries.set(image, { recording, incident });
+    this.observer.observe(image);
+    return image;
+  }
+
+  see(seen) {
+    for (const { target, isIntersecting } of seen) if (isIntersecting) this.fill(target);
+  }
+
+  redraw() {
+    for (const [image, entry] of this.entries) {
+      if (entry.theme || theme.printing) this.fill(image);
+    }
+  }
+
+  fill(image) {
+    const entry = this.entries.get(image);
+    if (entry.theme === theme.name) return;
+    entry.theme = theme.name;
+    image.src = this.draw(entry.recording, entry.incident);
+  }
+
+  /** Return the address of a picture. */
+  draw(recording, { kind, start, actors: ids, place }) {
+    const stage = this.stage(recording);
+    const { tracks } = recording;
+    const actors = ids.map((id) => tracks.indexOf(id, start)).filter((actor) => actor >= 0);
+    const points = ids.map((id) => recording.poseOf(id, start)).filter((pose) => pose !== null).map(({ x, y }) => [x, y]);
+    if (place[0] !== null && place[1] !== null) points.push(place);
+    if (!points.length) points.push([0, 0]);
+    const [xs, ys] = [points.map(([x]) => x), points.map(([, y]) => y)];
+    const { camera } = stage;
+    [camera.x, camera.y] = [(Math.min(...xs) + Math.max(...xs)) / 2, (Math.min(...ys) + Math.max(...ys)) / 2];
+    const across = Math.max(Math.max(...xs) - Math.min(...xs), ((Math.max(...ys) - Math.min(...ys)) * PICTURE[0]) / PICTURE[1]);
+    camera.scale = PICTURE[0] / Math.min(WIDEST, Math.max(NARROWEST, 1.6 * across));
+    stage.draw(start);
+    stage.drawPaths(actors, start - PATH_TIME, start, start + PATH_TIME);
+    for (const one of stage.shown) if (actors.includes(one.actor)) stage.drawActor(one);
+    if (kind === "collision" && place[0] !== null && place[1] !== null) {
+      stage.drawCross(...camera.toScreen(place[0], place[1]), 1);
+    }
+    const taken = [];
+    for (const { actor, left, top } of stage.shown) {
+      if (actors.includes(actor)) stage.label(actor, left, top, taken, true);
+    }
+    return stage.canvas.toDataURL("image/webp", 0.85);
+  }
+
+  stage(recording) {
+    if (!this.stages.has(recording)) {
+      const canvas = document.createElement("canvas");
+      [canvas.width, canvas.height] = PICTURE;
+      const camera = new Camera();
+      [camera.width, camera.height] = PICTURE;
+      const stage = new Stage(canvas, [recording], camera, this.ground);
+      Object.assign(stage, { labels: false, trails: false, marks: false, ratio: 1 });
+      this.stages.set(recording, stage);
+    }
+    return this.stages.get(recording);
+  }
+}

@@ -1,0 +1,81 @@
+// The outlines of actors from above, in px: the front is to the right, the middle at 0, 0.
+"use strict";
+
+const DETAILED = 9; // px, half the length from which windows are drawn
+const BODY = 0.9; // m, half the length of a walker that was hit
+
+/** Add the outline of an actor to a path. */
+function outline(path, shape, length, width) {
+  if (shape === "walker") {
+    path.ellipse(0, 0, length, width, 0, 0, 7);
+  } else if (shape === "cycle") {
+    path.roundRect(-length, -width * 0.5, 2 * length, width, width * 0.5);
+  } else if (shape === "car") {
+    const [nose, tail] = [width * 0.62, width * 0.42];
+    path.moveTo(-length + tail, -width);
+    path.lineTo(length - nose, -width);
+    path.bezierCurveTo(length - nose * 0.3, -width, length, -width * 0.75, length, -width * 0.3);
+    path.lineTo(length, width * 0.3);
+    path.bezierCurveTo(length, width * 0.75, length - nose * 0.3, width, length - nose, width);
+    path.lineTo(-length + tail, width);
+    path.quadraticCurveTo(-length, width, -length, width - tail);
+    path.lineTo(-length, -width + tail);
+    path.quadraticCurveTo(-length, -width, -length + tail, -width);
+    path.closePath();
+  } else {
+    path.roundRect(-length, -width, 2 * length, 2 * width, Math.min(length, width) * (shape === "truck" ? 0.18 : 0.3));
+  }
+}
+
+/** Draw the windows, lamps and riders on an outline. */
+function details(context, shape, length, width) {
+  const { colors } = theme;
+  if (shape === "cycle" || shape === "walker") {
+    context.fillStyle = colors.glass;
+    context.beginPath();
+    if (shape === "cycle") context.ellipse(-length * 0.1, 0, width * 0.5, width * 0.95, 0, 0, 7);
+    else context.arc(0, 0, Math.min(length, width) * 0.55, 0, 7);
+    context.fill();
+    return;
+  }
+  const glass = (front, back, frontWidth, backWidth) => {
+    context.moveTo(front * length, -frontWidth * width);
+    context.lineTo(back * length, -backWidth * width);
+    context.lineTo(back * length, backWidth * width);
+    context.lineTo(front * length, frontWidth * width);
+    context.closePath();
+  };
+  context.fillStyle = colors.glass;
+  context.beginPath();
+  if (shape === "truck") {
+    glass(0.93, 0.84, 0.86, 0.86);
+    context.fill();
+    context.fillStyle = "rgba(255, 255, 255, 0.16)";
+    context.fillRect(-0.96 * length, -0.88 * width, 1.68 * length, 1.76 * width);
+    context.fillStyle = colors.glass;
+    context.fillRect(0.72 * length, -width, Math.max(1, 0.02 * length), 2 * width);
+  } else {
+    glass(0.47, 0.2, 0.82, 0.68);
+    glass(-0.52, -0.74, 0.66, 0.76);
+    context.rect(-0.48 * length, -0.86 * width, 0.66 * length, 0.12 * width);
+    context.rect(-0.48 * length, 0.74 * width, 0.66 * length, 0.12 * width);
+    context.fill();
+  }
+  const lamp = Math.max(1, 0.16 * width);
+  for (const side of [-1, 1]) {
+    const top = side * 0.68 * width - lamp;
+    context.fillStyle = "#fff6d5";
+    context.fillRect(0.955 * length - lamp * 0.5, top, lamp * 0.8, 2 * lamp);
+    context.fillStyle = "#ff4d4d";
+    context.fillRect(-0.99 * length, top, lamp * 0.6, 2 * lamp);
+  }
+}
+
+/** Return a colour made lighter or darker until it is told from the road. */
+function visible(color) {
+  const parts = [1, 3, 5].map((at) => parseInt(color.slice(at, at + 2), 16));
+  const light = 0.2126 * parts[0] + 0.7152 * parts[1] + 0.0722 * parts[2];
+  const part = theme.name === "dark" ? Math.max(0, (92 - light) / 255) : Math.max(0, (light - 235) / 255);
+  const goal = theme.name === "dark" ? 255 : 0;
+  return `rgb(${parts.map((value) => Math.round(value + part * (goal - value))).join(", ")})`;
+}
