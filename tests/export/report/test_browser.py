@@ -56,6 +56,11 @@ class Page:
         return self.ask("replay.clock.time")
 
     @property
+    def pictures(self) -> int:
+        """The number of pictures that have been drawn."""
+        return self.ask("[...document.images].filter(image => image.naturalWidth === 480).length")
+
+    @property
     def errors(self) -> list[Any]:
         return self.browser.get_log("browser")
 
@@ -72,9 +77,7 @@ def test_the_list_contains_the_incidents(crossing: Page, crossing_page: Path) ->
     assert rows == [[one["kind"], one["text"]] for one in data(crossing_page, "report")["incidents"]]
     assert crossing.text("map") == "Crossing"
     assert "crossing.log" in crossing.text("origin")
-    crossing.until(
-        lambda: crossing.ask("[...document.images].filter(image => image.naturalWidth === 480).length") == len(rows)
-    )
+    crossing.until(lambda: crossing.pictures == len(rows))
     assert crossing.errors == []
 
 
