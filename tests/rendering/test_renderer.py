@@ -69,7 +69,13 @@ def shape(mesh: Mesh, *, steered: bool = False) -> Shape:
     return Shape(mesh, np.zeros((count, 2), np.float32), np.full(count, steered))
 
 
-MODELS = (shape(cube()), shape(cube(Material.TAIL_LIGHT)), shape(cube(), steered=True))
+def plate(material: Material) -> Mesh:
+    """Return the back of a box from -1 to 1."""
+    whole = cube(material)
+    return Mesh(whole.vertices[:4], whole.normals[:4], whole.materials[:4], whole.triangles[:2])
+
+
+MODELS = (shape(cube()), shape(plate(Material.TAIL_LIGHT)), shape(cube(), steered=True))
 
 
 def boxes(*centres: tuple[float, float, float], half: tuple[float, float, float] = (1, 1, 1)) -> Instances:
@@ -357,6 +363,26 @@ def test_lit_lamps_glow_in_the_dark(renderer: Renderer) -> None:
     glowing = renderer.draw(camera(), lit, [RGB], night)[RGB][60, 80]
     assert dark[2] < 90
     assert glowing[2] > 200
+
+
+def test_lit_lamps_light_up_what_is_around_them_but_not_through_what_is_in_front(renderer: Renderer) -> None:
+    lamp = replace(boxes((10, 0, 2), half=(0.2, 0.2, 0.2)), models=np.ones(1, np.uint8))
+    lit = replace(lamp, lamps=np.array([1 << Material.TAIL_LIGHT], np.uint64))
+    night = Sky(sun_altitude=-60)
+    dark, glowing = (renderer.draw(camera(), each, [RGB], night)[RGB][..., 2].astype(int) for each in (lamp, lit))
+    assert (glowing >= dark).all()
+    assert glowing[60, 80 - 3] > dark[60, 80 - 3] + 10
+    wall = boxes((5, 0, 2))
+    covered = replace(lit, ids=np.array([1], np.uint32))
+    both = Instances(*(np.concatenate((a, b)) for a, b in zip(vars(covered).values(), vars(wall).values(), strict=True)))
+    alone = renderer.draw(camera(), wall, [RGB], night)[RGB]
+    assert (renderer.draw(camera(), both, [RGB], night)[RGB] == alone).all()
+
+
+def test_bits_that_are_no_lamps_light_nothing(renderer: Renderer) -> None:
+    box = boxes((10, 0, 2))
+    lit = replace(box, lamps=np.array([1 << Material.PAINT], np.uint64))
+    assert (renderer.draw(camera(), box, [RGB])[RGB] == renderer.draw(camera(), lit, [RGB])[RGB]).all()
 
 
 def test_steered_parts_turn_to_the_left_by_a_positive_angle(renderer: Renderer) -> None:

@@ -8,6 +8,7 @@ import numpy as np
 
 from carla_recap.rendering import shaders
 from carla_recap.rendering.camera import ImageKind
+from carla_recap.rendering.materials import LAMPS
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -15,6 +16,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from carla_recap.rendering.camera_view import CameraView
+    from carla_recap.rendering.instances import Instances
     from carla_recap.rendering.mesh import Mesh
 
     Images = dict[ImageKind, NDArray[Any]]
@@ -164,9 +166,7 @@ class ModelBuffers:
         if group is self._loaded:
             return
         for buffer, rows in ((self._instances, group.table), (self._previous, group.before)):
-            if buffer.size < rows.nbytes:
-                buffer.orphan(2 * rows.nbytes)
-            buffer.write(rows.tobytes())
+            fill(buffer, rows)
         self._loaded = group
 
 
@@ -199,3 +199,32 @@ def content_of(program: Any, buffer: Any, dtype: np.dtype[np.void], divisor: str
         else:
             formats.append(f"{field.itemsize}x")
     return buffer, " ".join(formats) + divisor, *names
+
+
+def fill(buffer: Any, rows: NDArray[np.void]) -> None:
+    """Write rows to a buffer, which grows where they need more room."""
+    if buffer.size < rows.nbytes:
+        buffer.orphan(2 * rows.nbytes)
+    buffer.write(rows.tobytes())
+
+
+def instance_table(seen: Instances, offsets: NDArray[np.float64]) -> NDArray[np.void]:
+    """Return instances as the shaders read them.
+
+    Args:
+        seen: The instances.
+        offsets: Their centres relative to the camera.
+    """
+    table = np.zeros(len(seen), shaders.INSTANCE)
+    lamps = seen.lamps & LAMPS
+    table["location"] = offsets
+    table["rotation"] = np.swapaxes(seen.rotations, 1, 2).reshape(-1, 9)
+    table["extents"][:, :3] = seen.half_extents
+    table["extents"][:, 3] = np.nan_to_num(seen.steering)
+    table["paint"][:, :3] = seen.colors / np.float32(255)
+    table["paint"][:, 3] = seen.opacity
+    table["marks"][:, 0] = lamps & np.uint64(0xFFFFFFFF)
+    table["marks"][:, 1] = lamps >> np.uint64(32)
+    table["marks"][:, 2] = seen.ids
+    table["marks"][:, 3] = seen.tags
+    return table

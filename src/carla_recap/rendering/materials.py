@@ -130,7 +130,7 @@ class Finish(NamedTuple):
 
 _M: Final = Material
 MATERIALS: Final[dict[Material, Finish]] = {
-    _M.GRASS: Finish((98, 124, 68), Tag.TERRAIN),
+    _M.GRASS: Finish((101, 116, 76), Tag.TERRAIN),
     _M.GROUND: Finish((134, 128, 112), Tag.GROUND),
     _M.MEDIAN: Finish((118, 120, 112), Tag.GROUND),
     _M.SHOULDER: Finish((92, 92, 92), Tag.ROADS),
@@ -191,6 +191,8 @@ MATERIALS: Final[dict[Material, Finish]] = {
     _M.LIGHT_TROUSERS: Finish((164, 150, 128)),
 }
 """All materials."""
+LAMPS: Final = np.uint64(sum(1 << material for material, finish in MATERIALS.items() if finish.glow))
+"""The bits of all lamps in `Instances.lamps`."""
 
 
 def palette() -> NDArray[np.uint8]:

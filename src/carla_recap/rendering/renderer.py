@@ -14,16 +14,24 @@ import sys
 from collections import OrderedDict
 from dataclasses import replace
 from enum import StrEnum
-from importlib import import_module
 from typing import TYPE_CHECKING, Any, Final, Self
 
 import numpy as np
 
 from carla_recap.errors import MissingExtra, RecapError
 from carla_recap.rendering import shaders
-from carla_recap.rendering.buffers import GroundBuffers, ImageBuffers, InstanceGroup, ModelBuffers, content_of
+from carla_recap.rendering.buffers import (
+    GroundBuffers,
+    ImageBuffers,
+    InstanceGroup,
+    ModelBuffers,
+    content_of,
+    fill,
+    instance_table,
+)
 from carla_recap.rendering.camera import ImageKind
 from carla_recap.rendering.camera_view import CameraView, valid_camera
+from carla_recap.rendering.halos import HALO, Halos
 from carla_recap.rendering.sky import Sky
 
 if TYPE_CHECKING:
@@ -73,7 +81,9 @@ class Renderer:
         supersampling: int = 1,
     ) -> None:
         if models is None:
-            models = import_module("carla_recap.rendering.models").MODELS
+            from carla_recap.rendering.models import MODELS
+
+            models = MODELS
         self._quality = Quality(quality)
         self._samples = max(1, min(4, supersampling))
         self._context = _create_context()
@@ -90,6 +100,8 @@ class Renderer:
         self._corners = make(np.array([(-1, -1), (1, -1), (-1, 1), (1, 1)], "f4").tobytes())
         self._noise = self._make_noise()
         self._ground = GroundBuffers(self._context, town.tiles if town is not None else ())
+        self._lamps = Halos(models)
+        self._halos = make(reserve=64 * HALO.itemsize, dynamic=True)
         self._models = [ModelBuffers(self._context, model) for model in models]
 
     def __enter__(self) -> Self:
@@ -109,7 +121,7 @@ class Renderer:
                 targets.release()
             for program in self._programs.values():
                 program.release()
-            for buffer in (self._frame, self._materials, self._corners, self._noise, *self._ground.buffers):
+            for buffer in (self._frame, self._materials, self._corners, self._noise, self._halos, *self._ground.buffers):
                 buffer.release()
             for model in self._models:
                 for buffer in model.buffers:
@@ -193,7 +205,10 @@ class Renderer:
         self._frame.bind_to_uniform_block(0)
         self._materials.bind_to_uniform_block(1)
         self._noise.use(0)
-        groups = self._groups(view, instances, previous[1] if previous else None, without)
+        groups: list[InstanceGroup] = []
+        if instances is not None:
+            seen, offsets = self._in_view(view, instances, without)
+            groups = self._groups(view, seen, offsets, previous[1] if previous else None)
         solid, clear = ([group for group in groups if group.is_solid is wanted] for wanted in (True, False))
 
         framebuffer = targets.framebuffer(kinds)
@@ -209,6 +224,8 @@ class Renderer:
         if ImageKind.RGB in kinds:
             self._draw_shadows(targets, view, [*solid, *clear])
             self._draw_clear(targets, clear)
+            if groups:
+                self._draw_halos(targets, self._lamps.around(seen, offsets, sky.halo))
 
     def _reduce(self, large: ImageBuffers, targets: ImageBuffers) -> None:
         """Average the pixels of an RGB image that is a multiple of another one."""
@@ -267,45 +284,50 @@ class Renderer:
             context.disable(context.BLEND)
         _mask(framebuffer, (True, True, True, True))
 
-    def _groups(
-        self, view: CameraView, instances: Instances | None, previous: Instances | None, without: Collection[int]
-    ) -> list[InstanceGroup]:
-        """Return the instances in view by their models, the nearest first; of those that are not opaque, the farthest."""
-        if instances is None or not len(instances):
-            return []
+    def _draw_halos(self, targets: ImageBuffers, halos: NDArray[np.void]) -> None:
+        """Add the light around lit lamps to the RGB image."""
+        if not len(halos):
+            return
+        context = self._context
+        fill(self._halos, halos)
+        framebuffer = targets.framebuffer((ImageKind.RGB,))
+        framebuffer.depth_mask = False
+        framebuffer.use()
+        context.enable(context.BLEND)
+        context.blend_func = context.ONE, context.ONE
+        self._full("halo", (ImageKind.RGB,)).render(context.TRIANGLE_STRIP, instances=len(halos))
+        context.disable(context.BLEND)
+        framebuffer.depth_mask = True
+
+    def _in_view(
+        self, view: CameraView, instances: Instances, without: Collection[int]
+    ) -> tuple[Instances, NDArray[np.float64]]:
+        """Return the instances in view, and their centres relative to the camera."""
         offsets = instances.locations - view.camera.location
-        radii = np.sqrt((instances.half_extents.astype(np.float64) ** 2).sum(axis=1))
         with np.errstate(invalid="ignore", over="ignore"):
+            radii = np.sqrt((instances.half_extents.astype(np.float64) ** 2).sum(axis=1))
             keep = view.sees_spheres(offsets, radii) & (instances.models < len(self._models))
-            keep &= np.isfinite(instances.rotations).all(axis=(1, 2))
+        keep &= np.isfinite(instances.rotations).all(axis=(1, 2))
         if without:
             keep &= ~np.isin(instances.ids, list(without))
-        rows = np.flatnonzero(keep)
-        if not len(rows):
+        return instances.take(keep), offsets[keep]
+
+    def _groups(
+        self, view: CameraView, seen: Instances, offsets: NDArray[np.float64], previous: Instances | None
+    ) -> list[InstanceGroup]:
+        """Return instances by their models, the nearest first; of those that are not opaque, the farthest."""
+        if not len(seen):
             return []
-        seen, offsets = instances.take(rows), offsets[rows]
-        table = np.zeros(len(rows), shaders.INSTANCE)
-        table["location"] = offsets
-        table["rotation"] = np.swapaxes(seen.rotations, 1, 2).reshape(-1, 9)
-        table["extents"][:, :3] = seen.half_extents
-        table["extents"][:, 3] = np.nan_to_num(seen.steering)
-        table["paint"][:, :3] = seen.colors / np.float32(255)
-        table["paint"][:, 3] = seen.opacity
-        table["marks"][:, 0] = seen.lamps & np.uint64(0xFFFFFFFF)
-        table["marks"][:, 1] = seen.lamps >> np.uint64(32)
-        table["marks"][:, 2] = seen.ids
-        table["marks"][:, 3] = seen.tags
+        table = instance_table(seen, offsets)
         before = view.previous_poses(seen, table, previous)
         distances = np.einsum("ij,ij->i", offsets, offsets)
         solid = seen.opacity >= 1
         order = np.lexsort((np.where(solid, distances, -distances), seen.models, ~solid))
-        groups = []
         cuts = np.flatnonzero((np.diff(seen.models[order].astype(int)) != 0) | np.diff(solid[order])) + 1
-        for part in np.split(order, cuts):
-            model = self._models[seen.models[part[0]]]
-            is_solid = bool(solid[part[0]])
-            groups.append(InstanceGroup(model, table[part], before[part], is_solid))
-        return groups
+        return [
+            InstanceGroup(self._models[seen.models[part[0]]], table[part], before[part], bool(solid[part[0]]))
+            for part in np.split(order, cuts)
+        ]
 
     # --- what is made once ---------------------------------------------------------------------------------------------
 
@@ -357,11 +379,14 @@ class Renderer:
         key = name, kinds
         if key not in self._arrays:
             program = self._program(name, kinds)
-            self._arrays[key] = self._context.vertex_array(program, [(self._corners, "2f", "corner")])
+            contents: list[tuple[Any, ...]] = [(self._corners, "2f", "corner")]
+            if name == "halo":
+                contents.append(content_of(program, self._halos, HALO, "/i"))
+            self._arrays[key] = self._context.vertex_array(program, contents)
         return self._arrays[key]
 
     def _make_noise(self) -> Any:
-        texture = self._context.texture((_GRAIN, _GRAIN), 1, _noise(_GRAIN).tobytes())
+        texture = self._context.texture((_GRAIN, _GRAIN), 2, _noise(_GRAIN).tobytes())
         texture.build_mipmaps()
         texture.filter = self._context.LINEAR_MIPMAP_LINEAR, self._context.LINEAR
         return texture
@@ -387,12 +412,13 @@ def _mask(framebuffer: Any, colors: tuple[bool, bool, bool, bool]) -> None:
 
 
 def _noise(size: int) -> NDArray[np.uint8]:
-    """Return a square of noise that can be repeated, of all scales from a pixel to half the square."""
+    """Return a square of noise that can be repeated, (size, size, 2): coarse noise as of clouds, and fine noise."""
     random = np.random.default_rng(1)
     frequencies = np.hypot(np.fft.fftfreq(size)[:, None], np.fft.fftfreq(size)[None]) * size
     frequencies[0, 0] = np.inf
-    spectrum = np.fft.fft2(random.standard_normal((size, size))) / frequencies**0.9
-    values = np.real(np.fft.ifft2(spectrum))
-    values = (values - values.mean()) / values.std()
-    found: NDArray[np.uint8] = np.clip(127.5 + 40 * values, 0, 255).astype(np.uint8)
+    layers = []
+    for falloff, contrast in ((1.25, 45), (0.45, 34)):
+        values = np.real(np.fft.ifft2(np.fft.fft2(random.standard_normal((size, size))) / frequencies**falloff))
+        layers.append(127.5 + contrast * (values - values.mean()) / values.std())
+    found: NDArray[np.uint8] = np.clip(np.stack(layers, axis=-1), 0, 255).astype(np.uint8)
     return found

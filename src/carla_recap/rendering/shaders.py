@@ -232,7 +232,7 @@ void main() {
     vec3 color = v_color;
 #ifdef GRAIN
     if (v_grain.z > 0.0)
-        color *= 1.0 + v_grain.z * (texture(noise, v_grain.xy / 4.0).r + texture(noise, v_grain.xy / 64.0).r - 1.0);
+        color *= 1.0 + v_grain.z * (texture(noise, v_grain.xy / 4.0).g * 1.3 + texture(noise, v_grain.xy / 64.0).r - 1.15);
 #endif
     color = mix(haze.rgb, color, exp2(-fog.x * max(depth - fog.y, 0.0)));
 #ifdef TRANSLUCENT
@@ -377,6 +377,29 @@ in vec2 corner;
 void main() { gl_Position = vec4(corner, 0.0, 1.0); }
 """
 
+_HALO_VERTEX: Final = """
+in vec2 corner;
+in vec4 center;
+in vec3 light;
+out vec2 v_corner;
+flat out vec3 v_light;
+void main() {
+    v_corner = corner;
+    v_light = light * exp2(-0.5 * fog.x * length(center.xyz));
+    vec3 here = center.xyz + center.w * (corner.x * normalize(right.xyz) + corner.y * normalize(up.xyz));
+    gl_Position = clip * vec4(here, 1.0);
+}
+"""
+
+_HALO_FRAGMENT: Final = """
+in vec2 v_corner;
+flat in vec3 v_light;
+void main() {
+    float fading = max(1.0 - length(v_corner), 0.0);
+    o_rgb = vec4(v_light.bgr * fading * fading, 0.0);
+}
+"""
+
 _REDUCE_FRAGMENT: Final = """
 uniform sampler2D image;
 uniform int samples;
@@ -436,7 +459,7 @@ def sources(name: str, kinds: Sequence[ImageKind], *options: str) -> tuple[str, 
     """Return the source texts of a vertex shader and its fragment shader.
 
     Args:
-        name: "surface", "sky", "shadow", "blob", "cover" or "reduce".
+        name: "surface", "sky", "shadow", "blob", "cover", "halo" or "reduce".
         kinds: The kinds of images that it draws, in the order of the attachments.
         options: INSTANCED, GRAIN, TRANSLUCENT.
     """
@@ -446,6 +469,7 @@ def sources(name: str, kinds: Sequence[ImageKind], *options: str) -> tuple[str, 
         "shadow": (_SHADOW_VERTEX, _SHADOW_FRAGMENT),
         "blob": (_BLOB_VERTEX, _BLOB_FRAGMENT),
         "cover": (_COVER_VERTEX, _COVER_FRAGMENT),
+        "halo": (_HALO_VERTEX, _HALO_FRAGMENT),
         "reduce": (_COVER_VERTEX, _REDUCE_FRAGMENT),
     }[name]
     defined = [_DEFINES[kind] for kind in kinds] + list(options)

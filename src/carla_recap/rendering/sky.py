@@ -98,7 +98,12 @@ class Sky:
     def density(self) -> float:
         """The density of fog and dust: the share of light that is lost per m, as an exponent of 2."""
         thick = max(self.fog, self.dust)
-        return 0.00035 + 0.03 * float(thick**2.2)
+        return 0.0011 + 0.03 * float(thick**2.2)
+
+    @property
+    def halo(self) -> float:
+        """The brightness of the light around lit lamps, from 0 to 1."""
+        return 0.85 - 0.6 * _smooth(-6, 12, self.sun_altitude) * (1 - 0.6 * self.cloudiness)
 
     def light(self) -> Light:
         """Return the light of the picture."""
