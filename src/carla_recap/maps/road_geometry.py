@@ -7,13 +7,13 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from math import isfinite
-from typing import TYPE_CHECKING, Final
+from typing import TYPE_CHECKING, Final, NamedTuple
 from xml.etree import ElementTree
 
 import numpy as np
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterable, Sequence
+    from collections.abc import Callable, Iterable, Iterator, Sequence
 
     from numpy.typing import NDArray
 
@@ -64,8 +64,7 @@ class Profile:
         return values
 
 
-@dataclass(frozen=True)
-class Marking:
+class Marking(NamedTuple):
     """A marking along the outer border of a lane.
 
     Attributes:
@@ -406,10 +405,19 @@ def _lanes(element: ElementTree.Element, side: str) -> list[RoadLane]:
                 int(_number(found, "id", 0.0)),
                 found.get("type", "none").lower(),
                 _profile(found.findall("width"), "sOffset"),
-                tuple(sorted(marks, key=lambda mark: mark.start)),
+                tuple(_changes(sorted(marks, key=lambda mark: mark.start))),
             )
         )
     return lanes
+
+
+def _changes(markings: Iterable[Marking]) -> Iterator[Marking]:
+    """Yield the markings that differ from the one before."""
+    last = None
+    for mark in markings:
+        if last is None or mark[1:] != last[1:]:
+            yield mark
+        last = mark
 
 
 def _object(element: ElementTree.Element) -> RoadObject:

@@ -38,7 +38,7 @@ class MeshBuilder:
         self._count = 0
 
     def add(self, vertices: Floats, normals: Floats, triangles: Integers, material: Material) -> None:
-        """Add triangles of one material, without those that have no area or are not finite.
+        """Add triangles of one material; those without an area, or that are not finite, are left out later.
 
         Args:
             vertices: The points, (n, 3).
@@ -46,9 +46,6 @@ class MeshBuilder:
             triangles: The indices of the corners, (m, 3).
             material: The material.
         """
-        corners = vertices[triangles]
-        areas = np.linalg.norm(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1) / 2
-        triangles = triangles[areas > _LEAST_AREA]
         if not len(triangles):
             return
         self._vertices.append(vertices)
@@ -95,15 +92,16 @@ class MeshBuilder:
         self.add(corners, normal, np.stack((np.zeros_like(index), index, index + 1), axis=1), material)
 
     def arrays(self) -> tuple[Floats, Floats, NDArray[np.uint8], Integers]:
-        """Return vertices, normals, materials and triangles."""
+        """Return vertices, normals, materials and triangles that have an area."""
         if not self._triangles:
             return np.zeros((0, 3)), np.zeros((0, 3)), np.zeros(0, np.uint8), np.zeros((0, 3), np.int64)
-        return (
-            np.concatenate(self._vertices),
-            np.concatenate(self._normals),
-            np.concatenate(self._materials),
-            np.concatenate(self._triangles),
-        )
+        vertices, triangles = np.concatenate(self._vertices), np.concatenate(self._triangles)
+        a, b, c = (vertices[triangles[:, corner]] for corner in range(3))
+        x, y, z = (b - a).T
+        u, v, w = (c - a).T
+        squares = (y * w - z * v) ** 2 + (z * u - x * w) ** 2 + (x * v - y * u) ** 2
+        triangles = triangles[squares > (2 * _LEAST_AREA) ** 2]
+        return vertices, np.concatenate(self._normals), np.concatenate(self._materials), triangles
 
     def grid(self, materials: Collection[Material]) -> TriangleGrid:
         """Return the triangles of some materials so far, as surfaces."""

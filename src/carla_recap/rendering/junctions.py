@@ -25,27 +25,24 @@ if TYPE_CHECKING:
 FILLED: Final = -0.012
 """The height of what fills gaps, relative to the lanes, in m."""
 
-_CELL: Final = 0.4  # m
+_CELL: Final = 0.5  # m
 _MARGIN: Final = 3  # cells
 _MOST_CELLS: Final = 600  # along a side
 _LARGEST_GAP: Final = 150.0  # square metres; the island of a roundabout is larger
 _ASPHALT: Final = 0.6  # the share of pavement around a gap that is filled
-_LONGEST: Final = 4  # cells of a quadrangle
+_LONGEST: Final = 8  # cells of a quadrangle
 _FLAT: Final = 0.005  # m
 _SMOOTHINGS: Final = 40
 _SIDES: Final = ((1, 0), (-1, 0), (0, 1), (0, -1))
 
 
-def fill_junctions(
-    builder: MeshBuilder, sections: Sequence[SampledSection], surfaces: TriangleGrid, paved: TriangleGrid
-) -> None:
+def fill_junctions(builder: MeshBuilder, sections: Sequence[SampledSection], surfaces: TriangleGrid) -> None:
     """Fill the gaps between the lanes of each junction.
 
     Args:
         builder: Collects the triangles.
         sections: The sections of all roads.
-        surfaces: All surfaces of roads.
-        paved: Those of lanes that are not raised.
+        surfaces: All surfaces of roads; with the keys of `surface_grid`.
     """
     junctions = defaultdict(list)
     for section in sections:
@@ -55,25 +52,33 @@ def fill_junctions(
         points = np.concatenate(lines)
         low, high = points[:, :2].min(axis=0), points[:, :2].max(axis=0)
         cell = max(_CELL, float((high - low).max()) / _MOST_CELLS)
-        _fill(builder, low - _MARGIN * cell, high + _MARGIN * cell, cell, surfaces, paved)
+        _fill(builder, low - _MARGIN * cell, high + _MARGIN * cell, cell, surfaces)
 
 
-def _fill(builder: MeshBuilder, low: Floats, high: Floats, cell: float, surfaces: TriangleGrid, paved: TriangleGrid) -> None:
+def _fill(builder: MeshBuilder, low: Floats, high: Floats, cell: float, surfaces: TriangleGrid) -> None:
     columns, rows = (np.ceil((high - low) / cell).astype(np.int64) + 1).tolist()
     x, y = np.meshgrid(low[0] + np.arange(columns) * cell, low[1] + np.arange(rows) * cell, indexing="ij")
     points = np.stack((x, y), axis=2).reshape(-1, 2)
-    heights = surfaces.highest(points).reshape(columns, rows)
-    on_road = np.isfinite(paved.highest(points).reshape(columns, rows))
+    index, heights_there, keys = surfaces.hits(points)
+    on = keys > 0
+    highest = np.full(len(points), -np.inf)
+    np.maximum.at(highest, index[on], heights_there[on])
+    covered, outside = np.zeros((2, len(points)), np.bool_)
+    covered[index] = True
+    outside[index[keys == 2]] = True
+    outside[index[keys == 1]] = False
+    heights, empty, elsewhere = (column.reshape(columns, rows) for column in (highest, ~covered, outside))
+    on_road = np.isfinite(heights)
     if not on_road.any():
         return
-    wanted = np.logical_or.reduce(list(_gaps(~np.isfinite(heights), on_road, _LARGEST_GAP / cell**2)), initial=False)
+    wanted = np.logical_or.reduce(list(_gaps(empty, on_road, _LARGEST_GAP / cell**2)), initial=False)
     wanted = _grown(_grown(np.broadcast_to(wanted, on_road.shape)))  # as far as below the lanes
     wanted |= ~_grown(~_grown(on_road))  # narrow gaps, too
     if float(np.ptp(heights[on_road])) < _FLAT:
         z, longest = np.full(on_road.shape, heights[on_road].min()), _MOST_CELLS
     else:
         z, longest = _spread(np.where(on_road, heights, np.nan)), _LONGEST
-    full = wanted[:-1, :-1] & wanted[1:, :-1] & wanted[:-1, 1:] & wanted[1:, 1:]
+    full = _squares(wanted) & ~_squares(elsewhere)
     boxes = [
         [(x[i, k], y[i, k], z[i, k] + FILLED) for i, k in ((first, low), (last, low), (last, high), (first, high))]
         for first, last, low, high in _boxes(full, longest)
@@ -108,6 +113,11 @@ def _gaps(empty: Flags, on_road: Flags, most: float) -> Iterator[Flags]:
             rim = _grown(part) & ~part
             if on_road[rim].mean() >= _ASPHALT:
                 yield part
+
+
+def _squares(corners: Flags) -> Flags:
+    """Return the squares of a grid of which all corners are set."""
+    return corners[:-1, :-1] & corners[1:, :-1] & corners[:-1, 1:] & corners[1:, 1:]
 
 
 def _grown(cells: Flags) -> Flags:

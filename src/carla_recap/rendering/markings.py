@@ -196,8 +196,10 @@ def _quads(
     length = section.road.length
     period = length / max(round(length / _PERIOD), 1)
     if style == "broken":
+        if length < _PERIOD / 2:
+            return np.zeros((0, 4, 3))
         numbers = np.arange(np.floor(start / period), np.ceil(end / period) + 1)
-        stations += [(numbers + 0.5) * period + side * _DASH * period / _PERIOD / 2 for side in (-1, 1)]
+        stations += [(numbers + 0.5) * period + side * _DASH / 2 for side in (-1, 1)]
     found = np.unique(np.concatenate(stations))
     found = found[(found >= max(start, known[0])) & (found <= min(end, known[-1]))]
     if len(found) < 2:
@@ -205,7 +207,7 @@ def _quads(
     middles = (found[1:] + found[:-1]) / 2
     kept = np.interp(middles, known, wide.astype(np.float64)) > 0.5
     if style == "broken":
-        kept &= np.abs(middles / period % 1.0 - 0.5) < _DASH / _PERIOD / 2
+        kept &= np.abs(middles % period - period / 2) < _DASH / 2
     points = np.stack([np.interp(found, known, axis) for axis in section.borders[border].T], axis=1)
     lefts = np.stack([np.interp(found, known, axis) for axis in section.lefts.T], axis=1)
     left, right = points + (shift + half) * lefts, points + (shift - half) * lefts

@@ -133,7 +133,7 @@ MATERIALS: Final[dict[Material, Finish]] = {
     _M.GRASS: Finish((101, 116, 76), Tag.TERRAIN),
     _M.GROUND: Finish((134, 128, 112), Tag.GROUND),
     _M.MEDIAN: Finish((118, 120, 112), Tag.GROUND),
-    _M.SHOULDER: Finish((92, 92, 92), Tag.ROADS),
+    _M.SHOULDER: Finish((80, 80, 82), Tag.ROADS),
     _M.PARKING: Finish((82, 83, 88), Tag.ROADS),
     _M.BIKE_LANE: Finish((124, 74, 66), Tag.ROADS),
     _M.ROAD: Finish((70, 71, 74), Tag.ROADS),

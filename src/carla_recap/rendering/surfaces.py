@@ -11,7 +11,7 @@ from carla_recap.rendering.heights import TriangleGrid
 from carla_recap.rendering.materials import Material
 
 if TYPE_CHECKING:
-    from collections.abc import Collection, Iterator, Sequence
+    from collections.abc import Callable, Iterator, Sequence
 
     from numpy.typing import NDArray
 
@@ -168,24 +168,29 @@ def _materials(road: Road, lanes: Sequence[RoadLane]) -> Iterator[Material | Non
             around = {kinds[max(i for i in known if i < index)], kinds[min(i for i in known if i > index)]}
             kind = Material.GRASS if around <= {Material.ROAD} or not around <= {*PAVED} else Material.SHOULDER
             kind = Material.SHOULDER if road.in_junction else kind
-        if kind is Material.SHOULDER and road.in_junction:
-            beside = {*kinds[max(index - 1, 0) : index], *kinds[index + 1 : index + 2]}
-            kind = kind if beside & {*_RAISED} else Material.ROAD  # within the junction
-        yield Material.JUNCTION if kind is Material.ROAD and road.in_junction else kind
+        yield Material.JUNCTION if road.in_junction and kind in (Material.ROAD, Material.SHOULDER) else kind
 
 
-def surface_grid(sections: Sequence[SampledSection], kinds: Collection[Material] | None = None) -> TriangleGrid:
-    """Return the surfaces of lanes, with the number of the road as key.
+def surface_grid(sections: Sequence[SampledSection]) -> TriangleGrid:
+    """Return the surfaces of all lanes; the key is 0, or of pavement that is not raised, 1 in a junction and 2 outside."""
+    return _grid(
+        sections,
+        lambda section, lane: (2 - section.road.in_junction) * (_KINDS.get(section.lanes[lane].kind) in PAVED),
+    )
 
-    Args:
-        sections: The sections.
-        kinds: The materials that the lanes have outside junctions; None for all.
-    """
+
+def driving_grid(sections: Sequence[SampledSection]) -> TriangleGrid:
+    """Return the surfaces of lanes for cars; the key is the number of the road."""
+    return _grid(sections, lambda section, lane: section.number if section.is_driving(lane) else None)
+
+
+def _grid(sections: Sequence[SampledSection], key_of: Callable[[SampledSection, int], int | None]) -> TriangleGrid:
     vertices, triangles, keys, count = [], [], [], 0
     for section in sections:
         n = len(section.stations)
         for lane, material in enumerate(section.materials):
-            if material is None or (kinds is not None and _KINDS.get(section.lanes[lane].kind) not in kinds):
+            key = key_of(section, lane)
+            if material is None or key is None:
                 continue
             widths = section.widths(lane)
             first = np.flatnonzero((widths[1:] > _NARROW) | (widths[:-1] > _NARROW))
@@ -194,7 +199,7 @@ def surface_grid(sections: Sequence[SampledSection], kinds: Collection[Material]
             vertices.append(corners)
             parts = np.stack((first + n, first + n + 1, first + 1), 1), np.stack((first + n, first + 1, first), 1)
             triangles.append(np.concatenate(parts) + count)
-            keys.append(np.full(2 * len(first), section.number))
+            keys.append(np.full(2 * len(first), int(key)))
             count += 2 * n
     if not vertices:
         return TriangleGrid(np.zeros((0, 3)), np.zeros((0, 3), np.int64))

@@ -23,7 +23,7 @@ if TYPE_CHECKING:
     Floats = NDArray[np.float64]
     Flags = NDArray[np.bool_]
 
-_CELLS: Final = 10  # along a side of a tile
+_CELLS: Final = 5  # along a side of a tile
 _AROUND: Final = 300.0  # m of ground around the roads
 _MOST_TILES: Final = 240  # along a side
 _BELOW: Final = 0.08  # m from the road down to the ground

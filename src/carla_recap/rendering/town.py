@@ -23,7 +23,7 @@ from carla_recap.rendering.markings import Painter, add_lines, paint_objects, pa
 from carla_recap.rendering.materials import Material
 from carla_recap.rendering.mesh import Mesh
 from carla_recap.rendering.signs import LightPost, add_signs, light_posts
-from carla_recap.rendering.surfaces import PAVED, add_lanes, sample_roads, surface_grid
+from carla_recap.rendering.surfaces import PAVED, add_lanes, driving_grid, sample_roads, surface_grid
 from carla_recap.rendering.terrain import Terrain, add_edges
 
 if TYPE_CHECKING:
@@ -135,10 +135,10 @@ def build_town(text: str) -> tuple[list[Mesh], list[LightPost]]:
         sections = sample_roads(roads)
         if not sections:
             return [], []
-        surfaces, driving = surface_grid(sections), surface_grid(sections, (Material.ROAD,))
+        surfaces, driving = surface_grid(sections), driving_grid(sections)
         builder = MeshBuilder()
         add_lanes(builder, sections, driving)
-        fill_junctions(builder, sections, surfaces, surface_grid(sections, PAVED))
+        fill_junctions(builder, sections, surfaces)
         surfaces, pavement = builder.grid(_SURFACES), builder.grid(_PAVEMENT)
         terrain = Terrain(sections)
         add_edges(builder, sections, terrain, surfaces)
