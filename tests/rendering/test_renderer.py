@@ -343,6 +343,12 @@ def test_poses_that_are_not_finite_are_left_out(renderer: Renderer) -> None:
     assert renderer.draw(nowhere, several, [RGB])[RGB].shape == (120, 160, 4)
 
 
+def test_a_camera_within_an_actor_sees_what_is_around_it(renderer: Renderer) -> None:
+    images = renderer.draw(camera(), boxes((0.5, 0, 2), (10, 0, 2)), [INSTANCE, DEPTH])
+    assert ids(images[INSTANCE])[60, 80] == 0x1235
+    assert metres(images[DEPTH])[60, 80] == pytest.approx(9, abs=0.01)
+
+
 def test_what_can_be_seen_through_shows_what_is_behind(renderer: Renderer) -> None:
     both = boxes((10, 0, 2), (20, 0, 2))
     both.colors[1] = (20, 40, 220)

@@ -215,9 +215,11 @@ class Renderer:
         framebuffer.use()
         framebuffer.clear(depth=1.0)
         context.enable_only(context.DEPTH_TEST)
-        context.depth_func = "<"
+        context.depth_func, context.front_face = "<", "cw"  # the rows of images run downwards
+        context.enable(context.CULL_FACE)  # so that a camera within an actor sees what is around it
         for group in solid:
             self._surface(kinds, group.model).render(instances=group.load())
+        context.disable(context.CULL_FACE)
         self._draw_ground(kinds, view)
         context.depth_func = "<="
         self._full("sky", kinds).render(context.TRIANGLE_STRIP)
@@ -275,13 +277,14 @@ class Renderer:
         for group in groups:
             _mask(framebuffer, (False, False, False, False))
             count = group.load()
+            context.enable(context.CULL_FACE)
             array = self._surface((ImageKind.RGB,), group.model, "TRANSLUCENT")
             array.render(instances=count)
             _mask(framebuffer, (True, True, True, False))
             context.enable(context.BLEND)
             context.blend_func = context.SRC_ALPHA, context.ONE_MINUS_SRC_ALPHA
             array.render(instances=count)
-            context.disable(context.BLEND)
+            context.disable(context.BLEND | context.CULL_FACE)
         _mask(framebuffer, (True, True, True, True))
 
     def _draw_halos(self, targets: ImageBuffers, halos: NDArray[np.void]) -> None:
