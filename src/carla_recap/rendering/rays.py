@@ -126,6 +126,11 @@ class SurfaceHits:
     cosine: Floats
     tag: Integers
 
+    def take(self, index: Integers | NDArray[np.bool_]) -> SurfaceHits:
+        """Return some of the hits."""
+        columns = (self.ray, self.actor, self.distance, self.cosine, self.tag)
+        return SurfaceHits(*(column[index] for column in columns))
+
 
 class RayScene:
     """A town and the models of actors for rays: those whose instances are at the moment that is asked for.
@@ -145,14 +150,14 @@ class RayScene:
         self._meshes = models
         self._models: dict[int, _Shape] = {}
 
-    def cast(self, origin: Floats, directions: Floats, reach: float, instances: Instances) -> SurfaceHits:
+    def cast(self, origin: Floats, directions: Floats, reach: float, instances: Instances | None = None) -> SurfaceHits:
         """Return the first hit of each ray that hits something.
 
         Args:
             origin: The start of all rays, (3,) in m.
             directions: The directions, (n, 3), of length 1.
             reach: The length of the rays in m.
-            instances: The actors.
+            instances: The actors; None for the town alone.
         """
         count = len(directions)
         distance, actor = np.full(count, reach), np.zeros(count, np.int64)
@@ -161,7 +166,7 @@ class RayScene:
             starts = np.repeat(origin[None].astype(np.float32), count, axis=0)
             ray, far, normal, found = self._town.cast(starts, directions, distance)
             distance[ray], cosine[ray], tag[ray] = far, _cosine(normal, directions[ray]), found
-        hits = self._actor_hits(origin, directions, distance, instances)
+        hits = None if instances is None else self._actor_hits(origin, directions, distance, instances)
         if hits is not None:
             distance[hits.ray], cosine[hits.ray] = hits.distance, hits.cosine
             actor[hits.ray], tag[hits.ray] = hits.actor, hits.tag

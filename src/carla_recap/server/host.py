@@ -69,7 +69,7 @@ class Host:
         self.streams = Streams(self.connections, with_map_changed)
         self.snapshots = SnapshotStreams(self.streams)
         self.traffic_managers = TrafficManagerRegistry()
-        self.sensors = Sensors(world, self.streams, self.known_actor)
+        self.sensors = Sensors(world, self.streams, self.known_actor, quality)
         self.ackermann = AckermannController()
         self.constant_velocity = ConstantVelocity()
         world.controllers.append(self.ackermann)
@@ -127,6 +127,11 @@ class Host:
         mine.substepping = settings.substepping
         for callback in self.on_settings:
             callback()
+
+    def close(self) -> None:
+        """End sensors, recording and replay."""
+        self.sensors.close()
+        self.world.close()
 
     def publish(self) -> None:
         """Send a snapshot to all clients."""

@@ -85,7 +85,7 @@ async def serve(
             ticker.cancel()
             calls.close()
             streams.close()
-            host.world.close()
+            host.close()
 
 
 class Ticker:

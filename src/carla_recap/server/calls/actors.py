@@ -212,6 +212,7 @@ def spawn(client: Client, description: ActorDescription, transform: Transform, p
     if actor is None:
         raise CallError("Spawn failed because of collision at spawn position")
     host.remember(actor)
+    host.sensors.prepare(actor)
     return actor
 
 

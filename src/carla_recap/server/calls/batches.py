@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+from collections.abc import Awaitable
 from dataclasses import dataclass, field
 from typing import Any, Final
 
 from carla_recap.server.calls import actors, unsupported, vehicles, world  # noqa: F401  (register the calls)
 from carla_recap.server.calls.actors import spawn
+from carla_recap.server.calls.session import when_done
 from carla_recap.server.client import Client
 from carla_recap.server.rpc.codec import DecodeError, decoder
 from carla_recap.server.rpc.connection import error_text
@@ -73,7 +75,7 @@ _decode_spawn: Final = decoder(SpawnCommand)
 
 
 @bare_call
-def apply_batch(client: Client, commands: list[Any], do_tick: bool = False) -> list[Any]:
+def apply_batch(client: Client, commands: list[Any], do_tick: bool = False) -> list[Any] | Awaitable[list[Any]]:
     """Execute commands one after the other; an error of one does not keep the others from being executed.
 
     Args:
@@ -85,9 +87,14 @@ def apply_batch(client: Client, commands: list[Any], do_tick: bool = False) -> l
         For each command the id of its actor, or an error, as CARLA's `Response`.
     """
     answers = _apply_controls(client, commands) or [_answer(client, command) for command in commands]
-    if do_tick and client.host.settings.synchronous_mode:
+    if not (do_tick and client.host.settings.synchronous_mode):
+        return answers
+
+    def tick() -> list[Any]:
         client.host.tick()
-    return answers
+        return answers
+
+    return when_done(client.host.sensors.pending(), tick)
 
 
 def _apply_controls(client: Client, commands: list[Any]) -> list[Any] | None:

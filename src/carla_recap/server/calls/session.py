@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import asyncio
 from collections.abc import Awaitable
-from typing import TYPE_CHECKING, Final
+from typing import TYPE_CHECKING, Final, TypeVar
 
 from carla_recap.server.actor_records import sensor_of
 from carla_recap.server.client import Client
@@ -16,6 +16,8 @@ from carla_recap.sim.weather import Weather
 
 if TYPE_CHECKING:
     from collections.abc import Callable
+
+T = TypeVar("T")
 
 VERSION = "0.9.16"
 """The version of the supported client."""
@@ -60,14 +62,15 @@ def set_episode_settings(client: Client, settings: EpisodeSettings) -> int | Awa
         host.apply_settings(settings)
         return _signalled(client, host.frame)
 
-    return _after(host.traffic_managers.unsettled(), apply)
+    return when_done(host.traffic_managers.unsettled(), apply)
 
 
 @call
 def tick_cue(client: Client) -> int | Awaitable[int]:
     """Tick in synchronous mode; return the frame that the client waits for, in asynchronous mode the next one.
 
-    The tick waits for the client's subscriptions and traffic managers; see `PendingSubscriptions` and `TrafficManagerCycle`.
+    The tick waits for the client's subscriptions, for traffic managers and for images of earlier ticks; see
+    `PendingSubscriptions`, `TrafficManagerCycle` and `Sensors.pending`.
     """
     host = client.host
     if not host.settings.synchronous_mode:
@@ -78,13 +81,14 @@ def tick_cue(client: Client) -> int | Awaitable[int]:
         asyncio.get_running_loop().call_soon(host.look_ahead)
         return _signalled(client, frame)
 
-    return _after(host.streams.pending.of(client) + host.traffic_managers.unsettled(), tick)
+    subscriptions, managers = host.streams.pending.of(client), host.traffic_managers.unsettled()
+    return when_done(subscriptions + managers + host.sensors.pending(), tick)
 
 
-def _after(pending: list[asyncio.Future[None]], work: Callable[[], int]) -> int | Awaitable[int]:
+def when_done(pending: list[asyncio.Future[None]], work: Callable[[], T]) -> T | Awaitable[T]:
     """Do something when pending futures are done; at once if there are none."""
 
-    async def later() -> int:
+    async def later() -> T:
         await asyncio.wait(pending)
         return work()
 

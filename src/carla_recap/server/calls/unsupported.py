@@ -36,7 +36,7 @@ _NO_BONES: Final = "actors are boxes, without bones, sockets or components"
 _PHYSICS: Final = "the simulator has physics of its own"
 _NO_SCENERY: Final = "there are no buildings, layers, textures or street lights"
 _NO_ROS: Final = "there is no ROS 2 bridge"
-_NO_GBUFFERS: Final = "cameras do not render"
+_NO_GBUFFERS: Final = "there are no G-buffers"
 
 _ACCEPTED: Final[dict[str, _Answer]] = {
     "set_actor_autopilot": _Answer(_MANAGER),

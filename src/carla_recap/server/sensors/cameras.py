@@ -1,51 +1,203 @@
-"""Cameras: nothing is rendered, but scripts that wait for images get blank ones of the size that they asked for."""
+"""Cameras: what they see in a tick, and how their images go over the wire."""
 
 from __future__ import annotations
 
+import asyncio
 import struct
-from functools import lru_cache
-from typing import TYPE_CHECKING, Final
+from typing import TYPE_CHECKING, Any, Final
 
+import numpy as np
+
+from carla_recap.rendering.camera import Camera, ImageKind
 from carla_recap.server.attributes import LARGEST_SIDE
+from carla_recap.server.sensors.dvs import EventDetector
 from carla_recap.server.sensors.feed import number
+from carla_recap.server.sensors.images import Motif, Shot, View
+from carla_recap.server.sensors.rays import MIRROR, axes, row
 
 if TYPE_CHECKING:
-    from carla_recap.server.sensors.feed import Feed, FeedContext, MakeFeed
+    from collections.abc import Callable, Iterable, Mapping
+
+    from numpy.typing import NDArray
+
+    from carla_recap.rendering.instances import Instances
+    from carla_recap.server.sensors.feed import Feed, FeedContext
+    from carla_recap.server.sensors.images import ImageThread
     from carla_recap.sim.actors.actor import Actor
+    from carla_recap.sim.geometry import Transform
+    from carla_recap.sim.world import World
+
+    Image = NDArray[Any]
 
 _SIDES: Final = ("image_size_x", "image_size_y")
+_NARROWEST, _WIDEST = 0.1, 175.0  # degrees
 # width, height, field of view in degrees
 _HEADER: Final = struct.Struct("<IIf")
 
 # The bytes of each pixel: blue, green, red, alpha
 _GREY: Final = bytes((128, 128, 128, 255))
-_FARTHEST: Final = bytes((255, 255, 255, 255))  # depth is red + 256 green + 65536 blue; all set are 1,000 m
-_UNLABELLED: Final = bytes((0, 0, 0, 255))
-_STILL: Final = struct.pack("<2f", 0.0, 0.0)  # of optical flow: along x and y
+_BLANK: Final[Mapping[ImageKind, bytes]] = {
+    ImageKind.RGB: _GREY,
+    ImageKind.DEPTH: bytes((255, 255, 255, 255)),  # depth is red + 256 green + 65536 blue; all set are 1,000 m
+    ImageKind.SEMANTIC: bytes((0, 0, 0, 255)),
+    ImageKind.INSTANCE: bytes((0, 0, 0, 255)),
+    ImageKind.NORMALS: _GREY,
+    ImageKind.FLOW: struct.pack("<2f", 0.0, 0.0),
+}
 
 
-def _camera(pixel: bytes) -> MakeFeed:
-    """Return what makes the feeds of cameras whose images are of one colour."""
+class _Film:
+    """A camera that somebody listens to.
 
-    def make(sensor: Actor, context: FeedContext) -> Feed:
-        width, height = (_side(sensor, key) for key in _SIDES)
-        image = (_image(width, height, number(sensor, "fov"), pixel),)
-        return lambda: image
+    Args:
+        sensor: The camera.
+        kind: The kind of its images.
+        has_events: Whether it sends events instead of images.
+    """
 
-    return make
+    def __init__(self, sensor: Actor, kind: ImageKind, *, has_events: bool) -> None:
+        self.sensor = sensor
+        self.kind = kind
+        self.width, self.height = (_side(sensor, key) for key in _SIDES)
+        self.fov = number(sensor, "fov")
+        self.is_owed = False
+        self.previous: Motif | None = None
+        self._header = _HEADER.pack(self.width, self.height, self.fov)
+        self._events = EventDetector(sensor) if has_events else None
+
+    def encode(self, elapsed: float) -> Callable[[Image], Iterable[bytes | memoryview]]:
+        """Return what turns an image of a time in s into the parts of a frame."""
+
+        def parts(image: Image) -> Iterable[bytes | memoryview]:
+            if self._events is not None:
+                image = self._events.detect(image, elapsed)
+            return self._header, image.tobytes()
+
+        return parts
+
+
+class Cameras:
+    """The cameras that clients listen to.
+
+    Args:
+        world: The world.
+        thread: What draws and sends their images.
+        instances: Returns what is drawn of the actors of the world.
+    """
+
+    def __init__(self, world: World, thread: ImageThread, instances: Callable[[], Instances]) -> None:
+        self._world = world
+        self._thread = thread
+        self._instances = instances
+        self._films: dict[int, _Film] = {}
+        self._due: dict[int, bytes] = {}
+
+    def keep(self, streams: Iterable[int]) -> None:
+        """Forget the cameras of all other streams."""
+        for stream in self._films.keys() - set(streams):
+            del self._films[stream]
+
+    def take(self, stream: int, sensor: Actor, kind: ImageKind, header: bytes, *, is_due: bool, has_events: bool) -> None:
+        """Let a camera take an image, if it is due or one could not be drawn in time.
+
+        Args:
+            stream: The stream of the camera.
+            sensor: The camera.
+            kind: The kind of image.
+            header: The header of its frame.
+            is_due: Whether the camera ticks.
+            has_events: Whether it sends events instead of images.
+        """
+        film = self._films.get(stream)
+        if film is None:
+            film = self._films[stream] = _Film(sensor, kind, has_events=has_events)
+        film.is_owed |= is_due
+        if film.is_owed:
+            self._due[stream] = header
+
+    def submit(self) -> None:
+        """Have the images of the tick drawn, those of cameras of the same pose, size and field of view together.
+
+        In asynchronous mode they wait for a later tick while those of an earlier one are drawn.
+        """
+        due, self._due = self._due, {}
+        if not due:
+            return
+        loop, keeps_all = asyncio.get_running_loop(), self._world.settings.synchronous_mode
+        self._thread.prepare(self._world.town)
+        if keeps_all or not self._thread.is_busy:
+            self._thread.submit(self._world.town, self._views(due), loop, keeps_all=keeps_all)
+
+    def _views(self, due: Mapping[int, bytes]) -> list[View]:
+        views: dict[tuple[object, ...], View] = {}
+        found: list[View] = []
+        everything = self._instances()
+        for stream in sorted(due, key=lambda stream: self._films[stream].kind is not ImageKind.FLOW):
+            film = self._films[stream]
+            film.is_owed = False
+            transform, hidden = film.sensor.transform, _surrounding(film.sensor)
+            place, turn = transform.location, transform.rotation
+            pose = (place.x, place.y, place.z, turn.pitch, turn.yaw, turn.roll)
+            key = (*pose, film.width, film.height, film.fov, hidden)
+            view = views.get(key)
+            if view is None or (film.kind is ImageKind.FLOW and view.previous is not film.previous):
+                motif = Motif(camera_at(transform, film.width, film.height, film.fov), everything)
+                view = View(motif, film.previous, hidden, self._world.weather, [])
+                views.setdefault(key, view)
+                found.append(view)
+            view.shots.append(Shot(stream, due[stream], film.kind, film.encode(self._world.elapsed)))
+            if film.kind is ImageKind.FLOW:
+                film.previous = view.motif
+        return found
+
+
+def camera_at(transform: Transform, width: int, height: int, fov: float) -> Camera:
+    """Return the camera of a sensor's transform.
+
+    Args:
+        transform: The transform.
+        width: The width of its images, in pixels.
+        height: The height, in pixels.
+        fov: The horizontal field of view, in degrees.
+    """
+    rotation = axes(transform) * MIRROR[:, None] * MIRROR  # the second axis is mirrored, too
+    return Camera(width, height, min(max(fov, _NARROWEST), _WIDEST), row(transform.location) * MIRROR, rotation)
+
+
+class BlankImages:
+    """Draws images without content."""
+
+    def draw(self, view: View) -> Mapping[ImageKind, Image]:
+        """See `ImageSource.draw`."""
+        return {kind: _blank(kind, view.motif.camera.width, view.motif.camera.height) for kind in view.kinds}
+
+    def close(self) -> None:
+        """See `ImageSource.close`."""
+
+
+def blank(sensor: Actor, context: FeedContext) -> Feed:
+    """Return the feed of a camera whose images are grey."""
+    width, height = (_side(sensor, key) for key in _SIDES)
+    frame = _HEADER.pack(width, height, number(sensor, "fov")) + _GREY * (width * height)
+    return lambda: (frame,)
+
+
+def _blank(kind: ImageKind, width: int, height: int) -> Image:
+    dtype = np.float32 if kind is ImageKind.FLOW else np.uint8
+    return np.frombuffer(_BLANK[kind] * (width * height), dtype).reshape(height, width, -1)
 
 
 def _side(sensor: Actor, key: str) -> int:
     return int(min(max(number(sensor, key), 1), LARGEST_SIDE))
 
 
-@lru_cache(maxsize=4)
-def _image(width: int, height: int, fov: float, pixel: bytes) -> bytes:
-    return _HEADER.pack(width, height, fov) + pixel * (width * height)
-
-
-grey = _camera(_GREY)
-depth = _camera(_FARTHEST)
-unlabelled = _camera(_UNLABELLED)
-flow = _camera(_STILL)
-events = _camera(b"")
+def _surrounding(sensor: Actor) -> frozenset[int]:
+    """Return the carriers of a camera whose boxes it is inside of: they would hide everything."""
+    found, carrier = set(), sensor.parent
+    place = row(sensor.transform.location)
+    while carrier is not None:
+        transform, extent = carrier.transform, row(carrier.box.extent)
+        if (np.abs((place - row(transform.transform(carrier.box.location))) @ axes(transform)) < extent).all():
+            found.add(carrier.id)
+        carrier = carrier.parent
+    return frozenset(found)

@@ -2,19 +2,28 @@
 
 from __future__ import annotations
 
+import asyncio
 import logging
+from concurrent.futures import Future
+from contextlib import suppress
 from dataclasses import dataclass
 from enum import StrEnum
+from functools import cached_property, partial
 from math import floor
 from types import MappingProxyType
 from typing import TYPE_CHECKING, Any, Final
 from weakref import WeakKeyDictionary
 
+from carla_recap.rendering.camera import ImageKind
+from carla_recap.rendering.materials import Tag
 from carla_recap.server import actor_records
 from carla_recap.server.rpc.codec import encoder
 from carla_recap.server.rpc.structs import ActorDescription, ActorRecord, BoxStruct
 from carla_recap.server.sensors import cameras, events, inertial, rays
+from carla_recap.server.sensors.cameras import BlankImages, Cameras
 from carla_recap.server.sensors.feed import number, silent
+from carla_recap.server.sensors.images import ImageThread
+from carla_recap.server.sensors.surfaces import DrawnImages, TownSurfaces
 from carla_recap.server.sensors.v2x import RadioChannel, message_bytes, v2x
 from carla_recap.server.streaming.snapshots import sensor_header
 from carla_recap.sim.actors.actor import Sensor
@@ -23,20 +32,33 @@ from carla_recap.sim.geometry import Location, Vector
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping
 
+    from carla_recap.rendering.camera import Quality
+    from carla_recap.rendering.instances import Instances
+    from carla_recap.rendering.rays import RayScene
     from carla_recap.server.actor_records import DestroyedActor
     from carla_recap.server.sensors.feed import Feed, MakeFeed, V2xMessage
+    from carla_recap.server.sensors.scene import WorldActors
     from carla_recap.server.streaming.streams import Streams
     from carla_recap.sim.actors.actor import Actor
     from carla_recap.sim.world import World
 
 _LOG: Final = logging.getLogger("carla_recap.server")
 _ROUNDING: Final = 1e-6  # s
+_LOADED_BY: Final = 20.0  # s: a tick does not wait longer for the surfaces of a town
+_CAMERA: Final = "sensor.camera."
 _ENCODE: Final = encoder(ActorRecord)
-_WALL_TAG: Final = 4
-# A barrier is no actor; CARLA describes it as an actor whose id is 0 and whose name begins with static.
-_WALL: Final = ActorRecord(
-    0, 0, ActorDescription(0, "static.wall", []), BoxStruct(Location(), Vector()), bytes((_WALL_TAG,)), b""
-)
+_STATIC: Final = {
+    Tag.ROADS: "road",
+    Tag.SIDEWALKS: "sidewalk",
+    Tag.WALLS: "wall",
+    Tag.POLES: "pole",
+    Tag.TRAFFIC_SIGNS: "trafficsign",
+    Tag.TERRAIN: "terrain",
+    Tag.ROAD_LINES: "roadline",
+    Tag.GROUND: "ground",
+    Tag.BRIDGE: "bridge",
+}
+"""CARLA's names of what is no actor, by its semantic tag."""
 
 
 class Support(StrEnum):
@@ -57,6 +79,9 @@ class SensorKind:
         what: A description of its data for the documentation.
         make: Makes the feeds of such sensors.
         by_event: Whether it sends what happens at once, whatever its `sensor_tick` is.
+        image: The kind of image that it takes, for cameras that are drawn.
+        has_events: Whether it sends the changes of its images.
+        casts: Whether it needs the surfaces of the town.
     """
 
     number: int
@@ -64,31 +89,40 @@ class SensorKind:
     what: str
     make: MakeFeed = silent
     by_event: bool = False
+    image: ImageKind | None = None
+    has_events: bool = False
+    casts: bool = False
+
+
+def _camera(number: int, image: ImageKind, what: str) -> SensorKind:
+    return SensorKind(number, Support.LIVE, what, image=image)
 
 
 _COLLISIONS: Final = "each collision of its parent"
 _POSITION: Final = "its position by the map's geo-reference; with noise"
-_BOXES: Final = "the boxes of vehicles, walkers and props; neither the ground nor buildings"
+_SURFACES: Final = "the ground, signs, lights, vehicles, walkers and props; no buildings"
 _CAM: Final = "cooperative awareness messages of other vehicles in range"
 
 SENSOR_KINDS: Final[Mapping[str, SensorKind]] = MappingProxyType(
     {
-        "sensor.camera.cosmos_visualization": SensorKind(16, Support.BLANK, "grey", cameras.grey),
-        "sensor.camera.depth": SensorKind(1, Support.BLANK, "all is 1,000 m away", cameras.depth),
-        "sensor.camera.dvs": SensorKind(3, Support.BLANK, "no events", cameras.events),
-        "sensor.camera.instance_segmentation": SensorKind(15, Support.BLANK, "all is unlabelled", cameras.unlabelled),
-        "sensor.camera.normals": SensorKind(2, Support.BLANK, "grey", cameras.grey),
-        "sensor.camera.optical_flow": SensorKind(8, Support.BLANK, "nothing moves", cameras.flow),
-        "sensor.camera.rgb": SensorKind(13, Support.BLANK, "grey", cameras.grey),
-        "sensor.camera.semantic_segmentation": SensorKind(14, Support.BLANK, "all is unlabelled", cameras.unlabelled),
-        "sensor.lidar.ray_cast": SensorKind(11, Support.LIVE, _BOXES, rays.lidar),
-        "sensor.lidar.ray_cast_semantic": SensorKind(10, Support.LIVE, _BOXES, rays.semantic_lidar),
+        "sensor.camera.cosmos_visualization": SensorKind(16, Support.BLANK, "grey", cameras.blank),
+        "sensor.camera.depth": _camera(1, ImageKind.DEPTH, "the depth along the axis of view, up to 1,000 m"),
+        "sensor.camera.dvs": SensorKind(
+            3, Support.LIVE, "changes of brightness between two images", image=ImageKind.RGB, has_events=True
+        ),
+        "sensor.camera.instance_segmentation": _camera(15, ImageKind.INSTANCE, "semantic tags and actor ids"),
+        "sensor.camera.normals": _camera(2, ImageKind.NORMALS, "normals of surfaces, in the axes of the world"),
+        "sensor.camera.optical_flow": _camera(8, ImageKind.FLOW, "motion since the image before"),
+        "sensor.camera.rgb": _camera(13, ImageKind.RGB, "the scene with sky, light and weather"),
+        "sensor.camera.semantic_segmentation": _camera(14, ImageKind.SEMANTIC, "CARLA's semantic tags"),
+        "sensor.lidar.ray_cast": SensorKind(11, Support.LIVE, _SURFACES, rays.lidar, casts=True),
+        "sensor.lidar.ray_cast_semantic": SensorKind(10, Support.LIVE, _SURFACES, rays.semantic_lidar, casts=True),
         "sensor.other.collision": SensorKind(0, Support.LIVE, _COLLISIONS, events.collisions, by_event=True),
         "sensor.other.gnss": SensorKind(4, Support.LIVE, _POSITION, inertial.gnss),
         "sensor.other.imu": SensorKind(5, Support.LIVE, "the motion of its parent; with noise", inertial.imu),
         "sensor.other.lane_invasion": SensorKind(6, Support.LIVE, "found by the client itself"),
-        "sensor.other.obstacle": SensorKind(7, Support.LIVE, f"{_BOXES}, but barriers", events.obstacles),
-        "sensor.other.radar": SensorKind(9, Support.LIVE, _BOXES, rays.radar),
+        "sensor.other.obstacle": SensorKind(7, Support.LIVE, f"{_SURFACES}; and barriers", events.obstacles, casts=True),
+        "sensor.other.radar": SensorKind(9, Support.LIVE, _SURFACES, rays.radar, casts=True),
         "sensor.other.rss": SensorKind(12, Support.SILENT, "needs a client that is built with RSS"),
         "sensor.other.v2x": SensorKind(20, Support.LIVE, _CAM, v2x),
         "sensor.other.v2x_custom": SensorKind(21, Support.LIVE, "messages that other such sensors in range `send`", v2x),
@@ -104,19 +138,60 @@ class Sensors:
         world: The world.
         streams: The streams that their data goes to.
         find: Returns an actor by its id, even one that has been destroyed.
+        quality: The quality of images.
     """
 
-    def __init__(self, world: World, streams: Streams, find: Callable[[int], Actor | DestroyedActor]) -> None:
+    def __init__(
+        self, world: World, streams: Streams, find: Callable[[int], Actor | DestroyedActor], quality: Quality = "epic"
+    ) -> None:
         self._world = world
         self._streams = streams
         self._find = find
         self._feeds: dict[int, Feed] = {}
         self._first_ticks: WeakKeyDictionary[Actor, float] = WeakKeyDictionary()
         self._radio = RadioChannel()
+        self._surfaces = TownSurfaces()
+        self._images = ImageThread(streams, partial(DrawnImages, self._surfaces, quality), BlankImages())
+        self._cameras = Cameras(world, self._images, self.instances)
+        self._loading: Future[Any] = Future()
+        self._loading.set_result(None)
 
-    def actor_record(self, id: int | None) -> object:
-        """Return the record of an actor for msgpack; None stands for a barrier, which is no actor."""
-        return _ENCODE(_WALL if id is None else actor_records.record(self._find(id), self._streams))
+    def instances(self) -> Instances:
+        """Return what is drawn of the actors after the latest tick."""
+        return self._actors.instances()
+
+    @cached_property
+    def _actors(self) -> WorldActors:
+        from carla_recap.server.sensors.scene import WorldActors  # it imports the models
+
+        return WorldActors(self._world)
+
+    def ray_scene(self) -> RayScene | None:
+        """Return the surfaces that rays meet; None if there are none but boxes, or none yet."""
+        return self._surfaces.ready_rays(self._world.town)
+
+    def prepare(self, sensor: Actor) -> None:
+        """Load what a new sensor needs, if that takes time."""
+        kind, town = SENSOR_KINDS.get(sensor.type_id), self._world.town
+        if kind is not None and kind.image is not None:
+            self._loading = self._images.prepare(town)
+        elif kind is not None and kind.casts:
+            self._loading = self._surfaces.rays(town)
+
+    def pending(self) -> list[asyncio.Future[None]]:
+        """Return what the next tick waits for, so that no data are lost in synchronous mode."""
+        pending = [*self._images.pending(), *self._streams.behind(self._feeds)]
+        if not self._loading.done():
+            pending.append(_done_within(_LOADED_BY, self._loading))
+        return pending
+
+    def close(self) -> None:
+        """End what draws images."""
+        self._images.close()
+
+    def actor_record(self, id: int | None, tag: int = Tag.WALLS) -> object:
+        """Return the record of an actor for msgpack; None stands for what is no actor, and has a semantic tag."""
+        return _ENCODE(_static(tag) if id is None else actor_records.record(self._find(id), self._streams))
 
     def messages(self, type_id: str, receiver: Actor) -> list[V2xMessage]:
         """Return the V2X messages of a kind of sensor in the latest tick, but for those of a receiver."""
@@ -135,6 +210,7 @@ class Sensors:
         subscribed = self._streams.subscribed
         for stream in self._feeds.keys() - set(subscribed):
             del self._feeds[stream]
+        self._cameras.keep(self._feeds)
         for stream in subscribed:
             sensor = self._world.actors.get(actor_records.sensor_of(stream))
             kind = SENSOR_KINDS.get(sensor.type_id) if sensor is not None else None
@@ -146,6 +222,10 @@ class Sensors:
                     self._feeds[stream] = silent(sensor, self)  # a client that is cut off would subscribe again at once
             elif self._feeds.pop(stream, None) is not None:
                 self._streams.close(stream)
+        try:
+            self._cameras.submit()
+        except Exception as error:
+            _LOG.error("images are lost: %r", error)
 
     def _start(self, sensor: Actor) -> None:
         """Begin to count the ticks of a new sensor."""
@@ -163,12 +243,20 @@ class Sensors:
         self._start(sensor)
         if stream not in self._feeds:
             self._feeds[stream] = kind.make(sensor, self)
-        if not kind.by_event and not self._is_due(sensor):
+        if self._world.settings.no_rendering_mode and sensor.type_id.startswith(_CAMERA):
             return
-        header = b""
-        for payload in self._feeds[stream]():
-            header = header or sensor_header(kind.number, frame, self._world.elapsed, sensor.transform)
-            self._streams.send(stream, header + payload)
+        is_due = kind.by_event or self._is_due(sensor)
+        if kind.image is not None:
+            header = self._header(sensor, kind, frame)
+            self._cameras.take(stream, sensor, kind.image, header, is_due=is_due, has_events=kind.has_events)
+        elif is_due:
+            header = b""
+            for payload in self._feeds[stream]():
+                header = header or self._header(sensor, kind, frame)
+                self._streams.send(stream, header + payload)
+
+    def _header(self, sensor: Actor, kind: SensorKind, frame: int) -> bytes:
+        return sensor_header(kind.number, frame, self._world.elapsed, sensor.transform)
 
     def _is_due(self, sensor: Actor) -> bool:
         """Return whether a sensor ticks: in its first tick, and whenever a multiple of its interval has passed since."""
@@ -177,3 +265,27 @@ class Sensors:
             return True
         since = self._world.elapsed - self._first_ticks.get(sensor, self._world.elapsed) + _ROUNDING
         return floor(since / interval) > floor((since - delta) / interval)
+
+
+def _static(tag: int) -> ActorRecord:
+    """Return the record of what is no actor, as CARLA describes it: its id is 0, and its name begins with static."""
+    description = ActorDescription(0, f"static.{_STATIC.get(Tag(tag), 'other')}", [])
+    return ActorRecord(0, 0, description, BoxStruct(Location(), Vector()), bytes((tag,)), b"")
+
+
+def _done_within(seconds: float, work: Future[Any]) -> asyncio.Future[None]:
+    """Return a future that is done when some work is, or after some seconds."""
+    loop = asyncio.get_running_loop()
+    done: asyncio.Future[None] = loop.create_future()
+
+    def end() -> None:
+        if not done.done():
+            done.set_result(None)
+
+    def tell(_: object) -> None:
+        with suppress(RuntimeError):  # the loop has ended
+            loop.call_soon_threadsafe(end)
+
+    loop.call_later(seconds, end)
+    work.add_done_callback(tell)
+    return done

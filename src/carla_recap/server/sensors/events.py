@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Final
 
 import msgpack
 
+from carla_recap.rendering.materials import Tag
 from carla_recap.server.sensors.feed import flag, number
-from carla_recap.server.sensors.rays import ActorBoxes, row, visible_actors
+from carla_recap.server.sensors.rays import MIRROR, ActorBoxes, row, visible_actors
 from carla_recap.sim.actors.moving import MovingActor
 
 if TYPE_CHECKING:
@@ -15,6 +16,10 @@ if TYPE_CHECKING:
 
     from carla_recap.server.sensors.feed import Feed, FeedContext
     from carla_recap.sim.actors.actor import Actor
+
+_LEAST_COSINE: Final = 1e-3
+_Obstacle = tuple[float, int | None, int]
+"""A distance in m, the id of an actor, and the semantic tag of what is no actor."""
 
 
 def collisions(sensor: Actor, context: FeedContext) -> Feed:
@@ -38,31 +43,44 @@ def obstacles(sensor: Actor, context: FeedContext) -> Feed:
     def frames() -> Iterable[bytes]:
         found = list(_actors(sensor, reach, radius, only_dynamics=only_dynamics))
         if not only_dynamics:
-            found += _barriers(sensor, reach, radius)
+            found += [*_barriers(sensor, reach, radius), *_surfaces(sensor, context, reach, radius)]
         if found:
-            distance, other = min(found, key=lambda pair: pair[0])
+            distance, other, tag = min(found, key=lambda obstacle: obstacle[0])
             own = (sensor.parent or sensor).id
-            yield _packed(context.actor_record(own), context.actor_record(other), distance)
+            yield _packed(context.actor_record(own), context.actor_record(other, tag), distance)
 
     return frames
 
 
-def _actors(sensor: Actor, reach: float, radius: float, *, only_dynamics: bool) -> Iterator[tuple[float, int | None]]:
+def _actors(sensor: Actor, reach: float, radius: float, *, only_dynamics: bool) -> Iterator[_Obstacle]:
     actors = [actor for actor in visible_actors(sensor) if not only_dynamics or isinstance(actor, MovingActor)]
     transform = sensor.transform
     hits = ActorBoxes(actors, margin=radius).cast(row(transform.location), row(transform.forward())[None], reach)
     for box, distance in zip(hits.box.tolist(), hits.distance.tolist(), strict=True):
-        yield distance, actors[box].id
+        yield distance, actors[box].id, Tag.UNLABELLED
 
 
-def _barriers(sensor: Actor, reach: float, radius: float) -> Iterator[tuple[float, int | None]]:
+def _barriers(sensor: Actor, reach: float, radius: float) -> Iterator[_Obstacle]:
     start, ahead = sensor.transform.location, sensor.transform.forward()
     end = start.x + reach * ahead.x, start.y + reach * ahead.y, start.z + reach * ahead.z
     hit = sensor.context.plane.first_wall((start.x, start.y, start.z), end, radius)
     if hit is not None:
         body, share = hit
         owner = sensor.context.owner(body)
-        yield share * reach, None if owner is None else owner.id
+        yield share * reach, None if owner is None else owner.id, Tag.WALLS
+
+
+def _surfaces(sensor: Actor, context: FeedContext, reach: float, radius: float) -> Iterator[_Obstacle]:
+    """Yield the surface that a ball meets whose middle moves ahead, such as a road that rises, if there is one."""
+    scene = context.ray_scene()
+    if scene is None:
+        return
+    origin, ahead = row(sensor.transform.location) * MIRROR, row(sensor.transform.forward()) * MIRROR
+    hits = scene.cast(origin, ahead[None], reach + radius)
+    for distance, cosine, tag in zip(hits.distance.tolist(), hits.cosine.tolist(), hits.tag.tolist(), strict=True):
+        until = max(distance - radius / max(cosine, _LEAST_COSINE), 0.0)
+        if until <= reach:
+            yield until, None, tag
 
 
 def _packed(*values: Any) -> bytes:

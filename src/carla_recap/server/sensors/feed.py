@@ -10,9 +10,13 @@ from typing import TYPE_CHECKING, Final, Protocol
 
 import numpy as np
 
+from carla_recap.rendering.materials import Tag
+
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
+    from carla_recap.rendering.instances import Instances
+    from carla_recap.rendering.rays import RayScene
     from carla_recap.sim.actors.actor import Actor
 
 _TOO_LARGE: Final = 1e10  # for any number of a sensor
@@ -42,8 +46,14 @@ class FeedContext(Protocol):
     def messages(self, type_id: str, receiver: Actor) -> list[V2xMessage]:
         """Return the V2X messages of a kind of sensor in the latest tick, but for those of a receiver."""
 
-    def actor_record(self, id: int | None) -> object:
-        """Return the record of an actor for msgpack; None stands for a barrier, which is no actor."""
+    def instances(self) -> Instances:
+        """Return what is drawn of the actors after the latest tick."""
+
+    def ray_scene(self) -> RayScene | None:
+        """Return the surfaces that rays meet; None if there are none but boxes, or none yet."""
+
+    def actor_record(self, id: int | None, tag: int = Tag.WALLS) -> object:
+        """Return the record of an actor for msgpack; None stands for what is no actor, and has a semantic tag."""
 
 
 MakeFeed = Callable[["Actor", FeedContext], Feed]

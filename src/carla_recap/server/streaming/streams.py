@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Final, cast
 from carla_recap.server.quirks import PendingSubscriptions
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
+    from collections.abc import Callable, Iterable
 
     from carla_recap.server.rpc.connection import ConnectionPool
 
@@ -24,7 +24,13 @@ _LENGTH: Final = struct.Struct("<I")
 _TOKEN: Final = struct.Struct("<IHBB16x")
 _TCP: Final = 1
 _NO_ADDRESS: Final = 0
+_STALLED: Final = 3.0  # s: a subscriber that is behind for longer is not waited for
 _BACKLOG: Final = 256 << 10  # bytes, besides the system's buffer: a subscriber that is farther behind misses frames
+
+
+def framed(*parts: bytes | memoryview) -> bytes:
+    """Return a frame of some parts, with its length before them."""
+    return b"".join((_LENGTH.pack(sum(len(part) for part in parts)), *parts))
 
 
 class Streams:
@@ -60,9 +66,17 @@ class Streams:
     def send(self, stream: int, payload: bytes) -> None:
         """Send a frame to the subscribers of a stream."""
         if stream in self._subscribers:
-            frame = _LENGTH.pack(len(payload)) + payload
-            for subscriber in tuple(self._subscribers[stream]):
-                subscriber.send(frame)
+            self.send_framed(stream, framed(payload))
+
+    def send_framed(self, stream: int, frame: bytes) -> None:
+        """Send what `framed` has returned to the subscribers of a stream."""
+        for subscriber in tuple(self._subscribers.get(stream, ())):
+            subscriber.send(frame)
+
+    def behind(self, streams: Iterable[int]) -> list[asyncio.Future[None]]:
+        """Return what to wait for until the subscribers of some streams have read all frames, or have stalled."""
+        subscribers = (subscriber for stream in streams for subscriber in self._subscribers.get(stream, ()))
+        return [caught_up for subscriber in subscribers if (caught_up := subscriber.caught_up()) is not None]
 
     def keep(self, stream: int, payload: bytes) -> None:
         """Send a frame now, and to later subscribers until there is a newer one."""
@@ -88,8 +102,7 @@ class Streams:
         self._subscribers[stream].add(subscriber)
         self.pending.arrived(stream)
         if stream in self._latest:
-            payload = self._mark_first(self._latest[stream])
-            subscriber.send(_LENGTH.pack(len(payload)) + payload)
+            subscriber.send(framed(self._mark_first(self._latest[stream])))
 
     def remove(self, stream: int, subscriber: Subscriber) -> None:
         """Remove a subscriber from a stream."""
@@ -113,6 +126,8 @@ class Subscriber(asyncio.Protocol):
         self._stream: int | None = None
         self._is_behind = False
         self._next: bytes | None = None
+        self._caught_up: asyncio.Future[None] | None = None
+        self._has_stalled = False
 
     @property
     def has_spoken(self) -> bool:
@@ -145,6 +160,7 @@ class Subscriber(asyncio.Protocol):
     def connection_lost(self, _: Exception | None) -> None:
         """See `asyncio.Protocol`."""
         self._transport = None
+        self._release()
         self._streams.connections.remove(self)
         if self._stream is not None:
             self._streams.remove(self._stream, self)
@@ -156,6 +172,26 @@ class Subscriber(asyncio.Protocol):
         elif self._transport is not None and not self._transport.is_closing():
             self._transport.write(frame)
 
+    def caught_up(self) -> asyncio.Future[None] | None:
+        """Return what to wait for until it has read all frames, or has stalled; None if either is the case."""
+        if not self._is_behind or self._has_stalled or self._transport is None:
+            return None
+        if self._caught_up is None:
+            loop = asyncio.get_running_loop()
+            self._caught_up = loop.create_future()
+            loop.call_later(_STALLED, self._stall, self._caught_up)
+        return self._caught_up
+
+    def _stall(self, caught_up: asyncio.Future[None]) -> None:
+        if caught_up is self._caught_up:
+            self._has_stalled = True
+            self._release()
+
+    def _release(self) -> None:
+        if self._caught_up is not None and not self._caught_up.done():
+            self._caught_up.set_result(None)
+        self._caught_up = None
+
     def pause_writing(self) -> None:
         """See `asyncio.Protocol`."""
         self._is_behind = True
@@ -163,10 +199,12 @@ class Subscriber(asyncio.Protocol):
 
     def resume_writing(self) -> None:
         """See `asyncio.Protocol`."""
-        self._is_behind = False
+        self._is_behind = self._has_stalled = False
         if self._next is not None:
             frame, self._next = self._next, None
             self.send(frame)
+        if not self._is_behind:
+            self._release()
 
     def refuse(self) -> None:
         """Close the connection: there is no way to send an error."""

@@ -1,0 +1,273 @@
+"""Images for streams: drawn in a thread beside the event loop, in the order of the ticks."""
+
+from __future__ import annotations
+
+import asyncio
+import logging
+from concurrent.futures import Future
+from contextlib import suppress
+from dataclasses import dataclass
+from queue import SimpleQueue
+from threading import Thread
+from typing import TYPE_CHECKING, Any, Final, NamedTuple, Protocol
+
+from carla_recap.errors import RecapError
+from carla_recap.server.streaming.streams import framed
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Iterable, Mapping, Sequence
+
+    from numpy.typing import NDArray
+
+    from carla_recap.rendering.camera import Camera, ImageKind
+    from carla_recap.rendering.instances import Instances
+    from carla_recap.server.streaming.streams import Streams
+    from carla_recap.sim.town.town import Town
+    from carla_recap.sim.weather import Weather
+
+    Image = NDArray[Any]
+
+_LOG: Final = logging.getLogger("carla_recap.server")
+_AHEAD: Final = 2  # ticks whose images are waited for before the next tick
+_PATIENCE: Final = 2.0  # s: a tick does not wait longer
+_TO_END: Final = 5.0  # s
+_POLL: Final = 0.1  # s
+_TRIES: Final = 2  # of drawing images of a size
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class Shot:
+    """An image that a camera takes.
+
+    Attributes:
+        stream: The stream that it goes to.
+        header: The header of the frame.
+        kind: The kind of image.
+        encode: Returns the parts of the frame after the header.
+    """
+
+    stream: int
+    header: bytes
+    kind: ImageKind
+    encode: Callable[[Image], Iterable[bytes | memoryview]]
+
+
+class Motif(NamedTuple):
+    """What is in front of a camera at a moment.
+
+    Attributes:
+        camera: The camera.
+        instances: The actors.
+    """
+
+    camera: Camera
+    instances: Instances
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class View:
+    """What cameras of the same pose, size and field of view see in a tick.
+
+    Attributes:
+        motif: What is in front of them.
+        previous: The same of the image before, for optical flow; None for other kinds, and for the first image.
+        hidden: The ids of actors that are left out.
+        weather: The weather.
+        shots: The images.
+    """
+
+    motif: Motif
+    previous: Motif | None
+    hidden: frozenset[int]
+    weather: Weather
+    shots: list[Shot]
+
+    @property
+    def kinds(self) -> tuple[ImageKind, ...]:
+        """The kinds of images, none twice."""
+        return tuple(dict.fromkeys(shot.kind for shot in self.shots))
+
+
+class ImageSource(Protocol):
+    """What draws the images of a town."""
+
+    def draw(self, view: View) -> Mapping[ImageKind, Image]:
+        """Return the images of a view; they are valid until the next call."""
+
+    def close(self) -> None:
+        """Release everything."""
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class _Tick:
+    """The views of a tick."""
+
+    town: Town
+    views: Sequence[View]
+    loop: asyncio.AbstractEventLoop
+    keeps_all: bool
+
+
+_Work = _Tick | tuple["Town", "Future[None]"]
+
+
+class ImageThread:
+    """Draws images and sends them, while the world goes on.
+
+    Args:
+        streams: The streams that they go to.
+        open_source: Returns the source of the images of a town; one that fails is replaced by `blank`.
+        blank: The source of images without content.
+    """
+
+    def __init__(self, streams: Streams, open_source: Callable[[Town], ImageSource], blank: ImageSource) -> None:
+        self._streams = streams
+        self._open = open_source
+        self._blank = blank
+        self._work: SimpleQueue[_Work | None] = SimpleQueue()
+        self._thread: Thread | None = None
+        self._town: Town | None = None
+        self._source: ImageSource | None = None
+        self._impossible: set[tuple[int, int]] = set()
+        self._is_closed = False
+        self._pending = 0
+        self._waiting: set[asyncio.Future[None]] = set()
+        self._opened: tuple[Town, Future[None]] | None = None
+
+    @property
+    def is_busy(self) -> bool:
+        """Whether there are images that have not been sent yet, or it is not ready."""
+        return self._pending > 0 or (self._opened is not None and not self._opened[1].done())
+
+    def prepare(self, town: Town) -> Future[None]:
+        """Open the source of the images of a town, if it is not open yet; return when it is."""
+        if self._opened is None or self._opened[0] is not town:
+            self._opened = town, Future()
+            self._put(self._opened)
+        return self._opened[1]
+
+    def pending(self) -> list[asyncio.Future[None]]:
+        """Return what the next tick waits for, so that images keep up with it."""
+        if self._pending < _AHEAD:
+            return []
+        loop = asyncio.get_running_loop()
+        future: asyncio.Future[None] = loop.create_future()
+        self._waiting.add(future)
+        loop.call_later(_PATIENCE, self._release, future)
+        return [future]
+
+    def submit(self, town: Town, views: Sequence[View], loop: asyncio.AbstractEventLoop, *, keeps_all: bool) -> None:
+        """Draw the views of a tick and send their images, after those of earlier ticks.
+
+        Args:
+            town: The town.
+            views: The views.
+            loop: The event loop of the streams.
+            keeps_all: Wait for subscribers that are behind, so that they miss no image.
+        """
+        if self._put(_Tick(town, views, loop, keeps_all)):
+            self._pending += 1
+
+    def close(self) -> None:
+        """End the thread, and release what draws."""
+        self._is_closed = True
+        self._work.put(None)
+        if self._thread is not None:
+            self._thread.join(_TO_END)
+
+    def _put(self, work: _Work) -> bool:
+        """Have the thread do something, unless it is closed."""
+        if self._is_closed:
+            return False
+        if self._thread is None:
+            self._thread = Thread(target=self._run, name="carla-recap-images", daemon=True)
+            self._thread.start()
+        self._work.put(work)
+        return True
+
+    def _run(self) -> None:
+        while (work := self._work.get()) is not None and not self._is_closed:
+            if isinstance(work, _Tick):
+                for view in work.views:
+                    self._deliver(work, self._frames(work.town, view))
+                with suppress(RuntimeError):  # the loop has ended
+                    work.loop.call_soon_threadsafe(self._done)
+            else:
+                self._source_of(work[0])
+                work[1].set_result(None)
+        if self._source is not None:
+            self._source.close()
+
+    def _frames(self, town: Town, view: View) -> list[tuple[int, bytes]]:
+        """Return the frames of a view and their streams."""
+        images = self._draw(town, view)
+        frames = []
+        for shot in view.shots:
+            try:
+                parts = shot.encode(images[shot.kind])
+                frames.append((shot.stream, framed(shot.header, *parts)))
+            except Exception as error:
+                _LOG.error("an image is lost: %r", error)
+        return frames
+
+    def _draw(self, town: Town, view: View) -> Mapping[ImageKind, Image]:
+        size = view.motif.camera.width, view.motif.camera.height
+        for _ in range(_TRIES):
+            if size in self._impossible:
+                break
+            source = self._source_of(town)
+            try:
+                return source.draw(view)
+            except Exception as error:
+                _LOG.error("an image of %d x %d pixels cannot be drawn: %s", *size, _text(error))
+        else:
+            self._impossible.add(size)
+        return self._blank.draw(view)
+
+    def _source_of(self, town: Town) -> ImageSource:
+        """Return what draws a town: another one than for the town before."""
+        if self._source is None or town is not self._town:
+            self._replace(None)
+            self._town = town
+            try:
+                self._source = self._open(town)
+            except Exception as error:
+                _LOG.warning("cameras are blank: %s", _text(error))
+                self._source = self._blank
+        return self._source
+
+    def _replace(self, source: ImageSource | None) -> None:
+        old, self._source = self._source, source
+        if old is not None and old is not source:
+            with suppress(Exception):  # it may be broken
+                old.close()
+
+    def _deliver(self, tick: _Tick, frames: list[tuple[int, bytes]]) -> None:
+        """Send frames in the event loop; wait until they are sent if none may be missed."""
+        sent = asyncio.run_coroutine_threadsafe(self._send(frames, keeps_all=tick.keeps_all), tick.loop)
+        while not self._is_closed and not sent.done():
+            with suppress(TimeoutError):
+                sent.result(_POLL)
+        sent.cancel()
+
+    async def _send(self, frames: list[tuple[int, bytes]], *, keeps_all: bool) -> None:
+        for stream, frame in frames:
+            self._streams.send_framed(stream, frame)
+        behind = self._streams.behind(stream for stream, _ in frames) if keeps_all else []
+        if behind:
+            await asyncio.wait(behind)
+
+    def _done(self) -> None:
+        self._pending -= 1
+        if self._pending < _AHEAD:
+            for future in tuple(self._waiting):
+                self._release(future)
+
+    def _release(self, future: asyncio.Future[None]) -> None:
+        self._waiting.discard(future)
+        if not future.done():
+            future.set_result(None)
+
+
+def _text(error: Exception) -> str:
+    return str(error) if isinstance(error, RecapError) else repr(error)

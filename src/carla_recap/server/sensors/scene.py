@@ -1,0 +1,131 @@
+"""The actors of the world as cameras and rays meet them."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import TYPE_CHECKING, Final
+
+import numpy as np
+
+from carla_recap.queries.actors import BoundingBox
+from carla_recap.rendering.actors import (
+    BRAKE,
+    REVERSE,
+    instances,
+    lamps_of_lights,
+    lamps_of_vehicles,
+    look_of,
+)
+from carla_recap.replay.pose import LOCATION, right_handed, rotations
+from carla_recap.sim.actors.lights import TrafficLight
+from carla_recap.sim.actors.moving import Vehicle, Walker
+from carla_recap.sim.recording.poses import CM_PER_M, pose
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable, Mapping, Sequence
+
+    from numpy.typing import NDArray
+
+    from carla_recap.rendering.instances import Instances
+    from carla_recap.rendering.looks import Look
+    from carla_recap.sim.actors.actor import Actor
+    from carla_recap.sim.physics.moving_bodies import MovingBodies
+    from carla_recap.sim.world import World
+
+    Rows = NDArray[np.intp]
+
+_BRAKING: Final = 0.02  # of the brake control, from which on the lamps are lit
+
+
+class WorldActors:
+    """What is drawn of the actors of a world.
+
+    The columns that do not change are made anew when actors are spawned or destroyed.
+
+    Args:
+        world: The world.
+    """
+
+    def __init__(self, world: World) -> None:
+        self._world = world
+        self._key: tuple[int, ...] = ()
+        self._looks: dict[int, Look | None] = {}
+        self._frame: tuple[int, int] | None = None
+        self._latest: Instances | None = None
+
+    def instances(self) -> Instances:
+        """Return the instances after the latest tick."""
+        frame = self._world.episode, self._world.frame
+        if self._latest is None or frame != self._frame or tuple(self._world.actors) != self._key:
+            self._latest, self._frame = self._make(), frame
+        return self._latest
+
+    def _make(self) -> Instances:
+        world, key = self._world, tuple(self._world.actors)
+        if key != self._key:
+            self._assemble(list(world.actors.values()))
+            self._key = key
+        poses = self._poses
+        for movers, (rows, sources) in ((world.vehicles, self._vehicles), (world.walkers, self._walkers)):
+            poses[rows, :3] = movers.position[sources] * CM_PER_M
+            poses[rows, 3:] = movers.rotation[sources][:, [2, 0, 1]]
+        for row, actor in self._others:
+            poses[row] = pose(actor.transform)
+        return self._lit(self._at(poses))
+
+    def _assemble(self, actors: Sequence[Actor]) -> None:
+        """Make the columns that do not change."""
+        looks = {actor.id: self._looks[actor.id] if actor.id in self._looks else _look(actor) for actor in actors}
+        self._looks = looks
+        drawn = sorted((actor for actor in actors if looks[actor.id] is not None), key=lambda actor: actor.id)
+        ids = [actor.id for actor in drawn]
+        self._poses = np.zeros((len(ids), 6))
+        self._fixed = instances(ids, [look for id in ids if (look := looks[id]) is not None], self._poses)
+        self._centers = self._fixed.locations.copy()  # those of boxes without a pose are in the actors' axes
+        row_of = {id: row for row, id in enumerate(ids)}
+        self._vehicles = _paired(row_of, self._world.vehicles)
+        self._walkers = _paired(row_of, self._world.walkers)
+        lights = [(row_of[light.id], row) for row, light in enumerate(self._world.traffic_lights) if light.id in row_of]
+        self._lights: tuple[Rows, Rows] = _columns(lights)
+        self._others = []
+        for row, actor in enumerate(drawn):
+            if isinstance(actor, TrafficLight) or not isinstance(actor, (Vehicle, Walker)):
+                self._poses[row] = pose(actor.transform)
+                if actor.parent is not None or actor.type_id.startswith("static."):
+                    self._others.append((row, actor))
+
+    def _at(self, poses: NDArray[np.float64]) -> Instances:
+        converted = right_handed(poses)
+        turned = rotations(converted)
+        locations = converted[:, LOCATION] + (turned @ self._centers[..., None])[..., 0]
+        return replace(self._fixed, locations=locations, rotations=turned.astype(np.float32))
+
+    def _lit(self, found: Instances) -> Instances:
+        """Return instances with their lamps, and with front wheels that steer."""
+        lamps, steering = np.zeros(len(found), np.uint64), np.zeros(len(found), np.float32)
+        rows, sources = self._lights
+        lamps[rows] = lamps_of_lights(self._world.signals.state[sources])
+        vehicles = self._world.vehicles
+        rows, sources = self._vehicles
+        flags = vehicles.light_state[sources].astype(np.int64)
+        flags |= BRAKE * (vehicles.brake[sources] > _BRAKING) + REVERSE * vehicles.reverse[sources]
+        lamps[rows] = lamps_of_vehicles(flags)
+        angle = np.where(vehicles.simulated, vehicles.steer_angle, vehicles.steer * vehicles.full_lock)
+        steering[rows] = -angle[sources]
+        return replace(found, lamps=lamps, steering=steering)
+
+
+def _look(actor: Actor) -> Look | None:
+    centre, extent = actor.box.location, actor.box.extent
+    box = BoundingBox(centre.x, -centre.y, centre.z, extent.x, extent.y, extent.z) if extent.length() else None
+    return look_of(actor.type_id, actor.kind, actor.attributes, box, id=actor.id)
+
+
+def _paired(row_of: Mapping[int, int], movers: MovingBodies) -> tuple[Rows, Rows]:
+    """Return the rows of moving actors among all that are drawn, and their rows in their struct of arrays."""
+    return _columns((row_of[id], source) for source, id in enumerate(movers.id.tolist()) if id in row_of)
+
+
+def _columns(pairs: Iterable[tuple[int, int]]) -> tuple[Rows, Rows]:
+    rows, sources = np.array(list(pairs), np.intp).reshape(-1, 2).T
+    return rows, sources

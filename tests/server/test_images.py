@@ -1,0 +1,312 @@
+"""Images of cameras on their way from what draws them to their subscribers."""
+
+from __future__ import annotations
+
+import asyncio
+import struct
+import threading
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import pytest
+
+from carla_recap.errors import MissingExtra, RecapError
+from carla_recap.rendering.camera import ImageKind
+from carla_recap.server.host import Host
+from carla_recap.server.rpc.structs import EpisodeSettings
+from carla_recap.server.sensors import dispatch
+from carla_recap.server.sensors.cameras import BlankImages, camera_at
+from carla_recap.sim.geometry import Location, Rotation, Transform
+from tests.server.test_sensor_feeds import sensor, vehicle
+from tests.sim.flat import at, flat_world
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping
+
+    from carla_recap.server.sensors.images import View
+
+SMALL = {"image_size_x": "32", "image_size_y": "16", "fov": "70"}
+PATIENCE = 20.0  # s
+SYNCHRONOUS = EpisodeSettings(synchronous_mode=True, fixed_delta_seconds=0.05)
+
+
+class Painter:
+    """Draws images in which each pixel is the number of the image; it can be held up.
+
+    Attributes:
+        views: The views that it has drawn.
+        go: While it is not set, nothing is drawn.
+        errors: The errors of the next images.
+    """
+
+    def __init__(self) -> None:
+        self.views: list[View] = []
+        self.go = threading.Event()
+        self.go.set()
+        self.errors: list[Exception] = []
+        self.closed = False
+
+    def draw(self, view: View) -> Mapping[ImageKind, Any]:
+        assert self.go.wait(PATIENCE)
+        if self.errors:
+            raise self.errors.pop(0)
+        self.views.append(view)
+        images = {kind: image.copy() for kind, image in BlankImages().draw(view).items()}
+        if ImageKind.RGB in images:
+            images[ImageKind.RGB][...] = len(self.views)
+        return images
+
+    def close(self) -> None:
+        self.closed = True
+
+
+class Served:
+    """A host whose cameras are drawn by a painter, in an event loop."""
+
+    def __init__(self, monkeypatch: pytest.MonkeyPatch, painter: Painter | Exception) -> None:
+        def open_painter(*_: object) -> Painter:
+            if isinstance(painter, Exception):
+                raise painter
+            return painter
+
+        monkeypatch.setattr(dispatch, "DrawnImages", open_painter)
+        self.host = Host(flat_world())
+        self.host.apply_settings(SYNCHRONOUS)
+
+    async def tick(self) -> int:
+        """Tick as a client does."""
+        if pending := self.host.sensors.pending():
+            await asyncio.wait(pending)
+        return self.host.tick()
+
+    async def settle(self) -> None:
+        """Wait until all images have been sent."""
+        async with asyncio.timeout(PATIENCE):
+            while self.host.sensors._images.is_busy:
+                await asyncio.sleep(0.005)
+
+
+@pytest.mark.parametrize(
+    ("camera", "number", "pixel"),
+    [
+        ("rgb", 13, bytes((128, 128, 128, 255))),
+        ("depth", 1, bytes((255, 255, 255, 255))),
+        ("semantic_segmentation", 14, bytes((0, 0, 0, 255))),
+        ("optical_flow", 8, bytes(8)),
+        ("cosmos_visualization", 16, bytes((128, 128, 128, 255))),
+        ("dvs", 3, b""),
+    ],
+)
+def test_without_the_extra_images_are_blank_and_the_log_says_why_once(
+    camera: str, number: int, pixel: bytes, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+) -> None:
+    async def run() -> None:
+        served = Served(monkeypatch, MissingExtra("images of cameras", "cameras"))
+        images = sensor(served.host, f"camera.{camera}", **SMALL)
+        for _ in range(3):
+            await served.tick()
+            await served.settle()
+        first, *others = images.take()
+        assert first[0][0] == number
+        assert struct.unpack("<IIf", first[1][:12]) == (32, 16, 70.0)
+        assert first[1][12:] == pixel * 512
+        assert len(others) == 2
+        served.host.close()
+
+    asyncio.run(run())
+    expected = (
+        []
+        if camera == "cosmos_visualization"
+        else ["cameras are blank: " + str(MissingExtra("images of cameras", "cameras"))]
+    )
+    assert caplog.messages == expected
+
+
+def test_each_tick_has_its_image_with_its_frame_time_and_transform(monkeypatch: pytest.MonkeyPatch) -> None:
+    async def run() -> None:
+        served = Served(monkeypatch, Painter())
+        car = vehicle(served.host)
+        images = sensor(served.host, "camera.rgb", car, at(1.0, z=2.0), **SMALL)
+        expected = []
+        for step in range(50):
+            car.transform = at(float(step), 3.0, 90.0)
+            frame = await served.tick()
+            expected.append((frame, served.host.world.elapsed, step))
+        await served.settle()
+        found = images.take()
+        assert [(header[1], header[2]) for header, _ in found] == [(frame, time) for frame, time, _ in expected]
+        for (header, payload), (_, _, step) in zip(found, expected, strict=True):
+            assert header[3:] == pytest.approx((step, 4.0, 2.0, 0.0, 90.0, 0.0), abs=1e-4)
+            assert payload[12] == step + 1
+        served.host.close()
+
+    asyncio.run(run())
+
+
+def test_a_tick_waits_for_the_images_of_the_ones_before(monkeypatch: pytest.MonkeyPatch) -> None:
+    async def run() -> None:
+        painter = Painter()
+        served = Served(monkeypatch, painter)
+        sensor(served.host, "camera.rgb", **SMALL)
+        await served.tick()
+        painter.go.clear()
+        await served.tick()
+        await served.tick()
+        pending = served.host.sensors.pending()
+        assert pending
+        painter.go.set()
+        await asyncio.wait_for(asyncio.wait(pending), PATIENCE)
+        await served.settle()
+        assert not served.host.sensors.pending()
+        served.host.close()
+
+    asyncio.run(run())
+
+
+def test_in_asynchronous_mode_images_are_left_out_while_others_are_drawn(monkeypatch: pytest.MonkeyPatch) -> None:
+    async def run() -> None:
+        painter = Painter()
+        served = Served(monkeypatch, painter)
+        served.host.apply_settings(EpisodeSettings())
+        often = sensor(served.host, "camera.rgb", **SMALL)
+        seldom = sensor(served.host, "camera.depth", **SMALL, sensor_tick="0.15")
+        await served.tick()
+        await served.settle()
+        begin = await served.tick()
+        await served.settle()
+        often.take(), seldom.take()
+        painter.go.clear()
+        for _ in range(4):  # the second camera ticks in one of them
+            served.host.tick(0.05)
+        painter.go.set()
+        await served.settle()
+        last = served.host.tick(0.05)
+        await served.settle()
+        assert [header[1] for header, _ in often.take()] == [begin + 1, last]
+        assert [header[1] for header, _ in seldom.take()] == [last]  # late, but not lost
+        served.host.close()
+
+    asyncio.run(run())
+
+
+def test_cameras_of_one_pose_are_drawn_together(monkeypatch: pytest.MonkeyPatch) -> None:
+    async def run() -> None:
+        painter = Painter()
+        served = Served(monkeypatch, painter)
+        car = vehicle(served.host)
+        same = [sensor(served.host, f"camera.{kind}", car, at(3.0), **SMALL) for kind in ("rgb", "depth", "optical_flow")]
+        other = sensor(served.host, "camera.depth", car, at(3.5), **SMALL)
+        wide = sensor(served.host, "camera.depth", car, at(3.0), **{**SMALL, "fov": "71"})
+        for _ in range(3):
+            await served.tick()
+            await served.settle()
+        assert [len(listener.take()) for listener in (*same, other, wide)] == [3] * 5
+        kinds = [set(view.kinds) for view in painter.views]
+        assert len(kinds) == 9
+        assert kinds.count({ImageKind.RGB, ImageKind.DEPTH, ImageKind.FLOW}) == 3
+        flows = [view for view in painter.views if ImageKind.FLOW in view.kinds]
+        assert [view.previous for view in flows] == [None, flows[0].motif, flows[1].motif]
+        served.host.close()
+
+    asyncio.run(run())
+
+
+def test_nothing_is_drawn_without_rendering_and_without_subscribers(monkeypatch: pytest.MonkeyPatch) -> None:
+    async def run() -> None:
+        painter = Painter()
+        served = Served(monkeypatch, painter)
+        served.host.world.spawn("sensor.camera.rgb", Transform(), **SMALL)
+        images, blank = (sensor(served.host, f"camera.{kind}", **SMALL) for kind in ("rgb", "cosmos_visualization"))
+        served.host.apply_settings(EpisodeSettings(no_rendering_mode=True, synchronous_mode=True, fixed_delta_seconds=0.05))
+        await served.tick()
+        await served.settle()
+        assert not painter.views + images.take() + blank.take()
+        served.host.apply_settings(SYNCHRONOUS)
+        await served.tick()
+        await served.settle()
+        assert (len(painter.views), len(images.take()), len(blank.take())) == (1, 1, 1)
+        served.host.close()
+
+    asyncio.run(run())
+
+
+def test_a_view_that_cannot_be_drawn_is_blank_and_others_go_on(
+    monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+) -> None:
+    async def run() -> None:
+        painter = Painter()
+        served = Served(monkeypatch, painter)
+        images = sensor(served.host, "camera.rgb", **SMALL)
+        painter.errors = [RecapError("the process has ended")]
+        await served.tick()
+        await served.settle()
+        painter.errors = [RecapError("no memory"), RecapError("no memory")]
+        for _ in range(2):
+            await served.tick()
+            await served.settle()
+        other = sensor(served.host, "camera.rgb", image_size_x="8", image_size_y="8")
+        await served.tick()
+        await served.settle()
+        assert [payload[12] for _, payload in images.take()] == [1, 128, 128, 128]
+        assert [payload[12] for _, payload in other.take()] == [2]
+        served.host.close()
+        assert painter.closed
+
+    asyncio.run(run())
+    text = "an image of 32 x 16 pixels cannot be drawn: "
+    assert caplog.messages == [text + "the process has ended", text + "no memory", text + "no memory"]
+
+
+def test_a_camera_that_is_destroyed_while_it_is_drawn_is_no_harm(monkeypatch: pytest.MonkeyPatch) -> None:
+    async def run() -> None:
+        painter = Painter()
+        served = Served(monkeypatch, painter)
+        gone, there = sensor(served.host, "camera.rgb", **SMALL), sensor(served.host, "camera.rgb", **SMALL)
+        painter.go.clear()
+        served.host.tick()
+        served.host.world.actors[gone.stream - there.stream + max(served.host.world.actors)].destroy()
+        served.host.streams.remove(gone.stream, gone)
+        served.host.tick()
+        painter.go.set()
+        await served.settle()
+        assert (len(gone.take()), len(there.take())) == (0, 2)
+        served.host.close()
+
+    asyncio.run(run())
+
+
+def test_the_server_ends_while_images_are_drawn(monkeypatch: pytest.MonkeyPatch) -> None:
+    async def run() -> None:
+        painter = Painter()
+        served = Served(monkeypatch, painter)
+        sensor(served.host, "camera.rgb", **SMALL)
+        for _ in range(3):
+            served.host.tick()
+        served.host.close()
+        assert painter.closed
+        served.host.tick()
+
+    asyncio.run(run())
+
+
+def test_a_camera_inside_its_carrier_does_not_see_it(monkeypatch: pytest.MonkeyPatch) -> None:
+    async def run() -> None:
+        painter = Painter()
+        served = Served(monkeypatch, painter)
+        car = vehicle(served.host)
+        sensor(served.host, "camera.rgb", car, at(0.5, z=1.0), **SMALL)
+        sensor(served.host, "camera.rgb", car, at(-5.0, z=1.0), **SMALL)
+        await served.tick()
+        await served.settle()
+        assert {view.hidden for view in painter.views} == {frozenset((car.id,)), frozenset()}
+        served.host.close()
+
+    asyncio.run(run())
+
+
+def test_a_camera_looks_where_its_sensor_does() -> None:
+    transform = Transform(Location(10.0, 20.0, 3.0), Rotation(pitch=-20.0, yaw=40.0, roll=10.0))
+    camera = camera_at(transform, 200, 100, 90.0)
+    point = transform.transform(Location(10.0, 4.0, 2.0))  # 4 m to the right, 2 m up
+    (found,) = camera.project(np.array([(point.x, -point.y, point.z)]))
+    assert found == pytest.approx((100 + 100 * 0.4, 50 - 100 * 0.2, 10.0))
