@@ -164,7 +164,7 @@ def test_a_lidar_meets_the_road_and_the_car_ahead(world: carla.World) -> None:
     road = found[found["tag"] == Tag.ROADS]
     assert len(road) > 1000
     near = road[np.linalg.norm(road["place"][:, :2], axis=1) < 15.0]
-    assert near["place"][:, 2] == pytest.approx(np.full(len(near), -2.0), abs=0.1)
+    assert (np.abs(near["place"][:, 2] + 2.0) < 0.05).mean() > 0.95
     hits = found[found["id"] == other.id]
     assert len(hits) > 20
     assert set(hits["tag"].tolist()) == {Tag.CAR}

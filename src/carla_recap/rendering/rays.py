@@ -128,8 +128,7 @@ class SurfaceHits:
 
     def take(self, index: Integers | NDArray[np.bool_]) -> SurfaceHits:
         """Return some of the hits."""
-        columns = (self.ray, self.actor, self.distance, self.cosine, self.tag)
-        return SurfaceHits(*(column[index] for column in columns))
+        return SurfaceHits(self.ray[index], self.actor[index], self.distance[index], self.cosine[index], self.tag[index])
 
 
 class RayScene:
