@@ -53,6 +53,7 @@ COMMANDS = (
     "recover",
     "report",
     "snapshot",
+    "video",
     "view",
 )
 EVIL = "\x1b]0;evil\x07\x1b[31m\x9b2J"

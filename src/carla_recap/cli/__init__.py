@@ -29,7 +29,7 @@ _PYTHON_HINT: Final = r" \(in Python, [^)]*\)"  # in errors, for callers of the 
 _COMMANDS: Final = {
     "queries": ("info", "collisions", "blocked", "actors", "incidents"),
     "editing": ("convert", "recover", "clip"),
-    "export": ("export", "clips", "view", "snapshot", "report"),
+    "export": ("export", "clips", "view", "snapshot", "video", "report"),
     "sim": ("record", "replay"),
     "server": ("serve",),
     "capture": ("capture", "watch"),

@@ -16,6 +16,7 @@ from carla_recap.cli.output import say
 if TYPE_CHECKING:
     from carla_recap.export.report import Pictures
     from carla_recap.export.rerun.blueprint import View
+    from carla_recap.export.video.cameras import VideoView
     from carla_recap.replay.follow import Follow
 
 VIEWERS: Final = {".rrd": "rerun", ".mcap": "foxglove"}
@@ -131,6 +132,7 @@ def _export_tables(ctx: click.Context, source: str, folder: str, *, force: bool)
     "--format", "suffix", type=click.Choice(["mcap", "log"]), default="mcap", show_default=True, help="Of the clips."
 )
 @click.option("--rrd/--no-rrd", default=None, help="Write an .rrd beside each clip; by default if Rerun is installed.")
+@click.option("--video", is_flag=True, help="Write a video beside each clip.")
 @options.min_time
 @options.min_distance
 @options.deceleration
@@ -146,6 +148,7 @@ def clips(
     braking: bool,
     suffix: str,
     rrd: bool | None,
+    video: bool,
     before: float,
     after: float,
     min_time: float,
@@ -163,6 +166,7 @@ def clips(
     every = not (collisions or blocked or braking)
     with open_recording(source) as recording:
         roads = options.road_map_of(recording, road_map) if rrd is not False else None
+        town = options.town_of(recording, road_map) if video else None
     written = run(
         source,
         folder,
@@ -173,10 +177,12 @@ def clips(
         after=after,
         suffix=f".{suffix}",
         rerun=rrd,
+        video=video,
         min_time=min_time,
         min_distance=min_distance,
         deceleration=deceleration,
         road_map=roads,
+        town=town,
         limit=limit,
         progress=watch_incidents("cutting"),
         force=force,
@@ -219,28 +225,81 @@ def view(
 @options.destination
 @click.option("--at", type=options.TIME, required=True, metavar="S", help="The moment, in s; negative: before the end.")
 @options.follow
-@options.camera
+@options.any_view
 @options.road_map
-@click.option("--size", type=options.SIZE, default="1280x720", show_default=True, metavar="WxH", help="In pixels.")
+@click.option("--size", type=options.SIZE, metavar="WxH", help="In pixels; 1280x720, or of a recorded camera its own.")
+@options.overlay
 @options.force
 def snapshot(
     source: str,
     destination: str,
     at: float,
     follow: Follow | None,
-    view: View,
+    view: VideoView,
     road_map: str | None,
-    size: tuple[int, int],
+    size: tuple[int, int] | None,
+    overlay: bool,
     force: bool,
 ) -> None:
     """Take a picture of a moment, without GPU or display."""
-    from carla_recap.export.screenshots import snapshot as run
+    from carla_recap.export.video import snapshot as run
     from carla_recap.recording import open_recording
 
     with open_recording(source) as recording:
-        roads = options.road_map_of(recording, road_map)
-        run(recording, destination, at=at, follow=follow, view=view, road_map=roads, size=size, force=force)
+        town = options.town_of(recording, road_map)
+        run(recording, destination, at=at, follow=follow, view=view, town=town, size=size, overlay=overlay, force=force)
     say(destination)
+
+
+@click.command()
+@options.source
+@options.destination
+@options.any_view
+@_window
+@click.option(
+    "--speed", type=options.POSITIVE, default=1, metavar="X", help="2: twice as fast as it happened; 0.25: in slow motion."
+)
+@click.option("--size", type=options.SIZE, metavar="WxH", help="In pixels; 1280x720, of a GIF 640x360, of a camera its own.")
+@click.option("--fps", type=options.POSITIVE, metavar="N", help="Frames per second; 30, of a GIF 12.5.")
+@options.overlay
+@options.force
+def video(
+    source: str,
+    destination: str,
+    view: VideoView,
+    follow: Follow | None,
+    start: float,
+    duration: float,
+    road_map: str | None,
+    speed: float,
+    size: tuple[int, int] | None,
+    fps: float | None,
+    overlay: bool,
+    force: bool,
+) -> None:
+    """Write a video, an .mp4 or .gif, without GPU or display."""
+    from carla_recap.cli.progress import watch_scenes
+    from carla_recap.export.video import export_video
+    from carla_recap.recording import open_recording
+
+    with open_recording(source) as recording:
+        written = export_video(
+            recording,
+            destination,
+            view=view,
+            follow=follow,
+            start=start,
+            duration=duration,
+            speed=speed,
+            size=size,
+            rate=fps,
+            overlay=overlay,
+            town=options.town_of(recording, road_map),
+            progress=watch_scenes("filming"),
+            force=force,
+        )
+    width, height = written.size
+    say(f"{destination}: {written.seconds:g} s, {width}x{height}, {written.size_on_disk / 1e6:.1f} MB")
 
 
 @click.command()

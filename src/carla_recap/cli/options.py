@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import re
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, TypeVar
 
 import click
 
@@ -17,8 +17,11 @@ if TYPE_CHECKING:
     from carla_recap.formats.base import Reader
     from carla_recap.maps import RoadMap
     from carla_recap.recording import Recording
+    from carla_recap.rendering.town import TownMesh
 
     Command = Callable[..., Any]
+
+T = TypeVar("T")
 
 
 class _Number(click.ParamType[Any]):
@@ -59,6 +62,19 @@ class _Follow(click.ParamType[Any]):
         return int(value)
 
 
+class _View(click.ParamType[Any]):
+    """A view of the software renderer: its name, or the id of a recorded camera."""
+
+    name = "view"
+
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Any:
+        if value in ("chase", "top", "driver") or isinstance(value, int):
+            return value
+        if not (value.isascii() and value.isdecimal()):
+            self.fail(f"{value!r} is neither chase, top or driver nor the id of a recorded camera.", param, ctx)
+        return int(value)
+
+
 class _Size(click.ParamType[Any]):
     """A width and a height in pixels."""
 
@@ -76,6 +92,7 @@ POSITIVE = _Number(0, exclusive=True)
 TIME = _Number()
 FOLLOW = _Follow()
 SIZE = _Size()
+VIEW = _View()
 
 recording = click.argument("file", type=click.Path(), metavar="FILE")
 source = click.argument("source", type=click.Path(), metavar="SRC")
@@ -114,6 +131,19 @@ follow = click.option(
     help="The actor that the camera follows; else the hero, the first to collide, or the one that goes farthest.",
 )
 camera = click.option("--view", type=click.Choice(["chase", "top"]), default="chase", show_default=True, help="The camera.")
+any_view = click.option(
+    "--view",
+    type=VIEW,
+    default="chase",
+    show_default=True,
+    metavar="chase|top|driver|ID",
+    help="From behind, from above, the driver's, or that of a recorded camera.",
+)
+overlay = click.option(
+    "--overlay/--no-overlay",
+    default=True,
+    help="Show time, speed, controls, lights and incidents on it; by default it does.",
+)
 road_map = click.option(
     "--map",
     "road_map",
@@ -163,8 +193,21 @@ def road_map_of(recording: Recording, path: str | None) -> RoadMap | None:
     Raises:
         RecapError: The given folder has no such map, or the map is damaged.
     """
+    from carla_recap.maps import load_map
+
+    return _loaded_map(recording, path, load_map)
+
+
+def town_of(recording: Recording, path: str | None) -> TownMesh | None:
+    """Return a recording's town as a mesh; see `road_map_of`."""
+    from carla_recap.rendering.town import load_town_mesh
+
+    return _loaded_map(recording, path, load_town_mesh)
+
+
+def _loaded_map(recording: Recording, path: str | None, load: Callable[[Path], T]) -> T | None:
     from carla_recap.errors import MissingExtra, RecapError
-    from carla_recap.maps import find_map, load_map
+    from carla_recap.maps import find_map
 
     name = recording.header.map_name
     if path is None or Path(path).is_dir():
@@ -176,7 +219,7 @@ def road_map_of(recording: Recording, path: str | None) -> RoadMap | None:
     if found is None:
         return None
     try:
-        return load_map(found)
+        return load(found)
     except MissingExtra as error:
         warn(f"{error}; the rest is shown without it")
         return None

@@ -1,9 +1,10 @@
-"""A clip of each incident of a recording, with an .rrd for Rerun's viewer."""
+"""A clip of each incident of a recording, with an .rrd for Rerun's viewer and a video."""
 
 from __future__ import annotations
 
 import math
 import warnings
+from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Final, NamedTuple
 
@@ -14,15 +15,17 @@ from carla_recap.formats import SUFFIXES, open_reader
 from carla_recap.model.frame import SAME_TIME
 from carla_recap.queries.actors import actors
 from carla_recap.queries.incidents import HARD, incidents
-from carla_recap.recording import open_recording
+from carla_recap.recording import Recording, open_recording
 from carla_recap.util.files import check_folder, new_folder
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Iterator, Sequence
 
+    from carla_recap.formats.base import Reader
     from carla_recap.maps import RoadMap
     from carla_recap.queries.incidents import Incident, Incidents
-    from carla_recap.recording import Recording
+    from carla_recap.rendering.process import RenderProcess
+    from carla_recap.rendering.town import TownMesh
 
 LONGEST: Final = 60.0
 """The length of the clip of a longer incident, in seconds from the start of the incident."""
@@ -35,11 +38,13 @@ class IncidentClip(NamedTuple):
         incident: The incident; its times are those of the source.
         recording: The clip.
         rrd: The clip for Rerun's viewer; None if no .rrd files are written.
+        video: The clip as an .mp4; None if no videos are written.
     """
 
     incident: Incident
     recording: Path
     rrd: Path | None
+    video: Path | None = None
 
 
 def clips(
@@ -56,12 +61,14 @@ def clips(
     after: float = 5.0,
     suffix: str = ".mcap",
     rerun: bool | None = None,
+    video: bool = False,
     road_map: RoadMap | None = None,
+    town: TownMesh | None = None,
     limit: int = 100,
     force: bool = False,
     progress: Callable[[Sequence[Incident]], Iterable[Incident]] | None = None,
 ) -> list[IncidentClip]:
-    """Write a clip of each incident, and an .rrd that follows the first of its actors that is present.
+    """Write a clip of each incident, and an .rrd and a video that follow the first of its actors that is present.
 
     Args:
         source: A recording of any format.
@@ -77,14 +84,16 @@ def clips(
         after: The seconds of a clip after the incident.
         suffix: The format of the clips: .mcap or .log.
         rerun: Write the .rrd files; None: if Rerun is installed.
+        video: Write the videos.
         road_map: The map of the town, to be drawn in the .rrd files.
+        town: The town in the videos; None: roads where actors have moved.
         limit: The largest number of clips, those of the first incidents; a warning reports more incidents.
         force: Write into a folder that is not empty, over files of the same names.
         progress: Gets the incidents, and yields them.
 
     Raises:
         RecapError: The folder is not empty, a time or suffix is invalid, or the source is damaged.
-        MissingExtra: `rerun` is true, and Rerun is not installed.
+        MissingExtra: `rerun` is true, and Rerun is not installed; or `video` is, and what it needs is not installed.
     """
     if rerun is not False:
         try:
@@ -94,6 +103,11 @@ def clips(
                 raise
         else:
             rerun = True
+    if video:
+        from carla_recap.export.video import export_video
+        from carla_recap.export.video.encoding import check_packages
+
+        check_packages(".mp4")
     if not (0 <= before < math.inf and 0 <= after < math.inf):
         raise RecapError(
             f"clips from {before:g} s before to {after:g} s after an incident cannot be cut; 0 or more were expected"
@@ -117,20 +131,36 @@ def clips(
         for target in targets:
             check_destination(source, target, force=force)
         cutter, written = ClipCutter(reader), []
-        with new_folder(folder) as room:
+        with new_folder(folder) as room, _renderer(town, reader if video and found else None) as renderer:
             for incident, target in zip(progress(found) if progress else found, targets, strict=False):
                 first = cutter.first_frame(max(0.0, incident.start - before))
                 cutter.write(room / target.name, first, min(incident.stop, incident.start + LONGEST) + after)
                 rrd = target.with_suffix(".rrd") if rerun else None
-                if rrd is not None:
+                film = target.with_suffix(".mp4") if renderer is not None else None
+                if rrd is not None or film is not None:
                     with open_recording(room / target.name) as recording:
                         recording.reader.path = target  # its path when the folder is complete
                         followed = _followed(incident, recording, incident.start - origin(first))
-                        export_rerun(recording, room / rrd.name, follow=followed, road_map=road_map)
-                written.append(IncidentClip(incident, target, rrd))
+                        if rrd is not None:
+                            export_rerun(recording, room / rrd.name, follow=followed, road_map=road_map)
+                        if film is not None:
+                            export_video(recording, room / film.name, follow=followed, renderer=renderer)
+                written.append(IncidentClip(incident, target, rrd, film))
         return written
     finally:
         reader.close()
+
+
+@contextmanager
+def _renderer(town: TownMesh | None, reader: Reader | None) -> Iterator[RenderProcess | None]:
+    """Yield the renderer of all videos; None without a recording to be filmed."""
+    if reader is None:
+        yield None
+        return
+    from carla_recap.export.video.film import opened_renderer
+
+    with opened_renderer(None, town, Recording(reader)) as renderer:
+        yield renderer
 
 
 def _choose(answer: Incidents, limit: int, source: Path) -> list[Incident]:

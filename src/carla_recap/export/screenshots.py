@@ -10,11 +10,9 @@ from typing import TYPE_CHECKING, Final, Self
 
 import numpy as np
 
-from carla_recap.editing.convert import check_destination
 from carla_recap.errors import RecapError
 from carla_recap.export.rerun import Rrd, View, camera_views, write
 from carla_recap.export.viewer import GRPC_PORT, HOST, RerunViewer
-from carla_recap.recording import Recording
 from carla_recap.replay import Player
 from carla_recap.util.files import WholeFile
 
@@ -25,6 +23,7 @@ if TYPE_CHECKING:
 
     from carla_recap.formats.base import Reader
     from carla_recap.maps import RoadMap
+    from carla_recap.recording import Recording
     from carla_recap.replay.follow import Follow
 
 Size = tuple[int, int]
@@ -132,43 +131,6 @@ class ScreenshotTaker:
         return state if state.active_recording and state.views and not state.loading else None
 
 
-def snapshot(
-    source: Recording | Reader,
-    destination: Path | str,
-    *,
-    at: float,
-    follow: Follow | None = None,
-    view: View = "chase",
-    road_map: RoadMap | None = None,
-    size: Size = (1280, 720),
-    force: bool = False,
-) -> None:
-    """Write a picture of a recording at a time.
-
-    Args:
-        source: The recording.
-        destination: The .png; it appears when it is complete.
-        at: The time in elapsed seconds; a negative number is counted from the end.
-        follow: The actor that the camera follows: an id or "hero"; None: see `choose_followed`, in the seconds before.
-        view: The camera: from behind, or from above.
-        road_map: The map of the town.
-        size: Width and height, in pixels.
-        force: Overwrite an existing file.
-
-    Raises:
-        RecapError: There is no such time or actor, the destination cannot be written, or the viewer cannot draw here.
-        FormatError: The file contradicts its format.
-    """
-    reader = source.reader if isinstance(source, Recording) else source
-    path = Path(destination)
-    if path.suffix.lower() != ".png":
-        raise RecapError(f"{path}: a picture is written as .png")
-    check_destination(reader.path, path, force=force)
-    data = picture(reader, at=at, follow=follow, view=view, road_map=road_map, size=size)
-    with WholeFile(path) as file:
-        file.write(data)
-
-
 def picture(
     source: Recording | Reader,
     *,
@@ -178,15 +140,15 @@ def picture(
     road_map: RoadMap | None = None,
     size: Size = (1280, 720),
 ) -> bytes:
-    """Return a picture of a recording at a time; for the arguments see `snapshot`.
+    """Return a picture of a recording at a time, as Rerun's viewer draws it.
 
     Args:
         source: The recording.
-        at: The time.
-        follow: The actor.
-        view: The camera.
+        at: The time in elapsed seconds; a negative number is counted from the end.
+        follow: The actor that the camera follows: an id or "hero"; None: see `choose_followed`, in the seconds before.
+        view: The camera: from behind, or from above.
         road_map: The map of the town.
-        size: Width and height.
+        size: Width and height, in pixels.
 
     Returns:
         A PNG.
