@@ -1,82 +1,72 @@
-// The roads below the actors.
+// The roads below the actors: the surfaces of a map, or the paths of vehicles.
 "use strict";
+
+/** The least scale, in px/m, at which a layer is drawn. */
+const FINE = { crossing: 1.2, white: 1.2, yellow: 1.2, bike: 0.5, median: 0.5 };
 
 /** Lines of which only the visible ones are drawn. */
 class Lines {
-  constructor({ x, y, lengths }, origin, closed = false) {
-    this.runs = [];
-    let begin = 0;
-    for (const length of lengths) {
-      if (length > 1) this.runs.push(Lines.path(x, y, begin, begin + length, origin, closed));
-      begin += length;
+  /** sizes: the number of lines of each group that is drawn as one; without it, each line is drawn alone. */
+  constructor({ x, y, lengths }, origin, sizes = null) {
+    this.groups = [];
+    let [line, point] = [0, 0];
+    const counts = sizes ?? new Uint8Array(lengths.length).fill(1);
+    for (const count of counts) {
+      const path = new Path2D();
+      let [left, low, right, high] = [Infinity, Infinity, -Infinity, -Infinity];
+      for (const end = line + count; line < end; line++) {
+        for (let i = 0; i < lengths[line]; i++, point++) {
+          const [a, b] = [x[point], y[point]];
+          if (i) path.lineTo(a - origin.x, b - origin.y);
+          else path.moveTo(a - origin.x, b - origin.y);
+          [left, low, right, high] = [Math.min(left, a), Math.min(low, b), Math.max(right, a), Math.max(high, b)];
+        }
+        if (sizes) path.closePath();
+      }
+      this.groups.push({ path, left, low, right, high });
     }
   }
 
-  static path(xs, ys, begin, end, origin, closed) {
-    const path = new Path2D();
-    let [left, low, right, high] = [Infinity, Infinity, -Infinity, -Infinity];
-    for (let i = begin; i < end; i++) {
-      const [x, y] = [xs[i], ys[i]];
-      if (i > begin) path.lineTo(x - origin.x, y - origin.y);
-      else path.moveTo(x - origin.x, y - origin.y);
-      [left, low, right, high] = [Math.min(left, x), Math.min(low, y), Math.max(right, x), Math.max(high, y)];
-    }
-    if (closed) path.closePath();
-    return { path, left, low, right, high };
-  }
-
-  *seen({ x, y, reach }) {
-    for (const run of this.runs) {
-      if (run.left < x + reach && run.right > x - reach && run.low < y + reach && run.high > y - reach) yield run.path;
-    }
-  }
-
-  /** The rectangle around all lines: left, low, right, high. */
-  get bounds() {
-    return this.runs.reduce(
-      (all, run) => [
-        Math.min(all[0], run.left),
-        Math.min(all[1], run.low),
-        Math.max(all[2], run.right),
-        Math.max(all[3], run.high),
-      ],
-      [Infinity, Infinity, -Infinity, -Infinity],
-    );
+  /** Return whether a camera sees a group. */
+  static sees({ x, y, reach }, { left, low, right, high }) {
+    return left < x + reach && right > x - reach && low < y + reach && high > y - reach;
   }
 }
 
 class Ground {
   /** origin: the point of the world that paths are relative to, since a canvas has few digits. */
-  constructor(data, origin) {
-    const lines = (name, closed) => new Lines(data[name], origin, closed);
+  constructor({ width, paths, layers, layer, rings, surfaces }, origin) {
     this.origin = origin;
-    this.laneWidth = data.width;
-    this.lanes = lines("lanes");
-    this.junctions = lines("junctions", true);
-    this.crossings = lines("crossings", true);
-    this.borders = lines("borders");
-    this.stops = lines("stops");
+    this.width = width;
+    this.paths = new Lines(paths, origin).groups;
+    this.surfaces = new Lines(surfaces, origin, rings).groups;
+    this.surfaces.forEach((group, i) => (group.layer = layers[layer[i]]));
+  }
+
+  /** The rectangle around everything: left, low, right, high. */
+  get bounds() {
+    return [...this.paths, ...this.surfaces].reduce(
+      (all, one) => [Math.min(all[0], one.left), Math.min(all[1], one.low), Math.max(all[2], one.right), Math.max(all[3], one.high)],
+      [Infinity, Infinity, -Infinity, -Infinity],
+    );
   }
 
   /** Draw what a camera sees, in the axes of the world. */
   draw(context, camera) {
     const { colors } = theme;
-    const stroke = (color, width) => Object.assign(context, { strokeStyle: color, lineWidth: width });
-    const fine = Math.max(0.14, 0.9 / camera.scale);
-    if (!this.borders.runs.length) this.drawGrid(context, camera);
+    if (!this.surfaces.length) this.drawGrid(context, camera);
     context.lineJoin = context.lineCap = "round";
-    stroke(colors.road, Math.max(this.laneWidth, 2 / camera.scale));
-    for (const path of this.lanes.seen(camera)) context.stroke(path);
-    context.fillStyle = colors.road;
-    for (const path of this.junctions.seen(camera)) context.fill(path);
-    if (camera.scale < 1) return;
-    context.fillStyle = colors.crossing;
-    for (const path of this.crossings.seen(camera)) context.fill(path);
-    context.lineCap = "butt";
-    stroke(colors.line, fine);
-    for (const path of this.borders.seen(camera)) context.stroke(path);
-    stroke(colors.stop, Math.max(0.35, fine));
-    for (const path of this.stops.seen(camera)) context.stroke(path);
+    context.strokeStyle = colors.road;
+    context.lineWidth = Math.max(this.width, 2 / camera.scale);
+    for (const group of this.paths) if (Lines.sees(camera, group)) context.stroke(group.path);
+    context.lineWidth = 0.7 / camera.scale; // closes the seams between tiles
+    context.lineJoin = "bevel";
+    for (const group of this.surfaces) {
+      if (camera.scale < (FINE[group.layer] ?? 0) || !Lines.sees(camera, group)) continue;
+      context.fillStyle = context.strokeStyle = colors.surfaces[group.layer];
+      context.fill(group.path);
+      context.stroke(group.path);
+    }
   }
 
   drawGrid(context, camera) {

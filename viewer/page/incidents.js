@@ -89,7 +89,7 @@ class Incidents {
     const drawn = recording.report.drawn && replayed;
     if (incident.picture || drawn) button.prepend(this.pictures.image(recording, incident));
     const other = this.recordings.find((each) => each !== recording);
-    if (other && !other.has(incident)) top.firstChild.append(element("span", "only", `only in ${recording.letter}`));
+    if (other?.report.incidents.length && !other.has(incident)) top.firstChild.append(element("span", "only", `only in ${recording.letter}`));
     return { row: element("li", "", "", [button]), button, replayed, recording, incident, kind: incident.kind };
   }
 
@@ -142,14 +142,21 @@ class Incidents {
   /** Mark the chosen incident. */
   choose(index) {
     if (index === this.current) return;
-    this.items[this.current]?.button.removeAttribute("aria-current");
+    this.mark(this.items[this.current], false);
     this.current = index;
     const button = this.items[index]?.button;
     if (!button) return;
-    button.setAttribute("aria-current", "true");
+    this.mark(this.items[index], true);
     const [box, frame] = [button.getBoundingClientRect(), this.scroller.getBoundingClientRect()];
     const scrolls = this.scroller.scrollHeight > this.scroller.clientHeight;
     if (scrolls && (box.top < frame.top || box.bottom > frame.bottom)) button.scrollIntoView({ block: "nearest" });
+  }
+
+  mark(item, current) {
+    if (!item) return;
+    if (current) item.button.setAttribute("aria-current", "true");
+    else item.button.removeAttribute("aria-current");
+    this.pictures.enlarge(item.button.querySelector("img"), current);
   }
 
   /** Return the next incident that can be shown, or with -1 the one before. */

@@ -23,7 +23,7 @@ class Pictures {
       Object.assign(image, { src: incident.picture, loading: "lazy", decoding: "async" });
       return image;
     }
-    this.entries.set(image, { recording, incident });
+    this.entries.set(image, { recording, incident, large: false, drawn: null });
     this.observer.observe(image);
     return image;
   }
@@ -34,19 +34,28 @@ class Pictures {
 
   redraw() {
     for (const [image, entry] of this.entries) {
-      if (entry.theme || theme.printing) this.fill(image);
+      if (entry.drawn || theme.printing) this.fill(image);
     }
   }
 
   fill(image) {
     const entry = this.entries.get(image);
-    if (entry.theme === theme.name) return;
-    entry.theme = theme.name;
-    image.src = this.draw(entry.recording, entry.incident);
+    const drawn = `${theme.name} ${entry.large}`;
+    if (entry.drawn === drawn) return;
+    entry.drawn = drawn;
+    image.src = this.draw(entry.recording, entry.incident, entry.large);
+  }
+
+  /** Draw a picture for more or less room: the names of actors are in large ones alone. */
+  enlarge(image, large) {
+    const entry = this.entries.get(image);
+    if (!entry) return;
+    entry.large = large;
+    if (entry.drawn) this.fill(image);
   }
 
   /** Return the address of a picture. */
-  draw(recording, { kind, start, actors: ids, place }) {
+  draw(recording, { kind, start, actors: ids, place }, large) {
     const stage = this.stage(recording);
     const { tracks } = recording;
     const actors = ids.map((id) => tracks.indexOf(id, start)).filter((actor) => actor >= 0);
@@ -57,7 +66,7 @@ class Pictures {
     const { camera } = stage;
     [camera.x, camera.y] = [(Math.min(...xs) + Math.max(...xs)) / 2, (Math.min(...ys) + Math.max(...ys)) / 2];
     const across = Math.max(Math.max(...xs) - Math.min(...xs), ((Math.max(...ys) - Math.min(...ys)) * PICTURE[0]) / PICTURE[1]);
-    camera.scale = PICTURE[0] / Math.min(WIDEST, Math.max(NARROWEST, 1.6 * across));
+    camera.scale = PICTURE[0] / Math.min(WIDEST, Math.max(large ? NARROWEST : NARROWEST * 0.6, 1.6 * across));
     stage.draw(start);
     stage.drawPaths(actors, start - PATH_TIME, start, start + PATH_TIME);
     for (const one of stage.shown) if (actors.includes(one.actor)) stage.drawActor(one);
@@ -65,7 +74,7 @@ class Pictures {
       stage.drawCross(...camera.toScreen(place[0], place[1]), 1);
     }
     const taken = [];
-    for (const { actor, left, top } of stage.shown) {
+    for (const { actor, left, top } of large ? stage.shown : []) {
       if (actors.includes(actor)) stage.label(actor, left, top, taken, true);
     }
     return stage.canvas.toDataURL("image/webp", 0.85);

@@ -32,15 +32,14 @@ class Plots {
     theme.addEventListener("change", () => this.refresh());
   }
 
-  /** Add the name of a row and its values to the page, and return the elements of the values. */
+  /** Add the name of a row and its values to the page, and return the elements of the values and of the note. */
   reading({ name, unit }) {
-    const values = this.recordings.map(({ letter }) => {
-      const [value, note] = [element("output"), element("small")];
-      return { value, note, parts: [element("span", `of-${letter}`, "", [value]), note] };
-    });
-    const row = element("div", "", "", [element("dt", "", `${name} in ${unit}`), element("dd", "", "", values.flatMap(({ parts }) => parts))]);
-    document.getElementById("readings").append(row);
-    return values;
+    const values = this.recordings.map(() => element("output"));
+    const note = element("small");
+    const cells = values.map((value, index) => element("span", `of-${this.recordings[index].letter}`, "", [value]));
+    const parts = [element("dt", "", `${name} in ${unit}`), element("dd", "", "", [...cells, note])];
+    document.getElementById("readings").append(element("div", "", "", parts));
+    return { values, note };
   }
 
   get isOpen() {
@@ -221,6 +220,7 @@ class Plots {
     context.globalAlpha = 1;
     ROWS.forEach((row, index) => {
       const { level, scale } = this.scales[index];
+      const leaders = [];
       found.forEach(({ recording, series, actor }, which) => {
         const value = series ? series[row.of][Math.max(0, countUntil(series.times, time + 1e-5) - 1)] * row.factor : NaN;
         const known = !Number.isNaN(value) && actor >= 0 && recording.tracks.covers(time);
@@ -231,17 +231,17 @@ class Plots {
           context.fill();
         }
         const number = Math.abs(value) < 0.05 ? 0 : value;
-        const reading = this.readings[index][which];
-        write(reading.value, known ? number.toFixed(row.digits).replace("-", "−") : "–");
-        write(reading.note, known && row.of === "gap" ? this.leader(recording, series, time) : "");
+        write(this.readings[index].values[which], known ? number.toFixed(row.digits).replace("-", "−") : "–");
+        if (known && row.of === "gap") leaders.push(this.leader(recording, series, time));
       });
+      write(this.readings[index].note, [...new Set(leaders)].filter(Boolean).map((name) => `to ${name}`).join(", "));
     });
   }
 
   /** Return the name of what is ahead. */
   leader(recording, series, time) {
     const leader = series.leader[Math.max(0, countUntil(series.times, time + 1e-5) - 1)];
-    return leader < 0 ? "" : `to ${recording.tracks.actors[leader].label}`;
+    return leader < 0 ? "" : recording.tracks.actors[leader].label;
   }
 }
 

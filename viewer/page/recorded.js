@@ -2,6 +2,7 @@
 "use strict";
 
 const APART = 0.5; // m between two recordings of an actor that differ
+const LATE = 0.15; // s by which one recording may be behind the other
 const SAME_SPOT = 3; // m
 const DIFFERENCE_STEP = 0.1; // s
 
@@ -49,7 +50,8 @@ class Recorded {
       const samples = [this.tracks.sampleAt(time), other.tracks.sampleAt(time)];
       for (const [own, twin] of this.twins) {
         const both = this.tracks.pose(own, time, samples[0], a) && other.tracks.pose(twin, time, samples[1], b);
-        if (both && Math.hypot(a.x - b.x, a.y - b.y) > APART) return time;
+        const tolerance = both && APART + LATE * this.tracks.speed(own, time);
+        if (both && Math.hypot(a.x - b.x, a.y - b.y) > tolerance) return time;
       }
     }
     return null;

@@ -6,7 +6,7 @@ const AFTER = 3; // s after it
 const LONGEST = 6; // s of an incident that are played; blocked actors stand for long
 const LINGER = 2; // s after the beginning of an incident in which its text is shown
 const ABSENT = -1; // instead of the id of an actor that a recording does not have
-const CLOSE_VIEW = 70; // m, the width of the view
+const CLOSE_VIEW = 56; // m, the width of the view
 const NARROW = window.matchMedia("(max-width: 700px)");
 
 class Replay {
@@ -61,7 +61,7 @@ class Replay {
     }
     const facts = document.getElementById("facts");
     const add = (name, ...values) => {
-      facts.append(element("div", "", "", [element("dt", "", name), element("dd", "", "", values)]));
+      facts.append(element("div", name === "Actors" ? "" : "minor", "", [element("dt", "", name), element("dd", "", "", values)]));
     };
     const [{ duration, frames, version, kinds }] = reports;
     if (reports.length === 1) {
@@ -90,7 +90,7 @@ class Replay {
     document.body.classList.add("compares");
     document.querySelectorAll(".pane-name").forEach((name, index) => {
       const { letter, report } = this.recordings[index];
-      name.append(element("i", `letter of-${letter}`, letter), element("span", "", report.source));
+      name.append(element("i", `letter of-${letter}`, letter), element("span", "", report.source), element("span", "ended"));
       name.hidden = false;
     });
     document.querySelectorAll("#followed .speed").forEach((speed) => (speed.hidden = false));
@@ -109,7 +109,9 @@ class Replay {
     const names = document.querySelectorAll(".pane-name");
     names[0].classList.toggle("both", !beside);
     names[0].querySelectorAll(".more").forEach((node) => node.remove());
-    if (!beside) names[0].append(...[...names[1].childNodes].map((node) => Object.assign(node.cloneNode(true), { className: `${node.className} more` })));
+    for (const node of beside ? [] : names[1].children) {
+      names[0].append(Object.assign(node.cloneNode(true), { className: `${node.className} more` }));
+    }
     this.resize();
   }
 
@@ -351,6 +353,7 @@ class Replay {
     this.showFollowed();
     this.showCaption();
     this.showRule();
+    this.showEnds();
     this.writeLink();
     if (this.clock.playing || turning) this.changed();
   }
@@ -361,10 +364,7 @@ class Replay {
     document.getElementById("followed").hidden = !actor;
     document.getElementById("heading").disabled = !actor;
     if (!actor) return;
-    const set = (id, text) => {
-      const node = document.getElementById(id);
-      if (node.textContent !== text) node.textContent = text;
-    };
+    const set = (id, text) => write(document.getElementById(id), text);
     document.getElementById("followed-color").style.background = actor.color;
     set("followed-name", actor.label);
     set("followed-type", [actor.type || actor.kind, actor.role && actor.role !== "hero" ? actor.role : ""].filter(Boolean).join(" · "));
@@ -375,7 +375,7 @@ class Replay {
       set(index ? "other-speed" : "speed", speed === null ? "–" : speed.toFixed(0));
     });
     const apart = poses.length > 1 && poses[0] && poses[1] ? Math.hypot(poses[0].x - poses[1].x, poses[0].y - poses[1].y) : 0;
-    set("apart", apart > SAME_POSE ? `${apart.toFixed(1)} m apart` : "");
+    set("apart", apart > APART ? `${apart.toFixed(1)} m apart` : "");
   }
 
   /** Return the followed actor, as one of the recordings has it; null if none is followed. */
@@ -397,9 +397,8 @@ class Replay {
     if (!shown) return;
     const ahead = shown.incident.start - time;
     const text = (this.recordings.length > 1 ? `${shown.recording.letter}: ` : "") + shown.incident.text;
-    const node = document.getElementById("caption-text");
-    if (node.textContent !== text) node.textContent = text;
-    document.getElementById("caption-when").textContent = ahead > 0.05 ? `in ${ahead.toFixed(1)} s` : "";
+    write(document.getElementById("caption-text"), text);
+    write(document.getElementById("caption-when"), ahead > 0.05 ? `in ${ahead.toFixed(1)} s` : "");
     caption.dataset.kind = shown.kind;
   }
 
@@ -407,6 +406,17 @@ class Replay {
     const metres = [1, 2, 5, 10, 20, 50, 100, 200, 500, 1000, 2000, 5000].find((m) => m * this.camera.scale >= 56) ?? 1e4;
     document.getElementById("rule").style.width = `${metres * this.camera.scale}px`;
     document.getElementById("rule-length").textContent = metres < 1000 ? `${metres} m` : `${metres / 1000} km`;
+  }
+
+  /** Show which of two recordings has ended. */
+  showEnds() {
+    if (this.recordings.length < 2) return;
+    for (const [number, name] of document.querySelectorAll(".pane-name").entries()) {
+      for (const [more, end] of name.querySelectorAll(".ended").entries()) {
+        const stop = this.recordings[number + more].tracks.times.at(-1) ?? 0;
+        write(end, this.clock.time > stop + 0.1 ? `ended at ${clockTime(stop)}` : "");
+      }
+    }
   }
 
   say(text) {

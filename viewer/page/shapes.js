@@ -71,11 +71,11 @@ function details(context, shape, length, width) {
   }
 }
 
-/** Return a colour made lighter or darker until it is told from the road. */
+/** Return a colour that is made lighter or darker, so that it differs from the road and from windows. */
 function visible(color) {
   const parts = [1, 3, 5].map((at) => parseInt(color.slice(at, at + 2), 16));
   const light = 0.2126 * parts[0] + 0.7152 * parts[1] + 0.0722 * parts[2];
-  const part = theme.name === "dark" ? Math.max(0, (92 - light) / 255) : Math.max(0, (light - 235) / 255);
-  const goal = theme.name === "dark" ? 255 : 0;
+  const [least, most] = theme.name === "dark" ? [105, 240] : [80, 240];
+  const [part, goal] = light < least ? [(least - light) / 255, 255] : [Math.max(0, light - most) / 255, 0];
   return `rgb(${parts.map((value) => Math.round(value + part * (goal - value))).join(", ")})`;
 }

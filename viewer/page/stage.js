@@ -10,7 +10,6 @@ const TRAIL = 3; // s
 const LONG_TRAIL = 8; // s, of the followed actor
 const NOTED = 1.5; // s before and after an incident in which it is marked
 const SMALLEST = 7; // px
-const SAME_POSE = 0.4; // m between two recordings of an actor that are shown as one
 const ORDER = ["other", "sensor", "traffic sign", "traffic light", "walker", "vehicle"];
 const REST = new Set(["other", "sensor", "traffic sign"]);
 const FONT = "system-ui, -apple-system, 'Segoe UI', Roboto, 'Noto Sans', sans-serif";
@@ -38,7 +37,7 @@ class Stage {
 
   /** Return the rectangle around all roads, or around all actors if there are no roads. */
   get bounds() {
-    const roads = this.ground.lanes.bounds;
+    const roads = this.ground.bounds;
     if (roads[0] <= roads[2]) return roads;
     const places = this.shown.filter(({ actor }) => !REST.has(this.tracks.actors[actor].kind));
     const some = places.length ? places : this.shown.length ? this.shown : [{ x: 0, y: 0 }];
@@ -97,7 +96,7 @@ class Stage {
     if (kind !== "vehicle" && kind !== "walker") return false;
     const twin = this.ghost.twin(actor);
     const same = this.shown.find((one) => one.actor === twin);
-    return !same || Math.hypot(same.x - x, same.y - y) > SAME_POSE;
+    return !same || Math.hypot(same.x - x, same.y - y) > APART + LATE * this.tracks.speed(twin, this.time);
   }
 
   // --- trails and marks on the road, in the axes of the world -------------------------------------------

@@ -3,14 +3,22 @@
 
 const PALETTES = {
   dark: {
-    ground: "#14171d", grid: "#1c2027", road: "#2b303b", crossing: "#596173", line: "#6b7385", stop: "#c6ccd8",
-    text: "#eef0f5", quiet: "#98a1b3", halo: "#14171d", edge: "rgba(238, 240, 245, 0.5)", shade: "rgba(0, 0, 0, 0.45)",
-    glass: "rgba(13, 16, 22, 0.78)", accent: "#ffb020", other: "#3cc8e8", frame: "#2c313d",
+    ground: "#121519", grid: "#1a1e25", road: "#323845",
+    surfaces: {
+      median: "#1f2a24", sidewalk: "#20252e", shoulder: "#292f3a", bike: "#4a3a3c", road: "#323845", crossing: "#687184",
+      white: "#a9b1c1", yellow: "#b98f3a",
+    },
+    text: "#eef0f5", quiet: "#98a1b3", halo: "#14171d", edge: "rgba(238, 240, 245, 0.5)", shade: "rgba(0, 0, 0, 0.5)",
+    glass: "rgba(13, 16, 22, 0.8)", accent: "#ffb020", other: "#3cc8e8", frame: "#2c313d",
   },
   light: {
-    ground: "#e9ece6", grid: "#dfe3db", road: "#bfc5cf", crossing: "#eef0f3", line: "#f6f7f9", stop: "#ffffff",
-    text: "#171a21", quiet: "#5a6271", halo: "#f7f8f5", edge: "rgba(23, 26, 33, 0.6)", shade: "rgba(30, 36, 48, 0.28)",
-    glass: "rgba(24, 28, 36, 0.72)", accent: "#b86e00", other: "#007a99", frame: "#d3d8df",
+    ground: "#e6eae0", grid: "#dbe1d4", road: "#b4bac5",
+    surfaces: {
+      median: "#d2dcc4", sidewalk: "#f3f2ee", shoulder: "#c4c9d2", bike: "#d6b6ae", road: "#b4bac5", crossing: "#eceef2",
+      white: "#ffffff", yellow: "#e8b02e",
+    },
+    text: "#171a21", quiet: "#5a6271", halo: "#f7f8f5", edge: "rgba(23, 26, 33, 0.65)", shade: "rgba(30, 36, 48, 0.3)",
+    glass: "rgba(20, 24, 32, 0.78)", accent: "#b86e00", other: "#007a99", frame: "#d3d8df",
   },
 };
 const TONES = {

@@ -1,68 +1,155 @@
-"""The base map of the incident page: the roads of a map, or without a map, the paths of vehicles."""
+"""The base map of the incident page: the surfaces of a map from above, or without a map, the paths of vehicles."""
 
 from __future__ import annotations
 
+from collections import defaultdict
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Final
+from typing import TYPE_CHECKING, Final, NamedTuple
 
 import numpy as np
 
+from carla_recap.errors import RecapError
+from carla_recap.maps.polylines import simplify
 from carla_recap.model.records import ActorKind
+from carla_recap.rendering.materials import Material
+from carla_recap.rendering.town import town_mesh_of
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Iterator, Sequence
+    from collections.abc import Iterator, Sequence
 
     from numpy.typing import NDArray
 
     from carla_recap.export.report.samples import SampledReplay
     from carla_recap.maps import RoadMap
+    from carla_recap.rendering.mesh import Mesh
+    from carla_recap.rendering.town import TownMesh
 
     Floats = NDArray[np.float64]
+    Integers = NDArray[np.int64]
 
-ROAD_WIDTH: Final = 3.7  # m
-PATH_WIDTH: Final = 2.6  # m
+PATH_WIDTH: Final = 3.2  # m
 STEP: Final = 1.0  # m between points of a path
 CELL: Final = 1.5  # m of a square in which one path is drawn
 MOST: Final = 100_000  # points of paths
+LAYERS: Final = {
+    "median": (Material.MEDIAN, Material.GROUND),
+    "sidewalk": (Material.SIDEWALK, Material.KERB),
+    "shoulder": (Material.SHOULDER, Material.PARKING),
+    "bike": (Material.BIKE_LANE,),
+    "road": (Material.ROAD, Material.JUNCTION),
+    "crossing": (Material.CROSSING,),
+    "white": (Material.WHITE_LINE, Material.STOP_LINE),
+    "yellow": (Material.YELLOW_LINE,),
+}
+"""The surfaces of a map, from the lowest to the highest."""
+
+_UPWARDS: Final = 0.3  # of the normal of a surface that is seen from above
+_GRID: Final = 100  # corners per m, to find those that triangles share
+_TOLERANCE: Final = 0.02  # m
+_MANY: Final = 5  # points from which an outline is simplified
+
+
+class Outlines(NamedTuple):
+    """The outlines of a surface within a part of a map.
+
+    Attributes:
+        layer: The key in `LAYERS`.
+        rings: Closed lines, (points, 2), in m, without the repeated first point; holes run the other way around.
+    """
+
+    layer: str
+    rings: list[Floats]
 
 
 @dataclass(frozen=True)
 class BaseMap:
-    """The lines to draw below the actors: x, y in m, right-handed.
+    """What to draw below the actors: x, y in m, right-handed.
 
     Attributes:
-        width: The width of the lanes, in m.
-        lanes: The centre lines of lanes.
-        junctions, crossings: Outlines.
-        borders, stops: The borders of lanes, and stop lines.
+        surfaces: The surfaces of a map, the lowest first.
+        paths: Without a map, the paths of vehicles.
+        width: The width of the paths, in m.
     """
 
-    width: float
-    lanes: list[Floats]
-    junctions: list[Floats] = field(default_factory=list)
-    crossings: list[Floats] = field(default_factory=list)
-    borders: list[Floats] = field(default_factory=list)
-    stops: list[Floats] = field(default_factory=list)
+    surfaces: list[Outlines] = field(default_factory=list)
+    paths: list[Floats] = field(default_factory=list)
+    width: float = PATH_WIDTH
 
 
 def base_map(road_map: RoadMap | None, replays: Sequence[SampledReplay]) -> BaseMap:
-    """Return the roads of a map, or without one, the paths of vehicles."""
-    if road_map is None:
-        return BaseMap(PATH_WIDTH, list(_driven(replays)))
-    return BaseMap(
-        ROAD_WIDTH,
-        list(_flat(road_map.centre_lines)),
-        list(_flat(road_map.junctions)),
-        list(_flat(road_map.crossings)),
-        list(_flat(road_map.lane_borders)),
-        list(_flat(road_map.stop_lines)),
-    )
+    """Return the surfaces of a map, or without one, the paths of vehicles."""
+    if road_map is not None and road_map.opendrive:
+        try:
+            return BaseMap(surfaces=outlines(town_mesh_of(road_map.opendrive, road_map.name)))
+        except RecapError:
+            pass  # its surfaces cannot be made
+    return BaseMap(paths=list(_driven(replays)))
 
 
-def _flat(lines: Iterable[Floats]) -> Iterator[Floats]:
-    for line in lines:
-        if len(line) > 1 and np.isfinite(line[:, :2]).all():
-            yield line[:, :2]
+# --- surfaces ------------------------------------------------------------------------------------------------------------
+
+
+def outlines(town: TownMesh) -> list[Outlines]:
+    """Return the outlines of the surfaces of a town, by layer and tile."""
+    found = []
+    for layer, materials in LAYERS.items():
+        for tile in town.tiles:
+            corners = _corners(tile, materials)
+            if len(corners):
+                found.append(Outlines(layer, [ring / _GRID for ring in _rings(corners)]))
+    return [each for each in found if each.rings]
+
+
+def _corners(mesh: Mesh, materials: Sequence[Material]) -> Integers:
+    """Return the corners of the triangles of some materials that are seen from above, (triangles, 3, 2), on a grid."""
+    first = mesh.triangles[:, 0]
+    chosen = np.isin(mesh.materials[first], materials) & (mesh.normals[first, 2] > _UPWARDS)
+    points = mesh.vertices[mesh.triangles[chosen]][:, :, :2].astype(np.float64)
+    points = points[np.isfinite(points).all(axis=(1, 2))]
+    corners: Integers = np.rint(points * _GRID).astype(np.int64)
+    return corners
+
+
+def _rings(corners: Integers) -> Iterator[Floats]:
+    """Yield the outlines of triangles: the edges that no other triangle has in the other direction, as closed lines."""
+    points, indices = np.unique(corners.reshape(-1, 2), axis=0, return_inverse=True)
+    triangles = indices.reshape(-1, 3)
+    (x0, y0), (x1, y1), (x2, y2) = (points[triangles[:, i]].T for i in range(3))
+    area = (x1 - x0) * (y2 - y0) - (x2 - x0) * (y1 - y0)
+    triangles = np.where((area < 0)[:, None], triangles[:, ::-1], triangles)[area != 0]
+    starts, stops = triangles.ravel(), np.roll(triangles, -1, axis=1).ravel()
+    count = len(points)
+    edges, signs = np.minimum(starts, stops) * count + np.maximum(starts, stops), np.where(starts < stops, 1, -1)
+    edges, which = np.unique(edges, return_inverse=True)
+    net = np.bincount(which.ravel(), signs).astype(np.int64)
+    following: dict[int, list[int]] = defaultdict(list)
+    for edge, times in zip(edges[net != 0].tolist(), net[net != 0].tolist(), strict=True):
+        low, high = divmod(edge, count)
+        start, stop = (low, high) if times > 0 else (high, low)
+        following[start] += [stop] * abs(times)
+    while following:
+        start, stops_left = next(iter(following.items()))
+        ring, at = [start], stops_left.pop()
+        if not stops_left:
+            del following[start]
+        while at != start:
+            ring.append(at)
+            stops_left = following[at]
+            before, at = at, stops_left.pop()
+            if not stops_left:
+                del following[before]
+        if len(ring) > 2:
+            yield _simple(points[ring].astype(np.float64))
+
+
+def _simple(ring: Floats) -> Floats:
+    if len(ring) < _MANY:
+        return ring
+    closed = simplify(np.vstack((ring, ring[:1])) / _GRID, _TOLERANCE)
+    return closed[:-1] * _GRID if len(closed) > 3 else ring
+
+
+# --- paths ---------------------------------------------------------------------------------------------------------------
 
 
 def _driven(replays: Sequence[SampledReplay]) -> Iterator[Floats]:
@@ -71,7 +158,7 @@ def _driven(replays: Sequence[SampledReplay]) -> Iterator[Floats]:
     for replay in replays:
         vehicles = {i for i, actor in enumerate(replay.actors) if actor.details and actor.details.kind == ActorKind.VEHICLE}
         moving = (track for track in replay.tracks if track.actor in vehicles and not track.is_still)
-        paths += [thinned(track.rows[:, :2], STEP) for track in moving]
+        paths += [_thinned(track.rows[:, :2]) for track in moving]
     if not paths:
         return
     points = np.concatenate(paths)
@@ -81,22 +168,22 @@ def _driven(replays: Sequence[SampledReplay]) -> Iterator[Floats]:
     fresh[firsts] = True
     left = MOST
     for path, new in zip(paths, np.split(fresh, np.cumsum([len(path) for path in paths])[:-1]), strict=True):
-        for run in runs(path, new):
+        for run in _runs(path, new):
             if left <= 0:
                 return
             left -= len(run)
             yield run
 
 
-def thinned(line: Floats, step: float) -> Floats:
-    """Return a line with a point for each step of its length, in m, and its last point."""
-    far = np.cumsum(np.hypot(*np.diff(line, axis=0, prepend=line[:1]).T)) // step
+def _thinned(line: Floats) -> Floats:
+    """Return a line with a point for each step of its length, and its last point."""
+    far = np.cumsum(np.hypot(*np.diff(line, axis=0, prepend=line[:1]).T)) // STEP
     kept = np.flatnonzero(np.diff(far, prepend=-1.0) > 0)
     thin: Floats = line[np.union1d(kept, [len(line) - 1])]
     return thin
 
 
-def runs(line: Floats, wanted: NDArray[np.bool_]) -> Iterator[Floats]:
+def _runs(line: Floats, wanted: NDArray[np.bool_]) -> Iterator[Floats]:
     """Yield the parts of a line that contain the wanted points, with the points next to these."""
     near = wanted.copy()
     near[1:] |= wanted[:-1]

@@ -9,9 +9,12 @@ from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
+from carla_recap.export.report.base_map import LAYERS
 from carla_recap.export.style import OTHER, box_of, color_of, label_of, style_of
 from carla_recap.model.records import ActorKind
 from carla_recap.queries.actors import BoundingBox
+from carla_recap.rendering.looks import look_of_present
+from carla_recap.rendering.materials import Tag
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -22,6 +25,7 @@ if TYPE_CHECKING:
     from carla_recap.export.report.packing import Packer
     from carla_recap.export.report.samples import SampledActor, SampledReplay
     from carla_recap.export.style import Color
+    from carla_recap.rendering.looks import Look
     from carla_recap.replay.events import Present
 
 LONGEST: Final = 120  # characters of a name
@@ -30,7 +34,8 @@ TIME_UNIT: Final = 1e-5  # s
 MAP_UNIT: Final = 0.02  # m
 _TURN: Final = 16384 / 360  # units of a yaw per degree
 _PAINT: Final = re.compile(r" *(\d{1,3}) *, *(\d{1,3}) *, *(\d{1,3}) *")
-_LONG: Final = 3.1  # m, half the length from which a vehicle is a truck
+_LONG: Final = 2.65  # m, half the length from which a vehicle is drawn as a truck
+_CYCLES: Final = (Tag.MOTORCYCLE, Tag.BICYCLE, Tag.RIDER)
 
 
 def script(name: str, value: Any) -> str:
@@ -63,7 +68,8 @@ def hexadecimal(color: Color) -> str:
 def actor_data(sampled: SampledActor) -> dict[str, Any]:
     """Return an actor; `box` is x, y and half extents in m, in its own axes."""
     actor = sampled.details
-    box = BoundingBox(0, 0, 0, *OTHER.extent) if actor is None else box_of(actor)
+    look = None if actor is None else look_of_present(actor)
+    box = BoundingBox(0, 0, 0, *OTHER.extent) if actor is None else _box(actor, look)
     return {
         "id": sampled.id,
         "kind": OTHER.name if actor is None else style_of(actor).name,
@@ -73,7 +79,7 @@ def actor_data(sampled: SampledActor) -> dict[str, Any]:
         "hero": actor is not None and actor.is_hero,
         "color": hexadecimal(OTHER.color if actor is None else color_of(actor)),
         "paint": None if actor is None else _paint(actor),
-        "shape": "box" if actor is None else _shape(actor, box),
+        "shape": "box" if look is None else _shape(look),
         "box": [number(size) or 0 for size in (box.x, box.y, box.extent_x, box.extent_y)],
         "since": number(sampled.since),
         "until": None if sampled.until is None else number(sampled.until),
@@ -89,15 +95,22 @@ def _paint(actor: Present) -> str | None:
     return hexadecimal((red, green, blue))
 
 
-def _shape(actor: Present, box: BoundingBox) -> str:
+def _box(actor: Present, look: Look | None) -> BoundingBox:
+    """Return the box of an actor: as recorded, else that of its blueprint."""
+    if actor.box is not None or look is None or actor.kind not in (ActorKind.VEHICLE, ActorKind.WALKER):
+        return box_of(actor)
+    return BoundingBox(*look.center, *look.half_extents)
+
+
+def _shape(look: Look) -> str:
     """Return the outline to draw: car, truck, cycle, walker or box."""
-    if actor.kind == ActorKind.WALKER:
+    if look.tag == Tag.PEDESTRIANS:
         return "walker"
-    if actor.kind != ActorKind.VEHICLE:
-        return "box"
-    if actor.spawn.attribute("number_of_wheels") == "2" or box.extent_y < 0.5:
+    if look.tag in _CYCLES:
         return "cycle"
-    return "truck" if box.extent_x > _LONG else "car"
+    if look.tag in (Tag.TRUCK, Tag.BUS) or (look.tag == Tag.CAR and look.half_extents[0] > _LONG):
+        return "truck"
+    return "car" if look.tag == Tag.CAR else "box"
 
 
 def recording_data(replay: SampledReplay, packer: Packer) -> dict[str, Any]:
@@ -133,15 +146,24 @@ def recording_data(replay: SampledReplay, packer: Packer) -> dict[str, Any]:
 
 
 def base_map_data(base_map: BaseMap, packer: Packer) -> dict[str, Any]:
-    """Return the lines of a base map: x and y of the points of each layer, and the number of points of each line."""
-    names = ("lanes", "junctions", "crossings", "borders", "stops")
-    return {"width": base_map.width, **{name: _layer(getattr(base_map, name), packer) for name in names}}
+    """Return a base map: the lines of its surfaces and paths, and for each group of outlines, its layer and its size."""
+    rings = [ring for group in base_map.surfaces for ring in group.rings]
+    names = list(LAYERS)
+    return {
+        "width": base_map.width,
+        "paths": _lines(base_map.paths, packer),
+        "layers": names,
+        "layer": packer.column([names.index(group.layer) for group in base_map.surfaces]),
+        "rings": packer.column([len(group.rings) for group in base_map.surfaces]),
+        "surfaces": _lines(rings, packer),
+    }
 
 
-def _layer(lines: Sequence[NDArray[np.float64]], packer: Packer) -> dict[str, Any]:
+def _lines(lines: Sequence[NDArray[np.float64]], packer: Packer) -> dict[str, Any]:
+    """Return lines: x and y of all points, and the number of points of each line."""
     x, y = np.concatenate(lines).T if lines else np.zeros((2, 0))
     return {
-        "x": packer.column(x, MAP_UNIT, order=2),
-        "y": packer.column(y, MAP_UNIT, order=2),
+        "x": packer.column(x, MAP_UNIT),
+        "y": packer.column(y, MAP_UNIT),
         "lengths": packer.column([len(line) for line in lines]),
     }
