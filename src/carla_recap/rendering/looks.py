@@ -200,7 +200,6 @@ def look_of(
         return _fixed(_sign_of(type_id), Tag.TRAFFIC_SIGNS)
     if kind == ActorKind.VEHICLE or type_id.startswith("vehicle."):
         name = _vehicle_of(type_id, attributes, box)
-        name = name if name in INDEX else "suv"
         tag = _BASE_TYPES.get(attributes.get("base_type", ""), _TAGS.get(name, Tag.CAR))
         color = _color_of(attributes) or _CALM[number % len(_CALM)]
         return _look(name, color, tag, type_id, box)

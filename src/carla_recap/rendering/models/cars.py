@@ -42,12 +42,14 @@ class CarShape:
         paint: The material of the body.
         roof_paint: The material of the roof.
         lamp: The height of the head lamps and of the tail lamps.
+        glazed: The share of the cabin's length that has side windows; of 0.9, the rear has one, too.
+        doors: The material of the doors.
     """
 
     name: str
     length: float
     width: float
-    axles: tuple[float, float]
+    axles: tuple[float, ...]
     wheel: float
     clearance: float
     deck: Profile
@@ -60,6 +62,8 @@ class CarShape:
     paint: Material = M.PAINT
     roof_paint: Material = M.PAINT
     lamp: tuple[float, float] = (0.16, 0.17)
+    glazed: float = 0.9
+    doors: Material = M.PAINT
 
 
 def car(shape: CarShape) -> Solid:
@@ -80,17 +84,17 @@ def _at(profile: Profile, distance: float) -> float:
 def _stations(shape: CarShape) -> list[float]:
     """Return where the cross-sections are, from the rear to the front."""
     radius, corner = shape.wheel + 0.05, shape.corner
-    arches = [axle + radius * share for axle in shape.axles for share in (-1.001, -1, -0.8, -0.3, 0.3, 0.8, 1, 1.001)]
+    arches = [axle + radius * share for axle in shape.axles for share in (-1, -0.97, -0.55, 0.55, 0.97, 1)]
     ends = [0.0, corner * 0.35, corner, shape.length - corner, shape.length - corner * 0.35, shape.length]
     first, last = ends[2], ends[3]
-    return sorted({*ends, *(place for place in arches if first < place < last), shape.cabin[0]}, reverse=True)
+    return sorted({*ends, *(place for place in arches if first < place < last)}, reverse=True)
 
 
 def _arch(shape: CarShape, distance: float) -> float:
     """Return the height of the wheel arches at a distance; that of the sills elsewhere."""
     radius = shape.wheel + 0.05
     for axle in shape.axles:
-        if abs(distance - axle) <= radius * 1.0001:
+        if abs(distance - axle) < radius * 0.999:
             return max(shape.clearance, shape.wheel + sqrt(max(radius**2 - (distance - axle) ** 2, 0.0)))
     return shape.clearance
 
@@ -128,8 +132,10 @@ def _body(solid: Solid, shape: CarShape) -> None:
     def material(i: int, j: int) -> Material:
         if j == 7:
             return M.TRIM  # the underside, and the wheel arches
+        nearest, farthest = sorted((places[i], places[i + 1]))
+        if j in (0, 6) and nearest > shape.axles[0] and farthest < shape.axles[-1] and farthest - nearest > 0.8:
+            return shape.doors
         if j in (1, 5):
-            nearest, farthest = sorted((places[i], places[i + 1]))
             if farthest <= corner * 0.36:
                 return M.HEADLIGHT
             if farthest <= corner * 1.01:
@@ -191,11 +197,13 @@ def _cabin(solid: Solid, shape: CarShape) -> None:
         if i >= 1:
             return shape.roof_paint
         column = j if j < columns else 2 * columns - 1 - j  # of the left side; the same counted from the front on the right
-        if column < columns - 1 and j not in (columns - 1, columns):
-            if column in (0, columns - 2):
-                return shape.roof_paint
-            return M.TRIM if column % 2 == 0 else M.GLASS
-        return M.GLASS
+        if j in (columns - 1, columns):
+            return M.GLASS if shape.glazed >= 0.9 else shape.roof_paint
+        if j == 2 * columns + 1 or j == 2 * columns:
+            return M.GLASS
+        if column == 0 or share[column + 1] > shape.glazed + 1e-6:
+            return shape.roof_paint
+        return M.TRIM if column % 2 == 0 else M.GLASS
 
     solid.loft(rings, material)
 
@@ -212,31 +220,40 @@ def wheel(solid: Solid, x: float, y: float, radius: float, width: float, *, side
         sides: The number of its sides.
         rim: The material of the spokes.
     """
-    profile = (
-        (radius * 0.8, -width),
-        (radius, -width * 0.92),
-        (radius, -width * 0.12),
-        (radius * 0.68, 0.0),
-        (radius * 0.2, -0.02),
-    )
+    profile = ((radius, -width), (radius, -width * 0.12), (radius * 0.68, 0.0), (0.0, -0.02))
 
     def material(i: int, j: int) -> Material:
-        if i == 3:
-            return rim if j % 2 == 0 else M.TRIM
-        return rim if i > 3 else M.TYRE
+        return M.TYRE if i < 2 else rim if j % 2 == 0 else M.TRIM
 
     solid.tube(profile, (x, y, radius), material, sides=sides)
 
 
-def _wheels(solid: Solid, shape: CarShape) -> None:
-    width = 0.12 * shape.width
-    y = shape.width / 2 - 0.015
+def axle(
+    solid: Solid, x: float, y: float, radius: float, width: float, *, steered: bool = False, rim: Material = M.RIM
+) -> None:
+    """Add the wheels of an axle.
+
+    Args:
+        solid: The solid.
+        x: The axle.
+        y: The outer side of the left wheel.
+        radius: The radius of the wheels.
+        width: The width of the tyres.
+        steered: Whether they are steered.
+        rim: The material of the rims.
+    """
     left = Solid()
-    front, rear = (shape.length / 2 - axle for axle in shape.axles)
-    with left.steered(front, y - width / 2):
-        wheel(left, front, y, shape.wheel, width)
-    wheel(left, rear, y, shape.wheel, width)
+    if steered:
+        with left.steered(x, y - width / 2):
+            wheel(left, x, y, radius, width, rim=rim)
+    else:
+        wheel(left, x, y, radius, width, rim=rim)
     solid.add_both(left)
+
+
+def _wheels(solid: Solid, shape: CarShape) -> None:
+    for number, place in enumerate(shape.axles):
+        axle(solid, shape.length / 2 - place, shape.width / 2 - 0.015, shape.wheel, 0.12 * shape.width, steered=number == 0)
 
 
 def _details(solid: Solid, shape: CarShape) -> None:
@@ -245,20 +262,32 @@ def _details(solid: Solid, shape: CarShape) -> None:
     belt = _at(shape.deck, shape.cabin[0])
     left = Solid()
     x = front - shape.cabin[0] - 0.28
-    left.box((x - 0.07, half - 0.12, belt - 0.01), (x + 0.07, half + 0.06, belt + 0.12), shape.paint, top=(0.8, 0.95))
+    left.box((x - 0.07, half - 0.12, belt - 0.01), (x + 0.07, half + 0.06, belt + 0.12), M.TRIM, top=(0.8, 0.95))
     cabin = shape.cabin[1] - shape.cabin[0]
     for pillar in shape.pillars:
-        x = front - shape.cabin[0] - cabin * (pillar - 0.03)
-        left.box((x - 0.01, half - 0.04, belt - 0.16), (x + 0.17, half + 0.004, belt - 0.12), M.TRIM)
-    tail = _at(shape.deck, shape.length)
-    z = tail - 0.06 - shape.lamp[1]
-    left.box((rear - 0.012, half * 0.42, z - 0.07), (rear + 0.02, half * 0.70, z - 0.015), M.LEFT_INDICATOR)
-    left.box((rear - 0.012, half * 0.24, z - 0.07), (rear + 0.02, half * 0.42, z - 0.015), M.REVERSE_LIGHT)
+        if pillar < shape.glazed:
+            x = front - shape.cabin[0] - cabin * (pillar - 0.03)
+            y = half + 0.004
+            left.facet(
+                ((x, y, belt - 0.16), (x + 0.17, y, belt - 0.16), (x + 0.17, y, belt - 0.12), (x, y, belt - 0.12))[::-1],
+                M.TRIM,
+            )
+    z = _at(shape.deck, shape.length) - 0.075 - shape.lamp[1]
+    back = rear - 0.006
+    for start, stop, material in ((0.44, 0.72, M.LEFT_INDICATOR), (0.26, 0.44, M.REVERSE_LIGHT)):
+        y0, y1 = half * start, half * stop
+        left.facet(((back, y1, z - 0.06), (back, y0, z - 0.06), (back, y0, z), (back, y1, z)), material)
     solid.add_both(left)
-    for x, height in ((front, shape.clearance + 0.13), (rear, z - 0.12)):
-        solid.box((x - 0.015, -0.26, height - 0.055), (x + 0.015, 0.26, height + 0.055), M.SIGN_WHITE)
+    plate(solid, front + 0.008, shape.clearance + 0.14, 1)
+    plate(solid, rear - 0.008, z - 0.12, -1)
     x = front - shape.cabin[3]
-    solid.box((x - 0.05, -0.16, shape.roof - 0.06), (x + 0.06, 0.16, shape.roof - 0.025), M.BRAKE_LIGHT)
+    solid.box((x - 0.05, -0.16, shape.roof - 0.06), (x + 0.06, 0.16, shape.roof - 0.03), M.BRAKE_LIGHT)
+
+
+def plate(solid: Solid, x: float, z: float, direction: int) -> None:
+    """Add a number plate that faces forward (1) or backward (-1)."""
+    corners = [(x, y, z + up) for y, up in ((-0.26, -0.055), (0.26, -0.055), (0.26, 0.055), (-0.26, 0.055))]
+    solid.facet(corners[::direction], M.SIGN_WHITE)
 
 
 SEDAN: Final = CarShape(
@@ -315,6 +344,110 @@ SUV: Final = replace(
 )
 
 
+OFF_ROADER: Final = replace(
+    SUV,
+    name="off-roader",
+    length=4.0,
+    width=1.84,
+    axles=(0.72, 3.14),
+    wheel=0.41,
+    clearance=0.42,
+    deck=((0.0, 0.98), (0.12, 1.08), (1.4, 1.16), (3.9, 1.2), (4.0, 1.16)),
+    cabin=(1.42, 3.96, 1.66, 3.9),
+    roof=1.86,
+    pillars=(0.42,),
+    narrowing=0.07,
+    corner=0.14,
+    roof_paint=M.TRIM,
+)
+MICROCAR: Final = replace(
+    HATCHBACK,
+    name="microcar",
+    length=2.4,
+    width=1.45,
+    axles=(0.5, 1.95),
+    wheel=0.27,
+    deck=((0.0, 0.74), (0.3, 0.86), (0.6, 0.92), (2.1, 0.95), (2.4, 0.88)),
+    cabin=(0.22, 2.1, 0.7, 1.7),
+    roof=1.48,
+    pillars=(0.62,),
+    corner=0.45,
+)
+VAN: Final = replace(
+    SUV,
+    name="van",
+    length=5.9,
+    width=1.98,
+    axles=(1.0, 4.6),
+    wheel=0.36,
+    clearance=0.26,
+    deck=((0.0, 0.9), (0.12, 1.0), (0.4, 1.12), (0.95, 1.3), (5.7, 1.34), (5.9, 1.3)),
+    cabin=(0.9, 5.88, 1.62, 5.8),
+    roof=2.5,
+    pillars=(0.3,),
+    glazed=0.33,
+    narrowing=0.1,
+    corner=0.26,
+    lamp=(0.2, 0.5),
+)
+MINIBUS: Final = replace(
+    SUV,
+    name="minibus",
+    length=4.45,
+    width=1.74,
+    axles=(0.95, 3.35),
+    wheel=0.33,
+    clearance=0.28,
+    deck=((0.0, 1.02), (0.1, 1.1), (0.4, 1.14), (4.2, 1.16), (4.45, 1.1)),
+    cabin=(0.1, 4.4, 0.42, 4.2),
+    roof=1.98,
+    pillars=(0.3, 0.54, 0.76),
+    narrowing=0.13,
+    corner=0.3,
+    roof_paint=M.SECOND_PAINT,
+    lamp=(0.22, 0.3),
+)
+BUS: Final = replace(
+    SUV,
+    name="bus",
+    length=10.3,
+    width=2.5,
+    axles=(2.2, 7.6),
+    wheel=0.48,
+    clearance=0.32,
+    deck=((0.0, 1.22), (0.1, 1.28), (10.2, 1.28), (10.3, 1.22)),
+    cabin=(0.06, 10.24, 0.22, 10.16),
+    roof=3.1,
+    pillars=(0.09, 0.22, 0.36, 0.50, 0.64, 0.78),
+    narrowing=0.1,
+    corner=0.28,
+    lamp=(0.2, 0.3),
+)
+
+
+def police_car() -> Solid:
+    """Return a police car: a sedan with light doors and a bar of beacons."""
+    shape = replace(SEDAN, name="police car", doors=M.SECOND_PAINT)
+    solid = car(shape)
+    beacons(solid, 0.05, shape.roof - 0.02, 0.55)
+    return solid
+
+
+def taxi() -> Solid:
+    """Return a taxi: a sedan with a sign on its roof."""
+    solid = car(replace(SEDAN, name="taxi"))
+    solid.box((-0.12, -0.3, SEDAN.roof - 0.02), (0.12, 0.3, SEDAN.roof + 0.14), M.SIGN_WHITE, top=(0.6, 0.9))
+    return solid
+
+
+def beacons(solid: Solid, x: float, z: float, half: float) -> None:
+    """Add a bar of beacons across a roof."""
+    solid.box((x - 0.13, -half, z), (x + 0.13, half, z + 0.05), M.TRIM)
+    for y in (-half * 0.62, half * 0.62):
+        solid.box((x - 0.11, y - half * 0.36, z + 0.05), (x + 0.11, y + half * 0.36, z + 0.15), M.BEACON, top=(0.7, 0.9))
+
+
 def cars() -> Sequence[tuple[str, Solid]]:
-    """Return the passenger cars by name."""
-    return [(shape.name, car(shape)) for shape in (SEDAN, HATCHBACK, COUPE, SUV)]
+    """Return the cars, vans and buses by name."""
+    shapes = (SEDAN, HATCHBACK, COUPE, SUV, OFF_ROADER, MICROCAR, VAN, MINIBUS, BUS)
+    return [*((shape.name, car(shape)) for shape in shapes), ("police car", police_car()), ("taxi", taxi())]

@@ -35,15 +35,15 @@ _COMPLEXIONS: Final = (
 def walker(clothes: Clothes, *, long_hair: bool = False, child: bool = False) -> Solid:
     """Return a person in mid-stride."""
     solid = Solid()
-    head = 0.115 if child else 0.105
-    hip, shoulder, crown = (0.80, 1.30, 1.8) if child else (0.90, 1.43, 1.8)
+    head = 0.13 if child else 0.105
+    hip, shoulder, crown = (0.80, 1.37, 1.8) if child else (0.90, 1.43, 1.8)
     chin = crown - 2 * head * 1.22
     for side, stride in ((1, 1.0), (-1, -1.0)):
         y = 0.09 * side
         knee = (0.05 + 0.10 * stride, y, hip * 0.53)
         foot = (0.16 * stride - 0.03, y, 0.08 if stride > 0 else 0.10)
-        solid.limb((0.0, y, hip), knee, (0.095, 0.072), clothes.trousers)
-        solid.limb((knee[0], y, knee[2] + 0.02), foot, (0.074, 0.05), clothes.trousers)
+        solid.limb((0.0, y, hip), knee, (0.095, 0.072), clothes.trousers, sides=5, caps=False)
+        solid.limb((knee[0], y, knee[2] + 0.02), foot, (0.074, 0.05), clothes.trousers, sides=5, caps=False)
         solid.box(
             (foot[0] - 0.09, y - 0.05, foot[2] - 0.08),
             (foot[0] + 0.17, y + 0.05, foot[2] + 0.02),
@@ -52,11 +52,11 @@ def walker(clothes: Clothes, *, long_hair: bool = False, child: bool = False) ->
         )
         elbow = (-0.06 * stride - 0.03, side * 0.225, (hip + shoulder) / 2 - 0.02)
         hand = (elbow[0] + 0.12 - 0.06 * stride, side * 0.215, hip - 0.04)
-        solid.limb((0.0, side * 0.185, shoulder - 0.03), elbow, (0.062, 0.048), clothes.top)
-        solid.limb(elbow, hand, (0.047, 0.036), clothes.top)
+        solid.limb((0.0, side * 0.185, shoulder - 0.03), elbow, (0.062, 0.048), clothes.top, sides=5, caps=False)
+        solid.limb(elbow, hand, (0.047, 0.036), clothes.top, sides=5, caps=False)
         solid.ball((hand[0] + 0.01, hand[1], hand[2] - 0.045), (0.04, 0.03, 0.065), clothes.skin, sides=5, rings=3)
     _torso(solid, hip, shoulder, clothes)
-    solid.limb((0.0, 0.0, shoulder), (0.015, 0.0, chin + 0.05), (0.055, 0.05), clothes.skin)
+    solid.limb((0.0, 0.0, shoulder), (0.015, 0.0, chin + 0.05), (0.055, 0.05), clothes.skin, sides=5, caps=False)
     _head(solid, (0.02, 0.0, (crown + chin) / 2), head, clothes, long_hair=long_hair)
     return solid
 
@@ -85,10 +85,14 @@ def _torso(solid: Solid, hip: float, shoulder: float, clothes: Clothes) -> None:
 
 
 def _head(solid: Solid, center: Point, radius: float, clothes: Clothes, *, long_hair: bool) -> None:
-    def material(i: int, j: int) -> Material:
-        return clothes.hair if i >= 4 or (i >= (1 if long_hair else 2) and 2 <= j <= 5) else clothes.skin
-
-    solid.ball(center, (radius, radius * 0.86, radius * 1.22), material, sides=8, rings=6)
+    x, y, z = center
+    radii = (radius, radius * 0.86, radius * 1.22)
+    solid.ball(center, radii, clothes.skin, sides=8, rings=5)
+    back, down, grown = (0.36, -0.1, 1.06) if long_hair else (0.22, 0.28, 0.98)
+    solid.ball((x - radius * back, y, z + radius * down), tuple(grown * r for r in radii), clothes.hair, sides=8, rings=5)
+    if long_hair:
+        low = (x - radius * 0.85, y, z - radius * 1.9)
+        solid.limb((x - radius * 0.6, y, z), low, (radius * 0.8, radius * 0.5), clothes.hair, sides=6, flat=1.2)
 
 
 def people() -> Sequence[tuple[str, Solid]]:

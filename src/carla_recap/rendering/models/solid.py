@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from collections import defaultdict
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from itertools import pairwise
 from math import cos, pi, radians, sin
 from typing import TYPE_CHECKING, Final, NamedTuple
 
@@ -76,10 +76,11 @@ class Solid:
             material: The material.
             body: The body that it belongs to: within one, facets that meet at a small angle are shaded smoothly.
         """
-        corners = np.array(points, np.float64)
-        distinct = np.abs(corners - np.roll(corners, 1, axis=0)).max(axis=1) > 10.0**-_SAME
-        if distinct.sum() >= 3:
-            self._facets.append(_Facet(corners[distinct], material, self._new_body() if body is None else body, self._pivot))
+        rows = points.tolist() if isinstance(points, np.ndarray) else points
+        distinct = [row for row, before in zip(rows, (rows[-1], *rows), strict=False) if not _same(row, before)]
+        if len(distinct) >= 3:
+            corners = np.array(distinct, np.float64)
+            self._facets.append(_Facet(corners, material, self._new_body() if body is None else body, self._pivot))
 
     def loft(self, rings: Sequence[Sequence[Point]] | Floats, material: MaterialOf, *, caps: bool = True) -> int:
         """Add a body between rings of equally many points; return its number.
@@ -90,17 +91,15 @@ class Solid:
                 first one has the numbers -1, 0, and the last one the number of the last ring, and 0.
             caps: Whether the first and the last ring are closed.
         """
-        points = np.array(rings, np.float64)
+        rows = rings.tolist() if isinstance(rings, np.ndarray) else rings
         body = self._new_body()
-        count = points.shape[1]
-        for i in range(len(points) - 1):
-            for j in range(count):
-                k = (j + 1) % count
-                corners = (points[i, j], points[i, k], points[i + 1, k], points[i + 1, j])
-                self.facet(np.array(corners), _material(material, i, j), body=body)
+        for i, (ring, following) in enumerate(pairwise(rows)):
+            for j in range(len(ring)):
+                k = (j + 1) % len(ring)
+                self.facet((ring[j], ring[k], following[k], following[j]), _material(material, i, j), body=body)
         if caps:
-            self.facet(points[0, ::-1], _material(material, -1, 0), body=body)
-            self.facet(points[-1], _material(material, len(points) - 1, 0), body=body)
+            self.facet(rows[0][::-1], _material(material, -1, 0), body=body)
+            self.facet(rows[-1], _material(material, len(rows) - 1, 0), body=body)
         return body
 
     def box(self, low: Point, high: Point, material: MaterialOf, *, top: tuple[float, float] = (1.0, 1.0)) -> None:
@@ -121,7 +120,15 @@ class Solid:
         self.loft(np.array(rings), material)
 
     def limb(
-        self, start: Point, end: Point, radii: Sequence[float], material: MaterialOf, *, sides: int = 6, flat: float = 1.0
+        self,
+        start: Point,
+        end: Point,
+        radii: Sequence[float],
+        material: MaterialOf,
+        *,
+        sides: int = 6,
+        flat: float = 1.0,
+        caps: bool = True,
     ) -> None:
         """Add a tapered prism along a line.
 
@@ -132,6 +139,7 @@ class Solid:
             material: The material.
             sides: The number of its sides.
             flat: The radius across the line and the vertical, as a share of the other radius.
+            caps: Whether its ends are closed; those within other bodies need not be.
         """
         axis = np.subtract(end, start)
         axis = axis / np.linalg.norm(axis)
@@ -141,7 +149,7 @@ class Solid:
         angles = (np.arange(sides) + 0.5) * 2 * pi / sides
         circle = np.outer(np.cos(angles), across * flat) + np.outer(np.sin(angles), other)
         middles = np.linspace(start, end, len(radii))
-        self.loft(middles[:, None] + circle * np.array(radii)[:, None, None], material)
+        self.loft(middles[:, None] + circle * np.array(radii)[:, None, None], material, caps=caps)
 
     def ball(self, center: Point, radii: Point, material: MaterialOf, *, sides: int = 8, rings: int = 5) -> None:
         """Add an ellipsoid; its rings are numbered from the bottom, and the first point of each is in front."""
@@ -153,7 +161,15 @@ class Solid:
             shape.append(np.column_stack((np.cos(turn) * share, np.sin(turn) * share, np.full(sides, sin(angle)))))
         self.loft(np.array(center) + np.array(shape) * np.array(radii), material, caps=False)
 
-    def tube(self, profile: Sequence[tuple[float, float]], center: Point, material: MaterialOf, *, sides: int = 12) -> None:
+    def tube(
+        self,
+        profile: Sequence[tuple[float, float]],
+        center: Point,
+        material: MaterialOf,
+        *,
+        sides: int = 12,
+        caps: bool = True,
+    ) -> None:
         """Add a body of revolution about an axis along y.
 
         Args:
@@ -161,12 +177,13 @@ class Solid:
             center: The point of the axis that y counts from.
             material: The material; rings are those of the profile.
             sides: The number of its sides.
+            caps: Whether its ends are closed.
         """
         angles = (np.arange(sides) + 0.5) * 2 * pi / sides
         rings = [
             np.column_stack((np.sin(angles) * radius, np.full(sides, y), np.cos(angles) * radius)) for radius, y in profile
         ]
-        self.loft(np.array(center) + np.array(rings), material)
+        self.loft(np.array(center) + np.array(rings), material, caps=caps)
 
     def steered(self, x: float, y: float) -> _Steered:
         """Return a context: what is added in it belongs to a wheel that is steered about a vertical axis."""
@@ -198,64 +215,34 @@ class Solid:
 
     def model(self, name: str) -> Model:
         """Return the model: scaled to fill the box from -1 to 1 along each axis."""
-        everything = np.concatenate([facet.points for facet in self._facets])
-        low, high = everything.min(axis=0), everything.max(axis=0)
+        sizes = np.array([len(facet.points) for facet in self._facets])
+        owner = np.repeat(np.arange(len(sizes)), sizes)  # of each corner, its facet
+        points = np.concatenate([facet.points for facet in self._facets])
+        low, high = points.min(axis=0), points.max(axis=0)
         center, half = (low + high) / 2, np.maximum((high - low) / 2, 1e-6)
-        normals = [_normal(facet.points) for facet in self._facets]
-        smooth = self._smooth(normals)
-        vertices: list[Floats] = []
-        directions: list[Floats] = []
-        materials: list[int] = []
-        pivots: list[tuple[float, float] | None] = []
-        triangles: list[tuple[int, int, int]] = []
-        known: dict[tuple[object, ...], int] = {}
-        for facet, corners in zip(self._facets, smooth, strict=True):
-            index = []
-            for point, normal in zip(facet.points, corners, strict=True):
-                key = (*np.round(point, _SAME), *np.round(normal, 3), facet.material, facet.pivot)
-                if key not in known:
-                    known[key] = len(vertices)
-                    vertices.append((point - center) / half)
-                    directions.append(normal * half)
-                    materials.append(facet.material)
-                    pivots.append(facet.pivot)
-                index.append(known[key])
-            triangles += [(index[0], index[i], index[i + 1]) for i in range(1, len(index) - 1)]
-        steering = np.array([(0.0, 0.0) if pivot is None else pivot for pivot in pivots])
-        steered = np.array([pivot is not None for pivot in pivots])
-        stretched = np.array(directions)
+        bodies = np.array([facet.body for facet in self._facets])[owner]
+        materials = np.array([facet.material for facet in self._facets])[owner]
+        steered = np.array([facet.pivot is not None for facet in self._facets])[owner]
+        pivots = np.array([facet.pivot or (0.0, 0.0) for facet in self._facets])[owner]
+        normals = _smooth(points, bodies, owner, sizes)
+
+        parts = (np.round(points, _SAME), np.round(normals, 3), materials[:, None], pivots, steered[:, None])
+        kept, vertex = _distinct(np.column_stack(parts))
+        first = np.cumsum(sizes) - sizes
+        fans = np.repeat(np.arange(len(sizes)), sizes - 2)
+        steps = np.arange(len(fans)) - np.repeat(np.cumsum(sizes - 2) - (sizes - 2), sizes - 2)
+        corners = first[fans][:, None] + np.column_stack((np.zeros_like(steps), steps + 1, steps + 2))
+        stretched = normals[kept] * half
         mesh = Mesh(
-            np.clip(np.array(vertices), -1, 1).astype(np.float32),
+            np.clip((points[kept] - center) / half, -1, 1).astype(np.float32),
             (stretched / np.linalg.norm(stretched, axis=1, keepdims=True)).astype(np.float32),
-            np.array(materials, np.uint8),
-            np.array(triangles, np.uint32),
+            materials[kept].astype(np.uint8),
+            vertex[corners].astype(np.uint32),
         )
-        axes = np.where(steered[:, None], (steering - center[:2]) / half[:2], 0.0).astype(np.float32)
+        axes = np.where(steered[kept][:, None], (pivots[kept] - center[:2]) / half[:2], 0.0).astype(np.float32)
         length, width, height = (2 * half).tolist()
         x, y, z = center.tolist()
-        return Model(name, mesh, steered, axes, (length, width, height), (x, y, z))
-
-    def _smooth(self, normals: list[Floats]) -> list[Floats]:
-        """Return the normals of the corners of each facet: the mean of those facets that meet at small angles."""
-        around: defaultdict[tuple[object, ...], list[int]] = defaultdict(list)
-        keys = []
-        for number, facet in enumerate(self._facets):
-            keys.append([(facet.body, *point) for point in np.round(facet.points, _SAME).tolist()])
-            for key in keys[-1]:
-                around[key].append(number)
-        directions = np.array(normals)
-        directions /= np.maximum(np.linalg.norm(directions, axis=1, keepdims=True), 1e-12)
-        least = cos(radians(_CREASE))
-        found = []
-        for number, corners in enumerate(keys):
-            mean = np.empty((len(corners), 3))
-            for index, key in enumerate(corners):
-                others = around[key]
-                near = [other for other in others if directions[other] @ directions[number] >= least]
-                total = sum((normals[other] for other in near), np.zeros(3))
-                mean[index] = total / max(float(np.linalg.norm(total)), 1e-12) if near else directions[number]
-            found.append(mean)
-        return found
+        return Model(name, mesh, steered[kept], axes, (length, width, height), (x, y, z))
 
     def _new_body(self) -> int:
         self._bodies += 1
@@ -280,7 +267,41 @@ def _material(material: MaterialOf, ring: int, point: int) -> Material:
     return material if isinstance(material, Material) else material(ring, point)
 
 
-def _normal(points: Floats) -> Floats:
-    """Return the normal of a polygon; its length is twice the area."""
-    normal: Floats = np.cross(points, np.roll(points, -1, axis=0)).sum(axis=0)
-    return normal
+def _same(one: Point, other: Point) -> bool:
+    return all(abs(a - b) < 10.0**-_SAME for a, b in zip(one, other, strict=True))
+
+
+def _distinct(rows: Floats) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
+    """Return the indices of distinct rows, and for each row the index of its like among them."""
+    packed = np.ascontiguousarray(rows + 0.0).view(np.dtype((np.void, rows.dtype.itemsize * rows.shape[1])))[:, 0]
+    _, kept, among = np.unique(packed, return_index=True, return_inverse=True)
+    return kept, among.reshape(-1)
+
+
+def _smooth(points: Floats, bodies: NDArray[np.intp], owner: NDArray[np.intp], sizes: NDArray[np.intp]) -> Floats:
+    """Return the normals of corners: the mean of those facets of the body that meet there at small angles.
+
+    Args:
+        points: The corners of all facets, one after the other.
+        bodies: The body of each corner.
+        owner: The facet of each corner.
+        sizes: The number of corners of each facet.
+    """
+    first = np.cumsum(sizes) - sizes
+    following = np.arange(len(points)) + 1
+    following[first + sizes - 1] = first
+    areas = np.add.reduceat(np.cross(points, points[following]), first)  # twice the area, along the normal
+    directions = areas / np.maximum(np.linalg.norm(areas, axis=1, keepdims=True), 1e-12)
+    _, where = _distinct(np.column_stack((bodies, np.round(points, _SAME))))
+    order = np.argsort(where, kind="stable")
+    counts = np.bincount(where)
+    begin = np.repeat(np.cumsum(counts) - counts, counts)
+    each = np.repeat(counts, counts)
+    one = np.repeat(np.arange(len(points)), each)
+    other = np.repeat(begin, each) + np.arange(len(one)) - np.repeat(np.cumsum(each) - each, each)
+    one, other = order[one], order[other]
+    near = (directions[owner[one]] * directions[owner[other]]).sum(axis=1) >= cos(radians(_CREASE))
+    total = np.zeros_like(points)
+    np.add.at(total, one[near], areas[owner[other[near]]])
+    lengths = np.linalg.norm(total, axis=1, keepdims=True)
+    return np.where(lengths > 1e-12, total / np.maximum(lengths, 1e-12), directions[owner])
