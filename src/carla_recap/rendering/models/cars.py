@@ -44,6 +44,7 @@ class CarShape:
         lamp: The height of the head lamps and of the tail lamps.
         glazed: The share of the cabin's length that has side windows; of 0.9, the rear has one, too.
         doors: The material of the doors.
+        tail: Whether it has tail lamps; the cab of a truck has none.
     """
 
     name: str
@@ -64,6 +65,7 @@ class CarShape:
     lamp: tuple[float, float] = (0.16, 0.17)
     glazed: float = 0.9
     doors: Material = M.PAINT
+    tail: bool = True
 
 
 def car(shape: CarShape) -> Solid:
@@ -140,23 +142,24 @@ def _body(solid: Solid, shape: CarShape) -> None:
                 return M.HEADLIGHT
             if farthest <= corner * 1.01:
                 return M.LEFT_INDICATOR if j == 1 else M.RIGHT_INDICATOR
-            if nearest >= length - corner * 0.36:
+            if nearest >= length - corner * 0.36 and shape.tail:
                 return M.TAIL_LIGHT
         return shape.paint
 
     solid.loft(rings, material, caps=False)
-    _end(solid, np.array(rings[-1]), shape.paint, front=True)
-    _end(solid, np.array(rings[0]), shape.paint, front=False)
+    _end(solid, np.array(rings[-1]), shape, front=True)
+    _end(solid, np.array(rings[0]), shape, front=False)
 
 
-def _end(solid: Solid, ring: Floats, paint: Material, *, front: bool) -> None:
+def _end(solid: Solid, ring: Floats, shape: CarShape, *, front: bool) -> None:
     """Add the front or the rear between the corners: bumper, grille and lamps in rows and columns."""
     rows = [(ring[j], ring[7 - j]) for j in range(4)]
     columns = (0.0, 0.26, 0.74, 1.0)  # from left to right
+    paint = shape.paint
     if front:
         table = ((paint, M.TRIM, paint), (M.HEADLIGHT, M.TRIM, M.HEADLIGHT), (paint, paint, paint))
     else:
-        lamps = (M.BRAKE_LIGHT, paint, M.BRAKE_LIGHT)
+        lamps = (M.BRAKE_LIGHT, paint, M.BRAKE_LIGHT) if shape.tail else (paint, paint, paint)
         table = ((paint, paint, paint), lamps, (paint, paint, paint))
     for (low_left, low_right), (high_left, high_right), materials in zip(rows, rows[1:], table, strict=False):
         for start, stop, material in zip(columns, columns[1:], materials, strict=False):
@@ -274,11 +277,14 @@ def _details(solid: Solid, shape: CarShape) -> None:
             )
     z = _at(shape.deck, shape.length) - 0.075 - shape.lamp[1]
     back = rear - 0.006
+    plate(solid, front + 0.008, shape.clearance + 0.14, 1)
+    if not shape.tail:
+        solid.add_both(left)
+        return
     for start, stop, material in ((0.44, 0.72, M.LEFT_INDICATOR), (0.26, 0.44, M.REVERSE_LIGHT)):
         y0, y1 = half * start, half * stop
         left.facet(((back, y1, z - 0.06), (back, y0, z - 0.06), (back, y0, z), (back, y1, z)), material)
     solid.add_both(left)
-    plate(solid, front + 0.008, shape.clearance + 0.14, 1)
     plate(solid, rear - 0.008, z - 0.12, -1)
     x = front - shape.cabin[3]
     solid.box((x - 0.05, -0.16, shape.roof - 0.06), (x + 0.06, 0.16, shape.roof - 0.03), M.BRAKE_LIGHT)

@@ -63,24 +63,18 @@ def _rider(solid: Solid, pose: Pose) -> None:
 def _wheel(solid: Solid, x: float, radius: float, width: float, *, spokes: Material | None) -> None:
     """Add a wheel in the middle plane; without spokes, one can see through it."""
     inner = radius * (0.68 if spokes is not None else 0.88)
-    profile = ((inner, -width / 2), (radius, -width / 4), (radius, width / 4), (inner, width / 2), (inner, -width / 2))
+    tyre = [(inner, -width / 2), (radius, -width / 4), (radius, width / 4), (inner, width / 2)]
     if spokes is None:
-        solid.tube(profile, (x, 0, radius), lambda i, _: M.RIM if i == 3 else M.TYRE, sides=14, caps=False)
+        ring = [*tyre, tyre[0]]
+        solid.tube(ring, (x, 0, radius), lambda i, _: M.RIM if i == 3 else M.TYRE, sides=14, caps=False)
         solid.limb((x, -0.05, radius), (x, 0.05, radius), (0.035, 0.035), M.CHROME, sides=5)
         return
-    profile = (
-        (0.0, -width * 0.3),
-        (inner, -width / 2),
-        (radius, -width / 4),
-        (radius, width / 4),
-        (inner, width / 2),
-        (0.0, width * 0.3),
-    )
 
     def material(i: int, j: int) -> Material:
         return M.TYRE if 0 < i < 4 else spokes if j % 2 == 0 else M.TRIM
 
-    solid.tube(profile, (x, 0, radius), material, sides=12, caps=False)
+    disc = [(0.0, -width * 0.3), *tyre, (0.0, width * 0.3)]
+    solid.tube(disc, (x, 0, radius), material, sides=12, caps=False)
 
 
 def motorcycle() -> Solid:

@@ -304,4 +304,5 @@ def _smooth(points: Floats, bodies: NDArray[np.intp], owner: NDArray[np.intp], s
     total = np.zeros_like(points)
     np.add.at(total, one[near], areas[owner[other[near]]])
     lengths = np.linalg.norm(total, axis=1, keepdims=True)
-    return np.where(lengths > 1e-12, total / np.maximum(lengths, 1e-12), directions[owner])
+    normals: Floats = np.where(lengths > 1e-12, total / np.maximum(lengths, 1e-12), directions[owner])
+    return normals

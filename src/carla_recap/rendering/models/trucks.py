@@ -30,6 +30,7 @@ CAB: Final = replace(
     narrowing=0.06,
     corner=0.16,
     lamp=(0.3, 0.12),
+    tail=False,
 )
 
 
@@ -119,7 +120,9 @@ def ambulance() -> Solid:
     """Return an ambulance: a van's cab and a high body with stripes."""
     length = 6.3
     shape = replace(VAN, length=2.9, axles=(0.98,), cabin=(1.0, 2.8, 1.6, 2.8), roof=2.05, pillars=(0.72,), glazed=0.75)
-    shape = replace(shape, deck=((0.0, 0.86), (0.12, 0.98), (0.5, 1.08), (1.0, 1.2), (2.9, 1.24)), wheel=0.38, width=2.0)
+    shape = replace(
+        shape, deck=((0.0, 0.86), (0.12, 0.98), (0.5, 1.08), (1.0, 1.2), (2.9, 1.24)), wheel=0.38, width=2.0, tail=False
+    )
     solid = _truck(shape, length, (4.95,))
     rear, front = -length / 2, length / 2 - 2.6
     solid.box((rear, -1.14, 0.62), (front, 1.14, 2.55), M.PAINT)
