@@ -10,15 +10,15 @@ import subprocess
 import sys
 from collections import defaultdict
 from pathlib import Path
-from types import SimpleNamespace
 
 import numpy as np
 import pytest
 from mcap.reader import make_reader
 
-from carla_recap import MissingExtra, NotARecording, RecapError, Spawn, open_recording
+from carla_recap import MissingExtra, NotARecording, RecapError, RecapWarning, Spawn, open_recording
 from carla_recap.export.foxglove import export_foxglove, layout_files
 from carla_recap.model.records import UE4, ActorKind
+from carla_recap.rendering.town import town_mesh_of
 from tests.replay.scripts import light, pose, spawn, velocity, write
 from tests.samples import carla_log, names_in
 
@@ -32,11 +32,17 @@ NODE = ROOT / "tests" / "node"
 REAL = ("carla-0.9.10-lane-center.log", "carla-0.9.13-lane-center.log")
 HERO, CYCLIST, GONE, FIRST_LIGHT = 100, 105, 103, 20  # of the crossing
 
+BODIES = ("/scene/vehicles", "/scene/walkers", "/scene/others")
 SCHEMAS = {
-    "/scene": "foxglove.SceneUpdate",
-    "/scene/still": "foxglove.SceneUpdate",
+    **dict.fromkeys(BODIES, "foxglove.SceneUpdate"),
+    "/scene/lamps": "foxglove.SceneUpdate",
+    "/scene/signals": "foxglove.SceneUpdate",
+    "/scene/marks": "foxglove.SceneUpdate",
+    "/scene/ahead": "foxglove.SceneUpdate",
     "/map": "foxglove.SceneUpdate",
     "/tf": "foxglove.FrameTransforms",
+    "/tf/actors": "foxglove.FrameTransforms",
+    "/tf/still": "foxglove.FrameTransforms",
     "/hero": "carla_recap.v1.Followed",
     "/lights": "carla_recap.v1.ShownLights",
     "/log": "foxglove.Log",
@@ -66,6 +72,8 @@ def seen(messages, until: float = math.inf):
         if time > until + 1e-6:
             break
         for deletion in message.deletions:
+            if deletion.type == deletion.ALL:
+                entities.clear()
             entities.pop(deletion.id, None)
         entities.update((entity.id, entity) for entity in message.entities)
     return entities
@@ -74,6 +82,28 @@ def seen(messages, until: float = math.inf):
 def latest(messages, time: float):
     """Return the message that a viewer shows after it has sought a time."""
     return [message for at, message in messages if at <= time + 1e-6][-1]
+
+
+def bodies(topics, until: float = math.inf):
+    """Return the bodies of all actors that a viewer shows at some time."""
+    return {id: entity for topic in BODIES for id, entity in seen(topics[topic], until).items()}
+
+
+def moves(topics, id: int, until: float = math.inf):
+    """Return the times and the transforms of the frame of an actor."""
+    found = [
+        (time, transform)
+        for topic in ("/tf/actors", "/tf/still")
+        for time, message in topics[topic]
+        for transform in message.transforms
+        if transform.child_frame_id == f"actor {id}" and time <= until + 1e-6
+    ]
+    return sorted(found, key=lambda pair: pair[0])
+
+
+def corners(entity):
+    """Return the points of the triangles of an entity."""
+    return np.array([xyz(point) for shape in entity.triangles for point in shape.points])
 
 
 def xyz(vector):
@@ -115,7 +145,7 @@ def test_foxgloves_own_libraries_read_an_export(tmp_path, name):
     assert done.returncode == 0, done.stderr
     found = json.loads(done.stdout)
     assert {topic: entry["schema"] for topic, entry in found["topics"].items()} == SCHEMAS
-    assert all(entry["count"] for entry in found["topics"].values())
+    assert all(entry["count"] for topic, entry in found["topics"].items())
     assert found["topics"]["/map"]["count"] == 1
     assert found["profile"] == ""
     assert found["library"].startswith("carla-recap/")
@@ -136,7 +166,7 @@ def test_a_file_is_overwritten_only_by_force(tmp_path):
         export(CROSSING, tmp_path / "out.mcap")
     assert (tmp_path / "out.mcap").read_bytes() == b"precious"
     export(CROSSING, tmp_path / "out.mcap", duration=1, force=True)
-    assert read(tmp_path / "out.mcap")["/scene"]
+    assert read(tmp_path / "out.mcap")["/scene/vehicles"]
 
 
 def test_a_failure_leaves_no_file(tmp_path):
@@ -214,13 +244,16 @@ def test_actors_have_their_recorded_poses(crossing, time):
         trajectory = recording.trajectory(HERO)
         box = recording.actors[HERO].bounding_box
     row = int(np.argmin(np.abs(trajectory.time - time)))
-    entities = {**seen(crossing["/scene/still"], time), **seen(crossing["/scene"], time)}
-    cube = entities[f"actor {HERO}"].cubes[0]
-    place = [trajectory.x[row], trajectory.y[row], trajectory.z[row] + box.z]
-    assert xyz(cube.pose.position) == pytest.approx(place, abs=1e-4)
-    yaw = 2 * math.atan2(cube.pose.orientation.z, cube.pose.orientation.w)
+    _, transform = moves(crossing, HERO, time)[-1]
+    assert xyz(transform.translation) == pytest.approx([trajectory.x[row], trajectory.y[row], trajectory.z[row]], abs=1e-4)
+    yaw = 2 * math.atan2(transform.rotation.z, transform.rotation.w)
     assert math.remainder(yaw - math.radians(trajectory.yaw[row]), 2 * math.pi) == pytest.approx(0, abs=1e-5)
-    assert xyz(cube.size) == pytest.approx([2 * box.extent_x, 2 * box.extent_y, 2 * box.extent_z])
+    entity = bodies(crossing, time)[f"actor {HERO}"]
+    assert (entity.frame_id, entity.frame_locked) == (f"actor {HERO}", True)
+    points = corners(entity)
+    size, middle = np.ptp(points, axis=0), (points.min(axis=0) + points.max(axis=0)) / 2
+    assert size == pytest.approx([2 * box.extent_x, 2 * box.extent_y, 2 * box.extent_z], abs=1e-3)
+    assert middle == pytest.approx([box.x, box.y, box.z], abs=1e-3)
 
 
 @pytest.mark.parametrize("name", REAL)
@@ -231,13 +264,10 @@ def test_actors_of_real_recordings_have_their_recorded_poses(tmp_path, name):
     with open_recording(source) as recording:
         (hero,) = recording.heroes
         trajectory = recording.trajectory(hero.id)
-    for time, message in topics["/scene"]:
-        for entity in message.entities:
-            if entity.id == f"actor {hero.id}":
-                cube = entity.cubes[0]
-                x, y = (np.interp(time, trajectory.time, getattr(trajectory, axis)) for axis in "xy")
-                assert math.dist((cube.pose.position.x, cube.pose.position.y), (x, y)) < 0.1
-    assert f"actor {hero.id}" not in seen(topics["/scene"])
+    for time, transform in moves(topics, hero.id):
+        x, y = (np.interp(time, trajectory.time, getattr(trajectory, axis)) for axis in "xy")
+        assert math.dist((transform.translation.x, transform.translation.y), (x, y)) < 0.1
+    assert f"actor {hero.id}" not in bodies(topics)
     times = [message.elapsed for _, message in topics["/hero"]]
     np.testing.assert_allclose(times, trajectory.time[: len(times)])
     assert len(times) >= len(trajectory.time) - 1
@@ -248,66 +278,76 @@ def test_a_box_with_a_center_turns_with_its_actor(record):
     frames = [{"spawned": [spawn(1)], "transforms": [pose(1)], "bounding_boxes": [box]}]
     frames += [{"transforms": [pose(1, x=1000 * n, y=200, yaw=90)]} for n in range(1, 3)]
     topics = record(*frames)
-    cube = seen(topics["/scene"])["actor 1"].cubes[0]
-    assert xyz(cube.pose.position) == pytest.approx([20 - 0.5, -2 - 1, 0.75])
-    assert xyz(cube.size) == pytest.approx([4, 2, 1.5])
+    points = corners(bodies(topics)["actor 1"])
+    assert (points.min(axis=0) + points.max(axis=0)) / 2 == pytest.approx([1, -0.5, 0.75], abs=1e-3)
+    assert np.ptp(points, axis=0) == pytest.approx([4, 2, 1.5], abs=1e-3)
+    _, transform = moves(topics, 1)[-1]
+    assert xyz(transform.translation) == pytest.approx([20, -2, 0])
+    assert math.degrees(2 * math.atan2(transform.rotation.z, transform.rotation.w)) == pytest.approx(-90)
 
 
 def test_a_destroyed_actor_is_deleted_at_its_time(crossing):
-    (time,) = [time for time, message in crossing["/scene"] for gone in message.deletions if gone.id == f"actor {GONE}"]
+    (time,) = [
+        time for time, message in crossing["/scene/vehicles"] for gone in message.deletions if gone.id == f"actor {GONE}"
+    ]
     assert time == pytest.approx(27.0)
-    assert f"actor {GONE}" in seen(crossing["/scene"], 26.9)
-    assert f"actor {GONE}" not in seen(crossing["/scene"], 27.0)
+    assert f"actor {GONE}" in bodies(crossing, 26.9)
+    assert f"actor {GONE}" not in bodies(crossing, 27.0)
 
 
 @pytest.mark.parametrize("time", [0.0, 12.0, 24.7, 37.0, 53.0])
 def test_seeking_shows_the_same_as_playing(crossing, time):
-    for topic in ("/scene", "/scene/still"):
+    for topic in (*BODIES, "/scene/lamps", "/scene/signals", "/scene/ahead"):
         sought = seen([(0, latest(crossing[topic], time))])
         assert sought == seen(crossing[topic], time)
 
 
 @pytest.mark.parametrize("time", [0.0, 12.0, 24.7, 37.0, 53.0])
-def test_every_actor_with_a_body_is_on_one_of_the_topics(crossing, time):
+def test_every_actor_with_a_body_is_shown_in_a_frame_of_its_own(crossing, time):
     from carla_recap.replay import Player
 
     with open_recording(CROSSING) as recording:
         there = {f"actor {id}" for id, actor in Player(recording).at(time).actors.items() if actor.kind != ActorKind.SENSOR}
-    moved, still = seen(crossing["/scene"], time), seen(crossing["/scene/still"], time)
-    assert moved.keys() | still.keys() == there
-    assert not moved.keys() & still.keys()
+    assert bodies(crossing, time).keys() == there
+    told = [[message for at, message in crossing[topic] if at <= time + 1e-6] for topic in ("/tf/actors", "/tf/still")]
+    frames = [transform.child_frame_id for messages in told for message in messages[-1:] for transform in message.transforms]
+    assert len(frames) == len(set(frames))
+    assert there <= set(frames)
 
 
 def test_an_actor_that_stands_still_is_not_repeated(crossing):
-    barrel = [time for time, message in crossing["/scene"] for entity in message.entities if entity.id == "actor 11"]
-    assert not barrel
-    assert len(crossing["/scene/still"]) < 60
+    assert len(moves(crossing, 11)) < 60
+    assert all(len(crossing[topic]) < 10 for topic in BODIES)
 
 
 def test_an_actor_that_starts_to_move_changes_the_topic(record):
     xs = [0, 0.2, 0.4, 50, 100, 100]
     topics = record(*({"spawned": [spawn(1)] if n == 0 else [], "transforms": [pose(1, x=x)]} for n, x in enumerate(xs)))
-    assert [time for time, _ in topics["/scene/still"]] == pytest.approx([0, 0.3])
-    assert topics["/scene/still"][1][1].deletions[0].id == "actor 1"
-    assert not seen(topics["/scene/still"])
-    found = [message.entities[0].cubes[0].pose.position.x for _, message in topics["/scene"] if message.entities]
+    assert [time for time, _ in topics["/tf/still"]] == pytest.approx([0, 0.3])
+    assert not topics["/tf/still"][1][1].transforms
+    found = [message.transforms[0].translation.x for _, message in topics["/tf/actors"]]
     assert found == pytest.approx([0.5, 1, 1])
+    assert len(topics["/scene/vehicles"]) == 1
 
 
 def test_an_entity_has_the_metadata_of_its_actor(crossing):
-    entity = seen(crossing["/scene"])[f"actor {HERO}"]
+    entity = bodies(crossing)[f"actor {HERO}"]
     metadata = {pair.key: pair.value for pair in entity.metadata}
     assert metadata == {"actor": "hero 100", "type_id": "vehicle.tesla.model3", "role_name": "hero"}
-    assert entity.frame_id == "world"
-    assert [round(255 * part) for part in (entity.cubes[0].color.r, entity.cubes[0].color.g)] == [255, 176]
+
+
+def test_a_body_has_the_recorded_colour(record):
+    topics = record({"spawned": [spawn(1, color="255,0,51")], "transforms": [pose(1)]})
+    colors = [shape.color for shape in bodies(topics)["actor 1"].triangles]
+    assert (255, 0, 51) in [tuple(round(255 * part) for part in (each.r, each.g, each.b)) for each in colors]
 
 
 def test_entities_have_the_time_of_their_message(crossing):
-    for time, message in crossing["/scene"][100:200]:
-        stamps = {entity.timestamp.ToNanoseconds() for entity in message.entities}
-        assert len(stamps) == 1
-        start = crossing["/log"][0][1].timestamp.ToNanoseconds()
-        assert stamps.pop() - start == pytest.approx(time * 1e9, abs=2)
+    start = crossing["/log"][0][1].timestamp.ToNanoseconds()
+    for topic in (*BODIES, "/scene/lamps", "/scene/signals", "/tf/actors", "/tf/still"):
+        for time, message in crossing[topic][:200]:
+            parts = message.transforms if topic.startswith("/tf") else message.entities
+            assert {part.timestamp.ToNanoseconds() - start for part in parts} <= {round(time * 1e9)}
 
 
 def test_an_id_that_is_used_again_is_another_actor(record):
@@ -318,29 +358,30 @@ def test_an_id_that_is_used_again_is_another_actor(record):
         {"spawned": [spawn(1, "walker.pedestrian.0001", x=900)], "transforms": [pose(1, x=900)]},
         {"transforms": [pose(1, x=900)]},
     )
-    assert not seen(topics["/scene"])
-    (walker,) = seen(topics["/scene/still"]).values()
+    (walker,) = bodies(topics).values()
     assert {pair.key: pair.value for pair in walker.metadata}["type_id"] == "walker.pedestrian.0001"
-    assert walker.cubes[0].size.z == pytest.approx(1.86)
+    assert np.ptp(corners(walker), axis=0)[2] == pytest.approx(1.86, abs=0.02)
+    assert moves(topics, 1)[-1][1].translation.x == pytest.approx(9)
 
 
 def test_an_actor_without_a_spawn_is_shown(record):
     topics = record(*({"transforms": [pose(5, x=100 * n)]} for n in range(3)))
-    assert list(seen(topics["/scene"])) == ["actor 5"]
+    assert list(bodies(topics)) == ["actor 5"]
 
 
 def test_a_box_that_is_not_recorded_is_faint(record):
     bag = Spawn(2, ActorKind.OTHER, type_id="static.prop.bag")
     topics = record({"spawned": [spawn(1), bag], "transforms": [pose(1), pose(2)]})
-    entities = seen(topics["/scene/still"])
-    assert [entities[f"actor {id}"].cubes[0].color.a for id in (1, 2)] == [1.0, 0.35]
+    entities = bodies(topics)
+    assert {shape.color.a for shape in entities["actor 1"].triangles} == {1.0}
+    assert entities["actor 2"].cubes[0].color.a == 0.35
 
 
 def test_an_attached_actor_moves_with_its_parent(record):
     bag = Spawn(2, ActorKind.OTHER, x=-100, type_id="static.prop.bag")
     frames = [{"spawned": [spawn(1), bag], "parented": [(2, 1)]}, {}, {}]
     topics = record(*({**frame, "transforms": [pose(1, x=1000 * n)]} for n, frame in enumerate(frames)))
-    assert seen(topics["/scene"])["actor 2"].cubes[0].pose.position.x == pytest.approx(19)
+    assert moves(topics, 2)[-1][1].translation.x == pytest.approx(19)
 
 
 def test_an_actor_at_nan_is_not_shown(record):
@@ -348,7 +389,7 @@ def test_an_actor_at_nan_is_not_shown(record):
     topics = record(
         *({"spawned": [spawn(1)] if n == 0 else [], "transforms": [pose(1, x=x)]} for n, x in enumerate(xs)), follow=1
     )
-    assert [bool(seen(topics["/scene"], n / 10)) for n in range(4)] == [False, True, False, True]
+    assert [bool(bodies(topics, n / 10)) for n in range(4)] == [True, True, False, True]
     assert [message.x for _, message in topics["/hero"]] == [0, 1, 3]
     assert [message.transforms[0].translation.x for _, message in topics["/tf"]] == [0, 1, 1, 3]
 
@@ -356,14 +397,13 @@ def test_an_actor_at_nan_is_not_shown(record):
 def test_an_actor_ten_thousand_kilometres_away_is_not_shown(record):
     xs = [0, 1e9, 9.99e8]
     topics = record(*({"spawned": [spawn(1)] if n == 0 else [], "transforms": [pose(1, x=x)]} for n, x in enumerate(xs)))
-    shown = [{**seen(topics["/scene"], n / 10), **seen(topics["/scene/still"], n / 10)} for n in range(3)]
-    assert [bool(entities) for entities in shown] == [True, False, True]
+    assert [bool(bodies(topics, n / 10)) for n in range(3)] == [True, False, True]
 
 
 def test_an_actor_that_stands_still_is_shown_once_its_location_is_a_number(record):
     xs = [math.nan, 100, 100]
     topics = record(*({"spawned": [spawn(1)] if n == 0 else [], "transforms": [pose(1, x=x)]} for n, x in enumerate(xs)))
-    assert [bool(seen(topics["/scene/still"], n / 10)) for n in range(3)] == [False, True, True]
+    assert [bool(bodies(topics, n / 10)) for n in range(3)] == [False, True, True]
 
 
 @pytest.mark.parametrize(
@@ -371,11 +411,14 @@ def test_an_actor_that_stands_still_is_shown_once_its_location_is_a_number(recor
 )
 def test_odd_recordings_are_exported(tmp_path, name):
     export(carla_log(name), tmp_path / "export.mcap")
-    for topic in ("/scene", "/scene/still"):
-        for _, message in read(tmp_path / "export.mcap")[topic]:
-            for entity in message.entities:
-                for shape in (*entity.cubes, *entity.spheres):
-                    assert np.isfinite([*xyz(shape.pose.position), shape.pose.orientation.w]).all()
+    topics = read(tmp_path / "export.mcap")
+    for topic in ("/tf", "/tf/actors", "/tf/still"):
+        for _, message in topics[topic]:
+            for transform in message.transforms:
+                assert np.isfinite([*xyz(transform.translation), transform.rotation.w]).all()
+    for topic in BODIES:
+        for _, message in topics[topic]:
+            assert all(np.isfinite(corners(entity)).all() for entity in message.entities)
 
 
 def test_a_fast_recording_is_thinned_except_for_the_followed_actor(record):
@@ -385,13 +428,13 @@ def test_a_fast_recording_is_thinned_except_for_the_followed_actor(record):
     topics = record(*frames, times=times)
     assert 15 <= len(topics["/tf"]) <= 24
     assert len(topics["/hero"]) == 101
-    assert 0.33 in [time for time, _ in topics["/scene/still"]]
-    assert topics["/scene"][-1][0] == pytest.approx(1.0)
+    assert 0.33 in [time for time, _ in topics["/scene/vehicles"]]
+    assert topics["/tf/actors"][-1][0] == pytest.approx(1.0)
 
 
 def test_a_recording_of_empty_frames_is_exported(record):
     topics = record({}, {}, {})
-    assert set(topics) == set(SCHEMAS) - {"/hero"}
+    assert set(topics) == set(SCHEMAS) - {"/hero", "/tf/actors"}
     (transform,) = topics["/tf"][-1][1].transforms
     assert transform.child_frame_id == "followed"
 
@@ -409,7 +452,7 @@ def test_lamps_have_the_colour_of_their_state(crossing):
         states = recording.light_states(FIRST_LIGHT)
     for time in (0.0, 8.0, 30.0):
         state = states.state[int(np.argmin(np.abs(states.time - time)))]
-        name, color = lamp(seen(crossing["/scene/still"], time)[f"actor {FIRST_LIGHT}"])
+        name, color = lamp(seen(crossing["/scene/signals"], time)[f"actor {FIRST_LIGHT}"])
         assert name == ("red", "yellow", "green")[state]
         assert color == [[235, 50, 45], [245, 200, 40], [50, 205, 90]][state]
         told = latest(crossing["/lights"], time)
@@ -429,11 +472,11 @@ def test_lights_are_written_when_they_change_and_at_the_end(record):
         (pytest.approx(0.2), 2),
         (pytest.approx(0.4), 2),
     ]
-    assert topics["/lights"][0][1].lights[0].entity in seen(topics["/scene/still"])
+    assert topics["/lights"][0][1].lights[0].entity in seen(topics["/scene/signals"])
 
 
 def test_the_light_ahead_is_the_nearest_in_front(record):
-    lights = [spawn(id, "traffic.traffic_light", x=x) for id, x in ((8, 3000), (9, 5000), (10, 30_000))]
+    lights = [spawn(id, "traffic.traffic_light", x=x, yaw=90) for id, x in ((8, 3000), (9, 5000), (10, 30_000))]
     states = [light(8, 0), light(9, 2), light(10, 1)]
     frames = [
         {"spawned": [spawn(1), *lights] if n == 0 else [], "transforms": [pose(1, x=x)], "light_states": states}
@@ -442,6 +485,15 @@ def test_the_light_ahead_is_the_nearest_in_front(record):
     topics = record(*frames, follow=1)
     told = [latest(topics["/lights"], n / 10).ahead for n in range(4)]
     assert [(one.id, one.state) for one in told] == [(8, 0), (8, 0), (9, 2), (0, 4)]
+    assert [one.text for one in told] == ["light 8: red", "light 8: red", "light 9: green", "none"]
+    marked = [seen(topics["/scene/ahead"], n / 10) for n in range(4)]
+    assert [[entity.frame_id for entity in entities.values()] for entities in marked] == [
+        ["actor 8"],
+        ["actor 8"],
+        ["actor 9"],
+        [],
+    ]
+    assert marked[0]["light ahead"].texts[0].text == "light 8: red"
 
 
 # --- the followed actor --------------------------------------------------------------------------------------------
@@ -553,24 +605,35 @@ def test_many_spawns_and_destructions_are_counted(record):
 # --- the map -------------------------------------------------------------------------------------------------------
 
 
-def test_the_map_is_written_at_the_beginning(record):
-    line = np.array([(0, 0, 0), (10, 0, 0), (20, 5, 1)], float)
-    square = np.array([(0, 0, 0), (1, 0, 0), (1, 1, 0), (0, 0, 0)], float)
-    roads = SimpleNamespace(
-        name="here", lane_borders=[line, line + 1], centre_lines=[line], junctions=[square], crossings=[], stop_lines=[]
-    )
-    topics = record({}, {}, road_map=roads)
-    ((time, message),) = topics["/map"]
+@pytest.fixture(scope="module")
+def brickfield():
+    pytest.importorskip("carla", reason="CARLA's library is not installed")
+    from carla_recap.maps import find_map, load_map
+
+    return load_map(find_map("Brickfield"))
+
+
+def test_the_town_is_written_at_the_beginning(tmp_path, brickfield):
+    crash = ROOT / "samples" / "crash.mcap"
+    export(crash, tmp_path / "export.mcap", road_map=brickfield, duration=1)
+    ((time, message),) = read(tmp_path / "export.mcap")["/map"]
     assert time == 0
-    entities = {entity.id: entity.lines[0] for entity in message.entities}
-    assert [xyz(point) for point in entities["centre lines"].points] == [[0, 0, 0], [10, 0, 0], [10, 0, 0], [20, 5, 1]]
-    assert {name: len(lines.points) for name, lines in entities.items()} == {
-        "lane borders": 8,
-        "centre lines": 4,
-        "junctions": 6,
-        "crossings": 0,
-        "stop lines": 0,
-    }
+    assert {entity.frame_id for entity in message.entities} == {"world"}
+    town = town_mesh_of(brickfield.opendrive, brickfield.name)
+    shapes = [shape for entity in message.entities for shape in entity.triangles]
+    assert sum(len(shape.indices) for shape in shapes) == sum(tile.triangles.size for tile in town.tiles)
+    assert all(max(shape.indices) < len(shape.points) for shape in shapes)
+    points = np.concatenate([corners(entity) for entity in message.entities])
+    assert points.min(axis=0) == pytest.approx(town.bounds[:, 0].min(axis=0), abs=1e-3)
+    assert points.max(axis=0) == pytest.approx(town.bounds[:, 1].max(axis=0), abs=1e-3)
+
+
+def test_a_map_of_another_town_is_left_out(tmp_path, brickfield):
+    source = write(tmp_path / "far.log", [{"spawned": [spawn(1)], "transforms": [pose(1, x=1e6)]}, {}])
+    with pytest.warns(RecapWarning, match="no actor is near this map"):
+        export(source, tmp_path / "export.mcap", road_map=brickfield)
+    ((_, message),) = read(tmp_path / "export.mcap")["/map"]
+    assert not message.entities
 
 
 # --- the layouts ---------------------------------------------------------------------------------------------------
@@ -624,7 +687,7 @@ def test_both_layouts_have_the_same_panels():
 def test_a_layout_names_only_topics_of_an_export(layout, record):
     named = {text for text in texts(layout) if text.startswith("/")}
     assert {re.match(r"/[a-z_/]+", text)[0] for text in named} <= set(SCHEMAS)
-    assert set(SCHEMAS) - {"/tf"} <= {re.match(r"/[a-z_/]+", text)[0] for text in named}
+    assert {topic for topic in SCHEMAS if not topic.startswith("/tf")} <= {re.match(r"/[a-z_/]+", text)[0] for text in named}
 
 
 def test_the_paths_of_a_layout_name_existing_fields(layout, crossing):
@@ -642,7 +705,7 @@ def test_the_paths_of_a_layout_name_existing_fields(layout, crossing):
 
 
 def test_a_layout_follows_from_behind(layout, crossing):
-    ((_, config),) = [panel for panel in panels(layout) if panel[0] in ("3D", "ThreeDee")]
+    (_, config), (_, above) = [panel for panel in panels(layout) if panel[0] in ("3D", "ThreeDee")]
     frames = {transform.child_frame_id for _, message in crossing["/tf"] for transform in message.transforms}
     assert config["followTf"] in frames
     assert config["followMode"] == "follow-pose"
@@ -651,6 +714,7 @@ def test_a_layout_follows_from_behind(layout, crossing):
     distance, phi, theta = camera["distance"], math.radians(camera["phi"]), -math.radians(camera["thetaOffset"])
     place = np.array([math.sin(phi) * math.sin(theta), -math.sin(phi) * math.cos(theta), math.cos(phi)]) * distance
     assert place + camera["targetOffset"] == pytest.approx([-10, 0, 5], abs=0.01)
+    assert (above["followTf"], above["cameraState"]["phi"], above["cameraState"]["perspective"]) == ("followed", 0, False)
 
 
 def test_the_event_log_is_shown(layout):

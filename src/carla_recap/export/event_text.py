@@ -9,13 +9,16 @@ from collections import Counter
 from enum import IntEnum
 from typing import TYPE_CHECKING, Final, NamedTuple
 
+from carla_recap.errors import RecapError
 from carla_recap.export import style
+from carla_recap.model.frame import SAME_TIME
+from carla_recap.queries.incidents import incidents
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator, Sequence
 
     from carla_recap.queries.incidents import Incident
-    from carla_recap.replay import Collided, Present, Scene
+    from carla_recap.replay import Collided, Player, Present, Scene
 
 _MANY: Final = 5  # the number of actors that appear or disappear in a scene from which on they are counted, not named
 _PAUSE: Final = 1.0  # s; actors that touch again within this time are still in the same contact
@@ -78,6 +81,14 @@ class EventText:
             if is_new:
                 level = Level.ERROR if event.hero1 or event.hero2 else Level.WARNING
                 yield Line(level, "collisions", style.sentence(event, self._actors), event)
+
+
+def incidents_of(player: Player) -> Iterable[Incident]:
+    """Return the incidents in the time that is played, without collisions; none if the recording is damaged elsewhere."""
+    try:
+        return incidents(player.reader, collisions=False, start=player.start, stop=player.stop + 2 * SAME_TIME)
+    except RecapError:
+        return []
 
 
 def incident_lines(found: Iterable[Incident]) -> Iterator[tuple[float, Line]]:

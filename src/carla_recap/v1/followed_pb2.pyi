@@ -8,7 +8,7 @@ from typing import ClassVar as _ClassVar, Optional as _Optional, Union as _Union
 DESCRIPTOR: _descriptor.FileDescriptor
 
 class Followed(_message.Message):
-    __slots__ = ("elapsed", "id", "type_id", "x", "y", "z", "roll", "pitch", "yaw", "speed", "speed_kmh", "throttle", "brake", "steer", "hand_brake", "gear")
+    __slots__ = ("elapsed", "id", "type_id", "x", "y", "z", "roll", "pitch", "yaw", "speed", "speed_kmh", "throttle", "brake", "steer", "hand_brake", "gear", "acceleration", "shown_throttle", "shown_brake")
     ELAPSED_FIELD_NUMBER: _ClassVar[int]
     ID_FIELD_NUMBER: _ClassVar[int]
     TYPE_ID_FIELD_NUMBER: _ClassVar[int]
@@ -25,6 +25,9 @@ class Followed(_message.Message):
     STEER_FIELD_NUMBER: _ClassVar[int]
     HAND_BRAKE_FIELD_NUMBER: _ClassVar[int]
     GEAR_FIELD_NUMBER: _ClassVar[int]
+    ACCELERATION_FIELD_NUMBER: _ClassVar[int]
+    SHOWN_THROTTLE_FIELD_NUMBER: _ClassVar[int]
+    SHOWN_BRAKE_FIELD_NUMBER: _ClassVar[int]
     elapsed: float
     id: int
     type_id: str
@@ -41,17 +44,22 @@ class Followed(_message.Message):
     steer: float
     hand_brake: bool
     gear: int
-    def __init__(self, elapsed: _Optional[float] = ..., id: _Optional[int] = ..., type_id: _Optional[str] = ..., x: _Optional[float] = ..., y: _Optional[float] = ..., z: _Optional[float] = ..., roll: _Optional[float] = ..., pitch: _Optional[float] = ..., yaw: _Optional[float] = ..., speed: _Optional[float] = ..., speed_kmh: _Optional[float] = ..., throttle: _Optional[float] = ..., brake: _Optional[float] = ..., steer: _Optional[float] = ..., hand_brake: _Optional[bool] = ..., gear: _Optional[int] = ...) -> None: ...
+    acceleration: float
+    shown_throttle: float
+    shown_brake: float
+    def __init__(self, elapsed: _Optional[float] = ..., id: _Optional[int] = ..., type_id: _Optional[str] = ..., x: _Optional[float] = ..., y: _Optional[float] = ..., z: _Optional[float] = ..., roll: _Optional[float] = ..., pitch: _Optional[float] = ..., yaw: _Optional[float] = ..., speed: _Optional[float] = ..., speed_kmh: _Optional[float] = ..., throttle: _Optional[float] = ..., brake: _Optional[float] = ..., steer: _Optional[float] = ..., hand_brake: _Optional[bool] = ..., gear: _Optional[int] = ..., acceleration: _Optional[float] = ..., shown_throttle: _Optional[float] = ..., shown_brake: _Optional[float] = ...) -> None: ...
 
 class ShownLight(_message.Message):
-    __slots__ = ("id", "state", "entity")
+    __slots__ = ("id", "state", "entity", "text")
     ID_FIELD_NUMBER: _ClassVar[int]
     STATE_FIELD_NUMBER: _ClassVar[int]
     ENTITY_FIELD_NUMBER: _ClassVar[int]
+    TEXT_FIELD_NUMBER: _ClassVar[int]
     id: int
     state: _light_states_pb2.TrafficLightColor
     entity: str
-    def __init__(self, id: _Optional[int] = ..., state: _Optional[_Union[_light_states_pb2.TrafficLightColor, str]] = ..., entity: _Optional[str] = ...) -> None: ...
+    text: str
+    def __init__(self, id: _Optional[int] = ..., state: _Optional[_Union[_light_states_pb2.TrafficLightColor, str]] = ..., entity: _Optional[str] = ..., text: _Optional[str] = ...) -> None: ...
 
 class ShownLights(_message.Message):
     __slots__ = ("elapsed", "ahead", "lights")

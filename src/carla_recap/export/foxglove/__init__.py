@@ -1,21 +1,24 @@
 """An export to Foxglove: an MCAP file with the schemas that its panels show, and layouts for them.
 
-| Topic          | Schema                       | What                                                                   |
-|----------------|------------------------------|------------------------------------------------------------------------|
-| `/scene`       | foxglove.SceneUpdate         | all actors that have moved so far, in each message                     |
-| `/scene/still` | foxglove.SceneUpdate         | all others, and traffic lights, whenever one of them changes           |
-| `/map`         | foxglove.SceneUpdate         | the road map, once; empty without one                                  |
-| `/tf`          | foxglove.FrameTransforms     | from `world` to `followed`, a calm and level frame, and to `hero`      |
-| `/hero`        | carla_recap.v1.Followed      | pose, speed and controls of the followed actor, in each frame          |
-| `/lights`      | carla_recap.v1.ShownLights   | the traffic light ahead of it, and all traffic lights                  |
-| `/log`         | foxglove.Log                 | events, as text                                                        |
+| Topic            | Schema                    | What                                                                    |
+|------------------|---------------------------|-------------------------------------------------------------------------|
+| `/map`           | foxglove.SceneUpdate      | the surfaces of the town, once; empty without a map                     |
+| `/scene/...`     | foxglove.SceneUpdate      | whenever they change: vehicles, walkers, others; lamps and signals that |
+|                  |                           | are lit; the light ahead of the followed actor; marks of collisions     |
+| `/tf`            | foxglove.FrameTransforms  | from `world` to `followed`, a calm and level frame, and to `hero`       |
+| `/tf/actors`     | foxglove.FrameTransforms  | the frames of actors that have moved so far, in each scene              |
+| `/tf/still`      | foxglove.FrameTransforms  | the frames of all others, whenever one comes, goes or moves             |
+| `/hero`          | carla_recap.v1.Followed   | pose, speed and controls of the followed actor, in each frame           |
+| `/lights`        | carla_recap.v1.ShownLights| the traffic light ahead of it, and all traffic lights                   |
+| `/log`           | foxglove.Log              | events and incidents, as text                                           |
 
-Every message of a scene is complete: a viewer that seeks reads only the latest message of each topic. Positions are in m,
-axes right-handed: x forward, y left, z up.
+Every message is complete: a viewer that seeks reads only the latest message of each topic. Positions are in m, axes
+right-handed: x forward, y left, z up.
 """
 
 from __future__ import annotations
 
+from concurrent.futures import ThreadPoolExecutor
 from typing import TYPE_CHECKING
 
 from carla_recap.editing.convert import check_destination
@@ -54,7 +57,7 @@ def export_foxglove(
         follow: The actor that the layouts follow: an id or "hero"; None: see `carla_recap.replay.choose_followed`.
         start: The beginning, in elapsed seconds; negative: in seconds before the end.
         duration: The number of seconds to export; 0: all of the rest.
-        road_map: The lines of the road, for `/map`.
+        road_map: The map of the town.
         force: Overwrite the file if it exists.
         progress: Is given the stream of scenes and their player, and passes the scenes on.
 
@@ -65,15 +68,24 @@ def export_foxglove(
         MissingExtra: The extra `foxglove` is not installed.
         RecapError: The recording has no such time or no such actor, or the file cannot be written.
     """
+    from carla_recap.export.ahead import stop_points
+    from carla_recap.export.event_text import incidents_of
+    from carla_recap.export.foxglove.town import town_of
     from carla_recap.export.foxglove.writer import FoxgloveWriter
 
     reader = source.reader
     check_destination(reader.path, destination, force=force)
     player = Player(source, start=start, duration=duration, follow=follow)
-    with FoxgloveWriter(destination, reader.header, _description(reader, player), player.followed, road_map) as writer:
-        for batch in player.batches(progress):
-            writer.write(batch)
-        return writer.end()
+    town = town_of(road_map, player)
+    description, stops = _description(reader, player), stop_points(reader)
+    with FoxgloveWriter(destination, reader.header, description, player.followed, town, stops) as writer:
+        with ThreadPoolExecutor(1, "carla-recap-incidents") as pool:
+            found = pool.submit(incidents_of, player)
+            for batch in player.batches(progress):
+                writer.write(batch)
+            played = writer.end()
+            writer.write_incidents(found.result())
+        return played
 
 
 def layout_files() -> dict[str, Path]:

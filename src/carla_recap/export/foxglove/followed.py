@@ -8,7 +8,11 @@ from typing import TYPE_CHECKING, Final, NamedTuple
 
 import numpy as np
 
+from carla_recap.export import style
+from carla_recap.export.ahead import NO_LIGHT, LightsAhead
+from carla_recap.export.foxglove.bodies import ahead_entity, frame_of
 from carla_recap.export.foxglove.messages import (
+    ALL_DELETED,
     WORLD,
     FrameTransform,
     FrameTransforms,
@@ -21,7 +25,7 @@ from carla_recap.export.foxglove.messages import (
     single,
     timestamp,
 )
-from carla_recap.export.foxglove.scene import entity_id
+from carla_recap.export.motion import Accelerations, HeldPedals
 from carla_recap.model.records import CM
 from carla_recap.replay import Destroyed, Spawned, calm_heading, level, quaternions, right_handed
 from carla_recap.replay.pose import JUMP, LOCATION, TOP_SPEED, YAW
@@ -33,6 +37,7 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
+    from carla_recap.export.ahead import StopPoints
     from carla_recap.export.foxglove.messages import Floats, Indices, Stamps
     from carla_recap.replay import Event
     from carla_recap.replay.scene import SceneBatch
@@ -40,13 +45,12 @@ if TYPE_CHECKING:
 TRANSFORMS: Final = "/tf"
 HERO: Final = "/hero"
 LIGHTS: Final = "/lights"
+AHEAD: Final = "/scene/ahead"
 
 _FOLLOWED_FRAME: Final = "followed"
 _HERO_FRAME: Final = "hero"
 
 _KMH: Final = 3.6  # in a m/s
-_AHEAD: Final = 6000.0  # cm; traffic lights farther away are not ahead
-_ASIDE: Final = math.cos(math.radians(30))  # nor those farther to the side
 
 _POSE: Final = ("x", "y", "z", "roll", "pitch", "yaw")
 _CONTROL: Final = ("throttle", "brake", "steer", "hand_brake", "gear")
@@ -152,6 +156,8 @@ class FollowedMotion:
 
     def __init__(self) -> None:
         self._path = _Path()
+        self._pedals = HeldPedals()
+        self._accelerations = Accelerations()
 
     def messages(self, batch: SceneBatch, id: int, found: KnownPoses) -> Iterator[TopicMessages]:
         """Yield the messages of the scenes of a batch in which the pose is known.
@@ -170,10 +176,18 @@ class FollowedMotion:
             values |= {name: control[name] for name in _CONTROL}
             values["hand_brake"] = values["hand_brake"] != 0
         speeds = self._speeds(batch, id, found)
+        if control is not None:
+            pedals = np.stack((control["throttle"], control["brake"]), axis=1).astype(np.float64)
+            values["shown_throttle"], values["shown_brake"] = self._pedals.of(found.time, pedals, speeds).T
         moving = found.known & np.isfinite(speeds)
+        accelerations = np.full(len(batch), np.nan)
+        accelerations[moving] = self._accelerations.of(found.time[moving], speeds[moving])
+        accelerated = moving & np.isfinite(accelerations)
+        fast = values | {"speed": speeds, "speed_kmh": speeds * _KMH}
         for some, columns in (
             (found.known & ~moving, values),
-            (moving, values | {"speed": speeds, "speed_kmh": speeds * _KMH}),
+            (moving & ~accelerated, fast),
+            (accelerated, fast | {"acceleration": accelerations}),
         ):
             if some.any():
                 messages, rows = _followed_template(tuple(columns), type_id).messages(HERO, np.flatnonzero(some))
@@ -194,64 +208,63 @@ class FollowedMotion:
 
 
 class LightMessages:
-    """The states of the traffic lights.
+    """The states of the traffic lights, and the light ahead of the followed actor, which is picked out in the scene.
+
+    Args:
+        stops: The points at which lights stop cars; see `carla_recap.export.ahead`.
 
     Attributes:
         latest: The latest message.
     """
 
-    def __init__(self) -> None:
+    def __init__(self, stops: StopPoints) -> None:
         self.latest = ShownLights()
-        self._ids = b""
-        self._locations: Floats = np.zeros((0, 2))  # cm
-        self._shown: tuple[bytes, int] | None = None  # the latest states, and the index of the light ahead
+        self._ahead = LightsAhead(stops)
+        self._shown: tuple[bytes, bytes, int] | None = None  # the latest ids and states, and the position of the light ahead
+        self._marked: str | None = None
 
-    def messages(self, batch: SceneBatch, rows: Indices, followed: KnownPoses) -> Iterator[TopicMessages]:
-        """Yield a message for each of some scenes in which a light has changed, or another light is ahead.
+    def messages(self, batch: SceneBatch, rows: Indices, stamps: Stamps, followed: KnownPoses) -> Iterator[TopicMessages]:
+        """Yield messages for each of some scenes in which a light has changed, or another light is ahead.
 
         Args:
             batch: The scenes.
             rows: The positions of the scenes that are shown.
+            stamps: The timestamp of each of these.
             followed: The followed actor in these.
         """
         lights = batch.light_states[rows]
-        ids = lights["id"][0]
-        if ids.tobytes() != self._ids or self._shown is None:
-            self._ids, self._shown = ids.tobytes(), None
-            poses = [batch.pose_of(id, int(rows[0])) for id in ids.tolist()]
-            self._locations = np.array([(np.nan, np.nan) if pose is None else pose[:2] for pose in poses]).reshape(-1, 2)
-        ahead = self._lights_ahead(followed)
-        states = lights["state"]
+        ids, states = lights["id"][0], lights["state"]
+        ahead = self._ahead.find(batch, right_handed(np.where(followed.known[:, None], followed.poses, np.nan)))
         changed = (states[1:] != states[:-1]).any(axis=1) | (ahead[1:] != ahead[:-1])
         for row in (0, *(np.flatnonzero(changed) + 1).tolist()):
-            shown = (states[row].tobytes(), int(ahead[row]))
-            if shown != self._shown:
-                self._shown = shown
-                self.latest = _shown_lights(batch.time[rows[row]].item(), ids, states[row], shown[1])
-                yield single(LIGHTS, int(rows[row]), self.latest)
+            shown = (ids.tobytes(), states[row].tobytes(), int(ahead[row]))
+            if shown == self._shown:
+                continue
+            self._shown = shown
+            self.latest = _shown_lights(batch.time[rows[row]].item(), ids, states[row], shown[2])
+            yield single(LIGHTS, int(rows[row]), self.latest)
+            yield from self._mark(batch, int(rows[row]), stamps[row])
 
-    def _lights_ahead(self, followed: KnownPoses) -> Indices:
-        """Return the index of the nearest light ahead of each pose; -1 without one."""
-        if not len(self._locations):
-            return np.full(len(followed.poses), -1)
-        with np.errstate(invalid="ignore", over="ignore"):
-            x, y = self._locations.T[:, None] - followed.poses[:, :2].T[..., None]
-            distances = np.hypot(x, y)
-            yaw = np.radians(followed.poses[:, YAW, None])
-            forward = x * np.cos(yaw) + y * np.sin(yaw)
-            ahead = (distances < _AHEAD) & (forward > _ASIDE * distances) & followed.known[:, None]
-        distances[~ahead] = np.inf
-        nearest: Indices = np.where(ahead.any(axis=1), distances.argmin(axis=1), -1)
-        return nearest
+    def _mark(self, batch: SceneBatch, row: int, stamp: Stamps) -> Iterator[TopicMessages]:
+        """Yield the mark of the light ahead, if another one is ahead, or its state has changed."""
+        light = self.latest.ahead
+        if light.text == self._marked:
+            return
+        self._marked = light.text
+        actor = batch.actors.get(light.id)
+        if actor is None:
+            yield single(AHEAD, row, ALL_DELETED)
+            return
+        yield single(AHEAD, row, ahead_entity(actor, light.state, light.text)[: -stamp.size] + stamp.tobytes())
 
 
 def _shown_lights(elapsed: float, ids: NDArray[np.integer], states: NDArray[np.integer], ahead: int) -> ShownLights:
     lights = [
-        ShownLight(id=id, state=_color_name(state), entity=entity_id(id))
+        ShownLight(id=id, state=_color_name(state), entity=frame_of(id), text=f"light {id}: {style.light(state)[0]}")
         for id, state in zip(ids.tolist(), states.tolist(), strict=True)
     ]
-    none = ShownLight(id=0, state=TRAFFIC_LIGHT_COLOR_UNKNOWN, entity="")
-    return ShownLights(elapsed=elapsed, ahead=none if ahead < 0 else lights[ahead], lights=lights)
+    none = ShownLight(id=0, state=TRAFFIC_LIGHT_COLOR_UNKNOWN, entity="", text="none")
+    return ShownLights(elapsed=elapsed, ahead=none if ahead == NO_LIGHT else lights[ahead], lights=lights)
 
 
 def _color_name(state: int) -> str:

@@ -33,6 +33,9 @@ try:
     from foxglove_schemas_protobuf.SceneEntity_pb2 import SceneEntity as SceneEntity
     from foxglove_schemas_protobuf.SceneEntityDeletion_pb2 import SceneEntityDeletion as SceneEntityDeletion
     from foxglove_schemas_protobuf.SceneUpdate_pb2 import SceneUpdate as SceneUpdate
+    from foxglove_schemas_protobuf.SpherePrimitive_pb2 import SpherePrimitive as SpherePrimitive
+    from foxglove_schemas_protobuf.TextPrimitive_pb2 import TextPrimitive as TextPrimitive
+    from foxglove_schemas_protobuf.TriangleListPrimitive_pb2 import TriangleListPrimitive as TriangleListPrimitive
     from foxglove_schemas_protobuf.Vector3_pb2 import Vector3 as Vector3
 except ImportError:
     raise MissingExtra("an export to Foxglove", "foxglove") from None
@@ -50,6 +53,9 @@ if TYPE_CHECKING:
 
 WORLD: Final = "world"
 """The frame of all positions."""
+
+ALL_DELETED: Final = SceneUpdate(deletions=[SceneEntityDeletion(type=SceneEntityDeletion.ALL)])
+"""A message after which a topic shows nothing."""
 
 _FORMATS: Final = {
     FieldDescriptor.TYPE_DOUBLE: (FIXED64, "<f8"),

@@ -1,4 +1,8 @@
-"""The 3D scene: actors that have moved, actors that have not, and the road map."""
+"""The 3D scene: the actors as entities in frames of their own, and the transforms that move these frames.
+
+An entity is written when it changes: when an actor appears, disappears or falls, or a lamp goes on or off. Only transforms
+are written in each scene.
+"""
 
 from __future__ import annotations
 
@@ -8,23 +12,17 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
-from carla_recap.export import style
+from carla_recap.export.foxglove import bodies
+from carla_recap.export.foxglove.falls import Falls
 from carla_recap.export.foxglove.messages import (
     WORLD,
-    Color,
-    CubePrimitive,
-    CylinderPrimitive,
-    KeyValuePair,
-    LinePrimitive,
+    FrameTransform,
+    FrameTransforms,
     MessagePart,
     MessageTemplate,
-    Point3,
-    Pose,
-    SceneEntity,
     SceneEntityDeletion,
     SceneUpdate,
     TopicMessages,
-    Vector3,
     fill_pose,
     pose_numbers,
     single,
@@ -32,112 +30,101 @@ from carla_recap.export.foxglove.messages import (
 )
 from carla_recap.formats.mcap.schema import MESSAGE
 from carla_recap.model.records import ActorKind, Spawn
+from carla_recap.rendering.actors import BRAKE, REVERSE, lamps_of_vehicles
 from carla_recap.replay import Present, quaternions, right_handed
 from carla_recap.replay.pose import LOCATION, change
 from carla_recap.replay.selection import NO_IDS, find
 from carla_recap.v1.light_states_pb2 import TRAFFIC_LIGHT_COLOR_UNKNOWN
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Iterator, Mapping, Sequence
+    from collections.abc import Iterable, Iterator, Sequence
 
     from numpy.typing import NDArray
 
+    from carla_recap.export.foxglove.bodies import Fall
     from carla_recap.export.foxglove.messages import Floats, Indices, Stamps
-    from carla_recap.maps import RoadMap
+    from carla_recap.rendering.looks import Look
     from carla_recap.replay.scene import SceneBatch
     from carla_recap.replay.selection import Ids
 
-MOVED: Final = "/scene"
-STILL: Final = "/scene/still"
-MAP: Final = "/map"
+MOVED: Final = "/tf/actors"
+STILL: Final = "/tf/still"
 
 _MOVED_BY: Final = np.array([1.0, 1.0, 1.0, 0.1, 0.1, 0.1])  # cm and degrees; an actor farther from its first pose has moved
-_FAINT: Final = 0.35  # opacity of a box that only stands for something; Foxglove's cubes have no outlines
 _FAR: Final = 1e9  # cm and degrees; a pose beyond is not shown
+_MOST_MODELS: Final = 300  # of the present actors; further ones are boxes
+_BRAKING: Final = 0.02  # of the brake pedal, from which on the lamps are lit
 
-_CUBES: Final = SceneEntity.CUBES_FIELD_NUMBER
-_SPHERES: Final = SceneEntity.SPHERES_FIELD_NUMBER
-_POSE: Final = pose_numbers(Pose.POSITION_FIELD_NUMBER, Pose.ORIENTATION_FIELD_NUMBER).within(
-    CubePrimitive.POSE_FIELD_NUMBER
-)
-_TIMESTAMP: Final = timestamp(SceneEntity.TIMESTAMP_FIELD_NUMBER)
-_CHANGING: Final = _POSE + _TIMESTAMP
-"""The end of an entity, the only part that differs from message to message: the pose of its cube or sphere, and the time."""
-
-
-def entity_id(id: int) -> str:
-    """Return the id of an actor's entity."""
-    return f"actor {id}"
+_POSE: Final = pose_numbers(FrameTransform.TRANSLATION_FIELD_NUMBER, FrameTransform.ROTATION_FIELD_NUMBER)
+_CHANGING: Final = _POSE + timestamp(FrameTransform.TIMESTAMP_FIELD_NUMBER)
+"""The end of a transform, the only part that differs from message to message."""
 
 
 @dataclass(eq=False, slots=True)
-class _ActorEntity:
-    """An actor as an entity.
+class _ShownActor:
+    """An actor with a body.
 
     Attributes:
         actor: The actor.
-        state: The state of a traffic light.
-        has_body: Whether the actor is no sensor.
+        look: Its look.
+        detailed: Whether its model is shown, not only its box.
+        topic: The topic of its body.
         spawn_pose: The pose without a recorded one; NaN if the actor is attached to a parent.
         first: The first pose; NaN before.
         moved: Whether the actor has moved since.
-        data: The serialized entity, with the actor at the origin.
-        center: The centre of the box, or of the lamp, in the actor's own axes, in m.
+        fall: How it lies; None while it stands.
+        body: The serialized entity of its body.
+        transform: The serialized transform of its frame, with the frame at the origin.
     """
 
     actor: Present
-    state: int = TRAFFIC_LIGHT_COLOR_UNKNOWN
-    has_body: bool = True
+    look: Look
+    detailed: bool
+    topic: str = ""
     spawn_pose: Floats = field(default_factory=lambda: np.full(6, np.nan))
     first: Floats = field(default_factory=lambda: np.full(6, np.nan))
     moved: bool = False
-    data: bytes = b""
-    center: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    fall: Fall | None = None
+    body: bytes = b""
+    transform: bytes = b""
 
-    _drawn: dict[int, bytes] = field(default_factory=dict)  # by state
+    _lit: dict[int, bytes] = field(default_factory=dict)
 
-    def draw(self, actor: Present) -> None:
+    def draw(self, actor: Present, look: Look) -> None:
         """Set the actor, and what depends on it."""
-        self.actor = actor
-        self.has_body = actor.kind != ActorKind.SENSOR and not actor.type_id.startswith("sensor.")
+        self.actor, self.look = actor, look
+        self.topic = bodies.topic_of(actor)
         self.spawn_pose = np.full(6, np.nan) if actor.attached else actor.spawn_pose
-        self._drawn = {}
-        self.set_state(self.state)
+        self._lit = {}
+        frame = FrameTransform(parent_frame_id=WORLD, child_frame_id=bodies.frame_of(actor.id)).SerializeToString()
+        self.transform = (MessagePart(frame) + _CHANGING).within(FrameTransforms.TRANSFORMS_FIELD_NUMBER).data
+        self.set_fall(self.fall)
 
-    def set_state(self, state: int) -> None:
-        """Set the state of a traffic light, and what depends on it."""
-        self.state = state
-        if state not in self._drawn:
-            self._drawn[state] = self._serialize()
-        self.data = self._drawn[state]
+    def set_fall(self, fall: Fall | None) -> None:
+        """Let a walker lie, or stand."""
+        self.fall = fall
+        self.body = bodies.body(self.actor, self.look, fall, detailed=self.detailed)
 
-    def _serialize(self) -> bytes:
-        actor = self.actor
-        metadata = {"actor": style.label_of(actor), "type_id": actor.type_id, "role_name": actor.role_name}
-        if actor.kind == ActorKind.TRAFFIC_LIGHT:
-            state, rgb = style.light(self.state)
-            start = _start(actor, metadata | {"state": state}, _pole(actor))
-            self.center = (0.0, 0.0, style.LAMP_UP)
-            return _serialized(start, _SPHERES, (style.LAMP, style.LAMP, style.LAMP), _color(rgb))
-        box = style.box_of(actor)
-        size = (2 * box.extent_x, 2 * box.extent_y, 2 * box.extent_z)
-        opacity = _FAINT if style.is_outlined(actor) else 1.0
-        self.center = (box.x, box.y, box.z)
-        return _serialized(_start(actor, metadata), _CUBES, size, _color(style.color_of(actor), opacity))
+    def lit(self, lamps: int) -> bytes:
+        """Return the entity of the lit lamps of a vehicle, or of a traffic light, whose lamps are 1 more than its state."""
+        if lamps not in self._lit:
+            is_signal = self.actor.kind == ActorKind.TRAFFIC_LIGHT
+            make = bodies.signal if is_signal else bodies.lamps
+            self._lit[lamps] = make(self.actor, self.look, lamps - is_signal)
+        return self._lit[lamps]
 
 
-class _EntitiesTemplate:
-    """A message with the entities of some actors, whose poses differ from message to message.
+class _TransformsTemplate:
+    """A message with the transforms of some actors, whose poses differ from message to message.
 
     Attributes:
-        entities: The serialized entities.
+        transforms: The serialized transforms.
     """
 
-    def __init__(self, entities: Sequence[_ActorEntity]) -> None:
-        self.entities = [entity.data for entity in entities]
-        self._template = MessageTemplate(MessagePart(b"".join(self.entities)))
-        self._ends = (MESSAGE.size + np.cumsum([len(entity.data) for entity in entities], dtype=np.intp)).tolist()
-        self._centers = np.array([entity.center for entity in entities]).reshape(-1, 3)
+    def __init__(self, transforms: list[bytes]) -> None:
+        self.transforms = transforms
+        self._template = MessageTemplate(MessagePart(b"".join(transforms)))
+        self._ends = (MESSAGE.size + np.cumsum([len(data) for data in transforms], dtype=np.intp)).tolist()
 
     def messages(self, topic: str, rows: Indices, stamps: Stamps, poses: Floats) -> TopicMessages:
         """Return the messages of some scenes.
@@ -155,13 +142,36 @@ class _EntitiesTemplate:
         ends = changing.view(_CHANGING.dtype)[..., 0]
         # Numbers of less precision, far below what can be seen, make a smaller file.
         with np.errstate(over="ignore"):
-            positions = (poses[..., LOCATION] + _rotated(self._centers, turns)).astype(np.float32)
-            fill_pose(ends, positions, turns.astype(np.float32))
+            fill_pose(ends, poses[..., LOCATION].astype(np.float32), turns.astype(np.float32))
         ends["timestamp"] = stamps[:, None]
         messages, _ = self._template.messages(topic, rows)
-        for entity, end in enumerate(self._ends):
-            messages.data[:, end - ends.itemsize : end] = changing[:, entity]
+        for index, end in enumerate(self._ends):
+            messages.data[:, end - ends.itemsize : end] = changing[:, index]
         return messages
+
+
+class _TopicEntities:
+    """The entities that a topic shows; each of its messages has all of them."""
+
+    def __init__(self, topic: str) -> None:
+        self._topic = topic
+        self._shown: dict[str, bytes] = {}
+
+    def messages(self, entities: dict[str, bytes], row: int, stamp: Stamps, *, fresh: bool) -> Iterator[TopicMessages]:
+        """Yield a message if the entities have changed, or if it is the first one.
+
+        Args:
+            entities: The serialized entities by their ids.
+            row: The position of the scene in the batch.
+            stamp: Its timestamp.
+            fresh: Whether it is the first scene.
+        """
+        if entities == self._shown and not fresh:
+            return
+        time = stamp.tobytes()
+        gone = _deletions([id for id in self._shown if id not in entities], time)
+        self._shown = entities
+        yield single(self._topic, row, gone + b"".join(data[: -len(time)] + time for data in entities.values()))
 
 
 class _ShownPoses:
@@ -211,24 +221,31 @@ class _ShownPoses:
 
 
 class ActorEntities:
-    """The messages of the actors, on two topics. Sensors, which have no body, are left out."""
+    """The messages of the actors: transforms, bodies, lamps. Sensors, which have no body, are left out."""
 
     def __init__(self) -> None:
         self._actors: list[Present] = []
         self._unknown: list[int] = []  # the ids of recorded poses without actors
         self._ids: Ids | None = None
-        self._entities: dict[int, _ActorEntity] = {}
-        self._shown: list[_ActorEntity] = []  # those with a body
+        self._all: dict[int, tuple[Present, _ShownActor | None]] = {}
+        self._shown: list[_ShownActor] = []
         self._shown_ids = NO_IDS
         self._columns: Indices = np.zeros(0, np.intp)  # see `_ShownPoses`
         self._others: Floats = np.zeros((0, 6))  # the poses of the shown actors without recorded ones
-        self._spawn_poses: Floats = np.zeros((0, 6))  # see `_ActorEntity`
+        self._spawn_poses: Floats = np.zeros((0, 6))  # see `_ShownActor`
         self._carried: list[tuple[int, int]] = []  # position and id of those of them that are attached to a parent
         self._first: Floats = np.zeros((0, 6))  # the first finite poses
         self._moved: NDArray[np.bool_] = np.zeros(0, np.bool_)
-        self._lights: tuple[bytes, bytes] | None = None  # the latest ids and states
-        self._before = {MOVED: NO_IDS, STILL: NO_IDS}  # the actors of the latest message
-        self._templates = {MOVED: _EntitiesTemplate([]), STILL: _EntitiesTemplate([])}  # and its template
+        self._falls = Falls()
+        self._order: Indices = np.zeros(0, np.intp)  # the shown actors, by their ids
+        self._sorted_ids = NO_IDS
+        self._signals: Indices = np.zeros(0, np.intp)  # the positions of the traffic lights among the shown actors
+        self._lit: tuple[bytes, bytes] | None = None  # the ids and the lit lamps of the latest message
+        self._before = NO_IDS  # the actors of the latest message of those that have not moved
+        self._templates = {MOVED: _TransformsTemplate([]), STILL: _TransformsTemplate([])}
+        self._bodies = {topic: _TopicEntities(topic) for topic in (bodies.VEHICLES, bodies.WALKERS, bodies.OTHERS)}
+        self._lamps = _TopicEntities(bodies.LAMPS)
+        self._states = _TopicEntities(bodies.SIGNALS)
 
     def messages(self, batch: SceneBatch, rows: Indices, stamps: Stamps) -> Iterator[TopicMessages]:
         """Yield the messages of some scenes of a batch.
@@ -239,30 +256,96 @@ class ActorEntities:
             stamps: The timestamp of each of these.
         """
         changed = self._take_actors(batch)
+        changed |= self._take_falls(batch)
         poses = self._poses(batch, rows)
         present = poses.present()
         moves = self._find_moves(poses, present)
-        ids, states = batch.light_states["id"][0], batch.light_states["state"][rows]
         starts = {0, *moves[moves < len(rows)].tolist()}
-        for values in (present, states):
-            starts.update((np.flatnonzero((values[1:] != values[:-1]).any(axis=1)) + 1).tolist())
-        edges = [*sorted(starts), len(rows)]
-        for start, stop in pairwise(edges):
-            changed |= self._take_lights(ids, states[start])
+        starts.update((np.flatnonzero((present[1:] != present[:-1]).any(axis=1)) + 1).tolist())
+        for start, stop in pairwise([*sorted(starts), len(rows)]):
             for index in np.flatnonzero(moves == start).tolist():
-                self._shown[index].moved = self._moved[index] = changed = True
+                self._shown[index].moved = self._moved[index] = True
             fresh = batch.fresh and not rows[start]
             indices = np.flatnonzero(present[start] & self._moved)
-            gone = self._take_shown(MOVED, indices)
-            if len(indices) or gone or fresh:
-                some = slice(start, stop if len(indices) else start + 1)
-                yield from self._messages(MOVED, indices, gone or (), rows[some], stamps[some], poses.of(indices, some))
+            if len(indices):
+                some = slice(start, stop)
+                yield self._transforms(MOVED, indices, rows[some], stamps[some], poses.of(indices, some))
             indices = np.flatnonzero(present[start] & ~self._moved)
-            gone = self._take_shown(STILL, indices)
-            if changed or gone is not None or fresh:
+            ids = self._shown_ids[indices]
+            if changed or fresh or not np.array_equal(ids, self._before):
+                self._before = ids
                 some = slice(start, start + 1)
-                yield from self._messages(STILL, indices, gone or (), rows[some], stamps[some], poses.of(indices, some))
+                yield self._transforms(STILL, indices, rows[some], stamps[some], poses.of(indices, some))
+            yield from self._show_bodies(present[start], int(rows[start]), stamps[start], fresh=fresh)
             changed = False
+        yield from self._show_lamps(batch, rows, stamps, present)
+
+    def _show_bodies(self, present: NDArray[np.bool_], row: int, stamp: Stamps, *, fresh: bool) -> Iterator[TopicMessages]:
+        entities: dict[str, dict[str, bytes]] = {topic: {} for topic in self._bodies}
+        for index in np.flatnonzero(present).tolist():
+            shown = self._shown[index]
+            entities[shown.topic][bodies.frame_of(shown.actor.id)] = shown.body
+        for topic, found in entities.items():
+            yield from self._bodies[topic].messages(found, row, stamp, fresh=fresh)
+
+    def _show_lamps(
+        self, batch: SceneBatch, rows: Indices, stamps: Stamps, present: NDArray[np.bool_]
+    ) -> Iterator[TopicMessages]:
+        """Yield the messages of the lamps, whenever one goes on or off."""
+        lit = self._lit_lamps(batch, rows)
+        lit[~present] = 0
+        starts = (0, *(np.flatnonzero((lit[1:] != lit[:-1]).any(axis=1)) + 1).tolist())
+        for start in starts:
+            fresh = batch.fresh and not rows[start]
+            known = (self._shown_ids.tobytes(), lit[start].tobytes())
+            if known == self._lit and not fresh:
+                continue
+            self._lit = known
+            lamps: dict[str, bytes] = {}
+            states: dict[str, bytes] = {}
+            for index in np.flatnonzero(lit[start]).tolist():
+                shown = self._shown[index]
+                data = shown.lit(int(lit[start, index]))
+                if shown.actor.kind == ActorKind.TRAFFIC_LIGHT:
+                    states[bodies.frame_of(shown.actor.id)] = data
+                else:
+                    lamps[bodies.lamps_id(shown.actor.id)] = data
+            yield from self._lamps.messages(lamps, int(rows[start]), stamps[start], fresh=fresh)
+            yield from self._states.messages(states, int(rows[start]), stamps[start], fresh=fresh)
+
+    def _lit_lamps(self, batch: SceneBatch, rows: Indices) -> NDArray[np.uint64]:
+        """Return the lit lamps of each shown actor, and 1 more than the state of each light, (scenes, actors)."""
+        lit = np.zeros((len(rows), len(self._shown)), np.uint64)
+        lit[:, self._signals] = 1 + TRAFFIC_LIGHT_COLOR_UNKNOWN
+        if not len(self._shown):
+            return lit
+        for name in ("vehicle_lights", "vehicle_controls", "light_states"):
+            records = batch.light_states if name == "light_states" else batch.records(name)
+            columns, known = find(records["id"][0].astype(np.uint32), self._sorted_ids)
+            columns = self._order[columns[known]]
+            records = records[rows][:, known]
+            if name == "vehicle_lights":
+                lit[:, columns] |= lamps_of_vehicles(records["flags"])
+            elif name == "vehicle_controls":
+                flags = BRAKE * (records["brake"] > _BRAKING) + REVERSE * (records["gear"] < 0)
+                lit[:, columns] |= lamps_of_vehicles(flags)
+            else:
+                states = records["state"].astype(np.int64)
+                states[(states < 0) | (states > TRAFFIC_LIGHT_COLOR_UNKNOWN)] = TRAFFIC_LIGHT_COLOR_UNKNOWN
+                signals = np.isin(columns, self._signals)
+                lit[:, columns[signals]] = 1 + states[:, signals]
+        return lit
+
+    def _take_falls(self, batch: SceneBatch) -> bool:
+        """Let walkers fall and get up; return whether any has."""
+        changed = False
+        falls = self._falls.of(batch)
+        for shown in self._shown:
+            fall = falls.get(shown.actor.id)
+            if fall != shown.fall:
+                shown.set_fall(fall)
+                changed = True
+        return changed
 
     def _take_actors(self, batch: SceneBatch) -> bool:
         """Set what depends on the actors of a batch; return whether they have changed."""
@@ -273,7 +356,6 @@ class ActorEntities:
         if actors != self._actors or unknown != self._unknown:
             self._take_entities([*actors, *(Present(Spawn(id), batch.time[0].item()) for id in unknown)])
         self._actors, self._unknown, self._ids = actors, unknown, batch.ids
-        self._lights = None
         self._columns, recorded = find(self._shown_ids, batch.ids)
         others = np.flatnonzero(~recorded)
         self._columns[others] = len(batch.ids) + np.arange(len(others))
@@ -283,21 +365,30 @@ class ActorEntities:
         return True
 
     def _take_entities(self, actors: Iterable[Present]) -> None:
-        """Set the entities, given all actors."""
-        entities: dict[int, _ActorEntity] = {}
+        """Set the shown actors, given all actors."""
+        known, self._all = self._all, {}
+        models = sum(shown.detailed for _, shown in known.values() if shown is not None)
         for actor in actors:
-            entity = self._entities.get(actor.id)
-            if entity is None or (entity.actor is not actor and entity.actor.spawn != actor.spawn):
-                entity = _ActorEntity(actor)
-            if not entity.data or (entity.actor is not actor and entity.actor != actor):
-                entity.draw(actor)
-            entities[actor.id] = entity
-        self._entities = entities
-        self._shown = [entity for entity in entities.values() if entity.has_body]
-        self._shown_ids = np.array([entity.actor.id for entity in self._shown], np.uint32)
-        self._spawn_poses = np.array([entity.spawn_pose for entity in self._shown]).reshape(-1, 6)
-        self._first = np.array([entity.first for entity in self._shown]).reshape(-1, 6)
-        self._moved = np.array([entity.moved for entity in self._shown], np.bool_)
+            before, shown = known.get(actor.id, (None, None))
+            if before is None or (before is not actor and before.spawn != actor.spawn):
+                look = bodies.look_of(actor)
+                shown = None
+                if look is not None:
+                    shown = _ShownActor(actor, look, models < _MOST_MODELS)
+                    models += shown.detailed
+                    shown.draw(actor, look)
+            elif shown is not None and before is not actor and before != actor:
+                shown.draw(actor, bodies.look_of(actor) or shown.look)
+            self._all[actor.id] = actor, shown
+        self._shown = [shown for _, shown in self._all.values() if shown is not None]
+        self._shown_ids = np.array([shown.actor.id for shown in self._shown], np.uint32)
+        self._order = np.argsort(self._shown_ids)
+        self._sorted_ids = self._shown_ids[self._order]
+        self._spawn_poses = np.array([shown.spawn_pose for shown in self._shown]).reshape(-1, 6)
+        self._first = np.array([shown.first for shown in self._shown]).reshape(-1, 6)
+        self._moved = np.array([shown.moved for shown in self._shown], np.bool_)
+        lights = [shown.actor.kind == ActorKind.TRAFFIC_LIGHT for shown in self._shown]
+        self._signals = np.flatnonzero(lights)
 
     def _poses(self, batch: SceneBatch, rows: Indices) -> _ShownPoses:
         """Return the poses of all shown actors in some scenes."""
@@ -322,70 +413,13 @@ class ActorEntities:
         moves[still[away.any(axis=0)]] = away.argmax(axis=0)[away.any(axis=0)]
         return moves
 
-    def _take_lights(self, ids: NDArray[np.integer], states: NDArray[np.integer]) -> bool:
-        """Set the states of the traffic lights; return whether one of them has changed."""
-        lights = (ids.tobytes(), states.tobytes())
-        if lights == self._lights:
-            return False
-        self._lights = lights
-        changed = False
-        for id, state in zip(ids.tolist(), states.tolist(), strict=True):
-            entity = self._entities.get(id)
-            if entity is not None and entity.state != state:
-                entity.set_state(state)
-                changed = True
-        return changed
-
-    def _take_shown(self, topic: str, indices: Indices) -> list[str] | None:
-        """Set the actors that a topic shows; return the entities that it no longer shows, None if all are the same."""
-        before, now = self._before[topic], self._shown_ids[indices]
-        self._before[topic] = now
-        if np.array_equal(before, now):
-            return None
-        return [entity_id(id) for id in sorted(set(before.tolist()).difference(now.tolist()))]
-
-    def _messages(
-        self, topic: str, indices: Indices, gone: Iterable[str], rows: Indices, stamps: Stamps, poses: Floats
-    ) -> Iterator[TopicMessages]:
-        """Yield messages that show the same actors; the first of them deletes the entities that are gone."""
-        entities = [self._shown[index] for index in indices.tolist()]
+    def _transforms(self, topic: str, indices: Indices, rows: Indices, stamps: Stamps, poses: Floats) -> TopicMessages:
+        """Return messages with the transforms of the same actors."""
+        transforms = [self._shown[index].transform for index in indices.tolist()]
         template = self._templates[topic]
-        if template.entities != [entity.data for entity in entities]:
-            template = self._templates[topic] = _EntitiesTemplate(entities)
-        messages = template.messages(topic, rows, stamps, poses)
-        if gone:
-            update = messages.data[0, MESSAGE.size :].tobytes()
-            yield single(topic, int(rows[0]), _deletions(gone, stamps[0]) + update)
-            messages = TopicMessages(topic, rows[1:], messages.data[1:])
-        yield messages
-
-
-def map_message(road_map: RoadMap | None, time: int) -> SceneUpdate:
-    """Return all lines of a map, one entity for each kind.
-
-    Args:
-        road_map: The map; None: the message is empty.
-        time: The beginning of the recording, in ns since 1970.
-    """
-    if road_map is None:
-        return SceneUpdate()
-    entities = [_lines(name, getattr(road_map, name), rgb, width) for name, rgb, width in style.ROADS]
-    for entity in entities:
-        entity.timestamp.FromNanoseconds(time)
-    return SceneUpdate(entities=entities)
-
-
-def _lines(name: str, lines: list[Floats], rgb: style.Color, width: float) -> SceneEntity:
-    pieces = [np.repeat(line, 2, axis=0)[1:-1] for line in lines]
-    points = np.concatenate(pieces).tolist() if pieces else []
-    primitive = LinePrimitive(
-        type=LinePrimitive.LINE_LIST,
-        thickness=width,
-        color=_color(rgb),
-        points=[Point3(x=x, y=y, z=z) for x, y, z in points],
-    )
-    primitive.pose.orientation.w = 1.0
-    return SceneEntity(frame_id=WORLD, id=name.replace("_", " "), lines=[primitive])
+        if template.transforms != transforms:
+            template = self._templates[topic] = _TransformsTemplate(transforms)
+        return template.messages(topic, rows, stamps, poses)
 
 
 def _within(values: Floats, limit: float) -> NDArray[np.bool_]:
@@ -395,56 +429,9 @@ def _within(values: Floats, limit: float) -> NDArray[np.bool_]:
     return np.asarray((np.abs(values) < limit).all(axis=-1))
 
 
-def _rotated(vectors: Floats, quaternions: Floats) -> Floats:
-    """Return vectors that are rotated by quaternions x, y, z, w."""
-    (x, y, z, w), (a, b, c) = np.moveaxis(quaternions, -1, 0), vectors.T
-    d, e, f = y * c - z * b, z * a - x * c, x * b - y * a
-    rotated = np.empty((*quaternions.shape[:-1], 3))
-    rotated[..., 0] = a + 2 * (w * d + y * f - z * e)
-    rotated[..., 1] = b + 2 * (w * e + z * d - x * f)
-    rotated[..., 2] = c + 2 * (w * f + x * e - y * d)
-    return rotated
-
-
-def _color(rgb: style.Color, opacity: float = 1.0) -> Color:
-    red, green, blue = (part / 255 for part in rgb)
-    return Color(r=red, g=green, b=blue, a=opacity)
-
-
-def _start(actor: Present, metadata: Mapping[str, str], *fixed: CylinderPrimitive) -> SceneEntity:
-    """Return the part of an entity that never moves, with the metadata that a viewer shows of it."""
-    pairs = [KeyValuePair(key=key, value=value) for key, value in metadata.items() if value]
-    return SceneEntity(frame_id=WORLD, id=entity_id(actor.id), metadata=pairs, cylinders=fixed)
-
-
-def _pole(actor: Present) -> CylinderPrimitive:
-    """Return the pole of a traffic light, which never moves."""
-    x, y, z = right_handed(actor.spawn_pose)[LOCATION].tolist()
-    pole = CylinderPrimitive(bottom_scale=1.0, top_scale=1.0, color=_color(style.POLE))
-    pole.pose.position.x, pole.pose.position.y, pole.pose.position.z = x, y, z + style.LAMP_UP / 2
-    pole.pose.orientation.w = 1.0
-    pole.size.x = pole.size.y = style.POLE_WIDTH
-    pole.size.z = style.LAMP_UP
-    return pole
-
-
-def _serialized(start: SceneEntity, field: int, size: tuple[float, float, float], shade: Color) -> bytes:
-    """Return an entity with a cube or a sphere that moves, as a field of a `SceneUpdate`.
-
-    Args:
-        start: The rest of the entity.
-        field: `_CUBES` or `_SPHERES`; the primitives have the same fields.
-        size: The size of the primitive along its axes, in m.
-        shade: The colour of the primitive.
-    """
-    shape = CubePrimitive(size=Vector3(x=size[0], y=size[1], z=size[2]), color=shade).SerializeToString()
-    primitive = (MessagePart(shape) + _POSE).within(field)
-    return (MessagePart(start.SerializeToString()) + primitive + _TIMESTAMP).within(SceneUpdate.ENTITIES_FIELD_NUMBER).data
-
-
-def _deletions(ids: Iterable[str], stamp: Stamps) -> bytes:
+def _deletions(ids: Sequence[str], stamp: bytes) -> bytes:
     """Return the part of a `SceneUpdate` that deletes entities, given the timestamp."""
-    time = MessagePart(stamp.tobytes()).within(SceneEntityDeletion.TIMESTAMP_FIELD_NUMBER)
+    time = MessagePart(stamp).within(SceneEntityDeletion.TIMESTAMP_FIELD_NUMBER)
     deletions = [SceneEntityDeletion(type=SceneEntityDeletion.MATCHING_ID, id=id).SerializeToString() for id in ids]
     field = SceneUpdate.DELETIONS_FIELD_NUMBER
     return b"".join((time + MessagePart(deletion)).within(field).data for deletion in deletions)

@@ -9,35 +9,47 @@ import numpy as np
 from mcap.opcode import Opcode
 from mcap_protobuf.schema import build_file_descriptor_set
 
-from carla_recap.export.event_text import EventText, Level
-from carla_recap.export.foxglove import followed, scene
+from carla_recap.export.event_text import EventText, Level, incident_lines
+from carla_recap.export.foxglove import bodies, falls, followed, scene
 from carla_recap.export.foxglove.followed import known_poses
 from carla_recap.export.foxglove.messages import FrameTransforms, Log, SceneUpdate, single, timestamps
+from carla_recap.export.foxglove.town import MAP, map_message
 from carla_recap.formats.mcap.chunk import ChunkBuilder
 from carla_recap.formats.mcap.file import ChunkedFile, Topic
 from carla_recap.formats.mcap.schema import EXPORT_METADATA, MESSAGE, MESSAGE_DTYPE, RECORD, LogClock
+from carla_recap.model.frame import SAME_TIME
 from carla_recap.replay import Played
 from carla_recap.v1.followed_pb2 import Followed, ShownLights
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator, Mapping, Sequence
+    from collections.abc import Iterable, Iterator, Mapping, Sequence
     from pathlib import Path
 
     from google.protobuf.message import Message
 
+    from carla_recap.export.ahead import StopPoints
+    from carla_recap.export.event_text import Line
     from carla_recap.export.foxglove.followed import KnownPoses
-    from carla_recap.export.foxglove.messages import Indices, Times, TopicMessages
-    from carla_recap.maps import RoadMap
+    from carla_recap.export.foxglove.messages import Floats, Indices, Times, TopicMessages
     from carla_recap.model.frame import Header
+    from carla_recap.queries.incidents import Incident
+    from carla_recap.rendering.town import TownMesh
     from carla_recap.replay.scene import SceneBatch
 
 LOG: Final = "/log"
 
 TOPICS: Final[Mapping[str, type[Message]]] = {
-    scene.MOVED: SceneUpdate,
-    scene.STILL: SceneUpdate,
-    scene.MAP: SceneUpdate,
+    MAP: SceneUpdate,
+    bodies.VEHICLES: SceneUpdate,
+    bodies.WALKERS: SceneUpdate,
+    bodies.OTHERS: SceneUpdate,
+    bodies.LAMPS: SceneUpdate,
+    bodies.SIGNALS: SceneUpdate,
+    falls.MARKS: SceneUpdate,
+    followed.AHEAD: SceneUpdate,
     followed.TRANSFORMS: FrameTransforms,
+    scene.MOVED: FrameTransforms,
+    scene.STILL: FrameTransforms,
     followed.HERO: Followed,
     followed.LIGHTS: ShownLights,
     LOG: Log,
@@ -62,14 +74,21 @@ class FoxgloveWriter(ChunkedFile):
         header: The header of the recording.
         description: The metadata.
         follow: The id of the followed actor.
-        road_map: The map, if there is one.
+        town: The town, if it is known.
+        stops: The points at which traffic lights stop cars; see `carla_recap.export.ahead`.
 
     Raises:
         RecapError: The file cannot be written.
     """
 
     def __init__(
-        self, path: Path | str, header: Header, description: dict[str, str], follow: int | None, road_map: RoadMap | None
+        self,
+        path: Path | str,
+        header: Header,
+        description: dict[str, str],
+        follow: int | None,
+        town: TownMesh | None,
+        stops: StopPoints | None = None,
     ) -> None:
         topics = [Topic(name, type.DESCRIPTOR.full_name, partial(_schema, type)) for name, type in TOPICS.items()]
         super().__init__(path, topics, level=_COMPRESSION_LEVEL)
@@ -77,17 +96,19 @@ class FoxgloveWriter(ChunkedFile):
         self._chunk = ChunkBuilder()
         self._clock = LogClock(header)
         self._follow = follow
-        self._road_map = road_map
+        self._town = town
         self._entities = scene.ActorEntities()
+        self._marks = falls.CollisionMarks()
         self._frames = followed.ViewFrames()
         self._motion = followed.FollowedMotion()
-        self._lights = followed.LightMessages()
+        self._lights = followed.LightMessages(stops or {})
         self._text = EventText()
         self._due = 0.0  # the elapsed time of the next scene to show
         self._start = 0.0  # the elapsed time of the first scene
         self._last: tuple[SceneBatch, Times] | None = None
         self._shown = False  # whether the last scene is shown
         self._count = 0
+        self._clock_rows: list[tuple[Floats, Times]] = []  # elapsed seconds and log times of all scenes
         self._begin(lambda: self._write_description(description))
 
     def write(self, batch: SceneBatch) -> None:
@@ -99,6 +120,7 @@ class FoxgloveWriter(ChunkedFile):
         for start in range(0, len(batch), _TOGETHER):
             part = batch if len(batch) <= _TOGETHER else batch[start : start + _TOGETHER]
             times = self._times_of(part)
+            self._clock_rows.append((part.time, times))
             self._add(list(self._messages(part, times)), times)
             self._last = part, times
             self._count += len(part)
@@ -122,15 +144,27 @@ class FoxgloveWriter(ChunkedFile):
         self._add(messages, times)
         return Played(self._count, elapsed - self._start)
 
+    def write_incidents(self, found: Iterable[Incident]) -> None:
+        """Write the incidents that began during the scenes so far as text, each at the scene at which it began."""
+        if not self._clock_rows:
+            return
+        elapsed, times = (np.concatenate(column) for column in zip(*self._clock_rows, strict=True))
+        seconds = np.maximum.accumulate(elapsed)
+        lines = []
+        for start, line in incident_lines(found):
+            row = int(np.searchsorted(seconds, start - SAME_TIME))
+            if row < len(seconds) and (row or seconds[0] <= start + SAME_TIME):
+                lines.append(_log_line(line, row, times))
+        self._cut()  # the times of what follows begin again
+        self._add(lines, times)
+
     def _messages(self, batch: SceneBatch, times: Times) -> Iterator[TopicMessages]:
         """Yield the messages of scenes, given the time of each in ns since 1970."""
         if self._last is None:
             self._start = batch.time[0].item()
-            yield single(scene.MAP, 0, scene.map_message(self._road_map, int(times[0])))
-        for level, subject, text, _ in self._text.lines(batch.scene(0)):
-            line = Log(level=_LEVELS[level], name=subject, message=text)
-            line.timestamp.FromNanoseconds(int(times[0]))
-            yield single(LOG, 0, line)
+            yield single(MAP, 0, map_message(self._town, int(times[0])))
+        for line in self._text.lines(batch.scene(0)):
+            yield _log_line(line, 0, times)
         found = known_poses(batch, self._follow)
         if self._follow is not None:
             yield from self._motion.messages(batch, self._follow, found)
@@ -153,7 +187,8 @@ class FoxgloveWriter(ChunkedFile):
         found, stamps = found.of(rows), timestamps(times[rows])
         yield from self._frames.messages(batch, rows, stamps, found)
         yield from self._entities.messages(batch, rows, stamps)
-        yield from self._lights.messages(batch, rows, found)
+        yield from self._marks.messages(batch, rows, stamps)
+        yield from self._lights.messages(batch, rows, stamps, found)
 
     def _times_of(self, batch: SceneBatch) -> Times:
         times = self._clock.times_of(batch.time)
@@ -217,6 +252,12 @@ def _records(messages: TopicMessages, channel: int, times: Times) -> list[memory
     header["log_time"] = header["publish_time"] = times[messages.rows]
     data = messages.data.reshape(-1).data
     return [data[start : start + size] for start in range(0, len(data), size)]
+
+
+def _log_line(line: Line, row: int, times: Times) -> TopicMessages:
+    message = Log(level=_LEVELS[line.level], name=line.subject, message=line.text)
+    message.timestamp.FromNanoseconds(int(times[row]))
+    return single(LOG, row, message)
 
 
 def _schema(message: type[Message]) -> bytes:

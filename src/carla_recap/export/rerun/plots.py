@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 import rerun as rr
 
+from carla_recap.export.motion import SPAN, HeldPedals, accelerations
 from carla_recap.export.rerun import paths
 from carla_recap.export.rerun.stream import TimeColumns
 
@@ -28,17 +29,12 @@ SPEED: Final[Color] = (255, 190, 80)
 ACCELERATION: Final[Color] = (205, 150, 240)
 
 _KMH: Final = 3.6  # in a m/s
-_SPAN: Final = 0.3  # s, over which the acceleration is a mean
-_LONGEST: Final = 1.0  # s; over a longer step there is no acceleration
-_STANDSTILL: Final = 0.1  # m/s
-_HELD: Final = 1.0  # s for which a brake counts as held at a standstill
 
 
 class PlotWriter:
     """Writes the plots of an actor.
 
-    The controls are written as recorded. Pedals at a standstill chatter, as drivers are programmed; what is shown instead is
-    the brake as held for a second after each time, and no throttle meanwhile.
+    The controls are written as recorded, and the pedals without their chatter at a standstill besides.
 
     Args:
         stream: The stream.
@@ -48,8 +44,7 @@ class PlotWriter:
         self._stream = stream
         self._times = TimeColumns.of_points(())  # of the last rows, before which accelerations are known
         self._speeds: Floats = np.zeros(0)
-        self._brake_seconds: Floats = np.zeros(0)  # of the last rows, within the time for which a brake is held
-        self._brakes: Floats = np.zeros(0)
+        self._pedals = HeldPedals()
         colors = [THROTTLE, BRAKE, STEER]
         stream.log_static(paths.CONTROLS, rr.SeriesLines(colors=colors, names=CONTROLS, widths=[1.5] * len(colors)))
         names = ["throttle, none while the brake is held", "brake, held at a standstill"]
@@ -64,14 +59,9 @@ class PlotWriter:
         times = TimeColumns.joined([self._times, times])
         speeds = np.concatenate((self._speeds, speeds))
         seconds = times.seconds
-        last = np.arange(max(held, 1), len(seconds))
-        first = np.clip(np.searchsorted(seconds, seconds[last] - _SPAN), 0, last - 1)
-        spans = seconds[last] - seconds[first]
-        usable = (spans > 0) & (spans <= _LONGEST)
-        first, last, spans = first[usable], last[usable], spans[usable]
-        changes = (speeds[last] - speeds[first]) / spans
+        first, last, changes = accelerations(seconds, speeds, held)
         self._stream.columns(paths.ACCELERATION, times.take((first + last + 1) // 2), rr.Scalars.columns(scalars=changes))
-        kept = slice(int(np.searchsorted(seconds, seconds[-1] - _SPAN)) if len(seconds) else 0, None)
+        kept = slice(int(np.searchsorted(seconds, seconds[-1] - SPAN)) if len(seconds) else 0, None)
         self._times, self._speeds = times.take(kept), speeds[kept]
 
     def write_controls(self, times: TimeColumns, controls: Floats, speeds: Floats) -> None:
@@ -86,20 +76,6 @@ class PlotWriter:
             return
         (column,) = rr.Scalars.columns(scalars=controls.ravel())
         self._stream.columns(paths.CONTROLS, times, [column.partition(np.full(len(controls), controls.shape[1]))])
-        shown = self._shown(times.seconds, controls, speeds)
+        shown = self._pedals.of(times.seconds, controls[:, :2], speeds)
         (column,) = rr.Scalars.columns(scalars=shown.ravel())
         self._stream.columns(paths.PEDALS, times, [column.partition(np.full(len(shown), shown.shape[1]))])
-
-    def _shown(self, seconds: Floats, controls: Floats, speeds: Floats) -> Floats:
-        """Return the throttle and the brake without the chatter at a standstill, (times, 2)."""
-        throttle, brake = controls[:, 0], controls[:, 1]
-        held = len(self._brakes)
-        all_seconds, brakes = np.concatenate((self._brake_seconds, seconds)), np.concatenate((self._brakes, brake))
-        stops = np.arange(held, len(brakes)) + 1
-        starts = np.minimum(np.searchsorted(all_seconds, seconds - _HELD), stops - 1)
-        ends = np.stack((starts, stops), axis=1).ravel()
-        recent = np.maximum.reduceat(np.append(brakes, 0.0), ends)[::2]
-        kept = slice(int(starts[-1]), None)
-        self._brake_seconds, self._brakes = all_seconds[kept], brakes[kept]
-        is_held = (speeds < _STANDSTILL) & (recent > 0)
-        return np.stack((np.where(is_held, 0.0, throttle), np.where(is_held, recent, brake)), axis=1)

@@ -14,6 +14,7 @@ import rerun as rr
 from carla_recap.editing.convert import check_destination
 from carla_recap.errors import RecapError, RecapWarning
 from carla_recap.export.ahead import stop_points
+from carla_recap.export.event_text import incidents_of
 from carla_recap.export.rerun.actors import MOVERS, ActorWriter
 from carla_recap.export.rerun.blueprint import View, blueprint, first_locations
 from carla_recap.export.rerun.events import EventWriter
@@ -22,9 +23,7 @@ from carla_recap.export.rerun.lights import LightAheadWriter, TrafficLightWriter
 from carla_recap.export.rerun.rrd import piped, rbl
 from carla_recap.export.rerun.stream import Stream, TimeColumns
 from carla_recap.export.rerun.town import is_elsewhere, write_map, write_sky, write_town
-from carla_recap.model.frame import SAME_TIME
 from carla_recap.queries.actors import actors
-from carla_recap.queries.incidents import incidents
 from carla_recap.recording import Recording
 from carla_recap.rendering.town import town_mesh_of
 from carla_recap.replay import Played, Player
@@ -190,21 +189,13 @@ def write(
     writer = SceneWriter(stream, followed=player.followed, road_map=road_map, cameras=cameras, stops=stop_points(reader))
     count = 0
     with ThreadPoolExecutor(1, "carla-recap-incidents") as pool:  # which takes a fifth of the time of all the rest
-        found = pool.submit(_incidents, player)
+        found = pool.submit(incidents_of, player)
         for batch in player.batches(progress):
             writer.write(batch)
             count += len(batch)
         writer.write_incidents(found.result())
     writer.close()
     return Played(count, player.stop - player.start)
-
-
-def _incidents(player: Player) -> Iterable[Incident]:
-    """Return the incidents while a recording is played; none if it is damaged elsewhere."""
-    try:
-        return incidents(player.reader, collisions=False, start=player.start, stop=player.stop + 2 * SAME_TIME)
-    except RecapError:
-        return []
 
 
 def export_rerun(

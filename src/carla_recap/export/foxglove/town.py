@@ -1,0 +1,66 @@
+"""The town: its surfaces as triangles, in pieces that a viewer can cull."""
+
+from __future__ import annotations
+
+import warnings
+from collections import defaultdict
+from typing import TYPE_CHECKING, Final
+
+import numpy as np
+
+from carla_recap.errors import RecapWarning
+from carla_recap.export.foxglove import shapes
+from carla_recap.export.foxglove.messages import WORLD, MessagePart, SceneEntity, SceneUpdate
+from carla_recap.rendering.mesh import Mesh
+from carla_recap.rendering.town import town_mesh_of
+from carla_recap.replay import Player, right_handed
+
+if TYPE_CHECKING:
+    from carla_recap.maps import RoadMap
+    from carla_recap.rendering.town import TownMesh
+
+MAP: Final = "/map"
+
+_MARGIN: Final = 100.0  # m; the distance from the town at which an actor is still in it
+_PIECE: Final = 200.0  # m; the side of the pieces into which the tiles are put together
+
+
+def town_of(road_map: RoadMap | None, player: Player) -> TownMesh | None:
+    """Return the surfaces of a map; None without one.
+
+    Warns:
+        RecapWarning: The map is that of another town.
+    """
+    if road_map is None or not road_map.opendrive:
+        return None
+    town = town_mesh_of(road_map.opendrive, road_map.name)
+    locations = right_handed(Player(player.reader).at(player.start).poses)[:, :2]
+    locations = locations[np.isfinite(locations).all(axis=1)]
+    low, high = town.bounds[:, 0, :2].min(axis=0) - _MARGIN, town.bounds[:, 1, :2].max(axis=0) + _MARGIN
+    if len(locations) and not ((locations > low) & (locations < high)).all(axis=1).any():
+        warnings.warn(f"{road_map.name}: no actor is near this map, which is left out", RecapWarning, stacklevel=3)
+        return None
+    return town
+
+
+def map_message(town: TownMesh | None, time: int) -> bytes:
+    """Return the surfaces of a town as a `SceneUpdate`, an entity for each piece; empty without a town.
+
+    Args:
+        town: The town.
+        time: The beginning of the recording, in ns since 1970.
+    """
+    if town is None:
+        return SceneUpdate().SerializeToString()
+    pieces: defaultdict[tuple[int, int], list[Mesh]] = defaultdict(list)
+    for tile, bounds in zip(town.tiles, town.bounds, strict=True):
+        x, y = np.floor(bounds.mean(axis=0)[:2] / _PIECE).astype(int).tolist()
+        pieces[x, y].append(tile)
+    return b"".join(_piece(f"ground {x} {y}", Mesh.concatenate(tiles), time) for (x, y), tiles in sorted(pieces.items()))
+
+
+def _piece(id: str, mesh: Mesh, time: int) -> bytes:
+    entity = SceneEntity(frame_id=WORLD, id=id)
+    entity.timestamp.FromNanoseconds(time)
+    data = entity.SerializeToString() + shapes.mesh(mesh, mesh.vertices)
+    return MessagePart(data).within(SceneUpdate.ENTITIES_FIELD_NUMBER).data
