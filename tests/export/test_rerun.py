@@ -25,7 +25,8 @@ pytest.importorskip("rerun", reason="the extra rerun is not installed")
 
 from rerun.chunk import RrdReader
 
-from carla_recap.export.rerun import APPLICATION, actors, blueprint, export_rerun, poses, writer
+from carla_recap.export.rerun import APPLICATION, actors, blueprint, export_rerun, meshes, poses, writer
+from carla_recap.rendering.materials import MATERIALS, Material
 
 CROSSING = Path(__file__).parents[2] / "samples" / "crossing.log"
 HERO, BLOCKING, GONE, LATE, CYCLIST, WALKER, LIGHT, SENSOR = 100, 101, 103, 104, 105, 110, 20, 120  # of the crossing
@@ -160,7 +161,8 @@ def test_every_actor_has_an_entity(crossing) -> None:
     expected = {
         f"/world/actors/{id}" for id in crossing.recording.actors if crossing.recording.actors[id].type_id != "spectator"
     }
-    assert {path for path in crossing.rrd.entities if path.startswith("/world/actors/")} == expected
+    shown = {path for path in crossing.rrd.entities if path.startswith("/world/actors/") and "/lamps/" not in path}
+    assert shown == expected
 
 
 @pytest.mark.parametrize("id", [HERO, BLOCKING, GONE, LATE, CYCLIST, WALKER])
@@ -180,38 +182,91 @@ def test_stationary_actors_have_few_rows(crossing) -> None:
     assert times[:3] == pytest.approx([0, waits - 0.1, waits])
 
 
-def test_boxes_exist_from_spawn_to_destruction(crossing) -> None:
+def test_actors_are_drawn_from_spawn_to_destruction(crossing) -> None:
     for actor in crossing.recording.actors.values():
         if actor.type_id == "spectator":
             continue
         path = f"/world/actors/{actor.id}"
-        boxes = crossing.rrd.rows(path, "Boxes3D:half_sizes")
-        assert [time for time, _ in boxes] == pytest.approx([actor.spawned_at])
+        drawn = crossing.rrd.rows(path, "Boxes3D:half_sizes" if actor.kind == "sensor" else "Mesh3D:vertex_positions")
+        assert [time for time, _ in drawn] == pytest.approx([actor.spawned_at])
         cleared = [time for time, _ in crossing.rrd.rows(path, "Clear:is_recursive")]
         assert cleared == pytest.approx([] if actor.destroyed_at is None else [actor.destroyed_at])
 
 
-def test_boxes_have_their_true_size(crossing) -> None:
+def size_of(rrd: Rrd, id: int, time: float) -> np.ndarray | None:
+    """Return half the size of an actor's model without its shadow; None while it is not drawn."""
+    vertices = rrd.at(f"/world/actors/{id}", "Mesh3D:vertex_positions", time)
+    if vertices is None:
+        return None
+    colors = np.array(rrd.at(f"/world/actors/{id}", "Mesh3D:vertex_colors", time))
+    solid = np.array(vertices)[colors != meshes.packed(np.array([meshes._SHADOW_COLOR], np.uint8))[0]]
+    return (solid.max(axis=0) - solid.min(axis=0)) / 2
+
+
+def test_models_fill_the_recorded_boxes(crossing) -> None:
     for id in (HERO, CYCLIST, WALKER):
-        box = crossing.recording.actors[id].bounding_box
-        path = f"/world/actors/{id}"
-        (_, (half,)), (_, (center,)) = (crossing.rrd.rows(path, f"Boxes3D:{name}")[0] for name in ("half_sizes", "centers"))
-        assert half == pytest.approx((box.extent_x, box.extent_y, box.extent_z))
-        assert center == pytest.approx((box.x, box.y, box.z))
-
-
-def test_the_hero_is_highlighted(crossing) -> None:
-    def looks(id: int) -> tuple:
-        values = (
-            crossing.rrd.rows(f"/world/actors/{id}", f"Boxes3D:{name}")[0][1][0]
-            for name in ("labels", "show_labels", "colors")
+        actor = crossing.recording.actors[id]
+        box = actor.bounding_box
+        assert size_of(crossing.rrd, id, actor.spawned_at) == pytest.approx(
+            (box.extent_x, box.extent_y, box.extent_z), abs=1e-3
         )
-        label, shown, color = values
-        return label, shown, tuple(color.to_bytes(4, "big")[:3])
+        vertices = np.array(crossing.rrd.rows(f"/world/actors/{id}", "Mesh3D:vertex_positions")[0][1])
+        assert vertices[:, 2].max() == pytest.approx(box.z + box.extent_z, abs=1e-3)
 
-    assert looks(HERO) == (f"hero {HERO}", True, style.HERO)
-    assert looks(BLOCKING) == (f"audi.a2 {BLOCKING}", False, style.STYLES[ActorKind.VEHICLE].color)
-    assert looks(WALKER)[2] == style.STYLES[ActorKind.WALKER].color
+
+def test_the_hero_is_named(crossing) -> None:
+    def name(id: int) -> list[str]:
+        return [label for _, (label,) in crossing.rrd.rows(f"/world/actors/{id}", "Points3D:labels")]
+
+    assert set(name(HERO)) == {f"hero {HERO}"}
+    assert name(BLOCKING) == []
+    assert crossing.rrd.rows(f"/world/actors/{BLOCKING}", "name")[0][1] == [f"audi.a2 {BLOCKING}"]
+
+
+def test_models_have_the_recorded_colour(tmp_path: Path) -> None:
+    frames = driven(2, spawned=[spawn(1, color="20,40,250"), spawn(2, color="250,40,20")])
+    rrd = export(write(tmp_path / "two.log", frames), tmp_path / "two.rrd")
+    for id, strongest in ((1, 2), (2, 0)):
+        colors = np.array(rrd.at(f"/world/actors/{id}", "Mesh3D:vertex_colors", 0), ">u4").view(np.uint8).reshape(-1, 4)
+        painted = colors[colors[:, :3].max(axis=1) > 1.5 * np.median(colors[:, :3], axis=1).clip(40)]
+        assert (painted[:, :3].argmax(axis=1) == strongest).mean() > 0.6
+
+
+def test_brake_lights_are_lit_while_it_brakes(tmp_path: Path) -> None:
+    frames = [
+        {"transforms": [pose(1, 100 * n)], "vehicle_controls": [(1, 0.0, 0.0, float(20 <= n < 30), 0, 1)]} for n in range(50)
+    ]
+    frames[0]["spawned"] = [spawn(1)]
+    rrd = export(write(tmp_path / "x.log", frames, tick=0.1), tmp_path / "x.rrd")
+    changes = rrd.rows("/world/actors/1/lamps/brake_light", "Mesh3D:albedo_factor")
+    glow, dark = (MATERIALS[Material.BRAKE_LIGHT].glow, MATERIALS[Material.BRAKE_LIGHT].color)
+    assert [tuple(color.to_bytes(4, "big")[:3]) for _, (color,) in changes] == [glow, dark]
+    assert changes[0][0] == pytest.approx(2.0)
+    assert 2.9 < changes[1][0] < 3.6
+    assert not [path for path in rrd.entities if path.endswith("indicator")]
+
+
+def test_a_walker_who_was_hit_lies(tmp_path: Path) -> None:
+    frames = [{"transforms": [pose(1, 60 * n), pose(2, 1500, z=90)]} for n in range(50)]
+    frames[0]["spawned"] = [spawn(1), spawn(2, "walker.pedestrian.0001")]
+    frames[21]["collisions"] = [(0, 1, 2, 0, 0)]
+    frames[40]["walker_controls"] = [(2, 140.0)]
+    rrd = export(write(tmp_path / "x.log", frames, tick=0.1), tmp_path / "x.rrd")
+    (fell, (lying,)), (rose, (standing,)) = rrd.rows("/world/actors/2", "InstancePoses3D:mat3x3")
+    assert (fell, rose) == pytest.approx((2.1, 4.0))
+    axis = np.array(lying).reshape(3, 3)[2]  # the matrix is stored by columns: where the head points
+    assert axis == pytest.approx((1, 0, 0), abs=1e-6)
+    assert np.array(standing).reshape(3, 3) == pytest.approx(np.eye(3))
+
+
+def test_the_followed_car_is_see_through_while_it_hides_another_actor(tmp_path: Path) -> None:
+    frames = [{"transforms": [pose(1), pose(2, 380 if 10 <= n < 20 else 3000, z=90)]} for n in range(50)]
+    frames[0]["spawned"] = [spawn(1, role_name="hero"), spawn(2, "walker.pedestrian.0001")]
+    rrd = export(write(tmp_path / "x.log", frames, tick=0.1), tmp_path / "x.rrd")
+    (hides, (first,)), (free, (second,)) = rrd.rows("/world/actors/1", "Mesh3D:albedo_factor")
+    assert (first & 255, second & 255) == (102, 255)
+    assert hides == pytest.approx(1.0, abs=0.21)
+    assert free == pytest.approx(2.9, abs=0.25)
 
 
 def test_a_sensor_is_fixed_to_its_car(crossing) -> None:
@@ -276,7 +331,7 @@ def test_the_blueprint_follows_the_hero(crossing) -> None:
     assert chase.origin == top.origin == "/world/chase"
     assert chase.position == [-10, 0, 5]
     ahead = np.subtract(chase.look_target, chase.position)
-    assert np.degrees(np.arctan2(ahead[2], np.hypot(ahead[0], ahead[1]))) == pytest.approx(-25)
+    assert np.degrees(np.arctan2(ahead[2], np.hypot(ahead[0], ahead[1]))) == pytest.approx(-17)
     assert (chase.eye_up, chase.ranged[0]) == ([0, 0, 1], f"/world/trail/{HERO}/visualizers")
     assert (top.position, top.look_target, top.eye_up) == ([0, 0, 40], [0, 0, 0], [1, 0, 0])
     assert arrangement.active_tab == "Chase"
@@ -306,10 +361,12 @@ def test_lights_change_as_recorded(crossing) -> None:
     expected = [(pytest.approx(states.time[k]), [style.light(states.state[k])[0]]) for k in changed]
     assert len(expected) > 3
     assert crossing.rrd.rows(f"/signals/tl_{LIGHT}", "StateChange:state") == expected
-    colors = crossing.rrd.rows(f"/world/signals/tl_{LIGHT}", "Points3D:colors")
-    assert [tuple(color.to_bytes(4, "big")[:3]) for _, (color,) in colors] == [
-        style.light(states.state[k])[1] for k in changed
-    ]
+    lamps = crossing.rrd.rows(f"/world/signals/tl_{LIGHT}", "Mesh3D:vertex_colors")
+    lit = (Material.RED_LAMP, Material.YELLOW_LAMP, Material.GREEN_LAMP)
+    shown = [{tuple(color.to_bytes(4, "big")[:3]) for color in colors} for _, colors in lamps]
+    for k, colors in zip(changed, shown, strict=True):
+        glowing = {MATERIALS[material].glow for material in lit} & colors
+        assert glowing == {MATERIALS[lit[states.state[k]]].glow}
     assert crossing.rrd.static[f"/signals/tl_{LIGHT}"]["StateConfiguration:values"][:3] == ["red", "yellow", "green"]
 
 
@@ -424,11 +481,10 @@ def test_an_id_that_is_used_again(tmp_path: Path) -> None:
     rrd = export(write(tmp_path / "again.log", frames), tmp_path / "again.rrd")
     path = "/world/actors/1"
     assert [rrd.place(path, t)[0] if rrd.place(path, t) else None for t in range(8)] == [0, 1, 2, None, None, 5, 6, 7]
-    sizes = [rrd.at(path, "Boxes3D:half_sizes", t) for t in (0, 3, 6)]
-    assert sizes[0][0] == pytest.approx(style.STYLES[ActorKind.VEHICLE].extent)
+    sizes = [size_of(rrd, 1, t) for t in (0, 3, 6)]
+    assert sizes[0][0] > 1.5
     assert sizes[1] is None
-    assert sizes[2][0] == pytest.approx(style.STYLES[ActorKind.WALKER].extent)
-    assert rrd.at(path, "LineStrips3D:strips", 6) is None  # the arrow on the roof of the car
+    assert sizes[2][0] < 0.5
 
 
 def test_an_id_that_is_used_again_in_the_same_frame(tmp_path: Path) -> None:
@@ -438,7 +494,7 @@ def test_an_id_that_is_used_again_in_the_same_frame(tmp_path: Path) -> None:
     with open_recording(path) as recording:
         alive = [1 in scene.actors for scene in Player(recording).scenes()]
     rrd = export(path, tmp_path / "same.rrd")
-    assert [rrd.at("/world/actors/1", "Boxes3D:half_sizes", t) is not None for t in range(4)] == alive
+    assert [size_of(rrd, 1, t) is not None for t in range(4)] == alive
     assert [rrd.place("/world/actors/1", t) is not None for t in range(4)] == alive
 
 
@@ -508,8 +564,12 @@ def test_a_light_that_is_destroyed_and_spawned_again(tmp_path: Path) -> None:
         {"spawned": [lamp], "light_states": [light(10, 2)]},
     ]
     rrd = export(write(tmp_path / "lamp.log", frames), tmp_path / "lamp.rrd")
-    assert [rrd.at("/world/signals/tl_10", "Points3D:colors", t) is not None for t in range(3)] == [True, False, True]
-    assert [rrd.at("/world/signals/tl_10", "Points3D:positions", t) is not None for t in range(3)] == [True, False, True]
+    assert [rrd.at("/world/signals/tl_10", "Mesh3D:vertex_colors", t) is not None for t in range(3)] == [True, False, True]
+    assert [rrd.at("/world/signals/tl_10", "Mesh3D:vertex_positions", t) is not None for t in range(3)] == [
+        True,
+        False,
+        True,
+    ]
     assert [rrd.at("/signals/tl_10", "StateChange:state", t) for t in range(3)] == [["green"], None, ["green"]]
 
 
@@ -610,15 +670,13 @@ def test_the_trail_has_the_colour_of_the_actor(tmp_path: Path) -> None:
         assert tuple(shown.to_bytes(4, "big")[:3]) == color
 
 
-def test_sensors_and_unknown_boxes_are_outlines(tmp_path: Path) -> None:
+def test_sensors_are_outlines(tmp_path: Path) -> None:
     sensor, prop, car = spawn(1, "sensor.camera.rgb"), spawn(2, "static.prop.bin"), spawn(3)
     there = [pose(id) for id in (1, 2, 3)]
     rrd = export(write(tmp_path / "x.log", [{"spawned": [sensor, prop, car], "transforms": there}]), tmp_path / "x.rrd")
     assert sensor.kind == ActorKind.OTHER
-    modes = [rrd.at(f"/world/actors/{id}", "Boxes3D:fill_mode", 0) for id in (1, 2, 3)]
-    assert modes[0] == modes[1] != modes[2]
-    sizes = [rrd.at(f"/world/actors/{id}", "Boxes3D:half_sizes", 0)[0][0] for id in (1, 2)]
-    assert sizes == pytest.approx([0.1, 0.15])
+    assert [rrd.at(f"/world/actors/{id}", "Boxes3D:fill_mode", 0) is not None for id in (1, 2, 3)] == [True, False, False]
+    assert rrd.at("/world/actors/1", "Boxes3D:half_sizes", 0)[0][0] == pytest.approx(0.1)
 
 
 def test_a_map_of_another_town_is_left_out(tmp_path: Path) -> None:
@@ -718,7 +776,7 @@ def test_a_destination_that_is_not_utf8(tmp_path: Path) -> None:
 def test_names_that_are_not_utf8(tmp_path: Path) -> None:
     odd = Spawn(1, ActorKind.VEHICLE, type_id="vehicle.\udcff")
     rrd = export(write(tmp_path / "odd.log", driven(2, spawned=[odd])), tmp_path / "odd.rrd")
-    assert rrd.at("/world/actors/1", "Boxes3D:labels", 0)[0].endswith(" 1")
+    assert rrd.at("/world/actors/1", "name", 0)[0].endswith(" 1")
 
 
 def test_the_missing_extra_is_named() -> None:

@@ -1,4 +1,4 @@
-"""Actors as boxes in the world and as points on the map: they appear, move and disappear."""
+"""Actors as models in the world and as points on the map: they appear, move and disappear."""
 
 from __future__ import annotations
 
@@ -11,10 +11,15 @@ import rerun as rr
 from carla_recap.errors import RecapWarning
 from carla_recap.export import style
 from carla_recap.export.rerun import paths
+from carla_recap.export.rerun.fallen import FallenWriter
 from carla_recap.export.rerun.followed import CameraAxes
+from carla_recap.export.rerun.lamps import LampWriter
+from carla_recap.export.rerun.meshes import drawn, model_mesh
 from carla_recap.export.rerun.poses import PoseBuffer
+from carla_recap.export.rerun.see_through import SeeThroughWriter
 from carla_recap.export.rerun.stream import screen_radii
 from carla_recap.model.records import CM, ActorKind, Spawn
+from carla_recap.rendering.looks import Look, look_of_present
 from carla_recap.replay import Destroyed, Present, Spawned, quaternions, right_handed
 from carla_recap.replay.pose import LOCATION
 
@@ -32,12 +37,15 @@ MOVERS: Final = (ActorKind.VEHICLE, ActorKind.WALKER)
 """The kinds that are on the map and that a camera can follow."""
 
 MOST_BOXES: Final = 5_000
-"""The number of actors that have boxes, the first ones; the viewer is too slow to draw more. All are on the map."""
+"""The number of actors in the world, the first ones; the viewer is too slow to draw more. All are on the map."""
+
+MOST_MODELS: Final = 1_000
+"""The number of actors that are drawn as models, the first ones; others are boxes, which need less memory."""
 
 _RADIUS: Final = 3.0  # points of the screen; of an actor on the map
 _MARGIN: Final = 15.0  # m
 _EDGE: Final = (45, 48, 56)
-_ARROW: Final = (235, 240, 250)
+_BEHIND: Final = 0.8  # m; of names behind actors
 
 
 class ActorWriter:
@@ -56,6 +64,12 @@ class ActorWriter:
         self._roads = roads
         self._cameras = {id: CameraAxes(stream, paths.camera(id)) for id in cameras if id != followed}
         self._present: set[int] = set()
+        self._models = 0
+        self._looks: dict[int, Look] = {}  # of those on the map, as long as they are present
+        self._see_through: SeeThroughWriter | None = None
+        self._lamps = LampWriter(stream)
+        self._fallen = FallenWriter(stream)
+        self._named: int | None = None  # the actor whose name has to be shown from the next scene on
         self._boxed: set[int] = set() if followed is None else {followed}  # actors that have had a box, or will have one
         self._left_out: set[int] = set()
         self._extent = np.array((np.inf, np.inf, -np.inf, -np.inf))  # of the map: least and greatest x and y
@@ -72,8 +86,9 @@ class ActorWriter:
 
     def follow(self, id: int) -> None:
         """Show the name of another actor from now on."""
-        self._followed = id
+        self._followed = self._named = id
         self._boxed.add(id)
+        self._see_through = SeeThroughWriter(self._stream, id, self._looks)
 
     def write(self, batch: SceneBatch, times: TimeColumns) -> None:
         """Write scenes."""
@@ -88,16 +103,28 @@ class ActorWriter:
             self._ids = batch.ids
             for id in set(batch.ids.tolist()) - self._present:
                 self._draw(Present(Spawn(id), float(batch.time[0])), batch, times.point(0))
+        named = None if self._named is None else batch.actors.get(self._named)
+        if named is not None:
+            self._stream.log(paths.actor(named.id), times.point(0), _name(named, look_of_present(named)))
+            self._named = None
+        self._lamps.write(batch, times)
+        self._fallen.write(batch, times)
         self._poses.add(batch, times, spawned)
         if self._poses.is_full:
-            self.flush()
+            self._write_poses()
 
     def flush(self) -> None:
         """Write what is held back."""
+        self._lamps.flush()
+        self._write_poses()
+
+    def _write_poses(self) -> None:
         block = self._poses.take()
         if block is not None:
             block.write(self._stream, self._boxed)
             self._write_map(block)
+            if self._see_through is not None:
+                self._see_through.write(block)
             self._write_cameras(block)
         self._colors = {id: color for id, color in self._colors.items() if id in self._present}
 
@@ -131,20 +158,20 @@ class ActorWriter:
             self._left_out.add(actor.id)
             return
         self._boxed.add(actor.id)
-        box = style.box_of(actor)
-        center = (box.x, box.y, box.z)
-        half = (box.extent_x, box.extent_y, box.extent_z)
-        boxes = rr.Boxes3D(
-            centers=[center],
-            half_sizes=[half],
-            colors=[style.color_of(actor)],
-            labels=[style.label_of(actor)],
-            show_labels=actor.is_hero or actor.id == self._followed,
-            fill_mode="majorwireframe" if style.is_outlined(actor) else "solid",
-        )
-        archetypes: list[rr.AsComponents] = [boxes]
-        if actor.kind == ActorKind.VEHICLE:
-            archetypes.append(_arrow(np.array(center), np.array(half)))
+        look = look_of_present(actor) if actor.type_id else None
+        if look is not None and actor.kind in MOVERS:
+            self._looks[actor.id] = look
+        archetypes: list[rr.AsComponents] = [rr.AnyValues(name=style.label_of(actor))]
+        if look is not None and self._models < MOST_MODELS:
+            self._models += 1
+            mesh = model_mesh(look)
+            archetypes.append(drawn(look, mesh, with_shadow=actor.kind == ActorKind.VEHICLE))
+            if actor.kind == ActorKind.VEHICLE:
+                self._lamps.add(actor.id, mesh)
+        else:
+            archetypes.append(_box(actor, look))
+        if actor.is_hero or actor.id == self._followed:
+            archetypes.append(_name(actor, look))
         if batch.index_of(actor.id) is None:
             archetypes.append(_location(actor))
         self._stream.log(path, time, *archetypes)
@@ -152,6 +179,8 @@ class ActorWriter:
     def _erase(self, id: int, time: TimePoint) -> None:
         if id in self._present:
             self._present.remove(id)
+            self._lamps.remove(id)
+            self._looks.pop(id, None)
             if id in self._boxed:
                 self._stream.clear(paths.actor(id), time)
 
@@ -189,7 +218,22 @@ def _location(actor: Present) -> rr.Transform3D:
     )
 
 
-def _arrow(center: NDArray[np.float64], half: NDArray[np.float64]) -> rr.LineStrips3D:
-    """Return an angle on the roof that points forward."""
-    corners = np.array([(0.35, 0.75, 1.0), (0.85, 0.0, 1.0), (0.35, -0.75, 1.0)])
-    return rr.LineStrips3D([center + corners * half + np.array((0, 0, 0.03))], colors=[_ARROW], radii=[0.06])
+def _box(actor: Present, look: Look | None) -> rr.Boxes3D:
+    """Return the box of an actor: the edges alone of one that has no look, such as a sensor."""
+    box = style.box_of(actor)
+    return rr.Boxes3D(
+        centers=[(box.x, box.y, box.z)],
+        half_sizes=[(box.extent_x, box.extent_y, box.extent_z)],
+        colors=[style.color_of(actor) if look is None else look.color],
+        fill_mode="majorwireframe" if look is None else "solid",
+    )
+
+
+def _name(actor: Present, look: Look | None) -> rr.Points3D:
+    """Return the name of an actor, behind it on the ground, where it hides nothing that is ahead."""
+    box = style.box_of(actor)
+    half, center = (box.extent_x, box.extent_z), (box.x, box.z)
+    if look is not None:
+        half, center = (look.half_extents[0], look.half_extents[2]), (look.center[0], look.center[2])
+    location = (center[0] - half[0] - _BEHIND, 0.0, center[1] - half[1])
+    return rr.Points3D([location], colors=[style.HERO], radii=[0], labels=[style.label_of(actor)], show_labels=True)

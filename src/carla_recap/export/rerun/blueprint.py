@@ -11,9 +11,12 @@ import rerun.blueprint as rrb
 
 from carla_recap.export import style
 from carla_recap.export.rerun import paths
+from carla_recap.export.rerun.eyes import LOOK_DOWN, Triple, chase_eye
 from carla_recap.export.rerun.plots import CONTROLS
 from carla_recap.export.rerun.stream import FRAME, SIM_TIME
-from carla_recap.model.records import CM
+from carla_recap.model.records import CM, ActorKind
+from carla_recap.queries.actors import actors
+from carla_recap.rendering.looks import look_of
 from carla_recap.replay import Player, camera, right_handed
 from carla_recap.replay.pose import LOCATION
 
@@ -31,6 +34,7 @@ _TRAIL: Final = 4.0  # s; the time for which the trail is shown
 _TRAIL_FRAMES: Final = 80  # the same in frames
 _MIN_RADIUS: Final = 30.0  # m; of what an overview shows
 _ACCELERATIONS: Final = (-10.0, 6.0)  # m/s²; those of a collision are beyond
+_KINDS: Final = {kind.name.lower(): int(kind) for kind in ActorKind}
 _EYE_SPEED: Final = 20.0  # m/s, by the keyboard
 
 
@@ -81,16 +85,23 @@ def arranged(cameras: Mapping[View, rrb.Spatial3DView], view: View, ego: int | N
     )
 
 
-def live_blueprint(road_map: RoadMap | None = None, *, view: View = "chase", followed: int | None = None) -> rrb.Blueprint:
+def live_blueprint(
+    road_map: RoadMap | None = None,
+    *,
+    view: View = "chase",
+    followed: int | None = None,
+    half_extents: Triple | None = None,
+) -> rrb.Blueprint:
     """Return the arrangement of views for a running simulation.
 
     Args:
         road_map: The map of the town, which is shown as a whole until an actor is followed.
         view: The camera that is shown first.
         followed: The actor that the cameras follow, if any.
+        half_extents: Half the size of its box; None if it is unknown.
     """
     if followed is not None:
-        return arranged(follow_views(paths.CHASE, "", followed), view, followed, live=True)
+        return arranged(follow_views(paths.CHASE, "", followed, half_extents), view, followed, live=True)
     locations = np.concatenate(road_map.centre_lines) if road_map is not None else np.zeros((0, 3))
     return arranged(overviews(locations), view, None, live=True)
 
@@ -100,9 +111,19 @@ def camera_views(player: Player, *, followed: int | None = None) -> dict[View, r
     followed = player.followed if followed is None else followed
     if followed is None:
         return overviews(first_locations(player))
+    size = _half_extents(player, followed)
     if followed == player.followed:
-        return follow_views(paths.CHASE, "", player.followed)
-    return follow_views(paths.camera(followed), f" {followed}", player.followed)
+        return follow_views(paths.CHASE, "", player.followed, size)
+    return follow_views(paths.camera(followed), f" {followed}", player.followed, size)
+
+
+def _half_extents(player: Player, id: int) -> Triple | None:
+    """Return half the size of an actor's box; None if it is unknown."""
+    for actor in actors(player.reader):
+        if actor.id == id:
+            look = look_of(actor.type_id, _KINDS.get(actor.kind, 0), actor.attributes, actor.bounding_box, id=id)
+            return None if look is None else look.half_extents
+    return None
 
 
 def overviews(locations: NDArray[np.float64]) -> dict[View, rrb.Spatial3DView]:
@@ -114,18 +135,21 @@ def overviews(locations: NDArray[np.float64]) -> dict[View, rrb.Spatial3DView]:
     }
 
 
-def follow_views(axes: str, suffix: str, ego: int | None) -> dict[View, rrb.Spatial3DView]:
+def follow_views(
+    axes: str, suffix: str, ego: int | None, half_extents: Triple | None = None
+) -> dict[View, rrb.Spatial3DView]:
     """Return the views of cameras that stand still in axes that move.
 
     Args:
         axes: The path of the axes.
         suffix: The end of the titles.
         ego: The actor whose trail is shown, if any.
+        half_extents: Half the size of the followed actor's box; None if it is unknown.
     """
-    back, up = camera.CHASE_BACK * CM, camera.CHASE_UP * CM
-    ahead = up + back * math.tan(math.radians(camera.CHASE_PITCH))
+    back, _, up = eye = chase_eye(half_extents)
+    ahead = up - back * math.tan(math.radians(LOOK_DOWN))
     return {
-        "chase": _view(f"Chase{suffix}", axes, (-back, 0, up), (0, 0, ahead), (0, 0, 1), ego),
+        "chase": _view(f"Chase{suffix}", axes, eye, (0, 0, ahead), (0, 0, 1), ego),
         "top": _view(f"Top{suffix}", axes, (0, 0, camera.TOP_UP * CM), (0, 0, 0), (1, 0, 0), ego),
     }
 
@@ -144,7 +168,7 @@ def _plots(id: int) -> list[rrb.View]:
             origin=paths.EGO,
             contents=[paths.CONTROLS, paths.PEDALS],
             overrides={paths.CONTROLS: rr.SeriesLines(visible_series=[name == "steer" for name in CONTROLS])},
-            name="Throttle (green), brake (red), steer (blue)",
+            name="Throttle, brake, steer",
             axis_y=rrb.ScalarAxis(range=(-1.05, 1.05)),
             plot_legend=no_legend,
         ),

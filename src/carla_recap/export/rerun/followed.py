@@ -32,7 +32,7 @@ _CELL: Final = 10.0  # m; the size of a square of the ground
 _REACH: Final = 200.0  # m; the distance to which the ground extends
 _GROUND: Final = (62, 66, 76)
 _LINE: Final = 0.03  # m; the radius of the lines of the ground
-_TRAIL: Final = 0.07  # m; the radius of the trail
+_TRAIL: Final = 0.04  # m; the radius of the trail
 _RADIUS: Final = 6.0  # points of the screen; of the actor on the map
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections import defaultdict
+from functools import cache
 from typing import TYPE_CHECKING, Final
 
 import numpy as np
@@ -11,9 +12,14 @@ import rerun as rr
 from carla_recap.export import style
 from carla_recap.export.ahead import NO_LIGHT, LightsAhead
 from carla_recap.export.rerun import paths
+from carla_recap.export.rerun.meshes import lamps_of, model_mesh, packed, unlit
 from carla_recap.export.rerun.stream import TimeColumns
+from carla_recap.model.records import ActorKind
+from carla_recap.rendering.looks import look_of
+from carla_recap.rendering.materials import MATERIALS, Material, palette
+from carla_recap.rendering.mesh import Mesh
 from carla_recap.replay import Destroyed, right_handed
-from carla_recap.replay.pose import LOCATION
+from carla_recap.replay.pose import LOCATION, rotations
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -22,13 +28,18 @@ if TYPE_CHECKING:
     from carla_recap.export.rerun.stream import Stream, TimePoint
     from carla_recap.replay import SceneBatch
 
+OFF: Final = 3
+"""The state of a traffic light of which no lamp is lit."""
+
+_MATERIALS: Final = (Material.RED_LAMP, Material.YELLOW_LAMP, Material.GREEN_LAMP)  # by CARLA's states
 _MAX_CHANGES: Final = 8192  # the number of changes of states that are held back
 _NONE: Final = "none"
 _NO_COLOR: Final = (38, 42, 50)
-_RING: Final = 0.9  # m; the radius of the ring around the light ahead
+_RING: Final = 1.0  # m; the radius of the ring around the light ahead
 _RING_WIDTH: Final = 0.12  # m
-_ABOVE: Final = 1.6  # m; the height of the label above the lamp
+_ABOVE: Final = 1.7  # m; the height of the label above the lamp
 _CORNERS: Final = 32
+_LABEL: Final = (245, 246, 248)
 
 
 class TrafficLightWriter:
@@ -42,6 +53,7 @@ class TrafficLightWriter:
         self._stream = stream
         self._last: tuple[bytes, bytes] = (b"", b"")  # ids and states of the last scene
         self._states: dict[int, int] = {}
+        self._lamps: dict[int, dict[int, NDArray[np.uint8]]] = {}  # the colours of the vertices in each state
         self._changes: defaultdict[int, list[tuple[TimePoint, int]]] = defaultdict(list)
         self._count = 0
 
@@ -74,25 +86,24 @@ class TrafficLightWriter:
         """Write what is held back."""
         for id, changes in self._changes.items():
             times = TimeColumns.of_points(time for time, _ in changes)
-            names, colors = zip(*(style.light(state) for _, state in changes), strict=True)
+            names = [style.light(state)[0] for _, state in changes]
             self._stream.columns(paths.state(id), times, rr.StateChange.columns(state=names))
-            self._stream.columns(paths.lamp(id), times, rr.Points3D.columns(colors=np.array(colors, np.uint8)))
+            if id in self._lamps:
+                colors = np.concatenate([self._lamps[id].get(state, self._lamps[id][OFF]) for _, state in changes])
+                column = rr.Mesh3D.columns(vertex_colors=packed(colors))
+                lengths = np.full(len(changes), len(colors) // len(changes))
+                self._stream.columns(paths.lamp(id), times, [each.partition(lengths) for each in column])
         self._changes.clear()
         self._count = 0
 
     def _add(self, id: int, pose: NDArray[np.float64] | None, time: TimePoint) -> None:
         names, colors = zip(*style.LIGHTS, strict=True)
         self._stream.log_static(paths.state(id), rr.StateConfiguration(values=names, colors=colors))
-        if pose is None:
+        self._lamps.pop(id, None)
+        if pose is None or not np.isfinite(pose).all():
             return
-        foot = right_handed(pose)[LOCATION]
-        top = foot + np.array((0, 0, style.LAMP_UP))
-        self._stream.log(
-            paths.lamp(id),
-            time,
-            rr.Points3D.from_fields(positions=[top], radii=[style.LAMP / 2]),
-            rr.LineStrips3D([[foot, top]], colors=[style.POLE], radii=[style.POLE_WIDTH / 2]),
-        )
+        lamps, self._lamps[id] = _lamps_at(pose)
+        self._stream.log(paths.lamp(id), time, unlit(lamps))
 
     def _remove(self, id: int, time: TimePoint) -> None:
         self.flush()
@@ -171,8 +182,34 @@ class LightAheadWriter:
 
 
 def lamp_of(pose: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return the location of the lamp of a traffic light in m, right-handed, from its pose in cm and degrees."""
-    return np.asarray(right_handed(pose)[LOCATION] + np.array((0, 0, style.LAMP_UP)))
+    """Return the middle of the lamps of a traffic light in m, right-handed, from its pose in cm and degrees."""
+    return np.asarray(_lamps_at(pose)[0].vertices.mean(axis=0), np.float64)
+
+
+def _lamps_at(pose: NDArray[np.float64]) -> tuple[Mesh, dict[int, NDArray[np.uint8]]]:
+    """Return the lamps of a traffic light in the world, and the colours of their vertices in each state."""
+    lamps, colors = _lamps()
+    moved = right_handed(pose)
+    turn = rotations(moved).astype(np.float32)
+    vertices = (lamps.vertices @ turn.T + moved[LOCATION]).astype(np.float32)
+    return Mesh(vertices, lamps.normals @ turn.T, lamps.materials, lamps.triangles), colors
+
+
+@cache
+def _lamps() -> tuple[Mesh, dict[int, NDArray[np.uint8]]]:
+    look = look_of("traffic.traffic_light", ActorKind.TRAFFIC_LIGHT, {})
+    assert look is not None
+    mesh = model_mesh(look)
+    lamps = Mesh.concatenate([lamp for material in _MATERIALS if (lamp := lamps_of(mesh, material)) is not None])
+    colors = {}
+    for state in (*range(len(_MATERIALS)), OFF):
+        shown = palette()
+        for number, material in enumerate(_MATERIALS):
+            glow = MATERIALS[material].glow
+            if number == state and glow is not None:
+                shown[material] = glow
+        colors[state] = shown[lamps.materials]
+    return lamps, colors
 
 
 def _ring(
@@ -185,5 +222,5 @@ def _ring(
     points = center + _RING * (np.cos(angles) * across + np.sin(angles) * np.array((0, 0, 1.0)))
     return [
         rr.LineStrips3D([points], colors=[color], radii=[_RING_WIDTH / 2]),
-        rr.Points3D([center + np.array((0, 0, _ABOVE))], colors=[color], radii=[0], labels=[text], show_labels=True),
+        rr.Points3D([center + np.array((0, 0, _ABOVE))], colors=[_LABEL], radii=[0], labels=[text], show_labels=True),
     ]

@@ -11,6 +11,7 @@ from carla_recap.export.rerun.blueprint import View, live_blueprint
 from carla_recap.export.rerun.rrd import send_blueprint
 from carla_recap.export.rerun.writer import SceneWriter, describe
 from carla_recap.model.records import ActorKind
+from carla_recap.rendering.looks import look_of_present
 from carla_recap.replay.follow import HERO, Follow
 from carla_recap.replay.player import LiveScenes
 from carla_recap.replay.pose import LOCATION
@@ -67,7 +68,10 @@ class LiveView:
         if chosen is not None and chosen != self._followed:
             self._followed = chosen
             self._writer.follow(chosen)
-            send_blueprint(live_blueprint(view=self._view, followed=chosen), self._stream)
+            look = look_of_present(scene.actors[chosen])
+            half_extents = None if look is None else look.half_extents
+            arrangement = live_blueprint(view=self._view, followed=chosen, half_extents=half_extents)
+            send_blueprint(arrangement, self._stream)
         self._writer.write(scene.batch)
 
     def flush(self) -> None:

@@ -38,6 +38,11 @@ def actor(id: int) -> str:
     return f"{ACTORS}/{id}"
 
 
+def lamps(id: int, kind: str) -> str:
+    """Return the path of the lamps of a vehicle of a kind, in its axes."""
+    return f"{ACTORS}/{id}/lamps/{kind.lower()}"
+
+
 def camera(id: int) -> str:
     """Return the path of the axes in which the camera that follows an actor is fixed."""
     return f"{CAMERAS}/{id}"
