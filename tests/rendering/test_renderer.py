@@ -460,20 +460,20 @@ def test_supersampling_smooths_the_rgb_image_alone(renderer: Renderer) -> None:
 
 
 def test_shadows_are_where_the_sun_does_not_reach() -> None:
-    seen, box = camera((0, 0, 30), pitch=-90), boxes((0, 0, 1), half=(2, 2, 1))
+    seen, box = camera((0, 0, 30), pitch=-90, width=320, height=240), boxes((0, 0, 1), half=(2, 2, 1))
     sky = Sky(sun_azimuth=90, sun_altitude=45)  # to the right of the image, so that shadows of 2 m fall to the left
     images = {}
     for quality in ("low", "epic"):
         with create(quality=quality) as renderer:
-            images[quality] = renderer.draw(seen, box, [RGB], sky)[RGB][60].astype(int).sum(axis=-1)
+            images[quality] = renderer.draw(seen, box, [RGB], sky)[RGB][120].astype(int).sum(axis=-1)
     pixels = seen.focal_length / 30  # of a metre on the ground
-    left, right = (int(80 + side * 3 * pixels) for side in (-1, 1))
+    left, right = (int(160 + side * 3 * pixels) for side in (-1, 1))
     assert images["epic"][left] < 0.85 * images["low"][left]
     assert images["epic"][right] == pytest.approx(images["low"][right], rel=0.2)
 
 
 def test_overlapping_shadows_are_not_darker() -> None:
-    seen, sky = camera((0, 0, 30), pitch=-90), Sky(sun_azimuth=90)
+    seen, sky = camera((0, 0, 30), pitch=-90, width=320, height=240), Sky(sun_azimuth=90)
     one, two = boxes((0, 0, 1), half=(2, 2, 1)), boxes((0, 0, 1), (0, 0, 1), half=(2, 2, 1))
     with create() as renderer:
         assert (renderer.draw(seen, one, [RGB], sky)[RGB] == renderer.draw(seen, two, [RGB], sky)[RGB]).all()

@@ -171,10 +171,21 @@ class ModelBuffers:
 
 
 class InstanceGroup:
-    """Instances of one model."""
+    """Instances of one model.
 
-    def __init__(self, model: ModelBuffers, table: NDArray[np.void], before: NDArray[np.void], is_solid: bool) -> None:
-        self.model, self.table, self.before, self.is_solid = model, table, before, is_solid
+    Args:
+        model: The model.
+        table: The instances; see `instance_table`.
+        before: Where they were in the previous image.
+        is_solid: Whether they are opaque.
+        shadows: How many of them, from the first, have a shadow of their shape.
+    """
+
+    def __init__(
+        self, model: ModelBuffers, table: NDArray[np.void], before: NDArray[np.void], *, is_solid: bool, shadows: int
+    ) -> None:
+        self.model, self.table, self.before = model, table, before
+        self.is_solid, self.shadows = is_solid, shadows
 
     def load(self) -> int:
         """Fill the buffers of the model, and return the number of instances."""

@@ -48,6 +48,7 @@ if TYPE_CHECKING:
 LARGEST: Final = 8192
 """The largest width and height of an image, in pixels."""
 _SIZES: Final = 8  # image sizes whose buffers are kept
+_SHADOWED: Final = 12  # pixels: half the size of the smallest actor whose shadow has a shape
 _GRAIN: Final = 256  # pixels of the texture of surfaces and clouds
 
 
@@ -259,8 +260,8 @@ class Renderer:
                 if not group.model.is_flat:
                     count = group.load()
                     self._array("blob", group.model).render(context.TRIANGLE_STRIP, instances=count)
-                    if self._quality is Quality.EPIC and view.has_shadows:
-                        self._array("shadow", group.model).render(instances=count)
+                    if group.shadows and self._quality is Quality.EPIC and view.has_shadows:
+                        self._array("shadow", group.model).render(instances=group.shadows)
             context.blend_equation = context.FUNC_ADD
             _mask(framebuffer, (True, True, True, True))
             context.blend_func = context.ZERO, context.DST_ALPHA, context.ONE, context.ZERO
@@ -327,8 +328,15 @@ class Renderer:
         solid = seen.opacity >= 1
         order = np.lexsort((np.where(solid, distances, -distances), seen.models, ~solid))
         cuts = np.flatnonzero((np.diff(seen.models[order].astype(int)) != 0) | np.diff(solid[order])) + 1
+        large = (seen.half_extents**2).sum(axis=1) * view.camera.focal_length**2 > _SHADOWED**2 * distances
         return [
-            InstanceGroup(self._models[seen.models[part[0]]], table[part], before[part], bool(solid[part[0]]))
+            InstanceGroup(
+                self._models[seen.models[part[0]]],
+                table[part],
+                before[part],
+                is_solid=bool(solid[part[0]]),
+                shadows=int(large[part].sum()) if solid[part[0]] else len(part),
+            )
             for part in np.split(order, cuts)
         ]
 

@@ -1,0 +1,111 @@
+"""Images by the software renderer: a town with 100 vehicles and 50 walkers, seen from eight of the vehicles."""
+
+from __future__ import annotations
+
+import random
+import statistics
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Final
+
+import numpy as np
+
+from benchmarks.measuring import Line, Subject, cpu_time, timed
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+
+TOWN: Final = Path("../shared/data/maps/Town01.xodr")
+VEHICLES: Final = 100
+WALKERS: Final = 50
+VIEWS: Final = 8
+ROUNDS: Final = 4
+TYPES: Final = ("vehicle.tesla.model3", "vehicle.audi.tt", "vehicle.nissan.patrol", "vehicle.mercedes.sprinter")
+
+
+def cameras(_: Subject) -> Iterator[Line]:
+    from carla_recap.rendering.camera import ImageKind
+    from carla_recap.rendering.renderer import Renderer
+
+    four = (ImageKind.RGB, ImageKind.SEMANTIC, ImageKind.INSTANCE, ImageKind.DEPTH)
+    name, town, actors, poses = crowded_town()
+    times = {}
+    with Renderer(town) as renderer:
+        for what, width, height, kinds, goal in (
+            ("RGB", 800, 600, four[:1], 30),
+            ("RGB, semantic, instance, depth", 800, 600, four, 18),
+            ("RGB", 320, 240, four[:1], 60),
+        ):
+            seen = [camera_behind(pose, width, height) for pose in poses[:VIEWS]]
+
+            def draw_all(seen: list[Any] = seen, kinds: tuple[Any, ...] = kinds) -> None:
+                for camera in seen:
+                    renderer.draw(camera, actors, kinds)
+
+            draw_all()
+            seconds = min(timed(draw_all) for _ in range(ROUNDS)) / VIEWS
+            cpu = min(cpu_time(draw_all) for _ in range(ROUNDS)) / VIEWS
+            times[what, width] = cpu
+            yield Line(
+                f"{name}, {width} x {height}: {what}",
+                f"{1 / seconds:.0f} images/s",
+                f"{cpu * 1e3:.0f} ms of CPU",
+                f"≥ {goal} /s",
+                1 / seconds >= goal,
+            )
+    ratio = times["RGB, semantic, instance, depth", 800] / times["RGB", 800]
+    yield Line("four kinds of images instead of one", "", f"{ratio:.1f} x the CPU time", "≤ 2 x", ratio <= 2)
+
+
+def drawing_process(_: Subject) -> Iterator[Line]:
+    from carla_recap.rendering.process import RenderProcess
+
+    _, town, actors, poses = crowded_town()
+    camera = camera_behind(poses[0], 800, 600)
+    start = timed(lambda: RenderProcess(town).close())
+    yield Line("the process that draws: start to end", f"{start:.1f} s", "", "", True)
+    with RenderProcess(town) as process:
+        process.draw(camera, actors)
+        one = statistics.median(timed(lambda: process.draw(camera, actors)) for _ in range(15))
+
+        def draw_several() -> None:
+            for future in [process.submit(camera, actors) for _ in range(15)]:
+                future.result()
+
+        many = min(timed(draw_several) for _ in range(2)) / 15
+    yield Line("an image of 800 x 600 by it, alone", f"{one * 1e3:.0f} ms", f"{one / many:.1f} x that of many", "", True)
+
+
+def crowded_town() -> tuple[str, Any, Any, Any]:
+    """Return a town's name, its mesh, actors in it, and CARLA's poses of these."""
+    from carla_recap.maps.road_map import find_map, load_map
+    from carla_recap.rendering.actors import instances
+    from carla_recap.rendering.looks import look_of
+    from carla_recap.rendering.town import load_town_mesh
+
+    path = TOWN if TOWN.exists() else find_map("Brickfield")
+    assert path is not None
+    lines, chance = load_map(path).centre_lines, random.Random(1)
+    poses, looks = [], []
+    for number in range(VEHICLES + WALKERS):
+        line = chance.choice(lines)
+        index = chance.randrange(len(line) - 1)
+        x, y, z = line[index]
+        ahead = line[index + 1] - line[index]
+        poses.append((100 * x, -100 * y, 100 * z, 0, 0, -np.degrees(np.arctan2(ahead[1], ahead[0]))))
+        kind = chance.choice(TYPES) if number < VEHICLES else f"walker.pedestrian.{chance.randint(1, 40):04d}"
+        color = ",".join(str(chance.randrange(256)) for _ in range(3))
+        looks.append(look_of(kind, 1 if number < VEHICLES else 2, {"color": color}, None))
+    table = np.array(poses)
+    return path.stem, load_town_mesh(path), instances(range(1, len(looks) + 1), looks, table), table
+
+
+def camera_behind(pose: Any, width: int, height: int) -> Any:
+    """Return a chase camera."""
+    from carla_recap.rendering.camera import Camera
+    from carla_recap.replay.pose import attach, right_handed, rotations
+
+    behind = right_handed(attach(pose, np.array((-600.0, 0, 300, 0, -8, 0))))
+    return Camera(width, height, 90.0, behind[:3], rotations(behind))
+
+
+ROWS: Final = (cameras, drawing_process)
