@@ -287,9 +287,17 @@ def test_what_cannot_be_replayed_has_carlas_texts(client: carla.Client, recordin
     assert client.replay_file("absent.log", 0.0, 0.0, 0) == f"Replaying File: {path}\nFile {path} not found on server\n"
     path = recordings / "text.log"
     assert client.replay_file("text", 0.0, 0.0, 0) == f"Replaying File: {path}\nFile is not a CARLA recorder\n"
+
+
+def test_a_recording_of_an_unknown_map_replays_on_its_corridors(client: carla.Client, world: carla.World) -> None:
+    before = world.get_map().name
     answer = client.replay_file("nowhere", 0.0, 0.0, 0).splitlines()
-    assert answer[1] == "Could not load mapfile Carla/Maps/Town42"
-    assert "Town42" in answer[2]
+    assert answer[1] == "Loading map Carla/Maps/Town42"
+    assert "There is no map Carla/Maps/Town42: the corridors that the vehicles have driven are its roads" in answer
+    there = client.get_world()
+    assert there.get_map().name.endswith("Town42")
+    assert len(there.get_map().generate_waypoints(5.0)) > 2
+    client.load_world(before)
 
 
 def test_what_carla_has_no_text_for_is_an_error(client: carla.Client) -> None:

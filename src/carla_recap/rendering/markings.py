@@ -59,7 +59,7 @@ class _Line:
 
 
 def add_lines(builder: MeshBuilder, sections: Sequence[SampledSection], driving: TriangleGrid) -> None:
-    """Add the lines along the borders of lanes; in junctions, without those across lanes of other roads.
+    """Add the lines along the borders of lanes, without those across lanes of other roads.
 
     Args:
         builder: Collects the triangles.
@@ -79,9 +79,7 @@ def add_lines(builder: MeshBuilder, sections: Sequence[SampledSection], driving:
             [line.section.road.in_junction for line in lines],
         )
     )
-    left_out = np.zeros(len(corners), np.bool_)
-    left_out[inside] = _across(corners[inside], owners[inside], driving)
-    left_out |= _repeated(corners, np.where(inside, owners, -1), materials)
+    left_out = _across(corners, owners, driving) | _repeated(corners, np.where(inside, owners, -1), materials)
     for line, part in zip(lines, np.split(~left_out, np.cumsum(sizes)[:-1]), strict=True):
         kept = part if part.all() else _long(line.corners, part)
         builder.add_quads(line.corners[kept], UP, line.material)

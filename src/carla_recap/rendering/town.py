@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING, Any, Final
 import numpy as np
 
 from carla_recap.errors import FormatError
+from carla_recap.maps.corridors import corridor_opendrive
 from carla_recap.maps.parsing import pack, parse_in_child, read_content, run_child, unpack
 from carla_recap.maps.road_geometry import read_roads
 from carla_recap.rendering.building import MeshBuilder
@@ -28,6 +29,8 @@ from carla_recap.rendering.terrain import Terrain, add_edges
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
+
+    from carla_recap.recording import Recording
 
     Floats = NDArray[np.float64]
     Arrays = dict[str, list[NDArray[Any]]]
@@ -102,6 +105,18 @@ def town_mesh_of(opendrive: str, name: str = "") -> TownMesh:
         FormatError: It is no OpenDRIVE map with lanes.
     """
     return _town_mesh(name, Path(name or "map"), opendrive.encode())
+
+
+def corridor_town(recording: Recording) -> TownMesh:
+    """Return the corridors that the vehicles of a recording have driven, as roads; for a map that is unavailable.
+
+    Args:
+        recording: The recording.
+
+    Raises:
+        FormatError: The recording contradicts its format.
+    """
+    return town_mesh_of(corridor_opendrive(recording))
 
 
 _towns: OrderedDict[bytes, TownMesh] = OrderedDict()

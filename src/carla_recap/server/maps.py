@@ -13,6 +13,7 @@ from carla_recap.errors import RecapError
 from carla_recap.maps.road_map import described_folder, loadable_maps, plain_name
 from carla_recap.server.navmesh import prepare_navigation
 from carla_recap.server.rpc.registry import CallError
+from carla_recap.sim.replaying.corridors import is_unknown, load_corridors
 from carla_recap.sim.town.town import BUILT_IN, load_town
 
 if TYPE_CHECKING:
@@ -88,10 +89,18 @@ class Maps:
             return False
         return self._stand_in or asked == self._first.name or (asked == _SENT and self._sent is not None)
 
-    async def preload(self, name: str) -> None:
-        """Parse a map for what loads it next on the event loop, such as a replay; errors are left to that."""
-        with suppress(RecapError):
-            await asyncio.to_thread(load_town, plain_name(name), self._folder)
+    async def preload(self, name: str, recording: Path | None = None) -> None:
+        """Parse a map for what loads it next on the event loop, such as a replay; errors are left to that.
+
+        Args:
+            name: The name of the map.
+            recording: A recording, whose corridors are parsed if there is no such map.
+        """
+        with suppress(RecapError, OSError):
+            if recording is not None and is_unknown(name, self._folder) and plain_name(name) != self._first.name:
+                await asyncio.to_thread(load_corridors, recording, name)
+            else:
+                await asyncio.to_thread(load_town, plain_name(name), self._folder)
 
     def _missing(self, name: str) -> CallError:
         shown = name if len(name) <= _SHOWN else f"{name[:_SHOWN]}…"

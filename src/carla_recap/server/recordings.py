@@ -188,6 +188,8 @@ def replay_begins(replay: Replay, replayer: Replayer, duration: float) -> str:
     lines = replaying(replay.path)
     if replay.loaded:
         lines += f"Loading map {readable(replay.map_name)}\nReplayer will start after map is loaded...\n"
+    if replay.on_corridors:
+        lines += f"There is no map {readable(replay.map_name)}: the corridors that the vehicles have driven are its roads\n"
     lines += f"Total time recorded: {total}\n"
     lines += f"Replaying from {start} s - {stop} s ({total} s) at {replay.time_factor:.1f}x\n"
     if replayer.ignore_hero:

@@ -596,18 +596,65 @@ def test_a_recording_is_found_by_its_name(tmp_path: Path, drive: Path) -> None:
         world.replay_file("text")
 
 
-def test_a_recording_of_another_map_needs_that_map(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_recording_of_an_unknown_map_replays_on_its_corridors(
+    tmp_path: Path, drive: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     monkeypatch.delenv("CARLA_RECAP_MAPS", raising=False)
+    path = of_another_map(drive, tmp_path / "a.mcap")
+    world = new_world()
+    with pytest.warns(RecapWarning, match=r"a\.mcap: is a recording of the map 'Town42', which is not in the folder"):
+        replay = world.replay_file(path)
+    assert replay.loaded
+    assert replay.on_corridors
+    assert world.town.name == "Town42"
+    with carla_recap.open_recording(path) as recording:
+        driven = [way for way in recording.trajectories("vehicle", axes="carla").values() if np.ptp(way.x) > 10]
+    assert driven
+    for way in driven:
+        places = np.stack((way.x, way.y, way.z), axis=1)
+        points = np.concatenate([lane.points for lane in world.town.lanes])
+        assert np.linalg.norm(places[:, None] - points[None], axis=2).min(axis=1).max() < 1.0
+    town = world.town
+    world.run(replay.duration + 1)
+    assert not world.replay_file(path).loaded  # known by now
+    assert world.town is town
+
+
+def test_each_recording_of_an_unknown_map_has_its_own_corridors(tmp_path: Path, drive: Path) -> None:
+    first, second = (of_another_map(drive, tmp_path / name) for name in ("a.mcap", "b.mcap"))
+    world = new_world()
+    with pytest.warns(RecapWarning):
+        world.replay_file(first)
+    with pytest.warns(RecapWarning, match=r"b\.mcap"):
+        assert world.replay_file(second).loaded
+
+
+def test_a_recording_of_an_unknown_map_without_vehicles_has_a_road(tmp_path: Path) -> None:
     with carla_recap.create_recording(tmp_path / "a.log", map_name="Carla/Maps/Town42", date=0) as recording:
         recording.add_frame(0)
     world = new_world()
-    mine = spawn_car(world, 500.0)
-    with pytest.raises(
-        SimError, match=r"a\.log: is a recording of the map 'Carla/Maps/Town42', which cannot be loaded: .*Town42"
-    ):
+    with pytest.warns(RecapWarning, match="Town42"):
         world.replay_file(tmp_path / "a.log")
+    assert len(world.town.lanes) == 1
+
+
+def test_a_map_that_the_caller_names_must_be_there(tmp_path: Path, drive: Path) -> None:
+    world = new_world()
+    mine = spawn_car(world, 500.0)
+    with pytest.raises(SimError, match=r"is a recording of the map 'Town42', which cannot be loaded: .*Town42"):
+        world.replayer.start(drive, map_name="Town42")
     assert mine.is_alive
     assert not world.replayer.is_playing
+
+
+def of_another_map(recording: Path, path: Path) -> Path:
+    """Copy a recording, as one of a map that does not exist."""
+    carla_recap.convert(recording, path.with_suffix(".log"))
+    log = path.with_suffix(".log")
+    log.write_bytes(log.read_bytes().replace(b"\x04\x00Flat", b"\x06\x00Town42", 1))
+    carla_recap.convert(log, path)
+    log.unlink()
+    return path
 
 
 @pytest.mark.parametrize(("name", "spectator", "hero"), [("0.9.10", 86, 259), ("0.9.13", 1, 234)])

@@ -100,7 +100,7 @@ async def replay_file(
     is_present = plain_name(recorded) == world.town.name
     town = await maps.load(recorded) if maps.is_only_here(recorded) and not is_present else None
     if town is None:
-        await maps.preload(recorded)
+        await maps.preload(recorded, None if map_name else path)
     frames = world.frame
     try:
         if town is not None:

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Final
 
 from carla_recap.errors import RecapError, RecapWarning
 from carla_recap.formats import SUFFIXES, open_reader
-from carla_recap.maps.road_map import plain_name
+from carla_recap.maps.road_map import described_folder, plain_name
 from carla_recap.replay import Player, level
 from carla_recap.replay.camera import CHASE_BACK, CHASE_PITCH, CHASE_UP
 from carla_recap.sim.actors.control import VehicleControl
@@ -22,6 +22,7 @@ from carla_recap.sim.recording.poses import CM_PER_M, transform
 from carla_recap.sim.recording.recorder import recording_path
 from carla_recap.sim.replaying.actor_mapping import ActorMapping
 from carla_recap.sim.replaying.collisions import CollisionReplay
+from carla_recap.sim.replaying.corridors import is_unknown, load_corridors
 from carla_recap.sim.replaying.kinematic import KinematicReplay
 from carla_recap.sim.town.town import load_town
 from carla_recap.sim.weather import Weather
@@ -33,6 +34,7 @@ if TYPE_CHECKING:
 
     from carla_recap.replay import Follow, Scene
     from carla_recap.sim.interfaces import ReplayWorld
+    from carla_recap.sim.town.town import Town
 
 
 CHASE: Final = Transform(Location(-CHASE_BACK / CM_PER_M, 0.0, CHASE_UP / CM_PER_M), Rotation(pitch=CHASE_PITCH))
@@ -47,6 +49,7 @@ class Replay:
         path: The recording.
         map_name: The map on which it is replayed, as the recording or the caller names it.
         loaded: Whether that map had to be loaded.
+        on_corridors: Whether the map is unavailable, and its roads are what the vehicles of the recording have driven along.
         total: The length of the recording, in s.
         start: The beginning of the replay, in elapsed seconds.
         stop: Its end, in elapsed seconds.
@@ -62,6 +65,7 @@ class Replay:
     stop: float
     time_factor: float
     followed: int | None
+    on_corridors: bool = False
 
     @property
     def duration(self) -> float:
@@ -94,6 +98,7 @@ class Replayer:
         self._offset = CHASE
         self._player: Player | None = None
         self._path: Path | None = None
+        self._corridors: Town | None = None
         self._close: Callable[[], object] = lambda: None
         self._mapping = ActorMapping(world, replay_sensors=False)
         self._kinematic = KinematicReplay(world, self._mapping)
@@ -169,7 +174,8 @@ class Replayer:
 
         Raises:
             RecapError: There is no such recording, it is damaged, or there is no such start or actor.
-            MapMissing: The map is another one, and unavailable.
+            MapMissing: The map is another one, and cannot be loaded. (Where there is none of the recorded name, the
+                corridors that the vehicles have driven are its roads, and a warning says so.)
         """
         self.stop()
         self._world.stop_recorder()
@@ -189,8 +195,9 @@ class Replayer:
             )
             self._follow = player.followed if follow else None
             self._offset = offset or CHASE
+            chosen = map_name
             map_name = map_name or reader.header.map_name
-            loaded = self._load(reader.path, map_name, keep_town=keep_town)
+            loaded = self._load(reader.path, map_name, keep_town=keep_town, is_recorded=not chosen)
             self._replay_weather = replay_weather
             self._path = path
             self._begin(player, replay_sensors)
@@ -207,6 +214,7 @@ class Replayer:
             player.stop,
             player.time_factor,
             self._follow,
+            self._world.town is self._corridors,
         )
 
     def stop(self, keep_actors: bool = False) -> None:
@@ -246,22 +254,42 @@ class Replayer:
             self.stop(keep_actors=True)
             warnings.warn(f"the replay has ended: {error}", RecapWarning, stacklevel=3)
 
-    def _load(self, path: Path, map_name: str, *, keep_town: bool) -> bool:
-        """Load a map unless it is the town's, or the town is kept; return whether it was loaded."""
+    def _load(self, path: Path, map_name: str, *, keep_town: bool, is_recorded: bool) -> bool:
+        """Load a map unless it is the town's, or the town is kept; return whether it was loaded.
+
+        Where there is no map of the recorded name, its corridors are loaded.
+        """
         name, town_name = _plain(map_name), _plain(self._world.town.name)
-        if name == town_name:
+        maps = None if self._world.maps is None else Path(self._world.maps)
+        if name == town_name and self._world.town is not self._corridors:
             return False
         if keep_town:
-            warnings.warn(
-                f"{path}: is a recording of the map {name!r}, and replayed in {town_name!r}", RecapWarning, stacklevel=4
-            )
+            if name != town_name:
+                warnings.warn(
+                    f"{path}: is a recording of the map {name!r}, and replayed in {town_name!r}", RecapWarning, stacklevel=4
+                )
             return False
-        maps = None if self._world.maps is None else Path(self._world.maps)
         try:
+            if is_recorded and is_unknown(map_name, maps):
+                return self._load_corridors(path, map_name, maps)
             town = load_town(plain_name(map_name), maps)
         except RecapError as error:
             raise MapMissing(path, map_name, str(error)) from None
         self._world.reload(town)
+        return True
+
+    def _load_corridors(self, path: Path, map_name: str, maps: Path | None) -> bool:
+        town = load_corridors(path, map_name)
+        if town is self._world.town:
+            return False
+        warnings.warn(
+            f"{path}: is a recording of the map {plain_name(map_name)!r}, which is not in {described_folder(maps)}; "
+            "it is replayed on the corridors that its vehicles have driven",
+            RecapWarning,
+            stacklevel=5,
+        )
+        self._world.reload(town)
+        self._corridors = town
         return True
 
     def _begin(self, player: Player, replay_sensors: bool) -> None:

@@ -1,0 +1,185 @@
+"""The corridors that vehicles have driven, as an OpenDRIVE map for a recording whose map is unavailable.
+
+Units are m and radians; axes are right-handed: x forward, y left, z up.
+"""
+
+from __future__ import annotations
+
+from itertools import pairwise
+from typing import TYPE_CHECKING, Final
+
+import numpy as np
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable, Iterator, Sequence
+
+    from numpy.typing import NDArray
+
+    from carla_recap.recording import Recording
+    from carla_recap.tables.trajectories import Trajectory
+
+    Floats = NDArray[np.float64]
+
+LANE_WIDTH: Final = 3.5
+"""The width of a corridor, in m."""
+
+_STEP: Final = 1.0  # m between points of a path
+_CELL: Final = 1.5  # m of a square in which one path is a road
+_MOST: Final = 60_000  # points of roads
+_FARTHEST: Final = 1e5  # m from the origin
+_JUMP: Final = 100.0  # m/s; what is faster is no driving
+_LEAST_JUMP: Final = 3.0  # m
+_SHARP: Final = np.cos(np.radians(50.0))  # of a turn at a point, at which a path ends
+_SHORTEST: Final = 4.0  # m of a road
+_BEYOND: Final = 4.0  # m of road before and after a path
+_SMOOTHED: Final = 5  # points on both sides, of heights
+_SHOULDER: Final = 0.6  # m
+_ALONE: Final = 40.0  # m of the road where no vehicle has driven
+
+
+def corridor_opendrive(recording: Recording) -> str:
+    """Return an OpenDRIVE map whose roads are what the vehicles of a recording have driven along, once each.
+
+    Each road has one lane. Where no vehicle has moved, there is one short road.
+
+    Args:
+        recording: The recording.
+    """
+    poses = recording.trajectories()
+    vehicles = [poses[id] for id, actor in recording.actors.items() if actor.kind == "vehicle" and id in poses]
+    paths = [path for vehicle in vehicles for path in _paths(vehicle)]
+    roads = [road for road in map(_extended, fresh_parts(paths, _CELL, _MOST)) if _length(road) > _SHORTEST]
+    return _opendrive(roads or [_somewhere(vehicles or list(poses.values()))])
+
+
+def fresh_parts(paths: Sequence[Floats], cell: float, most: int) -> Iterator[Floats]:
+    """Yield paths without those parts where one is already.
+
+    Args:
+        paths: The points of each path, (n, 2) or more columns.
+        cell: The side of a square in which one path is enough, in m.
+        most: The largest number of points.
+    """
+    if not paths:
+        return
+    points = np.concatenate([path[:, :2] for path in paths])
+    _, firsts = np.unique(np.rint(points / cell).astype(np.int64), axis=0, return_index=True)
+    fresh = np.zeros(len(points), np.bool_)
+    fresh[firsts] = True
+    left = most
+    for path, new in zip(paths, np.split(fresh, np.cumsum([len(path) for path in paths])[:-1]), strict=True):
+        for run in _runs(path, new):
+            if left <= 0:
+                return
+            left -= len(run)
+            yield run
+
+
+def _runs(path: Floats, wanted: NDArray[np.bool_]) -> Iterator[Floats]:
+    """Yield the parts of a path that contain the wanted points, with the points next to these."""
+    near = wanted.copy()
+    near[1:] |= wanted[:-1]
+    near[:-1] |= wanted[1:]
+    ends = np.flatnonzero(np.diff(np.concatenate(([0], near.astype(np.int8), [0]))))
+    for first, last in ends.reshape(-1, 2).tolist():
+        if last - first > 1:
+            yield path[first:last]
+
+
+def _paths(trajectory: Trajectory) -> Iterator[Floats]:
+    """Yield the parts of the path of a vehicle without jumps and sharp turns, a point for each metre."""
+    points = np.stack((trajectory.x, trajectory.y, trajectory.z), axis=1)
+    good = np.isfinite(points).all(axis=1) & (np.abs(points).max(axis=1, initial=0.0) < _FARTHEST)
+    points, times = points[good], trajectory.time[good]
+    steps = np.linalg.norm(np.diff(points[:, :2], axis=0), axis=1)
+    jumps = steps > np.maximum(_JUMP * np.diff(times), _LEAST_JUMP)
+    for part in np.split(points, np.flatnonzero(jumps) + 1):
+        path = _thinned(part)
+        if len(path) < 2:
+            continue
+        ways = np.diff(path[:, :2], axis=0)
+        ways /= np.linalg.norm(ways, axis=1, keepdims=True)
+        turns = np.einsum("ij,ij->i", ways[1:], ways[:-1]) < _SHARP
+        for piece in np.split(path, np.flatnonzero(turns) + 2):
+            if len(piece) > 1:
+                yield piece
+
+
+def _thinned(path: Floats) -> Floats:
+    """Return points of a path that are apart; a vehicle that stands still has one."""
+    far = np.concatenate(([0.0], np.cumsum(np.linalg.norm(np.diff(path[:, :2], axis=0), axis=1))))
+    kept, index = [0], 0
+    while index < len(path):
+        index = int(np.searchsorted(far, far[index] + _STEP * 0.999))
+        if index < len(path) and np.linalg.norm(path[index, :2] - path[kept[-1], :2]) > _STEP / 2:
+            kept.append(index)
+    return path[kept]
+
+
+def _length(path: Floats) -> float:
+    return float(np.linalg.norm(np.diff(path[:, :2], axis=0), axis=1).sum())
+
+
+def _extended(path: Floats) -> Floats:
+    """Return a path with some road before and after it, and with smooth heights."""
+    ends = []
+    for end, inner in ((path[0], path[min(2, len(path) - 1)]), (path[-1], path[max(-3, -len(path))])):
+        way = end - inner
+        way[2] = 0.0
+        ends.append(end + way * (_BEYOND / max(float(np.linalg.norm(way)), 1e-6)))
+    longer = np.concatenate((ends[:1], path, ends[1:]))
+    padded = np.pad(longer[:, 2], _SMOOTHED, mode="edge")
+    longer[:, 2] = np.convolve(padded, np.full(2 * _SMOOTHED + 1, 1 / (2 * _SMOOTHED + 1)), mode="valid")
+    return longer
+
+
+def _somewhere(trajectories: Iterable[Trajectory]) -> Floats:
+    """Return a short road at the first pose of an actor, or at the origin."""
+    middle, heading = np.zeros(3), 0.0
+    for found in trajectories:
+        if len(found) and np.isfinite((found.x[0], found.y[0], found.z[0], found.yaw[0])).all():
+            middle, heading = np.array((found.x[0], found.y[0], found.z[0])), np.radians(found.yaw[0]).item()
+            middle = np.clip(middle, -_FARTHEST, _FARTHEST)
+            break
+    way = np.array((np.cos(heading), np.sin(heading), 0.0))
+    road: Floats = middle + np.linspace(-_ALONE / 2, _ALONE / 2, 9)[:, None] * way
+    return road
+
+
+def _opendrive(roads: Sequence[Floats]) -> str:
+    return (
+        '<?xml version="1.0" encoding="UTF-8"?>\n'
+        '<OpenDRIVE><header revMajor="1" revMinor="4" name="" vendor="carla-recap"/>\n'
+        + "".join(_road(number, path) for number, path in enumerate(roads, 1))
+        + "</OpenDRIVE>\n"
+    )
+
+
+def _road(number: int, path: Floats) -> str:
+    ways = np.diff(path, axis=0)
+    lengths = np.linalg.norm(ways[:, :2], axis=1)
+    stations = np.concatenate(([0.0], np.cumsum(lengths)))
+    headings = np.arctan2(ways[:, 1], ways[:, 0])
+    slopes = ways[:, 2] / lengths
+    rows = zip(pairwise(stations.tolist()), path.tolist(), headings.tolist(), slopes.tolist(), strict=False)
+    plan, heights = [], []
+    for (start, stop), (x, y, z), heading, slope in rows:
+        plan.append(
+            f'<geometry s="{start:.3f}" x="{x:.3f}" y="{y:.3f}" hdg="{heading:.6f}" length="{stop - start:.3f}">'
+            "<line/></geometry>"
+        )
+        heights.append(f'<elevation s="{start:.3f}" a="{z:.3f}" b="{slope:.6f}" c="0" d="0"/>')
+    return (
+        f'<road name="" length="{stations[-1]:.3f}" id="{number}" junction="-1"><link/>'
+        f"<planView>{''.join(plan)}</planView><elevationProfile>{''.join(heights)}</elevationProfile>"
+        f'<lanes><laneOffset s="0" a="{LANE_WIDTH / 2}" b="0" c="0" d="0"/><laneSection s="0">'
+        f"<left>{_lane(1, 'shoulder', _SHOULDER, 'none')}</left><center>{_lane(0, 'none', None, 'solid')}</center>"
+        f"<right>{_lane(-1, 'driving', LANE_WIDTH, 'solid')}{_lane(-2, 'shoulder', _SHOULDER, 'none')}</right>"
+        "</laneSection></lanes></road>\n"
+    )
+
+
+def _lane(id: int, kind: str, width: float | None, mark: str) -> str:
+    across = "" if width is None else f'<width sOffset="0" a="{width}" b="0" c="0" d="0"/>'
+    paint = f'<roadMark sOffset="0" type="{mark}" weight="standard" color="standard" width="0.12" laneChange="none"/>'
+    return f'<lane id="{id}" type="{kind}" level="false"><link/>{across}{paint}</lane>'

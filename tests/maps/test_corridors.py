@@ -1,0 +1,101 @@
+"""Corridors that vehicles have driven, as maps."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+import pytest
+
+import carla_recap
+from carla_recap.maps.corridors import LANE_WIDTH, corridor_opendrive, fresh_parts
+from carla_recap.maps.road_geometry import read_roads
+from carla_recap.model.records import ActorKind, Spawn
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+    from pathlib import Path
+
+    from carla_recap.maps.road_geometry import Road
+
+
+@pytest.fixture
+def roads(tmp_path: Path):
+    def roads(*paths: Sequence[tuple[float, float, float]]) -> list[Road]:
+        """Return the roads of vehicles that are at these points in m, right-handed, 0.1 s apart."""
+        path = tmp_path / "driven.mcap"
+        with carla_recap.create_recording(path, map_name="Nowhere", date=0) as recording:
+            for frame in range(max(map(len, paths), default=1)):
+                here = [(id, way[frame]) for id, way in enumerate(paths, 1) if frame < len(way)]
+                poses = [{"id": id, "x": 100 * x, "y": -100 * y, "z": 100 * z} for id, (x, y, z) in here]
+                spawned = [Spawn(id, ActorKind.VEHICLE, type_id="vehicle.audi.tt") for id, _ in here] if frame == 0 else []
+                recording.add_frame(frame / 10, spawned=spawned, transforms=poses)
+        with carla_recap.open_recording(path) as recording:
+            return read_roads(corridor_opendrive(recording))
+
+    return roads
+
+
+def straight(length: float = 60.0, y: float = 0.0, z: float = 0.0, slope: float = 0.0) -> list[tuple[float, float, float]]:
+    return [(x, y, z + slope * x) for x in np.arange(0.0, length + 0.1, 1.5)]
+
+
+def points(road: Road) -> np.ndarray:
+    return road.reference(np.linspace(0, road.length, 200))[0]
+
+
+def test_a_path_is_a_road_of_one_lane_with_a_bit_more_at_its_ends(roads):
+    (road,) = roads(straight())
+    course = points(road)
+    assert course[:, 0].min() == pytest.approx(-4, abs=0.01)
+    assert course[:, 0].max() == pytest.approx(64, abs=0.01)
+    assert np.abs(course[:, 1:]).max() < 0.01
+    (section,) = road.sections
+    borders = section.borders(np.array([10.0]))[:, 0] + road.lane_offset(np.array([10.0]))
+    assert borders[1:3] == pytest.approx([LANE_WIDTH / 2, -LANE_WIDTH / 2])
+    assert [lane.kind for lane in (*section.left, *section.right)] == ["shoulder", "driving", "shoulder"]
+
+
+def test_heights_are_followed(roads):
+    (road,) = roads(straight(z=10.0, slope=0.05))
+    course = points(road)
+    inside = (course[:, 0] > 5) & (course[:, 0] < 55)
+    assert np.abs(course[inside, 2] - 10 - 0.05 * course[inside, 0]).max() < 0.05
+
+
+def test_what_is_driven_twice_is_one_road(roads):
+    assert len(roads(straight(), straight(y=0.2))) == 1
+    assert len(roads(straight(), straight(y=10.0))) == 2
+
+
+def test_a_jump_is_no_road(roads):
+    found = roads([*straight(), *((x + 500.0, y, z) for x, y, z in straight())])
+    assert len(found) == 2
+    assert sum(road.length for road in found) == pytest.approx(2 * 68, abs=1)
+
+
+def test_a_vehicle_that_turns_back_ends_its_road(roads):
+    there = straight()
+    assert all(road.length < 75 for road in roads([*there, *there[::-1]]))
+
+
+def test_invalid_poses_are_left_out(roads):
+    (road,) = roads([*straight(), (np.nan, 0, 0), (1e30, 0, 0)])
+    assert road.length == pytest.approx(68, abs=0.1)
+
+
+def test_where_no_vehicle_moves_there_is_a_road_at_the_first(roads):
+    (road,) = roads([(30.0, 40.0, 2.0)] * 20)
+    course = points(road)
+    assert np.linalg.norm(course - (30, 40, 2), axis=1).min() < 0.3
+    assert road.length == pytest.approx(40)
+
+
+def test_an_empty_recording_has_a_road_at_the_origin(roads):
+    (road,) = roads()
+    assert np.linalg.norm(points(road), axis=1).min() < 0.3
+
+
+def test_parts_stop_at_the_most_points():
+    paths = [np.stack((np.arange(100.0), np.full(100, 5.0 * i)), axis=1) for i in range(10)]
+    assert sum(len(part) for part in fresh_parts(paths, 1.5, 250)) <= 300
