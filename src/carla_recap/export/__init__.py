@@ -1,4 +1,4 @@
-"""Exports of recordings: Rerun, Foxglove, Parquet, pictures, incident pages and clips; each with the extra that it needs."""
+"""Exports of recordings: to viewers, as videos, pictures, pages, clips and tables; each with the extra that it needs."""
 
 from __future__ import annotations
 

@@ -40,7 +40,7 @@ class Captions:
         self._speed = speed
         self._followed = followed
         shown = [each for each in incidents if each.start <= stop and self._end(each) >= start]
-        self._incidents = sorted(shown, key=lambda each: (_KINDS.index(each.kind), each.start))
+        self._incidents = sorted(shown, key=lambda each: (self._concerns(each), _KINDS.index(each.kind), each.start))
 
     def marks(self) -> Iterator[tuple[float, str]]:
         """Yield the part of the video, from 0 to 1, at which each incident of the followed actor happens, and its kind."""

@@ -9,9 +9,8 @@ from typing import TYPE_CHECKING, Any, Final, NamedTuple
 
 from carla_recap.errors import RecapError
 from carla_recap.export.ahead import stop_points
-from carla_recap.export.style import label_of
 from carla_recap.export.video.cameras import camera_path, camera_size, pixels_per_metre
-from carla_recap.export.video.captions import Captions, is_near
+from carla_recap.export.video.captions import Captions, is_near, readable_name
 from carla_recap.export.video.followed import FollowedActor
 from carla_recap.export.video.overlay import Overlay, Readings
 from carla_recap.export.video.transparency import Transparency
@@ -132,7 +131,7 @@ class Film:
         return Readings(
             scene.time,
             progress,
-            label_of(actor),
+            f"hero {id}" if actor.is_hero else f"{readable_name(actor.type_id)} ({id})",
             subject.speed if subject else None,
             self._followed.controls(scene),
             self._followed.light_ahead(scene),

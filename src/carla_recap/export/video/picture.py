@@ -10,7 +10,7 @@ import numpy as np
 
 from carla_recap.editing.convert import check_destination
 from carla_recap.errors import MissingExtra, RecapError
-from carla_recap.export.video.encoding import EXTRA, check_size
+from carla_recap.export.video.encoding import check_size
 from carla_recap.export.video.film import Film, followed_of, opened_renderer, recorded_size, submit
 from carla_recap.export.video.video import SIZE
 from carla_recap.replay import Player
@@ -123,7 +123,7 @@ def _pillow() -> Any:
     try:
         from PIL import Image
     except ImportError:
-        raise MissingExtra("a picture", EXTRA) from None
+        raise MissingExtra("a picture", "cameras") from None
     return Image
 
 
