@@ -91,7 +91,7 @@ _VERTEX: Final = """
 layout(std140) uniform Materials {
     vec4 finish[64];      // colour, gloss
     vec4 glow[64];        // the colour of the lit lamp; w: depth layer
-    vec4 kind[64];        // tag or -1; whether it is paint; whether it is a narrow line; the strength of the grain
+    vec4 kind[64];        // tag or -1; whether it is paint; the width of a marking; the strength of the grain
 };
 in vec3 position;
 in vec3 normal;
@@ -130,13 +130,13 @@ out vec3 v_previous;
 void main() {
     vec4 surface = kind[material];
 #ifdef INSTANCED
-    vec3 size = max(extents.xyz, vec3(1e-3));
-    vec3 local = position * size;
-    vec3 direction = normal / size;
+    vec3 half_size = max(extents.xyz, vec3(1e-3));
+    vec3 local = position * half_size;
+    vec3 direction = normal / half_size;
     if (pivot.z > 0.5) {
         float s = sin(extents.w), c = cos(extents.w);
         mat2 turn = mat2(c, s, -s, c);
-        vec2 axis = pivot.xy * size.xy;
+        vec2 axis = pivot.xy * half_size.xy;
         local.xy = turn * (local.xy - axis) + axis;
         direction.xy = turn * direction.xy;
     }
@@ -178,6 +178,7 @@ void main() {
 #endif
     float distance = length(here);
     vec3 view = here / max(distance, 1e-3);
+    if (surface.z > 0.0) color = mix(finish[ROAD].rgb, color, clamp(surface.z * size.z / distance, 0.45, 1.0));
     vec3 light = mix(groundlight.rgb, skylight.rgb, n.z * 0.5 + 0.5) + sunlight.rgb * max(dot(n, sun.xyz), 0.0);
     vec3 seen = linear(color) * light;
 #ifndef INSTANCED
@@ -187,7 +188,7 @@ void main() {
     if (gloss > 0.0) {
         vec3 mirrored = reflect(view, n);
         float grazing = 1.0 - abs(dot(view, n));
-        float share = gloss * (0.12 + 0.88 * grazing * grazing * grazing);
+        float share = gloss * (0.1 + 0.9 * grazing * grazing * grazing * grazing);
         vec3 sky = linear(mix(haze.rgb, zenith.rgb, sqrt(clamp(mirrored.z, 0.0, 1.0)))) * 1.1;
         vec3 ground = groundlight.rgb * 0.5;
         seen = mix(seen, mix(ground, sky, smoothstep(-0.1, 0.15, mirrored.z)), share);
@@ -428,8 +429,8 @@ _LAYERS: Final = {
 }
 _LAYER: Final = 2e-6  # of the depth of clip space
 _SHADOW_LAYER: Final = 7 * _LAYER
-_PAINTS: Final = (Material.PAINT, Material.SECOND_PAINT)
-_LINES: Final = (Material.WHITE_LINE, Material.YELLOW_LINE, Material.STOP_LINE, Material.CROSSING)
+_WIDTHS: Final = {Material.WHITE_LINE: 0.15, Material.YELLOW_LINE: 0.15, Material.STOP_LINE: 0.5, Material.CROSSING: 0.5}
+"""The widths of markings, in m; those that are less than a pixel wide are faint, and do not flicker."""
 _GRAINS: Final = {
     Material.GRASS: 0.5,
     Material.GROUND: 0.35,
@@ -451,7 +452,7 @@ def material_block() -> NDArray[np.float32]:
         block[0, material] = (*(np.array(finish.color) / 255), finish.gloss)
         block[1, material] = (*(np.array(finish.glow or finish.color) / 255), _LAYER * _LAYERS.get(material, 0))
         tag = -1 if finish.tag is None else finish.tag
-        block[2, material] = (tag, material == Material.PAINT, material in _LINES, _GRAINS.get(material, 0))
+        block[2, material] = (tag, material == Material.PAINT, _WIDTHS.get(material, 0), _GRAINS.get(material, 0))
     return block
 
 
@@ -476,7 +477,7 @@ def sources(name: str, kinds: Sequence[ImageKind], *options: str) -> tuple[str, 
     if ImageKind.SEMANTIC in kinds or ImageKind.INSTANCE in kinds:
         defined.append("MARKS")
     head = "#version 330\n" + "".join(f"#define {each}\n" for each in defined)
-    head += f"#define SKY {Tag.SKY:d}.0\n#define LAYER {_SHADOW_LAYER:.8f}\n{_FRAME}"
+    head += f"#define SKY {Tag.SKY:d}.0\n#define ROAD {Material.ROAD:d}\n#define LAYER {_SHADOW_LAYER:.8f}\n{_FRAME}"
     outputs = "".join(
         f"layout(location={index}) out {'vec2' if kind is ImageKind.FLOW else 'vec4'} o_{_DEFINES[kind].lower()};\n"
         for index, kind in enumerate(kinds)
