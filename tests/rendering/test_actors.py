@@ -102,6 +102,16 @@ def test_what_has_no_body_is_not_drawn(type_id):
     assert look_of(type_id, ActorKind.OTHER, {}) is None
 
 
+def test_signs_are_part_of_the_town_unless_asked_for():
+    assert look_of("traffic.stop", ActorKind.TRAFFIC_SIGN, {}) is None
+    names = {}
+    for type_id in ("traffic.stop", "traffic.yield", "traffic.speed_limit.30", "traffic.speed_limit.33", "traffic.unknown"):
+        look = look_of(type_id, ActorKind.TRAFFIC_SIGN, {}, signs=True)
+        assert look is not None
+        names[type_id] = MODELS[look.model].name
+    assert list(names.values()) == ["stop sign", "yield sign", "speed limit 30", "speed limit", "sign"]
+
+
 def test_tags_are_those_of_carla():
     tags = {
         "vehicle.audi.a2": Tag.CAR,

@@ -136,9 +136,11 @@ class SceneActors:
 
     Args:
         marks: Whether collisions are marked on the ground for some seconds.
+        signs: Whether signs are drawn; those of a map are part of its `TownMesh`.
     """
 
-    def __init__(self, *, marks: bool = True) -> None:
+    def __init__(self, *, marks: bool = True, signs: bool = False) -> None:
+        self._signs = signs
         self._marks_wanted = marks
         self._batch: SceneBatch | None = None
         self._present: Mapping[int, Present] = {}
@@ -184,7 +186,9 @@ class SceneActors:
         looks: dict[int, tuple[Present, Look | None]] = {}
         for id, actor in batch.actors.items():
             known = self._looks.get(id)
-            looks[id] = known if known is not None and known[0] is actor else (actor, look_of_present(actor))
+            looks[id] = (
+                known if known is not None and known[0] is actor else (actor, look_of_present(actor, signs=self._signs))
+            )
         self._looks = looks
         drawn = sorted((id, look) for id, (_, look) in looks.items() if look is not None)
         ids = np.array([id for id, _ in drawn], np.uint32)

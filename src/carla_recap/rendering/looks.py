@@ -178,7 +178,13 @@ _MIXING: Final = 2_654_435_761  # of neighbouring ids, for colours that differ
 
 
 def look_of(
-    type_id: str, kind: int, attributes: Mapping[str, str], box: BoundingBox | None = None, *, id: int = 0
+    type_id: str,
+    kind: int,
+    attributes: Mapping[str, str],
+    box: BoundingBox | None = None,
+    *,
+    id: int = 0,
+    signs: bool = False,
 ) -> Look | None:
     """Return the look of an actor; None of one that is not drawn: a sensor, the spectator.
 
@@ -188,6 +194,7 @@ def look_of(
         attributes: The attributes.
         box: Its recorded box; None: that of the blueprint, else the usual size of its class.
         id: The actor id, which varies the colour of actors without a recorded one.
+        signs: Whether signs are drawn as actors, too: those of a map are part of its `TownMesh`.
     """
     if kind == ActorKind.SENSOR or type_id.startswith(_UNDRAWN):
         return None
@@ -197,7 +204,7 @@ def look_of(
     if kind == ActorKind.TRAFFIC_LIGHT or type_id.startswith("traffic.traffic_light"):
         return _fixed("traffic light", Tag.TRAFFIC_LIGHT)
     if kind == ActorKind.TRAFFIC_SIGN or type_id.startswith("traffic."):
-        return _fixed(_sign_of(type_id), Tag.TRAFFIC_SIGNS)
+        return _fixed(_sign_of(type_id), Tag.TRAFFIC_SIGNS) if signs else None
     if kind == ActorKind.VEHICLE or type_id.startswith("vehicle."):
         name = _vehicle_of(type_id, attributes, box)
         tag = _BASE_TYPES.get(attributes.get("base_type", ""), _TAGS.get(name, Tag.CAR))
@@ -210,10 +217,10 @@ def look_of(
     return _look(name, _color_of(attributes) or color, Tag.STATIC, type_id, box)
 
 
-def look_of_present(actor: Present) -> Look | None:
-    """Return the look of a recorded actor; None of one that is not drawn."""
+def look_of_present(actor: Present, *, signs: bool = False) -> Look | None:
+    """Return the look of a recorded actor; None of one that is not drawn; see `look_of`."""
     attributes = {readable(item.key): readable(item.value) for item in actor.spawn.attributes}
-    return look_of(actor.type_id, actor.kind, attributes, actor.box, id=actor.id)
+    return look_of(actor.type_id, actor.kind, attributes, actor.box, id=actor.id, signs=signs)
 
 
 def _is_sound(box: BoundingBox) -> bool:

@@ -162,7 +162,7 @@ MATERIALS: Final[dict[Material, Finish]] = {
     _M.CHROME: Finish((176, 180, 184), gloss=0.6),
     _M.TYRE: Finish((30, 30, 32)),
     _M.RIM: Finish((142, 146, 150), gloss=0.4),
-    _M.HEADLIGHT: Finish((216, 220, 222), glow=(255, 252, 226), gloss=0.4),
+    _M.HEADLIGHT: Finish((172, 182, 192), glow=(255, 252, 226), gloss=0.4),
     _M.TAIL_LIGHT: Finish((110, 18, 22), glow=(255, 44, 40), gloss=0.3),
     _M.LEFT_INDICATOR: Finish((150, 92, 28), glow=(255, 170, 40), gloss=0.3),
     _M.RIGHT_INDICATOR: Finish((150, 92, 28), glow=(255, 170, 40), gloss=0.3),

@@ -45,6 +45,7 @@ class CarShape:
         glazed: The share of the cabin's length that has side windows; of 0.9, the rear has one, too.
         doors: The material of the doors.
         tail: Whether it has tail lamps; the cab of a truck has none.
+        sill: The height of the dark sills, of the rims of the wheel arches, and of the bottom of the bumpers.
     """
 
     name: str
@@ -66,6 +67,7 @@ class CarShape:
     glazed: float = 0.9
     doors: Material = M.PAINT
     tail: bool = True
+    sill: float = 0.07
 
 
 def car(shape: CarShape) -> Solid:
@@ -126,22 +128,29 @@ def _body(solid: Solid, shape: CarShape) -> None:
         middle = max(min(shoulder - band, shape.clearance + shape.waist * (deck - shape.clearance)), low + 0.015)
         shoulder = max(shoulder, middle + 0.02)
         inset = 0.13 if place not in (0.0, length) else 0.06
-        sides = ((half * 0.97, low), (half, middle), (half * 0.975, shoulder), (half - inset, max(deck, shoulder + 0.01)))
+        sill = low + min(shape.sill, 0.4 * (middle - low))
+        sides = (
+            (half * 0.965, low),
+            (half * 0.98, sill),
+            (half, middle),
+            (half * 0.975, shoulder),
+            (half - inset, max(deck, shoulder + 0.01)),
+        )
         x = length / 2 - place
         rings.append([(x, y, z) for y, z in sides] + [(x, -y, z) for y, z in reversed(sides)])
     places = np.array(stations)
 
     def material(i: int, j: int) -> Material:
-        if j == 7:
-            return M.TRIM  # the underside, and the wheel arches
+        if j in (0, 8, 9):
+            return M.TRIM  # the sills, the rims of the wheel arches, and the underside
         nearest, farthest = sorted((places[i], places[i + 1]))
-        if j in (0, 6) and nearest > shape.axles[0] and farthest < shape.axles[-1] and farthest - nearest > 0.8:
+        if j in (1, 7) and nearest > shape.axles[0] and farthest < shape.axles[-1] and farthest - nearest > 0.8:
             return shape.doors
-        if j in (1, 5):
+        if j in (2, 6):
             if farthest <= corner * 0.36:
                 return M.HEADLIGHT
             if farthest <= corner * 1.01:
-                return M.LEFT_INDICATOR if j == 1 else M.RIGHT_INDICATOR
+                return M.LEFT_INDICATOR if j == 2 else M.RIGHT_INDICATOR
             if nearest >= length - corner * 0.36 and shape.tail:
                 return M.TAIL_LIGHT
         return shape.paint
@@ -153,14 +162,15 @@ def _body(solid: Solid, shape: CarShape) -> None:
 
 def _end(solid: Solid, ring: Floats, shape: CarShape, *, front: bool) -> None:
     """Add the front or the rear between the corners: bumper, grille and lamps in rows and columns."""
-    rows = [(ring[j], ring[7 - j]) for j in range(4)]
+    rows = [(ring[j], ring[9 - j]) for j in range(5)]
     columns = (0.0, 0.26, 0.74, 1.0)  # from left to right
     paint = shape.paint
     if front:
-        table = ((paint, M.TRIM, paint), (M.HEADLIGHT, M.TRIM, M.HEADLIGHT), (paint, paint, paint))
+        dark = (M.TRIM, M.TRIM, M.TRIM)
+        table = (dark, (paint, paint, paint), (M.HEADLIGHT, M.TRIM, M.HEADLIGHT), (paint, paint, paint))
     else:
         lamps = (M.BRAKE_LIGHT, paint, M.BRAKE_LIGHT) if shape.tail else (paint, paint, paint)
-        table = ((paint, paint, paint), lamps, (paint, paint, paint))
+        table = ((M.TRIM, M.TRIM, M.TRIM), (paint, paint, paint), lamps, (paint, paint, paint))
     for (low_left, low_right), (high_left, high_right), materials in zip(rows, rows[1:], table, strict=False):
         for start, stop, material in zip(columns, columns[1:], materials, strict=False):
             corners = [low_left + (low_right - low_left) * share for share in (start, stop)]
@@ -208,7 +218,8 @@ def _cabin(solid: Solid, shape: CarShape) -> None:
             return shape.roof_paint
         return M.TRIM if column % 2 == 0 else M.GLASS
 
-    solid.loft(rings, material)
+    body = solid.loft(rings, material, caps=False)
+    solid.facet(rings[-1], shape.roof_paint, body=body)
 
 
 def wheel(solid: Solid, x: float, y: float, radius: float, width: float, *, sides: int = 10, rim: Material = M.RIM) -> None:
@@ -286,8 +297,22 @@ def _details(solid: Solid, shape: CarShape) -> None:
         left.facet(((back, y1, z - 0.06), (back, y0, z - 0.06), (back, y0, z), (back, y1, z)), material)
     solid.add_both(left)
     plate(solid, rear - 0.008, z - 0.12, -1)
+    if shape.glazed < 0.9:
+        _rear_windows(solid, shape)
     x = front - shape.cabin[3]
     solid.box((x - 0.05, -0.16, shape.roof - 0.06), (x + 0.06, 0.16, shape.roof - 0.03), M.BRAKE_LIGHT)
+
+
+def _rear_windows(solid: Solid, shape: CarShape) -> None:
+    """Add windows to the rear doors of a van, whose rear is a plane between the belt line and the roof."""
+    belt, edge = _at(shape.deck, shape.cabin[1]), shape.roof - 0.07
+    left = Solid()
+    corners = []
+    for y, share in ((0.62, 0.38), (0.06, 0.38), (0.06, 0.85), (0.62, 0.85)):
+        place = shape.cabin[1] + (shape.cabin[3] - shape.cabin[1]) * share * (edge - belt) / (shape.roof - belt)
+        corners.append((shape.length / 2 - place - 0.07, y * shape.width / 2, belt + (edge - belt) * share))
+    left.facet(corners, M.GLASS)
+    solid.add_both(left)
 
 
 def plate(solid: Solid, x: float, z: float, direction: int) -> None:
@@ -347,6 +372,7 @@ SUV: Final = replace(
     narrowing=0.16,
     corner=0.3,
     lamp=(0.17, 0.26),
+    sill=0.1,
 )
 
 
@@ -394,7 +420,7 @@ VAN: Final = replace(
     glazed=0.33,
     narrowing=0.1,
     corner=0.26,
-    lamp=(0.2, 0.5),
+    lamp=(0.2, 0.4),
 )
 MINIBUS: Final = replace(
     SUV,
