@@ -17,7 +17,7 @@ from contextlib import suppress
 from queue import SimpleQueue
 from select import select
 from threading import Lock, Thread
-from typing import TYPE_CHECKING, Any, BinaryIO, Final, Self
+from typing import TYPE_CHECKING, Any, BinaryIO, Final, NamedTuple, Self
 
 import numpy as np
 
@@ -36,6 +36,7 @@ if TYPE_CHECKING:
     from carla_recap.rendering.buffers import ModelShape, TiledMesh
     from carla_recap.rendering.camera import Camera
     from carla_recap.rendering.instances import Instances
+    from carla_recap.rendering.mesh import Mesh
     from carla_recap.rendering.sky import Sky
 
     Images = dict[ImageKind, NDArray[Any]]
@@ -73,7 +74,8 @@ class RenderProcess:
         quality: Quality | str = Quality.EPIC,
         supersampling: int = 1,
     ) -> None:
-        self._setup = pickle.dumps((_Tiles(town), models, Quality(quality), supersampling), pickle.HIGHEST_PROTOCOL)
+        shapes = None if models is None else [_Shape(model.mesh, model.pivots, model.steered) for model in models]
+        self._setup = pickle.dumps((_Tiles(town), shapes, Quality(quality), supersampling), pickle.HIGHEST_PROTOCOL)
         self._jobs: SimpleQueue[tuple[Future[Images], Any] | None] = SimpleQueue()
         self._lock = Lock()  # for what follows
         self._is_closed = False
@@ -177,6 +179,14 @@ class RenderProcess:
             future.set_exception(error)
         else:
             future.set_result(images)
+
+
+class _Shape(NamedTuple):
+    """A model, without what else it is: to read it, the process need not make all models."""
+
+    mesh: Mesh
+    pivots: NDArray[np.float32]
+    steered: NDArray[np.bool_]
 
 
 class _Tiles:

@@ -80,11 +80,12 @@ class DrawnImages:
     """
 
     def __init__(self, surfaces: TownSurfaces, quality: Quality, town: Town) -> None:
+        from carla_recap.rendering.models import MODELS
         from carla_recap.rendering.process import RenderProcess
         from carla_recap.rendering.sky import Sky
 
         self._sky = Sky.of_weather
-        self._process = RenderProcess(surfaces.mesh(town).result(), quality=quality)
+        self._process = RenderProcess(surfaces.mesh(town).result(), models=MODELS, quality=quality)
 
     def draw(self, view: View) -> Mapping[ImageKind, NDArray[Any]]:
         """See `ImageSource.draw`."""
