@@ -25,7 +25,7 @@ if TYPE_CHECKING:
     Integers = NDArray[np.int64]
 
 _PARALLEL: Final = 1e-12  # instead of 0, for a ray along a side of a box
-_MOST_PAIRS: Final = 1 << 22  # of rays and boxes that are compared at once
+_MOST_PAIRS: Final = 1 << 16  # of rays and boxes that are compared at once: few enough for one thread of BLAS
 _THIN: Final = 1e-4  # m: half of the least size of an actor
 _TAG_OF_ACTOR: Final = 255
 

@@ -71,7 +71,7 @@ class _Film:
         def parts(image: Image) -> Iterable[bytes | memoryview]:
             if self._events is not None:
                 image = self._events.detect(image, elapsed)
-            return self._header, image.tobytes()
+            return self._header, np.ascontiguousarray(image).data.cast("B") if image.size else b""
 
         return parts
 
