@@ -282,6 +282,7 @@ def test_the_server_ends_while_images_are_drawn(monkeypatch: pytest.MonkeyPatch)
         sensor(served.host, "camera.rgb", **SMALL)
         for _ in range(3):
             served.host.tick()
+        served.host.sensors._images.prepare(served.host.world.town).result(PATIENCE)
         served.host.close()
         assert painter.closed
         served.host.tick()

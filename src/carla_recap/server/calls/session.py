@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import asyncio
 from collections.abc import Awaitable
-from typing import TYPE_CHECKING, Final, TypeVar
+from typing import TYPE_CHECKING, Any, Final, TypeVar
 
 from carla_recap.server.actor_records import sensor_of
 from carla_recap.server.client import Client
@@ -85,7 +85,7 @@ def tick_cue(client: Client) -> int | Awaitable[int]:
     return when_done(subscriptions + managers + host.sensors.pending(), tick)
 
 
-def when_done(pending: list[asyncio.Future[None]], work: Callable[[], T]) -> T | Awaitable[T]:
+def when_done(pending: list[asyncio.Future[Any]], work: Callable[[], T]) -> T | Awaitable[T]:
     """Do something when pending futures are done; at once if there are none."""
 
     async def later() -> T:

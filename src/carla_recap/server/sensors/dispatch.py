@@ -44,7 +44,7 @@ if TYPE_CHECKING:
 
 _LOG: Final = logging.getLogger("carla_recap.server")
 _ROUNDING: Final = 1e-6  # s
-_LOADED_BY: Final = 20.0  # s: a tick does not wait longer for the surfaces of a town
+_PATIENCE: Final = 1.5  # s: calls of many scripts time out after 2 s
 _CAMERA: Final = "sensor.camera."
 _ENCODE: Final = encoder(ActorRecord)
 _STATIC: Final = {
@@ -178,12 +178,12 @@ class Sensors:
         elif kind is not None and kind.casts:
             self._loading = self._surfaces.rays(town)
 
-    def pending(self) -> list[asyncio.Future[None]]:
-        """Return what the next tick waits for, so that no data are lost in synchronous mode."""
+    def pending(self) -> list[asyncio.Future[Any]]:
+        """Return what the next tick waits for, so that in synchronous mode no data are lost; not for longer than 1.5 s."""
         pending = [*self._images.pending(), *self._streams.behind(self._feeds)]
         if not self._loading.done():
-            pending.append(_done_within(_LOADED_BY, self._loading))
-        return pending
+            pending.append(_end_of(self._loading))
+        return [asyncio.ensure_future(asyncio.wait(pending, timeout=_PATIENCE))] if pending else []
 
     def close(self) -> None:
         """End what draws images."""
@@ -273,8 +273,8 @@ def _static(tag: int) -> ActorRecord:
     return ActorRecord(0, 0, description, BoxStruct(Location(), Vector()), bytes((tag,)), b"")
 
 
-def _done_within(seconds: float, work: Future[Any]) -> asyncio.Future[None]:
-    """Return a future that is done when some work is, or after some seconds."""
+def _end_of(work: Future[Any]) -> asyncio.Future[None]:
+    """Return a future that is done when some work in a thread is, also if that has failed."""
     loop = asyncio.get_running_loop()
     done: asyncio.Future[None] = loop.create_future()
 
@@ -286,6 +286,5 @@ def _done_within(seconds: float, work: Future[Any]) -> asyncio.Future[None]:
         with suppress(RuntimeError):  # the loop has ended
             loop.call_soon_threadsafe(end)
 
-    loop.call_later(seconds, end)
     work.add_done_callback(tell)
     return done

@@ -29,7 +29,6 @@ if TYPE_CHECKING:
 
 _LOG: Final = logging.getLogger("carla_recap.server")
 _AHEAD: Final = 2  # ticks whose images are waited for before the next tick
-_PATIENCE: Final = 2.0  # s: a tick does not wait longer
 _TO_END: Final = 5.0  # s
 _POLL: Final = 0.1  # s
 _TRIES: Final = 2  # of drawing images of a size
@@ -131,7 +130,7 @@ class ImageThread:
         self._impossible: set[tuple[int, int]] = set()
         self._is_closed = False
         self._pending = 0
-        self._waiting: set[asyncio.Future[None]] = set()
+        self._waiting: list[asyncio.Future[None]] = []
         self._opened: tuple[Town, Future[None]] | None = None
 
     @property
@@ -150,10 +149,8 @@ class ImageThread:
         """Return what the next tick waits for, so that images keep up with it."""
         if self._pending < _AHEAD:
             return []
-        loop = asyncio.get_running_loop()
-        future: asyncio.Future[None] = loop.create_future()
-        self._waiting.add(future)
-        loop.call_later(_PATIENCE, self._release, future)
+        future: asyncio.Future[None] = asyncio.get_running_loop().create_future()
+        self._waiting.append(future)
         return [future]
 
     def submit(self, town: Town, views: Sequence[View], loop: asyncio.AbstractEventLoop, *, keeps_all: bool) -> None:
@@ -260,13 +257,10 @@ class ImageThread:
     def _done(self) -> None:
         self._pending -= 1
         if self._pending < _AHEAD:
-            for future in tuple(self._waiting):
-                self._release(future)
-
-    def _release(self, future: asyncio.Future[None]) -> None:
-        self._waiting.discard(future)
-        if not future.done():
-            future.set_result(None)
+            waiting, self._waiting = self._waiting, []
+            for future in waiting:
+                if not future.done():
+                    future.set_result(None)
 
 
 def _text(error: Exception) -> str:
