@@ -3,17 +3,23 @@
 from __future__ import annotations
 
 import time
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import pytest
 
+import carla_recap.rendering.town as town_module
 from carla_recap.errors import RecapError
 from carla_recap.maps.road_geometry import read_roads
 from carla_recap.rendering.materials import Material
 from carla_recap.rendering.mesh import Mesh
 from carla_recap.rendering.town import TownMesh, build_town, load_town_mesh, town_mesh_of
+from carla_recap.util import cache
 from tests.maps.towns import crossing, lane, opendrive, painted_stop, road, stop_sign
 from tests.maps.towns import section as plain_section
+
+if TYPE_CHECKING:
+    from pathlib import Path
 
 
 def section(s: float, left: str = "", right: str = "", centre: str = "none") -> str:
@@ -247,3 +253,28 @@ def test_a_spiral_turns_by_half_the_sum_of_its_curvatures():
     points, headings = line.reference(np.linspace(0, 40, 401))
     assert headings[-1] == pytest.approx(1.0)
     assert np.linalg.norm(np.diff(points, axis=0), axis=1) == pytest.approx(0.1, rel=1e-3)
+
+
+def test_a_town_is_made_once_and_read_from_the_cache(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    pytest.importorskip("carla", reason="the extra carla is not installed")
+    made = []
+    make = town_module.parse_in_child
+
+    def counted(*arguments: Any) -> bytes:
+        made.append(arguments)
+        return make(*arguments)
+
+    monkeypatch.setattr(town_module, "parse_in_child", counted)
+    monkeypatch.setenv(cache.FOLDER, str(tmp_path))
+    text = opendrive(road())
+    meshes = []
+    for _ in range(2):
+        monkeypatch.setattr(town_module, "_towns", type(town_module._towns)())
+        meshes.append(town_mesh_of(text))
+    assert len(made) == 1
+    assert [len(tile.triangles) for tile in meshes[0].tiles] == [len(tile.triangles) for tile in meshes[1].tiles]
+    (entry,) = tmp_path.iterdir()
+    entry.write_bytes(entry.read_bytes()[:-1])
+    monkeypatch.setattr(town_module, "_towns", type(town_module._towns)())
+    assert town_mesh_of(text).tiles
+    assert len(made) == 2

@@ -19,9 +19,10 @@ from carla_recap.server.host import Host
 from carla_recap.server.maps import Maps
 from carla_recap.server.rpc.registry import CallError
 from carla_recap.server.serving import serve
-from carla_recap.sim.town import cache, town
+from carla_recap.sim.town import town
 from carla_recap.sim.town.town import load_town
 from carla_recap.sim.world import World
+from carla_recap.util import cache
 
 if TYPE_CHECKING:
     from collections.abc import Awaitable, Callable, Iterator
@@ -253,7 +254,7 @@ def test_maps_are_parsed_before_a_client_loads_them(tmp_path: Path, monkeypatch:
     monkeypatch.setenv(cache.FOLDER, str(tmp_path / "cache"))
     (tmp_path / "Broken.xodr").write_text("no map")
     (tmp_path / "Town10HD.xodr").write_text(load_town().opendrive + "<!-- of another content -->")
-    key = cache.content_key((tmp_path / "Town10HD.xodr").read_bytes())
+    key = town.content_key((tmp_path / "Town10HD.xodr").read_bytes())
     assert cache.read_entry(key) is None
     with running(maps=tmp_path):
         end = time.monotonic() + 60

@@ -26,6 +26,7 @@ from carla_recap.rendering.mesh import Mesh
 from carla_recap.rendering.signs import LightPost, add_signs, light_posts
 from carla_recap.rendering.surfaces import PAVED, add_lanes, driving_grid, sample_roads, surface_grid
 from carla_recap.rendering.terrain import Terrain, add_edges
+from carla_recap.util import cache
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -36,6 +37,7 @@ if TYPE_CHECKING:
     Arrays = dict[str, list[NDArray[Any]]]
 
 _KEPT: Final = 4  # towns in memory
+_SOURCES: Final = ("rendering", "maps")  # the folders of the modules that a town is made by
 _PAVEMENT: Final = (*PAVED, Material.JUNCTION)
 _SURFACES: Final = (*_PAVEMENT, Material.SIDEWALK, Material.KERB, Material.MEDIAN, Material.GROUND)
 _GROUND: Final = (*_SURFACES, Material.GRASS)
@@ -129,13 +131,33 @@ def _town_mesh(name: str, path: Path, content: bytes) -> TownMesh:
         if key in _towns:
             _towns.move_to_end(key)
             return _towns[key]
-    town = _unpacked(name, unpack(parse_in_child("carla_recap.rendering.town", path, content)))
-    if not town.tiles:
-        raise FormatError(path, None, "an OpenDRIVE map was expected, and no lane is in it")
+    town = _cached_mesh(name, content) or _made_mesh(name, path, content)
     with _lock:
         _towns[key] = town
         while len(_towns) > _KEPT:
             _towns.popitem(last=False)
+    return town
+
+
+def _cached_mesh(name: str, content: bytes) -> TownMesh | None:
+    """Return the town out of the user's cache folder; None if it is not there."""
+    key = cache.content_key(content, *_SOURCES)
+    data = cache.read_entry(key)
+    if data is None:
+        return None
+    try:
+        return _unpacked(name, unpack(data))
+    except Exception:  # whatever an invalid entry causes
+        cache.remove_entry(key)
+        return None
+
+
+def _made_mesh(name: str, path: Path, content: bytes) -> TownMesh:
+    data = parse_in_child("carla_recap.rendering.town", path, content)
+    town = _unpacked(name, unpack(data))
+    if not town.tiles:
+        raise FormatError(path, None, "an OpenDRIVE map was expected, and no lane is in it")
+    cache.write_entry(cache.content_key(content, *_SOURCES), data)
     return town
 
 

@@ -9,8 +9,9 @@ from typing import TYPE_CHECKING
 
 import pytest
 
-from carla_recap.sim.town import cache, town
+from carla_recap.sim.town import town
 from carla_recap.sim.town.town import load_town
+from carla_recap.util import cache
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -79,7 +80,7 @@ def test_the_content_counts_and_not_the_name(parser: Parser, tmp_path: Path) -> 
 def test_another_parser_does_not_use_the_entries(parser: Parser, monkeypatch: pytest.MonkeyPatch) -> None:
     load_town()
     forget()
-    monkeypatch.setattr(cache, "_parser_digest", lambda: b"newer")
+    monkeypatch.setattr(cache, "_digest", lambda _: b"newer")
     load_town()
     assert parser.count == 2
 

@@ -15,9 +15,9 @@ from carla_recap.errors import RecapError
 from carla_recap.maps.parsing import decode, parse_in_child, read_content
 from carla_recap.maps.road_map import described_folder, find_map, plain_name
 from carla_recap.sim.geometry import Location, Rotation, Transform
-from carla_recap.sim.town import cache
 from carla_recap.sim.town.lanes import Lane, LaneIndex
 from carla_recap.sim.town.parsing.packing import from_bytes
+from carla_recap.util import cache
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -202,7 +202,7 @@ def load_town(name_or_path: str | Path = "", maps: Path | None = None) -> Town:
     """
     name, path = _find(str(name_or_path), maps)
     content = read_content(path)
-    key = cache.content_key(content)
+    key = content_key(content)
     with _lock:
         same = [town for (known, _), town in _towns.items() if known == key]
         town = _towns.pop((key, name), None)
@@ -215,6 +215,11 @@ def load_town(name_or_path: str | Path = "", maps: Path | None = None) -> Town:
     return town
 
 
+def content_key(content: bytes) -> str:
+    """Return the key of a map's content in the cache."""
+    return cache.content_key(content, "sim/town/parsing", "maps")
+
+
 def fill_cache(path: Path) -> None:
     """Parse an OpenDRIVE file into the user's cache folder, unless it is there.
 
@@ -222,7 +227,7 @@ def fill_cache(path: Path) -> None:
         RecapError: The file cannot be read, or is no OpenDRIVE map.
     """
     content = read_content(path)
-    key = cache.content_key(content)
+    key = content_key(content)
     if cache.read_entry(key) is None:
         cache.write_entry(key, parse_in_child("carla_recap.sim.town.parsing", path, content))
 

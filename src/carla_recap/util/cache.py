@@ -1,7 +1,7 @@
-"""A cache of what the parser has made of OpenDRIVE files, in the user's cache folder.
+"""A cache of what has been made of OpenDRIVE files, in the user's cache folder.
 
-An entry is found by the content of the map and by the parser's own source, so that it never has to be invalidated. Entries
-that are damaged, or could have been written by another user, are ignored and rebuilt; nothing in them is executed.
+An entry is found by the content of the map and by the source of what makes it, so that it never has to be invalidated.
+Entries that are damaged, or could have been written by another user, are ignored and rebuilt; nothing in them is executed.
 """
 
 from __future__ import annotations
@@ -20,7 +20,6 @@ FOLDER: Final = "CARLA_RECAP_CACHE"
 _MAGIC: Final = b"carla-recap town 1\n"
 _SUFFIX: Final = ".town"
 _MOST_BYTES: Final = 256 << 20  # of all entries
-_PARSERS: Final = ("sim/town/parsing", "maps")
 
 
 def cache_folder() -> Path | None:
@@ -39,9 +38,14 @@ def cache_folder() -> Path | None:
     return base / "carla-recap" / "towns"
 
 
-def content_key(content: bytes) -> str:
-    """Return the key of a map's content, for this version of the parser."""
-    return sha256(_parser_digest() + content).hexdigest()
+def content_key(content: bytes, *sources: str) -> str:
+    """Return the key of a map's content, for this version of the code and of CARLA's library.
+
+    Args:
+        content: The content.
+        sources: The folders of this package with the modules that make the entry.
+    """
+    return sha256(_digest(sources) + content).hexdigest()
 
 
 def read_entry(key: str) -> bytes | None:
@@ -107,13 +111,13 @@ def _evict(folder: Path) -> None:
 
 
 @cache
-def _parser_digest() -> bytes:
-    """Return a digest of the parser: its source, and the version of CARLA's library."""
+def _digest(sources: tuple[str, ...]) -> bytes:
+    """Return a digest of the modules in folders, and of the version of CARLA's library."""
     digest = sha256()
     with suppress(PackageNotFoundError):
         digest.update(version("carla").encode())
-    package = Path(__file__).parents[2]
-    for folder in _PARSERS:
+    package = Path(__file__).parents[1]
+    for folder in sources:
         for path in sorted((package / folder).glob("*.py")):
             digest.update(path.read_bytes())
     return digest.digest()
