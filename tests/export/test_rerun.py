@@ -187,7 +187,7 @@ def test_actors_are_drawn_from_spawn_to_destruction(crossing) -> None:
         if actor.type_id == "spectator":
             continue
         path = f"/world/actors/{actor.id}"
-        drawn = crossing.rrd.rows(path, "Boxes3D:half_sizes" if actor.kind == "sensor" else "Mesh3D:vertex_positions")
+        drawn = crossing.rrd.rows(path, "name" if actor.kind == "sensor" else "Mesh3D:vertex_positions")
         assert [time for time, _ in drawn] == pytest.approx([actor.spawned_at])
         cleared = [time for time, _ in crossing.rrd.rows(path, "Clear:is_recursive")]
         assert cleared == pytest.approx([] if actor.destroyed_at is None else [actor.destroyed_at])
@@ -670,13 +670,25 @@ def test_the_trail_has_the_colour_of_the_actor(tmp_path: Path) -> None:
         assert tuple(shown.to_bytes(4, "big")[:3]) == color
 
 
-def test_sensors_are_outlines(tmp_path: Path) -> None:
+def test_sensors_are_not_drawn(tmp_path: Path) -> None:
     sensor, prop, car = spawn(1, "sensor.camera.rgb"), spawn(2, "static.prop.bin"), spawn(3)
     there = [pose(id) for id in (1, 2, 3)]
     rrd = export(write(tmp_path / "x.log", [{"spawned": [sensor, prop, car], "transforms": there}]), tmp_path / "x.rrd")
     assert sensor.kind == ActorKind.OTHER
-    assert [rrd.at(f"/world/actors/{id}", "Boxes3D:fill_mode", 0) is not None for id in (1, 2, 3)] == [True, False, False]
-    assert rrd.at("/world/actors/1", "Boxes3D:half_sizes", 0)[0][0] == pytest.approx(0.1)
+    assert [rrd.at(f"/world/actors/{id}", "Mesh3D:vertex_positions", 0) is None for id in (1, 2, 3)] == [True, False, False]
+    assert rrd.at("/world/actors/1", "Boxes3D:half_sizes", 0) is None
+    assert rrd.at("/world/actors/1", "name", 0) == ["camera.rgb 1"]
+
+
+def test_without_a_map_what_was_driven_along_is_road(tmp_path: Path) -> None:
+    frames = [{"transforms": [pose(1, 100 * n), pose(2, 3000, 50 * n)]} for n in range(40)]
+    frames[0]["spawned"] = [spawn(1), spawn(2, "walker.pedestrian.0001")]
+    rrd = export(write(tmp_path / "x.log", frames, tick=0.1), tmp_path / "x.rrd")
+    corners = np.array(rrd.static["/world/map/corridors"]["Mesh3D:vertex_positions"])
+    assert corners[:, 0].min() < 4
+    assert corners[:, 0].max() > 38
+    assert np.abs(corners[:, 1]).max() == pytest.approx(1.9, abs=0.01)
+    assert "/world/ground" in rrd.entities
 
 
 def test_a_map_of_another_town_is_left_out(tmp_path: Path) -> None:

@@ -72,7 +72,7 @@ class LightsAhead:
         self._ids = b""
         self._rows: Indices = np.zeros(0, np.intp)  # of the light of each point
         self._points: Floats = np.zeros((0, 2))
-        self._headings: Floats = np.zeros(0)  # of the lane before a light without stop line; NaN for one with
+        self._headings: Floats = np.zeros(0)  # of the lanes before the lights, in radians
         self._is_stop: NDArray[np.bool_] = np.zeros(0, np.bool_)
 
     def find(self, batch: SceneBatch, poses: Floats) -> Indices:
@@ -99,8 +99,9 @@ class LightsAhead:
         cos, sin = np.cos(yaw), np.sin(yaw)
         forward, aside = away[..., 0] * cos + away[..., 1] * sin, np.abs(away[..., 1] * cos - away[..., 0] * sin)
         is_stop = self._is_stop[near]
-        on_lane = (forward > -_PASSED) & (aside < _WIDTH + _SPREAD * np.abs(forward))
-        facing = (forward > 0) & (aside < _WIDTH + _CONE * forward) & (np.cos(yaw - self._headings[near]) > _FACING)
+        turn = np.cos(yaw - self._headings[near])
+        on_lane = (forward > -_PASSED) & (aside < _WIDTH + _SPREAD * np.abs(forward)) & (turn > -_FACING)
+        facing = (forward > 0) & (aside < _WIDTH + _CONE * forward) & (turn > _FACING)
         forward[~((forward < _REACH) & np.where(is_stop, on_lane, facing))] = np.inf
         best = forward.argmin(axis=1)
         there = np.isfinite(forward[np.arange(len(known)), best])
@@ -111,13 +112,11 @@ class LightsAhead:
         rows, points, headings, is_stop = [], [], [], []
         for row, id in enumerate(ids):
             pose = batch.pose_of(id, 0)
-            if id in self._stops:
-                each, heading = self._stops[id][:, :2], math.nan
-            elif pose is not None:
-                moved = right_handed(pose)
-                each, heading = moved[None, :2], math.radians(moved[YAW]) + _ACROSS
-            else:
+            if pose is None:
                 continue
+            moved = right_handed(pose)
+            heading = math.radians(moved[YAW]) + _ACROSS
+            each = self._stops[id][:, :2] if id in self._stops else moved[None, :2]
             rows += [row] * len(each)
             points.append(each)
             headings += [heading] * len(each)

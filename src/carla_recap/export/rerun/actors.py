@@ -11,6 +11,7 @@ import rerun as rr
 from carla_recap.errors import RecapWarning
 from carla_recap.export import style
 from carla_recap.export.rerun import paths
+from carla_recap.export.rerun.corridors import CorridorWriter
 from carla_recap.export.rerun.fallen import FallenWriter
 from carla_recap.export.rerun.followed import CameraAxes
 from carla_recap.export.rerun.lamps import LampWriter
@@ -74,6 +75,8 @@ class ActorWriter:
         self._left_out: set[int] = set()
         self._extent = np.array((np.inf, np.inf, -np.inf, -np.inf))  # of the map: least and greatest x and y
         self._colors: dict[int, int] = {}  # of the actors on the map, and of those removed since the last block
+        self._corridors = None if roads else CorridorWriter(stream)
+        self._vehicles: set[int] = set()  # all that have been there
         self._poses = PoseBuffer()
         self._ids: Ids | None = None
         stream.log_static(paths.WORLD, rr.ViewCoordinates.RIGHT_HAND_Z_UP)
@@ -123,6 +126,8 @@ class ActorWriter:
         if block is not None:
             block.write(self._stream, self._boxed)
             self._write_map(block)
+            if self._corridors is not None:
+                self._corridors.add(block, np.isin(block.ids, list(self._vehicles)))
             if self._see_through is not None:
                 self._see_through.write(block)
             self._write_cameras(block)
@@ -140,6 +145,8 @@ class ActorWriter:
             warnings.warn(
                 f"{count} actors are only on the map: there are more than {MOST_BOXES}", RecapWarning, stacklevel=2
             )
+        if self._corridors is not None:
+            self._corridors.close()
         if not self._roads and np.isfinite(self._extent).all():
             left, top, right, bottom = self._extent + np.array((-_MARGIN, -_MARGIN, _MARGIN, _MARGIN))
             corners = [(left, top), (right, top), (right, bottom), (left, bottom), (left, top)]
@@ -151,6 +158,8 @@ class ActorWriter:
             self._stream.clear(path, time)
         self._present.add(actor.id)
         self._colors.pop(actor.id, None)
+        if actor.kind == ActorKind.VEHICLE:
+            self._vehicles.add(actor.id)
         if actor.kind in MOVERS:
             red, green, blue = style.color_of(actor)
             self._colors[actor.id] = red << 24 | green << 16 | blue << 8 | 255
@@ -168,7 +177,7 @@ class ActorWriter:
             archetypes.append(drawn(look, mesh, with_shadow=actor.kind == ActorKind.VEHICLE))
             if actor.kind == ActorKind.VEHICLE:
                 self._lamps.add(actor.id, mesh)
-        else:
+        elif not style.is_sensor(actor):
             archetypes.append(_box(actor, look))
         if actor.is_hero or actor.id == self._followed:
             archetypes.append(_name(actor, look))
@@ -219,7 +228,7 @@ def _location(actor: Present) -> rr.Transform3D:
 
 
 def _box(actor: Present, look: Look | None) -> rr.Boxes3D:
-    """Return the box of an actor: the edges alone of one that has no look, such as a sensor."""
+    """Return the box of an actor: the edges alone of one that has no look."""
     box = style.box_of(actor)
     return rr.Boxes3D(
         centers=[(box.x, box.y, box.z)],

@@ -10,6 +10,7 @@ import rerun as rr
 
 from carla_recap.export import style
 from carla_recap.export.rerun import paths
+from carla_recap.export.rerun.ground import ground_below
 from carla_recap.export.rerun.plots import CONTROLS, PlotWriter
 from carla_recap.export.rerun.poses import ROWS
 from carla_recap.export.rerun.stream import TimeColumns, screen_radii
@@ -28,10 +29,6 @@ if TYPE_CHECKING:
     Flags = NDArray[np.bool_]
     Rows = NDArray[np.intp]
 
-_CELL: Final = 10.0  # m; the size of a square of the ground
-_REACH: Final = 200.0  # m; the distance to which the ground extends
-_GROUND: Final = (62, 66, 76)
-_LINE: Final = 0.03  # m; the radius of the lines of the ground
 _TRAIL: Final = 0.04  # m; the radius of the trail
 _RADIUS: Final = 6.0  # points of the screen; of the actor on the map
 
@@ -104,8 +101,6 @@ class FollowedWriter:
         self._controls: list[Floats] = []
         self._rows = 0
         self._before: tuple[Floats, Floats] | None = None  # seconds and pose of the last row
-        if ground:
-            stream.log_static(paths.GROUND, _grid())
 
     def write(self, batch: SceneBatch, times: TimeColumns) -> None:
         """Write scenes."""
@@ -183,7 +178,7 @@ class FollowedWriter:
             paths.trail(self._id), times.take(moved), rr.LineStrips3D.columns(strips=_segments(ends.astype(np.float32)))
         )
         if self._ground:
-            below[:, :2] = np.rint(below[:, :2] / _CELL) * _CELL
+            below = ground_below(below)
             changed = np.concatenate(([True], (np.diff(below, axis=0) != 0).any(axis=1)))
             cells = below[changed].astype(np.float32)
             self._stream.columns(paths.GROUND, times.take(changed), rr.Transform3D.columns(translation=cells))
@@ -212,10 +207,3 @@ def _segments(ends: NDArray[np.float32]) -> pa.Array:
     kind = rr.components.LineStrip3DBatch._ARROW_DATATYPE
     points = pa.FixedSizeListArray.from_arrays(ends.ravel(), type=kind.value_type)
     return pa.ListArray.from_arrays(np.arange(0, 2 * len(ends) + 1, 2, dtype=np.int32), points, type=kind)
-
-
-def _grid() -> rr.LineStrips3D:
-    """Return squares on the ground."""
-    along = np.arange(-_REACH, _REACH + _CELL, _CELL)
-    lines = [[(x, -_REACH, 0), (x, _REACH, 0)] for x in along] + [[(-_REACH, y, 0), (_REACH, y, 0)] for y in along]
-    return rr.LineStrips3D(lines, colors=[_GROUND], radii=[_LINE])

@@ -15,6 +15,8 @@ from carla_recap.rendering.materials import Material, palette
 from carla_recap.rendering.mesh import Mesh
 
 if TYPE_CHECKING:
+    from collections.abc import Iterator
+
     from numpy.typing import NDArray
 
     from carla_recap.export.rerun.stream import Stream
@@ -24,7 +26,8 @@ if TYPE_CHECKING:
     Floats = NDArray[np.float64]
 
 _MARGIN: Final = 100.0  # m; the distance from the roads at which an actor is still in the town
-_AROUND: Final = 40.0  # m; the distance from the actors up to which roads are on the map
+_AROUND: Final = 60.0  # m; the distance from the actors up to which roads are on the map
+_FINE: Final = 5.0  # m between points where roads end on the map
 _SKY: Final = 3000.0  # m; the least radius of the sky
 _RINGS: Final = 12
 _SECTORS: Final = 48
@@ -122,6 +125,22 @@ def write_map(stream: Stream, roads: RoadMap, extent: Floats | None = None) -> N
         flat = [line[:, :2] * np.array((1, -1)) for line in lines]
         if extent is not None:
             low, high = extent[:2] - _AROUND, extent[2:] + _AROUND
-            flat = [line for line in flat if ((line.max(axis=0) >= low) & (line.min(axis=0) <= high)).all()]
+            flat = [part for line in flat for part in _within(line, low, high)]
         if flat:
             stream.log_static(path, rr.LineStrips2D(flat, colors=[color], radii=radii, draw_order=order))
+
+
+def _within(line: Floats, low: Floats, high: Floats) -> Iterator[Floats]:
+    """Yield the parts of a line that are in a rectangle, given by two corners."""
+    if (line.max(axis=0) < low).any() or (line.min(axis=0) > high).any():
+        return
+    along = np.concatenate(([0.0], np.cumsum(np.linalg.norm(np.diff(line, axis=0), axis=1))))
+    stations = np.unique(np.concatenate((along, np.arange(0.0, along[-1], _FINE))))
+    points = np.stack([np.interp(stations, along, axis) for axis in line.T], axis=1)
+    inside = np.asarray(((points >= low) & (points <= high)).all(axis=1))
+    if inside.all():
+        yield line
+        return
+    for run in np.split(np.arange(len(points)), np.flatnonzero(np.diff(inside)) + 1):
+        if inside[run[0]] and len(run) > 1:
+            yield points[run]

@@ -15,10 +15,12 @@ from carla_recap.editing.convert import check_destination
 from carla_recap.errors import RecapError, RecapWarning
 from carla_recap.export.ahead import stop_points
 from carla_recap.export.event_text import incidents_of
+from carla_recap.export.rerun import paths
 from carla_recap.export.rerun.actors import MOVERS, ActorWriter
 from carla_recap.export.rerun.blueprint import View, blueprint, first_locations
 from carla_recap.export.rerun.events import EventWriter
 from carla_recap.export.rerun.followed import FollowedWriter
+from carla_recap.export.rerun.ground import ground_below, write_ground
 from carla_recap.export.rerun.lights import LightAheadWriter, TrafficLightWriter
 from carla_recap.export.rerun.rrd import piped, rbl
 from carla_recap.export.rerun.stream import Stream, TimeColumns
@@ -26,7 +28,8 @@ from carla_recap.export.rerun.town import is_elsewhere, write_map, write_sky, wr
 from carla_recap.queries.actors import actors
 from carla_recap.recording import Recording
 from carla_recap.rendering.town import town_mesh_of
-from carla_recap.replay import Played, Player
+from carla_recap.replay import Played, Player, right_handed
+from carla_recap.replay.pose import LOCATION
 from carla_recap.util.files import WholeFile, check_folder, new_folder
 from carla_recap.util.text import readable
 
@@ -103,6 +106,8 @@ class SceneWriter:
         self._has_ground = town is not None
         if town is None:
             write_sky(self._stream, np.zeros(3), 0.0)
+            write_ground(self._stream)
+        self._is_ground_placed = town is not None
         self._actors = ActorWriter(self._stream, followed, roads=road_map is not None, cameras=cameras)
         self._lights = TrafficLightWriter(self._stream)
         self._events = EventWriter(self._stream)
@@ -124,6 +129,8 @@ class SceneWriter:
     def write(self, batch: SceneBatch) -> None:
         """Write scenes."""
         times = TimeColumns.of(batch)
+        if self._followed is None and not self._is_ground_placed:
+            self._place_ground(batch, times)
         self._actors.write(batch, times)
         self._lights.write(batch, times)
         self._events.write(batch, times)
@@ -131,6 +138,14 @@ class SceneWriter:
             self._followed.write(batch, times)
         if self._ahead is not None:
             self._ahead.write(batch, times)
+
+    def _place_ground(self, batch: SceneBatch, times: TimeColumns) -> None:
+        """Move the ground to the first actor, as long as none is followed."""
+        poses = [pose for id in batch.actors if (pose := batch.pose_of(id, 0)) is not None and np.isfinite(pose).all()]
+        if poses:
+            self._is_ground_placed = True
+            point = ground_below(right_handed(poses[0])[None, LOCATION])[0]
+            self._stream.log(paths.GROUND, times.point(0), rr.Transform3D(translation=point))
 
     def write_incidents(self, found: Iterable[Incident]) -> None:
         """Write the hard braking and the long stops that began during the scenes so far."""
