@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 import carla_recap
-from carla_recap.maps.corridors import LANE_WIDTH, corridor_opendrive, fresh_parts
+from carla_recap.maps.corridors import LANE_WIDTH, corridor_map, corridor_opendrive, fresh_parts
 from carla_recap.maps.road_geometry import read_roads
 from carla_recap.model.records import ActorKind, Spawn
 
@@ -99,3 +99,18 @@ def test_an_empty_recording_has_a_road_at_the_origin(roads):
 def test_parts_stop_at_the_most_points():
     paths = [np.stack((np.arange(100.0), np.full(100, 5.0 * i)), axis=1) for i in range(10)]
     assert sum(len(part) for part in fresh_parts(paths, 1.5, 250)) <= 300
+
+
+def test_a_corridor_map_has_lines_and_surfaces(tmp_path: Path):
+    path = tmp_path / "driven.mcap"
+    with carla_recap.create_recording(path, map_name="Carla/Maps/Nowhere", date=0) as recording:
+        for frame in range(40):
+            spawned = [Spawn(1, ActorKind.VEHICLE, type_id="vehicle.audi.tt")] if frame == 0 else []
+            recording.add_frame(frame / 10, spawned=spawned, transforms=[{"id": 1, "x": 150.0 * frame}])
+    with carla_recap.open_recording(path) as recording:
+        found = corridor_map(recording)
+    assert found is not None
+    assert found.name == "Nowhere"
+    assert len(found.centre_lines) == 1
+    assert sorted(round(line[0, 1], 2) for line in found.lane_borders) == [-1.75, 1.75]
+    assert read_roads(found.opendrive)

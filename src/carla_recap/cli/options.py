@@ -184,7 +184,9 @@ def opened(path: str) -> Reader:
 
 
 def road_map_of(recording: Recording, path: str | None) -> RoadMap | None:
-    """Return the map of a recording's town; warn and return None if an extra is missing.
+    """Return the map of a recording's town; without one, what its vehicles have driven along.
+
+    None if that is not known either, or if an extra is missing; a warning says so.
 
     Args:
         recording: The recording; its map name is looked for.
@@ -195,19 +197,22 @@ def road_map_of(recording: Recording, path: str | None) -> RoadMap | None:
     """
     from carla_recap.maps import load_map
 
-    return _loaded_map(recording, path, load_map)
+    return _loaded_map(recording, path, load_map, lambda corridors: corridors)
 
 
 def town_of(recording: Recording, path: str | None) -> TownMesh | None:
     """Return a recording's town as a mesh; see `road_map_of`."""
-    from carla_recap.rendering.town import load_town_mesh
+    from carla_recap.rendering.town import load_town_mesh, town_mesh_of
 
-    return _loaded_map(recording, path, load_town_mesh)
+    return _loaded_map(recording, path, load_town_mesh, lambda corridors: town_mesh_of(corridors.opendrive, corridors.name))
 
 
-def _loaded_map(recording: Recording, path: str | None, load: Callable[[Path], T]) -> T | None:
+def _loaded_map(
+    recording: Recording, path: str | None, load: Callable[[Path], T], without: Callable[[RoadMap], T]
+) -> T | None:
     from carla_recap.errors import MissingExtra, RecapError
     from carla_recap.maps import find_map
+    from carla_recap.maps.corridors import corridor_map
 
     name = recording.header.map_name
     if path is None or Path(path).is_dir():
@@ -217,7 +222,11 @@ def _loaded_map(recording: Recording, path: str | None, load: Callable[[Path], T
     else:
         found = Path(path)
     if found is None:
-        return None
+        try:
+            corridors = corridor_map(recording)
+            return None if corridors is None else without(corridors)
+        except RecapError:  # as of a damaged recording, which the command itself reports
+            return None
     try:
         return load(found)
     except MissingExtra as error:

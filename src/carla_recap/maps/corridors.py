@@ -10,6 +10,10 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
+from carla_recap.maps.polylines import simplify
+from carla_recap.maps.road_geometry import read_roads
+from carla_recap.maps.road_map import RoadMap, plain_name
+
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator, Sequence
 
@@ -25,12 +29,13 @@ LANE_WIDTH: Final = 3.5
 
 _STEP: Final = 1.0  # m between points of a path
 _CELL: Final = 1.5  # m of a square in which one path is a road
-_MOST: Final = 60_000  # points of roads
+_MOST: Final = 15_000  # points of roads
 _FARTHEST: Final = 1e5  # m from the origin
 _JUMP: Final = 100.0  # m/s; what is faster is no driving
 _LEAST_JUMP: Final = 3.0  # m
 _SHARP: Final = np.cos(np.radians(50.0))  # of a turn at a point, at which a path ends
-_SHORTEST: Final = 4.0  # m of a road
+_LONGEST: Final = 1800.0  # s of a recording
+_SHORTEST: Final = 6.0  # m of a road
 _BEYOND: Final = 4.0  # m of road before and after a path
 _SMOOTHED: Final = 5  # points on both sides, of heights
 _SHOULDER: Final = 0.6  # m
@@ -52,6 +57,24 @@ def corridor_opendrive(recording: Recording) -> str:
     return _opendrive(roads or [_somewhere(vehicles or list(poses.values()))])
 
 
+def corridor_map(recording: Recording) -> RoadMap | None:
+    """Return the corridors that the vehicles of a recording have driven as a road map; see `corridor_opendrive`.
+
+    Returns:
+        None for a recording of more than half an hour, which takes too long to read for that.
+    """
+    if recording.info.duration > _LONGEST:
+        return None
+    text = corridor_opendrive(recording)
+    borders, middles = [], []
+    for road in read_roads(text):
+        points, headings = road.reference(np.linspace(0.0, road.length, int(road.length / _STEP) + 2))
+        lefts = np.stack((-np.sin(headings), np.cos(headings), np.zeros(len(headings))), axis=1)
+        middles.append(simplify(points))
+        borders += [simplify(points + side * LANE_WIDTH / 2 * lefts) for side in (1, -1)]
+    return RoadMap(plain_name(recording.header.map_name), borders, middles, [], [], [], text)
+
+
 def fresh_parts(paths: Sequence[Floats], cell: float, most: int) -> Iterator[Floats]:
     """Yield paths without those parts where one is already.
 
@@ -63,7 +86,8 @@ def fresh_parts(paths: Sequence[Floats], cell: float, most: int) -> Iterator[Flo
     if not paths:
         return
     points = np.concatenate([path[:, :2] for path in paths])
-    _, firsts = np.unique(np.rint(points / cell).astype(np.int64), axis=0, return_index=True)
+    x, y = np.rint(points / cell).astype(np.int32).astype(np.int64).T
+    _, firsts = np.unique((x << 32) + y, return_index=True)
     fresh = np.zeros(len(points), np.bool_)
     fresh[firsts] = True
     left = most
@@ -106,14 +130,11 @@ def _paths(trajectory: Trajectory) -> Iterator[Floats]:
 
 
 def _thinned(path: Floats) -> Floats:
-    """Return points of a path that are apart; a vehicle that stands still has one."""
-    far = np.concatenate(([0.0], np.cumsum(np.linalg.norm(np.diff(path[:, :2], axis=0), axis=1))))
-    kept, index = [0], 0
-    while index < len(path):
-        index = int(np.searchsorted(far, far[index] + _STEP * 0.999))
-        if index < len(path) and np.linalg.norm(path[index, :2] - path[kept[-1], :2]) > _STEP / 2:
-            kept.append(index)
-    return path[kept]
+    """Return points of a path that are apart, also where a vehicle stands and its pose trembles."""
+    far = np.concatenate(([0.0], np.cumsum(np.linalg.norm(np.diff(path[:, :2], axis=0), axis=1)))) // _STEP
+    thin = path[np.diff(far, prepend=-1.0) > 0]
+    apart = np.linalg.norm(np.diff(thin[:, :2], axis=0), axis=1) > _STEP / 2
+    return thin[np.concatenate(([True], apart))]
 
 
 def _length(path: Floats) -> float:

@@ -602,7 +602,7 @@ def test_a_recording_of_an_unknown_map_replays_on_its_corridors(
     monkeypatch.delenv("CARLA_RECAP_MAPS", raising=False)
     path = of_another_map(drive, tmp_path / "a.mcap")
     world = new_world()
-    with pytest.warns(RecapWarning, match=r"a\.mcap: is a recording of the map 'Town42', which is not in the folder"):
+    with pytest.warns(RecapWarning, match=r"a\.mcap: there is no map 'Town42' in the folder"):
         replay = world.replay_file(path)
     assert replay.loaded
     assert replay.on_corridors

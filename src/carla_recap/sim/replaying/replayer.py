@@ -283,8 +283,8 @@ class Replayer:
         if town is self._world.town:
             return False
         warnings.warn(
-            f"{path}: is a recording of the map {plain_name(map_name)!r}, which is not in {described_folder(maps)}; "
-            "it is replayed on the corridors that its vehicles have driven",
+            f"{path}: there is no map {plain_name(map_name)!r} in {described_folder(maps)}; "
+            "the roads are the corridors that the vehicles of the recording have driven",
             RecapWarning,
             stacklevel=5,
         )
