@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import sys
 from contextlib import ExitStack
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Final
 
@@ -166,7 +167,7 @@ def clips(
     every = not (collisions or blocked or braking)
     with open_recording(source) as recording:
         roads = options.road_map_of(recording, road_map) if rrd is not False else None
-        town = options.town_of(recording, road_map) if video else None
+        town = partial(options.town_of, recording, road_map)
     written = run(
         source,
         folder,
@@ -246,7 +247,7 @@ def snapshot(
     from carla_recap.recording import open_recording
 
     with open_recording(source) as recording:
-        town = options.town_of(recording, road_map)
+        town = partial(options.town_of, recording, road_map)
         run(recording, destination, at=at, follow=follow, view=view, town=town, size=size, overlay=overlay, force=force)
     say(destination)
 
@@ -294,7 +295,7 @@ def video(
             size=size,
             rate=fps,
             overlay=overlay,
-            town=options.town_of(recording, road_map),
+            town=partial(options.town_of, recording, road_map),
             progress=watch_scenes("filming"),
             force=force,
         )

@@ -21,11 +21,11 @@ from carla_recap.util.files import check_folder, new_folder
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Iterator, Sequence
 
+    from carla_recap.export.video.film import Town
     from carla_recap.formats.base import Reader
     from carla_recap.maps import RoadMap
     from carla_recap.queries.incidents import Incident, Incidents
     from carla_recap.rendering.process import RenderProcess
-    from carla_recap.rendering.town import TownMesh
 
 LONGEST: Final = 60.0
 """The length of the clip of a longer incident, in seconds from the start of the incident."""
@@ -63,7 +63,7 @@ def clips(
     rerun: bool | None = None,
     video: bool = False,
     road_map: RoadMap | None = None,
-    town: TownMesh | None = None,
+    town: Town | None = None,
     limit: int = 100,
     force: bool = False,
     progress: Callable[[Sequence[Incident]], Iterable[Incident]] | None = None,
@@ -86,7 +86,7 @@ def clips(
         rerun: Write the .rrd files; None: if Rerun is installed.
         video: Write the videos.
         road_map: The map of the town, to be drawn in the .rrd files.
-        town: The town in the videos; None: roads where actors have moved.
+        town: The town in the videos, or a function that loads it; None: roads where vehicles have driven.
         limit: The largest number of clips, those of the first incidents; a warning reports more incidents.
         force: Write into a folder that is not empty, over files of the same names.
         progress: Gets the incidents, and yields them.
@@ -152,15 +152,15 @@ def clips(
 
 
 @contextmanager
-def _renderer(town: TownMesh | None, reader: Reader | None) -> Iterator[RenderProcess | None]:
+def _renderer(town: Town | None, reader: Reader | None) -> Iterator[RenderProcess | None]:
     """Yield the renderer of all videos; None without a recording to be filmed."""
     if reader is None:
         yield None
         return
     from carla_recap.export.video.film import opened_renderer
 
-    with opened_renderer(None, town, Recording(reader)) as renderer:
-        yield renderer
+    with opened_renderer(None, town, Recording(reader)) as opened:
+        yield opened.result()
 
 
 def _choose(answer: Incidents, limit: int, source: Path) -> list[Incident]:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import contextmanager
 from itertools import islice
 from typing import TYPE_CHECKING, Any, Final, NamedTuple
@@ -15,12 +16,12 @@ from carla_recap.export.video.followed import FollowedActor
 from carla_recap.export.video.overlay import Overlay, Readings
 from carla_recap.export.video.transparency import Transparency
 from carla_recap.maps.road_map import plain_name
-from carla_recap.rendering.actors import SceneActors
+from carla_recap.recording import open_recording
 from carla_recap.rendering.camera import ImageKind
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Iterator
-    from concurrent.futures import Future
+    from pathlib import Path
 
     from numpy.typing import NDArray
 
@@ -33,6 +34,7 @@ if TYPE_CHECKING:
     from carla_recap.rendering.town import TownMesh
     from carla_recap.replay import Follow, Player, Scene
 
+    Town = TownMesh | Callable[[], TownMesh | None]
     Progress = Callable[[Iterable[Scene], Player], Iterable[Scene]]
     Images = dict[ImageKind, NDArray[Any]]
 
@@ -75,6 +77,8 @@ class Film:
         frames: int | None = None,
         overlay: bool = True,
     ) -> None:
+        from carla_recap.rendering.actors import SceneActors  # here, while the renderer starts
+
         self._player = player
         self._rate = rate
         self._speed = speed
@@ -177,13 +181,13 @@ def recorded_size(recording: Recording, view: VideoView) -> Size | None:
 
 @contextmanager
 def opened_renderer(
-    renderer: RenderProcess | None, town: TownMesh | None, recording: Recording, *, supersampling: int = 1
-) -> Iterator[RenderProcess]:
-    """Yield a renderer: a given one, which stays open, or a new one, which is closed.
+    renderer: RenderProcess | None, town: Town | None, recording: Recording, *, supersampling: int = 1
+) -> Iterator[Future[RenderProcess]]:
+    """Yield a renderer: a given one, which stays open, or a new one, which is made in another thread, and closed.
 
     Args:
         renderer: The given one.
-        town: The town of a new one; None: roads where the actors of the recording have moved.
+        town: The town of a new one; None: roads where the vehicles of the recording have driven.
         recording: The recording.
         supersampling: How many times as wide and high pictures are drawn before they are made smaller.
 
@@ -192,12 +196,29 @@ def opened_renderer(
         MissingExtra: An optional dependency is not installed.
     """
     if renderer is not None:
-        yield renderer
+        given: Future[RenderProcess] = Future()
+        given.set_result(renderer)
+        yield given
         return
+    with ThreadPoolExecutor(1, "carla-recap-town") as thread:
+        made = thread.submit(_make_renderer, town, recording.path, supersampling)
+        try:
+            yield made
+        finally:
+            if made.exception() is None:
+                made.result().close()
+
+
+def _make_renderer(town: Town | None, source: Path, supersampling: int) -> RenderProcess:
     from carla_recap.rendering.process import RenderProcess
 
-    with RenderProcess(town, supersampling=supersampling) as opened:
-        yield opened
+    mesh = town() if callable(town) else town
+    if mesh is None:
+        from carla_recap.rendering.town import corridor_town
+
+        with open_recording(source) as recording:  # another thread reads the given one
+            mesh = corridor_town(recording)
+    return RenderProcess(mesh, supersampling=supersampling)
 
 
 def submit(renderer: RenderProcess, shot: VideoShot) -> Future[Images]:

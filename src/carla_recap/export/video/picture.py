@@ -19,10 +19,9 @@ from carla_recap.util.files import WholeFile
 if TYPE_CHECKING:
     from carla_recap.export.video.cameras import VideoView
     from carla_recap.export.video.encoding import Size
-    from carla_recap.export.video.film import VideoShot
+    from carla_recap.export.video.film import Town, VideoShot
     from carla_recap.recording import Recording
     from carla_recap.rendering.process import RenderProcess
-    from carla_recap.rendering.town import TownMesh
     from carla_recap.replay import Follow
 
 _BEFORE: Final = 1.5  # s; the camera is as calm as if it had followed the actor for this time
@@ -37,7 +36,7 @@ def snapshot(
     at: float,
     follow: Follow | None = None,
     view: VideoView = "chase",
-    town: TownMesh | None = None,
+    town: Town | None = None,
     size: Size | None = None,
     overlay: bool = True,
     force: bool = False,
@@ -50,7 +49,7 @@ def snapshot(
         at: The time in elapsed seconds; a negative number is counted from the end.
         follow: The actor that the camera follows: an id or "hero"; None: see `choose_followed`, in the seconds before.
         view: The view; see `export_video`.
-        town: The town; None: roads where actors have moved.
+        town: The town, or a function that loads it; None: roads where vehicles have driven.
         size: Width and height in pixels; None: 1280 x 720, or of a recorded camera those of its images.
         overlay: Write the map, time, speed and more on it.
         force: Overwrite an existing file.
@@ -75,7 +74,7 @@ def picture(
     at: float,
     follow: Follow | None = None,
     view: VideoView = "chase",
-    town: TownMesh | None = None,
+    town: Town | None = None,
     size: Size | None = None,
     overlay: bool = True,
     renderer: RenderProcess | None = None,
@@ -108,12 +107,12 @@ def picture(
     player = Player(source, start=start, duration=max(time - start, _SHORTEST), follow=follow)
     if follow is None and player.followed is None:
         player.followed = Player(source).followed
-    film = Film(source, player, view, size, overlay=overlay)
-    *_, shot = (film.shot(scene) for scene in player.scenes(_RATE))
-    if follow is not None:
-        _check_followed(source, player.followed, shot)
-    with opened_renderer(renderer, town, source, supersampling=2) as drawing:
-        pixels = film.finished(submit(drawing, shot), shot)
+    with opened_renderer(renderer, town, source, supersampling=2) as opened:
+        film = Film(source, player, view, size, overlay=overlay)
+        *_, shot = (film.shot(scene) for scene in player.scenes(_RATE))
+        if follow is not None:
+            _check_followed(source, player.followed, shot)
+        pixels = film.finished(submit(opened.result(), shot), shot)
     file = io.BytesIO()
     Image.fromarray(pixels[..., 2::-1]).save(file, form, quality=88)
     return file.getvalue()

@@ -19,10 +19,9 @@ if TYPE_CHECKING:
 
     from carla_recap.export.video.cameras import VideoView
     from carla_recap.export.video.encoding import Picture, Size
-    from carla_recap.export.video.film import Images, Progress, VideoShot
+    from carla_recap.export.video.film import Images, Progress, Town, VideoShot
     from carla_recap.recording import Recording
     from carla_recap.rendering.process import RenderProcess
-    from carla_recap.rendering.town import TownMesh
     from carla_recap.replay import Follow
 
 GIF_RATE: Final = 12.5
@@ -63,7 +62,7 @@ def export_video(
     size: Size | None = None,
     rate: float | None = None,
     overlay: bool = True,
-    town: TownMesh | None = None,
+    town: Town | None = None,
     renderer: RenderProcess | None = None,
     progress: Progress | None = None,
     force: bool = False,
@@ -83,7 +82,7 @@ def export_video(
         size: Width and height in pixels; None: 1280 x 720, of a GIF 640 x 360, of a recorded camera those of its images.
         rate: The frames per second; None: 30, of a GIF 12.5.
         overlay: Write time, speed, controls, the light ahead and incidents on the pictures.
-        town: The town; None: roads where actors have moved.
+        town: The town, or a function that loads it; None: roads where vehicles have driven.
         renderer: What draws the pictures, for several videos of one town; None: one is made and closed.
         progress: Is given all scenes and the player, and passes the scenes on.
         force: Overwrite an existing file.
@@ -108,10 +107,12 @@ def export_video(
         part = Player(source, start=player.start, duration=length, follow=player.followed)
         return Film(source, part, view, size, speed=speed, rate=rate, frames=frames, overlay=overlay)
 
-    with opened_renderer(renderer, town, source) as drawing:
+    with opened_renderer(renderer, town, source) as opened:
+        main = film(rate, speed, frames)
+        drawing = opened.result()
         samples = list(_pictures(film(_SAMPLES / length, 1.0, _SAMPLES), drawing)) if is_gif and length else []
         with create_video(path, size, rate, samples) as file:
-            for picture in _pictures(film(rate, speed, frames), drawing, progress):
+            for picture in _pictures(main, drawing, progress):
                 file.add(picture)
     return VideoInfo(frames, frames / rate, size, path.stat().st_size)
 
