@@ -51,12 +51,21 @@ class ModelShape(Protocol):
 
 
 class ImageBuffers:
-    """The buffers of images of a size."""
+    """The buffers of images of a size.
+
+    Args:
+        context: The context of OpenGL.
+        width: The width in pixels.
+        height: The height in pixels.
+
+    Attributes:
+        size: Width and height.
+    """
 
     def __init__(self, context: Any, width: int, height: int) -> None:
         self._context = context
-        self._size = width, height
-        self._depth = context.depth_renderbuffer(self._size)
+        self.size = width, height
+        self._depth = context.depth_renderbuffer(self.size)
         self._textures: dict[ImageKind, Any] = {}
         self._framebuffers: dict[tuple[ImageKind, ...], Any] = {}
 
@@ -70,7 +79,7 @@ class ImageBuffers:
             for kind in kinds:
                 if kind not in self._textures:
                     flow = kind is ImageKind.FLOW
-                    self._textures[kind] = self._context.texture(self._size, 2 if flow else 4, dtype="f4" if flow else "f1")
+                    self._textures[kind] = self._context.texture(self.size, 2 if flow else 4, dtype="f4" if flow else "f1")
             textures = [self._textures[kind] for kind in kinds]
             self._framebuffers[kinds] = self._context.framebuffer(textures, self._depth)
         return self._framebuffers[kinds]
@@ -80,7 +89,7 @@ class ImageBuffers:
         framebuffer = self.framebuffer(kinds)
         images: Images = {}
         for index, kind in enumerate(kinds):
-            shape, dtype = image_format(kind, *self._size)
+            shape, dtype = image_format(kind, *self.size)
             image = np.empty(shape, dtype) if into is None else into[kind]
             framebuffer.read_into(
                 image, components=shape[2], attachment=index, alignment=1, dtype="f4" if dtype == np.float32 else "f1"

@@ -75,8 +75,8 @@ class CameraView:
         found["previous_rotation"] = rotations
         return found
 
-    def block(self) -> NDArray[np.void]:
-        """Return the uniform block."""
+    def block(self, width: int, height: int) -> NDArray[np.void]:
+        """Return the uniform block of an image that is drawn with some width and height."""
         camera, light = self.camera, self._light
         block = np.zeros((), shaders.FRAME)
         block["clip"] = _clip(camera).T
@@ -88,13 +88,14 @@ class CameraView:
         block["forward"][:3] = forward
         block["right"][:3] = -left * across
         block["up"][:3] = up * across * camera.height / camera.width
-        block["size"][:3] = camera.width, camera.height, camera.focal_length
+        block["size"][:3] = width, height, camera.focal_length * height / camera.height
         block["sun"] = (*light.sun, light.shade)
         block["sunlight"] = (*light.sunlight, light.disc)
         block["skylight"] = (*light.skylight, self._sky.wetness)
         block["groundlight"][:3] = light.groundlight
         block["zenith"] = (*light.zenith, self._sky.cloudiness)
         block["haze"][:3] = light.haze
+        block["cloud_color"][:3] = light.clouds
         block["fog"][:3] = self._sky.density, self._sky.fog_distance, 1.0
         block["world"][:2] = np.mod(camera.location[:2], _PERIOD)
         return block

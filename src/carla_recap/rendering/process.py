@@ -72,7 +72,7 @@ class RenderProcess:
         *,
         models: Sequence[ModelShape] | None = None,
         quality: Quality | str = Quality.EPIC,
-        supersampling: int = 1,
+        supersampling: int | tuple[int, int] | None = None,
     ) -> None:
         shapes = None if models is None else [_Shape(model.mesh, model.pivots, model.steered) for model in models]
         self._setup = pickle.dumps((_Tiles(town), shapes, Quality(quality), supersampling), pickle.HIGHEST_PROTOCOL)

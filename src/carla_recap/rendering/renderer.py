@@ -12,7 +12,6 @@ from __future__ import annotations
 
 import sys
 from collections import OrderedDict
-from dataclasses import replace
 from enum import StrEnum
 from typing import TYPE_CHECKING, Any, Final, Self
 
@@ -53,7 +52,7 @@ _GRAIN: Final = 256  # pixels of the texture of surfaces and clouds
 
 
 class Quality(StrEnum):
-    """How images are drawn: `LOW` without shadows and grain of surfaces, `EPIC` with them."""
+    """How images are drawn: `LOW` without shadows, grain of surfaces and smoothing, `EPIC` with them."""
 
     LOW = "low"
     EPIC = "epic"
@@ -66,7 +65,8 @@ class Renderer:
         town: The town; None for none.
         models: The models that instances refer to; by default, those of this package.
         quality: How images are drawn.
-        supersampling: The RGB image alone is drawn this many times as wide and high, and averaged; 1 to 4.
+        supersampling: The RGB image alone is drawn this many times as wide and high, and averaged: 1 to 4, for both or for
+            each. None: by the quality, (1, 2) for `EPIC`, which smooths what is nearly level, such as markings far away.
 
     Raises:
         MissingExtra: moderngl is not installed.
@@ -79,14 +79,17 @@ class Renderer:
         *,
         models: Sequence[ModelShape] | None = None,
         quality: Quality | str = Quality.EPIC,
-        supersampling: int = 1,
+        supersampling: int | tuple[int, int] | None = None,
     ) -> None:
         if models is None:
             from carla_recap.rendering.models import MODELS
 
             models = MODELS
         self._quality = Quality(quality)
-        self._samples = max(1, min(4, supersampling))
+        if supersampling is None:
+            supersampling = (1, 2) if self._quality is Quality.EPIC else 1
+        samples = (supersampling, supersampling) if isinstance(supersampling, int) else supersampling
+        self._samples = max(1, min(4, samples[0])), max(1, min(4, samples[1]))
         self._context = _create_context()
         self._programs: dict[Any, Any] = {}
         self._arrays: dict[Any, Any] = {}
@@ -179,11 +182,11 @@ class Renderer:
         targets = self._targets_of(camera.width, camera.height)
         moment = instances, sky, previous, without
         rest = kinds
-        if ImageKind.RGB in kinds and self._samples > 1:
+        if ImageKind.RGB in kinds and self._samples != (1, 1):
             rest = tuple(kind for kind in kinds if kind != ImageKind.RGB)
-            width, height = camera.width * self._samples, camera.height * self._samples
+            width, height = camera.width * self._samples[0], camera.height * self._samples[1]
             large = self._targets_of(width, height)
-            self._draw_kinds(large, replace(camera, width=width, height=height), (ImageKind.RGB,), *moment)
+            self._draw_kinds(large, camera, (ImageKind.RGB,), *moment)
             self._reduce(large, targets)
         if rest:
             self._draw_kinds(targets, camera, rest, *moment)
@@ -201,7 +204,7 @@ class Renderer:
     ) -> None:
         """Draw images of a moment in one pass."""
         view = CameraView(camera, sky, self._ground.origin, valid_camera(previous[0]) if previous else None)
-        self._frame.write(view.block().tobytes())
+        self._frame.write(view.block(*targets.size).tobytes())
         context = self._context
         self._frame.bind_to_uniform_block(0)
         self._materials.bind_to_uniform_block(1)

@@ -50,6 +50,7 @@ FRAME: Final = np.dtype(
         ("groundlight", "4f4"),
         ("zenith", "4f4"),
         ("haze", "4f4"),
+        ("cloud_color", "4f4"),
         ("fog", "4f4"),
         ("world", "4f4"),
     ]
@@ -73,6 +74,7 @@ layout(std140) uniform Frame {
     vec4 groundlight;     // light from below
     vec4 zenith;          // sRGB colours of the sky; w: cloudiness
     vec4 haze;            // the sky at the horizon, and the fog
+    vec4 cloud_color;
     vec4 fog;             // density per m, distance at which it begins, exposure
     vec4 world;           // the location of the camera, modulo the size of the grain
 };
@@ -288,16 +290,24 @@ void main() {
 #ifdef RGB
     vec3 view = normalize(ray);
     float height = max(view.z, 0.0);
-    vec3 color = mix(haze.rgb, zenith.rgb, 1.0 - exp2(-height * 5.5));
+    float low = 1.0 / (1.0 + height * 2.2);
+    vec3 color = mix(zenith.rgb, haze.rgb, low * low * low);
     float toward = max(dot(view, sun.xyz), 0.0);
     if (view.z > 0.01 && zenith.w > 0.0) {
         vec2 at = view.xy / (view.z + 0.12);
-        float cloud = texture(noise, at * 0.05).r * 0.6 + texture(noise, at * 0.17 + 0.3).r * 0.4;
-        float cover = smoothstep(0.72 - 0.6 * zenith.w, 1.02 - 0.55 * zenith.w, cloud) * smoothstep(0.01, 0.2, view.z);
-        vec3 lit = encoded(skylight.rgb * 0.55 + sunlight.rgb * 0.45 * (1.0 - 0.4 * zenith.w));
-        color = mix(color, lit, cover * (0.55 + 0.35 * zenith.w));
+        float density = texture(noise, at * 0.05).r * 0.6 + texture(noise, at * 0.17 + 0.3).r * 0.4;
+        float cover = smoothstep(0.72 - 0.6 * zenith.w, 1.02 - 0.55 * zenith.w, density) * smoothstep(0.01, 0.2, view.z);
+        color = mix(color, cloud_color.rgb, cover * (0.55 + 0.35 * zenith.w));
     }
-    float disc = smoothstep(0.9994, 0.9998, toward) + 0.35 * pow(toward, 350.0) + 0.12 * pow(toward, 24.0);
+    float toward8 = toward * toward;
+    toward8 *= toward8;
+    toward8 *= toward8;
+    float toward32 = toward8 * toward8;
+    toward32 *= toward32;
+    float toward256 = toward32 * toward32;
+    toward256 *= toward256;
+    toward256 *= toward256;
+    float disc = smoothstep(0.9994, 0.9998, toward) + 0.35 * toward256 + 0.12 * toward32;
     color += sunlight.w * disc * vec3(1.0, 0.95, 0.85);
     o_rgb = vec4(color.bgr, 1.0);
 #endif
@@ -403,13 +413,13 @@ void main() {
 
 _REDUCE_FRAGMENT: Final = """
 uniform sampler2D image;
-uniform int samples;
+uniform ivec2 samples;
 void main() {
     ivec2 corner = ivec2(gl_FragCoord.xy) * samples;
     vec3 sum = vec3(0.0);
-    for (int y = 0; y < samples; y++)
-        for (int x = 0; x < samples; x++) sum += texelFetch(image, corner + ivec2(x, y), 0).rgb;
-    o_rgb = vec4(sum / float(samples * samples), 1.0);
+    for (int y = 0; y < samples.y; y++)
+        for (int x = 0; x < samples.x; x++) sum += texelFetch(image, corner + ivec2(x, y), 0).rgb;
+    o_rgb = vec4(sum / float(samples.x * samples.y), 1.0);
 }
 """
 
@@ -466,7 +476,7 @@ def sources(name: str, kinds: Sequence[ImageKind], *options: str) -> tuple[str, 
     """
     vertex, fragment = {
         "surface": (_LIGHT + _VERTEX, _ENCODED_DEPTH + _FRAGMENT),
-        "sky": (_SKY_VERTEX, _LIGHT + _SKY_FRAGMENT),
+        "sky": (_SKY_VERTEX, _SKY_FRAGMENT),
         "shadow": (_SHADOW_VERTEX, _SHADOW_FRAGMENT),
         "blob": (_BLOB_VERTEX, _BLOB_FRAGMENT),
         "cover": (_COVER_VERTEX, _COVER_FRAGMENT),

@@ -26,6 +26,7 @@ class Light(NamedTuple):
         groundlight: The light from below.
         zenith: The colour of the sky overhead.
         haze: The colour of the sky at the horizon, and of fog.
+        clouds: The colour of clouds.
         disc: The brightness of the sun's disc, from 0 to 1.
         shade: The share of light in shadows on the ground, from 0 to 1; 1: there are none.
     """
@@ -36,6 +37,7 @@ class Light(NamedTuple):
     groundlight: Floats
     zenith: Floats
     haze: Floats
+    clouds: Floats
     disc: float
     shade: float
 
@@ -125,9 +127,11 @@ class Sky:
         zenith = _mix(zenith, haze, min(1.0, 1.4 * max(self.fog, self.dust)))
         zenith = _mix((12, 17, 32), zenith, day) / 255
         haze = _mix((34, 42, 60), haze, day) / 255
+        bright = skylight * 0.55 + sunlight * 0.45 * (1 - 0.4 * self.cloudiness)
+        clouds = (bright * (1 + 0.12 * bright) / (1 + 0.42 * bright)) ** (1 / 2.2)  # as the shaders encode light
         disc = day * max(0.0, 1 - 1.1 * self.cloudiness) * (1 - max(self.fog, self.dust))
         shade = 1 - (0.42 * clear * day + 0.12 * (1 - day))
-        return Light(sun, sunlight, skylight, groundlight, zenith, haze, disc, shade)
+        return Light(sun, sunlight, skylight, groundlight, zenith, haze, clouds, disc, shade)
 
 
 def _number(weather: Any, name: str) -> float:
