@@ -59,7 +59,7 @@ class Ground {
     context.strokeStyle = colors.road;
     context.lineWidth = Math.max(this.width, 2 / camera.scale);
     for (const group of this.paths) if (Lines.sees(camera, group)) context.stroke(group.path);
-    context.lineWidth = 0.7 / camera.scale; // closes the seams between tiles
+    context.lineWidth = 1.1 / camera.scale; // closes the seams between tiles
     context.lineJoin = "bevel";
     for (const group of this.surfaces) {
       if (camera.scale < (FINE[group.layer] ?? 0) || !Lines.sees(camera, group)) continue;

@@ -95,7 +95,7 @@ class Incidents {
 
   meta(recording, { actors, types, place }) {
     const names = actors.map((id, i) => this.name(recording, id, types[i] ?? ""));
-    const where = place[0] === null || place[1] === null ? "" : `x ${place[0].toFixed(1)}  y ${place[1].toFixed(1)} m`;
+    const where = place[0] === null || place[1] === null ? "" : `x ${metres(place[0])}  y ${metres(place[1])} m`;
     const chips = names.map(({ text, color }) => {
       const swatch = element("i", "swatch");
       swatch.style.background = color;
@@ -180,6 +180,10 @@ class Incidents {
 }
 
 const NO_INCIDENTS = "Nobody collided, braked hard or stood still for long.";
+
+function metres(value) {
+  return (Math.abs(value) < 0.05 ? 0 : value).toFixed(1).replace("-", "−");
+}
 
 function counted(count) {
   return count === 1 ? "1 incident" : `${count || "no"} incidents`;

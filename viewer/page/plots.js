@@ -1,8 +1,8 @@
 // Speed, acceleration and gap of the followed actor over time, with the present time as a line.
 "use strict";
 
-const WHOLE = 120; // s, the longest recording whose plots show all of it
-const WINDOW = 60; // s, what the plots of a longer one show
+const WHOLE = 300; // s, the longest recording whose plots show all of it
+const WINDOW = 120; // s, what the plots of a longer one show
 const MOST_BRAKING = 12; // m/s², the largest acceleration in the plot
 const HIGHEST = 250; // km/h
 const ROWS = [
@@ -55,7 +55,7 @@ class Plots {
   get span() {
     if (this.length <= WHOLE) return [0, Math.max(this.length, 0.1)];
     // It moves on in steps, so that the curves need not be drawn for each picture.
-    const start = Math.round((this.time - WINDOW / 2) / 5) * 5;
+    const start = Math.round((this.time - WINDOW / 2) / 10) * 10;
     const begin = Math.max(0, Math.min(this.length - WINDOW, start));
     return [begin, begin + WINDOW];
   }
@@ -63,6 +63,14 @@ class Plots {
   /** The width of the curves, which is that of the timeline; the scales are beside them, where there is room. */
   get width() {
     return document.getElementById("marks").clientWidth || this.canvas.clientWidth;
+  }
+
+  /** Show on the timeline which part of a long recording the plots have. */
+  showWindow(start, stop) {
+    const part = document.getElementById("window");
+    part.hidden = this.length <= WHOLE;
+    part.style.left = `${(100 * start) / this.length}%`;
+    part.style.width = `${(100 * (stop - start)) / this.length}%`;
   }
 
   timeAt(left) {
@@ -83,6 +91,7 @@ class Plots {
       return { recording, actor, series: actor < 0 ? null : recording.motion.series(actor) };
     });
     const whole = this.canvas.clientWidth;
+    this.showWindow(start, stop);
     const drawn = [whole, width, height, start, stop, ...found.map(({ actor }) => actor)].join();
     const ratio = Math.min(3, window.devicePixelRatio || 1);
     if (drawn !== this.drawn) {
@@ -124,6 +133,7 @@ class Plots {
       context.moveTo(0, Math.round(level(0)) + 0.5);
       context.lineTo(width, Math.round(level(0)) + 0.5);
       context.stroke();
+      if (!index) this.drawIncidents(context, found, left, start, stop, height);
       for (const { recording, series } of [...found].reverse()) {
         if (series) this.drawCurve(context, row, series, this.color(recording), left, level, scale, [start, stop]);
       }
@@ -134,6 +144,24 @@ class Plots {
       context.fillText(row.signed ? `±${scale[1]}` : `${scale[1]}`, beside ? width + 8 : width - 2, index * this.rowHeight + 13);
       return { level, scale };
     });
+  }
+
+  /** Draw lines at the incidents of the followed actor. */
+  drawIncidents(context, found, left, start, stop, height) {
+    context.lineWidth = 1.5;
+    context.setLineDash([2, 3]);
+    for (const { recording, actor } of found) {
+      const { report, tracks } = recording;
+      for (const { kind, start: time, actors } of actor < 0 ? [] : report.incidents) {
+        if (time === null || time < start || time > stop || !actors.includes(tracks.actors[actor].id)) continue;
+        context.strokeStyle = theme.tones[kind];
+        context.beginPath();
+        context.moveTo(left(time), 0);
+        context.lineTo(left(time), height - 16);
+        context.stroke();
+      }
+    }
+    context.setLineDash([]);
   }
 
   drawTimes(context, start, stop, left, width, height) {

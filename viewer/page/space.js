@@ -8,6 +8,7 @@ class Space {
     this.button = document.getElementById("solid");
     this.sign = document.getElementById("loading");
     this.button.hidden = !report.viewer;
+    document.body.classList.toggle("with-viewer", report.viewer);
     this.changed = changed;
     this.shown = "";
     if (location.protocol === "file:") {

@@ -1,7 +1,8 @@
 // Play, pause, speed, and the timeline with its marks.
 "use strict";
 
-const MARK_WIDTH = 20; // px; marks that are nearer to each other are one
+const MARK_WIDTH = 32; // px; marks that are nearer to each other are one, with their number
+const TWO_MARKS = 11; // px; two that are farther from each other stay apart
 
 class Transport {
   /** open: is called with the index of an incident. */
@@ -57,7 +58,7 @@ class Transport {
     this.width = width;
     this.hidden = [...this.incidents.hidden].join();
     this.marks.replaceChildren();
-    const reach = width ? (MARK_WIDTH / width) * this.length : 0; // s
+    const [reach, close] = width ? [MARK_WIDTH, TWO_MARKS].map((px) => (px / width) * this.length) : [0, 0]; // s
     for (const index of new Set(this.incidents.items.map(({ recording }) => recording.index))) {
       const items = this.incidents.items
         .map((item, index) => ({ ...item, index }))
@@ -65,7 +66,8 @@ class Transport {
         .sort((a, b) => a.incident.start - b.incident.start);
       let group = [];
       for (const item of items) {
-        if (group.length && item.incident.start - group[0].incident.start >= reach) {
+        const apart = group.length ? item.incident.start - group[0].incident.start : 0;
+        if (group.length && apart >= (group.length === 1 && !this.crowded(items, item, reach) ? close : reach)) {
           this.addMark(group);
           group = [];
         }
@@ -73,6 +75,11 @@ class Transport {
       }
       if (group.length) this.addMark(group);
     }
+  }
+
+  /** Return whether a mark has others soon after it. */
+  crowded(items, { incident }, reach) {
+    return items.some((one) => one.incident.start > incident.start && one.incident.start - incident.start < reach);
   }
 
   addMark(group) {

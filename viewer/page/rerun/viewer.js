@@ -5,6 +5,7 @@ const SET_TIME = 6; // an operation of Rerun's viewer_control.proto
 const PAUSED = 1;
 const BILLION = 1e9; // ns
 const RETRY = 200; // ms
+const CONFIRMATIONS = [300, 1000, 3000, 8000]; // ms
 
 /** Return an integer in protobuf's encoding. */
 function varint(value) {
@@ -32,6 +33,8 @@ class Viewer {
     this.wanted = null;
     this.camera = null; // null: the recording's own blueprint
     this.time = null; // the time that is shown, in s
+    this.asked = null; // the time that was requested last
+    this.timers = [];
     this.busy = false;
   }
 
@@ -47,8 +50,10 @@ class Viewer {
     while (this.wanted) {
       const { time, camera } = this.wanted;
       this.wanted = null;
+      this.asked = time;
       if (camera && camera !== this.camera) {
         this.camera = camera;
+        this.confirm();
         this.handle.add_receiver(new URL(camera, location.href).href);
       }
       try {
@@ -60,6 +65,12 @@ class Viewer {
       }
     }
     this.busy = false;
+  }
+
+  /** Request the time again while a blueprint is loaded, which may set another one. */
+  confirm() {
+    this.timers.forEach(clearTimeout);
+    this.timers = CONFIRMATIONS.map((late) => setTimeout(() => this.show({ time: this.asked, camera: this.camera }), late));
   }
 }
 
