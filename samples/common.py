@@ -1,5 +1,6 @@
-"""Functions that the sample scripts share: options, connecting, synchronous mode, and a collision course."""
+"""Functions that the sample scripts share: options, connecting, synchronous mode, sensors, and a collision course."""
 
+import queue
 from argparse import ArgumentDefaultsHelpFormatter, ArgumentParser
 from contextlib import contextmanager
 
@@ -81,3 +82,21 @@ def spawn_collision_course(client, length):
         # `destroy` has no effect on an actor that the client has not yet seen in a tick.
         client.apply_batch_sync([carla.command.DestroyActor(hero)], False)
     raise SystemExit(f"{world.get_map().name} has no straight lane of {length:g} m that is free")
+
+
+def listen(world, name, vehicle, place=None, **attributes):
+    """Attach a sensor to a vehicle; return it, and the queue of its data."""
+    blueprint = world.get_blueprint_library().find(name)
+    for key, value in attributes.items():
+        blueprint.set_attribute(key, str(value))
+    sensor = world.spawn_actor(blueprint, place or carla.Transform(), vehicle)
+    data = queue.Queue()
+    sensor.listen(data.put)
+    return sensor, data
+
+
+def of_frame(data, frame):
+    """Return the data of a sensor for a frame, and drop older data."""
+    while (item := data.get(timeout=60.0)).frame < frame:
+        pass
+    return item

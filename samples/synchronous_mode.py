@@ -4,10 +4,8 @@ Sensors call back in another thread, and queues pass their data to the thread th
 sends data in each tick, and one for the collision sensor, which sends collisions only.
 """
 
-import queue
-
 import carla
-from common import DELTA, connect, options, spawn_collision_course, synchronous
+from common import DELTA, connect, listen, of_frame, options, spawn_collision_course, synchronous
 
 
 def main():
@@ -36,21 +34,6 @@ def main():
         finally:
             for actor in (gnss, detector, hero, obstacle):
                 actor.destroy()
-
-
-def listen(world, name, vehicle):
-    """Attach a sensor to a vehicle; return it, and the queue of its data."""
-    sensor = world.spawn_actor(world.get_blueprint_library().find(name), carla.Transform(), vehicle)
-    data = queue.Queue()
-    sensor.listen(data.put)
-    return sensor, data
-
-
-def of_frame(data, frame):
-    """Return the data of a sensor for a frame, and drop older data."""
-    while (item := data.get(timeout=5.0)).frame < frame:
-        pass
-    return item
 
 
 if __name__ == "__main__":

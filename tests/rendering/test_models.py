@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from carla_recap.rendering.materials import Material
+from carla_recap.rendering.materials import MATERIALS, Material, Tag
 from carla_recap.rendering.models import INDEX, MODELS, Model
 
 SOLID = [model for model in MODELS if model.name != "collision mark"]
@@ -100,6 +100,14 @@ def test_lamps_are_where_they_belong(name, material, ahead, left):
     assert not ahead or (points[:, 0] * ahead).max() > 0.95
     assert not ahead or (points[:, 0] * ahead > 0.2).all() or name == "pickup"  # with a lamp on its cab
     assert not left or (points[:, 1] * left > 0).all()
+
+
+@pytest.mark.parametrize("model", [m for m in MODELS if "sign" not in m.name and "limit" not in m.name], ids=named)
+def test_parts_of_an_actor_have_its_tag(model):
+    if model.name in ("traffic light", "collision mark"):
+        return
+    tags = {MATERIALS[Material(number)].tag for number in np.unique(model.mesh.materials)}
+    assert tags <= {None, Tag.RIDER, Tag.VEGETATION}
 
 
 def test_front_wheels_are_steered_about_their_middle():

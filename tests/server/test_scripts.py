@@ -12,11 +12,13 @@ from pathlib import Path
 import carla
 import pytest
 
+from carla_recap.errors import RecapError
 from carla_recap.sim import World, load_town
 from carla_recap.sim.scenarios import Crash
 
 SAMPLES = Path(__file__).parents[2] / "samples"
-SCRIPTS = sorted(path.stem for path in SAMPLES.glob("*.py") if "from common import" in path.read_text())
+TEXTS = {path.stem: path.read_text() for path in SAMPLES.glob("*.py")}
+SCRIPTS = sorted(name for name, text in TEXTS.items() if "from common import" in text and "def main" in text)
 BEHIND = (10.0**2 + 5.0**2) ** 0.5
 """m: how far the camera is from whom it follows."""
 
@@ -164,3 +166,64 @@ def test_a_crash_in_traffic_is_recorded_found_and_replayed(client: carla.Client,
         speeds.append(hero_now.get_velocity().length())
     assert max(speeds) > 5.0
     assert len(world.get_actors().filter("vehicle.*")) == 32
+
+
+# --- cameras -------------------------------------------------------------------------------------------
+
+
+@pytest.fixture
+def drawn() -> None:
+    """Skip where cameras have nothing to draw with."""
+    for module in ("moderngl", "embreex", "PIL"):
+        pytest.importorskip(module, reason=f"{module} is not installed")
+    from carla_recap.rendering.renderer import Renderer
+
+    try:
+        Renderer(models=()).close()
+    except RecapError as error:
+        pytest.skip(str(error))
+
+
+def pictures_of(port: int, script: str, folder: Path, count: int) -> str:
+    """Return what a script with cameras prints; it saves some pictures, of the size of its cameras."""
+    from PIL import Image
+
+    text = output_of(port, script, "-o", folder, "-t", count / 2)
+    saved = sorted(folder.glob("*.png"))
+    assert len(saved) == count
+    for path in saved:
+        with Image.open(path) as image:
+            assert image.size == (800, 600)
+    return text
+
+
+@pytest.mark.usefixtures("drawn", "client")
+def test_a_pair_of_cameras_takes_pictures_of_the_same_frame(port: int, tmp_path: Path) -> None:
+    text = pictures_of(port, "camera_pair", tmp_path, 2)
+    rows = re.findall(r"frames (\d+) and (\d+): ([\d.]+)% road, ([\d.]+)% cars", text)
+    assert len(rows) == 2
+    for color, semantic, road, cars in rows:
+        assert color == semantic
+        assert float(road) > 15
+        assert 0.2 < float(cars) < 20
+
+
+@pytest.mark.usefixtures("drawn", "client")
+def test_points_of_a_lidar_fall_on_pixels_of_their_class(port: int, tmp_path: Path) -> None:
+    text = pictures_of(port, "lidar_on_camera", tmp_path, 1)
+    ((points, same),) = re.findall(r"(\d+) points in the image, ([\d.]+)% on their own class", text)
+    assert int(points) > 2000
+    assert float(same) > 97  # of the others, the edges go through their pixel
+
+
+@pytest.mark.usefixtures("drawn", "client")
+def test_boxes_fit_the_vehicles_in_the_image(port: int, tmp_path: Path) -> None:
+    text = pictures_of(port, "boxes_on_camera", tmp_path, 1)
+    rows = re.findall(r"(vehicle\S+) \d+ at \S+ m: box (.*), pixels (.*)", text)
+    assert {name for name, _, _ in rows} >= {"vehicle.audi.tt", "vehicle.mercedes.sprinter"}
+    for name, box, own in rows:
+        left, top, right, bottom = map(float, box.split())
+        x0, y0, x1, y1 = map(float, own.split())
+        assert min(x0 - left, y0 - top, right - x1, bottom - y1) > -1.5, name  # pixels beyond the box
+        if name == "vehicle.audi.tt":  # seen straight from behind: it fills its box
+            assert max(x0 - left, y0 - top, right - x1, bottom - y1) < 3

@@ -110,6 +110,8 @@ class Material(IntEnum):
     DARK_HAIR = 56
     JEANS = 57
     LIGHT_TROUSERS = 58
+    YELLOW_BAND = 59
+    RED_BAND = 60
 
 
 class Finish(NamedTuple):
@@ -189,6 +191,8 @@ MATERIALS: Final[dict[Material, Finish]] = {
     _M.DARK_HAIR: Finish((30, 26, 26)),
     _M.JEANS: Finish((60, 86, 128)),
     _M.LIGHT_TROUSERS: Finish((164, 150, 128)),
+    _M.YELLOW_BAND: Finish((240, 192, 40), gloss=0.2),
+    _M.RED_BAND: Finish((196, 34, 40), gloss=0.2),
 }
 """All materials."""
 LAMPS: Final = np.uint64(sum(1 << material for material, finish in MATERIALS.items() if finish.glow))

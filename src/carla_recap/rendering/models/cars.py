@@ -318,7 +318,7 @@ def _rear_windows(solid: Solid, shape: CarShape) -> None:
 def plate(solid: Solid, x: float, z: float, direction: int) -> None:
     """Add a number plate that faces forward (1) or backward (-1)."""
     corners = [(x, y, z + up) for y, up in ((-0.26, -0.055), (0.26, -0.055), (0.26, 0.055), (-0.26, 0.055))]
-    solid.facet(corners[::direction], M.SIGN_WHITE)
+    solid.facet(corners[::direction], M.SECOND_PAINT)
 
 
 SEDAN: Final = CarShape(
@@ -468,7 +468,7 @@ def police_car() -> Solid:
 def taxi() -> Solid:
     """Return a taxi: a sedan with a sign on its roof."""
     solid = car(replace(SEDAN, name="taxi"))
-    solid.box((-0.12, -0.3, SEDAN.roof - 0.02), (0.12, 0.3, SEDAN.roof + 0.14), M.SIGN_WHITE, top=(0.6, 0.9))
+    solid.box((-0.12, -0.3, SEDAN.roof - 0.02), (0.12, 0.3, SEDAN.roof + 0.14), M.SECOND_PAINT, top=(0.6, 0.9))
     return solid
 
 

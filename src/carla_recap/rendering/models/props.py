@@ -25,7 +25,7 @@ def cone() -> Solid:
     """Return a traffic cone."""
     solid = Solid()
     solid.box((-0.2, -0.2, 0), (0.2, 0.2, 0.04), M.WARNING_ORANGE)
-    bands = (M.WARNING_ORANGE, M.SIGN_WHITE, M.WARNING_ORANGE, M.SIGN_WHITE, M.WARNING_ORANGE)
+    bands = (M.WARNING_ORANGE, M.SECOND_PAINT, M.WARNING_ORANGE, M.SECOND_PAINT, M.WARNING_ORANGE)
     profile = ((0.15, 0.04), (0.122, 0.2), (0.096, 0.34), (0.072, 0.48), (0.05, 0.6), (0.028, 0.72))
     _turned(solid, profile, lambda i, _: bands[min(max(i, 0), 4)])
     return solid
@@ -36,11 +36,11 @@ def barrier() -> Solid:
     solid = Solid()
     for y in (-0.5, 0.5):
         solid.box((-0.2, y - 0.04, 0), (0.2, y + 0.04, 0.06), M.TRIM)
-        solid.box((-0.03, y - 0.03, 0.06), (0.03, y + 0.03, 1.0), M.SIGN_WHITE)
+        solid.box((-0.03, y - 0.03, 0.06), (0.03, y + 0.03, 1.0), M.SECOND_PAINT)
     for z in (0.45, 0.78):
         for i in range(6):
             y = -0.6 + i * 0.2
-            solid.box((-0.05, y, z), (0.05, y + 0.2, z + 0.2), M.PAINT if i % 2 == 0 else M.SIGN_WHITE)
+            solid.box((-0.05, y, z), (0.05, y + 0.2, z + 0.2), M.PAINT if i % 2 == 0 else M.SECOND_PAINT)
     return solid
 
 
@@ -49,7 +49,7 @@ def chain_barrier() -> Solid:
     solid = Solid()
     for y in (-0.66, 0.66):
         solid.limb((0, y, 0), (0, y, 0.86), (0.05, 0.05), M.PAINT, sides=8)
-        solid.limb((0, y, 0.5), (0, y, 0.66), (0.052, 0.052), M.SIGN_WHITE, sides=8)
+        solid.limb((0, y, 0.5), (0, y, 0.66), (0.052, 0.052), M.SECOND_PAINT, sides=8)
         solid.box((-0.11, y - 0.11, 0), (0.11, y + 0.11, 0.04), M.TRIM)
     points = [(0.0, y, 0.8 - 0.22 * (1 - (y / 0.66) ** 2)) for y in (-0.66, -0.4, 0.0, 0.4, 0.66)]
     for start, stop in itertools.pairwise(points):
@@ -207,11 +207,11 @@ def board() -> Solid:
     """Return an upright board on two feet; it faces x."""
     solid = Solid()
     for y in (-0.5, 0.5):
-        solid.box((-0.05, y - 0.04, 0), (0.05, y + 0.04, 2.0), M.POLE)
+        solid.box((-0.05, y - 0.04, 0), (0.05, y + 0.04, 2.0), M.TRIM)
     solid.box((-0.06, -0.65, 0.75), (0.06, 0.65, 2.2), M.PAINT)
     for x in (-0.064, 0.064):
         corners = [(x, y, z) for y, z in ((-0.58, 0.82), (0.58, 0.82), (0.58, 2.13), (-0.58, 2.13))]
-        solid.facet(corners if x > 0 else corners[::-1], M.SIGN_WHITE)
+        solid.facet(corners if x > 0 else corners[::-1], M.SECOND_PAINT)
     return solid
 
 
@@ -221,7 +221,7 @@ def warning_board() -> Solid:
     for y in (-0.45, 0.45):
         solid.box((-0.4, y - 0.05, 0), (0.4, y + 0.05, 0.07), M.TRIM)
         solid.box((-0.05, y - 0.04, 0.07), (0.05, y + 0.04, 0.8), M.TRIM)
-    for share, x, material in ((1.0, 0.05, M.SIGN_RED), (0.72, 0.056, M.SIGN_WHITE)):
+    for share, x, material in ((1.0, 0.05, M.RED_BAND), (0.72, 0.056, M.SECOND_PAINT)):
         points = [(0.62 * share * y, 1.2 + up * 0.62 * share) for y, up in ((-1.0, -0.6), (1.0, -0.6), (0.0, 1.1))]
         solid.loft([[(-x, y, z) for y, z in points], [(x, y, z) for y, z in points]], material)
     solid.box((-0.06, -0.05, 1.1), (0.06, 0.05, 1.42), M.TRIM)
@@ -291,7 +291,7 @@ def cabinet() -> Solid:
     solid.box((-0.4, -0.48, 0), (0.4, 0.48, 0.06), M.TRIM)
     solid.facet([(0.424, y, z) for y, z in ((-0.42, 0.7), (0.2, 0.7), (0.2, 1.85), (-0.42, 1.85))], M.GLASS)
     solid.facet([(0.424, y, z) for y, z in ((-0.42, 0.22), (0.2, 0.22), (0.2, 0.5), (-0.42, 0.5))], M.TRIM)
-    solid.facet([(0.424, y, z) for y, z in ((0.27, 1.0), (0.42, 1.0), (0.42, 1.6), (0.27, 1.6))], M.SIGN_WHITE)
+    solid.facet([(0.424, y, z) for y, z in ((0.27, 1.0), (0.42, 1.0), (0.42, 1.6), (0.27, 1.6))], M.SECOND_PAINT)
     return solid
 
 
@@ -300,7 +300,7 @@ def figure() -> Solid:
     solid = Solid()
     _turned(solid, ((0.14, 0), (0.17, 0.2), (0.1, 0.42)), M.PAINT, sides=8)
     solid.ball((0, 0, 0.5), (0.1, 0.1, 0.11), M.SKIN, sides=8, rings=4)
-    _turned(solid, ((0.12, 0.54), (0.0, 0.88)), M.SIGN_RED, sides=8)
+    _turned(solid, ((0.12, 0.54), (0.0, 0.88)), M.RED_BAND, sides=8)
     return solid
 
 

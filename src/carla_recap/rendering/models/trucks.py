@@ -96,7 +96,7 @@ def fire_engine() -> Solid:
     solid = _truck(shape, length, (6.1,))
     low, rear, front = 1.06, -length / 2, length / 2 - cab - 0.06
     solid.box((rear, -1.23, low), (front, 1.23, 2.9), M.PAINT)
-    solid.box((rear - 0.004, -1.236, low + 0.02), (front + 0.004, 1.236, low + 0.24), M.SIGN_YELLOW)
+    solid.box((rear - 0.004, -1.236, low + 0.02), (front + 0.004, 1.236, low + 0.24), M.YELLOW_BAND)
     for x0, x1 in ((rear + 0.25, rear + 1.2), (-1.5, -0.25), (-0.1, front - 0.2)):
         left = Solid()
         top = 2.55
@@ -127,7 +127,7 @@ def ambulance() -> Solid:
     rear, front = -length / 2, length / 2 - 2.6
     solid.box((rear, -1.14, 0.62), (front, 1.14, 2.55), M.PAINT)
     solid.box((rear + 0.02, -1.02, 2.5), (front - 0.05, 1.02, 2.62), M.PAINT)
-    solid.box((rear - 0.004, -1.146, 1.2), (front + 0.004, 1.146, 1.42), M.SIGN_RED)
+    solid.box((rear - 0.004, -1.146, 1.2), (front + 0.004, 1.146, 1.42), M.RED_BAND)
     for y in (-0.5, 0.5):
         corners = ((y + 0.32, 1.6), (y - 0.32, 1.6), (y - 0.32, 2.2), (y + 0.32, 2.2))
         solid.facet([(rear - 0.006, across, z) for across, z in corners], M.GLASS)
