@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from functools import lru_cache
+from functools import cache, lru_cache
 from typing import TYPE_CHECKING, Final, NamedTuple
 
 import numpy as np
@@ -25,6 +25,7 @@ from carla_recap.export.foxglove.messages import (
     timestamp,
 )
 from carla_recap.model.records import ActorKind
+from carla_recap.rendering.actors import lamps_of_vehicles
 from carla_recap.rendering.looks import Look, look_of_present
 from carla_recap.rendering.materials import MATERIALS, Material
 from carla_recap.rendering.models import MODELS
@@ -45,6 +46,7 @@ SIGNALS: Final = "/scene/signals"
 TIMESTAMP: Final = timestamp(SceneEntity.TIMESTAMP_FIELD_NUMBER)
 """The end of an entity, the only part of it that differs from message to message."""
 
+_ANY_COLOR: Final = (0, 0, 0)
 _FAINT: Final = 0.35  # opacity of a box that only stands for something
 _LAMPS: Final = tuple(material for material, finish in MATERIALS.items() if finish.glow is not None)
 _MARGIN: Final = 0.03  # m by which a lit lamp is larger than the unlit one, within which it is
@@ -108,15 +110,15 @@ def entity(actor: Present, id: str, shape: bytes, **metadata: str) -> bytes:
     return (MessagePart(start + shape) + TIMESTAMP).within(SceneUpdate.ENTITIES_FIELD_NUMBER).data
 
 
-def lamps(actor: Present, look: Look, lit: int) -> bytes:
+def lamps(actor: Present, look: Look, flags: int) -> bytes:
     """Return the lit lamps of a vehicle as an entity; see `body`.
 
     Args:
         actor: The vehicle.
         look: Its look.
-        lit: The lit lamps, see `Instances.lamps`.
+        flags: CARLA's VehicleLightState.
     """
-    return entity(actor, lamps_id(actor.id), _lit_shape(look, lit))
+    return entity(actor, lamps_id(actor.id), _lit_shape(look._replace(color=_ANY_COLOR), flags))
 
 
 def signal(actor: Present, look: Look, state: int) -> bytes:
@@ -159,10 +161,24 @@ def vertices_of(look: Look) -> Floats:
 
 @lru_cache(maxsize=1024)
 def _shape(look: Look, fall: Fall | None, opacity: float) -> bytes:
+    return b"".join(
+        shapes.triangles(geometry, look.color if material is Material.PAINT else MATERIALS[material].color, opacity)
+        for material, geometry in _geometries(look._replace(color=_ANY_COLOR), fall)
+    )
+
+
+@lru_cache(maxsize=256)
+def _geometries(look: Look, fall: Fall | None) -> list[tuple[Material, bytes]]:
+    """Return the triangles of an actor by their materials; the colour of its look does not matter."""
     vertices = vertices_of(look)
     if fall is not None:
         vertices = (vertices - look.center) @ np.array(fall.rotation).reshape(3, 3).T + fall.offset
-    return shapes.mesh(MODELS[look.model].mesh, vertices, {Material.PAINT: look.color}, opacity)
+    return shapes.geometries(_surfaces(look.model), vertices)
+
+
+@cache
+def _surfaces(model: int) -> list[shapes.Surfaces]:
+    return shapes.surfaces(MODELS[model].mesh)
 
 
 @lru_cache(maxsize=1024)
@@ -171,7 +187,8 @@ def _box(look: Look, opacity: float) -> bytes:
 
 
 @lru_cache(maxsize=4096)
-def _lit_shape(look: Look, lit: int) -> bytes:
+def _lit_shape(look: Look, flags: int) -> bytes:
+    lit = int(lamps_of_vehicles(np.array(flags)))
     materials = [material for material in _LAMPS if lit >> material & 1]
     parts = shapes.groups(MODELS[look.model].mesh, vertices_of(look), materials)
     return b"".join(

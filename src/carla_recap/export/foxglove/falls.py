@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 from typing import TYPE_CHECKING, Final
 
 import numpy as np
@@ -41,7 +42,8 @@ class CollisionMarks:
 
     def __init__(self) -> None:
         self._actors = SceneActors()
-        self._shown: tuple[float, int] = (-math.inf, 0)
+        self._pairs: set[frozenset[int]] = set()  # of actors that have collided in the latest scene with a message
+        self._latest = -math.inf  # its elapsed seconds
 
     def messages(self, batch: SceneBatch, rows: Indices, stamps: Stamps) -> Iterator[TopicMessages]:
         """Yield a message with all marks if actors collide, at most once a second while the same ones do.
@@ -52,16 +54,16 @@ class CollisionMarks:
             stamps: The timestamp of each of these.
         """
         if batch.fresh and not rows[0]:
-            self._shown = (-math.inf, 0)
+            self._pairs, self._latest = set(), -math.inf
             yield single(MARKS, 0, ALL_DELETED)
-        if not any(isinstance(event, Collided) for event in batch.events) or rows[0]:
+        pairs = {frozenset((event.actor1, event.actor2)) for event in batch.events if isinstance(event, Collided)}
+        time = batch.time[0].item()
+        if not pairs or rows[0] or (pairs <= self._pairs and time < self._latest + _AGAIN):
             return
-        scene = batch.scene(0)
-        found = self._actors.at(scene)
+        self._pairs, self._latest = pairs, time
+        found = self._actors.at(batch.scene(0))
         marks = found.locations[found.models == INDEX["collision mark"]]
-        latest, count = self._shown
-        if len(marks) and (len(marks) != count or scene.time >= latest + _AGAIN):
-            self._shown = scene.time, len(marks)
+        if len(marks):
             data = b"".join(_mark(number, place, stamps[0]) for number, place in enumerate(marks))
             yield single(MARKS, 0, ALL_DELETED.SerializeToString() + data)
 
@@ -71,7 +73,8 @@ def _mark(number: int, place: Floats, stamp: Stamps) -> bytes:
     entity.lifetime.FromMilliseconds(round(1000 * (MARKED + _AGAIN)))
     model = MODELS[INDEX["collision mark"]].mesh
     vertices = model.vertices * (_MARK, _MARK, 0.0) + place + (0.0, 0.0, _ABOVE)
-    shape = MessagePart(entity.SerializeToString() + shapes.mesh(model, vertices)) + TIMESTAMP
+    placed = replace(model, vertices=vertices.astype(np.float32))
+    shape = MessagePart(entity.SerializeToString() + shapes.mesh(placed)) + TIMESTAMP
     return shape.within(SceneUpdate.ENTITIES_FIELD_NUMBER).data[: -stamp.size] + stamp.tobytes()
 
 
@@ -87,22 +90,24 @@ class Falls:
         """Return how walkers lie in the scenes of a batch, by their ids; each batch has to be given, in order."""
         if batch.fresh or any(id not in batch.actors for id in self._falls):
             self._falls = {} if batch.fresh else {id: fall for id, fall in self._falls.items() if id in batch.actors}
+        collided = any(isinstance(event, Collided) for event in batch.events)
+        before, self._latest = self._latest, batch
+        if not self._falls and not collided:
+            return {}
         scene = batch.scene(0)
-        if self._falls:
-            controls = scene.walker_controls
-            for id in controls["id"][controls["speed"] > _WALKING].tolist():
-                self._falls.pop(id, None)
+        controls = scene.walker_controls
+        for id in controls["id"][controls["speed"] > _WALKING].tolist():
+            self._falls.pop(id, None)
         hit = {id for event in scene.collisions for id in (event.actor1, event.actor2)}
         walkers = [id for id in hit if id in batch.actors and batch.actors[id].kind == ActorKind.WALKER]
         if walkers and len(hit) > 1:
-            if self._latest is not None:
-                self._actors.at(self._latest.scene(len(self._latest) - 1))  # from which velocities are known
+            if before is not None:
+                self._actors.at(before.scene(len(before) - 1))  # from which velocities are known
             found = self._actors.at(scene)
             for id in walkers:
                 fall = _fall(id, scene, found)
                 if fall is not None and id not in self._falls:
                     self._falls[id] = fall
-        self._latest = batch
         return dict(self._falls)
 
 

@@ -30,7 +30,7 @@ from carla_recap.export.foxglove.messages import (
 )
 from carla_recap.formats.mcap.schema import MESSAGE
 from carla_recap.model.records import ActorKind, Spawn
-from carla_recap.rendering.actors import BRAKE, REVERSE, lamps_of_vehicles
+from carla_recap.rendering.actors import BRAKE, REVERSE
 from carla_recap.replay import Present, quaternions, right_handed
 from carla_recap.replay.pose import LOCATION, change
 from carla_recap.replay.selection import NO_IDS, find
@@ -106,7 +106,7 @@ class _ShownActor:
         self.body = bodies.body(self.actor, self.look, fall, detailed=self.detailed)
 
     def lit(self, lamps: int) -> bytes:
-        """Return the entity of the lit lamps of a vehicle, or of a traffic light, whose lamps are 1 more than its state."""
+        """Return the entity of the lit lamps; see `ActorEntities._lit_lamps`."""
         if lamps not in self._lit:
             is_signal = self.actor.kind == ActorKind.TRAFFIC_LIGHT
             make = bodies.signal if is_signal else bodies.lamps
@@ -237,6 +237,8 @@ class ActorEntities:
         self._first: Floats = np.zeros((0, 6))  # the first finite poses
         self._moved: NDArray[np.bool_] = np.zeros(0, np.bool_)
         self._falls = Falls()
+        self._lying: dict[int, Fall] = {}
+        self._bodies_shown: bytes | None = None  # which of the shown actors were present in the latest scene
         self._order: Indices = np.zeros(0, np.intp)  # the shown actors, by their ids
         self._sorted_ids = NO_IDS
         self._signals: Indices = np.zeros(0, np.intp)  # the positions of the traffic lights among the shown actors
@@ -257,6 +259,8 @@ class ActorEntities:
         """
         changed = self._take_actors(batch)
         changed |= self._take_falls(batch)
+        if changed:
+            self._bodies_shown = None
         poses = self._poses(batch, rows)
         present = poses.present()
         moves = self._find_moves(poses, present)
@@ -281,6 +285,10 @@ class ActorEntities:
         yield from self._show_lamps(batch, rows, stamps, present)
 
     def _show_bodies(self, present: NDArray[np.bool_], row: int, stamp: Stamps, *, fresh: bool) -> Iterator[TopicMessages]:
+        now = present.tobytes()
+        if now == self._bodies_shown and not fresh:
+            return
+        self._bodies_shown = now
         entities: dict[str, dict[str, bytes]] = {topic: {} for topic in self._bodies}
         for index in np.flatnonzero(present).tolist():
             shown = self._shown[index]
@@ -313,34 +321,36 @@ class ActorEntities:
             yield from self._lamps.messages(lamps, int(rows[start]), stamps[start], fresh=fresh)
             yield from self._states.messages(states, int(rows[start]), stamps[start], fresh=fresh)
 
-    def _lit_lamps(self, batch: SceneBatch, rows: Indices) -> NDArray[np.uint64]:
-        """Return the lit lamps of each shown actor, and 1 more than the state of each light, (scenes, actors)."""
-        lit = np.zeros((len(rows), len(self._shown)), np.uint64)
+    def _lit_lamps(self, batch: SceneBatch, rows: Indices) -> NDArray[np.int64]:
+        """Return CARLA's VehicleLightState of each vehicle, and 1 more than the state of each light, (scenes, actors)."""
+        lit = np.zeros((len(rows), len(self._shown)), np.int64)
         lit[:, self._signals] = 1 + TRAFFIC_LIGHT_COLOR_UNKNOWN
-        if not len(self._shown):
-            return lit
-        for name in ("vehicle_lights", "vehicle_controls", "light_states"):
-            records = batch.light_states if name == "light_states" else batch.records(name)
-            columns, known = find(records["id"][0].astype(np.uint32), self._sorted_ids)
-            columns = self._order[columns[known]]
-            records = records[rows][:, known]
+        for name in ("vehicle_lights", "vehicle_controls"):
+            records = batch.records(name)
+            columns, known = self._columns_of(records["id"][0])
             if name == "vehicle_lights":
-                lit[:, columns] |= lamps_of_vehicles(records["flags"])
-            elif name == "vehicle_controls":
-                flags = BRAKE * (records["brake"] > _BRAKING) + REVERSE * (records["gear"] < 0)
-                lit[:, columns] |= lamps_of_vehicles(flags)
+                lit[:, columns] |= records["flags"][rows][:, known].astype(np.int64)
             else:
-                states = records["state"].astype(np.int64)
-                states[(states < 0) | (states > TRAFFIC_LIGHT_COLOR_UNKNOWN)] = TRAFFIC_LIGHT_COLOR_UNKNOWN
-                signals = np.isin(columns, self._signals)
-                lit[:, columns[signals]] = 1 + states[:, signals]
+                records = records[rows][:, known]
+                lit[:, columns] |= BRAKE * (records["brake"] > _BRAKING) | REVERSE * (records["gear"] < 0)
+        columns, known = self._columns_of(batch.light_states["id"][0])
+        states = batch.light_states["state"][rows][:, known].astype(np.int64)
+        states[(states < 0) | (states > TRAFFIC_LIGHT_COLOR_UNKNOWN)] = TRAFFIC_LIGHT_COLOR_UNKNOWN
+        signals = np.isin(columns, self._signals)
+        lit[:, columns[signals]] = 1 + states[:, signals]
         return lit
+
+    def _columns_of(self, ids: NDArray[np.integer]) -> tuple[Indices, NDArray[np.bool_]]:
+        """Return the positions of actors among the shown ones, and whether each is among them."""
+        columns, known = find(ids.astype(np.uint32), self._sorted_ids)
+        return self._order[columns[known]] if len(self._order) else columns[known], known
 
     def _take_falls(self, batch: SceneBatch) -> bool:
         """Let walkers fall and get up; return whether any has."""
         changed = False
-        falls = self._falls.of(batch)
-        for shown in self._shown:
+        before, falls = self._lying, self._falls.of(batch)
+        self._lying = falls
+        for shown in self._shown if falls or before else ():
             fall = falls.get(shown.actor.id)
             if fall != shown.fall:
                 shown.set_fall(fall)

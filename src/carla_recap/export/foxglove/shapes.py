@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from functools import cache
-from typing import TYPE_CHECKING, Final
+from typing import TYPE_CHECKING, Final, NamedTuple
 
 import numpy as np
 
@@ -23,7 +23,7 @@ from carla_recap.formats.mcap.messages import LEN, tag, varint
 from carla_recap.rendering.materials import MATERIALS, Material
 
 if TYPE_CHECKING:
-    from collections.abc import Collection, Iterator
+    from collections.abc import Collection, Iterable
 
     from numpy.typing import NDArray
 
@@ -43,24 +43,27 @@ def color(rgb: Rgb, opacity: float = 1.0) -> Color:
     return Color(r=red, g=green, b=blue, a=opacity)
 
 
-def triangles(points: Floats, corners: Integers, rgb: Rgb, opacity: float = 1.0) -> bytes:
+def triangles(geometry: bytes, rgb: Rgb, opacity: float = 1.0) -> bytes:
     """Return a `TriangleListPrimitive`, as a field of an entity.
 
     Args:
-        points: The points in m, (n, 3).
-        corners: The indices of the corners, (m, 3).
+        geometry: The points and corners; see `geometries`.
         rgb: The colour.
         opacity: The opacity.
     """
     start = TriangleListPrimitive(pose=_POSE, color=color(rgb, opacity)).SerializeToString()
+    return MessagePart(start + geometry).within(SceneEntity.TRIANGLES_FIELD_NUMBER).data
+
+
+def _geometry(points: Floats, corners: Integers) -> bytes:
+    """Return points in m, (n, 3), and the indices of corners, (m, 3), as fields of a `TriangleListPrimitive`."""
     rows = np.empty((len(points), len(_point().data)), np.uint8)
     rows[:] = np.frombuffer(_point().data, np.uint8)
     fields = rows.view(_point().dtype)[:, 0]
     for axis, column in zip("xyz", np.asarray(points, np.float32).T, strict=True):
         fields[axis] = column
     packed = corners.astype("<u4").tobytes()
-    head = tag(TriangleListPrimitive.INDICES_FIELD_NUMBER, LEN) + varint(len(packed))
-    return MessagePart(start + rows.tobytes() + head + packed).within(SceneEntity.TRIANGLES_FIELD_NUMBER).data
+    return rows.tobytes() + tag(TriangleListPrimitive.INDICES_FIELD_NUMBER, LEN) + varint(len(packed)) + packed
 
 
 @cache
@@ -77,30 +80,46 @@ def cube(center: Floats, size: Floats, rgb: Rgb, opacity: float = 1.0) -> bytes:
     return MessagePart(shape.SerializeToString()).within(SceneEntity.CUBES_FIELD_NUMBER).data
 
 
-def mesh(found: Mesh, vertices: Floats, colors: dict[Material, Rgb] | None = None, opacity: float = 1.0) -> bytes:
-    """Return a mesh, a primitive for each material.
+class Surfaces(NamedTuple):
+    """The triangles of a mesh that have one material.
+
+    Attributes:
+        material: The material.
+        vertices: The positions of their points among the vertices of the mesh; points that are the same only once.
+        corners: The indices of the corners among these points, (m, 3).
+    """
+
+    material: Material
+    vertices: Integers
+    corners: Integers
+
+
+def surfaces(found: Mesh) -> list[Surfaces]:
+    """Return the triangles of a mesh by their materials."""
+    materials = found.materials[found.triangles[:, 0]] if len(found.triangles) else np.zeros(0, np.uint8)
+    parts = []
+    for number in np.unique(materials).tolist():
+        used, corners = np.unique(found.triangles[materials == number], return_inverse=True)
+        _, first, same = np.unique(found.vertices[used], axis=0, return_index=True, return_inverse=True)
+        parts.append(Surfaces(Material(number), used[first], same.reshape(-1)[corners.reshape(-1, 3)]))
+    return parts
+
+
+def geometries(parts: Iterable[Surfaces], vertices: Floats) -> list[tuple[Material, bytes]]:
+    """Return the triangles of each material without their colour.
 
     Args:
-        found: The mesh.
-        vertices: Its points in m, in the frame of the entity, (vertices, 3).
-        colors: The colours of some materials, instead of their own.
-        opacity: The opacity.
+        parts: The triangles.
+        vertices: The points of the mesh in m, in the frame of the entity, (vertices, 3).
     """
-    own = colors or {}
+    return [(part.material, _geometry(vertices[part.vertices], part.corners)) for part in parts]
+
+
+def mesh(found: Mesh) -> bytes:
+    """Return a mesh, a primitive for each material."""
     return b"".join(
-        triangles(points, corners, own.get(material, MATERIALS[material].color), opacity)
-        for material, points, corners in _by_material(found, vertices)
+        triangles(geometry, MATERIALS[material].color) for material, geometry in geometries(surfaces(found), found.vertices)
     )
-
-
-def _by_material(found: Mesh, vertices: Floats) -> Iterator[tuple[Material, Floats, Integers]]:
-    """Yield the points and triangles of each material; points that are the same only once, since no normals are needed."""
-    materials = found.materials[found.triangles[:, 0]] if len(found.triangles) else np.zeros(0, np.uint8)
-    for number in np.unique(materials).tolist():
-        corners = found.triangles[materials == number]
-        used, corners = np.unique(corners, return_inverse=True)
-        points, same = np.unique(np.asarray(vertices, np.float32)[used], axis=0, return_inverse=True)
-        yield Material(number), points, same.reshape(-1)[corners.reshape(-1, 3)]
 
 
 def groups(found: Mesh, vertices: Floats, materials: Collection[Material]) -> dict[Material, list[tuple[Floats, Floats]]]:

@@ -62,5 +62,5 @@ def map_message(town: TownMesh | None, time: int) -> bytes:
 def _piece(id: str, mesh: Mesh, time: int) -> bytes:
     entity = SceneEntity(frame_id=WORLD, id=id)
     entity.timestamp.FromNanoseconds(time)
-    data = entity.SerializeToString() + shapes.mesh(mesh, mesh.vertices)
+    data = entity.SerializeToString() + shapes.mesh(mesh)
     return MessagePart(data).within(SceneUpdate.ENTITIES_FIELD_NUMBER).data
