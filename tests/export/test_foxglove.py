@@ -496,6 +496,44 @@ def test_the_light_ahead_is_the_nearest_in_front(record):
     assert marked[0]["light ahead"].texts[0].text == "light 8: red"
 
 
+def test_lamps_of_a_vehicle_are_shown_while_they_are_lit(record):
+    flags = [0, 8, 8, 16, 0]
+    topics = record(
+        *(
+            {"spawned": [spawn(1)] if n == 0 else [], "transforms": [pose(1)], "vehicle_lights": [(1, each)]}
+            for n, each in enumerate(flags)
+        )
+    )
+    shown = [seen(topics["/scene/lamps"], n / 10) for n in range(5)]
+    assert [list(entities) for entities in shown] == [[], ["lamps 1"], ["lamps 1"], ["lamps 1"], []]
+    brake, indicator = (shown[n]["lamps 1"].cubes for n in (1, 3))
+    assert all(cube.pose.position.x < -0.3 and cube.color.r > 0.9 and cube.color.g < 0.5 for cube in brake)
+    assert {cube.pose.position.y > 0 for cube in brake} == {True, False}
+    assert all(max(cube.size.x, cube.size.y, cube.size.z) < 0.6 for cube in brake)
+    assert all(cube.pose.position.y < 0 and 0.4 < cube.color.g < 0.9 for cube in indicator)  # the right ones
+    assert len(topics["/scene/lamps"]) == 4
+
+
+def test_the_brake_pedal_lights_the_brake_lamps(record):
+    controls = [(1, 0.0, 0.5, brake, 0, gear) for brake, gear in ((0.0, 1), (0.7, 1), (0.0, 1))]
+    topics = record(
+        *(
+            {"spawned": [spawn(1)] if n == 0 else [], "transforms": [pose(1)], "vehicle_controls": [control]}
+            for n, control in enumerate(controls)
+        )
+    )
+    assert [bool(seen(topics["/scene/lamps"], n / 10)) for n in range(3)] == [False, True, False]
+
+
+def test_lamps_go_with_their_vehicle(record):
+    topics = record(
+        {"spawned": [spawn(1)], "transforms": [pose(1)], "vehicle_lights": [(1, 8)]},
+        {"destroyed": [1]},
+        {},
+    )
+    assert [bool(seen(topics["/scene/lamps"], n / 10)) for n in range(2)] == [True, False]
+
+
 # --- the followed actor --------------------------------------------------------------------------------------------
 
 
@@ -565,6 +603,40 @@ def test_another_actor_can_be_followed(tmp_path):
     assert xyz(view.translation) != pytest.approx(xyz(hero.translation), abs=1)
 
 
+def test_pedals_do_not_chatter_at_a_standstill(record):
+    pedals = [(0.8, 0.0)] * 5 + [(0.0, 0.6), (0.3, 0.0)] * 10
+    topics = record(
+        *(
+            {
+                "spawned": [spawn(1)] if n == 0 else [],
+                "transforms": [pose(1)],
+                "vehicle_controls": [(1, 0.0, throttle, brake, 0, 1)],
+                "velocities": [velocity(1, 0.0)],
+            }
+            for n, (throttle, brake) in enumerate(pedals)
+        ),
+        follow=1,
+    )
+    told = [message for _, message in topics["/hero"]]
+    assert [message.brake for message in told[5:9]] == pytest.approx([0.6, 0, 0.6, 0])
+    assert {round(message.shown_brake, 3) for message in told[5:]} == {0.6}
+    assert {message.shown_throttle for message in told[5:]} == {0}
+    assert {round(message.shown_throttle, 3) for message in told[:5]} == {0.8}
+
+
+def test_the_acceleration_is_that_of_the_speeds(record):
+    speeds = [5.0 + 0.2 * n for n in range(20)]
+    topics = record(
+        *(
+            {"spawned": [spawn(1)] if n == 0 else [], "transforms": [pose(1)], "velocities": [velocity(1, speed)]}
+            for n, speed in enumerate(speeds)
+        ),
+        follow=1,
+    )
+    told = [message.acceleration for _, message in topics["/hero"] if message.HasField("acceleration")]
+    assert told == pytest.approx([2.0] * 19)
+
+
 # --- events --------------------------------------------------------------------------------------------------------
 
 
@@ -576,6 +648,48 @@ def test_the_log_has_each_contact_once(crossing):
     ]
     levels = {line.message: line.level for _, line in crossing["/log"]}
     assert [levels[text] for _, text in told] == [3, 4]
+
+
+def test_the_log_has_hard_braking_and_long_stops(tmp_path):
+    export(ROOT / "samples" / "crash.mcap", tmp_path / "export.mcap")
+    with open_recording(ROOT / "samples" / "crash.mcap") as recording:
+        expected = [incident for incident in recording.incidents() if incident.kind != "collision"]
+    lines = [(time, line) for time, line in read(tmp_path / "export.mcap")["/log"] if line.name == "incidents"]
+    assert expected
+    assert [line.message for _, line in lines] == [incident.text for incident in expected]
+    assert [time for time, _ in lines] == pytest.approx([incident.start for incident in expected], abs=0.06)
+    assert all(line.timestamp.ToNanoseconds() % 10**9 == round(time * 1e9) % 10**9 for time, line in lines)
+
+
+def collision_of(frames):
+    """Return the frames of a car that hits a walker at 10 m/s in the third frame, and stops."""
+    xs = [-300, -200, -100, *[-100] * (frames - 3)]
+    return [
+        {
+            "spawned": [spawn(1), spawn(2, "walker.pedestrian.0001")] if n == 0 else [],
+            "transforms": [pose(1, x=x), pose(2, z=93)],
+            "collisions": [(0, 1, 2, True, False)] if n == 2 else [],
+        }
+        for n, x in enumerate(xs)
+    ]
+
+
+def test_a_collision_leaves_a_mark_for_some_seconds(record):
+    topics = record(*collision_of(5))
+    assert [len(message.entities) for _, message in topics["/scene/marks"]] == [0, 1]
+    (_, _), (time, message) = topics["/scene/marks"]
+    assert time == pytest.approx(0.2)
+    (entity,) = message.entities
+    assert entity.lifetime.ToMilliseconds() == 6000
+    assert corners(entity)[:, 2].max() < 0.2
+    assert np.abs(corners(entity)[:, :2]).max() == pytest.approx(1.1, abs=0.05)
+
+
+def test_a_walker_who_was_knocked_down_lies(record):
+    topics = record(*collision_of(5))
+    heights = [np.ptp(corners(bodies(topics, n / 10)["actor 2"]), axis=0)[2] for n in range(5)]
+    assert heights[:2] == pytest.approx([1.86, 1.86], abs=0.05)
+    assert all(height < 0.7 for height in heights[2:])
 
 
 def test_the_log_begins_with_the_present_actors(crossing):
@@ -633,7 +747,16 @@ def test_a_map_of_another_town_is_left_out(tmp_path, brickfield):
     with pytest.warns(RecapWarning, match="no actor is near this map"):
         export(source, tmp_path / "export.mcap", road_map=brickfield)
     ((_, message),) = read(tmp_path / "export.mcap")["/map"]
-    assert not message.entities
+    points = np.concatenate([corners(entity) for entity in message.entities])
+    assert points[:, 0].min() > 9000
+
+
+def test_without_a_map_the_driven_corridors_are_roads(crossing):
+    ((_, message),) = crossing["/map"]
+    points = np.concatenate([corners(entity) for entity in message.entities])[:, :2]
+    driven = [(transform.translation.x, transform.translation.y) for _, transform in moves(crossing, HERO)]
+    for x, y in driven[::50]:
+        assert np.hypot(*(points - (x, y)).T).min() < 5.0
 
 
 # --- the layouts ---------------------------------------------------------------------------------------------------

@@ -76,7 +76,7 @@ def export_foxglove(
     reader = source.reader
     check_destination(reader.path, destination, force=force)
     player = Player(source, start=start, duration=duration, follow=follow)
-    town = town_of(road_map, player)
+    town = town_of(road_map, player, source)
     description, stops = _description(reader, player), stop_points(reader)
     with FoxgloveWriter(destination, reader.header, description, player.followed, town, stops) as writer:
         with ThreadPoolExecutor(1, "carla-recap-incidents") as pool:

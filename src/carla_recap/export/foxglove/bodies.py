@@ -189,12 +189,12 @@ def _box(look: Look, opacity: float) -> bytes:
 @lru_cache(maxsize=4096)
 def _lit_shape(look: Look, flags: int) -> bytes:
     lit = int(lamps_of_vehicles(np.array(flags)))
-    materials = [material for material in _LAMPS if lit >> material & 1]
-    parts = shapes.groups(MODELS[look.model].mesh, vertices_of(look), materials)
+    vertices = vertices_of(look)
     return b"".join(
-        shapes.cube(middle, size + _MARGIN, MATERIALS[material].glow or MATERIALS[material].color)
-        for material, found in parts.items()
-        for middle, size in found
+        shapes.cube(middle, size + _MARGIN, MATERIALS[part.material].glow or MATERIALS[part.material].color)
+        for part in _surfaces(look.model)
+        if part.material in _LAMPS and lit >> part.material & 1
+        for middle, size in shapes.boxes(part, vertices)
     )
 
 

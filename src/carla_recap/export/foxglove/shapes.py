@@ -23,7 +23,7 @@ from carla_recap.formats.mcap.messages import LEN, tag, varint
 from carla_recap.rendering.materials import MATERIALS, Material
 
 if TYPE_CHECKING:
-    from collections.abc import Collection, Iterable
+    from collections.abc import Iterable
 
     from numpy.typing import NDArray
 
@@ -122,23 +122,20 @@ def mesh(found: Mesh) -> bytes:
     )
 
 
-def groups(found: Mesh, vertices: Floats, materials: Collection[Material]) -> dict[Material, list[tuple[Floats, Floats]]]:
-    """Return boxes around the parts of some materials: for each part, that is front, back, left or right, middle and size.
+def boxes(part: Surfaces, vertices: Floats) -> list[tuple[Floats, Floats]]:
+    """Return boxes around triangles that hang together: the middle and the size of each.
 
     Args:
-        found: The mesh.
-        vertices: Its points in m, (vertices, 3).
-        materials: The materials.
+        part: The triangles.
+        vertices: The points of the mesh in m, (vertices, 3).
     """
-    parts: dict[Material, list[tuple[Floats, Floats]]] = {}
-    width = max(float(np.abs(vertices[:, 1]).max(initial=0.0)), 1e-6)
-    for material in materials:
-        points = np.asarray(vertices, np.float64)[found.materials == material]
-        ends, sides = points[:, 0] > 0, np.round(1.4 * points[:, 1] / width)
-        for end in (True, False):
-            for side in (-1, 0, 1):
-                some = points[(ends == end) & (np.clip(sides, -1, 1) == side)]
-                if len(some):
-                    low, high = some.min(axis=0), some.max(axis=0)
-                    parts.setdefault(material, []).append(((low + high) / 2, high - low))
-    return parts
+    points, labels = np.asarray(vertices, np.float64)[part.vertices], np.arange(len(part.vertices))
+    while True:  # each point gets the least label of its triangles, until nothing changes
+        least = labels[part.corners].min(axis=1)
+        new = labels.copy()
+        np.minimum.at(new, part.corners, least[:, None])
+        if (new == labels).all():
+            break
+        labels = new
+    found = [points[labels == label] for label in np.unique(labels).tolist()]
+    return [((some.min(axis=0) + some.max(axis=0)) / 2, np.ptp(some, axis=0)) for some in found]
