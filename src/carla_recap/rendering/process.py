@@ -16,7 +16,7 @@ from concurrent.futures import Future
 from contextlib import suppress
 from queue import SimpleQueue
 from select import select
-from threading import Lock, Thread
+from threading import Lock, Thread, current_thread
 from typing import TYPE_CHECKING, Any, BinaryIO, Final, NamedTuple, Self
 
 import numpy as np
@@ -25,11 +25,11 @@ from carla_recap.errors import MissingExtra, RecapError
 from carla_recap.rendering.buffers import image_format
 from carla_recap.rendering.camera import ImageKind
 from carla_recap.rendering.renderer import LARGEST, Quality, Renderer
-from carla_recap.util.processes import close_pipes, module_command, module_environment, wait_or_kill
+from carla_recap.util.processes import close_pipes, module_command, module_environment, read_commands, wait_or_kill
 from carla_recap.util.signals import ignore_termination
 
 if TYPE_CHECKING:
-    from collections.abc import Collection, Iterator, Sequence
+    from collections.abc import Collection, Sequence
 
     from numpy.typing import NDArray
 
@@ -46,7 +46,6 @@ PATIENCE: Final = 60.0
 _READY: Final = b"carla-recap: ready to draw\n"
 """The first line of the process; lines before it are printed by other code that runs when an interpreter starts."""
 _END_PATIENCE: Final = 5.0  # s, for the end of the process
-_PARENT_CHECK: Final = 1.0  # s between checks whether the client's process has ended
 _PAGE: Final = 4096  # bytes between images
 
 
@@ -143,7 +142,8 @@ class RenderProcess:
             was_closed, self._is_closed = self._is_closed, True
         if not was_closed:
             self._jobs.put(None)
-        self._thread.join()
+        if current_thread() is not self._thread:
+            self._thread.join()
 
     def _start(self) -> _Child:
         child = _Child(self._setup)
@@ -366,7 +366,7 @@ def serve(commands: BinaryIO, answers: BinaryIO, descriptor: int) -> None:
     """
     memory = _SharedMemory(descriptor)
     renderer: Renderer | None = None
-    for command in _received(commands):
+    for command in read_commands(commands):
         try:
             if renderer is None:
                 town, models, quality, supersampling = command
@@ -406,19 +406,6 @@ def _draw(
         shape, dtype = image_format(kind, camera.width, camera.height)
         into[kind] = np.ndarray(shape, dtype, memory.view, offset)
     renderer.draw(camera, instances, kinds, sky, previous, without=without, into=into)
-
-
-def _received(commands: BinaryIO) -> Iterator[Any]:
-    """Yield commands until the end of the pipe, or the end of the client's process."""
-    parent = os.getppid()
-    while True:
-        while not select([commands], [], [], _PARENT_CHECK)[0]:
-            if os.getppid() != parent:  # forked processes may hold the pipe open
-                return
-        try:
-            yield pickle.load(commands)
-        except (EOFError, OSError, pickle.UnpicklingError):
-            return
 
 
 def main() -> None:

@@ -3,14 +3,20 @@
 from __future__ import annotations
 
 import os
+import pickle
 import subprocess
 import sys
 from contextlib import suppress
 from pathlib import Path
-from typing import Any, Final
+from select import select
+from typing import TYPE_CHECKING, Any, BinaryIO, Final
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
 
 _SOURCES: Final = str(Path(__file__).absolute().parents[2])
 """The folder that contains this package."""
+_PARENT_CHECK: Final = 1.0  # s between checks whether the parent has ended
 
 
 def module_command(module: str, *arguments: str) -> list[str]:
@@ -53,3 +59,24 @@ def close_pipes(process: subprocess.Popen[Any]) -> None:
         with suppress(OSError):
             if pipe is not None:
                 pipe.close()
+
+
+def read_commands(commands: BinaryIO) -> Iterator[Any]:
+    """Yield the commands to a child process, in it: pickles, of which None is the last one.
+
+    They end with the pipe, too, and with the parent, since other processes that it has forked may hold the pipe open. A
+    parent sends no command before the one before is carried out.
+    """
+    parent = os.getppid()
+    while True:
+        if commands is sys.stdin.buffer and os.name == "posix":
+            while not select([commands], [], [], _PARENT_CHECK)[0]:
+                if os.getppid() != parent:
+                    return
+        try:
+            command = pickle.load(commands)
+        except (EOFError, OSError, pickle.UnpicklingError):
+            return
+        if command is None:
+            return
+        yield command

@@ -16,7 +16,6 @@ import subprocess
 import sys
 from contextlib import suppress
 from queue import Queue
-from select import select
 from threading import Thread
 from typing import TYPE_CHECKING, Any, BinaryIO, Final
 
@@ -24,11 +23,10 @@ from carla_recap.editing.recover import finish_partial
 from carla_recap.errors import RecapError
 from carla_recap.formats import create_writer
 from carla_recap.sim.errors import DestinationError
-from carla_recap.util.processes import close_pipes, module_command, module_environment, wait_or_kill
+from carla_recap.util.processes import close_pipes, module_command, module_environment, read_commands, wait_or_kill
 from carla_recap.util.signals import ignore_termination
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator
     from pathlib import Path
 
     from carla_recap.formats.base import Writer
@@ -40,7 +38,6 @@ QUEUE: Final = 16
 _READY: Final = b"carla-recap: ready to write recordings\n"
 """The first line of the process; lines before it are printed by other code that runs when an interpreter starts."""
 _PATIENCE: Final = 5.0  # s, for the end of the process
-_PARENT_CHECK: Final = 1.0  # s between checks whether the client's process has ended
 _NICE: Final = 5  # the simulation goes first where processors are few; the writer needs a tenth of one
 
 
@@ -279,7 +276,7 @@ def serve(commands: BinaryIO, answers: BinaryIO) -> None:
         answers: The destination of a pickle for each: None, or an error text.
     """
     recording = Commands()
-    for name, arguments in _received(commands):
+    for name, arguments in read_commands(commands):
         try:
             getattr(recording, name)(*arguments)
             answer = None
@@ -292,23 +289,6 @@ def serve(commands: BinaryIO, answers: BinaryIO) -> None:
             answers.flush()
     with suppress(RecapError):
         recording.finish()
-
-
-def _received(commands: BinaryIO) -> Iterator[tuple[str, tuple[Any, ...]]]:
-    """Yield commands until the last one, the end of the pipe, or the end of the client's process."""
-    parent = os.getppid()
-    while True:
-        if commands is sys.stdin.buffer and os.name == "posix":  # where forked processes may hold the pipe open
-            while not select([commands], [], [], _PARENT_CHECK)[0]:
-                if os.getppid() != parent:
-                    return
-        try:
-            command = pickle.load(commands)
-        except (EOFError, OSError, pickle.UnpicklingError):
-            return
-        if command is None:
-            return
-        yield command
 
 
 def main() -> None:
