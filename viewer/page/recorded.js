@@ -5,6 +5,7 @@ const APART = 0.5; // m between two recordings of an actor that differ
 const LATE = 0.15; // s by which one recording may be behind the other
 const SAME_SPOT = 3; // m
 const DIFFERENCE_STEP = 0.1; // s
+const MOST_STEPS = 3000;
 
 class Recorded {
   constructor(index, report, data) {
@@ -45,7 +46,8 @@ class Recorded {
   differsFrom(other) {
     const stop = Math.min(this.tracks.times.at(-1) ?? 0, other.tracks.times.at(-1) ?? 0);
     const [a, b] = [{}, {}];
-    for (let time = 0; time <= stop + 1e-6; time += DIFFERENCE_STEP) {
+    const step = Math.max(DIFFERENCE_STEP, stop / MOST_STEPS);
+    for (let time = 0; time <= stop + 1e-6; time += step) {
       if (!this.tracks.covers(time) || !other.tracks.covers(time)) continue;
       const samples = [this.tracks.sampleAt(time), other.tracks.sampleAt(time)];
       for (const [own, twin] of this.twins) {

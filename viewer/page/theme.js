@@ -18,7 +18,7 @@ const PALETTES = {
       white: "#ffffff", yellow: "#e8b02e",
     },
     text: "#171a21", quiet: "#5a6271", halo: "#f7f8f5", edge: "rgba(23, 26, 33, 0.65)", shade: "rgba(30, 36, 48, 0.3)",
-    glass: "rgba(20, 24, 32, 0.78)", accent: "#b86e00", other: "#007a99", frame: "#d3d8df",
+    glass: "rgba(20, 24, 32, 0.78)", accent: "#a86200", other: "#007a99", frame: "#d3d8df",
   },
 };
 const TONES = {

@@ -311,10 +311,10 @@ def video(
 @options.road_map
 @click.option(
     "--pictures",
-    type=click.Choice(["drawn", "rerun", "none"]),
+    type=click.Choice(["drawn", "rendered", "none"]),
     default="drawn",
     show_default=True,
-    help="Of incidents: drawn from above, or taken from behind by Rerun's viewer.",
+    help="Of incidents: drawn from above, or rendered from behind.",
 )
 @click.option("--viewer", is_flag=True, help="Add Rerun's viewer, in 3D, to a folder; it needs --serve or another server.")
 @options.force
@@ -374,7 +374,8 @@ def report(
             min_time=min_time,
             min_distance=min_distance,
             deceleration=deceleration,
-            road_map=options.road_map_of(recording, road_map),
+            road_map=options.road_map_of(recording, road_map) if viewer else None,
+            town=options.town_of(recording, road_map),
             pictures=pictures,
             viewer=viewer,
             progress=watch_scenes("sampling"),

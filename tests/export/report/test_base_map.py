@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from carla_recap.export.report.base_map import LAYERS, base_map, outlines
+from carla_recap.export.report.base_map import LAYERS, base_map, outlines, town_of
 from carla_recap.maps import RoadMap
 from carla_recap.rendering.materials import Material
 from carla_recap.rendering.mesh import Mesh
@@ -64,6 +64,6 @@ def test_without_a_map_there_are_the_paths_of_vehicles() -> None:
     assert sum(len(path) for path in found.paths) > 100
 
 
-def test_a_map_without_surfaces_is_replaced_by_paths() -> None:
+def test_a_map_without_lanes_has_no_surfaces() -> None:
     roads = RoadMap("odd", [], [], [], [], [], opendrive="<OpenDRIVE></OpenDRIVE>")
-    assert base_map(roads, [sampled(CROSSING)]).paths
+    assert town_of(roads) is None

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import struct
 import time
 from threading import Thread
 from typing import TYPE_CHECKING, Any
@@ -11,7 +10,7 @@ import pytest
 
 from carla_recap import RecapError
 from carla_recap.export.report import page_server, sampling
-from tests.export.report.conftest import CROSSING, browser, data, record, report, spawn
+from tests.export.report.conftest import CROSSING, browser, data, report
 from tests.samples import names_in
 
 if TYPE_CHECKING:
@@ -56,18 +55,3 @@ def test_a_long_recording_has_no_viewer(tmp_path: Path, monkeypatch: pytest.Monk
     with pytest.raises(RecapError, match="too long for the viewer"):
         report(CROSSING, tmp_path / "page", viewer=True)
     assert names_in(tmp_path) == []
-
-
-def test_pictures_are_taken_from_behind(tmp_path: Path) -> None:
-    there = {"transforms": [(1, 0, 0, 0, 0, 0, 0), (2, 900, 0, 0, 0, 0, 0)]}
-    first = there | {"spawned": [spawn(1), spawn(2)]}
-    source = record(tmp_path / "a.log", [first, there | {"collisions": [(1, 1, 2, 0, 0)]}, there])
-    try:
-        page = report(source, tmp_path / "page", pictures="rerun")
-    except RecapError as error:
-        if "graphics" not in str(error):
-            raise
-        pytest.skip(str(error))
-    picture = (page / data(page, "report")["incidents"][0]["picture"]).read_bytes()
-    assert picture[1:4] == b"PNG"
-    assert struct.unpack(">II", picture[16:24]) == (640, 400)

@@ -76,14 +76,19 @@ class BaseMap:
     width: float = PATH_WIDTH
 
 
-def base_map(road_map: RoadMap | None, replays: Sequence[SampledReplay]) -> BaseMap:
-    """Return the surfaces of a map, or without one, the paths of vehicles."""
-    if road_map is not None and road_map.opendrive:
-        try:
-            return BaseMap(surfaces=outlines(town_mesh_of(road_map.opendrive, road_map.name)))
-        except RecapError:
-            pass  # its surfaces cannot be made
-    return BaseMap(paths=list(_driven(replays)))
+def town_of(road_map: RoadMap | None) -> TownMesh | None:
+    """Return the surfaces of a map; None if they cannot be made."""
+    if road_map is None or not road_map.opendrive:
+        return None
+    try:
+        return town_mesh_of(road_map.opendrive, road_map.name)
+    except RecapError:
+        return None
+
+
+def base_map(town: TownMesh | None, replays: Sequence[SampledReplay]) -> BaseMap:
+    """Return the surfaces of a town, or without one, the paths of vehicles."""
+    return BaseMap(paths=list(_driven(replays))) if town is None else BaseMap(surfaces=outlines(town))
 
 
 # --- surfaces ------------------------------------------------------------------------------------------------------------

@@ -12,7 +12,7 @@ from urllib.request import ProxyHandler, build_opener
 from carla_recap.errors import RecapError
 from carla_recap.export import viewer_folder
 from carla_recap.export.report import script
-from carla_recap.export.report.base_map import base_map
+from carla_recap.export.report.base_map import base_map, town_of
 from carla_recap.export.report.packing import Packer
 from carla_recap.export.report.sampling import sample
 from carla_recap.export.report.single import data_address, single_page
@@ -30,10 +30,11 @@ if TYPE_CHECKING:
     from carla_recap.export.report.samples import SampledReplay
     from carla_recap.formats.base import Reader
     from carla_recap.maps import RoadMap
+    from carla_recap.rendering.town import TownMesh
     from carla_recap.replay.player import Progress
 
-Pictures = Literal["drawn", "rerun", "none"]
-"""The pictures of incidents: drawn from above, taken by Rerun's viewer from behind the first actor, or none."""
+Pictures = Literal["drawn", "rendered", "none"]
+"""The pictures of incidents: drawn from above, rendered from behind the first actor, or none."""
 
 SINGLE: Final = (".html", ".htm")  # the suffixes of a page that is one file
 REPLAYED: Final = 200  # the most incidents with a taken picture and, of a long recording, with a replay
@@ -92,16 +93,24 @@ class _Reported:
         self.replay, self.whole = sample(recording, list(self.chosen.values()), before, after, progress)
         self.pictures: dict[int, bytes] = {}
 
-    def take_pictures(self, road_map: RoadMap | None) -> None:
-        """Take a picture of each chosen incident, from behind the first of its actors that is present."""
-        from carla_recap.export.screenshots import picture
+    def take_pictures(self, town: TownMesh | None) -> None:
+        """Render a picture of each chosen incident, from behind the first of its actors that is present."""
+        from carla_recap.export.video.film import opened_renderer
+        from carla_recap.export.video.picture import picture
 
-        for index, incident in self.chosen.items():
-            followed = next((id for id in incident.actors if id in self.replay.ids(incident.start)), None)
-            if followed is not None:
-                self.pictures[index] = picture(
-                    self.recording, at=incident.start, follow=followed, road_map=road_map, size=PICTURE_SIZE
-                )
+        with opened_renderer(None, town, self.recording, supersampling=2) as opened:
+            for index, incident in self.chosen.items():
+                followed = next((id for id in incident.actors if id in self.replay.ids(incident.start)), None)
+                if followed is not None:
+                    self.pictures[index] = picture(
+                        self.recording,
+                        at=incident.start,
+                        follow=followed,
+                        size=PICTURE_SIZE,
+                        overlay=False,
+                        renderer=opened.result(),
+                        form="JPEG",
+                    )
 
 
 def write_report(
@@ -115,6 +124,7 @@ def write_report(
     min_distance: float = MIN_DISTANCE,
     deceleration: float = HARD,
     road_map: RoadMap | None = None,
+    town: TownMesh | None = None,
     pictures: Pictures = "drawn",
     viewer: bool = False,
     force: bool = False,
@@ -133,16 +143,17 @@ def write_report(
         min_distance: The distance at which an actor has moved, in cm.
         deceleration: The deceleration that counts as an incident, in m/s².
         road_map: The roads to show.
-        pictures: "drawn": a drawing of each incident, from above; "rerun": a view from behind the first actor, which takes
-            seconds for each, and the extra `rerun`; or "none".
+        town: Their surfaces, if they are made already.
+        pictures: "drawn": a drawing of each incident, from above; "rendered": a view from behind the first actor, which
+            takes the extra `cameras`; or "none".
         viewer: Add Rerun's viewer, to see the scene in 3D; it needs the extra `rerun`, and a server for the page.
         force: Write into a folder that is not empty, or over a file.
         progress: Gets the scenes and their player, and yields the scenes; once for each recording.
 
     Raises:
         RecapError: A recording is damaged or empty, the two are of different maps, the folder is not empty, the file exists,
-            the viewer is wanted in a single file or a comparison, or Rerun's viewer cannot draw here.
-        MissingExtra: `pictures` or `viewer` need Rerun, and it is not installed.
+            the viewer is wanted in a single file or a comparison, or nothing can be rendered here.
+        MissingExtra: `pictures` or `viewer` need an extra that is not installed.
     """
     if not (before >= 0 and after >= 0):
         raise RecapError(f"{before:g} s before and {after:g} s after incidents cannot be shown; 0 or more were expected")
@@ -157,17 +168,18 @@ def write_report(
     reported = [_Reported(recording, limits, progress) for recording in recordings]
     if viewer and not reported[0].whole:
         raise RecapError(f"{recordings[0].path}: is too long for the viewer in a page; clips of its incidents are not")
-    for each in reported if pictures == "rerun" else ():
-        each.take_pictures(road_map)
+    town = town or town_of(road_map)
+    for each in reported if pictures == "rendered" else ():
+        each.take_pictures(town)
     packer = Packer()
-    ground = packer.pack(script.base_map_data(base_map(road_map, [each.replay for each in reported]), packer))
+    ground = packer.pack(script.base_map_data(base_map(town, [each.replay for each in reported]), packer))
     options = {"drawn": pictures == "drawn", "viewer": viewer}
     data = {
         "data/ground.js": script.script("GROUND", ground),
         "data/recordings.js": script.script("RECORDINGS", [_packed(each.replay) for each in reported]),
     }
     if single:
-        names = [{i: data_address(one, "image/png") for i, one in each.pictures.items()} for each in reported]
+        names = [{i: data_address(one, "image/jpeg") for i, one in each.pictures.items()} for each in reported]
         data["data/reports.js"] = _summaries(reported, names, options)
         content = single_page(viewer_folder() / "page", data).encode()
         with WholeFile(path) as file:
@@ -217,7 +229,7 @@ def _write_pictures(reported: Iterable[_Reported], folder: Path) -> list[dict[in
         names.append({})
         for index, content in each.pictures.items():
             (folder / "pictures").mkdir(exist_ok=True)
-            names[-1][index] = f"pictures/{number}-incident-{index + 1:04}.png"
+            names[-1][index] = f"pictures/{number}-incident-{index + 1:04}.jpg"
             (folder / names[-1][index]).write_bytes(content)
     return names
 
