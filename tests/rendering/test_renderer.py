@@ -349,6 +349,20 @@ def test_a_camera_within_an_actor_sees_what_is_around_it(renderer: Renderer) -> 
     assert metres(images[DEPTH])[60, 80] == pytest.approx(9, abs=0.01)
 
 
+def test_tiles_that_are_empty_or_not_finite_are_left_out() -> None:
+    broken = square(0, 0, 50)
+    broken.vertices[1] = np.nan
+    with create(Plane([Mesh.empty(), broken, *PLANE.tiles])) as renderer:
+        tags = renderer.draw(camera(), None, [SEMANTIC])[SEMANTIC][..., 2]
+    assert (tags[-1] == Tag.ROADS).all()
+
+
+def test_without_a_town_there_is_only_sky() -> None:
+    for town in (None, Plane([]), Plane([Mesh.empty()])):
+        with create(town) as renderer:
+            assert (renderer.draw(camera(), boxes(), [SEMANTIC])[SEMANTIC][..., 2] == Tag.SKY).all()
+
+
 def test_what_can_be_seen_through_shows_what_is_behind(renderer: Renderer) -> None:
     both = boxes((10, 0, 2), (20, 0, 2))
     both.colors[1] = (20, 40, 220)

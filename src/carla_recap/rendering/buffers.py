@@ -107,7 +107,7 @@ class GroundBuffers:
     """The tiles of a town in one buffer, of which those in view are drawn by one call."""
 
     def __init__(self, context: Any, tiles: Sequence[Mesh]) -> None:
-        tiles = [tile for tile in tiles if len(tile.triangles)]
+        tiles = [tile for tile in tiles if len(tile.triangles) and np.isfinite(tile.vertices).all()]
         self.bounds = np.array([(tile.vertices.min(axis=0), tile.vertices.max(axis=0)) for tile in tiles], np.float64)
         self.bounds = self.bounds.reshape(-1, 2, 3)
         self.origin = self.bounds.mean(axis=(0, 1)).round() if tiles else np.zeros(3)
