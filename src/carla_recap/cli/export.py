@@ -262,6 +262,7 @@ def snapshot(
 )
 @click.option("--size", type=options.SIZE, metavar="WxH", help="In pixels; 1280x720, of a GIF 640x360, of a camera its own.")
 @click.option("--fps", type=options.POSITIVE, metavar="N", help="Frames per second; 30, of a GIF 12.5.")
+@click.option("--smooth", is_flag=True, help="Draw smooth edges, which takes about twice as long.")
 @options.overlay
 @options.force
 def video(
@@ -275,6 +276,7 @@ def video(
     speed: float,
     size: tuple[int, int] | None,
     fps: float | None,
+    smooth: bool,
     overlay: bool,
     force: bool,
 ) -> None:
@@ -294,6 +296,7 @@ def video(
             speed=speed,
             size=size,
             rate=fps,
+            smooth=smooth,
             overlay=overlay,
             town=partial(options.town_of, recording, road_map),
             progress=watch_scenes("filming"),

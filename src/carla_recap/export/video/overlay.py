@@ -219,17 +219,15 @@ class Overlay:
 
     def _panel(self, name: str, speed: int | None, controls: tuple[int, int, int] | None) -> Any:
         pad, width = self._length(16), self._length(268)
-        head, row = self._length(78 if speed is not None else 40), self._length(21)
+        head, row = self._length(92 if speed is not None else 40), self._length(21)
         height = head + (3 * row + self._length(10) if controls is not None else 0)
         image, draw = _panel_image(width, height, self._length(_RADIUS))
         small, label = self._font(15), self._font(13)
+        draw.text((pad, self._length(27)), _fitting(name, small, width - 2 * pad), _DIM, small, anchor="ls")
         if speed is not None:
-            font = self._font(50)
-            baseline = self._length(58)
-            end = _draw_number(draw, (pad, baseline), str(speed), font, _WHITE)
+            baseline = self._length(76)
+            end = _draw_number(draw, (pad, baseline), str(speed), self._font(50), _WHITE)
             draw.text((end + self._length(7), baseline), "km/h", _DIM, small, anchor="ls")
-        name = _fitting(name, small, width - 2 * pad - (self._length(140) if speed is not None else 0))
-        draw.text((width - pad, self._length(28)), name, _DIM, small, anchor="rs")
         if controls is None:
             return image
         left, thick = pad + self._length(72), self._length(7)

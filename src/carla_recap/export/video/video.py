@@ -61,6 +61,7 @@ def export_video(
     speed: float = 1.0,
     size: Size | None = None,
     rate: float | None = None,
+    smooth: bool = False,
     overlay: bool = True,
     town: Town | None = None,
     renderer: RenderProcess | None = None,
@@ -81,6 +82,7 @@ def export_video(
         speed: The seconds of the recording in a second of the video.
         size: Width and height in pixels; None: 1280 x 720, of a GIF 640 x 360, of a recorded camera those of its images.
         rate: The frames per second; None: 30, of a GIF 12.5.
+        smooth: Draw smooth edges, which takes about twice as long.
         overlay: Write time, speed, controls, the light ahead and incidents on the pictures.
         town: The town, or a function that loads it; None: roads where vehicles have driven.
         renderer: What draws the pictures, for several videos of one town; None: one is made and closed.
@@ -107,7 +109,7 @@ def export_video(
         part = Player(source, start=player.start, duration=length, follow=player.followed)
         return Film(source, part, view, size, speed=speed, rate=rate, frames=frames, overlay=overlay)
 
-    with opened_renderer(renderer, town, source) as opened:
+    with opened_renderer(renderer, town, source, supersampling=1 + smooth) as opened:
         main = film(rate, speed, frames)
         drawing = opened.result()
         samples = list(_pictures(film(_SAMPLES / length, 1.0, _SAMPLES), drawing)) if is_gif and length else []
