@@ -2,23 +2,59 @@
 
 from __future__ import annotations
 
-from typing import Final
+from collections.abc import Sequence
+from typing import TYPE_CHECKING, Final, overload
 
-from carla_recap.rendering.models.cars import cars
-from carla_recap.rendering.models.cycles import cycles
-from carla_recap.rendering.models.people import people
-from carla_recap.rendering.models.props import props
-from carla_recap.rendering.models.signs import signs
+from carla_recap.rendering.models.cars import CARS
+from carla_recap.rendering.models.cycles import CYCLES
+from carla_recap.rendering.models.people import PEOPLE
+from carla_recap.rendering.models.props import PROPS
+from carla_recap.rendering.models.signs import SIGNS
 from carla_recap.rendering.models.solid import Model
-from carla_recap.rendering.models.street import street
-from carla_recap.rendering.models.trucks import trucks
+from carla_recap.rendering.models.street import STREET
+from carla_recap.rendering.models.trucks import TRUCKS
 
-MODELS: Final[tuple[Model, ...]] = tuple(
-    solid.model(name) for name, solid in (*street(), *cars(), *trucks(), *cycles(), *people(), *props(), *signs())
-)
+if TYPE_CHECKING:
+    from collections.abc import Mapping
+
+    from carla_recap.rendering.models.solid import Make
+
+
+class _Models(Sequence[Model]):
+    """Models, each of which is made when it is first asked for."""
+
+    def __init__(self, makes: Mapping[str, Make]) -> None:
+        self._makes = list(makes.items())
+        self._made: dict[int, Model] = {}
+
+    def __len__(self) -> int:
+        return len(self._makes)
+
+    @overload
+    def __getitem__(self, index: int) -> Model: ...
+
+    @overload
+    def __getitem__(self, index: slice) -> Sequence[Model]: ...
+
+    def __getitem__(self, index: int | slice) -> Model | Sequence[Model]:
+        if isinstance(index, slice):
+            return [self[number] for number in range(*index.indices(len(self)))]
+        number = range(len(self))[index]
+        if number not in self._made:
+            name, make = self._makes[number]
+            self._made[number] = make().model(name)
+        return self._made[number]
+
+    def __reduce__(self) -> tuple[type[tuple[Model, ...]], tuple[list[Model]]]:
+        return tuple, (list(self),)
+
+
+_ALL: Final = {**STREET, **CARS, **TRUCKS, **CYCLES, **PEOPLE, **PROPS, **SIGNS}
+
+MODELS: Final[Sequence[Model]] = _Models(_ALL)
 """All models; `Instances.models` are indices of them."""
 
-INDEX: Final[dict[str, int]] = {model.name: index for index, model in enumerate(MODELS)}
+INDEX: Final[dict[str, int]] = {name: index for index, name in enumerate(_ALL)}
 """The index of each model by its name."""
 
 __all__ = ["INDEX", "MODELS", "Model"]

@@ -3,17 +3,16 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from functools import partial
 from math import sqrt
 from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
 from carla_recap.rendering.materials import Material
-from carla_recap.rendering.models.solid import Solid
+from carla_recap.rendering.models.solid import Make, Solid
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
-
     from carla_recap.rendering.models.solid import Floats
 
 M: Final = Material
@@ -479,7 +478,9 @@ def beacons(solid: Solid, x: float, z: float, half: float) -> None:
         solid.box((x - 0.11, y - half * 0.36, z + 0.05), (x + 0.11, y + half * 0.36, z + 0.15), M.BEACON, top=(0.7, 0.9))
 
 
-def cars() -> Sequence[tuple[str, Solid]]:
-    """Return the cars, vans and buses by name."""
-    shapes = (SEDAN, HATCHBACK, COUPE, SUV, OFF_ROADER, MICROCAR, VAN, MINIBUS, BUS)
-    return [*((shape.name, car(shape)) for shape in shapes), ("police car", police_car()), ("taxi", taxi())]
+CARS: Final[dict[str, Make]] = {
+    **{shape.name: partial(car, shape) for shape in (SEDAN, HATCHBACK, COUPE, SUV, OFF_ROADER, MICROCAR, VAN, MINIBUS, BUS)},
+    "police car": police_car,
+    "taxi": taxi,
+}
+"""The functions that make the cars, vans and buses, by name."""

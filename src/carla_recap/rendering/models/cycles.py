@@ -5,11 +5,9 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Final, NamedTuple
 
 from carla_recap.rendering.materials import Material
-from carla_recap.rendering.models.solid import Solid
+from carla_recap.rendering.models.solid import Make, Solid
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
-
     from carla_recap.rendering.models.solid import Point
 
 M: Final = Material
@@ -220,6 +218,9 @@ def bicycle() -> Solid:
     return solid
 
 
-def cycles() -> Sequence[tuple[str, Solid]]:
-    """Return the two-wheelers by name."""
-    return [("motorcycle", motorcycle()), ("scooter", scooter()), ("bicycle", bicycle())]
+CYCLES: Final[dict[str, Make]] = {
+    "motorcycle": motorcycle,
+    "scooter": scooter,
+    "bicycle": bicycle,
+}
+"""The functions that make the two-wheelers, by name."""

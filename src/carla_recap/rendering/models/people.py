@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
+from functools import partial
 from typing import TYPE_CHECKING, Final, NamedTuple
 
 from carla_recap.rendering.materials import Material
-from carla_recap.rendering.models.solid import Solid
+from carla_recap.rendering.models.solid import Make, Solid
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
-
     from carla_recap.rendering.models.solid import Point
 
 M: Final = Material
@@ -95,13 +94,9 @@ def _head(solid: Solid, center: Point, radius: float, clothes: Clothes, *, long_
         solid.limb((x - radius * 0.6, y, z), low, (radius * 0.8, radius * 0.5), clothes.hair, sides=6, flat=1.2)
 
 
-def people() -> Sequence[tuple[str, Solid]]:
-    """Return the walkers by name."""
-    found = []
-    for number, clothes in enumerate(_COMPLEXIONS):
-        found += [
-            (f"man {number}", walker(clothes)),
-            (f"woman {number}", walker(clothes, long_hair=True)),
-            (f"child {number}", walker(clothes, child=True)),
-        ]
-    return found
+PEOPLE: Final[dict[str, Make]] = {
+    f"{name} {number}": partial(walker, clothes, **shape)
+    for number, clothes in enumerate(_COMPLEXIONS)
+    for name, shape in (("man", {}), ("woman", {"long_hair": True}), ("child", {"child": True}))
+}
+"""The functions that make the walkers, by name."""

@@ -7,7 +7,7 @@ from math import cos, pi, sin
 from typing import TYPE_CHECKING, Final
 
 from carla_recap.rendering.materials import Material
-from carla_recap.rendering.models.solid import MaterialOf, Solid
+from carla_recap.rendering.models.solid import Make, MaterialOf, Solid
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -304,29 +304,28 @@ def figure() -> Solid:
     return solid
 
 
-def props() -> Sequence[tuple[str, Solid]]:
-    """Return the props by name."""
-    return [
-        ("cone", cone()),
-        ("barrier", barrier()),
-        ("chain barrier", chain_barrier()),
-        ("cardboard box", cardboard_box()),
-        ("barrel", barrel()),
-        ("bin", bin_()),
-        ("bag", bag()),
-        ("bench", bench()),
-        ("table", table()),
-        ("chair", chair()),
-        ("case", case()),
-        ("plant", plant()),
-        ("tree", tree()),
-        ("conifer", conifer()),
-        ("palm", palm()),
-        ("board", board()),
-        ("warning board", warning_board()),
-        ("shelter", shelter()),
-        ("debris", debris()),
-        ("fountain", fountain()),
-        ("cabinet", cabinet()),
-        ("figure", figure()),
-    ]
+PROPS: Final[dict[str, Make]] = {
+    "cone": cone,
+    "barrier": barrier,
+    "chain barrier": chain_barrier,
+    "cardboard box": cardboard_box,
+    "barrel": barrel,
+    "bin": bin_,
+    "bag": bag,
+    "bench": bench,
+    "table": table,
+    "chair": chair,
+    "case": case,
+    "plant": plant,
+    "tree": tree,
+    "conifer": conifer,
+    "palm": palm,
+    "board": board,
+    "warning board": warning_board,
+    "shelter": shelter,
+    "debris": debris,
+    "fountain": fountain,
+    "cabinet": cabinet,
+    "figure": figure,
+}
+"""The functions that make the props, by name."""

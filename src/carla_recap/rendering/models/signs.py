@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
+from functools import partial
 from math import cos, pi, sin
 from typing import TYPE_CHECKING, Final
 
 from carla_recap.rendering.materials import Material
-from carla_recap.rendering.models.solid import Solid
+from carla_recap.rendering.models.solid import Make, Solid
 from carla_recap.rendering.models.street import ROOT
 
 if TYPE_CHECKING:
@@ -126,8 +127,11 @@ def other_sign() -> Solid:
     return solid
 
 
-def signs() -> Sequence[tuple[str, Solid]]:
-    """Return the signs by name."""
-    limits = [(f"speed limit {number}", speed_limit(number)) for number in LIMITS]
-    named = [("speed limit", speed_limit(None)), ("stop sign", stop_sign()), ("yield sign", yield_sign())]
-    return [*named, ("sign", other_sign()), *limits]
+SIGNS: Final[dict[str, Make]] = {
+    "speed limit": partial(speed_limit, None),
+    "stop sign": stop_sign,
+    "yield sign": yield_sign,
+    "sign": other_sign,
+    **{f"speed limit {number}": partial(speed_limit, number) for number in LIMITS},
+}
+"""The functions that make the signs, by name."""

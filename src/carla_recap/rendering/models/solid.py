@@ -53,6 +53,10 @@ class Model:
     center: tuple[float, float, float]
 
 
+Make = Callable[[], "Solid"]
+"""A function that makes a solid."""
+
+
 class _Facet(NamedTuple):
     points: Floats
     material: Material

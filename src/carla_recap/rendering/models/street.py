@@ -4,13 +4,10 @@ from __future__ import annotations
 
 from itertools import pairwise
 from math import cos, pi, sin
-from typing import TYPE_CHECKING, Final
+from typing import Final
 
 from carla_recap.rendering.materials import Material
-from carla_recap.rendering.models.solid import Solid
-
-if TYPE_CHECKING:
-    from collections.abc import Sequence
+from carla_recap.rendering.models.solid import Make, Solid
 
 M: Final = Material
 
@@ -62,6 +59,9 @@ def box(material: Material = M.PAINT) -> Solid:
     return solid
 
 
-def street() -> Sequence[tuple[str, Solid]]:
-    """Return what stands in streets by name."""
-    return [("box", box()), ("traffic light", traffic_light()), ("collision mark", collision_mark())]
+STREET: Final[dict[str, Make]] = {
+    "box": box,
+    "traffic light": traffic_light,
+    "collision mark": collision_mark,
+}
+"""The functions that make what stands in streets, by name."""

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Final
 
 from carla_recap.rendering.materials import Material
 from carla_recap.rendering.models.cars import SUV, VAN, CarShape, axle, beacons, car, plate
-from carla_recap.rendering.models.solid import Solid
+from carla_recap.rendering.models.solid import Make, Solid
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -162,12 +162,11 @@ def pickup() -> Solid:
     return solid
 
 
-def trucks() -> Sequence[tuple[str, Solid]]:
-    """Return the trucks by name."""
-    return [
-        ("box truck", box_truck()),
-        ("lorry", lorry()),
-        ("fire engine", fire_engine()),
-        ("ambulance", ambulance()),
-        ("pickup", pickup()),
-    ]
+TRUCKS: Final[dict[str, Make]] = {
+    "box truck": box_truck,
+    "lorry": lorry,
+    "fire engine": fire_engine,
+    "ambulance": ambulance,
+    "pickup": pickup,
+}
+"""The functions that make the trucks, by name."""
