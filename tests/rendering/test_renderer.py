@@ -494,6 +494,15 @@ def test_shadows_are_where_the_sun_does_not_reach() -> None:
     assert images["epic"][right] == pytest.approx(images["low"][right], rel=0.2)
 
 
+def test_a_shadow_is_seen_of_what_is_out_of_view() -> None:
+    seen, box = camera((0, 0, 3), width=320, height=240), boxes((8, 10.5, 3), half=(0.5, 0.5, 3))
+    sky = Sky(sun_azimuth=-90, sun_altitude=45)  # from the left, where the box is
+    with create() as renderer:
+        images = renderer.draw(seen, box, ALL, sky)
+        assert not ids(images[INSTANCE]).any()
+        assert (images[RGB] != renderer.draw(seen, None, [RGB], sky)[RGB]).any()
+
+
 def test_overlapping_shadows_are_not_darker() -> None:
     seen, sky = camera((0, 0, 30), pitch=-90, width=320, height=240), Sky(sun_azimuth=90)
     one, two = boxes((0, 0, 1), half=(2, 2, 1)), boxes((0, 0, 1), (0, 0, 1), half=(2, 2, 1))

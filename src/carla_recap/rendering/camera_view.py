@@ -27,14 +27,26 @@ _PERIOD: Final = 64.0  # m after which the grain of surfaces repeats
 
 
 class CameraView:
-    """A camera and the light at a moment."""
+    """A camera and the light at a moment.
+
+    Args:
+        camera: The camera.
+        sky: The weather.
+        ground: The origin of the ground, in m.
+        before: The camera of the previous image; None: it has not moved.
+
+    Attributes:
+        camera: The camera.
+        shadow_length: The length of shadows, as a part of the height of what they are of; 0 where there are none.
+    """
 
     def __init__(self, camera: Camera, sky: Sky, ground: NDArray[np.float64], before: Camera | None) -> None:
         self.camera = camera
         self._before = before or camera
         self._sky, self._ground = sky, ground
         self._light = sky.light()
-        self.has_shadows = self._light.shade < 1
+        rise = max(self._light.sun[2], shaders.LEAST_SUN)
+        self.shadow_length = float(np.hypot(*self._light.sun[:2]) / rise) if self._light.shade < 1 else 0.0
         rows = np.array([_projection(camera)[index] for index in (0, 1, 3)]) @ _axes(camera)
         self._planes = np.array((rows[2] + rows[0], rows[2] - rows[0], rows[2] + rows[1], rows[2] - rows[1], rows[2]))
         self._planes /= np.linalg.norm(self._planes, axis=1, keepdims=True)

@@ -46,6 +46,7 @@ if TYPE_CHECKING:
 
 LARGEST: Final = 8192
 """The largest width and height of an image, in pixels."""
+_LARGEST_BUFFER: Final = 16384  # pixels along a side, that OpenGL draws
 _SIZES: Final = 8  # image sizes whose buffers are kept
 _SHADOWED: Final = 12  # pixels: half the size of the smallest actor whose shadow has a shape
 _GRAIN: Final = 256  # pixels of the texture of surfaces and clouds
@@ -184,10 +185,10 @@ class Renderer:
         rest = kinds
         if ImageKind.RGB in kinds and self._samples != (1, 1):
             rest = tuple(kind for kind in kinds if kind != ImageKind.RGB)
-            width, height = camera.width * self._samples[0], camera.height * self._samples[1]
-            large = self._targets_of(width, height)
+            samples = tuple(map(min, self._samples, (_LARGEST_BUFFER // camera.width, _LARGEST_BUFFER // camera.height)))
+            large = self._targets_of(camera.width * samples[0], camera.height * samples[1])
             self._draw_kinds(large, camera, (ImageKind.RGB,), *moment)
-            self._reduce(large, targets)
+            self._reduce(large, targets, samples)
         if rest:
             self._draw_kinds(targets, camera, rest, *moment)
         return targets.read(kinds, into)
@@ -211,7 +212,8 @@ class Renderer:
         self._noise.use(0)
         groups: list[InstanceGroup] = []
         if instances is not None:
-            seen, offsets = self._in_view(view, instances, without)
+            with_shadows = ImageKind.RGB in kinds and self._quality is Quality.EPIC
+            seen, offsets = self._in_view(view, instances, without, view.shadow_length if with_shadows else 0.0)
             groups = self._groups(view, seen, offsets, previous[1] if previous else None)
         solid, clear = ([group for group in groups if group.is_solid is wanted] for wanted in (True, False))
 
@@ -233,14 +235,14 @@ class Renderer:
             if groups:
                 self._draw_halos(targets, self._lamps.around(seen, offsets, sky.halo))
 
-    def _reduce(self, large: ImageBuffers, targets: ImageBuffers) -> None:
+    def _reduce(self, large: ImageBuffers, targets: ImageBuffers, samples: tuple[int, ...]) -> None:
         """Average the pixels of an RGB image that is a multiple of another one."""
         framebuffer = targets.framebuffer((ImageKind.RGB,))
         framebuffer.use()
         self._context.enable_only(self._context.NOTHING)
         large.texture(ImageKind.RGB).use(1)
         array = self._full("reduce", (ImageKind.RGB,))
-        array.program["image"], array.program["samples"] = 1, self._samples
+        array.program["image"], array.program["samples"] = 1, samples
         array.render(self._context.TRIANGLE_STRIP)
 
     def _draw_ground(self, kinds: tuple[ImageKind, ...], view: CameraView) -> None:
@@ -263,7 +265,7 @@ class Renderer:
                 if not group.model.is_flat:
                     count = group.load()
                     self._array("blob", group.model).render(context.TRIANGLE_STRIP, instances=count)
-                    if group.shadows and self._quality is Quality.EPIC and view.has_shadows:
+                    if group.shadows and self._quality is Quality.EPIC and view.shadow_length:
                         self._array("shadow", group.model).render(instances=group.shadows)
             context.blend_equation = context.FUNC_ADD
             _mask(framebuffer, (True, True, True, True))
@@ -307,12 +309,20 @@ class Renderer:
         framebuffer.depth_mask = True
 
     def _in_view(
-        self, view: CameraView, instances: Instances, without: Collection[int]
+        self, view: CameraView, instances: Instances, without: Collection[int], shadow: float
     ) -> tuple[Instances, NDArray[np.float64]]:
-        """Return the instances in view, and their centres relative to the camera."""
+        """Return the instances in view, and their centres relative to the camera.
+
+        Args:
+            view: The view.
+            instances: All instances.
+            without: The ids of those to leave out.
+            shadow: The length of shadows, as a part of the height; they may be in view alone.
+        """
         offsets = instances.locations - view.camera.location
         with np.errstate(invalid="ignore", over="ignore"):
-            radii = np.sqrt((instances.half_extents.astype(np.float64) ** 2).sum(axis=1))
+            half = instances.half_extents.astype(np.float64)
+            radii = np.sqrt((half**2).sum(axis=1)) + 2 * shadow * half[:, 2]
             keep = view.sees_spheres(offsets, radii) & (instances.models < len(self._models))
         keep &= np.isfinite(instances.rotations).all(axis=(1, 2))
         if without:

@@ -57,6 +57,8 @@ FRAME: Final = np.dtype(
 )
 """The uniform block of an image, in std140; matrices column by column."""
 MATERIAL_COUNT: Final = 64
+LEAST_SUN: Final = 0.35
+"""The height of the sun, as a sine, below which shadows get no longer."""
 
 _FRAME: Final = """
 layout(std140) uniform Frame {
@@ -340,7 +342,7 @@ void main() {
     vec3 point = rotation * (position * size);
     vec3 up = rotation[2];
     float height = max(dot(up, point) + size.z, 0.0);
-    vec3 direction = sun.xyz / max(dot(up, sun.xyz), 0.35);
+    vec3 direction = sun.xyz / max(dot(up, sun.xyz), LEAST_SUN);
     vec3 here = location + point - height * direction + 0.02 * up;
     gl_Position = clip * vec4(here, 1.0);
     gl_Position.z -= LAYER * gl_Position.w;
@@ -487,7 +489,8 @@ def sources(name: str, kinds: Sequence[ImageKind], *options: str) -> tuple[str, 
     if ImageKind.SEMANTIC in kinds or ImageKind.INSTANCE in kinds:
         defined.append("MARKS")
     head = "#version 330\n" + "".join(f"#define {each}\n" for each in defined)
-    head += f"#define SKY {Tag.SKY:d}.0\n#define ROAD {Material.ROAD:d}\n#define LAYER {_SHADOW_LAYER:.8f}\n{_FRAME}"
+    numbers = {"SKY": f"{Tag.SKY:d}.0", "ROAD": Material.ROAD.value, "LEAST_SUN": LEAST_SUN, "LAYER": f"{_SHADOW_LAYER:.8f}"}
+    head += "".join(f"#define {key} {value}\n" for key, value in numbers.items()) + _FRAME
     outputs = "".join(
         f"layout(location={index}) out {'vec2' if kind is ImageKind.FLOW else 'vec4'} o_{_DEFINES[kind].lower()};\n"
         for index, kind in enumerate(kinds)
