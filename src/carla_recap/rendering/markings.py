@@ -33,7 +33,8 @@ _CROSSING_LIFT: Final = 0.014
 _STOP_LIFT: Final = 0.018
 _FROM_EDGE: Final = 0.12  # m from a line to a kerb or to the edge of the asphalt
 _NARROW: Final = 0.25  # m; the outer border of a narrower lane is not marked
-_IN_JUNCTIONS: Final = 0.5  # m between the points of a line, of which a part may be on other lanes
+_INSPECTED: Final = 4.0  # m between points that may be on lanes of other roads
+_FINE: Final = 0.5  # m between the points of a line, of which a part may be on other lanes
 _BESIDE: Final = 0.25  # m
 _SAME_LINE: Final = 0.5  # m between lines of two roads, of which one is drawn
 _SHORTEST: Final = 1.6  # m of a part of a line in a junction
@@ -66,7 +67,8 @@ def add_lines(builder: MeshBuilder, sections: Sequence[SampledSection], driving:
         sections: The sections of all roads.
         driving: The lanes for cars.
     """
-    lines = [line for section in sections for line in _lines(section)]
+    crowded = _are_crowded(sections, driving)
+    lines = [line for section, fine in zip(sections, crowded, strict=True) for line in _lines(section, fine=fine)]
     if not lines:
         return
     sizes = [len(line.corners) for line in lines]
@@ -79,25 +81,48 @@ def add_lines(builder: MeshBuilder, sections: Sequence[SampledSection], driving:
             [line.section.road.in_junction for line in lines],
         )
     )
-    left_out = _across(corners, owners, driving) | _repeated(corners, np.where(inside, owners, -1), materials)
+    sides = _on_others(corners, owners, driving)
+    # Of lines side by side, that of a junction is left out, or else that on a lane of the other road.
+    repeated = _repeated(corners, owners + inside * (owners.max() + 1), materials) & (inside | sides.any(axis=0))
+    left_out = sides.all(axis=0) | repeated
     for line, part in zip(lines, np.split(~left_out, np.cumsum(sizes)[:-1]), strict=True):
         kept = part if part.all() else _long(line.corners, part)
         builder.add_quads(line.corners[kept], UP, line.material)
 
 
+def _are_crowded(sections: Sequence[SampledSection], driving: TriangleGrid) -> list[bool]:
+    """Return whether each section is in a junction, or shares ground with lanes of other roads, but at its ends."""
+    borders = [_inner(section) for section in sections]
+    points = np.concatenate(borders)
+    owners = np.repeat(np.arange(len(sections)), [len(border) for border in borders])
+    numbers = np.array([section.number for section in sections])
+    index, heights, keys = driving.hits(points)
+    others = index[(keys != numbers[owners[index]]) & (np.abs(heights - points[index, 2]) < 1.0)]
+    crowded = np.array([section.road.in_junction for section in sections])
+    crowded[owners[others]] = True
+    return [bool(each) for each in crowded]
+
+
+def _inner(section: SampledSection) -> Floats:
+    """Return points of the borders of a section, not at its ends, (n, 3)."""
+    start, end = section.stations[[0, -1]]
+    margin = min(1.0, (end - start) / 4)
+    stations = np.linspace(start + margin, end - margin, int((end - start) / _INSPECTED) + 2)
+    columns = [[np.interp(stations, section.stations, axis) for axis in border.T] for border in section.borders]
+    points: Floats = np.moveaxis(np.array(columns), 1, 2).reshape(-1, 3)
+    return points
+
+
 def _repeated(corners: Floats, owners: NDArray[np.int64], materials: NDArray[np.uint8]) -> Flags:
     """Return which quadrangles are beside one of the same material of a road with a lower number."""
-    cells = np.rint(corners.mean(axis=1) / _SAME_LINE).astype(np.int64)
-    cells = np.column_stack((cells, materials))
-    around = np.array([(x, y, 0, 0) for x in (-1, 0, 1) for y in (-1, 0, 1)])
-    later = np.flatnonzero(owners >= 0)
-    every = np.concatenate((cells, (cells[later, None] + around).reshape(-1, 4)))
-    _, numbers = np.unique(every, axis=0, return_inverse=True)
-    numbers = numbers.reshape(-1)
+    x, y, z = (np.rint(corners.mean(axis=1) / _SAME_LINE).astype(np.int64) & 0x3FFFFF).T
+    cells = (x << 40) | (y << 18) | ((z & 0xFFF) << 6) | materials
+    around = np.array([(i << 40) + (j << 18) for i in (-1, 0, 1) for j in (-1, 0, 1)])
+    every = np.concatenate((cells, (cells[:, None] + around).reshape(-1)))
+    _, numbers = np.unique(every, return_inverse=True)
     lowest = np.full(numbers.max() + 1, np.iinfo(np.int64).max)
     np.minimum.at(lowest, numbers[: len(cells)], owners)
-    repeated = np.zeros(len(corners), np.bool_)
-    repeated[later] = lowest[numbers[len(cells) :].reshape(-1, len(around))].min(axis=1) < owners[later]
+    repeated: Flags = lowest[numbers[len(cells) :].reshape(-1, len(around))].min(axis=1) < owners
     return repeated
 
 
@@ -110,24 +135,22 @@ def _long(corners: Floats, kept: Flags) -> Flags:
     return long
 
 
-def _across(corners: Floats, owners: NDArray[np.int64], driving: TriangleGrid) -> Flags:
-    """Return which quadrangles have lanes of other roads on both sides."""
+def _on_others(corners: Floats, owners: NDArray[np.int64], driving: TriangleGrid) -> Flags:
+    """Return whether lanes of other roads are on each side of quadrangles, (2, n)."""
     middles = corners.mean(axis=1)
     aside = (corners[:, 3] - corners[:, 0])[:, :2]
     aside *= _BESIDE / np.maximum(np.linalg.norm(aside, axis=1, keepdims=True), 1e-6)
-    across = np.ones(len(corners), np.bool_)
-    for sign in (1, -1):
+    covered = np.zeros((2, len(corners)), np.bool_)
+    for side, sign in enumerate((1, -1)):
         points = middles.copy()
         points[:, :2] += sign * aside
         index, heights, keys = driving.hits(points)
         others = (keys != owners[index]) & (np.abs(heights - points[index, 2]) < 1.0)
-        covered = np.zeros(len(corners), np.bool_)
-        covered[index[others]] = True
-        across &= covered
-    return across
+        covered[side, index[others]] = True
+    return covered
 
 
-def _lines(section: SampledSection) -> Iterator[_Line]:
+def _lines(section: SampledSection, *, fine: bool) -> Iterator[_Line]:
     inner = len(section.section.left)
     for border in range(len(section.lanes) + 1):
         lane = section.section.centre if border == inner else section.lanes[border if border < inner else border - 1]
@@ -142,11 +165,11 @@ def _lines(section: SampledSection) -> Iterator[_Line]:
             if number + 1 < len(lane.markings):
                 end = min(end, section.section.start + lane.markings[number + 1].start)
             if end - start > _BESIDE:
-                yield from _painted(section, border, mark, start, end, wide, reverse=border < inner)
+                yield from _painted(section, border, mark, start, end, wide, reverse=border < inner, fine=fine)
 
 
 def _painted(
-    section: SampledSection, border: int, mark: Marking, start: float, end: float, wide: Flags, *, reverse: bool
+    section: SampledSection, border: int, mark: Marking, start: float, end: float, wide: Flags, *, reverse: bool, fine: bool
 ) -> Iterator[_Line]:
     """Yield the lines of a marking."""
     styles = [style for style in mark.kind.replace("botts dots", "broken").split() if style in ("solid", "broken")][:2]
@@ -158,7 +181,8 @@ def _painted(
     material = Material.YELLOW_LINE if mark.color in _YELLOW else Material.WHITE_LINE
     asides = (0.0,) if len(styles) == 1 else (mark.width, -mark.width)  # from the left
     for style, aside in zip(styles[::-1] if reverse else styles, asides, strict=True):
-        corners = _quads(section, border, style, start, end, wide, shift + aside, mark.width / 2)
+        spacing = _FINE if fine else None
+        corners = _quads(section, border, style, start, end, wide, shift + aside, mark.width / 2, spacing)
         if len(corners):
             yield _Line(corners, material, section)
 
@@ -184,13 +208,21 @@ def _is_paved(section: SampledSection, lane: int) -> bool:
 
 
 def _quads(
-    section: SampledSection, border: int, style: str, start: float, end: float, wide: Flags, shift: float, half: float
+    section: SampledSection,
+    border: int,
+    style: str,
+    start: float,
+    end: float,
+    wide: Flags,
+    shift: float,
+    half: float,
+    spacing: float | None,
 ) -> Floats:
-    """Return the quadrangles of a line, (n, 4, 3)."""
+    """Return the quadrangles of a line, (n, 4, 3), which are no longer than the spacing."""
     known = section.stations
     stations = [np.array((start, end)), known]
-    if section.road.in_junction:
-        stations.append(np.arange(start, end, _IN_JUNCTIONS))
+    if spacing is not None:
+        stations.append(np.arange(start, end, spacing))
     length = section.road.length
     period = length / max(round(length / _PERIOD), 1)
     if style == "broken":
