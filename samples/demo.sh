@@ -15,7 +15,7 @@ run() {
 out=build/demo
 mcap=$out/crash.mcap
 mkdir -p "$out"
-rm -rf "$out"/{crash,crossing,avoided,foxglove}.* "$out/page"
+rm -rf "$out"/{crash,crossing,avoided,foxglove,compared}.* "$out/page"
 export SOURCE_DATE_EPOCH=1767261600 # the date that the recordings get
 
 simulates=true
@@ -47,6 +47,9 @@ run cmp samples/crossing.log "$out/crossing.log"
 
 say 'Make the incident page, and export the recording for Rerun and for Foxglove.'
 run carla-recap report "$mcap" "$out/page"
+if $simulates; then
+    run carla-recap report "$mcap" "$out/avoided.mcap" "$out/compared.html"
+fi
 run carla-recap export "$mcap" "$out/crash.rrd"
 run carla-recap export "$mcap" "$out/foxglove.mcap"
 
@@ -56,6 +59,9 @@ hint() {
 
 say "All files are in $out. To open them, with .venv/bin on the PATH:"
 hint "$out/page/index.html" 'the incident page: open it in any browser'
+if $simulates; then
+    hint "$out/compared.html" 'the crash, and how it is avoided, side by side'
+fi
 hint "rerun $out/crash.rrd" "Rerun's viewer; or: carla-recap view $mcap --web"
 hint "$out/foxglove.mcap" 'open it in Foxglove, with the layout named above'
 hint "carla-recap snapshot $mcap crash.png --at 12" 'takes a picture, without a display'

@@ -112,6 +112,7 @@ class Replay {
     for (const node of beside ? [] : names[1].children) {
       names[0].append(Object.assign(node.cloneNode(true), { className: `${node.className} more` }));
     }
+    this.link(this.stage);
     this.resize();
   }
 

@@ -71,6 +71,8 @@ class Stage {
     if (this.marks) this.drawCollisions();
     for (const one of this.ghosts) this.drawGhost(one);
     for (const one of this.shown) this.drawActor(one);
+    const followed = this.shown.find(({ actor }) => this.tracks.actors[actor].id === camera.followed);
+    if (followed) this.drawActor(followed); // above what may hide it
     if (this.ghosts.length) this.drawDistance();
     if (this.marks) this.drawIncidents();
     if (this.labels) this.drawLabels();
@@ -189,7 +191,8 @@ class Stage {
     for (const recording of this.ghost ? [this.ghost, this.recording] : [this.recording]) {
       for (const { kind, start, place } of recording.report.incidents) {
         const late = time - start;
-        if (start === null || !(Math.abs(late) < NOTED) || place[0] === null || place[1] === null) continue;
+        const early = kind === "collision" ? NOTED : 0;
+        if (start === null || !(-early <= late && late < NOTED) || place[0] === null || place[1] === null) continue;
         const [left, top] = camera.toScreen(place[0], place[1]);
         context.globalAlpha = 1 - Math.abs(late) / NOTED;
         context.lineWidth = 2;

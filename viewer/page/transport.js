@@ -1,8 +1,8 @@
 // Play, pause, speed, and the timeline with its marks.
 "use strict";
 
-const MARK_WIDTH = 32; // px; marks that are nearer to each other are one, with their number
-const TWO_MARKS = 11; // px; two that are farther from each other stay apart
+const ONE = 11; // px, the room of a mark
+const SEVERAL = 31; // px, that of a mark with a number
 
 class Transport {
   /** open: is called with the index of an incident. */
@@ -58,7 +58,6 @@ class Transport {
     this.width = width;
     this.hidden = [...this.incidents.hidden].join();
     this.marks.replaceChildren();
-    const [reach, close] = width ? [MARK_WIDTH, TWO_MARKS].map((px) => (px / width) * this.length) : [0, 0]; // s
     for (const index of new Set(this.incidents.items.map(({ recording }) => recording.index))) {
       const items = this.incidents.items
         .map((item, index) => ({ ...item, index }))
@@ -66,8 +65,9 @@ class Transport {
         .sort((a, b) => a.incident.start - b.incident.start);
       let group = [];
       for (const item of items) {
-        const apart = group.length ? item.incident.start - group[0].incident.start : 0;
-        if (group.length && apart >= (group.length === 1 && !this.crowded(items, item, reach) ? close : reach)) {
+        const apart = group.length ? this.distance(group[0], item) : 0;
+        const rooms = [group.length > 1, this.crowded(items, item)].map((several) => (several ? SEVERAL : ONE));
+        if (group.length && apart >= (rooms[0] + rooms[1]) / 2) {
           this.addMark(group);
           group = [];
         }
@@ -77,9 +77,15 @@ class Transport {
     }
   }
 
-  /** Return whether a mark has others soon after it. */
-  crowded(items, { incident }, reach) {
-    return items.some((one) => one.incident.start > incident.start && one.incident.start - incident.start < reach);
+  /** Return how many px an incident is after another one on the timeline. */
+  distance(before, after) {
+    return this.length ? ((after.incident.start - before.incident.start) / this.length) * this.width : 0;
+  }
+
+  /** Return whether another incident follows so soon that both become one mark. */
+  crowded(items, item) {
+    const next = items[items.indexOf(item) + 1];
+    return next !== undefined && this.distance(item, next) < (ONE + SEVERAL) / 2;
   }
 
   addMark(group) {

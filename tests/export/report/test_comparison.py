@@ -10,6 +10,7 @@ from carla_recap import RecapError, open_recording
 from carla_recap.export.report import write_report
 from tests.export.report.conftest import record, spawn
 from tests.export.report.test_browser import Page
+from tests.export.report.test_look import emulated
 from tests.samples import names_in
 
 if TYPE_CHECKING:
@@ -94,6 +95,17 @@ def test_the_switch_lays_one_over_the_other(chromium: Chrome, compared: Path) ->
     page.until(lambda: page.browser.current_url.endswith("#t=3&follow=5"))
     assert Page(chromium, compared, "#t=3&view=over").ask("replay.mode") == "over"
     assert page.errors == []
+
+
+def test_both_views_have_the_same_scale_on_a_narrow_screen(chromium: Chrome, compared: Path) -> None:
+    with emulated(chromium, size=(390, 800)):
+        page = Page(chromium, compared)
+        assert page.ask("replay.mode") == "over"
+        page.click("#beside")
+        scales = page.ask("replay.stages.map(({camera}) => camera.scale)")
+        assert scales[0] == scales[1] > 2
+        assert page.ask("document.documentElement.scrollWidth") == 390
+        assert page.errors == []
 
 
 def test_moving_one_view_moves_both(chromium: Chrome, compared: Path) -> None:

@@ -13,7 +13,7 @@ import numpy as np
 if TYPE_CHECKING:
     from numpy.typing import ArrayLike
 
-LEVEL: Final = 9  # of compression
+LEVEL: Final = 6  # of compression
 _LARGEST: Final = 2.0**30  # units; larger columns get a larger unit
 
 
