@@ -5,7 +5,7 @@ from __future__ import annotations
 from contextlib import suppress
 from fractions import Fraction
 from importlib import import_module
-from itertools import pairwise
+from itertools import chain, pairwise
 from typing import TYPE_CHECKING, Any, Final, Protocol, Self
 
 from carla_recap.errors import MissingExtra, RecapError
@@ -38,9 +38,12 @@ _PRESET: Final = "veryfast"
 _DENOMINATOR: Final = 1001  # of rates such as 30000/1001
 _BT_709: Final = 1  # in FFmpeg's tables of colour primaries, transfer functions and matrices
 _LIMITED_RANGE: Final = 1
-_GIF_COLORS: Final = 128
-_ACCENTS: Final = ((255, 255, 255), (0, 0, 0), (235, 64, 52), (70, 210, 110), (245, 196, 66), (120, 120, 126))
-_ACCENT_SIZE: Final = 24  # pixels of each of these colours in the picture that the palette is made of
+_GIF_COLORS: Final = 200  # of the palette, besides the accents
+_ACCENTS: Final = (
+    *((255, 255, 255), (170, 172, 175), (110, 112, 116), (86, 90, 96), (62, 65, 70), (14, 17, 22), (0, 0, 0)),
+    *((235, 64, 52), (150, 45, 40), (245, 166, 66), (245, 200, 40), (70, 210, 110), (120, 186, 255), (150, 170, 255)),
+)
+"""Colours of what is written on pictures, of which there are few pixels."""
 
 
 class VideoFile(Protocol):
@@ -204,10 +207,10 @@ def _palette(pictures: Sequence[Picture]) -> Any:
 
     images = [_image(picture) for picture in pictures]
     width, height = images[0].size
-    sample = Image.new("RGB", (width, height * len(images) + _ACCENT_SIZE))
+    sample = Image.new("RGB", (width, height * len(images)))
     for index, image in enumerate(images):
         sample.paste(image, (0, height * index))
-    top = height * len(images)
-    for index, color in enumerate(_ACCENTS):
-        sample.paste(color, (index * _ACCENT_SIZE, top, (index + 1) * _ACCENT_SIZE, sample.height))
-    return sample.quantize(_GIF_COLORS, method=Image.Quantize.MEDIANCUT, dither=Image.Dither.NONE)
+    found = sample.quantize(_GIF_COLORS, method=Image.Quantize.MEDIANCUT, dither=Image.Dither.NONE).getpalette()
+    palette = Image.new("P", (1, 1))
+    palette.putpalette([*(found or [])[: 3 * _GIF_COLORS], *chain.from_iterable(_ACCENTS)])
+    return palette
