@@ -181,42 +181,41 @@ class Renderer:
     ) -> Images:
         """Draw images of a moment; see `draw`."""
         targets = self._targets_of(camera.width, camera.height)
-        moment = instances, sky, previous, without
+        view = CameraView(camera, sky, self._ground.origin, valid_camera(previous[0]) if previous else None)
+        groups: list[InstanceGroup] = []
+        halos = np.zeros(0, HALO)
+        if instances is not None:
+            with_shadows = ImageKind.RGB in kinds and self._quality is Quality.EPIC
+            seen, offsets = self._in_view(view, instances, without, view.shadow_length if with_shadows else 0.0)
+            groups = self._groups(view, seen, offsets, previous[1] if previous else None)
+            if ImageKind.RGB in kinds:
+                halos = self._lamps.around(seen, offsets, sky.halo)
         rest = kinds
         if ImageKind.RGB in kinds and self._samples != (1, 1):
             rest = tuple(kind for kind in kinds if kind != ImageKind.RGB)
             samples = tuple(map(min, self._samples, (_LARGEST_BUFFER // camera.width, _LARGEST_BUFFER // camera.height)))
             large = self._targets_of(camera.width * samples[0], camera.height * samples[1])
-            self._draw_kinds(large, camera, (ImageKind.RGB,), *moment)
+            self._draw_kinds(large, (ImageKind.RGB,), view, groups, halos)
             self._reduce(large, targets, samples)
         if rest:
-            self._draw_kinds(targets, camera, rest, *moment)
+            self._draw_kinds(targets, rest, view, groups, halos)
         return targets.read(kinds, into)
 
     def _draw_kinds(
         self,
         targets: ImageBuffers,
-        camera: Camera,
         kinds: tuple[ImageKind, ...],
-        instances: Instances | None,
-        sky: Sky,
-        previous: tuple[Camera, Instances | None] | None,
-        without: Collection[int],
+        view: CameraView,
+        groups: list[InstanceGroup],
+        halos: NDArray[np.void],
     ) -> None:
         """Draw images of a moment in one pass."""
-        view = CameraView(camera, sky, self._ground.origin, valid_camera(previous[0]) if previous else None)
         self._frame.write(view.block(*targets.size).tobytes())
         context = self._context
         self._frame.bind_to_uniform_block(0)
         self._materials.bind_to_uniform_block(1)
         self._noise.use(0)
-        groups: list[InstanceGroup] = []
-        if instances is not None:
-            with_shadows = ImageKind.RGB in kinds and self._quality is Quality.EPIC
-            seen, offsets = self._in_view(view, instances, without, view.shadow_length if with_shadows else 0.0)
-            groups = self._groups(view, seen, offsets, previous[1] if previous else None)
         solid, clear = ([group for group in groups if group.is_solid is wanted] for wanted in (True, False))
-
         framebuffer = targets.framebuffer(kinds)
         framebuffer.use()
         framebuffer.clear(depth=1.0)
@@ -232,8 +231,7 @@ class Renderer:
         if ImageKind.RGB in kinds:
             self._draw_shadows(targets, view, [*solid, *clear])
             self._draw_clear(targets, clear)
-            if groups:
-                self._draw_halos(targets, self._lamps.around(seen, offsets, sky.halo))
+            self._draw_halos(targets, halos)
 
     def _reduce(self, large: ImageBuffers, targets: ImageBuffers, samples: tuple[int, ...]) -> None:
         """Average the pixels of an RGB image that is a multiple of another one."""

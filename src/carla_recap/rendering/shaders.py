@@ -309,7 +309,7 @@ void main() {
     float toward256 = toward32 * toward32;
     toward256 *= toward256;
     toward256 *= toward256;
-    float disc = smoothstep(0.9994, 0.9998, toward) + 0.35 * toward256 + 0.12 * toward32;
+    float disc = smoothstep(0.9997, 0.9999, toward) + 0.35 * toward256 + 0.12 * toward32;
     color += sunlight.w * disc * vec3(1.0, 0.95, 0.85);
     o_rgb = vec4(color.bgr, 1.0);
 #endif
