@@ -145,9 +145,9 @@ class RayScene:
     def __init__(self, tiles: Sequence[Mesh], models: Sequence[Mesh]) -> None:
         self._device = _device()
         town = Mesh.concatenate(tiles)
-        self._town = _Shape(self._device, town) if len(town.triangles) else None
+        self._town = _RayShape(self._device, town) if len(town.triangles) else None
         self._meshes = models
-        self._models: dict[int, _Shape] = {}
+        self._models: dict[int, _RayShape] = {}
 
     def cast(self, origin: Floats, directions: Floats, reach: float, instances: Instances | None = None) -> SurfaceHits:
         """Return the first hit of each ray that hits something.
@@ -202,13 +202,13 @@ class RayScene:
         tag = np.where(tag == _TAG_OF_ACTOR, instances.tags[box], tag)
         return SurfaceHits(ray, instances.ids[box].astype(np.int64), far, _cosine(outward, directions[ray]), tag)
 
-    def _model(self, number: int) -> _Shape:
+    def _model(self, number: int) -> _RayShape:
         if number not in self._models:
-            self._models[number] = _Shape(self._device, self._meshes[number])
+            self._models[number] = _RayShape(self._device, self._meshes[number])
         return self._models[number]
 
 
-class _Shape:
+class _RayShape:
     """A mesh for rays."""
 
     def __init__(self, device: Any, mesh: Mesh) -> None:
