@@ -278,7 +278,7 @@ def _details(solid: Solid, shape: CarShape) -> None:
     left.box((x - 0.07, half - 0.12, belt - 0.01), (x + 0.07, half + 0.06, belt + 0.12), M.TRIM, top=(0.8, 0.95))
     cabin = shape.cabin[1] - shape.cabin[0]
     for pillar in shape.pillars:
-        if pillar < shape.glazed:
+        if pillar < shape.glazed and len(shape.pillars) < 4:
             x = front - shape.cabin[0] - cabin * (pillar - 0.03)
             y = half + 0.004
             left.facet(

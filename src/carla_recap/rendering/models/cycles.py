@@ -27,12 +27,10 @@ class Pose(NamedTuple):
 
 def _rider(solid: Solid, pose: Pose) -> None:
     left = Solid()
-    left.limb(pose.hip, pose.knee, (0.10, 0.075), M.RIDER_TROUSERS, sides=5, caps=False)
-    left.limb(pose.knee, pose.foot, (0.075, 0.05), M.RIDER_TROUSERS, sides=5, caps=False)
+    left.bent_limb((pose.hip, pose.knee, pose.foot), (0.10, 0.078, 0.05), M.RIDER_TROUSERS, sides=5)
     x, y, z = pose.foot
     left.box((x - 0.09, y - 0.05, z - 0.06), (x + 0.16, y + 0.05, z + 0.03), M.RIDER_TROUSERS, top=(0.7, 0.8))
-    left.limb(pose.shoulder, pose.elbow, (0.065, 0.05), M.RIDER_CLOTHES, sides=5, caps=False)
-    left.limb(pose.elbow, pose.hand, (0.05, 0.04), M.RIDER_CLOTHES, sides=5, caps=False)
+    left.bent_limb((pose.shoulder, pose.elbow, pose.hand), (0.066, 0.052, 0.04), M.RIDER_CLOTHES, sides=5)
     left.ball(pose.hand, (0.055, 0.045, 0.045), M.RIDER_SKIN, sides=5, rings=3)
     solid.add_both(left)
     hip, shoulder = pose.hip, pose.shoulder

@@ -41,8 +41,7 @@ def walker(clothes: Clothes, *, long_hair: bool = False, child: bool = False) ->
         y = 0.09 * side
         knee = (0.05 + 0.10 * stride, y, hip * 0.53)
         foot = (0.16 * stride - 0.03, y, 0.08 if stride > 0 else 0.10)
-        solid.limb((0.0, y, hip), knee, (0.095, 0.072), clothes.trousers, sides=5, caps=False)
-        solid.limb((knee[0], y, knee[2] + 0.02), foot, (0.074, 0.05), clothes.trousers, sides=5, caps=False)
+        solid.bent_limb(((0.0, y, hip), knee, foot), (0.095, 0.074, 0.05), clothes.trousers, sides=5)
         solid.box(
             (foot[0] - 0.09, y - 0.05, foot[2] - 0.08),
             (foot[0] + 0.17, y + 0.05, foot[2] + 0.02),
@@ -51,8 +50,8 @@ def walker(clothes: Clothes, *, long_hair: bool = False, child: bool = False) ->
         )
         elbow = (-0.06 * stride - 0.03, side * 0.225, (hip + shoulder) / 2 - 0.02)
         hand = (elbow[0] + 0.12 - 0.06 * stride, side * 0.215, hip - 0.04)
-        solid.limb((0.0, side * 0.185, shoulder - 0.03), elbow, (0.062, 0.048), clothes.top, sides=5, caps=False)
-        solid.limb(elbow, hand, (0.047, 0.036), clothes.top, sides=5, caps=False)
+        upper = (0.0, side * 0.185, shoulder - 0.02)
+        solid.bent_limb((upper, elbow, hand), (0.062, 0.05, 0.036), clothes.top, sides=5)
         solid.ball((hand[0] + 0.01, hand[1], hand[2] - 0.045), (0.04, 0.03, 0.065), clothes.skin, sides=5, rings=3)
     _torso(solid, hip, shoulder, clothes)
     solid.limb((0.0, 0.0, shoulder), (0.015, 0.0, chin + 0.05), (0.055, 0.05), clothes.skin, sides=5, caps=False)
@@ -86,9 +85,9 @@ def _torso(solid: Solid, hip: float, shoulder: float, clothes: Clothes) -> None:
 def _head(solid: Solid, center: Point, radius: float, clothes: Clothes, *, long_hair: bool) -> None:
     x, y, z = center
     radii = (radius, radius * 0.86, radius * 1.22)
-    solid.ball(center, radii, clothes.skin, sides=8, rings=5)
+    solid.ball(center, radii, clothes.skin, sides=7, rings=5)
     back, down, grown = (0.36, -0.1, 1.06) if long_hair else (0.22, 0.28, 0.98)
-    solid.ball((x - radius * back, y, z + radius * down), tuple(grown * r for r in radii), clothes.hair, sides=8, rings=5)
+    solid.ball((x - radius * back, y, z + radius * down), tuple(grown * r for r in radii), clothes.hair, sides=7, rings=4)
     if long_hair:
         low = (x - radius * 0.85, y, z - radius * 1.9)
         solid.limb((x - radius * 0.6, y, z), low, (radius * 0.8, radius * 0.5), clothes.hair, sides=6, flat=1.2)

@@ -155,6 +155,32 @@ class Solid:
         middles = np.linspace(start, end, len(radii))
         self.loft(middles[:, None] + circle * np.array(radii)[:, None, None], material, caps=caps)
 
+    def bent_limb(self, points: Sequence[Point], radii: Sequence[float], material: MaterialOf, *, sides: int = 6) -> None:
+        """Add a prism along lines between joints, without gaps at those.
+
+        Args:
+            points: The joints.
+            radii: The radius at each.
+            material: The material, or that of the facet between two joints.
+            sides: The number of its sides.
+        """
+        middles = np.array(points, np.float64)
+        steps = np.diff(middles, axis=0)
+        steps /= np.linalg.norm(steps, axis=1, keepdims=True)
+        axes = np.concatenate((steps[:1], steps[:-1] + steps[1:], steps[-1:]))
+        axes /= np.linalg.norm(axes, axis=1, keepdims=True)
+        first = np.cross((1.0, 0.0, 0.0) if abs(steps[0, 2]) > 0.7 else (0.0, 0.0, 1.0), axes[0])
+        directions = []
+        for axis in axes:  # without a twist from one to the next
+            first = first - axis * (first @ axis)
+            first = first / np.linalg.norm(first)
+            directions.append(first)
+        across = np.array(directions)
+        other = np.cross(axes, across)
+        angles = (np.arange(sides) + 0.5) * 2 * pi / sides
+        rings = np.cos(angles)[None, :, None] * across[:, None] + np.sin(angles)[None, :, None] * other[:, None]
+        self.loft(middles[:, None] + rings * np.array(radii)[:, None, None], material)
+
     def ball(self, center: Point, radii: Point, material: MaterialOf, *, sides: int = 8, rings: int = 5) -> None:
         """Add an ellipsoid; its rings are numbered from the bottom, and the first point of each is in front."""
         shape = []

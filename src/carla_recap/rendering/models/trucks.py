@@ -12,6 +12,8 @@ from carla_recap.rendering.models.solid import Make, Solid
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
+    from carla_recap.rendering.models.solid import Point
+
 M: Final = Material
 
 CAB: Final = replace(
@@ -70,19 +72,34 @@ def _tail(solid: Solid, x: float, z: float, half: float) -> None:
     plate(solid, x - 0.012, z + 0.11, -1)
 
 
+def _body(solid: Solid, low: Point, high: Point) -> None:
+    """Add a closed body with a band of paint along its sides, and doors at its rear."""
+    solid.box(low, high, M.SECOND_PAINT)
+    (rear, _, bottom), (front, half, top) = low, high
+    edge, back = half + 0.004, rear - 0.004
+    height = top - bottom
+    left = Solid()
+    for start, stop, material in ((0.0, 0.05, M.TRIM), (0.3, 0.52, M.PAINT)):
+        z0, z1 = bottom + start * height, bottom + stop * height
+        left.facet(((front, edge, z0), (rear, edge, z0), (rear, edge, z1), (front, edge, z1)), material)
+    for y0, y1 in ((0.0, 0.012), (0.34, 0.38), (half - 0.08, half)):
+        left.facet(((back, y1, bottom), (back, y0, bottom), (back, y0, top), (back, y1, top)), M.RIM)
+    solid.add_both(left)
+
+
 def box_truck() -> Solid:
     """Return a truck with a closed body."""
     shape = replace(CAB, length=1.9, width=2.2, wheel=0.42, roof=2.2, axles=(1.1,), clearance=0.34)
     shape = replace(shape, deck=((0.0, 1.12), (0.08, 1.2), (1.9, 1.24)), cabin=(0.06, 1.88, 0.36, 1.84))
     solid = _truck(shape, 5.6, (4.4,))
-    solid.box((-2.8, -1.15, 0.78), (0.84, 1.15, 2.62), lambda i, j: M.SECOND_PAINT if i != 0 or j != 0 else M.RIM)
+    _body(solid, (-2.8, -1.15, 0.78), (0.84, 1.15, 2.62))
     return solid
 
 
 def lorry() -> Solid:
     """Return a lorry: a high cab, a long body, three axles."""
     solid = _truck(replace(CAB, roof=3.3), 8.2, (5.7, 7.0))
-    solid.box((-4.1, -1.25, 1.0), (1.75, 1.25, 3.45), lambda i, j: M.SECOND_PAINT if i != 0 or j != 0 else M.RIM)
+    _body(solid, (-4.1, -1.25, 1.0), (1.75, 1.25, 3.45))
     for side in (-1, 1):
         solid.box((-0.6, side * 1.05 - 0.12, 0.5), (1.0, side * 1.05 + 0.12, 0.95), M.TRIM)
     return solid
