@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Awaitable
 from math import degrees, radians
 from typing import Any, TypeVar
 
@@ -40,17 +41,17 @@ def get_actors_by_id(client: Client, ids: list[int]) -> list[ActorRecord]:
 
 
 @call
-def spawn_actor(client: Client, description: ActorDescription, transform: Transform) -> ActorRecord:
+def spawn_actor(client: Client, description: ActorDescription, transform: Transform) -> ActorRecord | Awaitable[ActorRecord]:
     """Spawn an actor."""
-    return actor_records.record(spawn(client, description, transform), client.host.streams)
+    return _record_when_ready(client, spawn(client, description, transform))
 
 
 @call
 def spawn_actor_with_parent(
     client: Client, description: ActorDescription, transform: Transform, parent: int, attachment: int = 0, bone: str = ""
-) -> ActorRecord:
+) -> ActorRecord | Awaitable[ActorRecord]:
     """Spawn an actor that is attached to another; every kind of attachment is a rigid one."""
-    return actor_records.record(spawn(client, description, transform, client.host.actor(parent)), client.host.streams)
+    return _record_when_ready(client, spawn(client, description, transform, client.host.actor(parent)))
 
 
 @call
@@ -214,6 +215,19 @@ def spawn(client: Client, description: ActorDescription, transform: Transform, p
     host.remember(actor)
     host.sensors.prepare(actor)
     return actor
+
+
+def _record_when_ready(client: Client, actor: Actor) -> ActorRecord | Awaitable[ActorRecord]:
+    """Return the record of a new actor; of a sensor that needs the surfaces of the town, when these are ready."""
+    record, sensors = actor_records.record(actor, client.host.streams), client.host.sensors
+    if sensors.is_ready(actor):
+        return record
+
+    async def later() -> ActorRecord:
+        await sensors.loaded()
+        return record
+
+    return later()
 
 
 def expect(client: Client, id: int, kind: type[A]) -> A:

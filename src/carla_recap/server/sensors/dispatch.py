@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import asyncio
 import logging
-from concurrent.futures import Future
 from contextlib import suppress
 from dataclasses import dataclass
 from enum import StrEnum
@@ -31,6 +30,7 @@ from carla_recap.sim.geometry import Location, Vector
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping
+    from concurrent.futures import Future
 
     from carla_recap.rendering.camera import Quality
     from carla_recap.rendering.instances import Instances
@@ -44,7 +44,7 @@ if TYPE_CHECKING:
 
 _LOG: Final = logging.getLogger("carla_recap.server")
 _ROUNDING: Final = 1e-6  # s
-_PATIENCE: Final = 1.5  # s: calls of many scripts time out after 2 s
+_PATIENCE: Final = 1.2  # s: calls of many scripts time out after 2 s
 _CAMERA: Final = "sensor.camera."
 _ENCODE: Final = encoder(ActorRecord)
 _STATIC: Final = {
@@ -153,8 +153,7 @@ class Sensors:
         self._surfaces = TownSurfaces()
         self._images = ImageThread(streams, partial(DrawnImages, self._surfaces, quality), BlankImages())
         self._cameras = Cameras(world, self._images, self.instances)
-        self._loading: Future[Any] = Future()
-        self._loading.set_result(None)
+        self._loading: list[Future[Any]] = []
 
     def instances(self) -> Instances:
         """Return what is drawn of the actors after the latest tick."""
@@ -174,16 +173,29 @@ class Sensors:
         """Load what a new sensor needs, if that takes time."""
         kind, town = SENSOR_KINDS.get(sensor.type_id), self._world.town
         if kind is not None and kind.image is not None:
-            self._loading = self._images.prepare(town)
+            self._loading.append(self._images.prepare(town))
         elif kind is not None and kind.casts:
-            self._loading = self._surfaces.rays(town)
+            self._loading.append(self._surfaces.rays(town))
+
+    def is_ready(self, sensor: Actor) -> bool:
+        """Return whether nothing is being loaded that a sensor needs."""
+        kind = SENSOR_KINDS.get(sensor.type_id)
+        return kind is None or not (kind.image or kind.casts) or not self._unloaded()
+
+    async def loaded(self) -> None:
+        """Wait until what sensors need is loaded, 1.2 s at most."""
+        if loading := [_end_of(work) for work in self._unloaded()]:
+            await asyncio.wait(loading, timeout=_PATIENCE)
 
     def pending(self) -> list[asyncio.Future[Any]]:
-        """Return what the next tick waits for, so that in synchronous mode no data are lost; not for longer than 1.5 s."""
+        """Return what the next tick waits for, so that in synchronous mode no data are lost; not for longer than 1.2 s."""
         pending = [*self._images.pending(), *self._streams.behind(self._feeds)]
-        if not self._loading.done():
-            pending.append(_end_of(self._loading))
+        pending += [_end_of(work) for work in self._unloaded()]
         return [asyncio.ensure_future(asyncio.wait(pending, timeout=_PATIENCE))] if pending else []
+
+    def _unloaded(self) -> list[Future[Any]]:
+        self._loading = [work for work in self._loading if not work.done()]
+        return self._loading
 
     def close(self) -> None:
         """End what draws images."""
