@@ -303,7 +303,7 @@ def video(
             force=force,
         )
     width, height = written.size
-    say(f"{destination}: {written.seconds:g} s, {width}x{height}, {written.size_on_disk / 1e6:.1f} MB")
+    say(f"{destination}: {written.seconds:.4g} s, {width}x{height}, {written.size_on_disk / 1e6:.2g} MB")
 
 
 @click.command()

@@ -159,7 +159,8 @@ def trajectories(reader: Reader, actors: Collection[int] | None = None, *, axes:
     flip = -1.0 if axes == "right-handed" else 1.0
     found = Trajectories()
     for id in list(poses):
-        found[id] = _trajectory(id, poses.pop(id), velocities.pop(id, None), flip)
+        with np.errstate(invalid="ignore"):  # a signaling NaN
+            found[id] = _trajectory(id, poses.pop(id), velocities.pop(id, None), flip)
     return found
 
 

@@ -24,7 +24,7 @@ from tests.cli.command import COMMAND, ENVIRONMENT, error, run
 from tests.export.report.conftest import browser
 from tests.export.video.conftest import SAMPLES
 from tests.replay.scripts import pose, spawn, write
-from tests.samples import names_in
+from tests.samples import carla_log, names_in
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -194,6 +194,13 @@ def test_a_recording_in_which_nothing_can_be_followed(tmp_path: Path, renderer: 
         for view in ("chase", "top", "driver"):
             frames = film(recording, tmp_path / f"{view}.mp4", renderer, view=view)
             assert len(frames) == 6
+
+
+def test_numbers_of_any_kind(tmp_path: Path, renderer: RenderProcess) -> None:
+    path = tmp_path / "out.mp4"
+    done = run("video", carla_log("floats.log"), path, "--size", "64x64")
+    assert done.returncode == 0
+    assert the_said(done.stderr).startswith(f"{path}: 0.06667 s, 64x64, ")
 
 
 def test_poses_that_are_no_numbers(tmp_path: Path, renderer: RenderProcess) -> None:
