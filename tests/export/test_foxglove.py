@@ -496,6 +496,12 @@ def test_the_light_ahead_is_the_nearest_in_front(record):
     assert marked[0]["light ahead"].texts[0].text == "light 8: red"
 
 
+def boxed(shape):
+    """Return the middle and the size of the triangles of a shape."""
+    points = np.array([xyz(point) for point in shape.points])
+    return (points.min(axis=0) + points.max(axis=0)) / 2, np.ptp(points, axis=0)
+
+
 def test_lamps_of_a_vehicle_are_shown_while_they_are_lit(record):
     flags = [0, 8, 8, 16, 0]
     topics = record(
@@ -506,11 +512,12 @@ def test_lamps_of_a_vehicle_are_shown_while_they_are_lit(record):
     )
     shown = [seen(topics["/scene/lamps"], n / 10) for n in range(5)]
     assert [list(entities) for entities in shown] == [[], ["lamps 1"], ["lamps 1"], ["lamps 1"], []]
-    brake, indicator = (shown[n]["lamps 1"].cubes for n in (1, 3))
-    assert all(cube.pose.position.x < -0.3 and cube.color.r > 0.9 and cube.color.g < 0.5 for cube in brake)
-    assert {cube.pose.position.y > 0 for cube in brake} == {True, False}
-    assert all(max(cube.size.x, cube.size.y, cube.size.z) < 0.6 for cube in brake)
-    assert all(cube.pose.position.y < 0 and 0.4 < cube.color.g < 0.9 for cube in indicator)  # the right ones
+    brake, indicator = ([boxed(shape) for shape in shown[n]["lamps 1"].triangles] for n in (1, 3))
+    assert all(middle[0] < -0.3 and max(size) < 0.6 for middle, size in brake)
+    assert {middle[1] > 0 for middle, _ in brake} == {True, False}
+    assert all(middle[1] < 0 for middle, _ in indicator)  # the right ones
+    colors = [shown[n]["lamps 1"].triangles[0].color for n in (1, 3)]
+    assert [(color.r > 0.9, 0.4 < color.g < 0.9) for color in colors] == [(True, False), (True, True)]
     assert len(topics["/scene/lamps"]) == 4
 
 

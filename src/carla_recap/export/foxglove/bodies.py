@@ -191,7 +191,7 @@ def _lit_shape(look: Look, flags: int) -> bytes:
     lit = int(lamps_of_vehicles(np.array(flags)))
     vertices = vertices_of(look)
     return b"".join(
-        shapes.cube(middle, size + _MARGIN, MATERIALS[part.material].glow or MATERIALS[part.material].color)
+        shapes.box(middle, size + _MARGIN, MATERIALS[part.material].glow or MATERIALS[part.material].color)
         for part in _surfaces(look.model)
         if part.material in _LAMPS and lit >> part.material & 1
         for middle, size in shapes.boxes(part, vertices)

@@ -35,6 +35,14 @@ if TYPE_CHECKING:
 
 _POSE: Final = Pose(orientation=Quaternion(w=1.0))
 """The pose of what is where its points are."""
+_CORNERS: Final = np.array([(x, y, z) for x in (-0.5, 0.5) for y in (-0.5, 0.5) for z in (-0.5, 0.5)])
+_FACES: Final = np.array(
+    [
+        part
+        for a, b, c, d in ((0, 1, 3, 2), (4, 6, 7, 5), (0, 4, 5, 1), (2, 3, 7, 6), (0, 2, 6, 4), (1, 5, 7, 3))
+        for part in ((a, b, c), (a, c, d))
+    ]
+)
 
 
 def color(rgb: Rgb, opacity: float = 1.0) -> Color:
@@ -78,6 +86,11 @@ def cube(center: Floats, size: Floats, rgb: Rgb, opacity: float = 1.0) -> bytes:
     x, y, z = np.asarray(size, np.float64).tolist()
     shape = CubePrimitive(pose=pose, size=Vector3(x=x, y=y, z=z), color=color(rgb, opacity))
     return MessagePart(shape.SerializeToString()).within(SceneEntity.CUBES_FIELD_NUMBER).data
+
+
+def box(center: Floats, size: Floats, rgb: Rgb) -> bytes:
+    """Return the triangles of a box along the axes of its frame, which has no outlines, unlike a cube."""
+    return triangles(_geometry(center + _CORNERS * size, _FACES), rgb)
 
 
 class Surfaces(NamedTuple):
