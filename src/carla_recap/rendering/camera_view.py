@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from math import radians, tan
+from math import exp, radians, tan
 from typing import TYPE_CHECKING, Final
 
 import numpy as np
@@ -23,6 +23,7 @@ NEAR: Final = 0.1
 """The distance of the nearest surface that is drawn, in m, along the view axis."""
 FAR: Final = 5000.0
 """The distance of the farthest surface that is drawn, in m, along the view axis."""
+_FOG_HEIGHT: Final = 60.0  # m, in which the density of fog falls to a third
 _PERIOD: Final = 64.0  # m after which the grain of surfaces repeats
 
 
@@ -108,7 +109,11 @@ class CameraView:
         block["zenith"] = (*light.zenith, self._sky.cloudiness)
         block["haze"][:3] = light.haze
         block["cloud_color"][:3] = light.clouds
-        block["fog"][:3] = self._sky.density, self._sky.fog_distance, 1.0
+        altitude = max(float(camera.location[2] - self._ground[2]), 0.0) / _FOG_HEIGHT
+        thinning = (
+            (1 - exp(-altitude)) / altitude if altitude > 1e-3 else 1.0
+        )  # the mean density from the camera to the ground
+        block["fog"][:3] = self._sky.density * thinning, self._sky.fog_distance, 1.0
         block["world"][:2] = np.mod(camera.location[:2], _PERIOD)
         return block
 

@@ -237,7 +237,8 @@ void main() {
     vec3 color = v_color;
 #ifdef GRAIN
     if (v_grain.z > 0.0)
-        color *= 1.0 + v_grain.z * (texture(noise, v_grain.xy / 4.0).g * 1.3 + texture(noise, v_grain.xy / 64.0).r - 1.15);
+        color *= 1.0 + v_grain.z * ((texture(noise, v_grain.xy / 4.0).g - 0.5) * 1.3
+            + (texture(noise, v_grain.xy / 64.0).r - 0.5) * 80.0 / (80.0 + depth));  // its repetition is not seen from above
 #endif
     color = mix(haze.rgb, color, exp2(-fog.x * max(depth - fog.y, 0.0)));
 #ifdef TRANSLUCENT
