@@ -63,7 +63,7 @@ class Ground {
     context.lineJoin = "bevel";
     for (const group of this.surfaces) {
       if (camera.scale < (FINE[group.layer] ?? 0) || !Lines.sees(camera, group)) continue;
-      context.fillStyle = context.strokeStyle = colors.surfaces[group.layer];
+      context.fillStyle = context.strokeStyle = colors.surfaces[group.layer === "junction" ? "road" : group.layer];
       context.fill(group.path);
       context.stroke(group.path);
     }

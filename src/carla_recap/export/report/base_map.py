@@ -32,16 +32,17 @@ STEP: Final = 1.0  # m between points of a path
 CELL: Final = 1.5  # m of a square in which one path is drawn
 MOST: Final = 100_000  # points of paths
 LAYERS: Final = {
-    "median": (Material.MEDIAN, Material.GROUND),
-    "sidewalk": (Material.SIDEWALK, Material.KERB),
+    "junction": (Material.JUNCTION,),
     "shoulder": (Material.SHOULDER, Material.PARKING),
     "bike": (Material.BIKE_LANE,),
-    "road": (Material.ROAD, Material.JUNCTION),
+    "road": (Material.ROAD,),
+    "median": (Material.MEDIAN, Material.GROUND),
+    "sidewalk": (Material.SIDEWALK, Material.KERB),
     "crossing": (Material.CROSSING,),
     "white": (Material.WHITE_LINE, Material.STOP_LINE),
     "yellow": (Material.YELLOW_LINE,),
 }
-"""The surfaces of a map, from the lowest to the highest."""
+"""The surfaces of a map, from the lowest to the highest; those that are raised hide the edges of others."""
 
 _UPWARDS: Final = 0.3  # of the normal of a surface that is seen from above
 _GRID: Final = 100  # corners per m, to find those that triangles share
