@@ -84,6 +84,7 @@ def test_marks_are_the_incidents_of_the_followed_actor_within_the_video() -> Non
         ("vehicle.audi.a2", "Audi A2"),
         ("vehicle.mercedes.sprinter", "Mercedes Sprinter"),
         ("vehicle.bmw.grandtourer", "BMW Grandtourer"),
+        ("vehicle.harley-davidson.low_rider", "Harley-Davidson Low Rider"),
         ("walker.pedestrian.0004", "pedestrian 0004"),
         ("static.prop.trafficcone01", "Prop Trafficcone01"),
         ("vehicle", "vehicle"),

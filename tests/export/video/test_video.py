@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import math
 import signal
 import subprocess
 import time
@@ -19,7 +20,7 @@ from PIL import Image
 from carla_recap import Player, create_recording, open_recording
 from carla_recap.errors import RecapError
 from carla_recap.export.video import export_video
-from carla_recap.export.video.film import Film
+from carla_recap.export.video.film import Film, _driven_town
 from tests.cli.command import COMMAND, ENVIRONMENT, error, run
 from tests.export.report.conftest import browser
 from tests.export.video.conftest import SAMPLES
@@ -194,6 +195,15 @@ def test_a_recording_in_which_nothing_can_be_followed(tmp_path: Path, renderer: 
         for view in ("chase", "top", "driver"):
             frames = film(recording, tmp_path / f"{view}.mp4", renderer, view=view)
             assert len(frames) == 6
+
+
+def test_the_roads_of_a_long_recording_without_map_are_those_around_what_is_shown(tmp_path: Path) -> None:
+    frames = [{"transforms": [pose(1, 1000.0 * n)], "spawned": [spawn(1)] * (n == 0)} for n in range(401)]
+    source = write(tmp_path / "long.log", frames)
+    (part, whole) = (_driven_town(source, *span) for span in ((200.0, 201.0), (0.0, math.inf)))
+    lengths = [float(np.ptp(town.bounds[..., 0])) for town in (part, whole)]
+    assert 1200 < lengths[0] < 2500
+    assert lengths[1] > 4000
 
 
 def test_numbers_of_any_kind(tmp_path: Path, renderer: RenderProcess) -> None:

@@ -94,5 +94,5 @@ def _text(incident: Incident, time: float) -> str:
 def readable_name(type_id: str) -> str:
     """Return a name of a blueprint that reads well: `vehicle.audi.a2` is `Audi A2`."""
     kind, *words = re.split(r"[._]", type_id)
-    named = " ".join(filter(None, (_MAKES.get(word, word.capitalize()) for word in words)))
+    named = " ".join(filter(None, (_MAKES.get(word, word.title()) for word in words)))
     return named.lower() if kind == "walker" else named or type_id

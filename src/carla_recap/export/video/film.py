@@ -6,6 +6,8 @@ import math
 from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import contextmanager
 from itertools import islice
+from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import TYPE_CHECKING, Any, Final, NamedTuple
 
 from carla_recap.errors import RecapError
@@ -21,7 +23,6 @@ from carla_recap.rendering.camera import ImageKind
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Iterator
-    from pathlib import Path
 
     from numpy.typing import NDArray
 
@@ -32,7 +33,7 @@ if TYPE_CHECKING:
     from carla_recap.rendering.instances import Instances
     from carla_recap.rendering.process import RenderProcess
     from carla_recap.rendering.town import TownMesh
-    from carla_recap.replay import Follow, Player, Scene
+    from carla_recap.replay import Follow, Player, Present, Scene
 
     Town = TownMesh | Callable[[], TownMesh | None]
     Progress = Callable[[Iterable[Scene], Player], Iterable[Scene]]
@@ -40,6 +41,10 @@ if TYPE_CHECKING:
 
 RATE: Final = 30.0
 """The frames per second of a video, unless they are given."""
+
+
+_LONG: Final = 300.0  # s of a recording, without map, of which only a part is read for the roads
+_AROUND: Final = 60.0  # s before and after what is shown
 
 
 class VideoShot(NamedTuple):
@@ -135,13 +140,19 @@ class Film:
         return Readings(
             scene.time,
             progress,
-            f"hero {id}" if actor.is_hero else f"{readable_name(actor.type_id)} ({id})",
+            _label(actor),
             subject.speed if subject else None,
             self._followed.controls(scene),
             self._followed.light_ahead(scene),
             self._captions.at(scene.time, near),
             pixels_per_metre(camera, ground),
         )
+
+
+def _label(actor: Present) -> str:
+    """Return the name of the followed actor for the panel."""
+    name = "hero" if actor.is_hero else readable_name(actor.type_id)
+    return f"{name[:1].upper()}{name[1:]} ({actor.id})"
 
 
 def _check_view(recording: Recording, view: VideoView) -> None:
@@ -181,7 +192,13 @@ def recorded_size(recording: Recording, view: VideoView) -> Size | None:
 
 @contextmanager
 def opened_renderer(
-    renderer: RenderProcess | None, town: Town | None, recording: Recording, *, supersampling: int = 1
+    renderer: RenderProcess | None,
+    town: Town | None,
+    recording: Recording,
+    *,
+    start: float = 0.0,
+    stop: float = math.inf,
+    supersampling: int = 1,
 ) -> Iterator[Future[RenderProcess]]:
     """Yield a renderer: a given one, which stays open, or a new one, which is made in another thread, and closed.
 
@@ -189,6 +206,8 @@ def opened_renderer(
         renderer: The given one.
         town: The town of a new one; None: roads where the vehicles of the recording have driven.
         recording: The recording.
+        start: The elapsed seconds from which on it is shown.
+        stop: The elapsed seconds until which it is shown.
         supersampling: How many times as wide and high pictures are drawn before they are made smaller.
 
     Raises:
@@ -201,7 +220,7 @@ def opened_renderer(
         yield given
         return
     with ThreadPoolExecutor(1, "carla-recap-town") as thread:
-        made = thread.submit(_make_renderer, town, recording.path, supersampling)
+        made = thread.submit(_make_renderer, town, recording.path, start, stop, supersampling)
         try:
             yield made
         finally:
@@ -209,16 +228,26 @@ def opened_renderer(
                 made.result().close()
 
 
-def _make_renderer(town: Town | None, source: Path, supersampling: int) -> RenderProcess:
+def _make_renderer(town: Town | None, source: Path, start: float, stop: float, supersampling: int) -> RenderProcess:
     from carla_recap.rendering.process import RenderProcess
 
     mesh = town() if callable(town) else town
-    if mesh is None:
-        from carla_recap.rendering.town import corridor_town
+    return RenderProcess(_driven_town(source, start, stop) if mesh is None else mesh, supersampling=supersampling)
 
-        with open_recording(source) as recording:  # another thread reads the given one
-            mesh = corridor_town(recording)
-    return RenderProcess(mesh, supersampling=supersampling)
+
+def _driven_town(source: Path, start: float, stop: float) -> TownMesh:
+    """Return the roads that vehicles have driven; of a long recording, those of the time around a part of it."""
+    from carla_recap.editing.clip import clip
+    from carla_recap.rendering.town import corridor_town
+
+    with open_recording(source) as recording:  # another thread reads the caller's
+        if recording.reader.extent().duration < _LONG or not stop < math.inf:
+            return corridor_town(recording)
+    with TemporaryDirectory(prefix="carla-recap-") as folder:
+        part, begin = Path(folder) / "part.mcap", max(start - _AROUND, 0.0)
+        clip(source, part, start=begin, duration=stop + _AROUND - begin)
+        with open_recording(part) as recording:
+            return corridor_town(recording)
 
 
 def submit(renderer: RenderProcess, shot: VideoShot) -> Future[Images]:

@@ -107,7 +107,7 @@ def picture(
     player = Player(source, start=start, duration=max(time - start, _SHORTEST), follow=follow)
     if follow is None and player.followed is None:
         player.followed = Player(source).followed
-    with opened_renderer(renderer, town, source, supersampling=2) as opened:
+    with opened_renderer(renderer, town, source, start=start, stop=time, supersampling=2) as opened:
         film = Film(source, player, view, size, overlay=overlay)
         *_, shot = (film.shot(scene) for scene in player.scenes(_RATE))
         if follow is not None:

@@ -109,7 +109,8 @@ def export_video(
         part = Player(source, start=player.start, duration=length, follow=player.followed)
         return Film(source, part, view, size, speed=speed, rate=rate, frames=frames, overlay=overlay)
 
-    with opened_renderer(renderer, town, source, supersampling=1 + smooth) as opened:
+    span = {"start": player.start, "stop": player.stop}
+    with opened_renderer(renderer, town, source, **span, supersampling=1 + smooth) as opened:
         main = film(rate, speed, frames)
         drawing = opened.result()
         samples = list(_pictures(film(_SAMPLES / length, 1.0, _SAMPLES), drawing)) if is_gif and length else []
