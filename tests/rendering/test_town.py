@@ -8,12 +8,14 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import pytest
 
+import carla_recap
 import carla_recap.rendering.town as town_module
 from carla_recap.errors import RecapError
 from carla_recap.maps.road_geometry import read_roads
+from carla_recap.model.records import ActorKind, Spawn
 from carla_recap.rendering.materials import Material
 from carla_recap.rendering.mesh import Mesh
-from carla_recap.rendering.town import TownMesh, build_town, load_town_mesh, town_mesh_of
+from carla_recap.rendering.town import TownMesh, build_town, corridor_town, load_town_mesh, town_mesh_of
 from carla_recap.util import cache
 from tests.maps.towns import crossing, lane, opendrive, painted_stop, road, stop_sign
 from tests.maps.towns import section as plain_section
@@ -278,3 +280,32 @@ def test_a_town_is_made_once_and_read_from_the_cache(monkeypatch: pytest.MonkeyP
     monkeypatch.setattr(town_module, "_towns", type(town_module._towns)())
     assert town_mesh_of(text).tiles
     assert len(made) == 2
+
+
+def test_trees_stand_clear_of_roads_and_junctions():
+    walk = section(0, lane(1) + lane(2, 3, "sidewalk"), lane(-1))
+    town = built(
+        road(1, length=400, sections=walk),
+        road(2, x=400, length=20, junction=9, sections=walk),
+        road(3, x=420, length=300, sections=walk),
+    )
+    trees = faces(town, Material.FOLIAGE, Material.TRUNK).reshape(-1, 3)
+    assert len(trees)
+    beyond = np.maximum(-trees[:, 0], trees[:, 0] - 720)
+    beside = np.maximum(trees[:, 1] - 6.5, -3.5 - trees[:, 1])
+    assert np.maximum(beyond, beside).min() > 4
+    assert beside[np.abs(trees[:, 0] - 410) < 10].min(initial=np.inf) > 15
+    grass = town.ground_height(trees[:, :2])
+    assert (trees[:, 2] - grass).min() > -1
+
+
+def test_corridors_have_no_trees(tmp_path):
+    path = tmp_path / "driven.mcap"
+    with carla_recap.create_recording(path, map_name="Nowhere", date=0) as recording:
+        for frame in range(300):
+            spawned = [Spawn(1, ActorKind.VEHICLE, type_id="vehicle.audi.tt")] if frame == 0 else []
+            recording.add_frame(frame / 10, spawned=spawned, transforms=[{"id": 1, "x": 150.0 * frame}])
+    with carla_recap.open_recording(path) as recording:
+        town = corridor_town(recording)
+    assert not len(faces(town, Material.FOLIAGE))
+    assert area(faces(town, Material.ROAD)) == pytest.approx((1.5 * 299 + 8) * 3.5, rel=0.01)

@@ -27,6 +27,10 @@ if TYPE_CHECKING:
 LANE_WIDTH: Final = 3.5
 """The width of a corridor, in m."""
 
+_HEADER: Final = (
+    '<?xml version="1.0" encoding="UTF-8"?>\n'
+    '<OpenDRIVE><header revMajor="1" revMinor="4" name="Corridors" vendor="carla-recap"/>\n'
+)
 _STEP: Final = 1.0  # m between points of a path
 _CELL: Final = 1.5  # m of a square in which one path is a road
 _MOST: Final = 15_000  # points of roads
@@ -167,13 +171,13 @@ def _somewhere(trajectories: Iterable[Trajectory]) -> Floats:
     return road
 
 
+def is_of_corridors(opendrive: str) -> bool:
+    """Return whether the text of a map is that of corridors, whose surroundings are unknown."""
+    return opendrive.startswith(_HEADER)
+
+
 def _opendrive(roads: Sequence[Floats]) -> str:
-    return (
-        '<?xml version="1.0" encoding="UTF-8"?>\n'
-        '<OpenDRIVE><header revMajor="1" revMinor="4" name="" vendor="carla-recap"/>\n'
-        + "".join(_road(number, path) for number, path in enumerate(roads, 1))
-        + "</OpenDRIVE>\n"
-    )
+    return _HEADER + "".join(_road(number, path) for number, path in enumerate(roads, 1)) + "</OpenDRIVE>\n"
 
 
 def _road(number: int, path: Floats) -> str:

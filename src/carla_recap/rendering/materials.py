@@ -112,6 +112,7 @@ class Material(IntEnum):
     LIGHT_TROUSERS = 58
     YELLOW_BAND = 59
     RED_BAND = 60
+    TRUNK = 61
 
 
 class Finish(NamedTuple):
@@ -193,6 +194,7 @@ MATERIALS: Final[dict[Material, Finish]] = {
     _M.LIGHT_TROUSERS: Finish((164, 150, 128)),
     _M.YELLOW_BAND: Finish((240, 192, 40), gloss=0.2),
     _M.RED_BAND: Finish((196, 34, 40), gloss=0.2),
+    _M.TRUNK: Finish((98, 80, 62), Tag.VEGETATION),
 }
 """All materials."""
 LAMPS: Final = np.uint64(sum(1 << material for material, finish in MATERIALS.items() if finish.glow))

@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any, Final
 import numpy as np
 
 from carla_recap.errors import FormatError
-from carla_recap.maps.corridors import corridor_opendrive
+from carla_recap.maps.corridors import corridor_opendrive, is_of_corridors
 from carla_recap.maps.parsing import pack, parse_in_child, read_content, run_child, unpack
 from carla_recap.maps.road_geometry import read_roads
 from carla_recap.rendering.building import MeshBuilder
@@ -26,6 +26,7 @@ from carla_recap.rendering.mesh import Mesh
 from carla_recap.rendering.signs import LightPost, add_signs, light_posts
 from carla_recap.rendering.surfaces import PAVED, add_lanes, driving_grid, sample_roads, surface_grid
 from carla_recap.rendering.terrain import Terrain, add_edges
+from carla_recap.rendering.trees import add_trees
 from carla_recap.util import cache
 
 if TYPE_CHECKING:
@@ -186,6 +187,8 @@ def build_town(text: str) -> tuple[list[Mesh], list[LightPost]]:
             paint_objects(painter, road)
         paint_stops(painter, roads, sections)
         painter.finish()
+        if not is_of_corridors(text):
+            add_trees(builder, sections, surfaces, terrain)
         ground = builder.grid(_GROUND)
         add_signs(builder, roads, ground, driving)
         return builder.tiles(), light_posts(roads, ground)
