@@ -26,6 +26,7 @@ pytest.importorskip("rerun", reason="the extra rerun is not installed")
 from rerun.chunk import RrdReader
 
 from carla_recap.export.rerun import APPLICATION, actors, blueprint, export_rerun, meshes, poses, writer
+from carla_recap.export.rerun.live import LiveChoice
 from carla_recap.rendering.materials import MATERIALS, Material
 
 CROSSING = Path(__file__).parents[2] / "samples" / "crossing.log"
@@ -855,3 +856,39 @@ def test_the_light_ahead_is_named(crossing) -> None:
     (label,) = crossing.rrd.at("/world/ahead", "Points3D:labels", red)
     assert label == "light 23: red"
     assert crossing.rrd.at("/world/ahead", "LineStrips3D:strips", 5) is None
+
+
+# --- live --------------------------------------------------------------------------------------------------
+
+
+def chosen(follow: int | str, frames: list, tmp_path: Path) -> list[int | None]:
+    """Return the actor that a live view follows after each frame."""
+    choice = LiveChoice(follow)
+    with open_recording(write(tmp_path / "live.log", frames)) as recording:
+        return [choice.choose(scene) for scene in Player(recording).scenes()]
+
+
+def test_a_live_view_follows_what_moves_until_there_is_a_hero(tmp_path: Path) -> None:
+    frames = [{"transforms": [pose(1), pose(2, 100 * n), pose(3, 50 * n)]} for n in range(6)]
+    frames[0]["spawned"] = [spawn(1), spawn(2, "walker.pedestrian.0001"), spawn(3)]
+    frames[4]["spawned"] = [spawn(4, role_name="hero")]
+    assert chosen("hero", frames, tmp_path) == [None, 3, 3, 3, 4, 4]
+
+
+def test_a_live_view_follows_another_actor_when_the_followed_one_disappears(tmp_path: Path) -> None:
+    frames = [{"transforms": [pose(1, 100 * n), pose(2, 100 * n)]} for n in range(5)]
+    frames[0]["spawned"] = [spawn(1), spawn(2)]
+    frames[2]["destroyed"] = [(1,)]
+    assert chosen("hero", frames, tmp_path)[-1] == 2
+
+
+def test_a_live_view_follows_a_parked_car_where_nothing_moves(tmp_path: Path) -> None:
+    frames = [{"transforms": [pose(1)]} for n in range(6)]
+    frames[0]["spawned"] = [spawn(1)]
+    assert chosen("hero", frames, tmp_path) == [None, None, None, 1, 1, 1]
+
+
+def test_a_live_view_waits_for_the_actor_that_was_asked_for(tmp_path: Path) -> None:
+    frames = [{"transforms": [pose(1, 100 * n)]} for n in range(4)]
+    frames[0]["spawned"], frames[2]["spawned"] = [spawn(1)], [spawn(7)]
+    assert chosen(7, frames, tmp_path) == [None, None, 7, 7]

@@ -20,7 +20,7 @@ _follow = click.option(
     default="hero",
     show_default=True,
     metavar="ID|hero",
-    help="The actor to follow.",
+    help="The actor to follow; without a hero, one that moves.",
 )
 _server = options.together(
     click.option("--host", default="127.0.0.1", show_default=True, metavar="ADDRESS", help="The server's address."),

@@ -61,7 +61,12 @@ _FOLDER = click.Path(exists=True, file_okay=False, path_type=Path)
 @click.option(
     "--rerun-to", metavar="FILE|URL", help="The same in an .rrd, or in the viewer that listens at rerun+http://..."
 )
-@click.option("--follow", type=options.FOLLOW, metavar="ID|hero", help="The actor that its camera follows; else the hero.")
+@click.option(
+    "--follow",
+    type=options.FOLLOW,
+    metavar="ID|hero",
+    help="The actor that its camera follows; else the hero, or one that moves.",
+)
 @click.option("--attached", is_flag=True, hidden=True, help="End when the standard input does.")
 def serve(
     host: str,

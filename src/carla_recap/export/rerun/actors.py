@@ -197,7 +197,7 @@ class ActorWriter:
         shown = np.isin(block.ids, list(self._colors))
         colors = np.array([self._colors.get(id, 0) for id in block.ids.tolist()], np.uint32)
         present = block.present[1:] & shown
-        locations = block.poses[1:][present][:, :2] * CM
+        locations = block.poses[1:, :, :2][present] * CM
         if len(locations):
             low, high = np.split(self._extent, 2)
             self._extent = np.concatenate((np.minimum(low, locations.min(axis=0)), np.maximum(high, locations.max(axis=0))))

@@ -14,10 +14,9 @@ from carla_recap.export.rerun import paths
 from carla_recap.export.rerun.eyes import LOOK_DOWN, Triple, chase_eye
 from carla_recap.export.rerun.plots import CONTROLS
 from carla_recap.export.rerun.stream import FRAME, SIM_TIME
-from carla_recap.model.records import CM, ActorKind
-from carla_recap.queries.actors import actors
-from carla_recap.rendering.looks import look_of
-from carla_recap.replay import Player, camera, right_handed
+from carla_recap.model.records import CM
+from carla_recap.rendering.looks import look_of_present
+from carla_recap.replay import Player, Present, camera, right_handed
 from carla_recap.replay.pose import LOCATION
 
 if TYPE_CHECKING:
@@ -34,7 +33,6 @@ _TRAIL: Final = 4.0  # s; the time for which the trail is shown
 _TRAIL_FRAMES: Final = 80  # the same in frames
 _MIN_RADIUS: Final = 30.0  # m; of what an overview shows
 _ACCELERATIONS: Final = (-10.0, 6.0)  # m/s²; those of a collision are beyond
-_KINDS: Final = {kind.name.lower(): int(kind) for kind in ActorKind}
 _EYE_SPEED: Final = 20.0  # m/s, by the keyboard
 
 
@@ -119,10 +117,11 @@ def camera_views(player: Player, *, followed: int | None = None) -> dict[View, r
 
 def _half_extents(player: Player, id: int) -> Triple | None:
     """Return half the size of an actor's box; None if it is unknown."""
-    for actor in actors(player.reader):
-        if actor.id == id:
-            look = look_of(actor.type_id, _KINDS.get(actor.kind, 0), actor.attributes, actor.bounding_box, id=id)
-            return None if look is None else look.half_extents
+    for frame in player.reader.frames(("spawned",), sparse=True, stop=player.stop):
+        for spawn in frame["spawned"]:
+            if spawn.id == id:
+                look = look_of_present(Present(spawn, frame.elapsed))
+                return None if look is None else look.half_extents
     return None
 
 

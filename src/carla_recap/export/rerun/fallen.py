@@ -10,7 +10,7 @@ import rerun as rr
 from carla_recap.export.rerun import paths
 from carla_recap.model.records import ActorKind
 from carla_recap.rendering.looks import look_of_present
-from carla_recap.replay import right_handed
+from carla_recap.replay import Collided, right_handed
 from carla_recap.replay.pose import LOCATION, ROTATION, rotations
 from carla_recap.replay.selection import find
 
@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from carla_recap.export.rerun.stream import Stream, TimeColumns, TimePoint
-    from carla_recap.replay import Collided, SceneBatch
+    from carla_recap.replay import SceneBatch
 
     Floats = NDArray[np.float64]
 
@@ -41,8 +41,9 @@ class FallenWriter:
 
     def write(self, batch: SceneBatch, times: TimeColumns) -> None:
         """Write scenes."""
-        for contact in batch.scene(0).collisions:
-            self._collide(contact, batch, times.point(0))
+        for event in batch.events:
+            if isinstance(event, Collided):
+                self._collide(event, batch, times.point(0))
         if self._fallen:
             self._raise(batch, times)
         self._before = batch

@@ -13,7 +13,6 @@ from carla_recap.export.rerun.meshes import lamps_of, unlit
 from carla_recap.export.rerun.stream import TimeColumns
 from carla_recap.rendering.actors import BRAKE, LEFT_BLINKER, REVERSE, RIGHT_BLINKER, lamps_of_vehicles
 from carla_recap.rendering.materials import MATERIALS, Material
-from carla_recap.replay.selection import find
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -24,6 +23,7 @@ if TYPE_CHECKING:
     from carla_recap.replay.selection import Ids
 
     Flags = NDArray[np.int64]
+    Indices = NDArray[np.intp]
 
 _LAMPS: Final = (
     Material.BRAKE_LIGHT,
@@ -36,6 +36,7 @@ _LAMPS: Final = (
 )
 _BRAKING: Final = 0.02  # of the brake control, from which on the lamps are lit
 _HELD: Final = 0.5  # s for which they stay lit, so that they do not flicker at a standstill
+_NOTHING: Final = np.zeros(0, np.intp)
 _MAX_CHANGES: Final = 8192  # the number of changes that are held back
 _ALL_BITS: Final = 0xFFF | BRAKE | LEFT_BLINKER | RIGHT_BLINKER | REVERSE
 
@@ -51,9 +52,10 @@ class LampWriter:
         self._stream = stream
         self._meshes: dict[int, Mesh] = {}
         self._lit: dict[int, dict[Material, bool]] = {}  # whether the lamps of each vehicle that have been lit still are
-        self._flags: dict[int, int] = {}  # the latest ones
-        self._braked: dict[int, float] = {}  # the latest times in elapsed seconds
         self._ids: Ids = np.zeros(0, np.uint32)
+        self._flags = np.zeros(0, np.int64)  # the latest ones of each
+        self._braked = np.zeros(0)  # the latest times in elapsed seconds
+        self._found: dict[str, tuple[bytes, Indices, Indices]] = {}  # the last answers of `_columns`
         self._changes: defaultdict[tuple[int, Material], list[tuple[TimePoint, bool]]] = defaultdict(list)
         self._count = 0
 
@@ -61,29 +63,32 @@ class LampWriter:
         """Add a vehicle, of which nothing is lit."""
         self.remove(id)
         self._meshes[id] = mesh
-        self._ids = np.array(sorted(self._meshes), np.uint32)
+        self._found.clear()
+        where = int(self._ids.searchsorted(id))
+        self._ids = np.insert(self._ids, where, id)
+        self._flags, self._braked = np.insert(self._flags, where, 0), np.insert(self._braked, where, -np.inf)
 
     def remove(self, id: int) -> None:
         """Forget a vehicle."""
+        self._lit.pop(id, None)
         if self._meshes.pop(id, None) is not None:
-            self._ids = np.array(sorted(self._meshes), np.uint32)
-        for known in (self._lit, self._flags, self._braked):
-            known.pop(id, None)
+            self._found.clear()
+            kept = self._ids != id
+            self._ids, self._flags, self._braked = self._ids[kept], self._flags[kept], self._braked[kept]
 
     def write(self, batch: SceneBatch, times: TimeColumns) -> None:
         """Write scenes."""
         if not len(self._ids):
             return
         flags = self._flags_of(batch)
-        before = np.array([self._flags.get(id, 0) for id in self._ids.tolist()])
-        changed = np.concatenate((flags[:1] != before, flags[1:] != flags[:-1]))
-        rows, columns = np.nonzero(changed)
-        if not len(rows):
+        changed = flags != np.concatenate((self._flags[None], flags[:-1]))
+        self._flags = flags[-1]
+        if not changed.any():
             return
+        rows, columns = np.nonzero(changed)
         lamps = lamps_of_vehicles(flags[rows, columns]).tolist()
         for row, id, lit in zip(rows.tolist(), self._ids[columns].tolist(), lamps, strict=True):
             self._change(id, lit, times.point(row))
-        self._flags.update(zip(self._ids.tolist(), flags[-1].tolist(), strict=True))
         if self._count >= _MAX_CHANGES:
             self.flush()
 
@@ -100,23 +105,35 @@ class LampWriter:
     def _flags_of(self, batch: SceneBatch) -> Flags:
         """Return the bits of CARLA's VehicleLightState of all vehicles, (scenes, vehicles)."""
         flags = np.zeros((len(batch), len(self._ids)), np.int64)
-        lights = batch.records("vehicle_lights")
-        if lights.shape[1]:
-            where, known = find(self._ids, lights["id"][0])
-            flags[:, known] = lights["flags"][:, where[known]] & _ALL_BITS
-        controls = batch.records("vehicle_controls")
-        if controls.shape[1]:
-            where, known = find(self._ids, controls["id"][0])
-            ids = self._ids[known].tolist()
-            latest = np.array([[self._braked.get(id, -np.inf) for id in ids]])
+        lights = batch.frames.records("vehicle_lights")
+        known, where = self._columns("vehicle_lights", lights)
+        if len(known):
+            flags[:, known] = lights["flags"][:, where] & _ALL_BITS
+        controls = batch.frames.records("vehicle_controls")
+        known, where = self._columns("vehicle_controls", controls)
+        if len(known):
             times = batch.time[:, None]
-            braked = np.where(controls["brake"][:, where[known]] > _BRAKING, times, -np.inf)
-            braked = np.maximum.accumulate(np.concatenate((latest, braked)))[1:]
-            self._braked.update(zip(ids, braked[-1].tolist(), strict=True))
-            is_braking = (times - braked < _HELD).astype(np.int64)
-            backwards = (controls["gear"][:, where[known]] < 0).astype(np.int64)
-            flags[:, known] |= BRAKE * is_braking | REVERSE * backwards
+            braked = np.where(controls["brake"][:, where] > _BRAKING, times, -np.inf)
+            braked = np.maximum.accumulate(np.concatenate((self._braked[None, known], braked)))[1:]
+            self._braked[known] = braked[-1]
+            flags[:, known] |= np.where(times - braked < _HELD, BRAKE, 0)
+            flags[:, known] |= np.where(controls["gear"][:, where] < 0, REVERSE, 0)
         return flags
+
+    def _columns(self, name: str, records: NDArray[np.void]) -> tuple[Indices, Indices]:
+        """Return the indices of the vehicles that have records, and the columns of the last record of each."""
+        if not records.size:
+            return _NOTHING, _NOTHING
+        recorded = records["id"][0]
+        key = recorded.tobytes()
+        if self._found.get(name, (b"",))[0] != key:
+            order = np.argsort(recorded, kind="stable")
+            last = np.searchsorted(recorded[order], self._ids, "right") - 1
+            columns = order[last]
+            known = np.flatnonzero((last >= 0) & (recorded[columns] == self._ids))
+            self._found[name] = key, known, columns[known]
+        _, known, columns = self._found[name]
+        return known, columns
 
     def _change(self, id: int, lamps: int, time: TimePoint) -> None:
         """Note the lit lamps of a vehicle, given as bits `1 << material`."""
