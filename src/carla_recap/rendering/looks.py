@@ -128,7 +128,7 @@ _PROPS: Final[tuple[tuple[str, str, Color], ...]] = (
     ("warning", "warning board", (240, 150, 30)),
     ("busstop", "shelter", (84, 96, 104)),
     ("pergola", "shelter", (136, 104, 72)),
-    ("debris", "debris", (124, 112, 96)),
+    ("debris", "debris", (96, 84, 70)),
     ("garbage", "debris", (130, 124, 110)),
     ("tile", "debris", (160, 110, 90)),
     ("plank", "debris", (120, 116, 112)),
