@@ -220,3 +220,39 @@ def test_another_map_is_drawn_after_a_load(world: carla.World, client: carla.Cli
     rgb = Data(sensor(other, "camera.semantic_segmentation", vehicle(other), EYE, **SIZE))
     start(other, rgb)
     assert Tag.ROADS in pixels(of_frame(rgb, other.tick()))[..., 0]
+
+
+def test_a_camera_on_a_replayed_actor_films_the_recording(world: carla.World, client: carla.Client) -> None:
+    car, other = vehicle(world), vehicle(world, ahead=14.9)
+    client.start_recorder("film.log")
+    car.apply_control(carla.VehicleControl(throttle=0.3))
+    for _ in range(20):
+        world.tick()
+    client.stop_recorder()
+    car.destroy()
+    other.destroy()
+    world.tick()
+    client.replay_file("film.log", 0.0, 0.0, 0)
+    world.tick()
+    replayed = sorted(world.get_actors().filter("vehicle.*"), key=lambda actor: actor.id)
+    instance = Data(sensor(world, "camera.instance_segmentation", replayed[0], EYE, **SIZE))
+    start(world, instance)
+    image = of_frame(instance, world.tick())
+    tags, low, high = np.moveaxis(pixels(image), -1, 0)
+    assert set((low + 256 * high)[tags == Tag.CAR].tolist()) == {replayed[1].id}
+
+
+def test_a_camera_of_the_spectator_follows_it(world: carla.World) -> None:
+    other = vehicle(world)
+    spectator = world.get_spectator()
+    semantic = Data(sensor(world, "camera.semantic_segmentation", spectator, carla.Transform(), **SIZE))
+    start(world, semantic)
+    place = other.get_transform()
+    above = carla.Transform(place.location + carla.Location(z=12.0), carla.Rotation(pitch=-90.0, yaw=place.rotation.yaw))
+    spectator.set_transform(above)
+    world.tick()
+    tags = pixels(of_frame(semantic, world.tick()))[..., 0]
+    assert tags[120, 160] == Tag.CAR
+    spectator.set_transform(carla.Transform(carla.Location(z=5.0), carla.Rotation(pitch=90.0)))
+    world.tick()
+    assert set(np.unique(pixels(of_frame(semantic, world.tick()))[..., 0]).tolist()) == {int(Tag.SKY)}
