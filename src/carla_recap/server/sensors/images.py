@@ -186,7 +186,8 @@ class ImageThread:
         while (work := self._work.get()) is not None and not self._is_closed:
             if isinstance(work, _Tick):
                 for view in work.views:
-                    self._deliver(work, self._frames(work.town, view))
+                    if self._streams.has_subscribers(shot.stream for shot in view.shots):
+                        self._deliver(work, self._frames(work.town, view))
                 with suppress(RuntimeError):  # the loop has ended
                     work.loop.call_soon_threadsafe(self._done)
             else:

@@ -63,6 +63,10 @@ class Streams:
         """The streams that have subscribers."""
         return tuple(self._subscribers)
 
+    def has_subscribers(self, streams: Iterable[int]) -> bool:
+        """Return whether any of some streams has subscribers; it may be called from any thread."""
+        return any(stream in self._subscribers for stream in streams)
+
     def send(self, stream: int, payload: bytes) -> None:
         """Send a frame to the subscribers of a stream."""
         if stream in self._subscribers:
