@@ -64,7 +64,8 @@ class Motion {
           const row = begin + (single ? 0 : i - tracks.first[track]);
           const [otherX, otherY] = [tracks.x[row], tracks.y[row]];
           if (!(Math.abs(otherX - x[i]) < SIGHT + 10 && Math.abs(otherY - y[i]) < SIGHT + 10)) continue;
-          const met = path.nearest(i, otherX, otherY, SIGHT + front + length);
+          const widest = box[3] + Math.hypot(length, width) + CLEARANCE;
+          const met = path.nearest(i, otherX, otherY, SIGHT + front + length, widest);
           if (!met) continue;
           const turn = tracks.yaw[row] * TURN - met.heading;
           const [cosine, sine] = [Math.abs(Math.cos(turn)), Math.abs(Math.sin(turn))];
@@ -135,19 +136,22 @@ class DrivenPath {
     this.along.push(along);
   }
 
-  /** Return the distance and the heading of the path where it is nearest to a point ahead of a sample; null if none is. */
-  nearest(sample, x, y, reach) {
+  /**
+   * Return the distance and the heading of the path where it is first nearest to a point ahead of a sample; null if it is
+   * nowhere nearer than a limit.
+   */
+  nearest(sample, x, y, reach, limit) {
     const start = this.at[sample];
     let [distance, at] = [Infinity, -1];
     for (let k = start; k < this.x.length && this.along[k] - this.along[start] < reach; ) {
       const here = Math.hypot(x - this.x[k], y - this.y[k]);
       if (here < distance) [distance, at] = [here, k];
-      // Points within this distance of the path are not nearer.
-      const skipped = here - distance;
+      else if (distance <= limit && here > limit + PATH_STEP) break;
+      const skipped = here - limit - PATH_STEP; // up to there, the path is not near enough
       const from = this.along[k++];
       while (k < this.x.length && this.along[k] - from < skipped) k++;
     }
-    if (at <= start) return null;
+    if (at <= start || distance > limit + PATH_STEP) return null;
     const heading = this.heading[at];
     const offset = (x - this.x[at]) * Math.cos(heading) + (y - this.y[at]) * Math.sin(heading);
     const lateral = Math.abs((y - this.y[at]) * Math.cos(heading) - (x - this.x[at]) * Math.sin(heading));

@@ -7,6 +7,8 @@ const KINDS = {
   blocked: { name: "Blocked", many: "Blocked", icon: "M5.5 4v8M10.5 4v8" },
 };
 const TRAIL = 3; // s
+const FAST = 40; // m/s; trails of what is farther outside the view do not reach it
+const FADES = 16; // parts of a trail
 const LONG_TRAIL = 8; // s, of the followed actor
 const NOTED = 1.5; // s before and after an incident in which it is marked
 const SMALLEST = 7; // px
@@ -115,8 +117,10 @@ class Stage {
     this.context.globalAlpha = 1;
   }
 
-  drawTrail(tracks, { actor, x, y }, color, length) {
+  drawTrail(tracks, { actor, x, y, left, top }, color, length) {
     const { context, camera, time } = this;
+    const reach = length * FAST * camera.scale;
+    if (Math.max(-left, -top, left - camera.width, top - camera.height) > reach) return;
     const run = tracks.path(actor, time - length, time).pop();
     if (!run) return;
     run.push(x, y);
@@ -126,11 +130,12 @@ class Stage {
     context.strokeStyle = color;
     context.lineWidth = Math.max(walks ? 0.3 : 0.6, (long ? 2.5 : 1.5) / camera.scale);
     const points = run.length / 2;
-    for (let i = 1; i < points; i++) {
+    const stride = Math.max(1, Math.ceil(points / FADES));
+    for (let from = 0; from < points - 1; from += stride) {
+      const to = Math.min(points - 1, from + stride);
       context.beginPath();
-      context.moveTo(run[2 * i - 2] - this.origin.x, run[2 * i - 1] - this.origin.y);
-      context.lineTo(run[2 * i] - this.origin.x, run[2 * i + 1] - this.origin.y);
-      context.globalAlpha = (long ? 0.75 : 0.4) * (i / points) ** 1.5;
+      for (let i = from; i <= to; i++) context.lineTo(run[2 * i] - this.origin.x, run[2 * i + 1] - this.origin.y);
+      context.globalAlpha = (long ? 0.75 : 0.4) * (to / points) ** 1.5;
       context.stroke();
     }
   }
