@@ -13,12 +13,14 @@ import carla_recap.rendering.town as town_module
 from carla_recap.errors import RecapError
 from carla_recap.maps.road_geometry import read_roads
 from carla_recap.model.records import ActorKind, Spawn
+from carla_recap.rendering.heights import TriangleGrid
 from carla_recap.rendering.materials import Material
 from carla_recap.rendering.mesh import Mesh
 from carla_recap.rendering.town import TownMesh, build_town, corridor_town, load_town_mesh, town_mesh_of
 from carla_recap.util import cache
 from tests.maps.towns import crossing, lane, opendrive, painted_stop, road, stop_sign
 from tests.maps.towns import section as plain_section
+from tests.maps.towns import town as carla_town
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -309,3 +311,29 @@ def test_corridors_have_no_trees(tmp_path):
         town = corridor_town(recording)
     assert not len(faces(town, Material.FOLIAGE))
     assert area(faces(town, Material.ROAD)) == pytest.approx((1.5 * 299 + 8) * 3.5, rel=0.01)
+
+
+def test_the_line_between_two_roads_of_a_junction_is_drawn_once():
+    there, back = section(0, right=lane(-1), centre="solid solid"), section(0, lane(1), centre="solid solid")
+    town = built(road(1, junction=9, sections=there), road(2, junction=9, sections=back))
+    assert area(faces(town, Material.WHITE_LINE)) == pytest.approx(2 * 100 * 0.12, rel=1e-3)
+
+
+@pytest.mark.parametrize("name", ["Town01", "Town02", "Town10HD"])
+def test_the_lanes_of_carlas_towns_have_road_beneath_them_and_lines_upon_them(name: str):
+    carla = pytest.importorskip("carla", reason="the extra carla is not installed")
+    text = carla_town(name).read_text()
+    waypoints = carla.Map("", text).generate_waypoints(2.0)
+    points = np.array([(w.transform.location.x, -w.transform.location.y, w.transform.location.z) for w in waypoints])
+    town = TownMesh.of_tiles(name, *build_town(text))
+    assert np.abs(town.ground_height(points) - points[:, 2]).max() < 0.05
+    paved = surface(town, Material.ROAD, Material.JUNCTION, Material.SHOULDER, Material.MEDIAN, Material.SIDEWALK)
+    painted = faces(town, Material.WHITE_LINE, Material.YELLOW_LINE, Material.CROSSING, Material.STOP_LINE).mean(axis=1)
+    above = painted[:, 2] - paved.highest(painted, 0.0)
+    assert not np.isnan(above).any()
+    assert np.quantile(above, 0.99) < 0.03
+
+
+def surface(town: TownMesh, *materials: Material) -> TriangleGrid:
+    triangles = faces(town, *materials)
+    return TriangleGrid(triangles.reshape(-1, 3), np.arange(3 * len(triangles)).reshape(-1, 3))

@@ -12,6 +12,7 @@ from carla_recap.maps.road_geometry import LIGHT, STOP
 from carla_recap.rendering.building import UP
 from carla_recap.rendering.glyphs import arrow, glyphs
 from carla_recap.rendering.materials import Material
+from carla_recap.rendering.surfaces import PAVED
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
@@ -47,6 +48,7 @@ _BEFORE_JUNCTION: Final = 0.3  # m from a stop line to a junction
 _SAME_PAINT: Final = 6.0  # m from a painted stop line, within which no other one is drawn
 _SAME_STOP: Final = 0.5  # m between equal stop lines
 _SPAN: Final = 2.0  # m between the points of long shapes, which follow the road
+_PAVED: Final = (*PAVED, Material.JUNCTION)
 _YELLOW: Final = ("yellow", "orange")
 
 
@@ -198,13 +200,9 @@ def _shift(section: SampledSection, border: int, half: float) -> float | None:
 
 
 def _is_paved(section: SampledSection, lane: int) -> bool:
-    return 0 <= lane < len(section.lanes) and section.materials[lane] in (
-        Material.ROAD,
-        Material.JUNCTION,
-        Material.SHOULDER,
-        Material.PARKING,
-        Material.BIKE_LANE,
-    )
+    """Return whether there is pavement where a lane is; beside a road of a junction there are other roads."""
+    material = section.materials[lane] if 0 <= lane < len(section.lanes) else None
+    return material in _PAVED or (material is None and section.road.in_junction)
 
 
 def _quads(
