@@ -103,7 +103,12 @@ class Renderer:
         self._frame = make(reserve=shaders.FRAME.itemsize)
         self._materials = make(shaders.material_block().tobytes())
         self._corners = make(np.array([(-1, -1), (1, -1), (-1, 1), (1, 1)], "f4").tobytes())
-        self._noise = self._make_noise()
+        noise, linear = _noise(_GRAIN), self._context.LINEAR
+        self._noise = self._context.texture((_GRAIN, _GRAIN), 2, noise.tobytes())
+        self._noise.build_mipmaps()
+        self._noise.filter = self._context.LINEAR_MIPMAP_LINEAR, linear
+        self._clouds = self._context.texture((_GRAIN, _GRAIN), 1, noise[..., 0].tobytes())
+        self._clouds.filter = linear, linear
         self._ground = GroundBuffers(self._context, town.tiles if town is not None else ())
         self._lamps = Halos(models)
         self._halos = make(reserve=64 * HALO.itemsize, dynamic=True)
@@ -126,7 +131,15 @@ class Renderer:
                 targets.release()
             for program in self._programs.values():
                 program.release()
-            for buffer in (self._frame, self._materials, self._corners, self._noise, self._halos, *self._ground.buffers):
+            for buffer in (
+                self._frame,
+                self._materials,
+                self._corners,
+                self._noise,
+                self._clouds,
+                self._halos,
+                *self._ground.buffers,
+            ):
                 buffer.release()
             for model in self._models:
                 for buffer in model.buffers:
@@ -193,7 +206,10 @@ class Renderer:
         rest = kinds
         if ImageKind.RGB in kinds and self._samples != (1, 1):
             rest = tuple(kind for kind in kinds if kind != ImageKind.RGB)
-            samples = tuple(map(min, self._samples, (_LARGEST_BUFFER // camera.width, _LARGEST_BUFFER // camera.height)))
+            samples = (
+                min(self._samples[0], _LARGEST_BUFFER // camera.width),
+                min(self._samples[1], _LARGEST_BUFFER // camera.height),
+            )
             large = self._targets_of(camera.width * samples[0], camera.height * samples[1])
             self._draw_kinds(large, (ImageKind.RGB,), view, groups, halos)
             self._reduce(large, targets, samples)
@@ -215,6 +231,7 @@ class Renderer:
         self._frame.bind_to_uniform_block(0)
         self._materials.bind_to_uniform_block(1)
         self._noise.use(0)
+        self._clouds.use(2)
         solid, clear = ([group for group in groups if group.is_solid is wanted] for wanted in (True, False))
         framebuffer = targets.framebuffer(kinds)
         framebuffer.use()
@@ -233,15 +250,19 @@ class Renderer:
             self._draw_clear(targets, clear)
             self._draw_halos(targets, halos)
 
-    def _reduce(self, large: ImageBuffers, targets: ImageBuffers, samples: tuple[int, ...]) -> None:
+    def _reduce(self, large: ImageBuffers, targets: ImageBuffers, samples: tuple[int, int]) -> None:
         """Average the pixels of an RGB image that is a multiple of another one."""
         framebuffer = targets.framebuffer((ImageKind.RGB,))
         framebuffer.use()
         self._context.enable_only(self._context.NOTHING)
         large.texture(ImageKind.RGB).use(1)
-        array = self._full("reduce", (ImageKind.RGB,))
-        array.program["image"], array.program["samples"] = 1, samples
-        array.render(self._context.TRIANGLE_STRIP)
+        key = "reduce", samples
+        if key not in self._arrays:
+            vertex, fragment = shaders.reducing_sources(*samples)
+            program = self._programs[key] = self._context.program(vertex_shader=vertex, fragment_shader=fragment)
+            program["image"] = 1
+            self._arrays[key] = self._context.vertex_array(program, [(self._corners, "2f", "corner")])
+        self._arrays[key].render(self._context.TRIANGLE_STRIP)
 
     def _draw_ground(self, kinds: tuple[ImageKind, ...], view: CameraView) -> None:
         tiles = self._ground.visible(view)
@@ -370,6 +391,8 @@ class Renderer:
             for block, binding in (("Frame", 0), ("Materials", 1)):
                 if block in program:
                     program[block].binding = binding
+            if "clouds" in program:
+                program["clouds"] = 2
             self._programs[key] = program
         return self._programs[key]
 
@@ -406,12 +429,6 @@ class Renderer:
                 contents.append(content_of(program, self._halos, HALO, "/i"))
             self._arrays[key] = self._context.vertex_array(program, contents)
         return self._arrays[key]
-
-    def _make_noise(self) -> Any:
-        texture = self._context.texture((_GRAIN, _GRAIN), 2, _noise(_GRAIN).tobytes())
-        texture.build_mipmaps()
-        texture.filter = self._context.LINEAR_MIPMAP_LINEAR, self._context.LINEAR
-        return texture
 
 
 def _create_context() -> Any:

@@ -286,7 +286,7 @@ void main() {
 
 _SKY_FRAGMENT: Final = """
 in vec2 v_corner;
-uniform sampler2D noise;
+uniform sampler2D clouds;
 
 void main() {
     vec3 ray = forward.xyz + v_corner.x * right.xyz - v_corner.y * up.xyz;
@@ -298,7 +298,7 @@ void main() {
     float toward = max(dot(view, sun.xyz), 0.0);
     if (view.z > 0.01 && zenith.w > 0.0) {
         vec2 at = view.xy / (view.z + 0.12);
-        float density = texture(noise, at * 0.05).r * 0.6 + texture(noise, at * 0.17 + 0.3).r * 0.4;
+        float density = texture(clouds, at * 0.05).r * 0.6 + texture(clouds, at * 0.17 + 0.3).r * 0.4;
         float cover = smoothstep(0.72 - 0.6 * zenith.w, 1.02 - 0.55 * zenith.w, density) * smoothstep(0.01, 0.2, view.z);
         color = mix(color, cloud_color.rgb, cover * (0.55 + 0.35 * zenith.w));
     }
@@ -416,13 +416,11 @@ void main() {
 
 _REDUCE_FRAGMENT: Final = """
 uniform sampler2D image;
-uniform ivec2 samples;
 void main() {
-    ivec2 corner = ivec2(gl_FragCoord.xy) * samples;
+    ivec2 corner = ivec2(gl_FragCoord.xy) * ivec2(COLUMNS, ROWS);
     vec3 sum = vec3(0.0);
-    for (int y = 0; y < samples.y; y++)
-        for (int x = 0; x < samples.x; x++) sum += texelFetch(image, corner + ivec2(x, y), 0).rgb;
-    o_rgb = vec4(sum / float(samples.x * samples.y), 1.0);
+    SUM
+    o_rgb = vec4(sum / float(COLUMNS * ROWS), 1.0);
 }
 """
 
@@ -456,6 +454,15 @@ _GRAINS: Final = {
     Material.SIDEWALK: 0.12,
     Material.BRIDGE: 0.1,
 }
+
+
+def reducing_sources(columns: int, rows: int) -> tuple[str, str]:
+    """Return the source texts of shaders that average rectangles of pixels of an RGB image; see `sources`."""
+    cells = [(x, y) for y in range(rows) for x in range(columns)]
+    terms = " ".join(f"sum += texelFetch(image, corner + ivec2({x}, {y}), 0).rgb;" for x, y in cells)
+    vertex, fragment = sources("reduce", (ImageKind.RGB,))
+    fragment = fragment.replace("SUM", terms).replace("COLUMNS", str(columns)).replace("ROWS", str(rows))
+    return vertex, fragment
 
 
 def material_block() -> NDArray[np.float32]:
