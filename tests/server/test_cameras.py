@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from itertools import pairwise
 from typing import TYPE_CHECKING, Any
 
 import carla
@@ -256,3 +257,12 @@ def test_a_camera_of_the_spectator_follows_it(world: carla.World) -> None:
     spectator.set_transform(carla.Transform(carla.Location(z=5.0), carla.Rotation(pitch=90.0)))
     world.tick()
     assert set(np.unique(pixels(of_frame(semantic, world.tick()))[..., 0]).tolist()) == {int(Tag.SKY)}
+
+
+def test_in_asynchronous_mode_images_come_as_time_passes(world: carla.World) -> None:
+    rgb = Data(sensor(world, "camera.rgb", vehicle(world), EYE, **SIZE))
+    start(world, rgb)
+    world.apply_settings(carla.WorldSettings())
+    images = [rgb.get(timeout=20.0) for _ in range(5)]
+    assert all(later.frame > earlier.frame for earlier, later in pairwise(images))
+    assert images[-1].frame <= world.wait_for_tick().frame

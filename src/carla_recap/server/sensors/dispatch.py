@@ -100,7 +100,7 @@ def _camera(number: int, image: ImageKind, what: str) -> SensorKind:
 
 _COLLISIONS: Final = "each collision of its parent"
 _POSITION: Final = "its position by the map's geo-reference; with noise"
-_SURFACES: Final = "the ground, signs, lights, vehicles, walkers and props; no buildings"
+_SURFACES: Final = "the ground, trees, signs, lights, vehicles, walkers and props; no buildings"
 _CAM: Final = "cooperative awareness messages of other vehicles in range"
 
 SENSOR_KINDS: Final[Mapping[str, SensorKind]] = MappingProxyType(
