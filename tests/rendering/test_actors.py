@@ -305,6 +305,30 @@ def test_a_collision_is_marked_on_the_ground_for_some_seconds(played):
     assert not len(marked[round(0.1 + MARKED + 0.1, 1)])
 
 
+@pytest.mark.parametrize(("start", "marks"), [(3.0, 1), (7.5, 0)])
+def test_collisions_before_the_beginning_are_recalled(tmp_path, start, marks):
+    path = tmp_path / "recording.log"
+    path.write_bytes(samples.log_header() + b"".join(accident(5)))
+    with open_recording(path) as recording:
+        actors = SceneActors()
+        actors.recall(recording, start)
+        found = [actors.at(scene) for scene in Player(recording, start=start).scenes()]
+    assert found[0].rotations[1, :, 2] == pytest.approx((1, 0, 0), abs=1e-6)
+    assert (found[0].models == INDEX["collision mark"]).sum() == marks
+    assert not (found[-1].models == INDEX["collision mark"]).any()
+
+
+def test_collisions_after_the_beginning_are_not_recalled(tmp_path):
+    path = tmp_path / "recording.log"
+    path.write_bytes(samples.log_header() + b"".join(accident(5)))
+    with open_recording(path) as recording:
+        actors = SceneActors()
+        actors.recall(recording, 0.0)
+        found = actors.at(Player(recording).at(0.0))
+    assert found.ids.tolist() == [CAR, WALKER, LIGHT]
+    assert found.rotations[1, 2, 2] == pytest.approx(1)
+
+
 def test_marks_are_forgotten_by_a_jump_back(played):
     player = played(*accident(5))
     actors = SceneActors()

@@ -13,6 +13,7 @@ from carla_recap.rendering.instances import Instances
 from carla_recap.rendering.looks import Look, look_of, look_of_present
 from carla_recap.rendering.materials import MATERIALS, Color, Material, Tag
 from carla_recap.rendering.models import INDEX
+from carla_recap.replay.player import Player
 from carla_recap.replay.pose import LOCATION, ROTATION, right_handed, rotations
 from carla_recap.replay.selection import find
 
@@ -21,6 +22,7 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
+    from carla_recap.recording import Recording
     from carla_recap.replay import Scene, SceneBatch
     from carla_recap.replay.events import Present
     from carla_recap.replay.selection import Ids
@@ -50,6 +52,10 @@ _MARK_HEIGHT: Final = 0.03  # m above the ground
 _MOST_MARKS: Final = 200
 _MARK_IDS: Final = 0xFFFF_0000  # ids from here on are those of marks
 _MARK_COLOR: Final[Color] = MATERIALS[Material.COLLISION_MARK].color
+
+_MOST_RECALLED: Final = 50  # collisions
+_LEAD: Final = 0.3  # s before a collision that are read, for the velocities
+_SLACK: Final = 1e-6  # s
 
 _BRAKING: Final = 0.02  # of the brake control, from which on the lamps are lit
 _STEERED: Final = math.radians(40)  # of the front wheels at full steering
@@ -155,20 +161,15 @@ class SceneActors:
         self._knocked: dict[int, Floats] = {}  # walkers, and the direction in which they were knocked down
         self._before: tuple[float, Ids, Floats] | None = None  # the scene before: time, ids, poses
         self._time = -math.inf
+        self._recalled = False  # whether what is known belongs to a moment before the next scene
 
     def at(self, scene: Scene) -> Instances:
         """Return the instances of a scene."""
-        if scene.fresh or scene.time < self._time:
-            self._marks.clear()
-            self._knocked.clear()
-            self._before = None
-        self._time = scene.time
-        if scene.batch is not self._batch:
-            self._enter(scene.batch)
+        if (scene.fresh and not self._recalled) or scene.time < self._time:
+            self._forget()
+        self._recalled = False
+        self._learn(scene)
         poses = self._poses(scene)
-        for event in scene.collisions:
-            self._collide(event.actor1, event.actor2, scene)
-        self._before = (scene.time, scene.ids, scene.poses)
         found = self._actors.at(poses)
         self._light(found, scene)
         self._lay(found, scene)
@@ -176,6 +177,38 @@ class SceneActors:
         if not sound.all():
             found = found.take(sound)
         return self._with_marks(found, scene.time)
+
+    def recall(self, recording: Recording, time: float) -> None:
+        """Learn what collisions before a moment have left behind; the next scene is one of that moment.
+
+        Args:
+            recording: The recording.
+            time: The moment, in elapsed seconds.
+        """
+        self._forget()
+        rows = [row for row in recording.collisions() if row.elapsed <= time]
+        lasting = [row for row in rows if "w" in (row.letter1, row.letter2) or row.elapsed > time - MARKED]
+        for row in lasting[-_MOST_RECALLED:]:
+            begin = max(row.elapsed - _LEAD, 0.0)
+            for scene in Player(recording, start=begin, duration=2 * _LEAD).scenes():
+                if scene.time > row.elapsed + _SLACK:
+                    break
+                self._learn(scene)
+        self._time, self._before, self._recalled = -math.inf, None, True
+
+    def _forget(self) -> None:
+        self._marks.clear()
+        self._knocked.clear()
+        self._before = None
+
+    def _learn(self, scene: Scene) -> None:
+        """Take the actors and the collisions of a scene."""
+        self._time = scene.time
+        if scene.batch is not self._batch:
+            self._enter(scene.batch)
+        for event in scene.collisions:
+            self._collide(event.actor1, event.actor2, scene)
+        self._before = (scene.time, scene.ids, scene.poses)
 
     def _enter(self, batch: SceneBatch) -> None:
         """Take the actors of a batch, if they are others than before."""

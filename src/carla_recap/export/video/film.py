@@ -90,6 +90,7 @@ class Film:
         self._frames = frames
         self._view = view
         self._actors = SceneActors()
+        self._actors.recall(recording, player.start)
         self._followed = FollowedActor(player.followed, stop_points(recording.reader) if overlay else None)
         self._path = camera_path(view, size)
         self._transparency = Transparency()
