@@ -364,6 +364,27 @@ def test_an_id_that_is_used_again_is_another_actor(record):
     assert moves(topics, 1)[-1][1].translation.x == pytest.approx(9)
 
 
+def test_actors_that_come_and_go_all_the_time_become_boxes(record, monkeypatch):
+    monkeypatch.setattr("carla_recap.export.foxglove.scene._MOST_BYTES", 200_000)
+    topics = record(
+        {"spawned": [spawn(1)], "transforms": [pose(1)]},
+        *(
+            {"spawned": [spawn(id)], "transforms": [pose(1), pose(id)], "destroyed": [id - 1] * (id > 10)}
+            for id in range(10, 60)
+        ),
+    )
+    entities = bodies(topics)
+    assert list(entities) == ["actor 1", "actor 59"]
+    assert [(len(entity.cubes), len(entity.triangles)) for entity in entities.values()] == [(1, 0), (1, 0)]
+    assert sum(message.ByteSize() for _, message in topics["/scene/vehicles"]) < 300_000
+
+
+def test_further_actors_of_a_crowd_are_boxes(record, monkeypatch):
+    monkeypatch.setattr("carla_recap.export.foxglove.scene._MOST_MODELS", 3)
+    topics = record({"spawned": [spawn(id) for id in range(1, 6)], "transforms": [pose(id) for id in range(1, 6)]})
+    assert [len(entity.cubes) for entity in bodies(topics).values()] == [0, 0, 0, 1, 1]
+
+
 def test_an_actor_without_a_spawn_is_shown(record):
     topics = record(*({"transforms": [pose(5, x=100 * n)]} for n in range(3)))
     assert list(bodies(topics)) == ["actor 5"]

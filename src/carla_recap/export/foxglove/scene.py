@@ -53,6 +53,7 @@ STILL: Final = "/tf/still"
 _MOVED_BY: Final = np.array([1.0, 1.0, 1.0, 0.1, 0.1, 0.1])  # cm and degrees; an actor farther from its first pose has moved
 _FAR: Final = 1e9  # cm and degrees; a pose beyond is not shown
 _MOST_MODELS: Final = 300  # of the present actors; further ones are boxes
+_MOST_BYTES: Final = 1 << 29  # of models; a recording whose actors come and go that often has boxes from then on
 _BRAKING: Final = 0.02  # of the brake pedal, from which on the lamps are lit
 
 _POSE: Final = pose_numbers(FrameTransform.TRANSLATION_FIELD_NUMBER, FrameTransform.ROTATION_FIELD_NUMBER)
@@ -238,6 +239,7 @@ class ActorEntities:
         self._moved: NDArray[np.bool_] = np.zeros(0, np.bool_)
         self._falls = Falls()
         self._lying: dict[int, Fall] = {}
+        self._written = 0  # bytes of bodies
         self._bodies_shown: bytes | None = None  # which of the shown actors were present in the latest scene
         self._order: Indices = np.zeros(0, np.intp)  # the shown actors, by their ids
         self._sorted_ids = NO_IDS
@@ -294,7 +296,13 @@ class ActorEntities:
             shown = self._shown[index]
             entities[shown.topic][bodies.frame_of(shown.actor.id)] = shown.body
         for topic, found in entities.items():
-            yield from self._bodies[topic].messages(found, row, stamp, fresh=fresh)
+            for message in self._bodies[topic].messages(found, row, stamp, fresh=fresh):
+                self._written += message.data.size
+                yield message
+        if self._written > _MOST_BYTES and any(shown.detailed for shown in self._shown):
+            for shown in self._shown:  # from the next message on
+                shown.detailed = False
+                shown.set_fall(shown.fall)
 
     def _show_lamps(
         self, batch: SceneBatch, rows: Indices, stamps: Stamps, present: NDArray[np.bool_]
@@ -384,7 +392,7 @@ class ActorEntities:
                 look = bodies.look_of(actor)
                 shown = None
                 if look is not None:
-                    shown = _ShownActor(actor, look, models < _MOST_MODELS)
+                    shown = _ShownActor(actor, look, models < _MOST_MODELS and self._written <= _MOST_BYTES)
                     models += shown.detailed
                     shown.draw(actor, look)
             elif shown is not None and before is not actor and before != actor:
