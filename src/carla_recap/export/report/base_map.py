@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Final, NamedTuple
 import numpy as np
 
 from carla_recap.errors import RecapError
+from carla_recap.maps.corridors import fresh_parts
 from carla_recap.maps.polylines import simplify
 from carla_recap.model.records import ActorKind
 from carla_recap.rendering.materials import Material
@@ -159,26 +160,13 @@ def _simple(ring: Floats) -> Floats:
 
 
 def _driven(replays: Sequence[SampledReplay]) -> Iterator[Floats]:
-    """Yield the paths of all vehicles, without those parts where one is drawn already."""
+    """Return the paths of all vehicles, without those parts where one is drawn already."""
     paths = []
     for replay in replays:
         vehicles = {i for i, actor in enumerate(replay.actors) if actor.details and actor.details.kind == ActorKind.VEHICLE}
         moving = (track for track in replay.tracks if track.actor in vehicles and not track.is_still)
         paths += [_thinned(track.rows[:, :2]) for track in moving]
-    if not paths:
-        return
-    points = np.concatenate(paths)
-    cells = np.rint(points / CELL).astype(np.int64)
-    _, firsts = np.unique(cells, axis=0, return_index=True)
-    fresh = np.zeros(len(points), np.bool_)
-    fresh[firsts] = True
-    left = MOST
-    for path, new in zip(paths, np.split(fresh, np.cumsum([len(path) for path in paths])[:-1]), strict=True):
-        for run in _runs(path, new):
-            if left <= 0:
-                return
-            left -= len(run)
-            yield run
+    return fresh_parts(paths, CELL, MOST)
 
 
 def _thinned(line: Floats) -> Floats:
@@ -187,14 +175,3 @@ def _thinned(line: Floats) -> Floats:
     kept = np.flatnonzero(np.diff(far, prepend=-1.0) > 0)
     thin: Floats = line[np.union1d(kept, [len(line) - 1])]
     return thin
-
-
-def _runs(line: Floats, wanted: NDArray[np.bool_]) -> Iterator[Floats]:
-    """Yield the parts of a line that contain the wanted points, with the points next to these."""
-    near = wanted.copy()
-    near[1:] |= wanted[:-1]
-    near[:-1] |= wanted[1:]
-    ends = np.flatnonzero(np.diff(np.concatenate(([0], near.astype(np.int8), [0]))))
-    for first, last in ends.reshape(-1, 2).tolist():
-        if last - first > 1:
-            yield line[first:last]
