@@ -88,12 +88,14 @@ def video(subject: Subject) -> Iterator[Line]:
 
 def page(subject: Subject) -> Iterator[Line]:
     mcap = subject.mcap
-    clip, folder = DIRECTORY / "minute.mcap", DIRECTORY / "page"
+    clip, file = DIRECTORY / "minute.mcap", DIRECTORY / "page.html"
     run(COMMAND, "clip", "--force", mcap, clip, "--start", str(subject.seconds / 2), "--duration", str(MINUTE))
-    shutil.rmtree(folder, ignore_errors=True)
-    taken = run(COMMAND, "report", clip, folder)
-    yield Line("incident page of 60 s", f"{taken.seconds:.2f} s", "", "", True)
-    seconds = min(first_frame(folder / "index.html") for _ in range(3))
+    taken = run(COMMAND, "report", "--force", clip, file)
+    size = file.stat().st_size / 1e6
+    yield Line(
+        "incident page of 60 s, as one file", f"{taken.seconds:.2f} s", f"{size:.2f} MB of file", "< 1.5 MB", size < 1.5
+    )
+    seconds = min(first_frame(file) for _ in range(3))
     yield Line("its first frame in Chromium", f"{seconds:.2f} s", "", "< 3 s", seconds < 3)
 
 

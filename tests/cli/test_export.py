@@ -165,6 +165,22 @@ def test_report(tmp_path):
     assert "is not empty" in error("report", CROSSING, page)
 
 
+def test_a_report_as_one_file(tmp_path):
+    page = tmp_path / "page.html"
+    assert said("report", CROSSING, page).startswith(f"{page}: 4 incidents, ")
+    assert "exists; --force" in error("report", CROSSING, page)
+    assert said("report", CROSSING, CROSSING, page, "--force").startswith(f"{page}: 8 incidents, ")
+
+
+def test_a_report_of_wrong_arguments_is_an_error(tmp_path):
+    page = tmp_path / "page.html"
+    assert "compares two" in error("report", CROSSING, CROSSING, CROSSING, page)
+    assert "--serve goes with a folder" in error("report", CROSSING, page, "--serve")
+    assert "--viewer goes with a folder" in error("report", CROSSING, page, "--viewer")
+    assert "--viewer goes with one recording" in error("report", CROSSING, CROSSING, tmp_path / "page", "--viewer")
+    assert not page.exists()
+
+
 def test_the_page_is_served_until_it_is_interrupted(tmp_path):
     command = [COMMAND, "report", CROSSING, tmp_path / "page", "--serve"]
     with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, env=ENVIRONMENT) as process:

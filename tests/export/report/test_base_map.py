@@ -64,6 +64,15 @@ def test_without_a_map_there_are_the_paths_of_vehicles() -> None:
     assert sum(len(path) for path in found.paths) > 100
 
 
+def test_the_second_of_two_recordings_has_its_paths_below_the_surfaces_of_the_first() -> None:
+    town = TownMesh.of_tiles("", [mesh([(0, 0), (4, 0), (4, 2)], [(0, 1, 2)], Material.ROAD)])
+    replay = sampled(CROSSING)
+    assert not base_map(town, [replay]).paths
+    found = base_map(town, [replay, replay])
+    assert len(found.surfaces) == 1
+    assert sum(map(len, found.paths)) == sum(map(len, base_map(None, [replay]).paths))
+
+
 def test_a_map_without_lanes_has_no_surfaces() -> None:
     roads = RoadMap("odd", [], [], [], [], [], opendrive="<OpenDRIVE></OpenDRIVE>")
     assert town_of(roads) is None

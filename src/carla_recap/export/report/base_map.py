@@ -69,7 +69,7 @@ class BaseMap:
 
     Attributes:
         surfaces: The surfaces of a map, the lowest first.
-        paths: Without a map, the paths of vehicles.
+        paths: The paths of vehicles, below the surfaces.
         width: The width of the paths, in m.
     """
 
@@ -89,8 +89,14 @@ def town_of(road_map: RoadMap | None) -> TownMesh | None:
 
 
 def base_map(town: TownMesh | None, replays: Sequence[SampledReplay]) -> BaseMap:
-    """Return the surfaces of a town, or without one, the paths of vehicles."""
-    return BaseMap(paths=list(_driven(replays))) if town is None else BaseMap(surfaces=outlines(town))
+    """Return the surfaces of a town, or without one, the paths of vehicles.
+
+    Below the surfaces are the paths of all recordings but the first, since the town may be what the first one's vehicles have
+    driven along.
+    """
+    if town is None:
+        return BaseMap(paths=list(_driven(replays)))
+    return BaseMap(surfaces=outlines(town), paths=list(_driven(replays[1:])))
 
 
 # --- surfaces ------------------------------------------------------------------------------------------------------------
