@@ -91,8 +91,8 @@ def town_of(road_map: RoadMap | None) -> TownMesh | None:
 def base_map(town: TownMesh | None, replays: Sequence[SampledReplay]) -> BaseMap:
     """Return the surfaces of a town, or without one, the paths of vehicles.
 
-    Below the surfaces are the paths of all recordings but the first, since the town may be what the first one's vehicles have
-    driven along.
+    Below the surfaces are the paths of all recordings but the first, since the town may be what the vehicles of the first
+    one have driven along.
     """
     if town is None:
         return BaseMap(paths=list(_driven(replays)))
