@@ -5,6 +5,8 @@ from __future__ import annotations
 import asyncio
 import struct
 import threading
+from concurrent.futures import wait
+from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -12,18 +14,23 @@ import pytest
 
 from carla_recap.errors import MissingExtra, RecapError
 from carla_recap.rendering.camera import ImageKind
+from carla_recap.rendering.materials import Material, Tag
+from carla_recap.rendering.town import TownMesh
 from carla_recap.server.host import Host
 from carla_recap.server.rpc.structs import EpisodeSettings
-from carla_recap.server.sensors import dispatch
+from carla_recap.server.sensors import dispatch, surfaces
 from carla_recap.server.sensors.cameras import BlankImages, camera_at
 from carla_recap.sim.geometry import Location, Rotation, Transform
 from tests.server.test_sensor_feeds import sensor, vehicle
-from tests.sim.flat import at, flat_world
+from tests.sim.flat import at, flat_town, flat_world
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
 
     from carla_recap.server.sensors.images import View
+from carla_recap.server.sensors.surfaces import TownSurfaces
+from carla_recap.sim.actors.control import VehicleControl
+from carla_recap.sim.actors.moving import Vehicle
 
 SMALL = {"image_size_x": "32", "image_size_y": "16", "fov": "70"}
 PATIENCE = 20.0  # s
@@ -311,3 +318,42 @@ def test_a_camera_looks_where_its_sensor_does() -> None:
     point = transform.transform(Location(10.0, 4.0, 2.0))  # 4 m to the right, 2 m up
     (found,) = camera.project(np.array([(point.x, -point.y, point.z)]))
     assert found == pytest.approx((100 + 100 * 0.4, 50 - 100 * 0.2, 10.0))
+
+
+def test_without_embree_rays_meet_boxes_and_the_log_says_why_once(
+    monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+) -> None:
+    def missing(_: object) -> None:
+        raise MissingExtra("rays that meet the ground", "cameras")
+
+    monkeypatch.setattr(surfaces, "_ray_scene", missing)
+    monkeypatch.setattr(surfaces, "_load", lambda _: TownMesh.of_tiles("", []))
+    town, loader = replace(flat_town(), opendrive="<OpenDRIVE/>"), TownSurfaces()
+    for _ in range(2):
+        wait([loader.rays(town)], PATIENCE)
+        assert loader.ready_rays(town) is None
+    reason = str(MissingExtra("rays that meet the ground", "cameras"))
+    assert caplog.messages == [f"lidars, radars and obstacle sensors meet the boxes of actors alone: {reason}"]
+
+
+def test_instances_follow_the_actors_of_the_world() -> None:
+    host = Host(flat_world())
+    car, prop = vehicle(host, 5.0, 3.0, 90.0), host.world.spawn("static.prop.container", at(20.0))
+    walker = host.world.spawn("walker.pedestrian.0001", at(8.0, z=0.9))
+    assert isinstance(car, Vehicle)
+    car.apply_control(VehicleControl(throttle=0.5, brake=1.0, steer=0.5))
+    host.tick()
+    found = host.sensors.instances()
+    assert found.ids.tolist() == [car.id, prop.id, walker.id]
+    assert found.tags.tolist() == [Tag.CAR, Tag.STATIC, Tag.PEDESTRIANS]
+    assert found.locations[0, :2] == pytest.approx((5.0, -3.0), abs=0.05)
+    assert found.rotations[0, :, 0] == pytest.approx((0.0, -1.0, 0.0), abs=1e-2)
+    assert found.half_extents[0] == pytest.approx((car.box.extent.x, car.box.extent.y, car.box.extent.z))
+    assert found.lamps[0] & np.uint64(1 << Material.TAIL_LIGHT)
+    assert found.steering[0] < 0  # to the right
+    prop.transform = at(30.0)
+    host.tick()
+    assert host.sensors.instances().locations[1, 0] == pytest.approx(30.0, abs=0.5)
+    car.destroy()
+    host.tick()
+    assert host.sensors.instances().ids.tolist() == [prop.id, walker.id]

@@ -17,8 +17,8 @@ from carla_recap.rendering.actors import (
     look_of,
 )
 from carla_recap.replay.pose import LOCATION, right_handed, rotations
-from carla_recap.sim.actors.lights import TrafficLight
-from carla_recap.sim.actors.moving import Vehicle, Walker
+from carla_recap.sim.actors.lights import Sign
+from carla_recap.sim.actors.moving import MovingActor
 from carla_recap.sim.recording.poses import CM_PER_M, pose
 
 if TYPE_CHECKING:
@@ -89,9 +89,9 @@ class WorldActors:
         self._lights: tuple[Rows, Rows] = _columns(lights)
         self._others = []
         for row, actor in enumerate(drawn):
-            if isinstance(actor, TrafficLight) or not isinstance(actor, (Vehicle, Walker)):
+            if not isinstance(actor, MovingActor):
                 self._poses[row] = pose(actor.transform)
-                if actor.parent is not None or actor.type_id.startswith("static."):
+                if not isinstance(actor, Sign):
                     self._others.append((row, actor))
 
     def _at(self, poses: NDArray[np.float64]) -> Instances:
