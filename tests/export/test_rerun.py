@@ -265,7 +265,7 @@ def test_the_followed_car_is_see_through_while_it_hides_another_actor(tmp_path: 
     frames[0]["spawned"] = [spawn(1, role_name="hero"), spawn(2, "walker.pedestrian.0001")]
     rrd = export(write(tmp_path / "x.log", frames, tick=0.1), tmp_path / "x.rrd")
     (hides, (first,)), (free, (second,)) = rrd.rows("/world/actors/1", "Mesh3D:albedo_factor")
-    assert (first & 255, second & 255) == (102, 255)
+    assert (first & 255, second & 255) == (115, 255)
     assert hides == pytest.approx(1.0, abs=0.21)
     assert free == pytest.approx(2.9, abs=0.25)
 

@@ -46,6 +46,7 @@ MOST_MODELS: Final = 1_000
 _RADIUS: Final = 3.0  # points of the screen; of an actor on the map
 _MARGIN: Final = 15.0  # m
 _EDGE: Final = (45, 48, 56)
+_NAME: Final = (240, 242, 246)
 _BEHIND: Final = 0.8  # m; of names behind actors
 
 
@@ -245,4 +246,10 @@ def _name(actor: Present, look: Look | None) -> rr.Points3D:
     if look is not None:
         half, center = (look.half_extents[0], look.half_extents[2]), (look.center[0], look.center[2])
     location = (center[0] - half[0] - _BEHIND, 0.0, center[1] - half[1])
-    return rr.Points3D([location], colors=[style.HERO], radii=[0], labels=[style.label_of(actor)], show_labels=True)
+    return rr.Points3D(
+        [location],
+        colors=[style.HERO if actor.is_hero else _NAME],
+        radii=[0],
+        labels=[style.label_of(actor)],
+        show_labels=True,
+    )

@@ -20,7 +20,9 @@ _SIDE: Final = 0.72  # of full daylight, on what faces sideways
 _LIGHT: Final = np.array((-0.06, 0.09, 0.28), np.float32)  # and the increase towards the light
 _CORNERS: Final = 24  # of a shadow
 _ROUNDNESS: Final = 0.5  # the exponent: 1 is an ellipse, 0 a rectangle
-_SHADOW: Final = 0.12  # m beyond the box
+_SHADOW: Final = 0.06  # m beyond the box
+_NARROW: Final = 0.6  # m; half the width up to which a vehicle has two wheels
+_SLENDER: Final = 0.6
 _SHADOW_HEIGHT: Final = 0.025  # m above the ground
 _SHADOW_COLOR: Final[Color] = (48, 49, 52)
 _LIFT: Final = 0.012  # m; of lit lamps in front of unlit ones
@@ -95,6 +97,7 @@ def unlit(mesh: Mesh, colors: NDArray[np.uint8] | None = None) -> rr.Mesh3D:
 def shadow(look: Look) -> Mesh:
     """Return the shadow below a vehicle, as a mesh of the material of tyres."""
     half = np.array(look.half_extents[:2])
+    half[1] *= 1.0 if half[1] > _NARROW else _SLENDER  # two-wheelers are wide at the handlebar alone
     turns = np.linspace(0, 2 * np.pi, _CORNERS, endpoint=False)
     rounded = np.stack((np.cos(turns), np.sin(turns)), axis=1)
     rounded = np.sign(rounded) * np.abs(rounded) ** _ROUNDNESS * (half + _SHADOW)

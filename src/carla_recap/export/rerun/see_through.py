@@ -28,7 +28,7 @@ if TYPE_CHECKING:
 _REACH: Final = 30.0  # m; what is farther ahead need not be seen
 _STEP: Final = 0.2  # s between the moments that are looked at
 _HELD: Final = 1.0  # s for which it stays see-through
-_OPACITY: Final = 0.4
+_OPACITY: Final = 0.45
 _LOW: Final = 0.5  # the height of the part of an actor that has to be visible, as a share of its box
 
 
