@@ -159,6 +159,8 @@ class Replayer:
     ) -> Replay:
         """Begin a replay; a running recording is completed, and a running replay ends, with the actors spawned for it.
 
+        Where there is no map of the recorded name, the corridors that the vehicles have driven are its roads.
+
         The replayed actors have their first poses when this returns, and move with the next tick.
 
         Args:
@@ -172,10 +174,12 @@ class Replayer:
             replay_weather: Change the weather as in the recording.
             map_name: The map to replay on; "" for that of the recording.
 
+        Warns:
+            RecapWarning: There is no map of the recorded name, or the town that is kept has another one.
+
         Raises:
             RecapError: There is no such recording, it is damaged, or there is no such start or actor.
-            MapMissing: The map is another one, and cannot be loaded. (Where there is none of the recorded name, the
-                corridors that the vehicles have driven are its roads, and a warning says so.)
+            MapMissing: The map is another one, and cannot be loaded.
         """
         self.stop()
         self._world.stop_recorder()
