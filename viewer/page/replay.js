@@ -397,7 +397,8 @@ class Replay {
     caption.hidden = !shown;
     if (!shown) return;
     const ahead = shown.incident.start - time;
-    const text = (this.recordings.length > 1 ? `${shown.recording.letter}: ` : "") + shown.incident.text;
+    const other = this.recordings.find((recording) => recording !== shown.recording);
+    const text = (other && !other.has(shown.incident) ? `${shown.recording.letter}: ` : "") + shown.incident.text;
     write(document.getElementById("caption-text"), text);
     write(document.getElementById("caption-when"), ahead > 0.05 ? `in ${ahead.toFixed(1)} s` : "");
     caption.dataset.kind = shown.kind;
