@@ -86,8 +86,8 @@ def _head(solid: Solid, center: Point, radius: float, clothes: Clothes, *, long_
     x, y, z = center
     radii = (radius, radius * 0.86, radius * 1.22)
     solid.ball(center, radii, clothes.skin, sides=7, rings=5)
-    back, down, grown = (0.36, -0.1, 1.06) if long_hair else (0.22, 0.28, 0.98)
-    solid.ball((x - radius * back, y, z + radius * down), tuple(grown * r for r in radii), clothes.hair, sides=7, rings=4)
+    back, up, grown = (0.26, 0.16, 1.08) if long_hair else (0.20, 0.34, 1.0)
+    solid.ball((x - radius * back, y, z + radius * up), tuple(grown * r for r in radii), clothes.hair, sides=7, rings=4)
     if long_hair:
         low = (x - radius * 0.85, y, z - radius * 1.9)
         solid.limb((x - radius * 0.6, y, z), low, (radius * 0.8, radius * 0.5), clothes.hair, sides=6, flat=1.2)
