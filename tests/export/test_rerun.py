@@ -892,3 +892,9 @@ def test_a_live_view_waits_for_the_actor_that_was_asked_for(tmp_path: Path) -> N
     frames = [{"transforms": [pose(1, 100 * n)]} for n in range(4)]
     frames[0]["spawned"], frames[2]["spawned"] = [spawn(1)], [spawn(7)]
     assert chosen(7, frames, tmp_path) == [None, None, 7, 7]
+
+
+def test_signs_are_drawn_where_no_map_has_them(tmp_path: Path) -> None:
+    sign = Spawn(1, ActorKind.TRAFFIC_SIGN, type_id="traffic.stop")
+    rrd = export(write(tmp_path / "sign.log", driven(2, of=2, spawned=[sign, spawn(2)])), tmp_path / "sign.rrd")
+    assert rrd.at("/world/actors/1", "Mesh3D:vertex_positions", 0) is not None

@@ -84,11 +84,6 @@ def style_of(actor: Present) -> Style:
     return STYLES.get(_kind_of(actor), OTHER)
 
 
-def is_sensor(actor: Present) -> bool:
-    """Return whether an actor is a sensor."""
-    return _kind_of(actor) == ActorKind.SENSOR
-
-
 def is_outlined(actor: Present) -> bool:
     """Return whether only the edges of the box are drawn: of a sensor, or an unknown actor without a recorded box."""
     return style_of(actor) is STYLES[ActorKind.SENSOR] or (style_of(actor) is OTHER and actor.box is None)

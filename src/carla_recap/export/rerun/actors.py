@@ -58,12 +58,14 @@ class ActorWriter:
         followed: The actor that the camera follows: its name is always shown.
         roads: Whether the map has roads.
         cameras: Ids of other actors that get the axes of a camera, if they are vehicles or walkers.
+        signs: Whether signs are drawn; those of a map are part of its surfaces.
     """
 
-    def __init__(self, stream: Stream, followed: int | None, *, roads: bool, cameras: Iterable[int]) -> None:
+    def __init__(self, stream: Stream, followed: int | None, *, roads: bool, cameras: Iterable[int], signs: bool) -> None:
         self._stream = stream
         self._followed = followed
         self._roads = roads
+        self._signs = signs
         self._cameras = {id: CameraAxes(stream, paths.camera(id)) for id in cameras if id != followed}
         self._present: set[int] = set()
         self._models = 0
@@ -168,7 +170,7 @@ class ActorWriter:
             self._left_out.add(actor.id)
             return
         self._boxed.add(actor.id)
-        look = look_of_present(actor) if actor.type_id else None
+        look = look_of_present(actor, signs=self._signs) if actor.type_id else None
         if look is not None and actor.kind in MOVERS:
             self._looks[actor.id] = look
         archetypes: list[rr.AsComponents] = [rr.AnyValues(name=style.label_of(actor))]
@@ -178,7 +180,7 @@ class ActorWriter:
             archetypes.append(drawn(look, mesh, with_shadow=actor.kind == ActorKind.VEHICLE))
             if actor.kind == ActorKind.VEHICLE:
                 self._lamps.add(actor.id, mesh)
-        elif not style.is_sensor(actor):
+        elif look is not None or not actor.type_id:
             archetypes.append(_box(actor, look))
         if actor.is_hero or actor.id == self._followed:
             archetypes.append(_name(actor, look))

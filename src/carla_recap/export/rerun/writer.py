@@ -108,7 +108,7 @@ class SceneWriter:
             write_sky(self._stream, np.zeros(3), 0.0)
             write_ground(self._stream)
         self._is_ground_placed = town is not None
-        self._actors = ActorWriter(self._stream, followed, roads=road_map is not None, cameras=cameras)
+        self._actors = ActorWriter(self._stream, followed, roads=road_map is not None, cameras=cameras, signs=town is None)
         self._lights = TrafficLightWriter(self._stream)
         self._events = EventWriter(self._stream)
         self._followed: FollowedWriter | None = None
