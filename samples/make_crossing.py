@@ -183,7 +183,7 @@ def existing_actors(frame: int) -> Iterator[Spawn]:
     for id, (type_id, position, yaw) in PROPS.items():
         yield spawn(id, type_id, poses(position, yaw))
     for id, (direction, _) in SIGNALS.items():
-        yield spawn(id, "traffic.traffic_light", poses(direction * (-9 + 4.5j), np.angle(-direction, deg=True)))
+        yield spawn(id, "traffic.traffic_light", poses(direction * (-9 + 4.5j), np.angle(direction * 1j, deg=True)))
     for mover in MOVERS:
         if mover.begin <= frame / RATE < mover.end:
             yield spawn(mover.id, mover.type_id, mover.poses[frame], mover.role_name)
