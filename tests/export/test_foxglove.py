@@ -703,12 +703,11 @@ def collision_of(frames):
 
 
 def test_a_collision_leaves_a_mark_for_some_seconds(record):
-    topics = record(*collision_of(5))
-    assert [len(message.entities) for _, message in topics["/scene/marks"]] == [0, 1]
-    (_, _), (time, message) = topics["/scene/marks"]
-    assert time == pytest.approx(0.2)
+    topics = record(*collision_of(60))
+    assert [len(message.entities) for _, message in topics["/scene/marks"]] == [0, 1, 0]
+    (_, _), (time, message), (end, _) = topics["/scene/marks"]
+    assert (time, end) == pytest.approx((0.2, 5.2))
     (entity,) = message.entities
-    assert entity.lifetime.ToMilliseconds() == 6000
     assert corners(entity)[:, 2].max() < 0.2
     assert np.abs(corners(entity)[:, :2]).max() == pytest.approx(1.1, abs=0.05)
 
@@ -718,6 +717,14 @@ def test_a_walker_who_was_knocked_down_lies(record):
     heights = [np.ptp(corners(bodies(topics, n / 10)["actor 2"]), axis=0)[2] for n in range(5)]
     assert heights[:2] == pytest.approx([1.86, 1.86], abs=0.05)
     assert all(height < 0.7 for height in heights[2:])
+
+
+def test_a_walker_who_walks_again_stands_from_that_scene_on(record):
+    frames = collision_of(10)
+    frames[7]["walker_controls"] = [(2, 140.0)]
+    topics = record(*frames)
+    heights = [np.ptp(corners(bodies(topics, n / 10)["actor 2"]), axis=0)[2] for n in range(10)]
+    assert [height < 0.7 for height in heights] == [2 <= n < 7 for n in range(10)]
 
 
 def test_the_log_begins_with_the_present_actors(crossing):

@@ -13,7 +13,8 @@ from carla_recap import open_recording
 from carla_recap.model.blueprints import blueprint_sizes
 from carla_recap.model.records import ActorKind
 from carla_recap.queries.actors import BoundingBox
-from carla_recap.rendering.actors import MARKED, SceneActors, instances_of, lamps_of_vehicles, look_of
+from carla_recap.rendering.actors import SceneActors, instances_of, lamps_of_vehicles, look_of
+from carla_recap.rendering.collisions import MARKED
 from carla_recap.rendering.materials import Material, Tag
 from carla_recap.rendering.models import INDEX, MODELS
 from carla_recap.replay import Player

@@ -3,18 +3,16 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
 from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
-from carla_recap.model.records import NO_ACTOR, ActorKind
+from carla_recap.rendering.collisions import MARK_RADIUS, CollisionMarks, FallenWalkers, collision_scenes
 from carla_recap.rendering.instances import Instances
 from carla_recap.rendering.looks import Look, look_of, look_of_present
 from carla_recap.rendering.materials import MATERIALS, Color, Material, Tag
 from carla_recap.rendering.models import INDEX
-from carla_recap.replay.player import Player
-from carla_recap.replay.pose import LOCATION, ROTATION, right_handed, rotations
+from carla_recap.replay.pose import LOCATION, right_handed, rotations
 from carla_recap.replay.selection import find
 
 if TYPE_CHECKING:
@@ -45,23 +43,11 @@ _LIT_BY: Final = (
 """The lamps, and the bits of CARLA's VehicleLightState of which any lights them."""
 _LIGHTS: Final = np.array([1 << Material.RED_LAMP, 1 << Material.YELLOW_LAMP, 1 << Material.GREEN_LAMP, 0, 0], np.uint64)
 
-MARKED: Final = 5.0
-"""The time in s for which the place of a collision is marked."""
-_MARK: Final = 1.1  # m, the radius
-_MARK_HEIGHT: Final = 0.03  # m above the ground
-_MOST_MARKS: Final = 200
 _MARK_IDS: Final = 0xFFFF_0000  # ids from here on are those of marks
 _MARK_COLOR: Final[Color] = MATERIALS[Material.COLLISION_MARK].color
 
-_MOST_RECALLED: Final = 50  # collisions
-_LEAD: Final = 0.3  # s before a collision that are read, for the velocities
-_SLACK: Final = 1e-6  # s
-
 _BRAKING: Final = 0.02  # of the brake control, from which on the lamps are lit
 _STEERED: Final = math.radians(40)  # of the front wheels at full steering
-_KNOCKED: Final = 1.5  # m/s: from this speed on, a vehicle knocks a walker down
-_UPRIGHT: Final = 45.0  # degrees; one that leans more lies already
-_WALKING: Final = 20.0  # cm/s; one that walks again has got up
 
 
 def instances(ids: Sequence[int] | Ids, looks: Sequence[Look], poses: Floats) -> Instances:
@@ -129,12 +115,6 @@ class _Actors:
         )
 
 
-@dataclass
-class _Mark:
-    location: Floats
-    until: float
-
-
 class SceneActors:
     """Makes the instances of the scenes of a replay, one after the other.
 
@@ -155,28 +135,25 @@ class SceneActors:
         self._rows = np.zeros(0, np.intp)
         self._standing: Floats = np.zeros((0, 6))  # the poses of those without recorded ones
         self._attached: list[tuple[int, int]] = []  # rows and ids of those that move with a parent
-        self._walkers: Ids = np.zeros(0, np.uint32)
         self._looks: dict[int, tuple[Present, Look | None]] = {}
-        self._marks: dict[tuple[int, int], _Mark] = {}
-        self._knocked: dict[int, Floats] = {}  # walkers, and the direction in which they were knocked down
-        self._before: tuple[float, Ids, Floats] | None = None  # the scene before: time, ids, poses
-        self._time = -math.inf
+        self._fallen = FallenWalkers()
+        self._marks = CollisionMarks()
         self._recalled = False  # whether what is known belongs to a moment before the next scene
 
     def at(self, scene: Scene) -> Instances:
         """Return the instances of a scene."""
-        if (scene.fresh and not self._recalled) or scene.time < self._time:
-            self._forget()
+        if scene.batch is not self._batch:
+            self._enter(scene.batch)
+        self._leave_behind(scene.batch[scene.row : scene.row + 1], keep=self._recalled)
         self._recalled = False
-        self._learn(scene)
         poses = self._poses(scene)
         found = self._actors.at(poses)
         self._light(found, scene)
-        self._lay(found, scene)
+        self._lay(found)
         sound = np.all(np.abs(poses) < 1e9, axis=1)  # and no NaN
         if not sound.all():
             found = found.take(sound)
-        return self._with_marks(found, scene.time)
+        return self._with_marks(found)
 
     def recall(self, recording: Recording, time: float) -> None:
         """Learn what collisions before a moment have left behind; the next scene is one of that moment.
@@ -185,30 +162,15 @@ class SceneActors:
             recording: The recording.
             time: The moment, in elapsed seconds.
         """
-        self._forget()
-        rows = [row for row in recording.collisions() if row.elapsed <= time]
-        lasting = [row for row in rows if "w" in (row.letter1, row.letter2) or row.elapsed > time - MARKED]
-        for row in lasting[-_MOST_RECALLED:]:
-            begin = max(row.elapsed - _LEAD, 0.0)
-            for scene in Player(recording, start=begin, duration=2 * _LEAD).scenes():
-                if scene.time > row.elapsed + _SLACK:
-                    break
-                self._learn(scene)
-        self._time, self._before, self._recalled = -math.inf, None, True
+        self._fallen, self._marks, self._recalled = FallenWalkers(), CollisionMarks(), True
+        for batch in collision_scenes(recording, time):
+            self._leave_behind(batch, keep=True)
 
-    def _forget(self) -> None:
-        self._marks.clear()
-        self._knocked.clear()
-        self._before = None
-
-    def _learn(self, scene: Scene) -> None:
-        """Take the actors and the collisions of a scene."""
-        self._time = scene.time
-        if scene.batch is not self._batch:
-            self._enter(scene.batch)
-        for event in scene.collisions:
-            self._collide(event.actor1, event.actor2, scene)
-        self._before = (scene.time, scene.ids, scene.poses)
+    def _leave_behind(self, scene: SceneBatch, *, keep: bool) -> None:
+        """Take the collisions of a scene."""
+        self._fallen.changes(scene, keep=keep)
+        if self._marks_wanted:
+            self._marks.changes(scene, keep=keep)
 
     def _enter(self, batch: SceneBatch) -> None:
         """Take the actors of a batch, if they are others than before."""
@@ -236,8 +198,6 @@ class SceneActors:
                 self._attached.append((row, id))
             else:
                 self._standing[row] = batch.actors[id].spawn_pose
-        kinds = [batch.actors[int(id)].kind for id in ids]
-        self._walkers = ids[[kind == ActorKind.WALKER for kind in kinds]] if kinds else ids
 
     def _poses(self, scene: Scene) -> Floats:
         poses = self._standing.copy()
@@ -266,91 +226,26 @@ class SceneActors:
         steer = np.nan_to_num(controls["steer"][known].astype(np.float64))
         found.steering[rows[known]] = np.clip(-steer, -1, 1) * _STEERED
 
-    def _collide(self, actor1: int, actor2: int, scene: Scene) -> None:
-        """Mark a collision, and knock down a walker that was hit by a vehicle."""
-        places = {id: pose for id in (actor1, actor2) if id != NO_ACTOR and (pose := scene.pose_of(id)) is not None}
-        walkers = [id for id in places if id in self._present and self._present[id].kind == ActorKind.WALKER]
-        if not places:
-            return
-        if self._marks_wanted:
-            self._mark(actor1, actor2, [places[id] for id in walkers] or list(places.values()), [*places], scene.time)
-        for walker in walkers:
-            vehicle = actor2 if walker == actor1 else actor1
-            if vehicle in places and vehicle not in walkers and walker not in self._knocked:
-                velocity = self._velocity(vehicle, scene) - self._velocity(walker, scene)
-                speed = float(np.linalg.norm(velocity))
-                if speed > _KNOCKED:
-                    self._knocked[walker] = velocity / speed
+    def _lay(self, found: Instances) -> None:
+        """Lay down the walkers that were knocked down."""
+        for id, fall in self._fallen.falls.items():
+            row = int(found.ids.searchsorted(id))
+            if row < len(found) and found.ids[row] == id:
+                upright = found.rotations[row].astype(np.float64)
+                found.rotations[row] = upright @ fall.matrix
+                found.locations[row] += upright @ (fall.offset - self._actors.centers[row])
 
-    def _mark(self, actor1: int, actor2: int, poses: list[Floats], ids: list[int], time: float) -> None:
-        location = right_handed(np.mean(poses, axis=0))[LOCATION]
-        if not np.isfinite(location).all():
-            return
-        bottoms = [self._bottom(id) for id in ids]
-        location[2] += min(bottoms, default=0.0) + _MARK_HEIGHT
-        pair = (min(actor1, actor2), max(actor1, actor2))
-        known = self._marks.get(pair)
-        if known is not None:
-            known.until = time + MARKED  # the contact goes on: it is marked where it began
-        elif len(self._marks) < _MOST_MARKS:
-            self._marks[pair] = _Mark(location, time + MARKED)
-
-    def _bottom(self, id: int) -> float:
-        """Return the height of the lower side of an actor's box above its origin, in m."""
-        _, look = self._looks.get(id, (None, None))
-        return look.center[2] - look.half_extents[2] if look is not None else 0.0
-
-    def _velocity(self, id: int, scene: Scene) -> Floats:
-        """Return the horizontal velocity in m/s, right-handed: as recorded, else out of the last two poses."""
-        rows = scene.velocities
-        index, known = find(np.array([id], np.uint32), rows["id"])
-        if known[0]:
-            row = rows[index[0]]
-            found = np.array((row["x"], -row["y"]), np.float64)
-            if np.isfinite(found).all():
-                return found
-        pose = scene.pose_of(id)
-        if self._before is not None and pose is not None and scene.time > self._before[0]:
-            time, ids, poses = self._before
-            index, known = find(np.array([id], np.uint32), ids)
-            if known[0]:
-                step = right_handed(pose - poses[index[0]])[:2] / (scene.time - time)
-                if np.isfinite(step).all():
-                    return np.array(step)
-        return np.zeros(2)
-
-    def _lay(self, found: Instances, scene: Scene) -> None:
-        """Lay down the walkers that were knocked down and whose recorded poses are upright."""
-        if not self._knocked:
-            return
-        controls = scene.walker_controls
-        walking = set(controls["id"][controls["speed"] > _WALKING].tolist())
-        for walker in [id for id in self._knocked if id in walking or id not in self._present]:
-            del self._knocked[walker]
-        for walker, direction in self._knocked.items():
-            pose = scene.pose_of(walker)
-            row = int(found.ids.searchsorted(walker))
-            if pose is None or row >= len(found) or found.ids[row] != walker or np.abs(pose[ROTATION][:2]).max() > _UPRIGHT:
-                continue
-            on_back = found.rotations[row, :2, 0] @ direction <= 0
-            forward = np.array((0.0, 0.0, 1.0 if on_back else -1.0))
-            up = np.array((*direction, 0.0))
-            found.rotations[row] = np.column_stack((forward, np.cross(up, forward), up))
-            found.locations[row, 2] += float(found.half_extents[row, 0] - found.half_extents[row, 2])
-
-    def _with_marks(self, found: Instances, time: float) -> Instances:
-        for pair in [pair for pair, mark in self._marks.items() if mark.until < time]:
-            del self._marks[pair]
-        if not self._marks:
+    def _with_marks(self, found: Instances) -> Instances:
+        locations = self._marks.locations
+        if not len(locations):
             return found
-        locations = np.array([mark.location for mark in self._marks.values()])
         count = len(locations)
         added = Instances(
             np.arange(_MARK_IDS, _MARK_IDS + count, dtype=np.uint32),
             np.full(count, INDEX["collision mark"], np.uint8),
             locations,
             np.broadcast_to(np.eye(3, dtype=np.float32), (count, 3, 3)),
-            np.broadcast_to(np.array((_MARK, _MARK, 0.001), np.float32), (count, 3)),
+            np.broadcast_to(np.array((MARK_RADIUS, MARK_RADIUS, 0.001), np.float32), (count, 3)),
             np.broadcast_to(np.array(_MARK_COLOR, np.uint8), (count, 3)),
             np.zeros(count, np.uint64),
             np.zeros(count, np.float32),

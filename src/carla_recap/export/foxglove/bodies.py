@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from functools import cache, lru_cache
-from typing import TYPE_CHECKING, Final, NamedTuple
+from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
@@ -33,6 +33,7 @@ from carla_recap.rendering.models import MODELS
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
+    from carla_recap.rendering.collisions import Fall
     from carla_recap.replay import Present
 
     Floats = NDArray[np.float64]
@@ -59,18 +60,6 @@ _RING_POINTS: Final = 32
 _LABEL: Final = 0.5  # m above the ring
 _FONT: Final = 14.0  # pixels
 _SIGNAL_LAMPS: Final = (Material.RED_LAMP, Material.YELLOW_LAMP, Material.GREEN_LAMP)
-
-
-class Fall(NamedTuple):
-    """How a walker lies, in the walker's own axes.
-
-    Attributes:
-        rotation: The rotation of the body: a matrix, row by row.
-        offset: The middle of the body, in m.
-    """
-
-    rotation: tuple[float, ...]
-    offset: tuple[float, float, float]
 
 
 def frame_of(id: int) -> str:
@@ -172,7 +161,7 @@ def _geometries(look: Look, fall: Fall | None) -> list[tuple[Material, bytes]]:
     """Return the triangles of an actor by their materials; the colour of its look does not matter."""
     vertices = vertices_of(look)
     if fall is not None:
-        vertices = (vertices - look.center) @ np.array(fall.rotation).reshape(3, 3).T + fall.offset
+        vertices = (vertices - look.center) @ fall.matrix.T + fall.offset
     return shapes.geometries(_surfaces(look.model), vertices)
 
 

@@ -13,7 +13,6 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 
 from carla_recap.export.foxglove import bodies
-from carla_recap.export.foxglove.falls import Falls
 from carla_recap.export.foxglove.messages import (
     WORLD,
     FrameTransform,
@@ -41,8 +40,8 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    from carla_recap.export.foxglove.bodies import Fall
     from carla_recap.export.foxglove.messages import Floats, Indices, Stamps
+    from carla_recap.rendering.collisions import Fall, FallChange
     from carla_recap.rendering.looks import Look
     from carla_recap.replay.scene import SceneBatch
     from carla_recap.replay.selection import Ids
@@ -237,8 +236,7 @@ class ActorEntities:
         self._carried: list[tuple[int, int]] = []  # position and id of those of them that are attached to a parent
         self._first: Floats = np.zeros((0, 6))  # the first finite poses
         self._moved: NDArray[np.bool_] = np.zeros(0, np.bool_)
-        self._falls = Falls()
-        self._lying: dict[int, Fall] = {}
+        self._falls: dict[int, Fall] = {}  # how walkers lie
         self._written = 0  # bytes of bodies
         self._bodies_shown: bytes | None = None  # which of the shown actors were present in the latest scene
         self._order: Indices = np.zeros(0, np.intp)  # the shown actors, by their ids
@@ -251,26 +249,31 @@ class ActorEntities:
         self._lamps = _TopicEntities(bodies.LAMPS)
         self._states = _TopicEntities(bodies.SIGNALS)
 
-    def messages(self, batch: SceneBatch, rows: Indices, stamps: Stamps) -> Iterator[TopicMessages]:
+    def messages(
+        self, batch: SceneBatch, rows: Indices, stamps: Stamps, falls: Sequence[FallChange]
+    ) -> Iterator[TopicMessages]:
         """Yield the messages of some scenes of a batch.
 
         Args:
             batch: The scenes.
             rows: The positions of the scenes that are shown.
             stamps: The timestamp of each of these.
+            falls: The walkers that fall or get up, until the last of these.
         """
         changed = self._take_actors(batch)
-        changed |= self._take_falls(batch)
+        fall_rows = np.searchsorted(rows, [fall.row for fall in falls]).tolist()
         if changed:
             self._bodies_shown = None
         poses = self._poses(batch, rows)
         present = poses.present()
         moves = self._find_moves(poses, present)
         starts = {0, *moves[moves < len(rows)].tolist()}
+        starts.update(fall_rows)
         starts.update((np.flatnonzero((present[1:] != present[:-1]).any(axis=1)) + 1).tolist())
         for start, stop in pairwise([*sorted(starts), len(rows)]):
             for index in np.flatnonzero(moves == start).tolist():
                 self._shown[index].moved = self._moved[index] = True
+            self._take_falls([fall for row, fall in zip(fall_rows, falls, strict=True) if row == start])
             fresh = batch.fresh and not rows[start]
             indices = np.flatnonzero(present[start] & self._moved)
             if len(indices):
@@ -353,17 +356,17 @@ class ActorEntities:
         columns, known = find(ids.astype(np.uint32), self._sorted_ids)
         return self._order[columns[known]] if len(self._order) else columns[known], known
 
-    def _take_falls(self, batch: SceneBatch) -> bool:
-        """Let walkers fall and get up; return whether any has."""
-        changed = False
-        before, falls = self._lying, self._falls.of(batch)
-        self._lying = falls
-        for shown in self._shown if falls or before else ():
-            fall = falls.get(shown.actor.id)
-            if fall != shown.fall:
-                shown.set_fall(fall)
-                changed = True
-        return changed
+    def _take_falls(self, changes: Sequence[FallChange]) -> None:
+        """Let walkers fall and get up."""
+        for _, id, fall in changes:
+            self._falls.pop(id, None)
+            if fall is not None:
+                self._falls[id] = fall
+        for shown in self._shown if self._falls or changes else ():
+            now = self._falls.get(shown.actor.id)
+            if now != shown.fall:
+                shown.set_fall(now)
+                self._bodies_shown = None
 
     def _take_actors(self, batch: SceneBatch) -> bool:
         """Set what depends on the actors of a batch; return whether they have changed."""

@@ -10,7 +10,7 @@ from mcap.opcode import Opcode
 from mcap_protobuf.schema import build_file_descriptor_set
 
 from carla_recap.export.event_text import EventText, Level, incident_lines
-from carla_recap.export.foxglove import bodies, falls, followed, scene
+from carla_recap.export.foxglove import bodies, followed, marks, scene
 from carla_recap.export.foxglove.followed import known_poses
 from carla_recap.export.foxglove.messages import FrameTransforms, Log, SceneUpdate, single, timestamps
 from carla_recap.export.foxglove.town import MAP, map_message
@@ -18,6 +18,7 @@ from carla_recap.formats.mcap.chunk import ChunkBuilder
 from carla_recap.formats.mcap.file import ChunkedFile, Topic
 from carla_recap.formats.mcap.schema import EXPORT_METADATA, MESSAGE, MESSAGE_DTYPE, RECORD, LogClock
 from carla_recap.model.frame import SAME_TIME
+from carla_recap.rendering.collisions import FallenWalkers
 from carla_recap.replay import Played
 from carla_recap.v1.followed_pb2 import Followed, ShownLights
 
@@ -33,6 +34,7 @@ if TYPE_CHECKING:
     from carla_recap.export.foxglove.messages import Floats, Indices, Times, TopicMessages
     from carla_recap.model.frame import Header
     from carla_recap.queries.incidents import Incident
+    from carla_recap.rendering.collisions import FallChange
     from carla_recap.rendering.town import TownMesh
     from carla_recap.replay.scene import SceneBatch
 
@@ -45,7 +47,7 @@ TOPICS: Final[Mapping[str, type[Message]]] = {
     bodies.OTHERS: SceneUpdate,
     bodies.LAMPS: SceneUpdate,
     bodies.SIGNALS: SceneUpdate,
-    falls.MARKS: SceneUpdate,
+    marks.MARKS: SceneUpdate,
     followed.AHEAD: SceneUpdate,
     followed.TRANSFORMS: FrameTransforms,
     scene.MOVED: FrameTransforms,
@@ -98,7 +100,9 @@ class FoxgloveWriter(ChunkedFile):
         self._follow = follow
         self._town = town
         self._entities = scene.ActorEntities()
-        self._marks = falls.CollisionMarks()
+        self._marks = marks.MarkEntities()
+        self._walkers = FallenWalkers()
+        self._falls: list[FallChange] = []  # since the latest scene that is shown
         self._frames = followed.ViewFrames()
         self._motion = followed.FollowedMotion()
         self._lights = followed.LightMessages(stops or {})
@@ -168,6 +172,8 @@ class FoxgloveWriter(ChunkedFile):
         found = known_poses(batch, self._follow)
         if self._follow is not None:
             yield from self._motion.messages(batch, self._follow, found)
+        yield from self._marks.messages(batch, timestamps(times))
+        self._falls = [*(fall._replace(row=0) for fall in self._falls), *self._walkers.changes(batch)]
         rows = self._choose(batch)
         if len(rows):
             yield from self._show(batch, rows, times, found)
@@ -186,8 +192,9 @@ class FoxgloveWriter(ChunkedFile):
         """Yield the messages of the scenes that are shown, given the poses of the followed actor."""
         found, stamps = found.of(rows), timestamps(times[rows])
         yield from self._frames.messages(batch, rows, stamps, found)
-        yield from self._entities.messages(batch, rows, stamps)
-        yield from self._marks.messages(batch, rows, stamps)
+        falls = [fall for fall in self._falls if fall.row <= rows[-1]]
+        self._falls = [fall for fall in self._falls if fall.row > rows[-1]]
+        yield from self._entities.messages(batch, rows, stamps, falls)
         yield from self._lights.messages(batch, rows, stamps, found)
 
     def _times_of(self, batch: SceneBatch) -> Times:
