@@ -1,4 +1,8 @@
-"""The ground where there is no map: what vehicles have driven along, as roads."""
+"""The ground without a map: what vehicles have driven along, as roads.
+
+`maps.corridors` makes better roads, but reads a recording beforehand: a running simulation and a recording of more than half
+an hour are written while they are read, so that their roads are gathered on the way.
+"""
 
 from __future__ import annotations
 

@@ -1,4 +1,7 @@
-"""The ground of recordings without a map: a plane with lines, which show the speed of the actor that it moves along with."""
+"""The ground without a town mesh: a plane with lines, which show the speed of the actor that it moves along with.
+
+A town mesh has its own ground; see `corridors` for when there is none.
+"""
 
 from __future__ import annotations
 

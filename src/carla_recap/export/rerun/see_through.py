@@ -1,4 +1,8 @@
-"""The followed actor becomes see-through while it hides another one from the camera behind it."""
+"""The followed actor becomes see-through while it hides another one from the camera behind it.
+
+Unlike `export.video.transparency`, which compares projected boxes in one picture of any camera, this computes the lines of
+sight of a fixed camera in whole blocks of frames at once.
+"""
 
 from __future__ import annotations
 
