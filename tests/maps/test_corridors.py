@@ -114,3 +114,25 @@ def test_a_corridor_map_has_lines_and_surfaces(tmp_path: Path):
     assert len(found.centre_lines) == 1
     assert sorted(round(line[0, 1], 2) for line in found.lane_borders) == [-1.75, 1.75]
     assert read_roads(found.opendrive)
+
+
+def test_a_part_of_fewer_points_is_no_road(roads):
+    assert len(roads(straight(), straight(y=0.2, length=64.0))) == 1
+
+
+def test_roads_are_of_the_time_that_is_asked_for(tmp_path: Path):
+    path = tmp_path / "driven.mcap"
+    with carla_recap.create_recording(path, map_name="Nowhere", date=0) as recording:
+        for frame in range(400):
+            spawned = [Spawn(1, ActorKind.VEHICLE, type_id="vehicle.audi.tt")] if frame == 0 else []
+            recording.add_frame(frame / 10, spawned=spawned, transforms=[{"id": 1, "x": 150.0 * frame}])
+    with carla_recap.open_recording(path) as recording:
+        (road,) = read_roads(corridor_opendrive(recording, 10.0, 20.0))
+    course = points(road)
+    assert course[:, 0].min() == pytest.approx(150 - 4, abs=2)
+    assert course[:, 0].max() == pytest.approx(300 + 4, abs=2)
+
+
+def test_roads_have_few_points_where_they_are_straight(roads):
+    (road,) = roads(straight(length=600.0))
+    assert len(road.pieces) < 70

@@ -71,7 +71,7 @@ def export(
     if viewer == "foxglove" and cameras:
         raise click.BadParameter("Foxglove has no such files.", param_hint="--cameras")
     with open_recording(source) as recording:
-        roads, progress = options.road_map_of(recording, road_map), watch_scenes("exporting")
+        roads, progress = options.road_map_of(recording, road_map, start, duration), watch_scenes("exporting")
         if viewer == "rerun":
             from carla_recap.export.rerun import export_rerun
 
@@ -210,7 +210,7 @@ def view(
     with open_recording(source) as recording:
         run(
             recording,
-            road_map=options.road_map_of(recording, road_map),
+            road_map=options.road_map_of(recording, road_map, start, duration),
             progress=watch_scenes("exporting"),
             ready=_announce,
             follow=follow,
@@ -247,7 +247,7 @@ def snapshot(
     from carla_recap.recording import open_recording
 
     with open_recording(source) as recording:
-        town = partial(options.town_of, recording, road_map)
+        town = partial(options.town_of, recording, road_map, at, options.MOMENT)
         run(recording, destination, at=at, follow=follow, view=view, town=town, size=size, overlay=overlay, force=force)
     say(destination)
 
@@ -298,7 +298,7 @@ def video(
             rate=fps,
             smooth=smooth,
             overlay=overlay,
-            town=partial(options.town_of, recording, road_map),
+            town=partial(options.town_of, recording, road_map, start, duration),
             progress=watch_scenes("filming"),
             force=force,
         )

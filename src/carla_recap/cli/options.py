@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import re
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, TypeVar
+from typing import TYPE_CHECKING, Any, Final, TypeVar
 
 import click
 
@@ -22,6 +22,11 @@ if TYPE_CHECKING:
     Command = Callable[..., Any]
 
 T = TypeVar("T")
+
+MOMENT: Final = 1e-3
+"""The seconds of a recording that a picture shows."""
+
+_AROUND: Final = 30.0  # s around what is shown, in which vehicles drive along what are its roads
 
 
 class _Number(click.ParamType[Any]):
@@ -183,7 +188,7 @@ def opened(path: str) -> Reader:
     return reader
 
 
-def road_map_of(recording: Recording, path: str | None) -> RoadMap | None:
+def road_map_of(recording: Recording, path: str | None, start: float = 0.0, duration: float = 0.0) -> RoadMap | None:
     """Return the map of a recording's town; without one, what its vehicles have driven along.
 
     None if that is not known either, or if an extra is missing; a warning says so.
@@ -191,24 +196,34 @@ def road_map_of(recording: Recording, path: str | None) -> RoadMap | None:
     Args:
         recording: The recording; its map name is looked for.
         path: The map, or the folder to look in; None: the usual folders.
+        start: The elapsed seconds from which on the recording is shown; negative: before the end.
+        duration: The seconds that are shown; 0: all of the rest.
 
     Raises:
         RecapError: The given folder has no such map, or the map is damaged.
     """
     from carla_recap.maps import load_map
 
-    return _loaded_map(recording, path, load_map, lambda corridors: corridors)
+    return _loaded_map(recording, path, load_map, lambda corridors: corridors, start, duration)
 
 
-def town_of(recording: Recording, path: str | None) -> TownMesh | None:
+def town_of(recording: Recording, path: str | None, start: float = 0.0, duration: float = 0.0) -> TownMesh | None:
     """Return a recording's town as a mesh; see `road_map_of`."""
     from carla_recap.rendering.town import load_town_mesh, town_mesh_of
 
-    return _loaded_map(recording, path, load_town_mesh, lambda corridors: town_mesh_of(corridors.opendrive, corridors.name))
+    def without(corridors: RoadMap) -> TownMesh:
+        return town_mesh_of(corridors.opendrive, corridors.name)
+
+    return _loaded_map(recording, path, load_town_mesh, without, start, duration)
 
 
 def _loaded_map(
-    recording: Recording, path: str | None, load: Callable[[Path], T], without: Callable[[RoadMap], T]
+    recording: Recording,
+    path: str | None,
+    load: Callable[[Path], T],
+    without: Callable[[RoadMap], T],
+    start: float,
+    duration: float,
 ) -> T | None:
     from carla_recap.errors import MissingExtra, RecapError
     from carla_recap.maps import find_map
@@ -223,7 +238,9 @@ def _loaded_map(
         found = Path(path)
     if found is None:
         try:
-            corridors = corridor_map(recording)
+            begin = max(start if start >= 0 else recording.info.duration + start, 0.0)
+            stop = begin + duration + _AROUND if duration > 0 else math.inf
+            corridors = corridor_map(recording, begin - _AROUND, stop)
             return None if corridors is None else without(corridors)
         except RecapError:  # as of a damaged recording, which the command itself reports
             return None

@@ -6,17 +6,20 @@ Of many actors at once there is a single line, and of a contact of many frames, 
 from __future__ import annotations
 
 from collections import Counter
+from contextlib import suppress
 from enum import IntEnum
 from typing import TYPE_CHECKING, Final, NamedTuple
 
 from carla_recap.errors import RecapError
 from carla_recap.export import style
+from carla_recap.model.batch import within
 from carla_recap.model.frame import SAME_TIME
-from carla_recap.queries.incidents import incidents
+from carla_recap.queries.incidents import IncidentSearch
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator, Sequence
 
+    from carla_recap.model.batch import Batch
     from carla_recap.queries.incidents import Incident
     from carla_recap.replay import Collided, Player, Present, Scene
 
@@ -83,12 +86,31 @@ class EventText:
                 yield Line(level, "collisions", style.sentence(event, self._actors), event)
 
 
-def incidents_of(player: Player) -> Iterable[Incident]:
-    """Return the incidents in the time that is played, without collisions; none if the recording is damaged elsewhere."""
-    try:
-        return incidents(player.reader, collisions=False, start=player.start, stop=player.stop + 2 * SAME_TIME)
-    except RecapError:
-        return []
+class PlayedIncidents:
+    """The incidents in the time that is played, without collisions; none if the recording is damaged elsewhere.
+
+    Args:
+        player: The player, which has not begun; its frames are what they are found in.
+    """
+
+    def __init__(self, player: Player) -> None:
+        self._start, self._stop = player.start, player.stop + 2 * SAME_TIME
+        self._search: IncidentSearch | None = None
+        with suppress(RecapError):
+            self._search = IncidentSearch(player.reader, collisions=False, start=self._start, stop=self._stop)
+            player.observe(self._add)
+
+    def found(self) -> Iterable[Incident]:
+        """Return the incidents in all that was played."""
+        return () if self._search is None else self._search.finish()
+
+    def _add(self, batch: Batch) -> None:
+        try:
+            for part in within((batch,), self._start - SAME_TIME, self._stop - SAME_TIME):
+                if self._search is not None:
+                    self._search.add(part)
+        except RecapError:
+            self._search = None
 
 
 def incident_lines(found: Iterable[Incident]) -> Iterator[tuple[float, Line]]:

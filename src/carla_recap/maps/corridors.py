@@ -5,14 +5,15 @@ Units are m and radians; axes are right-handed: x forward, y left, z up.
 
 from __future__ import annotations
 
+import math
 from itertools import pairwise
 from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
-from carla_recap.maps.polylines import simplify
-from carla_recap.maps.road_geometry import read_roads
 from carla_recap.maps.road_map import RoadMap, plain_name
+from carla_recap.model.records import CM
+from carla_recap.tables.trajectories import actor_rows
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator, Sequence
@@ -20,7 +21,6 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from carla_recap.recording import Recording
-    from carla_recap.tables.trajectories import Trajectory
 
     Floats = NDArray[np.float64]
 
@@ -38,54 +38,78 @@ _FARTHEST: Final = 1e5  # m from the origin
 _JUMP: Final = 100.0  # m/s; what is faster is no driving
 _LEAST_JUMP: Final = 3.0  # m
 _SHARP: Final = np.cos(np.radians(50.0))  # of a turn at a point, at which a path ends
-_LONGEST: Final = 1800.0  # s of a recording
-_SHORTEST: Final = 6.0  # m of a road
+_LONGEST: Final = 7200.0  # s of a recording
+_AT_ONCE: Final = 10.0  # s in which a first pose is looked for
+_FEWEST: Final = 7  # points of a part of a path that is a road, about a metre apart
+_FAR: Final = 12.0  # m; the largest distance between points of a road
+_TURN: Final = np.radians(4.0)  # between points of a road
+_SLOPE: Final = 0.03  # change of the slope between points of a road
 _BEYOND: Final = 4.0  # m of road before and after a path
 _SMOOTHED: Final = 5  # points on both sides, of heights
 _SHOULDER: Final = 0.6  # m
 _ALONE: Final = 40.0  # m of the road where no vehicle has driven
 
 
-def corridor_opendrive(recording: Recording) -> str:
+def corridor_opendrive(recording: Recording, start: float = -math.inf, stop: float = math.inf) -> str:
     """Return an OpenDRIVE map whose roads are what the vehicles of a recording have driven along, once each.
 
     Each road has one lane. Where no vehicle has moved, there is one short road.
 
     Args:
         recording: The recording.
+        start: The elapsed seconds from which on it is read.
+        stop: The elapsed seconds until which it is read.
     """
-    poses = recording.trajectories()
-    vehicles = [poses[id] for id, actor in recording.actors.items() if actor.kind == "vehicle" and id in poses]
-    paths = [path for vehicle in vehicles for path in _paths(vehicle)]
-    roads = [road for road in map(_extended, fresh_parts(paths, _CELL, _MOST)) if _length(road) > _SHORTEST]
-    return _opendrive(roads or [_somewhere(vehicles or list(poses.values()))])
+    return _opendrive(_roads(recording, start, stop))
 
 
-def corridor_map(recording: Recording) -> RoadMap | None:
+def corridor_map(recording: Recording, start: float = -math.inf, stop: float = math.inf) -> RoadMap | None:
     """Return the corridors that the vehicles of a recording have driven as a road map; see `corridor_opendrive`.
 
     Returns:
-        None for a recording of more than half an hour, which takes too long to read for that.
+        None for more than two hours, which take too long to read for that.
     """
-    if recording.info.duration > _LONGEST:
+    if min(stop, recording.info.duration) - max(start, 0.0) > _LONGEST:
         return None
-    text = corridor_opendrive(recording)
-    borders, middles = [], []
-    for road in read_roads(text):
-        points, headings = road.reference(np.linspace(0.0, road.length, int(road.length / _STEP) + 2))
-        lefts = np.stack((-np.sin(headings), np.cos(headings), np.zeros(len(headings))), axis=1)
-        middles.append(simplify(points))
-        borders += [simplify(points + side * LANE_WIDTH / 2 * lefts) for side in (1, -1)]
-    return RoadMap(plain_name(recording.header.map_name), borders, middles, [], [], [], text)
+    roads = _roads(recording, start, stop)
+    borders = []
+    for road in roads:
+        ways = np.gradient(road[:, :2], axis=0)
+        ways /= np.maximum(np.linalg.norm(ways, axis=1, keepdims=True), 1e-9)
+        lefts = np.stack((-ways[:, 1], ways[:, 0], np.zeros(len(ways))), axis=1)
+        borders += [road + side * LANE_WIDTH / 2 * lefts for side in (1, -1)]
+    return RoadMap(plain_name(recording.header.map_name), borders, roads, [], [], [], _opendrive(roads))
 
 
-def fresh_parts(paths: Sequence[Floats], cell: float, most: int) -> Iterator[Floats]:
+def _roads(recording: Recording, start: float, stop: float) -> list[Floats]:
+    """Return the middles of the roads, with points where they bend."""
+    vehicles = {actor.id for actor in recording.actors.values() if actor.kind == "vehicle"}
+    tracks = list(_tracks(recording, vehicles, start, stop))
+    paths = [path for track in tracks for path in _paths(track)]
+    roads = [_bends(_extended(part)) for part in fresh_parts(paths, _CELL, _MOST, _FEWEST)]
+    return roads or [_somewhere(tracks or _tracks(recording, None, start, min(stop, max(start, 0.0) + _AT_ONCE)))]
+
+
+def _tracks(recording: Recording, ids: set[int] | None, start: float, stop: float) -> Iterator[NDArray[np.void]]:
+    """Yield the poses of each actor, as records with their time."""
+    rows = actor_rows(recording.reader, ("transforms",), ids, start=start, stop=stop)["transforms"]
+    for found in rows.values():
+        track = np.empty(len(found.records), [(name, np.float64) for name in ("time", "x", "y", "z", "yaw")])
+        track["time"] = found.time
+        with np.errstate(invalid="ignore"):  # a signaling NaN
+            for name, unit in (("x", CM), ("y", -CM), ("z", CM), ("yaw", -1.0)):
+                track[name] = found.records[name].astype(np.float64) * unit
+        yield track
+
+
+def fresh_parts(paths: Sequence[Floats], cell: float, most: int, fewest: int = 2) -> Iterator[Floats]:
     """Yield paths without those parts where one is already.
 
     Args:
         paths: The points of each path, (n, 2) or more columns.
         cell: The side of a square in which one path is enough, in m.
         most: The largest number of points.
+        fewest: The smallest number of points of a part; a shorter one is left out.
     """
     if not paths:
         return
@@ -96,29 +120,29 @@ def fresh_parts(paths: Sequence[Floats], cell: float, most: int) -> Iterator[Flo
     fresh[firsts] = True
     left = most
     for path, new in zip(paths, np.split(fresh, np.cumsum([len(path) for path in paths])[:-1]), strict=True):
-        for run in _runs(path, new):
+        for run in _runs(path, new, fewest):
             if left <= 0:
                 return
             left -= len(run)
             yield run
 
 
-def _runs(path: Floats, wanted: NDArray[np.bool_]) -> Iterator[Floats]:
-    """Yield the parts of a path that contain the wanted points, with the points next to these."""
+def _runs(path: Floats, wanted: NDArray[np.bool_], fewest: int) -> Iterator[Floats]:
+    """Yield the parts of a path that contain the wanted points, with the points next to these; none of fewer points."""
     near = wanted.copy()
     near[1:] |= wanted[:-1]
     near[:-1] |= wanted[1:]
     ends = np.flatnonzero(np.diff(np.concatenate(([0], near.astype(np.int8), [0]))))
     for first, last in ends.reshape(-1, 2).tolist():
-        if last - first > 1:
+        if last - first >= fewest:
             yield path[first:last]
 
 
-def _paths(trajectory: Trajectory) -> Iterator[Floats]:
+def _paths(track: NDArray[np.void]) -> Iterator[Floats]:
     """Yield the parts of the path of a vehicle without jumps and sharp turns, a point for each metre."""
-    points = np.stack((trajectory.x, trajectory.y, trajectory.z), axis=1)
+    points = np.stack([track[axis] for axis in "xyz"], axis=1)
     good = np.isfinite(points).all(axis=1) & (np.abs(points).max(axis=1, initial=0.0) < _FARTHEST)
-    points, times = points[good], trajectory.time[good]
+    points, times = points[good], track["time"][good]
     steps = np.linalg.norm(np.diff(points[:, :2], axis=0), axis=1)
     jumps = steps > np.maximum(_JUMP * np.diff(times), _LEAST_JUMP)
     for part in np.split(points, np.flatnonzero(jumps) + 1):
@@ -141,10 +165,6 @@ def _thinned(path: Floats) -> Floats:
     return thin[np.concatenate(([True], apart))]
 
 
-def _length(path: Floats) -> float:
-    return float(np.linalg.norm(np.diff(path[:, :2], axis=0), axis=1).sum())
-
-
 def _extended(path: Floats) -> Floats:
     """Return a path with some road before and after it, and with smooth heights."""
     ends = []
@@ -158,13 +178,24 @@ def _extended(path: Floats) -> Floats:
     return longer
 
 
-def _somewhere(trajectories: Iterable[Trajectory]) -> Floats:
+def _bends(path: Floats) -> Floats:
+    """Return the points of a path with others left out where it is nearly straight."""
+    ways = np.diff(path, axis=0)
+    lengths = np.maximum(np.linalg.norm(ways[:, :2], axis=1), 1e-9)
+    turns = np.abs(np.diff(np.unwrap(np.arctan2(ways[:, 1], ways[:, 0]))))
+    slopes = np.abs(np.diff(ways[:, 2] / lengths))
+    progress = np.cumsum(lengths[:-1] / _FAR + turns / _TURN + slopes / _SLOPE)
+    kept = np.concatenate(([True], np.diff(np.floor(progress), prepend=0.0) > 0, [True]))
+    return path[kept]
+
+
+def _somewhere(tracks: Iterable[NDArray[np.void]]) -> Floats:
     """Return a short road at the first pose of an actor, or at the origin."""
     middle, heading = np.zeros(3), 0.0
-    for found in trajectories:
-        if len(found) and np.isfinite((found.x[0], found.y[0], found.z[0], found.yaw[0])).all():
-            middle, heading = np.array((found.x[0], found.y[0], found.z[0])), np.radians(found.yaw[0]).item()
-            middle = np.clip(middle, -_FARTHEST, _FARTHEST)
+    for track in tracks:
+        _, x, y, z, yaw = track[0].item() if len(track) else (math.nan,) * 5
+        if np.isfinite((x, y, z, yaw)).all():
+            middle, heading = np.clip((x, y, z), -_FARTHEST, _FARTHEST), math.radians(yaw)
             break
     way = np.array((np.cos(heading), np.sin(heading), 0.0))
     road: Floats = middle + np.linspace(-_ALONE / 2, _ALONE / 2, 9)[:, None] * way

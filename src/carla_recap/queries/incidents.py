@@ -28,6 +28,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from carla_recap.formats.base import Reader
+    from carla_recap.model.batch import Batch
     from carla_recap.model.frame import Frame
     from carla_recap.model.stationary import BlockedRow
     from carla_recap.queries.actors import Actor
@@ -113,41 +114,94 @@ def incidents(
         RecapError: The deceleration is not above 0.
         FormatError: The file contradicts its format.
     """
-    if not deceleration > 0:
-        raise RecapError(f"a deceleration of {deceleration:g} m/s² is no braking; it must be above 0")
-    collector, contacts = ActorCollector(), _Contacts()
-    for frame in source.frames((*ACTOR_TYPES, "collisions"), sparse=True, stop=stop):
-        if not frame.elapsed < start:
-            contacts.add(frame)
-        for packet in frame.packets:
-            collector.add(packet, frame.elapsed)
-    actors = _ActorsByTime(collector.actors)
-    intervals = source.stationary_intervals(min_time, min_distance) if blocked else []
-    tracker = StationaryTracker(source.header.table, min_time, min_distance) if intervals is None else None
-    detector = BrakingDetector(actors.ids("vehicle"), deceleration) if braking else None
-    located = defaultdict(list)  # contacts by frame
-    for contact in contacts if collisions else ():
-        located[contact.index].append(contact)
-    types = {*(STATIONARY_TYPES if tracker else ()), *(BRAKING_TYPES if detector else ())}
-    if not types and len(located) <= _LOOK_UPS and getattr(source, "metadata", {}).get("steady_clock") == "1":
-        _look_up(source, located)
-    elif types or located:
-        for batch in source.batches((*types, "transforms"), start=start, stop=stop):
-            if tracker:
-                tracker.batch(batch)
-            if detector:
-                detector.batch(batch)
-            for row in range(len(batch)) if located else ():
-                if batch.index + row in located:
-                    _locate(located[batch.index + row], batch.frame(row)["transforms"])
-    found: list[Incident] = []
-    if collisions:
-        found += _collisions(contacts, actors)
-    found += _blocked(longest_first(tracker.finish() if tracker else intervals or []), actors)
-    if detector:
-        found += _braking(detector.finish(), contacts, actors)
-    found = [incident for incident in found if not (incident.start > stop or incident.stop < start)]
-    return Incidents(sorted(found, key=lambda incident: (incident.start, incident.kind)), source, compat=False)
+    search = IncidentSearch(
+        source,
+        collisions=collisions,
+        blocked=blocked,
+        braking=braking,
+        min_time=min_time,
+        min_distance=min_distance,
+        deceleration=deceleration,
+        start=start,
+        stop=stop,
+    )
+    search.read()
+    return search.finish()
+
+
+class IncidentSearch:
+    """Finds the incidents of a recording in its batches, which are read for something else, too.
+
+    Args and errors are those of `incidents`. The spawns, the ends and the collisions of all actors are read at once.
+    """
+
+    def __init__(
+        self,
+        source: Reader,
+        *,
+        collisions: bool = True,
+        blocked: bool = True,
+        braking: bool = True,
+        min_time: float = 30.0,
+        min_distance: float = 10.0,
+        deceleration: float = HARD,
+        start: float = -math.inf,
+        stop: float = math.inf,
+    ) -> None:
+        if not deceleration > 0:
+            raise RecapError(f"a deceleration of {deceleration:g} m/s² is no braking; it must be above 0")
+        self._source, self._start, self._stop = source, start, stop
+        collector, self._contacts = ActorCollector(), _Contacts()
+        for frame in source.frames((*ACTOR_TYPES, "collisions"), sparse=True, stop=stop):
+            if not frame.elapsed < start:
+                self._contacts.add(frame)
+            for packet in frame.packets:
+                collector.add(packet, frame.elapsed)
+        self._actors = _ActorsByTime(collector.actors)
+        self._intervals = source.stationary_intervals(min_time, min_distance) if blocked else []
+        is_listed = self._intervals is not None
+        self._tracker = None if is_listed else StationaryTracker(source.header.table, min_time, min_distance)
+        self._detector = BrakingDetector(self._actors.ids("vehicle"), deceleration) if braking else None
+        self._collisions = collisions
+        self._located = defaultdict(list)  # contacts by frame
+        for contact in self._contacts if collisions else ():
+            self._located[contact.index].append(contact)
+
+    def read(self) -> None:
+        """Read the recording as far as it matters.
+
+        Raises:
+            FormatError: The file contradicts its format.
+        """
+        source, located = self._source, self._located
+        types = {*(STATIONARY_TYPES if self._tracker else ()), *(BRAKING_TYPES if self._detector else ())}
+        if not types and len(located) <= _LOOK_UPS and getattr(source, "metadata", {}).get("steady_clock") == "1":
+            _look_up(source, located)
+        elif types or located:
+            for batch in source.batches((*types, "transforms"), start=self._start, stop=self._stop):
+                self.add(batch)
+
+    def add(self, batch: Batch) -> None:
+        """Process the next frames; they have at least their transforms, velocities, spawns and destructions."""
+        if self._tracker:
+            self._tracker.batch(batch)
+        if self._detector:
+            self._detector.batch(batch)
+        for row in range(len(batch)) if self._located else ():
+            if batch.index + row in self._located:
+                _locate(self._located[batch.index + row], batch.frame(row)["transforms"])
+
+    def finish(self) -> Incidents:
+        """Return the incidents."""
+        contacts, actors, start, stop = self._contacts, self._actors, self._start, self._stop
+        found: list[Incident] = []
+        if self._collisions:
+            found += _collisions(contacts, actors)
+        found += _blocked(longest_first(self._tracker.finish() if self._tracker else self._intervals or []), actors)
+        if self._detector:
+            found += _braking(self._detector.finish(), contacts, actors)
+        found = [incident for incident in found if not (incident.start > stop or incident.stop < start)]
+        return Incidents(sorted(found, key=lambda incident: (incident.start, incident.kind)), self._source, compat=False)
 
 
 class _ActorsByTime:

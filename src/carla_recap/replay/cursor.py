@@ -41,6 +41,7 @@ class Cursor:
         next: The frame after it; None after the last one.
         state: The state after all frames until `frame`.
         events: The events that were not taken yet.
+        observer: Is called with each batch that is read.
     """
 
     frame: Frame
@@ -58,6 +59,7 @@ class Cursor:
         self.state = new_state()
         self.events: list[Event] = []
         self._frame_events: list[Event] = []
+        self.observer: Callable[[Batch], object] | None = None
 
     def advance(self, time: float) -> None:
         """Read on until some elapsed seconds."""
@@ -130,6 +132,12 @@ class Cursor:
             self._row, self._changes = 0, None
         self.next = None if self._batch is None else self._batch.frame(self._row)
 
+    def _read_batches(self, start: float) -> Iterator[Batch]:
+        for batch in self._reader.batches((*EVENTS, *_NUMBERS), start=start):
+            if self.observer is not None:
+                self.observer(batch)
+            yield batch
+
     def _jump(self, time: float) -> None:
         found = self._reader.frame_at(time)
         start = -math.inf if found is None else found.elapsed
@@ -138,7 +146,7 @@ class Cursor:
             for frame in self._reader.frames(EVENTS, sparse=True, stop=start):
                 self.state.apply(frame)
             self._recall_lights(found)
-        self._batches, self._opened = self._reader.batches((*EVENTS, *_NUMBERS), start=start), True
+        self._batches, self._opened = self._read_batches(start), True
         self._batch = self._ahead = None
         self._read_next()
         if self.next is None:

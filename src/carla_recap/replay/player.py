@@ -115,6 +115,13 @@ class Player:
         """The current moment, in elapsed seconds."""
         return self._time
 
+    def observe(self, observer: Callable[[Batch], object]) -> None:
+        """Have a function called with each batch of frames that is read from now on to play the recording.
+
+        A jump reads some again; a bit more is read than is played.
+        """
+        self._cursor.observer = observer
+
     @property
     def finished(self) -> bool:
         """Whether the scene at the stop has been returned."""

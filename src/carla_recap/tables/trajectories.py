@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, fields
 from itertools import pairwise
 from typing import TYPE_CHECKING, Any, ClassVar, Final, Literal, get_args
@@ -216,7 +217,12 @@ class ActorRows:
 
 
 def actor_rows(
-    reader: Reader, names: Collection[str], actors: Collection[int] | None = None
+    reader: Reader,
+    names: Collection[str],
+    actors: Collection[int] | None = None,
+    *,
+    start: float = -math.inf,
+    stop: float = math.inf,
 ) -> dict[str, dict[int, ActorRows]]:
     """Return the records by type and actor, in one pass over a recording.
 
@@ -226,13 +232,15 @@ def actor_rows(
         reader: The recording.
         names: Record types whose records have one size, and an id.
         actors: The ids of the actors; None for all.
+        start: The elapsed seconds of the first frame.
+        stop: The elapsed seconds before which the last frame is.
 
     Raises:
         FormatError: The file contradicts its format.
     """
     wanted = None if actors is None else np.array(list(actors), np.uint32)
     pieces: dict[str, dict[int, list[ActorRows]]] = {name: {} for name in names}
-    for batches in _portions(reader.batches(tuple(names))):
+    for batches in _portions(reader.batches(tuple(names), start=start, stop=stop)):
         for name in names:
             for id, rows in _rows_by_actor(batches, name, wanted):
                 pieces[name].setdefault(id, []).append(rows)

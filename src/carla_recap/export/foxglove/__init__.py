@@ -18,7 +18,6 @@ right-handed: x forward, y left, z up.
 
 from __future__ import annotations
 
-from concurrent.futures import ThreadPoolExecutor
 from typing import TYPE_CHECKING
 
 from carla_recap.editing.convert import check_destination
@@ -69,7 +68,7 @@ def export_foxglove(
         RecapError: The recording has no such time or no such actor, or the file cannot be written.
     """
     from carla_recap.export.ahead import stop_points
-    from carla_recap.export.event_text import incidents_of
+    from carla_recap.export.event_text import PlayedIncidents
     from carla_recap.export.foxglove.town import town_of
     from carla_recap.export.foxglove.writer import FoxgloveWriter
 
@@ -79,12 +78,11 @@ def export_foxglove(
     town = town_of(road_map, player, source)
     description, stops = _description(reader, player), stop_points(reader)
     with FoxgloveWriter(destination, reader.header, description, player.followed, town, stops) as writer:
-        with ThreadPoolExecutor(1, "carla-recap-incidents") as pool:
-            found = pool.submit(incidents_of, player)
-            for batch in player.batches(progress):
-                writer.write(batch)
-            played = writer.end()
-            writer.write_incidents(found.result())
+        incidents = PlayedIncidents(player)
+        for batch in player.batches(progress):
+            writer.write(batch)
+        played = writer.end()
+        writer.write_incidents(incidents.found())
         return played
 
 

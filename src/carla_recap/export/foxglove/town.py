@@ -31,11 +31,15 @@ def town_of(road_map: RoadMap | None, player: Player, source: Recording) -> Town
     """Return the surfaces of a map; without one, the corridors that vehicles drive in a short recording, else None.
 
     Warns:
-        RecapWarning: The map is that of another town.
+        RecapWarning: The map is that of another town, or its surfaces cannot be made.
     """
     if road_map is None or not road_map.opendrive:
         return _corridors(source) if player.total <= _SHORT else None
-    town = town_mesh_of(road_map.opendrive, road_map.name)
+    try:
+        town = town_mesh_of(road_map.opendrive, road_map.name)
+    except RecapError as error:
+        warnings.warn(f"the roads have no surfaces: {error}", RecapWarning, stacklevel=3)
+        return None
     locations = right_handed(Player(player.reader).at(player.start).poses)[:, :2]
     locations = locations[np.isfinite(locations).all(axis=1)]
     low, high = town.bounds[:, 0, :2].min(axis=0) - _MARGIN, town.bounds[:, 1, :2].max(axis=0) + _MARGIN

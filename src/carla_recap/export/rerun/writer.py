@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import warnings
-from concurrent.futures import ThreadPoolExecutor
 from contextlib import nullcontext
 from pathlib import Path
 from typing import TYPE_CHECKING, Final
@@ -14,7 +13,7 @@ import rerun as rr
 from carla_recap.editing.convert import check_destination
 from carla_recap.errors import RecapError, RecapWarning
 from carla_recap.export.ahead import stop_points
-from carla_recap.export.event_text import incidents_of
+from carla_recap.export.event_text import PlayedIncidents
 from carla_recap.export.rerun import paths
 from carla_recap.export.rerun.actors import MOVERS, ActorWriter
 from carla_recap.export.rerun.blueprint import View, blueprint, first_locations
@@ -203,12 +202,11 @@ def write(
         road_map = None
     writer = SceneWriter(stream, followed=player.followed, road_map=road_map, cameras=cameras, stops=stop_points(reader))
     count = 0
-    with ThreadPoolExecutor(1, "carla-recap-incidents") as pool:  # which takes a fifth of the time of all the rest
-        found = pool.submit(incidents_of, player)
-        for batch in player.batches(progress):
-            writer.write(batch)
-            count += len(batch)
-        writer.write_incidents(found.result())
+    incidents = PlayedIncidents(player)
+    for batch in player.batches(progress):
+        writer.write(batch)
+        count += len(batch)
+    writer.write_incidents(incidents.found())
     writer.close()
     return Played(count, player.stop - player.start)
 
