@@ -14,6 +14,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
+import psutil
 import pytest
 
 from carla_recap.errors import MissingExtra, RecapError
@@ -41,6 +42,23 @@ def test_images_are_those_of_the_renderer(process: RenderProcess) -> None:
         expected = renderer.draw(*arguments, without=[0x1234])
     assert list(images) == list(expected)
     assert all((images[kind] == expected[kind]).all() for kind in ALL)
+
+
+def test_a_function_that_returns_the_town_is_called_while_the_process_starts() -> None:
+    with RenderProcess(lambda: PLANE, models=MODELS) as process, create() as renderer:
+        assert (process.draw(camera(), BOXES)[RGB] == renderer.draw(camera(), BOXES)[RGB]).all()
+
+
+def test_a_town_that_cannot_be_made_is_an_error_and_leaves_no_process() -> None:
+    def fail() -> None:
+        started.extend(psutil.Process().children())
+        raise RecapError("no lane")
+
+    started: list[psutil.Process] = []
+    with pytest.raises(RecapError, match="no lane"):
+        RenderProcess(fail, models=())
+    assert started
+    assert not any(process.is_running() and process.ppid() == os.getpid() for process in started[-1:])
 
 
 def test_pictures_of_several_sizes_come_in_their_order(process: RenderProcess) -> None:

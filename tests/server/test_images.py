@@ -7,6 +7,7 @@ import struct
 import threading
 from concurrent.futures import wait
 from dataclasses import replace
+from types import SimpleNamespace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -21,6 +22,7 @@ from carla_recap.server.rpc.structs import EpisodeSettings
 from carla_recap.server.sensors import dispatch, surfaces
 from carla_recap.server.sensors.cameras import BlankImages, camera_at
 from carla_recap.sim.geometry import Location, Rotation, Transform
+from carla_recap.sim.world import World
 from tests.server.test_sensor_feeds import sensor, vehicle
 from tests.sim.flat import at, flat_town, flat_world
 
@@ -28,6 +30,7 @@ if TYPE_CHECKING:
     from collections.abc import Mapping
 
     from carla_recap.server.sensors.images import View
+    from carla_recap.sim.town.town import Town
 from carla_recap.server.sensors.surfaces import TownSurfaces
 from carla_recap.sim.actors.control import VehicleControl
 from carla_recap.sim.actors.moving import Vehicle
@@ -334,6 +337,25 @@ def test_without_embree_rays_meet_boxes_and_the_log_says_why_once(
         assert loader.ready_rays(town) is None
     reason = str(MissingExtra("rays that meet the ground", "cameras"))
     assert caplog.messages == [f"lidars, radars and obstacle sensors meet the boxes of actors alone: {reason}"]
+
+
+def test_the_surfaces_of_each_map_are_loaded_ahead_if_that_is_asked_for(monkeypatch: pytest.MonkeyPatch) -> None:
+    def load(town: Town) -> TownMesh:
+        loaded.append(town.name)
+        return TownMesh.of_tiles("", [])
+
+    loaded: list[str] = []
+    monkeypatch.setattr(surfaces, "_load", load)
+    monkeypatch.setattr(dispatch, "find_spec", lambda _: True)
+    first, second, third = (replace(flat_town().renamed(name), opendrive="<OpenDRIVE/>") for name in ("A", "B", "C"))
+    host, client = Host(World(first)), SimpleNamespace(stream=0)
+    host.snapshots.open(client)
+    host.begin_episode(second, client)
+    host.load_ahead()
+    wait([host.sensors._surfaces.mesh(second)], PATIENCE)
+    host.begin_episode(third, client)
+    wait([host.sensors._surfaces.mesh(third)], PATIENCE)
+    assert loaded == ["B", "C"]
 
 
 def test_instances_follow_the_actors_of_the_world() -> None:

@@ -5,8 +5,10 @@ from __future__ import annotations
 import os
 import subprocess
 import sys
+import time
 from contextlib import suppress
 from io import BytesIO
+from threading import Thread
 from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
@@ -25,6 +27,7 @@ if TYPE_CHECKING:
 _LARGEST: Final = 256 << 20  # bytes of a file
 _TIMEOUT: Final = 60.0  # s
 _MEMORY: Final = 4 << 30  # bytes of the child process
+_PARENT_CHECK: Final = 0.5  # s
 _SIZES: Final = ".sizes"
 
 
@@ -97,6 +100,7 @@ def run_child(parse: Callable[[str], bytes]) -> int:
     """
     with os.fdopen(os.dup(1), "wb") as output:
         os.dup2(2, 1)  # the parser prints warnings
+        Thread(target=_end_with, args=(os.getppid(),), daemon=True).start()
         _limit_memory()
         try:
             output.write(parse(decode(sys.stdin.buffer.read())))
@@ -122,6 +126,13 @@ def unpack(data: bytes) -> Lines:
     with np.load(BytesIO(data)) as arrays:
         names = [name for name in arrays.files if not name.endswith(_SIZES)]
         return {name: np.split(arrays[name], np.cumsum(arrays[name + _SIZES]))[:-1] for name in names}
+
+
+def _end_with(parent: int) -> None:
+    """End this process when its parent has ended."""
+    while os.getppid() == parent:
+        time.sleep(_PARENT_CHECK)
+    os._exit(1)
 
 
 def _limit_memory() -> None:

@@ -14,6 +14,7 @@ import sys
 import tempfile
 from concurrent.futures import Future
 from contextlib import suppress
+from functools import cache
 from queue import SimpleQueue
 from select import select
 from threading import Lock, Thread, current_thread
@@ -24,12 +25,13 @@ import numpy as np
 from carla_recap.errors import MissingExtra, RecapError
 from carla_recap.rendering.buffers import image_format
 from carla_recap.rendering.camera import ImageKind
+from carla_recap.rendering.models import MODELS
 from carla_recap.rendering.renderer import LARGEST, Quality, Renderer
 from carla_recap.util.processes import close_pipes, module_command, module_environment, read_commands, wait_or_kill
 from carla_recap.util.signals import ignore_termination
 
 if TYPE_CHECKING:
-    from collections.abc import Collection, Sequence
+    from collections.abc import Callable, Collection, Sequence
 
     from numpy.typing import NDArray
 
@@ -45,6 +47,7 @@ PATIENCE: Final = 60.0
 """The seconds after which a picture that does not come counts as failed."""
 _READY: Final = b"carla-recap: ready to draw\n"
 """The first line of the process; lines before it are printed by other code that runs when an interpreter starts."""
+_MAKE_MODELS: Final = "--models"
 _END_PATIENCE: Final = 5.0  # s, for the end of the process
 _PAGE: Final = 4096  # bytes between images
 
@@ -55,6 +58,8 @@ class RenderProcessEnded(RecapError):
 
 class RenderProcess:
     """Draws images in another process; see `Renderer` for the arguments.
+
+    The town may also be a function that returns it: it is called while the process starts.
 
     Pictures are drawn in the order in which they are asked for; several may be asked for before the first has come. All
     methods may be called from any thread. If the process dies, the pictures that it has not drawn fail, and the next one
@@ -67,14 +72,22 @@ class RenderProcess:
 
     def __init__(
         self,
-        town: TiledMesh | None = None,
+        town: TiledMesh | Callable[[], TiledMesh | None] | None = None,
         *,
         models: Sequence[ModelShape] | None = None,
         quality: Quality | str = Quality.EPIC,
         supersampling: int | tuple[int, int] | None = None,
     ) -> None:
-        shapes = None if models is None else [_Shape(model.mesh, model.pivots, model.steered) for model in models]
-        self._setup = pickle.dumps((_Tiles(town), shapes, Quality(quality), supersampling), pickle.HIGHEST_PROTOCOL)
+        quality = Quality(quality)
+
+        @cache
+        def setup() -> bytes:
+            shapes = None if models is None else [_Shape(model.mesh, model.pivots, model.steered) for model in models]
+            tiles = _Tiles(town() if callable(town) else town)
+            return pickle.dumps((tiles, shapes, quality, supersampling), pickle.HIGHEST_PROTOCOL)
+
+        self._setup = setup
+        self._makes_models = models is None
         self._jobs: SimpleQueue[tuple[Future[Images], Any] | None] = SimpleQueue()
         self._lock = Lock()  # for what follows
         self._is_closed = False
@@ -146,7 +159,7 @@ class RenderProcess:
             self._thread.join()
 
     def _start(self) -> _Child:
-        child = _Child(self._setup)
+        child = _Child(self._setup, makes_models=self._makes_models)
         child.wait_until_ready()
         return child
 
@@ -200,13 +213,14 @@ class _Child:
     """The process, and the memory that it shares.
 
     Args:
-        setup: A pickle of the arguments of the renderer.
+        setup: Returns a pickle of the arguments of the renderer; called while the process starts.
+        makes_models: Whether the process makes the models of this package itself.
 
     Raises:
         RecapError: The process cannot be started.
     """
 
-    def __init__(self, setup: bytes) -> None:
+    def __init__(self, setup: Callable[[], bytes], *, makes_models: bool) -> None:
         if os.name != "posix":
             raise RecapError("cameras and videos need Linux or macOS")
         self._setup = setup
@@ -214,7 +228,7 @@ class _Child:
         descriptor = self._memory.descriptor
         try:
             self.process = subprocess.Popen(
-                [*module_command(__name__), str(descriptor)],
+                module_command(__name__, str(descriptor), *([_MAKE_MODELS] if makes_models else [])),
                 stdin=subprocess.PIPE,
                 stdout=subprocess.PIPE,
                 stderr=subprocess.DEVNULL,  # where drivers print remarks
@@ -235,10 +249,11 @@ class _Child:
         """
         assert self.process.stdout is not None
         try:
+            setup = self._setup()
             while (line := self.process.stdout.readline()) != _READY:
                 if not line:
                     raise RenderProcessEnded(f"the process that draws has not started: exit code {self.process.wait()}")
-            self._ask(self._setup)
+            self._ask(setup)
         except BaseException:
             self.close()
             raise
@@ -416,6 +431,8 @@ def main() -> None:
     with suppress(OSError):  # the client may have gone by now
         answers.write(_READY)
         answers.flush()
+        if _MAKE_MODELS in sys.argv:
+            list(MODELS)  # made now, while the client makes the town
         serve(sys.stdin.buffer, answers, int(sys.argv[1]))
 
 

@@ -6,7 +6,7 @@ Axes are right-handed, but boxes alone may be in any axes.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, Final
+from typing import TYPE_CHECKING, Any, Final, Protocol
 
 import numpy as np
 
@@ -131,18 +131,27 @@ class SurfaceHits:
         return SurfaceHits(self.ray[index], self.actor[index], self.distance[index], self.cosine[index], self.tag[index])
 
 
+class NumberedMeshes(Protocol):
+    """Meshes by their numbers."""
+
+    def __getitem__(self, number: int, /) -> Mesh:
+        """Return a mesh."""
+        ...
+
+
 class RayScene:
     """A town and the models of actors for rays: those whose instances are at the moment that is asked for.
 
     Args:
         tiles: The meshes of the town.
-        models: The meshes of the models, by the numbers that instances have; each fills the box from -1 to 1.
+        models: The meshes of the models, by the numbers that instances have; each fills the box from -1 to 1, and is asked
+            for when a ray first meets that box.
 
     Raises:
         MissingExtra: Embree is not installed.
     """
 
-    def __init__(self, tiles: Sequence[Mesh], models: Sequence[Mesh]) -> None:
+    def __init__(self, tiles: Sequence[Mesh], models: NumberedMeshes) -> None:
         self._device = _device()
         town = Mesh.concatenate(tiles)
         self._town = _RayShape(self._device, town) if len(town.triangles) else None

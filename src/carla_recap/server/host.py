@@ -76,8 +76,14 @@ class Host:
         world.listeners.append(self.constant_velocity)
         self.on_settings: list[Callable[[], None]] = []
         self._frames_before = 0
+        self._loads_ahead = False
         self._actors = ActorCache()
         self._begin()
+
+    def load_ahead(self) -> None:
+        """Load in the background what sensors will need, now and after each change of the map."""
+        self._loads_ahead = True
+        self.sensors.load_ahead()
 
     def prepare(self) -> None:
         """Compute what the first calls of clients need: on a busy machine, they would time out."""
@@ -160,6 +166,8 @@ class Host:
             return False
         self._frames_before += frames + 1
         self._begin()
+        if self._loads_ahead:
+            self.sensors.load_ahead()
         return True
 
     def actor(self, id: int) -> Actor:

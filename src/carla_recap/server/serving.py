@@ -75,6 +75,8 @@ async def serve(
         ticker = asyncio.create_task(Ticker(host).run())
         ready(port)
         host.world.recorder.prepare()
+        if not attached:  # such servers are started by tests, most of which have no cameras
+            host.load_ahead()
         try:
             with parsing_ahead(host.world.maps):
                 stopped = asyncio.create_task(done.wait())

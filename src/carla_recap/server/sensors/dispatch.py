@@ -8,6 +8,7 @@ from contextlib import suppress
 from dataclasses import dataclass
 from enum import StrEnum
 from functools import cached_property, partial
+from importlib.util import find_spec
 from math import floor
 from types import MappingProxyType
 from typing import TYPE_CHECKING, Any, Final
@@ -44,7 +45,9 @@ if TYPE_CHECKING:
 
 _LOG: Final = logging.getLogger("carla_recap.server")
 _ROUNDING: Final = 1e-6  # s
-_PATIENCE: Final = 1.2  # s: calls of many scripts time out after 2 s
+_SPAWN_PATIENCE: Final = 1.5  # s: calls of many scripts time out after 2 s
+_TICK_PATIENCE: Final = 0.8  # s: the tick itself takes time, too
+_NEEDING_SURFACES: Final = ("moderngl", "embreex")
 _CAMERA: Final = "sensor.camera."
 _ENCODE: Final = encoder(ActorRecord)
 _STATIC: Final = {
@@ -169,6 +172,11 @@ class Sensors:
         """Return the surfaces that rays meet; None if there are none but boxes, or none yet."""
         return self._surfaces.ready_rays(self._world.town)
 
+    def load_ahead(self) -> None:
+        """Begin to load the surfaces of the town, before a sensor needs them, if there is what draws or casts rays."""
+        if self._world.town.opendrive and any(find_spec(package) for package in _NEEDING_SURFACES):
+            self._surfaces.mesh(self._world.town)
+
     def prepare(self, sensor: Actor) -> None:
         """Load what a new sensor needs, if that takes time."""
         kind, town = SENSOR_KINDS.get(sensor.type_id), self._world.town
@@ -183,15 +191,15 @@ class Sensors:
         return kind is None or not (kind.image or kind.casts) or not self._unloaded()
 
     async def loaded(self) -> None:
-        """Wait until what sensors need is loaded, 1.2 s at most."""
+        """Wait until what sensors need is loaded, 1.5 s at most."""
         if loading := [_end_of(work) for work in self._unloaded()]:
-            await asyncio.wait(loading, timeout=_PATIENCE)
+            await asyncio.wait(loading, timeout=_SPAWN_PATIENCE)
 
     def pending(self) -> list[asyncio.Future[Any]]:
-        """Return what the next tick waits for, so that in synchronous mode no data are lost; not for longer than 1.2 s."""
+        """Return what the next tick waits for, so that in synchronous mode no data are lost; not for longer than 0.8 s."""
         pending = [*self._images.pending(), *self._streams.behind(self._feeds)]
         pending += [_end_of(work) for work in self._unloaded()]
-        return [asyncio.ensure_future(asyncio.wait(pending, timeout=_PATIENCE))] if pending else []
+        return [asyncio.ensure_future(asyncio.wait(pending, timeout=_TICK_PATIENCE))] if pending else []
 
     def _unloaded(self) -> list[Future[Any]]:
         self._loading = [work for work in self._loading if not work.done()]

@@ -8,7 +8,11 @@ from importlib import import_module
 from threading import Thread
 from typing import TYPE_CHECKING, Any, Final, TypeVar
 
+import numpy as np
+
 from carla_recap.errors import RecapError
+from carla_recap.model.records import ActorKind
+from carla_recap.rendering.camera import Camera
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping
@@ -16,12 +20,17 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from carla_recap.rendering.camera import ImageKind, Quality
+    from carla_recap.rendering.instances import Instances
+    from carla_recap.rendering.mesh import Mesh
     from carla_recap.rendering.rays import RayScene
     from carla_recap.rendering.town import TownMesh
     from carla_recap.server.sensors.images import View
     from carla_recap.sim.town.town import Town
 
 T = TypeVar("T")
+
+_TRIAL: Final = "vehicle.tesla.model3"
+_TRIAL_CAMERA: Final = Camera(16, 16, 90.0, np.array((-8.0, 0.0, 1.0)), np.eye(3))
 
 _LOG: Final = logging.getLogger("carla_recap.server")
 
@@ -80,12 +89,16 @@ class DrawnImages:
     """
 
     def __init__(self, surfaces: TownSurfaces, quality: Quality, town: Town) -> None:
-        from carla_recap.rendering.models import MODELS
         from carla_recap.rendering.process import RenderProcess
         from carla_recap.rendering.sky import Sky
 
         self._sky = Sky.of_weather
-        self._process = RenderProcess(surfaces.mesh(town).result(), models=MODELS, quality=quality)
+        self._process = RenderProcess(surfaces.mesh(town).result, quality=quality)
+        try:
+            self._process.draw(*_trial())  # the first image takes the time of compiling shaders
+        except RecapError:
+            self._process.close()
+            raise
 
     def draw(self, view: View) -> Mapping[ImageKind, NDArray[Any]]:
         """See `ImageSource.draw`."""
@@ -95,6 +108,23 @@ class DrawnImages:
     def close(self) -> None:
         """See `ImageSource.close`."""
         self._process.close()
+
+
+class _ModelMeshes:
+    """The meshes of the models, each of which is made when it is first asked for."""
+
+    def __getitem__(self, number: int) -> Mesh:
+        from carla_recap.rendering.models import MODELS
+
+        return MODELS[number].mesh
+
+
+def _trial() -> tuple[Camera, Instances]:
+    """Return a small camera, and a vehicle in front of it."""
+    from carla_recap.rendering.actors import instances, look_of
+
+    looks = [look] if (look := look_of(_TRIAL, ActorKind.VEHICLE, {})) is not None else []
+    return _TRIAL_CAMERA, instances(range(len(looks)), looks, np.zeros((len(looks), 6)))
 
 
 def _in_thread(function: Callable[..., T], *arguments: Any) -> Future[T]:
@@ -118,7 +148,6 @@ def _load(town: Town) -> TownMesh:
 
 
 def _ray_scene(mesh: Future[TownMesh]) -> RayScene:
-    from carla_recap.rendering.models import MODELS
     from carla_recap.rendering.rays import RayScene
 
-    return RayScene(mesh.result().tiles, [model.mesh for model in MODELS])
+    return RayScene(mesh.result().tiles, _ModelMeshes())
