@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import asyncio
+import shutil
 import time
 from contextlib import suppress
+from pathlib import Path
 from threading import Event
 from typing import TYPE_CHECKING, Any, Final
 
@@ -26,10 +28,10 @@ from carla_recap.util import cache
 
 if TYPE_CHECKING:
     from collections.abc import Awaitable, Callable, Iterator
-    from pathlib import Path
 
     from carla_recap.sim.town.town import Town
 
+SAMPLES: Final = Path(__file__).parents[2] / "samples"
 LAYERED: Final = "/Game/Carla/Maps/Town10HD_Opt"
 
 
@@ -130,6 +132,16 @@ def test_a_replay_of_a_missing_map_is_stood_in_for(tmp_path: Path) -> None:
         assert "Loading map" in answer
         assert "Could not load" not in answer
         assert client.get_world().get_map().name == "Carla/Maps/Town05"
+
+
+def test_a_replay_of_a_map_that_is_not_served_is_on_its_corridors(tmp_path: Path) -> None:
+    shutil.copy(SAMPLES / "crossing.log", tmp_path)
+    with running(stand_in=True, recordings=tmp_path) as port:
+        client = carla.Client("127.0.0.1", port)
+        client.set_timeout(30.0)
+        answer = client.replay_file("crossing.log", 0.0, 0.0, 0)
+        assert "There is no map Crossing: the corridors that the vehicles have driven are its roads" in answer
+        assert client.get_world().get_map().name.endswith("Crossing")
 
 
 async def reply(streams: tuple[asyncio.StreamReader, asyncio.StreamWriter], name: str, *arguments: object) -> list[Any]:

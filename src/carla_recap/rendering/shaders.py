@@ -362,7 +362,7 @@ in vec4 extents;
 out vec2 v_place;
 flat out vec2 v_size;
 void main() {
-    vec2 wide = extents.xy + 0.35;
+    vec2 wide = extents.z < 0.15 ? vec2(0.0) : extents.xy + 0.35;  // what lies on the ground has no shadow around it
     v_size = extents.xy;
     v_place = corner * wide;
     vec3 here = location + rotation * vec3(v_place, 0.02 - extents.z);

@@ -43,6 +43,7 @@ class Maps:
         self._folder = None if folder is None else Path(folder)
         self._stand_in = stand_in
         self._sent: Town | None = None
+        self._stood_in: set[str] = set()
 
     @property
     def names(self) -> list[str]:
@@ -80,14 +81,21 @@ class Maps:
         if not self._stand_in:
             raise self._missing(name)
         _LOG.warning("%s: there is no such map; %s stands in for it", asked[:_SHOWN], BUILT_IN)
+        self._stood_in.add(asked)
         return await asyncio.to_thread(lambda: _prepared(load_town().renamed(asked)))
 
-    def is_only_here(self, name: str) -> bool:
-        """Return whether only `load` knows a map: the first one, one that was sent, or one that is stood in for."""
+    def is_only_here(self, name: str, *, stand_in: bool = True) -> bool:
+        """Return whether only `load` knows a map: the first one, one that was sent, or one that is stood in for.
+
+        Args:
+            name: The name of the map.
+            stand_in: Whether a map counts that would be stood in for, but has not been so far.
+        """
         asked = plain_name(name)
         if asked.casefold() in map(str.casefold, loadable_maps(self._folder)):
             return False
-        return self._stand_in or asked == self._first.name or (asked == _SENT and self._sent is not None)
+        is_stood_in = asked in self._stood_in or (self._stand_in and stand_in)
+        return is_stood_in or asked == self._first.name or (asked == _SENT and self._sent is not None)
 
     async def preload(self, name: str, recording: Path | None = None) -> None:
         """Parse a map for what loads it next on the event loop, such as a replay; errors are left to that.

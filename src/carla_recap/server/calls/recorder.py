@@ -98,7 +98,8 @@ async def replay_file(
         return recordings.replaying(path) + recordings.not_found(path)
     maps, recorded = client.host.maps, map_name or await asyncio.to_thread(_recorded_map, path)
     is_present = plain_name(recorded) == world.town.name
-    town = await maps.load(recorded) if maps.is_only_here(recorded) and not is_present else None
+    is_only_here = maps.is_only_here(recorded, stand_in=bool(map_name))  # corridors stand in for the map of a recording
+    town = await maps.load(recorded) if is_only_here and not is_present else None
     if town is None:
         await maps.preload(recorded, None if map_name else path)
     frames = world.frame
