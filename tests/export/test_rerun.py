@@ -851,11 +851,11 @@ def test_the_light_ahead_is_named(crossing) -> None:
     rows = crossing.rrd.rows("/ego/light_ahead", "StateChange:state")
     named = [(time, text) for time, (text,) in rows]
     assert named[0] == (0, "none")
-    red = next(time for time, text in named if text == "light 23: red")
-    states = crossing.recording.light_states(23)
+    red = next(time for time, text in named if text == f"light {LIGHT}: red")
+    states = crossing.recording.light_states(LIGHT)
     assert states.state[np.searchsorted(states.time, red, "right") - 1] == 0
     (label,) = crossing.rrd.at("/world/ahead", "Points3D:labels", red)
-    assert label == "light 23: red"
+    assert label == f"light {LIGHT}: red"
     assert crossing.rrd.at("/world/ahead", "LineStrips3D:strips", 5) is None
 
 

@@ -215,7 +215,7 @@ def test_cameras_of_one_pose_are_drawn_together(monkeypatch: pytest.MonkeyPatch)
         assert len(kinds) == 9
         assert kinds.count({ImageKind.RGB, ImageKind.DEPTH, ImageKind.FLOW}) == 3
         flows = [view for view in painter.views if ImageKind.FLOW in view.kinds]
-        assert [view.previous for view in flows] == [None, flows[0].motif, flows[1].motif]
+        assert [view.previous for view in flows] == [None, flows[0].scene, flows[1].scene]
         served.host.close()
 
     asyncio.run(run())

@@ -104,8 +104,8 @@ class LightsAhead:
         facing = (forward > 0) & (aside < _WIDTH + _CONE * forward) & (turn > _FACING)
         forward[~((forward < _REACH) & np.where(is_stop, on_lane, facing))] = np.inf
         best = forward.argmin(axis=1)
-        there = np.isfinite(forward[np.arange(len(known)), best])
-        found[known[there]] = self._rows[near[best[there]]]
+        found_any = np.isfinite(forward[np.arange(len(known)), best])
+        found[known[found_any]] = self._rows[near[best[found_any]]]
         return found
 
     def _locate(self, batch: SceneBatch, ids: list[int]) -> None:

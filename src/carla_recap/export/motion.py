@@ -26,7 +26,7 @@ class Accelerations:
         self._seconds: Floats = np.zeros(0)  # of the last rows, before which accelerations are known
         self._speeds: Floats = np.zeros(0)
 
-    def of(self, seconds: Floats, speeds: Floats) -> Floats:
+    def at(self, seconds: Floats, speeds: Floats) -> Floats:
         """Return the acceleration up to each time in m/s²; NaN where it is unknown.
 
         Args:
@@ -70,8 +70,8 @@ class HeldPedals:
         self._seconds: Floats = np.zeros(0)  # of the last rows, within the time for which a brake is held
         self._brakes: Floats = np.zeros(0)
 
-    def of(self, seconds: Floats, pedals: Floats, speeds: Floats) -> Floats:
-        """Return throttle and brake at some times, (times, 2).
+    def shown(self, seconds: Floats, pedals: Floats, speeds: Floats) -> Floats:
+        """Return throttle and brake as they are shown at some times, (times, 2).
 
         Args:
             seconds: The times, at least one.

@@ -324,11 +324,11 @@ def _clipped(polygon: Floats, limit: float, sign: int) -> Floats:
     corners = []
     for index, corner in enumerate(polygon):
         following = polygon[(index + 1) % len(polygon)]
-        here, there = sign * (corner[0] - limit), sign * (following[0] - limit)
-        if here >= 0:
+        inside, next_inside = sign * (corner[0] - limit), sign * (following[0] - limit)
+        if inside >= 0:
             corners.append(corner)
-        if here * there < 0:
-            corners.append(corner + here / (here - there) * (following - corner))
+        if inside * next_inside < 0:
+            corners.append(corner + inside / (inside - next_inside) * (following - corner))
     return np.array(corners).reshape(-1, 2)
 
 

@@ -1,4 +1,4 @@
-"""The renderer in a process of its own: nothing waits for a picture but what asks for it.
+"""The renderer in a process of its own: only the caller that needs a picture waits for it.
 
 `RenderProcess` is the client. It starts `python -m carla_recap.rendering.process`, and sends it commands over a pipe, as
 pickles; the images come back through memory that both share. The process ends when its client has gone.
@@ -266,11 +266,11 @@ class _Child:
             RecapError: They cannot be drawn.
         """
         camera, kinds = command[0], command[2]
-        places, size = _layout(kinds, *_checked_size(camera))
+        offsets, size = _layout(kinds, *_checked_size(camera))
         self._memory.grow(size)
         self._ask(pickle.dumps(command, pickle.HIGHEST_PROTOCOL))
         images = {}
-        for kind, offset in places.items():
+        for kind, offset in offsets.items():
             shape, dtype = image_format(kind, camera.width, camera.height)
             images[kind] = np.ndarray(shape, dtype, self._memory.view, offset).copy()
         return images

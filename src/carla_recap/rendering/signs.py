@@ -77,12 +77,12 @@ def add_signs(builder: MeshBuilder, roads: Sequence[Road], ground: TriangleGrid,
         ground: All surfaces.
         driving: The lanes for cars.
     """
-    places: set[tuple[int, ...]] = set()
+    known: set[tuple[int, ...]] = set()
     for sign in _signs(roads):
         key = tuple(np.rint(sign.location / _APART).astype(np.int64).tolist())
-        if key in places or len(places) >= _MOST or np.isfinite(driving.highest(sign.location[None])[0]):
+        if key in known or len(known) >= _MOST or np.isfinite(driving.highest(sign.location[None])[0]):
             continue
-        places.add(key)
+        known.add(key)
         foot = _grounded(sign.location, ground)
         _add_pole(builder, foot)
         for layer, (shape, material) in enumerate(_plate(sign)):

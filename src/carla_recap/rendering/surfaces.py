@@ -239,9 +239,9 @@ def _on_lanes(section: SampledSection, lane: int, driving: TriangleGrid) -> Flag
     middles = (section.borders[lane] + section.borders[lane + 1]) / 2
     middles = (middles[1:] + middles[:-1]) / 2
     index, heights, keys = driving.hits(middles)
-    there = (keys != section.number) & (np.abs(heights - middles[index, 2]) < 1.0)
+    is_on = (keys != section.number) & (np.abs(heights - middles[index, 2]) < 1.0)
     on = np.zeros(len(middles), np.bool_)
-    on[index[there]] = True
+    on[index[is_on]] = True
     return on
 
 

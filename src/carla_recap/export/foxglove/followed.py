@@ -69,7 +69,7 @@ class KnownPoses(NamedTuple):
     poses: Floats
     known: NDArray[np.bool_]
 
-    def of(self, rows: Indices) -> KnownPoses:
+    def take(self, rows: Indices) -> KnownPoses:
         """Return those of some of the scenes."""
         return KnownPoses(self.time[rows], self.poses[rows], self.known[rows])
 
@@ -82,8 +82,8 @@ def known_poses(batch: SceneBatch, id: int | None) -> KnownPoses:
     return KnownPoses(batch.time, poses, np.asarray(np.isfinite(poses).all(axis=1)))
 
 
-class _Path:
-    """The path of an actor from scene to scene."""
+class _StepCounter:
+    """Computes the steps of an actor from scene to scene."""
 
     def __init__(self) -> None:
         self._time = 0.0
@@ -110,7 +110,7 @@ class ViewFrames:
     def __init__(self) -> None:
         self._hero: int | None = None
         self._view = np.zeros(6)
-        self._path = _Path()
+        self._steps = _StepCounter()
 
     def messages(self, batch: SceneBatch, rows: Indices, stamps: Stamps, followed: KnownPoses) -> Iterator[TopicMessages]:
         """Yield the messages of some scenes of a batch.
@@ -124,7 +124,7 @@ class ViewFrames:
         if any(self._may_be_hero(event) for event in batch.events):
             self._hero = next((actor.id for actor in batch.actors.values() if actor.is_hero), None)
         views = self._views(followed)
-        hero = known_poses(batch, self._hero).of(rows)
+        hero = known_poses(batch, self._hero).take(rows)
         for some, frames in (
             (~hero.known, {_FOLLOWED_FRAME: views}),
             (hero.known, {_FOLLOWED_FRAME: views, _HERO_FRAME: hero.poses}),
@@ -141,7 +141,7 @@ class ViewFrames:
     def _views(self, followed: KnownPoses) -> Floats:
         """Return the poses of the calm frame; the previous one where that of the actor is unknown."""
         poses = followed.poses[followed.known]
-        seconds, distances = self._path.steps(followed)
+        seconds, distances = self._steps.steps(followed)
         heading, headings = float(self._view[YAW]), []
         for yaw, delta, distance in zip(poses[:, YAW].tolist(), seconds.tolist(), distances.tolist(), strict=True):
             heading = calm_heading(yaw, heading if distance < math.inf else None, delta)
@@ -155,7 +155,7 @@ class FollowedMotion:
     """The motion of the followed actor."""
 
     def __init__(self) -> None:
-        self._path = _Path()
+        self._steps = _StepCounter()
         self._pedals = HeldPedals()
         self._accelerations = Accelerations()
 
@@ -178,10 +178,10 @@ class FollowedMotion:
         speeds = self._speeds(batch, id, found)
         if control is not None:
             pedals = np.stack((control["throttle"], control["brake"]), axis=1).astype(np.float64)
-            values["shown_throttle"], values["shown_brake"] = self._pedals.of(found.time, pedals, speeds).T
+            values["shown_throttle"], values["shown_brake"] = self._pedals.shown(found.time, pedals, speeds).T
         moving = found.known & np.isfinite(speeds)
         accelerations = np.full(len(batch), np.nan)
-        accelerations[moving] = self._accelerations.of(found.time[moving], speeds[moving])
+        accelerations[moving] = self._accelerations.at(found.time[moving], speeds[moving])
         accelerated = moving & np.isfinite(accelerations)
         fast = values | {"speed": speeds, "speed_kmh": speeds * _KMH}
         for some, columns in (
@@ -197,7 +197,7 @@ class FollowedMotion:
 
     def _speeds(self, batch: SceneBatch, id: int, found: KnownPoses) -> Floats:
         """Return speeds in m/s: as recorded, or else from the distance to the previous pose; not finite after a jump."""
-        seconds, distances = self._path.steps(found)
+        seconds, distances = self._steps.steps(found)
         velocity = _records_of(batch, "velocities", id)
         if velocity is not None:
             return np.array(list(map(math.hypot, *(velocity[name].tolist() for name in "xyz"))))

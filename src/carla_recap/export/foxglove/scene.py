@@ -188,7 +188,7 @@ class _ShownPoses:
         self._others = others
         self._columns = columns
 
-    def of(self, actors: Indices, scenes: slice) -> Floats:
+    def take(self, actors: Indices, scenes: slice) -> Floats:
         """Return the poses of some actors in some scenes, (scenes, actors, 6)."""
         columns = self._columns[actors]
         recorded = self._recorded[scenes]
@@ -278,13 +278,13 @@ class ActorEntities:
             indices = np.flatnonzero(present[start] & self._moved)
             if len(indices):
                 some = slice(start, stop)
-                yield self._transforms(MOVED, indices, rows[some], stamps[some], poses.of(indices, some))
+                yield self._transforms(MOVED, indices, rows[some], stamps[some], poses.take(indices, some))
             indices = np.flatnonzero(present[start] & ~self._moved)
             ids = self._shown_ids[indices]
             if changed or fresh or not np.array_equal(ids, self._before):
                 self._before = ids
                 some = slice(start, start + 1)
-                yield self._transforms(STILL, indices, rows[some], stamps[some], poses.of(indices, some))
+                yield self._transforms(STILL, indices, rows[some], stamps[some], poses.take(indices, some))
             yield from self._show_bodies(present[start], int(rows[start]), stamps[start], fresh=fresh)
             changed = False
         yield from self._show_lamps(batch, rows, stamps, present)
@@ -426,7 +426,7 @@ class ActorEntities:
         """Return the position of the scene in which each actor moves for the first time; the number of scenes if in none."""
         for index in np.flatnonzero(np.isnan(self._first[:, 0]) & present.any(axis=0)).tolist():
             scene = int(present[:, index].argmax())
-            first = poses.of(np.array([index]), slice(scene, scene + 1))[0, 0]
+            first = poses.take(np.array([index]), slice(scene, scene + 1))[0, 0]
             self._first[index] = self._shown[index].first = first
         still = np.flatnonzero(~self._moved)
         away = poses.away(still, self._first[still]) & present[:, still]

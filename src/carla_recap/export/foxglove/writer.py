@@ -190,7 +190,7 @@ class FoxgloveWriter(ChunkedFile):
 
     def _show(self, batch: SceneBatch, rows: Indices, times: Times, found: KnownPoses) -> Iterator[TopicMessages]:
         """Yield the messages of the scenes that are shown, given the poses of the followed actor."""
-        found, stamps = found.of(rows), timestamps(times[rows])
+        found, stamps = found.take(rows), timestamps(times[rows])
         yield from self._frames.messages(batch, rows, stamps, found)
         falls = [fall for fall in self._falls if fall.row <= rows[-1]]
         self._falls = [fall for fall in self._falls if fall.row > rows[-1]]

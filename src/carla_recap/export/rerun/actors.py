@@ -79,7 +79,7 @@ class ActorWriter:
         self._extent = np.array((np.inf, np.inf, -np.inf, -np.inf))  # of the map: least and greatest x and y
         self._colors: dict[int, int] = {}  # of the actors on the map, and of those removed since the last block
         self._corridors = None if roads else CorridorWriter(stream)
-        self._vehicles: set[int] = set()  # all that have been there
+        self._vehicles: set[int] = set()  # all that have been present
         self._poses = PoseBuffer()
         self._ids: Ids | None = None
         stream.log_static(paths.WORLD, rr.ViewCoordinates.RIGHT_HAND_Z_UP)

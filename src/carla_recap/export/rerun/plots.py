@@ -76,6 +76,6 @@ class PlotWriter:
             return
         (column,) = rr.Scalars.columns(scalars=controls.ravel())
         self._stream.columns(paths.CONTROLS, times, [column.partition(np.full(len(controls), controls.shape[1]))])
-        shown = self._pedals.of(times.seconds, controls[:, :2], speeds)
+        shown = self._pedals.shown(times.seconds, controls[:, :2], speeds)
         (column,) = rr.Scalars.columns(scalars=shown.ravel())
         self._stream.columns(paths.PEDALS, times, [column.partition(np.full(len(shown), shown.shape[1]))])

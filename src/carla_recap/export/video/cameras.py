@@ -61,7 +61,7 @@ class _Lens(NamedTuple):
     fov: float
 
     @classmethod
-    def of(cls, size: Size, fov: float = _FOV) -> _Lens:
+    def fitted(cls, size: Size, fov: float = _FOV) -> _Lens:
         """Return a lens whose vertical field of view is not too large for high pictures."""
         width, height = size
         widest = 2 * math.degrees(math.atan(math.tan(math.radians(_TALLEST) / 2) * width / height))
@@ -85,7 +85,7 @@ class _ChasePath:
     """A camera behind and above the followed actor: the farther the larger it is, with the horizon in the upper third."""
 
     def __init__(self, size: Size) -> None:
-        self._lens = _Lens.of(size)
+        self._lens = _Lens.fitted(size)
         self._tilt = self._lens.tilt(_HORIZON)
         lowest = self._tilt - self._lens.tilt(_FEET)  # the pitch of what is seen at that height
         self._steepness = min(-math.tan(math.radians(lowest)), _STEEPEST)
@@ -104,7 +104,7 @@ class _TopPath:
     """A camera above the followed actor, whose heading is upwards; the faster the actor, the more it shows."""
 
     def __init__(self, size: Size) -> None:
-        self._lens = _Lens.of(size, 50.0)
+        self._lens = _Lens.fitted(size, 50.0)
         self._span: float | None = None
         self._time = 0.0
 
@@ -127,7 +127,7 @@ class _DriverPath:
     """A camera at the eyes of the driver, rider or walker, in front of what would be in the way."""
 
     def __init__(self, size: Size) -> None:
-        self._lens = _Lens.of(size, 78.0)
+        self._lens = _Lens.fitted(size, 78.0)
         self._tilt = self._lens.tilt(0.42)
 
     def camera(self, scene: Scene, instances: Instances, subject: Subject | None) -> Camera:
@@ -168,7 +168,7 @@ class _RecordedPath:
         if actor is not None and pose is not None and np.isfinite(pose).all():
             placed = right_handed(pose)
             self._camera = Camera(*self._size, camera_fov(actor), placed[LOCATION], rotations(placed))
-        return self._camera or _overview(_Lens.of(self._size), instances, pitch=-35.0)
+        return self._camera or _overview(_Lens.fitted(self._size), instances, pitch=-35.0)
 
 
 def camera_fov(actor: Present) -> float:

@@ -68,19 +68,19 @@ class Transparency:
         points = camera.project((boxes + instances.locations[near, None]).reshape(-1, 3)).reshape(len(near), 8, 3)
         depth = points[..., 2].min(axis=1)
         lower, upper = points[..., :2].min(axis=1), points[..., :2].max(axis=1)
-        place = int(np.flatnonzero(near == own)[0])
-        if not depth[place] > 0:
+        row = int(np.flatnonzero(near == own)[0])
+        if not depth[row] > 0:
             return {}
-        size = np.minimum(upper, upper[place]) - np.maximum(lower, lower[place])
+        size = np.minimum(upper, upper[row]) - np.maximum(lower, lower[row])
         common = np.where((size > 0).all(axis=1), size.prod(axis=1), 0.0)
         wanted: dict[int, float] = {}
         for index in np.flatnonzero((common > 0) | (depth <= 0)).tolist():
             id = int(instances.ids[near[index]])
-            if index == place:
+            if index == row:
                 continue
-            if depth[index] > depth[place] and common[index] > _HIDDEN * (upper[index] - lower[index]).prod():
+            if depth[index] > depth[row] and common[index] > _HIDDEN * (upper[index] - lower[index]).prod():
                 wanted[int(instances.ids[own])] = _SEE_THROUGH
-            elif depth[index] < depth[place] and _is_between(points[index], common[index], (upper - lower)[place].prod()):
+            elif depth[index] < depth[row] and _is_between(points[index], common[index], (upper - lower)[row].prod()):
                 wanted[id] = _IN_THE_WAY
         return wanted
 

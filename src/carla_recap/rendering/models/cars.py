@@ -80,8 +80,8 @@ def car(shape: CarShape) -> Solid:
 
 
 def _at(profile: Profile, distance: float) -> float:
-    places, values = zip(*profile, strict=True)
-    return float(np.interp(distance, places, values))
+    distances, values = zip(*profile, strict=True)
+    return float(np.interp(distance, distances, values))
 
 
 def _stations(shape: CarShape) -> list[float]:
@@ -90,7 +90,7 @@ def _stations(shape: CarShape) -> list[float]:
     arches = [axle + radius * share for axle in shape.axles for share in (-1, -0.97, -0.55, 0.55, 0.97, 1)]
     ends = [0.0, corner * 0.35, corner, shape.length - corner, shape.length - corner * 0.35, shape.length]
     first, last = ends[2], ends[3]
-    return sorted({*ends, *(place for place in arches if first < place < last)}, reverse=True)
+    return sorted({*ends, *(distance for distance in arches if first < distance < last)}, reverse=True)
 
 
 def _arch(shape: CarShape, distance: float) -> float:
@@ -118,15 +118,15 @@ def _body(solid: Solid, shape: CarShape) -> None:
     front, rear = shape.lamp
     rings = []
     stations = _stations(shape)
-    for place in stations:
-        half = shape.width / 2 * _at(plan, place)
-        deck = _at(shape.deck, place)
-        low = _arch(shape, place) + _at(rise, place)
-        shoulder = deck - _at(((0.0, 0.05), (corner, 0.07), (length - corner, 0.05), (length, 0.04)), place)
-        band = _at(((0.0, front), (corner, front), (2 * corner, 0.22), (length - 2 * corner, 0.22), (length, rear)), place)
+    for station in stations:
+        half = shape.width / 2 * _at(plan, station)
+        deck = _at(shape.deck, station)
+        low = _arch(shape, station) + _at(rise, station)
+        shoulder = deck - _at(((0.0, 0.05), (corner, 0.07), (length - corner, 0.05), (length, 0.04)), station)
+        band = _at(((0.0, front), (corner, front), (2 * corner, 0.22), (length - 2 * corner, 0.22), (length, rear)), station)
         middle = max(min(shoulder - band, shape.clearance + shape.waist * (deck - shape.clearance)), low + 0.015)
         shoulder = max(shoulder, middle + 0.02)
-        inset = 0.13 if place not in (0.0, length) else 0.06
+        inset = 0.13 if station not in (0.0, length) else 0.06
         sill = low + min(shape.sill, 0.4 * (middle - low))
         sides = (
             (half * 0.965, low),
@@ -135,14 +135,14 @@ def _body(solid: Solid, shape: CarShape) -> None:
             (half * 0.975, shoulder),
             (half - inset, max(deck, shoulder + 0.01)),
         )
-        x = length / 2 - place
+        x = length / 2 - station
         rings.append([(x, y, z) for y, z in sides] + [(x, -y, z) for y, z in reversed(sides)])
-    places = np.array(stations)
+    distances = np.array(stations)
 
     def material(i: int, j: int) -> Material:
         if j in (0, 8, 9):
             return M.TRIM  # the sills, the rims of the wheel arches, and the underside
-        nearest, farthest = sorted((places[i], places[i + 1]))
+        nearest, farthest = sorted((distances[i], distances[i + 1]))
         if j in (1, 7) and nearest > shape.axles[0] and farthest < shape.axles[-1] and farthest - nearest > 0.8:
             return shape.doors
         if j in (2, 6):
@@ -178,7 +178,7 @@ def _end(solid: Solid, ring: Floats, shape: CarShape, *, front: bool) -> None:
 
 
 def _cabin(solid: Solid, shape: CarShape) -> None:
-    front, rear, roof_front, roof_rear = (shape.length / 2 - place for place in shape.cabin)
+    front, rear, roof_front, roof_rear = (shape.length / 2 - distance for distance in shape.cabin)
     base = min(_at(shape.deck, shape.cabin[0]), _at(shape.deck, shape.cabin[1])) - 0.03
     half = shape.width / 2 - 0.12
     top = half - shape.narrowing
@@ -265,8 +265,10 @@ def axle(
 
 
 def _wheels(solid: Solid, shape: CarShape) -> None:
-    for number, place in enumerate(shape.axles):
-        axle(solid, shape.length / 2 - place, shape.width / 2 - 0.015, shape.wheel, 0.12 * shape.width, steered=number == 0)
+    for number, distance in enumerate(shape.axles):
+        axle(
+            solid, shape.length / 2 - distance, shape.width / 2 - 0.015, shape.wheel, 0.12 * shape.width, steered=number == 0
+        )
 
 
 def _details(solid: Solid, shape: CarShape) -> None:
@@ -308,8 +310,8 @@ def _rear_windows(solid: Solid, shape: CarShape) -> None:
     left = Solid()
     corners = []
     for y, share in ((0.62, 0.38), (0.06, 0.38), (0.06, 0.85), (0.62, 0.85)):
-        place = shape.cabin[1] + (shape.cabin[3] - shape.cabin[1]) * share * (edge - belt) / (shape.roof - belt)
-        corners.append((shape.length / 2 - place - 0.07, y * shape.width / 2, belt + (edge - belt) * share))
+        distance = shape.cabin[1] + (shape.cabin[3] - shape.cabin[1]) * share * (edge - belt) / (shape.roof - belt)
+        corners.append((shape.length / 2 - distance - 0.07, y * shape.width / 2, belt + (edge - belt) * share))
     left.facet(corners, M.GLASS)
     solid.add_both(left)
 

@@ -12,7 +12,7 @@ from carla_recap.rendering.camera import Camera, ImageKind
 from carla_recap.server.attributes import LARGEST_SIDE
 from carla_recap.server.sensors.dvs import EventDetector
 from carla_recap.server.sensors.feed import number
-from carla_recap.server.sensors.images import Motif, Shot, View
+from carla_recap.server.sensors.images import CameraScene, Shot, View
 from carla_recap.server.sensors.rays import MIRROR, axes, row
 
 if TYPE_CHECKING:
@@ -46,8 +46,8 @@ _BLANK: Final[Mapping[ImageKind, bytes]] = {
 }
 
 
-class _Film:
-    """A camera that somebody listens to.
+class _ActiveCamera:
+    """A camera with subscribers.
 
     Args:
         sensor: The camera.
@@ -61,7 +61,7 @@ class _Film:
         self.width, self.height = (_side(sensor, key) for key in _SIDES)
         self.fov = number(sensor, "fov")
         self.is_owed = False
-        self.previous: Motif | None = None
+        self.previous: CameraScene | None = None
         self._header = _HEADER.pack(self.width, self.height, self.fov)
         self._events = EventDetector(sensor) if has_events else None
 
@@ -89,13 +89,13 @@ class Cameras:
         self._world = world
         self._thread = thread
         self._instances = instances
-        self._films: dict[int, _Film] = {}
+        self._active: dict[int, _ActiveCamera] = {}
         self._due: dict[int, bytes] = {}
 
     def keep(self, streams: Iterable[int]) -> None:
         """Forget the cameras of all other streams."""
-        for stream in self._films.keys() - set(streams):
-            del self._films[stream]
+        for stream in self._active.keys() - set(streams):
+            del self._active[stream]
 
     def take(self, stream: int, sensor: Actor, kind: ImageKind, header: bytes, *, is_due: bool, has_events: bool) -> None:
         """Let a camera take an image, if it is due or one could not be drawn in time.
@@ -108,11 +108,11 @@ class Cameras:
             is_due: Whether the camera ticks.
             has_events: Whether it sends events instead of images.
         """
-        film = self._films.get(stream)
-        if film is None:
-            film = self._films[stream] = _Film(sensor, kind, has_events=has_events)
-        film.is_owed |= is_due
-        if film.is_owed:
+        active = self._active.get(stream)
+        if active is None:
+            active = self._active[stream] = _ActiveCamera(sensor, kind, has_events=has_events)
+        active.is_owed |= is_due
+        if active.is_owed:
             self._due[stream] = header
 
     def submit(self) -> None:
@@ -132,22 +132,22 @@ class Cameras:
         views: dict[tuple[object, ...], View] = {}
         found: list[View] = []
         everything = self._instances()
-        for stream in sorted(due, key=lambda stream: self._films[stream].kind is not ImageKind.FLOW):
-            film = self._films[stream]
-            film.is_owed = False
-            transform, hidden = film.sensor.transform, _surrounding(film.sensor)
-            place, turn = transform.location, transform.rotation
-            pose = (place.x, place.y, place.z, turn.pitch, turn.yaw, turn.roll)
-            key = (*pose, film.width, film.height, film.fov, hidden)
+        for stream in sorted(due, key=lambda stream: self._active[stream].kind is not ImageKind.FLOW):
+            active = self._active[stream]
+            active.is_owed = False
+            transform, hidden = active.sensor.transform, _surrounding(active.sensor)
+            location, turn = transform.location, transform.rotation
+            pose = (location.x, location.y, location.z, turn.pitch, turn.yaw, turn.roll)
+            key = (*pose, active.width, active.height, active.fov, hidden)
             view = views.get(key)
-            if view is None or (film.kind is ImageKind.FLOW and view.previous is not film.previous):
-                motif = Motif(camera_at(transform, film.width, film.height, film.fov), everything)
-                view = View(motif, film.previous, hidden, self._world.weather, [])
+            if view is None or (active.kind is ImageKind.FLOW and view.previous is not active.previous):
+                scene = CameraScene(camera_at(transform, active.width, active.height, active.fov), everything)
+                view = View(scene, active.previous, hidden, self._world.weather, [])
                 views.setdefault(key, view)
                 found.append(view)
-            view.shots.append(Shot(stream, due[stream], film.kind, film.encode(self._world.elapsed)))
-            if film.kind is ImageKind.FLOW:
-                film.previous = view.motif
+            view.shots.append(Shot(stream, due[stream], active.kind, active.encode(self._world.elapsed)))
+            if active.kind is ImageKind.FLOW:
+                active.previous = view.scene
         return found
 
 
@@ -169,7 +169,7 @@ class BlankImages:
 
     def draw(self, view: View) -> Mapping[ImageKind, Image]:
         """See `ImageSource.draw`."""
-        return {kind: _blank(kind, view.motif.camera.width, view.motif.camera.height) for kind in view.kinds}
+        return {kind: _blank(kind, view.scene.camera.width, view.scene.camera.height) for kind in view.kinds}
 
     def close(self) -> None:
         """See `ImageSource.close`."""
@@ -194,10 +194,10 @@ def _side(sensor: Actor, key: str) -> int:
 def _surrounding(sensor: Actor) -> frozenset[int]:
     """Return the carriers of a camera whose boxes it is inside of: they would hide everything."""
     found, carrier = set(), sensor.parent
-    place = row(sensor.transform.location)
+    location = row(sensor.transform.location)
     while carrier is not None:
         transform, extent = carrier.transform, row(carrier.box.extent)
-        if (np.abs((place - row(transform.transform(carrier.box.location))) @ axes(transform)) < extent).all():
+        if (np.abs((location - row(transform.transform(carrier.box.location))) @ axes(transform)) < extent).all():
             found.add(carrier.id)
         carrier = carrier.parent
     return frozenset(found)

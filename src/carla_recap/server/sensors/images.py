@@ -51,7 +51,7 @@ class Shot:
     encode: Callable[[Image], Iterable[bytes | memoryview]]
 
 
-class Motif(NamedTuple):
+class CameraScene(NamedTuple):
     """What is in front of a camera at a moment.
 
     Attributes:
@@ -68,15 +68,15 @@ class View:
     """What cameras of the same pose, size and field of view see in a tick.
 
     Attributes:
-        motif: What is in front of them.
+        scene: What is in front of them.
         previous: The same of the image before, for optical flow; None for other kinds, and for the first image.
         hidden: The ids of actors that are left out.
         weather: The weather.
         shots: The images.
     """
 
-    motif: Motif
-    previous: Motif | None
+    scene: CameraScene
+    previous: CameraScene | None
     hidden: frozenset[int]
     weather: Weather
     shots: list[Shot]
@@ -209,7 +209,7 @@ class ImageThread:
         return frames
 
     def _draw(self, town: Town, view: View) -> Mapping[ImageKind, Image]:
-        size = view.motif.camera.width, view.motif.camera.height
+        size = view.scene.camera.width, view.scene.camera.height
         for _ in range(_TRIES):
             if size in self._impossible:
                 break

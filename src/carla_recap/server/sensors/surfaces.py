@@ -103,7 +103,7 @@ class DrawnImages:
     def draw(self, view: View) -> Mapping[ImageKind, NDArray[Any]]:
         """See `ImageSource.draw`."""
         sky = self._sky(view.weather)
-        return self._process.draw(*view.motif, view.kinds, sky, view.previous, without=view.hidden)
+        return self._process.draw(*view.scene, view.kinds, sky, view.previous, without=view.hidden)
 
     def close(self) -> None:
         """See `ImageSource.close`."""

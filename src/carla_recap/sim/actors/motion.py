@@ -127,9 +127,9 @@ class CollisionDetector:
         x, y = push.point
         z = None if first is None else [first.transform.location.z]
         height = self._registry.town.height([x], [y], z).item()
-        place = Location(x, y, height + _BUMPER_HEIGHT)
+        location = Location(x, y, height + _BUMPER_HEIGHT)
         impulse = Vector(push.x, push.y, 0.0)
-        return Collision(*pair, place, impulse, _is_hero(first), _is_hero(second), number)
+        return Collision(*pair, location, impulse, _is_hero(first), _is_hero(second), number)
 
     def _is_watched(self, actor: Actor) -> bool:
         """Return whether the collisions of an actor are reported; decided once per tick."""

@@ -194,7 +194,7 @@ class ActorRegistry:
     def try_spawn(
         self, blueprint: Blueprint | str, transform: Transform, parent: Actor | None, attributes: Mapping[str, str]
     ) -> Actor | None:
-        """Spawn an actor if its place is free; see `World.try_spawn`."""
+        """Spawn an actor if nothing is in its way; see `World.try_spawn`."""
         blueprint = self._blueprint(blueprint, attributes)
         if parent is None and any(self._occupants(blueprint, transform)):
             return None
@@ -296,17 +296,17 @@ class ActorRegistry:
         else:
             sign = Sign(self, self._new_id(), _sign_blueprint(signal), signal)
         self._add(sign)
-        place = signal.transform.location
-        if not self._is_on_road(place):
+        location = signal.transform.location
+        if not self._is_on_road(location):
             body = self._own(sign, self.plane.add_disc(WALL, _POLE_RADIUS, None))
-            ground = self.town.height([place.x], [place.y], [place.z])[0].item()
-            pole = ground - _POLE_BELOW, max(ground, place.z) + _POLE_ABOVE
+            ground = self.town.height([location.x], [location.y], [location.z])[0].item()
+            pole = ground - _POLE_BELOW, max(ground, location.z) + _POLE_ABOVE
             self.plane.set_heights(body, lambda: pole)
-            self.plane.move(body, place.x, place.y, 0.0)
+            self.plane.move(body, location.x, location.y, 0.0)
 
-    def _is_on_road(self, place: Location) -> bool:
-        x, y = np.array([place.x]), np.array([place.y])
-        lane, s = self.town.nearest_lane(x, y, z=self.town.height(x, y, [place.z]))
+    def _is_on_road(self, location: Location) -> bool:
+        x, y = np.array([location.x]), np.array([location.y])
+        lane, s = self.town.nearest_lane(x, y, z=self.town.height(x, y, [location.z]))
         offset = abs(self.town.project(lane, x, y, s)[1][0])
         return bool(offset < self.town.lanes[lane[0]].width / 2 + _POLE_RADIUS)
 
@@ -324,10 +324,10 @@ def _corners(blueprint: Blueprint) -> list[tuple[float, float]]:
 
 
 def _columns(mover: MovingActor, transform: Transform) -> dict[str, float | tuple[float, float, float]]:
-    place, turn, extent = transform.location, transform.rotation, mover.box.extent
+    location, turn, extent = transform.location, transform.rotation, mover.box.extent
     half = (_WALKER_HALF, _WALKER_HALF) if isinstance(mover, Walker) else (extent.x, extent.y)
     return {
-        "position": (place.x, place.y, place.z),
+        "position": (location.x, location.y, location.z),
         "rotation": (turn.pitch, turn.yaw, turn.roll),
         "half_length": half[0],
         "half_width": half[1],
