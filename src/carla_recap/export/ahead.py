@@ -58,7 +58,7 @@ def add_stop_points(stops: dict[int, Floats], frame: Frame) -> None:
         stops[id] = right_handed(poses)[:, LOCATION]
 
 
-class LightsAhead:
+class LightAheadFinder:
     """Finds the light ahead: the nearest one whose stop line is in front of the actor, on its lane.
 
     Of a light without a known stop line, its own location counts, if the light faces the actor.

@@ -58,7 +58,7 @@ def instances(ids: Sequence[int] | Ids, looks: Sequence[Look], poses: Floats) ->
         looks: Their looks.
         poses: CARLA's poses in the world: x, y, z in cm and roll, pitch, yaw in degrees, (n, 6).
     """
-    return _Actors(np.array(ids, np.uint32), looks).at(poses)
+    return _LookColumns(np.array(ids, np.uint32), looks).at(poses)
 
 
 def instances_of(scene: Scene, *, marks: bool = True) -> Instances:
@@ -85,7 +85,7 @@ def lamps_of_lights(states: NDArray[np.integer]) -> NDArray[np.uint64]:
     return lamps
 
 
-class _Actors:
+class _LookColumns:
     """The looks of actors as arrays."""
 
     def __init__(self, ids: Ids, looks: Sequence[Look]) -> None:
@@ -131,7 +131,7 @@ class SceneActors:
         self._batch: SceneBatch | None = None
         self._present: Mapping[int, Present] = {}
         self._ids: Ids | None = None
-        self._actors = _Actors(np.zeros(0, np.uint32), [])
+        self._actors = _LookColumns(np.zeros(0, np.uint32), [])
         self._rows = np.zeros(0, np.intp)
         self._standing: Floats = np.zeros((0, 6))  # the poses of those without recorded ones
         self._attached: list[tuple[int, int]] = []  # rows and ids of those that move with a parent
@@ -187,7 +187,7 @@ class SceneActors:
         self._looks = looks
         drawn = sorted((id, look) for id, (_, look) in looks.items() if look is not None)
         ids = np.array([id for id, _ in drawn], np.uint32)
-        self._actors = _Actors(ids, [look for _, look in drawn])
+        self._actors = _LookColumns(ids, [look for _, look in drawn])
         index, recorded = find(ids, batch.ids)
         self._rows = np.where(recorded, index, -1)
         self._standing = np.full((len(ids), 6), np.nan)

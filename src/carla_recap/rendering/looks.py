@@ -189,7 +189,7 @@ def look_of(
     """Return the look of an actor; None of one that is not drawn: a sensor, the spectator.
 
     Args:
-        type_id: The blueprint; names that are not CARLA's are told by their kind, wheels and size.
+        type_id: The blueprint; names that are not CARLA's are recognized by their kind, wheels and size.
         kind: The kind; see `carla_recap.ActorKind`.
         attributes: The attributes.
         box: Its recorded box; None: that of the blueprint, else the usual size of its class.

@@ -16,7 +16,7 @@ if TYPE_CHECKING:
 _PLEASANT_AZIMUTH: Final = 230.0  # degrees, where the weather leaves it to the map
 
 
-class Light(NamedTuple):
+class Lighting(NamedTuple):
     """The light of a picture; colours of light are linear, those of the sky are as displayed, from 0 to 1.
 
     Attributes:
@@ -107,7 +107,7 @@ class Sky:
         """The brightness of the light around lit lamps, from 0 to 1."""
         return 0.85 - 0.6 * _smooth(-6, 12, self.sun_altitude) * (1 - 0.6 * self.cloudiness)
 
-    def light(self) -> Light:
+    def light(self) -> Lighting:
         """Return the light of the picture."""
         day = _smooth(-6, 8, self.sun_altitude)
         evening = 1 - _smooth(3, 32, self.sun_altitude)  # 1: the sun is at the horizon
@@ -131,7 +131,7 @@ class Sky:
         clouds = (bright * (1 + 0.12 * bright) / (1 + 0.42 * bright)) ** (1 / 2.2)  # as the shaders encode light
         disc = day * max(0.0, 1 - 1.1 * self.cloudiness) * (1 - max(self.fog, self.dust))
         shade = 1 - (0.42 * clear * day + 0.12 * (1 - day))
-        return Light(sun, sunlight, skylight, groundlight, zenith, haze, clouds, disc, shade)
+        return Lighting(sun, sunlight, skylight, groundlight, zenith, haze, clouds, disc, shade)
 
 
 def _number(weather: Any, name: str) -> float:

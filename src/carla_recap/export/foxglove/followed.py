@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Final, NamedTuple
 import numpy as np
 
 from carla_recap.export import style
-from carla_recap.export.ahead import NO_LIGHT, LightsAhead
+from carla_recap.export.ahead import NO_LIGHT, LightAheadFinder
 from carla_recap.export.foxglove.bodies import ahead_entity, frame_of
 from carla_recap.export.foxglove.messages import (
     ALL_DELETED,
@@ -219,7 +219,7 @@ class LightMessages:
 
     def __init__(self, stops: StopPoints) -> None:
         self.latest = ShownLights()
-        self._ahead = LightsAhead(stops)
+        self._ahead = LightAheadFinder(stops)
         self._shown: tuple[bytes, bytes, int] | None = None  # the latest ids and states, and the position of the light ahead
         self._marked: str | None = None
 

@@ -10,7 +10,7 @@ import numpy as np
 import rerun as rr
 
 from carla_recap.export import style
-from carla_recap.export.ahead import NO_LIGHT, LightsAhead
+from carla_recap.export.ahead import NO_LIGHT, LightAheadFinder
 from carla_recap.export.rerun import paths
 from carla_recap.export.rerun.meshes import lamps_of, model_mesh, packed, unlit
 from carla_recap.export.rerun.stream import TimeColumns
@@ -124,7 +124,7 @@ class LightAheadWriter:
     def __init__(self, stream: Stream, id: int, stops: StopPoints) -> None:
         self._stream = stream
         self._id = id
-        self._ahead = LightsAhead(stops)
+        self._ahead = LightAheadFinder(stops)
         self._begun = False
         self._last: tuple[int, int] | None = None  # id and state
         self._changes: list[tuple[TimePoint, str]] = []

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
-from carla_recap.export.ahead import NO_LIGHT, LightsAhead
+from carla_recap.export.ahead import NO_LIGHT, LightAheadFinder
 from carla_recap.export.style import box_of
 from carla_recap.export.video.overlay import LightAhead
 from carla_recap.replay import calm_heading, right_handed
@@ -61,7 +61,7 @@ class FollowedActor:
     def __init__(self, id: int | None, stops: StopPoints | None = None) -> None:
         self.id = id
         self._stops = stops or {}
-        self._lights = LightsAhead(self._stops)
+        self._lights = LightAheadFinder(self._stops)
         self.subject: Subject | None = None
         self._time = -math.inf
 

@@ -13,7 +13,7 @@ if TYPE_CHECKING:
 M: Final = Material
 
 
-class Pose(NamedTuple):
+class RiderJoints(NamedTuple):
     """Where the joints of a rider are, in m: of those that there are two of, those of the left side."""
 
     hip: Point
@@ -25,7 +25,7 @@ class Pose(NamedTuple):
     head: Point
 
 
-def _rider(solid: Solid, pose: Pose) -> None:
+def _rider(solid: Solid, pose: RiderJoints) -> None:
     left = Solid()
     left.bent_limb((pose.hip, pose.knee, pose.foot), (0.10, 0.078, 0.05), M.RIDER_TROUSERS, sides=5)
     x, y, z = pose.foot
@@ -103,7 +103,7 @@ def motorcycle() -> Solid:
     solid.limb((0.44, -0.36, 1.0), (0.44, 0.36, 1.0), (0.02, 0.02), M.TRIM, sides=5)
     _bike_lamps(solid, 0.64, -1.0, 0.84)
     _mirrors(solid, 0.46, 1.0)
-    pose = Pose(
+    pose = RiderJoints(
         (-0.28, 0.1, 0.86),
         (0.12, 0.2, 0.62),
         (-0.18, 0.2, 0.32),
@@ -150,7 +150,7 @@ def scooter() -> Solid:
     solid.ball((0.46, 0, 0.98), (0.08, 0.09, 0.09), lambda i, j: M.HEADLIGHT if j in (0, 7) else M.PAINT, sides=8, rings=4)
     _bike_lamps(solid, 0.5, -0.87, 0.56)
     _mirrors(solid, 0.40, 1.0)
-    pose = Pose(
+    pose = RiderJoints(
         (-0.36, 0.1, 0.86),
         (0.08, 0.16, 0.74),
         (0.16, 0.13, 0.34),
@@ -203,7 +203,7 @@ def bicycle() -> Solid:
     solid.box((0.37, -0.03, 0.86), (0.42, 0.03, 0.92), M.HEADLIGHT)
     solid.box((rear - 0.1, -0.025, 0.72), (rear - 0.07, 0.025, 0.78), M.TAIL_LIGHT)
     solid.limb((rear, 0, radius * 2), (rear - 0.085, 0, 0.75), (0.01, 0.01), M.TRIM, sides=4)
-    pose = Pose(
+    pose = RiderJoints(
         (-0.22, 0.08, 0.98),
         (0.14, 0.11, 0.74),
         (-0.02, 0.12, 0.30),
