@@ -127,3 +127,11 @@ def test_the_latest_marks_are_kept(batches):
     for batch in batches(frames):
         shown.changes(batch)
     assert shown.locations[:, 0] == pytest.approx(range(11, MOST_MARKS + 11))
+
+
+def test_many_contacts_that_go_on_do_not_replace_each_other(batches):
+    ids = range(1, MOST_MARKS + 11)
+    contacts = [(id, id, 2**32 - 1, False, False) for id in ids]
+    frames = [{"transforms": [pose(id, 100 * id) for id in ids], "collisions": contacts} for _ in range(10)]
+    frames[0]["spawned"] = [spawn(id) for id in ids]
+    assert marks(batches(frames)) == [(0.0, MOST_MARKS)]

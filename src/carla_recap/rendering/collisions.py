@@ -192,7 +192,7 @@ class CollisionMarks:
     @property
     def locations(self) -> Floats:
         """Where the marks are after the latest batch, (marks, 3) in m, right-handed, a little above the ground."""
-        return np.array([mark.location for mark in self._marks.values()], np.float64).reshape(-1, 3)
+        return np.array([self._marks[pair].location for pair in self._shown()], np.float64).reshape(-1, 3)
 
     def changes(self, batch: SceneBatch, *, keep: bool = False) -> list[tuple[int, Floats]]:
         """Return the rows at which marks appear or disappear, and `locations` from then on.
@@ -201,7 +201,7 @@ class CollisionMarks:
             batch: The scenes; each batch has to be given, in order.
             keep: Whether marks are kept in a batch that does not follow the one before.
         """
-        known = list(self._marks)
+        shown = self._shown()
         if not keep and _is_new(batch, self._before):
             self._marks.clear()
         self._before = batch
@@ -209,14 +209,20 @@ class CollisionMarks:
         for event in batch.events:
             if isinstance(event, Collided):
                 self._mark(event, batch)
-        found = [(0, self.locations)] if list(self._marks) != known else []
+        found = [(0, self.locations)] if self._shown() != shown else []
         while self._marks:
             rows = np.flatnonzero(batch.time >= min(mark.until for mark in self._marks.values()))
             if not len(rows):
                 break
+            shown = self._shown()
             self._remove(float(batch.time[rows[0]]))
-            found.append((int(rows[0]), self.locations))
+            if self._shown() != shown:
+                found.append((int(rows[0]), self.locations))
         return found
+
+    def _shown(self) -> list[tuple[int, int]]:
+        """Return the pairs of actors whose marks are shown: the latest ones."""
+        return list(self._marks)[-MOST_MARKS:]
 
     def _remove(self, time: float) -> None:
         """Remove the marks that are over."""
@@ -236,8 +242,6 @@ class CollisionMarks:
         location = np.mean(walkers or list(feet.values()), axis=0)
         location[2] += _MARK_HEIGHT
         self._marks[pair] = _Mark(location, until)
-        if len(self._marks) > MOST_MARKS:
-            del self._marks[next(iter(self._marks))]
 
 
 def collision_scenes(recording: Recording, time: float) -> Iterator[SceneBatch]:
