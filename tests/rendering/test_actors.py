@@ -52,6 +52,20 @@ def test_every_vehicle_has_a_model_of_its_class():
     assert "box" not in names.values()
 
 
+@pytest.mark.parametrize(
+    ("name", "model"),
+    [
+        ("streetsign04", "board"),
+        ("streetfountain", "fountain"),
+        ("mailbox", "bin"),
+        ("creasedbox02", "debris"),
+        ("box01", "cardboard box"),
+    ],
+)
+def test_the_longest_word_in_the_name_of_a_prop_counts(name, model):
+    assert model_of(f"static.prop.{name}", ActorKind.OTHER) == model
+
+
 def test_a_recorded_box_counts_more_than_that_of_the_blueprint():
     look = look_of("vehicle.audi.a2", ActorKind.VEHICLE, {}, BoundingBox(0.1, 0, 0.7, 2, 1, 0.6))
     assert look is not None

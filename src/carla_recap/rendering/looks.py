@@ -141,7 +141,7 @@ _PROPS: Final[tuple[tuple[str, str, Color], ...]] = (
     ("gnome", "figure", (190, 50, 50)),
     ("mesh", "box", (170, 168, 164)),
 )
-"""The models and colours of props whose names contain something; the first one counts."""
+"""The models and colours of props whose names contain a word; the longest word counts."""
 _PROP: Final[tuple[str, Color]] = ("box", (170, 168, 164))
 
 _CALM: Final[tuple[Color, ...]] = (
@@ -323,7 +323,5 @@ def _sign_of(type_id: str) -> str:
 def _prop_of(type_id: str, attributes: Mapping[str, str]) -> tuple[str, Color]:
     mesh = attributes.get("mesh_path", "").rpartition("/")[2]
     lowered = (mesh or type_id.removeprefix("static.prop.")).lower()
-    for part, name, color in _PROPS:
-        if part in lowered:
-            return name, color
-    return _PROP
+    found = max((row for row in _PROPS if row[0] in lowered), key=lambda row: len(row[0]), default=None)
+    return found[1:] if found else _PROP

@@ -74,7 +74,8 @@ def right_handed_velocities(velocities: Floats) -> Floats:
 def quaternions(poses: NDArray[F]) -> NDArray[F]:
     """Return the rotations of right-handed poses as quaternions x, y, z, w, in the precision of the poses."""
     half = np.ascontiguousarray(np.moveaxis(np.radians(poses[..., ROTATION]) / 2, -1, 0))
-    (sr, sp, sy), (cr, cp, cy) = np.sin(half), np.cos(half)
+    with np.errstate(invalid="ignore"):  # of infinite angles
+        (sr, sp, sy), (cr, cp, cy) = np.sin(half), np.cos(half)
     found = np.empty((*poses.shape[:-1], 4), poses.dtype)
     found[..., 0] = sr * cp * cy - cr * sp * sy
     found[..., 1] = cr * sp * cy + sr * cp * sy
@@ -86,7 +87,8 @@ def quaternions(poses: NDArray[F]) -> NDArray[F]:
 def rotations(poses: Floats) -> Floats:
     """Return the rotations of right-handed poses as matrices: their columns point forward, left and up."""
     angles = np.radians(poses[..., ROTATION])
-    (sr, sp, sy), (cr, cp, cy) = np.moveaxis(np.sin(angles), -1, 0), np.moveaxis(np.cos(angles), -1, 0)
+    with np.errstate(invalid="ignore"):  # of infinite angles
+        (sr, sp, sy), (cr, cp, cy) = np.moveaxis(np.sin(angles), -1, 0), np.moveaxis(np.cos(angles), -1, 0)
     rows = (
         np.stack((cy * cp, cy * sp * sr - sy * cr, cy * sp * cr + sy * sr), axis=-1),
         np.stack((sy * cp, sy * sp * sr + cy * cr, sy * sp * cr - cy * sr), axis=-1),

@@ -27,6 +27,8 @@ SUFFIXES: Final = (".mp4", ".gif")
 SMALLEST: Final = 64
 LARGEST: Final = 4096
 """The limits of the width and the height of a video or picture, in pixels."""
+SLOWEST: Final = 0.1
+"""The smallest number of frames per second."""
 FASTEST: Final = 240.0
 FASTEST_GIF: Final = 50.0
 """The largest numbers of frames per second; browsers slow down a GIF that is faster."""
@@ -73,8 +75,8 @@ def check_video(path: Path, size: Size, rate: float, frames: int) -> None:
     if suffix == ".mp4" and (width % 2 or height % 2):
         raise RecapError(f"{width} x {height}: the sides of an MP4 are even numbers, such as {width & ~1} x {height & ~1}")
     fastest = FASTEST_GIF if suffix == ".gif" else FASTEST
-    if not 0 < rate <= fastest:
-        raise RecapError(f"{rate:g} frames per second: more than 0 and at most {fastest:g} were expected of {suffix}")
+    if not SLOWEST <= rate <= fastest:
+        raise RecapError(f"{rate:g} frames per second: {SLOWEST:g} to {fastest:g} were expected of {suffix}")
     if suffix == ".gif" and frames * width * height > LARGEST_GIF:
         most = LARGEST_GIF // (width * height)
         raise RecapError(
