@@ -2,18 +2,25 @@
 
 from __future__ import annotations
 
+import subprocess
+import time
+from contextlib import contextmanager
 from itertools import pairwise
 from typing import TYPE_CHECKING, Any
 
 import carla
 import numpy as np
+import psutil
 import pytest
 
 from carla_recap.errors import RecapError
 from carla_recap.rendering.materials import Tag
-from tests.server.test_sensors import Data, of_frame, sensor, start, vehicle
+from carla_recap.util.processes import module_command, module_environment
+from tests.server.test_sensors import PATIENCE, Data, of_frame, sensor, start, vehicle
 
 if TYPE_CHECKING:
+    from collections.abc import Iterator
+
     from numpy.typing import NDArray
 
 pytest.importorskip("moderngl", reason="moderngl is not installed")
@@ -34,6 +41,16 @@ def driver() -> None:
         Renderer(models=()).close()
     except RecapError as error:
         pytest.skip(str(error))
+
+
+@pytest.fixture
+def ground(world: carla.World) -> None:
+    """Wait until rays meet the ground."""
+    lidar = Data(sensor(world, "lidar.ray_cast", None, carla.Transform(carla.Location(z=1.0)), lower_fov="-90"))
+    end = time.monotonic() + PATIENCE
+    while not len(of_frame(lidar, world.tick())) and time.monotonic() < end:
+        pass
+    lidar.sensor.destroy()
 
 
 def pixels(image: Any) -> NDArray[np.int64]:
@@ -156,6 +173,7 @@ def test_weather_is_seen(world: carla.World) -> None:
     assert night < day / 2
 
 
+@pytest.mark.usefixtures("ground")
 def test_a_lidar_meets_the_road_and_the_car_ahead(world: carla.World) -> None:
     car, other = vehicle(world), vehicle(world, ahead=14.9)
     rays = {"range": "60", "rotation_frequency": "20", "points_per_second": "200000", "channels": "32"}
@@ -173,6 +191,7 @@ def test_a_lidar_meets_the_road_and_the_car_ahead(world: carla.World) -> None:
     assert car.id not in found["id"]
 
 
+@pytest.mark.usefixtures("ground")
 def test_lidar_points_are_where_a_depth_camera_sees_them(world: carla.World) -> None:
     """The same rays, at the same place: points in an image fall on pixels of the same depth, tag and id."""
     car = vehicle(world)
@@ -202,6 +221,7 @@ def test_lidar_points_are_where_a_depth_camera_sees_them(world: carla.World) -> 
     assert same[points["id"][seen] > 0].mean() > 0.9
 
 
+@pytest.mark.usefixtures("ground")
 def test_a_level_obstacle_detector_does_not_report_the_road(world: carla.World) -> None:
     car = vehicle(world)
     down = carla.Transform(carla.Location(x=2.5, z=1.0), carla.Rotation(pitch=-45.0))
@@ -266,3 +286,79 @@ def test_in_asynchronous_mode_images_come_as_time_passes(world: carla.World) -> 
     images = [rgb.get(timeout=20.0) for _ in range(5)]
     assert all(later.frame > earlier.frame for earlier, later in pairwise(images))
     assert images[-1].frame <= world.wait_for_tick().frame
+
+
+def test_two_clients_get_the_same_images_of_a_camera(world: carla.World, port: int) -> None:
+    camera = sensor(world, "camera.rgb", vehicle(world), EYE, **SIZE)
+    world.tick()
+    other = carla.Client("127.0.0.1", port)
+    other.set_timeout(30.0)
+    mine, theirs = Data(camera), Data(other.get_world().get_actor(camera.id))
+    start(world, mine, theirs)
+    for _ in range(5):
+        frame = world.tick()
+        assert bytes(of_frame(mine, frame).raw_data) == bytes(of_frame(theirs, frame).raw_data)
+    theirs.sensor.stop()
+    for _ in range(5):
+        of_frame(mine, world.tick())
+
+
+def test_a_client_that_listens_again_gets_the_images_of_all_ticks(world: carla.World) -> None:
+    camera = sensor(world, "camera.rgb", vehicle(world), EYE, **SIZE)
+    for _ in range(3):
+        rgb = Data(camera)
+        start(world, rgb)
+        for _ in range(3):
+            of_frame(rgb, world.tick())
+        camera.stop()
+        world.tick()
+
+
+def test_the_world_is_loaded_anew_while_images_are_drawn(world: carla.World, client: carla.Client) -> None:
+    for _ in range(3):
+        large = Data(sensor(world, "camera.rgb", vehicle(world), EYE, image_size_x="1280", image_size_y="720"))
+        start(world, large)
+        for _ in range(2):
+            world.tick()
+        world = client.reload_world(False)
+    semantic = Data(sensor(world, "camera.semantic_segmentation", vehicle(world), EYE, **SIZE))
+    start(world, semantic)
+    assert Tag.ROADS in pixels(of_frame(semantic, world.tick()))[..., 0]
+
+
+def test_a_server_that_ends_while_images_are_drawn_leaves_no_process() -> None:
+    with served() as (process, port):
+        client = carla.Client("127.0.0.1", port)
+        client.set_timeout(30.0)
+        world = client.get_world()
+        rgb = Data(sensor(world, "camera.rgb", vehicle(world), EYE, image_size_x="1920", image_size_y="1080"))
+        rgb.get(timeout=PATIENCE)
+        children = psutil.Process(process.pid).children(recursive=True)
+        process.terminate()
+        assert process.wait(PATIENCE) == 0
+    assert children
+    assert not psutil.wait_procs(children, PATIENCE)[1]
+
+
+def test_a_server_that_is_killed_while_its_town_is_loaded_leaves_no_process() -> None:
+    with served(CARLA_RECAP_CACHE="") as (process, _):
+        server, end = psutil.Process(process.pid), time.monotonic() + PATIENCE
+        while not (children := server.children(recursive=True)) and time.monotonic() < end:
+            time.sleep(0.01)
+        process.kill()
+        process.wait(PATIENCE)
+    assert children
+    assert not psutil.wait_procs(children, PATIENCE)[1]
+
+
+@contextmanager
+def served(**environment: str) -> Iterator[tuple[subprocess.Popen[str], int]]:
+    """Run a server as from a command line, where it loads the town ahead."""
+    command = module_command("carla_recap", "serve", "--port=0")
+    variables = module_environment(**environment)
+    with subprocess.Popen(command, stdout=subprocess.PIPE, text=True, env=variables) as process:
+        try:
+            assert process.stdout is not None
+            yield process, int(process.stdout.readline().rsplit(":", 1)[-1])
+        finally:
+            process.kill()

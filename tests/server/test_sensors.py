@@ -14,7 +14,7 @@ import numpy as np
 import pytest
 
 AHEAD = carla.Transform(carla.Location(x=2.5, z=0.8))
-PATIENCE = 5.0  # s
+PATIENCE = 60.0  # s
 
 
 def vehicle(world: carla.World, number: int = 0, ahead: float = 0.0) -> carla.Vehicle:
