@@ -27,7 +27,7 @@ def rerun(subject: Subject) -> Iterator[Line]:
     limit = max(10 * subject.seconds / 3600, 2)
     yield Line(what, f"{taken.seconds:.1f} s", f"{factor:,.0f} x real time", f"≤ {limit:.0f} s", taken.seconds <= limit)
     yield Line(f"{what}, peak memory", f"{taken.peak / 1e6:.0f} MB", "", "≤ 400 MB", taken.peak <= 400e6)
-    yield Line(f"{what}, size", f"{size:.0f} MB", "", "≤ 460 MB", size <= 460)
+    yield Line(f"{what}, size", f"{size:.0f} MB", "", "≤ 390 MB", size <= 390)
 
 
 def foxglove(subject: Subject) -> Iterator[Line]:

@@ -342,8 +342,9 @@ class ActorEntities:
             if name == "vehicle_lights":
                 lit[:, columns] |= records["flags"][rows][:, known].astype(np.int64)
             else:
-                records = records[rows][:, known]
-                lit[:, columns] |= BRAKE * (records["brake"] > _BRAKING) | REVERSE * (records["gear"] < 0)
+                for bit, are in ((BRAKE, records["brake"] > _BRAKING), (REVERSE, records["gear"] < 0)):
+                    if are.any():
+                        lit[:, columns] |= bit * are[rows][:, known]
         columns, known = self._columns_of(batch.light_states["id"][0])
         states = batch.light_states["state"][rows][:, known].astype(np.int64)
         states[(states < 0) | (states > TRAFFIC_LIGHT_COLOR_UNKNOWN)] = TRAFFIC_LIGHT_COLOR_UNKNOWN

@@ -113,11 +113,15 @@ class LampWriter:
         known, where = self._columns("vehicle_controls", controls)
         if len(known):
             times = batch.time[:, None]
-            braked = np.where(controls["brake"][:, where] > _BRAKING, times, -np.inf)
-            braked = np.maximum.accumulate(np.concatenate((self._braked[None, known], braked)))[1:]
-            self._braked[known] = braked[-1]
-            flags[:, known] |= np.where(times - braked < _HELD, BRAKE, 0)
-            flags[:, known] |= np.where(controls["gear"][:, where] < 0, REVERSE, 0)
+            braking = (controls["brake"] > _BRAKING)[:, where]
+            if braking.any() or (batch.time[0] - self._braked[known] < _HELD).any():
+                braked = np.where(braking, times, -np.inf)
+                braked = np.maximum.accumulate(np.concatenate((self._braked[None, known], braked)))[1:]
+                self._braked[known] = braked[-1]
+                flags[:, known] |= np.where(times - braked < _HELD, BRAKE, 0)
+            reversing = controls["gear"] < 0
+            if reversing.any():
+                flags[:, known] |= np.where(reversing[:, where], REVERSE, 0)
         return flags
 
     def _columns(self, name: str, records: NDArray[np.void]) -> tuple[Indices, Indices]:
