@@ -13,6 +13,7 @@ import pytest
 
 import carla_recap
 from carla_recap.errors import RecapError
+from carla_recap.model.records import Attribute, Spawn
 from carla_recap.queries.info import info
 from carla_recap.server import recordings as served
 from carla_recap.server import running
@@ -327,6 +328,28 @@ def test_replayed_actors_are_seen_and_go(client: carla.Client, world: carla.Worl
     client.stop_replayer(True)
     world.tick()
     assert vehicles(world).keys() == again.keys()
+
+
+def test_replayed_actors_have_their_recorded_ids_unless_these_are_taken(
+    client: carla.Client, world: carla.World, tmp_path: Path
+) -> None:
+    taken = world.get_spectator().id
+    with carla_recap.create_recording(tmp_path / "ids.log", map_name="Brickfield", date=0) as recording:
+        spawns = [
+            Spawn(9000, 1, x=1000.0, type_id="vehicle.tesla.model3", attributes=[Attribute(3, "role_name", "hero")]),
+            Spawn(8000, 2, x=3000.0, type_id="walker.pedestrian.0004"),
+            Spawn(taken, 1, x=6000.0, type_id="vehicle.audi.tt"),
+        ]
+        for second in range(5):
+            recording.add_frame(second, spawned=spawns if second == 0 else [])
+    client.replay_file(str(tmp_path / "ids.log"), 0.0, 0.0, 0)
+    world.tick()
+    assert world.get_actor(9000).attributes["role_name"] == "hero"
+    assert world.get_actor(8000).type_id == "walker.pedestrian.0004"
+    assert vehicles(world)["vehicle.audi.tt"].id == 9001
+    assert world.get_actor(taken).type_id == "spectator"
+    client.stop_replayer(False)
+    world.tick()
 
 
 def test_a_replay_that_begins_ends_the_one_before(client: carla.Client, world: carla.World) -> None:

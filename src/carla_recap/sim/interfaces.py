@@ -127,9 +127,18 @@ class ReplayWorld(ActorView, Protocol):
         """The spectator."""
 
     def place(
-        self, blueprint: Blueprint | str, transform: Transform, *, parent: Actor | None = None, **attributes: str
+        self,
+        blueprint: Blueprint | str,
+        transform: Transform,
+        *,
+        parent: Actor | None = None,
+        wanted_id: int | None = None,
+        **attributes: str,
     ) -> Actor:
-        """Spawn an actor, even where others are."""
+        """Spawn an actor, even where others are, with an id that is wanted if it is free."""
+
+    def reserve_ids(self, largest: int) -> None:
+        """Keep the free ids up to one for actors for which they are wanted."""
 
     def destroy(self, actor: Actor) -> bool:
         """Destroy an actor."""

@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Final, Self
 import numpy as np
 
 from carla_recap.sim.actors.blueprints import standard_library
+from carla_recap.sim.actors.ids import ActorIds
 from carla_recap.sim.actors.motion import ActorMotion
 from carla_recap.sim.actors.registry import ActorRegistry
 from carla_recap.sim.clock import Clock
@@ -92,13 +93,14 @@ class World:
         self._recorder: WorldRecorder | None = None
         self._replayer: Replayer | None = None
         self.episode = 0
-        self._begin(self._load("" if town is None else town), Clock(delta=fixed_delta_seconds or _DELTA), 1)
+        self._ids = ActorIds()
+        self._begin(self._load("" if town is None else town), Clock(delta=fixed_delta_seconds or _DELTA))
 
-    def _begin(self, town: Town, clock: Clock, first: int) -> None:
-        """Begin an episode, whose first actor gets the id `first`."""
+    def _begin(self, town: Town, clock: Clock) -> None:
+        """Begin an episode."""
         self.episode += 1
         self._weather = Weather()
-        self._registry = ActorRegistry(town, clock, self.settings, self.blueprints, first)
+        self._registry = ActorRegistry(town, clock, self.settings, self.blueprints, self._ids)
         self._traffic = self._registry.traffic = Traffic(self._registry, self.random, self.controllers)
         self._motion = ActorMotion(self._registry)
 
@@ -221,10 +223,28 @@ class World:
         return self._registry.try_spawn(blueprint, transform, parent, attributes)
 
     def place(
-        self, blueprint: Blueprint | str, transform: Transform, *, parent: Actor | None = None, **attributes: str
+        self,
+        blueprint: Blueprint | str,
+        transform: Transform,
+        *,
+        parent: Actor | None = None,
+        wanted_id: int | None = None,
+        **attributes: str,
     ) -> Actor:
-        """Spawn an actor, even where others are; see `spawn`."""
-        return self._registry.place(blueprint, transform, parent, attributes)
+        """Spawn an actor, even where others are; see `spawn`.
+
+        Args:
+            blueprint: See `spawn`.
+            transform: See `spawn`.
+            parent: See `spawn`.
+            wanted_id: The id that it gets if no actor has, or had, it; else it gets the next one.
+            **attributes: See `spawn`.
+        """
+        return self._registry.place(blueprint, transform, parent, attributes, wanted_id)
+
+    def reserve_ids(self, largest: int) -> None:
+        """Keep the free ids up to one for actors for which `place` wants them; other actors get larger ids."""
+        self._ids.reserve(largest)
 
     def destroy(self, actor: Actor) -> bool:
         """Destroy an actor and what is attached to it.
@@ -402,7 +422,7 @@ class World:
         self.stop_replayer(keep_actors=True)
         self._registry.close()
         self._traffic.end()
-        self._begin(town, Clock(delta=self.delta), self._registry.next_id)
+        self._begin(town, Clock(delta=self.delta))
 
     def _load(self, town: Town | str | Path) -> Town:
         return town if isinstance(town, Town) else load_town(town, None if self.maps is None else Path(self.maps))

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from carla_recap.sim.actors.blueprints import standard_library
+from carla_recap.sim.actors.ids import ActorIds
 from carla_recap.sim.actors.motion import ActorMotion
 from carla_recap.sim.actors.moving import Vehicle, Walker
 from carla_recap.sim.actors.registry import ActorRegistry
@@ -21,7 +22,7 @@ DELTA = 0.05
 
 @pytest.fixture
 def registry() -> ActorRegistry:
-    registry = ActorRegistry(load_town(), Clock(delta=DELTA), Settings(), standard_library(), 1)
+    registry = ActorRegistry(load_town(), Clock(delta=DELTA), Settings(), standard_library(), ActorIds())
     registry.traffic = Traffic(registry, np.random.default_rng(0), [])
     return registry
 

@@ -354,6 +354,60 @@ def test_an_actor_of_the_same_id_and_blueprint_is_moved_and_others_are_not(drive
     assert wrong.transform.location.x == 510
 
 
+def recording_of_vehicles(path: Path, *ids: int) -> Path:
+    """Write a recording of parked cars with some ids."""
+    with carla_recap.create_recording(path, map_name="Flat", date=0) as recording:
+        spawns = [Spawn(id, 1, x=2000.0 * number, type_id="vehicle.audi.tt") for number, id in enumerate(ids)]
+        for second in range(3):
+            recording.add_frame(second, spawned=spawns if second == 0 else [])
+    return path
+
+
+def test_actors_have_their_recorded_ids(tmp_path: Path) -> None:
+    world = new_world()
+    play(world, recording_of_vehicles(tmp_path / "a.log", 300, 234, 41), 1)
+    assert world.replayer.mapping == {300: 300, 234: 234, 41: 41}
+    assert {300, 234, 41} <= world.actors.keys()
+    assert spawn_car(world, 500.0).id == 301
+
+
+def test_an_id_that_is_taken_is_replaced_by_one_that_no_recorded_actor_has(tmp_path: Path) -> None:
+    world = new_world()
+    mine = world.spawn("static.prop.barrel", at(500.0))
+    play(world, recording_of_vehicles(tmp_path / "a.log", 2, mine.id, mine.id + 1, 9), 1)
+    assert world.traffic_lights[0].id == 2
+    assert world.replayer.mapping == {2: 10, mine.id: 11, mine.id + 1: mine.id + 1, 9: 9}
+
+
+def test_the_id_of_an_actor_that_was_destroyed_is_not_given_again(tmp_path: Path) -> None:
+    world = new_world()
+    play(world, recording_of_vehicles(tmp_path / "a.log", 50), 1)
+    world.stop_replayer()
+    play(world, tmp_path / "a.log", 1)
+    assert world.replayer.mapping == {50: 51}
+
+
+def test_ids_that_cannot_be_are_replaced(tmp_path: Path) -> None:
+    world = new_world()
+    play(world, recording_of_vehicles(tmp_path / "a.log", 0, 2**32 - 2), 1)
+    assert set(world.replayer.mapping.values()) == {4, 5}
+
+
+def test_pedestrians_walk_whatever_the_order_of_their_ids() -> None:
+    world = World(load_town())
+    places = [world.pedestrians.random_place() for _ in range(3)]
+    world.reserve_ids(5000)
+    walkers = []
+    for place, id in zip(places, (5000, 4000, 3000), strict=True):
+        walker = world.place("walker.pedestrian.0001", Transform(place), wanted_id=id)
+        assert isinstance(walker, Walker)
+        walker.destination = world.pedestrians.random_place()
+        walkers.append(walker)
+    world.run(4.0)
+    assert [walker.id for walker in walkers] == [5000, 4000, 3000]
+    assert all(walker.transform.location.distance(place) > 1.0 for walker, place in zip(walkers, places, strict=True))
+
+
 def test_who_is_destroyed_in_the_recording_is_destroyed(drive: Path) -> None:
     world = new_world()
     play(world, drive, 60)

@@ -29,6 +29,7 @@ if TYPE_CHECKING:
 
     from carla_recap.sim.actors.blueprints import Blueprint, BlueprintLibrary
     from carla_recap.sim.actors.events import Collision
+    from carla_recap.sim.actors.ids import ActorIds
     from carla_recap.sim.actors.moving import TrafficControllers
     from carla_recap.sim.clock import Clock
     from carla_recap.sim.geometry import Location
@@ -79,7 +80,7 @@ class ActorRegistry:
         clock: The simulated time.
         settings: The settings of the simulation.
         library: The blueprint library.
-        first: The id of the first actor.
+        ids: The ids of the world's actors, also of those of earlier episodes.
 
     Attributes:
         town: The town.
@@ -97,12 +98,12 @@ class ActorRegistry:
         events: The events of the latest tick.
         pending: The events since the latest tick.
         triggers: All friction triggers.
-        next_id: The id of the next actor.
+        ids: The ids of the world's actors, also of those of earlier episodes.
     """
 
     traffic: TrafficControllers
 
-    def __init__(self, town: Town, clock: Clock, settings: Settings, library: BlueprintLibrary, first: int) -> None:
+    def __init__(self, town: Town, clock: Clock, settings: Settings, library: BlueprintLibrary, ids: ActorIds) -> None:
         self.town = town
         self.clock = clock
         self.settings = settings
@@ -118,10 +119,10 @@ class ActorRegistry:
         self.events = TickEvents()
         self.pending = TickEvents()
         self.triggers: list[FrictionTrigger] = []
-        self.next_id = first
+        self.ids = ids
         for barrier in town.barriers:
             self.plane.add_wall(barrier)
-        self.spectator = Spectator(self, self._new_id(), blueprints.SPECTATOR, Transform())
+        self.spectator = Spectator(self, self.ids.new(), blueprints.SPECTATOR, Transform())
         self._add(self.spectator)
         self.traffic_lights: list[TrafficLight] = []
         for signal in town.signals:
@@ -155,9 +156,14 @@ class ActorRegistry:
         self.pending.light_times.append(light)
 
     def place(
-        self, blueprint: Blueprint | str, transform: Transform, parent: Actor | None, attributes: Mapping[str, str]
+        self,
+        blueprint: Blueprint | str,
+        transform: Transform,
+        parent: Actor | None,
+        attributes: Mapping[str, str],
+        wanted_id: int | None = None,
     ) -> Actor:
-        """Spawn an actor, even where others are; see `World.spawn`."""
+        """Spawn an actor, even where others are; see `World.place`."""
         blueprint = self._blueprint(blueprint, attributes)
         expect_transform(f"the transform of {blueprint.id}", transform)
         for key, value in attributes.items():
@@ -165,7 +171,7 @@ class ActorRegistry:
         if parent is not None:
             parent.check()
         make = _CLASSES.get(blueprint.kind, Prop) if blueprint.id != blueprints.FRICTION_TRIGGER else FrictionTrigger
-        actor = make(self, self._new_id(), blueprint, transform, dict(attributes), parent)
+        actor = make(self, self.ids.new(wanted_id), blueprint, transform, dict(attributes), parent)
         self._add(actor)
         if isinstance(actor, FrictionTrigger):
             self.triggers.append(actor)
@@ -254,10 +260,6 @@ class ActorRegistry:
         for actor in self._actors.values():
             actor.mark_destroyed()
 
-    def _new_id(self) -> int:
-        self.next_id += 1
-        return self.next_id - 1
-
     def _add(self, actor: Actor) -> None:
         self._actors[actor.id] = actor
         self.pending.spawned.append(actor)
@@ -290,11 +292,11 @@ class ActorRegistry:
     def _add_sign(self, signal: Signal) -> None:
         """Add a light or sign of the town; it has a pole, unless it hangs over the road."""
         if signal.kind is SignalKind.LIGHT:
-            light = TrafficLight(self, self._new_id(), blueprints.TRAFFIC_LIGHT, signal, len(self.traffic_lights))
+            light = TrafficLight(self, self.ids.new(), blueprints.TRAFFIC_LIGHT, signal, len(self.traffic_lights))
             self.traffic_lights.append(light)
             sign: Sign = light
         else:
-            sign = Sign(self, self._new_id(), _sign_blueprint(signal), signal)
+            sign = Sign(self, self.ids.new(), _sign_blueprint(signal), signal)
         self._add(sign)
         location = signal.transform.location
         if not self._is_on_road(location):

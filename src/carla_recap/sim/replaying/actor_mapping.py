@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 
 from carla_recap.sim.actors.actor import Prop, Spectator
+from carla_recap.sim.actors.ids import LARGEST_WANTED
 from carla_recap.sim.actors.lights import Sign
 from carla_recap.sim.actors.moving import MovingActor, Vehicle, Walker
 from carla_recap.sim.recording.poses import CM_PER_M, transform
@@ -29,8 +30,9 @@ _TRAFFIC: Final = "traffic."
 class ActorMapping:
     """Maps recorded actors to actors of the world, the replayed actors.
 
-    A recorded actor is mapped to the actor of the world that has its id and blueprint; if there is none, one is spawned.
-    Lights and signs are mapped to the nearest ones of the town, and the spectator to the spectator.
+    A recorded actor is mapped to the actor of the world that has its id and blueprint; if there is none, one is spawned,
+    with the recorded id unless another actor has, or had, it. Lights and signs are mapped to the nearest ones of the town,
+    and the spectator to the spectator.
 
     Args:
         world: The world.
@@ -65,6 +67,8 @@ class ActorMapping:
         actors = [actor for actor in actors if actor.id in scene.actors]
         signs = [actor for actor in actors if actor.type_id.startswith(_TRAFFIC)]
         self.replayed |= self._nearest(signs)
+        # an actor whose recorded id is taken shall not get the one of another
+        self._world.reserve_ids(max((actor.id for actor in actors if actor.id <= LARGEST_WANTED), default=0))
         for actor in actors:
             if not actor.type_id.startswith(_TRAFFIC) and (replayed := self._counterpart(actor, scene)) is not None:
                 self.replayed[actor.id] = replayed
@@ -108,7 +112,7 @@ class ActorMapping:
         pose = scene.pose_of(actor.id) if parent is None else actor.spawn_pose
         if pose is None:  # its parent is left out
             return None
-        spawned = self._world.place(blueprint, transform(pose), parent=parent)
+        spawned = self._world.place(blueprint, transform(pose), parent=parent, wanted_id=actor.id)
         self._spawned.add(actor.id)
         if actor.type_id not in self._world.blueprints:
             self.substitutes[actor.type_id] = model

@@ -116,7 +116,8 @@ class PedestrianNavigation:
         if not self._journeys:
             return
         walkers, journeys = self._registry.walkers, list(self._journeys.values())
-        rows = np.searchsorted(walkers.id, list(self._journeys))
+        order = np.argsort(walkers.id)  # replayed walkers have their recorded ids
+        rows = order[np.searchsorted(walkers.id, list(self._journeys), sorter=order)]
         speed = np.array([journey.speed for journey in journeys])
         positions = walkers.position[rows, :2]
         direction = np.array([journey.waypoints[0] for journey in journeys]) - positions
