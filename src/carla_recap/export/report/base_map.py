@@ -125,8 +125,13 @@ def _corners(mesh: Mesh, materials: Sequence[Material]) -> Integers:
 
 def _rings(corners: Integers) -> Iterator[Floats]:
     """Yield the outlines of triangles: the edges that no other triangle has in the other direction, as closed lines."""
-    points, indices = np.unique(corners.reshape(-1, 2), axis=0, return_inverse=True)
-    triangles = indices.reshape(-1, 3)
+    every = corners.reshape(-1, 2)
+    low = every.min(axis=0)
+    width = int(np.ptp(every[:, 1])) + 1
+    _, first, indices = np.unique(
+        (every[:, 0] - low[0]) * width + every[:, 1] - low[1], return_index=True, return_inverse=True
+    )
+    points, triangles = every[first], indices.reshape(-1, 3)
     (x0, y0), (x1, y1), (x2, y2) = (points[triangles[:, i]].T for i in range(3))
     area = (x1 - x0) * (y2 - y0) - (x2 - x0) * (y1 - y0)
     triangles = np.where((area < 0)[:, None], triangles[:, ::-1], triangles)[area != 0]
