@@ -201,17 +201,18 @@ def crash(tmp_path_factory):
 def test_a_replay_is_recorded_as_it_was(crash, tmp_path):
     done = run("replay", crash, tmp_path / "again.mcap", "--then", "0")
     assert (done.returncode, done.stdout) == (0, b"")
-    assert done.stderr.decode() == f"{tmp_path / 'again.mcap'}: 400 frames, 20 s, by autopilot from frame 400 on\n"
+    assert done.stderr.decode() == f"{tmp_path / 'again.mcap'}: 401 frames, 20.05 s, by autopilot from frame 401 on\n"
     with open_recording(crash) as first, open_recording(tmp_path / "again.mcap") as second:
         before, after = (recording.trajectory(recording.heroes[0].id) for recording in (first, second))
-    assert after.x[:399] == pytest.approx(before.x[1:], abs=0.01)
-    assert after.y[:399] == pytest.approx(before.y[1:], abs=0.01)
+    assert after.time[:400] == pytest.approx(before.time)
+    assert after.x[:400] == pytest.approx(before.x, abs=0.01)
+    assert after.y[:400] == pytest.approx(before.y, abs=0.01)
 
 
 def test_the_autopilot_avoids_the_crash(crash, tmp_path):
     path = tmp_path / "avoided.log"
     done = run("replay", crash, path, "--start", "4", "--duration", "6.5", "--then", "12")
-    assert done.stderr.decode() == f"{path}: 371 frames, 18.55 s, by autopilot from frame 131 on\n"
+    assert done.stderr.decode() == f"{path}: 372 frames, 18.6 s, by autopilot from frame 132 on\n"
     with open_recording(crash) as recording:
         assert len(recording.collisions("h")) == 2
     with open_recording(path) as recording:
@@ -223,7 +224,7 @@ def test_the_hero_can_be_left_out(crash, tmp_path):
     assert run("replay", crash, tmp_path / "a.mcap", "--ignore-hero", "--duration", "2", "--then", "1").returncode == 0
     with open_recording(tmp_path / "a.mcap") as recording:
         assert not recording.heroes
-        assert recording.info.frames == 61
+        assert recording.info.frames == 62
 
 
 def test_a_recording_of_carla_is_replayed_in_the_built_in_town(tmp_path):
@@ -232,7 +233,7 @@ def test_a_recording_of_carla_is_replayed_in_the_built_in_town(tmp_path):
     assert done.returncode == 0
     with open_recording(tmp_path / "a.mcap") as recording:
         assert recording.info.map_name == "Town01"
-        assert recording.info.frames == 81
+        assert recording.info.frames == 82
 
 
 def test_a_replay_in_a_given_town(tmp_path):
@@ -240,7 +241,7 @@ def test_a_replay_in_a_given_town(tmp_path):
     assert done.returncode == 0
     first, second = done.stderr.decode().splitlines()
     assert first.endswith("crossing.log: is a recording of the map 'Crossing', and replayed in 'Brickfield'")
-    assert "21 frames" in second
+    assert "22 frames" in second
     with open_recording(tmp_path / "a.mcap") as recording:
         assert recording.info.map_name == "Brickfield"
 
@@ -251,7 +252,7 @@ def test_a_recording_of_an_unknown_map_is_replayed_on_its_corridors(tmp_path):
     warning, summary = done.stderr.decode().splitlines()
     assert "crossing.log: there is no map 'Crossing' in the folder" in warning
     assert "corridors" in warning
-    assert "41 frames" in summary
+    assert "42 frames" in summary
     with open_recording(tmp_path / "a.mcap") as recording:
         assert recording.info.map_name == "Crossing"
 

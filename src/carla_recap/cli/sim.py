@@ -177,6 +177,10 @@ def _ticks(world: World, seconds: float) -> Iterator[float]:
 
 
 def _replayed(world: World) -> Iterator[float]:
+    """Tick until the end of the replay; the first tick shows its start, as the first frame of a recording is at 0 s."""
+    world.set_replayer_time_factor(0.0)
+    world.tick()
+    world.set_replayer_time_factor(1.0)
     begin = world.elapsed
     while world.replayer.is_playing and world.recorder.path:
         world.tick()
