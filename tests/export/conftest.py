@@ -20,7 +20,7 @@ def crossing_rrd(tmp_path_factory):
     pytest.importorskip("rerun", reason="the extra `rerun` is not installed")
     from carla_recap import open_recording
     from carla_recap.export.rerun import export_rerun
-    from carla_recap.export.screenshots import ScreenshotTaker
+    from tests.screenshots import ScreenshotTaker
 
     path = tmp_path_factory.mktemp("rerun") / "crossing.rrd"
     with open_recording(SAMPLE) as recording:

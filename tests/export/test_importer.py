@@ -21,9 +21,9 @@ from rerun.chunk import RrdReader
 
 from carla_recap import convert
 from carla_recap.export.importer import FAILED, NOT_OURS
-from carla_recap.export.screenshots import ScreenshotTaker
 from tests.export.conftest import SAMPLE
 from tests.samples import CARLA_LOGS, carla_log, log_header, save, small_log, time_limit
+from tests.screenshots import ScreenshotTaker
 
 if TYPE_CHECKING:
     from collections.abc import Iterator

@@ -20,10 +20,10 @@ from PIL import Image
 from carla_recap import open_recording
 from carla_recap.errors import MissingExtra, RecapError
 from carla_recap.export import viewer
-from carla_recap.export.screenshots import ScreenshotTaker
 from carla_recap.replay import Player
 from tests.export.conftest import SAMPLE
 from tests.samples import time_limit
+from tests.screenshots import ScreenshotTaker
 
 
 def runs(pid: int) -> bool:
@@ -73,12 +73,6 @@ def test_no_notices_cover_the_first_picture(crossing_rrd):
     assert early == late
 
 
-@pytest.mark.parametrize("size", [(0, 100), (100, 63), (4097, 100), (-5, 10**9)])
-def test_sizes_have_limits(size):
-    with pytest.raises(RecapError, match=r"from 64 to 4096 pixels"):
-        ScreenshotTaker("any.rrd", size)
-
-
 def test_without_a_graphics_driver_the_error_says_what_to_install(crossing_rrd, temporary, monkeypatch):
     monkeypatch.setenv("VK_ICD_FILENAMES", "/nonexistent")
     monkeypatch.setenv("VK_DRIVER_FILES", "/nonexistent")
@@ -119,7 +113,7 @@ def test_an_interruption_ends_the_viewer(crossing_rrd, temporary):
 
 WAITING = """
 import sys, time
-from carla_recap.export.screenshots import ScreenshotTaker
+from tests.screenshots import ScreenshotTaker
 with ScreenshotTaker(sys.argv[1]) as screenshots:
     print(screenshots._process.pid, flush=True)
     time.sleep(60)

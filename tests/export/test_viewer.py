@@ -18,10 +18,10 @@ import psutil
 
 from carla_recap import open_recording
 from carla_recap.errors import RecapError
-from carla_recap.export.screenshots import ScreenshotTaker
 from carla_recap.export.viewer import view
 from tests.export.conftest import SAMPLE
 from tests.samples import time_limit
+from tests.screenshots import ScreenshotTaker
 
 SERVE = """
 import sys

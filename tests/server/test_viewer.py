@@ -82,7 +82,7 @@ def test_it_is_what_an_export_holds(rrd: Path) -> None:
 
 
 def test_the_camera_follows_the_hero(rrd: Path) -> None:
-    from carla_recap.export.screenshots import ScreenshotTaker
+    from tests.screenshots import ScreenshotTaker
 
     try:
         with ScreenshotTaker(rrd) as screenshots:

@@ -18,10 +18,6 @@ if TYPE_CHECKING:
 Size = tuple[int, int]
 """Width and height, in pixels."""
 
-SMALLEST: Final = 64
-LARGEST: Final = 4096
-"""The limits of the width and the height of a picture, in pixels."""
-
 _AROUND: Final = (7, 71)  # pixels of the window around a view
 _SETTLED: Final = 0.15  # s without a change, after which a picture is complete
 _UNSETTLED: Final = 10.0  # s, after which it is taken in any case
@@ -39,14 +35,11 @@ class ScreenshotTaker:
         only_view: Take the only view of the recording's blueprint; else the whole window.
 
     Raises:
-        RecapError: The size is out of range; on entry: the viewer cannot draw here, or cannot open the recording.
+        RecapError: On entry: the viewer cannot draw here, or cannot open the recording.
         MissingExtra: On entry: there is no viewer.
     """
 
     def __init__(self, recording: Path | str, size: Size = (1280, 720), *, only_view: bool = False) -> None:
-        if not all(SMALLEST <= side <= LARGEST for side in size):
-            width, height = size
-            raise RecapError(f"{width} x {height}: the sides of a picture are from {SMALLEST} to {LARGEST} pixels")
         self._recording = str(recording)
         self._size = size
         self._only_view = only_view
