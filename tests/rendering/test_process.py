@@ -18,7 +18,8 @@ import psutil
 import pytest
 
 from carla_recap.errors import MissingExtra, RecapError
-from carla_recap.rendering.process import RenderProcess, RenderProcessEnded
+from carla_recap.rendering import process as process_module
+from carla_recap.rendering.process import RenderProcess, RenderProcessEnded, RenderProcessNotStarted
 from tests.rendering.test_renderer import ALL, MODELS, PLANE, RGB, boxes, camera, create
 
 if TYPE_CHECKING:
@@ -100,15 +101,44 @@ def test_a_process_that_dies_fails_its_picture_and_another_is_started(process: R
     assert process.pid not in (pid, None)
 
 
-def test_a_process_that_dies_before_each_picture_is_not_started_for_ever() -> None:
+def test_a_process_that_dies_again_is_started_again_later(monkeypatch: pytest.MonkeyPatch) -> None:
     create(None).close()
+    now = 100.0
+    monkeypatch.setattr(process_module, "monotonic", lambda: now)
+    with RenderProcess(None, models=MODELS) as process:
+        for _ in range(2):
+            if process.pid is None:
+                process.draw(camera(), BOXES)  # starts another
+            assert process.pid is not None
+            os.kill(process.pid, signal.SIGKILL)
+            with pytest.raises(RenderProcessEnded, match="exit code -9"):
+                process.draw(camera(), BOXES)
+        with pytest.raises(RenderProcessNotStarted, match="not started again yet"):
+            process.draw(camera(), BOXES)
+        assert process.pid is None
+        now += 3.0
+        assert process.draw(camera(), BOXES)[RGB].any()
+
+
+def test_pauses_between_restarts_in_vain_grow(monkeypatch: pytest.MonkeyPatch) -> None:
+    def fail() -> None:
+        starts.append(now)
+        raise RenderProcessEnded("killed")
+
+    create(None).close()
+    now, starts = 100.0, list[float]()
+    monkeypatch.setattr(process_module, "monotonic", lambda: now)
     with RenderProcess(None, models=MODELS) as process:
         assert process.pid is not None
         os.kill(process.pid, signal.SIGKILL)
-        for _ in range(2):
-            with pytest.raises(RecapError, match="has ended"):
+        with pytest.raises(RenderProcessEnded, match="exit code -9"):
+            process.draw(camera(), BOXES)
+        monkeypatch.setattr(process, "_start", fail)
+        while now < 300.0:
+            with pytest.raises(RenderProcessNotStarted):
                 process.draw(camera(), BOXES)
-        assert process.pid is None
+            now += 0.5
+    assert np.diff(starts).tolist() == [1.0, 2.0, 4.0, 8.0, 16.0, 32.0, 60.0, 60.0]
 
 
 def test_closing_ends_the_process_and_cancels_what_is_not_drawn() -> None:

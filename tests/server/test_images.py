@@ -21,6 +21,7 @@ from carla_recap.server.host import Host
 from carla_recap.server.rpc.structs import EpisodeSettings
 from carla_recap.server.sensors import dispatch, surfaces
 from carla_recap.server.sensors.cameras import BlankImages, camera_at
+from carla_recap.server.sensors.images import ImagesUnavailable
 from carla_recap.sim.geometry import Location, Rotation, Transform
 from carla_recap.sim.world import World
 from tests.server.test_sensor_feeds import sensor, vehicle
@@ -250,21 +251,81 @@ def test_a_view_that_cannot_be_drawn_is_blank_and_others_go_on(
         painter.errors = [RecapError("the process has ended")]
         await served.tick()
         await served.settle()
-        painter.errors = [RecapError("no memory"), RecapError("no memory")]
-        for _ in range(2):
+        painter.errors = [RecapError("no memory")] * 3
+        for _ in range(3):
             await served.tick()
             await served.settle()
         other = sensor(served.host, "camera.rgb", image_size_x="8", image_size_y="8")
         await served.tick()
         await served.settle()
-        assert [payload[12] for _, payload in images.take()] == [1, 128, 128, 128]
+        assert [payload[12] for _, payload in images.take()] == [1, 128, 128, 128, 128]
         assert [payload[12] for _, payload in other.take()] == [2]
         served.host.close()
         assert painter.closed
 
     asyncio.run(run())
     text = "an image of 32 x 16 pixels cannot be drawn: "
-    assert caplog.messages == [text + "the process has ended", text + "no memory", text + "no memory"]
+    assert caplog.messages == [
+        text + "the process has ended",
+        "images are drawn again",
+        text + "no memory",
+        "images of 32 x 16 pixels are blank from now on: no memory",
+    ]
+
+
+def test_while_nothing_can_be_drawn_no_size_is_given_up_and_the_log_has_a_line(
+    monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+) -> None:
+    async def run() -> None:
+        painter = Painter()
+        served = Served(monkeypatch, painter)
+        images = sensor(served.host, "camera.rgb", **SMALL)
+        painter.errors = [ImagesUnavailable("not started again yet")] * 8
+        for _ in range(9):
+            await served.tick()
+            await served.settle()
+        assert [payload[12] for _, payload in images.take()] == [128] * 8 + [1]
+        served.host.close()
+
+    asyncio.run(run())
+    assert caplog.messages == [
+        "an image of 32 x 16 pixels cannot be drawn: not started again yet",
+        "images are drawn again",
+    ]
+
+
+def test_in_a_new_town_sizes_are_tried_again(monkeypatch: pytest.MonkeyPatch) -> None:
+    async def run() -> None:
+        painter = Painter()
+        served = Served(monkeypatch, painter)
+        images = sensor(served.host, "camera.rgb", **SMALL)
+        painter.errors = [RecapError("no memory")] * 3
+        for _ in range(3):
+            await served.tick()
+            await served.settle()
+        served.host.sensors._images.prepare(flat_town().renamed("Other")).result(PATIENCE)
+        await served.tick()
+        await served.settle()
+        assert [payload[12] for _, payload in images.take()] == [128, 128, 128, 1]
+        served.host.close()
+
+    asyncio.run(run())
+
+
+@pytest.mark.parametrize(("fov", "drawn"), [("360", 175.0), ("0", 0.1), ("-10", 0.1), ("70", 70.0)])
+def test_images_carry_the_field_of_view_that_is_drawn(fov: str, drawn: float, monkeypatch: pytest.MonkeyPatch) -> None:
+    async def run() -> None:
+        painter = Painter()
+        served = Served(monkeypatch, painter)
+        images = sensor(served.host, "camera.rgb", **{**SMALL, "fov": fov})
+        await served.tick()
+        await served.settle()
+        ((_, payload),) = images.take()
+        assert struct.unpack("<IIf", payload[:12]) == (32, 16, pytest.approx(drawn))
+        assert painter.views[0].scene.camera.fov == drawn
+        served.host.close()
+
+    asyncio.run(run())
 
 
 def test_a_camera_that_is_destroyed_while_it_is_drawn_is_no_harm(monkeypatch: pytest.MonkeyPatch) -> None:

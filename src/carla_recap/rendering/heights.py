@@ -15,6 +15,8 @@ if TYPE_CHECKING:
 _CELL: Final = 4.0  # m
 _MOST_CELLS: Final = 4_000_000
 _MOST_AT_ONCE: Final = 20_000  # points
+_MOST_PAIRS: Final = 500_000  # of a point and a triangle, at once
+_MOST_IN_CELL: Final = 400  # triangles in a cell of 4 m; CARLA's towns have half as many
 _EDGE: Final = 1e-6  # a share of a triangle
 
 
@@ -49,8 +51,14 @@ class TriangleGrid:
         y = first[members, 1] + within % sizes[members, 1]
         cells = x * self._shape[1] + y
         order = np.argsort(cells, kind="stable")
-        self._members = members[order]
-        self._starts = np.searchsorted(cells[order], np.arange(self._shape.prod() + 1))
+        starts = np.searchsorted(cells[order], np.arange(self._shape.prod() + 1))
+        sizes_of_cells = np.diff(starts)
+        most = int(_MOST_IN_CELL * (self._cell / _CELL) ** 2)
+        if sizes_of_cells.max() > most:  # more lie one above the other than a town has: the first ones are kept
+            kept = np.arange(len(order)) - np.repeat(starts[:-1], sizes_of_cells) < most
+            order = order[kept]
+            starts = np.concatenate(([0], np.cumsum(np.minimum(sizes_of_cells, most))))
+        self._members, self._starts = members[order], starts
 
     def hits(self, points: Floats) -> tuple[Integers, Floats, Integers]:
         """Return the triangles above and below points: the index of the point, the height, and the key of each.
@@ -73,6 +81,18 @@ class TriangleGrid:
         numbers = near[:, 0] * self._shape[1] + near[:, 1]
         firsts = self._starts[numbers]
         counts = self._starts[numbers + 1] - firsts
+        batches = np.cumsum(counts) // _MOST_PAIRS
+        if len(batches) and batches[-1]:
+            cuts = np.flatnonzero(np.diff(batches)) + 1
+            columns = [np.split(column, cuts) for column in (inside, firsts, counts)]
+            parts = [self._pairs(points, some, first, count, start) for some, first, count in zip(*columns, strict=True)]
+            found, heights, keys = (np.concatenate(column) for column in zip(*parts, strict=True))
+            return found, heights, keys
+        return self._pairs(points, inside, firsts, counts, start)
+
+    def _pairs(
+        self, points: Floats, inside: Integers, firsts: Integers, counts: Integers, start: int
+    ) -> tuple[Integers, Floats, Integers]:
         index = np.repeat(inside, counts)
         within = np.arange(counts.sum()) - np.repeat(np.cumsum(counts) - counts, counts)
         members = self._members[np.repeat(firsts, counts) + within]

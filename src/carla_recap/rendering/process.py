@@ -18,6 +18,7 @@ from functools import cache
 from queue import SimpleQueue
 from select import select
 from threading import Lock, Thread, current_thread
+from time import monotonic
 from typing import TYPE_CHECKING, Any, BinaryIO, Final, NamedTuple, Self
 
 import numpy as np
@@ -50,10 +51,15 @@ _READY: Final = b"carla-recap: ready to draw\n"
 _MAKE_MODELS: Final = "--models"
 _END_PATIENCE: Final = 5.0  # s, for the end of the process
 _PAGE: Final = 4096  # bytes between images
+_PAUSES: Final = (1.0, 60.0)  # s without a restart after the first one that was in vain, and at most
 
 
 class RenderProcessEnded(RecapError):
     """The process that draws has ended by itself; another is started for the next picture."""
+
+
+class RenderProcessNotStarted(RenderProcessEnded):
+    """There is no process that draws: it could not be started again, or is not started again yet."""
 
 
 class RenderProcess:
@@ -62,8 +68,9 @@ class RenderProcess:
     The town may also be a function that returns it: it is called while the process starts.
 
     Pictures are drawn in the order in which they are asked for; several may be asked for before the first has come. All
-    methods may be called from any thread. If the process dies, the pictures that it has not drawn fail, and the next one
-    starts another process; where that dies before its first picture, nothing more is drawn.
+    methods may be called from any thread. If the process dies, the picture that it was drawing fails, and the next one
+    starts another process. After each restart there is none for 1 s, and twice as long after each that was in vain, up to
+    60 s; where a process is missing in this time, pictures fail.
 
     Raises:
         MissingExtra: moderngl is not installed.
@@ -93,8 +100,8 @@ class RenderProcess:
         self._is_closed = False
         self._child: _Child | None = None
         self._child = self._start()
-        self._has_drawn = False
-        self._failure: RecapError | None = None
+        self._pause = _PAUSES[0]
+        self._next_start = 0.0
         self._thread = Thread(target=self._run, name="carla-recap-renderer", daemon=True)
         self._thread.start()
 
@@ -163,6 +170,17 @@ class RenderProcess:
         child.wait_until_ready()
         return child
 
+    def _restart(self) -> _Child:
+        if monotonic() < self._next_start:
+            raise RenderProcessNotStarted("the process that draws has ended, and is not started again yet")
+        try:
+            return self._start()
+        except Exception as error:
+            raise RenderProcessNotStarted(str(error)) from None
+        finally:
+            self._next_start = monotonic() + self._pause
+            self._pause = min(2 * self._pause, _PAUSES[1])
+
     def _run(self) -> None:
         while (job := self._jobs.get()) is not None:
             future, command = job
@@ -175,18 +193,14 @@ class RenderProcess:
 
     def _carry_out(self, future: Future[Images], command: Any) -> None:
         try:
-            if self._failure is not None:
-                raise RecapError(str(self._failure))
             if self._child is None:
-                self._child = self._start()
+                self._child = self._restart()
             images = self._child.draw(command)
-            self._has_drawn = True
+            self._pause = _PAUSES[0]
         except RenderProcessEnded as error:
-            if not self._has_drawn:
-                self._failure = error
             if self._child is not None:
                 self._child.close()
-            self._child, self._has_drawn = None, False
+            self._child = None
             future.set_exception(error)
         except Exception as error:
             future.set_exception(error)

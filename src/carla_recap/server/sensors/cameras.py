@@ -59,7 +59,7 @@ class _ActiveCamera:
         self.sensor = sensor
         self.kind = kind
         self.width, self.height = (_side(sensor, key) for key in _SIDES)
-        self.fov = number(sensor, "fov")
+        self.fov = _fov(sensor)
         self.is_owed = False
         self.previous: CameraScene | None = None
         self._header = _HEADER.pack(self.width, self.height, self.fov)
@@ -161,7 +161,7 @@ def camera_at(transform: Transform, width: int, height: int, fov: float) -> Came
         fov: The horizontal field of view, in degrees.
     """
     rotation = axes(transform) * MIRROR[:, None] * MIRROR  # the second axis is mirrored, too
-    return Camera(width, height, min(max(fov, _NARROWEST), _WIDEST), row(transform.location) * MIRROR, rotation)
+    return Camera(width, height, fov, row(transform.location) * MIRROR, rotation)
 
 
 class BlankImages:
@@ -178,7 +178,7 @@ class BlankImages:
 def blank(sensor: Actor, context: FeedContext) -> Feed:
     """Return the feed of a camera whose images are grey."""
     width, height = (_side(sensor, key) for key in _SIDES)
-    frame = _HEADER.pack(width, height, number(sensor, "fov")) + _GREY * (width * height)
+    frame = _HEADER.pack(width, height, _fov(sensor)) + _GREY * (width * height)
     return lambda: (frame,)
 
 
@@ -189,6 +189,11 @@ def _blank(kind: ImageKind, width: int, height: int) -> Image:
 
 def _side(sensor: Actor, key: str) -> int:
     return int(min(max(number(sensor, key), 1), LARGEST_SIDE))
+
+
+def _fov(sensor: Actor) -> float:
+    """Return the field of view that is drawn, in degrees."""
+    return min(max(number(sensor, "fov"), _NARROWEST), _WIDEST)
 
 
 def _surrounding(sensor: Actor) -> frozenset[int]:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import logging
+from collections import Counter
 from concurrent.futures import Future
 from contextlib import suppress
 from dataclasses import dataclass
@@ -31,7 +32,12 @@ _LOG: Final = logging.getLogger("carla_recap.server")
 _AHEAD: Final = 2  # ticks whose images are waited for before the next tick
 _TO_END: Final = 5.0  # s
 _POLL: Final = 0.1  # s
-_TRIES: Final = 2  # of drawing images of a size
+_TRIES: Final = 2  # of drawing an image
+_MOST_FAILURES: Final = 3  # of images of a size in succession
+
+
+class ImagesUnavailable(RecapError):
+    """No image can be drawn now, whatever its size; later ones may be."""
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -91,7 +97,11 @@ class ImageSource(Protocol):
     """What draws the images of a town."""
 
     def draw(self, view: View) -> Mapping[ImageKind, Image]:
-        """Return the images of a view; they are valid until the next call."""
+        """Return the images of a view; they are valid until the next call.
+
+        Raises:
+            ImagesUnavailable: No image can be drawn now.
+        """
 
     def close(self) -> None:
         """Release everything."""
@@ -127,7 +137,8 @@ class ImageThread:
         self._thread: Thread | None = None
         self._town: Town | None = None
         self._source: ImageSource | None = None
-        self._impossible: set[tuple[int, int]] = set()
+        self._failures: Counter[tuple[int, int]] = Counter()  # in succession, of images of a size
+        self._is_failing = False
         self._is_closed = False
         self._pending = 0
         self._waiting: list[asyncio.Future[None]] = []
@@ -210,23 +221,42 @@ class ImageThread:
 
     def _draw(self, town: Town, view: View) -> Mapping[ImageKind, Image]:
         size = view.scene.camera.width, view.scene.camera.height
+        source = self._source_of(town)
         for _ in range(_TRIES):
-            if size in self._impossible:
+            if self._failures[size] >= _MOST_FAILURES:
                 break
-            source = self._source_of(town)
             try:
-                return source.draw(view)
+                images = source.draw(view)
             except Exception as error:
-                _LOG.error("an image of %d x %d pixels cannot be drawn: %s", *size, _text(error))
-        else:
-            self._impossible.add(size)
+                is_of_size = not isinstance(error, ImagesUnavailable)
+                self._failures[size] += is_of_size
+                self._log_failure(size, error)
+                if not is_of_size:
+                    break
+            else:
+                self._failures[size] = 0
+                if self._is_failing:
+                    self._is_failing = False
+                    _LOG.warning("images are drawn again")
+                return images
         return self._blank.draw(view)
+
+    def _log_failure(self, size: tuple[int, int], error: Exception) -> None:
+        """Log that an image could not be drawn, unless the same is true of the one before."""
+        if self._failures[size] >= _MOST_FAILURES:
+            _LOG.error("images of %d x %d pixels are blank from now on: %s", *size, _text(error))
+            self._is_failing = False
+        elif not self._is_failing:
+            _LOG.error("an image of %d x %d pixels cannot be drawn: %s", *size, _text(error))
+            self._is_failing = True
 
     def _source_of(self, town: Town) -> ImageSource:
         """Return what draws a town: another one than for the town before."""
         if self._source is None or town is not self._town:
             self._replace(None)
             self._town = town
+            self._failures.clear()
+            self._is_failing = False
             try:
                 self._source = self._open(town)
             except Exception as error:

@@ -13,6 +13,7 @@ import numpy as np
 from carla_recap.errors import RecapError
 from carla_recap.model.records import ActorKind
 from carla_recap.rendering.camera import Camera
+from carla_recap.server.sensors.images import ImagesUnavailable
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping
@@ -89,13 +90,16 @@ class DrawnImages:
     """
 
     def __init__(self, surfaces: TownSurfaces, quality: Quality, town: Town) -> None:
-        from carla_recap.rendering.process import RenderProcess
+        from carla_recap.rendering.process import RenderProcess, RenderProcessEnded, RenderProcessNotStarted
         from carla_recap.rendering.sky import Sky
 
         self._sky = Sky.of_weather
+        self._not_started = RenderProcessNotStarted
         self._process = RenderProcess(surfaces.mesh(town).result, quality=quality)
         try:
             self._process.draw(*_trial())  # the first image takes the time of compiling shaders
+        except RenderProcessEnded:
+            pass  # another is started for the next image
         except RecapError:
             self._process.close()
             raise
@@ -103,7 +107,10 @@ class DrawnImages:
     def draw(self, view: View) -> Mapping[ImageKind, NDArray[Any]]:
         """See `ImageSource.draw`."""
         sky = self._sky(view.weather)
-        return self._process.draw(*view.scene, view.kinds, sky, view.previous, without=view.hidden)
+        try:
+            return self._process.draw(*view.scene, view.kinds, sky, view.previous, without=view.hidden)
+        except self._not_started as error:
+            raise ImagesUnavailable(str(error)) from None
 
     def close(self) -> None:
         """See `ImageSource.close`."""

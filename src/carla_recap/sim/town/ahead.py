@@ -8,6 +8,7 @@ import subprocess
 import sys
 from contextlib import contextmanager, suppress
 from pathlib import Path
+from threading import Thread
 from typing import TYPE_CHECKING, Any, Final
 
 from carla_recap.errors import RecapError
@@ -46,6 +47,7 @@ def parsing_ahead(folder: Path | str | None = None) -> Iterator[None]:
     except OSError:
         yield
         return
+    Thread(target=process.wait, name="carla-recap-ahead", daemon=True).start()  # else it is a zombie when it has ended
     try:
         yield
     finally:
