@@ -114,7 +114,7 @@ def picture(
             _check_followed(source, player.followed, shot)
         pixels = film.finished(submit(opened.result(), shot), shot)
     file = io.BytesIO()
-    Image.fromarray(pixels[..., 2::-1]).save(file, form, quality=88)
+    Image.fromarray(pixels[..., 2::-1]).save(file, form, quality=88, compress_level=4)
     return file.getvalue()
 
 
