@@ -337,3 +337,31 @@ def test_the_lanes_of_carlas_towns_have_road_beneath_them_and_lines_upon_them(na
 def surface(town: TownMesh, *materials: Material) -> TriangleGrid:
     triangles = faces(town, *materials)
     return TriangleGrid(triangles.reshape(-1, 3), np.arange(3 * len(triangles)).reshape(-1, 3))
+
+
+def test_the_triangles_that_are_looked_at_for_a_point_are_bounded():
+    grid = TriangleGrid(np.array([(0, 0, 0), (3, 0, 0), (0, 3, 0)]), np.array([(0, 1, 2)] * 5000))
+    index, heights, _ = grid.hits(np.full((10_000, 2), 0.5))
+    assert 0 < len(index) <= 10_000 * 300
+    assert (np.diff(index) >= 0).all()
+    assert not heights.any()
+    assert grid.highest(np.array([(0.5, 0.5)])).tolist() == [0.0]
+
+
+def test_many_copies_of_a_road_are_built_soon():
+    start = time.process_time()
+    built(*(road(number, sections=section(0, right=marked(-1))) for number in range(1, 121)))
+    assert time.process_time() - start < 20
+
+
+def test_roads_far_apart_have_ground_around_them_alone():
+    town = built(*(road(number, x=4e3 * number, y=-4e3 * number) for number in range(1, 201)))
+    assert len(town.tiles) < 3000
+    grass = faces(town, Material.GRASS)
+    assert len(grass) < 20_000
+    assert np.isfinite(town.ground_height(np.array([(4e3 * number + 50, -4e3 * number - 50) for number in (1, 200)]))).all()
+
+
+def test_a_small_town_has_ground_in_the_corners_of_its_square():
+    town = built(road(1), road(2, x=1500, y=1500))
+    assert np.isfinite(town.ground_height(np.array([(1500, 0), (0, 1500)]))).all()

@@ -16,7 +16,7 @@ _CELL: Final = 4.0  # m
 _MOST_CELLS: Final = 4_000_000
 _MOST_AT_ONCE: Final = 20_000  # points
 _MOST_PAIRS: Final = 500_000  # of a point and a triangle, at once
-_MOST_IN_CELL: Final = 400  # triangles in a cell of 4 m; CARLA's towns have half as many
+_MOST_IN_CELL: Final = 300  # triangles in a cell of 4 m; CARLA's towns have up to 210
 _EDGE: Final = 1e-6  # a share of a triangle
 
 

@@ -35,6 +35,7 @@ _STOP_LIFT: Final = 0.018
 _FROM_EDGE: Final = 0.12  # m from a line to a kerb or to the edge of the asphalt
 _NARROW: Final = 0.25  # m; the outer border of a narrower lane is not marked
 _INSPECTED: Final = 4.0  # m between points that may be on lanes of other roads
+_MOST_FINE: Final = 80_000  # such points of all lines together
 _FINE: Final = 0.5  # m between the points of a line, of which a part may be on other lanes
 _BESIDE: Final = 0.25  # m
 _SAME_LINE: Final = 0.5  # m between lines of two roads, of which one is drawn
@@ -70,6 +71,10 @@ def add_lines(builder: MeshBuilder, sections: Sequence[SampledSection], driving:
         driving: The lanes for cars.
     """
     crowded = _are_crowded(sections, driving)
+    fine = np.cumsum(
+        [len(each.lanes) * np.ptp(each.stations) / _FINE * is_so for each, is_so in zip(sections, crowded, strict=True)]
+    )
+    crowded = [is_so and count <= _MOST_FINE for is_so, count in zip(crowded, fine, strict=True)]
     lines = [line for section, fine in zip(sections, crowded, strict=True) for line in _lines(section, fine=fine)]
     if not lines:
         return

@@ -26,6 +26,7 @@ if TYPE_CHECKING:
 _CELLS: Final = 5  # along a side of a tile
 _AROUND: Final = 300.0  # m of ground around the roads
 _MOST_TILES: Final = 240  # along a side
+_MANY_TILES: Final = 6_000  # from which on there is ground near roads alone
 _BELOW: Final = 0.08  # m from the road down to the ground
 _FLAT: Final = 0.02  # m
 _VERGE: Final = ((0.0, -0.03), (0.8, -0.09), (3.2, -1.0))  # m outwards, and up from the road
@@ -55,6 +56,7 @@ class Terrain:
             points = _spread(section)
             cells = np.floor((points[:, :2] - self._origin) / self._cell).astype(np.int64)
             np.minimum.at(lowest, (cells[:, 0], cells[:, 1]), points[:, 2])
+        self._wanted = self._near(np.isfinite(lowest))
         self._heights = _filled(_at_corners(lowest) - _BELOW)
 
     def heights(self, points: Floats) -> Floats:
@@ -67,17 +69,26 @@ class Terrain:
         heights: Floats = (1 - u) * ((1 - v) * h[i, j] + v * h[i, j + 1]) + u * ((1 - v) * h[i + 1, j] + v * h[i + 1, j + 1])
         return heights
 
+    def _near(self, roads: Flags) -> Flags:
+        """Return which tiles have ground: all, or in a wide town those near the cells that have roads."""
+        columns, rows = self._tiles.tolist()
+        near: Flags = np.logical_or.reduce(roads.reshape(columns, _CELLS, rows, _CELLS), axis=(1, 3))
+        if columns * rows <= _MANY_TILES:
+            return np.ones_like(near)
+        margin = int(np.ceil(_AROUND / self._tile))
+        for axis, length in enumerate((columns, rows)):
+            padded = np.pad(near, [(margin, margin) if axis == side else (0, 0) for side in (0, 1)])
+            near = np.logical_or.reduce([padded.take(range(k, k + length), axis) for k in range(2 * margin + 1)])
+        return near
+
     def add_to(self, builder: MeshBuilder) -> None:
         """Add the ground; flat tiles are one quadrangle."""
-        columns, rows = self._tiles.tolist()
-        flat = np.zeros((columns, rows), np.bool_)
-        for i in range(columns):
-            for j in range(rows):
-                part = self._part(i, j)
-                flat[i, j] = self._deviation(part) < _FLAT
-        for i in range(columns):
-            for j in range(rows):
-                self._add_tile(builder, i, j, flat)
+        tiles = np.argwhere(self._wanted).tolist()
+        flat = np.ones(self._wanted.shape, np.bool_)
+        for i, j in tiles:
+            flat[i, j] = self._deviation(self._part(i, j)) < _FLAT
+        for i, j in tiles:
+            self._add_tile(builder, i, j, flat)
 
     def _part(self, i: int, j: int) -> Floats:
         return self._heights[i * _CELLS : (i + 1) * _CELLS + 1, j * _CELLS : (j + 1) * _CELLS + 1]
