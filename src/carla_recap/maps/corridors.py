@@ -38,7 +38,7 @@ _FARTHEST: Final = 1e5  # m from the origin
 _JUMP: Final = 100.0  # m/s; what is faster is no driving
 _LEAST_JUMP: Final = 3.0  # m
 _SHARP: Final = np.cos(np.radians(50.0))  # of a turn at a point, at which a path ends
-_LONGEST: Final = 7200.0  # s of a recording
+_LONGEST: Final = 1800.0  # s of a recording
 _AT_ONCE: Final = 10.0  # s in which a first pose is looked for
 _FEWEST: Final = 7  # points of a part of a path that is a road, about a metre apart
 _FAR: Final = 12.0  # m; the largest distance between points of a road
@@ -67,7 +67,7 @@ def corridor_map(recording: Recording, start: float = -math.inf, stop: float = m
     """Return the corridors that the vehicles of a recording have driven as a road map; see `corridor_opendrive`.
 
     Returns:
-        None for more than two hours, which take too long to read for that.
+        None for more than half an hour, which take too long to read for that.
     """
     if min(stop, recording.info.duration) - max(start, 0.0) > _LONGEST:
         return None

@@ -1,7 +1,7 @@
 """The ground without a map: what vehicles have driven along, as roads.
 
 `maps.corridors` makes better roads, but has to read a recording beforehand. Here, roads are gathered on the way: for a
-running simulation, for recordings of more than two hours, and for calls of `export_rerun` without a map.
+running simulation, for recordings of more than half an hour, and for calls of `export_rerun` without a map.
 """
 
 from __future__ import annotations
