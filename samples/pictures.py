@@ -1,5 +1,6 @@
 """Functions that the scripts with cameras share: a drive past others, pixels, and where points are in an image."""
 
+from argparse import ArgumentTypeError
 from contextlib import contextmanager
 from pathlib import Path
 
@@ -24,10 +25,21 @@ OTHERS = (
 """What stands along the road: metres ahead of the hero and to its right, and degrees from its direction."""
 
 
+def new_folder(name):
+    """Return a folder, which is made if it is missing."""
+    try:
+        Path(name).mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise ArgumentTypeError(f"{name}: {error.strerror}") from None
+    return Path(name)
+
+
 def camera_options(description):
     """Return a parser with the options of scripts with cameras."""
     parser = options(description)
-    parser.add_argument("-o", "--out", default="pictures", type=Path, metavar="FOLDER", help="where the pictures are saved")
+    parser.add_argument(
+        "-o", "--out", default="pictures", type=new_folder, metavar="FOLDER", help="where the pictures are saved"
+    )
     parser.add_argument("-t", "--time", default=3.0, type=float, metavar="T", help="how long to drive, in s")
     return parser
 
@@ -47,7 +59,6 @@ def drive(arguments, *names, **attributes):
     client = connect(arguments)
     world = client.get_world()
     attributes |= {"image_size_x": WIDTH, "image_size_y": HEIGHT, "fov": FOV}
-    arguments.out.mkdir(parents=True, exist_ok=True)
     actors = []
     with synchronous(world):
         try:

@@ -307,7 +307,7 @@ def video(
 
 
 @click.command()
-@click.argument("sources", nargs=-1, required=True, type=click.Path(), metavar="SRC [OTHER]")
+@click.argument("sources", nargs=-1, type=click.Path(), metavar="SRC [OTHER]")
 @click.argument("destination", type=click.Path(), metavar="DST")
 @options.before
 @options.after
@@ -357,6 +357,8 @@ def report(
     from carla_recap.recording import open_recording
 
     single = Path(destination).suffix.lower() in SINGLE
+    if not sources:
+        raise click.MissingParameter(ctx=ctx, param_hint="'DST'", param_type="argument")
     if len(sources) > 2:
         raise click.UsageError("A page shows one recording, or compares two.", ctx)
     if port is not None and not serve:

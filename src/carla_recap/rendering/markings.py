@@ -310,7 +310,7 @@ def _paint_crossing(painter: Painter, road: Road, crossing: RoadObject) -> None:
     lengths = np.linalg.norm(sides, axis=1)
     if not 0.5 < lengths.max() < _MOST_BARS * _BARS:
         return
-    along = sides[lengths.argmax()] / lengths.max()  # the way of pedestrians
+    along = sides[lengths.argmax()] / lengths.max()  # the direction of pedestrians
     frame = np.array((along, (-along[1], along[0])))
     outline = outline @ frame.T
     if np.sum(outline[:, 0] * np.roll(outline[:, 1], -1) - np.roll(outline[:, 0], -1) * outline[:, 1]) < 0:
@@ -413,7 +413,7 @@ def _lines_at(signal: RoadSignal, sections: Sequence[SampledSection]) -> Iterato
                 left = ends[0] - ends[1]
                 length = float(np.linalg.norm(left))
                 if length > 1.0:
-                    back = np.array((-left[1], left[0], 0.0)) / length * -side  # against the way of cars
+                    back = np.array((-left[1], left[0], 0.0)) / length * -side  # against the direction of cars
                     offset = back * (_BEFORE_JUNCTION + _STOP_DEPTH / 2)
                     yield ends[0] + offset, ends[1] + offset
 

@@ -111,6 +111,7 @@ def test_a_full_disk_is_an_error_of_one_line(tmp_path: Path, limited: Any, suffi
         ("out.mp4", (320, 180), 0, 9, "0 frames per second: 0.1 to 240"),
         ("out.gif", (320, 180), 60, 9, "60 frames per second: 0.1 to 50"),
         ("out.mp4", (320, 180), float("nan"), 9, "nan frames per second"),
+        ("out.mp4", (320, 180), 30, 1_000_001, "out.mp4: a video has 1,000,000 frames at most; a shorter duration"),
         ("out.gif", (1280, 720), 12.5, 2000, r"2,000 frames of 1280 x 720 are too many for a GIF, which can have 271"),
     ],
 )

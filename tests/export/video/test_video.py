@@ -231,6 +231,7 @@ def test_poses_that_are_no_numbers(tmp_path: Path, renderer: RenderProcess) -> N
         ("out.mp4", {"follow": 999}, "no actor 999 to follow; near ids are"),
         ("out.mp4", {"view": 100}, "crossing.log: no camera 100 is recorded; the recorded cameras are: none"),
         ("out.mp4", {"speed": 0}, "a speed of 0: a number above 0 was expected"),
+        ("out.mp4", {"speed": 1e-9}, "a video has 1,000,000 frames at most"),
         ("out.mp4", {"rate": 0}, "0 frames per second: 0.1 to"),
         ("out.mp4", {"size": (321, 180)}, "the sides of an MP4 are even numbers"),
         ("out.gif", {"size": (1280, 720)}, "are too many for a GIF"),

@@ -118,7 +118,7 @@ def signal(actor: Present, look: Look, state: int) -> bytes:
 
 def ahead_entity(actor: Present, state: int, text: str) -> bytes:
     """Return a ring around the lamps of the traffic light ahead, and its name above, as an entity; see `body`."""
-    look = look_of(actor)
+    look = look_of_present(actor)
     top = 0.0 if look is None else look.center[2] + look.half_extents[2]
     middle = top - _SIGNAL_HEIGHT / 2
     shade = shapes.color(style.light(state)[1])
@@ -199,8 +199,3 @@ def _signal_shape(look: Look, state: int) -> bytes:
     size = Vector3(x=_SIGNAL, y=_SIGNAL, z=_SIGNAL)
     sphere = SpherePrimitive(pose=pose, size=size, color=shapes.color(style.light(state)[1]))
     return MessagePart(sphere.SerializeToString()).within(SceneEntity.SPHERES_FIELD_NUMBER).data
-
-
-def look_of(actor: Present) -> Look | None:
-    """Return the look of an actor; None of one without a body, such as a sensor."""
-    return look_of_present(actor)

@@ -30,6 +30,7 @@ from carla_recap.export.foxglove.messages import (
 from carla_recap.formats.mcap.schema import MESSAGE
 from carla_recap.model.records import ActorKind, Spawn
 from carla_recap.rendering.actors import BRAKE, REVERSE
+from carla_recap.rendering.looks import look_of_present
 from carla_recap.replay import Present, quaternions, right_handed
 from carla_recap.replay.pose import LOCATION, change
 from carla_recap.replay.selection import NO_IDS, find
@@ -393,14 +394,14 @@ class ActorEntities:
         for actor in actors:
             before, shown = known.get(actor.id, (None, None))
             if before is None or (before is not actor and before.spawn != actor.spawn):
-                look = bodies.look_of(actor)
+                look = look_of_present(actor)
                 shown = None
                 if look is not None:
                     shown = _ShownActor(actor, look, models < _MOST_MODELS and self._written <= _MOST_BYTES)
                     models += shown.detailed
                     shown.draw(actor, look)
             elif shown is not None and before is not actor and before != actor:
-                shown.draw(actor, bodies.look_of(actor) or shown.look)
+                shown.draw(actor, look_of_present(actor) or shown.look)
             self._all[actor.id] = actor, shown
         self._shown = [shown for _, shown in self._all.values() if shown is not None]
         self._shown_ids = np.array([shown.actor.id for shown in self._shown], np.uint32)

@@ -136,7 +136,7 @@ def mesh(found: Mesh) -> bytes:
 
 
 def boxes(part: Surfaces, vertices: Floats) -> list[tuple[Floats, Floats]]:
-    """Return boxes around triangles that hang together: the middle and the size of each.
+    """Return boxes around connected triangles: the middle and the size of each.
 
     Args:
         part: The triangles.

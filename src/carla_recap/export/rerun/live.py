@@ -98,7 +98,7 @@ class LiveChoice:
     def __init__(self, follow: Follow) -> None:
         self._follow = follow
         self._chosen: int | None = None
-        self._since: float | None = None  # the time from which on nobody is followed
+        self._since: float | None = None  # the time since which no actor is followed
         self._before: dict[int, NDArray[np.float64]] = {}
 
     def choose(self, scene: Scene) -> int | None:

@@ -1,4 +1,4 @@
-"""The ways of the camera of a video: behind the followed actor, above it, at its driver's eyes, or as a recorded camera."""
+"""The paths of the camera of a video: behind the followed actor, above it, at its driver's eyes, or as a recorded camera."""
 
 from __future__ import annotations
 
@@ -33,19 +33,19 @@ _FEET: Final = 0.91  # of the height; the rear end of the followed actor touches
 _STEEPEST: Final = 0.51  # the tangent of the largest angle at which the camera looks down at it
 _CALM_ZOOM: Final = 1.5  # s; that of the scale of a picture from above
 _TOP_SPAN: Final = 42.0  # m, from the lower to the upper edge of a picture from above, of an actor that stands
-_TOP_AHEAD: Final = 2.2  # s; the way of this time is added
+_TOP_AHEAD: Final = 2.2  # s; the distance of this time is added
 _TOP_SHIFT: Final = 0.16  # of the span; the actor is below the middle, since what matters is ahead of it
 
 
 class CameraPath(Protocol):
-    """The way of a camera."""
+    """The path of a camera."""
 
     def camera(self, scene: Scene, instances: Instances, subject: Subject | None) -> Camera:
         """Return the camera in a scene; scenes come in order."""
 
 
 def camera_path(view: VideoView, size: Size) -> CameraPath:
-    """Return the way of the camera of a view, for pictures of a size."""
+    """Return the path of the camera of a view, for pictures of a size."""
     if isinstance(view, int):
         return _RecordedPath(view, size)
     if view == "driver":

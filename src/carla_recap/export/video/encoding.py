@@ -32,6 +32,8 @@ SLOWEST: Final = 0.1
 FASTEST: Final = 240.0
 FASTEST_GIF: Final = 50.0
 """The largest numbers of frames per second; browsers slow down a GIF that is faster."""
+LONGEST: Final = 1_000_000
+"""The largest number of frames: more than nine hours of the usual rate."""
 LARGEST_GIF: Final = 250_000_000
 """The limit of the pixels of all frames of a GIF, which are kept in memory."""
 
@@ -77,6 +79,11 @@ def check_video(path: Path, size: Size, rate: float, frames: int) -> None:
     fastest = FASTEST_GIF if suffix == ".gif" else FASTEST
     if not SLOWEST <= rate <= fastest:
         raise RecapError(f"{rate:g} frames per second: {SLOWEST:g} to {fastest:g} were expected of {suffix}")
+    if frames > LONGEST:
+        raise RecapError(
+            f"{path}: a video has {LONGEST:,} frames at most; "
+            "a shorter duration, fewer frames per second or a higher speed helps"
+        )
     if suffix == ".gif" and frames * width * height > LARGEST_GIF:
         most = LARGEST_GIF // (width * height)
         raise RecapError(

@@ -14,8 +14,6 @@ from carla_recap.export.style import LIGHTS
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
 
-    from numpy.typing import NDArray
-
     from carla_recap.export.video.encoding import Picture, Size
 
 Color = tuple[int, int, int, int]
@@ -371,9 +369,3 @@ def _draw_lamps(draw: Any, state: int, lamp: int, gap: int) -> None:
         top = gap + index * (lamp + gap)
         color = (*LIGHTS[index][1], 255) if index == state else _UNLIT
         draw.ellipse((gap, top, gap + lamp - 1, top + lamp - 1), color)
-
-
-def as_bgra(image: Any) -> NDArray[np.uint8]:
-    """Return an image of Pillow as an array of blue, green, red and alpha."""
-    pixels: NDArray[np.uint8] = np.asarray(image.convert("RGBA"))[..., [2, 1, 0, 3]]
-    return np.ascontiguousarray(pixels)

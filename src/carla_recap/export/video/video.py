@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Final, NamedTuple
 
 from carla_recap.editing.convert import check_destination
 from carla_recap.errors import RecapError
-from carla_recap.export.video.encoding import check_video, create_video
+from carla_recap.export.video.encoding import LONGEST, check_video, create_video
 from carla_recap.export.video.film import RATE, Film, followed_of, opened_renderer, recorded_size, submit
 from carla_recap.replay import Player
 
@@ -30,7 +30,6 @@ SIZE: Final = (1280, 720)
 GIF_SIZE: Final = (640, 360)
 """The size, unless it is given, or recorded with a camera."""
 _AHEAD: Final = 3  # pictures that are drawn while another one is encoded
-_LONGEST: Final = 3600 * 24 * 240  # frames
 _SAMPLES: Final = 8  # pictures from which a GIF gets its palette
 
 
@@ -101,7 +100,7 @@ def export_video(
     size = size or recorded_size(source, view) or (GIF_SIZE if is_gif else SIZE)
     rate = (GIF_RATE if is_gif else RATE) if rate is None else rate
     length = player.stop - player.start
-    frames = max(1, round(min(length * rate / speed, _LONGEST))) if rate > 0 else 0
+    frames = max(1, round(min(length * rate / speed, LONGEST + 1))) if rate > 0 else 0
     check_video(path, size, rate, frames)
     check_destination(source.reader.path, path, force=force)
 
