@@ -1,0 +1,1 @@
+"""ScenarioRunner's metrics without a server."""
