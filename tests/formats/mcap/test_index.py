@@ -194,9 +194,10 @@ def test_a_summary_of_more_channels_than_there_can_be(driven):
 
 def test_metadata_of_millions_of_entries(driven):
     parts = data_records(driven)
-    header = next(part for part in parts if isinstance(part, records.Metadata) and part.name == "carla_recap.header")
     entries = {f"{number:x}": "" for number in range(500_000)}
-    parts[parts.index(header)] = records.Metadata(header.name, header.metadata | entries)
+    for number, part in enumerate(parts):
+        if isinstance(part, records.Metadata) and part.name == "carla_recap.header":
+            parts[number] = records.Metadata(part.name, part.metadata | entries)
     Forge(parts).write(driven)
     with time_limit(5), pytest.raises(FormatError, match=r"the metadata carla_recap\.header was expected"):
         open_recording(driven)

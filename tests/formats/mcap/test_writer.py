@@ -10,8 +10,10 @@ from itertools import pairwise
 import pytest
 from mcap import records
 
-from carla_recap import RecapError, RecordError, convert, recover
+from carla_recap import RecapError, RecordError, convert, open_recording, recover
 from carla_recap.formats import create_writer
+from carla_recap.formats.mcap.index import Source
+from carla_recap.formats.mcap.recovery import recover_summary
 from carla_recap.formats.mcap.writer import CHUNK_SECONDS, CHUNK_SIZE, FRAME_SIZE
 from carla_recap.model.frame import Frame, Header, Packet
 from carla_recap.model.records import UE4, Group
@@ -72,6 +74,55 @@ def test_state_and_events_never_share_a_chunk(recording):
     topics = topics_of(recording)
     for chunk in chunks_of(recording):
         assert len({groups[topics[channel]] for channel, *_ in messages_in(chunk)}) == 1
+
+
+def is_event_chunk(chunk, topics):
+    events = {type.topic for type in UE4 if type.group is Group.EVENTS} | {"/actors/stretches"}
+    return all(topics[channel] in events for channel, *_ in messages_in(chunk))
+
+
+def test_the_chunks_of_events_come_behind_all_others(recording):
+    topics = topics_of(recording)
+    found = [is_event_chunk(chunk, topics) for chunk in chunks_of(recording)]
+    assert found == sorted(found)
+    assert any(found)
+
+
+def test_the_chunks_of_events_of_a_live_file_come_in_order_of_time(tmp_path):
+    with create_writer(tmp_path / "live.mcap", HEADER, live=True) as writer:
+        for frame in drive(30):
+            writer.write(frame)
+        (partial,) = tmp_path.iterdir()
+        source = Source(partial)
+        summary, _ = recover_summary(source)
+        source.close()
+    collisions = next(id for id, channel in summary.channels.items() if channel.topic == "/collisions")
+    found = [collisions in chunk.channels for chunk in sorted(summary.chunks, key=lambda chunk: chunk.offset)]
+    assert found.count(True) > 2
+    assert found != sorted(found)
+
+
+def test_too_many_events_come_in_order_of_time(tmp_path, monkeypatch):
+    monkeypatch.setattr("carla_recap.formats.mcap.file._HELD_LIMIT", 500)
+    frames = list(drive(30))
+    path = write(tmp_path / "many.mcap", HEADER, frames)
+    topics = topics_of(path)
+    found = [is_event_chunk(chunk, topics) for chunk in chunks_of(path)]
+    assert found != sorted(found)
+    assert "events_at" not in metadata_of(path)["carla_recap.extent"]
+    assert images(path) == images(write(tmp_path / "all.log", HEADER, frames))
+
+
+def test_queries_of_events_need_the_end_of_a_file_only(driven, tmp_path):
+    data = driven.read_bytes()
+    start = int(metadata_of(driven)["carla_recap.extent"]["events_at"])
+    assert 0 < start < len(data)
+    end = tmp_path / "end.mcap"
+    end.write_bytes(data[:8] + bytes(start - 8) + data[start:])
+    with open_recording(driven) as whole, open_recording(end) as rest:
+        assert rest.collisions() == whole.collisions() != []
+        assert rest.blocked(min_time=1.0) == whole.blocked(min_time=1.0)
+        assert (rest.header, rest.reader.extent()) == (whole.header, whole.reader.extent())
 
 
 def test_chunks_are_short_and_small(recording):
@@ -205,7 +256,7 @@ def test_statistics_and_footer_are_right(recording):
     assert statistics.chunk_count == len(chunks_of(recording))
     assert statistics.message_start_time == min(message[2] for message in messages)
     assert statistics.message_end_time == max(message[2] for message in messages)
-    assert statistics.metadata_count == 2
+    assert statistics.metadata_count == 3
     assert (statistics.schema_count, statistics.channel_count) == (len(topics_of(recording)),) * 2
     assert found[0].library.startswith("carla-recap/")
     assert found[0].profile == ""

@@ -34,6 +34,8 @@ if TYPE_CHECKING:
 _COMPRESSION: Final = "zstd"
 _WORKERS: Final = 2
 _QUEUE: Final = 4  # chunks that are being compressed, or wait for it
+_HELD_LIMIT: Final = 64 << 20
+"""The most bytes of chunks that are held back for the end of the file."""
 _of_thread: Final = local()
 
 
@@ -54,13 +56,19 @@ class Topic:
 
 @dataclass(frozen=True)
 class _Sealed:
-    """A chunk that is being compressed, or waits to be written."""
+    """A chunk that is being compressed, or waits to be written; `at_end`: behind all others."""
 
     start: int
     end: int
     size: int
     index: dict[int, array[int]]
     compressed: Future[tuple[bytes, int]]
+    at_end: bool
+
+    @property
+    def bytes(self) -> int:
+        """About how many bytes it takes in memory and in the file, with its message indexes."""
+        return len(self.compressed.result()[0]) + sum(len(entries) * entries.itemsize for entries in self.index.values())
 
 
 class ChunkedFile(AtomicFile):
@@ -84,6 +92,9 @@ class ChunkedFile(AtomicFile):
         self._level = level
         self._pool = ThreadPoolExecutor(_WORKERS, "carla-recap-compress")
         self._sealed: deque[_Sealed] = deque()
+        self._held: list[_Sealed] = []
+        self._held_bytes = 0
+        self._holds = not live
         self._position = self._crc = 0
         self._counts: Counter[int] = Counter()  # messages of each declared channel
         self._schemas: dict[str, records.Schema] = {}
@@ -122,10 +133,15 @@ class ChunkedFile(AtomicFile):
         self._counts[channel] = 0
         self._emit(_packed(declared))
 
-    def _add_chunk(self, chunk: ChunkBuilder) -> None:
-        """Send a chunk to be compressed; chunks that are ready are written."""
+    def _add_chunk(self, chunk: ChunkBuilder, *, at_end: bool = False) -> None:
+        """Send a chunk to be compressed; chunks that are ready are written.
+
+        Args:
+            chunk: The chunk.
+            at_end: Hold it back until `_write_held`, unless the file is live, or too much is held back already.
+        """
         data, index = chunk.finish()
-        self._sealed.append(_Sealed(chunk.start, chunk.end, len(data), index, self._compressed(data)))
+        self._sealed.append(_Sealed(chunk.start, chunk.end, len(data), index, self._compressed(data), at_end))
         self._write_chunks(0 if self._live else _QUEUE)
 
     def _compressed(self, data: bytes) -> Future[tuple[bytes, int]]:
@@ -137,14 +153,30 @@ class ChunkedFile(AtomicFile):
             return done
 
     def _write_chunks(self, waiting: int) -> None:
-        """Write chunks until no more than some of them wait."""
+        """Write chunks, or hold them back, until no more than some of them wait."""
         while len(self._sealed) > waiting:
-            self._write_chunk(self._sealed.popleft())
+            chunk = self._sealed.popleft()
+            for channel in chunk.index:
+                if channel not in self._counts:
+                    self._declare(channel)
+            if not (chunk.at_end and self._holds):
+                self._write_chunk(chunk)
+                continue
+            self._held.append(chunk)
+            self._held_bytes += chunk.bytes
+            if self._held_bytes > _HELD_LIMIT:
+                self._write_held()
+                self._holds = False
+
+    def _write_held(self) -> int | None:
+        """Write the chunks that were held back; return their offset, None if they are not all together."""
+        start = self._position if self._holds else None
+        for chunk in self._held:
+            self._write_chunk(chunk)
+        self._held.clear()
+        return start
 
     def _write_chunk(self, chunk: _Sealed) -> None:
-        for channel in chunk.index:
-            if channel not in self._counts:
-                self._declare(channel)
         compressed, crc = chunk.compressed.result()
         compression = _COMPRESSION.encode()
         start = self._position

@@ -64,6 +64,8 @@ EXPORT_METADATA: Final = "carla_recap.export"
 """What a file has that shows a recording, but is none."""
 STRETCHES: Final = "stretches"
 """In the extent's metadata: the least s and the cm of stationary intervals, and their number; missing without them."""
+EVENTS_AT: Final = "events_at"
+"""In the extent's metadata: the offset from which on all chunks of events come; missing where they are among the others."""
 CHECKSUM: Final = "checksum"
 
 

@@ -14,6 +14,7 @@ from carla_recap.formats.mcap.file import ChunkedFile, Topic
 from carla_recap.formats.mcap.fixed import fixed_codec
 from carla_recap.formats.mcap.schema import (
     EMPTY,
+    EVENTS_AT,
     EXTENT_METADATA,
     FILLED,
     FRAME_TOPIC,
@@ -68,7 +69,7 @@ class McapWriter(ChunkedFile):
     """
 
     def __init__(self, path: Path | str, header: Header, *, live: bool = False, force: bool = True) -> None:
-        metadata = header_metadata(header)
+        self._header_metadata = checked(header_metadata(header))
         specs = channel_specs(header.table)
         topics = [Topic(spec.topic, spec.message, partial(_schema, spec.module, spec.message)) for spec in specs]
         super().__init__(path, topics, level=LEVEL, live=live, force=force)
@@ -92,7 +93,7 @@ class McapWriter(ChunkedFile):
         if live:
             for topic in topics:
                 topic.schema()  # takes long once; frames are not to wait for it
-        self._begin(lambda: self._write_header(metadata))
+        self._begin(self._write_header)
 
     def write(self, frame: Frame) -> None:
         """Add a frame.
@@ -256,9 +257,9 @@ class McapWriter(ChunkedFile):
 
     # --- the file ------------------------------------------------------------------------------------------------------
 
-    def _write_header(self, metadata: dict[str, str]) -> None:
+    def _write_header(self) -> None:
         self._write_start()
-        self._write_metadata(HEADER_METADATA, checked(metadata))
+        self._write_metadata(HEADER_METADATA, self._header_metadata)
         if self._live:
             self._sync()
 
@@ -267,7 +268,7 @@ class McapWriter(ChunkedFile):
         chunk = self._chunks[group]
         if not chunk.is_empty:
             self._chunks[group] = ChunkBuilder()
-            self._add_chunk(chunk)
+            self._add_chunk(chunk, at_end=group is Group.EVENTS)
 
     def _finish(self) -> None:
         if self._stationary:
@@ -279,10 +280,13 @@ class McapWriter(ChunkedFile):
         for group in Group:
             self._cut(group)
         self._write_chunks(0)
-        self._write_metadata(EXTENT_METADATA, checked(self._extent_metadata()))
+        events_at = self._write_held()
+        # Again, so that a reader that has the end of the file needs nothing from its start.
+        self._write_metadata(HEADER_METADATA, self._header_metadata)
+        self._write_metadata(EXTENT_METADATA, checked(self._extent_metadata(events_at)))
         super()._finish()
 
-    def _extent_metadata(self) -> dict[str, str]:
+    def _extent_metadata(self, events_at: int | None) -> dict[str, str]:
         return {
             "frames": str(self._extent.frames),
             "last_frame": str(self._extent.last_id),
@@ -290,6 +294,7 @@ class McapWriter(ChunkedFile):
             "hero_ids": ",".join(map(str, self._heroes)),
             "additional_data": str(int(self._additional)),
             "steady_clock": str(int(self._clock.steady)),
+            **({EVENTS_AT: str(events_at)} if events_at is not None else {}),
             **({STRETCHES: f"{INTERVAL_TIME:g} {MIN_DISTANCE:g} {self._interval_count}"} if self._stationary else {}),
         }
 
