@@ -33,6 +33,7 @@ if TYPE_CHECKING:
     from carla_recap.export.clips import clips
     from carla_recap.export.parquet import export_parquet
     from carla_recap.export.report import write_report
+    from carla_recap.fleet.rules import Rule, RuleSet, Verdict, check, load_rules
     from carla_recap.formats import create_writer
     from carla_recap.maps import RoadMap, load_map
     from carla_recap.model.batch import Batch
@@ -75,11 +76,15 @@ __all__ = [
     "RecordingInfo",
     "Recovery",
     "RoadMap",
+    "Rule",
+    "RuleSet",
     "Scene",
     "Spawn",
     "Trajectories",
     "Trajectory",
+    "Verdict",
     "attributes",
+    "check",
     "clip",
     "clips",
     "convert",
@@ -87,6 +92,7 @@ __all__ = [
     "create_writer",
     "export_parquet",
     "load_map",
+    "load_rules",
     "open_recording",
     "recover",
     "write_report",
@@ -104,6 +110,7 @@ _get, __dir__ = lazily(
         "export.clips": ("clips",),
         "export.report": ("write_report",),
         "export.parquet": ("export_parquet",),
+        "fleet.rules": ("Rule", "RuleSet", "Verdict", "check", "load_rules"),
         "model.frame": ("Frame", "Header"),
         "maps": ("RoadMap", "load_map"),
         "queries.actors": ("Actor",),

@@ -33,6 +33,7 @@ _COMMANDS: Final = {
     "sim": ("record", "replay"),
     "server": ("serve",),
     "capture": ("capture", "watch"),
+    "check": ("check",),
 }
 """The commands of each module."""
 _MODULES: Final = {command: module for module, commands in _COMMANDS.items() for command in commands}

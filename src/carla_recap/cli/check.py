@@ -1,0 +1,122 @@
+"""The command that checks recordings by rules, for continuous integration."""
+
+from __future__ import annotations
+
+import json
+import sys
+from typing import TYPE_CHECKING, Any, Final, NoReturn
+
+import click
+
+from carla_recap.cli import options
+from carla_recap.cli.output import warn
+from carla_recap.util.text import visible
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from carla_recap.fleet.check import CheckedRecording
+    from carla_recap.fleet.rules import RuleSet
+
+_EXIT_CODES: Final = {"pass": 0, "fail": 1, "error": 2}
+_STYLES: Final = {"pass": "green", "fail": "red", "error": "magenta"}
+
+
+@click.command()
+@click.argument("sources", nargs=-1, required=True, type=click.Path(), metavar="SOURCES...")
+@click.option("--rules", "rules_file", required=True, type=click.Path(), metavar="FILE", help="The rules, a TOML file.")
+@click.option("--junit", type=click.Path(), metavar="FILE", help="Write the verdicts as JUnit XML.")
+@click.option("--jobs", type=click.IntRange(min=1), metavar="N", help="The number of processes; else one per processor.")
+@options.json
+@options.text
+def check(sources: tuple[str, ...], rules_file: str, junit: str | None, jobs: int | None, form: str | None) -> NoReturn:
+    """Check recordings by rules.
+
+    SOURCES are recordings, folders and globs. The exit code is 0 if all pass, 1 if one fails, 2 if one cannot be read.
+    """
+    from carla_recap.fleet.check import check_sources, worst
+    from carla_recap.fleet.junit import write_junit
+    from carla_recap.fleet.rules import load_rules
+    from carla_recap.fleet.sources import find_sources
+
+    rules = load_rules(rules_file)
+    found = list(find_sources(sources))
+    checked = []
+    for each in check_sources(found, rules, jobs=1 if len(found) == 1 else jobs):
+        for message in each.warnings:
+            warn(f"{each.recording}: {message}" if each.recording not in message else message)
+        checked.append(each)
+    if junit:
+        write_junit(checked, junit)
+    _show(checked, rules, form)
+    sys.stdout.flush()
+    sys.exit(_EXIT_CODES[worst(each.status for each in checked)])
+
+
+def summary(checked: Sequence[CheckedRecording]) -> str:
+    """Return the numbers of recordings by status, in words."""
+    counts = {status: sum(each.status == status for each in checked) for status in _EXIT_CODES}
+    words = (("pass", "passed"), ("fail", "failed"), ("error", "unreadable"))
+    return ", ".join(f"{counts[status]} {word}" for status, word in words if counts[status] or status != "error")
+
+
+def _show(checked: Sequence[CheckedRecording], rules: RuleSet, form: str | None) -> None:
+    """Print the verdicts, the worst first, and a summary."""
+    from carla_recap.fleet.check import WORST_FIRST
+
+    ordered = sorted(checked, key=lambda each: WORST_FIRST.index(each.status))
+    if form == "json":
+        click.echo(json.dumps(_plain(ordered, rules), indent=1))
+        return
+    rows = [row for each in ordered for row in _rows(each)]
+    if form is None and sys.stdout.isatty():
+        _print_table(rows)
+    else:
+        widths = [max(len(row[column]) for row in rows) if rows else 0 for column in range(4)]
+        for row in rows:
+            cells = [cell.ljust(width) for cell, width in zip(row, widths, strict=False)]
+            click.echo("  ".join((*(cell for cell, width in zip(cells, widths, strict=True) if width), row[4])))
+    click.echo(f"{summary(checked)}; {_many(len(checked), 'recording')}, {_many(len(rules), 'rule')} of {rules.path}")
+
+
+def _rows(checked: CheckedRecording) -> list[tuple[str, str, str, str, str]]:
+    """Return the status, recording, rule, time and message of each rule that is broken, or of all rules in one row."""
+    name, rules = visible(checked.recording), _many(len(checked.verdicts), "rule")
+    if checked.status == "pass":
+        return [("pass", name, "", "", rules)]
+    bad = [verdict for verdict in checked.verdicts if verdict.status != "pass"]
+    if len(bad) > 1 and len({(verdict.status, verdict.message) for verdict in bad}) == 1:
+        return [(checked.status, name, rules, "", bad[0].message)]
+    return [(each.status, name, visible(each.rule), _seconds(each.time), each.message) for each in bad]
+
+
+def _print_table(rows: Sequence[tuple[str, ...]]) -> None:
+    """Print the rows as a table, on a terminal."""
+    from rich import box
+    from rich.console import Console
+    from rich.table import Table
+    from rich.text import Text
+
+    table = Table(box=box.SIMPLE_HEAD, show_edge=False)
+    for heading in ("", "Recording", "Rule", "Time", "What happens"):
+        table.add_column(heading, justify="right" if heading == "Time" else "left", overflow="fold")
+    for status, *cells in rows:
+        table.add_row(Text(status, _STYLES[status]), *map(Text, cells))
+    Console().print(table)
+
+
+def _plain(checked: Sequence[CheckedRecording], rules: RuleSet) -> dict[str, Any]:
+    """Return the verdicts as they are printed in JSON."""
+    from dataclasses import asdict
+
+    counts = {status: sum(each.status == status for each in checked) for status in _EXIT_CODES}
+    listed = [{"name": rule.name, "description": rule.description} for rule in rules]
+    return {"counts": counts, "rules": listed, "recordings": [asdict(each) for each in checked]}
+
+
+def _seconds(time: float | None) -> str:
+    return "" if time is None else f"{time:.2f} s"
+
+
+def _many(count: int, thing: str) -> str:
+    return f"{count} {thing}{'' if count == 1 else 's'}"

@@ -1,0 +1,84 @@
+"""The check of many recordings by rules: a verdict per recording and rule, and what it takes to see why one fails."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from functools import partial
+from typing import TYPE_CHECKING, Final
+
+from carla_recap.errors import RecapError
+from carla_recap.fleet.engine import map_sources
+from carla_recap.fleet.rules import RuleSet, Status, Verdict, check, unreadable
+from carla_recap.recording import open_recording
+from carla_recap.util.text import readable, visible
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable, Iterator, Sequence
+
+    from carla_recap.fleet.sources import SourceFile
+
+WORST_FIRST: Final[tuple[Status, ...]] = ("error", "fail", "pass")
+
+
+@dataclass(frozen=True, slots=True)
+class CheckedRecording:
+    """A recording and the verdicts on it.
+
+    Attributes:
+        recording: Its path or URL.
+        verdicts: The verdicts, in the order of the rules.
+        map: The name of its map; empty if it cannot be opened.
+        frames: The number of its frames.
+        duration: Its duration, in s.
+        warnings: The warnings, a line each.
+        page: The path of its incident page, relative to the folder of pages; None if it has none.
+        clip: The path of the clip of the first failure, relative to the folder of pages; None if it has none.
+    """
+
+    recording: str
+    verdicts: tuple[Verdict, ...]
+    map: str = ""
+    frames: int = 0
+    duration: float = 0.0
+    warnings: tuple[str, ...] = ()
+    page: str | None = None
+    clip: str | None = None
+    status: Status = field(init=False)
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "status", worst(verdict.status for verdict in self.verdicts))
+
+
+def worst(statuses: Iterable[Status]) -> Status:
+    """Return the worst of some statuses; without any, `pass`."""
+    return min(statuses, key=WORST_FIRST.index, default="pass")
+
+
+def check_sources(sources: Iterable[SourceFile], rules: RuleSet, *, jobs: int | None = None) -> Iterator[CheckedRecording]:
+    """Yield many recordings with the verdicts on them, in their order.
+
+    Args:
+        sources: The recordings.
+        rules: The rules.
+        jobs: The number of processes; None: as many as there are processors.
+    """
+    for outcome in map_sources(partial(_checked, rules), sources, jobs=jobs):
+        if outcome.value is None:
+            error = visible(outcome.error or "it cannot be read")
+            yield CheckedRecording(outcome.source.location, tuple(unreadable(rules, error)), warnings=outcome.warnings)
+        else:
+            map_name, frames, duration, verdicts = outcome.value
+            yield CheckedRecording(
+                outcome.source.location, tuple(verdicts), map_name, frames, duration, tuple(map(visible, outcome.warnings))
+            )
+
+
+def _checked(rules: RuleSet, source: SourceFile) -> tuple[str, int, float, Sequence[Verdict]]:
+    with open_recording(source.location) as recording:
+        verdicts = check(recording, rules)
+        map_name = visible(readable(recording.header.map_name).rpartition("/")[2])
+        try:
+            extent = recording.reader.extent()
+        except RecapError:  # which the verdicts say
+            return map_name, 0, 0.0, verdicts
+        return map_name, extent.frames, extent.duration, verdicts

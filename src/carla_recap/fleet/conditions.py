@@ -1,0 +1,373 @@
+"""Conditions: what a rule demands of a recording, and how a recording is found to meet it or not."""
+
+from __future__ import annotations
+
+from collections import defaultdict
+from dataclasses import dataclass
+from fnmatch import fnmatchcase
+from typing import TYPE_CHECKING, Any, Final, NamedTuple, Protocol, TypeVar
+
+from carla_recap.errors import RecapError
+from carla_recap.queries.actors import Actor, actors
+from carla_recap.queries.blocked import blocked
+from carla_recap.queries.incidents import incidents
+from carla_recap.util.text import number, readable
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Iterable, Sequence
+
+    from carla_recap.model.stationary import BlockedRow
+    from carla_recap.queries.incidents import Incident
+    from carla_recap.recording import Recording
+
+T = TypeVar("T")
+
+HERO: Final = "hero"
+ANY: Final = "any"
+OBJECT: Final = "object"
+"""The other side of a collision with what is no actor, such as a building."""
+ROLE: Final = "role:"
+ROAD_USERS: Final = ("vehicle", "walker")
+
+_MANY: Final = {HERO: "the hero", "vehicle": "vehicles", "walker": "walkers", OBJECT: "what is no actor"}
+
+
+class Offence(NamedTuple):
+    """An event that a condition forbids.
+
+    Attributes:
+        text: What happens: a sentence without its full stop.
+        time: When, in elapsed seconds; None if it has no time.
+        actors: The ids of the actors.
+    """
+
+    text: str
+    time: float | None = None
+    actors: tuple[int, ...] = ()
+
+
+class Finding(NamedTuple):
+    """What a condition has found in a recording.
+
+    Attributes:
+        passes: Whether the recording meets the condition.
+        message: What was found, in one line.
+        offences: The events that it forbids, the first or the worst one first.
+    """
+
+    passes: bool
+    message: str
+    offences: tuple[Offence, ...] = ()
+
+
+@dataclass(frozen=True, slots=True)
+class Selector:
+    """Some of the actors of a recording.
+
+    Attributes:
+        text: `hero`, `vehicle`, `walker`, `any`, `object`, `role:NAME`, or a blueprint such as `vehicle.tesla.*`.
+    """
+
+    text: str = ANY
+
+    def matches(self, actor: Actor | None) -> bool:
+        """Return whether an actor is one of them; None stands for an actor whose spawn is not recorded."""
+        if self.text == ANY or actor is None:
+            return self.text == ANY
+        if self.text == HERO:
+            return actor.is_hero
+        if self.text.startswith(ROLE):
+            return actor.role_name == self.text.removeprefix(ROLE)
+        return fnmatchcase(actor.type_id, self.text) if "." in self.text else actor.kind == self.text
+
+    def __str__(self) -> str:
+        if self.text.startswith(ROLE):
+            return f"the actor of the role {self.text.removeprefix(ROLE)}"
+        return _MANY.get(self.text, self.text)
+
+
+@dataclass(frozen=True, slots=True)
+class Bounds:
+    """The least and the greatest valid number; None where there is none."""
+
+    least: float | None = None
+    most: float | None = None
+
+    def contain(self, value: float) -> bool:
+        """Return whether a number is valid; NaN is not."""
+        return (self.least is None or value >= self.least) and (self.most is None or value <= self.most)
+
+    def text(self, unit: str = "") -> str:
+        """Return the bounds in words."""
+        after = f" {unit}" if unit else ""
+        if self.least is not None and self.least == self.most:
+            return f"exactly {number(self.least)}{after}"
+        words = (("at least", self.least), ("at most", self.most))
+        return " and ".join(f"{word} {number(value)}" for word, value in words if value is not None) + after
+
+
+class Facts:
+    """What the conditions of some rules ask of a recording; each question is asked once, and only if a rule needs it.
+
+    Args:
+        recording: The recording.
+        conditions: All conditions that will be judged.
+    """
+
+    def __init__(self, recording: Recording, conditions: Iterable[Condition]) -> None:
+        self.recording = recording
+        conditions = list(conditions)
+        self._kinds = {kind for each in conditions if isinstance(each, IncidentCount) for kind in each.kinds}
+        self._stop_times = [each.longest for each in conditions if isinstance(each, LongestStop)]
+        self._answers: dict[str, Any] = {}
+
+    @property
+    def actors(self) -> Sequence[Actor]:
+        """All actors, in order of appearance."""
+        return self._once("actors", lambda: actors(self.recording.reader))
+
+    @property
+    def incidents(self) -> Sequence[Incident]:
+        """The incidents of all kinds that conditions are about, in order of time."""
+
+        def ask() -> Sequence[Incident]:
+            kinds = self._kinds
+            return incidents(
+                self.recording.reader,
+                collisions="collision" in kinds,
+                blocked="blocked" in kinds,
+                braking="hard braking" in kinds,
+            )
+
+        return self._once("incidents", ask)
+
+    @property
+    def stops(self) -> Sequence[BlockedRow]:
+        """The stops that any condition forbids, the longest first."""
+        return self._once("stops", lambda: blocked(self.recording.reader, min(self._stop_times)))
+
+    def actor(self, id: int, time: float) -> Actor | None:
+        """Return the actor that had an id at a time; None if its spawn is not recorded."""
+
+        def by_id() -> dict[int, list[Actor]]:
+            found = defaultdict(list)
+            for actor in self.actors:
+                found[actor.id].append(actor)
+            return found
+
+        found = self._once("actors by id", by_id).get(id, [])
+        return next((actor for actor in reversed(found) if actor.spawned_at <= time), found[0] if found else None)
+
+    def absent(self, selector: Selector) -> str:
+        """Return a remark if a recording has no such actors, else an empty text."""
+        if selector.text in (ANY, OBJECT) or any(selector.matches(actor) for actor in self.actors):
+            return ""
+        return f" ({selector} is not in the recording)" if selector.text == HERO else f" (it has no {selector.text})"
+
+    def _once(self, question: str, ask: Callable[[], T]) -> T:
+        """Return the answer to a question, or raise its error again."""
+        if question not in self._answers:
+            try:
+                self._answers[question] = ask()
+            except RecapError as error:
+                self._answers[question] = error
+        answer: T | RecapError = self._answers[question]
+        if isinstance(answer, RecapError):
+            raise answer
+        return answer
+
+
+class Condition(Protocol):
+    """What a rule demands."""
+
+    def text(self) -> str:
+        """Return the condition in words."""
+        ...
+
+    def judge(self, facts: Facts) -> Finding:
+        """Return what a recording has of it.
+
+        Raises:
+            RecapError: The recording is damaged.
+        """
+        ...
+
+
+@dataclass(frozen=True, slots=True)
+class IncidentCount:
+    """The number of incidents of some kinds.
+
+    Attributes:
+        kinds: The kinds, such as `collision`.
+        of: The actors of which one takes part.
+        other: The actors of which another one takes part, in a collision.
+        bounds: The valid numbers.
+    """
+
+    kinds: tuple[str, ...]
+    of: Selector
+    other: Selector
+    bounds: Bounds
+
+    def text(self) -> str:
+        """See `Condition.text`."""
+        kinds = _listed(_plural(kind) for kind in self.kinds)
+        return f"{kinds}{self._sides()}: {self.bounds.text()}"
+
+    def judge(self, facts: Facts) -> Finding:
+        """See `Condition.judge`."""
+        found = [incident for incident in facts.incidents if incident.kind in self.kinds and self._counts(incident, facts)]
+        message = f"{len(found) or 'no'} {_listed(kind if len(found) == 1 else _plural(kind) for kind in self.kinds)}"
+        message += self._sides()
+        if self.bounds.contain(len(found)):
+            return Finding(True, message + ("" if found else facts.absent(self.of)))
+        offences = tuple(Offence(each.text, each.start, each.actors) for each in found)
+        return Finding(False, f"{message} instead of {self.bounds.text()}", offences)
+
+    def _sides(self) -> str:
+        of = "" if self.of.text == ANY else f" of {self.of}"
+        return of if self.other.text == ANY else f"{of} with {self.other}"
+
+    def _counts(self, incident: Incident, facts: Facts) -> bool:
+        involved = [facts.actor(id, incident.start) for id in incident.actors]
+        if self.other.text == OBJECT:
+            return len(involved) == 1 and self.of.matches(involved[0])
+        if self.other.text == ANY:
+            return any(map(self.of.matches, involved))
+        first, second = involved if len(involved) == 2 else (None, None)
+        return len(involved) == 2 and any(
+            self.of.matches(one) and self.other.matches(two) for one, two in ((first, second), (second, first))
+        )
+
+
+@dataclass(frozen=True, slots=True)
+class LongestStop:
+    """How long vehicles and walkers stand still.
+
+    Attributes:
+        of: The actors; any: vehicles and walkers.
+        longest: The longest valid time, in s.
+    """
+
+    of: Selector
+    longest: float
+
+    def text(self) -> str:
+        """See `Condition.text`."""
+        return f"standing still{self._of()}: at most {number(self.longest)} s"
+
+    def judge(self, facts: Facts) -> Finding:
+        """See `Condition.judge`."""
+        found = [row for row in facts.stops if row.duration > self.longest and self._counts(facts.actor(row.id, row.start))]
+        if not found:
+            return Finding(True, f"no stop{self._of()} of more than {number(self.longest)} s{facts.absent(self.of)}")
+        offences = []
+        for row in found:
+            actor = facts.actor(row.id, row.start)
+            text = f"{_name(row.id, actor)} stands still for {row.duration:.1f} s"
+            offences.append(Offence(text, row.start, (row.id,)))
+        stops = "1 stop" if len(found) == 1 else f"{len(found)} stops"
+        return Finding(False, f"{stops}{self._of()} of more than {number(self.longest)} s", tuple(offences))
+
+    def _of(self) -> str:
+        return "" if self.of.text == ANY else f" of {self.of}"
+
+    def _counts(self, actor: Actor | None) -> bool:
+        if self.of.text == ANY:
+            return actor is not None and actor.kind in ROAD_USERS
+        return self.of.matches(actor)
+
+
+@dataclass(frozen=True, slots=True)
+class Size:
+    """The length of the recording.
+
+    Attributes:
+        unit: `s`: the duration counts, or `frames`: their number.
+        bounds: The valid numbers.
+    """
+
+    unit: str
+    bounds: Bounds
+
+    def text(self) -> str:
+        """See `Condition.text`."""
+        return f"length of the recording: {self.bounds.text(self.unit)}"
+
+    def judge(self, facts: Facts) -> Finding:
+        """See `Condition.judge`."""
+        extent = facts.recording.reader.extent()
+        value = extent.duration if self.unit == "s" else extent.frames
+        message = f"the recording has {number(value) if self.unit == 's' else value} {self.unit}"
+        if self.bounds.contain(value):
+            return Finding(True, message)
+        return Finding(False, f"{message} instead of {self.bounds.text(self.unit)}")
+
+
+@dataclass(frozen=True, slots=True)
+class ActorCount:
+    """The number of actors.
+
+    Attributes:
+        of: The actors.
+        bounds: The valid numbers.
+    """
+
+    of: Selector
+    bounds: Bounds
+
+    def text(self) -> str:
+        """See `Condition.text`."""
+        return f"number of actors, {self.of}: {self.bounds.text()}"
+
+    def judge(self, facts: Facts) -> Finding:
+        """See `Condition.judge`."""
+        found = [actor for actor in facts.actors if self.of.matches(actor)]
+        message = f"{len(found)} {'actor' if len(found) == 1 else 'actors'} ({self.of})"
+        if self.bounds.contain(len(found)):
+            return Finding(True, message)
+        offences = tuple(Offence(f"{_name(each.id, each)} appears", each.spawned_at, (each.id,)) for each in found)
+        return Finding(False, f"{message} instead of {self.bounds.text()}", offences)
+
+
+@dataclass(frozen=True, slots=True)
+class MapName:
+    """The map of the recording.
+
+    Attributes:
+        names: The valid names, without folders; the layered variant of a map (`_Opt`) is the same map.
+    """
+
+    names: tuple[str, ...]
+
+    def text(self) -> str:
+        """See `Condition.text`."""
+        return f"map: {' or '.join(self.names)}"
+
+    def judge(self, facts: Facts) -> Finding:
+        """See `Condition.judge`."""
+        name = readable(facts.recording.header.map_name)
+        message = f"the map is {name.rpartition('/')[2] or 'not recorded'}"
+        if map_key(name) in map(map_key, self.names):
+            return Finding(True, message)
+        return Finding(False, f"{message} instead of {' or '.join(self.names)}")
+
+
+def map_key(name: str) -> str:
+    """Return a map's name as it is compared."""
+    return name.rpartition("/")[2].lower().removesuffix("_opt")
+
+
+def _name(id: int, actor: Actor | None) -> str:
+    if actor is None:
+        return f"actor {id}"
+    return HERO if actor.is_hero else f"{actor.type_id} ({id})"
+
+
+def _plural(kind: str) -> str:
+    return {"blocked": "long stops", "hard braking": "hard braking", "near miss": "near misses"}.get(kind, f"{kind}s")
+
+
+def _listed(words: Iterable[str]) -> str:
+    *first, last = words
+    return f"{', '.join(first)} or {last}" if first else last

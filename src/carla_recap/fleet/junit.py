@@ -1,0 +1,81 @@
+"""Verdicts as JUnit XML, for what shows the results of tests: GitLab, Jenkins, GitHub by an action.
+
+A recording is a class of tests, and a rule is a test. GitLab groups by the class and takes the first of two tests with
+one name; both are unique here, as each recording is listed once.
+"""
+
+from __future__ import annotations
+
+import re
+import shlex
+from typing import TYPE_CHECKING, Final
+from xml.etree.ElementTree import Element, SubElement, indent, tostring
+
+from carla_recap.util.files import WholeFile
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+    from pathlib import Path
+
+    from carla_recap.fleet.check import CheckedRecording
+    from carla_recap.fleet.rules import Verdict
+
+SUITE: Final = "carla-recap check"
+_BEFORE: Final = 3.0  # s before an offence at which a view of it begins
+_UNPRINTABLE: Final = re.compile("[^\t\n\r\x20-\ud7ff\ue000-\ufffd\U00010000-\U0010ffff]")  # what XML 1.0 cannot contain
+
+
+def write_junit(checked: Sequence[CheckedRecording], path: Path | str) -> None:
+    """Write the verdicts on recordings as JUnit XML; the file appears when it is complete.
+
+    Raises:
+        RecapError: The file cannot be written.
+    """
+    content = junit(checked)
+    with WholeFile(path) as file:
+        file.write(content)
+
+
+def junit(checked: Sequence[CheckedRecording]) -> bytes:
+    """Return the verdicts on recordings as JUnit XML."""
+    verdicts = [verdict for each in checked for verdict in each.verdicts]
+    counts = {
+        "tests": str(len(verdicts)),
+        "failures": str(sum(verdict.status == "fail" for verdict in verdicts)),
+        "errors": str(sum(verdict.status == "error" for verdict in verdicts)),
+        "skipped": "0",
+    }
+    root = Element("testsuites", {"name": SUITE, **counts})
+    suite = SubElement(root, "testsuite", {"name": SUITE, **counts})
+    for each in checked:
+        for verdict in each.verdicts:
+            _add(suite, each, verdict)
+    indent(root)
+    content: bytes = tostring(root, "utf-8", xml_declaration=True)
+    return content + b"\n"
+
+
+def how_to_see(recording: str, verdict: Verdict) -> str:
+    """Return the command that shows the first offence of a verdict."""
+    if verdict.time is None:
+        return f"carla-recap view {shlex.quote(recording)}"
+    return f"carla-recap view --start {max(verdict.time - _BEFORE, 0.0):.1f} {shlex.quote(recording)}"
+
+
+def _add(suite: Element, checked: CheckedRecording, verdict: Verdict) -> None:
+    case = SubElement(suite, "testcase", {"classname": _clean(checked.recording), "name": _clean(verdict.rule), "time": "0"})
+    if verdict.status == "pass":
+        return
+    tag, kind = ("failure", "rule") if verdict.status == "fail" else ("error", "unreadable")
+    lines = [verdict.message, *verdict.details]
+    if verdict.actors:
+        lines.append(f"actors: {', '.join(map(str, verdict.actors))}")
+    if verdict.status == "fail":
+        lines.append(f"to see it: {how_to_see(checked.recording, verdict)}")
+        lines += [f"{name}: {path}" for name, path in (("page", checked.page), ("clip", checked.clip)) if path]
+    SubElement(case, tag, {"message": _clean(verdict.message), "type": kind}).text = _clean("\n".join(lines))
+
+
+def _clean(text: str) -> str:
+    """Return a text without the characters that XML cannot contain."""
+    return _UNPRINTABLE.sub("\ufffd", text)

@@ -1,0 +1,364 @@
+"""Rules for recordings, from a TOML file: what is demanded of each, and the verdicts.
+
+rules = load_rules("rules.toml")
+with open_recording("run.mcap") as recording:
+    for verdict in check(recording, rules):
+        print(verdict.rule, verdict.status, verdict.message)
+"""
+
+from __future__ import annotations
+
+import math
+import re
+import tomllib
+from collections.abc import Sequence
+from dataclasses import dataclass
+from difflib import get_close_matches
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Final, Literal, get_args
+
+from carla_recap.errors import RecapError
+from carla_recap.fleet import conditions
+from carla_recap.fleet.conditions import ANY, OBJECT, ROLE, Bounds, Facts, Offence, Selector
+from carla_recap.queries.incidents import Kind
+from carla_recap.util.text import visible
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Iterable, Mapping
+
+    from carla_recap.fleet.conditions import Condition
+    from carla_recap.recording import Recording
+
+Status = Literal["pass", "fail", "error"]
+
+KINDS: Final[tuple[str, ...]] = get_args(Kind)
+"""The kinds of incidents that a rule can be about."""
+
+_LARGEST: Final = 1 << 20  # bytes of a file of rules
+_SHOWN: Final = 60  # characters of a wrong value in an error
+_LISTED: Final = 20  # offences that a verdict lists
+_UNITS: Final[Mapping[str, Mapping[str, float]]] = {
+    "s": {"s": 1.0, "ms": 1e-3, "min": 60.0, "h": 3600.0},
+    "m": {"m": 1.0, "cm": 0.01, "mm": 0.001, "km": 1000.0},
+    "m/s": {"m/s": 1.0, "km/h": 1 / 3.6, "mph": 0.44704},
+    "m/s²": {"m/s²": 1.0, "m/s^2": 1.0, "m/s2": 1.0, "g": 9.80665},
+    "m/s³": {"m/s³": 1.0, "m/s^3": 1.0, "m/s3": 1.0},
+}
+"""The units of quantities, and how many of the first one each of them is."""
+_QUANTITY: Final = re.compile(r"\s*([+-]?(?:\d+(?:\.\d*)?|\.\d+)(?:[eE][+-]?\d+)?)\s*(.*?)\s*")
+
+
+@dataclass(frozen=True, slots=True)
+class Verdict:
+    """What a rule says of a recording.
+
+    Attributes:
+        rule: The name of the rule.
+        status: `pass`; `fail`; or `error`, if the recording cannot be judged, as when it is damaged.
+        message: What was found, in one line.
+        time: When the first or the worst offence happens, in elapsed seconds; None if there is none.
+        actors: The ids of its actors.
+        details: The offences, a line each.
+    """
+
+    rule: str
+    status: Status
+    message: str
+    time: float | None = None
+    actors: tuple[int, ...] = ()
+    details: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True, slots=True)
+class Rule:
+    """What is demanded of a recording.
+
+    Attributes:
+        name: The name.
+        condition: The condition.
+        description: The rule in the author's words; else in those of the condition.
+    """
+
+    name: str
+    condition: Condition
+    description: str
+
+
+@dataclass(frozen=True, slots=True)
+class RuleSet(Sequence[Rule]):
+    """Rules, in the order of their file.
+
+    Attributes:
+        path: The path of the file.
+        rules: The rules.
+    """
+
+    path: str
+    rules: tuple[Rule, ...]
+
+    def __len__(self) -> int:
+        return len(self.rules)
+
+    def __getitem__(self, index: Any) -> Any:
+        return self.rules[index]
+
+
+def load_rules(path: Path | str) -> RuleSet:
+    """Return the rules of a TOML file.
+
+    Raises:
+        RecapError: The file cannot be read, or is wrong; the message names the file, the rule and what was expected.
+    """
+    try:
+        with Path(path).open("rb") as file:
+            content = file.read(_LARGEST + 1)
+    except (OSError, ValueError) as error:
+        raise RecapError(f"{path}: cannot be read: {getattr(error, 'strerror', None) or error}") from None
+    if len(content) > _LARGEST:
+        raise RecapError(f"{path}: is larger than {_LARGEST >> 20} MB; a file of rules was expected")
+    try:
+        return parse_rules(content.decode("utf-8-sig"), path)
+    except UnicodeDecodeError as error:
+        raise RecapError(f"{path}: byte {error.start}: UTF-8 was expected") from None
+
+
+def parse_rules(text: str, path: Path | str) -> RuleSet:
+    """Return the rules of a text.
+
+    Args:
+        text: The content of a TOML file.
+        path: Its path, for errors; paths of baselines are relative to its folder.
+
+    Raises:
+        RecapError: The text is wrong.
+    """
+    try:
+        document = tomllib.loads(text)
+    except tomllib.TOMLDecodeError as error:
+        raise RecapError(f"{path}: {visible(str(error))}; TOML was expected") from None
+    except RecursionError:
+        raise RecapError(f"{path}: is nested too deeply; tables of rules were expected") from None
+    unknown = [key for key in document if key != "rules"]
+    if unknown:
+        raise RecapError(f"{path}: {_shown(unknown[0])}: rules were expected, as [rules.NAME]")
+    found = document.get("rules")
+    if not isinstance(found, dict) or not found:
+        raise RecapError(f"{path}: has no rules; a table of the form [rules.NAME] was expected")
+    return RuleSet(str(path), tuple(_rule(name, table, path) for name, table in found.items()))
+
+
+def check(recording: Recording, rules: Iterable[Rule]) -> list[Verdict]:
+    """Return the verdicts of rules on a recording, in the order of the rules; only what they need is read.
+
+    A recording that is damaged gives verdicts with the status `error`.
+    """
+    rules = list(rules)
+    facts = Facts(recording, (rule.condition for rule in rules))
+    return [_verdict(rule, facts) for rule in rules]
+
+
+def unreadable(rules: Iterable[Rule], error: str) -> list[Verdict]:
+    """Return the verdicts on a recording that cannot be opened."""
+    return [Verdict(rule.name, "error", error) for rule in rules]
+
+
+def _verdict(rule: Rule, facts: Facts) -> Verdict:
+    try:
+        passes, message, offences = rule.condition.judge(facts)
+    except RecapError as error:
+        return Verdict(rule.name, "error", visible(str(error)))
+    except OSError as error:
+        return Verdict(rule.name, "error", visible(f"{facts.recording.path}: {error.strerror or error}"))
+    if passes:
+        return Verdict(rule.name, "pass", visible(message))
+    details = [each.text if each.time is None else f"{each.time:.2f} s: {each.text}" for each in offences[:_LISTED]]
+    if len(offences) > _LISTED:
+        details.append(f"and {len(offences) - _LISTED} more")
+    _, time, actors = offences[0] if offences else Offence("")
+    if offences:
+        message += f": {offences[0].text}" + ("" if time is None else f" at {time:.2f} s")
+    return Verdict(rule.name, "fail", visible(message), time, actors, tuple(map(visible, details)))
+
+
+# --- from TOML -----------------------------------------------------------------------------------------------------------
+
+
+class _Fields:
+    """The fields of a condition: reads those that are expected, and refuses others.
+
+    Args:
+        table: The fields.
+        prefix: The file, the rule and the name of the condition, for errors.
+    """
+
+    def __init__(self, table: Any, prefix: str) -> None:
+        self._prefix = prefix
+        if not isinstance(table, dict):
+            raise RecapError(f"{prefix}: {_shown(table)}; a table was expected, such as {{ max = 0 }}")
+        self._table = table
+        self._known: list[str] = []
+
+    def has(self, name: str) -> bool:
+        """Return whether a field is given."""
+        return name in self._table
+
+    def get(self, name: str) -> Any:
+        """Return the value of a field, or None."""
+        self._known.append(name)
+        return self._table.get(name)
+
+    def wrong(self, name: str, expected: str) -> RecapError:
+        """Return the error about a value."""
+        return RecapError(f"{self._prefix}.{name}: {_shown(self._table.get(name))}; {expected} was expected")
+
+    def selector(self, name: str, *, is_other: bool = False) -> Selector:
+        """Return some actors; any, if the field is missing."""
+        value = self.get(name)
+        if value is None:
+            return Selector()
+        words = ["hero", "vehicle", "walker", ANY, *([OBJECT] if is_other else [])]
+        is_pattern = isinstance(value, str) and (
+            (value.startswith(ROLE) and value != ROLE) or re.fullmatch(r"[\w*?\[\]!-]+(\.[\w*?\[\]!-]+)+", value)
+        )
+        if value not in words and not is_pattern:
+            raise self.wrong(name, f"{', '.join(words)}, role:NAME or a blueprint such as vehicle.tesla.*")
+        return Selector(value)
+
+    def texts(self, name: str, expected: str, valid: Sequence[str] = ()) -> tuple[str, ...]:
+        """Return one text, or a list of them."""
+        value = self.get(name)
+        values = value if isinstance(value, list) else [value]
+        if not values or not all(isinstance(each, str) and each and (each in valid or not valid) for each in values):
+            raise self.wrong(name, expected)
+        return tuple(values)
+
+    def counts(self) -> Bounds:
+        """Return the bounds of a number of things, from `min` and `max`."""
+
+        def read(name: str) -> float | None:
+            value = self.get(name)
+            if value is not None and (type(value) is not int or value < 0):
+                raise self.wrong(name, "a whole number of 0 or more")
+            return value
+
+        return self._bounds(read)
+
+    def quantities(self, unit: str) -> Bounds:
+        """Return the bounds of a quantity, from `min` and `max`."""
+        return self._bounds(lambda name: self.quantity(name, unit))
+
+    def quantity(self, name: str, unit: str) -> float | None:
+        """Return a quantity: a number in a unit, or a text with a number and its unit; None if the field is missing."""
+        value = self.get(name)
+        if value is None:
+            return None
+        number = math.nan
+        if type(value) in (int, float):
+            with_overflow = abs(value) > 1e300
+            number = math.nan if with_overflow else float(value)
+        elif isinstance(value, str) and len(value) < _SHOWN and (match := _QUANTITY.fullmatch(value)):
+            number = float(match[1]) * _UNITS.get(unit, {}).get(match[2], math.nan)
+        if not math.isfinite(number):
+            units = ", ".join(_UNITS.get(unit, {}))
+            expected = f'a number in {unit}, or a text such as "1.5 {unit}" with one of the units {units},'
+            raise self.wrong(name, expected if units else "a number")
+        return number
+
+    def _bounds(self, read: Callable[[str], float | None]) -> Bounds:
+        least, most = read("min"), read("max")
+        if least is None and most is None:
+            self.done()
+            raise RecapError(f"{self._prefix}: has no bound; min or max was expected")
+        if least is not None and most is not None and least > most:
+            raise self.wrong("min", "no more than max")
+        return Bounds(least, most)
+
+    def done(self) -> None:
+        """Refuse fields that nobody has read."""
+        for name in self._table:
+            if name not in self._known:
+                raise RecapError(f"{self._prefix}: unknown field {_shown(name)}; {_hint(name, self._known)}")
+
+
+def _collisions(fields: _Fields) -> Condition:
+    of, other = fields.selector("of"), fields.selector("with", is_other=True)
+    return conditions.IncidentCount(("collision",), of, other, fields.counts())
+
+
+def _incidents(fields: _Fields) -> Condition:
+    kinds = fields.texts("kind", f"one or a list of {', '.join(KINDS)}", KINDS)
+    return conditions.IncidentCount(kinds, fields.selector("of"), Selector(), fields.counts())
+
+
+def _blocked(fields: _Fields) -> Condition:
+    of, longest = fields.selector("of"), fields.quantity("max", "s")
+    if longest is None or longest < 0:
+        raise fields.wrong("max", 'the longest valid stop, such as "60 s",')
+    return conditions.LongestStop(of, longest)
+
+
+def _duration(fields: _Fields) -> Condition:
+    return conditions.Size("s", fields.quantities("s"))
+
+
+def _frames(fields: _Fields) -> Condition:
+    return conditions.Size("frames", fields.counts())
+
+
+def _actors(fields: _Fields) -> Condition:
+    return conditions.ActorCount(fields.selector("of"), fields.counts())
+
+
+def _map(fields: _Fields) -> Condition:
+    return conditions.MapName(fields.texts("map", "the name of a map or a list of names"))
+
+
+_CONDITIONS: Final[Mapping[str, Callable[[_Fields], Condition]]] = {
+    "collisions": _collisions,
+    "incidents": _incidents,
+    "blocked": _blocked,
+    "duration": _duration,
+    "frames": _frames,
+    "actors": _actors,
+    "map": _map,
+}
+"""What reads the fields of each condition."""
+_PLAIN: Final = ("map",)
+"""The conditions that are one value, and no table."""
+
+
+def _rule(name: str, table: Any, path: Path | str) -> Rule:
+    prefix = f"{path}: rule {_shown(name)}"
+    if not name.strip():
+        raise RecapError(f"{prefix}: a name was expected")
+    if not isinstance(table, dict):
+        raise RecapError(f"{prefix}: {_shown(table)}; a table was expected, as [rules.NAME]")
+    fields = _Fields(table, prefix)
+    description = fields.get("description")
+    if description is not None and not isinstance(description, str):
+        raise RecapError(f"{prefix}: description: {_shown(description)}; a text was expected")
+    given = [key for key in table if key != "description"]
+    for key in given:
+        if key not in _CONDITIONS:
+            raise RecapError(f"{prefix}: unknown condition {_shown(key)}; {_hint(key, list(_CONDITIONS))}")
+    if len(given) != 1:
+        some = f"has the conditions {' and '.join(given)}" if given else "has no condition"
+        raise RecapError(f"{prefix}: {some}; one of {', '.join(_CONDITIONS)} was expected")
+    (key,) = given
+    inner = _Fields({key: table[key]}, prefix) if key in _PLAIN else _Fields(table[key], f"{prefix}: {key}")
+    condition = _CONDITIONS[key](inner)
+    inner.done()
+    return Rule(name, condition, " ".join((description or condition.text()).split()))
+
+
+def _hint(name: str, known: Sequence[str]) -> str:
+    near = get_close_matches(name[:_SHOWN], known, 1)
+    return f"did you mean {near[0]}?" if near else f"{', '.join(known)} were expected"
+
+
+def _shown(value: Any) -> str:
+    """Return a value of a file for an error."""
+    if value is None:
+        return "is missing"
+    text = repr(value[:_SHOWN] if isinstance(value, (str, list)) else value) if not isinstance(value, dict) else "a table"
+    return visible(text if len(text) <= 2 * _SHOWN else f"{text[:_SHOWN]}…")

@@ -1,0 +1,93 @@
+"""The command that checks recordings by rules."""
+
+from __future__ import annotations
+
+import json
+import shutil
+from pathlib import Path
+from xml.etree import ElementTree
+
+import pytest
+
+from tests.cli.command import error, on_terminal, run
+from tests.samples import save
+
+ROOT = Path(__file__).parents[2]
+SAMPLES = ROOT / "samples"
+RULES = SAMPLES / "rules.toml"
+
+
+@pytest.fixture
+def runs(tmp_path):
+    """A folder with a recording that passes and one that fails."""
+    folder = tmp_path / "runs"
+    folder.mkdir()
+    for name in ("crash", "junction"):
+        shutil.copy(SAMPLES / f"{name}.mcap", folder)
+    return folder
+
+
+def test_verdicts_are_printed_the_worst_first(runs):
+    save(runs / "broken.mcap", b"nothing")
+    done = run("check", runs, "--rules", RULES)
+    lines = done.stdout.decode().splitlines()
+    assert [(line.split()[0], Path(line.split()[1]).name) for line in lines[:-1]] == [
+        ("error", "broken.mcap"),
+        ("fail", "crash.mcap"),
+        ("fail", "crash.mcap"),
+        ("pass", "junction.mcap"),
+    ]
+    assert "no-hero-collision  12.10 s  2 collisions of the hero" in lines[1]
+    assert lines[-1] == f"1 passed, 1 failed, 1 unreadable; 3 recordings, 5 rules of {RULES}"
+    assert (done.returncode, done.stderr) == (2, b"")
+
+
+@pytest.mark.parametrize(("name", "code"), [("junction", 0), ("crash", 1)])
+def test_the_exit_code_is_that_of_the_worst_verdict(name, code):
+    done = run("check", SAMPLES / f"{name}.mcap", "--rules", RULES)
+    assert (done.returncode, done.stderr) == (code, b"")
+
+
+def test_json(runs):
+    done = run("check", runs, "--rules", RULES, "--json")
+    assert done.returncode == 1
+    found = json.loads(done.stdout)
+    assert found["counts"] == {"pass": 1, "fail": 1, "error": 0}
+    assert found["rules"][0] == {"name": "no-hero-collision", "description": "The hero hits nothing"}
+    worst, best = found["recordings"]
+    assert (Path(worst["recording"]).name, worst["status"], worst["map"], worst["frames"]) == (
+        "crash.mcap",
+        "fail",
+        "Brickfield",
+        1200,
+    )
+    first = worst["verdicts"][0]
+    assert (first["rule"], first["status"], first["actors"]) == ("no-hero-collision", "fail", [41, 44])
+    assert first["time"] == pytest.approx(12.1)
+    assert {verdict["status"] for verdict in best["verdicts"]} == {"pass"}
+
+
+def test_junit(runs, tmp_path):
+    done = run("check", runs, "--rules", RULES, "--junit", tmp_path / "out.xml", "--jobs", "1")
+    assert done.returncode == 1
+    suites = ElementTree.parse(tmp_path / "out.xml").getroot()
+    assert (suites.get("tests"), suites.get("failures"), suites.get("errors")) == ("10", "2", "0")
+
+
+def test_on_a_terminal_verdicts_are_a_table(runs):
+    code, shown, _ = on_terminal("check", runs, "--rules", RULES)
+    assert code == 1
+    assert "What happens" in shown
+    assert "no-hero-collision" in shown
+
+
+def test_wrong_rules_are_an_error_before_anything_is_read(tmp_path):
+    rules = save(tmp_path / "rules.toml", b"[rules.a]\ncollisions = { max = 'none' }")
+    message = error("check", "absent.mcap", "--rules", rules)
+    assert message == f"{rules}: rule 'a': collisions.max: 'none'; a whole number of 0 or more was expected"
+
+
+def test_a_junit_file_that_cannot_be_written_is_an_error(runs, tmp_path):
+    done = run("check", runs, "--rules", RULES, "--junit", tmp_path / "absent" / "out.xml")
+    assert done.returncode == 2
+    assert b"out.xml: cannot be written" in done.stderr

@@ -1,0 +1,227 @@
+from __future__ import annotations
+
+from contextlib import closing
+from pathlib import Path
+from textwrap import dedent
+
+import pytest
+
+from carla_recap import check, load_rules, open_recording
+from carla_recap.errors import RecapError
+from carla_recap.fleet.rules import parse_rules
+from carla_recap.formats.mcap.reader import McapReader
+from carla_recap.recording import Recording
+from tests.samples import save, time_limit
+
+ROOT = Path(__file__).parents[2]
+SAMPLES = ROOT / "samples"
+
+
+def verdict(sample: str, rule: str):
+    rules = parse_rules(f"[rules.it]\n{dedent(rule)}", "rules.toml")
+    with open_recording(SAMPLES / sample) as recording:
+        (found,) = check(recording, rules)
+    return found
+
+
+# --- conditions ----------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("sample", "rule", "status", "message"),
+    [
+        (
+            "crash.mcap",
+            'collisions = { of = "hero", max = 0 }',
+            "fail",
+            "2 collisions of the hero instead of at most 0: hero collides with walker.pedestrian.0004 (44) at 12.10 s",
+        ),
+        ("crash.mcap", 'collisions = { of = "hero", max = 2 }', "pass", "2 collisions of the hero"),
+        ("junction.mcap", 'collisions = { of = "hero", max = 0 }', "pass", "no collisions of the hero"),
+        (
+            "crash.mcap",
+            'collisions = { of = "hero", with = "walker", max = 0 }',
+            "fail",
+            "1 collision of the hero with walkers instead of at most 0: "
+            "hero collides with walker.pedestrian.0004 (44) at 12.10 s",
+        ),
+        (
+            "crash.mcap",
+            'collisions = { of = "walker", with = "walker", max = 0 }',
+            "pass",
+            "no collisions of walkers with walkers",
+        ),
+        (
+            "crash.mcap",
+            'collisions = { of = "hero", with = "object", max = 0 }',
+            "pass",
+            "no collisions of the hero with what is no actor",
+        ),
+        (
+            "crash.mcap",
+            'collisions = { of = "vehicle.mercedes.*", min = 2 }',
+            "fail",
+            "1 collision of vehicle.mercedes.* instead of at least 2: "
+            "hero collides with vehicle.mercedes.sprinter (42) at 15.15 s",
+        ),
+        ("crash.mcap", 'collisions = { of = "role:hero", max = 2 }', "pass", "2 collisions of the actor of the role hero"),
+        (
+            "junction.mcap",
+            'collisions = { of = "role:ego", max = 0 }',
+            "pass",
+            "no collisions of the actor of the role ego (it has no role:ego)",
+        ),
+        ("crash.mcap", 'incidents = { kind = ["collision", "blocked"], max = 9 }', "pass", "4 collisions or long stops"),
+        (
+            "crossing.log",
+            'incidents = { kind = "hard braking", of = "hero", max = 0 }',
+            "fail",
+            "1 hard braking of the hero instead of at most 0: hero brakes hard at 44 km/h at 23.50 s",
+        ),
+        (
+            "blocked.mcap",
+            'blocked = { max = "50 s" }',
+            "fail",
+            "1 stop of more than 50 s: vehicle.mercedes.sprinter (41) stands still for 53.2 s at 6.75 s",
+        ),
+        ("blocked.mcap", 'blocked = { max = "1 min" }', "pass", "no stop of more than 60 s"),
+        ("blocked.mcap", 'blocked = { of = "walker", max = "1 h" }', "pass", "no stop of walkers of more than 3600 s"),
+        ("junction.mcap", 'duration = { min = "30 s" }', "fail", "the recording has 29.95 s instead of at least 30 s"),
+        ("junction.mcap", 'duration = { max = "0.5 min" }', "pass", "the recording has 29.95 s"),
+        ("junction.mcap", "frames = { min = 600, max = 600 }", "pass", "the recording has 600 frames"),
+        (
+            "junction.mcap",
+            "frames = { min = 1, max = 5 }",
+            "fail",
+            "the recording has 600 frames instead of at least 1 and at most 5 frames",
+        ),
+        ("junction.mcap", 'actors = { of = "hero", min = 1, max = 1 }', "pass", "1 actor (the hero)"),
+        (
+            "junction.mcap",
+            'actors = { of = "role:ego", min = 1 }',
+            "fail",
+            "0 actors (the actor of the role ego) instead of at least 1",
+        ),
+        ("junction.mcap", 'map = "brickfield_Opt"', "pass", "the map is Brickfield"),
+        (
+            "junction.mcap",
+            'map = ["Town01", "Town02"]',
+            "fail",
+            "the map is Brickfield instead of Town01 or Town02",
+        ),
+    ],
+)
+def test_a_condition(sample, rule, status, message):
+    found = verdict(sample, rule)
+    assert (found.status, found.message) == (status, message)
+
+
+def test_a_failure_has_the_time_the_actors_and_all_offences():
+    found = verdict("crash.mcap", 'collisions = { of = "hero", max = 0 }')
+    assert (found.rule, found.time, found.actors) == ("it", pytest.approx(12.1), (41, 44))
+    assert found.details == (
+        "12.10 s: hero collides with walker.pedestrian.0004 (44)",
+        "15.15 s: hero collides with vehicle.mercedes.sprinter (42)",
+    )
+
+
+def test_verdicts_are_in_the_order_of_the_rules():
+    with open_recording(SAMPLES / "crash.mcap") as recording:
+        found = check(recording, load_rules(SAMPLES / "rules.toml"))
+    assert [each.rule for each in found] == ["no-hero-collision", "nobody-blocked", "gentle-braking", "one-hero", "complete"]
+    assert [each.status for each in found] == ["fail", "fail", "pass", "pass", "pass"]
+
+
+def test_a_rule_about_collisions_reads_a_small_part_of_the_recording(driven):
+    rules = parse_rules('[rules.a]\ncollisions = { max = 0 }\n[rules.b]\nactors = { of = "hero", max = 1 }', "rules.toml")
+    with closing(McapReader(driven)) as reader:
+        check(Recording(reader), rules)
+        once = reader.bytes_read
+        for frame in reader.frames(("transforms",)):
+            assert len(frame["transforms"])
+        assert once < (reader.bytes_read - once) / 1.5
+
+
+def test_a_damaged_recording_gives_errors_and_the_rules_that_can_be_judged_are(tmp_path):
+    content = bytearray((SAMPLES / "crash.mcap").read_bytes())
+    content[len(content) // 3 : len(content) // 2] = bytes(len(content) // 2 - len(content) // 3)
+    rules = parse_rules('[rules.map]\nmap = "Brickfield"\n[rules.hits]\ncollisions = { max = 9 }', "rules.toml")
+    with open_recording(save(tmp_path / "damaged.mcap", bytes(content))) as recording:
+        verdicts = check(recording, rules)
+    assert verdicts[0].status == "pass"
+    assert verdicts[1].status == "error"
+    assert str(tmp_path / "damaged.mcap") in verdicts[1].message
+
+
+# --- the file ------------------------------------------------------------------------------------------------------------
+
+
+def test_the_description_is_the_authors_or_that_of_the_condition():
+    rules = parse_rules(
+        '[rules.a]\ndescription = "No  harm"\ncollisions = { max = 0 }\n[rules.b]\nblocked = { of = "hero", max = "2 min" }',
+        "rules.toml",
+    )
+    assert [rule.description for rule in rules] == ["No harm", "standing still of the hero: at most 120 s"]
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("", "has no rules; a table of the form [rules.NAME] was expected"),
+        ("[rules]", "has no rules; a table of the form [rules.NAME] was expected"),
+        ("[rule.a]", "'rule': rules were expected, as [rules.NAME]"),
+        ("rules = 3", "has no rules; a table of the form [rules.NAME] was expected"),
+        ("[rules.a", "Expected ']'"),
+        ("[rules.a]\nframes = { min = 1 }\n[rules.a]\nframes = { min = 1 }", "Cannot declare ('rules', 'a') twice"),
+        ("[rules]\na = 1", "rule 'a': 1; a table was expected, as [rules.NAME]"),
+        ("[rules.a]", "rule 'a': has no condition; one of collisions, "),
+        ("[rules.a]\ncolisions = { max = 0 }", "rule 'a': unknown condition 'colisions'; did you mean collisions?"),
+        ("[rules.a]\nframes = { min = 1 }\nmap = 'x'", "rule 'a': has the conditions frames and map; one of "),
+        ("[rules.a]\ndescription = 1\nmap = 'x'", "rule 'a': description: 1; a text was expected"),
+        ("[rules.a]\ncollisions = 0", "rule 'a': collisions: 0; a table was expected, such as { max = 0 }"),
+        ("[rules.a]\ncollisions = {}", "rule 'a': collisions: has no bound; min or max was expected"),
+        ("[rules.a]\ncollisions = { maximum = 0 }", "rule 'a': collisions: unknown field 'maximum'; "),
+        ("[rules.a]\ncollisions = { max = -1 }", "collisions.max: -1; a whole number of 0 or more was expected"),
+        ("[rules.a]\ncollisions = { max = true }", "collisions.max: True; a whole number of 0 or more was expected"),
+        ("[rules.a]\ncollisions = { max = 0.5 }", "collisions.max: 0.5; a whole number of 0 or more was expected"),
+        (
+            "[rules.a]\ncollisions = { max = 0, of = 'heros' }",
+            "collisions.of: 'heros'; hero, vehicle, walker, any, role:NAME or ",
+        ),
+        ("[rules.a]\ncollisions = { max = 0, of = ['hero'] }", "collisions.of: ['hero']; hero, vehicle, "),
+        ("[rules.a]\nincidents = { max = 0 }", "incidents.kind: is missing; one or a list of collision, blocked, "),
+        ("[rules.a]\nincidents = { max = 0, kind = 'crash' }", "incidents.kind: 'crash'; one or a list of collision, "),
+        ("[rules.a]\nincidents = { max = 0, kind = [] }", "incidents.kind: []; one or a list of collision, "),
+        (
+            "[rules.a]\nblocked = { of = 'hero' }",
+            'blocked.max: is missing; the longest valid stop, such as "60 s", was expected',
+        ),
+        ("[rules.a]\nblocked = { max = '60 m' }", "blocked.max: '60 m'; a number in s, or a text such as \"1.5 s\""),
+        ("[rules.a]\nblocked = { max = nan }", "blocked.max: nan; a number in s, or"),
+        ("[rules.a]\nduration = { min = 1e999 }", "duration.min: inf; a number in s, or"),
+        (f"[rules.a]\nduration = {{ min = 1{'0' * 400} }}", "duration.min: "),
+        ("[rules.a]\nduration = { min = 5, max = 4 }", "duration.min: 5; no more than max was expected"),
+        ("[rules.a]\nmap = ''", "rule 'a'.map: ''; the name of a map or a list of names was expected"),
+        ('[rules.""]\nmap = "x"', "rule '': a name was expected"),
+        ("a = " + "[" * 100_000, ""),
+    ],
+)
+def test_a_wrong_file_is_an_error_in_one_line_that_names_the_rule_and_what_was_expected(text, message):
+    with pytest.raises(RecapError) as error, time_limit(20):
+        parse_rules(text, "rules.toml")
+    assert str(error.value).startswith("rules.toml: ")
+    assert message in str(error.value)
+    assert str(error.value).isprintable()
+    assert len(str(error.value)) < 400
+
+
+def test_a_file_that_cannot_be_read_is_an_error(tmp_path):
+    for path, message in [
+        (tmp_path / "absent.toml", "cannot be read: No such file"),
+        (tmp_path, "cannot be read: Is a directory"),
+        (save(tmp_path / "latin.toml", b"[rules.\xe4]"), "byte 7: UTF-8 was expected"),
+        (save(tmp_path / "large.toml", b"# \n" * 4_000_000), "is larger than 1 MB"),
+    ]:
+        with pytest.raises(RecapError, match=message) as error:
+            load_rules(path)
+        assert str(error.value).startswith(str(path))
