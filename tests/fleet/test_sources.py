@@ -3,7 +3,7 @@ from __future__ import annotations
 import pytest
 
 from carla_recap.errors import RecapError
-from carla_recap.fleet.sources import find_sources
+from carla_recap.fleet.sources import find_sources, means_one
 
 
 @pytest.fixture
@@ -46,3 +46,17 @@ def test_a_source_without_recordings_is_an_error(folder, source):
     (folder / "empty").mkdir()
     with pytest.raises(RecapError, match="no recordings"):
         list(find_sources([f"{folder}/{source}"]))
+
+
+def test_a_source_without_recordings_can_be_a_row(folder):
+    (found, other) = find_sources([folder / "*.json", folder / "a.log"], errors="yield")
+    assert found.location == f"{folder}/*.json"
+    assert "no recordings" in found.error
+    assert other.error is None
+
+
+def test_a_form_means_one_recording_or_many(folder):
+    assert means_one(folder / "a.log")
+    assert means_one(folder / "missing.log")
+    assert not means_one(folder)
+    assert not means_one(folder / "*.log")

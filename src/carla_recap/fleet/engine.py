@@ -3,90 +3,69 @@
 from __future__ import annotations
 
 import os
-import signal
-import warnings
-from collections import deque
-from concurrent.futures import ProcessPoolExecutor
-from dataclasses import dataclass
-from multiprocessing import get_context
-from typing import TYPE_CHECKING, Final, Generic, TypeVar
+from time import monotonic
+from typing import TYPE_CHECKING, Final, TypeVar
 
-from carla_recap.errors import RecapError
+from carla_recap.fleet.outcomes import Outcome, outcome_of
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Iterator
-    from concurrent.futures import Future
+
+    from distributed import Client
 
     from carla_recap.fleet.sources import SourceFile
 
+__all__ = ["Outcome", "map_sources", "processors"]
+
 T = TypeVar("T")
 
-_WINDOW: Final = 4
-"""The recordings for each worker that are read, or wait for it, at a time."""
-
-
-@dataclass(frozen=True, slots=True)
-class Outcome(Generic[T]):
-    """What came of one recording.
-
-    Attributes:
-        source: The recording.
-        value: What the function returned; None after an error.
-        error: The error, in one line; None if there was none.
-        warnings: The warnings, a line each.
-    """
-
-    source: SourceFile
-    value: T | None
-    error: str | None = None
-    warnings: tuple[str, ...] = ()
+_PATIENCE: Final = 0.3  # s of reading in this process after which worker processes, which start in that time, are worthwhile
+_LARGE: Final = 16 << 20  # bytes of a recording that is worth them
 
 
 def map_sources(
-    function: Callable[[SourceFile], T], sources: Iterable[SourceFile], *, jobs: int | None = None
+    function: Callable[[SourceFile], T],
+    sources: Iterable[SourceFile],
+    *,
+    jobs: int | None = None,
+    client: Client | None = None,
 ) -> Iterator[Outcome[T]]:
     """Yield the outcome of a function for each of many recordings, in their order, as soon as it is known.
 
-    Memory does not grow with the number of recordings.
+    Memory does not grow with the number of recordings. If a worker process ends, as for want of memory, its recordings are
+    read again by another one; a recording with which it ends again has an error. Worker processes are gone when the iterator
+    ends, or is closed.
 
     Args:
-        function: Is called with each recording, in another process: a function of a module, or a partial of one. Its
-            `RecapError` is the outcome's error.
+        function: Is called with each recording, maybe in another process: a function of a module, or a partial of one. Its
+            `RecapError`, `OSError` or `MemoryError` is the outcome's error; others are raised.
         sources: The recordings.
-        jobs: The number of processes; 1: this one alone; None: as many as there are processors.
+        jobs: The number of worker processes; 1: this process alone; None: as many as there are processors, but this
+            process alone while the recordings are few and small.
+        client: Dask's client, whose cluster is used instead of processes of this machine.
+
+    Raises:
+        RecapError: The worker processes do not start, or the cluster is gone.
     """
-    jobs = jobs or os.cpu_count() or 1
-    if jobs == 1:
-        for source in sources:
-            yield _outcome(function, source)
+    if client is not None:
+        from carla_recap.fleet.cluster import map_on_cluster
+
+        yield from map_on_cluster(function, sources, client)
         return
-    pool = ProcessPoolExecutor(jobs, get_context("spawn"), _ignore_interrupts)
-    try:
-        window: deque[Future[Outcome[T]]] = deque()
-        for source in sources:
-            window.append(pool.submit(_outcome, function, source))
-            if len(window) >= _WINDOW * jobs:
-                yield window.popleft().result()
-        while window:
-            yield window.popleft().result()
-    finally:
-        pool.shutdown(wait=True, cancel_futures=True)
+    left = iter(sources)
+    count = jobs or processors()
+    deadline = monotonic() + _PATIENCE if jobs is None else 0.0
+    for source in left:
+        if count > 1 and (monotonic() > deadline or (source.size or 0) >= _LARGE):
+            from carla_recap.fleet.workers import map_in_workers
+
+            yield from map_in_workers(function, source, left, count)
+            return
+        yield outcome_of(function, source)
 
 
-def _ignore_interrupts() -> None:
-    """Leave Ctrl-C, which all processes of a terminal get, to the parent."""
-    signal.signal(signal.SIGINT, signal.SIG_IGN)
-
-
-def _outcome(function: Callable[[SourceFile], T], source: SourceFile) -> Outcome[T]:
-    with warnings.catch_warnings(record=True) as caught:
-        warnings.simplefilter("always")
-        try:
-            value, error = function(source), None
-        except RecapError as failure:
-            value, error = None, str(failure)
-        except OSError as failure:
-            value, error = None, f"{source.location}: {failure.strerror or failure}"
-        except MemoryError:
-            value, error = None, f"{source.location}: not enough memory"
-    return Outcome(source, value, error, tuple(str(warning.message) for warning in caught))
+def processors() -> int:
+    """Return the number of processors that this process may use."""
+    if hasattr(os, "sched_getaffinity"):
+        return len(os.sched_getaffinity(0))
+    return os.cpu_count() or 1

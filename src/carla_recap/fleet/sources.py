@@ -6,7 +6,7 @@ import os
 from dataclasses import dataclass
 from glob import glob, has_magic
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Literal
 
 from carla_recap.errors import RecapError
 from carla_recap.formats import SUFFIXES
@@ -24,26 +24,39 @@ class SourceFile:
         size: Its size in bytes; None if it cannot be read, or was not asked for.
         modified: The time of its last change, in s since 1970; None if unknown.
         etag: What identifies its content in an object store; None for a local file.
+        error: Why it, or what should be recordings, cannot be found, in one line; None if it was found, or named.
     """
 
     location: str
     size: int | None = None
     modified: float | None = None
     etag: str | None = None
+    error: str | None = None
 
 
-def find_sources(sources: Iterable[str | Path]) -> Iterator[SourceFile]:
+def find_sources(sources: Iterable[str | Path], *, errors: Literal["raise", "yield"] = "raise") -> Iterator[SourceFile]:
     """Yield the recordings that some sources mean, in the order of these; each of them once.
 
     A folder means all .log and .mcap files in it and below, except hidden ones; a glob, all that it matches, `**` included.
     A file that is named is yielded even if it does not exist: to open it says why.
+
+    Args:
+        sources: What means recordings.
+        errors: "raise"; or "yield": a source that means none is yielded with its error.
 
     Raises:
         RecapError: A folder or a glob means no recording.
     """
     seen: set[str] = set()
     for source in sources:
-        for location in _expanded(os.fspath(source)):
+        try:
+            locations = _expanded(os.fspath(source))
+        except RecapError as error:
+            if errors == "raise":
+                raise
+            yield SourceFile(os.fspath(source), error=str(error))
+            continue
+        for location in locations:
             if location not in seen:
                 seen.add(location)
                 yield _described(location)
@@ -82,3 +95,8 @@ def _described(location: str) -> SourceFile:
     except (OSError, ValueError):
         return SourceFile(location)
     return SourceFile(location, status.st_size, status.st_mtime)
+
+
+def means_one(source: str | Path) -> bool:
+    """Return whether a source means one recording by its form: neither a folder nor a glob."""
+    return not Path(source).is_dir() and (not has_magic(os.fspath(source)) or Path(source).exists())

@@ -1,0 +1,109 @@
+"""Dask's clusters: the same function for each of many recordings, on the workers of a cluster."""
+
+from __future__ import annotations
+
+import threading
+from collections import deque
+from concurrent.futures import CancelledError
+from contextlib import suppress
+from dataclasses import replace
+from itertools import islice
+from pathlib import Path
+from typing import TYPE_CHECKING, Final, TypeVar
+
+from carla_recap.errors import MissingExtra, RecapError
+from carla_recap.fleet.outcomes import Outcome, outcome_of
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Iterable, Iterator
+
+    from distributed import Client, Future
+
+    from carla_recap.fleet.sources import SourceFile
+
+T = TypeVar("T")
+
+_EACH: Final = 16  # recordings of a task: its administration costs about a millisecond
+_WINDOW: Final = 3  # tasks for each thread of the cluster that run, or wait, at a time
+_LEAST: Final = 8  # tasks, so that a cluster that adapts its size grows
+_PATIENCE: Final = 10.0  # s for the scheduler to answer
+
+_one_at_a_time = threading.Lock()
+"""Held while recordings are read: threads of one process gain nothing, and their warnings would be mixed."""
+
+
+def connect(address: str) -> Client:
+    """Return a client of the cluster whose scheduler has an address, such as tcp://10.0.0.1:8786.
+
+    Raises:
+        MissingExtra: distributed is not installed.
+        RecapError: There is no scheduler.
+    """
+    try:
+        from distributed import Client
+    except ImportError:
+        raise MissingExtra("a Dask cluster", "dask") from None
+    try:
+        return Client(address, timeout=_PATIENCE, set_as_default=False)
+    except (OSError, ValueError) as error:
+        raise RecapError(
+            f"{address}: no Dask scheduler answers ({' '.join(str(error).split()) or 'no reason given'})"
+        ) from None
+
+
+def map_on_cluster(
+    function: Callable[[SourceFile], T], sources: Iterable[SourceFile], client: Client
+) -> Iterator[Outcome[T]]:
+    """Yield the outcomes of a function for recordings, in their order; see `engine.map_sources`.
+
+    The paths of local files are made absolute; the cluster's workers have to see these files. Dask runs the tasks of workers
+    that are lost on others.
+    """
+    from distributed.scheduler import KilledWorker
+
+    left = iter(sources)
+    window: deque[tuple[list[SourceFile], Future[list[Outcome[T]]]]] = deque()
+
+    def submit(group: list[SourceFile]) -> tuple[list[SourceFile], Future[list[Outcome[T]]]]:
+        return group, client.submit(_outcomes, function, group, pure=False)
+
+    done = room = 0
+    try:
+        while True:
+            if done % _EACH == 0:
+                room = max(_WINDOW * sum(client.nthreads().values()), _LEAST)
+            while len(window) < room and (group := [_absolute(source) for source in islice(left, _EACH)]):
+                window.append(submit(group))
+            if not window:
+                return
+            group, future = window[0]
+            try:
+                outcomes = future.result()
+            except KilledWorker:
+                if len(group) > 1:  # one of them is to blame
+                    window.popleft()
+                    window.extendleft(reversed([submit([source]) for source in group]))
+                    continue
+                message = f"{group[0].location}: the worker processes that read it end"
+                outcomes = [Outcome(group[0], None, message)]
+            window.popleft()
+            done += 1
+            yield from outcomes
+    except (CancelledError, OSError, TimeoutError) as error:
+        raise RecapError(f"the Dask cluster is gone ({_line(error)})") from None
+    finally:
+        with suppress(Exception):  # of a client that is closed
+            client.cancel([future for _, future in window])
+
+
+def _line(error: BaseException) -> str:
+    return " ".join(str(error).split()) or type(error).__name__
+
+
+def _absolute(source: SourceFile) -> SourceFile:
+    return source if "://" in source.location else replace(source, location=str(Path(source.location).absolute()))
+
+
+def _outcomes(function: Callable[[SourceFile], T], sources: Iterable[SourceFile]) -> list[Outcome[T]]:
+    with _one_at_a_time:
+        return [outcome_of(function, source) for source in sources]

@@ -1,0 +1,171 @@
+from __future__ import annotations
+
+import multiprocessing
+import os
+import signal
+import subprocess
+import sys
+import threading
+import time
+from functools import partial
+
+import pytest
+
+from carla_recap.errors import RecapError
+from carla_recap.fleet.engine import map_sources
+from carla_recap.fleet.sources import SourceFile
+from tests.samples import time_limit
+
+
+def sources(count):
+    return [SourceFile(f"{index}.log") for index in range(count)]
+
+
+def process(_):
+    return os.getpid()
+
+
+def end_once(source, folder):
+    """End the process the first time that recording 7 is read."""
+    if source.location == "7.log" and not (folder / "ended").exists():
+        (folder / "ended").touch()
+        os.kill(os.getpid(), signal.SIGKILL)
+    return source.location
+
+
+def end_always(source):
+    if source.location in ("7.log", "8.log"):
+        os._exit(3)
+    return source.location
+
+
+def fail(source):
+    if source.location == "3.log":
+        raise KeyError("three")
+    return source.location
+
+
+def wait_for(source, folder):
+    (folder / source.location).touch()
+    time.sleep(60)
+
+
+def unpicklable(_):
+    return threading.Lock()
+
+
+def values(function, count=60):
+    with time_limit(60):
+        return list(map_sources(function, sources(count), jobs=2))
+
+
+def test_a_worker_that_is_killed_loses_no_recording(tmp_path):
+    outcomes = values(partial(end_once, folder=tmp_path))
+    assert (tmp_path / "ended").exists()
+    assert [outcome.value for outcome in outcomes] == [source.location for source in sources(60)]
+
+
+def test_a_recording_that_ends_its_workers_has_an_error_and_others_have_none():
+    outcomes = values(end_always)
+    errors = {outcome.source.location: outcome.error for outcome in outcomes if outcome.error}
+    assert errors == {name: f"{name}: the worker process that reads it ends (exit code 3)" for name in ("7.log", "8.log")}
+    assert [outcome.source for outcome in outcomes] == sources(60)
+
+
+def test_another_error_of_the_function_is_raised_with_the_place_where_it_was():
+    with pytest.raises(KeyError, match="three") as caught:
+        values(fail)
+    assert "in fail" in caught.value.__notes__[0]
+
+
+def test_a_value_that_cannot_be_sent_is_an_error():
+    with pytest.raises(TypeError, match="pickle"):
+        values(unpicklable)
+
+
+def test_an_iterator_that_is_closed_leaves_no_processes():
+    outcomes = map_sources(process, sources(200), jobs=2)
+    workers = {next(outcomes).value}
+    outcomes.close()
+    assert not multiprocessing.active_children()
+    for worker in workers:
+        with pytest.raises(ProcessLookupError):
+            os.kill(worker, 0)
+
+
+def test_a_script_without_a_guard_has_an_error_that_says_so(tmp_path):
+    script = tmp_path / "script.py"
+    script.write_text(
+        "from carla_recap.fleet.engine import map_sources\n"
+        "from carla_recap.fleet.sources import SourceFile\n"
+        "print(list(map_sources(len, [SourceFile('a')], jobs=2)))\n"
+    )
+    done = subprocess.run([sys.executable, script], capture_output=True, timeout=60, check=False)
+    assert done.returncode == 1
+    assert "the worker processes do not start (exit code 1)" in done.stderr.decode().splitlines()[-1]
+
+
+def test_few_and_small_recordings_are_read_in_this_process():
+    assert {outcome.value for outcome in map_sources(process, sources(20))} == {os.getpid()}
+
+
+def test_large_recordings_are_read_by_workers(monkeypatch):
+    monkeypatch.setattr("carla_recap.fleet.engine.processors", lambda: 2)
+    large = [SourceFile(f"{index}.log", size=1 << 30) for index in range(4)]
+    assert os.getpid() not in {outcome.value for outcome in map_sources(process, large)}
+
+
+def test_many_outcomes_are_not_held_while_nobody_asks():
+    taken = 0
+
+    def endless():
+        nonlocal taken
+        while True:
+            taken += 1
+            yield SourceFile(f"{taken}.log")
+
+    outcomes = map_sources(process, endless(), jobs=2)
+    for _ in range(300):
+        next(outcomes)
+    outcomes.close()
+    assert taken < 300 + 200
+
+
+def test_a_source_with_an_error_has_that_error():
+    (outcome,) = map_sources(process, [SourceFile("runs", error="runs: no recordings")])
+    assert (outcome.value, outcome.error) == (None, "runs: no recordings")
+
+
+def test_errors_do_not_hold_the_signal_for_pipes(tmp_path):
+    before = signal.signal(signal.SIGPIPE, signal.SIG_DFL)
+    try:
+        values(partial(end_once, folder=tmp_path))
+        assert signal.getsignal(signal.SIGPIPE) is signal.SIG_DFL
+    finally:
+        signal.signal(signal.SIGPIPE, before)
+
+
+def test_workers_that_are_busy_end_at_once(tmp_path):
+    started = threading.Event()
+
+    def watch():
+        deadline = time.monotonic() + 60
+        while not (tmp_path / "1.log").exists() and time.monotonic() < deadline:
+            time.sleep(0.01)
+        started.set()
+        os.kill(os.getpid(), signal.SIGINT)
+
+    threading.Thread(target=watch).start()
+    with pytest.raises(KeyboardInterrupt):
+        list(map_sources(partial(wait_for, folder=tmp_path), sources(5), jobs=2))
+    assert started.is_set()
+    assert not multiprocessing.active_children()
+
+
+def test_an_error_of_the_sources_is_raised():
+    def broken():
+        yield SourceFile("a")
+        raise RecapError("no more")
+
+    with pytest.raises(RecapError, match="no more"):
+        list(map_sources(process, broken(), jobs=2))
