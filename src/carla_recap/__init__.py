@@ -33,6 +33,7 @@ if TYPE_CHECKING:
     from carla_recap.export.clips import clips
     from carla_recap.export.parquet import export_parquet
     from carla_recap.export.report import write_report
+    from carla_recap.fleet.index import IndexSummary, RecordingIndex, open_index, write_index
     from carla_recap.fleet.rules import Rule, RuleSet, Verdict, check, load_rules
     from carla_recap.formats import create_writer
     from carla_recap.maps import RoadMap, load_map
@@ -62,6 +63,7 @@ __all__ = [
     "Frame",
     "Header",
     "Incident",
+    "IndexSummary",
     "InfoRow",
     "LightStates",
     "MissingExtra",
@@ -73,6 +75,7 @@ __all__ = [
     "RecordTable",
     "Recorder",
     "Recording",
+    "RecordingIndex",
     "RecordingInfo",
     "Recovery",
     "RoadMap",
@@ -93,8 +96,10 @@ __all__ = [
     "export_parquet",
     "load_map",
     "load_rules",
+    "open_index",
     "open_recording",
     "recover",
+    "write_index",
     "write_report",
 ]
 
@@ -116,6 +121,7 @@ _get, __dir__ = lazily(
         "queries.actors": ("Actor",),
         "queries.blocked": ("BlockedRow",),
         "queries.collisions": ("CollisionRow",),
+        "fleet.index": ("IndexSummary", "RecordingIndex", "open_index", "write_index"),
         "formats": ("create_writer",),
         "queries.incidents": ("Incident",),
         "queries.info": ("InfoRow",),

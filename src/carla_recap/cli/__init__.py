@@ -34,10 +34,11 @@ _COMMANDS: Final = {
     "server": ("serve",),
     "capture": ("capture", "watch"),
     "check": ("check",),
+    "index": ("index", "sql"),
 }
 """The commands of each module."""
 _MODULES: Final = {command: module for module, commands in _COMMANDS.items() for command in commands}
-_EXTRAS: Final = {("serve", "sim"): "server"}
+_EXTRAS: Final = {("serve", "sim"): "server", ("sql", "arrow"): "sql"}
 """By command and missing extra, the extra that brings all that the command needs."""
 
 

@@ -1,0 +1,22 @@
+"""The index of many recordings: a folder of Parquet tables, which is written incrementally and queried with SQL."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+from carla_recap.util.lazy import lazily
+
+if TYPE_CHECKING:
+    from carla_recap.fleet.index.querying import RecordingIndex, open_index
+    from carla_recap.fleet.index.writing import IndexSummary, write_index
+
+__all__ = ["IndexSummary", "RecordingIndex", "open_index", "write_index"]
+
+_get, __dir__ = lazily(
+    __name__,
+    {"querying": ("RecordingIndex", "open_index"), "writing": ("IndexSummary", "write_index")},
+)
+
+
+def __getattr__(name: str) -> Any:
+    return _get(name)

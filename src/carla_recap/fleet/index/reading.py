@@ -1,0 +1,151 @@
+"""What an index contains of a recording: it is opened once, and its events are read once."""
+
+from __future__ import annotations
+
+import math
+from functools import cached_property
+from operator import attrgetter
+from typing import TYPE_CHECKING, Any, Final, cast
+
+from carla_recap.errors import RecapError
+from carla_recap.fleet.index.tables import CHILDREN
+from carla_recap.formats import open_reader
+from carla_recap.model.frame import SAME_TIME, Frame
+from carla_recap.model.records import CM
+from carla_recap.model.stationary import MIN_DISTANCE, StationaryTracker
+from carla_recap.model.stationary import TYPES as STATIONARY_TYPES
+from carla_recap.queries.actors import TYPES as ACTOR_TYPES
+from carla_recap.queries.actors import actors
+from carla_recap.queries.collisions import collisions
+from carla_recap.queries.incidents import incidents
+from carla_recap.recording import Recording
+from carla_recap.util.text import readable
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Collection, Iterable, Iterator
+
+    from carla_recap.fleet.sources import SourceFile
+    from carla_recap.formats.base import Reader
+    from carla_recap.model.stationary import BlockedRow
+    from carla_recap.queries.actors import Actor
+
+Columns = list[list[Any]]
+"""The values of a table's columns, in their order."""
+
+SHORTEST_STOP: Final = 10.0
+"""The least duration of a stationary interval in an index, in s."""
+
+_EVENTS: Final = frozenset((*ACTOR_TYPES, "collisions"))
+
+_actor = attrgetter(
+    "id",
+    "type_id",
+    "kind",
+    "role_name",
+    "is_hero",
+    "spawned_at",
+    "destroyed_at",
+    "parent",
+)
+_box = attrgetter("x", "y", "z", "extent_x", "extent_y", "extent_z")
+
+
+def read_recording(source: SourceFile) -> tuple[dict[str, Any], list[Columns]]:
+    """Return the fields of a recording's row that its content determines, and the columns of each of `CHILDREN`.
+
+    Raises:
+        RecapError: The recording cannot be read.
+    """
+    try:
+        with Recording(open_reader(source.location)) as recording:
+            return _content(recording)
+    except (RecapError, OSError, MemoryError):
+        raise
+    except Exception as error:  # a file that no check has foreseen must not end the reading of thousands
+        raise RecapError(f"{source.location}: cannot be read: {type(error).__name__}: {error}") from error
+
+
+def _content(recording: Recording) -> tuple[dict[str, Any], list[Columns]]:
+    info, reader = recording.info, cast("Reader", _EventsOnce(recording.reader))
+    found = actors(reader)
+    stops = reader.stationary_intervals(SHORTEST_STOP, MIN_DISTANCE) or []
+    rows: dict[str, Iterable[tuple[Any, ...]]] = {
+        "actors": map(_actor_row, found),
+        "stationary": map(_stop, stops),
+        "collisions": map(_fields("collisions"), collisions(reader)),
+        "incidents": map(_fields("incidents"), incidents(reader)),
+        "measures": (),
+    }
+    children = [_columns(rows[table.name], len(table.hints)) for table in CHILDREN]
+    fields = {
+        "map": readable(info.map_name),
+        "date": info.date and info.date.replace(tzinfo=None),
+        "version": info.version,
+        "frames": info.frames,
+        "duration": info.duration,
+        "additional_data": info.additional_data,
+        "actors": len(found),
+        "heroes": sum(actor.is_hero for actor in found),
+    }
+    return fields, children
+
+
+def _fields(table: str) -> Callable[[Any], tuple[Any, ...]]:
+    return attrgetter(*next(each.hints for each in CHILDREN if each.name == table))
+
+
+def _actor_row(actor: Actor) -> tuple[Any, ...]:
+    return *_actor(actor), list(actor.attributes.items()), actor.bounding_box and _box(actor.bounding_box)
+
+
+def _stop(row: BlockedRow) -> tuple[Any, ...]:
+    return row.start, row.duration, row.id, row.type_id, row.x * CM, 0.0 - row.y * CM, row.z * CM
+
+
+def _columns(rows: Iterable[tuple[Any, ...]], count: int) -> Columns:
+    return [list(values) for values in zip(*rows, strict=True)] or [[] for _ in range(count)]
+
+
+class _EventsOnce:
+    """A reader whose events are read once for several queries, as are its stationary intervals.
+
+    Args:
+        reader: The reader.
+    """
+
+    def __init__(self, reader: Reader) -> None:
+        self._reader = reader
+
+    def __getattr__(self, name: str) -> Any:
+        return getattr(self._reader, name)
+
+    @cached_property
+    def _events(self) -> list[Frame]:
+        return list(self._reader.frames(_EVENTS, sparse=True))
+
+    @cached_property
+    def _intervals(self) -> list[BlockedRow]:
+        listed = self._reader.stationary_intervals(SHORTEST_STOP, MIN_DISTANCE)
+        if listed is not None:
+            return listed
+        tracker = StationaryTracker(self._reader.header.table, SHORTEST_STOP, MIN_DISTANCE)
+        for batch in self._reader.batches(STATIONARY_TYPES):
+            tracker.batch(batch)
+        return tracker.finish()
+
+    def frames(self, types: Collection[str] | None = None, **options: Any) -> Iterator[Frame]:
+        """See `Reader.frames`."""
+        if types is None or not options.get("sparse") or not _EVENTS.issuperset(types):
+            yield from self._reader.frames(types, **options)
+            return
+        start, stop = (options.get(name, limit) - SAME_TIME for name, limit in (("start", -math.inf), ("stop", math.inf)))
+        for frame in self._events:
+            packets = [packet for packet in frame.packets if packet.type is not None and packet.type.name in types]
+            if packets and start <= frame.elapsed < stop:
+                yield Frame(frame.index, frame.id, frame.elapsed, frame.duration, packets, preamble=frame.preamble)
+
+    def stationary_intervals(self, min_time: float, min_distance: float) -> list[BlockedRow] | None:
+        """See `Reader.stationary_intervals`."""
+        if min_time < SHORTEST_STOP or min_distance != MIN_DISTANCE:
+            return self._reader.stationary_intervals(min_time, min_distance)
+        return [row for row in self._intervals if row.duration >= min_time]

@@ -1,0 +1,142 @@
+"""The tables of an index: their columns, types and units."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, fields
+from datetime import datetime
+from functools import cached_property
+from typing import TYPE_CHECKING, Any, Final, get_type_hints
+
+from carla_recap.queries.actors import BoundingBox  # noqa: TC001 - the columns are made of the type hints
+from carla_recap.queries.collisions import CollisionRow, Collisions
+from carla_recap.queries.incidents import Incident, Incidents
+from carla_recap.queries.measures import MeasureRow
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping
+
+    import pyarrow as pa
+
+RECORDING: Final = "recording"
+"""The column of the recording that a row belongs to: an absolute path, or a URL."""
+RUN: Final = "run"
+"""The column of the number of the part that a row was first written in; a row counts if its recording's has the same."""
+
+
+@dataclass(frozen=True, slots=True)
+class RecordingRow:
+    """A recording that was read, or could not be.
+
+    Attributes:
+        size: Its size in bytes.
+        modified: The time of its last change, in UTC.
+        etag: What identifies its content in an object store.
+        error: Why it cannot be read; None if it can.
+        warning: The warnings of its reading; None without any.
+        map: The name of the map.
+        date: The time of its beginning, in UTC; None if the file's date is out of range.
+        version: The version of CARLA's format.
+        frames: The number of frames.
+        duration: The elapsed time of the last frame, in s.
+        additional_data: Whether the first frame has additional data, such as velocities.
+        actors: The number of actors.
+        heroes: The number of heroes.
+    """
+
+    size: int | None
+    modified: datetime | None
+    etag: str | None
+    error: str | None
+    warning: str | None
+    map: str | None = None
+    date: datetime | None = None
+    version: int | None = None
+    frames: int | None = None
+    duration: float | None = None
+    additional_data: bool | None = None
+    actors: int | None = None
+    heroes: int | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class ActorRow:
+    """An actor; its fields are those of `Actor`, and whether it is the hero."""
+
+    id: int
+    type_id: str
+    kind: str
+    role_name: str
+    hero: bool
+    spawned_at: float
+    destroyed_at: float | None
+    parent: int | None
+    attributes: dict[str, str]
+    bounding_box: BoundingBox | None
+
+
+@dataclass(frozen=True, slots=True)
+class StationaryRow:
+    """An interval in which an actor does not move; the position is in m, right-handed."""
+
+    start: float
+    duration: float
+    id: int
+    type_id: str
+    x: float
+    y: float
+    z: float
+
+
+@dataclass(frozen=True)
+class IndexTable:
+    """A table of an index.
+
+    Attributes:
+        name: Its name.
+        row_type: The dataclass of its rows.
+        units: The units of columns.
+    """
+
+    name: str
+    row_type: type[Any]
+    units: Mapping[str, str]
+
+    @cached_property
+    def hints(self) -> dict[str, Any]:
+        """The types of the columns that are fields of its rows, as type hints."""
+        hints = get_type_hints(self.row_type)
+        return {field.name: hints[field.name] for field in fields(self.row_type)}
+
+    @property
+    def columns(self) -> list[str]:
+        """The names of all columns."""
+        return [RECORDING, *self.hints, RUN]
+
+    @cached_property
+    def schema(self) -> pa.Schema:
+        """The Arrow schema of its parts; the metadata of columns contain their units."""
+        import pyarrow as pa
+
+        from carla_recap.tables.arrow import type_of
+
+        def field(name: str, kind: pa.DataType) -> pa.Field:
+            return pa.field(name, kind, metadata={"unit": self.units[name]} if name in self.units else None)
+
+        def arrow_type(kind: Any) -> pa.DataType:
+            return pa.timestamp("us") if kind in (datetime, datetime | None) else type_of(kind)
+
+        named = [field(name, arrow_type(kind)) for name, kind in self.hints.items()]
+        return pa.schema([field(RECORDING, pa.string()), *named, field(RUN, pa.int64())])
+
+
+RECORDINGS: Final = IndexTable("recordings", RecordingRow, {"size": "bytes", "duration": "s"})
+CHILDREN: Final = (
+    IndexTable("actors", ActorRow, {"spawned_at": "s", "destroyed_at": "s", "bounding_box": "m"}),
+    IndexTable("collisions", CollisionRow, Collisions.row_units),
+    IndexTable("stationary", StationaryRow, {"start": "s", "duration": "s", "x": "m", "y": "m", "z": "m"}),
+    IndexTable("incidents", Incident, Incidents.row_units),
+    IndexTable("measures", MeasureRow, {"time": "s"}),
+)
+"""The tables of what is in recordings."""
+TABLES: Final = {table.name: table for table in (*CHILDREN, RECORDINGS)}
+"""All tables by name, in the order in which parts are written: that of the recordings is the last."""

@@ -1,0 +1,242 @@
+"""Writing an index: recordings that are new or have changed are read, and their rows are added part by part."""
+
+from __future__ import annotations
+
+import os
+from dataclasses import dataclass, fields, replace
+from datetime import datetime, timedelta
+from time import monotonic
+from typing import TYPE_CHECKING, Any, Final
+
+import numpy as np
+
+from carla_recap.fleet.engine import map_sources
+from carla_recap.fleet.index.folder import IndexFolder
+from carla_recap.fleet.index.reading import read_recording
+from carla_recap.fleet.index.tables import CHILDREN, RECORDING, RECORDINGS, TABLES, RecordingRow
+from carla_recap.fleet.sources import find_sources
+from carla_recap.tables import arrow
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Iterable, Sequence
+    from pathlib import Path
+
+    import pyarrow as pa
+
+    from carla_recap.fleet.engine import Outcome
+    from carla_recap.fleet.index.reading import Columns
+    from carla_recap.fleet.sources import SourceFile
+
+    Reading = tuple[dict[str, Any], list[Columns]]
+    Progress = Callable[[Iterable[Outcome[Reading]], int], Iterable[Outcome[Reading]]]
+
+MOST_PARTS: Final = 20
+"""The number of commits from which on their parts are merged at the end."""
+_ROWS: Final = 200_000  # of all tables, that wait to be written, at most
+_PAUSE: Final = 5.0  # s between two commits, at least
+_SHARE: Final = 0.05  # of the time of the whole run, that this pause is at least
+_EPOCH: Final = datetime(1970, 1, 1)
+
+
+@dataclass(frozen=True, slots=True)
+class IndexSummary:
+    """What became of the recordings when an index was written.
+
+    Attributes:
+        recordings: The number of recordings that were meant.
+        read: The number of those that were read.
+        failed: The number of those that could not be read.
+        unchanged: The number of those that had not changed since they were read.
+        removed: The number of recordings that the index had before, and no longer has.
+    """
+
+    recordings: int
+    read: int
+    failed: int
+    unchanged: int
+    removed: int
+
+
+def write_index(
+    sources: Iterable[str | Path],
+    index: Path | str,
+    *,
+    jobs: int | None = None,
+    prune: bool = False,
+    retry: bool = False,
+    again: bool = False,
+    progress: Progress | None = None,
+    report: Callable[[str], None] | None = None,
+) -> IndexSummary:
+    """Write the rows of recordings into an index, a folder of Parquet tables.
+
+    Recordings that the index has, and that have not changed, are not read. Those that cannot be read become rows with their
+    error. If the process ends early, however it does, the next call goes on with what is missing.
+
+    Args:
+        sources: Files, folders, globs and URLs of recordings.
+        index: The folder, which is made if it does not exist.
+        jobs: The number of processes; None: as many as there are processors.
+        prune: Remove all recordings from the index that the sources do not mean.
+        retry: Read recordings again that could not be read, even if they have not changed.
+        again: Read all recordings again.
+        progress: Gets the outcomes and their number, and yields the outcomes.
+        report: Is called with the error of each recording that cannot be read.
+
+    Raises:
+        MissingExtra: pyarrow is not installed.
+        RecapError: A folder or glob means no recordings, the index is of another version, damaged or written by another
+            process, or it cannot be written.
+    """
+    arrow.require("an index")
+    folder = IndexFolder(index)
+    meant = {_unicode(source.location): source for source in map(_absolute, find_sources(sources))}
+    with folder.locked():
+        folder.create()
+        folder.check()
+        folder.clean()
+        known = _known(folder)
+        changed = {
+            key: source
+            for key, source in meant.items()
+            if again or key not in known or not known[key].holds(source) or (retry and known[key].failed)
+        }
+        writing = _Commits(folder)
+        outcomes: Iterable[Outcome[Reading]] = map_sources(read_recording, changed.values(), jobs=jobs)
+        failed = 0
+        try:
+            for key, outcome in zip(changed, progress(outcomes, len(changed)) if progress else outcomes, strict=True):
+                writing.add(key, outcome)
+                if outcome.error is not None:
+                    failed += 1
+                    if report:
+                        report(outcome.error)
+        finally:
+            writing.flush()
+        removed = known.keys() - meant.keys() if prune else set()
+        runs = folder.runs()
+        if removed or len(runs) > MOST_PARTS:
+            folder.merge(runs[-1] + 1, removed)
+    return IndexSummary(len(meant), len(changed) - failed, failed, len(meant) - len(changed), len(removed))
+
+
+@dataclass(frozen=True, slots=True)
+class _Known:
+    """What an index has of a recording.
+
+    Attributes:
+        size: See `RecordingRow`.
+        modified: See `RecordingRow`.
+        etag: See `RecordingRow`.
+        failed: Whether it could not be read.
+    """
+
+    size: int | None
+    modified: datetime | None
+    etag: str | None
+    failed: bool
+
+    def holds(self, source: SourceFile) -> bool:
+        """Return whether a recording is as it was; not if nothing is known of it."""
+        if source.etag is not None:
+            return (self.size, self.etag) == (source.size, source.etag)
+        return source.size is not None and (self.size, self.modified) == (source.size, _time(source.modified))
+
+
+def _known(folder: IndexFolder) -> dict[str, _Known]:
+    known: dict[str, _Known] = {}
+    for rows in folder.columns(RECORDINGS.name, [RECORDING, "size", "modified", "etag", "error"]):
+        for key, size, modified, etag, error in zip(*(column.to_pylist() for column in rows.columns), strict=True):
+            known[key] = _Known(size, modified, etag, error is not None)
+    return known
+
+
+class _Commits:
+    """Collects rows, and writes them from time to time.
+
+    Args:
+        folder: The index.
+    """
+
+    def __init__(self, folder: IndexFolder) -> None:
+        self._folder = folder
+        self._next = max(folder.runs(), default=0) + 1
+        self._begin = self._last = monotonic()
+        self._clear()
+
+    def _clear(self) -> None:
+        self._rows = 0
+        self._columns: dict[str, list[list[Any]]] = {
+            name: [[] for _ in table.columns[:-1]] for name, table in TABLES.items()
+        }
+
+    def add(self, key: str, outcome: Outcome[Reading]) -> None:
+        """Add the rows of a recording."""
+        source, content = outcome.source, outcome.value
+        warning = "; ".join(dict.fromkeys(outcome.warnings)) or None
+        read, children = content if content is not None else ({}, [])
+        row = RecordingRow(source.size, _time(source.modified), source.etag, outcome.error, warning, **read)
+        self._add(RECORDINGS.name, key, [[getattr(row, field.name)] for field in fields(row)])
+        for table, columns in zip(CHILDREN, children, strict=False):
+            self._add(table.name, key, columns)
+        pause = max(_PAUSE, _SHARE * (monotonic() - self._begin))
+        if self._rows >= _ROWS or monotonic() - self._last >= pause:
+            self.flush()
+
+    def flush(self) -> None:
+        """Write the rows that wait as a commit, if there are any."""
+        if self._rows:
+            tables = {name: _table(name, columns) for name, columns in self._columns.items()}
+            self._folder.commit(tables, self._next)
+            self._next += 1
+            self._clear()
+            self._last = monotonic()
+
+    def _add(self, table: str, key: str, columns: Columns) -> None:
+        count = len(columns[0])
+        for values, new in zip(self._columns[table], ([key] * count, *columns), strict=True):
+            values.extend(new)
+        self._rows += count
+
+
+def _table(name: str, columns: Sequence[list[Any]]) -> pa.Table:
+    import pyarrow as pa
+
+    schema = TABLES[name].schema
+    arrays = [_array(values, field.type) for values, field in zip(columns, schema, strict=False)]
+    return pa.table(arrays, schema=pa.schema([schema.field(number) for number in range(len(arrays))]))
+
+
+def _array(values: list[Any], kind: pa.DataType) -> pa.Array:
+    """Return values as an Arrow array; numbers that are not finite or too large, which SQL can hardly use, become null."""
+    import pyarrow as pa
+
+    if pa.types.is_floating(kind):
+        numbers = np.array(values, np.float64)
+        return pa.array(numbers, kind, mask=~np.isfinite(numbers))
+    if pa.types.is_string(kind):
+        values = [value if value is None or value.isascii() else _unicode(value) for value in values]
+    if pa.types.is_integer(kind):
+        values = [value if value is None or abs(value) < 1 << 63 else None for value in values]
+    return pa.array(values, kind)
+
+
+def _absolute(source: SourceFile) -> SourceFile:
+    """Return a recording with its absolute path, or its URL."""
+    location = source.location
+    if "://" in location:
+        return source
+    return replace(source, location=os.path.abspath(location))  # noqa: PTH100 - which leaves links as they are
+
+
+def _unicode(text: str) -> str:
+    """Return a text without what is not Unicode, as in names of files."""
+    return text.encode("utf-8", "backslashreplace").decode()
+
+
+def _time(seconds: float | None) -> datetime | None:
+    """Return a time since 1970 in UTC, to the microsecond."""
+    try:
+        return None if seconds is None else _EPOCH + timedelta(microseconds=int(seconds * 1e6))
+    except (OverflowError, ValueError):
+        return None

@@ -1,0 +1,201 @@
+"""The index of many recordings: what it contains, and that it follows changes of the recordings."""
+
+from __future__ import annotations
+
+import os
+import shutil
+from pathlib import Path
+
+import pytest
+
+from carla_recap import RecapError, open_index, open_recording, write_index
+from carla_recap.fleet.index.tables import TABLES
+
+pytest.importorskip("pyarrow", reason="the extra `arrow` is not installed")
+
+SAMPLES = Path(__file__).parents[2] / "samples"
+NAMES = ("blocked.mcap", "crash.mcap", "crossing.log")
+
+
+@pytest.fixture
+def runs(tmp_path):
+    """A folder of recordings."""
+    folder = tmp_path / "runs"
+    folder.mkdir()
+    for name in NAMES:
+        shutil.copy(SAMPLES / name, folder)
+    return folder
+
+
+@pytest.fixture(scope="module")
+def index(tmp_path_factory):
+    """An index of the samples."""
+    folder = tmp_path_factory.mktemp("samples") / "index"
+    write_index([SAMPLES / name for name in NAMES], folder, jobs=1)
+    return folder
+
+
+def rows(index, table):
+    """Return the rows of a table as a sorted list."""
+    return sorted(tuple(map(repr, row.values())) for row in open_index(index).table(table).to_pylist())
+
+
+def contents(index):
+    return {table: rows(index, table) for table in TABLES}
+
+
+def recordings(index):
+    return {Path(row["recording"]).name: row for row in open_index(index).table("recordings").to_pylist()}
+
+
+def counts(summary):
+    return summary.read, summary.failed, summary.unchanged, summary.removed
+
+
+def change(path):
+    os.utime(path, (1_700_000_000, 1_700_000_000))
+
+
+# --- what it contains ---------------------------------------------------------------------------------------------------
+
+
+def test_a_recording_is_a_row_with_what_info_says(index):
+    row = recordings(index)["crossing.log"]
+    with open_recording(SAMPLES / "crossing.log") as recording:
+        info = recording.info
+        assert row["recording"] == str(SAMPLES / "crossing.log")
+        assert (row["map"], row["frames"], row["duration"]) == (info.map_name, info.frames, info.duration)
+        assert row["date"] == info.date.replace(tzinfo=None)
+        assert (row["actors"], row["heroes"]) == (len(recording.actors), len(recording.heroes))
+    assert row["size"] == (SAMPLES / "crossing.log").stat().st_size
+    assert row["error"] is None
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_the_rows_of_a_recording_are_those_of_the_queries(index, name):
+    with open_recording(SAMPLES / name) as recording:
+        queries = {
+            "collisions": recording.collisions().to_arrow().to_pylist(),
+            "incidents": recording.incidents().to_arrow().to_pylist(),
+        }
+        stops = sorted((row.id, row.start, row.duration) for row in recording.blocked(10))
+        actors = {(actor.id, actor.type_id, actor.is_hero) for actor in recording.actors.values()}
+    path = str(SAMPLES / name)
+    tables = {table: open_index(index).table(table).to_pylist() for table in TABLES}
+    own = {table: [row for row in found if row["recording"] == path] for table, found in tables.items()}
+    for table, expected in queries.items():
+        assert own[table] == [{"recording": path} | row for row in expected]
+    assert sorted((row["id"], row["start"], row["duration"]) for row in own["stationary"]) == stops
+    assert {(row["id"], row["type_id"], row["hero"]) for row in own["actors"]} == actors
+
+
+def test_positions_are_in_metres_and_right_handed(index):
+    with open_recording(SAMPLES / "blocked.mcap") as recording:
+        stop = max(recording.blocked(10), key=lambda row: row.y)
+    found = [row for row in open_index(index).table("stationary").to_pylist() if "blocked" in row["recording"]]
+    (row,) = [row for row in found if (row["id"], row["start"]) == (stop.id, stop.start)]
+    assert (row["x"], row["y"]) == pytest.approx((stop.x / 100, -stop.y / 100))
+
+
+def test_columns_have_units(index):
+    schema = open_index(index).table("stationary").schema
+    assert schema.field("duration").metadata == {b"unit": b"s"}
+
+
+# --- changes ------------------------------------------------------------------------------------------------------------
+
+
+def test_unchanged_recordings_are_not_read_again(runs, tmp_path):
+    assert counts(write_index([runs], tmp_path / "index", jobs=1)) == (3, 0, 0, 0)
+    before = contents(tmp_path / "index")
+    assert counts(write_index([runs], tmp_path / "index", jobs=1)) == (0, 0, 3, 0)
+    assert contents(tmp_path / "index") == before
+
+
+def test_the_rows_of_a_changed_recording_are_replaced(runs, tmp_path):
+    write_index([runs], tmp_path / "index", jobs=1)
+    shutil.copy(SAMPLES / "junction.mcap", runs / "crash.mcap")
+    change(runs / "crash.mcap")
+    assert counts(write_index([runs], tmp_path / "index", jobs=1)) == (1, 0, 2, 0)
+    write_index([runs], tmp_path / "anew", jobs=1)
+    assert contents(tmp_path / "index") == contents(tmp_path / "anew")
+
+
+def test_recordings_that_are_gone_stay_unless_they_are_pruned(runs, tmp_path):
+    write_index([runs], tmp_path / "index", jobs=1)
+    (runs / "crash.mcap").unlink()
+    assert counts(write_index([runs], tmp_path / "index", jobs=1)) == (0, 0, 2, 0)
+    assert set(recordings(tmp_path / "index")) == set(NAMES)
+    assert counts(write_index([runs], tmp_path / "index", jobs=1, prune=True)) == (0, 0, 2, 1)
+    write_index([runs], tmp_path / "anew", jobs=1)
+    assert contents(tmp_path / "index") == contents(tmp_path / "anew")
+
+
+def test_a_broken_recording_is_a_row_with_its_error_and_is_read_when_it_has_changed(runs, tmp_path):
+    errors = []
+    (runs / "cut.mcap").write_bytes((SAMPLES / "crash.mcap").read_bytes()[:9000])
+    assert counts(write_index([runs], tmp_path / "index", jobs=1, report=errors.append)) == (3, 1, 0, 0)
+    assert errors == [recordings(tmp_path / "index")["cut.mcap"]["error"]]
+    assert counts(write_index([runs], tmp_path / "index", jobs=1)) == (0, 0, 4, 0)
+    assert counts(write_index([runs], tmp_path / "index", jobs=1, retry=True)) == (0, 1, 3, 0)
+    shutil.copy(SAMPLES / "crash.mcap", runs / "cut.mcap")
+    assert counts(write_index([runs], tmp_path / "index", jobs=1)) == (1, 0, 3, 0)
+    assert recordings(tmp_path / "index")["cut.mcap"]["error"] is None
+
+
+def test_parts_are_merged_when_there_are_many(runs, tmp_path, monkeypatch):
+    monkeypatch.setattr("carla_recap.fleet.index.writing.MOST_PARTS", 2)
+    for name in NAMES:
+        write_index([runs / name], tmp_path / "index", jobs=1)
+    assert len(list((tmp_path / "index" / "recordings").iterdir())) == 1
+    write_index([runs], tmp_path / "anew", jobs=1)
+    assert contents(tmp_path / "index") == contents(tmp_path / "anew")
+
+
+def test_two_processes_cannot_write_one_index(runs, tmp_path):
+    from carla_recap.fleet.index.folder import IndexFolder
+
+    with IndexFolder(tmp_path / "index").locked(), pytest.raises(RecapError, match="another process is writing"):
+        write_index([runs], tmp_path / "index", jobs=1)
+    write_index([runs], tmp_path / "index", jobs=1)
+
+
+def test_a_folder_with_other_files_is_not_written_to(runs):
+    with pytest.raises(RecapError, match="neither an index of recordings nor an empty folder"):
+        write_index([SAMPLES], runs)
+
+
+# --- SQL ----------------------------------------------------------------------------------------------------------------
+
+
+def test_sql_answers_from_the_tables(index):
+    pytest.importorskip("duckdb", reason="the extra `sql` is not installed")
+    with open_index(index) as opened:
+        for name in TABLES:
+            (count,) = opened.sql(f"select count(*) as n from {name}")["n"].to_pylist()
+            assert count == len(opened.table(name))
+
+
+@pytest.mark.parametrize(
+    ("query", "message"),
+    {
+        "selec 1": "Parser Error: syntax error",
+        "": "one query",
+        "select 1; select 2": "one query",
+        "drop view recordings": "one query",
+        "copy recordings to 'x.csv'": "one query",
+        "select * from nothing": "Table with name nothing does not exist",
+        "select * from read_csv('/etc/passwd')": "Permission Error",
+        "set enable_external_access=true": "one query",
+    }.items(),
+)
+def test_a_wrong_query_is_an_error_in_one_line(index, query, message):
+    pytest.importorskip("duckdb", reason="the extra `sql` is not installed")
+    with open_index(index) as opened, pytest.raises(RecapError, match=message) as caught:
+        opened.sql(query)
+    assert "\n" not in str(caught.value)
+
+
+def test_a_folder_that_is_no_index_cannot_be_opened(tmp_path):
+    with pytest.raises(RecapError, match="is no index of recordings"):
+        open_index(tmp_path)
