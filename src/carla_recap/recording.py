@@ -36,6 +36,7 @@ if TYPE_CHECKING:
     from carla_recap.model.frame import Frame, Header
     from carla_recap.queries.blocked import Blocked
     from carla_recap.queries.collisions import Collisions
+    from carla_recap.queries.differences import Differences
     from carla_recap.queries.incidents import Incidents
 
 T = TypeVar("T")
@@ -302,6 +303,21 @@ class Recording:
         from carla_recap.queries.incidents import incidents
 
         return incidents(self.reader, **options)
+
+    def diff(self, other: Recording, **options: Any) -> Differences:
+        """Return the differences from another recording of the same scenario, such as another run of a test.
+
+        Args:
+            other: The other recording.
+            options: Those of `carla_recap.queries.differences.differences`: `tolerance`, the distance in m that counts as
+                equal; `time_tolerance`, the time in s that does; `events`, whether to compare incidents.
+
+        Raises:
+            RecapError: A tolerance is negative.
+        """
+        from carla_recap.queries.differences import differences
+
+        return differences(self.reader, other.reader, **options)
 
     def _rows(self, actor_id: int, name: str) -> ActorRows:
         """Return the records of an actor; of several in a frame, the last one."""

@@ -1,0 +1,520 @@
+"""Differences of two recordings of a scenario: actors, paths, traffic lights, events.
+
+Nothing is aligned: places are those of the map, and times are elapsed seconds.
+"""
+
+from __future__ import annotations
+
+import math
+from collections import defaultdict, deque
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, ClassVar, Final, Literal
+
+import numpy as np
+
+from carla_recap.errors import RecapError
+from carla_recap.queries.actors import Actor
+from carla_recap.queries.incidents import Incident, incidents
+from carla_recap.queries.matching import Life, LivesById, Match, MatchedBy, lives, match
+from carla_recap.queries.paths import PathComparison, PathTotals
+from carla_recap.tables import Rows
+from carla_recap.util.text import readable
+
+if TYPE_CHECKING:
+    from collections.abc import Hashable, Iterator, Sequence
+
+    from numpy.typing import NDArray
+
+    from carla_recap.formats.base import Reader
+
+Side = Literal["a", "b"]
+
+TIME_TOLERANCE: Final = 1.0
+"""The seconds by which times may differ, if positions may differ, too."""
+
+_SPECTATOR: Final = "spectator"  # the camera of a viewer, which is no part of the scenario
+_SAME_EVENT: Final = 1.0  # s between events of both recordings that may be the same
+
+
+@dataclass(frozen=True, slots=True)
+class ComparedRecording:
+    """One of the two recordings.
+
+    Attributes:
+        location: The path or URL.
+        map_name: The map.
+        frames: The number of frames.
+        duration: The elapsed time of the last frame, in s.
+        step: The median time between two frames, in s; NaN if there are fewer than two.
+    """
+
+    location: str
+    map_name: str
+    frames: int
+    duration: float
+    step: float
+
+
+@dataclass(frozen=True, slots=True)
+class ActorDifference:
+    """An actor that is in both recordings, and how far its paths are apart.
+
+    Attributes:
+        id_a, id_b: Its ids.
+        kind: The kind of actor.
+        type_id_a, type_id_b: Its blueprints.
+        role_name: Its role_name in the first recording.
+        matched_by: How it was recognized.
+        differs: Whether anything is beyond the tolerances.
+        frames: The frames of the first recording in which both positions are known.
+        first: The first time at which the distance is beyond the tolerance, in elapsed seconds; None if it never is.
+        first_distance: The distance then, in m; None if it never is.
+        mean, rms: The mean and the root mean square of the distance, in m; NaN if nothing was compared.
+        max: The largest distance, in m; infinite where one of the positions is no number.
+        max_at: When, in elapsed seconds; NaN if nothing was compared.
+        final: The distance in the last frame that was compared, in m.
+        heading: The largest difference of the headings, in degrees.
+        spawned_at_a, spawned_at_b: When it appears, in elapsed seconds.
+        destroyed_at_a, destroyed_at_b: When it disappears; None if it stays.
+    """
+
+    id_a: int
+    id_b: int
+    kind: str
+    type_id_a: str
+    type_id_b: str
+    role_name: str
+    matched_by: MatchedBy
+    differs: bool
+    frames: int
+    first: float | None
+    first_distance: float | None
+    mean: float
+    rms: float
+    max: float
+    max_at: float
+    final: float
+    heading: float
+    spawned_at_a: float
+    spawned_at_b: float
+    destroyed_at_a: float | None
+    destroyed_at_b: float | None
+
+
+@dataclass(frozen=True, slots=True)
+class LightDifference:
+    """A traffic light that is in both recordings, and for how long its states differ.
+
+    Attributes:
+        id_a, id_b: Its ids.
+        x, y: Its position in m, right-handed.
+        differs: Whether the states differ for longer than the tolerance.
+        first: The first time at which they differ, in elapsed seconds; None if they never do.
+        seconds: The time during which they differ, in s.
+    """
+
+    id_a: int
+    id_b: int
+    x: float
+    y: float
+    differs: bool
+    first: float | None
+    seconds: float
+
+
+@dataclass(frozen=True, slots=True)
+class EventDifference:
+    """An incident that is in one recording alone, or at another time in the other one.
+
+    Attributes:
+        kind: The kind of incident.
+        start_a, start_b: When it begins, in elapsed seconds; None if it is not in that recording.
+        actors_a, actors_b: The ids of its actors; empty if it is not in that recording.
+        text: A description, a sentence without its full stop.
+    """
+
+    kind: str
+    start_a: float | None
+    start_b: float | None
+    actors_a: tuple[int, ...]
+    actors_b: tuple[int, ...]
+    text: str
+
+
+class ActorDifferences(Rows[ActorDifference]):
+    """The actors of both recordings: those that differ first, and of these the largest distance first."""
+
+    row_type = ActorDifference
+    row_units: ClassVar = {
+        **dict.fromkeys(("first", "max_at"), "s"),
+        **dict.fromkeys(("first_distance", "mean", "rms", "max", "final"), "m"),
+        **dict.fromkeys(("spawned_at_a", "spawned_at_b", "destroyed_at_a", "destroyed_at_b"), "s"),
+        "heading": "deg",
+    }
+
+
+class UnmatchedActors(Rows[Actor]):
+    """The actors that are in one of the recordings alone, in order of appearance."""
+
+    row_type = Actor
+    row_units: ClassVar = {"spawned_at": "s", "destroyed_at": "s"}
+
+
+class LightDifferences(Rows[LightDifference]):
+    """The traffic lights of both recordings, those that differ longest first."""
+
+    row_type = LightDifference
+    row_units: ClassVar = {"x": "m", "y": "m", "first": "s", "seconds": "s"}
+
+
+class EventDifferences(Rows[EventDifference]):
+    """The incidents that are not in both recordings, in order of time."""
+
+    row_type = EventDifference
+    row_units: ClassVar = {"start_a": "s", "start_b": "s"}
+
+
+@dataclass(frozen=True, eq=False)
+class Differences:
+    """The differences of two recordings, a and b.
+
+    Attributes:
+        a, b: The recordings.
+        tolerance: The distance in m that counts as equal.
+        time_tolerance: The time in s that counts as equal.
+        actors: The actors that are in both.
+        missing: The actors that are in a alone.
+        extra: The actors that are in b alone.
+        lights: The traffic lights that are in both.
+        events: The incidents that are not in both.
+        clock: The first time at which the times of the frames differ, or one recording ends; None if they are equal.
+    """
+
+    a: ComparedRecording
+    b: ComparedRecording
+    tolerance: float
+    time_tolerance: float
+    actors: ActorDifferences
+    missing: UnmatchedActors
+    extra: UnmatchedActors
+    lights: LightDifferences
+    events: EventDifferences
+    clock: float | None
+
+    @property
+    def equal(self) -> bool:
+        """Whether nothing is beyond the tolerances."""
+        return not self.reasons
+
+    @property
+    def first(self) -> ActorDifference | None:
+        """The actor whose path is the first to be beyond the tolerance, of several the farthest; None if there is none."""
+        rows = (row for row in self.actors if row.first is not None)
+        return min(rows, key=lambda row: (row.first, -(row.first_distance or 0)), default=None)
+
+    @property
+    def reasons(self) -> list[str]:
+        """What differs, in sentences without their full stops, the most important first; empty if nothing does."""
+        return list(_reasons(self))
+
+    @property
+    def summary(self) -> str:
+        """The answer in one line."""
+        reasons = self.reasons
+        return "; ".join(reasons) if reasons else f"equal within {self.tolerance:g} m"
+
+
+def differences(
+    a: Reader, b: Reader, *, tolerance: float = 0.0, time_tolerance: float | None = None, events: bool = True
+) -> Differences:
+    """Return the differences of two recordings of a scenario, such as of two runs of a test.
+
+    Actors are matched as in `carla_recap.queries.matching.match`; the spectator does not count. Their positions are compared
+    at the times of the frames of a, with b interpolated where it has no frame at that time.
+
+    Args:
+        a: The recording to compare with, such as a baseline.
+        b: The other one.
+        tolerance: The distance in m that counts as equal. With 0, the times of frames, the headings and the numbers of
+            poses have to be equal, too.
+        time_tolerance: By how many seconds spawns, ends and events may differ, and the states of a traffic light; None: 0
+            if the tolerance is 0, else 1.
+        events: Whether to compare incidents.
+
+    Raises:
+        RecapError: A tolerance is negative or no number.
+        FormatError: A file contradicts its format.
+    """
+    for name, value in (("tolerance", tolerance), ("time tolerance", time_tolerance)):
+        if value is not None and not value >= 0:
+            raise RecapError(f"a {name} of {value:g} cannot be; it must be 0 or more")
+    if time_tolerance is None:
+        time_tolerance = TIME_TOLERANCE if tolerance > 0 else 0.0
+    ours, theirs = lives(a), lives(b)
+    by_id = LivesById(ours), LivesById(theirs)
+    ours, theirs = ([life for life in every if life.actor.type_id != _SPECTATOR] for every in (ours, theirs))
+    matches = match(ours, theirs)
+    tracks = {id(life): number for number, found in enumerate(matches) for life in (found.a, found.b)}
+    paths = PathComparison((a, b), by_id, tracks, len(matches), tolerance)
+    paths.read()
+    tracked = list(enumerate(matches))
+    missing, extra = ([life.actor for life in every if id(life) not in tracks] for every in (ours, theirs))
+    for number, track in paths.unknown.items():
+        in_a, in_b = paths.totals.poses[:, track] > 0
+        life = Life(Actor(number, "", "", "", math.nan), (math.nan, math.nan, math.nan))
+        if in_a and in_b:
+            tracked.append((track, Match(life, life, "id")))
+        elif in_a or in_b:
+            (missing if in_a else extra).append(life.actor)
+    first, second = _compared(a, paths.elapsed[0]), _compared(b, paths.elapsed[1])
+    clock = _clock(*paths.elapsed)
+    actors = _Actors(paths.totals, tolerance, time_tolerance, (first.duration, second.duration), same_clock=clock is None)
+    lights = [_light(found, paths.totals, track, time_tolerance) for track, found in tracked if _is_light(found)]
+    return Differences(
+        a=first,
+        b=second,
+        tolerance=tolerance,
+        time_tolerance=time_tolerance,
+        actors=ActorDifferences(sorted((actors.row(found, track) for track, found in tracked), key=_by_size)),
+        missing=UnmatchedActors(missing),
+        extra=UnmatchedActors(extra),
+        lights=LightDifferences(sorted(lights, key=lambda row: (not row.differs, -row.seconds, row.id_a))),
+        events=EventDifferences(_events((a, b), by_id, tracks, time_tolerance) if events else []),
+        clock=clock,
+    )
+
+
+def _compared(source: Reader, elapsed: NDArray[np.float64]) -> ComparedRecording:
+    extent = source.extent()
+    steps = np.diff(elapsed)
+    location = str(getattr(source, "location", source.path))
+    step = float(np.median(steps)) if len(steps) else math.nan
+    return ComparedRecording(location, readable(source.header.map_name), extent.frames, extent.duration, step)
+
+
+def _clock(a: NDArray[np.float64], b: NDArray[np.float64]) -> float | None:
+    """Return the first time at which only one recording has a frame; None if there is none."""
+    count = min(len(a), len(b))
+    different = ~((a[:count] == b[:count]) | (np.isnan(a[:count]) & np.isnan(b[:count])))
+    if different.any():
+        row = int(different.argmax())
+        return float(np.fmin(a[row], b[row]))
+    longer = a if len(a) > count else b
+    return float(longer[count]) if len(longer) > count else None
+
+
+class _Actors:
+    """Makes the rows of actors.
+
+    Args:
+        totals: The differences of their paths.
+        tolerance: See `differences`.
+        time_tolerance: See `differences`.
+        durations: The elapsed times at which the recordings end.
+        same_clock: Whether the frames have equal times.
+    """
+
+    def __init__(
+        self,
+        totals: PathTotals,
+        tolerance: float,
+        time_tolerance: float,
+        durations: tuple[float, float],
+        *,
+        same_clock: bool,
+    ) -> None:
+        self._totals = totals
+        self._is_exact, self._time_tolerance = tolerance == 0, time_tolerance
+        self._durations, self._same_clock = durations, same_clock
+
+    def row(self, found: Match, track: int) -> ActorDifference:
+        """Return the row of an actor."""
+        totals = self._totals
+        a, b = found.a.actor, found.b.actor
+        finite, first = int(totals.finite[track]), _known(totals.first_at[track])
+        heading = float(totals.heading[track])
+        differs = first is not None or a.type_id != b.type_id or self._lives_differ(a, b) or self._poses_differ(track)
+        return ActorDifference(
+            id_a=a.id,
+            id_b=b.id,
+            kind=a.kind,
+            type_id_a=a.type_id,
+            type_id_b=b.type_id,
+            role_name=a.role_name,
+            matched_by=found.by,
+            differs=differs or (self._is_exact and heading > 0),
+            frames=int(totals.frames[track]),
+            first=first,
+            first_distance=_known(totals.first[track]),
+            mean=float(totals.total[track]) / finite if finite else math.nan,
+            rms=math.sqrt(float(totals.squares[track]) / finite) if finite else math.nan,
+            max=float(totals.largest[track]) if totals.frames[track] else math.nan,
+            max_at=float(totals.largest_at[track]),
+            final=float(totals.final[track]),
+            heading=heading,
+            spawned_at_a=a.spawned_at,
+            spawned_at_b=b.spawned_at,
+            destroyed_at_a=a.destroyed_at,
+            destroyed_at_b=b.destroyed_at,
+        )
+
+    def _lives_differ(self, a: Actor, b: Actor) -> bool:
+        allowed = self._time_tolerance
+        if _apart(a.spawned_at, b.spawned_at) > allowed:
+            return True
+        if a.destroyed_at is None and b.destroyed_at is None:
+            return False
+        ends = [
+            end if (end := actor.destroyed_at) is not None else last
+            for actor, last in zip((a, b), self._durations, strict=True)
+        ]
+        only_one = (a.destroyed_at is None) != (b.destroyed_at is None)
+        return _apart(*ends) > allowed or (only_one and not allowed)
+
+    def _poses_differ(self, track: int) -> bool:
+        """Return whether one recording has poses that the other one has not."""
+        in_a, in_b = map(int, self._totals.poses[:, track])
+        if self._is_exact and self._same_clock:
+            return in_a != in_b or in_a != int(self._totals.frames[track])
+        return (in_a == 0) != (in_b == 0)
+
+
+def _known(value: float) -> float | None:
+    return None if math.isnan(value) else float(value)
+
+
+def _apart(time: float, other: float) -> float:
+    """Return the seconds between two times; 0 for two that are no numbers."""
+    if time == other or (math.isnan(time) and math.isnan(other)):
+        return 0.0
+    return math.inf if math.isnan(time - other) else abs(time - other)
+
+
+def _by_size(row: ActorDifference) -> tuple[bool, float, float, int]:
+    """Return what rows are sorted by: the largest difference first."""
+    return not row.differs, -row.max if row.max > 0 else 0.0, -row.heading, row.id_a
+
+
+def _is_light(found: Match) -> bool:
+    return found.a.actor.kind == "traffic_light"
+
+
+def _light(found: Match, totals: PathTotals, track: int, time_tolerance: float) -> LightDifference:
+    first, seconds = _known(totals.light_first_at[track]), float(totals.light_seconds[track])
+    differs = first is not None and (seconds > time_tolerance or not time_tolerance)
+    x, y, _ = found.a.place
+    return LightDifference(found.a.actor.id, found.b.actor.id, x, y, differs, first, seconds)
+
+
+# --- events --------------------------------------------------------------------------------------------------------------
+
+
+def _events(
+    sources: tuple[Reader, Reader], lives: tuple[LivesById, LivesById], tracks: dict[int, int], time_tolerance: float
+) -> Iterator[EventDifference]:
+    """Yield the incidents that are in one recording alone, or in both at different times, in order of time."""
+
+    def subject(side: int, incident: Incident) -> Hashable:
+        found = [lives[side].get(number, incident.start) for number in incident.actors]
+        actors: list[tuple[int, int]] = []
+        for number, life in zip(incident.actors, found, strict=True):
+            if life is None:
+                actors.append((-1, number))
+            elif id(life) in tracks:
+                actors.append((2, tracks[id(life)]))
+            else:
+                actors.append((side, id(life)))
+        return incident.kind, tuple(sorted(actors))
+
+    window = max(_SAME_EVENT, time_tolerance)
+    rows: list[EventDifference] = []
+    open_events: dict[Hashable, deque[Incident]] = defaultdict(deque)
+    for incident in incidents(sources[0]):
+        open_events[subject(0, incident)].append(incident)
+    for incident in incidents(sources[1]):
+        earlier = open_events[subject(1, incident)]
+        while earlier and earlier[0].start < incident.start - window:
+            rows.append(_only("a", earlier.popleft()))
+        if not earlier or earlier[0].start > incident.start + window:
+            rows.append(_only("b", incident))
+            continue
+        other = earlier.popleft()
+        if _apart(other.start, incident.start) > time_tolerance:
+            rows.append(
+                EventDifference(incident.kind, other.start, incident.start, other.actors, incident.actors, other.text)
+            )
+    rows += [_only("a", incident) for left in open_events.values() for incident in left]
+    yield from sorted(rows, key=lambda row: (_start(row), row.kind))
+
+
+def _only(side: Side, incident: Incident) -> EventDifference:
+    start, actors = incident.start, incident.actors
+    if side == "a":
+        return EventDifference(incident.kind, start, None, actors, (), incident.text)
+    return EventDifference(incident.kind, None, start, (), actors, incident.text)
+
+
+def _start(row: EventDifference) -> float:
+    return min(start for start in (row.start_a, row.start_b) if start is not None)
+
+
+# --- the summary ---------------------------------------------------------------------------------------------------------
+
+
+def _reasons(found: Differences) -> Iterator[str]:
+    a, b = found.a, found.b
+    if a.map_name.rpartition("/")[2] != b.map_name.rpartition("/")[2]:
+        yield f"the maps are {a.map_name or 'unnamed'} and {b.map_name or 'unnamed'}"
+    first = found.first
+    if first is not None:
+        yield f"first parts at {first.first:.2f} s: {name_of(first)} by {metres(first.first_distance)}"
+    different = [row for row in found.actors if row.differs]
+    if different:
+        yield f"{_count(len(different), 'actor')} of {len(found.actors)} differ, {_largest(different)}"
+    for actors, side in ((found.missing, "first"), (found.extra, "second")):
+        if actors:
+            yield f"{_count(len(actors), 'actor')} only in the {side} recording"
+    lights = [row for row in found.lights if row.differs]
+    if lights:
+        since = min(row.first for row in lights if row.first is not None)
+        yield f"{_count(len(lights), 'traffic light')} of {len(found.lights)} differ, first at {since:.2f} s"
+    if found.events:
+        yield f"{_count(len(found.events), 'event')} differ, first {event_text(found.events[0])}"
+    if a.frames != b.frames and (not found.tolerance or _apart(a.duration, b.duration) > found.time_tolerance):
+        yield f"{a.frames} frames in {a.duration:.2f} s, and {b.frames} in {b.duration:.2f} s"
+    elif found.clock is not None and (not found.tolerance or _apart(a.duration, b.duration) > found.time_tolerance):
+        yield f"the times of frames differ from {found.clock:.2f} s on"
+
+
+def name_of(row: ActorDifference) -> str:
+    """Return the name of an actor: its blueprint, whether it is the hero, its id or ids."""
+    name = row.type_id_a or "unknown"
+    if row.type_id_b != row.type_id_a:
+        name += f" or {row.type_id_b or 'unknown'}"
+    ids = str(row.id_a) if row.id_a == row.id_b else f"{row.id_a}, {row.id_b}"
+    return f"{name} (hero, {ids})" if row.role_name == "hero" else f"{name} ({ids})"
+
+
+def metres(distance: float | None) -> str:
+    """Return a distance with its unit, in as many digits as say something."""
+    if distance is None or not math.isfinite(distance):
+        return "an unknown distance"
+    return f"{distance:.2f} m" if distance >= 0.1 or not distance else f"{distance:.2g} m"
+
+
+def event_text(row: EventDifference) -> str:
+    """Return an event that differs in words."""
+    if row.start_b is None:
+        return f"only in the first recording, at {row.start_a:.2f} s: {row.text}"
+    if row.start_a is None:
+        return f"only in the second recording, at {row.start_b:.2f} s: {row.text}"
+    return f"at {row.start_a:.2f} s and at {row.start_b:.2f} s: {row.text}"
+
+
+def _largest(rows: Sequence[ActorDifference]) -> str:
+    row = max(rows, key=lambda row: row.max if row.max > 0 else 0.0)
+    return f"at most by {metres(row.max)}" if row.max > 0 else "not in their positions"
+
+
+def _count(number: int, noun: str) -> str:
+    return f"{number} {noun}{'' if number == 1 else 's'}"

@@ -1,0 +1,243 @@
+"""Which actor of one recording is which of another, of the same scenario: ids differ between runs."""
+
+from __future__ import annotations
+
+import math
+from bisect import bisect_right
+from collections import Counter, defaultdict
+from dataclasses import dataclass
+from itertools import product
+from typing import TYPE_CHECKING, Final, Literal
+
+from carla_recap.model.records import CM
+from carla_recap.queries.actors import TYPES, Actor, ActorCollector
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Hashable, Iterable, Iterator, Sequence
+
+    from carla_recap.formats.base import Reader
+
+MatchedBy = Literal["role", "birth", "position", "parent", "order", "id"]
+"""How two actors were recognized as the same.
+
+role: their role_name, which no other actor of the kind has. birth: blueprint, place and time of their spawn. position: that
+of a traffic light or sign. parent: what they are attached to, and their blueprint. order: they are the n-th of a blueprint
+to appear. id: their id, if nothing else is known.
+"""
+
+SAME_PLACE: Final = 0.5
+"""The distance between spawns of the same actor, in m, at most."""
+SAME_BIRTH: Final = 1.0
+"""The seconds between spawns of the same actor, at most."""
+
+_STATIC: Final = ("traffic_light", "traffic_sign")
+_CANDIDATES: Final = 16  # actors near a place that are looked at, at most
+
+Place = tuple[float, float, float]
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class Life:
+    """An actor, and where it appears.
+
+    Attributes:
+        actor: The actor.
+        place: The place of its spawn, in m, right-handed.
+    """
+
+    actor: Actor
+    place: Place
+
+    @property
+    def stop(self) -> float:
+        """The elapsed seconds at which it disappears; inf if it stays."""
+        return math.inf if self.actor.destroyed_at is None else self.actor.destroyed_at
+
+    @property
+    def blueprint(self) -> tuple[str, str]:
+        """Its kind and blueprint."""
+        return self.actor.kind, self.actor.type_id
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class Match:
+    """An actor of one recording and the same actor of another."""
+
+    a: Life
+    b: Life
+    by: MatchedBy
+
+
+def lives(source: Reader) -> list[Life]:
+    """Return the actors of a recording and where they appear, in this order.
+
+    Raises:
+        FormatError: The file contradicts its format.
+    """
+    collector, places = ActorCollector(), list[Place]()
+    for frame in source.frames(TYPES, sparse=True):
+        for packet in frame.packets:
+            collector.add(packet, frame.elapsed)
+            if packet.type is not None and packet.type.name == "spawned":
+                places += [(spawn.x * CM, -spawn.y * CM, spawn.z * CM) for spawn in packet.records]
+    return [Life(actor, place) for actor, place in zip(collector.actors, places, strict=True)]
+
+
+class LivesById:
+    """The actors of a recording by id and time."""
+
+    def __init__(self, lives: Iterable[Life]) -> None:
+        self._lives: dict[int, list[Life]] = defaultdict(list)
+        for life in lives:
+            self._lives[life.actor.id].append(life)
+
+    def get(self, id: int, time: float) -> Life | None:
+        """Return the actor that had an id at a time; the next one to have it, if none had it yet; None if unknown."""
+        found = self._lives.get(id)
+        if not found:
+            return None
+        later = bisect_right(found, time, key=lambda life: life.actor.spawned_at)
+        return found[max(later - 1, 0)]
+
+    def ids(self) -> list[int]:
+        """Return all ids."""
+        return list(self._lives)
+
+    def reuses(self) -> dict[int, list[float]]:
+        """Return, by id, the times at which an actor gets the id of another one."""
+        return {id: [life.actor.spawned_at for life in found[1:]] for id, found in self._lives.items() if len(found) > 1}
+
+
+def match(a: Sequence[Life], b: Sequence[Life]) -> list[Match]:
+    """Return the actors that are in both of two recordings, in the order of the first one.
+
+    The rules, each for the actors that the ones before have left: a role_name that is unique in both recordings; blueprint,
+    place (0.5 m) and time (1 s) of the spawn, the nearest first, and the same id among equals; of lights and signs, the
+    position alone; of what is attached to something, its blueprint and what it is attached to; blueprint and order of
+    appearance, of actors that exist at the same time.
+    """
+    matching = _Matching(a, b)
+    matching.by_role()
+    matching.by_birth()
+    matching.by_parent()
+    matching.by_order()
+    index = {id(life): number for number, life in enumerate(a)}
+    return sorted(matching.found, key=lambda match: index[id(match.a)])
+
+
+class _Matching:
+    """Matches of two recordings, and the actors that are left."""
+
+    def __init__(self, a: Sequence[Life], b: Sequence[Life]) -> None:
+        self.found: list[Match] = []
+        self._all = a, b
+        self._left: tuple[dict[Life, None], dict[Life, None]] = dict.fromkeys(a), dict.fromkeys(b)
+
+    def _add(self, a: Life, b: Life, by: MatchedBy) -> None:
+        self.found.append(Match(a, b, by))
+        del self._left[0][a], self._left[1][b]
+
+    def by_role(self) -> None:
+        def unique(lives: Iterable[Life]) -> dict[tuple[str, str], Life]:
+            roles = {(life.actor.kind, life.actor.role_name): life for life in lives if life.actor.role_name}
+            counts = Counter((life.actor.kind, life.actor.role_name) for life in lives)
+            return {role: life for role, life in roles.items() if counts[role] == 1}
+
+        others = unique(self._all[1])
+        for role, life in unique(self._all[0]).items():
+            if role in others:
+                self._add(life, others[role], "role")
+
+    def by_birth(self) -> None:
+        def exact(life: Life) -> Hashable:
+            # A place as text, so that a NaN equals itself.
+            return *life.blueprint, str(life.place), life.actor.spawned_at
+
+        self._pair(lambda life: (exact(life), life.actor.id))
+        self._pair(exact)
+        grid: dict[Hashable, list[Life]] = defaultdict(list)
+        for life in self._left[1]:
+            cell = _cell(life.place)
+            if cell is not None:
+                grid[(*life.blueprint, *cell)].append(life)
+        near: list[tuple[float, float, bool, int, Life, Life]] = []
+        for number, life in enumerate(self._left[0]):
+            for other in _neighbours(grid, life):
+                distance, seconds = _apart(life, other)
+                if distance <= SAME_PLACE and seconds <= SAME_BIRTH:
+                    near.append((distance, seconds, life.actor.id != other.actor.id, number, life, other))
+        for *_, life, other in sorted(near, key=lambda row: row[:4]):
+            if life in self._left[0] and other in self._left[1]:
+                self._add(life, other, _birth(life))
+
+    def by_parent(self) -> None:
+        partner = {(match.a.actor.id): match.b.actor.id for match in self.found}
+        known = set(partner.values())
+
+        def attached(life: Life, parent: int | None) -> Hashable:
+            return None if parent is None else (*life.blueprint, life.actor.role_name, parent)
+
+        self._pair(
+            lambda life: attached(life, partner.get(life.actor.parent) if life.actor.parent is not None else None),
+            lambda life: attached(life, life.actor.parent if life.actor.parent in known else None),
+            by="parent",
+        )
+
+    def by_order(self) -> None:
+        groups: dict[tuple[str, str], tuple[list[Life], list[Life]]] = defaultdict(lambda: ([], []))
+        for side in (0, 1):
+            for life in self._left[side]:
+                if life.actor.kind not in _STATIC:
+                    groups[life.blueprint][side].append(life)
+        for a, b in groups.values():
+            first = second = 0
+            while first < len(a) and second < len(b):
+                life, other = a[first], b[second]
+                if life.stop <= other.actor.spawned_at:
+                    first += 1
+                elif other.stop <= life.actor.spawned_at:
+                    second += 1
+                else:
+                    self._add(life, other, "order")
+                    first, second = first + 1, second + 1
+
+    def _pair(
+        self,
+        key: Callable[[Life], Hashable],
+        key_of_b: Callable[[Life], Hashable] | None = None,
+        by: MatchedBy | None = None,
+    ) -> None:
+        """Match actors with the same key, in their order; those whose key is None are left."""
+        groups: dict[Hashable, list[Life]] = defaultdict(list)
+        for life in reversed(self._left[1]):
+            groups[(key_of_b or key)(life)].append(life)
+        for life in list(self._left[0]):
+            group = key(life)
+            if group is not None and groups.get(group):
+                self._add(life, groups[group].pop(), by or _birth(life))
+
+
+def _birth(life: Life) -> MatchedBy:
+    return "position" if life.actor.kind in _STATIC else "birth"
+
+
+def _cell(place: Place) -> tuple[int, int, int] | None:
+    """Return the cube of a place; None if it is not finite."""
+    x, y, z = place
+    if not (math.isfinite(x) and math.isfinite(y) and math.isfinite(z)):
+        return None
+    return math.floor(x / SAME_PLACE), math.floor(y / SAME_PLACE), math.floor(z / SAME_PLACE)
+
+
+def _neighbours(grid: dict[Hashable, list[Life]], life: Life) -> Iterator[Life]:
+    """Yield the actors of the same blueprint that may be near; of many, the first ones."""
+    cell = _cell(life.place)
+    for step in product((-1, 0, 1), repeat=3) if cell is not None else ():
+        x, y, z = (coordinate + change for coordinate, change in zip(cell or (), step, strict=True))
+        yield from grid.get((*life.blueprint, x, y, z), ())[:_CANDIDATES]
+
+
+def _apart(life: Life, other: Life) -> tuple[float, float]:
+    """Return the distance of the spawns of two actors in m, and the seconds between them, which do not count for lights."""
+    seconds = 0.0 if life.actor.kind in _STATIC else abs(life.actor.spawned_at - other.actor.spawned_at)
+    return math.dist(life.place, other.place), seconds
