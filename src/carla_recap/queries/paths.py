@@ -105,7 +105,7 @@ class PathComparison:
         self._count = count
         self._tolerance = tolerance
         self._streams = tuple(
-            _Stream(source, _Tracks(each, tracks, self._unknown), self.totals, side)
+            _FrameStream(source, _Tracks(each, tracks, self._unknown), self.totals, side)
             for side, (source, each) in enumerate(zip(sources, lives, strict=True))
         )
 
@@ -123,7 +123,7 @@ class PathComparison:
             FormatError: A file contradicts its format.
         """
         ours, theirs = self._streams
-        window: deque[_Block] = deque()
+        window: deque[_FrameBlock] = deque()
         exhausted = False
         for block in ours:
             start = 0
@@ -154,7 +154,7 @@ class PathComparison:
             self.totals.grow(track + 1)
         return track
 
-    def _compare(self, block: _Block, start: int, stop: int, window: list[_Block]) -> None:
+    def _compare(self, block: _FrameBlock, start: int, stop: int, window: list[_FrameBlock]) -> None:
         """Compare frames of a block with the frames of the other recording around them."""
         if not window:
             return
@@ -173,7 +173,7 @@ class PathComparison:
             self._compare_poses(block, start, stop, pairing, spans)
             self._compare_lights(block, start, stop, pairing, spans)
 
-    def _compare_poses(self, block: _Block, start: int, stop: int, pairing: _Pairing, spans: _Spans) -> None:
+    def _compare_poses(self, block: _FrameBlock, start: int, stop: int, pairing: _Pairing, spans: _Spans) -> None:
         ours = _Spans([block], start, stop)
         tracks = np.intersect1d(ours.tracks("transforms"), spans.tracks("transforms"))
         for columns in _parts(tracks, max(ours.count, spans.count)):
@@ -225,7 +225,7 @@ class PathComparison:
         turn = np.where(present & np.isfinite(turn), turn, 0.0).max(axis=0)
         totals.heading[tracks] = np.maximum(totals.heading[tracks], turn)
 
-    def _compare_lights(self, block: _Block, start: int, stop: int, pairing: _Pairing, spans: _Spans) -> None:
+    def _compare_lights(self, block: _FrameBlock, start: int, stop: int, pairing: _Pairing, spans: _Spans) -> None:
         ours = _Spans([block], start, stop)
         tracks = np.intersect1d(ours.tracks("light_states"), spans.tracks("light_states"))
         totals = self.totals
@@ -269,7 +269,7 @@ class _Pairing:
 
 
 def _paired(clock: NDArray[np.complex128], others: NDArray[np.complex128]) -> _Pairing:
-    """Return which of the other frames are around each frame, by their clocks; see `_Block`."""
+    """Return which of the other frames are around each frame, by their clocks; see `_FrameBlock`."""
     following = np.searchsorted(others, clock)
     after, before = np.minimum(following, len(others) - 1), np.maximum(following - 1, 0)
     later, earlier = others.real[after] - clock.real, clock.real - others.real[before]
@@ -309,7 +309,7 @@ def _parts(tracks: Indices, frames: int) -> Iterator[Indices]:
 
 
 @dataclass(frozen=True, eq=False, slots=True)
-class _Segment:
+class _TrackSegment:
     """Records of consecutive frames that list the same actors.
 
     Attributes:
@@ -326,7 +326,7 @@ class _Segment:
 
 
 @dataclass(frozen=True, eq=False, slots=True)
-class _Block:
+class _FrameBlock:
     """Consecutive frames.
 
     Attributes:
@@ -339,13 +339,13 @@ class _Block:
     clock: NDArray[np.complex128]
     time: Floats
     seconds: Floats
-    segments: dict[str, list[_Segment]]
+    segments: dict[str, list[_TrackSegment]]
 
 
 class _Spans:
     """Some of the frames of consecutive blocks."""
 
-    def __init__(self, blocks: list[_Block], start: int, stop: int) -> None:
+    def __init__(self, blocks: list[_FrameBlock], start: int, stop: int) -> None:
         self._blocks, self._start, self._stop = blocks, start, stop
 
     @property
@@ -382,7 +382,7 @@ class _Spans:
             present[start : start + len(records), chosen] = True
         return values, present
 
-    def segments(self, name: str) -> Iterator[tuple[int, _Segment]]:
+    def segments(self, name: str) -> Iterator[tuple[int, _TrackSegment]]:
         """Yield the segments of a type with the number of their first frame, which may be negative."""
         first = -self._start
         for block in self._blocks:
@@ -427,7 +427,7 @@ class _Tracks:
         return self._unknown(id) if life is None else self._tracks.get(builtins.id(life), -1)
 
 
-class _Stream:
+class _FrameStream:
     """The frames of a recording, in blocks.
 
     Args:
@@ -447,22 +447,22 @@ class _Stream:
         self._latest = 0.0  # the latest time of all frames until now
         self._repeats = 0  # the frames before with this time, the first one not counted
 
-    def __iter__(self) -> Iterator[_Block]:
+    def __iter__(self) -> Iterator[_FrameBlock]:
         return self
 
-    def __next__(self) -> _Block:
+    def __next__(self) -> _FrameBlock:
         batches = next(self._portions)
         time = np.concatenate([batch.elapsed for batch in batches])
         self.elapsed.append(time)
         seconds = np.concatenate([batch.duration for batch in batches])
         seconds = np.where(np.isfinite(seconds), np.maximum(seconds, 0.0), 0.0)
-        segments: dict[str, list[_Segment]] = {name: [] for name in _TYPES}
+        segments: dict[str, list[_TrackSegment]] = {name: [] for name in _TYPES}
         first = 0
         for batch in batches:
             for name in _TYPES:
                 segments[name] += self._segments(batch, name, first)
             first += len(batch)
-        return _Block(self._clock(time), time, seconds, segments)
+        return _FrameBlock(self._clock(time), time, seconds, segments)
 
     def _clock(self, time: Floats) -> NDArray[np.complex128]:
         steady = np.fmax.accumulate(np.concatenate(([self._latest], np.nan_to_num(time, nan=-np.inf))))
@@ -475,7 +475,7 @@ class _Stream:
         self._latest, self._repeats = float(steady[-1]), int(repeats[-1])
         return clock
 
-    def _segments(self, batch: Batch, name: str, first: int) -> Iterator[_Segment]:
+    def _segments(self, batch: Batch, name: str, first: int) -> Iterator[_TrackSegment]:
         records = batch.records(name)
         if not records.shape[1]:
             return
@@ -490,7 +490,7 @@ class _Stream:
             tracks = tracks[columns]
             if name == "transforms":
                 self._totals.poses[self._side, tracks] += stop - start
-            yield _Segment(first + start, records[start:stop], columns, tracks)
+            yield _TrackSegment(first + start, records[start:stop], columns, tracks)
 
 
 def _portions(source: Reader) -> Iterator[list[Batch]]:
