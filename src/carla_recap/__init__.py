@@ -20,6 +20,7 @@ if TYPE_CHECKING:
     from carla_recap.editing.author import Recorder, create_recording
     from carla_recap.editing.clip import clip
     from carla_recap.editing.convert import convert
+    from carla_recap.editing.import_tracks import import_tracks
     from carla_recap.editing.recover import Recovery, recover
     from carla_recap.errors import (
         Closed,
@@ -31,8 +32,11 @@ if TYPE_CHECKING:
         RecordError,
     )
     from carla_recap.export.clips import clips
+    from carla_recap.export.openscenario import export_openscenario
+    from carla_recap.export.osi import export_osi
     from carla_recap.export.parquet import export_parquet
     from carla_recap.export.report import write_report
+    from carla_recap.export.tracks import export_csv
     from carla_recap.fleet.index import IndexSummary, RecordingIndex, open_index, write_index
     from carla_recap.fleet.rules import Rule, RuleSet, Verdict, check, load_rules
     from carla_recap.formats import create_writer
@@ -93,7 +97,11 @@ __all__ = [
     "convert",
     "create_recording",
     "create_writer",
+    "export_csv",
+    "export_openscenario",
+    "export_osi",
     "export_parquet",
+    "import_tracks",
     "load_map",
     "load_rules",
     "open_index",
@@ -111,6 +119,10 @@ _get, __dir__ = lazily(
         "editing.author": ("Recorder", "create_recording"),
         "editing.clip": ("clip",),
         "editing.convert": ("convert",),
+        "editing.import_tracks": ("import_tracks",),
+        "export.openscenario": ("export_openscenario",),
+        "export.osi": ("export_osi",),
+        "export.tracks": ("export_csv",),
         "errors": ("Closed", "FormatError", "MissingExtra", "NotARecording", "RecapError", "RecapWarning", "RecordError"),
         "export.clips": ("clips",),
         "export.report": ("write_report",),

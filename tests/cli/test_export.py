@@ -221,3 +221,39 @@ def test_a_missing_extra_for_maps_is_a_warning(tmp_path):
     warning, written = done.stderr.decode().splitlines()
     assert "pip install '.[carla]'" in warning
     assert written.startswith(str(tmp_path / "out.rrd"))
+
+
+@pytest.mark.parametrize(("name", "options"), [("tracks.csv", ()), ("run.xosc", ()), ("trace.mcap", ("--to", "osi"))])
+def test_exports_for_other_programs_say_how_much_they_wrote(tmp_path, name, options):
+    if "osi" in options:
+        pytest.importorskip("betterosi", reason="the extra `osi` is not installed")
+    done = run("export", CROSSING, tmp_path / name, "--start", "20", "--duration", "1", *options)
+    assert done.returncode == 0
+    assert the_line_of(done.stderr) == f"{tmp_path / name}: 11 frames, 1 s"
+    assert (tmp_path / name).stat().st_size > 1000
+
+
+def the_line_of(stderr):
+    (line,) = stderr.decode().splitlines()
+    return line
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (("out.txt", "--to", "csv"), "does not end in .csv"),
+        (("out.rrd", "--to", "osi"), "does not end in .mcap"),
+        (("out.csv", "--follow", "hero"), "--follow does not go with --to csv"),
+        (("out.xosc", "--view", "top"), "--view does not go with --to xosc"),
+    ],
+)
+def test_wrong_exports_for_other_programs_are_errors(tmp_path, arguments, message):
+    assert message in error("export", CROSSING, tmp_path / arguments[0], *arguments[1:])
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_a_table_is_imported(tmp_path):
+    (tmp_path / "tracks.csv").write_text("t,id,east,y\n0,7,1,2\n1,7,2,2\n")
+    done = run("import", tmp_path / "tracks.csv", tmp_path / "out.log", "--column", "x=east", "--hero", "7")
+    assert (done.returncode, the_line_of(done.stderr)) == (0, f"{tmp_path / 'out.log'}: 2 frames, 1 s")
+    assert "no NAME=COLUMN" in error("import", tmp_path / "tracks.csv", tmp_path / "b.log", "--column", "east")

@@ -11,6 +11,7 @@ import signal
 import sys
 import warnings
 from importlib import import_module
+from keyword import iskeyword
 from typing import TYPE_CHECKING, Final
 
 import click
@@ -28,7 +29,7 @@ INTERRUPTED: Final = 130
 _PYTHON_HINT: Final = r" \(in Python, [^)]*\)"  # in errors, for callers of the package
 _COMMANDS: Final = {
     "queries": ("info", "collisions", "blocked", "actors", "incidents"),
-    "editing": ("convert", "recover", "clip"),
+    "editing": ("convert", "recover", "clip", "import"),
     "export": ("export", "clips", "view", "snapshot", "video", "report"),
     "sim": ("record", "replay"),
     "server": ("serve",),
@@ -42,6 +43,11 @@ _EXTRAS: Final = {("serve", "sim"): "server", ("sql", "arrow"): "sql"}
 """By command and missing extra, the extra that brings all that the command needs."""
 
 
+def _function(command: str) -> str:
+    """Return the name of the function of a command."""
+    return f"{command}_" if iskeyword(command) else command
+
+
 class _Commands(click.Group):
     """The commands; if an extra is missing, the error names the command and the extra that brings all that it needs."""
 
@@ -51,7 +57,7 @@ class _Commands(click.Group):
     def get_command(self, ctx: click.Context, cmd_name: str) -> click.Command | None:
         if cmd_name not in _MODULES:
             return super().get_command(ctx, cmd_name)
-        command: click.Command = getattr(import_module(f"carla_recap.cli.{_MODULES[cmd_name]}"), cmd_name)
+        command: click.Command = getattr(import_module(f"carla_recap.cli.{_MODULES[cmd_name]}"), _function(cmd_name))
         return command
 
     def invoke(self, ctx: click.Context) -> object:

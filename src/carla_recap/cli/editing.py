@@ -1,11 +1,16 @@
-"""The commands that make recordings of recordings: convert, recover, cut."""
+"""The commands that make recordings of recordings and of tracks: convert, recover, cut, import."""
 
 from __future__ import annotations
+
+from typing import TYPE_CHECKING
 
 import click
 
 from carla_recap.cli import options
 from carla_recap.cli.output import say
+
+if TYPE_CHECKING:
+    from carla_recap.editing.import_tracks import AngleUnit, LengthUnit, TimeUnit, TrackAxes
 
 _copy = options.together(options.source, options.destination, options.force)
 
@@ -48,4 +53,67 @@ def clip(source: str, destination: str, force: bool, start: float, duration: flo
     from carla_recap.editing.clip import clip as run
 
     extent = run(source, destination, start=start, duration=duration, force=force, progress=watch("cutting"))
+    say(f"{destination}: {extent.frames} frames, {extent.duration:g} s")
+
+
+@click.command(name="import")
+@click.argument("source", type=click.Path(), metavar="CSV")
+@options.destination
+@click.option("--map-name", default="", metavar="NAME", help="The name of the map, such as Town01.")
+@click.option("--hero", metavar="ID", help="The object with the role name hero.")
+@click.option(
+    "--column",
+    "columns",
+    multiple=True,
+    metavar="NAME=COLUMN",
+    help="The name that a column has in the file, such as x=east; may be repeated.",
+)
+@click.option("--time-unit", type=click.Choice(["s", "ms", "us", "ns"]), help="Else s; of a column total_nanos, ns.")
+@click.option("--length-unit", type=click.Choice(["m", "cm"]), default="m", show_default=True)
+@click.option("--angle-unit", type=click.Choice(["deg", "rad"]), default="deg", show_default=True)
+@click.option(
+    "--axes",
+    type=click.Choice(["right-handed", "carla"]),
+    default="right-handed",
+    show_default=True,
+    help="Right-handed: y to the left, a positive yaw turns left; carla: y to the right.",
+)
+@options.force
+def import_(
+    source: str,
+    destination: str,
+    map_name: str,
+    hero: str | None,
+    columns: tuple[str, ...],
+    time_unit: TimeUnit | None,
+    length_unit: LengthUnit,
+    angle_unit: AngleUnit,
+    axes: TrackAxes,
+    force: bool,
+) -> None:
+    """Make a recording of tracks: a CSV file with a row for each object at each time.
+
+    Its columns are found by their names: time, id, x and y; and, if it has them, z, roll, pitch, yaw, vx, vy, vz, length,
+    width, height, kind, type_id, role_name. DST's suffix says the format.
+    """
+    from carla_recap.editing.import_tracks import import_tracks
+
+    names = {}
+    for column in columns:
+        name, separator, in_file = column.partition("=")
+        if not (name and separator and in_file):
+            raise click.BadParameter(f"{column!r} is no NAME=COLUMN, such as x=east.", param_hint="--column")
+        names[name] = in_file
+    extent = import_tracks(
+        source,
+        destination,
+        map_name=map_name,
+        columns=names,
+        time_unit=time_unit,
+        length_unit=length_unit,
+        angle_unit=angle_unit,
+        axes=axes,
+        hero=hero,
+        force=force,
+    )
     say(f"{destination}: {extent.frames} frames, {extent.duration:g} s")

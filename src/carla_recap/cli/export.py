@@ -15,13 +15,17 @@ from carla_recap.cli import options
 from carla_recap.cli.output import say
 
 if TYPE_CHECKING:
+    from collections.abc import Collection
+
     from carla_recap.export.report import Pictures
     from carla_recap.export.rerun.blueprint import View
     from carla_recap.export.video.cameras import VideoView
     from carla_recap.replay.follow import Follow
 
 VIEWERS: Final = {".rrd": "rerun", ".mcap": "foxglove"}
+EXCHANGED: Final = {".csv": "csv", ".xosc": "xosc", ".mcap": "osi"}
 _TABLES: Final = ("source", "destination", "to", "force")  # the parameters of exports of tables
+_TRACES: Final = (*_TABLES, "start", "duration")  # those of exports to other programs' formats
 
 _window = options.together(options.follow, options.start, options.duration, options.road_map)
 
@@ -31,8 +35,8 @@ _window = options.together(options.follow, options.start, options.duration, opti
 @options.destination
 @click.option(
     "--to",
-    type=click.Choice(["rerun", "foxglove", "parquet"]),
-    help="What to write; else DST's suffix says: .rrd for Rerun, .mcap for Foxglove.",
+    type=click.Choice(["rerun", "foxglove", "parquet", "osi", "csv", "xosc"]),
+    help="What to write; else DST's suffix says: .rrd for Rerun, .mcap for Foxglove, .csv, .xosc.",
 )
 @_window
 @options.camera
@@ -53,15 +57,21 @@ def export(
     cameras: str | None,
     force: bool,
 ) -> None:
-    """Write a recording for Rerun (.rrd) or Foxglove (.mcap), or as Parquet files.
+    """Write a recording for Rerun (.rrd) or Foxglove (.mcap), or as tables or traces for other programs.
 
-    With --to parquet, DST is a folder: a file for each record type, and actors, collisions and incidents.
+    With --to parquet, DST is a folder: a file for each record type, and actors, collisions and incidents. --to osi writes
+    ASAM OSI's ground truth (.mcap); --to csv the tracks of vehicles and walkers; --to xosc their trajectories as
+    OpenSCENARIO.
     """
     from carla_recap.cli.progress import watch_scenes
     from carla_recap.recording import open_recording
 
     if to == "parquet":
         _export_tables(ctx, source, destination, force=force)
+        return
+    suffix = Path(destination).suffix.lower()
+    if to in EXCHANGED.values() or (to is None and suffix in EXCHANGED and suffix not in VIEWERS):
+        _export_exchanged(ctx, source, destination, to or EXCHANGED[suffix])
         return
     viewer = VIEWERS.get(Path(destination).suffix.lower())
     if viewer is None or to not in (None, viewer):
@@ -111,13 +121,49 @@ def _export_tables(ctx: click.Context, source: str, folder: str, *, force: bool)
     from carla_recap.export.parquet import export_parquet
     from carla_recap.recording import open_recording
 
-    for param in ctx.command.params:
-        name = param.name or ""
-        if name not in _TABLES and ctx.get_parameter_source(name) is ParameterSource.COMMANDLINE:
-            raise click.UsageError(f"{param.opts[0]} does not go with --to parquet.", ctx)
+    _refuse_others(ctx, _TABLES, "parquet")
     with open_recording(source) as recording:
         files = export_parquet(recording, folder, force=force, progress=watch("exporting"))
         say(f"{folder}: {len(files)} files, {recording.info.frames} frames, {recording.info.duration:g} s")
+
+
+def _refuse_others(ctx: click.Context, allowed: Collection[str], to: str) -> None:
+    """Check that only parameters that concern an export are given."""
+    for param in ctx.command.params:
+        name = param.name or ""
+        if name not in allowed and ctx.get_parameter_source(name) is ParameterSource.COMMANDLINE:
+            raise click.UsageError(f"{param.opts[0]} does not go with --to {to}.", ctx)
+
+
+def _export_exchanged(ctx: click.Context, source: str, destination: str, to: str) -> None:
+    """Write a file for other programs."""
+    from carla_recap.cli.progress import watch_scenes
+    from carla_recap.recording import open_recording
+
+    if EXCHANGED.get(Path(destination).suffix.lower()) != to:
+        expected = next(suffix for suffix, name in EXCHANGED.items() if name == to)
+        raise click.BadParameter(f"{destination!r} does not end in {expected}.", param_hint="DST")
+    extra = {"osi": ("follow", "road_map"), "xosc": ("road_map",), "csv": ()}[to]
+    _refuse_others(ctx, (*_TRACES, *extra), to)
+    given = {name: ctx.params[name] for name in ("start", "duration", "force")}
+    with open_recording(source) as recording:
+        watched = {**given, "progress": watch_scenes("exporting")}
+        if to == "csv":
+            from carla_recap.export.tracks import export_csv
+
+            played = export_csv(recording, destination, **watched)
+        else:
+            opendrive = options.map_file_of(recording, ctx.params["road_map"])
+            if to == "xosc":
+                from carla_recap.export.openscenario import export_openscenario
+
+                played = export_openscenario(recording, destination, opendrive=opendrive, **watched)
+            else:
+                from carla_recap.export.osi import export_osi
+
+                follow = ctx.params["follow"]
+                played = export_osi(recording, destination, follow=follow, opendrive=opendrive, **watched)
+    say(f"{destination}: {played.frames} frames, {played.seconds:g} s")
 
 
 @click.command()

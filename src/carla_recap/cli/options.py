@@ -217,6 +217,28 @@ def town_of(recording: Recording, path: str | None, start: float = 0.0, duration
     return _loaded_map(recording, path, load_town_mesh, without, start, duration)
 
 
+def map_file_of(recording: Recording, path: str | None) -> Path | None:
+    """Return the OpenDRIVE file of a recording's town; None if it is unknown.
+
+    Args:
+        recording: The recording; its map name is looked for.
+        path: The map, or the folder to look in; None: the usual folders.
+
+    Raises:
+        RecapError: The given folder has no such map.
+    """
+    from carla_recap.errors import RecapError
+    from carla_recap.maps import find_map
+
+    name = recording.header.map_name
+    if path is not None and not Path(path).is_dir():
+        return Path(path)
+    found = find_map(name, path)
+    if found is None and path is not None:
+        raise RecapError(f"{path}: no .xodr for the map {name!r}")
+    return found
+
+
 def _loaded_map(
     recording: Recording,
     path: str | None,
@@ -226,16 +248,9 @@ def _loaded_map(
     duration: float,
 ) -> T | None:
     from carla_recap.errors import MissingExtra, RecapError
-    from carla_recap.maps import find_map
     from carla_recap.maps.corridors import corridor_map
 
-    name = recording.header.map_name
-    if path is None or Path(path).is_dir():
-        found = find_map(name, path)
-        if found is None and path is not None:
-            raise RecapError(f"{path}: no .xodr for the map {name!r}")
-    else:
-        found = Path(path)
+    found = map_file_of(recording, path)
     if found is None:
         try:
             begin = max(start if start >= 0 else recording.info.duration + start, 0.0)

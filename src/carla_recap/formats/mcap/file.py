@@ -10,7 +10,7 @@ import struct
 import zlib
 from collections import Counter, deque
 from concurrent.futures import Future, ThreadPoolExecutor
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from importlib.metadata import version
 from itertools import groupby
 from threading import local
@@ -26,7 +26,7 @@ from carla_recap.util.files import AtomicFile
 
 if TYPE_CHECKING:
     from array import array
-    from collections.abc import Callable, Sequence
+    from collections.abc import Callable, Mapping, Sequence
     from pathlib import Path
 
     from carla_recap.formats.mcap.chunk import ChunkBuilder
@@ -47,11 +47,13 @@ class Topic:
         name: The name, such as `/scene`.
         message: The full name of the protobuf message.
         schema: Returns the message's schema; see `schema_of`.
+        metadata: What the channel says beside it.
     """
 
     name: str
     message: str
     schema: Callable[[], bytes]
+    metadata: Mapping[str, str] = field(default_factory=dict)
 
 
 @dataclass(frozen=True)
@@ -127,7 +129,7 @@ class ChunkedFile(AtomicFile):
             self._schemas[topic.message] = schema
             self._emit(_packed(schema))
         declared = records.Channel(
-            id=channel, topic=topic.name, message_encoding="protobuf", metadata={}, schema_id=schema.id
+            id=channel, topic=topic.name, message_encoding="protobuf", metadata=dict(topic.metadata), schema_id=schema.id
         )
         self._channels.append(declared)
         self._counts[channel] = 0

@@ -1,0 +1,137 @@
+"""Recordings of CSV files: names, units, axes, and the way back."""
+
+from __future__ import annotations
+
+import math
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from carla_recap import RecapError, export_csv, import_tracks, open_recording
+
+SAMPLES = Path(__file__).parents[2] / "samples"
+
+
+@pytest.fixture
+def table(tmp_path):
+    def write(text, **options):
+        source = tmp_path / "tracks.csv"
+        source.write_text(text, "utf-8")
+        import_tracks(source, tmp_path / "out.mcap", map_name="Town01", force=True, **options)
+        return open_recording(tmp_path / "out.mcap")
+
+    return write
+
+
+def test_a_table_becomes_a_recording(table):
+    with table("time,id,x,y,z,yaw\n0,7,1,2,3,90\n0.5,7,2,2,3,90\n0.5,8,0,0,0,0\n1.0,8,1,0,0,0\n", hero="8") as recording:
+        assert recording.info.map_name == "Town01"
+        assert [frame.elapsed for frame in recording] == [0, 0.5, 1]
+        path = recording.trajectory(7)
+        assert np.allclose((path.x, path.y, path.z, path.yaw), ([1, 2], [2, 2], [3, 3], [90, 90]))
+        car, other = recording.actors.values()
+        assert (car.kind, car.spawned_at, car.destroyed_at) == ("vehicle", 0, 1)
+        assert (other.spawned_at, other.destroyed_at, other.is_hero) == (0.5, None, True)
+
+
+def test_numbers_are_stored_in_carlas_units_and_axes(table):
+    with table("time,id,x,y,yaw,vx,vy\n0,7,1,2,90,3,4\n") as recording:
+        (frame,) = recording
+        assert frame["transforms"].tolist() == [(7, 100, -200, 0, 0, 0, -90)]
+        assert frame["velocities"].tolist() == [(7, 3, -4, 0, 0, 0, 0)]
+
+
+def test_units_and_axes_are_options(table):
+    options = {"time_unit": "ms", "length_unit": "cm", "angle_unit": "rad", "axes": "carla"}
+    with table(f"time,id,x,y,yaw,vx,vy\n1500,7,1,2,{math.pi / 2},300,400\n", **options) as recording:
+        (frame,) = recording
+        assert frame.elapsed == 1.5
+        assert frame["transforms"].tolist() == [(7, 1, 2, 0, 0, 0, 90)]
+        assert frame["velocities"].tolist() == [(7, 3, 4, 0, 0, 0, 0)]
+
+
+def test_columns_may_have_other_names(table):
+    with table(
+        "Frame Time,track,east,north\n0,7,1,2\n", columns={"time": "Frame Time", "id": "track", "x": "east", "y": "north"}
+    ) as recording:
+        assert recording.trajectory(7).x == [1]
+
+
+def test_nanoseconds_are_known_by_the_name_of_their_column(table):
+    with table("total_nanos,idx,x,y\n0,7,0,0\n2000000000,7,1,0\n") as recording:
+        assert recording.info.duration == 2
+
+
+def test_times_since_1970_are_shifted(table):
+    with table("time,id,x,y\n1700000000,7,0,0\n1700000001,7,1,0\n") as recording:
+        assert [frame.elapsed for frame in recording] == [0, 1]
+
+
+def test_without_a_yaw_objects_face_their_motion_and_keep_it_at_a_standstill(table):
+    rows = [(0, 0, 0), (1, 0, 0), (2, 0, 5), (3, 0, 5), (4, -5, 5), (5, -5, 5)]
+    text = "time,id,x,y\n" + "".join(f"{time},7,{x},{y}\n" for time, x, y in rows)
+    with table(text) as recording:
+        assert np.allclose(recording.trajectory(7).yaw % 360, [90, 90, 90, 180, 180, 180]), recording.trajectory(7).yaw
+
+
+def test_kinds_choose_blueprints_and_sizes_become_boxes(table):
+    with table(
+        "time,id,x,y,class,length,width,height\n0,a,0,0,pedestrian,0.5,0.6,1.8\n0,b,5,0,Truck,8,2.5,3\n"
+    ) as recording:
+        walker, truck = recording.actors.values()
+        assert (walker.kind, truck.type_id) == ("walker", "vehicle.carlamotors.carlacola")
+        assert (truck.bounding_box.extent_x, truck.bounding_box.z) == (4, 1.5)
+        assert [actor.attributes["track_id"] for actor in (walker, truck)] == ["a", "b"]
+
+
+@pytest.mark.parametrize("sample", ["crossing.log", "crash.mcap"])
+def test_an_export_imported_again_has_the_same_transforms(tmp_path, sample):
+    with open_recording(SAMPLES / sample) as recording:
+        export_csv(recording, tmp_path / "tracks.csv")
+        ids = {id for id, actor in recording.actors.items() if actor.kind in ("vehicle", "walker")}
+        expected = [[row for row in frame["transforms"].tolist() if row[0] in ids] for frame in recording]
+    import_tracks(tmp_path / "tracks.csv", tmp_path / "again.log")
+    with open_recording(tmp_path / "again.log") as again:
+        assert [sorted(frame["transforms"].tolist()) for frame in again] == [sorted(rows) for rows in expected]
+        export_csv(again, tmp_path / "again.csv")
+    assert (tmp_path / "again.csv").read_bytes() == (tmp_path / "tracks.csv").read_bytes()
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("", "is empty"),
+        ("time,id,x\n", "no column y"),
+        ("time,id,x,y\n", "no rows"),
+        ("time,id,x,y\n0,7,1\n", "line 2: 3 values, 4 were expected"),
+        ("time,id,x,y\n0,7,1,north\n", "line 2: y is 'north'; a number"),
+        ("time,id,x,y\n0,7,1,nan\n", "line 2: time, x and y must be finite"),
+        ("time,id,x,y\n0,7,1,1\n0,7,2,2\n", "object 7 has two rows at 0 s"),
+    ],
+)
+def test_what_is_no_such_table_is_an_error_and_leaves_no_file(tmp_path, text, message):
+    source = tmp_path / "tracks.csv"
+    source.write_text(text, "utf-8")
+    with pytest.raises(RecapError, match=message):
+        import_tracks(source, tmp_path / "out.mcap")
+    assert [path.name for path in tmp_path.iterdir()] == ["tracks.csv"]
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        ({"columns": {"east": "x"}}, "no column 'east'"),
+        ({"columns": {"x": "east"}}, "no column east for x"),
+        ({"hero": "9"}, "no object 9"),
+        ({"length_unit": "ft"}, "length_unit must be one of m, cm"),
+    ],
+)
+def test_wrong_options_are_errors(table, options, message):
+    with pytest.raises(RecapError, match=message):
+        table("time,id,x,y\n0,7,1,2\n", **options)
+
+
+def test_bytes_that_are_no_text_are_an_error(tmp_path):
+    with pytest.raises(RecapError, match="no UTF-8"):
+        import_tracks(SAMPLES / "crash.mcap", tmp_path / "out.log")
