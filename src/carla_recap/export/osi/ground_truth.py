@@ -52,7 +52,7 @@ class GroundTruths:
         self._class = message_class(GROUND_TRUTH)
         self._host = host
         self._map_reference = map_reference
-        self._motion = _Motion()
+        self._motion = _MotionEstimator()
         self._actors: dict[int, tuple[Present, Look | None]] = {}
 
     def messages(self, batch: SceneBatch) -> Iterator[tuple[int, Any]]:
@@ -146,7 +146,7 @@ class GroundTruths:
 _LATEST: Final = float(1 << 33)  # s; later times are no times of a recording
 
 
-class _Motion:
+class _MotionEstimator:
     """Velocities and accelerations of actors, from batch to batch."""
 
     def __init__(self) -> None:
