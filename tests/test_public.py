@@ -23,6 +23,7 @@ NAMES = [
     "Frame",
     "Header",
     "Incident",
+    "IndexSummary",
     "InfoRow",
     "LightStates",
     "MissingExtra",
@@ -34,6 +35,7 @@ NAMES = [
     "RecordTable",
     "Recorder",
     "Recording",
+    "RecordingIndex",
     "RecordingInfo",
     "Recovery",
     "RoadMap",
@@ -58,8 +60,10 @@ NAMES = [
     "import_tracks",
     "load_map",
     "load_rules",
+    "open_index",
     "open_recording",
     "recover",
+    "write_index",
     "write_report",
 ]
 
