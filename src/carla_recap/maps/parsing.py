@@ -31,17 +31,22 @@ _PARENT_CHECK: Final = 0.5  # s
 _SIZES: Final = ".sizes"
 
 
-def read_content(path: Path) -> bytes:
+def read_content(path: Path, *, by_carla: bool = True) -> bytes:
     """Return the content of an OpenDRIVE file.
+
+    Args:
+        path: The file.
+        by_carla: Whether CARLA's client library will parse it.
 
     Raises:
         RecapError: The file cannot be read.
-        MissingExtra: CARLA's client library is not installed.
+        MissingExtra: CARLA's client library is needed and not installed.
     """
-    try:
-        import carla  # noqa: F401
-    except ImportError:
-        raise MissingExtra("a map", "carla") from None
+    if by_carla:
+        try:
+            import carla  # noqa: F401
+        except ImportError:
+            raise MissingExtra("a map", "carla") from None
     if path.exists() and not path.is_file():
         raise RecapError(f"{path}: is not a regular file")
     try:

@@ -6,7 +6,7 @@ Units are m and radians; axes are right-handed: x forward, y left, z up. As in C
 from __future__ import annotations
 
 from dataclasses import dataclass
-from math import isfinite
+from math import isfinite, nan
 from typing import TYPE_CHECKING, Final, NamedTuple
 from xml.etree import ElementTree
 
@@ -37,6 +37,12 @@ _MOST_CORNERS: Final = 100
 _LONGEST: Final = 100_000.0  # m
 _WIDEST: Final = 200.0  # m of a lane
 _FARTHEST: Final = 1e6  # m from the origin
+_UNITS: Final = {"m/s": 1.0, "km/h": 1 / 3.6, "mph": 0.44704}
+_SLOWEST: Final = 0.5  # m/s: what is slower is no limit
+_FASTEST: Final = 1e9  # m/s
+_ENDS: Final = ("predecessor", "successor")
+_DENSE_TOLERANCE: Final = 0.02  # m
+_STEPS: Final = (0.5, 12.0)  # m; the least and the largest between points
 _SPIRAL_STEP: Final = 0.5  # m
 _MOST_SPIRAL_STEPS: Final = 4_000
 
@@ -89,12 +95,14 @@ class RoadLane:
         kind: The OpenDRIVE type, such as `driving`, lower-case.
         width: The width by the distance from the start of the section.
         markings: The markings along its outer border, in their order.
+        limits: Its speed limits in m/s, each with the distance from the start of the section from which on it applies.
     """
 
     id: int
     kind: str
     width: Profile
     markings: tuple[Marking, ...]
+    limits: tuple[tuple[float, float], ...] = ()
 
 
 @dataclass(frozen=True, eq=False)
@@ -171,6 +179,7 @@ class RoadSignal:
         heading: The direction relative to that of the road, or against it.
         ahead: Whether it applies in the direction of the road: True, False (against it), or None (in both directions).
         lanes: The ranges of lanes for which it applies; none for all.
+        unit: The unit of the value, such as km/h; empty without one.
     """
 
     id: str
@@ -182,6 +191,7 @@ class RoadSignal:
     heading: float
     ahead: bool | None
     lanes: tuple[tuple[int, int], ...]
+    unit: str = ""
 
 
 @dataclass(frozen=True, eq=False)
@@ -263,6 +273,8 @@ class Road:
         sections: The sections, in their order.
         objects: The objects.
         signals: The signals, and references to signals.
+        links: Whether a junction precedes the road, and whether one succeeds it.
+        limits: The speed limits: the station from which on each applies, and the limit in m/s; NaN for none.
     """
 
     id: str
@@ -274,6 +286,8 @@ class Road:
     objects: tuple[RoadObject, ...]
     signals: tuple[RoadSignal, ...]
     pieces: tuple[_Piece, ...]
+    links: tuple[bool, bool] = (False, False)
+    limits: tuple[tuple[float, float], ...] = ()
 
     @property
     def in_junction(self) -> bool:
@@ -308,6 +322,24 @@ class Road:
             for lane in (*section.left, *section.right):
                 found += (section.start + lane.width.starts).tolist()
         return [station for station in found if 0.0 <= station <= self.length]
+
+
+def sparse_stations(stations: Floats, lines: Floats) -> Floats:
+    """Return stations between which lines are nearly straight.
+
+    Args:
+        stations: Stations at equal distances, (n,).
+        lines: Lines with a point at each of them, (lines, n, 3).
+    """
+    step = stations[1] - stations[0]
+    bends = np.linalg.norm(lines[:, 2:] - 2 * lines[:, 1:-1] + lines[:, :-2], axis=2).max(axis=0) / step**2
+    bends = np.maximum(bends[:-1], bends[1:])  # of the parts between two stations
+    bends = np.concatenate((bends[:1], bends, bends[-1:]))
+    with np.errstate(divide="ignore"):
+        steps = np.clip(np.sqrt(8 * _DENSE_TOLERANCE / bends), *_STEPS)
+    numbers = np.concatenate(([0.0], np.cumsum(step / steps)))
+    count = max(int(np.ceil(numbers[-1])), 1)
+    return np.interp(np.linspace(0.0, numbers[-1], count + 1), numbers, stations)
 
 
 def read_roads(text: str) -> list[Road]:
@@ -348,6 +380,8 @@ def _road(element: ElementTree.Element) -> Road | None:
         tuple(_object(found) for found in element.findall("objects/object")[:_MOST_RECORDS]),
         tuple(_signal(found) for found in element.findall("signals/*")[:_MOST_RECORDS]),
         pieces[:_MOST_RECORDS],
+        tuple(any(link.get("elementType") == "junction" for link in element.findall(f"link/{end}")) for end in _ENDS),  # type: ignore[arg-type]
+        tuple(_limits(element.findall("type")[:_MOST_RECORDS], "s", "speed")),
     )
 
 
@@ -406,6 +440,7 @@ def _lanes(element: ElementTree.Element, side: str) -> list[RoadLane]:
                 found.get("type", "none").lower(),
                 _profile(found.findall("width"), "sOffset"),
                 tuple(_changes(sorted(marks, key=lambda mark: mark.start))),
+                tuple(_limits(found.findall("speed")[:_MOST_RECORDS], "sOffset", ".")),
             )
         )
     return lanes
@@ -452,7 +487,30 @@ def _signal(element: ElementTree.Element) -> RoadSignal:
         heading=_number(element, "hOffset", 0.0),
         ahead={"+": True, "-": False}.get(element.get("orientation", "")),
         lanes=tuple((first, last) for first, last in ranges),
+        unit=element.get("unit", ""),
     )
+
+
+def _limits(elements: Iterable[ElementTree.Element], start: str, speed: str) -> Iterator[tuple[float, float]]:
+    """Yield where speed limits begin, and the limits in m/s, in order; NaN for none."""
+    for element in sorted(elements, key=lambda element: _number(element, start, 0.0)):
+        found = element.find(speed)
+        limit = None if found is None else in_metres_per_second(found.get("max"), found.get("unit"))
+        yield _number(element, start, 0.0), nan if limit is None else limit
+
+
+def in_metres_per_second(value: str | float | None, unit: str | None) -> float | None:
+    """Return a speed limit in m/s; None if there is no such limit.
+
+    Args:
+        value: A number, or a word such as `undefined`.
+        unit: `m/s`, `km/h` or `mph`; without one, OpenDRIVE means m/s.
+    """
+    try:
+        limit = float(value or "") * _UNITS.get(unit or "m/s", 1.0)
+    except ValueError:
+        return None
+    return limit if _SLOWEST <= limit < _FASTEST else None
 
 
 def _profile(elements: Iterable[ElementTree.Element], start: str) -> Profile:

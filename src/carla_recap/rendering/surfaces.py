@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
+from carla_recap.maps.road_geometry import sparse_stations
 from carla_recap.rendering.heights import TriangleGrid
 from carla_recap.rendering.materials import Material
 
@@ -52,8 +53,6 @@ _LAYERS: Final = {
 """How far flat surfaces are above the lanes for cars, in m, so that one hides the other where they overlap."""
 
 _DENSE: Final = 1.0  # m between the points at which the course of a road is examined
-_TOLERANCE: Final = 0.02  # m
-_STEPS: Final = (0.5, 12.0)  # m; the least and the largest between points
 _MOST_POINTS: Final = 400_000  # at which roads are examined
 _BEFORE_END: Final = 1e-6  # m
 _NARROW: Final = 0.02  # m
@@ -129,7 +128,7 @@ def _sample(road: Road, number: int, section: RoadSection, spacing: float) -> It
         return
     start, end = section.start, section.end - _BEFORE_END
     dense = np.linspace(start, end, max(int((end - start) / spacing), 3) + 1)
-    stations = _picked(dense, _borders(road, section, dense)[1][[0, len(section.left), -1]])
+    stations = sparse_stations(dense, _borders(road, section, dense)[1][[0, len(section.left), -1]])
     offsets, borders, lefts = _borders(road, section, stations)
     along = np.gradient(borders[len(section.left)], axis=0)
     normals = np.cross(along, lefts)
@@ -144,19 +143,6 @@ def _borders(road: Road, section: RoadSection, stations: Floats) -> tuple[Floats
     lefts = np.stack((-np.sin(headings), np.cos(headings), np.zeros(len(headings))), axis=1)
     offsets = section.borders(stations) + road.lane_offset(stations)
     return offsets, points + offsets[..., None] * lefts, lefts
-
-
-def _picked(stations: Floats, lines: Floats) -> Floats:
-    """Return stations between which lines, (lines, n, 3), are nearly straight."""
-    step = stations[1] - stations[0]
-    bends = np.linalg.norm(lines[:, 2:] - 2 * lines[:, 1:-1] + lines[:, :-2], axis=2).max(axis=0) / step**2
-    bends = np.maximum(bends[:-1], bends[1:])  # of the parts between two stations
-    bends = np.concatenate((bends[:1], bends, bends[-1:]))
-    with np.errstate(divide="ignore"):
-        steps = np.clip(np.sqrt(8 * _TOLERANCE / bends), *_STEPS)
-    numbers = np.concatenate(([0.0], np.cumsum(step / steps)))
-    count = max(int(np.ceil(numbers[-1])), 1)
-    return np.interp(np.linspace(0.0, numbers[-1], count + 1), numbers, stations)
 
 
 def _materials(road: Road, lanes: Sequence[RoadLane]) -> Iterator[Material | None]:

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any, Final
 import numpy as np
 
 from carla_recap.maps import road_geometry
-from carla_recap.sim.town.parsing.roads import in_metres_per_second
+from carla_recap.maps.road_geometry import in_metres_per_second
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator

@@ -16,6 +16,7 @@ from xml.etree import ElementTree
 import numpy as np
 
 from carla_recap.maps.opendrive import NO_JUNCTION
+from carla_recap.maps.road_geometry import in_metres_per_second
 
 if TYPE_CHECKING:
     from collections.abc import Iterable
@@ -163,10 +164,6 @@ def limit_speeds(lanes: list[ParsedLane], signals: Iterable[dict[str, Any]], rec
             lane.row["speed_limit"] = DEFAULT_LIMIT
 
 
-_UNITS: Final = {"m/s": 1.0, "km/h": 1 / 3.6, "mph": 0.44704}
-_SLOWEST: Final = 0.5  # m/s: what is slower is no limit
-
-
 @dataclass
 class Records:
     """Records of an OpenDRIVE file.
@@ -233,20 +230,6 @@ def _read_road(element: ElementTree.Element, records: Records) -> None:
     for signal in element.iterfind("signals/*"):
         if signal.find("validity") is None:
             records.for_all.add((road, signal.get("id", "")))
-
-
-def in_metres_per_second(value: str | float | None, unit: str | None) -> float | None:
-    """Return a speed limit in m/s; None if there is no such limit.
-
-    Args:
-        value: A number, or a word such as `undefined`.
-        unit: `m/s`, `km/h` or `mph`; without one, OpenDRIVE means m/s.
-    """
-    number = _number(value)
-    if number is None:
-        return None
-    limit = number * _UNITS.get(unit or "m/s", 1.0)
-    return limit if limit >= _SLOWEST else None
 
 
 def _number(text: str | float | None) -> float | None:

@@ -1,0 +1,458 @@
+"""Road networks from OpenDRIVE files; as a module, the child process that makes them.
+
+They are made of the records of the file by `road_geometry`, without CARLA's client library.
+"""
+
+from __future__ import annotations
+
+import re
+import sys
+from collections import defaultdict
+from functools import lru_cache
+from io import BytesIO
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Final, NamedTuple
+
+import numpy as np
+
+from carla_recap.errors import FormatError
+from carla_recap.maps import road_geometry
+from carla_recap.maps.parsing import parse_in_child, read_content, run_child
+from carla_recap.maps.road_geometry import in_metres_per_second, read_roads, sparse_stations
+from carla_recap.maps.road_map import find_map
+from carla_recap.model import roads
+from carla_recap.model.roads import RoadNetwork
+from carla_recap.util import cache
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator, Sequence
+
+    from numpy.typing import NDArray
+
+    from carla_recap.maps.road_geometry import Road, RoadLane, RoadSection, RoadSignal
+
+    Floats = NDArray[np.float64]
+    Lane = tuple[int, int, int]
+
+_KINDS: Final = {
+    **dict.fromkeys(
+        ("driving", "entry", "exit", "onramp", "offramp", "connectingramp", "mwyentry", "mwyexit"), roads.DRIVING
+    ),
+    **dict.fromkeys(("roadworks", "hov", "bus", "taxi"), roads.DRIVING),
+    "bidirectional": roads.BOTH_WAYS,
+    "parking": roads.PARKING,
+    **dict.fromkeys(("shoulder", "border", "stop", "restricted", "biking", "tram"), roads.SHOULDER),
+    **dict.fromkeys(("special1", "special2", "special3"), roads.SHOULDER),
+}
+_SIGNALS: Final = {road_geometry.LIGHT: roads.LIGHT, road_geometry.STOP: roads.STOP, road_geometry.YIELD: roads.YIELD}
+_LIMIT_OBJECT: Final = re.compile(r"Speed_?(\d{1,3})")  # the name of an object that is a sign, in CARLA's towns
+_SPACING: Final = 1.0  # m between the points at which the course of a road is examined
+_MOST_POINTS: Final = 300_000  # at which roads are examined
+_MOST_PIECES: Final = 1_000_000
+_MOST_LINES: Final = 20_000
+_MOST_NAME: Final = 64  # characters of an id
+_NARROW: Final = 0.02  # m
+_BEFORE_END: Final = 1e-6  # m
+_AT_SIGN: Final = 1.0  # m beyond the ends of a section within which a signal belongs to it
+_TO_JUNCTION: Final = 30.0  # m from a signal to the junction at whose border its stop line is
+_SAME_LINE: Final = 0.5  # m between the middles of stop lines of a signal that are one
+_SAME_HEADING: Final = np.cos(np.radians(15))
+
+_CELL: Final = 0.5  # m
+_MOST_CELLS: Final = 400  # along a side of a junction
+_MOST_GAPS: Final = 200_000  # pieces that fill gaps, of all junctions
+_LARGEST_GAP: Final = 100.0  # square metres; the island of a roundabout is larger
+
+
+def load_road_network(path: Path | str) -> RoadNetwork:
+    """Return the road network of an OpenDRIVE file.
+
+    Args:
+        path: The file, such as `Town01.xodr`.
+
+    Raises:
+        RecapError: The file cannot be read, or is no OpenDRIVE map with lanes for cars.
+    """
+    path = Path(path)
+    return _network(path.stem, path, read_content(path, by_carla=False))
+
+
+def find_road_network(map_name: str, folder: Path | str | None = None) -> RoadNetwork | None:
+    """Return the road network of the map of a recording, or None if its file is unknown; see `find_map`.
+
+    Raises:
+        RecapError: The file cannot be read, or is no OpenDRIVE map with lanes for cars.
+    """
+    path = find_map(map_name, folder)
+    return None if path is None else load_road_network(path)
+
+
+def road_network_of(opendrive: str, name: str = "") -> RoadNetwork:
+    """Return the road network of the text of an OpenDRIVE file.
+
+    Args:
+        opendrive: The text.
+        name: The name of the map.
+
+    Raises:
+        FormatError: It is no OpenDRIVE map with lanes for cars.
+    """
+    return _network(name, Path(name or "map"), opendrive.encode())
+
+
+@lru_cache(4)
+def _network(name: str, path: Path, content: bytes) -> RoadNetwork:
+    key = cache.content_key(content, "maps", "model")
+    data = cache.read_entry(key)
+    if data is not None:
+        try:
+            return _unpacked(name, data)
+        except Exception:  # whatever an invalid entry causes
+            cache.remove_entry(key)
+    data = parse_in_child("carla_recap.maps.network", path, content)
+    network = _unpacked(name, data)
+    if not np.isin(network.lanes["kind"], (roads.DRIVING, roads.BOTH_WAYS)).any():
+        raise FormatError(path, None, "an OpenDRIVE map was expected, and no lane for cars is in it")
+    cache.write_entry(key, data)
+    return network
+
+
+_IDS: Final = ("road_ids", "junction_ids", "signal_ids")
+
+
+def _packed(network: RoadNetwork) -> bytes:
+    file = BytesIO()
+    arrays: dict[str, Any] = {
+        name: np.array([id[:_MOST_NAME] for id in getattr(network, name)], f"U{_MOST_NAME}") for name in _IDS
+    }
+    arrays |= {name: getattr(network, name) for name in ("lanes", "pieces", "signals", "stop_lines")}
+    np.savez(file, **arrays)
+    return file.getvalue()
+
+
+def _unpacked(name: str, data: bytes) -> RoadNetwork:
+    with np.load(BytesIO(data)) as arrays:
+        ids = {name: tuple(arrays[name].tolist()) for name in _IDS}
+        return RoadNetwork(name, arrays["lanes"], arrays["pieces"], arrays["signals"], arrays["stop_lines"], **ids)
+
+
+def build_network(text: str, name: str = "") -> RoadNetwork:
+    """Return the road network of the text of an OpenDRIVE file, made in this process.
+
+    Raises:
+        ValueError: It is no OpenDRIVE file.
+    """
+    with np.errstate(all="ignore"):
+        found = read_roads(text)
+        maker = _LaneMaker(found)
+        lanes, pieces = maker.tables()
+        signals, lines, ids = _Signals(found).tables()
+        junctions = tuple(maker.junctions)
+        network = RoadNetwork(name, lanes, pieces, signals, lines, tuple(road.id for road in found), junctions, ids)
+        lanes, pieces = _gaps(network)
+    return RoadNetwork(name, lanes, pieces, signals, lines, network.road_ids, junctions, ids)
+
+
+class _Cross(NamedTuple):
+    """A line across a lane: its left end, its right end, and the driving direction."""
+
+    left: Floats
+    right: Floats
+    heading: float
+
+
+class _LaneMaker:
+    """Makes the lanes and pieces of roads.
+
+    Attributes:
+        junctions: The index of each junction by its id.
+    """
+
+    def __init__(self, found: Sequence[Road]) -> None:
+        self.junctions: dict[str, int] = {}
+        for road in found:
+            if road.in_junction:
+                self.junctions.setdefault(road.junction, len(self.junctions))
+        self._lanes: list[tuple[int, int, int, int, int]] = []
+        self._pieces: list[NDArray[np.void]] = []
+        self._count = 0
+        spacing = max(_SPACING, sum(road.length for road in found) / _MOST_POINTS)
+        for number, road in enumerate(found):
+            for index, section in enumerate(road.sections):
+                self._add(number, road, index, section, spacing)
+
+    def tables(self) -> tuple[NDArray[np.void], NDArray[np.void]]:
+        """Return the lanes and the pieces."""
+        pieces = np.concatenate(self._pieces) if self._pieces else np.zeros(0, roads.PIECE)
+        return np.array(self._lanes, roads.LANE), pieces
+
+    def _add(self, number: int, road: Road, index: int, section: RoadSection, spacing: float) -> None:
+        lanes = (*section.left[::-1], *section.right)
+        if not any(lane.kind in _KINDS for lane in lanes):
+            return
+        start, end = section.start, section.end - _BEFORE_END
+        dense = np.linspace(start, end, max(int((end - start) / spacing), 3) + 1)
+        points, _, _, offsets = _courses(road, section, dense)
+        stations = sparse_stations(dense, points[[0, len(section.left), -1]])
+        changes = [station for station, _ in _limits_of(road) if start + 0.1 < station < end - 0.1]
+        stations = np.union1d(stations, changes)
+        points, lefts, _headings, offsets = _courses(road, section, stations)
+        junction = self.junctions[road.junction] if road.in_junction else roads.NONE
+        for lane, (left, right, wide) in zip(
+            lanes, zip(points[:-1], points[1:], offsets[:-1] - offsets[1:], strict=True), strict=True
+        ):
+            kind = _KINDS.get(lane.kind)
+            if kind is None or self._count >= _MOST_PIECES:
+                continue
+            pieces = _pieces(stations, (left + right) / 2, lefts, wide / 2, reverse=lane.id > 0)
+            middles = (stations[1:] + stations[:-1]) / 2
+            limits = _limits(road, section, lane, middles)
+            pieces["limit"] = limits[::-1] if lane.id > 0 else limits
+            good = np.all(
+                [np.isfinite(pieces[name]) for name in roads.PIECE.names or () if name not in ("lane", "limit")], axis=0
+            )
+            good &= np.maximum(pieces["half0"], pieces["half1"]) > _NARROW / 2
+            pieces["lane"] = len(self._lanes)
+            if good.any():
+                self._lanes.append((number, index, lane.id, kind, junction))
+                self._pieces.append(pieces[good])
+                self._count += int(good.sum())
+
+
+def _courses(road: Road, section: RoadSection, stations: Floats) -> tuple[Floats, Floats, Floats, Floats]:
+    """Return the points of all borders, (lanes + 1, n, 3), the directions to the left, the headings, and the offsets."""
+    points, headings = road.reference(stations)
+    lefts = np.stack((-np.sin(headings), np.cos(headings), np.zeros(len(headings))), axis=1)
+    offsets = section.borders(stations) + road.lane_offset(stations)
+    return points + offsets[..., None] * lefts, lefts, headings, offsets
+
+
+def _pieces(stations: Floats, middles: Floats, lefts: Floats, halves: Floats, *, reverse: bool) -> NDArray[np.void]:
+    pieces = np.zeros(len(stations) - 1, roads.PIECE)
+    if reverse:
+        middles, lefts, halves = middles[::-1], -lefts[::-1], halves[::-1]
+    for end, part in (("0", slice(None, -1)), ("1", slice(1, None))):
+        for column, axis in enumerate("xyz"):
+            pieces[f"{axis}{end}"] = middles[part, column]
+        pieces[f"left_x{end}"], pieces[f"left_y{end}"] = lefts[part, 0], lefts[part, 1]
+        pieces[f"half{end}"] = halves[part]
+    return pieces
+
+
+# --- speed limits --------------------------------------------------------------------------------------------------------
+
+
+class _LimitSign(NamedTuple):
+    """A speed-limit sign: its station, the limit in m/s, and the lanes for which it applies."""
+
+    station: float
+    limit: float
+    lanes: tuple[tuple[int, int], ...]
+
+
+def _signs(road: Road) -> Iterator[_LimitSign]:
+    for signal in road.signals:
+        if signal.kind == road_geometry.SPEED_LIMIT:
+            limit = in_metres_per_second(signal.value, signal.unit or "km/h")  # CARLA's signs are in km/h
+            lanes = signal.lanes or _side(signal.ahead)
+            if limit is not None:
+                yield _LimitSign(signal.station, limit, lanes)
+    for thing in road.objects:
+        named = _LIMIT_OBJECT.fullmatch(thing.name)
+        limit = in_metres_per_second(named[1], "km/h") if named else None
+        if limit is not None:
+            yield _LimitSign(thing.station, limit, _side(thing.offset < 0))
+
+
+def _side(ahead: bool | None) -> tuple[tuple[int, int], ...]:
+    """Return the lanes in the direction of the road, against it, or in both directions."""
+    return {True: ((-1000, -1),), False: ((1, 1000),), None: ((-1000, 1000),)}[ahead]
+
+
+def _limits_of(road: Road) -> list[tuple[float, float]]:
+    return [*road.limits, *((sign.station, sign.limit) for sign in _signs(road))]
+
+
+def _limits(road: Road, section: RoadSection, lane: RoadLane, stations: Floats) -> Floats:
+    """Return the speed limits of a lane: its own, else the higher one of those of the road and of the sign before."""
+    own = _stepwise(lane.limits, stations - section.start)
+    of_road = _stepwise(road.limits, stations)
+    signs = [(sign.station, sign.limit) for sign in _signs(road) if _is_among(lane.id, sign.lanes)]
+    if lane.id > 0:
+        signed = _stepwise(sorted((road.length - station, limit) for station, limit in signs), road.length - stations)
+    else:
+        signed = _stepwise(sorted(signs), stations)
+    return np.where(np.isfinite(own), own, np.fmax(of_road, signed))
+
+
+def _stepwise(steps: Sequence[tuple[float, float]], stations: Floats) -> Floats:
+    """Return the values of a function that is constant from each step to the next one; NaN before the first one."""
+    if not steps:
+        return np.full(len(stations), np.nan)
+    starts, values = np.array(steps).T
+    found: Floats = np.append(values, np.nan)[np.searchsorted(starts, stations, "right") - 1]
+    return found
+
+
+def _is_among(lane: int, ranges: Sequence[tuple[int, int]]) -> bool:
+    return lane != 0 and any(low <= lane <= high for low, high in ranges)
+
+
+# --- signals and stop lines ----------------------------------------------------------------------------------------------
+
+
+class _Signals:
+    """Makes the signals and stop lines of roads."""
+
+    def __init__(self, found: Sequence[Road]) -> None:
+        self._roads = found
+        self._rows: list[tuple[int, float, float, float, float]] = []
+        self._lines: list[tuple[int | float, ...]] = []
+        self._ids: list[str] = []
+        signals: dict[str, tuple[int, RoadSignal]] = {}
+        places: dict[str, list[tuple[int, RoadSignal]]] = defaultdict(list)
+        for number, road in enumerate(found):
+            for signal in road.signals:
+                places[signal.id].append((number, signal))
+                if signal.kind in _SIGNALS:
+                    signals.setdefault(signal.id, (number, signal))
+        for id, (number, signal) in signals.items():
+            if len(self._lines) >= _MOST_LINES:
+                break
+            self._add(id, found[number], signal, places[id])
+
+    def tables(self) -> tuple[NDArray[np.void], NDArray[np.void], tuple[str, ...]]:
+        """Return the signals, the stop lines, and the ids of the signals."""
+        return np.array(self._rows, roads.SIGNAL), np.array(self._lines, roads.STOP_LINE), tuple(self._ids)
+
+    def _add(self, id: str, road: Road, signal: RoadSignal, places: Sequence[tuple[int, RoadSignal]]) -> None:
+        (x, y, z), along = road.at(signal.station, signal.offset)
+        if not np.isfinite((x, y, z, along)).all():
+            return
+        lanes = [(number, place, lane) for number, place in places for lane in self._governed(number, place)]
+        if not lanes:  # it says that it is for no lane, and no other road refers to it
+            lanes = [(number, place, lane) for number, place in places for lane in self._facing(number, place)]
+        lines: list[_Cross] = []
+        for number, place, lane in lanes:
+            found = self._line(number, place, *lane)
+            if found is not None and not any(_is_same(found, other) for other in lines):
+                lines.append(found)
+        heading = lines[0].heading if lines else along + signal.heading
+        self._lines += [(len(self._rows), line.heading, *line.left, *line.right) for line in lines]
+        self._rows.append((_SIGNALS[signal.kind], x, y, z, heading))
+        self._ids.append(id)
+
+    def _governed(self, number: int, place: RoadSignal) -> Iterator[tuple[int, int]]:
+        """Yield the section and number of each lane of a road that a signal names, at its station."""
+        return self._lanes(number, place, place.lanes or _side(place.ahead))
+
+    def _facing(self, number: int, place: RoadSignal) -> Iterator[tuple[int, int]]:
+        return self._lanes(number, place, _side(place.ahead))
+
+    def _lanes(self, number: int, place: RoadSignal, ranges: Sequence[tuple[int, int]]) -> Iterator[tuple[int, int]]:
+        for index, section in enumerate(self._roads[number].sections):
+            if section.start - _AT_SIGN <= place.station <= section.end + _AT_SIGN:
+                for lane in (*section.left, *section.right):
+                    if _is_among(lane.id, ranges) and _KINDS.get(lane.kind) in (roads.DRIVING, roads.BOTH_WAYS):
+                        yield index, lane.id
+
+    def _line(self, number: int, place: RoadSignal, index: int, lane: int) -> _Cross | None:
+        """Return the stop line of a signal on a lane."""
+        road = self._roads[number]
+        ahead = lane < 0
+        if road.in_junction:  # at its border
+            station = 0.0 if ahead else road.length
+        elif road.links[ahead] and (road.length - place.station if ahead else place.station) <= _TO_JUNCTION:
+            station = road.length if ahead else 0.0
+        else:
+            station = min(max(place.station, 0.0), road.length)
+        sections = sorted(road.sections, key=lambda section: max(section.start - station, station - section.end))
+        numbers = [*(section for section in sections if _has(section, lane)), road.sections[index]]
+        section = numbers[0]
+        station = min(max(station, section.start), section.end - _BEFORE_END)
+        points, _, headings, _ = _courses(road, section, np.array((station, station)))
+        position = [other.id for other in (*section.left[::-1], *section.right)].index(lane)
+        left, right = points[position, 0], points[position + 1, 0]
+        if not np.isfinite((left, right)).all() or np.hypot(*(left - right)[:2]) < _NARROW:
+            return None
+        heading = float(headings[0])
+        return _Cross(left, right, heading) if ahead else _Cross(right, left, heading + np.pi)
+
+
+def _has(section: RoadSection, lane: int) -> bool:
+    return any(other.id == lane for other in (*section.left, *section.right))
+
+
+def _is_same(line: _Cross, other: _Cross) -> bool:
+    apart = (line.left + line.right - other.left - other.right) / 2
+    return bool(np.cos(line.heading - other.heading) > _SAME_HEADING and np.hypot(*apart[:2]) < _SAME_LINE)
+
+
+# --- the gaps between the lanes of junctions -----------------------------------------------------------------------------
+
+
+def _gaps(network: RoadNetwork) -> tuple[NDArray[np.void], NDArray[np.void]]:
+    """Return the lanes and pieces of a network, with others for what the lanes of a junction enclose."""
+    lanes, pieces, count = [network.lanes], [network.pieces], 0
+    junctions = network.lanes["junction"][network.pieces["lane"]]
+    for junction in range(len(network.junction_ids)):
+        of_it = network.pieces[junctions == junction]
+        if not len(of_it) or count >= _MOST_GAPS:
+            continue
+        gaps = _enclosed(network, of_it)
+        count += len(gaps)
+        if len(gaps):
+            gaps["lane"] = sum(map(len, lanes))
+            lanes.append(np.array([(roads.NONE, 0, 0, roads.GAP, junction)], roads.LANE))
+            pieces.append(gaps)
+    return np.concatenate(lanes), np.concatenate(pieces)
+
+
+def _enclosed(network: RoadNetwork, pieces: NDArray[np.void]) -> NDArray[np.void]:
+    """Return strips that cover the areas which the lanes of a junction enclose, but not those of large islands."""
+    points = np.concatenate([np.stack((pieces[f"x{end}"], pieces[f"y{end}"]), axis=1) for end in "01"])
+    reach = float(max(pieces["half0"].max(), pieces["half1"].max())) + 2 * _CELL
+    low, high = points.min(axis=0) - reach, points.max(axis=0) + reach
+    columns, rows = np.ceil((high - low) / _CELL).astype(np.int64) + 1
+    empty = np.zeros(0, roads.PIECE)
+    if max(columns, rows) > _MOST_CELLS:
+        return empty
+    x, y = np.meshgrid(low[0] + np.arange(columns) * _CELL, low[1] + np.arange(rows) * _CELL, indexing="ij")
+    free = (network.lanes_at(np.stack((x.ravel(), y.ravel()), axis=1)).outside > 0).reshape(columns, rows)
+    gaps = np.zeros_like(free)
+    for area in _areas(free):
+        if len(area) * _CELL**2 <= _LARGEST_GAP:
+            gaps[area[:, 0], area[:, 1]] = True
+    edges = np.diff(gaps.astype(np.int8), axis=0, prepend=0, append=0)  # rows of squares are one piece each
+    first, last = np.argwhere(edges.T > 0), np.argwhere(edges.T < 0)
+    strips = np.zeros(len(first), roads.PIECE)
+    strips["limit"] = np.nan
+    height = np.median(pieces["z0"])
+    for end, (line, column) in (("0", first.T), ("1", last.T)):
+        strips[f"x{end}"] = low[0] + (column - 0.5) * _CELL
+        strips[f"y{end}"] = low[1] + line * _CELL
+        strips[f"z{end}"], strips[f"left_y{end}"], strips[f"half{end}"] = height, 1.0, _CELL / 2
+    return strips
+
+
+def _areas(free: NDArray[np.bool_]) -> Iterator[NDArray[np.int64]]:
+    """Yield the cells of each connected area that does not touch the border."""
+    left = {(int(column), int(row)) for column, row in np.argwhere(free)}
+    last = free.shape[0] - 1, free.shape[1] - 1
+    while left:
+        first = left.pop()
+        area, ends, outer = [first], [first], False
+        while ends:
+            column, row = ends.pop()
+            outer |= column in (0, last[0]) or row in (0, last[1])
+            for cell in ((column + 1, row), (column - 1, row), (column, row + 1), (column, row - 1)):
+                if cell in left:
+                    left.remove(cell)
+                    area.append(cell)
+                    ends.append(cell)
+        if not outer:
+            yield np.array(area, np.int64)
+
+
+if __name__ == "__main__":
+    sys.exit(run_child(lambda text: _packed(build_network(text))))

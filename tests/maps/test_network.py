@@ -1,0 +1,168 @@
+"""Tests of road networks made of OpenDRIVE files."""
+
+from __future__ import annotations
+
+import pickle
+import time
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from carla_recap.errors import FormatError, RecapError
+from carla_recap.maps import find_map
+from carla_recap.maps.network import build_network, find_road_network, load_road_network, road_network_of
+from carla_recap.model.roads import LIGHT, NONE, STOP, RoadNetwork
+
+from .straight_road import STRAIGHT_ROAD
+
+_MAPS = Path(__file__).parents[3] / "shared" / "data" / "maps"
+_KMH = 3.6
+
+
+@pytest.fixture(scope="module")
+def roads() -> RoadNetwork:
+    return build_network(STRAIGHT_ROAD, "Straight")
+
+
+def test_points_are_to_the_left_and_right_of_their_lane_in_driving_direction(roads: RoadNetwork) -> None:
+    found = roads.lanes_at(np.array([(20.0, -1.75), (20.0, -1.0), (20.0, 1.0), (180.0, 2.75)]))
+    assert roads.lanes["id"][found.lane].tolist() == [-1, -1, 1, 1]
+    assert found.offset == pytest.approx([0.0, 0.75, 0.75, -1.0], abs=1e-6)
+    assert np.cos(found.heading) == pytest.approx([1, 1, -1, -1])
+
+
+def test_the_road_ends_at_the_outer_border_of_the_shoulder(roads: RoadNetwork) -> None:
+    found = roads.lanes_at(np.array([(20.0, -4.4), (20.0, -5.0), (20.0, 3.6), (20.0, -14.5), (20.0, -70.0)]))
+    assert found.outside == pytest.approx([0.0, 0.5, 0.1, 10.0, np.inf], abs=1e-3)
+    assert found.on_road.tolist() == [True, False, False, False, False]
+
+
+def test_a_point_beyond_the_reach_of_all_roads_has_no_lane(roads: RoadNetwork) -> None:
+    found = roads.lanes_at(np.array([(20.0, -70.0), (np.nan, 0.0), (np.inf, 1e300)]))
+    assert found.lane.tolist() == [NONE] * 3
+    assert np.isnan(found.heading).all()
+    assert np.isinf(found.outside).all()
+
+
+def test_the_lane_of_a_point_beside_it_is_the_nearest_one(roads: RoadNetwork) -> None:
+    found = roads.lanes_at(np.array([(20.0, -4.0), (20.0, 8.5)]))
+    assert roads.lanes["id"][found.lane].tolist() == [-1, 1]
+    assert found.beside == pytest.approx([0.5, 5.0], abs=1e-3)
+
+
+def test_junctions_are_known(roads: RoadNetwork) -> None:
+    found = roads.lanes_at(np.array([(90.0, -1.75), (110.0, -1.75), (130.0, -1.75)]))
+    assert found.in_junction.tolist() == [False, True, False]
+
+
+def test_limits_are_of_the_lane_else_the_higher_one_of_road_and_sign(roads: RoadNetwork) -> None:
+    found = roads.lanes_at(np.array([(20.0, -1.75), (80.0, -1.75), (80.0, 1.75), (180.0, 1.75), (110.0, 1.75)]))
+    assert found.limit * _KMH == pytest.approx([50, 72, 50, 30, np.nan], nan_ok=True)
+
+
+def test_lights_and_stop_signs_close_their_lanes_at_the_border_of_the_junction(roads: RoadNetwork) -> None:
+    assert roads.signal_ids == ("11", "12")
+    assert roads.signals["kind"].tolist() == [LIGHT, STOP]
+    assert roads.stop_lines["signal"].tolist() == [0, 1]
+    east, west = roads.stop_lines
+    assert (east["x0"], east["y0"], east["x1"], east["y1"]) == pytest.approx((100, 0, 100, -3.5), abs=1e-4)
+    assert (west["x0"], west["y0"], west["x1"], west["y1"]) == pytest.approx((120, 0, 120, 3.5), abs=1e-4)
+    assert np.cos((east["heading"], west["heading"])) == pytest.approx((1, -1))
+
+
+def test_lanes_above_each_other_are_told_apart_by_height() -> None:
+    high = STRAIGHT_ROAD.replace(
+        "</planView>", '</planView><elevationProfile><elevation s="0" a="8" b="0" c="0" d="0"/></elevationProfile>', 1
+    )
+    roads = build_network(high)
+    found = roads.lanes_at(np.array([(20.0, -1.75, 8.5), (20.0, -1.75, 0.0)]))
+    assert found.on_road.tolist() == [True, False]
+
+
+def test_of_lanes_that_overlap_the_one_in_the_direction_is_preferred() -> None:
+    crossing = STRAIGHT_ROAD.replace(
+        '<geometry s="0" x="100" y="0" hdg="0"', '<geometry s="0" x="50" y="-10" hdg="1.5707963"'
+    )
+    roads = build_network(crossing)
+    points = np.array([(51.0, -1.75), (51.0, -1.75)])
+    found = roads.lanes_at(points, np.array([0.0, np.pi / 2]))
+    assert np.degrees(found.heading) == pytest.approx([0, 90], abs=0.01)
+
+
+def test_a_network_can_be_pickled(roads: RoadNetwork) -> None:
+    points = np.array([(20.0, -1.0)])
+    roads.lanes_at(points)
+    copy = pickle.loads(pickle.dumps(roads))
+    assert copy.signal_ids == roads.signal_ids
+    assert copy.lanes_at(points).offset == roads.lanes_at(points).offset
+
+
+def test_what_the_lanes_of_a_junction_enclose_is_road() -> None:
+    ring = _ring(6.0)
+    found = build_network(ring).lanes_at(np.array([(0.0, 0.0), (0.0, 6.0), (12.0, 12.0)]))
+    assert found.on_road.tolist() == [True, True, False]
+
+
+def test_the_island_of_a_roundabout_is_no_road() -> None:
+    found = build_network(_ring(16.0)).lanes_at(np.array([(0.0, 0.0), (0.0, 16.0)]))
+    assert found.on_road.tolist() == [False, True]
+
+
+def _ring(radius: float) -> str:
+    length = 2 * np.pi * radius
+    return f"""<OpenDRIVE><road id="1" length="{length}" junction="5"><planView>
+    <geometry s="0" x="0" y="{-radius}" hdg="0" length="{length}"><arc curvature="{1 / radius}"/></geometry></planView>
+    <lanes><laneSection s="0"><left><lane id="1" type="driving"><width sOffset="0" a="2" b="0" c="0" d="0"/></lane></left>
+    <right><lane id="-1" type="driving"><width sOffset="0" a="2" b="0" c="0" d="0"/></lane></right></laneSection></lanes>
+    </road></OpenDRIVE>"""
+
+
+def test_the_built_in_town_is_found_by_name(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    monkeypatch.setenv("CARLA_RECAP_CACHE", str(tmp_path))
+    roads = find_road_network("Carla/Maps/Brickfield")
+    assert roads is not None
+    assert (roads.signals["kind"] == LIGHT).sum() == 17
+    assert find_road_network("Nowhere") is None
+    assert list(tmp_path.iterdir())
+    again = road_network_of(_brickfield().read_text(), "again")  # out of the cache
+    assert np.array_equal(again.stop_lines, roads.stop_lines)
+
+
+def _brickfield() -> Path:
+    path = find_map("Brickfield")
+    assert path is not None
+    return path
+
+
+@pytest.mark.parametrize(("town", "lights", "lines"), [("Town01", 36, 36), ("Town02", 24, 24), ("Town10HD", 17, 36)])
+def test_carla_towns_have_a_stop_line_for_each_light(town: str, lights: int, lines: int) -> None:
+    path = _MAPS / f"{town}.xodr"
+    if not path.exists():
+        pytest.skip(f"{path} is absent")
+    roads = load_road_network(path)
+    assert (roads.signals["kind"] == LIGHT).sum() == lights
+    assert len(roads.stop_lines) == lines
+    assert set(roads.stop_lines["signal"].tolist()) >= set(np.flatnonzero(roads.signals["kind"] == LIGHT).tolist())
+
+
+@pytest.mark.parametrize("text", ["", "<x/>", "<OpenDRIVE/>", "<OpenDRIVE><road/></OpenDRIVE>"])
+def test_a_file_without_lanes_is_an_error_that_names_it(text: str, tmp_path: Path) -> None:
+    path = tmp_path / "bad.xodr"
+    path.write_text(text)
+    with pytest.raises(FormatError, match=r"bad\.xodr"):
+        load_road_network(path)
+
+
+def test_a_missing_file_is_an_error(tmp_path: Path) -> None:
+    with pytest.raises(RecapError, match="absent"):
+        load_road_network(tmp_path / "absent.xodr")
+
+
+def test_many_roads_at_one_point_are_searched_in_bounded_time() -> None:
+    road = STRAIGHT_ROAD[STRAIGHT_ROAD.index("<road") : STRAIGHT_ROAD.index("</road>") + 7]
+    roads = build_network(f"<OpenDRIVE>{road * 500}</OpenDRIVE>")
+    started = time.process_time()
+    found = roads.lanes_at(np.random.default_rng(0).uniform((0, -40), (100, 40), (20_000, 2)))
+    assert time.process_time() - started < 20
+    assert found.on_road.any()
