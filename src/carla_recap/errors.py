@@ -12,7 +12,10 @@ RecapWarning               part of a file is left out
 from __future__ import annotations
 
 import sys
-from pathlib import Path
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from pathlib import Path
 
 
 class RecapError(Exception):
@@ -23,43 +26,43 @@ class FormatError(RecapError):
     """A file contradicts its format.
 
     Args:
-        path: The file.
+        location: The path of the file, or its URL.
         offset: The offset of the fault, in bytes; None where it has no single one.
         message: What was found and what was expected.
     """
 
-    def __init__(self, path: Path | str, offset: int | None, message: str) -> None:
-        super().__init__(path, offset, message)
-        self.path = Path(path)
+    def __init__(self, location: Path | str, offset: int | None, message: str) -> None:
+        super().__init__(location, offset, message)
+        self.location = str(location)
         self.offset = offset
         self.message = message
 
     def __str__(self) -> str:
         offset = "" if self.offset is None else f"byte {self.offset}: "
-        return f"{self.path}: {offset}{self.message}"
+        return f"{self.location}: {offset}{self.message}"
 
 
 class NotARecording(FormatError):
     """A file is neither a CARLA log nor an MCAP recording of this package."""
 
-    def __init__(self, path: Path | str, message: str) -> None:
-        super().__init__(path, None, message)
-        self.args = (path, message)
+    def __init__(self, location: Path | str, message: str) -> None:
+        super().__init__(location, None, message)
+        self.args = (location, message)
 
 
 class Closed(RecapError):
     """A closed recording is used.
 
     Args:
-        path: The file.
+        location: The path of the file, or its URL.
     """
 
-    def __init__(self, path: Path | str) -> None:
-        super().__init__(path)
-        self.path = Path(path)
+    def __init__(self, location: Path | str) -> None:
+        super().__init__(location)
+        self.location = str(location)
 
     def __str__(self) -> str:
-        return f"{self.path}: the recording is closed"
+        return f"{self.location}: the recording is closed"
 
 
 class RecordError(RecapError):

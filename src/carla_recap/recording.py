@@ -109,12 +109,17 @@ class Recording:
         return self.frames()
 
     def __repr__(self) -> str:
-        return f"Recording({str(self.path)!r})"
+        return f"Recording({self.location!r})"
 
     @property
     def path(self) -> Path:
-        """The path of the file."""
+        """The path of the file; of a URL, one with the same name, which says nothing about this machine."""
         return self._reader.path
+
+    @property
+    def location(self) -> str:
+        """The path of the file, or its URL, as given."""
+        return self._reader.location
 
     @property
     def header(self) -> Header:
@@ -125,7 +130,7 @@ class Recording:
     def reader(self) -> Reader:
         """The reader of the file's format."""
         if self._closed:
-            raise Closed(self.path)
+            raise Closed(self.location)
         return self._reader
 
     def close(self) -> None:
@@ -177,7 +182,7 @@ class Recording:
         frame = self.reader.frame_at(elapsed)
         if frame is None:
             raise RecapError(
-                f"{self.path}: no frame at {elapsed:g} s; it has {self.info.frames}, up to {self.info.duration:g} s"
+                f"{self.location}: no frame at {elapsed:g} s; it has {self.info.frames}, up to {self.info.duration:g} s"
             )
         return frame
 
@@ -208,9 +213,9 @@ class Recording:
         """
         ids = None
         if kind is not None:
-            kinds = {actor.kind for actor in self.actors.values()}
+            kinds = sorted({actor.kind for actor in self.actors.values()})
             if kind not in kinds:
-                raise RecapError(f"{self.path}: no actors of kind {kind!r}; there are {', '.join(sorted(kinds)) or 'none'}")
+                raise RecapError(f"{self.location}: no actors of kind {kind!r}; there are {', '.join(kinds) or 'none'}")
             ids = {actor.id for actor in self.actors.values() if actor.kind == kind}
         return trajectories(self.reader, ids, axes=axes)
 
@@ -332,15 +337,21 @@ class Recording:
         if actor_id in self.actors:
             return empty()
         near = sorted(self.actors, key=lambda id: abs(id - actor_id))[:3]
-        raise RecapError(f"{self.path}: no actor {actor_id}; near ids are {', '.join(map(str, near)) or 'none'}")
+        raise RecapError(f"{self.location}: no actor {actor_id}; near ids are {', '.join(map(str, near)) or 'none'}")
 
 
-def open_recording(path: Path | str) -> Recording:
+def open_recording(location: Path | str) -> Recording:
     """Open a recording: CARLA's log or MCAP, recognized by the content.
+
+    Args:
+        location: The path of a file, or a URL: `s3://`, `gs://`, `az://`, `abfs://`, `http://`, `https://` or `file://`; all
+            but the last need the extra `remote`. Keys and regions come from the environment. Of a remote MCAP file, only
+            the parts that are asked for are read; a remote log is copied to a temporary file.
 
     Raises:
         NotARecording: The file is neither.
         FormatError: The file is damaged.
         RecapError: The file cannot be read.
+        MissingExtra: It is remote, and the extra for that is not installed.
     """
-    return Recording(open_reader(path))
+    return Recording(open_reader(location))

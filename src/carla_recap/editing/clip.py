@@ -51,7 +51,7 @@ def clip(
     the frame of the spawn means that the pose of the spawn is relative to the parent.
 
     Args:
-        source: A recording of any format.
+        source: A recording of any format, or its URL.
         destination: The file to write; the suffix says the format. It appears when it is complete.
         start: The beginning, in elapsed seconds; a negative number is counted from the end.
         duration: The length in seconds; 0: up to the end of the recording.
@@ -96,7 +96,7 @@ class ClipCutter:
         if found is None or found.preamble:
             found = next((frame for frame in self._reader.frames() if not frame.preamble), None)
         if found is None:
-            raise RecapError(f"{self._reader.path}: the recording has no frames")
+            raise RecapError(f"{self._reader.location}: the recording has no frames")
         return found
 
     def write(self, destination: Path | str, first: Frame, stop: float, progress: Progress | None = None) -> Extent:

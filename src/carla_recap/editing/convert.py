@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING
 
 from carla_recap.errors import RecapError
 from carla_recap.formats import create_writer, format_of, open_reader
+from carla_recap.formats.sources import is_remote, path_of
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable
@@ -28,7 +29,7 @@ def convert(
     """Write a recording in another format; `.log` → `.mcap` → `.log` gives back the same bytes.
 
     Args:
-        source: A recording of any format.
+        source: A recording of any format, or its URL.
         destination: The file to write; the suffix says the format. It appears when it is complete.
         force: Overwrite an existing file.
         progress: Gets the batches and their reader, and yields the batches.
@@ -61,7 +62,7 @@ def check_destination(source: Path | str, destination: Path | str, *, force: boo
     """
     target = Path(destination)
     try:
-        same = target.exists() and Path(source).exists() and target.samefile(source)
+        same = not is_remote(source) and target.exists() and path_of(source).exists() and target.samefile(path_of(source))
     except (OSError, ValueError) as error:
         raise RecapError(f"{str(destination)[:200]}: cannot be written: {_reason(error)}") from None
     if same:

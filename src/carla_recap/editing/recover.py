@@ -13,6 +13,7 @@ from carla_recap.errors import FormatError, RecapError, RecapWarning
 from carla_recap.formats import create_writer, read_start
 from carla_recap.formats.carla_log import LogReader, is_log
 from carla_recap.formats.log_scan import PACKETS_LIMIT
+from carla_recap.formats.sources import LocalSource, is_remote, path_of
 from carla_recap.model.batch import Batch
 from carla_recap.model.layout import PayloadError, check
 from carla_recap.model.records import FRAME_END
@@ -71,7 +72,7 @@ def recover(
     """Write the intact frames of a recording to a new one.
 
     Args:
-        source: The damaged file, MCAP or log.
+        source: The damaged file, MCAP or log; or its URL, which is copied to a temporary file.
         destination: The file to write; the suffix says the format.
         force: Overwrite an existing file.
         progress: As in `convert`.
@@ -81,13 +82,14 @@ def recover(
         RecapError: Nothing can be saved, or the destination cannot be written.
     """
     check_destination(source, destination, force=force)
-    if not os.path.lexists(source) and partials(source):
-        raise _unfinished(source)
-    reader, finished, lost_bytes, headless = _open(source)
+    left = [] if is_remote(source) else partials(path_of(source))
+    if left and not os.path.lexists(path_of(source)):
+        raise _unfinished(source, left)
+    reader, finished, lost_bytes, headless = _open(source, left)
     frames, last, duration, lost_packets = 0, -1, 0.0, 0
     try:
-        if partials(source) and next(reader.frames(), None) is None:
-            raise _unfinished(source)
+        if left and next(reader.frames(), None) is None:
+            raise _unfinished(source, left)
         with create_writer(destination, reader.header, force=force, format=format) as writer:
             stream: Iterable[Batch] = map(Batch.of, reader.frames())
             for batch in progress(stream, reader) if progress else stream:
@@ -138,9 +140,9 @@ def finish_partial(
     return RecapError(f"{error}; the recording ends at {saved.duration:g} s")
 
 
-def _unfinished(source: Path | str) -> RecapError:
+def _unfinished(source: Path | str, left: list[Path]) -> RecapError:
     """Return the error about a recording that was never finished, with the paths of its partial files."""
-    paths = " and ".join(map(str, partials(source)))
+    paths = " and ".join(map(str, left))
     return RecapError(f"{source}: was never finished; what was written of it until then lies in {paths}")
 
 
@@ -162,26 +164,36 @@ def _stated_frames(reader: Reader) -> int:
     return int(getattr(reader, "metadata", {}).get("frames", 0))
 
 
-def _open(source: Path | str) -> tuple[Reader, bool, int, bool]:
+def _open(source: Path | str, left: list[Path]) -> tuple[Reader, bool, int, bool]:
     """Return a reader of the intact parts, whether the file has an end, its lost bytes, and whether its header is lost."""
-    if is_log(read_start(source)):
-        return LogReader(source, lenient=True), True, 0, False
-    from carla_recap.formats.mcap.index import Source
+    file = None
+    if is_remote(source):
+        from carla_recap.formats.remote import copy_of
+
+        file = copy_of(str(source))
+    if is_log(read_start(source) if file is None else file.read(64)):
+        return LogReader(source, lenient=True, file=file), True, 0, False
+    raw = LocalSource(source, file)
+    try:
+        return _open_mcap(raw, left)
+    except BaseException:
+        raw.close()
+        raise
+
+
+def _open_mcap(raw: LocalSource, left: list[Path]) -> tuple[Reader, bool, int, bool]:
     from carla_recap.formats.mcap.reader import McapReader
     from carla_recap.formats.mcap.recovery import guess_header, recover_summary
     from carla_recap.formats.mcap.schema import HEADER_METADATA
 
-    raw = Source(source)
-    try:
-        summary, damage = recover_summary(raw)
-    finally:
-        raw.close()
-    if not summary.chunks and partials(source):
-        raise _unfinished(source)
+    summary, damage = recover_summary(raw)
+    source = raw.location
+    if not summary.chunks and left:
+        raise _unfinished(source, left)
     if not summary.chunks:
         raise RecapError(f"{source}: nothing can be saved: it is no CARLA log, and no whole chunk of an MCAP file was found")
     if not any(name.startswith("carla_recap.v1.") for name in summary.schemas.values()):
         raise RecapError(f"{source}: nothing can be saved: it holds no recording")
     headless = HEADER_METADATA not in summary.metadata
     header = guess_header(summary) if headless else None
-    return McapReader(source, summary=summary, header=header, lenient=True), damage.finished, damage.bytes, headless
+    return McapReader(raw, summary=summary, header=header, lenient=True), damage.finished, damage.bytes, headless

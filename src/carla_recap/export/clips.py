@@ -71,7 +71,7 @@ def clips(
     """Write a clip of each incident, and an .rrd and a video that follow the first of its actors that is present.
 
     Args:
-        source: A recording of any format.
+        source: A recording of any format, or its URL.
         folder: A new folder, or an empty one. It appears when it is complete. The names of the files contain the kind of
             the incident, its time and the ids of its actors: `01-collision-21.3s-105-110.mcap`.
         collisions: Include collisions.
@@ -126,7 +126,7 @@ def clips(
             min_distance=min_distance,
             deceleration=deceleration,
         )
-        found = _choose(answer, limit, reader.path)
+        found = _choose(answer, limit, reader.location)
         targets = [Path(folder, name) for name in _names(found, suffix)]
         for target in targets:
             check_destination(source, target, force=force)
@@ -140,6 +140,7 @@ def clips(
                 if rrd is not None or film is not None:
                     with open_recording(room / target.name) as recording:
                         recording.reader.path = target  # its path when the folder is complete
+                        recording.reader.location = str(target)
                         followed = _followed(incident, recording, incident.start - origin(first))
                         if rrd is not None:
                             export_rerun(recording, room / rrd.name, follow=followed, road_map=road_map)
@@ -163,7 +164,7 @@ def _renderer(town: Town | None, reader: Reader | None) -> Iterator[RenderProces
         yield opened.result()
 
 
-def _choose(answer: Incidents, limit: int, source: Path) -> list[Incident]:
+def _choose(answer: Incidents, limit: int, source: str) -> list[Incident]:
     """Return the first incidents, up to a limit, among those within the times of the recording."""
     found = [incident for incident in answer if 0 <= incident.start <= answer.extent.duration and incident.stop < math.inf]
     if len(found) > limit:

@@ -8,6 +8,7 @@ from time import monotonic, sleep
 from typing import TYPE_CHECKING
 
 from carla_recap.errors import NotARecording, RecapError, RecapWarning
+from carla_recap.formats.sources import is_remote, path_of
 
 if TYPE_CHECKING:
     from carla_recap.formats.base import Reader, Writer
@@ -16,11 +17,15 @@ if TYPE_CHECKING:
 SUFFIXES = (".log", ".mcap")
 _PATIENCE = 2.0  # s
 _PAUSE = 0.01  # s
+_MCAP = b"\x89MCAP"
+_MCAP_END = b"\x89MCAP0\r\n"
 _SMALL = 4096  # bytes; a recording without frames is at most this large
 
 
-def open_reader(path: Path | str) -> Reader:
-    """Open a recording of either format.
+def open_reader(location: Path | str) -> Reader:
+    """Open a recording of either format, at a path or a URL; see `formats.sources`.
+
+    Of a remote MCAP file, only the parts that are asked for are read; a remote log is copied to a temporary file.
 
     While a server records, the file of that name has no frames. This function waits until it has, since clients do not
     wait for the end of `stop_recorder`.
@@ -32,11 +37,15 @@ def open_reader(path: Path | str) -> Reader:
         NotARecording: The content is in neither format.
         FormatError: The content is damaged.
         RecapError: The file cannot be read.
+        MissingExtra: It is remote, and the extra for that is not installed.
     """
+    if is_remote(location):
+        return _open_remote(str(location))
+    path = path_of(location)
     deadline = monotonic() + _PATIENCE
     while True:
         opened = _identity(path)
-        reader = _open(path)
+        reader = _open(location)
         if opened is None or not _has_no_frames(reader):
             return reader
         from carla_recap.util.files import partials
@@ -45,7 +54,7 @@ def open_reader(path: Path | str) -> Reader:
         if not left and _identity(path) == opened:
             return reader
         if monotonic() > deadline:
-            message = f"{path}: is being recorded, or was interrupted; its frames are in {' and '.join(map(str, left))}"
+            message = f"{location}: is being recorded, or was interrupted; its frames are in {' and '.join(map(str, left))}"
             warnings.warn(message, RecapWarning, stacklevel=3)
             return reader
         reader.close()
@@ -68,38 +77,61 @@ def _has_no_frames(reader: Reader) -> bool:
         return False
 
 
-def _open(path: Path | str) -> Reader:
+def _open(location: Path | str) -> Reader:
     # The module of a format is imported when a file needs it: a command on a small file should not wait.
-    start = read_start(path)
-    if start.startswith(b"\x89MCAP"):
+    start = read_start(location)
+    if start.startswith(_MCAP):
         from carla_recap.formats.mcap.reader import McapReader
 
-        return McapReader(path)
+        return McapReader(location)
     from carla_recap.formats.carla_log import LogReader, is_log
 
     if is_log(start):
-        return LogReader(path)
+        return LogReader(location)
     if not start:
-        raise NotARecording(path, "is empty; a CARLA log or an MCAP recording was expected")
-    raise NotARecording(path, "is not a recording (neither CARLA's log nor MCAP)")
+        raise NotARecording(location, "is empty; a CARLA log or an MCAP recording was expected")
+    raise NotARecording(location, "is not a recording (neither CARLA's log nor MCAP)")
 
 
-def read_start(path: Path | str) -> bytes:
-    """Return the first bytes of a file, which say its format.
+def _open_remote(url: str) -> Reader:
+    from carla_recap.formats.remote import RemoteSource, copied
+
+    source = RemoteSource(url)
+    try:
+        start = b"" if source.ends_with(_MCAP_END) else source.start()
+        if not start or start.startswith(_MCAP):
+            from carla_recap.formats.mcap.reader import McapReader
+
+            return McapReader(source)
+        from carla_recap.formats.carla_log import LogReader, is_log
+
+        if not is_log(start):
+            raise NotARecording(url, "is not a recording (neither CARLA's log nor MCAP)")
+        reader = LogReader(url, file=copied(source))
+    except BaseException:
+        source.close()
+        raise
+    source.close()
+    return reader
+
+
+def read_start(location: Path | str) -> bytes:
+    """Return the first bytes of a local file, which say its format.
 
     Raises:
         NotARecording: It is not a regular file.
         RecapError: It cannot be read.
     """
     try:
-        if not Path(path).is_dir() and Path(path).exists() and not Path(path).is_file():
-            raise NotARecording(path, "is not a regular file")
-        with Path(path).open("rb") as file:
+        path = path_of(location)
+        if not path.is_dir() and path.exists() and not path.is_file():
+            raise NotARecording(location, "is not a regular file")
+        with path.open("rb") as file:
             return file.read(64)
     except OSError as error:
-        raise RecapError(f"{path}: {error.strerror}") from None
+        raise RecapError(f"{location}: {error.strerror}") from None
     except ValueError as error:
-        raise RecapError(f"{path!r}: {error}") from None
+        raise RecapError(f"{location!r}: {error}") from None
 
 
 def format_of(path: Path | str) -> str:

@@ -19,9 +19,16 @@ PIECE = 1 << 20
 
 
 class Reader(Protocol):
-    """An open recording."""
+    """An open recording.
+
+    Attributes:
+        path: Its path; of a URL, one with the same name, which says nothing about this machine.
+        location: Its path or URL, as given.
+        header: Its header.
+    """
 
     path: Path
+    location: str
     header: Header
 
     def frames(

@@ -13,7 +13,6 @@ import struct
 import warnings
 from array import array
 from bisect import bisect_right
-from pathlib import Path
 from threading import Lock
 from typing import TYPE_CHECKING, BinaryIO, Final
 
@@ -22,6 +21,7 @@ import numpy as np
 from carla_recap.errors import Closed, FormatError, NotARecording, RecapError, RecapWarning, RecordError
 from carla_recap.formats.base import PIECE
 from carla_recap.formats.log_scan import PACKET, START, START_HEAD, Scanner, Window, is_sound
+from carla_recap.formats.sources import path_of
 from carla_recap.model.batch import Batch, ConstantColumn, PackedColumn, within
 from carla_recap.model.frame import SAME_TIME, Extent, Frame, Header, Packet
 from carla_recap.model.layout import EMPTY_LIST, OBJECTS_LIMIT, U16, Buffer, Framing
@@ -30,6 +30,7 @@ from carla_recap.util.files import AtomicFile
 
 if TYPE_CHECKING:
     from collections.abc import Collection, Iterator, Sequence
+    from pathlib import Path
 
     from carla_recap.formats.log_scan import Run, Span
     from carla_recap.model.batch import Column
@@ -61,11 +62,13 @@ class LogReader:
     """Reads a CARLA log.
 
     Args:
-        path: The file.
+        location: The path of the file, or its `file:` URL.
         lenient: Leave out what contradicts the format, and go on with the next frame that looks complete.
+        file: The open file, unbuffered, if it is another than the one at the location: a copy of an object.
 
     Attributes:
-        path: The file.
+        path: Its path.
+        location: The location, as given.
         header: The header.
         lost_bytes: The number of bytes that were left out so far.
 
@@ -74,8 +77,8 @@ class LogReader:
         FormatError: The header contradicts the format.
     """
 
-    def __init__(self, path: Path | str, *, lenient: bool = False) -> None:
-        self.path = Path(path)
+    def __init__(self, location: Path | str, *, lenient: bool = False, file: BinaryIO | None = None) -> None:
+        self.path, self.location = path_of(location), os.fspath(location)
         self.lost_bytes = 0
         self._lock = Lock()
         self._lenient = lenient
@@ -84,16 +87,16 @@ class LogReader:
         self._index: _Index | None = None
         self._end: int | None = None  # of the last complete packet, once known
         try:
-            self._file: BinaryIO = self.path.open("rb", buffering=0)
+            self._file: BinaryIO = file or self.path.open("rb", buffering=0)
         except OSError as error:
-            raise RecapError(f"{path}: {error.strerror}") from None
+            raise RecapError(f"{location}: {error.strerror}") from None
         try:
             status = os.fstat(self._file.fileno())
             if not stat.S_ISREG(status.st_mode):
-                raise NotARecording(path, "is not a regular file")
+                raise NotARecording(location, "is not a regular file")
             self._size = status.st_size
             if not self._size:
-                raise NotARecording(path, "is empty, a CARLA log was expected")
+                raise NotARecording(location, "is empty, a CARLA log was expected")
             self.header, self._start = self._read_header()
         except BaseException:
             self._file.close()
@@ -181,14 +184,14 @@ class LogReader:
     def _read_header(self) -> tuple[Header, int]:
         start = self._window().read(0, _LONGEST_HEADER)
         if not is_log(start):
-            raise NotARecording(self.path, "is not a CARLA log (the magic CARLA_RECORDER is missing)")
+            raise NotARecording(self.location, "is not a CARLA log (the magic CARLA_RECORDER is missing)")
         try:
             (version,) = U16.unpack_from(start)
             _, offset = _read_text(start, 2)
             (date,) = DATE.unpack_from(start, offset)
             name, end = _read_text(start, offset + DATE.size)
         except (struct.error, IndexError):
-            raise FormatError(self.path, len(start), "the file ends inside the header") from None
+            raise FormatError(self.location, len(start), "the file ends inside the header") from None
         plain = Header(name.decode("utf-8", "surrogateescape"), date, version)
         raw = start[:end]
         wide, shifted = self._sniff(end)
@@ -201,7 +204,7 @@ class LogReader:
         spawns: bytes | None = None
         after = False
         window, size = self._window(), self._size
-        scanner = Scanner(self.path, window, [None] * 256)
+        scanner = Scanner(self.location, window, [None] * 256)
         frames = 0
         for _ in range(_SNIFFED_PACKETS):
             sized = wide is not None or spawns is not None
@@ -236,11 +239,11 @@ class LogReader:
 
     def _check_open(self) -> None:
         if self._file.closed:
-            raise Closed(self.path)
+            raise Closed(self.location)
 
     def _window(self) -> Window:
         self._check_open()
-        return Window(self.path, self._file, self._size, self._lock)
+        return Window(self.location, self._file, self._size, self._lock)
 
     def _runs(self, index: int, offset: int, names: frozenset[str] | None, *, sparse: bool = False) -> Iterator[Run]:
         """Scan the frames from one on, whose position in the recording is given, to the end.
@@ -253,7 +256,7 @@ class LogReader:
         """
         window = self._window()
         wanted = None if names is None else [type is not None and type.name in names for type in self._types]
-        scanner = Scanner(self.path, window, self._types, wanted=wanted, sparse=sparse, lenient=self._lenient)
+        scanner = Scanner(self.location, window, self._types, wanted=wanted, sparse=sparse, lenient=self._lenient)
         for run in scanner.runs(index, offset, preamble=self._preamble and offset == self._start):
             yield run
             self._check_open()
@@ -275,7 +278,7 @@ class LogReader:
         start = offset - base
         if count == 1:
             return Batch.of(self._frame(index, start, packets, data, base, preamble=preamble))
-        origin = self.path, base
+        origin = self.location, base
         columns: list[Column] = []
         for id, offset, size in packets:
             offset += start
@@ -289,7 +292,7 @@ class LogReader:
 
     def _frame(self, index: int, start: int, spans: Sequence[Span], data: bytes, base: int, *, preamble: bool) -> Frame:
         """Return the frame that starts at an index of some data, which are at `base` in the file."""
-        origin = self.path, base
+        origin = self.location, base
         types, ids, empty = self._types, self._ids, self._empty
         packets = []
         for id, offset, size in spans:
@@ -318,7 +321,7 @@ class LogReader:
     def _warn(self, key: str, message: str) -> None:
         if key not in self._warned:
             self._warned.add(key)
-            warnings.warn(f"{self.path}: {message}", RecapWarning, stacklevel=2)
+            warnings.warn(f"{self.location}: {message}", RecapWarning, stacklevel=2)
 
     # --- random access -------------------------------------------------------------------------------------------------
 

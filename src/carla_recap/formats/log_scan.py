@@ -18,7 +18,6 @@ from carla_recap.model.records import FRAME_END, FRAME_START
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
-    from pathlib import Path
     from threading import Lock
     from typing import BinaryIO
 
@@ -73,7 +72,7 @@ class Window:
     that ends the process.
 
     Args:
-        path: The file, for messages.
+        location: The path or URL of the file, for messages.
         file: The file, unbuffered.
         size: Its size, in bytes.
         lock: Held while a part of the file is read, as several windows may share the file.
@@ -84,8 +83,8 @@ class Window:
         size: The size of the file, in bytes.
     """
 
-    def __init__(self, path: Path, file: BinaryIO, size: int, lock: Lock) -> None:
-        self._path = path
+    def __init__(self, location: str, file: BinaryIO, size: int, lock: Lock) -> None:
+        self._location = location
         self._file = file
         self._lock = lock
         self.size = size
@@ -124,7 +123,7 @@ class Window:
         if offset + held >= self.size or offset + size > self.size:
             return False
         if max(held, size) > FRAME_LIMIT:
-            raise FormatError(self._path, offset, f"a frame of at most {FRAME_LIMIT} bytes was expected")
+            raise FormatError(self._location, offset, f"a frame of at most {FRAME_LIMIT} bytes was expected")
         self._read(offset, max(2 * held, size) if self.base == offset else size)
         return True
 
@@ -133,7 +132,7 @@ class Window:
         self.data = b""  # so that its memory serves again
         self.data, self.base = self._bytes(offset, size), offset
         if len(self.data) < size:
-            raise FormatError(self._path, offset + len(self.data), "the file has become shorter while it was read")
+            raise FormatError(self._location, offset + len(self.data), "the file has become shorter while it was read")
 
     def _bytes(self, offset: int, size: int) -> bytes:
         """Read some bytes, fewer if the file ends before."""
@@ -144,7 +143,7 @@ class Window:
                 while len(data) < size and (more := self._file.read(size - len(data))):
                     data += more
         except OSError as error:
-            raise RecapError(f"{self._path}: {error.strerror}") from None
+            raise RecapError(f"{self._location}: {error.strerror}") from None
         return data
 
 
@@ -152,7 +151,7 @@ class Scanner:
     """Scans a log for its frames.
 
     Args:
-        path: The file, for messages.
+        location: The path or URL of the file, for messages.
         window: The file.
         types: The record types by packet id, as in the file.
         wanted: Whether packets are wanted, by their id in the file, if they have records; None for all packets.
@@ -168,7 +167,7 @@ class Scanner:
 
     def __init__(
         self,
-        path: Path,
+        location: str,
         window: Window,
         types: Sequence[RecordType | None],
         *,
@@ -176,7 +175,7 @@ class Scanner:
         sparse: bool = False,
         lenient: bool = False,
     ) -> None:
-        self._path = path
+        self._location = location
         self._window = window
         self._counted = [type is not None and type.framing is Framing.LIST for type in types]
         self._types = types
@@ -341,7 +340,7 @@ class Scanner:
             if len(packets) > PACKETS_LIMIT and lenient:
                 self.lost_bytes += PACKET.size + packets.pop()[2]
             elif len(packets) > PACKETS_LIMIT:
-                raise FormatError(self._path, here, f"more than {PACKETS_LIMIT} packets in a frame")
+                raise FormatError(self._location, here, f"more than {PACKETS_LIMIT} packets in a frame")
             here = end
         if window.base + len(window.data) < here:
             window.grow(offset, here - offset)
@@ -367,7 +366,7 @@ class Scanner:
         if self._lenient:
             return self.next_frame(here + 1) or self._window.size
         name, expected = ("FrameEnd", 0) if id else ("FrameStart", START.size)
-        raise FormatError(self._path, here, f"{name} of {size} bytes, {expected} were expected")
+        raise FormatError(self._location, here, f"{name} of {size} bytes, {expected} were expected")
 
     def _only_zeros(self, offset: int) -> bool:
         """Return whether nothing but zeros follows, as a machine that crashed leaves them."""

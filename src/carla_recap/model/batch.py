@@ -13,7 +13,6 @@ from carla_recap.model.records import UE4
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator, Sequence
-    from pathlib import Path
 
     from numpy.typing import NDArray
 
@@ -112,7 +111,7 @@ class PackedColumn(Column):
         offset: The first byte of the first payload.
         stride: Bytes from one payload to the next.
         count: The number of frames.
-        origin: The file that the buffer was read from, and the offset of the buffer's first byte in it.
+        origin: The location of the file that the buffer was read from, and the offset of the buffer's first byte in it.
     """
 
     __slots__ = ("_buffer", "_count", "_offset", "_origin", "_stride")
@@ -126,7 +125,7 @@ class PackedColumn(Column):
         offset: int,
         stride: int,
         count: int,
-        origin: tuple[Path, int | None] | None = None,
+        origin: tuple[str, int | None] | None = None,
     ) -> None:
         super().__init__(id, type, size)
         self._buffer = buffer

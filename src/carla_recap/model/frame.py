@@ -14,7 +14,6 @@ from carla_recap.model.records import FRAME_END, ORDER, UE4, UE5, Bones, Physics
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
-    from pathlib import Path
 
     from numpy.typing import NDArray
 
@@ -75,7 +74,8 @@ class Packet:
         type: The record type; None for an unknown id.
         payload: The bytes, where they are a buffer of their own.
         records: The records, where they are known already.
-        origin: The file that the packet was read from, and the offset in it of the payload, or of the buffer, if known.
+        origin: The location of the file that the packet was read from, and the offset in it of the payload, or of the
+            buffer, if known.
         part: A buffer that holds the payload, and the offset and the size of the payload in it.
     """
 
@@ -87,7 +87,7 @@ class Packet:
         type: RecordType | None,
         payload: Buffer | None = None,
         records: Records | None = None,
-        origin: tuple[Path, int | None] | None = None,
+        origin: tuple[str, int | None] | None = None,
         part: tuple[Buffer, int, int] | None = None,
     ) -> None:
         self.id = id

@@ -150,7 +150,7 @@ class Cursor:
         self._batch = self._ahead = None
         self._read_next()
         if self.next is None:
-            raise RecapError(f"{self._reader.path}: the recording has no frames")
+            raise RecapError(f"{self._reader.location}: the recording has no frames")
         self._enter(self.next)
 
     def _recall_lights(self, found: Frame) -> None:

@@ -42,14 +42,14 @@ def find_followed(reader: Reader, follow: Follow, *, ignore_hero: bool = False) 
     matching = [actor for actor in all_actors if (actor.is_hero if follow == HERO else actor.id == follow)]
     if matching:
         if ignore_hero and all(actor.is_hero for actor in matching):
-            raise RecapError(f"{reader.path}: the hero, actor {matching[0].id}, cannot be followed and ignored")
+            raise RecapError(f"{reader.location}: the hero, actor {matching[0].id}, cannot be followed and ignored")
         return matching[0].id
     if follow == HERO:
-        raise RecapError(f"{reader.path}: there is no hero to follow (no actor has the role_name hero)")
+        raise RecapError(f"{reader.location}: there is no hero to follow (no actor has the role_name hero)")
     if not isinstance(follow, int):
-        raise RecapError(f"{reader.path}: an actor id or 'hero' was expected to follow, found {follow!r}")
+        raise RecapError(f"{reader.location}: an actor id or 'hero' was expected to follow, found {follow!r}")
     near = sorted({actor.id for actor in all_actors}, key=lambda id: abs(id - follow))[:3]
-    raise RecapError(f"{reader.path}: no actor {follow} to follow; near ids are {', '.join(map(str, near)) or 'none'}")
+    raise RecapError(f"{reader.location}: no actor {follow} to follow; near ids are {', '.join(map(str, near)) or 'none'}")
 
 
 def choose_followed(reader: Reader, *, start: float = 0.0, stop: float = math.inf, ignore_hero: bool = False) -> int | None:

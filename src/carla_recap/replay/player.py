@@ -90,7 +90,7 @@ class Player:
         self.reader = reader
         extent = reader.extent()
         if not extent.frames:
-            raise RecapError(f"{reader.path}: the recording has no frames")
+            raise RecapError(f"{reader.location}: the recording has no frames")
         self.total = extent.duration
         self.start = self._moment(start)
         if not 0 <= duration < math.inf:
@@ -270,7 +270,7 @@ class Player:
             return time
         if time <= self.total * (1 + _PRINTED):
             return self.total
-        raise RecapError(f"{self.reader.path}: nothing at {time:g} s; the recording ends at {self.total:g} s")
+        raise RecapError(f"{self.reader.location}: nothing at {time:g} s; the recording ends at {self.total:g} s")
 
 
 class LiveScenes:

@@ -17,13 +17,14 @@ from carla_recap import FormatError, NotARecording, RecapError, open_recording, 
 from carla_recap.formats.mcap.index import (
     CHUNK_LIMIT,
     RECORDS_LIMIT,
-    Source,
     decompress,
     open_chunk,
     parse_record,
+    read_record,
     read_summary,
     split_records,
 )
+from carla_recap.formats.sources import LocalSource
 from tests import strategies
 from tests.formats.mcap.forge import Forge, data_records, packed, seal
 from tests.samples import save, time_limit, warnings_ignored
@@ -34,7 +35,7 @@ CONTENT = bytes(range(256)) * 5
 @pytest.fixture
 def source(tmp_path):
     """A file of ten bytes."""
-    opened = Source(save(tmp_path / "ten", b"0123456789"))
+    opened = LocalSource(save(tmp_path / "ten", b"0123456789"))
     yield opened
     opened.close()
 
@@ -52,19 +53,19 @@ def test_a_place_outside_is_an_error(source, at, size):
 
 
 def test_a_record_of_another_kind_is_an_error(tmp_path):
-    source = Source(save(tmp_path / "one", packed(records.DataEnd(data_section_crc=7))))
-    assert source.record(0, Opcode.DATA_END, "the end") == struct.pack("<I", 7)
+    source = LocalSource(save(tmp_path / "one", packed(records.DataEnd(data_section_crc=7))))
+    assert read_record(source, 0, Opcode.DATA_END, "the end") == struct.pack("<I", 7)
     with pytest.raises(FormatError, match="a chunk was expected, found a record of kind 15 with 4 bytes"):
-        source.record(0, Opcode.CHUNK, "a chunk")
+        read_record(source, 0, Opcode.CHUNK, "a chunk")
     with pytest.raises(FormatError, match="the end was expected"):
-        source.record(0, Opcode.DATA_END, "the end", limit=3)
+        read_record(source, 0, Opcode.DATA_END, "the end", limit=3)
     source.close()
 
 
 @pytest.mark.parametrize("name", ["missing", "."])
 def test_what_cannot_be_opened_is_an_error(tmp_path, name):
     with pytest.raises(RecapError, match=r"No such file|[Ii]s a directory"):
-        Source(tmp_path / name)
+        LocalSource(tmp_path / name)
 
 
 @given(st.lists(st.tuples(st.integers(0, 255), st.binary(max_size=20)), max_size=4))
@@ -143,7 +144,7 @@ def test_damaged_chunks_are_errors_or_unchanged(compression, data):
 
 @pytest.mark.parametrize("data", [b"", b"\x89MCAP", b"\x89MCAP1\r\n" + bytes(60)])
 def test_what_has_no_magic_is_no_mcap(tmp_path, data):
-    source = Source(save(tmp_path / "x.mcap", data))
+    source = LocalSource(save(tmp_path / "x.mcap", data))
     with pytest.raises(NotARecording, match="is no MCAP file"):
         read_summary(source)
     source.close()
@@ -172,7 +173,7 @@ def test_any_summary_is_read_or_an_error(tmp_path, data):
     summary = strategies.damaged(summary, data.draw(strategies.mutations(len(summary))))
     footer = packed(records.Footer(summary_start=8, summary_offset_start=0, summary_crc=0))
     magic = b"\x89MCAP0\r\n"
-    source = Source(save(tmp_path / "x.mcap", magic + summary + footer + magic))
+    source = LocalSource(save(tmp_path / "x.mcap", magic + summary + footer + magic))
     with time_limit(5), warnings.catch_warnings():
         warnings.simplefilter("error")
         try:

@@ -9,15 +9,16 @@ from hypothesis import given
 from hypothesis import strategies as st
 from mcap import records
 
-from carla_recap.formats.mcap.index import Source, read_summary
+from carla_recap.formats.mcap.index import read_summary
 from carla_recap.formats.mcap.recovery import recover_summary
+from carla_recap.formats.sources import LocalSource
 from tests import strategies
 from tests.formats.mcap.forge import MAGIC, Forge, data_records, seal
 from tests.samples import save, time_limit
 
 
 def recovered(path):
-    source = Source(path)
+    source = LocalSource(path)
     try:
         return recover_summary(source)
     finally:
@@ -36,7 +37,7 @@ def offsets_of(data):
 
 
 def test_a_sound_file_is_all_found(driven):
-    source = Source(driven)
+    source = LocalSource(driven)
     own = read_summary(source)
     source.close()
     summary, damage = recovered(driven)
@@ -176,7 +177,7 @@ def test_false_heads_of_chunks_cost_little(driven, honest):
     assert len(junk) == count * each
     save(driven, data[: chunks[1]] + bytes(junk) + bytes(100_000) + data[chunks[1] :])
     with time_limit(10):
-        source = Source(driven)
+        source = LocalSource(driven)
         summary, damage = recover_summary(source)
         source.close()
     assert source.bytes_read < 12 * source.size + (64 << 20)
@@ -187,7 +188,7 @@ def test_false_heads_of_chunks_cost_little(driven, honest):
 def test_small_false_heads_are_found_in_one_window(tmp_path):
     junk = (b"\x06" + bytes(36) + b"\x04\0\0\0zstd") * 50_000
     path = save(tmp_path / "x.mcap", MAGIC + junk)
-    source = Source(path)
+    source = LocalSource(path)
     with time_limit(10):
         recover_summary(source)
     source.close()

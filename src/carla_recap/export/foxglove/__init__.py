@@ -73,7 +73,7 @@ def export_foxglove(
     from carla_recap.export.foxglove.writer import FoxgloveWriter
 
     reader = source.reader
-    check_destination(reader.path, destination, force=force)
+    check_destination(reader.location, destination, force=force)
     player = Player(source, start=start, duration=duration, follow=follow)
     town = town_of(road_map, player, source)
     description, stops = _description(reader, player), stop_points(reader)

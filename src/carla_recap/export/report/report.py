@@ -167,7 +167,7 @@ def write_report(
     limits = _Limits(before, after, min_time, min_distance, deceleration)
     reported = [_Reported(recording, limits, progress) for recording in recordings]
     if viewer and not reported[0].whole:
-        raise RecapError(f"{recordings[0].path}: is too long for the viewer in a page; clips of its incidents are not")
+        raise RecapError(f"{recordings[0].location}: is too long for the viewer in a page; clips of its incidents are not")
     town = town or town_of(road_map)
     for each in reported if pictures == "rendered" else ():
         each.take_pictures(town)
@@ -213,7 +213,7 @@ def _check_maps(recordings: Sequence[Recording]) -> None:
     """Refuse recordings of different maps; the layered variant of a map is the same."""
     names = [readable(recording.header.map_name).rpartition("/")[2] for recording in recordings]
     if len({name.lower().removesuffix("_opt") for name in names if name}) > 1:
-        first, second = (recording.path for recording in recordings)
+        first, second = (recording.location for recording in recordings)
         raise RecapError(f"{first} is of the map {names[0]}, {second} of {names[1]}; recordings of one map were expected")
 
 

@@ -196,7 +196,7 @@ def write(
         FormatError: The file contradicts its format.
     """
     reader = player.reader
-    describe(stream, reader.header, reader.path.name, str(reader.path))
+    describe(stream, reader.header, reader.path.name, reader.location)
     if road_map is not None and is_elsewhere(road_map, first_locations(player)):
         warnings.warn(f"{road_map.name}: no actor is near this map, which is left out", RecapWarning, stacklevel=2)
         road_map = None
@@ -244,7 +244,7 @@ def export_rerun(
         FormatError: The file contradicts its format.
     """
     reader = source.reader if isinstance(source, Recording) else source
-    check_destination(reader.path, destination, force=force)
+    check_destination(reader.location, destination, force=force)
     if cameras is not None:
         check_folder(cameras, force=force)
         if Path(cameras).absolute() == Path(destination).absolute():
@@ -272,6 +272,6 @@ def _filmed(player: Player) -> list[int]:
             ids[actor.id] = None
     if len(ids) > MOST_CAMERAS:
         warnings.warn(
-            f"{player.reader.path}: only {MOST_CAMERAS} of {len(ids)} actors get a camera", RecapWarning, stacklevel=3
+            f"{player.reader.location}: only {MOST_CAMERAS} of {len(ids)} actors get a camera", RecapWarning, stacklevel=3
         )
     return list(ids)[:MOST_CAMERAS]

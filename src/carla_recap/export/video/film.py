@@ -168,7 +168,7 @@ def _check_view(recording: Recording, view: VideoView) -> None:
     if view in {actor.id for actor in cameras}:
         return
     named = ", ".join(f"{actor.id} ({actor.type_id})" for actor in cameras[:5]) or "none"
-    raise RecapError(f"{recording.path}: no camera {view} is recorded; the recorded cameras are: {named}")
+    raise RecapError(f"{recording.location}: no camera {view} is recorded; the recorded cameras are: {named}")
 
 
 def followed_of(recording: Recording, view: VideoView, follow: Follow | None) -> Follow | None:
@@ -221,7 +221,7 @@ def opened_renderer(
         yield given
         return
     with ThreadPoolExecutor(1, "carla-recap-town") as thread:
-        made = thread.submit(_make_renderer, town, recording.path, start, stop, supersampling)
+        made = thread.submit(_make_renderer, town, recording.location, start, stop, supersampling)
         try:
             yield made
         finally:
@@ -229,14 +229,14 @@ def opened_renderer(
                 made.result().close()
 
 
-def _make_renderer(town: Town | None, source: Path, start: float, stop: float, supersampling: int) -> RenderProcess:
+def _make_renderer(town: Town | None, source: str, start: float, stop: float, supersampling: int) -> RenderProcess:
     from carla_recap.rendering.process import RenderProcess
 
     mesh = town() if callable(town) else town
     return RenderProcess(_driven_town(source, start, stop) if mesh is None else mesh, supersampling=supersampling)
 
 
-def _driven_town(source: Path, start: float, stop: float) -> TownMesh:
+def _driven_town(source: str, start: float, stop: float) -> TownMesh:
     """Return the roads that vehicles have driven; of a long recording, those of the time around a part of it."""
     from carla_recap.editing.clip import clip
     from carla_recap.rendering.town import corridor_town

@@ -62,7 +62,7 @@ def snapshot(
     path = Path(destination)
     if path.suffix.lower() != ".png":
         raise RecapError(f"{path}: a picture is written as .png")
-    check_destination(source.reader.path, path, force=force)
+    check_destination(source.reader.location, path, force=force)
     data = picture(source, at=at, follow=follow, view=view, town=town, size=size, overlay=overlay)
     with WholeFile(path) as file:
         file.write(data)
@@ -135,7 +135,7 @@ def _check_followed(source: Recording, followed: int | None, shot: VideoShot) ->
     pose = None if followed is None else shot.scene.pose_of(followed)
     if pose is None:
         raise RecapError(
-            f"{source.path}: actor {followed} is not present at {shot.scene.time:g} s, so it cannot be followed"
+            f"{source.location}: actor {followed} is not present at {shot.scene.time:g} s, so it cannot be followed"
         )
     if not np.isfinite(pose).all():
-        raise RecapError(f"{source.path}: the pose of actor {followed} at {shot.scene.time:g} s is not finite")
+        raise RecapError(f"{source.location}: the pose of actor {followed} at {shot.scene.time:g} s is not finite")

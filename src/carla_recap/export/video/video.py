@@ -102,7 +102,7 @@ def export_video(
     length = player.stop - player.start
     frames = max(1, round(min(length * rate / speed, LONGEST + 1))) if rate > 0 else 0
     check_video(path, size, rate, frames)
-    check_destination(source.reader.path, path, force=force)
+    check_destination(source.reader.location, path, force=force)
 
     def film(rate: float, speed: float, frames: int) -> Film:
         part = Player(source, start=player.start, duration=length, follow=player.followed)

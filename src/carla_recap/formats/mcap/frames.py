@@ -36,7 +36,6 @@ from carla_recap.model.records import FRAME_END, FRAME_START
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Iterator
-    from pathlib import Path
 
     from carla_recap.formats.mcap.fixed import Payloads
     from carla_recap.formats.mcap.index import ChunkIndex
@@ -92,12 +91,12 @@ class Channels:
 class ChannelMessages:
     """The messages of a channel in some chunks; those whose records have one size are decoded together."""
 
-    __slots__ = ("channel", "decoded", "messages", "path", "payloads", "type")
+    __slots__ = ("channel", "decoded", "location", "messages", "payloads", "type")
 
-    def __init__(self, channel: int, type: RecordType | None, path: Path) -> None:
+    def __init__(self, channel: int, type: RecordType | None, location: str) -> None:
         self.channel = channel
         self.type = type
-        self.path = path
+        self.location = location
         self.messages: list[memoryview] = []
         self.payloads: Payloads | None = None
         self.decoded = False
@@ -124,7 +123,7 @@ class MessagePacket(Packet):
         self._source = source
         self._index = index
         self._payload = self._records = None
-        self._origin = (source.path, None)
+        self._origin = (source.location, None)
 
     @property
     def payload(self) -> Buffer:
@@ -160,7 +159,8 @@ class MessagePacket(Packet):
     def _broken(self, error: messages.WireError) -> FormatError:
         head = messages.read_head(self._source.messages[self._index])
         name = self.type.topic if self.type else ""
-        return FormatError(self._source.path, None, f"{name} of frame {head[0]}: {error}" if head else f"{name}: {error}")
+        where = f"{name} of frame {head[0]}" if head else name
+        return FormatError(self._source.location, None, f"{where}: {error}")
 
 
 Found = tuple[ChannelMessages, int]  # a message: those of its channel, and its index among them
@@ -216,7 +216,7 @@ class FrameAssembler:
     """Puts the frames of a read together.
 
     Args:
-        path: The file, for messages.
+        location: The path or URL of the file, for messages.
         channels: The channels of the file.
         selection: What is read.
         allowance: The most messages that are accepted.
@@ -226,7 +226,7 @@ class FrameAssembler:
 
     def __init__(
         self,
-        path: Path,
+        location: str,
         channels: Channels,
         selection: ReadSelection,
         allowance: int,
@@ -234,7 +234,7 @@ class FrameAssembler:
         *,
         lenient: bool = False,
     ) -> None:
-        self._path = path
+        self._location = location
         self._channels = channels
         self._selection = selection
         self._allowance = allowance
@@ -271,7 +271,7 @@ class FrameAssembler:
         self._allowance -= count
         chunk = chunks[-1][0]
         if self._allowance < 0:
-            raise FormatError(self._path, chunk.offset, "more messages than a file of this size can mean")
+            raise FormatError(self._location, chunk.offset, "more messages than a file of this size can mean")
         blocks = self._blocks
         if sum(b.size for b in blocks) > PENDING_LIMIT or sum(b.messages for b in blocks) > MESSAGES_LIMIT:
             raise self._too_much(chunk)
@@ -306,7 +306,7 @@ class FrameAssembler:
         try:
             yield from message_runs(data, self._channels.frames)
         except BrokenRecords as error:
-            raise FormatError(self._path, chunk.offset, f"damaged chunk: {error}") from None
+            raise FormatError(self._location, chunk.offset, f"damaged chunk: {error}") from None
 
     def _split(self, runs: Iterable[MessageRun]) -> None:
         """Add the messages of runs to those of their frames, one by one."""
@@ -322,7 +322,7 @@ class FrameAssembler:
                 for channel, offset, size in slots:
                     source = found.get(channel)
                     if source is None:
-                        source = found[channel] = ChannelMessages(channel, self._channels.types.get(channel), self._path)
+                        source = found[channel] = ChannelMessages(channel, self._channels.types.get(channel), self._location)
                     of_frame.append((source, len(source.messages)))
                     source.messages.append(data[start + offset : start + offset + size])
                 if sequence in pending:
@@ -363,7 +363,7 @@ class FrameAssembler:
 
     def _too_much(self, chunk: ChunkIndex) -> FormatError:
         limits = f"{PENDING_LIMIT} bytes or {MESSAGES_LIMIT} messages"
-        return FormatError(self._path, chunk.offset, f"more than {limits} of chunks overlap in time")
+        return FormatError(self._location, chunk.offset, f"more than {limits} of chunks overlap in time")
 
     # --- frames --------------------------------------------------------------------------------------------------------
 
@@ -425,7 +425,7 @@ class FrameAssembler:
         head = messages.read_head(data)
         if head is None:
             spec = self._channels.specs[found[0][0].channel]
-            message = parsed(self._path, spec.module, spec.message, data)
+            message = parsed(self._location, spec.module, spec.message, data)
             head = message.frame, message.elapsed
         return Frame(index, *head, math.nan, packets)
 
@@ -433,7 +433,7 @@ class FrameAssembler:
         """Return id, elapsed and duration of a `Frame`, and the plan to put it together."""
         found = messages.read_frame(data)
         if found is None:
-            message = parsed(self._path, "frame", FRAME_MESSAGE, data)
+            message = parsed(self._location, "frame", FRAME_MESSAGE, data)
             packets = messages.frame_packets(message.packets, message.filled)
             found = message.frame, message.elapsed, message.duration, packets
         id, elapsed, duration, packets = found
@@ -447,7 +447,7 @@ class FrameAssembler:
                 self._plans.clear()
             found = messages.read_frame_packets(packets)
             if found is None:
-                message = parsed(self._path, "frame", FRAME_MESSAGE, packets)
+                message = parsed(self._location, "frame", FRAME_MESSAGE, packets)
                 found = message.packets, message.filled
             ids, kinds = found
             steps = [self._step(id, kind) for id, kind in zip(ids, kinds, strict=False) if id != FRAME_START]
@@ -474,20 +474,20 @@ class FrameAssembler:
 
     def _raw_packet(self, first: Found, rest: list[Found]) -> Packet:
         """Return a packet of raw pieces, and take those after the first one out of the rest."""
-        message = parsed(self._path, "raw_packet", RAW_MESSAGE, _data(first))
+        message = parsed(self._location, "raw_packet", RAW_MESSAGE, _data(first))
         pieces = [message.data]
         missing = message.size - len(message.data)
         while missing > 0 and rest:
-            pieces.append(parsed(self._path, "raw_packet", RAW_MESSAGE, _data(rest.pop())).data)
+            pieces.append(parsed(self._location, "raw_packet", RAW_MESSAGE, _data(rest.pop())).data)
             missing -= len(pieces[-1])
         if not FRAME_START < message.id <= 0xFF:
-            raise FormatError(self._path, None, f"a raw packet of id {message.id}; 1 to 255 were expected")
+            raise FormatError(self._location, None, f"a raw packet of id {message.id}; 1 to 255 were expected")
         table = self._channels.table
         type = table[message.id] if message.id < len(table) else None
-        return Packet(message.id, type, b"".join(pieces), origin=(self._path, None))
+        return Packet(message.id, type, b"".join(pieces), origin=(self._location, None))
 
 
-def channel_messages(path: Path, chunk: ChunkIndex, data: bytes, channel: int) -> Iterator[memoryview]:
+def channel_messages(location: str, chunk: ChunkIndex, data: bytes, channel: int) -> Iterator[memoryview]:
     """Yield the messages of a channel in a chunk.
 
     Raises:
@@ -498,10 +498,10 @@ def channel_messages(path: Path, chunk: ChunkIndex, data: bytes, channel: int) -
             slots = [slot for slot in run.slots if slot[0] == channel]
             yield from (run.message(row, slot) for row in range(run.number) for slot in slots)
     except BrokenRecords as error:
-        raise FormatError(path, chunk.offset, f"damaged chunk: {error}") from None
+        raise FormatError(location, chunk.offset, f"damaged chunk: {error}") from None
 
 
-def parsed(path: Path, module: str, name: str, data: Buffer) -> Any:
+def parsed(location: str, module: str, name: str, data: Buffer) -> Any:
     """Return a message, parsed by protobuf; see `messages.parse`.
 
     Raises:
@@ -510,7 +510,7 @@ def parsed(path: Path, module: str, name: str, data: Buffer) -> Any:
     try:
         return messages.parse(module, name, data)
     except messages.WireError as error:
-        raise FormatError(path, None, str(error)) from None
+        raise FormatError(location, None, str(error)) from None
 
 
 def _data(found: Found) -> memoryview:

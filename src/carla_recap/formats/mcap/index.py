@@ -9,14 +9,13 @@ import struct
 import zlib
 from functools import lru_cache
 from itertools import pairwise
-from pathlib import Path
-from threading import Lock, local
+from threading import local
 from typing import TYPE_CHECKING, Any, Final, NamedTuple
 
 import zstandard
 from mcap.opcode import Opcode
 
-from carla_recap.errors import Closed, FormatError, NotARecording, RecapError
+from carla_recap.errors import FormatError, NotARecording
 from carla_recap.formats.mcap.schema import (
     CHUNK,
     CHUNK_INDEX,
@@ -30,6 +29,8 @@ from carla_recap.formats.mcap.schema import (
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
 
+    from carla_recap.formats.sources import ByteSource
+
 CHUNK_LIMIT: Final = 64 << 20
 """The largest chunk that is read, in bytes, compressed or not; ours are about 1 MiB."""
 SUMMARY_LIMIT: Final = 256 << 20
@@ -40,66 +41,16 @@ RECORDS_LIMIT: Final = 1 << 17
 """The most records, beside chunk indexes, that a summary is made of: as many schemas and channels as there are ids."""
 
 
-class Source:
-    """A file of which parts are read, each of them checked against its size.
+def read_record(source: ByteSource, offset: int, opcode: Opcode, what: str, limit: int = CHUNK_LIMIT) -> bytes:
+    """Return the content of the record at an offset.
 
-    Attributes:
-        bytes_read: The number of bytes that were read so far.
+    Raises:
+        FormatError: It is of another kind, or too large.
     """
-
-    def __init__(self, path: Path | str) -> None:
-        self.path = Path(path)
-        try:
-            self._file = self.path.open("rb", buffering=0)
-            self.size = self._file.seek(0, 2)
-        except OSError as error:
-            raise RecapError(f"{path}: {error.strerror}") from None
-        self.bytes_read = 0
-        self._lock = Lock()
-
-    def read(self, offset: int, size: int, what: str) -> bytes:
-        """Return bytes of the file.
-
-        Raises:
-            FormatError: The file has no such bytes; `what` says what they should be.
-        """
-        if offset < 0 or size < 0 or offset + size > self.size:
-            raise FormatError(self.path, offset, f"{what} of {size} bytes does not fit in the file of {self.size}")
-        self.check_open()
-        try:
-            with self._lock:  # the next chunk may be read by another thread
-                self._file.seek(offset)
-                data = self._file.read(size)
-                self.bytes_read += len(data)
-        except OSError as error:
-            raise RecapError(f"{self.path}: {error.strerror}") from None
-        if len(data) < size:
-            raise FormatError(self.path, offset + len(data), f"the file ends inside {what}")
-        return data
-
-    def record(self, offset: int, opcode: Opcode, what: str, limit: int = CHUNK_LIMIT) -> bytes:
-        """Return the content of the record at an offset.
-
-        Raises:
-            FormatError: It is of another kind, or too large.
-        """
-        found, size = RECORD.unpack(self.read(offset, RECORD.size, what))
-        if found != opcode or size > limit:
-            raise FormatError(self.path, offset, f"{what} was expected, found a record of kind {found} with {size} bytes")
-        return self.read(offset + RECORD.size, size, what)
-
-    def check_open(self) -> None:
-        """Check that the file is not closed.
-
-        Raises:
-            Closed: It was.
-        """
-        if self._file.closed:
-            raise Closed(self.path)
-
-    def close(self) -> None:
-        """Close the file."""
-        self._file.close()
+    found, size = RECORD.unpack(source.read(offset, RECORD.size, what))
+    if found != opcode or size > limit:
+        raise FormatError(source.location, offset, f"{what} was expected, found a record of kind {found} with {size} bytes")
+    return source.read(offset + RECORD.size, size, what)
 
 
 def split_records(data: bytes | memoryview) -> Iterator[tuple[int, int, int]]:
@@ -295,14 +246,14 @@ class Summary:
         self.finished = False
 
 
-def read_summary(source: Source) -> Summary:
+def read_summary(source: ByteSource) -> Summary:
     """Return the summary of a finished file.
 
     Raises:
         NotARecording: It is no MCAP file.
         FormatError: It is damaged, or was never finished.
     """
-    path, size = source.path, source.size
+    path, size = source.location, source.size
     if size < len(MAGIC) or source.read(0, len(MAGIC), "the magic") != MAGIC:
         raise NotARecording(path, "is no MCAP file (the magic is missing)")
     unfinished = "the file has no valid end: it is damaged, or its writer died; 'carla-recap recover' saves what it holds"

@@ -8,7 +8,7 @@ from __future__ import annotations
 import itertools
 import math
 import warnings
-from pathlib import Path
+from os import PathLike
 from typing import TYPE_CHECKING, Final
 
 import numpy as np
@@ -16,7 +16,7 @@ from mcap.opcode import Opcode
 
 from carla_recap.errors import FormatError, NotARecording, RecapWarning
 from carla_recap.formats.mcap.frames import MESSAGES_LIMIT, Channels, FrameAssembler, ReadSelection, channel_messages, parsed
-from carla_recap.formats.mcap.index import METADATA_LIMIT, Source, open_chunk, parse_record, read_summary
+from carla_recap.formats.mcap.index import METADATA_LIMIT, open_chunk, parse_record, read_record, read_summary
 from carla_recap.formats.mcap.messages import WireError
 from carla_recap.formats.mcap.schema import (
     EXPORT_METADATA,
@@ -35,13 +35,16 @@ from carla_recap.formats.mcap.schema import (
     unchecked,
 )
 from carla_recap.formats.mcap.variable import decode_intervals
+from carla_recap.formats.sources import open_source
 from carla_recap.model.batch import Batch, within
 from carla_recap.model.frame import SAME_TIME, Extent, Frame, Header
 
 if TYPE_CHECKING:
     from collections.abc import Collection, Iterator
+    from pathlib import Path
 
     from carla_recap.formats.mcap.index import ChunkIndex, Summary
+    from carla_recap.formats.sources import ByteSource
     from carla_recap.model.stationary import BlockedRow
 
 BLOCK_SIZE: Final = 256 << 10
@@ -52,7 +55,7 @@ class McapReader:
     """Reads a recording from MCAP.
 
     Args:
-        path: The file.
+        file: The file: its path or URL, or what is read from, which `close` closes.
         summary: What the file holds, where that is known better than by the file itself.
         header: Its header, where the file has none.
         lenient: Leave out frames that contradict their schema.
@@ -63,11 +66,16 @@ class McapReader:
     """
 
     def __init__(
-        self, path: Path | str, *, summary: Summary | None = None, header: Header | None = None, lenient: bool = False
+        self,
+        file: Path | str | ByteSource,
+        *,
+        summary: Summary | None = None,
+        header: Header | None = None,
+        lenient: bool = False,
     ) -> None:
-        self.path = Path(path)
+        self._source = open_source(file) if isinstance(file, str | PathLike) else file
+        self.path, self.location = self._source.path, self._source.location
         self._lenient = lenient
-        self._source = Source(path)
         self._warned = False
         try:
             self._summary = summary or read_summary(self._source)
@@ -147,7 +155,7 @@ class McapReader:
         for frame in self.frames(start=found.elapsed):
             if frame.index == found.index:
                 return frame
-        raise FormatError(self.path, None, f"frame {found.id} is in no chunk of its time: the index is wrong")
+        raise FormatError(self.location, None, f"frame {found.id} is in no chunk of its time: the index is wrong")
 
     def extent(self) -> Extent:
         """Return how far the recording goes."""
@@ -162,7 +170,7 @@ class McapReader:
     def tail(self) -> Iterator[bytes]:
         """Yield the bytes behind the last complete packet, in pieces."""
         messages = self._messages(TAIL_TOPIC)
-        return (bytes(parsed(self.path, "tail", TAIL_MESSAGE, message).data) for message in messages)
+        return (bytes(parsed(self.location, "tail", TAIL_MESSAGE, message).data) for message in messages)
 
     def stationary_intervals(self, min_time: float, min_distance: float) -> list[BlockedRow] | None:
         """Return the stationary intervals, read from the events; see `Reader.stationary_intervals`."""
@@ -172,7 +180,7 @@ class McapReader:
         try:
             rows = [row for message in self._messages(STRETCHES_TOPIC) for row in decode_intervals(message)]
         except WireError as error:
-            raise FormatError(self.path, None, str(error)) from None
+            raise FormatError(self.location, None, str(error)) from None
         if len(rows) != count:  # another program has left some out
             return None
         from carla_recap.model.stationary import BlockedRow
@@ -187,8 +195,9 @@ class McapReader:
         """Yield the messages of a topic that belong to no frame."""
         self._source.check_open()
         channel = self._channels.of(topic)
-        for chunk in self._chunks({channel}) if channel in self._channels.specs else []:
-            yield from channel_messages(self.path, chunk, self._open(chunk), channel)
+        chunks = self._chunks({channel}) if channel in self._channels.specs else []
+        for chunk, records in zip(chunks, self._opened(chunks, ahead=False), strict=True):
+            yield from channel_messages(self.location, chunk, records, channel)
 
     # --- what the file says of itself ----------------------------------------------------------------------------------
 
@@ -196,29 +205,29 @@ class McapReader:
         offset = self._summary.metadata.get(name)
         if offset is None:
             return None
-        content = self._source.record(offset, Opcode.METADATA, f"the metadata {name}", METADATA_LIMIT)
+        content = read_record(self._source, offset, Opcode.METADATA, f"the metadata {name}", METADATA_LIMIT)
         try:
             return unchecked(parse_record(Opcode.METADATA, content)[1])
         except ValueError as error:
-            raise FormatError(self.path, offset, f"broken MCAP metadata {name!r}: {error}") from None
+            raise FormatError(self.location, offset, f"broken MCAP metadata {name!r}: {error}") from None
 
     def _read_header(self) -> Header:
         metadata = self._read_metadata(HEADER_METADATA)
         if metadata is None and EXPORT_METADATA in self._summary.metadata:
-            raise NotARecording(self.path, "is an export for a viewer; the recording that it was made from was expected")
+            raise NotARecording(self.location, "is an export for a viewer; the recording that it was made from was expected")
         if metadata is None:
-            raise NotARecording(self.path, f"holds no recording (MCAP metadata {HEADER_METADATA!r} is missing)")
+            raise NotARecording(self.location, f"holds no recording (MCAP metadata {HEADER_METADATA!r} is missing)")
         try:
             return parse_header(metadata)
         except (KeyError, ValueError) as error:
-            raise FormatError(self.path, None, f"broken MCAP metadata {HEADER_METADATA!r}: {error}") from None
+            raise FormatError(self.location, None, f"broken MCAP metadata {HEADER_METADATA!r}: {error}") from None
 
     def _read_extent(self) -> Extent | None:
         metadata = self._read_metadata(EXTENT_METADATA)
         try:
             return parse_extent(metadata) if metadata else None
         except (KeyError, ValueError) as error:
-            raise FormatError(self.path, None, f"broken MCAP metadata {EXTENT_METADATA!r}: {error}") from None
+            raise FormatError(self.location, None, f"broken MCAP metadata {EXTENT_METADATA!r}: {error}") from None
 
     # --- chunks --------------------------------------------------------------------------------------------------------
 
@@ -239,29 +248,33 @@ class McapReader:
 
     def _opened(self, chunks: list[ChunkIndex], *, ahead: bool) -> Iterator[bytes]:
         """Yield the records of some chunks; `ahead`: the next one is decompressed while this one is used."""
-        if not ahead or len(chunks) < 2:
-            yield from map(self._open, chunks)
+        stored = self._source.read_ranges([(chunk.offset, chunk.length) for chunk in chunks], "a chunk")
+        if not ahead or len(chunks) < 2 or self._source.is_remote:
+            yield from map(self._open, chunks, stored)
             return
         from concurrent.futures import ThreadPoolExecutor  # a small recording has no second chunk
 
         with ThreadPoolExecutor(1, "carla-recap-reader") as pool:
-            coming = pool.submit(self._open, chunks[0])
+            coming = pool.submit(self._open_next, chunks[0], stored)
             for chunk in chunks[1:]:
                 opened = coming.result()
-                coming = pool.submit(self._open, chunk)
+                coming = pool.submit(self._open_next, chunk, stored)
                 yield opened
             yield coming.result()
 
-    def _open(self, chunk: ChunkIndex) -> bytes:
-        data = self._source.read(chunk.offset, chunk.length, "a chunk")
+    def _open_next(self, chunk: ChunkIndex, stored: Iterator[bytes]) -> bytes:
+        return self._open(chunk, next(stored))
+
+    def _open(self, chunk: ChunkIndex, data: bytes) -> bytes:
+        """Return the records of a chunk, from its bytes in the file."""
         opcode, size = RECORD.unpack_from(data) if len(data) >= RECORD.size else (0, 0)
         if opcode != Opcode.CHUNK or RECORD.size + size != chunk.length:
-            raise FormatError(self.path, chunk.offset, f"a chunk of {chunk.length} bytes was expected")
+            raise FormatError(self.location, chunk.offset, f"a chunk of {chunk.length} bytes was expected")
         try:
             return open_chunk(memoryview(data)[RECORD.size :])[2]
         except ValueError as error:
             raise FormatError(
-                self.path, chunk.offset, f"damaged chunk: {error}; 'carla-recap recover' saves the rest"
+                self.location, chunk.offset, f"damaged chunk: {error}; 'carla-recap recover' saves the rest"
             ) from None
 
     def _blocks(self, chunks: list[ChunkIndex], *, ahead: bool) -> Iterator[list[tuple[ChunkIndex, bytes]]]:
@@ -282,7 +295,7 @@ class McapReader:
         # A message takes 16 bytes in the index alone: a file with many more of them than bytes was made to cost time.
         allowance = 2 * MESSAGES_LIMIT + self._source.size // 4
         warn, lenient = self._warn_of_lost, self._lenient
-        frames = FrameAssembler(self.path, self._channels, selection, allowance, warn, lenient=lenient)
+        frames = FrameAssembler(self.location, self._channels, selection, allowance, warn, lenient=lenient)
         count = 0
         for block in self._blocks(chunks, ahead=not selection.sparse):
             frames.add(block)
@@ -293,7 +306,7 @@ class McapReader:
         if not self._warned:
             self._warned = True
             warnings.warn(
-                f"{self.path}: messages of frame {frame}, and maybe of others, are missing",
+                f"{self.location}: messages of frame {frame}, and maybe of others, are missing",
                 RecapWarning,
                 stacklevel=2,
             )

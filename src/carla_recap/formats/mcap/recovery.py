@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Final
+from typing import TYPE_CHECKING, Final
 
 from mcap.opcode import Opcode
 
@@ -14,7 +14,6 @@ from carla_recap.formats.mcap.index import (
     RECORDS_LIMIT,
     ChannelRecord,
     ChunkIndex,
-    Source,
     Summary,
     open_chunk,
     parse_record,
@@ -33,6 +32,9 @@ from carla_recap.formats.mcap.schema import (
     unchecked,
 )
 from carla_recap.model.frame import Header
+
+if TYPE_CHECKING:
+    from carla_recap.formats.sources import ByteSource
 
 DATA_END_SIZE: Final = 4
 _MODEST: Final = 64 << 10
@@ -64,7 +66,7 @@ class Damage:
     finished: bool = True
 
 
-def recover_summary(source: Source) -> tuple[Summary, Damage]:
+def recover_summary(source: ByteSource) -> tuple[Summary, Damage]:
     """Return a summary of all that is whole in a file, whether or not it has one of its own, and what is damaged."""
     scan = _Scan(source)
     summary, damage = scan.summary, scan.damage
@@ -118,7 +120,7 @@ class _Scan:
         damage: What was found broken.
     """
 
-    def __init__(self, source: Source) -> None:
+    def __init__(self, source: ByteSource) -> None:
         self.summary = Summary()
         self.damage = Damage()
         self._source = source

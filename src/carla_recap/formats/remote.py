@@ -1,0 +1,337 @@
+"""Objects in object stores and files on web servers, read in ranges with obstore: the one module that imports it.
+
+The last `TAIL` bytes come with the first request, together with size and ETag; an MCAP file has its summary there. Further
+parts are fetched many at a time, and only from an object that has not changed since.
+"""
+
+from __future__ import annotations
+
+import re
+import tempfile
+from bisect import bisect_right
+from collections import deque
+from concurrent.futures import ThreadPoolExecutor
+from datetime import timedelta
+from functools import lru_cache
+from shutil import disk_usage
+from threading import Lock
+from typing import TYPE_CHECKING, BinaryIO, Final, NamedTuple
+from urllib.parse import urlsplit
+
+from carla_recap.errors import Closed, FormatError, MissingExtra, NotARecording, RecapError
+from carla_recap.formats.sources import WEB, outside, path_of, scheme_of
+
+try:
+    import obstore
+    from obstore.exceptions import (
+        BaseError,
+        NotSupportedError,
+        PermissionDeniedError,
+        PreconditionError,
+        UnauthenticatedError,
+    )
+    from obstore.store import HTTPStore, from_url
+except ModuleNotFoundError:
+    raise MissingExtra("a recording at a URL", "remote") from None
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable, Iterator, Sequence
+
+    from obstore import GetOptions, ObjectMeta
+    from obstore.store import ClientConfig, ObjectStore, RetryConfig
+
+    from carla_recap.formats.sources import Span
+
+TAIL: Final = 512 << 10
+"""The bytes at the end of an object that are fetched when it is opened."""
+_BLOCK: Final = 64 << 10  # bytes that are fetched at least; a gap of fewer is fetched, too, instead of another request
+_FIRST_WINDOW: Final = 256 << 10  # bytes that are fetched first of a long read, which may end early
+_WINDOW: Final = 8 << 20  # bytes that are fetched at once later, and as many again ahead of them
+_PART: Final = 4 << 20  # bytes of a file that is copied, for each request
+_AT_ONCE: Final = 32  # requests
+_METADATA: Final = ("169.254.169.254", "metadata.google.internal", "Token")  # where keys are looked for last
+_MESSAGE: Final = re.compile('message: "([^"]+)"')
+_CLIENT: Final[ClientConfig] = {
+    "allow_http": True,
+    "connect_timeout": timedelta(seconds=5),
+    "read_timeout": timedelta(seconds=20),
+    "timeout": timedelta(seconds=120),
+}
+_RETRIES: Final[RetryConfig] = {
+    "max_retries": 3,
+    "retry_timeout": timedelta(seconds=30),
+    "backoff": {"init_backoff": timedelta(milliseconds=100), "max_backoff": timedelta(seconds=2), "base": 2},
+}
+_PLAIN: Final = re.compile("(/[A-Za-z0-9_.,=~-]+)+")  # a path of a web server without characters that are encoded
+_LONGEST_REASON: Final = 300  # characters
+
+
+class ObjectAddress(NamedTuple):
+    """An object: its store, and its key there."""
+
+    store: ObjectStore
+    key: str
+
+
+def address_of(url: str) -> ObjectAddress:
+    """Return the object at a URL. Keys, endpoint and region come from the environment, as obstore reads it.
+
+    Raises:
+        RecapError: The URL, or what the environment says, makes no sense.
+    """
+    scheme = scheme_of(url)
+    if scheme in WEB:
+        parts = urlsplit(url)
+        if parts.query or not _PLAIN.fullmatch(parts.path):  # a key would be encoded in another spelling
+            return ObjectAddress(_store(url), "")
+        return ObjectAddress(_store(f"{scheme}://{parts.netloc}"), parts.path[1:])
+    bucket, _, key = url.partition("://")[2].partition("/")
+    if not bucket:
+        raise RecapError(f"{url}: no bucket; {scheme}://BUCKET/KEY was expected")
+    return ObjectAddress(_store(f"{scheme}://{bucket}"), key)
+
+
+@lru_cache(64)
+def _store(root: str) -> ObjectStore:
+    """Return a store, whose connections serve all its objects."""
+    try:
+        if scheme_of(root) in WEB:
+            return HTTPStore.from_url(root, client_options=_CLIENT, retry_config=_RETRIES)
+        return from_url(root, client_options=_CLIENT, retry_config=_RETRIES)
+    except (BaseError, ValueError) as error:
+        raise RecapError(f"{root}: {_reason(error)}") from None
+
+
+class RemoteSource:
+    """An object in an object store, or a file on a web server; see `ByteSource`.
+
+    Args:
+        url: Its URL.
+
+    Raises:
+        RecapError: It cannot be read.
+    """
+
+    is_remote = True
+
+    def __init__(self, url: str) -> None:
+        self.location = url
+        self.path = path_of(url)
+        self.bytes_read = 0
+        self._address = address_of(url)
+        self._closed = False
+        self._lock = Lock()
+        self._pool: ThreadPoolExecutor | None = None
+        self._block = 0, b""  # the offset of the bytes that were read last, and these
+        self.size, self.etag = 0, None
+        tail, meta = self._get({"range": {"suffix": TAIL}})
+        self.size, self.etag = meta["size"], meta["e_tag"]
+        self._tail = self.size - len(tail), tail
+
+    def read(self, offset: int, size: int, what: str) -> bytes:
+        """Return some bytes; see `ByteSource.read`."""
+        self._check(offset, size, what)
+        for begin, data in (self._tail, self._block):
+            if begin <= offset and offset + size <= begin + len(data):
+                return data[offset - begin : offset - begin + size]
+        data = self._fetch(offset, max(size, min(_BLOCK, self._tail[0] - offset)), what)
+        self._block = offset, data
+        return data[:size]
+
+    def read_ranges(self, spans: Iterable[Span], what: str) -> Iterator[bytes]:
+        """Yield the bytes of each of some spans; see `ByteSource.read_ranges`."""
+        windows = _windows(spans)
+        first = next(windows, None)
+        if first is None:
+            return
+        yield from _each(self._fetch_all(first, what))
+        with ThreadPoolExecutor(1, "carla-recap-ahead") as ahead:
+            # The second window is asked for when all of the first one was used: many a read ends there.
+            coming = None
+            for window in windows:
+                fetched = coming.result() if coming is not None else None
+                coming = ahead.submit(self._fetch_all, window, what)
+                if fetched is not None:
+                    yield from _each(fetched)
+            if coming is not None:
+                yield from _each(coming.result())
+
+    def start(self) -> bytes:
+        """Return the first bytes, which say the format."""
+        return self.read(0, min(64, self.size), "the start")
+
+    def ends_with(self, end: bytes) -> bool:
+        """Return whether these are the last bytes."""
+        return self._tail[1].endswith(end)
+
+    def check_open(self) -> None:
+        """Check that it is not closed; see `ByteSource.check_open`."""
+        if self._closed:
+            raise Closed(self.location)
+
+    def close(self) -> None:
+        """Forget the bytes; do nothing if that was done."""
+        self._closed = True
+        self._tail = self._block = 0, b""
+        if self._pool is not None:
+            self._pool.shutdown(wait=False)
+            self._pool = None
+
+    def _check(self, offset: int, size: int, what: str) -> None:
+        if offset < 0 or size < 0 or offset + size > self.size:
+            raise outside(self, offset, size, what)
+        self.check_open()
+
+    def _fetch_all(self, spans: Sequence[Span], what: str) -> deque[bytes]:
+        """Return the bytes of some spans, fetched at once."""
+        for offset, size in spans:
+            self._check(offset, size, what)
+        begin, tail = self._tail
+        joined = _joined(spans, begin)
+        fetch = self._threads().map if len(joined) > 1 else map
+        parts = list(fetch(lambda span: self._fetch(span[0], span[1], what), joined))
+        starts, parts = [*(offset for offset, _ in joined), begin], [*parts, tail]
+        found = deque[bytes]()
+        for offset, size in spans:
+            index = bisect_right(starts, offset) - 1
+            at = offset - starts[index]
+            found.append(parts[index][at : at + size])
+        return found
+
+    def _fetch(self, offset: int, size: int, what: str) -> bytes:
+        if size == 0:
+            return b""
+        data, _ = self._get({"range": (offset, offset + size)})
+        if len(data) < size:
+            raise FormatError(self.location, offset + len(data), f"the file ends inside {what}")
+        return data
+
+    def _get(self, options: GetOptions) -> tuple[bytes, ObjectMeta]:
+        """Return what the server sends, and the description of the object.
+
+        Raises:
+            RecapError: It cannot be read, or it has changed since it was opened.
+        """
+        self.check_open()
+        if self.etag and not self.etag.startswith("W/"):  # which never matches
+            options["if_match"] = self.etag
+        try:
+            found = obstore.get(*self._address, options=options)
+            meta, data = found.meta, bytes(found.bytes())
+        except PreconditionError:
+            raise self._changed() from None
+        except (BaseError, OSError, ValueError) as error:
+            if " 416 " in str(error):  # there are no bytes of an empty file
+                if self.size:
+                    raise self._changed() from None
+                raise NotARecording(self.location, "is empty; a CARLA log or an MCAP recording was expected") from None
+            raise RecapError(f"{self.location}: cannot be read: {_reason(error)}") from None
+        with self._lock:
+            self.bytes_read += len(data)
+        if self.size and (meta["size"], meta["e_tag"]) != (self.size, self.etag):
+            raise self._changed()
+        return data, meta
+
+    def _changed(self) -> RecapError:
+        return RecapError(f"{self.location}: has changed while it was read; try it again")
+
+    def _threads(self) -> ThreadPoolExecutor:
+        with self._lock:
+            if self._pool is None:
+                self._pool = ThreadPoolExecutor(_AT_ONCE, "carla-recap-remote")
+            return self._pool
+
+
+def copy_of(url: str) -> BinaryIO:
+    """Return a copy of an object; see `copied`."""
+    source = RemoteSource(url)
+    try:
+        return copied(source)
+    finally:
+        source.close()
+
+
+def copied(source: RemoteSource) -> BinaryIO:
+    """Return a copy of an object, an unbuffered file without a name that is removed when it is closed.
+
+    Raises:
+        RecapError: It cannot be read, or the disk is full.
+    """
+    folder = tempfile.gettempdir()
+    try:
+        free = disk_usage(folder).free
+        if free < source.size:
+            raise RecapError(f"{source.location}: {source.size} bytes do not fit on the disk of {folder}, {free} are free")
+        file = tempfile.TemporaryFile(prefix="carla-recap-", buffering=0)  # noqa: SIM115
+        try:
+            spans = ((offset, min(_PART, source.size - offset)) for offset in range(0, source.size, _PART))
+            for data in source.read_ranges(spans, "the file"):
+                _write_all(file, data)
+            file.seek(0)
+        except BaseException:
+            file.close()
+            raise
+    except OSError as error:
+        raise RecapError(f"{source.location}: cannot be copied to {folder}: {error.strerror}") from None
+    return file
+
+
+def _write_all(file: BinaryIO, data: bytes) -> None:
+    view = memoryview(data)
+    while view:
+        view = view[file.write(view) :]
+
+
+def _windows(spans: Iterable[Span]) -> Iterator[list[Span]]:
+    """Yield spans in parts: a small one first, then larger ones."""
+    window: list[Span] = []
+    total, limit = 0, _FIRST_WINDOW
+    for span in spans:
+        if window and total + span[1] > limit:
+            yield window
+            window, total, limit = [], 0, min(2 * limit, _WINDOW)
+        window.append(span)
+        total += span[1]
+    if window:
+        yield window
+
+
+def _joined(spans: Iterable[Span], stop: int) -> list[Span]:
+    """Return spans that contain those that begin before an offset, with gaps between them that are worth a request."""
+    joined: list[Span] = []
+    for offset, size in sorted(spans):
+        if offset >= stop:
+            break
+        if joined and offset - sum(joined[-1]) < _BLOCK:
+            begin, length = joined[-1]
+            joined[-1] = begin, max(length, offset + size - begin)
+        else:
+            joined.append((offset, size))
+    return joined
+
+
+def _each(parts: deque[bytes]) -> Iterator[bytes]:
+    """Yield parts, each of which is forgotten then."""
+    while parts:
+        yield parts.popleft()
+
+
+def _reason(error: Exception) -> str:
+    """Return in one line why an object cannot be read."""
+    text = str(error)
+    if isinstance(error, FileNotFoundError):
+        return "not found (404)"
+    if isinstance(error, PermissionDeniedError):
+        return "the server denies access (403)"
+    if isinstance(error, UnauthenticatedError):
+        return "the server expects credentials (401)"
+    if isinstance(error, NotSupportedError):
+        return "the server sends no ranges of a file, only all of it; download it"
+    if any(host in text for host in _METADATA):
+        return (
+            "no credentials were found in the environment, such as AWS_ACCESS_KEY_ID and AWS_SECRET_ACCESS_KEY; "
+            "a public bucket needs none with AWS_SKIP_SIGNATURE=true"
+        )
+    first = text.partition("\n")[0].rpartition(" - ")[2]
+    said = _MESSAGE.findall(text)
+    return " ".join((said[-1] if said else first).split())[:_LONGEST_REASON]

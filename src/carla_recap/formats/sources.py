@@ -1,0 +1,188 @@
+"""What a recording is read from: a file of this machine, or an object at a URL; parts of it are read, each checked.
+
+A location is a path or a URL, as the caller gives it: `runs/crash.mcap`, `s3://bucket/runs/crash.mcap`.
+"""
+
+from __future__ import annotations
+
+import os
+import re
+from pathlib import Path
+from threading import Lock
+from typing import TYPE_CHECKING, BinaryIO, Final, Protocol
+from urllib.parse import unquote, urlsplit
+from urllib.request import url2pathname
+
+from carla_recap.errors import Closed, FormatError, RecapError
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable, Iterator
+
+    Span = tuple[int, int]
+    """The offset of some bytes, and their number."""
+
+SCHEMES: Final = ("s3", "s3a", "gs", "az", "adl", "azure", "abfs", "abfss", "http", "https")
+"""The kinds of URLs that are read over the network."""
+_URL: Final = re.compile("([A-Za-z][A-Za-z0-9+.-]+)://")
+WEB: Final = ("http", "https")
+"""The kinds of URLs of web servers, which list no files."""
+
+
+class ByteSource(Protocol):
+    """What a reader reads from.
+
+    Attributes:
+        location: Its path or URL, as given; for messages.
+        path: Its path; of a URL, one with the same name, which says nothing about this machine.
+        size: Its size, in bytes.
+        etag: What identifies its content in an object store; None for a local file, or if the server does not say.
+        bytes_read: The number of bytes that were read so far.
+        is_remote: Whether it is read over the network.
+    """
+
+    location: str
+    path: Path
+    size: int
+    etag: str | None
+    bytes_read: int
+    is_remote: bool
+
+    def read(self, offset: int, size: int, what: str) -> bytes:
+        """Return some bytes.
+
+        Args:
+            offset: The offset of the first one.
+            size: Their number.
+            what: What they should be, for messages.
+
+        Raises:
+            FormatError: There are no such bytes.
+            RecapError: They cannot be read.
+        """
+        ...
+
+    def read_ranges(self, spans: Iterable[Span], what: str) -> Iterator[bytes]:
+        """Yield the bytes of each of some spans, in their order; those of an object are fetched many at a time."""
+        ...
+
+    def check_open(self) -> None:
+        """Check that it is not closed.
+
+        Raises:
+            Closed: It was.
+        """
+        ...
+
+    def close(self) -> None:
+        """Close it; do nothing if it is closed."""
+        ...
+
+
+class LocalSource:
+    """A file of this machine; see `ByteSource`.
+
+    Args:
+        location: Its path, or a `file:` URL.
+        file: The open file, unbuffered, if it is another than the one at the location: a copy of an object.
+    """
+
+    etag: str | None = None
+    is_remote = False
+
+    def __init__(self, location: Path | str, file: BinaryIO | None = None) -> None:
+        self.location = os.fspath(location)
+        self.path = path_of(location)
+        try:
+            self._file: BinaryIO = file or self.path.open("rb", buffering=0)
+            self.size = self._file.seek(0, 2)
+        except OSError as error:
+            raise RecapError(f"{location}: {error.strerror}") from None
+        self.bytes_read = 0
+        self._lock = Lock()
+
+    def read(self, offset: int, size: int, what: str) -> bytes:
+        """Return some bytes; see `ByteSource.read`."""
+        if offset < 0 or size < 0 or offset + size > self.size:
+            raise outside(self, offset, size, what)
+        self.check_open()
+        try:
+            with self._lock:  # the next chunk may be read by another thread
+                self._file.seek(offset)
+                data = self._file.read(size)
+                self.bytes_read += len(data)
+        except OSError as error:
+            raise RecapError(f"{self.location}: {error.strerror}") from None
+        if len(data) < size:
+            raise FormatError(self.location, offset + len(data), f"the file ends inside {what}")
+        return data
+
+    def read_ranges(self, spans: Iterable[Span], what: str) -> Iterator[bytes]:
+        """Yield the bytes of each of some spans; see `ByteSource.read_ranges`."""
+        for offset, size in spans:
+            yield self.read(offset, size, what)
+
+    def check_open(self) -> None:
+        """Check that the file is not closed; see `ByteSource.check_open`."""
+        if self._file.closed:
+            raise Closed(self.location)
+
+    def close(self) -> None:
+        """Close the file."""
+        self._file.close()
+
+
+def open_source(location: Path | str) -> ByteSource:
+    """Open what a path or URL means.
+
+    Raises:
+        RecapError: It cannot be read, or no such URLs are.
+        MissingExtra: It is remote, and the extra for that is not installed.
+    """
+    if not is_remote(location):
+        return LocalSource(location)
+    from carla_recap.formats.remote import RemoteSource
+
+    return RemoteSource(str(location))
+
+
+def outside(source: ByteSource, offset: int, size: int, what: str) -> FormatError:
+    """Return the error about bytes that a source does not have."""
+    return FormatError(source.location, offset, f"{what} of {size} bytes does not fit in the file of {source.size}")
+
+
+def scheme_of(location: Path | str) -> str:
+    """Return the scheme of a URL, in small letters; nothing for a path. A `Path` is never a URL."""
+    found = _URL.match(location) if isinstance(location, str) else None
+    return found[1].lower() if found else ""
+
+
+def is_remote(location: Path | str) -> bool:
+    """Return whether a location is read over the network.
+
+    Raises:
+        RecapError: It is a URL of an unknown kind.
+    """
+    scheme = scheme_of(location)
+    if scheme in ("", "file"):
+        return False
+    if scheme not in SCHEMES:
+        raise RecapError(f"{location}: unknown kind of URL; s3, gs, az, abfs, http, https or file was expected")
+    return True
+
+
+def path_of(location: Path | str) -> Path:
+    """Return the path of a file; of the URL of an object, one with the same name, which says nothing about this machine.
+
+    Raises:
+        RecapError: It is a `file:` URL of another machine.
+    """
+    scheme = scheme_of(location)
+    if scheme == "file":
+        url = urlsplit(str(location))
+        if url.netloc not in ("", "localhost"):
+            raise RecapError(f"{location}: is on another machine; file:///PATH was expected")
+        return Path(url2pathname(url.path))
+    if scheme in WEB:
+        url = urlsplit(str(location))
+        return Path(f"{url.scheme}://{url.netloc}{unquote(url.path)}")
+    return Path(location)
