@@ -140,7 +140,7 @@ class RemoteSource:
 
     def read_ranges(self, spans: Iterable[Span], what: str) -> Iterator[bytes]:
         """Yield the bytes of each of some spans; see `ByteSource.read_ranges`."""
-        windows = _windows(spans)
+        windows = _windows(spans, self._tail[0])
         first = next(windows, None)
         if first is None:
             return
@@ -282,16 +282,17 @@ def _write_all(file: BinaryIO, data: bytes) -> None:
         view = view[file.write(view) :]
 
 
-def _windows(spans: Iterable[Span]) -> Iterator[list[Span]]:
-    """Yield spans in parts: a small one first, then larger ones."""
+def _windows(spans: Iterable[Span], stop: int) -> Iterator[list[Span]]:
+    """Yield spans in parts: a small one first, then larger ones; bytes from an offset on are there already."""
     window: list[Span] = []
     total, limit = 0, _FIRST_WINDOW
     for span in spans:
-        if window and total + span[1] > limit:
+        size = span[1] if span[0] < stop else 0
+        if window and total + size > limit:
             yield window
             window, total, limit = [], 0, min(2 * limit, _WINDOW)
         window.append(span)
-        total += span[1]
+        total += size
     if window:
         yield window
 

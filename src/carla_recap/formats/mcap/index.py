@@ -254,7 +254,9 @@ def read_summary(source: ByteSource) -> Summary:
         FormatError: It is damaged, or was never finished.
     """
     path, size = source.location, source.size
-    if size < len(MAGIC) or source.read(0, len(MAGIC), "the magic") != MAGIC:
+    is_short = size < len(MAGIC)
+    # The start of a remote file is a request of its own; the end has the magic, too.
+    if is_short or (not source.is_remote and source.read(0, len(MAGIC), "the magic") != MAGIC):
         raise NotARecording(path, "is no MCAP file (the magic is missing)")
     unfinished = "the file has no valid end: it is damaged, or its writer died; 'carla-recap recover' saves what it holds"
     tail = RECORD.size + FOOTER.size + len(MAGIC)

@@ -49,6 +49,7 @@ if TYPE_CHECKING:
 
 BLOCK_SIZE: Final = 256 << 10
 """Chunks that are smaller than this, in bytes, are taken several at a time."""
+_LARGE_BLOCK: Final = 4 << 20  # bytes
 
 
 class McapReader:
@@ -281,10 +282,12 @@ class McapReader:
         """Chunks with their records; small ones several at a time."""
         block: list[tuple[ChunkIndex, bytes]] = []
         size = 0
-        for chunk, data in zip(chunks, self._opened(chunks, ahead=ahead), strict=True):
+        following = itertools.chain((chunk.start for chunk in chunks[1:]), (math.inf,))
+        for chunk, data, after in zip(chunks, self._opened(chunks, ahead=ahead), following, strict=True):
             block.append((chunk, data))
             size += len(data)
-            if size >= BLOCK_SIZE:
+            # The events of a frame, in a chunk that begins with that of its state, complete the frame.
+            if size >= BLOCK_SIZE and (after > chunk.start or size >= _LARGE_BLOCK):
                 yield block
                 block, size = [], 0
         if block:
