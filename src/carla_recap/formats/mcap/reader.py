@@ -282,12 +282,13 @@ class McapReader:
         """Chunks with their records; small ones several at a time."""
         block: list[tuple[ChunkIndex, bytes]] = []
         size = 0
-        following = itertools.chain((chunk.start for chunk in chunks[1:]), (math.inf,))
-        for chunk, data, after in zip(chunks, self._opened(chunks, ahead=ahead), following, strict=True):
+        for index, data in enumerate(self._opened(chunks, ahead=ahead), 1):
+            chunk = chunks[index - 1]
             block.append((chunk, data))
             size += len(data)
             # The events of a frame, in a chunk that begins with that of its state, complete the frame.
-            if size >= BLOCK_SIZE and (after > chunk.start or size >= _LARGE_BLOCK):
+            together = index < len(chunks) and chunks[index].start == chunk.start and size < _LARGE_BLOCK
+            if size >= BLOCK_SIZE and not together:
                 yield block
                 block, size = [], 0
         if block:
