@@ -131,20 +131,6 @@ class LocalSource:
         self._file.close()
 
 
-def open_source(location: Path | str) -> ByteSource:
-    """Open what a path or URL means.
-
-    Raises:
-        RecapError: It cannot be read, or no such URLs are.
-        MissingExtra: It is remote, and the extra for that is not installed.
-    """
-    if not is_remote(location):
-        return LocalSource(location)
-    from carla_recap.formats.remote import RemoteSource
-
-    return RemoteSource(str(location))
-
-
 def outside(source: ByteSource, offset: int, size: int, what: str) -> FormatError:
     """Return the error about bytes that a source does not have."""
     return FormatError(source.location, offset, f"{what} of {size} bytes does not fit in the file of {source.size}")

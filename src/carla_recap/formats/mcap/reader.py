@@ -35,7 +35,7 @@ from carla_recap.formats.mcap.schema import (
     unchecked,
 )
 from carla_recap.formats.mcap.variable import decode_intervals
-from carla_recap.formats.sources import open_source
+from carla_recap.formats.sources import LocalSource
 from carla_recap.model.batch import Batch, within
 from carla_recap.model.frame import SAME_TIME, Extent, Frame, Header
 
@@ -56,7 +56,7 @@ class McapReader:
     """Reads a recording from MCAP.
 
     Args:
-        file: The file: its path or URL, or what is read from, which `close` closes.
+        file: The file: its path, or what is read from, which `close` closes.
         summary: What the file holds, where that is known better than by the file itself.
         header: Its header, where the file has none.
         lenient: Leave out frames that contradict their schema.
@@ -74,7 +74,7 @@ class McapReader:
         header: Header | None = None,
         lenient: bool = False,
     ) -> None:
-        self._source = open_source(file) if isinstance(file, str | PathLike) else file
+        self._source: ByteSource = LocalSource(file) if isinstance(file, str | PathLike) else file
         self.path, self.location = self._source.path, self._source.location
         self._lenient = lenient
         self._warned = False
