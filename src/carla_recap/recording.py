@@ -38,6 +38,8 @@ if TYPE_CHECKING:
     from carla_recap.queries.collisions import Collisions
     from carla_recap.queries.differences import Differences
     from carla_recap.queries.incidents import Incidents
+    from carla_recap.queries.measures import Measures
+    from carla_recap.queries.measures.extremes import Subjects
 
 T = TypeVar("T")
 
@@ -323,6 +325,20 @@ class Recording:
         from carla_recap.queries.differences import differences
 
         return differences(self.reader, other.reader, **options)
+
+    def measures(self, actors: Subjects = None, **options: Any) -> Measures:
+        """Return the extreme values of measures: how close others came to an actor, how hard and how fast it drives.
+
+        Args:
+            actors: The ids of vehicles or walkers, "hero" or "all"; None: the heroes, or if there is none, all vehicles.
+            options: Those of `carla_recap.queries.measures.measures`: `start` and `stop`, in elapsed seconds.
+
+        Raises:
+            RecapError: There is no such vehicle or walker, or no hero.
+        """
+        from carla_recap.queries.measures import measures
+
+        return measures(self.reader, actors, **options)
 
     def _rows(self, actor_id: int, name: str) -> ActorRows:
         """Return the records of an actor; of several in a frame, the last one."""

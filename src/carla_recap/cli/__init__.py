@@ -28,7 +28,7 @@ INTERRUPTED: Final = 130
 
 _PYTHON_HINT: Final = r" \(in Python, [^)]*\)"  # in errors, for callers of the package
 _COMMANDS: Final = {
-    "queries": ("info", "collisions", "blocked", "actors", "incidents"),
+    "queries": ("info", "collisions", "blocked", "actors", "incidents", "measures"),
     "editing": ("convert", "recover", "clip", "import"),
     "export": ("export", "clips", "view", "snapshot", "video", "report"),
     "sim": ("record", "replay"),

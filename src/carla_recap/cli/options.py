@@ -67,6 +67,19 @@ class _Follow(click.ParamType[Any]):
         return int(value)
 
 
+class _Measured(click.ParamType[Any]):
+    """An actor id, hero or all."""
+
+    name = "actor"
+
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Any:
+        if value in ("hero", "all") or isinstance(value, int):
+            return value
+        if not (value.isascii() and value.isdecimal()):
+            self.fail(f"{value!r} is neither an actor id nor hero or all.", param, ctx)
+        return int(value)
+
+
 class _View(click.ParamType[Any]):
     """A view of the software renderer: its name, or the id of a recorded camera."""
 
@@ -96,6 +109,7 @@ NUMBER = _Number(0)
 POSITIVE = _Number(0, exclusive=True)
 TIME = _Number()
 FOLLOW = _Follow()
+MEASURED = _Measured()
 SIZE = _Size()
 VIEW = _View()
 

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Literal
+
 import click
 
 from carla_recap.cli import options
@@ -85,3 +87,29 @@ def incidents(
 
     reader = options.opened(file)
     show(query(reader, min_time=min_time, min_distance=min_distance, deceleration=deceleration), form, max_rows)
+
+
+@click.command()
+@options.recording
+@options.json
+@options.text
+@click.option(
+    "--actor",
+    "actors",
+    type=options.MEASURED,
+    multiple=True,
+    metavar="ID|hero|all",
+    help="The actor to measure, may be repeated; else the hero, or if there is none, all vehicles.",
+)
+def measures(file: str, form: str | None, actors: tuple[int | Literal["hero", "all"], ...]) -> None:
+    """Print how close others came, how hard and how fast an actor drives.
+
+    These are the extreme values of its measures, such as the least time to collision, and when they occur.
+    """
+    from carla_recap.queries.measures import measures as query
+
+    words = [actor for actor in actors if isinstance(actor, str)]
+    if words and len(actors) > 1:
+        raise click.BadParameter("hero and all go with no other actor.", param_hint="'--actor'")
+    ids = [actor for actor in actors if isinstance(actor, int)]
+    show(query(options.opened(file), words[0] if words else ids or None), form)

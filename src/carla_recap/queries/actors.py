@@ -3,14 +3,18 @@
 from __future__ import annotations
 
 import math
+from bisect import bisect_right
+from collections import defaultdict
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, ClassVar, Final
 
-from carla_recap.model.records import CM, ActorKind, Spawn
+from carla_recap.model.records import CM, NO_ACTOR, ActorKind, Spawn
 from carla_recap.queries import Answer
 from carla_recap.util.text import readable
 
 if TYPE_CHECKING:
+    from collections.abc import Iterable
+
     from carla_recap.formats.base import Reader
     from carla_recap.model.frame import Packet
 
@@ -124,3 +128,46 @@ class ActorCollector:
 
 
 _KINDS: Final = frozenset(ActorKind)
+
+
+class ActorsByTime:
+    """The actors that had an id at some time."""
+
+    def __init__(self, actors: Iterable[Actor]) -> None:
+        self._actors: dict[int, list[Actor]] = defaultdict(list)
+        self._spawned: dict[int, list[float]] = defaultdict(list)
+        for actor in actors:
+            self._actors[actor.id].append(actor)
+            self._spawned[actor.id].append(actor.spawned_at)
+
+    def ids(self, kind: str) -> list[int]:
+        """Return the ids that an actor of a kind had at some time."""
+        return [id for id, actors in self._actors.items() if any(actor.kind == kind for actor in actors)]
+
+    def get(self, id: int, time: float) -> Actor | None:
+        """Return the actor that had an id at a time; None if unknown."""
+        if id not in self._actors:
+            return None
+        return self._actors[id][max(bisect_right(self._spawned[id], time) - 1, 0)]
+
+    def kind(self, id: int, time: float) -> str:
+        """Return the kind of an actor; empty if unknown."""
+        actor = self.get(id, time)
+        return actor.kind if actor else ""
+
+    def type_ids(self, ids: tuple[int, ...], time: float) -> tuple[str, ...]:
+        """Return the blueprints of actors; empty for unknown actors."""
+        return tuple(actor.type_id if (actor := self.get(id, time)) else "" for id in ids)
+
+    def is_no_actor(self, id: int) -> bool:
+        """Return whether an id stands for an object that is no actor; before CARLA 0.9.13 that is 0."""
+        return id == NO_ACTOR or (id == 0 and id not in self._actors)
+
+    def name(self, id: int, time: float) -> str:
+        """Return the name of an actor for a text."""
+        if self.is_no_actor(id):
+            return "something that is no actor"
+        actor = self.get(id, time)
+        if actor is None:
+            return f"actor {id}"
+        return "hero" if actor.is_hero else f"{actor.type_id} ({id})"

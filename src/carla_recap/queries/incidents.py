@@ -12,12 +12,12 @@ import numpy as np
 
 from carla_recap.errors import RecapError
 from carla_recap.model.frame import SAME_TIME
-from carla_recap.model.records import CM, NO_ACTOR
+from carla_recap.model.records import CM
 from carla_recap.model.stationary import TYPES as STATIONARY_TYPES
 from carla_recap.model.stationary import StationaryTracker
 from carla_recap.queries import Answer
 from carla_recap.queries.actors import TYPES as ACTOR_TYPES
-from carla_recap.queries.actors import ActorCollector
+from carla_recap.queries.actors import ActorCollector, ActorsByTime
 from carla_recap.queries.blocked import longest_first
 from carla_recap.queries.braking import HALF_WINDOW, SHORTEST, BrakingDetector
 from carla_recap.queries.braking import TYPES as BRAKING_TYPES
@@ -31,7 +31,6 @@ if TYPE_CHECKING:
     from carla_recap.model.batch import Batch
     from carla_recap.model.frame import Frame
     from carla_recap.model.stationary import BlockedRow
-    from carla_recap.queries.actors import Actor
     from carla_recap.queries.braking import Braking
 
 Kind = Literal["collision", "blocked", "hard braking"]
@@ -157,7 +156,7 @@ class IncidentSearch:
                 self._contacts.add(frame)
             for packet in frame.packets:
                 collector.add(packet, frame.elapsed)
-        self._actors = _ActorsByTime(collector.actors)
+        self._actors = ActorsByTime(collector.actors)
         self._intervals = source.stationary_intervals(min_time, min_distance) if blocked else []
         is_listed = self._intervals is not None
         self._tracker = None if is_listed else StationaryTracker(source.header.table, min_time, min_distance)
@@ -202,49 +201,6 @@ class IncidentSearch:
             found += _braking(self._detector.finish(), contacts, actors)
         found = [incident for incident in found if not (incident.start > stop or incident.stop < start)]
         return Incidents(sorted(found, key=lambda incident: (incident.start, incident.kind)), self._source, compat=False)
-
-
-class _ActorsByTime:
-    """The actors that had an id at some time."""
-
-    def __init__(self, actors: Iterable[Actor]) -> None:
-        self._actors: dict[int, list[Actor]] = defaultdict(list)
-        self._spawned: dict[int, list[float]] = defaultdict(list)
-        for actor in actors:
-            self._actors[actor.id].append(actor)
-            self._spawned[actor.id].append(actor.spawned_at)
-
-    def ids(self, kind: str) -> list[int]:
-        """Return the ids that an actor of a kind had at some time."""
-        return [id for id, actors in self._actors.items() if any(actor.kind == kind for actor in actors)]
-
-    def get(self, id: int, time: float) -> Actor | None:
-        """Return the actor that had an id at a time; None if unknown."""
-        if id not in self._actors:
-            return None
-        return self._actors[id][max(bisect_right(self._spawned[id], time) - 1, 0)]
-
-    def kind(self, id: int, time: float) -> str:
-        """Return the kind of an actor; empty if unknown."""
-        actor = self.get(id, time)
-        return actor.kind if actor else ""
-
-    def type_ids(self, ids: tuple[int, ...], time: float) -> tuple[str, ...]:
-        """Return the blueprints of actors; empty for unknown actors."""
-        return tuple(actor.type_id if (actor := self.get(id, time)) else "" for id in ids)
-
-    def is_no_actor(self, id: int) -> bool:
-        """Return whether an id stands for an object that is no actor; before CARLA 0.9.13 that is 0."""
-        return id == NO_ACTOR or (id == 0 and id not in self._actors)
-
-    def name(self, id: int, time: float) -> str:
-        """Return the name of an actor for a text."""
-        if self.is_no_actor(id):
-            return "something that is no actor"
-        actor = self.get(id, time)
-        if actor is None:
-            return f"actor {id}"
-        return "hero" if actor.is_hero else f"{actor.type_id} ({id})"
 
 
 # --- collisions ----------------------------------------------------------------------------------------------------------
@@ -307,7 +263,7 @@ def _locate(contacts: Iterable[_Contact], transforms: NDArray[np.void]) -> None:
             contact.positions[id] = _metres(x, y, z)
 
 
-def _collisions(contacts: Iterable[_Contact], actors: _ActorsByTime) -> Iterator[Incident]:
+def _collisions(contacts: Iterable[_Contact], actors: ActorsByTime) -> Iterator[Incident]:
     for contact in contacts:
         first, second = _ranked(contact, actors)
         if actors.is_no_actor(first):
@@ -319,7 +275,7 @@ def _collisions(contacts: Iterable[_Contact], actors: _ActorsByTime) -> Iterator
         yield Incident("collision", contact.start, contact.stop, ids, type_ids, *position, text)
 
 
-def _ranked(contact: _Contact, actors: _ActorsByTime) -> tuple[int, int]:
+def _ranked(contact: _Contact, actors: ActorsByTime) -> tuple[int, int]:
     """Return both ids: the hero first, else a vehicle, a walker, the actor with the sensor; what is no actor last."""
 
     def rank(side: int) -> int:
@@ -338,7 +294,7 @@ def _ranked(contact: _Contact, actors: _ActorsByTime) -> tuple[int, int]:
 # --- blocked actors and hard braking -------------------------------------------------------------------------------------
 
 
-def _blocked(rows: Iterable[BlockedRow], actors: _ActorsByTime) -> Iterator[Incident]:
+def _blocked(rows: Iterable[BlockedRow], actors: ActorsByTime) -> Iterator[Incident]:
     for row in rows:
         if actors.kind(row.id, row.start) in _ROAD_USERS:
             text = f"{actors.name(row.id, row.start)} stands still for {row.duration:.0f} s"
@@ -346,7 +302,7 @@ def _blocked(rows: Iterable[BlockedRow], actors: _ActorsByTime) -> Iterator[Inci
             yield Incident("blocked", row.start, row.start + row.duration, (row.id,), (row.type_id,), *position, text)
 
 
-def _braking(rows: Iterable[Braking], contacts: Iterable[_Contact], actors: _ActorsByTime) -> Iterator[Incident]:
+def _braking(rows: Iterable[Braking], contacts: Iterable[_Contact], actors: ActorsByTime) -> Iterator[Incident]:
     slowed = _slowed_by(contacts)
     for row in rows:
         spans, ids = slowed.get(row.id, []), (row.id,)

@@ -12,6 +12,7 @@ from carla_recap.queries.blocked import BlockedRow
 from carla_recap.queries.collisions import CollisionRow
 from carla_recap.queries.incidents import Incident
 from carla_recap.queries.info import Info, InfoRow
+from carla_recap.queries.measures.rows import MeasureRow
 from carla_recap.queries.output.text import local_date
 from carla_recap.util.text import number, visible
 
@@ -122,6 +123,15 @@ _COLUMNS: Final[dict[type, tuple[_Column, ...]]] = {
         _Column("Id", lambda row: str(row.id), is_number=True),
         _Column("Actor", lambda row: _actor(row.id, row.type_id)),
         _Column("Place (cm)", lambda row: ", ".join(map(number, (row.x, row.y, row.z)))),
+    ),
+    MeasureRow: (
+        _Column("Id", lambda row: str(row.actor), is_number=True),
+        _Column("Actor", lambda row: _actor(row.actor, row.type_id, row.hero)),
+        _Column("Measure", lambda row: row.measure.replace("_", " ")),
+        _Column("Value", lambda row: f"{row.value:.3f}", is_number=True),
+        _Column("Unit", lambda row: row.unit),
+        _Column("Time", lambda row: _seconds(row.time), is_number=True),
+        _Column("Other", lambda row: "" if row.other is None else f"{row.other_type_id} ({row.other})"),
     ),
     Incident: (
         _Column("Start", lambda row: _seconds(row.start), is_number=True),

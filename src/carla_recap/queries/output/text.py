@@ -21,14 +21,15 @@ if TYPE_CHECKING:
     from carla_recap.queries.collisions import Collisions
     from carla_recap.queries.incidents import Incidents
     from carla_recap.queries.info import Info
+    from carla_recap.queries.measures import Measures
 
-    AnyAnswer = RecordedActors | Info | Collisions | Blocked | Incidents
+    AnyAnswer = RecordedActors | Info | Collisions | Blocked | Incidents | Measures
 
 _NAME_WIDTH: Final = 35
 
 
 def text(answer: AnyAnswer) -> Iterator[str]:
-    """Yield CARLA's text of an answer, in pieces; of actors and incidents, which CARLA has no text for, a similar list."""
+    """Yield CARLA's text of an answer, in pieces; a similar list of what CARLA has no text for."""
     kind = type(answer).__name__
     yield _preamble(answer.header)
     yield from _BODIES[kind](answer)
@@ -75,6 +76,17 @@ def _incidents(answer: Incidents) -> Iterator[str]:
         yield f"{row.start:>8.1f} {row.stop - row.start:>10.1f} {row.kind:<12} {row.text}\n"
 
 
+def _measures(answer: Measures) -> Iterator[str]:
+    yield f"{'Time':>8} {'Id':>6} {'Actor':<35} {'Measure':<22} {'Value':>10} {'Unit':<5} {'Id':>6} Other\n"
+    for row in answer:
+        other = "" if row.other is None else row.other
+        yield (
+            f"{row.time:>8.1f} {row.actor:>6} {_padded(row.type_id)} {row.measure:<22} {row.value:>10.3f} {row.unit:<5}"
+            f" {other:>6} {row.other_type_id}".rstrip()
+            + "\n"
+        )
+
+
 def _blocked(answer: Blocked) -> Iterator[str]:
     yield f"{'Time':>8} {'Id':>6} {'Actor':<35} {'Duration':>10}\n"
     for row in answer:
@@ -119,6 +131,7 @@ _BODIES: Final[Mapping[str, Callable[[Any], Iterator[str]]]] = {
     "Blocked": _blocked,
     "RecordedActors": _actors,
     "Incidents": _incidents,
+    "Measures": _measures,
 }
 """By the name of the answer's class: the modules of other queries are not imported."""
 

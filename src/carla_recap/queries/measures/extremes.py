@@ -1,0 +1,202 @@
+"""The extreme values of the measures of actors over a recording."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Collection
+from typing import TYPE_CHECKING, Any, ClassVar, Final, Literal
+
+import numpy as np
+
+from carla_recap.errors import RecapError
+from carla_recap.queries import Answer
+from carla_recap.queries.actors import TYPES as ACTOR_TYPES
+from carla_recap.queries.actors import ActorCollector, ActorsByTime
+from carla_recap.queries.measures.contacts import ContactTimes
+from carla_recap.queries.measures.motion import KINDS, TYPES, MotionCollector
+from carla_recap.queries.measures.rows import MeasureRow
+from carla_recap.queries.measures.series import JERK_WINDOW, SPEED_WINDOW, criticality, slope
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+    from carla_recap.formats.base import Reader
+    from carla_recap.model.batch import Batch
+    from carla_recap.queries.actors import Actor
+    from carla_recap.queries.measures.motion import MotionBlock
+
+    Floats = NDArray[np.float64]
+
+Subjects = Collection[int] | Literal["hero", "all"] | None
+"""The actors to measure: their ids, the heroes, all vehicles and walkers; None: the heroes, without one all vehicles."""
+
+UNITS: Final = {
+    "gap": "m",
+    "time_to_collision": "s",
+    "distance_headway": "m",
+    "time_headway": "s",
+    "required_deceleration": "m/s²",
+    "speed": "m/s",
+    "acceleration": "m/s²",
+    "deceleration": "m/s²",
+    "jerk": "m/s³",
+}
+"""The measures in the order of the rows, and their units."""
+
+_GREATEST: Final = ("required_deceleration", "speed", "acceleration", "deceleration", "jerk")
+
+
+class Measures(Answer[MeasureRow]):
+    """The extreme values of the measures of actors, by actor in order of appearance."""
+
+    row_type = MeasureRow
+    row_units: ClassVar = {"time": "s"}
+
+
+def measures(
+    source: Reader,
+    actors: Subjects = None,
+    *,
+    start: float = -math.inf,
+    stop: float = math.inf,
+) -> Measures:
+    """Return the extreme values of the measures of actors: how close others came, how hard and how fast they drive.
+
+    A measure without a value has no row, such as the time to collision of an actor that was never on a collision course.
+
+    Args:
+        source: The recording.
+        actors: The ids of vehicles or walkers, "hero" or "all"; None: the heroes, or if there is none, all vehicles.
+        start: The elapsed seconds from which on to measure.
+        stop: The elapsed seconds until which to measure.
+
+    Raises:
+        RecapError: There is no such vehicle or walker, or no hero.
+        FormatError: The file contradicts its format.
+    """
+    search = MeasureSearch(source, actors, start=start, stop=stop)
+    search.read()
+    return search.finish()
+
+
+class MeasureSearch:
+    """Computes measures in the batches of a recording, which are read for something else, too.
+
+    Args and errors are those of `measures`. The spawns, the ends and the collisions of all actors are read at once.
+    """
+
+    def __init__(self, source: Reader, actors: Subjects = None, *, start: float = -math.inf, stop: float = math.inf) -> None:
+        self._source, self._start, self._stop = source, start, stop
+        collector, self._contacts = ActorCollector(), ContactTimes()
+        for frame in source.frames((*ACTOR_TYPES, "collisions"), sparse=True, stop=stop):
+            self._contacts.add(frame)
+            for packet in frame.packets:
+                collector.add(packet, frame.elapsed)
+        self._subjects = _subjects(source, collector.actors, actors)
+        self._motion = MotionCollector(ActorsByTime(collector.actors))
+        self._extremes: dict[int, dict[str, _Extreme]] = {id: {} for id in self._subjects}
+
+    def read(self) -> None:
+        """Read the recording.
+
+        Raises:
+            FormatError: The file contradicts its format.
+        """
+        if self._subjects:
+            for batch in self._source.batches(TYPES, start=self._start, stop=self._stop):
+                self.add(batch)
+
+    def add(self, batch: Batch) -> None:
+        """Process the next frames; they have at least their transforms and velocities."""
+        for block in self._motion.add(batch):
+            self._measure(block)
+
+    def finish(self) -> Measures:
+        """Return the measures."""
+        for block in self._motion.finish():
+            self._measure(block)
+        rows = []
+        for id, actor in self._subjects.items():
+            for name, unit in UNITS.items():
+                extreme = self._extremes[id].get(name)
+                if extreme is not None:
+                    other, other_type_id = (extreme.other.id, extreme.other.type_id) if extreme.other else (None, "")
+                    sides = (id, actor.type_id, actor.is_hero, other, other_type_id)
+                    rows.append(MeasureRow(name, *sides, extreme.value, unit, extreme.time))
+        return Measures(rows, self._source, compat=False)
+
+    def _measure(self, block: MotionBlock) -> None:
+        rows = np.flatnonzero(np.isin(block.ids, list(self._subjects)))
+        if not len(rows):
+            return
+        found = criticality(block, rows)
+        speed = block.speed[rows]
+        change = slope(block.time, speed, SPEED_WINDOW)
+        jerk = np.abs(slope(block.time, change, JERK_WINDOW))
+        for number, row in enumerate(rows.tolist()):
+            disturbed = self._contacts.disturbed(int(block.ids[row]), block.time)
+            change[number, disturbed] = jerk[number, disturbed] = np.nan
+        values: dict[str, tuple[Floats, Any]] = {
+            "gap": (found.gap, found.nearest),
+            "time_to_collision": (found.time_to_collision, found.threat),
+            "distance_headway": (found.headway, found.leader),
+            "time_headway": (found.time_headway, found.leader),
+            "required_deceleration": (np.where(found.leader >= 0, found.required_deceleration, np.nan), found.leader),
+            "speed": (speed, None),
+            "acceleration": (np.where(change > 0, change, np.nan), None),
+            "deceleration": (np.where(change < 0, -change, np.nan), None),
+            "jerk": (jerk, None),
+        }
+        for name, (each, others) in values.items():
+            self._note(block, rows, name, each, others)
+
+    def _note(self, block: MotionBlock, rows: NDArray[np.intp], name: str, values: Floats, others: Any) -> None:
+        """Note the extreme values of a measure in a block, (subjects, frames)."""
+        sign = -1.0 if name in _GREATEST else 1.0
+        ranked = np.where(np.isfinite(values), sign * values, np.inf)[:, block.core]
+        best = ranked.argmin(axis=1) if ranked.shape[1] else np.zeros(0, np.intp)
+        for number, (row, frame) in enumerate(zip(rows.tolist(), best.tolist(), strict=True)):
+            value = float(ranked[number, frame])
+            known = self._extremes[int(block.ids[row])]
+            if value < math.inf and (name not in known or value < sign * known[name].value):
+                frame += block.first
+                other = None if others is None else block.actors[int(others[number, frame])]
+                known[name] = _Extreme(sign * value, float(block.time[frame]), other)
+
+
+class _Extreme:
+    """An extreme value, its time in s, and the other actor that it is in relation to."""
+
+    __slots__ = ("other", "time", "value")
+
+    def __init__(self, value: float, time: float, other: Actor | None) -> None:
+        self.value, self.time, self.other = value, time, other
+
+
+def _subjects(source: Reader, recorded: list[Actor], wanted: Subjects) -> dict[int, Actor]:
+    """Return the actors to measure by id; of those that had one id, the first.
+
+    Raises:
+        RecapError: There is no such vehicle or walker, or no hero.
+    """
+    movers: dict[int, Actor] = {}
+    for actor in recorded:
+        if actor.kind in KINDS:
+            movers.setdefault(actor.id, actor)
+    heroes = {id: actor for id, actor in movers.items() if actor.is_hero}
+    if wanted is None:
+        return heroes or {id: actor for id, actor in movers.items() if actor.kind == "vehicle"}
+    if wanted == "all":
+        return movers
+    if wanted == "hero":
+        if not heroes:
+            raise RecapError(f"{source.path}: there is no hero to measure (no vehicle or walker has the role_name hero)")
+        return heroes
+    if isinstance(wanted, str):
+        raise RecapError(f"actors to measure must be ids, 'hero' or 'all', not {wanted!r}")
+    for id in wanted:
+        if id not in movers:
+            near = sorted(movers, key=lambda known: abs(known - id))[:3]
+            names = ", ".join(map(str, near)) or "none"
+            raise RecapError(f"{source.path}: no vehicle or walker {id} to measure; near ids are {names}")
+    return {id: movers[id] for id in wanted}

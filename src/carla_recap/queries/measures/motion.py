@@ -1,0 +1,379 @@
+"""The motion of all vehicles and walkers, as arrays of some frames at once, for measures."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from itertools import pairwise
+from typing import TYPE_CHECKING, Final
+
+import numpy as np
+
+from carla_recap.model.blueprints import blueprint_sizes
+from carla_recap.model.records import CM
+from carla_recap.queries.actors import BoundingBox
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+
+    from numpy.typing import NDArray
+
+    from carla_recap.model.batch import Batch
+    from carla_recap.queries.actors import Actor, ActorsByTime
+
+    Booleans = NDArray[np.bool_]
+    Floats = NDArray[np.float64]
+    Ids = NDArray[np.int64]
+
+TYPES: Final = ("transforms", "velocities")
+"""The record types that motion is computed from."""
+KINDS: Final = ("vehicle", "walker")
+"""The kinds of actors that have a motion here."""
+MARGIN: Final = 3.0
+"""The time before and after the frames of a block that it has, too, in s."""
+
+_FRAMES: Final = 1024  # of a block, without its margins
+_STEP: Final = 64  # frames after which blocks are tried again
+_MARGIN_FRAMES: Final = 512  # of a margin, at most
+_VALUES: Final = 1 << 20  # poses of a block, at most, where it has several frames
+_FAR: Final = 1e6  # m; poses farther out do not count
+_FASTEST: Final = 150.0  # m/s; velocities above it do not count
+_JUMP: Final = 5.0  # m; a shorter step is no jump
+_TOP_SPEED: Final = 100.0  # m/s; a faster step is a jump where no velocity is recorded
+_SLACK: Final = 3.0  # a jump is longer than the recorded velocity explains by more than this factor
+_AROUND_JUMP: Final = 0.5  # s before and after a jump in which an actor does not count
+_LONGEST: Final = 1.0  # s; over a longer step, there is no velocity
+
+_SEDAN: Final = BoundingBox(0.0, 0.0, 0.75, 2.25, 0.95, 0.75)
+_TWO_WHEELS: Final = BoundingBox(0.0, 0.0, 0.8, 1.0, 0.4, 0.8)
+_PERSON: Final = BoundingBox(0.0, 0.0, 0.0, 0.25, 0.25, 0.9)
+
+
+@dataclass(frozen=True, eq=False)
+class MotionBlock:
+    """The motion of some consecutive frames; arrays have the shape (actors, frames), in right-handed axes.
+
+    Attributes:
+        index: The index of the first frame in the recording.
+        first, last: The frames that the block is for, `last` exclusive; those before and after are margins.
+        time: Elapsed seconds, (frames,).
+        ids: The ids of the actors, ascending, (actors,).
+        actors: Their actors.
+        is_vehicle: Whether each is a vehicle, not a walker, (actors,).
+        x, y, z: The centre of the box in m; NaN where the actor is absent, jumps, or is at no sensible position.
+        yaw: The heading in radians, counter-clockwise.
+        vx, vy: The velocity in m/s: as recorded, else derived from the positions.
+        length, width, height: The size of the box in m, (actors,).
+        offset: The centre of the box in the axes of the actor in m, (actors, 3).
+    """
+
+    index: int
+    first: int
+    last: int
+    time: Floats
+    ids: Ids
+    actors: tuple[Actor, ...]
+    is_vehicle: Booleans
+    x: Floats
+    y: Floats
+    z: Floats
+    yaw: Floats
+    vx: Floats
+    vy: Floats
+    length: Floats
+    width: Floats
+    height: Floats
+    offset: Floats
+
+    @property
+    def core(self) -> slice:
+        """The frames that the block is for, without margins."""
+        return slice(self.first, self.last)
+
+    @property
+    def speed(self) -> Floats:
+        """The speed over the ground in m/s, (actors, frames)."""
+        return np.hypot(self.vx, self.vy)
+
+    def location(self, actor: int, frame: int) -> tuple[float, float, float]:
+        """Return the location of an actor, not of the centre of its box, in m."""
+        x, y, z = self.offset[actor].tolist()
+        yaw = self.yaw[actor, frame]
+        cos, sin = np.cos(yaw), np.sin(yaw)
+        return (
+            float(self.x[actor, frame] - cos * x + sin * y),
+            float(self.y[actor, frame] - sin * x - cos * y),
+            float(self.z[actor, frame] - z),
+        )
+
+
+class MotionCollector:
+    """Collects the frames of a recording into blocks of motion.
+
+    The blocks follow each other; each has margins of 3 s, so that what is before and after its frames is known. Memory is
+    bounded: a block has 1,024 frames, or fewer if there are very many actors.
+
+    Args:
+        actors: The actors of the recording.
+    """
+
+    def __init__(self, actors: ActorsByTime) -> None:
+        self._actors = actors
+        self._known = np.array(sorted({id for kind in KINDS for id in actors.ids(kind)}), np.int64)
+        self._parts: list[_MotionPart] = []
+        self._frames = 0  # of the parts
+        self._done = 0  # the number of frames of the parts that have been in a block
+        self._size = _FRAMES  # of the next block
+        self._due = _FRAMES + _STEP  # the number of frames that have not been in a block from which on blocks are made
+
+    def add(self, batch: Batch) -> Iterator[MotionBlock]:
+        """Add frames that have at least their transforms and velocities, and yield the blocks that are complete.
+
+        Raises:
+            FormatError: A packet contradicts its layout.
+        """
+        if batch.preamble:
+            return
+        actors = batch.records("transforms").shape[1]
+        step = max(1, min(_FRAMES, _VALUES // max(actors, 1)))
+        for start in range(0, len(batch), step):
+            part = batch if len(batch) <= step else batch[start : start + step]
+            self._parts += self._parts_of(part)
+            self._frames += len(part)
+            waiting = self._frames - self._done
+            if waiting >= self._due or waiting * actors >= 2 * _VALUES:
+                yield from self._blocks(whole=waiting * actors < 2 * _VALUES)
+                self._due = max(_FRAMES, self._frames - self._done) + _STEP
+
+    def finish(self) -> Iterator[MotionBlock]:
+        """Yield the last blocks."""
+        yield from self._blocks(ended=True)
+
+    def _parts_of(self, batch: Batch) -> Iterator[_MotionPart]:
+        poses = _ActorRecords.of(batch, "transforms", self._known, ("x", "y", "z", "yaw"))
+        velocities = _ActorRecords.of(batch, "velocities", self._known, ("x", "y"))
+        for start, stop in pairwise(sorted({0, len(batch), *poses.edges, *velocities.edges})):
+            time = batch.elapsed[start:stop]
+            yield _MotionPart(batch.index + start, time, poses.part(start, stop), velocities.part(start, stop))
+
+    def _blocks(self, *, whole: bool = False, ended: bool = False) -> Iterator[MotionBlock]:
+        """Yield blocks of the frames so far; the last ones stay as margins of the next.
+
+        Args:
+            whole: Whether to yield blocks of full size alone.
+            ended: Whether these are the last frames.
+        """
+        if not self._parts:
+            return
+        time = np.concatenate([part.time for part in self._parts])
+        until = self._frames
+        if not ended:
+            until -= min(_margin(time[::-1], -1), max(1, _VALUES // max(len(self._parts[-1].poses[0]), 1)))
+        first = self._done
+        while first < until and not (whole and until - first < self._size):
+            full = size = min(self._size, until - first)
+            while True:
+                last = first + size
+                start, stop = first - _margin(time[:first][::-1], -1), last + _margin(time[last:], 1)
+                ids = self._ids(start, stop)
+                if size == 1 or len(ids) * (stop - start) <= _VALUES:
+                    break
+                size = max(size // 2, 1)
+            if len(ids) * (stop - start) > _VALUES:
+                start, stop = first, last
+                ids = self._ids(start, stop)
+            self._size = min(2 * self._size, _FRAMES) if size == full else size
+            yield self._block(ids, start, first, last, stop)
+            first = last
+        self._done = first
+        self._drop(first - _margin(time[:first][::-1], -1))
+
+    def _ids(self, start: int, stop: int) -> Ids:
+        """Return the ids that some frames list, ascending."""
+        listed = {part.poses[0].tobytes(): part.poses[0] for _, part in self._within(start, stop)}
+        return np.unique(np.concatenate(list(listed.values())))
+
+    def _within(self, start: int, stop: int) -> Iterator[tuple[int, _MotionPart]]:
+        """Yield the parts of some frames, each with its first frame."""
+        begin = 0
+        for part in self._parts:
+            end = begin + len(part.time)
+            if begin < stop and end > start:
+                yield max(begin, start), part.sliced(max(start - begin, 0), min(stop, end) - begin)
+            begin = end
+
+    def _drop(self, count: int) -> None:
+        """Drop the first frames."""
+        self._frames -= count
+        self._done -= count
+        while self._parts and len(self._parts[0].time) <= count:
+            count -= len(self._parts.pop(0).time)
+        if count:
+            self._parts[0] = self._parts[0].sliced(count, len(self._parts[0].time))
+
+    def _block(self, ids: Ids, start: int, first: int, last: int, stop: int) -> MotionBlock:
+        parts = [part for _, part in self._within(start, stop)]
+        time = np.concatenate([part.time for part in parts])
+        middle = float(time[(first + last) // 2 - start])
+        found = [self._actors.get(id, middle) for id in ids.tolist()]
+        kept = [actor is not None and actor.kind in KINDS for actor in found]
+        ids, actors = ids[kept], tuple(actor for actor in found if actor is not None and actor.kind in KINDS)
+        pose, velocity = np.full((4, len(ids), len(time)), np.nan), np.full((2, len(ids), len(time)), np.nan)
+        begin = 0
+        for part in parts:
+            rows = slice(begin, begin + len(part.time))
+            for target, (known, values) in ((pose, part.poses), (velocity, part.velocities)):
+                _fill(target[:, :, rows], ids, known, values)
+            begin = rows.stop
+        boxes = [box_of(actor) for actor in actors]
+        size = 2 * np.array([(box.extent_x, box.extent_y, box.extent_z) for box in boxes]).reshape(-1, 3)
+        offset = np.array([(box.x, box.y, box.z) for box in boxes]).reshape(-1, 3)
+        x, y, z, yaw, vx, vy = _motion(time, pose, velocity)
+        cos, sin = np.cos(yaw), np.sin(yaw)
+        return MotionBlock(
+            index=parts[0].index,
+            first=first - start,
+            last=last - start,
+            time=time,
+            ids=ids,
+            actors=actors,
+            is_vehicle=np.array([actor.kind == "vehicle" for actor in actors], np.bool_),
+            x=x + cos * offset[:, :1] - sin * offset[:, 1:2],
+            y=y + sin * offset[:, :1] + cos * offset[:, 1:2],
+            z=z + offset[:, 2:],
+            yaw=yaw,
+            vx=vx,
+            vy=vy,
+            length=size[:, 0],
+            width=size[:, 1],
+            height=size[:, 2],
+            offset=offset,
+        )
+
+
+def box_of(actor: Actor) -> BoundingBox:
+    """Return the box of a vehicle or walker: as recorded, else of its blueprint's size, else that of its kind.
+
+    Without either, a vehicle is 4.5 m long and 1.9 m wide, one of two wheels 2 m and 0.8 m, and a walker 0.5 m and 0.5 m.
+    """
+    if actor.bounding_box is not None:
+        return actor.bounding_box
+    length, width, height = (value / 2 for value in blueprint_sizes().get(actor.type_id, (0.0, 0.0, 0.0)))
+    if length:  # the location of a walker is its centre, that of a vehicle is on the ground
+        return BoundingBox(0.0, 0.0, 0.0 if actor.kind == "walker" else height, length, width, height)
+    if actor.kind == "walker":
+        return _PERSON
+    return _TWO_WHEELS if actor.attributes.get("number_of_wheels") == "2" else _SEDAN
+
+
+@dataclass(frozen=True, eq=False)
+class _MotionPart:
+    """Consecutive frames that list the same actors.
+
+    Attributes:
+        index: The index of the first frame in the recording.
+        time: Elapsed seconds.
+        poses: The ids, and the values by field, actor and frame.
+        velocities: The same of velocities.
+    """
+
+    index: int
+    time: Floats
+    poses: tuple[Ids, NDArray[np.float32]]
+    velocities: tuple[Ids, NDArray[np.float32]]
+
+    def sliced(self, start: int, stop: int) -> _MotionPart:
+        """Return the part of some of the frames."""
+        if start == 0 and stop == len(self.time):
+            return self
+        (ids, poses), (moved, velocities) = self.poses, self.velocities
+        kept = slice(start, stop)
+        return _MotionPart(self.index + start, self.time[kept], (ids, poses[:, :, kept]), (moved, velocities[:, :, kept]))
+
+
+class _ActorRecords:
+    """The records of a type in a batch; `edges` are the frames from which on other actors are listed."""
+
+    def __init__(self, ids: NDArray[np.uint32], records: NDArray[np.void], known: Ids, fields: tuple[str, ...]) -> None:
+        self._ids, self._records, self._known, self._fields = ids, records, known, fields
+        same = len(ids) < 2 or not ids.shape[1]
+        self.edges = [] if same else (np.flatnonzero((ids[1:] != ids[:-1]).any(axis=1)) + 1).tolist()
+
+    @staticmethod
+    def of(batch: Batch, name: str, known: Ids, fields: tuple[str, ...]) -> _ActorRecords:
+        """Return the records of known actors."""
+        records = batch.records(name)
+        return _ActorRecords(np.ascontiguousarray(records["id"]), records, known, fields)
+
+    def part(self, start: int, stop: int) -> tuple[Ids, NDArray[np.float32]]:
+        """Return the ids of some frames, which list the same actors, and the values by field, actor and frame."""
+        ids = self._ids[start].astype(np.int64)
+        columns = np.flatnonzero(np.isin(ids, self._known))
+        values = np.empty((len(self._fields), len(columns), stop - start), np.float32)
+        for row, field in enumerate(self._fields):
+            values[row] = self._records[field][start:stop, columns].T
+        return ids[columns], values
+
+
+def _fill(target: Floats, ids: Ids, known: Ids, values: NDArray[np.float32]) -> None:
+    """Copy the values of some actors, by field, actor and frame, to the rows of their ids; of several, the last counts."""
+    rows = np.minimum(np.searchsorted(ids, known), max(len(ids) - 1, 0))
+    if len(ids):
+        kept = ids[rows] == known
+        target[:, rows[kept]] = values[:, kept]
+
+
+def _margin(time: Floats, direction: int) -> int:
+    """Return the number of the first frames that are within 3 s of the first one."""
+    time = time[: _MARGIN_FRAMES + 1]
+    if not len(time):
+        return 0
+    with np.errstate(all="ignore"):
+        beyond = ~(direction * (time - time[0]) <= MARGIN)
+    return min(int(beyond.argmax()) if beyond.any() else len(time), _MARGIN_FRAMES)
+
+
+@np.errstate(all="ignore")
+def _motion(time: Floats, pose: Floats, velocity: Floats) -> tuple[Floats, ...]:
+    """Return positions in m, headings in radians and velocities in m/s, right-handed, of CARLA's own; NaN where unusable."""
+    x, y, z = pose[0] * CM, pose[1] * -CM, pose[2] * CM
+    yaw = np.deg2rad(np.remainder(-pose[3], 360.0))
+    vx, vy = velocity[0], -velocity[1]
+    absent = ~((np.abs(x) < _FAR) & (np.abs(y) < _FAR) & (np.abs(z) < _FAR) & np.isfinite(yaw))
+    unknown = ~(np.hypot(vx, vy) < _FASTEST)
+    vx[unknown] = vy[unknown] = np.nan
+    if len(time) > 1:
+        seconds = np.diff(time)
+        dx, dy = np.diff(x), np.diff(y)
+        distance = np.hypot(dx, dy)
+        speed = np.hypot(vx, vy)
+        speed = np.fmax(speed[:, 1:], speed[:, :-1])
+        known = ~np.isnan(speed)
+        explained = np.where(known, np.maximum(_SLACK * speed * seconds, _JUMP), _TOP_SPEED * seconds)
+        ordered = (seconds > 0) & (seconds <= _LONGEST)
+        jumps = (distance > explained) & ordered
+        if jumps.any():
+            absent |= _around(jumps, time)
+        if unknown.any():
+            joined = ordered & ~jumps & ~absent[:, 1:] & ~absent[:, :-1]
+            for values, steps in ((vx, dx), (vy, dy)):
+                values[unknown] = _slopes(np.where(joined, steps, 0.0), np.where(joined, seconds, 0.0))[unknown]
+    for values in (x, y, z, yaw, vx, vy):
+        values[absent] = np.nan
+    return x, y, z, yaw, vx, vy
+
+
+def _around(jumps: Booleans, time: Floats) -> Booleans:
+    """Return which frames are within 0.5 s of a jump between two frames."""
+    count = np.pad(np.cumsum(jumps, axis=1), ((0, 0), (1, 0)))
+    clock = np.maximum.accumulate(np.where(np.isnan(time), -np.inf, time))
+    frames = np.arange(len(time))
+    first = np.minimum(np.searchsorted(clock, clock - _AROUND_JUMP), np.maximum(frames - 1, 0))
+    last = np.maximum(np.searchsorted(clock, clock + _AROUND_JUMP, side="right") - 1, np.minimum(frames + 1, len(time) - 1))
+    return np.asarray(count[:, last] > count[:, first])
+
+
+def _slopes(steps: Floats, seconds: Floats) -> Floats:
+    """Return the slope between the neighbours of each frame; NaN without one that it is joined with."""
+    padding = ((0, 0), (1, 1))
+    steps, seconds = np.pad(steps, padding), np.pad(seconds, padding)
+    return np.asarray((steps[:, 1:] + steps[:, :-1]) / (seconds[:, 1:] + seconds[:, :-1]))

@@ -1,0 +1,163 @@
+"""The measures of some actors over time."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Final
+
+import numpy as np
+
+from carla_recap.queries.measures.boxes import required_deceleration, time_headway
+from carla_recap.queries.measures.pairs import PairFrames, ahead, near_pairs
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+    from carla_recap.queries.measures.motion import MotionBlock
+
+    Booleans = NDArray[np.bool_]
+    Floats = NDArray[np.float64]
+    Indices = NDArray[np.intp]
+
+RANGE: Final = 100.0
+"""The distance of centres up to which others count, in m."""
+SPEED_WINDOW: Final = 0.125
+"""The time before and after a moment, of which the speeds count for its acceleration, in s."""
+JERK_WINDOW: Final = 0.25
+"""The time before and after a moment, of which the accelerations count for its jerk, in s."""
+
+NOBODY: Final = -1
+"""The row of no actor."""
+
+_STEPS: Final = 32  # frames before and after a moment that count, at most
+_LONGEST: Final = 1.0  # s between frames that belong together, at most
+
+
+@dataclass(eq=False)
+class Criticality:
+    """How critical the situation of some actors is in each frame of a block; arrays of the shape (subjects, frames).
+
+    Attributes:
+        gap: The least gap to another actor in m; inf without one within 100 m.
+        nearest: The row in the block of the actor that is this near; -1 without one.
+        time_to_collision: The least time to collision in s; inf above 10 s.
+        threat: The row of the actor that this is the time to; -1 without one.
+        headway: The distance to the leader from bumper to bumper in m; inf without one.
+        time_headway: The same as a time in s.
+        required_deceleration: The deceleration to avoid the leader in m/s²; 0 without one.
+        leader: The row of the leader; -1 without one.
+    """
+
+    gap: Floats
+    nearest: Indices
+    time_to_collision: Floats
+    threat: Indices
+    headway: Floats
+    time_headway: Floats
+    required_deceleration: Floats
+    leader: Indices
+
+
+def criticality(block: MotionBlock, subjects: Indices, other: int | None = None) -> Criticality:
+    """Return how critical the situation of some actors of a block is, in each of its frames; margins have no values.
+
+    Args:
+        block: The motion.
+        subjects: The rows of the actors.
+        other: The row of the only other actor that counts; None for all.
+    """
+    shape = len(subjects), len(block.time)
+    position = np.full(len(block.ids), -1)
+    position[subjects] = np.arange(len(subjects))
+    gaps, times, headways = _Least(shape), _Least(shape), _Least(shape)
+    for start, first, second in near_pairs(block, position >= 0, RANGE / 2):
+        kept = slice(None) if other is None else (first == other) | (second == other)
+        pairs = PairFrames.of(block, start, first[kept], second[kept])
+        pairs = pairs.take(pairs.distance <= RANGE)
+        for each in (pairs, pairs.turned()):
+            each = each.take(position[each.one] >= 0)
+            if not len(each):
+                continue
+            row = position[each.one]
+            times.add(row, each, each.time_to_collision())
+            _add_gaps(gaps, row, each)
+            following = ahead(each)
+            headways.add(position[following.pairs.one], following.pairs, following.gap)
+    speed = block.speed[subjects]
+    leader = headways.other
+    known = leader >= 0
+    frame = np.broadcast_to(np.arange(shape[1]), shape)
+    yaw = block.yaw[subjects]
+    along = np.cos(yaw) * block.vx[leader, frame] + np.sin(yaw) * block.vy[leader, frame]
+    deceleration = np.where(known, required_deceleration(headways.value, speed, np.where(known, along, 0.0)), 0.0)
+    return Criticality(
+        gap=gaps.value,
+        nearest=gaps.other,
+        time_to_collision=times.value,
+        threat=times.other,
+        headway=headways.value,
+        time_headway=time_headway(headways.value, speed),
+        required_deceleration=deceleration,
+        leader=leader,
+    )
+
+
+class _Least:
+    """The least value of each subject in each frame, and the other actor that it is in relation to."""
+
+    def __init__(self, shape: tuple[int, int]) -> None:
+        self.value = np.full(shape, np.inf)
+        self.other = np.full(shape, NOBODY)
+
+    def add(self, row: Indices, pairs: PairFrames, values: Floats) -> None:
+        """Add values of pairs, whose first actors are the subjects in some rows."""
+        kept = np.flatnonzero(values < np.inf)
+        key = row[kept] * self.value.shape[1] + pairs.frame[kept]
+        before = self.value.ravel()[key]
+        np.minimum.at(self.value.ravel(), key, values[kept])
+        is_least = (values[kept] == self.value.ravel()[key]) & (values[kept] < before)
+        self.other.ravel()[key[is_least]] = pairs.other[kept[is_least]]
+
+
+def _add_gaps(gaps: _Least, row: Indices, pairs: PairFrames) -> None:
+    """Add the gaps of the pairs that may have the least one of a subject in a frame."""
+    most = np.full(gaps.value.size, np.inf)
+    key = row * gaps.value.shape[1] + pairs.frame
+    np.minimum.at(most, key, pairs.distance - pairs.within())
+    kept = pairs.distance - pairs.around() <= np.minimum(most, gaps.value.ravel())[key]
+    pairs = pairs.take(kept)
+    gaps.add(row[kept], pairs, pairs.gap())
+
+
+def slope(time: Floats, values: Floats, half_window: float) -> Floats:
+    """Return the slopes of straight lines through the values around each moment; NaN where there are none.
+
+    Args:
+        time: The times of the frames in s, (frames,).
+        values: The values, (series, frames); NaN where they are unknown.
+        half_window: The time before and after a moment of which the values count, in s; the frames next to it do, too.
+    """
+    known = ~np.isnan(values)
+    values = np.where(known, values, 0.0)
+    count = known.astype(np.float64)
+    times, sums, squares, products = np.zeros((4, *values.shape))
+    for apart in range(1, min(_STEPS + 1, len(time))):
+        with np.errstate(invalid="ignore"):
+            seconds = time[apart:] - time[:-apart]
+            near = (seconds > 0) & (seconds <= (_LONGEST if apart == 1 else half_window + 1e-6))
+        if not near.any():
+            break
+        seconds = np.where(near, seconds, 0.0)
+        both = near & known[:, apart:] & known[:, :-apart]
+        change = np.where(both, values[:, apart:] - values[:, :-apart], 0.0)
+        distance = np.where(both, seconds, 0.0)
+        for rows, sign in ((slice(None, -apart), 1), (slice(apart, None), -1)):
+            count[:, rows] += both
+            times[:, rows] += sign * distance
+            sums[:, rows] += sign * change
+            squares[:, rows] += distance * distance
+            products[:, rows] += distance * change
+    spread = count * squares - times * times
+    slopes = np.full(values.shape, np.nan)
+    np.divide(count * products - times * sums, spread, out=slopes, where=known & (count > 1) & (spread > 0))
+    return slopes

@@ -1,0 +1,214 @@
+from __future__ import annotations
+
+import math
+from contextlib import closing
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import pytest
+
+from carla_recap.errors import RecapError
+from carla_recap.formats import open_reader
+from carla_recap.queries.measures import measures
+from carla_recap.queries.output.json import json
+from carla_recap.queries.output.text import text
+from tests.queries.measures.conftest import Mover, straight
+
+if TYPE_CHECKING:
+    from carla_recap.formats.base import Reader
+    from carla_recap.queries.measures import Measures
+    from tests.queries.measures.conftest import Drive
+
+SAMPLES = Path(__file__).parents[3] / "samples"
+
+
+def of(found: Measures, actor: int = 1) -> dict[str, Any]:
+    return {row.measure: row for row in found if row.actor == actor}
+
+
+def values(found: Measures, actor: int = 1) -> dict[str, float]:
+    return {name: row.value for name, row in of(found, actor).items()}
+
+
+def test_of_a_car_behind_a_slower_one(drive: Drive) -> None:
+    """The analytic case at its first frame, since only the gap shrinks."""
+    cars = [
+        straight(1, 0, 0, 15, size=(4.5, 2.0), role_name="hero"),
+        straight(2, 24.5, 0, 10, size=(4.5, 2.0)),
+    ]
+    found = values(measures(drive(cars, seconds=0.05)))
+    assert found["gap"] == pytest.approx(19.75, abs=1e-3)
+    assert found["time_to_collision"] == pytest.approx(3.95, abs=1e-3)
+    assert found["distance_headway"] == pytest.approx(19.75, abs=1e-3)
+    assert found["time_headway"] == pytest.approx(19.75 / 15, abs=1e-3)
+    assert found["required_deceleration"] == pytest.approx(25 / (2 * 19.75), abs=1e-3)
+    assert found["speed"] == pytest.approx(15, abs=1e-3)
+
+
+def test_the_leader_is_followed_along_any_heading(drive: Drive) -> None:
+    cars = [straight(1, 0, 0, 15, yaw=130, role_name="hero"), straight(2, -12.8558, 15.3209, 10, yaw=130)]
+    found = values(measures(drive(cars, seconds=0.0)))
+    assert found["distance_headway"] == pytest.approx(16, abs=1e-3)
+    assert found["required_deceleration"] == pytest.approx(25 / 32, abs=1e-3)
+
+
+@pytest.mark.parametrize(
+    "other",
+    [
+        straight(2, 20, 3.5, 10),  # beside
+        straight(2, -20, 0, 10),  # behind
+        straight(2, 20, 0, 10, yaw=180),  # oncoming
+        straight(2, 20, 0, 10, yaw=90),  # crossing
+        straight(2, 20, 0, 1.5, kind=2, type_id="walker.pedestrian.0001", size=(0.5, 0.5)),
+        straight(2, 20, 0, 10, z=6.0),  # on a bridge
+        straight(2, 150, 0, 10),  # far away
+    ],
+)
+def test_no_leader(drive: Drive, other: Mover) -> None:
+    found = values(measures(drive([straight(1, 0, 0, 10, role_name="hero"), other], seconds=0.0)))
+    assert "time_headway" not in found
+    assert "required_deceleration" not in found
+
+
+def test_a_measure_names_the_other_and_the_time(drive: Drive) -> None:
+    cars = [straight(1, 0, 0, 10, role_name="hero"), straight(7, 40, 0, 0, type_id="vehicle.b"), straight(8, 0, 30, 0)]
+    row = of(measures(drive(cars, seconds=2.0)))["time_to_collision"]
+    assert (row.actor, row.type_id, row.hero) == (1, "vehicle.audi.tt", True)
+    assert (row.other, row.other_type_id, row.unit) == (7, "vehicle.b", "s")
+    assert (row.value, row.time) == (pytest.approx(1.6, abs=1e-3), pytest.approx(2.0))
+
+
+def test_boxes_with_an_offset_are_where_they_are(drive: Drive) -> None:
+    cars = [straight(1, 0, 0, 0, yaw=90, offset=(1.0, 0.5), role_name="hero"), straight(2, -0.5, 8, 0, yaw=90)]
+    assert values(measures(drive(cars, seconds=0.0)))["gap"] == pytest.approx(3.0, abs=1e-3)
+
+
+def test_motion_of_one_actor(drive: Drive) -> None:
+    """Jerk 2 m/s³ for 3 s, then an acceleration that falls at once."""
+    found = measures(drive([Mover(1, lambda t: t**3 / 3, role_name="hero")], seconds=3.0))
+    assert values(found) == pytest.approx({"speed": 9.0, "acceleration": 6.0, "jerk": 2.0}, rel=0.05)
+
+
+def test_deceleration(drive: Drive) -> None:
+    found = values(measures(drive([Mover(1, lambda t: 20 * t - 2.5 * t * t, role_name="hero")], seconds=3.0)))
+    assert found["deceleration"] == pytest.approx(5.0, abs=1e-2)
+    assert "acceleration" not in found
+
+
+@pytest.mark.parametrize("has_velocity", [True, False])
+def test_velocities_follow_from_positions_where_they_are_not_recorded(drive: Drive, has_velocity: bool) -> None:
+    cars = [
+        straight(1, 0, 0, 15, role_name="hero", has_velocity=has_velocity),
+        straight(2, 30, 0, 10, has_velocity=has_velocity),
+    ]
+    found = values(measures(drive(cars, seconds=1.0)))
+    assert found["time_to_collision"] == pytest.approx(4.2, abs=1e-2)
+    assert found["speed"] == pytest.approx(15, abs=1e-2)
+
+
+def test_sizes_are_those_of_the_blueprint_where_none_are_recorded(drive: Drive) -> None:
+    cars = [
+        straight(1, 0, 0, 0, role_name="hero", type_id="vehicle.audi.a2", size=None),  # 3.71 m long
+        straight(2, 10, 0, 0, type_id="vehicle.no.such", size=None),  # 4.5 m
+    ]
+    assert values(measures(drive(cars, seconds=0.0)))["gap"] == pytest.approx(10 - 3.71 / 2 - 2.25, abs=1e-3)
+
+
+def test_what_is_attached_does_not_count(drive: Drive) -> None:
+    cars = [straight(1, 0, 0, 10, role_name="hero"), straight(2, -5, 0, 10, parent=1)]
+    assert "gap" not in values(measures(drive(cars, seconds=0.0)))
+
+
+def test_a_teleport_is_no_approach(drive: Drive) -> None:
+    hero = Mover(1, lambda t: 0.0 if t < 1 else 60.0, role_name="hero")
+    found = values(measures(drive([hero, straight(2, 80, 0, 0)], seconds=3.0)))
+    assert found["speed"] == 0
+    assert "time_to_collision" not in found
+    assert found["gap"] == pytest.approx(16, abs=1e-3)
+
+
+def test_the_impact_itself_is_no_braking(drive: Drive) -> None:
+    hero = Mover(1, lambda t: min(10 * t, 20.0), role_name="hero")
+    reader = drive([hero, straight(2, 24, 0, 0)], seconds=4.0, events={40: {"collisions": [(0, 1, 2, 1, 0)]}})
+    found = values(measures(reader))
+    assert found["time_to_collision"] == pytest.approx(0, abs=1e-6)
+    assert found.get("deceleration", 0) < 1
+    assert found.get("jerk", 0) < 1
+
+
+def test_more_frames_than_are_measured_at_once(drive: Drive) -> None:
+    """The extremes are found wherever they are, and none is made up where parts meet."""
+    hero = Mover(1, lambda t: 10 * t, role_name="hero")
+    found = of(measures(drive([hero, straight(2, 1204, 3, 0)], seconds=150.0)))
+    assert found["gap"].value == pytest.approx(1.0, abs=1e-3)
+    assert found["gap"].time == pytest.approx(120, abs=0.5)
+    assert found["jerk"].value < 0.5
+
+
+@pytest.mark.parametrize("suffix", [".log", ".mcap"])
+def test_both_formats(drive: Drive, suffix: str) -> None:
+    cars = [straight(1, 0, 0, 10, role_name="hero"), straight(2, 40, 0, 0)]
+    assert values(measures(drive(cars, seconds=1.0, suffix=suffix)))["gap"] == pytest.approx(26, abs=1e-3)
+
+
+# --- of which actors ------------------------------------------------------------------------------------
+
+
+@pytest.fixture
+def street(drive: Drive) -> Reader:
+    walker = straight(9, 5, 5, 1, kind=2, type_id="walker.a", size=(0.5, 0.5))
+    return drive([straight(3, 0, 0, 10), straight(4, 20, 0, 5), walker], seconds=0.5)
+
+
+def test_without_a_hero_all_vehicles_are_measured(street: Reader) -> None:
+    assert {row.actor for row in measures(street)} == {3, 4}
+
+
+def test_all_includes_walkers(street: Reader) -> None:
+    assert {row.actor for row in measures(street, "all")} == {3, 4, 9}
+
+
+def test_of_ids(street: Reader) -> None:
+    assert {row.actor for row in measures(street, [9])} == {9}
+
+
+@pytest.mark.parametrize(
+    ("actors", "error"), [([5], "no vehicle or walker 5 to measure; near ids are 4, 3, 9"), ("hero", "no hero")]
+)
+def test_actors_that_do_not_exist_are_an_error(street: Reader, actors: Any, error: str) -> None:
+    with pytest.raises(RecapError, match=error):
+        measures(street, actors)
+
+
+# --- recordings -----------------------------------------------------------------------------------------
+
+
+def test_the_time_to_collision_is_0_at_a_crash() -> None:
+    with closing(open_reader(SAMPLES / "crash.mcap")) as reader:
+        found = of(measures(reader), 41)
+        collision = next(frame.elapsed for frame in reader.frames(("collisions",), sparse=True))
+    assert found["time_to_collision"].value == 0
+    assert found["time_to_collision"].time == pytest.approx(collision, abs=0.051)
+
+
+def test_output(street: Reader) -> None:
+    found = measures(street, [3])
+    assert '"measure": "time_to_collision", "actor": 3, "type_id": "vehicle.audi.tt"' in "".join(json(found))
+    assert "time_to_collision           2.700 s          4 vehicle.audi.tt" in "".join(text(found))
+
+
+# --- hostile recordings ---------------------------------------------------------------------------------
+
+
+@pytest.mark.filterwarnings("error")
+@pytest.mark.parametrize("value", [math.nan, math.inf, 1e30])
+def test_poses_that_are_no_positions(drive: Drive, value: float) -> None:
+    cars = [Mover(1, lambda t: value if 1 < t < 2 else 10 * t, role_name="hero"), straight(2, 80, 0, 0)]
+    found = values(measures(drive(cars, seconds=4.0, rate=10)))
+    assert found["speed"] == pytest.approx(10, abs=0.1)
+
+
+@pytest.mark.filterwarnings("error")
+def test_nothing_to_measure(drive: Drive) -> None:
+    assert measures(drive([], seconds=1.0)) == []
+    assert measures(drive([Mover(1, present=lambda _: False, role_name="hero")], seconds=1.0)) == []
