@@ -10,7 +10,7 @@ from xml.etree import ElementTree
 import pytest
 
 from tests.cli.command import error, on_terminal, run
-from tests.samples import save
+from tests.samples import names_in, save
 
 ROOT = Path(__file__).parents[2]
 SAMPLES = ROOT / "samples"
@@ -91,3 +91,33 @@ def test_a_junit_file_that_cannot_be_written_is_an_error(runs, tmp_path):
     done = run("check", runs, "--rules", RULES, "--junit", tmp_path / "absent" / "out.xml")
     assert done.returncode == 2
     assert b"out.xml: cannot be written" in done.stderr
+
+
+def test_pages(runs, tmp_path):
+    done = run("check", runs, "--rules", RULES, "--html", tmp_path / "out", "--clips", "--junit", tmp_path / "out.xml")
+    assert (done.returncode, done.stderr) == (1, b"")
+    assert names_in(tmp_path / "out") == ["clips", "index.html", "pages"]
+    assert names_in(tmp_path / "out" / "pages") == ["crash.html"]
+    assert "1 failed of 2 recordings" in (tmp_path / "out" / "index.html").read_text("utf-8")
+    assert f"page: {tmp_path / 'out' / 'pages' / 'crash.html'}" in (tmp_path / "out.xml").read_text("utf-8")
+
+
+def test_a_folder_of_pages_that_is_not_empty_is_left_alone_without_force(runs, tmp_path):
+    save(tmp_path / "mine.txt", b"")
+    assert "is not empty; --force writes over" in error("check", runs, "--rules", RULES, "--html", tmp_path)
+    done = run("check", runs, "--rules", RULES, "--html", tmp_path, "--force")
+    assert done.returncode == 1
+    assert names_in(tmp_path) == ["index.html", "mine.txt", "pages", "runs"]
+
+
+def test_a_folder_of_pages_that_cannot_be_written_is_an_error_before_anything_is_read(tmp_path):
+    file = save(tmp_path / "file", b"")
+    assert "cannot be written" in error("check", "absent.mcap", "--rules", RULES, "--html", file / "out")
+    assert "is a file; a folder was expected" in error("check", "absent.mcap", "--rules", RULES, "--html", file)
+
+
+def test_a_source_without_recordings_is_an_error_among_the_verdicts(runs, tmp_path):
+    (tmp_path / "empty").mkdir()
+    done = run("check", runs, tmp_path / "empty", "--rules", RULES)
+    assert done.returncode == 2
+    assert "1 passed, 1 failed, 1 unreadable" in done.stdout.decode()

@@ -150,7 +150,7 @@ def test_a_damaged_recording_gives_errors_and_the_rules_that_can_be_judged_are(t
         verdicts = check(recording, rules)
     assert verdicts[0].status == "pass"
     assert verdicts[1].status == "error"
-    assert str(tmp_path / "damaged.mcap") in verdicts[1].message
+    assert verdicts[1].message.startswith("byte ")
 
 
 # --- the file ------------------------------------------------------------------------------------------------------------

@@ -4,16 +4,19 @@ from __future__ import annotations
 
 import json
 import sys
+from contextlib import contextmanager
 from typing import TYPE_CHECKING, Any, Final, NoReturn
 
 import click
 
 from carla_recap.cli import options
 from carla_recap.cli.output import warn
+from carla_recap.cli.progress import watch_recordings
 from carla_recap.util.text import visible
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import Iterable, Iterator, Sequence
+    from pathlib import Path
 
     from carla_recap.fleet.check import CheckedRecording
     from carla_recap.fleet.rules import RuleSet
@@ -26,10 +29,26 @@ _STYLES: Final = {"pass": "green", "fail": "red", "error": "magenta"}
 @click.argument("sources", nargs=-1, required=True, type=click.Path(), metavar="SOURCES...")
 @click.option("--rules", "rules_file", required=True, type=click.Path(), metavar="FILE", help="The rules, a TOML file.")
 @click.option("--junit", type=click.Path(), metavar="FILE", help="Write the verdicts as JUnit XML.")
+@click.option(
+    "--html", type=click.Path(), metavar="DIR", help="Write an overview, and the incident page of each recording that fails."
+)
+@click.option("--clips", is_flag=True, help="Cut a clip of the first offence of each of these, too.")
+@options.road_map
+@options.force
 @click.option("--jobs", type=click.IntRange(min=1), metavar="N", help="The number of processes; else one per processor.")
 @options.json
 @options.text
-def check(sources: tuple[str, ...], rules_file: str, junit: str | None, jobs: int | None, form: str | None) -> NoReturn:
+def check(
+    sources: tuple[str, ...],
+    rules_file: str,
+    junit: str | None,
+    html: str | None,
+    clips: bool,
+    road_map: str | None,
+    force: bool,
+    jobs: int | None,
+    form: str | None,
+) -> NoReturn:
     """Check recordings by rules.
 
     SOURCES are recordings, folders and globs. The exit code is 0 if all pass, 1 if one fails, 2 if one cannot be read.
@@ -39,18 +58,47 @@ def check(sources: tuple[str, ...], rules_file: str, junit: str | None, jobs: in
     from carla_recap.fleet.rules import load_rules
     from carla_recap.fleet.sources import find_sources
 
+    if html is None and clips:
+        raise click.UsageError("--clips goes with --html.", click.get_current_context())
     rules = load_rules(rules_file)
-    found = list(find_sources(sources))
-    checked = []
-    for each in check_sources(found, rules, jobs=1 if len(found) == 1 else jobs):
-        for message in each.warnings:
-            warn(f"{each.recording}: {message}" if each.recording not in message else message)
-        checked.append(each)
+    found = list(find_sources(sources, errors="yield"))
+    with _folder_of_pages(html, force=force) as room:
+        checked = []
+        for each in watch_recordings("checking")(check_sources(found, rules, jobs=jobs), len(found)):
+            checked.append(each)
+            _warn(each, each.warnings)
+        if room is not None:
+            from carla_recap.fleet.pages import overview, write_pages
+
+            written = write_pages(checked, room, clips=clips, road_map=road_map, jobs=jobs)
+            checked = []
+            for each, warnings in watch_recordings("writing pages")(written, len(found)):
+                checked.append(each)
+                _warn(each, warnings)
+            (room / "index.html").write_text(overview(checked, rules), "utf-8")
     if junit:
-        write_junit(checked, junit)
+        write_junit(checked, junit, html)
     _show(checked, rules, form)
     sys.stdout.flush()
     sys.exit(_EXIT_CODES[worst(each.status for each in checked)])
+
+
+@contextmanager
+def _folder_of_pages(path: str | None, *, force: bool) -> Iterator[Path | None]:
+    """Yield a folder that appears when it is complete; None without a path."""
+    if path is None:
+        yield None
+        return
+    from carla_recap.util.files import check_folder, new_folder
+
+    check_folder(path, force=force)
+    with new_folder(path) as room:
+        yield room
+
+
+def _warn(checked: CheckedRecording, warnings: Iterable[str]) -> None:
+    for message in warnings:
+        warn(message if checked.recording in message else f"{checked.recording}: {message}")
 
 
 def summary(checked: Sequence[CheckedRecording]) -> str:

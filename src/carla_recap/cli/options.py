@@ -4,15 +4,13 @@ from __future__ import annotations
 
 import math
 import re
-from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final, TypeVar
 
 import click
 
-from carla_recap.cli.output import warn
-
 if TYPE_CHECKING:
     from collections.abc import Callable
+    from pathlib import Path
 
     from carla_recap.formats.base import Reader
     from carla_recap.maps import RoadMap
@@ -217,64 +215,20 @@ def road_map_of(recording: Recording, path: str | None, start: float = 0.0, dura
         RecapError: The given folder has no such map, or the map is damaged.
     """
     from carla_recap.maps import load_map
+    from carla_recap.maps.lookup import load_map_of
 
-    return _loaded_map(recording, path, load_map, lambda corridors: corridors, start, duration)
+    return load_map_of(recording, path, load_map, lambda corridors: corridors, start, duration)
 
 
 def town_of(recording: Recording, path: str | None, start: float = 0.0, duration: float = 0.0) -> TownMesh | None:
     """Return a recording's town as a mesh; see `road_map_of`."""
-    from carla_recap.rendering.town import load_town_mesh, town_mesh_of
+    from carla_recap.rendering.town import load_town_of
 
-    def without(corridors: RoadMap) -> TownMesh:
-        return town_mesh_of(corridors.opendrive, corridors.name)
-
-    return _loaded_map(recording, path, load_town_mesh, without, start, duration)
+    return load_town_of(recording, path, start, duration)
 
 
 def map_file_of(recording: Recording, path: str | None) -> Path | None:
-    """Return the OpenDRIVE file of a recording's town; None if it is unknown.
+    """Return the OpenDRIVE file of a recording's town; None if it is unknown; see `road_map_of`."""
+    from carla_recap.maps.lookup import find_map_of
 
-    Args:
-        recording: The recording; its map name is looked for.
-        path: The map, or the folder to look in; None: the usual folders.
-
-    Raises:
-        RecapError: The given folder has no such map.
-    """
-    from carla_recap.errors import RecapError
-    from carla_recap.maps import find_map
-
-    name = recording.header.map_name
-    if path is not None and not Path(path).is_dir():
-        return Path(path)
-    found = find_map(name, path)
-    if found is None and path is not None:
-        raise RecapError(f"{path}: no .xodr for the map {name!r}")
-    return found
-
-
-def _loaded_map(
-    recording: Recording,
-    path: str | None,
-    load: Callable[[Path], T],
-    without: Callable[[RoadMap], T],
-    start: float,
-    duration: float,
-) -> T | None:
-    from carla_recap.errors import MissingExtra, RecapError
-    from carla_recap.maps.corridors import corridor_map
-
-    found = map_file_of(recording, path)
-    if found is None:
-        try:
-            begin = max(start if start >= 0 else recording.info.duration + start, 0.0)
-            stop = begin + duration + _AROUND if duration > 0 else math.inf
-            corridors = corridor_map(recording, begin - _AROUND, stop)
-            return None if corridors is None else without(corridors)
-        except RecapError:  # as of a damaged recording, which the command itself reports
-            return None
-    try:
-        return load(found)
-    except MissingExtra as error:
-        warn(f"{error}; the rest is shown without it")
-        return None
+    return find_map_of(recording, path)

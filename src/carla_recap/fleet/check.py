@@ -9,11 +9,14 @@ from typing import TYPE_CHECKING, Final
 from carla_recap.errors import RecapError
 from carla_recap.fleet.engine import map_sources
 from carla_recap.fleet.rules import RuleSet, Status, Verdict, check, unreadable
+from carla_recap.maps.road_map import plain_name
 from carla_recap.recording import open_recording
 from carla_recap.util.text import readable, visible
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator, Sequence
+
+    from distributed import Client
 
     from carla_recap.fleet.sources import SourceFile
 
@@ -54,17 +57,20 @@ def worst(statuses: Iterable[Status]) -> Status:
     return min(statuses, key=WORST_FIRST.index, default="pass")
 
 
-def check_sources(sources: Iterable[SourceFile], rules: RuleSet, *, jobs: int | None = None) -> Iterator[CheckedRecording]:
+def check_sources(
+    sources: Iterable[SourceFile], rules: RuleSet, *, jobs: int | None = None, client: Client | None = None
+) -> Iterator[CheckedRecording]:
     """Yield many recordings with the verdicts on them, in their order.
 
     Args:
         sources: The recordings.
         rules: The rules.
-        jobs: The number of processes; None: as many as there are processors.
+        jobs: See `map_sources`.
+        client: See `map_sources`.
     """
-    for outcome in map_sources(partial(_checked, rules), sources, jobs=jobs):
+    for outcome in map_sources(partial(_checked, rules), sources, jobs=jobs, client=client):
         if outcome.value is None:
-            error = visible(outcome.error or "it cannot be read")
+            error = visible((outcome.error or "it cannot be read").removeprefix(f"{outcome.source.location}: "))
             yield CheckedRecording(outcome.source.location, tuple(unreadable(rules, error)), warnings=outcome.warnings)
         else:
             map_name, frames, duration, verdicts = outcome.value
@@ -76,7 +82,7 @@ def check_sources(sources: Iterable[SourceFile], rules: RuleSet, *, jobs: int | 
 def _checked(rules: RuleSet, source: SourceFile) -> tuple[str, int, float, Sequence[Verdict]]:
     with open_recording(source.location) as recording:
         verdicts = check(recording, rules)
-        map_name = visible(readable(recording.header.map_name).rpartition("/")[2])
+        map_name = visible(plain_name(readable(recording.header.map_name)))
         try:
             extent = recording.reader.extent()
         except RecapError:  # which the verdicts say

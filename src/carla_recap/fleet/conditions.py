@@ -8,6 +8,7 @@ from fnmatch import fnmatchcase
 from typing import TYPE_CHECKING, Any, Final, NamedTuple, Protocol, TypeVar
 
 from carla_recap.errors import RecapError
+from carla_recap.maps.road_map import plain_name
 from carla_recap.queries.actors import Actor, actors
 from carla_recap.queries.blocked import blocked
 from carla_recap.queries.incidents import incidents
@@ -347,7 +348,7 @@ class MapName:
     def judge(self, facts: Facts) -> Finding:
         """See `Condition.judge`."""
         name = readable(facts.recording.header.map_name)
-        message = f"the map is {name.rpartition('/')[2] or 'not recorded'}"
+        message = f"the map is {plain_name(name) or 'not recorded'}"
         if map_key(name) in map(map_key, self.names):
             return Finding(True, message)
         return Finding(False, f"{message} instead of {' or '.join(self.names)}")
@@ -355,7 +356,7 @@ class MapName:
 
 def map_key(name: str) -> str:
     """Return a map's name as it is compared."""
-    return name.rpartition("/")[2].lower().removesuffix("_opt")
+    return plain_name(name).lower().removesuffix("_opt")
 
 
 def _name(id: int, actor: Actor | None) -> str:

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import re
 import shlex
+from pathlib import Path
 from typing import TYPE_CHECKING, Final
 from xml.etree.ElementTree import Element, SubElement, indent, tostring
 
@@ -15,7 +16,6 @@ from carla_recap.util.files import WholeFile
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
-    from pathlib import Path
 
     from carla_recap.fleet.check import CheckedRecording
     from carla_recap.fleet.rules import Verdict
@@ -25,19 +25,24 @@ _BEFORE: Final = 3.0  # s before an offence at which a view of it begins
 _UNPRINTABLE: Final = re.compile("[^\t\n\r\x20-\ud7ff\ue000-\ufffd\U00010000-\U0010ffff]")  # what XML 1.0 cannot contain
 
 
-def write_junit(checked: Sequence[CheckedRecording], path: Path | str) -> None:
+def write_junit(checked: Sequence[CheckedRecording], path: Path | str, pages: Path | str | None = None) -> None:
     """Write the verdicts on recordings as JUnit XML; the file appears when it is complete.
+
+    Args:
+        checked: The recordings and the verdicts on them.
+        path: The file.
+        pages: The folder of pages.
 
     Raises:
         RecapError: The file cannot be written.
     """
-    content = junit(checked)
+    content = junit(checked, pages)
     with WholeFile(path) as file:
         file.write(content)
 
 
-def junit(checked: Sequence[CheckedRecording]) -> bytes:
-    """Return the verdicts on recordings as JUnit XML."""
+def junit(checked: Sequence[CheckedRecording], pages: Path | str | None = None) -> bytes:
+    """Return the verdicts on recordings as JUnit XML; see `write_junit`."""
     verdicts = [verdict for each in checked for verdict in each.verdicts]
     counts = {
         "tests": str(len(verdicts)),
@@ -49,7 +54,7 @@ def junit(checked: Sequence[CheckedRecording]) -> bytes:
     suite = SubElement(root, "testsuite", {"name": SUITE, **counts})
     for each in checked:
         for verdict in each.verdicts:
-            _add(suite, each, verdict)
+            _add(suite, each, verdict, Path(pages or ""))
     indent(root)
     content: bytes = tostring(root, "utf-8", xml_declaration=True)
     return content + b"\n"
@@ -62,7 +67,7 @@ def how_to_see(recording: str, verdict: Verdict) -> str:
     return f"carla-recap view --start {max(verdict.time - _BEFORE, 0.0):.1f} {shlex.quote(recording)}"
 
 
-def _add(suite: Element, checked: CheckedRecording, verdict: Verdict) -> None:
+def _add(suite: Element, checked: CheckedRecording, verdict: Verdict, pages: Path) -> None:
     case = SubElement(suite, "testcase", {"classname": _clean(checked.recording), "name": _clean(verdict.rule), "time": "0"})
     if verdict.status == "pass":
         return
@@ -72,7 +77,9 @@ def _add(suite: Element, checked: CheckedRecording, verdict: Verdict) -> None:
         lines.append(f"actors: {', '.join(map(str, verdict.actors))}")
     if verdict.status == "fail":
         lines.append(f"to see it: {how_to_see(checked.recording, verdict)}")
-        lines += [f"{name}: {path}" for name, path in (("page", checked.page), ("clip", checked.clip)) if path]
+        lines += [
+            f"{name}: {(pages / path).as_posix()}" for name, path in (("page", checked.page), ("clip", checked.clip)) if path
+        ]
     SubElement(case, tag, {"message": _clean(verdict.message), "type": kind}).text = _clean("\n".join(lines))
 
 

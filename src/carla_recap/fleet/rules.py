@@ -166,9 +166,9 @@ def _verdict(rule: Rule, facts: Facts) -> Verdict:
     try:
         passes, message, offences = rule.condition.judge(facts)
     except RecapError as error:
-        return Verdict(rule.name, "error", visible(str(error)))
+        return Verdict(rule.name, "error", visible(str(error).removeprefix(f"{facts.recording.path}: ")))
     except OSError as error:
-        return Verdict(rule.name, "error", visible(f"{facts.recording.path}: {error.strerror or error}"))
+        return Verdict(rule.name, "error", visible(error.strerror or str(error)))
     if passes:
         return Verdict(rule.name, "pass", visible(message))
     details = [each.text if each.time is None else f"{each.time:.2f} s: {each.text}" for each in offences[:_LISTED]]

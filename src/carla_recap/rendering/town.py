@@ -32,6 +32,7 @@ from carla_recap.util import cache
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
+    from carla_recap.maps import RoadMap
     from carla_recap.recording import Recording
 
     Floats = NDArray[np.float64]
@@ -108,6 +109,18 @@ def town_mesh_of(opendrive: str, name: str = "") -> TownMesh:
         FormatError: It is no OpenDRIVE map with lanes.
     """
     return _town_mesh(name, Path(name or "map"), opendrive.encode())
+
+
+def load_town_of(
+    recording: Recording, path: Path | str | None = None, start: float = 0.0, duration: float = 0.0
+) -> TownMesh | None:
+    """Return the town of a recording; see `carla_recap.maps.lookup.load_map_of`."""
+    from carla_recap.maps.lookup import load_map_of
+
+    def convert(corridors: RoadMap) -> TownMesh:
+        return town_mesh_of(corridors.opendrive, corridors.name)
+
+    return load_map_of(recording, path, load_town_mesh, convert, start, duration)
 
 
 def corridor_town(recording: Recording) -> TownMesh:

@@ -30,8 +30,8 @@ def single_page(folder: Path, data: Mapping[str, str]) -> str:
     scripts = [text for text in scripts if "</script" not in text.lower() and "<!--" not in text]
     assert len(scripts) == len(names), "a script would end early"
     policy = (
-        f"default-src 'none'; script-src {' '.join(map(_hash, scripts))}; style-src {_hash(styles)}; img-src data:; "
-        "base-uri 'none'; form-action 'none'"
+        f"default-src 'none'; script-src {' '.join(map(hash_source, scripts))}; style-src {hash_source(styles)}; "
+        "img-src data:; base-uri 'none'; form-action 'none'"
     )
     page = _SCRIPT.sub("", _STYLE.sub("", page))
     page = _POLICY.sub(lambda _: f'content="{policy}"', page)
@@ -49,6 +49,6 @@ def data_address(content: bytes, kind: str) -> str:
     return f"data:{kind};base64,{base64.b64encode(content).decode()}"
 
 
-def _hash(text: str) -> str:
+def hash_source(text: str) -> str:
     """Return the source expression of a content security policy that permits a text."""
     return f"'sha256-{base64.b64encode(hashlib.sha256(text.encode()).digest()).decode()}'"

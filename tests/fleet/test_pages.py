@@ -1,0 +1,108 @@
+from __future__ import annotations
+
+import re
+import shutil
+from pathlib import Path
+
+import pytest
+
+from carla_recap.fleet.check import CheckedRecording, check_sources
+from carla_recap.fleet.pages import MOST, overview, write_pages
+from carla_recap.fleet.rules import Verdict, load_rules, parse_rules
+from carla_recap.fleet.sources import find_sources
+from carla_recap.queries.info import info
+from tests.samples import names_in, reading, save
+
+SAMPLES = Path(__file__).parents[2] / "samples"
+RULES = load_rules(SAMPLES / "rules.toml")
+NASTY = "</style></p><img src=x onerror=alert(1)>\"'&amp;\x1b"
+
+
+def checked(name: str, status: str = "pass", message: str = "fine", time: float | None = None) -> CheckedRecording:
+    verdicts = [Verdict(rule.name, "pass", "fine") for rule in RULES]
+    verdicts[0] = Verdict(RULES[0].name, status, message, time, (41, 44) if time else ())
+    return CheckedRecording(name, tuple(verdicts), "Town01", 200, 9.95)
+
+
+def text(page: str) -> str:
+    """Return the text of a page, without its markup."""
+    body = page.partition("<body>")[2]
+    return re.sub(r"\s+", " ", re.sub(r"<[^>]*>", " ", body))
+
+
+@pytest.fixture
+def runs(tmp_path):
+    for folder in ("a", "b", "c"):
+        (tmp_path / folder).mkdir()
+        shutil.copy(SAMPLES / ("junction.mcap" if folder == "c" else "crash.mcap"), tmp_path / folder / "run.mcap")
+    return tmp_path
+
+
+def test_each_recording_that_fails_gets_a_page_and_a_clip(runs):
+    folder = runs / "out"
+    folder.mkdir()
+    found = check_sources(find_sources([runs]), RULES)
+    written = list(write_pages(list(found), folder, clips=True, jobs=1))
+    assert [(each.page, each.clip, warnings) for each, warnings in written] == [
+        ("pages/run.html", "clips/run.mcap", ()),
+        ("pages/run-2.html", "clips/run-2.mcap", ()),
+        (None, None, ()),
+    ]
+    assert names_in(folder / "pages") == ["run-2.html", "run.html"]
+    with reading(folder / "clips" / "run.mcap") as clip:
+        assert clip.extent().duration == pytest.approx(10, abs=0.1)
+        assert "vehicle.mercedes.sprinter" in str(list(info(clip)))
+
+
+def test_a_page_that_cannot_be_made_is_a_warning(tmp_path):
+    found = [checked(str(save(tmp_path / "gone.mcap", b"nothing")), "fail", "hits", 1.0)]
+    ((each, warnings),) = write_pages(found, tmp_path, jobs=1)
+    assert each.page is None
+    assert len(warnings) == 1
+    assert "no page: " in warnings[0]
+
+
+def test_as_many_recordings_as_are_useful_get_a_page(tmp_path, monkeypatch):
+    monkeypatch.setattr("carla_recap.fleet.pages._write_files", lambda wanted, source: None)
+    found = [checked(f"{number}.mcap", "fail") for number in range(MOST + 5)]
+    assert [each.recording for each, _ in write_pages(found, tmp_path, jobs=1)] == [each.recording for each in found]
+
+
+def test_the_overview_begins_with_what_is_wrong():
+    page = overview(
+        [checked("a.mcap"), checked("runs/b.mcap", "fail", "2 collisions", 12.1), checked("c.mcap", "error", "no file")],
+        RULES,
+    )
+    words = text(page)
+    assert words.index("1 failed and 1 unreadable of 3 recordings") < words.index("The hero hits nothing")
+    assert words.index("c.mcap") < words.index("b.mcap") < words.index("a.mcap")
+    assert "no-hero-collision The hero hits nothing 1 failed" in words
+    assert "Passed: nobody-blocked, gentle-braking, one-hero, complete" in words
+
+
+def test_an_offence_links_to_its_moment_in_the_page():
+    one = checked("b.mcap", "fail", "2 collisions", 12.1)
+    assert "<a " not in overview([one], RULES)
+    page = overview([CheckedRecording(one.recording, one.verdicts, page="pages/b #.html")], RULES)
+    assert 'href="pages/b%20%23.html#t=9.10&amp;follow=41"' in page
+
+
+@pytest.mark.parametrize(
+    ("names", "title"),
+    [(["a"], "1 recording, passed"), (["a", "b"], "2 recordings, all passed")],
+)
+def test_without_failures_the_title_says_so(names, title):
+    assert f"<h1>{title}</h1>" in overview([checked(name) for name in names], RULES)
+
+
+def test_names_of_recordings_and_rules_cannot_break_the_page(chromium, tmp_path):
+    rules = parse_rules(f"[rules.a]\ndescription = '''{NASTY.replace(chr(27), '')}'''\nmap = 'x'", NASTY)
+    each = CheckedRecording(NASTY, (Verdict(NASTY, "fail", NASTY, 1.0, (1,), (NASTY, NASTY)),), NASTY, page=NASTY)
+    (tmp_path / "index.html").write_text(overview([each, each], rules), "utf-8")
+    chromium.get((tmp_path / "index.html").as_uri())
+    assert chromium.execute_script("return document.images.length") == 0
+    assert chromium.execute_script("return document.querySelector('.card .rule').textContent").startswith("</style>")
+    width = chromium.execute_script("return [document.documentElement.scrollWidth, innerWidth]")
+    assert width[0] <= width[1]
+    assert chromium.execute_script("return getComputedStyle(document.querySelector('.card')).borderLeftWidth") == "4px"
+    assert chromium.get_log("browser") == []
