@@ -12,6 +12,7 @@ import carla_recap
 
 NAMES = [
     "Actor",
+    "ActorDifference",
     "ActorKind",
     "Attribute",
     "Batch",
@@ -19,12 +20,15 @@ NAMES = [
     "Closed",
     "CollisionRow",
     "Controls",
+    "Differences",
+    "EventDifference",
     "FormatError",
     "Frame",
     "Header",
     "Incident",
     "IndexSummary",
     "InfoRow",
+    "LightDifference",
     "LightStates",
     "MissingExtra",
     "NotARecording",

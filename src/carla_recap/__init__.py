@@ -47,6 +47,7 @@ if TYPE_CHECKING:
     from carla_recap.queries.actors import Actor
     from carla_recap.queries.blocked import BlockedRow
     from carla_recap.queries.collisions import CollisionRow
+    from carla_recap.queries.differences import ActorDifference, Differences, EventDifference, LightDifference
     from carla_recap.queries.incidents import Incident
     from carla_recap.queries.info import InfoRow
     from carla_recap.recording import Recording, RecordingInfo, open_recording
@@ -56,6 +57,7 @@ if TYPE_CHECKING:
 
 __all__ = [
     "Actor",
+    "ActorDifference",
     "ActorKind",
     "Attribute",
     "Batch",
@@ -63,12 +65,15 @@ __all__ = [
     "Closed",
     "CollisionRow",
     "Controls",
+    "Differences",
+    "EventDifference",
     "FormatError",
     "Frame",
     "Header",
     "Incident",
     "IndexSummary",
     "InfoRow",
+    "LightDifference",
     "LightStates",
     "MissingExtra",
     "NotARecording",
@@ -133,6 +138,7 @@ _get, __dir__ = lazily(
         "queries.actors": ("Actor",),
         "queries.blocked": ("BlockedRow",),
         "queries.collisions": ("CollisionRow",),
+        "queries.differences": ("ActorDifference", "Differences", "EventDifference", "LightDifference"),
         "fleet.index": ("IndexSummary", "RecordingIndex", "open_index", "write_index"),
         "formats": ("create_writer",),
         "queries.incidents": ("Incident",),

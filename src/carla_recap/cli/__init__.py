@@ -35,6 +35,7 @@ _COMMANDS: Final = {
     "server": ("serve",),
     "capture": ("capture", "watch"),
     "check": ("check",),
+    "diff": ("diff",),
     "index": ("index", "sql"),
 }
 """The commands of each module."""

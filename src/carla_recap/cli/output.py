@@ -33,11 +33,11 @@ def show(answer: Any, form: str | None, max_rows: int | None = None) -> NoReturn
     if form == "text":
         from carla_recap.queries.output.text import text
 
-        _print(text(answer))
+        print_pieces(text(answer))
     elif form == "json":
         from carla_recap.queries.output.json import json
 
-        _print(json(answer))
+        print_pieces(json(answer))
     else:
         from carla_recap.queries.output.table import table
 
@@ -49,7 +49,7 @@ def show(answer: Any, form: str | None, max_rows: int | None = None) -> NoReturn
     os._exit(TOO_MANY if too_many else 0)  # ending the interpreter takes longer than a small query
 
 
-def _print(pieces: Iterable[str]) -> None:
+def print_pieces(pieces: Iterable[str]) -> None:
     """Print text; on a terminal, characters that could control it become escape sequences."""
     out, is_terminal = sys.stdout.buffer, sys.stdout.isatty()
     for piece in pieces:

@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, ClassVar, Final, Literal
 import numpy as np
 
 from carla_recap.errors import RecapError
+from carla_recap.model.frame import SAME_TIME
 from carla_recap.queries.actors import Actor
 from carla_recap.queries.incidents import Incident, incidents
 from carla_recap.queries.matching import Life, LivesById, Match, MatchedBy, lives, match
@@ -32,6 +33,7 @@ Side = Literal["a", "b"]
 TIME_TOLERANCE: Final = 1.0
 """The seconds by which times may differ, if positions may differ, too."""
 
+_SENSOR: Final = "sensor"
 _SPECTATOR: Final = "spectator"  # the camera of a viewer, which is no part of the scenario
 _SAME_EVENT: Final = 1.0  # s between events of both recordings that may be the same
 
@@ -229,8 +231,9 @@ def differences(
 ) -> Differences:
     """Return the differences of two recordings of a scenario, such as of two runs of a test.
 
-    Actors are matched as in `carla_recap.queries.matching.match`; the spectator does not count. Their positions are compared
-    at the times of the frames of a, with b interpolated where it has no frame at that time.
+    Actors are matched as in `carla_recap.queries.matching.match`; the spectator is left out, and sensors that are in
+    one recording alone do not count. Positions are compared at the times of the frames of a, with b interpolated where it
+    has no frame at that time.
 
     Args:
         a: The recording to compare with, such as a baseline.
@@ -295,7 +298,9 @@ def _compared(source: Reader, elapsed: NDArray[np.float64]) -> ComparedRecording
 def _clock(a: NDArray[np.float64], b: NDArray[np.float64]) -> float | None:
     """Return the first time at which only one recording has a frame; None if there is none."""
     count = min(len(a), len(b))
-    different = ~((a[:count] == b[:count]) | (np.isnan(a[:count]) & np.isnan(b[:count])))
+    with np.errstate(invalid="ignore"):
+        near = np.abs(a[:count] - b[:count]) <= SAME_TIME
+    different = ~(near | (a[:count] == b[:count]) | (np.isnan(a[:count]) & np.isnan(b[:count])))
     if different.any():
         row = int(different.argmax())
         return float(np.fmin(a[row], b[row]))
@@ -360,16 +365,14 @@ class _Actors:
 
     def _lives_differ(self, a: Actor, b: Actor) -> bool:
         allowed = self._time_tolerance
-        if _apart(a.spawned_at, b.spawned_at) > allowed:
+        if _is_apart(a.spawned_at, b.spawned_at, allowed):
             return True
         if a.destroyed_at is None and b.destroyed_at is None:
             return False
-        ends = [
-            end if (end := actor.destroyed_at) is not None else last
-            for actor, last in zip((a, b), self._durations, strict=True)
-        ]
+        end_a = self._durations[0] if a.destroyed_at is None else a.destroyed_at
+        end_b = self._durations[1] if b.destroyed_at is None else b.destroyed_at
         only_one = (a.destroyed_at is None) != (b.destroyed_at is None)
-        return _apart(*ends) > allowed or (only_one and not allowed)
+        return _is_apart(end_a, end_b, allowed) or (only_one and not allowed)
 
     def _poses_differ(self, track: int) -> bool:
         """Return whether one recording has poses that the other one has not."""
@@ -383,11 +386,11 @@ def _known(value: float) -> float | None:
     return None if math.isnan(value) else float(value)
 
 
-def _apart(time: float, other: float) -> float:
-    """Return the seconds between two times; 0 for two that are no numbers."""
+def _is_apart(time: float, other: float, allowed: float) -> bool:
+    """Return whether two times differ by more than is allowed; two that are no numbers do not."""
     if time == other or (math.isnan(time) and math.isnan(other)):
-        return 0.0
-    return math.inf if math.isnan(time - other) else abs(time - other)
+        return False
+    return not abs(time - other) <= allowed + SAME_TIME
 
 
 def _by_size(row: ActorDifference) -> tuple[bool, float, float, int]:
@@ -439,7 +442,7 @@ def _events(
             rows.append(_only("b", incident))
             continue
         other = earlier.popleft()
-        if _apart(other.start, incident.start) > time_tolerance:
+        if _is_apart(other.start, incident.start, time_tolerance):
             rows.append(
                 EventDifference(incident.kind, other.start, incident.start, other.actors, incident.actors, other.text)
             )
@@ -463,27 +466,37 @@ def _start(row: EventDifference) -> float:
 
 def _reasons(found: Differences) -> Iterator[str]:
     a, b = found.a, found.b
-    if a.map_name.rpartition("/")[2] != b.map_name.rpartition("/")[2]:
+    if _town(a.map_name) != _town(b.map_name):
         yield f"the maps are {a.map_name or 'unnamed'} and {b.map_name or 'unnamed'}"
     first = found.first
     if first is not None:
         yield f"first parts at {first.first:.2f} s: {name_of(first)} by {metres(first.first_distance)}"
     different = [row for row in found.actors if row.differs]
     if different:
-        yield f"{_count(len(different), 'actor')} of {len(found.actors)} differ, {_largest(different)}"
-    for actors, side in ((found.missing, "first"), (found.extra, "second")):
-        if actors:
-            yield f"{_count(len(actors), 'actor')} only in the {side} recording"
+        yield f"{len(different)} of {_count(len(found.actors), 'actor')} {_differ(different)}, {_largest(different)}"
+    for actors, side in ((found.missing, "A"), (found.extra, "B")):
+        count = sum(actor.kind != _SENSOR for actor in actors)
+        if count:
+            yield f"{_count(count, 'actor')} only in {side}"
     lights = [row for row in found.lights if row.differs]
     if lights:
         since = min(row.first for row in lights if row.first is not None)
-        yield f"{_count(len(lights), 'traffic light')} of {len(found.lights)} differ, first at {since:.2f} s"
+        yield f"{len(lights)} of {_count(len(found.lights), 'traffic light')} {_differ(lights)}, first at {since:.2f} s"
     if found.events:
-        yield f"{_count(len(found.events), 'event')} differ, first {event_text(found.events[0])}"
-    if a.frames != b.frames and (not found.tolerance or _apart(a.duration, b.duration) > found.time_tolerance):
-        yield f"{a.frames} frames in {a.duration:.2f} s, and {b.frames} in {b.duration:.2f} s"
-    elif found.clock is not None and (not found.tolerance or _apart(a.duration, b.duration) > found.time_tolerance):
-        yield f"the times of frames differ from {found.clock:.2f} s on"
+        yield f"{_count(len(found.events), 'event')} {_differ(found.events)}, first {event_text(found.events[0])}"
+    if found.clock is not None and (not found.tolerance or _is_apart(a.duration, b.duration, found.time_tolerance)):
+        same = a.frames == b.frames and not _is_apart(a.duration, b.duration, 0.0)
+        sizes = f"{a.frames} frames in {a.duration:.2f} s, and {b.frames} in {b.duration:.2f} s"
+        yield f"the times of frames differ from {found.clock:.2f} s on" if same else sizes
+
+
+def _town(map_name: str) -> str:
+    """Return a map without its folder; the layered variant of a map is the same."""
+    return map_name.rpartition("/")[2].lower().removesuffix("_opt")
+
+
+def _differ(rows: Sequence[object]) -> str:
+    return "differs" if len(rows) == 1 else "differ"
 
 
 def name_of(row: ActorDifference) -> str:
@@ -505,9 +518,9 @@ def metres(distance: float | None) -> str:
 def event_text(row: EventDifference) -> str:
     """Return an event that differs in words."""
     if row.start_b is None:
-        return f"only in the first recording, at {row.start_a:.2f} s: {row.text}"
+        return f"only in A, at {row.start_a:.2f} s: {row.text}"
     if row.start_a is None:
-        return f"only in the second recording, at {row.start_b:.2f} s: {row.text}"
+        return f"only in B, at {row.start_b:.2f} s: {row.text}"
     return f"at {row.start_a:.2f} s and at {row.start_b:.2f} s: {row.text}"
 
 

@@ -36,6 +36,7 @@ _RECORDS: Final = 1 << 18  # that are handled at once
 _CELLS: Final = 1 << 20  # frames times actors that are compared at once
 _JUMP: Final = 5.0  # m; a shorter step is no jump
 _TOP_SPEED: Final = 100.0  # m/s; a faster step of more than that is a jump, between whose ends nothing is interpolated
+_ROUNDING: Final = 1e-9  # degrees; between angles that are whole turns apart
 _REMEMBERED: Final = 4096  # lists of ids
 _POSE: Final = ("x", "y", "z", "yaw")
 
@@ -222,7 +223,7 @@ class PathComparison:
         new = beyond.any(axis=0) & np.isnan(totals.first_at[tracks])
         totals.first_at[tracks[new]] = time[rows][new]
         totals.first[tracks[new]] = distance[rows, every][new]
-        turn = np.where(present & np.isfinite(turn), turn, 0.0).max(axis=0)
+        turn = np.where(present & np.isfinite(turn) & (turn > _ROUNDING), turn, 0.0).max(axis=0)
         totals.heading[tracks] = np.maximum(totals.heading[tracks], turn)
 
     def _compare_lights(self, block: _FrameBlock, start: int, stop: int, pairing: _Pairing, spans: _Spans) -> None:

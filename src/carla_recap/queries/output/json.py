@@ -25,21 +25,22 @@ def json(answer: AnyAnswer) -> Iterator[str]:
         "map": readable(answer.header.map_name),
         "date": answer.header.date,
     }
-    yield _encoded(header)[:-1] + ', "rows": ['
+    yield encoded(header)[:-1] + ', "rows": ['
     names = [field.name for field in fields(answer.row_type)]
     separator = "\n"
     for row in answer:
-        yield separator + _encoded({name: getattr(row, name) for name in names})
+        yield separator + encoded({name: getattr(row, name) for name in names})
         separator = ",\n"
     extent = answer.extent
     footer = {"frames": extent.frames, "last_frame": extent.last_id, "duration": extent.duration}
-    yield "\n], " + _encoded(footer)[1:] + "\n"
+    yield "\n], " + encoded(footer)[1:] + "\n"
 
 
 _STRICT: Final = JSONEncoder(allow_nan=False, default=asdict)
 
 
-def _encoded(value: dict[str, Any]) -> str:
+def encoded(value: dict[str, Any]) -> str:
+    """Return an object as JSON; numbers that are not finite become null."""
     try:
         return _STRICT.encode(value)
     except ValueError:

@@ -1,0 +1,65 @@
+"""The command that compares two recordings."""
+
+from __future__ import annotations
+
+import os
+import sys
+from typing import Final, NoReturn
+
+import click
+
+from carla_recap.cli import options
+from carla_recap.cli.output import print_pieces
+
+DIFFERENT: Final = 1
+"""The exit code of recordings that differ."""
+
+
+@click.command()
+@click.argument("first", type=click.Path(), metavar="A")
+@click.argument("second", type=click.Path(), metavar="B")
+@click.option(
+    "--tolerance", type=options.NUMBER, default=0, show_default=True, metavar="M", help="The distance that is equal, in m."
+)
+@click.option(
+    "--time-tolerance",
+    type=options.NUMBER,
+    metavar="S",
+    help="The time that is equal, of spawns, lights and events, in s; 0, or 1 with a tolerance.",
+)
+@click.option("--events/--no-events", default=True, help="Compare incidents, too; by default it does.")
+@click.option("--rrd", type=click.Path(), metavar="OUT.rrd", help="Write A for Rerun, with B as a ghost.")
+@click.option("--html", type=click.Path(), metavar="OUT.html", help="Write a page of A, with B as a ghost.")
+@options.road_map
+@options.force
+@options.json
+@options.text
+def diff(
+    first: str,
+    second: str,
+    tolerance: float,
+    time_tolerance: float | None,
+    events: bool,
+    rrd: str | None,
+    html: str | None,
+    road_map: str | None,
+    force: bool,
+    form: str | None,
+) -> NoReturn:
+    """Compare two recordings of a scenario.
+
+    The exit code is 0 if they are equal within the tolerance, 1 if they differ, 2 if one cannot be read.
+    """
+    from carla_recap.queries.output import differences as output
+    from carla_recap.recording import open_recording
+
+    with open_recording(first) as a, open_recording(second) as b:
+        found = a.diff(b, tolerance=tolerance, time_tolerance=time_tolerance, events=events)
+    if form is None:
+        form = "table" if sys.stdout.isatty() else "text"
+    if form == "table":
+        output.table(found)
+    else:
+        print_pieces(output.json(found) if form == "json" else output.text(found))
+    sys.stdout.flush()
+    os._exit(0 if found.equal else DIFFERENT)  # ending the interpreter takes longer than a small comparison

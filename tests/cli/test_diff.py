@@ -1,0 +1,74 @@
+"""The command that compares two recordings."""
+
+from __future__ import annotations
+
+import json
+import re
+from pathlib import Path
+
+import pytest
+
+from carla_recap import clip, convert
+from tests.cli.command import answer, error, on_terminal, run
+
+SAMPLES = Path(__file__).parents[2] / "samples"
+CRASH, BLOCKED = SAMPLES / "crash.mcap", SAMPLES / "blocked.mcap"
+
+
+def test_equal_recordings(tmp_path):
+    convert(CRASH, tmp_path / "crash.log")
+    first, *recordings = answer("diff", CRASH, tmp_path / "crash.log").splitlines()
+    assert first == "equal within 0 m"
+    assert [line[:3] for line in recordings] == ["A: ", "B: "]
+
+
+def test_recordings_that_differ():
+    done = run("diff", CRASH, BLOCKED)
+    assert (done.returncode, done.stderr) == (1, b"")
+    printed = done.stdout.decode()
+    lines = printed.splitlines()
+    assert lines[0] == "first parts at 0.00 s: vehicle.audi.a2 (45, 43) by 113.64 m"
+    assert lines[2:4] == ["6 actors only in A", "6 actors only in B"]
+    listed = [block.splitlines()[0] for block in printed.split("\n\n")[1:]]
+    assert listed == [
+        "Actors that differ, in m, s and degrees",
+        "Actors only in A",
+        "Actors only in B",
+        "Events that differ, in s",
+    ]
+    assert "vehicle.tesla.model3 (hero)" in printed
+
+
+def test_a_tolerance_may_make_them_equal(tmp_path):
+    clip(CRASH, tmp_path / "most.mcap", start=0.0, duration=59.5)
+    assert run("diff", CRASH, tmp_path / "most.mcap").returncode == 1
+    assert answer("diff", CRASH, tmp_path / "most.mcap", "--tolerance", 0.1).startswith("equal within 0.1 m\n")
+    done = run("diff", CRASH, tmp_path / "most.mcap", "--tolerance", 0.1, "--time-tolerance", 0.1)
+    assert done.returncode == 1
+
+
+def test_json():
+    done = run("diff", CRASH, BLOCKED, "--json", "--no-events")
+    found = json.loads(done.stdout)
+    assert done.returncode == 1
+    assert found["equal"] is False
+    assert found["first"]["id_a"] == 45
+    assert found["actors"][0]["max"] == pytest.approx(181.87, abs=0.01)
+    assert any(row["mean"] is None for row in found["actors"])
+    assert found["events"] == []
+    assert [len(found[name]) for name in ("missing", "extra", "lights")] == [6, 6, 17]
+    assert found["a"]["map_name"] == "Brickfield"
+
+
+def test_a_table_on_a_terminal():
+    code, shown, other = on_terminal("diff", CRASH, BLOCKED)
+    assert (code, other) == (1, b"")
+    assert "Actors that differ" in shown
+    assert all(len(re.sub("\x1b[^m]*m", "", line)) <= 120 for line in shown.splitlines())
+
+
+def test_bad_input(tmp_path):
+    assert "No such file" in error("diff", CRASH, tmp_path / "none.mcap")
+    (tmp_path / "text.log").write_text("no recording")
+    assert "text.log" in error("diff", tmp_path / "text.log", CRASH)
+    assert "'-1' is not a number of 0 or more" in error("diff", CRASH, CRASH, "--tolerance", -1)
