@@ -350,7 +350,6 @@ def test_a_damaged_log(tmp_path):
         ["--bogus"],
         ["nonsense"],
         ["info"],
-        ["info", CROSSING, "more"],
         ["info", CROSSING, "--bogus"],
         ["info", CROSSING, "--max-rows", "1"],
         ["info", CROSSING, "--compat", "--json"],

@@ -16,17 +16,15 @@ from typing import TYPE_CHECKING, Final
 
 import click
 
-from carla_recap.cli.output import say, warn
+from carla_recap.cli.output import BAD_INPUT, PYTHON_HINT, say, warn
 from carla_recap.errors import MissingExtra, RecapError, RecapWarning
 from carla_recap.util.signals import ignore_termination, is_first, is_terminating, set_handlers
 
 if TYPE_CHECKING:
     from types import FrameType
 
-BAD_INPUT: Final = 2
 INTERRUPTED: Final = 130
 
-_PYTHON_HINT: Final = r" \(in Python, [^)]*\)"  # in errors, for callers of the package
 _COMMANDS: Final = {
     "queries": ("info", "collisions", "blocked", "actors", "incidents", "measures"),
     "editing": ("convert", "recover", "clip", "import"),
@@ -91,7 +89,7 @@ def main() -> None:
     try:
         sys.exit(cli(standalone_mode=False))
     except RecapError as error:
-        _fail(re.sub(_PYTHON_HINT, "", str(error)))
+        _fail(re.sub(PYTHON_HINT, "", str(error)))
     except click.exceptions.NoArgsIsHelpError as error:
         error.show()
         sys.exit(BAD_INPUT)

@@ -112,6 +112,11 @@ SIZE = _Size()
 VIEW = _View()
 
 recording = click.argument("file", type=click.Path(), metavar="FILE")
+sources = click.argument("sources", type=click.Path(allow_dash=True), metavar="SOURCE...", nargs=-1, required=True)
+jobs = click.option(
+    "--jobs", type=click.IntRange(min=1), metavar="N", help="The number of processes that read many recordings."
+)
+dask = click.option("--dask", metavar="ADDRESS", help="Read many recordings on the Dask cluster with this scheduler.")
 source = click.argument("source", type=click.Path(), metavar="SRC")
 destination = click.argument("destination", type=click.Path(), metavar="DST")
 folder = click.argument("folder", type=click.Path(), metavar="DIR")
@@ -172,7 +177,7 @@ before = click.option("--before", type=NUMBER, default=5, show_default=True, met
 after = click.option("--after", type=NUMBER, default=5, show_default=True, metavar="S", help="Seconds after it.")
 deceleration = click.option(
     "--deceleration",
-    type=NUMBER,
+    type=POSITIVE,
     default=6,
     show_default=True,
     metavar="M/S²",

@@ -14,8 +14,28 @@ from carla_recap.util.text import visible
 if TYPE_CHECKING:
     from collections.abc import Iterable
 
+    from carla_recap.fleet.answers import Form
+
 TOO_MANY: Final = 1
 """The exit code of an answer with more rows than allowed."""
+BAD_INPUT: Final = 2
+"""The exit code of an error."""
+PYTHON_HINT: Final = r" \(in Python, [^)]*\)"
+"""What errors say to callers of the package alone, as a pattern."""
+
+
+def form_of(form: str | None, *, compat: bool) -> Form:
+    """Return the form in which an answer is printed: json, text or table.
+
+    Args:
+        form: The form that was asked for; None: a table on a terminal, else text.
+        compat: Whether the answer has the mistakes of CARLA 0.9.16, which are about its text.
+    """
+    if form == "json" and compat:
+        raise click.UsageError("--compat is about CARLA's text: it does not go with --json.")
+    if form is not None:
+        return "json" if form == "json" else "text"
+    return "text" if compat or not sys.stdout.isatty() else "table"
 
 
 def show(answer: Any, form: str | None, max_rows: int | None = None) -> NoReturn:
@@ -26,10 +46,7 @@ def show(answer: Any, form: str | None, max_rows: int | None = None) -> NoReturn
         form: "json", "text", or None: a table on a terminal, else text.
         max_rows: The number of rows that are allowed.
     """
-    if form == "json" and getattr(answer, "compat", False):
-        raise click.UsageError("--compat is about CARLA's text: it does not go with --json.")
-    if form is None:
-        form = "text" if getattr(answer, "compat", False) or not sys.stdout.isatty() else "table"
+    form = form_of(form, compat=getattr(answer, "compat", False))
     if form == "text":
         from carla_recap.queries.output.text import text
 

@@ -3,12 +3,17 @@
 from __future__ import annotations
 
 import math
+import os
 import sys
+from contextlib import contextmanager
+from stat import S_ISFIFO
 from time import monotonic
-from typing import TYPE_CHECKING, TypeVar
+from typing import TYPE_CHECKING, Any, Self, TypeVar
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Iterator, Sequence
+
+    from rich.progress import Progress as Bar
 
     from carla_recap.editing.convert import Progress
     from carla_recap.formats.base import Reader
@@ -67,15 +72,72 @@ def watch_recordings(title: str) -> Callable[[Iterable[T], int], Iterable[T]]:
     return progress
 
 
+class SourcesBar:
+    """A bar that counts recordings; a context manager, in which it is shown.
+
+    It is not shown while stdout is a pipe, whose reader may print on the same terminal.
+
+    Args:
+        title: What is done with them.
+        total: Their number.
+    """
+
+    def __init__(self, title: str, total: int | None) -> None:
+        self._title = title
+        self._total = total
+        self._bar: Bar | None = None
+        self._task: Any = None
+
+    @staticmethod
+    def is_shown() -> bool:
+        """Return whether such bars are shown."""
+        return sys.stderr.isatty() and not S_ISFIFO(os.fstat(sys.stdout.fileno()).st_mode)
+
+    def __enter__(self) -> Self:
+        if self.is_shown():
+            from rich.console import Console
+            from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
+
+            columns = TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn()
+            self._bar = Progress(*columns, console=Console(stderr=True), transient=True, redirect_stdout=False)
+            self._task = self._bar.add_task(self._title, total=self._total)
+            self._bar.start()
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.close()
+
+    def close(self) -> None:
+        """Remove the bar for good."""
+        if self._bar is not None:
+            self._bar.stop()
+            self._bar = None
+
+    def advance(self) -> None:
+        """Count a recording."""
+        if self._bar is not None:
+            self._bar.advance(self._task)
+
+    @contextmanager
+    def aside(self) -> Iterator[None]:
+        """Remove the bar from the terminal in a `with` block, which prints."""
+        if self._bar is None:
+            yield
+            return
+        self._bar.stop()
+        yield
+        self._bar.start()
+
+
 def _bar(items: Iterable[T], title: str, total: float, position: Callable[[T], float]) -> Iterable[T]:
     return _watched(items, title, total, position) if sys.stderr.isatty() else items
 
 
 def _watched(items: Iterable[T], title: str, total: float, position: Callable[[T], float]) -> Iterator[T]:
     from rich.console import Console
-    from rich.progress import Progress as Bar
+    from rich.progress import Progress
 
-    with Bar(console=Console(stderr=True), transient=True) as bar:
+    with Progress(console=Console(stderr=True), transient=True) as bar:
         task = bar.add_task(title, total=total if math.isfinite(total) else None)
         due = 0.0
         for item in items:

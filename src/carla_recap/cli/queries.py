@@ -2,24 +2,30 @@
 
 from __future__ import annotations
 
+from functools import partial
 from typing import Literal
 
 import click
 
 from carla_recap.cli import options
-from carla_recap.cli.output import show
+from carla_recap.cli.many import answer
 
-_report = options.together(options.recording, options.json, options.text, options.compat)
+_sources = options.together(options.sources, options.json, options.text)
+_many = options.together(options.jobs, options.dask)
+_report = options.together(_sources, options.compat)
 
 
 @click.command()
 @_report
 @click.option("--all", "everything", is_flag=True, help="Every record of every frame, not only the events.")
-def info(file: str, everything: bool, form: str | None, compat: bool) -> None:
+@_many
+def info(
+    sources: tuple[str, ...], everything: bool, form: str | None, compat: bool, jobs: int | None, dask: str | None
+) -> None:
     """Print the contents: spawns, collisions and other events."""
     from carla_recap.queries.info import info as query
 
-    show(query(options.opened(file), all=everything, compat=compat), form)
+    answer(partial(query, all=everything, compat=compat), sources, form, compat=compat, jobs=jobs, dask=dask)
 
 
 @click.command()
@@ -32,13 +38,26 @@ def info(file: str, everything: bool, form: str | None, compat: bool) -> None:
     help="The two sides: h hero, v vehicle, w walker, t traffic light, o other, a any.",
 )
 @options.max_rows
-def collisions(file: str, types: str, form: str | None, compat: bool, max_rows: int | None) -> None:
+@_many
+def collisions(
+    sources: tuple[str, ...],
+    types: str,
+    form: str | None,
+    compat: bool,
+    max_rows: int | None,
+    jobs: int | None,
+    dask: str | None,
+) -> None:
     """Print the collisions."""
+    from carla_recap.queries.collisions import check_letters
     from carla_recap.queries.collisions import collisions as query
 
     if len(types) != 2:
         raise click.BadParameter(f"{types!r} is not two of the letters h, v, w, t, o, a, such as hv.", param_hint="--types")
-    show(query(options.opened(file), *types, compat=compat), form, max_rows)
+    if not compat:
+        check_letters(*types)
+    asked = partial(query, type1=types[0], type2=types[1], compat=compat)
+    answer(asked, sources, form, compat=compat, max_rows=max_rows, jobs=jobs, dask=dask)
 
 
 @click.command()
@@ -48,36 +67,52 @@ def collisions(file: str, types: str, form: str | None, compat: bool, max_rows: 
 )
 @options.min_distance
 @options.max_rows
-def blocked(file: str, min_time: float, min_distance: float, form: str | None, compat: bool, max_rows: int | None) -> None:
+@_many
+def blocked(
+    sources: tuple[str, ...],
+    min_time: float,
+    min_distance: float,
+    form: str | None,
+    compat: bool,
+    max_rows: int | None,
+    jobs: int | None,
+    dask: str | None,
+) -> None:
     """Print the actors that stood still for long."""
     from carla_recap.queries.blocked import blocked as query
 
     if min_time < 0 and not compat:  # which CARLA accepts
         raise click.BadParameter(f"'{min_time:g}' is not a number of 0 or more.", param_hint="'--min-time'")
-    show(query(options.opened(file), min_time, min_distance, compat=compat), form, max_rows)
+    asked = partial(query, min_time=min_time, min_distance=min_distance, compat=compat)
+    answer(asked, sources, form, compat=compat, max_rows=max_rows, jobs=jobs, dask=dask)
 
 
 @click.command()
-@options.recording
-@options.json
-@options.text
-def actors(file: str, form: str | None) -> None:
+@_sources
+@_many
+def actors(sources: tuple[str, ...], form: str | None, jobs: int | None, dask: str | None) -> None:
     """Print the actors, and when they existed."""
     from carla_recap.queries.actors import actors as query
 
-    show(query(options.opened(file)), form)
+    answer(query, sources, form, jobs=jobs, dask=dask)
 
 
 @click.command()
-@options.recording
-@options.json
-@options.text
+@_sources
 @options.min_time
 @options.min_distance
 @options.deceleration
 @options.max_rows
+@_many
 def incidents(
-    file: str, form: str | None, min_time: float, min_distance: float, deceleration: float, max_rows: int | None
+    sources: tuple[str, ...],
+    form: str | None,
+    min_time: float,
+    min_distance: float,
+    deceleration: float,
+    max_rows: int | None,
+    jobs: int | None,
+    dask: str | None,
 ) -> None:
     """Print the incidents: collisions, hard braking, long stops.
 
@@ -85,14 +120,12 @@ def incidents(
     """
     from carla_recap.queries.incidents import incidents as query
 
-    reader = options.opened(file)
-    show(query(reader, min_time=min_time, min_distance=min_distance, deceleration=deceleration), form, max_rows)
+    asked = partial(query, min_time=min_time, min_distance=min_distance, deceleration=deceleration)
+    answer(asked, sources, form, max_rows=max_rows, jobs=jobs, dask=dask)
 
 
 @click.command()
-@options.recording
-@options.json
-@options.text
+@_sources
 @click.option(
     "--actor",
     "actors",
@@ -101,7 +134,14 @@ def incidents(
     metavar="ID|hero|all",
     help="The actor to measure, may be repeated; else the hero, or if there is none, all vehicles.",
 )
-def measures(file: str, form: str | None, actors: tuple[int | Literal["hero", "all"], ...]) -> None:
+@_many
+def measures(
+    sources: tuple[str, ...],
+    form: str | None,
+    actors: tuple[int | Literal["hero", "all"], ...],
+    jobs: int | None,
+    dask: str | None,
+) -> None:
     """Print how close others came, how hard and how fast an actor drives.
 
     These are the extreme values of its measures, such as the least time to collision, and when they occur.
@@ -112,4 +152,4 @@ def measures(file: str, form: str | None, actors: tuple[int | Literal["hero", "a
     if words and len(actors) > 1:
         raise click.BadParameter("hero and all go with no other actor.", param_hint="'--actor'")
     ids = [actor for actor in actors if isinstance(actor, int)]
-    show(query(options.opened(file), words[0] if words else ids or None), form)
+    answer(partial(query, actors=words[0] if words else ids or None), sources, form, jobs=jobs, dask=dask)

@@ -41,10 +41,17 @@ def outcome_of(function: Callable[[SourceFile], T], source: SourceFile) -> Outco
         warnings.simplefilter("always")
         try:
             value, error = function(source), None
-        except RecapError as failure:
-            value, error = None, str(failure)
-        except OSError as failure:
-            value, error = None, f"{source.location}: {failure.strerror or failure}"
-        except MemoryError:
-            value, error = None, f"{source.location}: not enough memory"
+        except (RecapError, OSError, MemoryError) as failure:
+            value, error = None, one_line(failure, source.location)
     return Outcome(source, value, error, tuple(str(warning.message) for warning in caught))
+
+
+def one_line(error: Exception, location: str) -> str:
+    """Return what an error with a recording says, in one line."""
+    if isinstance(error, RecapError):
+        return str(error)
+    if isinstance(error, MemoryError):
+        return f"{location}: not enough memory"
+    if isinstance(error, OSError):
+        return f"{location}: {error.strerror or error}"
+    return f"{location}: {type(error).__name__}: {' '.join(str(error).split())}"

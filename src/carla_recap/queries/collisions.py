@@ -78,8 +78,7 @@ def collisions(source: Reader, type1: str = "a", type2: str = "a", *, compat: bo
         FormatError: The file contradicts its format.
     """
     if not compat:
-        _check(type1)
-        _check(type2)
+        check_letters(type1, type2)
     kinds = _KINDS_OF_CARLA if compat else _KINDS
     present = PresentActors[_Actor](compat=compat)
     rows: list[CollisionRow] = []
@@ -118,7 +117,9 @@ def _passes(wanted: str, letter: str, hero: int) -> bool:
     return wanted in ("a", letter) or (wanted == "h" and hero != 0)
 
 
-def _check(wanted: str) -> None:
-    if wanted not in LETTERS:
-        known = ", ".join(f"{letter} ({meaning})" for letter, meaning in LETTERS.items())
-        raise RecapError(f"{wanted!r} is no type of a collision's actor; there are {known}")
+def check_letters(*letters: str) -> None:
+    """Raise `RecapError` unless these are kinds of a collision's actors."""
+    for wanted in letters:
+        if wanted not in LETTERS:
+            known = ", ".join(f"{letter} ({meaning})" for letter, meaning in LETTERS.items())
+            raise RecapError(f"{wanted!r} is no type of a collision's actor; there are {known}")

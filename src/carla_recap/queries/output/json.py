@@ -12,6 +12,7 @@ from carla_recap.util.text import readable
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
+    from carla_recap.model.frame import Extent, Header
     from carla_recap.queries.output.text import AnyAnswer
 
 
@@ -20,27 +21,40 @@ def json(answer: AnyAnswer) -> Iterator[str]:
 
     Numbers that are not finite become null.
     """
-    header = {
-        "version": answer.header.version,
-        "map": readable(answer.header.map_name),
-        "date": answer.header.date,
-    }
-    yield encoded(header)[:-1] + ', "rows": ['
-    names = [field.name for field in fields(answer.row_type)]
+    yield encoded(_header(answer.header))[:-1] + ', "rows": ['
     separator = "\n"
-    for row in answer:
-        yield separator + encoded({name: getattr(row, name) for name in names})
+    for row in rows(answer):
+        yield separator + row
         separator = ",\n"
-    extent = answer.extent
-    footer = {"frames": extent.frames, "last_frame": extent.last_id, "duration": extent.duration}
-    yield "\n], " + encoded(footer)[1:] + "\n"
+    yield "\n], " + encoded(_extent(answer.extent))[1:] + "\n"
+
+
+def rows(answer: AnyAnswer, **more: Any) -> Iterator[str]:
+    """Yield each row of an answer as a JSON object, with more fields in front."""
+    names = [field.name for field in fields(answer.row_type)]
+    for row in answer:
+        yield encoded({**more, **{name: getattr(row, name) for name in names}})
+
+
+def facts(header: Header | None, extent: Extent | None) -> dict[str, Any]:
+    """Return what the answer of one recording says about it beside the rows, as values for JSON; None where unknown."""
+    none = dict.fromkeys(("version", "map", "date", "frames", "last_frame", "duration"))
+    return {**none, **(_header(header) if header else {}), **(_extent(extent) if extent else {})}
+
+
+def _header(header: Header) -> dict[str, Any]:
+    return {"version": header.version, "map": readable(header.map_name), "date": header.date}
+
+
+def _extent(extent: Extent) -> dict[str, Any]:
+    return {"frames": extent.frames, "last_frame": extent.last_id, "duration": extent.duration}
 
 
 _STRICT: Final = JSONEncoder(allow_nan=False, default=asdict)
 
 
 def encoded(value: dict[str, Any]) -> str:
-    """Return an object as JSON; numbers that are not finite become null."""
+    """Return a JSON object; numbers that are not finite become null."""
     try:
         return _STRICT.encode(value)
     except ValueError:

@@ -17,7 +17,7 @@ from carla_recap.queries.output.text import local_date
 from carla_recap.util.text import number, visible
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterable
+    from collections.abc import Callable, Iterable, Iterator, Sequence
 
     from rich.console import Console
 
@@ -58,7 +58,37 @@ def table(answer: AnyAnswer, console: Console | None = None) -> None:
 _PAGE: Final = 500
 
 
-def _print_page(console: Console, columns: Iterable[_Column], rows: list[Any], *, headed: bool) -> None:
+def cells(answer: AnyAnswer) -> Iterator[tuple[str, ...]]:
+    """Yield the cells of each row of an answer."""
+    columns = _COLUMNS[answer.row_type]
+    return (tuple(column.cell(row) for column in columns) for row in answer)
+
+
+def width(row_type: type | None) -> int:
+    """Return the number of columns of a class of rows."""
+    return len(_COLUMNS[row_type]) if row_type else 0
+
+
+def print_rows(console: Console, row_type: type | None, rows: Sequence[Sequence[str]], *first: str, last: str = "") -> None:
+    """Print a table of the rows of several answers, whose cells are known.
+
+    Args:
+        console: The console to print to.
+        row_type: The class of the rows; None if there is no answer.
+        rows: The cells of each row: those of further columns at the left, those of `cells`, and maybe one more.
+        first: The headings of the columns at the left.
+        last: The heading of the column at the right; empty if there is none.
+    """
+    columns = [_Column(heading, str) for heading in first]
+    columns += _COLUMNS[row_type] if row_type else ()
+    _print_cells(console, [*columns, *([_Column(last, str)] if last else ())], rows, headed=True)
+
+
+def _print_page(console: Console, columns: Sequence[_Column], rows: list[Any], *, headed: bool) -> None:
+    _print_cells(console, columns, ([column.cell(row) for column in columns] for row in rows), headed=headed)
+
+
+def _print_cells(console: Console, columns: Iterable[_Column], rows: Iterable[Iterable[str]], *, headed: bool) -> None:
     from rich import box
     from rich.table import Table
     from rich.text import Text
@@ -68,7 +98,7 @@ def _print_page(console: Console, columns: Iterable[_Column], rows: list[Any], *
         justify: Any = "right" if column.is_number else "left"
         page.add_column(column.heading, justify=justify, width=column.width, overflow="fold")
     for row in rows:
-        page.add_row(*(Text(visible(column.cell(row))) for column in columns))
+        page.add_row(*(Text(visible(cell)) for cell in row))
     console.print(page)
 
 

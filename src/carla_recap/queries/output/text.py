@@ -32,11 +32,27 @@ def text(answer: AnyAnswer) -> Iterator[str]:
     """Yield CARLA's text of an answer, in pieces; a similar list of what CARLA has no text for."""
     kind = type(answer).__name__
     yield _preamble(answer.header)
+    yield heading(kind)
     yield from _BODIES[kind](answer)
     # In CARLA, the row of a collision sets the number format of the stream to no decimals.
     rounded = answer.compat and kind == "Collisions" and any(answer)
     duration = (_whole if rounded else number)(answer.extent.duration)
     yield f"\nFrames: {answer.extent.last_id}\nDuration: {duration} seconds\n"
+
+
+def lines(answer: AnyAnswer) -> Iterator[str]:
+    """Yield the lines of an answer that are for one of many recordings: those of its rows; for info, all of its text."""
+    kind = type(answer).__name__
+    yield from _BODIES[kind](answer) if heading(kind) else text(answer)
+
+
+def heading(kind: str) -> str:
+    """Return the line above the rows of a kind of answers; empty for info.
+
+    Args:
+        kind: The name of the answer's class.
+    """
+    return _HEADINGS.get(kind, "")
 
 
 def _preamble(header: Header) -> str:
@@ -62,7 +78,6 @@ def _padded(name: str) -> str:
 
 
 def _collisions(answer: Collisions) -> Iterator[str]:
-    yield f"{'Time':>8} {'Types':>6} {'Id':>6} {'Actor 1':<35} {'Id':>6} {'Actor 2':<35}\n"
     for row in answer:
         yield (
             f"{_whole(row.elapsed):>8}   {row.letter1} {row.letter2} "
@@ -71,13 +86,11 @@ def _collisions(answer: Collisions) -> Iterator[str]:
 
 
 def _incidents(answer: Incidents) -> Iterator[str]:
-    yield f"{'Time':>8} {'Duration':>10} {'Incident':<12} What happens\n"
     for row in answer:
         yield f"{row.start:>8.1f} {row.stop - row.start:>10.1f} {row.kind:<12} {row.text}\n"
 
 
 def _measures(answer: Measures) -> Iterator[str]:
-    yield f"{'Time':>8} {'Id':>6} {'Actor':<35} {'Measure':<22} {'Value':>10} {'Unit':<5} {'Id':>6} Other\n"
     for row in answer:
         other = "" if row.other is None else row.other
         yield (
@@ -88,13 +101,11 @@ def _measures(answer: Measures) -> Iterator[str]:
 
 
 def _blocked(answer: Blocked) -> Iterator[str]:
-    yield f"{'Time':>8} {'Id':>6} {'Actor':<35} {'Duration':>10}\n"
     for row in answer:
         yield f"{_whole(row.start):>8} {row.id:>6} {_padded(row.type_id)} {_whole(row.duration):>10}\n"
 
 
 def _actors(answer: RecordedActors) -> Iterator[str]:
-    yield f"{'Id':>8} {'Kind':<13} {'Actor':<35} {'Role':<20} {'From':>8} {'To':>8} {'Parent':>8}\n"
     for row in answer:
         until = "" if row.destroyed_at is None else number(row.destroyed_at)
         parent = "" if row.parent is None else row.parent
@@ -134,6 +145,15 @@ _BODIES: Final[Mapping[str, Callable[[Any], Iterator[str]]]] = {
     "Measures": _measures,
 }
 """By the name of the answer's class: the modules of other queries are not imported."""
+
+_HEADINGS: Final = {
+    "Collisions": f"{'Time':>8} {'Types':>6} {'Id':>6} {'Actor 1':<35} {'Id':>6} {'Actor 2':<35}\n",
+    "Incidents": f"{'Time':>8} {'Duration':>10} {'Incident':<12} What happens\n",
+    "Measures": f"{'Time':>8} {'Id':>6} {'Actor':<35} {'Measure':<22} {'Value':>10} {'Unit':<5} {'Id':>6} Other\n",
+    "Blocked": f"{'Time':>8} {'Id':>6} {'Actor':<35} {'Duration':>10}\n",
+    "RecordedActors": f"{'Id':>8} {'Kind':<13} {'Actor':<35} {'Role':<20} {'From':>8} {'To':>8} {'Parent':>8}\n",
+}
+"""The line above the rows, by the same."""
 
 
 def _frame_line(id: int, elapsed: float) -> str:

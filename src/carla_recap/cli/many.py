@@ -1,0 +1,306 @@
+"""Queries of one recording or of many: how the recordings are named, and how answers are printed as they come."""
+
+from __future__ import annotations
+
+import os
+import re
+import signal
+import sys
+from contextlib import ExitStack, closing
+from functools import partial
+from time import monotonic
+from typing import TYPE_CHECKING, Any, Final, NoReturn
+
+from carla_recap.cli import options
+from carla_recap.cli.output import BAD_INPUT, PYTHON_HINT, TOO_MANY, form_of, print_pieces, say, show, warn
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Iterable, Iterator, Sequence
+
+    from distributed import Client
+
+    from carla_recap.cli.progress import SourcesBar
+    from carla_recap.fleet.answers import Query, RecordingAnswer
+    from carla_recap.fleet.sources import SourceFile
+
+_PAGE: Final = 200  # rows of a table
+_INTERVAL: Final = 0.5  # s after which what is known is printed
+_MEGABYTE: Final = 1 << 20
+
+
+def answer(
+    query: Query,
+    sources: Sequence[str],
+    form: str | None,
+    *,
+    compat: bool = False,
+    max_rows: int | None = None,
+    jobs: int | None = None,
+    dask: str | None = None,
+) -> NoReturn:
+    """Print the answer to a query for one recording or for many, and end the program.
+
+    The exit code is 2 if a recording cannot be read, else 1 if all have more rows together than allowed.
+
+    Args:
+        query: The query: a function of a module, or a partial of one.
+        sources: The recordings, and what means recordings.
+        form: See `show`.
+        compat: Whether the answer has the mistakes of CARLA 0.9.16.
+        max_rows: The number of rows that are allowed.
+        jobs: The number of processes; None: as many as are worthwhile.
+        dask: The address of a Dask scheduler.
+    """
+    shape = form_of(form, compat=compat)
+    if len(sources) == 1 and is_one(sources[0]):
+        show(query(options.opened(sources[0])), form, max_rows)
+    with ExitStack() as stack:
+        from carla_recap.fleet.answers import answers
+        from carla_recap.util.signals import unwind_on_termination
+
+        stack.enter_context(unwind_on_termination())
+        client = stack.enter_context(closing(_client(dask))) if dask else None
+        found, bar = watched(sources, "Read")
+        stack.enter_context(bar)
+        given = stack.enter_context(closing(answers(query, shape, found, jobs=jobs, client=client)))
+        try:
+            code = _print(given, shape, bar, max_rows)
+        except BrokenPipeError:
+            stack.close()
+            _end_as_by_a_closed_pipe()
+            raise
+    os._exit(code)  # see `show`
+
+
+def is_one(source: str) -> bool:
+    """Return whether a source means one recording by its form, so that it is answered as such."""
+    if source == "-":
+        return False
+    if os.path.isfile(source):  # noqa: PTH113 - which is enough for most, and imports nothing
+        return True
+    from carla_recap.fleet.sources import means_one
+
+    return means_one(source)
+
+
+def watched(sources: Iterable[str], title: str) -> tuple[Iterable[SourceFile], SourcesBar]:
+    """Return the recordings that some sources mean, those of a list on stdin for `-`, and a progress bar for them.
+
+    What means no recording is among them, with its error.
+    """
+    from carla_recap.cli.progress import SourcesBar
+    from carla_recap.fleet.sources import find_sources
+
+    found: Iterable[SourceFile] = find_sources(_listed(sources), errors="yield")
+    if not SourcesBar.is_shown():
+        return found, SourcesBar(title, None)
+    found = list(found)  # whose number the bar needs
+    return found, SourcesBar(title, len(found))
+
+
+def _client(address: str) -> Client:
+    from carla_recap.fleet.cluster import connect
+
+    return connect(address)
+
+
+def _listed(sources: Iterable[str]) -> Iterator[str]:
+    """Yield sources; for `-`, the lines of stdin."""
+    from carla_recap.errors import RecapError
+
+    for source in sources:
+        if source != "-":
+            yield source
+            continue
+        empty = True
+        for line in sys.stdin.buffer:
+            if name := os.fsdecode(line.rstrip(b"\r\n")):
+                yield name
+                empty = False
+        if empty:
+            raise RecapError("stdin: no recordings; a list of them was expected, one in a line")
+
+
+def _print(given: Iterable[RecordingAnswer], form: str, bar: SourcesBar, max_rows: int | None) -> int:
+    """Print answers; return the exit code."""
+    printer = _PRINTERS[form](bar)
+    rows = failed = 0
+    for each in given:
+        printer.add(each)
+        if each.warnings or each.error:
+            with bar.aside():
+                for message in each.warnings:
+                    warn(_with_location(message, each))
+                if each.error:
+                    say("carla-recap: " + _with_location(re.sub(PYTHON_HINT, "", each.error), each))
+        failed += each.error is not None
+        rows += each.rows
+        bar.advance()
+    bar.close()
+    printer.end()
+    too_many = max_rows is not None and rows > max_rows
+    if too_many:
+        say(f"carla-recap: {rows} rows, at most {max_rows} were allowed")
+    return BAD_INPUT if failed else TOO_MANY if too_many else 0
+
+
+def _with_location(message: str, given: RecordingAnswer) -> str:
+    location = given.source.location
+    return message if location in message else f"{location}: {message}"
+
+
+def _end_as_by_a_closed_pipe() -> None:
+    number = getattr(signal, "SIGPIPE", None)
+    if number is not None:
+        signal.signal(number, signal.SIG_DFL)
+        signal.raise_signal(number)
+
+
+class _TextPrinter:
+    """Prints lines with the name of the recording in front; where each is a row, with a heading above the first."""
+
+    def __init__(self, bar: SourcesBar) -> None:
+        self._out = _Output(bar)
+        self._is_headed = False
+
+    def add(self, given: RecordingAnswer) -> None:
+        for piece in given.pieces:
+            self._head(given)
+            self._out.write(str(piece))
+        self._head(given)
+        self._out.pause()
+
+    def end(self) -> None:
+        self._out.flush()
+
+    def _head(self, given: RecordingAnswer) -> None:
+        if self._is_headed or given.kind is None:
+            return
+        from carla_recap.queries.output.text import heading
+
+        self._is_headed = True
+        if line := heading(given.kind.__name__):
+            self._out.write(f"Recording\t{line}")
+
+
+class _JsonPrinter:
+    """Prints one JSON object: the rows of all recordings, then the recordings, whose text waits in a file."""
+
+    def __init__(self, bar: SourcesBar) -> None:
+        from tempfile import TemporaryFile
+
+        self._out = _Output(bar)
+        self._out.write('{"rows": [')
+        self._separator = "\n"
+        self._recordings = TemporaryFile("w+")  # noqa: SIM115 - which ends with the process
+
+    def add(self, given: RecordingAnswer) -> None:
+        from carla_recap.queries.output.json import encoded, facts
+
+        for piece in given.pieces:
+            self._out.write(self._separator + str(piece))
+            self._separator = ",\n"
+        about = {"recording": given.source.location, "error": given.error, "rows": given.rows}
+        more = {**facts(given.header, given.extent), "warnings": list(given.warnings)}
+        self._recordings.write((",\n" if self._recordings.tell() else "\n") + encoded({**about, **more}))
+        self._out.pause()
+
+    def end(self) -> None:
+        self._out.write('\n], "recordings": [')
+        self._recordings.seek(0)
+        for piece in iter(partial(self._recordings.read, _MEGABYTE), ""):
+            self._out.write(piece)
+        self._out.write("\n]}\n")
+        self._out.flush()
+
+
+class _TablePrinter:
+    """Prints tables of some rows each, and a line with the numbers of rows and recordings."""
+
+    def __init__(self, bar: SourcesBar) -> None:
+        from rich.console import Console
+
+        self._console = Console()
+        self._bar = bar
+        self._page: list[tuple[str, ...]] = []
+        self._errors: dict[int, str] = {}  # by position in the page
+        self._row_type: type[Any] | None = None
+        self._due = 0.0
+        self._rows = self._recordings = self._failed = 0
+
+    def add(self, given: RecordingAnswer) -> None:
+        for piece in given.pieces:
+            self._row(given, tuple(piece))
+        if given.error is not None:
+            self._failed += 1
+            self._errors[len(self._page)] = given.error.removeprefix(f"{given.source.location}: ")
+            self._row(given, (given.source.location,))
+        self._rows += given.rows
+        self._recordings += 1
+        if self._page and monotonic() > self._due:
+            self._print_page()
+
+    def end(self) -> None:
+        if self._page:
+            self._print_page()
+        failed = f", {self._failed} failed" if self._failed else ""
+        line = f"{_counted(self._rows, 'row')}; {_counted(self._recordings, 'recording')}{failed}"
+        self._console.print(line, highlight=False)
+
+    def _row(self, given: RecordingAnswer, cells: tuple[str, ...]) -> None:
+        if not self._page:
+            self._due = monotonic() + _INTERVAL
+        self._page.append(cells)
+        if given.kind is not None:
+            self._row_type = given.kind.row_type
+        if len(self._page) == _PAGE:
+            self._print_page()
+
+    def _print_page(self) -> None:
+        from carla_recap.queries.output.table import print_rows, width
+
+        rows, count = self._page, 1 + width(self._row_type)
+        if self._errors:
+            padded = [(*row, *[""] * (count - len(row))) for row in rows]
+            rows = [(*row, self._errors.get(index, "")) for index, row in enumerate(padded)]
+        with self._bar.aside():
+            print_rows(self._console, self._row_type, rows, "Recording", last="Error" if self._errors else "")
+        self._page, self._errors = [], {}
+
+
+class _Output:
+    """Stdout, written to in large pieces; what waits is written after a while."""
+
+    def __init__(self, bar: SourcesBar) -> None:
+        self._bar = bar
+        self._pieces: list[str] = []
+        self._size = 0
+        self._due = 0.0
+
+    def write(self, piece: str) -> None:
+        self._pieces.append(piece)
+        self._size += len(piece)
+        if self._size > _MEGABYTE:
+            self.flush()
+
+    def pause(self) -> None:
+        """Write what waits if nothing was written for a while."""
+        if self._pieces and monotonic() > self._due:
+            self.flush()
+
+    def flush(self) -> None:
+        with self._bar.aside():
+            print_pieces(self._pieces)
+        self._pieces, self._size = [], 0
+        self._due = monotonic() + _INTERVAL
+
+
+_PRINTERS: Final[dict[str, Callable[[SourcesBar], Any]]] = {
+    "text": _TextPrinter,
+    "json": _JsonPrinter,
+    "table": _TablePrinter,
+}
+
+
+def _counted(count: int, thing: str) -> str:
+    return f"{count} {thing}{'' if count == 1 else 's'}"

@@ -1,0 +1,282 @@
+"""Queries of many recordings."""
+
+from __future__ import annotations
+
+import json
+import os
+import re
+import shutil
+import signal
+import subprocess
+import time
+from pathlib import Path
+
+import pytest
+
+from carla_recap import open_recording
+from tests.cli.command import COMMAND, CROSSING, ENVIRONMENT, TIMEOUT, answer, error, on_terminal, run, the_line
+from tests.samples import time_limit
+
+CRASH = CROSSING.with_name("crash.mcap")
+QUERIES = ("actors", "blocked", "collisions", "incidents", "info", "measures")
+
+
+@pytest.fixture
+def runs(tmp_path, monkeypatch) -> Path:
+    """Three recordings and a broken one, in the working directory as `runs`."""
+    folder = tmp_path / "runs"
+    folder.mkdir()
+    shutil.copy(CROSSING, folder / "a.log")
+    shutil.copy(CRASH, folder / "b.mcap")
+    (folder / "c.log").write_bytes(b"junk")
+    shutil.copy(CROSSING, folder / "d.log")
+    monkeypatch.chdir(tmp_path)
+    return folder
+
+
+@pytest.fixture
+def whole(runs) -> Path:
+    (runs / "c.log").unlink()
+    return runs
+
+
+def lines(*arguments: object) -> list[str]:
+    return answer(*arguments).splitlines()
+
+
+# --- text --------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("command", ["actors", "blocked", "collisions", "incidents", "measures"])
+def test_rows_have_the_name_of_their_recording_in_front(whole, command):
+    expected = [f"Recording\t{lines(command, CROSSING)[4]}"]
+    for name in ("a.log", "b.mcap", "d.log"):
+        expected += [f"runs/{name}\t{row}" for row in lines(command, whole / name)[5:-3]]
+    assert lines(command, "runs") == expected
+
+
+@pytest.mark.parametrize("options", [[], ["--all"], ["--compat"]])
+def test_info_has_all_lines_of_each_recording(whole, options):
+    text = [line for line in lines("info", CROSSING, *options) if line]
+    assert lines("info", "runs/a.log", "runs/d.log", *options) == [
+        f"runs/{name}\t{line}" for name in ("a.log", "d.log") for line in text
+    ]
+
+
+def test_files_folders_and_globs_are_read_in_their_order_and_once(whole):
+    found = lines("collisions", "runs/d.log", "runs/*.mcap", "runs")
+    names = list(dict.fromkeys(line.partition("\t")[0] for line in found[1:]))
+    assert names == ["runs/d.log", "runs/b.mcap", "runs/a.log"]
+
+
+def test_a_list_of_recordings_is_read_from_stdin(whole):
+    command = [COMMAND, "collisions", "-"]
+    done = subprocess.run(
+        command, input=b"runs/d.log\n\nruns/*.mcap\r\n", capture_output=True, env=ENVIRONMENT, timeout=TIMEOUT, check=True
+    )
+    assert done.stdout.decode().splitlines() == lines("collisions", "runs/d.log", "runs/b.mcap")
+
+
+def test_an_empty_list_is_an_error():
+    assert error("collisions", "-") == "stdin: no recordings; a list of them was expected, one in a line"
+
+
+def test_a_folder_of_one_recording_is_many(whole):
+    for name in ("b.mcap", "d.log"):
+        (whole / name).unlink()
+    assert all(line.startswith(("Recording\t", "runs/a.log\t")) for line in lines("collisions", "runs"))
+
+
+def test_the_number_of_processes_does_not_change_the_answer(whole):
+    assert answer("incidents", "runs", "--jobs", "2") == answer("incidents", "runs", "--jobs", "1")
+
+
+def test_a_long_answer_is_the_same_by_processes(whole):
+    assert answer("info", "--all", "runs", "--jobs", "2") == answer("info", "--all", "runs", "--jobs", "1")
+
+
+# --- errors ------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("command", QUERIES)
+@pytest.mark.parametrize("jobs", [1, 2])
+def test_a_broken_recording_is_a_line_on_stderr_and_not_the_end(runs, command, jobs):
+    done = run(command, "runs", "--jobs", jobs)
+    assert done.returncode == 2
+    assert the_line(done.stderr) == "runs/c.log: is not a recording (neither CARLA's log nor MCAP)"
+    assert b"runs/d.log\t" in done.stdout
+
+
+def test_a_recording_that_breaks_later_has_its_rows_until_then(runs):
+    data = CRASH.read_bytes()
+    (runs / "c.mcap").write_bytes(data[:-300])
+    done = run("info", "runs/c.mcap", "runs/b.mcap")
+    assert done.returncode == 2
+    assert the_line(done.stderr).startswith("runs/c.mcap: ")
+
+
+def test_a_source_that_means_nothing_is_reported(whole):
+    done = run("collisions", "runs/*.json", "runs/a.log")
+    assert done.returncode == 2
+    assert the_line(done.stderr).startswith("runs/*.json: no recordings")
+    assert b"runs/a.log\t" in done.stdout
+
+
+def test_a_missing_recording_is_reported(whole):
+    done = run("collisions", "runs/a.log", "runs/missing.log")
+    assert done.returncode == 2
+    assert the_line(done.stderr) == "runs/missing.log: No such file or directory"
+
+
+def test_a_cut_recording_is_a_warning(whole):
+    (whole / "a.log").write_bytes(CROSSING.read_bytes()[:-100])
+    done = run("collisions", "runs")
+    assert done.returncode == 0
+    assert the_line(done.stderr).startswith("warning: runs/a.log: ")
+
+
+@pytest.mark.parametrize(("allowed", "code"), [(6, 0), (5, 1), (0, 1)])
+def test_max_rows_counts_the_rows_of_all(whole, allowed, code):
+    done = run("collisions", "runs", "--max-rows", allowed)
+    assert done.returncode == code
+    assert done.stderr.decode() == (f"carla-recap: 6 rows, at most {allowed} were allowed\n" if code else "")
+
+
+def test_an_unreadable_recording_matters_more_than_rows(runs):
+    assert run("collisions", "runs", "--max-rows", "0").returncode == 2
+
+
+def test_invalid_options_are_one_error(whole):
+    assert "is no type of a collision's actor" in error("collisions", "runs", "--types", "xy")
+    assert "--compat" in error("collisions", "runs", "--json", "--compat")
+    assert "deceleration" in error("incidents", "runs", "--deceleration", "0")
+
+
+# --- JSON --------------------------------------------------------------------------------------------------
+
+
+def test_json_has_rows_and_recordings(runs):
+    done = run("collisions", "runs", "--json")
+    document = json.loads(done.stdout)
+    assert done.returncode == 2
+    assert list(document) == ["rows", "recordings"]
+    for name in ("a.log", "b.mcap", "d.log"):
+        alone = json.loads(answer("collisions", runs / name, "--json"))
+        rows = [row for row in document["rows"] if row["recording"] == f"runs/{name}"]
+        assert [dict(list(row.items())[1:]) for row in rows] == alone["rows"]
+        (about,) = [each for each in document["recordings"] if each["recording"] == f"runs/{name}"]
+        facts = {key: value for key, value in alone.items() if key != "rows"}
+        assert about == {"recording": f"runs/{name}", "error": None, "rows": len(rows), "warnings": [], **facts}
+    (broken,) = [each for each in document["recordings"] if each["error"]]
+    assert broken["recording"] == "runs/c.log"
+    assert (broken["rows"], broken["map"]) == (0, None)
+
+
+def test_json_without_any_answer_is_valid(runs):
+    done = run("blocked", "runs/c.log", "runs/missing.log", "--json")
+    assert [each["rows"] for each in json.loads(done.stdout)["recordings"]] == [0, 0]
+
+
+# --- terminals ---------------------------------------------------------------------------------------------
+
+
+def test_a_terminal_gets_a_table_with_errors(runs):
+    code, shown, _ = on_terminal("collisions", "runs")
+    assert code == 2
+    heading = re.sub(r"\x1b\[[0-9;]*m", "", shown.splitlines()[0]).split()
+    assert heading[0] == "Recording"
+    assert heading[-1] == "Error"
+    assert "is not a recording" in " ".join(shown.split())
+    assert shown.splitlines()[-1] == "6 rows; 4 recordings, 1 failed"
+
+
+def test_a_table_without_errors_has_no_column_for_them(whole):
+    code, shown, _ = on_terminal("blocked", "runs")
+    assert code == 0
+    assert "Error" not in shown
+    assert shown.splitlines()[-1].endswith(" rows; 3 recordings")
+
+
+def terminal_of_stderr(*arguments: object, stdout: int) -> str:
+    import pty
+
+    from tests.cli.command import read_terminal
+
+    ours, theirs = pty.openpty()
+    with subprocess.Popen([COMMAND, *map(str, arguments)], env=ENVIRONMENT, stdout=stdout, stderr=theirs) as process:
+        os.close(theirs)
+        shown = read_terminal(ours)
+        assert process.wait(TIMEOUT) == 0
+    os.close(ours)
+    return shown
+
+
+def test_a_terminal_has_a_progress_bar_and_a_pipe_has_none(whole, tmp_path):
+    with (tmp_path / "out").open("wb") as file:
+        shown = terminal_of_stderr("incidents", "runs", stdout=file.fileno())
+    assert "3/3" in shown
+    assert (tmp_path / "out").read_text() == answer("incidents", "runs")
+    code, shown, _ = on_terminal("incidents", "runs", stream="stderr")
+    assert (code, shown) == (0, "")
+
+
+def test_names_cannot_control_a_terminal_or_break_a_line(whole):
+    (whole / "a.log").rename(whole / "a\x1b[31m\n.log")
+    _, shown, _ = on_terminal("collisions", "runs")
+    assert "\x1b[31m" not in shown
+    assert sum(line.count("\t") for line in lines("collisions", "runs")) == 7
+
+
+# --- how it ends -------------------------------------------------------------------------------------------
+
+
+def is_running(process: int) -> bool:
+    try:
+        return "zombie" not in Path(f"/proc/{process}/status").read_text()
+    except OSError:
+        return False
+
+
+def children(process: int) -> list[int]:
+    return [int(pid) for pid in Path(f"/proc/{process}/task/{process}/children").read_text().split()]
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+def test_ctrl_c_ends_all_processes_at_once(tmp_path, number):
+    folder = tmp_path / "slow"
+    folder.mkdir()
+    shutil.copy(CROSSING, folder / "0000.log")
+    for index in range(1, 3000):
+        os.link(folder / "0000.log", folder / f"{index:04}.log")
+    command = [COMMAND, "info", "--all", folder, "--jobs", "2"]
+    with subprocess.Popen(
+        command, env=ENVIRONMENT, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, start_new_session=True
+    ) as process:
+        with time_limit(TIMEOUT):
+            while len(workers := children(process.pid)) < 3:  # and one that tracks resources
+                time.sleep(0.01)
+            os.killpg(process.pid, number)
+            begin = time.monotonic()
+            _, messages = process.communicate()
+        assert process.returncode == 128 + number
+        assert messages.strip() == b""
+        assert time.monotonic() - begin < 10  # on a loaded machine; else 0.2
+        with time_limit(TIMEOUT):
+            while any(map(is_running, workers)):
+                time.sleep(0.01)
+
+
+def test_the_reader_of_a_pipe_closes_it(whole):
+    with subprocess.Popen(
+        [COMMAND, "info", "--all", "runs", "--jobs", "2"], env=ENVIRONMENT, stdout=subprocess.PIPE, stderr=subprocess.PIPE
+    ) as process:
+        process.stdout.read(100)
+        process.stdout.close()
+        messages = process.stderr.read()
+        assert process.wait(TIMEOUT) == -signal.SIGPIPE
+    assert messages == b""
+
+
+def test_one_recording_is_answered_as_before(whole):
+    with open_recording(whole / "b.mcap") as recording:
+        assert len(lines("collisions", "runs/b.mcap")) == 8 + len(recording.collisions())
