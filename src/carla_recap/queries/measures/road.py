@@ -1,0 +1,537 @@
+"""Driving in relation to the road: red lights, stop signs, the edge of the road, the direction of lanes, speed limits.
+
+The definitions follow ScenarioRunner's criteria (`RunningRedLightTest`, `RunningStopTest`, `OffRoadTest`) and nuPlan's metrics
+(driving direction compliance, drivable area compliance, speed limit compliance); docs/measures.md says where they differ.
+"""
+
+from __future__ import annotations
+
+import math
+from collections import defaultdict
+from typing import TYPE_CHECKING, Final, Literal, NamedTuple
+
+import numpy as np
+
+from carla_recap.model import roads
+from carla_recap.model.blueprints import blueprint_sizes
+from carla_recap.model.records import CM, ActorKind
+from carla_recap.queries.measures.rows import MeasureRow
+from carla_recap.queries.measures.traffic_lights import LightHistory
+
+if TYPE_CHECKING:
+    from collections.abc import Collection, Iterable, Iterator
+
+    from numpy.typing import NDArray
+
+    from carla_recap.formats.base import Reader
+    from carla_recap.model.batch import Batch
+    from carla_recap.model.roads import LanePositions, RoadNetwork
+    from carla_recap.queries.actors import Actor
+
+    Floats = NDArray[np.float64]
+    Indices = NDArray[np.int64]
+    Flags = NDArray[np.bool_]
+
+RoadKind = Literal["red light", "stop sign", "off road", "wrong way", "speeding"]
+
+TYPES: Final = ("transforms", "light_states")
+"""The record types that are read."""
+
+STOPPED: Final = 0.3
+"""The speed below which a vehicle has stopped at a stop sign, in m/s."""
+STOP_ZONE: Final = 8.0
+"""How far before the stop line of a stop sign a vehicle may stop, in m from its front."""
+OFF_ROAD: Final = 0.3
+"""How far the centre of a vehicle has to be outside the road to have left it, in m."""
+OFF_ROAD_TIME: Final = 0.5
+"""How long it has to be there, in s."""
+AGAINST: Final = 1.0
+"""The speed against a lane from which on a vehicle drives the wrong way, in m/s: 1 m in 1 s."""
+AGAINST_TIME: Final = 1.0
+"""How long it has to drive so, in s."""
+TOLERANCE: Final = 5 / 3.6
+"""The speed above a limit that is tolerated, in m/s."""
+SPEEDING_TIME: Final = 1.0
+"""How long a vehicle has to drive faster than that, in s."""
+
+UNITS: Final = {"speed_over_limit": "m/s", "distance_off_road": "m", "distance_against_lane": "m"}
+"""The measures of the road in the order of the rows, and their units."""
+
+_INTERVAL: Final = 0.1  # s between the samples of the motion
+_ROUNDING: Final = 1e-6  # s
+_LONGEST: Final = 2.5  # s from one sample to the next
+_FASTEST: Final = 100.0  # m/s; what is faster jumps
+_SHORT: Final = 1.0  # m; a shorter step is no jump
+_STILL: Final = 0.02  # m; after a shorter step, the position is the same
+_GAP: Final = 0.55  # s between runs that are one
+_BLOCK: Final = 200_000  # samples that are evaluated together
+_SAME_WAY: Final = math.cos(math.radians(45))  # between the heading of a vehicle and the direction at a stop line
+_FACING: Final = math.cos(math.radians(120))  # between a vehicle that drives the wrong way and its lane
+_CELL: Final = 8.0  # m, of the grid of stop lines
+_MOST_LINES: Final = 16  # in a cell
+_LEVELS: Final = 3.0  # m between roads above each other
+_BEHIND: Final = 0.5  # m behind a stop line at which a vehicle may still stop
+_KMH: Final = 3.6  # km/h in m/s
+_CAR: Final = (0.0, 2.25)  # m: the centre of the box and half of the length of an unknown vehicle
+
+
+class RoadEvent(NamedTuple):
+    """A vehicle breaks a rule of the road.
+
+    Attributes:
+        kind: Which one.
+        id: The vehicle.
+        start, stop: From when until when, in elapsed seconds.
+        x, y, z: The position at the start, in m, right-handed.
+        text: What the vehicle does: a sentence without subject and full stop.
+    """
+
+    kind: RoadKind
+    id: int
+    start: float
+    stop: float
+    x: float
+    y: float
+    z: float
+    text: str
+
+
+class RoadSearch:
+    """Finds what vehicles do in relation to the road, in the batches of a recording, which are read for something else, too.
+
+    Args:
+        source: The recording. Its spawns are read at once.
+        network: The roads of its map.
+        actors: The actors of the recording.
+    """
+
+    def __init__(self, source: Reader, network: RoadNetwork, actors: Iterable[Actor]) -> None:
+        self._network = network
+        self._actors: dict[int, Actor] = {}
+        for actor in actors:
+            if actor.kind == "vehicle":
+                self._actors[actor.id] = actor
+        self._vehicles = np.array(sorted(self._actors), np.int64)
+        self._boxes = np.array([_box(self._actors[id]) for id in self._vehicles.tolist()]).reshape(-1, 2)
+        self._lights = LightHistory(source, network)
+        self._lines = _StopLines(network)
+        self._samples: list[NDArray[np.void]] = []
+        self._count = 0
+        self._next = -math.inf
+        self._last = np.zeros(0, _SAMPLE)  # the last sample of each vehicle in the block before
+        self._first_on_road: dict[int, float] = {}
+        self._slow: dict[int, tuple[float, float, float]] = {}  # where the front of each vehicle was when it last stood
+        self._crossings: list[_Crossing] = []
+        self._runs: dict[RoadKind, list[_Run]] = defaultdict(list)
+        self._extremes: dict[tuple[str, int], tuple[float, float]] = {}
+
+    def add(self, batch: Batch) -> None:
+        """Process the next frames; they have at least their transforms and states of lights."""
+        if batch.preamble or not len(self._vehicles):
+            return
+        self._lights.add(batch)
+        rows = self._sampled(batch.elapsed)
+        transforms = batch.records("transforms")
+        if not len(rows) or not transforms.shape[1]:
+            return
+        taken = transforms[rows]
+        column = np.searchsorted(self._vehicles, taken["id"])
+        column = np.minimum(column, len(self._vehicles) - 1)
+        frame, record = np.nonzero(self._vehicles[column] == taken["id"])
+        samples = np.zeros(len(frame), _SAMPLE)
+        chosen = taken[frame, record]
+        samples["vehicle"] = column[frame, record]
+        samples["time"] = batch.elapsed[rows][frame]
+        for axis, factor in (("x", CM), ("y", -CM), ("z", CM)):
+            samples[axis] = chosen[axis].astype(np.float64) * factor
+        samples["yaw"] = np.radians(-chosen["yaw"].astype(np.float64))
+        finite = np.isfinite(samples["x"]) & np.isfinite(samples["y"]) & np.isfinite(samples["z"]) & np.isfinite(samples["yaw"])
+        self._samples.append(samples[finite])
+        self._count += len(samples)
+        if self._count >= _BLOCK:
+            self._evaluate()
+
+    def finish(self) -> list[RoadEvent]:
+        """Return the events, in order of their start."""
+        self._evaluate()
+        events = [*self._at_lines(), *self._left_road(), *self._wrong_way(), *self._speeding()]
+        return sorted(events, key=lambda event: (event.start, event.kind, event.id))
+
+    def rows(self, ids: Collection[int] | None = None) -> list[MeasureRow]:
+        """Return the measures of vehicles, after `finish`.
+
+        Args:
+            ids: The vehicles; None for all.
+        """
+        found = []
+        for id, actor in self._actors.items():
+            for name, unit in UNITS.items():
+                value, time = self._extremes.get((name, id), (0.0, 0.0))
+                if value > 0 and (ids is None or id in ids):
+                    found.append(MeasureRow(name, id, actor.type_id, actor.is_hero, None, "", value, unit, time))
+        return found
+
+    def _sampled(self, elapsed: Floats) -> list[int]:
+        """Return the rows of a batch that are samples."""
+        rows = []
+        for row, time in enumerate(elapsed.tolist()):
+            if time >= self._next - _ROUNDING or time < self._next - 2 * _INTERVAL:
+                rows.append(row)
+                self._next = time + _INTERVAL
+        return rows
+
+    @np.errstate(all="ignore")
+    def _evaluate(self) -> None:
+        """Evaluate the samples so far."""
+        samples = np.concatenate((self._last, *self._samples))
+        is_new = np.arange(len(samples)) >= len(self._last)
+        self._samples, self._count = [], 0
+        if not is_new.any():
+            return
+        order = np.argsort(samples["vehicle"], kind="stable")
+        motion = _Motion(samples[order], is_new[order])
+        self._last = motion.samples[motion.is_last]
+        at = motion.lanes(self._network)
+        ids = self._vehicles
+        for row in motion.firsts(at.on_road):
+            self._first_on_road.setdefault(int(ids[motion.vehicle[row]]), float(motion.time[row]))
+        self._cross(motion)
+        outside = np.where(np.isfinite(at.outside), at.outside, roads.REACH)
+        self._add_runs("off road", motion, outside > OFF_ROAD, outside)
+        self._note("distance_off_road", motion, np.where(outside > 0, outside, np.nan))
+        along = np.cos(motion.samples["yaw"] - at.heading)
+        progress = motion.dx * np.cos(at.heading) + motion.dy * np.sin(at.heading)
+        kinds = np.append(self._network.lanes["kind"], roads.GAP)[at.lane]
+        against = (progress < -AGAINST * motion.seconds) & (along < _FACING) & (at.beside <= 0)
+        against &= ~at.in_junction & (kinds == roads.DRIVING)
+        self._add_runs("wrong way", motion, against, -progress, summed=True)
+        over = motion.speed - at.limit
+        self._add_runs("speeding", motion, (over > TOLERANCE) & (at.beside <= 0), motion.speed, at.limit)
+        self._note("speed_over_limit", motion, np.where(at.beside <= 0, over, np.nan))
+
+    def _add_runs(
+        self,
+        kind: RoadKind,
+        motion: _Motion,
+        flags: Flags,
+        values: Floats,
+        limits: Floats | None = None,
+        *,
+        summed: bool = False,
+    ) -> None:
+        """Add the runs of samples that are flagged."""
+        for first, last in motion.runs(flags):
+            part = values[first : last + 1]
+            row = first + int(np.nanargmax(part)) if np.isfinite(part).any() else first
+            start = motion.samples[first]
+            run = _Run(
+                int(self._vehicles[start["vehicle"]]),
+                float(start["time"]),
+                float(motion.time[last]),
+                (float(start["x"]), float(start["y"]), float(start["z"])),
+                float(np.nansum(part)) if summed else float(values[row]),
+                math.nan if limits is None else float(limits[row]),
+            )
+            self._runs[kind].append(run)
+
+    def _note(self, measure: str, motion: _Motion, values: Floats) -> None:
+        """Note the greatest value of each vehicle, and when it occurs."""
+        values = np.where(motion.is_new, values, np.nan)
+        for first, last in motion.spans():
+            part = values[first:last]
+            if not np.isfinite(part).any():
+                continue
+            row = first + int(np.nanargmax(part))
+            key = measure, int(self._vehicles[motion.vehicle[row]])
+            if values[row] > self._extremes.get(key, (0.0, 0.0))[0]:
+                self._extremes[key] = float(values[row]), float(motion.time[row])
+
+    def _cross(self, motion: _Motion) -> None:
+        """Add the crossings of stop lines by the fronts and by the centres of vehicles."""
+        boxes = self._boxes[motion.vehicle]
+        cos, sin = np.cos(motion.samples["yaw"]), np.sin(motion.samples["yaw"])
+        position = np.stack([motion.samples[axis] for axis in "xyz"], axis=1)
+        points = []
+        for ahead in (boxes[:, 0] + boxes[:, 1], boxes[:, 0]):
+            point = position.copy()
+            point[:, 0] += ahead * cos
+            point[:, 1] += ahead * sin
+            points.append(point)
+        rows = np.flatnonzero(motion.continues & (motion.distance > 0))
+        slow = motion.speed < STOPPED
+        for by_front, point in zip((True, False), points, strict=True):
+            found = self._lines.crossed(point[rows - 1], point[rows], motion.samples["yaw"][rows])
+            for index, line, share in zip(*(values.tolist() for values in found), strict=True):
+                row = int(rows[index])
+                vehicle = int(motion.vehicle[row])
+                id = int(self._vehicles[vehicle])
+                stood = self._stood(motion, row, slow, points[0], id) if by_front and self._lines.is_stop(line) else None
+                self._crossings.append(
+                    _Crossing(
+                        float(motion.time[row] - (1 - share) * motion.seconds[row]),
+                        id,
+                        line,
+                        by_front,
+                        float(motion.speed[row]),
+                        tuple(position[row].tolist()),
+                        stood is not None and self._lines.is_before(line, stood),
+                    )
+                )
+        for first, last in motion.spans():
+            standing = np.flatnonzero(slow[first:last])
+            if len(standing):
+                self._slow[int(self._vehicles[motion.vehicle[first]])] = tuple(points[0][first + standing[-1]].tolist())
+
+    def _stood(self, motion: _Motion, row: int, slow: Flags, fronts: Floats, id: int) -> tuple[float, ...] | None:
+        """Return where the front of a vehicle was when it last stood before a sample; None if it never did."""
+        first = int(np.searchsorted(motion.vehicle, motion.vehicle[row]))
+        standing = np.flatnonzero(slow[first:row])
+        if len(standing):
+            return tuple(fronts[first + standing[-1]].tolist())
+        return self._slow.get(id)
+
+    def _at_lines(self) -> Iterator[RoadEvent]:
+        """Yield where vehicles cross stop lines, with the front and the centre, although they should not."""
+        fronts: dict[tuple[int, int], _Crossing] = {}
+        for crossing in sorted(self._crossings, key=lambda crossing: (crossing.time, not crossing.by_front)):
+            signal = self._lines.signal(crossing.line)
+            key = crossing.id, signal
+            if crossing.by_front:
+                fronts[key] = crossing
+                continue
+            front = fronts.pop(key, None)
+            if front is None:
+                continue
+            text = ""
+            kind: RoadKind = "red light"
+            light = self._lights.red_during(signal, front.time, crossing.time)
+            if light is not None:
+                text = f"runs a red light ({light}) at {front.speed * _KMH:.0f} km/h"
+            elif self._lines.is_stop(front.line) and not front.has_stopped:
+                kind, text = "stop sign", f"passes a stop sign at {front.speed * _KMH:.0f} km/h without stopping"
+            if text:
+                yield RoadEvent(kind, crossing.id, front.time, crossing.time, *front.position, text)
+
+    def _left_road(self) -> Iterator[RoadEvent]:
+        for run in _joined(self._runs["off road"]):
+            if run.stop - run.start >= OFF_ROAD_TIME and run.start > self._first_on_road.get(run.id, math.inf):
+                far = f"{run.value:.1f} m" if run.value < roads.REACH else f"more than {roads.REACH:.0f} m"
+                yield run.event("off road", f"leaves the road by {far}")
+
+    def _wrong_way(self) -> Iterator[RoadEvent]:
+        for run in _joined(self._runs["wrong way"], summed=True):
+            key = "distance_against_lane", run.id
+            if run.value > self._extremes.get(key, (0.0, 0.0))[0]:
+                self._extremes[key] = run.value, run.start
+            if run.stop - run.start >= AGAINST_TIME:
+                yield run.event("wrong way", f"drives {run.value:.0f} m against the direction of its lane")
+
+    def _speeding(self) -> Iterator[RoadEvent]:
+        for run in _joined(self._runs["speeding"]):
+            if run.stop - run.start >= SPEEDING_TIME:
+                text = f"drives {run.value * _KMH:.0f} km/h where {run.limit * _KMH:.0f} km/h are allowed"
+                yield run.event("speeding", text)
+
+
+def _box(actor: Actor) -> tuple[float, float]:
+    """Return how far the centre of the box of a vehicle is ahead of its location, and half of its length, in m."""
+    if actor.bounding_box is not None and actor.bounding_box.extent_x < _CELL:
+        return actor.bounding_box.x, actor.bounding_box.extent_x
+    size = blueprint_sizes().get(actor.type_id)
+    return _CAR if size is None else (0.0, size[0] / 2)
+
+
+_SAMPLE: Final = np.dtype([("vehicle", "i8"), *((name, "f8") for name in ("time", "x", "y", "z", "yaw"))])
+"""The index of a vehicle, and its pose in right-handed axes, in m and radians."""
+
+
+class _Motion:
+    """The motion of vehicles: samples, one vehicle after the other, each in order of time.
+
+    Args:
+        samples: The samples.
+        is_new: Whether each was not evaluated before.
+
+    Attributes:
+        continues: Whether each sample follows the one before it, of the same vehicle and without a jump.
+        seconds, dx, dy, distance, speed: The time and the way from the one before; NaN where it does not continue.
+    """
+
+    def __init__(self, samples: NDArray[np.void], is_new: Flags) -> None:
+        self.samples, self.is_new = samples, is_new
+        self.vehicle, self.time = samples["vehicle"], samples["time"]
+        same = np.diff(self.vehicle, prepend=-1) == 0
+        self.is_last = np.append(~same[1:], True)
+        seconds, dx, dy = (np.diff(samples[name], prepend=np.nan) for name in ("time", "x", "y"))
+        distance = np.hypot(dx, dy)
+        self.continues = same & (seconds > 0) & (seconds <= _LONGEST)
+        self.continues &= distance <= np.maximum(_SHORT, _FASTEST * seconds)
+        self.seconds, self.dx, self.dy, self.distance = (
+            np.where(self.continues, values, np.nan) for values in (seconds, dx, dy, distance)
+        )
+        self.speed = self.distance / self.seconds
+
+    def lanes(self, network: RoadNetwork) -> LanePositions:
+        """Return the lanes of all samples."""
+        moved = ~(self.distance < _STILL)
+        index = np.maximum.accumulate(np.where(moved, np.arange(len(moved)), 0))
+        taken = self.samples[moved]
+        found = network.lanes_at(np.stack([taken[axis] for axis in "xyz"], axis=1), taken["yaw"])
+        number = (np.cumsum(moved) - 1)[index]
+        return roads.LanePositions(**{name: getattr(found, name)[number] for name in roads.LanePositions.__dataclass_fields__})
+
+    def spans(self) -> Iterator[tuple[int, int]]:
+        """Yield the first sample of each vehicle, and the one after its last."""
+        ends = np.flatnonzero(self.is_last) + 1
+        yield from zip([0, *ends[:-1].tolist()], ends.tolist(), strict=True)
+
+    def firsts(self, flags: Flags) -> Iterator[int]:
+        """Yield the first sample of each vehicle that is flagged."""
+        rows = np.flatnonzero(flags)
+        yield from rows[np.diff(self.vehicle[rows], prepend=-1) != 0].tolist()
+
+    def runs(self, flags: Flags) -> Iterator[tuple[int, int]]:
+        """Yield the first and the last of consecutive samples of a vehicle that are flagged."""
+        flags = flags & self.is_new
+        goes_on = flags[1:] & flags[:-1] & self.continues[1:]
+        first = flags & ~np.insert(goes_on, 0, False)
+        last = flags & ~np.append(goes_on, False)
+        yield from zip(np.flatnonzero(first).tolist(), np.flatnonzero(last).tolist(), strict=True)
+
+
+class _Run(NamedTuple):
+    """A vehicle does something for some time.
+
+    Attributes:
+        id: The vehicle.
+        start, stop: From when until when, in elapsed seconds.
+        position: Where it begins.
+        value: The greatest value, or the sum.
+        limit: The speed limit at the greatest value.
+    """
+
+    id: int
+    start: float
+    stop: float
+    position: tuple[float, float, float]
+    value: float
+    limit: float
+
+    def event(self, kind: RoadKind, text: str) -> RoadEvent:
+        """Return the event that this is."""
+        return RoadEvent(kind, self.id, self.start, self.stop, *self.position, text)
+
+
+def _joined(runs: Iterable[_Run], *, summed: bool = False) -> list[_Run]:
+    """Return runs, those of a vehicle with a short time between them joined."""
+    joined: list[_Run] = []
+    for run in sorted(runs, key=lambda run: (run.id, run.start)):
+        last = joined[-1] if joined else None
+        if last is not None and last.id == run.id and run.start - last.stop <= _GAP:
+            greater = max(last, run, key=lambda part: part.value)
+            value = last.value + run.value if summed else greater.value
+            joined[-1] = last._replace(stop=run.stop, value=value, limit=greater.limit)
+        else:
+            joined.append(run)
+    return joined
+
+
+class _Crossing(NamedTuple):
+    """A vehicle crosses a stop line.
+
+    Attributes:
+        time: When, in elapsed seconds.
+        id: The vehicle.
+        line: The index of the line.
+        by_front: Whether with its front, else with its centre.
+        speed: Its speed in m/s.
+        position: Its position.
+        has_stopped: Whether it stood before the line; for the fronts of vehicles at stop signs.
+    """
+
+    time: float
+    id: int
+    line: int
+    by_front: bool
+    speed: float
+    position: tuple[float, float, float]
+    has_stopped: bool
+
+
+class _StopLines:
+    """The stop lines of traffic lights and stop signs, in the squares of a grid."""
+
+    def __init__(self, network: RoadNetwork) -> None:
+        lines = network.stop_lines
+        self._kinds = network.signals["kind"][lines["signal"]]
+        self._signals = lines["signal"]
+        self._middle = np.stack([(lines[f"{axis}0"] + lines[f"{axis}1"]) / 2 for axis in "xyz"], axis=1)
+        self._half = np.hypot(lines["x1"] - lines["x0"], lines["y1"] - lines["y0"]) / 2
+        self._ahead = np.stack((np.cos(lines["heading"]), np.sin(lines["heading"])), axis=1)
+        cells: dict[tuple[int, int], list[int]] = defaultdict(list)
+        for line in np.flatnonzero(self._kinds != roads.YIELD).tolist():
+            column, row = np.floor(self._middle[line, :2] / _CELL).astype(np.int64).tolist()
+            for x in (-1, 0, 1):
+                for y in (-1, 0, 1):
+                    if len(cells[column + x, row + y]) < _MOST_LINES:
+                        cells[column + x, row + y].append(line)
+        keys = {_key(np.array(column), np.array(row)).item(): lines for (column, row), lines in cells.items()}
+        self._keys = np.array(sorted(keys), np.int64)
+        self._of_cell = np.full((len(keys) + 1, _MOST_LINES), roads.NONE)
+        for number, key in enumerate(self._keys.tolist()):
+            self._of_cell[number, : len(keys[key])] = keys[key]
+
+    def signal(self, line: int) -> int:
+        """Return the signal of a line."""
+        return int(self._signals[line])
+
+    def is_stop(self, line: int) -> bool:
+        """Return whether a line is that of a stop sign."""
+        return bool(self._kinds[line] == roads.STOP)
+
+    def is_before(self, line: int, point: tuple[float, ...]) -> bool:
+        """Return whether a point is in the zone before a line in which to stop."""
+        away = np.array(point[:2]) - self._middle[line, :2]
+        along = float(away @ self._ahead[line])
+        return -STOP_ZONE <= along <= _BEHIND and float(np.hypot(*away)) <= STOP_ZONE + _CELL
+
+    def crossed(self, start: Floats, end: Floats, heading: Floats) -> tuple[Indices, Indices, Floats]:
+        """Return which steps cross which line in its direction, and at which share of the step.
+
+        Args:
+            start: Where each step begins, (n, 3).
+            end: Where it ends.
+            heading: The heading of the vehicle, in radians.
+        """
+        cells = np.floor(end[:, :2] / _CELL)
+        near = np.abs(cells).max(axis=1, initial=0) < _FARTHEST_CELL
+        keys = _key(*np.where(near[:, None], cells, 0).astype(np.int64).T)
+        slots = np.minimum(np.searchsorted(self._keys, keys), max(len(self._keys) - 1, 0))
+        known = near & (self._keys[slots] == keys) if len(self._keys) else np.zeros(len(keys), np.bool_)
+        steps = np.flatnonzero(known)
+        found: list[tuple[Indices, Indices, Floats]] = []
+        for number in range(_MOST_LINES):
+            line = self._of_cell[slots[steps], number]
+            steps, line = steps[line != roads.NONE], line[line != roads.NONE]
+            if not len(steps):
+                break
+            ahead, middle = self._ahead[line], self._middle[line]
+            before = ((start[steps, :2] - middle[:, :2]) * ahead).sum(axis=1)
+            after = ((end[steps, :2] - middle[:, :2]) * ahead).sum(axis=1)
+            share = before / (before - after)
+            point = start[steps] + share[:, None] * (end[steps] - start[steps]) - middle
+            beside = np.abs(point[:, 1] * ahead[:, 0] - point[:, 0] * ahead[:, 1])
+            crosses = (before < 0) & (after >= 0) & (beside <= self._half[line]) & (np.abs(point[:, 2]) < _LEVELS)
+            crosses &= np.cos(heading[steps]) * ahead[:, 0] + np.sin(heading[steps]) * ahead[:, 1] > _SAME_WAY
+            found.append((steps[crosses], line[crosses], share[crosses]))
+        if not found:
+            return np.zeros(0, np.int64), np.zeros(0, np.int64), np.zeros(0)
+        index, lines, shares = (np.concatenate(values) for values in zip(*found, strict=True))
+        return index, lines, shares
+
+
+_FARTHEST_CELL: Final = 1 << 30
+
+
+def _key(column: Indices, row: Indices) -> Indices:
+    return (column << 32) + row

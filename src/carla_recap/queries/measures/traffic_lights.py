@@ -1,0 +1,91 @@
+"""The states of traffic lights over a recording, by the signals of a map."""
+
+from __future__ import annotations
+
+from bisect import bisect_right
+from collections import defaultdict
+from typing import TYPE_CHECKING, Final
+
+import numpy as np
+
+from carla_recap.model import roads
+from carla_recap.model.records import CM, ActorKind
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+    from carla_recap.formats.base import Reader
+    from carla_recap.model.batch import Batch
+    from carla_recap.model.roads import RoadNetwork
+
+RED: Final = 0
+"""The state of a red light."""
+
+_NEAR: Final = 3.0  # m from a recorded light to the signal of the map that it is; CARLA's are 0.3 m apart
+_SAME_TIME: Final = 1e-6  # s
+
+
+class LightHistory:
+    """The states of the recorded traffic lights, by the signals of the map that they stand for.
+
+    A recorded light is the nearest light of the map, at most 3 m away.
+
+    Args:
+        source: The recording. Its spawns are read at once.
+        network: The roads of its map.
+    """
+
+    def __init__(self, source: Reader, network: RoadNetwork) -> None:
+        self._lights: dict[int, list[tuple[float, int]]] = defaultdict(list)  # since when which light, by signal
+        self._times: dict[int, list[float]] = defaultdict(list)  # of the changes of each light
+        self._states: dict[int, list[int]] = defaultdict(list)
+        self._ids = np.zeros(0, np.uint32)
+        self._current = np.zeros(0, np.int8)
+        signals = np.flatnonzero(network.signals["kind"] == roads.LIGHT)
+        positions = np.stack((network.signals["x"], network.signals["y"]), axis=1)[signals]
+        if not len(signals):
+            return
+        for frame in source.frames(("spawned",), sparse=True):
+            for spawn in frame["spawned"]:
+                if spawn.kind == ActorKind.TRAFFIC_LIGHT:
+                    apart = np.hypot(*(positions - (spawn.x * CM, -spawn.y * CM)).T)
+                    if np.nanmin(apart, initial=np.inf) <= _NEAR:
+                        self._lights[int(signals[np.nanargmin(apart)])].append((frame.elapsed, spawn.id))
+
+    @property
+    def signals(self) -> tuple[int, ...]:
+        """The signals of the map that are recorded."""
+        return tuple(self._lights)
+
+    def add(self, batch: Batch) -> None:
+        """Process the next frames; they have at least their states of lights."""
+        records = batch.records("light_states")
+        if not records.shape[1] or not self._lights:
+            return
+        ids, states = records["id"], records["state"]
+        changed = np.ones(len(records), np.bool_)
+        changed[1:] = ((ids[1:] != ids[:-1]) | (states[1:] != states[:-1])).any(axis=1)
+        if np.array_equal(ids[0], self._ids) and np.array_equal(states[0], self._current):
+            changed[0] = False
+        for row in np.flatnonzero(changed).tolist():
+            time = float(batch.elapsed[row])
+            for id, state in zip(ids[row].tolist(), states[row].tolist(), strict=True):
+                known = self._states[id]
+                if not known or known[-1] != state:
+                    known.append(state)
+                    self._times[id].append(time)
+        self._ids, self._current = ids[-1].copy(), states[-1].copy()
+
+    def red_during(self, signal: int, start: float, stop: float) -> int | None:
+        """Return the light of a signal if it is red all the time from one time to another, in elapsed seconds; else None."""
+        light = None
+        for since, id in self._lights.get(signal, ()):
+            if since <= start + _SAME_TIME:
+                light = id
+        if light is None:
+            return None
+        times = self._times[light]
+        index = bisect_right(times, start + _SAME_TIME) - 1
+        is_red = index >= 0 and self._states[light][index] == RED
+        lasts = index + 1 >= len(times) or times[index + 1] > stop
+        return light if is_red and lasts else None
