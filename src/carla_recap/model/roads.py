@@ -87,6 +87,10 @@ class LanePositions:
     in_junction: Flags
     outside: Floats
 
+    def taken(self, index: Integers) -> LanePositions:
+        """Return the points at some indices."""
+        return LanePositions(**{name: values[index] for name, values in vars(self).items()})
+
     @property
     def on_road(self) -> Flags:
         """Whether each point is on a paved lane or in a junction."""

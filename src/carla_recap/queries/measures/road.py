@@ -1,7 +1,7 @@
 """Driving in relation to the road: red lights, stop signs, the edge of the road, the direction of lanes, speed limits.
 
-The definitions follow ScenarioRunner's criteria (`RunningRedLightTest`, `RunningStopTest`, `OffRoadTest`) and nuPlan's metrics
-(driving direction compliance, drivable area compliance, speed limit compliance); docs/measures.md says where they differ.
+The definitions follow ScenarioRunner's criteria (`RunningRedLightTest`, `RunningStopTest`, `OffRoadTest`) and nuPlan's
+metrics (driving direction, drivable area and speed limit compliance); docs/measures.md says where they differ.
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ import numpy as np
 
 from carla_recap.model import roads
 from carla_recap.model.blueprints import blueprint_sizes
-from carla_recap.model.records import CM, ActorKind
+from carla_recap.model.records import CM
 from carla_recap.queries.measures.rows import MeasureRow
 from carla_recap.queries.measures.traffic_lights import LightHistory
 
@@ -145,7 +145,7 @@ class RoadSearch:
         for axis, factor in (("x", CM), ("y", -CM), ("z", CM)):
             samples[axis] = chosen[axis].astype(np.float64) * factor
         samples["yaw"] = np.radians(-chosen["yaw"].astype(np.float64))
-        finite = np.isfinite(samples["x"]) & np.isfinite(samples["y"]) & np.isfinite(samples["z"]) & np.isfinite(samples["yaw"])
+        finite = np.all([np.isfinite(samples[name]) for name in ("x", "y", "z", "yaw")], axis=0)
         self._samples.append(samples[finite])
         self._count += len(samples)
         if self._count >= _BLOCK:
@@ -378,7 +378,7 @@ class _Motion:
         taken = self.samples[moved]
         found = network.lanes_at(np.stack([taken[axis] for axis in "xyz"], axis=1), taken["yaw"])
         number = (np.cumsum(moved) - 1)[index]
-        return roads.LanePositions(**{name: getattr(found, name)[number] for name in roads.LanePositions.__dataclass_fields__})
+        return found.taken(number)
 
     def spans(self) -> Iterator[tuple[int, int]]:
         """Yield the first sample of each vehicle, and the one after its last."""

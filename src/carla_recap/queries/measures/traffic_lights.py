@@ -12,8 +12,6 @@ from carla_recap.model import roads
 from carla_recap.model.records import CM, ActorKind
 
 if TYPE_CHECKING:
-    from numpy.typing import NDArray
-
     from carla_recap.formats.base import Reader
     from carla_recap.model.batch import Batch
     from carla_recap.model.roads import RoadNetwork

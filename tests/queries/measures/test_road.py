@@ -1,0 +1,298 @@
+"""Tests of events and measures of the road: on a small map, and staged in the built-in town."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any, Final
+
+import numpy as np
+import pytest
+
+from carla_recap.formats import open_reader
+from carla_recap.maps.network import build_network
+from carla_recap.model.frame import Header
+from carla_recap.model.records import Spawn, attributes
+from carla_recap.queries.actors import actors
+from carla_recap.queries.measures.road import TYPES, RoadEvent, RoadSearch
+from tests.maps.straight_road import LIGHT_POSITION, STRAIGHT_ROAD
+from tests.queries.conftest import write
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Sequence
+    from pathlib import Path
+
+    from numpy.typing import NDArray
+
+    from carla_recap.model.roads import RoadNetwork
+    from carla_recap.queries.measures.rows import MeasureRow
+
+    Floats = NDArray[np.float64]
+    Pose = tuple[float, float, float]
+
+TICK: Final = 0.05
+RED, YELLOW, GREEN = 0, 1, 2
+CAR, LIGHT = 7, 3
+LENGTH: Final = 3.69  # m of a Mini
+
+
+@pytest.fixture(scope="module")
+def roads() -> RoadNetwork:
+    return build_network(STRAIGHT_ROAD, "Straight")
+
+
+class Drives:
+    """Writes recordings of cars that drive along the straight road, and searches them."""
+
+    def __init__(self, roads: RoadNetwork, path: Path) -> None:
+        self.roads, self._path = roads, path
+        self.rows: list[MeasureRow] = []
+
+    def __call__(self, *poses: Sequence[Pose] | Floats, lights: Callable[[float], int] = lambda _: GREEN) -> list[RoadEvent]:
+        """Return what cars do wrong that have a pose (x, y, heading in degrees) in each frame."""
+        x, y = LIGHT_POSITION
+        spawned = [Spawn(LIGHT, 3, 100 * x, -100 * y, type_id="traffic.traffic_light")]
+        spawned += [
+            Spawn(CAR + number, 1, type_id="vehicle.mini.cooper_s", attributes=attributes(role_name="autopilot"))
+            for number in range(len(poses))
+        ]
+        frames: list[dict[str, Any]] = []
+        for index in range(len(poses[0])):
+            at = [
+                (CAR + number, 100 * px, -100 * py, 0.0, 0.0, 0.0, -yaw)
+                for number, (px, py, yaw) in enumerate(each[index] for each in poses)
+            ]
+            time = index * TICK
+            frames.append({"transforms": at, "light_states": [(LIGHT, False, 0.0, lights(time + 1e-9))]})
+        frames[0] = {"spawned": spawned, **frames[0]}
+        write(self._path, frames, header=Header("Straight", 1_600_000_000), durations=[TICK] * len(frames))
+        reader = open_reader(self._path)
+        try:
+            return self.search(reader)
+        finally:
+            reader.close()
+
+    def search(self, reader: Any) -> list[RoadEvent]:
+        """Return what is found in a recording."""
+        search = RoadSearch(reader, self.roads, actors(reader))
+        for batch in reader.batches(TYPES):
+            search.add(batch)
+        found = search.finish()
+        self.rows = search.rows()
+        return found
+
+
+@pytest.fixture(params=[".log", ".mcap"])
+def drives(roads: RoadNetwork, tmp_path: Path, request: pytest.FixtureRequest) -> Drives:
+    return Drives(roads, tmp_path / f"drive{request.param}")
+
+
+def path(xs: Sequence[float] | Floats, y: float, heading: float = 0.0) -> Floats:
+    return np.array([(x, y, heading) for x in xs])
+
+
+def along(speeds: Sequence[float] | Floats, x: float = 0.0, y: float = -1.75, heading: float = 0.0) -> Floats:
+    """Poses of a car that has a speed in each frame."""
+    way = np.cumsum(np.asarray(speeds)) * TICK
+    return path(x + way * np.cos(np.radians(heading)), y, heading)
+
+
+STEADY = np.full(200, 10.0)  # 10 s at 10 m/s, from x = 0 to x = 100 and beyond
+EASTWARD = along(STEADY, x=50)  # the front is at the line at x = 100 after 4.8 s, the centre after 5 s
+
+
+# --- red lights ----------------------------------------------------------------------------------------------------------
+
+
+def test_crossing_the_line_on_red_is_found_with_its_time(drives: Drives) -> None:
+    (event,) = drives(EASTWARD, lights=lambda _: RED)
+    assert (event.kind, event.id) == ("red light", CAR)
+    assert event.start == pytest.approx(5 - TICK - LENGTH / 2 / 10, abs=0.02)
+    assert event.stop == pytest.approx(5 - TICK, abs=0.02)
+    assert event.text == f"runs a red light ({LIGHT}) at 36 km/h"
+
+
+@pytest.mark.parametrize("state", [YELLOW, GREEN, 3, 4])
+def test_another_state_than_red_closes_nothing(drives: Drives, state: int) -> None:
+    assert drives(EASTWARD, lights=lambda _: state) == []
+
+
+def test_red_after_the_front_has_crossed_is_no_violation(drives: Drives) -> None:
+    assert drives(EASTWARD, lights=lambda time: RED if time >= 4.85 else GREEN) == []
+
+
+def test_red_just_before_the_front_crosses_is_one(drives: Drives) -> None:
+    (event,) = drives(EASTWARD, lights=lambda time: RED if time >= 4.7 else YELLOW)
+    assert event.kind == "red light"
+
+
+def test_creeping_over_the_line_and_waiting_for_green_is_no_violation(drives: Drives) -> None:
+    creeps = along([10.0] * 96 + [1.0] * 10 + [0.0] * 100 + [10.0] * 50, x=50)
+    assert drives(creeps, lights=lambda time: RED if time < 9 else GREEN) == []
+
+
+def test_the_other_direction_is_not_governed(drives: Drives) -> None:
+    westward = along(STEADY, x=115, y=1.75, heading=180)
+    assert [event.kind for event in drives(westward, lights=lambda _: RED)] == []
+
+
+def test_crossing_the_line_askew_from_another_approach_is_no_violation(drives: Drives) -> None:
+    turning = np.array([(95 + 10 * t, -8 + 14 * t, 60.0) for t in np.arange(0, 1, TICK)])
+    assert "red light" not in [event.kind for event in drives(turning, lights=lambda _: RED)]
+
+
+def test_reversing_over_the_line_is_no_violation(drives: Drives) -> None:
+    back = along([-3.0] * 100, x=108)
+    assert "red light" not in [event.kind for event in drives(back, lights=lambda _: RED)]
+
+
+def test_driving_back_and_over_the_line_again_is_a_second_run(drives: Drives) -> None:
+    twice = along([5.0] * 40 + [-5.0] * 40 + [5.0] * 60, x=95)
+    events = drives(twice, lights=lambda _: RED)
+    assert [event.kind for event in events] == ["red light", "red light"]
+
+
+def test_a_light_that_is_not_recorded_closes_nothing(drives: Drives) -> None:
+    drives.roads = build_network(STRAIGHT_ROAD.replace('s="99.0"', 's="80"').replace('s="99" t', 's="80" t'))
+    assert drives(EASTWARD, lights=lambda _: RED) == []
+
+
+# --- stop signs ----------------------------------------------------------------------------------------------------------
+
+
+def _west(speeds: Sequence[float]) -> Floats:
+    """A car to the west, whose front begins 12 m before the stop line at x = 120."""
+    return along(speeds, x=132 + LENGTH / 2, y=1.75, heading=180)
+
+
+def test_passing_a_stop_sign_is_found(drives: Drives) -> None:
+    (event,) = drives(_west([6.0] * 100))
+    assert (event.kind, event.text) == ("stop sign", "passes a stop sign at 22 km/h without stopping")
+    assert event.start == pytest.approx(12 / 6 - TICK, abs=0.03)
+
+
+def test_slowing_down_is_not_stopping(drives: Drives) -> None:
+    assert [event.kind for event in drives(_west([6.0] * 30 + [1.0] * 60 + [6.0] * 30))] == ["stop sign"]
+
+
+def test_stopping_before_the_line_is(drives: Drives) -> None:
+    assert drives(_west([6.0] * 36 + [0.0] * 20 + [4.0] * 60)) == []
+
+
+def test_stopping_too_far_away_is_not(drives: Drives) -> None:
+    assert [event.kind for event in drives(_west([6.0] * 8 + [0.0] * 20 + [6.0] * 60))] == ["stop sign"]
+
+
+def test_a_car_that_stands_before_the_line_at_first_has_stopped(drives: Drives) -> None:
+    start = along([0.0] * 5 + [5.0] * 60, x=121.5 + LENGTH / 2, y=1.75, heading=180)
+    assert drives(start) == []
+
+
+# --- the edge of the road ------------------------------------------------------------------------------------------------
+
+
+def _swerve(far: float, seconds: float) -> Floats:
+    """A car whose centre is at a distance outside the road for some seconds; the road ends at y = -4.5."""
+    beside = round(seconds / TICK) + 1
+    y = np.full(150, -1.75)
+    y[40 : 40 + beside] = -4.5 - far
+    return np.stack((np.arange(150) * 0.5, y, np.zeros(150)), axis=1)
+
+
+def test_leaving_the_road_is_found_with_its_distance(drives: Drives) -> None:
+    (event,) = drives(_swerve(1.2, 1.0))
+    assert (event.kind, event.text) == ("off road", "leaves the road by 1.2 m")
+    assert event.start == pytest.approx(2.0, abs=0.11)
+    assert event.stop == pytest.approx(3.0, abs=0.11)
+    assert event.y == pytest.approx(-5.7, abs=1e-3)
+
+
+@pytest.mark.parametrize(("far", "seconds"), [(0.2, 2.0), (1.0, 0.2), (-0.5, 2.0)])
+def test_a_touch_of_the_edge_and_the_shoulder_are_not(drives: Drives, far: float, seconds: float) -> None:
+    assert drives(_swerve(far, seconds)) == []
+
+
+def test_a_car_that_was_never_on_the_road_has_not_left_it(drives: Drives) -> None:
+    assert drives(path(np.arange(0, 50, 0.5), -9.0)) == []
+
+
+def test_the_distance_off_road_is_a_measure(drives: Drives) -> None:
+    drives(_swerve(0.2, 2.0))
+    (row,) = (row for row in drives.rows if row.measure == "distance_off_road")
+    assert (row.actor, row.unit) == (CAR, "m")
+    assert row.value == pytest.approx(0.2, abs=1e-3)
+
+
+# --- the wrong way -------------------------------------------------------------------------------------------------------
+
+
+def test_driving_against_the_lane_is_found(drives: Drives) -> None:
+    (event,) = drives(along([5.0] * 61, x=20, y=1.75))
+    assert (event.kind, event.text) == ("wrong way", "drives 15 m against the direction of its lane")
+
+
+def test_reversing_is_not_driving_the_wrong_way(drives: Drives) -> None:
+    assert drives(along([-3.0] * 60, x=40)) == []
+
+
+def test_overtaking_a_parked_car_within_a_second_is_not(drives: Drives) -> None:
+    poses = along([8.0] * 100)
+    poses[40:58, 1] = 1.75
+    assert drives(poses) == []
+
+
+def test_junctions_have_no_wrong_way(drives: Drives) -> None:
+    assert drives(along([5.0] * 60, x=102, y=1.75)) == []
+
+
+# --- speed limits --------------------------------------------------------------------------------------------------------
+
+
+def test_speeding_is_found_with_speed_and_limit(drives: Drives) -> None:
+    (event,) = drives(along([20.0] * 40))  # 72 km/h where 50 are allowed
+    assert (event.kind, event.text) == ("speeding", "drives 72 km/h where 50 km/h are allowed")
+    (row,) = (row for row in drives.rows if row.measure == "speed_over_limit")
+    assert row.value == pytest.approx(20 - 50 / 3.6, abs=0.01)
+
+
+def test_a_sign_raises_the_limit(drives: Drives) -> None:
+    assert drives(along([20.0] * 45, x=52)) == []
+
+
+@pytest.mark.parametrize(("speed", "seconds"), [(15.0, 2.0), (20.0, 0.8)])
+def test_within_the_tolerance_or_for_a_moment_it_is_none(drives: Drives, speed: float, seconds: float) -> None:
+    speeds = [10.0] * 20 + [speed] * round(seconds / TICK) + [10.0] * 5
+    assert drives(along(speeds)) == []
+
+
+# --- recordings that are odd ---------------------------------------------------------------------------------------------
+
+
+def test_a_teleport_crosses_no_line_and_is_not_fast(drives: Drives) -> None:
+    jump = np.concatenate((path([60.0] * 40, -1.75), path([150.0] * 40, -1.75)))
+    assert drives(jump, lights=lambda _: RED) == []
+
+
+def test_poses_that_are_no_numbers_do_not_count(drives: Drives) -> None:
+    poses = EASTWARD.copy()
+    poses[30:60] = np.nan
+    poses[100] = 1e30
+    assert drives(poses, lights=lambda _: RED) == []
+
+
+def test_blocks_change_nothing(drives: Drives, monkeypatch: pytest.MonkeyPatch) -> None:
+    cars = (
+        EASTWARD,
+        along([20.0] * 200),
+        along([5.0] * 200, x=20, y=1.75),
+        np.concatenate((_swerve(1.0, 3.0), _swerve(1, 0)))[:200],
+    )
+    whole = drives(*cars, lights=lambda _: RED)
+    rows = drives.rows
+    monkeypatch.setattr("carla_recap.queries.measures.road._BLOCK", 7)
+    parts = drives(*cars, lights=lambda _: RED)
+    assert len({event.kind for event in whole}) == 4
+    assert [event.text for event in parts] == [event.text for event in whole]
+    assert parts == whole
+    assert drives.rows == rows
+
+
+# --- staged in the built-in town -----------------------------------------------------------------------------------------
