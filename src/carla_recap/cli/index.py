@@ -64,6 +64,6 @@ def sql(index_folder: str, query: str, form: Form | None) -> NoReturn:
     from carla_recap.fleet.index import open_index
 
     text = sys.stdin.read() if query == "-" else query
-    show_rows(open_index(index_folder).reader(text), form or ("table" if sys.stdout.isatty() else "csv"))
+    show_rows(open_index(index_folder).sql(text), form or ("table" if sys.stdout.isatty() else "csv"))
     sys.stdout.flush()
     os._exit(0)  # ending the interpreter takes longer than most queries

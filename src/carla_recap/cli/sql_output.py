@@ -18,21 +18,25 @@ if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator
 
     import pyarrow as pa
+    from rich.table import Table
 
 Form = Literal["table", "json", "csv"]
 
 _PAGE: Final = 500  # rows of a table whose columns are as wide as needed for all of them
+_BATCH: Final = 4096  # rows that are Python objects at a time
+_LEAST: Final = 5  # characters of each column beside what it needs at least, with which a table is readable
 
 
-def show_rows(rows: pa.RecordBatchReader, form: Form) -> None:
+def show_rows(rows: pa.Table, form: Form) -> None:
     """Print the rows of an answer on stdout.
 
     Args:
-        rows: The rows, in batches.
+        rows: The rows.
         form: "table" for a terminal, "json" or "csv".
     """
     names = _different(rows.schema.names)
-    values = chain.from_iterable(zip(*(column.to_pylist() for column in batch.columns), strict=True) for batch in rows)
+    batches = rows.to_batches(max_chunksize=_BATCH)
+    values = chain.from_iterable(zip(*(column.to_pylist() for column in batch.columns), strict=True) for batch in batches)
     if form == "table":
         _print_table(names, values)
         return
@@ -73,25 +77,46 @@ def _csv(names: list[str], rows: Iterable[tuple[Any, ...]]) -> Iterator[str]:
 
 
 def _print_table(names: list[str], rows: Iterator[tuple[Any, ...]]) -> None:
-    from rich import box
+    """Print rows as a table; if it is too wide for the terminal, each row as a list of its values."""
     from rich.console import Console
-    from rich.table import Table
     from rich.text import Text
 
     console = Console()
     count = 0
-    while (page := list(islice(rows, _PAGE))) or not count:
-        table = Table(box=box.SIMPLE_HEAD, show_edge=False, show_header=not count)
-        for column, name in enumerate(names):
-            is_number = all(row[column] is None or _is_number(row[column]) for row in page)
-            table.add_column(Text(visible(name)), justify="right" if is_number else "left", overflow="fold")
-        for row in page:
-            table.add_row(*(Text(visible(_shown(value))) for value in row))
-        console.print(table)
+    while page := list(islice(rows, _PAGE)):
+        table = _table_of(names, page, headed=not count)
+        if len(names) > 1 and console.measure(table).minimum + _LEAST * len(names) > console.width:
+            for row in page:
+                console.print(_list_of(names, row))
+        else:
+            console.print(table)
         count += len(page)
-        if not page:
-            break
     console.print(Text(f"{count} row{'' if count == 1 else 's'}"))
+
+
+def _table_of(names: list[str], rows: list[tuple[Any, ...]], *, headed: bool) -> Table:
+    from rich import box
+    from rich.table import Table
+    from rich.text import Text
+
+    table = Table(box=box.SIMPLE_HEAD, show_edge=False, show_header=headed)
+    for column, name in enumerate(names):
+        is_number = all(row[column] is None or _is_number(row[column]) for row in rows)
+        table.add_column(Text(visible(name)), justify="right" if is_number else "left", overflow="fold")
+    for row in rows:
+        table.add_row(*(Text(visible(_shown(value))) for value in row))
+    return table
+
+
+def _list_of(names: list[str], row: tuple[Any, ...]) -> Table:
+    from rich.table import Table
+    from rich.text import Text
+
+    table = Table.grid(padding=(0, 2))
+    for name, value in zip(names, row, strict=True):
+        table.add_row(Text(visible(name), style="bold"), Text(visible(_shown(value))))
+    table.add_row()
+    return table
 
 
 def _is_number(value: Any) -> bool:

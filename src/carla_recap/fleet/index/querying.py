@@ -24,11 +24,12 @@ _SETTINGS: Final = (
     "set lock_configuration=true",
 )
 _NEWEST: Final = "internal.newest"
-_ROWS: Final = 4096  # of the batches in which the rows of an answer are handed on
 
 
 class RecordingIndex:
-    """An index of recordings, which contains what it had when it was opened; a context manager.
+    """An index of recordings; a context manager.
+
+    SQL answers from what the index had at the first query.
 
     Args:
         path: The folder.
@@ -80,20 +81,26 @@ class RecordingIndex:
             MissingExtra: DuckDB is not installed.
             RecapError: The query is wrong, or is no query, or the index is damaged.
         """
-        return self.reader(query).read_all()
-
-    def reader(self, query: str) -> pa.RecordBatchReader:
-        """Return the answer to a query as a reader of batches; see `sql`."""
         duckdb = _duckdb()
-        if self._database is None:
-            self._database = self._open()
-        try:
-            kinds = [statement.type for statement in self._database.extract_statements(query)]
-            if kinds not in ([duckdb.StatementType.SELECT], [duckdb.StatementType.MULTI]):  # the latter is a pivot
-                raise RecapError(f"{_shown(query)}: one query that begins with 'select' was expected")
-            return self._database.sql(query).to_arrow_reader(_ROWS)
-        except duckdb.Error as error:
-            raise RecapError(_one_line(error)) from None
+        for last in (False, True):
+            if self._database is None:
+                self._database = self._open()
+            try:
+                kinds = [statement.type for statement in self._database.extract_statements(query)]
+                if kinds not in ([duckdb.StatementType.SELECT], [duckdb.StatementType.MULTI]):  # the latter is a pivot
+                    raise RecapError(f"{_shown(query)}: one query that begins with 'select' was expected")
+                return self._database.sql(query).to_arrow_table()
+            except duckdb.IOException as error:
+                if last:
+                    raise RecapError(_one_line(error)) from None
+                self.close()  # another process has merged the parts, perhaps: the index is opened again
+            except duckdb.Error as error:
+                raise RecapError(_one_line(error)) from None
+            except RuntimeError as error:
+                if "interrupted" in str(error):
+                    raise KeyboardInterrupt from None
+                raise
+        raise AssertionError
 
     def _open(self) -> duckdb.DuckDBPyConnection:
         """Return a database in memory, with the tables of the index as views."""
