@@ -36,13 +36,20 @@ def show_rows(rows: pa.Table, form: Form) -> None:
     """
     names = _different(rows.schema.names)
     batches = rows.to_batches(max_chunksize=_BATCH)
-    values = chain.from_iterable(zip(*(column.to_pylist() for column in batch.columns), strict=True) for batch in batches)
+    values = chain.from_iterable(zip(*map(_values, batch.columns), strict=True) for batch in batches)
     if form == "table":
         _print_table(names, values)
         return
     for piece in _json(names, values) if form == "json" else _csv(names, values):
         sys.stdout.buffer.write(piece.encode("utf-8", "surrogateescape"))
     sys.stdout.buffer.flush()
+
+
+def _values(column: pa.Array) -> list[Any]:
+    import pyarrow as pa
+
+    values: list[Any] = column.to_pylist()
+    return [value and dict(value) for value in values] if pa.types.is_map(column.type) else values
 
 
 def _different(names: list[str]) -> list[str]:

@@ -22,6 +22,7 @@ if TYPE_CHECKING:
     from pathlib import Path
 
     import pyarrow as pa
+    from distributed import Client
 
     from carla_recap.fleet.engine import Outcome
     from carla_recap.fleet.index.reading import Columns
@@ -62,6 +63,7 @@ def write_index(
     index: Path | str,
     *,
     jobs: int | None = None,
+    client: Client | None = None,
     prune: bool = False,
     retry: bool = False,
     again: bool = False,
@@ -77,6 +79,7 @@ def write_index(
         sources: Files, folders, globs and URLs of recordings.
         index: The folder, which is made if it does not exist.
         jobs: The number of processes; None: as many as there are processors.
+        client: Dask's client, whose cluster reads instead of processes of this machine.
         prune: Remove all recordings from the index that the sources do not mean.
         retry: Read recordings again that could not be read, even if they have not changed.
         again: Read all recordings again.
@@ -102,7 +105,7 @@ def write_index(
             if again or key not in known or not known[key].holds(source) or (retry and known[key].failed)
         }
         writing = _Commits(folder)
-        outcomes: Iterable[Outcome[Reading]] = map_sources(read_recording, changed.values(), jobs=jobs)
+        outcomes: Iterable[Outcome[Reading]] = map_sources(read_recording, changed.values(), jobs=jobs, client=client)
         failed = 0
         try:
             for key, outcome in zip(changed, progress(outcomes, len(changed)) if progress else outcomes, strict=True):

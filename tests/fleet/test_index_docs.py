@@ -1,0 +1,78 @@
+"""docs/index-and-sql.md: its questions have the answers that it shows, and its tables are those of an index."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+
+import pytest
+
+from carla_recap import open_index, write_index
+from carla_recap.fleet.index.tables import RECORDING, RUN, TABLES
+
+pytest.importorskip("duckdb", reason="the extra `sql` is not installed")
+
+ROOT = Path(__file__).parents[2]
+PAGE = (ROOT / "docs" / "index-and-sql.md").read_text("utf-8")
+QUESTIONS = re.findall(r"^\*\*\d+\. (.*?)\*\*\n\n```sql\n(.*?)```\n\n```csv\n(.*?)```", PAGE, re.DOTALL | re.MULTILINE)
+OTHERS = [query for query in re.findall("^```sql\n(.*?)```", PAGE, re.DOTALL | re.MULTILINE) if query not in str(QUESTIONS)]
+TYPES = {
+    "string": "varchar",
+    "int64": "bigint",
+    "bool": "boolean",
+    "timestamp[us]": "timestamp",
+    "list<item: int64>": "bigint[]",
+    "list<item: string>": "varchar[]",
+}
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory):
+    """A folder with an index of the samples."""
+    folder = tmp_path_factory.mktemp("docs")
+    write_index([ROOT / "samples"], folder / "runs.index", jobs=1)
+    return folder
+
+
+def test_there_are_ten_questions():
+    assert len(QUESTIONS) >= 10
+
+
+@pytest.mark.parametrize(("query", "shown"), [pytest.param(query, shown, id=name) for name, query, shown in QUESTIONS])
+def test_a_question_has_the_answer_that_is_shown(folder, capfdbinary, query, shown):
+    from carla_recap.cli.sql_output import show_rows
+
+    with open_index(folder / "runs.index") as index:
+        show_rows(index.sql(query), "csv")
+    assert capfdbinary.readouterr().out.decode() == shown
+
+
+def test_the_commands_that_make_pictures_name_the_recordings(folder):
+    (query,) = [query for query in OTHERS if "carla-recap video" in query]
+    with open_index(folder / "runs.index") as index:
+        commands = index.sql(query).column(0).to_pylist()
+    assert commands[0] == f"carla-recap video '{ROOT}/samples/crash.mcap#t=10.1' 1.mp4"
+
+
+def test_other_tools_see_the_same_rows(folder, monkeypatch):
+    import duckdb
+
+    monkeypatch.chdir(folder)
+    (query,) = [query for query in OTHERS if "read" not in query and "newest" in query]
+    with open_index("runs.index") as index:
+        expected = index.sql("select type_id, count(*) as actors from actors group by type_id").to_pylist()
+    assert sorted(duckdb.sql(query).fetchall()) == sorted(tuple(row.values()) for row in expected)
+
+
+@pytest.mark.parametrize("table", TABLES.values(), ids=TABLES)
+def test_the_columns_of_a_table_are_listed(table):
+    section = PAGE.partition(f"\n### `{table.name}`")[2].partition("\n#")[0]
+    rows = [[cell.strip().strip("`") for cell in line.split("|")[1:5]] for line in re.findall(r"^\| `.*$", section, re.MULTILINE)]
+    shown = [RUN] if table.name == "recordings" else [RUN, RECORDING]
+    fields = [field for field in table.schema if field.name not in shown]
+    assert [row[0] for row in rows] == [field.name for field in fields]
+    for (name, kind, unit, meaning), field in zip(rows, fields, strict=True):
+        written = str(field.type)
+        assert kind == TYPES.get(written, written.partition("<")[0]), name
+        assert unit == (field.metadata or {}).get(b"unit", b"").decode(), name
+        assert meaning, name
