@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import logging
+import os
 import re
 from contextlib import contextmanager
 from dataclasses import dataclass, field
@@ -9,6 +11,11 @@ from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from threading import Event, Lock, Thread
 from typing import TYPE_CHECKING
 from urllib.parse import unquote, urlsplit
+from urllib.request import Request, urlopen
+
+import pytest
+
+obstore = pytest.importorskip("obstore", reason="the extra `remote` is not installed")
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -139,3 +146,34 @@ def serve(folder: Path) -> Iterator[FileServer]:
         server.shutdown()
         thread.join()
         server.server_close()
+
+
+@contextmanager
+def serve_bucket(name: str, folder: Path) -> Iterator[str]:
+    """Serve the files of a folder as a bucket, by the protocol of S3; yield its URL. The environment has its keys.
+
+    Args:
+        name: The name of the bucket.
+        folder: The files; each key is a path in the folder.
+    """
+    moto = pytest.importorskip("moto.server", reason="moto[server] is not installed")
+    logging.getLogger("werkzeug").setLevel(logging.ERROR)
+    server = moto.ThreadedMotoServer("127.0.0.1", 0, verbose=False)
+    server.start()
+    try:
+        host, port = server.get_host_and_port()
+        urlopen(Request(f"http://{host}:{port}/{name}", method="PUT")).close()
+        with pytest.MonkeyPatch.context() as patch:
+            for variable in [variable for variable in os.environ if variable.startswith("AWS_")]:
+                patch.delenv(variable)
+            patch.setenv("AWS_ENDPOINT_URL", f"http://{host}:{port}")
+            patch.setenv("AWS_ACCESS_KEY_ID", "key")
+            patch.setenv("AWS_SECRET_ACCESS_KEY", "secret")
+            patch.setenv("AWS_REGION", "us-east-1")
+            store = obstore.store.from_url(f"s3://{name}", client_options={"allow_http": True})
+            for path in sorted(folder.rglob("*")):
+                if path.is_file():
+                    obstore.put(store, path.relative_to(folder).as_posix(), path.read_bytes())
+            yield f"s3://{name}"
+    finally:
+        server.stop()

@@ -1,5 +1,8 @@
 from __future__ import annotations
 
+import io
+import sys
+
 import pytest
 
 from carla_recap.errors import RecapError
@@ -60,3 +63,97 @@ def test_a_form_means_one_recording_or_many(folder):
     assert means_one(folder / "missing.log")
     assert not means_one(folder)
     assert not means_one(folder / "*.log")
+
+
+def test_a_list_on_stdin(folder, monkeypatch):
+    monkeypatch.setattr(sys, "stdin", io.StringIO(f"{folder}/b.mcap\n\n  \r\n{folder}/deep\r\n{folder}/b.mcap"))
+    assert names([folder / "c.txt", "-"], folder) == ["c.txt", "b.mcap", "deep/d.LOG"]
+
+
+def test_file_urls_mean_paths(folder):
+    assert names([(folder / "a.log").as_uri(), (folder / "deep").as_uri()], folder) == ["a.log", "deep/d.LOG"]
+    assert means_one((folder / "a.log").as_uri())
+    assert not means_one((folder / "deep").as_uri())
+
+
+# --- URLs --------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("url", ["http://host/runs/*.mcap", "https://host/runs/", "http://[::1]/[ab].log"])
+def test_web_servers_list_no_files(url):
+    with pytest.raises(RecapError) as caught:
+        list(find_sources([url]))
+    assert str(caught.value) == f"{url}: a web server does not list its files; the URL of each recording was expected"
+
+
+@pytest.mark.parametrize("url", ["http://[::1]/a.mcap?x=*&y=[]", "https://host/download/17", "s3://runs/deep/a.LOG"])
+def test_a_url_that_is_named_is_one_recording(url):
+    assert means_one(url)
+    assert [source.location for source in find_sources([url, url])] == [url]
+
+
+@pytest.mark.parametrize("source", ["s3://runs/*.mcap", "s3://runs/deep/", "gs://runs", "az://runs/deep", "-"])
+def test_a_url_means_many_by_its_form(source):
+    assert not means_one(source)
+
+
+def test_a_url_of_an_unknown_kind():
+    with pytest.raises(RecapError, match=r"ftp://host/a\.log: unknown kind of URL"):
+        list(find_sources(["ftp://host/a.log"]))
+
+
+@pytest.fixture(scope="module")
+def bucket(tmp_path_factory):
+    web = pytest.importorskip("tests.web", reason="the extra `remote` is not installed")
+    folder = tmp_path_factory.mktemp("bucket")
+    for name in (
+        "top.mcap",
+        "runs/b.mcap",
+        "runs/a 1%20.log",
+        "runs/c.txt",
+        "runs/.hidden.log",
+        "runs/deep/d.LOG",
+        "runs2/e.log",
+    ):
+        (folder / name).parent.mkdir(exist_ok=True, parents=True)
+        (folder / name).write_bytes(b"12345")
+    with web.serve_bucket("bucket", folder) as url:
+        yield url
+
+
+LISTED = {
+    "": ["runs/a 1%20.log", "runs/b.mcap", "runs/deep/d.LOG", "runs2/e.log", "top.mcap"],
+    "/runs": ["runs/a 1%20.log", "runs/b.mcap", "runs/deep/d.LOG"],
+    "/runs/": ["runs/a 1%20.log", "runs/b.mcap", "runs/deep/d.LOG"],
+    "/runs/*": ["runs/a 1%20.log", "runs/b.mcap", "runs/c.txt", "runs/deep/d.LOG"],
+    "/runs/*.mcap": ["runs/b.mcap"],
+    "/runs/?.mcap": ["runs/b.mcap"],
+    "/runs/[!a]*": ["runs/b.mcap", "runs/c.txt", "runs/deep/d.LOG"],
+    "/**/*.log": ["runs/a 1%20.log", "runs2/e.log"],
+    "/runs/**": ["runs/a 1%20.log", "runs/b.mcap", "runs/c.txt", "runs/deep/d.LOG"],
+    "/*": ["runs/a 1%20.log", "runs/b.mcap", "runs/deep/d.LOG", "runs2/e.log", "top.mcap"],
+    "/runs/.h*": ["runs/.hidden.log"],
+}
+
+
+@pytest.mark.parametrize("source", LISTED)
+def test_prefixes_and_globs_of_buckets(bucket, source):
+    assert names([bucket + source], bucket) == LISTED[source]
+
+
+def test_sizes_times_and_etags_are_those_of_the_listing(bucket):
+    (found,) = find_sources([f"{bucket}/runs/*.mcap"])
+    assert found.size == 5
+    assert found.modified > 1.6e9
+    assert found.etag
+
+
+@pytest.mark.parametrize("source", ["none/", "*.json", "runs/[z-a]*"])
+def test_a_bucket_without_such_recordings(bucket, source):
+    (found,) = find_sources([f"{bucket}/{source}"], errors="yield")
+    assert found.error.startswith(f"{bucket}/{source}: ")
+
+
+def test_a_bucket_that_does_not_exist(bucket):
+    with pytest.raises(RecapError, match=r"^s3://other/runs: cannot be listed: the server answers 404 Not Found$"):
+        list(find_sources(["s3://other/runs/"]))

@@ -1,18 +1,24 @@
-"""Which recordings are meant: files, folders, globs, and lists of these."""
+"""Which recordings are meant: files, folders, globs and URLs of them, and lists of these."""
 
 from __future__ import annotations
 
 import os
+import re
+import sys
 from dataclasses import dataclass
 from glob import glob, has_magic
 from pathlib import Path
-from typing import TYPE_CHECKING, Literal
+from typing import TYPE_CHECKING, Final, Literal
 
 from carla_recap.errors import RecapError
 from carla_recap.formats import SUFFIXES
+from carla_recap.formats.sources import WEB, is_remote, path_of, scheme_of
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator
+
+_PIECES: Final = re.compile(r"\[!?\]?[^\]]*\]|.", re.DOTALL)  # the parts of a glob: sets of characters, and characters
+_GLOB: Final = {"*": "[^/]*", "?": "[^/]"}
 
 
 @dataclass(frozen=True, slots=True)
@@ -38,43 +44,73 @@ def find_sources(sources: Iterable[str | Path], *, errors: Literal["raise", "yie
     """Yield the recordings that some sources mean, in the order of these; each of them once.
 
     A folder means all .log and .mcap files in it and below, except hidden ones; a glob, all that it matches, `**` included.
+    The same holds of prefixes and globs at object stores, in the order of their listing, which has sizes, times and ETags.
     A file that is named is yielded even if it does not exist: to open it says why.
 
     Args:
-        sources: What means recordings.
+        sources: Paths, URLs, or `-` for a list of them on stdin, one in a line.
         errors: "raise"; or "yield": a source that means none is yielded with its error.
 
     Raises:
-        RecapError: A folder or a glob means no recording.
+        RecapError: A folder or a glob means no recording, or cannot be listed.
+        MissingExtra: It is remote, and the extra for that is not installed.
     """
     seen: set[str] = set()
-    for source in sources:
+    for source in _named(sources):
         try:
-            locations = _expanded(os.fspath(source))
+            for found in _expanded(source):
+                if found.location not in seen:
+                    seen.add(found.location)
+                    yield found
         except RecapError as error:
             if errors == "raise":
                 raise
-            yield SourceFile(os.fspath(source), error=str(error))
-            continue
-        for location in locations:
-            if location not in seen:
-                seen.add(location)
-                yield _described(location)
+            yield SourceFile(source, error=str(error))
 
 
-def _expanded(source: str) -> list[str]:
-    if Path(source).is_dir():
-        found = _in_folder(source)
+def means_one(source: str | Path) -> bool:
+    """Return whether a source means one recording by its form: neither a folder nor a glob nor a list.
+
+    Raises:
+        RecapError: It is a URL of an unknown kind.
+    """
+    if source == "-":
+        return False
+    if is_remote(source):
+        return not _is_glob(str(source)) and (scheme_of(source) in WEB or _has_suffix(str(source)))
+    path = path_of(source)
+    return not path.is_dir() and (not has_magic(os.fspath(path)) or path.exists())
+
+
+def _named(sources: Iterable[str | Path]) -> Iterator[str]:
+    """Yield sources; instead of `-`, the lines of stdin."""
+    for source in sources:
+        if source != "-":
+            yield os.fspath(source)
+        elif sys.stdin is not None:
+            for line in sys.stdin:
+                if line.strip():
+                    yield line.rstrip("\r\n")
+
+
+def _expanded(source: str) -> Iterator[SourceFile]:
+    if is_remote(source):
+        yield from _remote(source)
+        return
+    path = os.fspath(path_of(source)) if scheme_of(source) else source
+    if Path(path).is_dir():
+        found = _in_folder(path)
         expected = "a folder with .log or .mcap files was expected"
-    elif has_magic(source) and not Path(source).exists():
-        matched = sorted(glob(source, recursive=True))  # noqa: PTH207 - which takes no absolute pattern
+    elif has_magic(path) and not Path(path).exists():
+        matched = sorted(glob(path, recursive=True))  # noqa: PTH207 - which takes no absolute pattern
         found = [each for match in matched for each in (_in_folder(match) if Path(match).is_dir() else [match])]
         expected = "a glob that matches recordings was expected"
     else:
-        return [source]
+        yield _described(path)
+        return
     if not found:
         raise RecapError(f"{source}: no recordings; {expected}")
-    return found
+    yield from map(_described, found)
 
 
 def _in_folder(folder: str) -> list[str]:
@@ -97,6 +133,75 @@ def _described(location: str) -> SourceFile:
     return SourceFile(location, status.st_size, status.st_mtime)
 
 
-def means_one(source: str | Path) -> bool:
-    """Return whether a source means one recording by its form: neither a folder nor a glob."""
-    return not Path(source).is_dir() and (not has_magic(os.fspath(source)) or Path(source).exists())
+def _remote(source: str) -> Iterator[SourceFile]:
+    """Yield the recordings that a URL means."""
+    if scheme_of(source) in WEB:
+        if _is_glob(source) or source.endswith("/"):
+            raise RecapError(f"{source}: a web server does not list its files; the URL of each recording was expected")
+        yield SourceFile(source)
+        return
+    key = _key(source)
+    root = source.removesuffix(key).rstrip("/") + "/"
+    if _is_glob(source):
+        fixed = key[: min(index for index in map(key.find, "*?[") if index >= 0)].rpartition("/")[0]
+        try:
+            pattern = re.compile(_expression(key))
+        except re.error as error:
+            raise RecapError(f"{source}: is no glob: {error}") from None
+    elif _has_suffix(key):
+        yield SourceFile(source)
+        return
+    else:
+        fixed = key.strip("/")
+        pattern = re.compile(f"{re.escape(fixed)}/(?P<below>.+)" if fixed else "(?P<below>.+)")
+    from carla_recap.formats.remote import list_objects
+
+    count = 0
+    for location, size, modified, etag in list_objects(root + fixed):
+        found = pattern.fullmatch(location[len(root) :])
+        if found is not None and (not found["below"] or _is_listed(found["below"])):
+            count += 1
+            yield SourceFile(location, size, modified, etag)
+    if not count:
+        raise RecapError(f"{source}: no recordings; a prefix or a glob of .log or .mcap objects was expected")
+
+
+def _key(url: str) -> str:
+    return url.partition("://")[2].partition("/")[2]
+
+
+def _is_glob(url: str) -> bool:
+    key = _key(url)
+    return has_magic(key.partition("?")[0] if scheme_of(url) in WEB else key)  # a web server's ? begins the query
+
+
+def _has_suffix(key: str) -> bool:
+    return key.lower().endswith(SUFFIXES)
+
+
+def _is_listed(below: str) -> bool:
+    """Return whether a key below a folder is that of a recording that is not hidden."""
+    return _has_suffix(below) and not any(part.startswith(".") for part in below.split("/"))
+
+
+def _expression(pattern: str) -> str:
+    """Return a glob as a regular expression for keys of objects, which has a group `below` for what is below a match."""
+    parts = []
+    for part in pattern.split("/"):
+        if part == "**":
+            parts.append(r"(?:[^/.][^/]*/)*")
+            continue
+        translated = "".join(_GLOB.get(piece) or _set(piece) for piece in _PIECES.findall(part))
+        parts.append(("" if part.startswith(".") else r"(?!\.)") + translated + "/")
+    expression = "".join(parts)
+    matched = expression[:-1] if expression.endswith("/") else expression + "[^/.][^/]*"
+    return f"{matched}(?:/(?P<below>.+))?"
+
+
+def _set(piece: str) -> str:
+    """Return a piece of a glob, a character or a set of characters, as a regular expression."""
+    if len(piece) < 3:
+        return re.escape(piece)
+    negated = piece[1] == "!"
+    content = piece[1 + negated : -1].replace("\\", r"\\").replace("[", r"\[").replace("^", r"\^")
+    return f"[{'^/' if negated else ''}{content}]"

@@ -6,6 +6,7 @@ parts are fetched many at a time, and only from an object that has not changed s
 
 from __future__ import annotations
 
+import os
 import re
 import tempfile
 from bisect import bisect_right
@@ -16,7 +17,6 @@ from functools import lru_cache
 from shutil import disk_usage
 from threading import Lock
 from typing import TYPE_CHECKING, BinaryIO, Final, NamedTuple
-from urllib.parse import urlsplit
 
 from carla_recap.errors import Closed, FormatError, MissingExtra, NotARecording, RecapError
 from carla_recap.formats.sources import WEB, outside, path_of, scheme_of
@@ -49,8 +49,15 @@ _FIRST_WINDOW: Final = 256 << 10  # bytes that are fetched first of a long read,
 _WINDOW: Final = 8 << 20  # bytes that are fetched at once later, and as many again ahead of them
 _PART: Final = 4 << 20  # bytes of a file that is copied, for each request
 _AT_ONCE: Final = 32  # requests
-_METADATA: Final = ("169.254.169.254", "metadata.google.internal", "Token")  # where keys are looked for last
-_MESSAGE: Final = re.compile('message: "([^"]+)"')
+_METADATA: Final = (  # where keys are looked for last
+    "/latest/api/token",
+    "/latest/meta-data",
+    "metadata.google.internal",
+    "/metadata/identity",
+)
+_MESSAGE: Final = re.compile('(?:message|error): "([^"]+)"')
+_STATUS: Final = re.compile(r"status code: ([0-9]+ [A-Za-z -]+)")
+_KIND: Final = re.compile("^Generic [A-Za-z0-9]+ error: ")
 _CLIENT: Final[ClientConfig] = {
     "allow_http": True,
     "connect_timeout": timedelta(seconds=5),
@@ -62,7 +69,8 @@ _RETRIES: Final[RetryConfig] = {
     "retry_timeout": timedelta(seconds=30),
     "backoff": {"init_backoff": timedelta(milliseconds=100), "max_backoff": timedelta(seconds=2), "base": 2},
 }
-_PLAIN: Final = re.compile("(/[A-Za-z0-9_.,=~-]+)+")  # a path of a web server without characters that are encoded
+_VARIABLES: Final = ("AWS_", "AZURE_", "GOOGLE_")
+_PLAIN: Final = re.compile("[A-Za-z0-9_.,=~-]+(/[A-Za-z0-9_.,=~-]+)*")  # a path without encoded characters
 _LONGEST_REASON: Final = 300  # characters
 
 
@@ -80,26 +88,56 @@ def address_of(url: str) -> ObjectAddress:
         RecapError: The URL, or what the environment says, makes no sense.
     """
     scheme = scheme_of(url)
-    if scheme in WEB:
-        parts = urlsplit(url)
-        if parts.query or not _PLAIN.fullmatch(parts.path):  # a key would be encoded in another spelling
-            return ObjectAddress(_store(url), "")
-        return ObjectAddress(_store(f"{scheme}://{parts.netloc}"), parts.path[1:])
-    bucket, _, key = url.partition("://")[2].partition("/")
-    if not bucket:
-        raise RecapError(f"{url}: no bucket; {scheme}://BUCKET/KEY was expected")
-    return ObjectAddress(_store(f"{scheme}://{bucket}"), key)
+    root, _, key = url.partition("://")[2].partition("/")
+    if not root:
+        expected = "HOST/PATH" if scheme in WEB else "BUCKET/KEY"
+        raise RecapError(f"{url}: {scheme}://{expected} was expected")
+    try:
+        if scheme in WEB and not _PLAIN.fullmatch(key):  # a key would be encoded in another spelling
+            return ObjectAddress(_store(url, _settings()), "")
+        return ObjectAddress(_store(f"{scheme}://{root}", _settings()), key)
+    except (BaseError, ValueError) as error:
+        raise RecapError(f"{url}: {_reason(error)}") from None
+
+
+class ListedObject(NamedTuple):
+    """An object of a listing: its URL, its size in bytes, the time of its last change in s since 1970, and its ETag."""
+
+    location: str
+    size: int
+    modified: float
+    etag: str | None
+
+
+def list_objects(url: str) -> Iterator[ListedObject]:
+    """Yield the objects below a URL of an object store, in the order of the server, as they are listed.
+
+    Raises:
+        RecapError: They cannot be listed.
+    """
+    store, key = address_of(url)
+    root = url[: len(url) - len(key)]
+    root = root if root.endswith("/") else f"{root}/"
+    try:
+        for listed in obstore.list(store, key or None, chunk_size=1000):
+            for meta in listed:
+                modified = meta["last_modified"].timestamp()
+                yield ListedObject(root + meta["path"], meta["size"], modified, meta["e_tag"])
+    except (BaseError, OSError, ValueError) as error:
+        raise RecapError(f"{url}: cannot be listed: {_reason(error)}") from None
+
+
+def _settings() -> frozenset[tuple[str, str]]:
+    """Return the part of the environment that obstore reads."""
+    return frozenset((name, value) for name, value in os.environ.items() if name.upper().startswith(_VARIABLES))
 
 
 @lru_cache(64)
-def _store(root: str) -> ObjectStore:
-    """Return a store, whose connections serve all its objects."""
-    try:
-        if scheme_of(root) in WEB:
-            return HTTPStore.from_url(root, client_options=_CLIENT, retry_config=_RETRIES)
-        return from_url(root, client_options=_CLIENT, retry_config=_RETRIES)
-    except (BaseError, ValueError) as error:
-        raise RecapError(f"{root}: {_reason(error)}") from None
+def _store(root: str, settings: frozenset[tuple[str, str]]) -> ObjectStore:
+    """Return a store, whose connections serve all its objects; a new one if the environment has changed."""
+    if scheme_of(root) in WEB:
+        return HTTPStore.from_url(root, client_options=_CLIENT, retry_config=_RETRIES)
+    return from_url(root, client_options=_CLIENT, retry_config=_RETRIES)
 
 
 class RemoteSource:
@@ -328,11 +366,20 @@ def _reason(error: Exception) -> str:
         return "the server expects credentials (401)"
     if isinstance(error, NotSupportedError):
         return "the server sends no ranges of a file, only all of it; download it"
+    if "non-partial response" in text:
+        return "the server sends no ranges of it, or it is empty"
     if any(host in text for host in _METADATA):
         return (
             "no credentials were found in the environment, such as AWS_ACCESS_KEY_ID and AWS_SECRET_ACCESS_KEY; "
             "a public bucket needs none with AWS_SKIP_SIGNATURE=true"
         )
+    if "IncompleteMessage" in text:
+        return "the server has hung up"
+    if "TimedOut" in text:
+        return "the server does not answer in time"
+    status = _STATUS.search(text)
+    if status is not None:
+        return f"the server answers {status[1]}"
     first = text.partition("\n")[0].rpartition(" - ")[2]
     said = _MESSAGE.findall(text)
-    return " ".join((said[-1] if said else first).split())[:_LONGEST_REASON]
+    return " ".join((said[-1] if said else _KIND.sub("", first)).split())[:_LONGEST_REASON]

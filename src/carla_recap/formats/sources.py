@@ -160,15 +160,17 @@ def path_of(location: Path | str) -> Path:
     """Return the path of a file; of the URL of an object, one with the same name, which says nothing about this machine.
 
     Raises:
-        RecapError: It is a `file:` URL of another machine.
+        RecapError: It is no URL, or a `file:` URL of another machine.
     """
     scheme = scheme_of(location)
+    try:
+        url = urlsplit(str(location) if scheme else "")
+    except ValueError as error:
+        raise RecapError(f"{location}: {error}") from None
     if scheme == "file":
-        url = urlsplit(str(location))
         if url.netloc not in ("", "localhost"):
             raise RecapError(f"{location}: is on another machine; file:///PATH was expected")
         return Path(url2pathname(url.path))
     if scheme in WEB:
-        url = urlsplit(str(location))
         return Path(f"{url.scheme}://{url.netloc}{unquote(url.path)}")
     return Path(location)

@@ -281,16 +281,16 @@ class McapReader:
     def _blocks(self, chunks: list[ChunkIndex], *, ahead: bool) -> Iterator[list[tuple[ChunkIndex, bytes]]]:
         """Chunks with their records; small ones several at a time."""
         block: list[tuple[ChunkIndex, bytes]] = []
-        size = 0
+        size, least = 0, 0  # the first block is a small one: many a read ends there
         for index, data in enumerate(self._opened(chunks, ahead=ahead), 1):
             chunk = chunks[index - 1]
             block.append((chunk, data))
             size += len(data)
             # The events of a frame, in a chunk that begins with that of its state, complete the frame.
             together = index < len(chunks) and chunks[index].start == chunk.start and size < _LARGE_BLOCK
-            if size >= BLOCK_SIZE and not together:
+            if size >= least and not together:
                 yield block
-                block, size = [], 0
+                block, size, least = [], 0, BLOCK_SIZE
         if block:
             yield block
 
