@@ -38,7 +38,10 @@ if TYPE_CHECKING:
     from carla_recap.export.report import write_report
     from carla_recap.export.tracks import export_csv
     from carla_recap.fleet.index import IndexSummary, RecordingIndex, open_index, write_index
+    from carla_recap.fleet.outcomes import Outcome
+    from carla_recap.fleet.recordings import map_recordings, open_recordings
     from carla_recap.fleet.rules import Rule, RuleSet, Verdict, check, load_rules
+    from carla_recap.fleet.sources import SourceFile
     from carla_recap.formats import create_writer
     from carla_recap.maps import RoadMap, load_map
     from carla_recap.model.batch import Batch
@@ -77,6 +80,7 @@ __all__ = [
     "LightStates",
     "MissingExtra",
     "NotARecording",
+    "Outcome",
     "Player",
     "RecapError",
     "RecapWarning",
@@ -91,6 +95,7 @@ __all__ = [
     "Rule",
     "RuleSet",
     "Scene",
+    "SourceFile",
     "Spawn",
     "Trajectories",
     "Trajectory",
@@ -109,8 +114,10 @@ __all__ = [
     "import_tracks",
     "load_map",
     "load_rules",
+    "map_recordings",
     "open_index",
     "open_recording",
+    "open_recordings",
     "recover",
     "write_index",
     "write_report",
@@ -133,6 +140,9 @@ _get, __dir__ = lazily(
         "export.report": ("write_report",),
         "export.parquet": ("export_parquet",),
         "fleet.rules": ("Rule", "RuleSet", "Verdict", "check", "load_rules"),
+        "fleet.outcomes": ("Outcome",),
+        "fleet.recordings": ("map_recordings", "open_recordings"),
+        "fleet.sources": ("SourceFile",),
         "model.frame": ("Frame", "Header"),
         "maps": ("RoadMap", "load_map"),
         "queries.actors": ("Actor",),

@@ -11,7 +11,6 @@ from pathlib import Path
 from threading import Lock
 from typing import TYPE_CHECKING, BinaryIO, Final, Protocol
 from urllib.parse import unquote, urlsplit
-from urllib.request import url2pathname
 
 from carla_recap.errors import Closed, FormatError, RecapError
 
@@ -170,6 +169,8 @@ def path_of(location: Path | str) -> Path:
     if scheme == "file":
         if url.netloc not in ("", "localhost"):
             raise RecapError(f"{location}: is on another machine; file:///PATH was expected")
+        from urllib.request import url2pathname  # which imports much
+
         return Path(url2pathname(url.path))
     if scheme in WEB:
         return Path(f"{url.scheme}://{url.netloc}{unquote(url.path)}")
