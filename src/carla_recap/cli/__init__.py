@@ -32,6 +32,7 @@ _COMMANDS: Final = {
     "sim": ("record", "replay"),
     "server": ("serve",),
     "capture": ("capture", "watch"),
+    "metrics": ("metrics",),
     "check": ("check",),
     "diff": ("diff",),
     "index": ("index", "sql"),

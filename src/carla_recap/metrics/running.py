@@ -1,0 +1,124 @@
+"""Metric files as written for ScenarioRunner, run on a recording, with ScenarioRunner installed or not."""
+
+from __future__ import annotations
+
+import inspect
+import json
+import sys
+from importlib import import_module
+from importlib.util import find_spec
+from pathlib import Path
+from types import ModuleType
+from typing import TYPE_CHECKING, Any, Final
+
+from carla_recap.errors import RecapError
+from carla_recap.maps.parsing import parse_in_child, read_content
+
+if TYPE_CHECKING:
+    from carla_recap.metrics.log import MetricsLog
+
+_BASE: Final = "srunner.metrics.examples.basic_metric"
+_LOG: Final = "srunner.metrics.tools.metrics_log"
+
+
+class BasicMetric:
+    """Base of metrics, in the absence of ScenarioRunner's class of this name.
+
+    Args:
+        town_map: The map, a `carla.Map`; None if it is unknown.
+        log: The log of the recording.
+        criteria: The criteria by name; None without a file of them.
+    """
+
+    def __init__(self, town_map: Any, log: MetricsLog, criteria: dict[str, Any] | None = None) -> None:
+        self._create_metric(town_map, log, criteria)
+
+    def _create_metric(self, town_map: Any, log: MetricsLog, criteria: dict[str, Any] | None) -> None:
+        """Compute the metric; every metric has its own.
+
+        Raises:
+            NotImplementedError: It has none.
+        """
+        raise NotImplementedError(f"{type(self).__name__} has no method _create_metric")
+
+
+def run_metric(
+    metric: Path | str, log: MetricsLog, *, opendrive: Path | str | None = None, criteria: Path | str | None = None
+) -> object:
+    """Run the first metric of a file, by name, and return it.
+
+    Args:
+        metric: The Python file, which has a class that extends `BasicMetric` of ScenarioRunner.
+        log: The log of the recording.
+        opendrive: The map of the town, an OpenDRIVE file.
+        criteria: A JSON file with the criteria, as ScenarioRunner writes it.
+
+    Raises:
+        RecapError: A file cannot be read, or has no metric. What the metric itself raises is passed on.
+    """
+    given = None if criteria is None else _criteria(Path(criteria))
+    town_map = None if opendrive is None else _town_map(Path(opendrive))
+    return _metric_class(Path(metric))(town_map, log, given)
+
+
+def _criteria(path: Path) -> dict[str, Any]:
+    try:
+        found = json.loads(path.read_text("utf-8"))
+    except OSError as error:
+        raise RecapError(f"{path}: {error.strerror}") from None
+    except (ValueError, RecursionError) as error:
+        raise RecapError(f"{path}: is no JSON file ({error})") from None
+    if not isinstance(found, dict):
+        raise RecapError(f"{path}: an object with a member for each criterion was expected")
+    return found
+
+
+def _town_map(path: Path) -> Any:
+    """Return a `carla.Map`, after a child process has read the file: CARLA's library crashes on damaged ones."""
+    import carla
+
+    content = read_content(path)
+    parse_in_child("carla_recap.maps.drawing", path, content)
+    return carla.Map(path.stem, content.decode("utf-8", "replace"))
+
+
+def _metric_class(path: Path) -> Any:
+    if not path.is_file() or path.suffix != ".py":
+        raise RecapError(
+            f"{path}: {'no Python file' if path.exists() else 'no such file'}; a metric's .py file was expected"
+        )
+    _provide_scenario_runner()
+    sys.path.insert(0, str(path.parent.absolute()))
+    sys.modules.pop(path.stem, None)
+    module = import_module(path.stem)
+    for _, member in inspect.getmembers(module, inspect.isclass):
+        if any(base.__name__ == BasicMetric.__name__ for base in member.__mro__[1:]):
+            return member
+    raise RecapError(f"{path}: no class in it extends BasicMetric")
+
+
+def _provide_scenario_runner() -> None:
+    """Make the modules that metrics import, unless ScenarioRunner is installed."""
+    if _is_installed(_BASE):
+        return
+    from carla_recap.metrics.log import MetricsLog
+
+    for name in [name for name in sys.modules if name.partition(".")[0] == "srunner"]:
+        del sys.modules[name]  # such as those of a folder for results
+    for name, content in ((_BASE, BasicMetric), (_LOG, MetricsLog)):
+        parts = name.split(".")
+        parent = None
+        for depth in range(1, len(parts) + 1):
+            module = sys.modules.setdefault(".".join(parts[:depth]), ModuleType(".".join(parts[:depth])))
+            module.__path__ = []
+            if parent is not None:
+                setattr(parent, parts[depth - 1], module)
+            parent = module
+        setattr(parent, content.__name__, content)
+
+
+def _is_installed(module: str) -> bool:
+    try:
+        return module in sys.modules or find_spec(module) is not None
+    except ModuleNotFoundError:
+        return False
