@@ -122,7 +122,7 @@ class MetricsLog:
         if not found:
             roles = sorted({actor["role_name"] for actor in self._actors.values() if actor.get("role_name")})
             known = ", ".join(roles[:8]) or "no role names"
-            raise RecapError(f"{self._recording.path}: no actor has the role name hero; there are {known}")
+            raise RecapError(f"{self._recording.location}: no actor has the role name hero; there are {known}")
         return found[0]
 
     def get_actor_ids_with_role_name(self, role_name: str) -> list[int]:
@@ -375,7 +375,9 @@ class MetricsLog:
         """
         count = self.get_total_frame_count()
         if frame < 0 or not count:
-            raise RecapError(f"{self._recording.path}: no frame {frame}; frames count from 0 here, and there are {count}")
+            raise RecapError(
+                f"{self._recording.location}: no frame {frame}; frames count from 0 here, and there are {count}"
+            )
         return min(frame, count - 1)
 
     def _frames(self, first: int | None, last: int | None) -> range:
