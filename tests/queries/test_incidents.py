@@ -13,9 +13,9 @@ import pytest
 
 from carla_recap.errors import RecapError
 from carla_recap.formats.mcap.reader import McapReader
+from carla_recap.model import braking as braking_module
 from carla_recap.model.frame import LAST_FRAME_DURATION, Header
 from carla_recap.model.records import NO_ACTOR, Spawn, attributes
-from carla_recap.queries import braking as braking_module
 from carla_recap.queries.incidents import incidents
 from carla_recap.queries.output.json import json as json_text
 from carla_recap.queries.output.table import table

@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 from carla_recap import create_recording, open_recording
+from carla_recap.model import braking
 from carla_recap.model.records import UE4, ActorKind, Spawn
-from carla_recap.queries import braking
 from carla_recap.queries.blocked import blocked
 
 FRAMES, VEHICLES, TICK = 400, 12, 0.05

@@ -59,12 +59,15 @@ def test_untyped() -> None:
     assert Rows(ROWS).to_pandas().shape == (2, 4)
 
 
+MOVING = {"velocities": [(1, 3.0, 4.0, 0.0, 0.0, 0.0, 0.0), (2, 3.0, 0.0, 0.0, 0.0, 0.0, 0.0)]}
+
+
 def test_an_answer(make) -> None:  # type: ignore[no-untyped-def]
     pytest.importorskip("pandas")
-    frame = collisions(make({"collisions": [(0, 1, 2, 1, 0)]})).to_pandas()
+    frame = collisions(make(MOVING, {"collisions": [(0, 1, 2, 1, 0)]})).to_pandas()
     assert frame.iloc[0].to_dict() == {
-        "elapsed": 0.0,
-        "frame": 1,
+        "elapsed": 0.5,
+        "frame": 2,
         "letter1": "o",
         "id1": 1,
         "type_id1": "",
@@ -73,6 +76,8 @@ def test_an_answer(make) -> None:  # type: ignore[no-untyped-def]
         "id2": 2,
         "type_id2": "",
         "hero2": False,
+        "impact_speed": 5.0,
+        "relative_speed": 4.0,
     }
 
 

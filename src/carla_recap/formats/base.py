@@ -11,6 +11,8 @@ if TYPE_CHECKING:
     from types import TracebackType
 
     from carla_recap.model.batch import Batch
+    from carla_recap.model.braking import Braking
+    from carla_recap.model.contacts import ContactStart
     from carla_recap.model.frame import Extent, Frame, Header
     from carla_recap.model.stationary import BlockedRow
 
@@ -78,6 +80,25 @@ class Reader(Protocol):
         Args:
             min_time: The shortest interval to return, in seconds.
             min_distance: The distance in cm from which on an actor counts as moved.
+
+        Raises:
+            FormatError: The file contradicts its format.
+        """
+        ...
+
+    def hard_braking(self, deceleration: float) -> list[Braking] | None:
+        """Return the intervals in which vehicles brake hard, in no order; None if the file does not list them.
+
+        Args:
+            deceleration: The deceleration in m/s² from which on braking is hard.
+
+        Raises:
+            FormatError: The file contradicts its format.
+        """
+        ...
+
+    def contact_starts(self) -> list[ContactStart] | None:
+        """Return the beginnings of contacts; None if the file does not list them.
 
         Raises:
             FormatError: The file contradicts its format.

@@ -171,6 +171,12 @@ class LogReader:
     def stationary_intervals(self, min_time: float, min_distance: float) -> None:
         """Return None: a log does not list stationary intervals."""
 
+    def hard_braking(self, deceleration: float) -> None:
+        """Return None: a log does not list hard braking."""
+
+    def contact_starts(self) -> None:
+        """Return None: a log does not list the beginnings of contacts."""
+
     def tail(self) -> Iterator[bytes]:
         """Yield the bytes after the last complete packet, in pieces."""
         self._check_open()

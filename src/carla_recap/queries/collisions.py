@@ -2,17 +2,23 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+import math
+from dataclasses import dataclass, replace
+from operator import sub
 from typing import TYPE_CHECKING, ClassVar, Final
 
 from carla_recap.errors import RecapError
 from carla_recap.model.actors import PresentActors
 from carla_recap.model.records import NO_ACTOR
 from carla_recap.queries import Answer
+from carla_recap.queries.contacts import contact_starts
 from carla_recap.util.text import readable
 
 if TYPE_CHECKING:
+    from collections.abc import Iterable
+
     from carla_recap.formats.base import Reader
+    from carla_recap.model.contacts import ContactStart, Key
 
 LETTERS: Final = {"v": "vehicle", "w": "walker", "t": "traffic light", "o": "other", "h": "hero", "a": "any"}
 """The kinds that a side of a collision can be filtered by."""
@@ -23,6 +29,7 @@ _TYPES: Final = ("spawned", "destroyed", "collisions")
 
 _Actor = tuple[int, str]  # kind and type id
 _UNKNOWN: Final[_Actor] = (0, "")
+_STILL: Final = (0.0, 0.0, 0.0)
 
 
 @dataclass(frozen=True, slots=True)
@@ -40,6 +47,9 @@ class CollisionRow:
         id2: Its id.
         type_id2: Its blueprint.
         hero2: Whether it is the hero.
+        impact_speed: The speed of the first actor in the frame before, in m/s; NaN where it is unknown.
+        relative_speed: The magnitude of the difference of both velocities in the frame before, in m/s; NaN where it is
+            unknown. What is no actor, and a traffic light, stands still.
     """
 
     elapsed: float
@@ -52,26 +62,35 @@ class CollisionRow:
     id2: int
     type_id2: str
     hero2: bool
+    impact_speed: float = math.nan
+    relative_speed: float = math.nan
 
 
 class Collisions(Answer[CollisionRow]):
     """The collisions of a recording."""
 
     row_type = CollisionRow
-    row_units: ClassVar = {"elapsed": "s"}
+    row_units: ClassVar = {"elapsed": "s", "impact_speed": "m/s", "relative_speed": "m/s"}
 
 
-def collisions(source: Reader, type1: str = "a", type2: str = "a", *, compat: bool = False) -> Collisions:
+def collisions(
+    source: Reader, type1: str = "a", type2: str = "a", *, compat: bool = False, speeds: bool = True
+) -> Collisions:
     """Return the collisions between two kinds of actors.
 
     Each ordered pair of actors gives a row in the first frame of its contact. The first actor is the one with the collision
     sensor.
+
+    Speeds are those just before the contact, in the last frame without it: from the velocities that are recorded, else from
+    the positions in the two frames before. They are unknown where the recording begins with the contact, where an actor has
+    just appeared or jumps, and with `compat`. An MCAP file lists them; elsewhere, the frames before each contact are read.
 
     Args:
         source: The recording.
         type1: The kind of the first actor: a letter of `LETTERS`.
         type2: The kind of the second actor.
         compat: Whether to reproduce the mistakes of CARLA 0.9.16.
+        speeds: Whether to find the speeds out; without, they are NaN.
 
     Raises:
         RecapError: There is no such letter.
@@ -82,6 +101,7 @@ def collisions(source: Reader, type1: str = "a", type2: str = "a", *, compat: bo
     kinds = _KINDS_OF_CARLA if compat else _KINDS
     present = PresentActors[_Actor](compat=compat)
     rows: list[CollisionRow] = []
+    keys: list[Key] = []
     touching: set[tuple[int, int]] = set()
     index = -2
 
@@ -110,7 +130,32 @@ def collisions(source: Reader, type1: str = "a", type2: str = "a", *, compat: bo
                     if (id1, id2) not in before:
                         sides = (letter1, id1, type_id1, bool(hero1), letter2, id2, type_id2, bool(hero2))
                         rows.append(CollisionRow(frame.elapsed, frame.id, *sides))
+                        keys.append((index, id1, id2))
+    if speeds and not compat:
+        starts = contact_starts(source, {key: row.elapsed for key, row in zip(keys, rows, strict=True)})
+        rows = [_with_speeds(row, starts[key]) if key in starts else row for key, row in zip(keys, rows, strict=True)]
     return Collisions(rows, source, compat=compat)
+
+
+def _with_speeds(row: CollisionRow, start: ContactStart) -> CollisionRow:
+    first, second = (
+        _STILL if _is_fixed(id, letter, type_id) else velocity
+        for id, letter, type_id, velocity in (
+            (row.id1, row.letter1, row.type_id1, start.velocity1),
+            (row.id2, row.letter2, row.type_id2, start.velocity2),
+        )
+    )
+    return replace(row, impact_speed=_length(first), relative_speed=_length(map(sub, first, second)))
+
+
+def _is_fixed(id: int, letter: str, type_id: str) -> bool:
+    """Return whether a side of a collision never moves; before CARLA 0.9.13, the id 0 stands for what is no actor."""
+    return id == NO_ACTOR or letter == "t" or (id == 0 and not type_id)
+
+
+def _length(vector: Iterable[float]) -> float:
+    length = math.hypot(*vector)
+    return math.nan if math.isnan(length) else length  # the same object, so that rows are equal
 
 
 def _passes(wanted: str, letter: str, hero: int) -> bool:

@@ -11,7 +11,9 @@ from typing import TYPE_CHECKING, ClassVar, Final, Literal
 import numpy as np
 
 from carla_recap.errors import RecapError
-from carla_recap.model.frame import SAME_TIME
+from carla_recap.model.braking import HALF_WINDOW, HARD, SHORTEST, BrakingDetector
+from carla_recap.model.braking import TYPES as BRAKING_TYPES
+from carla_recap.model.contacts import SAME_CONTACT
 from carla_recap.model.records import CM
 from carla_recap.model.stationary import TYPES as STATIONARY_TYPES
 from carla_recap.model.stationary import StationaryTracker
@@ -19,8 +21,7 @@ from carla_recap.queries import Answer
 from carla_recap.queries.actors import TYPES as ACTOR_TYPES
 from carla_recap.queries.actors import ActorCollector, ActorsByTime
 from carla_recap.queries.blocked import longest_first
-from carla_recap.queries.braking import HALF_WINDOW, SHORTEST, BrakingDetector
-from carla_recap.queries.braking import TYPES as BRAKING_TYPES
+from carla_recap.queries.contacts import contact_starts, is_known
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator
@@ -29,18 +30,14 @@ if TYPE_CHECKING:
 
     from carla_recap.formats.base import Reader
     from carla_recap.model.batch import Batch
+    from carla_recap.model.braking import Braking
+    from carla_recap.model.contacts import Key
     from carla_recap.model.frame import Frame
     from carla_recap.model.stationary import BlockedRow
-    from carla_recap.queries.braking import Braking
 
 Kind = Literal["collision", "blocked", "hard braking"]
 
-HARD: Final = 6.0
-"""The deceleration from which on braking is hard, in m/s²."""
-
-_SAME_CONTACT: Final = 1.0  # s; records of a pair with a shorter interval between them belong to one contact
 _AFTERMATH: Final = 0.5  # s after a contact in which a deceleration is part of it
-_LOOK_UPS: Final = 500  # frames that are looked up one by one; to find more, all frames are read
 _KMH: Final = 3.6  # km/h in m/s
 _ROAD_USERS: Final = ("vehicle", "walker")
 
@@ -160,11 +157,14 @@ class IncidentSearch:
         self._intervals = source.stationary_intervals(min_time, min_distance) if blocked else []
         is_listed = self._intervals is not None
         self._tracker = None if is_listed else StationaryTracker(source.header.table, min_time, min_distance)
-        self._detector = BrakingDetector(self._actors.ids("vehicle"), deceleration) if braking else None
+        is_whole = start == -math.inf and stop == math.inf
+        self._braked = source.hard_braking(deceleration) if braking and is_whole else None
+        is_needed = braking and self._braked is None
+        self._detector = BrakingDetector(self._actors.ids("vehicle"), deceleration) if is_needed else None
         self._collisions = collisions
-        self._located = defaultdict(list)  # contacts by frame
+        self._unlocated = defaultdict(list)  # contacts by frame
         for contact in self._contacts if collisions else ():
-            self._located[contact.index].append(contact)
+            self._unlocated[contact.index].append(contact)
 
     def read(self) -> None:
         """Read the recording as far as it matters.
@@ -172,13 +172,13 @@ class IncidentSearch:
         Raises:
             FormatError: The file contradicts its format.
         """
-        source, located = self._source, self._located
+        source = self._source
         types = {*(STATIONARY_TYPES if self._tracker else ()), *(BRAKING_TYPES if self._detector else ())}
-        if not types and len(located) <= _LOOK_UPS and getattr(source, "metadata", {}).get("steady_clock") == "1":
-            _look_up(source, located)
-        elif types or located:
+        if types:
             for batch in source.batches((*types, "transforms"), start=self._start, stop=self._stop):
                 self.add(batch)
+        else:
+            self._look_up()
 
     def add(self, batch: Batch) -> None:
         """Process the next frames; they have at least their transforms, velocities, spawns and destructions."""
@@ -186,9 +186,19 @@ class IncidentSearch:
             self._tracker.batch(batch)
         if self._detector:
             self._detector.batch(batch)
-        for row in range(len(batch)) if self._located else ():
-            if batch.index + row in self._located:
-                _locate(self._located[batch.index + row], batch.frame(row)["transforms"])
+        for row in range(len(batch)) if self._unlocated else ():
+            if batch.index + row in self._unlocated:
+                _locate(self._unlocated[batch.index + row], batch.frame(row)["transforms"])
+
+    def _look_up(self) -> None:
+        """Find the positions of contacts without reading all frames."""
+        contacts = [contact for found in self._unlocated.values() for contact in found]
+        starts = contact_starts(self._source, {contact.key: contact.start for contact in contacts})
+        for contact in contacts:
+            start = starts.get(contact.key)
+            for id, position in ((start.id1, start.position1), (start.id2, start.position2)) if start else ():
+                if is_known(position):
+                    contact.positions[id] = _metres(*position)
 
     def finish(self) -> Incidents:
         """Return the incidents."""
@@ -197,8 +207,8 @@ class IncidentSearch:
         if self._collisions:
             found += _collisions(contacts, actors)
         found += _blocked(longest_first(self._tracker.finish() if self._tracker else self._intervals or []), actors)
-        if self._detector:
-            found += _braking(self._detector.finish(), contacts, actors)
+        braked = self._detector.finish() if self._detector else self._braked
+        found += _braking(braked or (), contacts, actors)
         found = [incident for incident in found if not (incident.start > stop or incident.stop < start)]
         return Incidents(sorted(found, key=lambda incident: (incident.start, incident.kind)), self._source, compat=False)
 
@@ -226,6 +236,11 @@ class _Contact:
     stop: float
     positions: dict[int, Position] = field(default_factory=dict)
 
+    @property
+    def key(self) -> Key:
+        """The index of its first frame, and the actors."""
+        return self.index, *self.ids
+
 
 class _Contacts(list[_Contact]):
     """The contacts that collision records belong to."""
@@ -239,7 +254,7 @@ class _Contacts(list[_Contact]):
         for _, id1, id2, hero1, hero2 in frame["collisions"].tolist():
             pair = frozenset((id1, id2))
             contact = self._latest.get(pair)
-            if contact is not None and abs(frame.elapsed - contact.stop) < _SAME_CONTACT:
+            if contact is not None and abs(frame.elapsed - contact.stop) < SAME_CONTACT:
                 contact.stop = frame.elapsed
             else:
                 heroes = bool(hero1), bool(hero2)
@@ -247,20 +262,13 @@ class _Contacts(list[_Contact]):
                 self.append(contact)
 
 
-def _look_up(source: Reader, contacts: dict[int, list[_Contact]]) -> None:
-    """Read the frames of contacts, which are given by frame, one by one; the clock of the recording always goes forward."""
-    for index, (contact, *_) in contacts.items():
-        for frame in source.frames(("transforms",), start=contact.start, stop=contact.start + 2 * SAME_TIME):
-            if frame.index == index:
-                _locate(contacts[index], frame["transforms"])
-
-
 def _locate(contacts: Iterable[_Contact], transforms: NDArray[np.void]) -> None:
     """Note the positions of the actors of contacts that begin in a frame."""
     for contact in contacts:
         for row in np.flatnonzero(np.isin(transforms["id"], contact.ids)).tolist():
             id, x, y, z, *_ = transforms[row].tolist()
-            contact.positions[id] = _metres(x, y, z)
+            if not (math.isnan(x) or math.isnan(y) or math.isnan(z)):
+                contact.positions[id] = _metres(x, y, z)
 
 
 def _collisions(contacts: Iterable[_Contact], actors: ActorsByTime) -> Iterator[Incident]:

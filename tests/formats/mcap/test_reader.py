@@ -504,7 +504,7 @@ def test_a_query_of_events_reads_event_chunks_alone(driven):
     parts = chunks_of(data_records(driven))
     collisions = [len(chunk.data) for chunk in parts if chunk.uncompressed_size < 20_000]
     assert read <= sum(collisions) + 100 * len(collisions)
-    assert read < sum(len(chunk.data) for chunk in parts) / 10
+    assert read < sum(len(chunk.data) for chunk in parts) / 5
 
 
 def test_a_frame_is_found_by_few_bytes(driven):

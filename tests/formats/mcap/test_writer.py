@@ -23,6 +23,7 @@ from tests.samples import DATE, carla_log, drive, images, listed, names_in, save
 SECOND = 1_000_000_000
 HEADER = Header("Town01", 1_600_000_000)
 LARGEST_MESSAGE = 20_000
+DIGEST = {"/actors/stretches", "/vehicles/braking", "/collisions/contacts"}
 
 
 @pytest.fixture(params=["driven", "dense", "carla", "small_mcap"])
@@ -70,14 +71,14 @@ def frames_in(path):
 
 def test_state_and_events_never_share_a_chunk(recording):
     groups = {type.topic: type.group for type in UE4} | {"/carla/raw": Group.STATE, "/frames": Group.STATE}
-    groups["/actors/stretches"] = Group.EVENTS
+    groups |= dict.fromkeys(DIGEST, Group.EVENTS)
     topics = topics_of(recording)
     for chunk in chunks_of(recording):
         assert len({groups[topics[channel]] for channel, *_ in messages_in(chunk)}) == 1
 
 
 def is_event_chunk(chunk, topics):
-    events = {type.topic for type in UE4 if type.group is Group.EVENTS} | {"/actors/stretches"}
+    events = {type.topic for type in UE4 if type.group is Group.EVENTS} | DIGEST
     return all(topics[channel] in events for channel, *_ in messages_in(chunk))
 
 
@@ -168,7 +169,7 @@ def test_schemas_and_channels_stand_in_the_summary_too(recording):
 
 
 def test_only_channels_that_are_used_are_declared(driven):
-    assert sorted(topics_of(driven).values()) == ["/actors/transforms", "/collisions", "/frames"]
+    assert sorted(topics_of(driven).values()) == ["/actors/transforms", "/collisions", "/collisions/contacts", "/frames"]
 
 
 def test_a_frame_that_is_too_large_for_a_chunk_is_cut(tmp_path):

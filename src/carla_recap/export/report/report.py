@@ -17,8 +17,9 @@ from carla_recap.export.report.packing import Packer
 from carla_recap.export.report.sampling import sample
 from carla_recap.export.report.single import data_address, single_page
 from carla_recap.export.style import LIGHTS, OTHER, STYLES
+from carla_recap.model.braking import HARD
 from carla_recap.model.stationary import MIN_DISTANCE, MIN_TIME
-from carla_recap.queries.incidents import HARD, Incident, incidents
+from carla_recap.queries.incidents import Incident, incidents
 from carla_recap.recording import Recording
 from carla_recap.replay.player import Player
 from carla_recap.util.files import WholeFile, check_folder, copy_files, new_folder

@@ -32,8 +32,7 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    from carla_recap.model.layout import Buffer
-    from carla_recap.model.records import RecordType
+    from carla_recap.model.layout import Buffer, PacketType
 
 _WIRE_TYPES: Final = {"u4": FIXED32, "i4": FIXED32, "f4": FIXED32, "u8": FIXED64, "f8": FIXED64}
 
@@ -124,7 +123,7 @@ class FixedCodec:
         wire: The numpy type of a record in a body: its numbers, with gaps for what is the same in each.
     """
 
-    def __init__(self, type: RecordType) -> None:
+    def __init__(self, type: PacketType) -> None:
         (numbers,) = compiled(type).steps
         assert isinstance(numbers, Numbers)
         self._dtype = type.dtype
@@ -219,6 +218,6 @@ class FixedCodec:
 
 
 @cache
-def fixed_codec(type: RecordType) -> FixedCodec:
+def fixed_codec(type: PacketType) -> FixedCodec:
     """Return the codec of a type whose records have one size."""
     return FixedCodec(type)

@@ -23,10 +23,9 @@ from carla_recap.formats.mcap.schema import (
     FILLED,
     FRAME_MESSAGE,
     FRAME_TOPIC,
+    FRAMELESS,
     RAW_MESSAGE,
     RAW_TOPIC,
-    STRETCHES_TOPIC,
-    TAIL_TOPIC,
 )
 from carla_recap.formats.mcap.variable import decode
 from carla_recap.model.batch import Batch, ConstantColumn
@@ -82,7 +81,7 @@ class Channels:
     def wanted(self, types: Iterable[str] | None, *, frames: bool) -> set[int]:
         """Return the channels of some record types, and of the frames' own messages; of all packets for None."""
         if types is None:
-            return {id for id, spec in self.specs.items() if spec.topic not in (TAIL_TOPIC, STRETCHES_TOPIC)}
+            return {id for id, spec in self.specs.items() if spec.topic not in FRAMELESS}
         names = {self.table.named(name).name for name in types}
         wanted = {id for id, type in self.types.items() if type.name in names}
         return wanted | ({self.frames} & self.specs.keys()) if frames else wanted

@@ -9,7 +9,7 @@ import itertools
 import math
 import warnings
 from os import PathLike
-from typing import TYPE_CHECKING, Final
+from typing import TYPE_CHECKING, Final, TypeVar
 
 import numpy as np
 from mcap.opcode import Opcode
@@ -19,6 +19,10 @@ from carla_recap.formats.mcap.frames import MESSAGES_LIMIT, Channels, FrameAssem
 from carla_recap.formats.mcap.index import METADATA_LIMIT, open_chunk, parse_record, read_record, read_summary
 from carla_recap.formats.mcap.messages import WireError
 from carla_recap.formats.mcap.schema import (
+    BRAKING,
+    BRAKING_TOPIC,
+    CONTACTS,
+    CONTACTS_TOPIC,
     EXPORT_METADATA,
     EXTENT_METADATA,
     HEADER_METADATA,
@@ -40,12 +44,16 @@ from carla_recap.model.batch import Batch, within
 from carla_recap.model.frame import SAME_TIME, Extent, Frame, Header
 
 if TYPE_CHECKING:
-    from collections.abc import Collection, Iterator
+    from collections.abc import Callable, Collection, Iterable, Iterator
     from pathlib import Path
 
     from carla_recap.formats.mcap.index import ChunkIndex, Summary
     from carla_recap.formats.sources import ByteSource
+    from carla_recap.model.braking import Braking
+    from carla_recap.model.contacts import ContactStart
     from carla_recap.model.stationary import BlockedRow
+
+T = TypeVar("T")
 
 BLOCK_SIZE: Final = 256 << 10
 """Chunks that are smaller than this, in bytes, are taken several at a time."""
@@ -175,14 +183,11 @@ class McapReader:
 
     def stationary_intervals(self, min_time: float, min_distance: float) -> list[BlockedRow] | None:
         """Return the stationary intervals, read from the events; see `Reader.stationary_intervals`."""
-        least, distance, count = _summed_up(self.metadata)
-        if min_time < least or min_distance != distance:
+        least, distance, count = self._digest_of(STRETCHES, 3)
+        if not min_time >= least or min_distance != distance:
             return None
-        try:
-            rows = [row for message in self._messages(STRETCHES_TOPIC) for row in decode_intervals(message)]
-        except WireError as error:
-            raise FormatError(self.location, None, str(error)) from None
-        if len(rows) != count:  # another program has left some out
+        rows = self._listed(STRETCHES_TOPIC, decode_intervals, count)
+        if rows is None:
             return None
         from carla_recap.model.stationary import BlockedRow
 
@@ -191,6 +196,40 @@ class McapReader:
             for row in rows
             if row.duration >= min_time
         ]
+
+    def hard_braking(self, deceleration: float) -> list[Braking] | None:
+        """Return the intervals of hard braking, read from the events; see `Reader.hard_braking`."""
+        listed, count = self._digest_of(BRAKING, 2)
+        if deceleration != listed:
+            return None
+        from carla_recap.formats.mcap.digest import read_braking
+
+        return self._listed(BRAKING_TOPIC, read_braking, count)
+
+    def contact_starts(self) -> list[ContactStart] | None:
+        """Return the beginnings of contacts, read from the events; see `Reader.contact_starts`."""
+        (count,) = self._digest_of(CONTACTS, 1)
+        if math.isnan(count):
+            return None
+        from carla_recap.formats.mcap.digest import read_contacts
+
+        return self._listed(CONTACTS_TOPIC, read_contacts, count)
+
+    def _digest_of(self, name: str, size: int) -> list[float]:
+        """Return the numbers that the metadata have of a part of the digest; NaN where they have none."""
+        try:
+            numbers = [float(number) for number in self.metadata[name].split()]
+        except (KeyError, ValueError):
+            numbers = []
+        return numbers if len(numbers) == size else [math.nan] * size
+
+    def _listed(self, topic: str, read: Callable[[memoryview], Iterable[T]], count: float) -> list[T] | None:
+        """Return the rows of all messages of a topic; None if their number differs, as if another program left some out."""
+        try:
+            rows = [row for message in self._messages(topic) for row in read(message)]
+        except WireError as error:
+            raise FormatError(self.location, None, str(error)) from None
+        return rows if len(rows) == count else None
 
     def _messages(self, topic: str) -> Iterator[memoryview]:
         """Yield the messages of a topic that belong to no frame."""
@@ -314,15 +353,6 @@ class McapReader:
                 RecapWarning,
                 stacklevel=2,
             )
-
-
-def _summed_up(metadata: dict[str, str]) -> tuple[float, float, int]:
-    """Return the least seconds and the cm of the stationary intervals of a file, and their number."""
-    try:
-        least, distance, count = metadata[STRETCHES].split()
-        return float(least), float(distance), int(count)
-    except (KeyError, ValueError):
-        return math.inf, math.nan, 0
 
 
 def _match(summary: Summary, specs: list[ChannelSpec]) -> dict[int, ChannelSpec]:

@@ -50,10 +50,16 @@ FRAME_TOPIC: Final = "/frames"
 RAW_TOPIC: Final = "/carla/raw"
 TAIL_TOPIC: Final = "/carla/tail"
 STRETCHES_TOPIC: Final = "/actors/stretches"
+BRAKING_TOPIC: Final = "/vehicles/braking"
+CONTACTS_TOPIC: Final = "/collisions/contacts"
 FRAME_MESSAGE: Final = "carla_recap.v1.Frame"
 RAW_MESSAGE: Final = "carla_recap.v1.RawPacket"
 TAIL_MESSAGE: Final = "carla_recap.v1.Tail"
 STRETCHES_MESSAGE: Final = "carla_recap.v1.Stretches"
+BRAKING_MESSAGE: Final = "carla_recap.v1.BrakingIntervals"
+CONTACTS_MESSAGE: Final = "carla_recap.v1.Contacts"
+FRAMELESS: Final = frozenset((TAIL_TOPIC, STRETCHES_TOPIC, BRAKING_TOPIC, CONTACTS_TOPIC))
+"""The topics whose messages belong to no frame."""
 
 EMPTY, FILLED, RAW = 0, 1, 2
 """What a frame says of each of its packets: no records, a message on its topic, or pieces on the topic of raw packets."""
@@ -64,6 +70,10 @@ EXPORT_METADATA: Final = "carla_recap.export"
 """What a file has that shows a recording, but is none."""
 STRETCHES: Final = "stretches"
 """In the extent's metadata: the least s and the cm of stationary intervals, and their number; missing without them."""
+BRAKING: Final = "braking"
+"""In the extent's metadata: the deceleration in m/s² of the intervals of hard braking, and their number; missing without."""
+CONTACTS: Final = "contacts"
+"""In the extent's metadata: the number of beginnings of contacts; missing without them."""
 EVENTS_AT: Final = "events_at"
 """In the extent's metadata: the offset from which on all chunks of events come; missing where they are among the others."""
 CHECKSUM: Final = "checksum"
@@ -92,6 +102,8 @@ def channel_specs(table: Table) -> list[ChannelSpec]:
         ChannelSpec(RAW_TOPIC, "raw_packet", RAW_MESSAGE),
         ChannelSpec(TAIL_TOPIC, "tail", TAIL_MESSAGE),
         ChannelSpec(STRETCHES_TOPIC, "stretches", STRETCHES_MESSAGE),
+        ChannelSpec(BRAKING_TOPIC, "braking", BRAKING_MESSAGE),
+        ChannelSpec(CONTACTS_TOPIC, "contacts", CONTACTS_MESSAGE),
     ]
 
 

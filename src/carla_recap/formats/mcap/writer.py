@@ -10,6 +10,7 @@ import numpy as np
 
 from carla_recap.formats.mcap import messages
 from carla_recap.formats.mcap.chunk import ChunkBuilder, FrameTemplate, has_template, template_key
+from carla_recap.formats.mcap.digest import Digest
 from carla_recap.formats.mcap.file import ChunkedFile, Topic
 from carla_recap.formats.mcap.fixed import fixed_codec
 from carla_recap.formats.mcap.schema import (
@@ -22,8 +23,6 @@ from carla_recap.formats.mcap.schema import (
     RAW,
     RAW_TOPIC,
     SECOND,
-    STRETCHES,
-    STRETCHES_TOPIC,
     TAIL_TOPIC,
     LogClock,
     channel_specs,
@@ -33,25 +32,21 @@ from carla_recap.formats.mcap.schema import (
 from carla_recap.formats.mcap.variable import encode
 from carla_recap.model.frame import Extent, Frame, Header, Packet
 from carla_recap.model.layout import EMPTY_LIST, OBJECTS_LIMIT, PayloadError, check
-from carla_recap.model.records import FRAME_END, FRAME_START, Group, RecordType
-from carla_recap.model.stationary import MIN_DISTANCE, TYPES, StationaryTracker
+from carla_recap.model.records import FRAME_END, FRAME_START, Group
 
 if TYPE_CHECKING:
+    from collections.abc import Iterable
     from pathlib import Path
 
     from numpy.typing import NDArray
 
     from carla_recap.model.batch import Batch
-    from carla_recap.model.stationary import BlockedRow
 
 CHUNK_SIZE: Final = 1 << 20
 CHUNK_SECONDS: Final = 5
 CHUNK_FRAMES: Final = 5_000  # of recordings whose clock stands still
 FRAME_SIZE: Final = 16 << 20
 """The bytes of one frame at which a chunk is cut: what is much larger could not be read."""
-INTERVAL_TIME: Final = 1.0
-"""The shortest stationary intervals that are kept, in seconds."""
-INTERVALS_TOGETHER: Final = 1_000
 LEVEL: Final = 3
 
 
@@ -73,9 +68,9 @@ class McapWriter(ChunkedFile):
         specs = channel_specs(header.table)
         topics = [Topic(spec.topic, spec.message, partial(_schema, spec.module, spec.message)) for spec in specs]
         super().__init__(path, topics, level=LEVEL, live=live, force=force)
-        by_topic = {spec.topic: id for id, spec in enumerate(specs, 1)}
-        self._frame_channel, self._raw_channel, self._tail_channel, self._interval_channel = (
-            by_topic[topic] for topic in (FRAME_TOPIC, RAW_TOPIC, TAIL_TOPIC, STRETCHES_TOPIC)
+        self._by_topic = {spec.topic: id for id, spec in enumerate(specs, 1)}
+        self._frame_channel, self._raw_channel, self._tail_channel = (
+            self._by_topic[topic] for topic in (FRAME_TOPIC, RAW_TOPIC, TAIL_TOPIC)
         )
         self._channel_of = {spec.type.id: id for id, spec in enumerate(specs, 1) if spec.type}
         self._chunks = {group: ChunkBuilder() for group in Group}
@@ -85,10 +80,7 @@ class McapWriter(ChunkedFile):
         self._extent = Extent()
         self._heroes: dict[int, None] = {}
         self._additional = False
-        self._stationary: StationaryTracker | None = StationaryTracker(header.table, INTERVAL_TIME)
-        self._stationary_ids = {header.table.named(name).id for name in TYPES}
-        self._intervals: list[BlockedRow] = []
-        self._interval_count = 0
+        self._digest = Digest(header.table)
         self._template: FrameTemplate | None = None
         if live:
             for topic in topics:
@@ -113,10 +105,8 @@ class McapWriter(ChunkedFile):
         kinds = start + bytes([self._add(packet, head, times) for packet in frame.packets])
         body = messages.frame_body(frame.duration, packets, kinds)
         self._chunks[Group.STATE].add(self._frame_channel, self._sequence, times, head, body)
-        if self._stationary:
-            ids = self._stationary_ids
-            self._stationary.frame(frame, [each for each in frame.packets if each.id in ids and each.payload != EMPTY_LIST])
-            self._take_intervals(self._sequence, head, times)
+        self._digest.frame(frame, self._sequence)
+        self._add_digest(self._digest.take(), head, times)
         self._cut_large()
 
     def write_batch(self, batch: Batch) -> None:
@@ -148,14 +138,13 @@ class McapWriter(ChunkedFile):
         index = template.number(rows[:count], self._sequence, times[:count])
         chunk.add_records([rows[:count].reshape(-1).data], index, int(times[0, 0]), int(times[count - 1, 0]))
         part = batch[:count]
+        self._digest.batch(part, self._sequence)
         self._sequence += count - 1
         last, elapsed = part.id[-1].item(), part.elapsed[-1].item()
         self._extent = Extent(self._extent.frames + count, last, elapsed)
         self._additional = self._additional or template.additional
-        if self._stationary:
-            self._stationary.batch(part)
-            time, publish_time = times[count - 1].tolist()
-            self._take_intervals(self._sequence, messages.head(last, elapsed), (time, publish_time))
+        time, publish_time = times[count - 1].tolist()
+        self._add_digest(self._digest.take(), messages.head(last, elapsed), (time, publish_time))
         self._cut_large()
         return count
 
@@ -205,7 +194,7 @@ class McapWriter(ChunkedFile):
         try:
             if type.fixed:
                 packet.warn_of(check(type, payload))
-                self._found_irregular(type)
+                self._digest.found_irregular(type)
             body = encode(type, payload)
         except PayloadError as error:
             raise packet.error(error) from None
@@ -217,32 +206,19 @@ class McapWriter(ChunkedFile):
             self._heroes |= {actor.id: None for actor in packet.records if actor.attribute("role_name") == "hero"}
         return FILLED
 
-    def _found_irregular(self, type: RecordType | None) -> None:
-        """Keep no stationary intervals, if they depend on a type of which a packet is irregular."""
-        if type is not None and type.name in TYPES:
-            self._stationary = None
-
     def _add_raw(self, packet: Packet, head: bytes, times: tuple[int, int]) -> int:
         """Add a packet in pieces of its bytes."""
-        self._found_irregular(packet.type)
+        self._digest.found_irregular(packet.type)
         for body in messages.raw_bodies(packet.id, packet.payload):
             self._chunks[Group.STATE].add(self._raw_channel, self._sequence, times, head, body)
             self._cut_within_frame(Group.STATE)
         return RAW
 
-    def _add_intervals(self, sequence: int, head: bytes, times: tuple[int, int]) -> None:
-        """Write the stationary intervals that have ended since the latest call."""
-        body = messages.stationary_intervals(self._intervals)
-        self._interval_count += len(self._intervals)
-        self._chunks[Group.EVENTS].add(self._interval_channel, sequence, times, head, body)
-        self._intervals = []
-
-    def _take_intervals(self, sequence: int, head: bytes, times: tuple[int, int]) -> None:
-        """Collect the stationary intervals that have ended; write them once they are many."""
-        if self._stationary:
-            self._intervals += self._stationary.take()
-            if len(self._intervals) >= INTERVALS_TOGETHER:
-                self._add_intervals(sequence, head, times)
+    def _add_digest(self, found: Iterable[tuple[str, bytes]], head: bytes, times: tuple[int, int]) -> None:
+        """Add messages of the digest, by topic."""
+        for topic, body in found:
+            self._chunks[Group.EVENTS].add(self._by_topic[topic], self._sequence, times, head, body)
+            self._cut_within_frame(Group.EVENTS)
 
     def _cut_large(self) -> None:
         """Cut the chunks that are large enough."""
@@ -271,12 +247,11 @@ class McapWriter(ChunkedFile):
             self._add_chunk(chunk, at_end=group is Group.EVENTS)
 
     def _finish(self) -> None:
-        if self._stationary:
-            self._intervals += self._stationary.finish()
-        if self._stationary and self._intervals:
+        rest = list(self._digest.finish())
+        if rest:
             self._sequence += 1
             time = self._clock.next()
-            self._add_intervals(self._sequence, messages.head(self._extent.last_id, self._extent.duration), (time, time))
+            self._add_digest(rest, messages.head(self._extent.last_id, self._extent.duration), (time, time))
         for group in Group:
             self._cut(group)
         self._write_chunks(0)
@@ -295,7 +270,7 @@ class McapWriter(ChunkedFile):
             "additional_data": str(int(self._additional)),
             "steady_clock": str(int(self._clock.steady)),
             **({EVENTS_AT: str(events_at)} if events_at is not None else {}),
-            **({STRETCHES: f"{INTERVAL_TIME:g} {MIN_DISTANCE:g} {self._interval_count}"} if self._stationary else {}),
+            **self._digest.metadata(),
         }
 
 

@@ -11,20 +11,23 @@ from typing import TYPE_CHECKING, Any, Final, NamedTuple
 
 import numpy as np
 
-from carla_recap.model.records import CM
+from carla_recap.model.records import CM, ActorKind
 
 if TYPE_CHECKING:
-    from collections.abc import Collection
+    from collections.abc import Collection, Iterable
 
     from numpy.typing import NDArray
 
     from carla_recap.model.batch import Batch
+    from carla_recap.model.records import Spawn
 
     Booleans = NDArray[np.bool_]
     Floats = NDArray[np.float64]
     Ids = NDArray[np.uint32]
     Indices = NDArray[np.intp]
 
+HARD: Final = 6.0
+"""The deceleration from which on braking is hard, in m/s², unless a query asks for another one."""
 TYPES: Final = ("transforms", "velocities")
 """The record types that hard braking is computed from."""
 HALF_WINDOW: Final = 0.125  # s before and after a moment, of which the speeds count
@@ -79,6 +82,11 @@ class BrakingDetector:
         self._first = 0  # the number of the block's first frame
         self._done = 0  # the number of the first frame that is not evaluated yet
         self._runs: list[NDArray[np.void]] = []
+
+    def add_spawns(self, spawns: Iterable[Spawn]) -> bool:
+        """Add the vehicles among spawned actors; return False if one of them had records before, which were left out."""
+        new = {spawn.id for spawn in spawns if spawn.kind == ActorKind.VEHICLE}
+        return self._transforms.add_vehicles(new) and self._velocities.add_vehicles(new)
 
     def batch(self, batch: Batch) -> None:
         """Process the frames of a batch.
@@ -138,14 +146,31 @@ class _VehicleRecords:
         self.count = 0
         self._vehicles = vehicles
         self._parts: list[_Part] = []
+        self._listed = b""  # the ids of the latest frame
+        self._others: set[int] = set()
+
+    def add_vehicles(self, ids: set[int]) -> bool:
+        """Add vehicles; return whether no frame so far has listed one of them."""
+        new = ids.difference(self._vehicles.tolist())
+        if new:
+            self._vehicles = np.array(sorted({*self._vehicles.tolist(), *new}), np.uint32)
+        return new.isdisjoint(self._others)
 
     def add(self, records: NDArray[np.void]) -> None:
         """Add the packets of some frames, (frames, records of each)."""
         ids = np.ascontiguousarray(records["id"])
-        edges = [0, *(np.flatnonzero((ids[1:] != ids[:-1]).any(axis=1)) + 1).tolist(), len(ids)]
+        edges = [0, len(ids)]
+        if len(ids) > 1:
+            edges[1:1] = (np.flatnonzero((ids[1:] != ids[:-1]).any(axis=1)) + 1).tolist()
         for start, stop in pairwise(edges):
-            columns = np.flatnonzero(_among(ids[start], self._vehicles))
-            self._parts.append(_Part(records[start:stop], columns, ids[start, columns]))
+            listed = ids[start]
+            among = _among(listed, self._vehicles)
+            columns = among.nonzero()[0]
+            key = listed.tobytes()
+            if key != self._listed:
+                self._listed = key
+                self._others.update(listed[~among].tolist())
+            self._parts.append(_Part(records[start:stop], columns, listed[columns]))
             self.count += (stop - start) * len(columns)
 
     @property
@@ -182,7 +207,10 @@ class _VehicleRecords:
     def table(self, ids: Ids) -> tuple[NDArray[np.void], Indices]:
         """Return the last record of each vehicle in each frame, and the number of the frame; by id, then frame."""
         taken = [part.records[:, part.columns[_among(part.ids, ids)]] for part in self._parts]
-        rows = np.concatenate([records.ravel() for records in taken])
+        rows, end = np.empty(sum(records.size for records in taken), taken[0].dtype), 0
+        for records in taken:  # which is faster than to concatenate structures
+            start, end = end, end + records.size
+            rows[start:end] = records.ravel()
         sizes = np.concatenate([np.full(len(records), records.shape[1]) for records in taken])
         frames = np.repeat(np.arange(len(sizes)), sizes)
         order = np.argsort(rows["id"], kind="stable")
@@ -225,22 +253,52 @@ def _suspects(transforms: _VehicleRecords, velocities: _VehicleRecords, elapsed:
     seconds = np.diff(elapsed)[:, None]
     if len(elapsed) <= _FEWEST or not (seconds > 0).all() or not (seconds < _GAP).all():
         return ids
-    positions = transforms.fields("xyz", ids)
-    steps = positions[:, 1:] - positions[:, :-1]
-    jumps = ~((steps * steps).sum(axis=0) < np.square(_SURE * _TOP_SPEED / CM * seconds)).all(axis=0)
-    around = np.concatenate((steps[:2, :1], positions[:2, 2:] - positions[:2, :-2], steps[:2, -1:]), axis=1)
+    measured = velocities.ids()
+    measured = measured[np.isin(measured, ids)]
+    if len(measured):
+        hard = _slows(_hypotenuse(*velocities.fields("xy", measured)), seconds, deceleration)
+        measured_ids, ids = measured[hard], np.setdiff1d(ids, measured)
+        if not len(ids):
+            return measured_ids
+    else:
+        measured_ids = measured
+    x, y, z = (np.diff(axis, axis=0) for axis in transforms.fields("xyz", ids))  # steps
+    squares = x * x
+    squares += y * y
+    z *= z
+    squares += z
+    farthest = np.square(_SURE * _TOP_SPEED / CM * seconds).astype(squares.dtype)
+    jumps = ~(squares < farthest).all(axis=0)
+    # The speed in a frame is that between the frames around it.
     times = np.concatenate((seconds[:1], seconds[1:] + seconds[:-1], seconds[-1:]))
-    speed = np.sqrt((around * around).sum(axis=0)) / (times / CM)
-    if velocities.count:
-        measured = velocities.ids()
-        x, y = velocities.fields("xy", measured)
-        known = np.isin(measured, ids)
-        columns = np.searchsorted(ids, measured[known])
-        speed[:, columns] = np.hypot(x, y)[:, known]
-        jumps[columns] = False
-    slower = ~(speed[:-1] * (2 - _SURE) - speed[1:] < _SURE * deceleration * seconds)
-    found: Ids = ids[jumps | slower.any(axis=0)]
+    speed = _hypotenuse(_around(x), _around(y))
+    speed *= (CM / times).astype(speed.dtype)
+    found: Ids = np.union1d(measured_ids, ids[jumps | _slows(speed, seconds, deceleration)])
     return found
+
+
+def _around(steps: NDArray[np.floating[Any]]) -> NDArray[np.floating[Any]]:
+    """Return the steps between the frames around each frame; steps are (frames - 1, vehicles)."""
+    around = np.concatenate((steps[:1], steps))
+    around[1:-1] += steps[1:]
+    return around
+
+
+def _hypotenuse(x: NDArray[np.floating[Any]], y: NDArray[np.floating[Any]]) -> NDArray[np.floating[Any]]:
+    """Return the lengths of vectors, which are overwritten."""
+    x *= x
+    y *= y
+    x += y
+    lengths: NDArray[np.floating[Any]] = np.sqrt(x, out=x)
+    return lengths
+
+
+def _slows(speed: NDArray[np.floating[Any]], seconds: Floats, deceleration: float) -> Booleans:
+    """Return which vehicles may slow down that fast between some two frames; speeds are (frames, vehicles)."""
+    slower = speed[:-1] * speed.dtype.type(2 - _SURE)
+    slower -= speed[1:]
+    surely_not: Booleans = slower < (_SURE * deceleration * seconds).astype(speed.dtype)
+    return ~np.asarray(surely_not.all(axis=0))
 
 
 _RUN: Final = np.dtype(
@@ -350,7 +408,7 @@ def _among(ids: Ids, others: Ids) -> Booleans:
     """Return which ids are among others, which ascend."""
     if not len(others):
         return np.zeros(len(ids), np.bool_)
-    found: Booleans = others[np.minimum(np.searchsorted(others, ids), len(others) - 1)] == ids
+    found: Booleans = others[np.minimum(others.searchsorted(ids), len(others) - 1)] == ids
     return found
 
 

@@ -1,0 +1,114 @@
+"""Looks up the beginnings of contacts: in the digest of an MCAP file, else in the frames around them."""
+
+from __future__ import annotations
+
+import math
+from typing import TYPE_CHECKING, Final
+
+from carla_recap.model.contacts import MOTION, contact_start
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable, Mapping
+
+    from carla_recap.formats.base import Reader
+    from carla_recap.model.batch import Batch
+    from carla_recap.model.contacts import ContactStart, Key
+    from carla_recap.model.frame import Frame
+
+LOOK_UPS: Final = 500
+"""Moments that are looked up one by one; to find more, all frames are read."""
+_BEFORE: Final = 1.0  # s before a moment that are read with it
+_BEHIND: Final = 1e-3  # s behind it
+_FRAMES: Final = 3  # the frame of a contact, and two before it
+
+
+def contact_starts(source: Reader, wanted: Mapping[Key, float]) -> dict[Key, ContactStart]:
+    """Return the beginnings of contacts.
+
+    Args:
+        source: The recording.
+        wanted: The elapsed seconds of each, by the index of its frame and the ids of the actors.
+
+    Raises:
+        FormatError: The file contradicts its format.
+    """
+    if not wanted:
+        return {}
+    found = {start.key: start for start in source.contact_starts() or () if start.key in wanted}
+    times = {key: time for key, time in wanted.items() if key not in found}
+    if times:
+        search = _Search(times)
+        spans = _spans(times.values())
+        if len(spans) <= LOOK_UPS and getattr(source, "metadata", {}).get("steady_clock") == "1":
+            for start, stop in spans:
+                search.add(source.batches(MOTION, start=start, stop=stop))
+        if search.missing:
+            search.add(source.batches(MOTION), is_whole=True)
+        found |= search.found
+    return found
+
+
+def _spans(times: Iterable[float]) -> list[tuple[float, float]]:
+    """Return the times to read, in order; those that overlap are joined."""
+    spans: list[tuple[float, float]] = []
+    for time in sorted(times):
+        start, stop = time - _BEFORE, time + _BEHIND
+        if spans and start <= spans[-1][1]:
+            spans[-1] = (spans[-1][0], stop)
+        else:
+            spans.append((start, stop))
+    return spans
+
+
+class _Search:
+    """Finds the beginnings of contacts in frames.
+
+    Args:
+        keys: The beginnings; see `ContactStart.key`.
+
+    Attributes:
+        found: Those that were found, by key.
+        missing: The keys of the others, by frame.
+    """
+
+    def __init__(self, keys: Iterable[Key]) -> None:
+        self.found: dict[Key, ContactStart] = {}
+        self.missing: dict[int, list[Key]] = {}
+        for key in keys:
+            self.missing.setdefault(key[0], []).append(key)
+        self._indexes = {index - back for index in self.missing for back in range(_FRAMES)}
+        self._frames: dict[int, Frame] = {}
+
+    def add(self, batches: Iterable[Batch], *, is_whole: bool = False) -> None:
+        """Search consecutive frames, until all is found.
+
+        Args:
+            batches: The frames.
+            is_whole: Whether these are all frames of the recording; of others, the two before a contact must be among them.
+        """
+        self._frames.clear()
+        for batch in batches:
+            rows = range(batch.index, batch.index + len(batch))
+            if len(self._indexes) < len(rows):
+                wanted = sorted(index for index in self._indexes if index in rows)
+            else:
+                wanted = [index for index in rows if index in self._indexes]
+            for index in wanted:
+                self._frames[index] = batch.frame(index - batch.index)
+                self._frames.pop(index - _FRAMES, None)
+                self._find(index, is_whole=is_whole)
+            if not self.missing:
+                return
+
+    def _find(self, index: int, *, is_whole: bool) -> None:
+        recent = [self._frames.get(index - back) for back in range(_FRAMES)]
+        frame, before, earlier = recent
+        if index not in self.missing or frame is None or not (is_whole or None not in recent[: index + 1]):
+            return
+        for key in self.missing.pop(index):
+            self.found[key] = contact_start(key, frame, before, earlier)
+
+
+def is_known(vector: tuple[float, float, float]) -> bool:
+    """Return whether a position or velocity is known."""
+    return not math.isnan(vector[0])
