@@ -147,6 +147,18 @@ def parse_rules(text: str, path: Path | str) -> RuleSet:
     return RuleSet(str(path), tuple(_rule(name, table, path) for name, table in found.items()))
 
 
+def make_rules(**conditions: Any) -> RuleSet:
+    """Return rules from Python: a rule for each condition, with its name.
+
+    Args:
+        conditions: The conditions as in a file, such as `collisions={"of": "hero", "max": 0}`.
+
+    Raises:
+        RecapError: A condition is wrong.
+    """
+    return RuleSet("", tuple(_rule(name, {name: value}, "rules") for name, value in conditions.items()))
+
+
 def check(recording: Recording, rules: Iterable[Rule]) -> list[Verdict]:
     """Return the verdicts of rules on a recording, in the order of the rules; only what they need is read.
 

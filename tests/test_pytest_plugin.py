@@ -1,0 +1,300 @@
+"""The fixtures for users' tests, in runs of pytest of their own, with CARLA's client."""
+
+from __future__ import annotations
+
+import re
+import subprocess
+import sys
+from importlib.util import find_spec
+from textwrap import dedent
+from typing import TYPE_CHECKING, NamedTuple
+from xml.etree import ElementTree
+
+import pytest
+
+from carla_recap import open_recording
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+    from pathlib import Path
+
+pytest_plugins = ["pytester"]
+pytestmark = pytest.mark.skipif(
+    not all(map(find_spec, ("carla", "pymunk", "msgpack"))), reason="the extra `server` is not installed"
+)
+
+TIMEOUT = 240  # s
+COMMON = """
+import carla
+import os
+import pytest
+from pathlib import Path
+
+def spawn(world, name, point, **attributes):
+    blueprint = world.get_blueprint_library().find(name)
+    for key, value in attributes.items():
+        blueprint.set_attribute(key, value)
+    return world.spawn_actor(blueprint, point)
+
+def crash(run):
+    point = run.world.get_map().get_spawn_points()[0]
+    forward = point.get_forward_vector()
+    hero = spawn(run.world, "vehicle.tesla.model3", point, role_name="hero")
+    spawn(run.world, "vehicle.audi.tt", carla.Transform(point.location + 12 * forward, point.rotation))
+    run.tick()
+    sensor = run.world.get_blueprint_library().find("sensor.other.collision")
+    run.world.spawn_actor(sensor, carla.Transform(), attach_to=hero)
+    run.tick()
+    hero.enable_constant_velocity(carla.Vector3D(10, 0, 0))
+    run.tick(2)
+"""
+RULES = '[rules.harmless]\ncollisions = { of = "hero", max = 0 }\n'
+TESTS = """
+def vehicles(run):
+    return len(run.world.get_actors().filter("vehicle.*"))
+
+def test_leaves_actors_settings_and_weather(carla_world):
+    assert carla_world.world.get_settings().synchronous_mode
+    point = carla_world.world.get_map().get_spawn_points()[0]
+    spawn(carla_world.world, "vehicle.tesla.model3", point)
+    carla_world.world.set_weather(carla.WeatherParameters(cloudiness=50.0))
+    carla_world.world.apply_settings(carla.WorldSettings(synchronous_mode=False, fixed_delta_seconds=0.02))
+
+def test_gets_a_clean_world(carla_world):
+    settings = carla_world.world.get_settings()
+    assert (settings.synchronous_mode, round(settings.fixed_delta_seconds, 6)) == (True, 0.05)
+    assert carla_world.world.get_weather().cloudiness == 0
+    assert vehicles(carla_world) == 0
+    assert carla_world.world.get_snapshot().timestamp.elapsed_seconds < 1
+
+def test_is_recorded(carla_world):
+    crash(carla_world)
+    assert len(open_recording(carla_world.stop_recording()).collisions()) > 0
+
+def test_leaves_a_replay(carla_world):
+    crash(carla_world)
+    path = carla_world.stop_recording()
+    for actor in carla_world.world.get_actors().filter("vehicle.*"):
+        actor.destroy()
+    carla_world.tick()
+    carla_world.client.replay_file(str(path), 0, 0, 0, False)
+    carla_world.tick()
+    assert vehicles(carla_world) == 2
+
+def test_comes_after_a_replay(carla_world):
+    assert vehicles(carla_world) == 0
+    carla_world.tick()
+    assert vehicles(carla_world) == 0
+
+def test_leaves_its_traffic_manager(carla_world):
+    manager = carla_world.traffic_manager
+    for point in carla_world.world.get_map().get_spawn_points()[:3]:
+        spawn(carla_world.world, "vehicle.audi.tt", point).set_autopilot(True, manager.get_port())
+    carla_world.tick(1)
+
+def test_has_a_traffic_manager_of_its_own(carla_world):
+    test_leaves_its_traffic_manager(carla_world)
+    speeds = [actor.get_velocity().length() for actor in carla_world.world.get_actors().filter("vehicle.*")]
+    assert max(speeds) > 0.5
+
+def test_ends_the_server(carla_world):
+    (server,) = Path("/proc/self/task", str(os.getpid()), "children").read_text().split()
+    os.kill(int(server), 9)
+
+def test_gets_another_server(carla_world, carla_server):
+    assert vehicles(carla_world) == 0
+
+@pytest.mark.carla(map="Atlantis")
+def test_wants_an_unknown_map(carla_world):
+    pass
+
+@pytest.mark.carla(map="Walled", fixed_delta_seconds=0.1)
+def test_is_on_another_map(carla_world):
+    assert carla_world.world.get_map().name.endswith("Walled")
+    assert round(carla_world.world.get_settings().fixed_delta_seconds, 6) == 0.1
+
+def test_is_on_the_built_in_map_again(carla_world):
+    assert carla_world.world.get_map().name.endswith("Brickfield")
+
+@pytest.mark.carla(synchronous=False)
+def test_is_asynchronous(carla_world):
+    carla_world.world.wait_for_tick(10.0)
+
+@pytest.mark.carla(town="Brickfield")
+def test_has_a_wrong_marker(carla_world):
+    pass
+
+def test_fails_and_leaves_the_world_without_ticks(carla_world):
+    crash(carla_world)
+    assert False
+
+def test_meets_rules(carla_world):
+    crash(carla_world)
+    carla_world.assert_rules(collisions={"of": "hero", "min": 1}, map="Brickfield")
+
+def test_breaks_rules(carla_world):
+    crash(carla_world)
+    carla_world.assert_rules("rules.toml")
+
+@pytest.mark.carla(rules="rules.toml")
+def test_breaks_the_rules_of_its_marker(carla_world):
+    crash(carla_world)
+
+@pytest.mark.xfail
+def test_is_expected_to_fail(carla_world):
+    assert False
+
+@pytest.fixture
+def broken(carla_world):
+    carla_world.tick()
+    assert False
+
+def test_has_a_broken_fixture(broken):
+    pass
+"""
+UNHAPPY = {
+    "test_wants_an_unknown_map": "error",
+    "test_has_a_wrong_marker": "error",
+    "test_fails_and_leaves_the_world_without_ticks": "failure",
+    "test_breaks_rules": "failure",
+    "test_breaks_the_rules_of_its_marker": "failure",
+    "test_is_expected_to_fail": "skipped",
+    "test_has_a_broken_fixture": "error",
+}
+KEPT = (
+    "test_fails_and_leaves_the_world_without_ticks",
+    "test_breaks_rules",
+    "test_breaks_the_rules_of_its_marker",
+    "test_has_a_broken_fixture",
+)
+
+
+class Run(NamedTuple):
+    """A run of pytest: its output, the results of its tests by name, and its folder."""
+
+    output: str
+    results: dict[str, list[ElementTree.Element]]
+    folder: Path
+
+    def section(self, test: str) -> str:
+        """Return what the output has of a test that fails."""
+        return re.split(r"^_{3,} (?:ERROR at setup of )?(\w+) _{3,}$", self.output, flags=re.MULTILINE)[
+            1 + self.output_names().index(test) * 2 + 1
+        ]
+
+    def output_names(self) -> list[str]:
+        return re.findall(r"^_{3,} (?:ERROR at setup of )?(\w+) _{3,}$", self.output, flags=re.MULTILINE)
+
+
+def run_pytest(folder: Path, *options: str) -> Run:
+    command = [sys.executable, "-m", "pytest", "-p", "no:cacheprovider", "--junitxml=out.xml", *options]
+    done = subprocess.run(command, cwd=folder, capture_output=True, text=True, timeout=TIMEOUT, check=False)
+    cases = ElementTree.parse(folder / "out.xml").iter("testcase")
+    return Run(done.stdout + done.stderr, {case.get("name", ""): list(case) for case in cases}, folder)
+
+
+@pytest.fixture(scope="module")
+def run(tmp_path_factory: pytest.TempPathFactory) -> Run:
+    """A run of many tests, one after another."""
+    from carla_recap.sim import load_town
+
+    folder = tmp_path_factory.mktemp("users")
+    (folder / "maps").mkdir()
+    (folder / "maps" / "Walled.xodr").write_text(load_town().opendrive)
+    (folder / "rules.toml").write_text(RULES)
+    (folder / "test_drive.py").write_text("from carla_recap import open_recording\n" + COMMON + TESTS)
+    (folder / "carla-recordings").mkdir()
+    (folder / "carla-recordings" / "test_drive-test_is_recorded.html").touch()
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setenv("CARLA_RECAP_MAPS", str(folder / "maps"))
+        return run_pytest(folder)
+
+
+@pytest.mark.parametrize("name", re.findall(r"^def (test_\w+)", TESTS, re.MULTILINE))
+def test_a_users_test(run: Run, name: str) -> None:
+    found = [child.tag for child in run.results[name] if child.tag in ("failure", "error", "skipped")]
+    assert found == ([UNHAPPY[name]] if name in UNHAPPY else []), run.output
+
+
+def test_the_recordings_and_pages_of_failed_tests_are_kept_and_no_others(run: Run) -> None:
+    kept = sorted(path.name for path in (run.folder / "carla-recordings").iterdir())
+    assert kept == sorted(f"test_drive-{name}{suffix}" for name in KEPT for suffix in (".mcap", ".html"))
+
+
+def test_the_report_of_a_failed_test_names_its_recording_and_its_page(run: Run) -> None:
+    stem = run.folder / "carla-recordings" / "test_drive-test_breaks_rules"
+    assert f"recording: {stem}.mcap\npage: {stem}.html" in run.section("test_breaks_rules")
+
+
+@pytest.mark.parametrize("name", ["test_breaks_rules", "test_breaks_the_rules_of_its_marker"])
+def test_broken_rules_are_named(run: Run, name: str) -> None:
+    section = run.section(name)
+    assert "1 of 1 rules are broken" in section
+    assert "harmless: 1 collision of the hero instead of at most 0: hero collides with vehicle.audi.tt" in section
+    assert "def assert_rules" not in section
+    assert "def pytest_runtest_call" not in section
+
+
+def test_a_kept_recording_is_complete(run: Run) -> None:
+    with open_recording(run.folder / "carla-recordings" / f"test_drive-{KEPT[0]}.mcap") as recording:
+        assert recording.info.frames == 42
+        assert recording.info.additional_data
+
+
+def test_an_unknown_map_is_named(run: Run) -> None:
+    assert "'Atlantis': there is no such map" in run.section("test_wants_an_unknown_map")
+
+
+def test_a_wrong_marker_is_explained(run: Run) -> None:
+    expected = "the marker carla takes map=, rules=, fixed_delta_seconds=, synchronous= alone"
+    assert expected in run.section("test_has_a_wrong_marker")
+
+
+def test_options_give_rules_for_all_tests_and_a_folder_where_all_recordings_are_kept(pytester: pytest.Pytester) -> None:
+    pytester.makefile(".toml", rules=RULES)
+    pytester.makepyfile(
+        f"{COMMON}\ndef test_crash(carla_world):\n    crash(carla_world)\n\ndef test_calm(carla_world): pass"
+    )
+    done = pytester.runpytest_subprocess("--carla-recap-rules=rules.toml", "--carla-recap-dir=out", "--carla-recap-keep=all")
+    done.assert_outcomes(passed=1, failed=1)
+    done.stdout.fnmatch_lines(["harmless: 1 collision of the hero instead of at most 0*"])
+    (module,) = (path.stem for path in pytester.path.glob("test_*.py"))
+    assert sorted(path.name for path in (pytester.path / "out").iterdir()) == [
+        f"{module}-test_calm.mcap",
+        f"{module}-test_crash.html",
+        f"{module}-test_crash.mcap",
+    ]
+
+
+def test_workers_have_servers_of_their_own(pytester: pytest.Pytester) -> None:
+    pytest.importorskip("xdist", reason="pytest-xdist is not installed")
+    pytester.makepyfile(
+        dedent("""
+        import pytest
+
+        @pytest.mark.parametrize("number", range(4))
+        def test_mine(carla_world, carla_server, number):
+            carla_world.tick(0.5)
+            print(f"port {carla_server}")
+            assert number < 2
+        """)
+    )
+    done = pytester.runpytest_subprocess("-n2", "-rA", "--dist=load")
+    done.assert_outcomes(passed=2, failed=2)
+    ports = set(re.findall(r"port (\d+)", done.stdout.str()))
+    assert len(ports) == 2
+    assert len(list((pytester.path / "carla-recordings").glob("*.mcap"))) == 2
+
+
+@pytest.fixture
+def names() -> Callable[[str], str]:
+    from carla_recap.pytest_plugin import _file_name
+
+    return _file_name
+
+
+def test_files_of_tests_are_named_after_them(names: Callable[[str], str]) -> None:
+    assert names("tests/a/test_b.py::TestC::test_d[x-1.5]") == "tests-a-test_b-TestC-test_d-x-1.5"
+    awkward = [names(f"test_b.py::test_d[{value}]") for value in ("a/b", "a b", "a-b", "../..", "ä\0", "x" * 4000)]
+    assert len(set(awkward)) == len(awkward)
+    assert all(re.fullmatch(r"[\w.-]{1,140}", name) and ".." not in name.split("-")[0] for name in awkward)
