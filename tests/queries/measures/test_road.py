@@ -8,11 +8,15 @@ import numpy as np
 import pytest
 
 from carla_recap.formats import open_reader
-from carla_recap.maps.network import build_network
+from carla_recap.maps.network import build_network, find_road_network
 from carla_recap.model.frame import Header
 from carla_recap.model.records import Spawn, attributes
 from carla_recap.queries.actors import actors
 from carla_recap.queries.measures.road import TYPES, RoadEvent, RoadSearch
+from carla_recap.sim import VehicleControl, World
+from carla_recap.sim.scenarios.places import spawn_on_lane
+from carla_recap.sim.town.town import SignalKind
+from carla_recap.sim.traffic.spawning import populate
 from tests.maps.straight_road import LIGHT_POSITION, STRAIGHT_ROAD
 from tests.queries.conftest import write
 
@@ -296,3 +300,61 @@ def test_blocks_change_nothing(drives: Drives, monkeypatch: pytest.MonkeyPatch) 
 
 
 # --- staged in the built-in town -----------------------------------------------------------------------------------------
+# --- staged in the built-in town -----------------------------------------------------------------------------------------
+
+
+def test_red_light_runs_among_traffic_in_the_built_in_town_are_found_and_no_others(tmp_path: Path) -> None:
+    """Five cars do not stop at red lights that stay so, among thirty that do."""
+    world = World(seed=5)
+    lights = [signal for signal in world.town.signals if signal.kind is SignalKind.LIGHT]
+    runners = {}
+    for number in (0, 3, 8, 10, 13):
+        lane, stop = lights[number].stops[0]
+        car = spawn_on_lane(world, "vehicle.tesla.model3", world.town.lanes[lane], stop - 40, "runner")
+        world.signals.freeze(number, True)
+        for row in world.signals.group_of(number):
+            world.signals.set_state(row, RED)
+        car.control = VehicleControl(throttle=0.4)
+        runners[car.id] = car, car.transform.location, world.traffic_lights[number].id
+    for other in populate(world, 30, 0):  # those around would be pushed
+        if any(other.transform.location.distance(car.transform.location) < 60 for car, *_ in runners.values()):
+            world.destroy(other)
+    recording = world.start_recorder(tmp_path / "runs.mcap")
+    crossed: dict[int, float] = {}
+    start = world.elapsed
+    while len(crossed) < len(runners) or world.elapsed - start < 30:
+        world.tick()
+        for id, (car, origin, _) in runners.items():
+            if id not in crossed and car.transform.location.distance(origin) >= 40 - car.box.extent.x:
+                crossed[id] = world.elapsed - start
+            elif id in crossed and world.elapsed - start - crossed[id] > 2:
+                car.control = VehicleControl(brake=1.0)
+        assert world.elapsed - start < 60
+    world.stop_recorder()
+    found = [event for event in events_in(recording) if event.kind == "red light"]
+    assert {event.id: event.start for event in found} == pytest.approx(crossed, abs=0.11)
+    assert len(found) == len(runners)
+    for event in found:
+        assert event.text.startswith(f"runs a red light ({runners[event.id][2]}) at ")
+
+
+def test_law_abiding_traffic_breaks_no_rule(tmp_path: Path) -> None:
+    """Half a minute of it; `benchmarks/` has ten."""
+    world = World(seed=1)
+    populate(world, 60, 0)
+    recording = world.start_recorder(tmp_path / "traffic.mcap")
+    for _ in range(600):
+        world.tick()
+    world.stop_recorder()
+    assert events_in(recording) == []
+
+
+def events_in(recording: Path) -> list[RoadEvent]:
+    """What is found in a recording of the built-in town."""
+    roads = find_road_network("Brickfield")
+    assert roads is not None
+    reader = open_reader(recording)
+    try:
+        return Drives(roads, recording).search(reader)
+    finally:
+        reader.close()
