@@ -46,3 +46,14 @@ def test_velocities_that_were_not_recorded_are_empty(tmp_path):
         with pytest.raises(RecapError, match="exists already"):
             export_csv(recording, tmp_path / "own.csv")
     assert rows(tmp_path / "own.csv")[0]["vx"] == ""
+
+
+def test_names_are_printable_and_poses_finite(tmp_path):
+    with create_recording(tmp_path / "own.log", map_name="") as recorder:
+        poses = [(7, 0, 0, 0, 0, 0, 0), (8, float("nan"), 0, 0, 0, 0, 0)]
+        spawns = [Spawn(7, 1, type_id='vehicle.\r\n",'), Spawn(8, 1, type_id="vehicle.b")]
+        recorder.add_frame(0.0, spawned=spawns, transforms=poses)
+    with open_recording(tmp_path / "own.log") as recording:
+        export_csv(recording, tmp_path / "own.csv")
+    (row,) = rows(tmp_path / "own.csv")
+    assert (row["id"], row["type_id"].isprintable()) == ("7", True)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import csv
 from io import StringIO
-from typing import TYPE_CHECKING, Final
+from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
@@ -14,6 +14,7 @@ from carla_recap.rendering.looks import look_of_present
 from carla_recap.replay import Played, Player
 from carla_recap.replay.pose import right_handed
 from carla_recap.util.files import WholeFile
+from carla_recap.util.text import visible
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -46,7 +47,7 @@ def export_csv(
     """Write the tracks of vehicles and walkers as a CSV file.
 
     Numbers have as many digits as it takes to read the same ones again: `import_tracks` gives the same transforms. A
-    velocity that was not recorded is empty.
+    velocity that was not recorded is empty. Poses with numbers that are not finite are left out.
 
     Args:
         source: The recording.
@@ -88,10 +89,13 @@ def _rows(batch: SceneBatch) -> Iterator[list[object]]:
     for column, actor in actors:
         look = look_of_present(actor)
         half, center = (look.half_extents, look.center) if look else ((0.0,) * 3, (0.0,) * 3)
-        head = [actor.id, _KINDS[ActorKind(actor.kind)], actor.type_id, actor.role_name]
+        head = [actor.id, _KINDS[ActorKind(actor.kind)], visible(actor.type_id), visible(actor.role_name)]
         columns.append((column, head, [*(_rounded(2 * extent) for extent in half), *map(_rounded, center)]))
+    finite: Any = np.isfinite(poses).all(axis=2)
     for row, time in enumerate(batch.time.tolist()):
         for column, head, size in columns:
+            if not finite[row, column]:
+                continue
             moving = velocities[row, known[head[0]]].tolist() if head[0] in known else [""] * 3
             yield [time, *head, *poses[row, column].tolist(), *moving, *size]
 
