@@ -72,3 +72,17 @@ def test_bad_input(tmp_path):
     (tmp_path / "text.log").write_text("no recording")
     assert "text.log" in error("diff", tmp_path / "text.log", CRASH)
     assert "'-1' is not a number of 0 or more" in error("diff", CRASH, CRASH, "--tolerance", -1)
+
+
+def test_a_page_and_an_rrd(tmp_path):
+    clip(CRASH, tmp_path / "b.mcap", start=0.0, duration=10.0)
+    done = run("diff", CRASH, tmp_path / "b.mcap", "--html", tmp_path / "page.html", "--no-events")
+    assert done.returncode == 1
+    assert done.stdout.startswith(b"1200 frames in 59.95 s, and 201 in 10.00 s\n")
+    assert b"page.html: " in done.stderr
+    assert "<html" in (tmp_path / "page.html").read_text("utf-8")
+    assert run("diff", CRASH, tmp_path / "b.mcap", "--html", tmp_path / "page.html").returncode == 2
+    pytest.importorskip("rerun", reason="the extra `rerun` is not installed")
+    done = run("diff", CRASH, tmp_path / "b.mcap", "--rrd", tmp_path / "both.rrd", "--no-events")
+    assert done.returncode == 1
+    assert (tmp_path / "both.rrd").stat().st_size > 100_000

@@ -899,3 +899,57 @@ def test_signs_are_drawn_where_no_map_has_them(tmp_path: Path) -> None:
     sign = Spawn(1, ActorKind.TRAFFIC_SIGN, type_id="traffic.stop")
     rrd = export(write(tmp_path / "sign.log", driven(2, of=2, spawned=[sign, spawn(2)])), tmp_path / "sign.rrd")
     assert rrd.at("/world/actors/1", "Mesh3D:vertex_positions", 0) is not None
+
+
+# --- ghosts -----------------------------------------------------------------------------------------------------
+
+
+def parting(path: Path, shift: int, *, count: int = 8, aside: int = 0, extra: bool = False) -> Path:
+    """Write a drive of a hero, which goes aside from 4 s on, and of a walker that stands."""
+    frames = []
+    for n in range(count):
+        poses = [pose(1 + shift, 100 * n, aside if n >= 4 else 0), pose(2 + shift, 0, 500)]
+        frames.append({"transforms": [*poses, *([pose(9, 0, -700)] if extra else [])]})
+    frames[0]["spawned"] = [spawn(1 + shift, role_name="hero"), spawn(2 + shift, "walker.pedestrian.0001")]
+    if extra:
+        frames[0]["spawned"].append(spawn(9, "vehicle.mini.cooper_s"))
+    return write(path, frames)
+
+
+def with_ghost(folder: Path, **options) -> Rrd:
+    first = parting(folder / "a.log", 0)
+    with open_recording(parting(folder / "b.log", 20, **options)) as other:
+        return export(first, folder / "ghost.rrd", ghost=other)
+
+
+def test_a_ghost_is_shown_from_when_on_it_is_elsewhere(tmp_path: Path) -> None:
+    rrd = with_ghost(tmp_path, aside=300, count=7)
+    ghost = "/world/ghost/21"
+    assert not {entity for entity in rrd.entities if entity.startswith("/world/ghost/") and entity != ghost}
+    shown = [rrd.at(ghost, "Mesh3D:vertex_positions", t) is not None for t in range(8)]
+    assert shown == [False, False, False, False, True, True, False, False]  # b has ended at 6 s
+    assert rrd.place(ghost, 5) == pytest.approx((5, -3, 0))
+    assert rrd.place("/world/actors/1", 5) == pytest.approx((5, 0, 0))
+    (color,) = rrd.at(ghost, "Mesh3D:albedo_factor", 5)
+    assert color & 255 < 128
+    assert rrd.at(ghost, "Points3D:labels", 5) == ["B: hero 21"]
+    assert np.ravel(rrd.at("/map/ghosts", "Points2D:positions", 5)) == pytest.approx((5, 3))
+    verify(tmp_path / "ghost.rrd")
+
+
+def test_an_actor_of_the_other_recording_alone_is_a_ghost(tmp_path: Path) -> None:
+    rrd = with_ghost(tmp_path, extra=True)
+    assert {entity for entity in rrd.entities if entity.startswith("/world/ghost/")} == {"/world/ghost/9"}
+    assert rrd.place("/world/ghost/9", 0) == pytest.approx((0, 7, 0))
+
+
+def test_equal_recordings_have_no_ghosts(tmp_path: Path) -> None:
+    rrd = with_ghost(tmp_path)
+    assert not [entity for entity in rrd.entities if entity.startswith("/world/ghost/")]
+
+
+def test_the_other_recording_may_end_before_the_exported_part(tmp_path: Path) -> None:
+    first = parting(tmp_path / "a.log", 0)
+    with open_recording(parting(tmp_path / "b.log", 20, aside=300, count=5)) as other:
+        rrd = export(first, tmp_path / "late.rrd", ghost=other, start=6)
+    assert not [entity for entity in rrd.entities if entity.startswith("/world/ghost/")]

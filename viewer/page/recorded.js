@@ -66,9 +66,21 @@ class Recorded {
   }
 }
 
-/** Find the vehicles and walkers that two recordings have in common: of the same type, first seen in the same spot. */
+/** Set the actors that two recordings have in common: the given ones, or else those that look the same. */
 function pair(first, second) {
   [first.twins, second.twins] = [new Map(), new Map()];
+  const { differences } = first.report;
+  if (!differences) return findPairs(first, second);
+  for (const [id, since, otherId, otherSince] of differences.pairs) {
+    const [own, other] = [first.tracks.indexOf(id, since ?? 0), second.tracks.indexOf(otherId, otherSince ?? 0)];
+    if (own < 0 || other < 0 || second.twins.has(other)) continue;
+    first.twins.set(own, other);
+    second.twins.set(other, own);
+  }
+}
+
+/** Find the vehicles and walkers that two recordings have in common: of the same type, first seen in the same spot. */
+function findPairs(first, second) {
   const moves = ({ kind }) => kind === "vehicle" || kind === "walker";
   const [own, other] = [{}, {}];
   first.tracks.actors.forEach((actor, index) => {

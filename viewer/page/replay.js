@@ -82,9 +82,10 @@ class Replay {
   compare() {
     const [first, second] = this.recordings;
     pair(first, second);
-    const difference = first.differsFrom(second);
+    const given = first.report.differences;
+    const difference = given ? given.since : first.differsFrom(second);
     const text = difference === null ? "Both move alike." : `The same until ${clockTime(difference)}, different from then on.`;
-    document.getElementById("difference").textContent = text;
+    document.getElementById("difference").textContent = given ? `${given.text}.` : text;
     if (difference !== null) this.transport.addDifference(difference);
     document.getElementById("compare").hidden = false;
     document.body.classList.add("compares");
@@ -94,7 +95,7 @@ class Replay {
       name.hidden = false;
     });
     document.querySelectorAll("#followed .speed").forEach((speed) => (speed.hidden = false));
-    this.setMode(NARROW.matches ? "over" : "beside");
+    this.setMode(given || NARROW.matches ? "over" : "beside");
   }
 
   /** Show two recordings side by side, or over each other. */

@@ -4,12 +4,17 @@ from __future__ import annotations
 
 import os
 import sys
-from typing import Final, NoReturn
+from contextlib import ExitStack
+from typing import TYPE_CHECKING, Final, NoReturn
 
 import click
 
 from carla_recap.cli import options
-from carla_recap.cli.output import print_pieces
+from carla_recap.cli.output import print_pieces, say
+
+if TYPE_CHECKING:
+    from carla_recap.queries.differences import Differences
+    from carla_recap.recording import Recording
 
 DIFFERENT: Final = 1
 """The exit code of recordings that differ."""
@@ -53,13 +58,36 @@ def diff(
     from carla_recap.queries.output import differences as output
     from carla_recap.recording import open_recording
 
-    with open_recording(first) as a, open_recording(second) as b:
+    with ExitStack() as stack:
+        a, b = (stack.enter_context(open_recording(path)) for path in (first, second))
         found = a.diff(b, tolerance=tolerance, time_tolerance=time_tolerance, events=events)
-    if form is None:
-        form = "table" if sys.stdout.isatty() else "text"
-    if form == "table":
-        output.table(found)
-    else:
-        print_pieces(output.json(found) if form == "json" else output.text(found))
-    sys.stdout.flush()
+        if form is None:
+            form = "table" if sys.stdout.isatty() else "text"
+        if form == "table":
+            output.table(found)
+        else:
+            print_pieces(output.json(found) if form == "json" else output.text(found))
+        sys.stdout.flush()
+        if rrd:
+            _write_rrd(a, b, rrd, road_map, force=force)
+        if html:
+            _write_page(a, b, found, html, road_map, force=force)
     os._exit(0 if found.equal else DIFFERENT)  # ending the interpreter takes longer than a small comparison
+
+
+def _write_rrd(a: Recording, b: Recording, path: str, road_map: str | None, *, force: bool) -> None:
+    from carla_recap.cli.progress import watch_scenes
+    from carla_recap.export.rerun import export_rerun
+
+    roads = options.road_map_of(a, road_map)
+    played = export_rerun(a, path, ghost=b, road_map=roads, force=force, progress=watch_scenes("exporting"))
+    say(f"{path}: {played.frames} frames, {played.seconds:.4g} s")
+
+
+def _write_page(a: Recording, b: Recording, found: Differences, path: str, road_map: str | None, *, force: bool) -> None:
+    from carla_recap.cli.progress import watch_scenes
+    from carla_recap.export.report import write_report
+
+    progress, town = watch_scenes("sampling"), options.town_of(a, road_map)
+    written = write_report(a, path, other=b, differences=found, town=town, force=force, progress=progress)
+    say(f"{path}: {written.incidents} incidents, {written.size / 1e6:.1f} MB")

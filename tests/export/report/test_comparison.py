@@ -129,3 +129,21 @@ def test_recordings_of_different_maps_are_refused(tmp_path: Path) -> None:
     with pytest.raises(RecapError, match="goes with a folder and one recording"):
         compare(one, one, tmp_path / "page", viewer=True)
     assert names_in(tmp_path) == ["a.mcap", "b.mcap"]
+
+
+def test_given_differences_say_which_actors_are_the_same(chromium: Chrome, tmp_path: Path) -> None:
+    crash = driven(tmp_path / "crash.mcap", hero=5, brakes_at=None, hits=True)
+    avoided = driven(tmp_path / "avoided.mcap", hero=8, brakes_at=1.0, hits=False)
+    with open_recording(crash) as one, open_recording(avoided) as other:
+        found = one.diff(other)
+        write_report(one, tmp_path / "page.html", other=other, differences=found)
+    page = Page(chromium, tmp_path / "page.html", "#t=3")
+    assert page.text("difference") == f"{found.reasons[0].capitalize()}."
+    assert page.ask("replay.mode") == "over"
+    twins = page.ask(
+        "[...replay.recordings[0].twins].map(([own, other]) => "
+        "[replay.recordings[0].tracks.actors[own].id, replay.recordings[1].tracks.actors[other].id])"
+    )
+    assert sorted(twins) == [[5, 8], [6, 9], [7, 10]]
+    assert page.ask("document.querySelectorAll('#covered .difference').length") == 1
+    assert page.errors == []

@@ -31,6 +31,7 @@ if TYPE_CHECKING:
     from carla_recap.export.report.samples import SampledReplay
     from carla_recap.formats.base import Reader
     from carla_recap.maps import RoadMap
+    from carla_recap.queries.differences import Differences
     from carla_recap.rendering.town import TownMesh
     from carla_recap.replay.player import Progress
 
@@ -119,6 +120,7 @@ def write_report(
     path: Path | str,
     *,
     other: Recording | Reader | None = None,
+    differences: Differences | None = None,
     before: float = 5.0,
     after: float = 5.0,
     min_time: float = MIN_TIME,
@@ -138,6 +140,7 @@ def write_report(
         path: The folder to write, whose `index.html` opens from the disk, or from any server; or if its name ends in
             `.html`, a single file.
         other: Another recording of the same map, to be shown beside the first one, or over it.
+        differences: The differences of both, whose actors are the same on the page, which begins with one over the other.
         before: The seconds before an incident in the replay of a long recording.
         after: The seconds after it.
         min_time: The time of standing still that counts as an incident, in seconds; see `carla_recap.queries.incidents`.
@@ -174,7 +177,9 @@ def write_report(
         each.take_pictures(town)
     packer = Packer()
     ground = packer.pack(script.base_map_data(base_map(town, [each.replay for each in reported]), packer))
-    options = {"drawn": pictures == "drawn", "viewer": viewer}
+    options: dict[str, Any] = {"drawn": pictures == "drawn", "viewer": viewer}
+    if differences is not None:
+        options["differences"] = _differences(differences)
     data = {
         "data/ground.js": script.script("GROUND", ground),
         "data/recordings.js": script.script("RECORDINGS", [_packed(each.replay) for each in reported]),
@@ -261,7 +266,7 @@ def _copy_viewer(folder: Path) -> None:
             raise RecapError(f"the Rerun viewer does not hand out {name}: {error}") from None
 
 
-def _summaries(reported: Iterable[_Reported], pictures: Iterable[dict[int, str]], options: dict[str, bool]) -> str:
+def _summaries(reported: Iterable[_Reported], pictures: Iterable[dict[int, str]], options: dict[str, Any]) -> str:
     """Return the script with what is known of each recording."""
     found = [_summary(each, names) | options for each, names in zip(reported, pictures, strict=True)]
     return script.script("REPORTS", found)
@@ -288,6 +293,21 @@ def _summary(reported: _Reported, pictures: dict[int, str]) -> dict[str, Any]:
         "follow": Player(recording).followed,
         "incidents": [_incident(incident, pictures.get(index)) for index, incident in enumerate(reported.incidents)],
     }
+
+
+def _differences(found: Differences) -> dict[str, Any]:
+    """Return what a page shows of the differences: a text, since when paths differ, and which actors are the same.
+
+    An actor is its id and the time of its spawn.
+    """
+    pairs = [
+        [row.id_a, script.number(row.spawned_at_a), row.id_b, script.number(row.spawned_at_b)]
+        for row in found.actors
+        if row.kind in ("vehicle", "walker")
+    ]
+    reasons = found.reasons or [found.summary]
+    text = reasons[0][:1].upper() + reasons[0][1:]
+    return {"text": text[: 2 * script.LONGEST], "since": found.first and found.first.first, "pairs": pairs}
 
 
 def _incident(incident: Incident, picture: str | None) -> dict[str, Any]:

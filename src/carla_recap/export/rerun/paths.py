@@ -8,6 +8,7 @@ WORLD: Final = "/world"
 ACTORS: Final = "/world/actors"
 ROADS: Final = "/world/map"
 GROUND: Final = "/world/ground"
+GHOSTS: Final = "/world/ghost"
 CHASE: Final = "/world/chase"
 CAMERAS: Final = "/world/cameras"
 TRAIL: Final = "/world/trail"
@@ -29,6 +30,7 @@ MAP: Final = "/map"
 MAP_ROADS: Final = "/map/roads"
 MAP_BORDERS: Final = "/map/borders"
 MAP_ACTORS: Final = "/map/actors"
+MAP_GHOSTS: Final = "/map/ghosts"
 MAP_EDGE: Final = "/map/edge"
 MAP_FOLLOWED: Final = "/map/followed"
 
@@ -36,6 +38,11 @@ MAP_FOLLOWED: Final = "/map/followed"
 def actor(id: int) -> str:
     """Return the path of an actor: its box, in its own axes."""
     return f"{ACTORS}/{id}"
+
+
+def ghost(id: int) -> str:
+    """Return the path of an actor of another recording."""
+    return f"{GHOSTS}/{id}"
 
 
 def lamps(id: int, kind: str) -> str:

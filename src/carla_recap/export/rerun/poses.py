@@ -14,7 +14,7 @@ from carla_recap.export.rerun.stream import TimeColumns
 from carla_recap.replay.selection import NO_IDS
 
 if TYPE_CHECKING:
-    from collections.abc import Container, Iterable
+    from collections.abc import Callable, Container, Iterable
 
     from numpy.typing import NDArray
 
@@ -52,12 +52,12 @@ class PoseBlock:
     present: Flags
     written: Flags
 
-    def write(self, stream: Stream, shown: Container[int]) -> None:
-        """Write the transforms of the actors that are shown."""
+    def write(self, stream: Stream, shown: Container[int], path: Callable[[int], str] = paths.actor) -> None:
+        """Write the transforms of the actors that are shown, at the paths that a function returns for their ids."""
         actors, rows = np.nonzero(self.written.T)
         ends = np.searchsorted(actors, np.arange(len(self.ids) + 1)).tolist()
         tracks = (
-            (paths.actor(id), start, end)
+            (path(id), start, end)
             for id, (start, end) in zip(self.ids.tolist(), pairwise(ends), strict=True)
             if start < end and id in shown
         )

@@ -19,6 +19,7 @@ from carla_recap.export.rerun.actors import MOVERS, ActorWriter
 from carla_recap.export.rerun.blueprint import View, blueprint, first_locations
 from carla_recap.export.rerun.events import EventWriter
 from carla_recap.export.rerun.followed import FollowedWriter
+from carla_recap.export.rerun.ghosts import write_ghosts
 from carla_recap.export.rerun.ground import ground_below, write_ground
 from carla_recap.export.rerun.lights import LightAheadWriter, TrafficLightWriter
 from carla_recap.export.rerun.rrd import piped, rbl
@@ -221,6 +222,7 @@ def export_rerun(
     view: View = "chase",
     road_map: RoadMap | None = None,
     cameras: Path | str | None = None,
+    ghost: Recording | Reader | None = None,
     force: bool = False,
     progress: Progress | None = None,
 ) -> Played:
@@ -236,6 +238,8 @@ def export_rerun(
         road_map: The map of the town.
         cameras: A folder for a blueprint of each vehicle and walker, `follow_<id>.rbl`: opened together with the .rrd, it
             makes the camera follow that actor.
+        ghost: Another recording of the same scenario, whose vehicles and walkers are shown as ghosts from when on they are
+            elsewhere.
         force: Overwrite existing files.
         progress: See `write`.
 
@@ -257,6 +261,9 @@ def export_rerun(
     ):
         with piped(blueprint(player, view=view), file.write) as stream:
             played = write(stream, player, road_map=road_map, progress=progress, cameras=filmed)
+            if ghost is not None:
+                other = ghost.reader if isinstance(ghost, Recording) else ghost
+                write_ghosts(stream, reader, other, start=player.start, duration=played.seconds, follow=player.followed)
         for id in filmed:
             (folder / f"follow_{id}.rbl").write_bytes(rbl(blueprint(player, view=view, followed=id)))
     return played
