@@ -41,9 +41,12 @@ def connect(address: str) -> Client:
     """
     try:
         from distributed import Client
+        from distributed.comm.addressing import parse_address
+        from distributed.comm.registry import get_backend
     except ImportError:
         raise MissingExtra("a Dask cluster", "dask") from None
     try:
+        get_backend(parse_address(address)[0])  # of an invalid address, since a client of one ends late and in disorder
         return Client(address, timeout=_PATIENCE, set_as_default=False)
     except (OSError, ValueError) as error:
         raise RecapError(
@@ -59,6 +62,7 @@ def map_on_cluster(
     The paths of local files are made absolute; the cluster's workers have to see these files. Dask runs the tasks of workers
     that are lost on others.
     """
+    from distributed.client import ClosedClientError
     from distributed.scheduler import KilledWorker
 
     left = iter(sources)
@@ -80,20 +84,32 @@ def map_on_cluster(
             try:
                 outcomes = future.result()
             except KilledWorker:
-                if len(group) > 1:  # one of them is to blame
-                    window.popleft()
+                window.popleft()
+                if len(group) > 1:  # one of them is to blame, or none: all that waits on a worker that ends is given up
                     window.extendleft(reversed([submit([source]) for source in group]))
                     continue
-                message = f"{group[0].location}: the worker processes that read it end"
-                outcomes = [Outcome(group[0], None, message)]
-            window.popleft()
+                for _, other in window:
+                    other.exception()  # which waits for its end
+                outcomes = _alone(submit(group)[1], group[0])
+            else:
+                window.popleft()
             done += 1
             yield from outcomes
-    except (CancelledError, OSError, TimeoutError) as error:
+    except (ClosedClientError, CancelledError, OSError, TimeoutError) as error:
         raise RecapError(f"the Dask cluster is gone ({_line(error)})") from None
     finally:
         with suppress(Exception):  # of a client that is closed
             client.cancel([future for _, future in window])
+
+
+def _alone(future: Future[list[Outcome[T]]], source: SourceFile) -> list[Outcome[T]]:
+    """Return the outcomes of a task that is the only one, and thus to blame if its workers end."""
+    from distributed.scheduler import KilledWorker
+
+    try:
+        return future.result()
+    except KilledWorker:
+        return [Outcome(source, None, f"{source.location}: the worker processes that read it end")]
 
 
 def _line(error: BaseException) -> str:

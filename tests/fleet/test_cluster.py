@@ -1,0 +1,178 @@
+"""Dask clusters, here of two worker processes on this machine."""
+
+from __future__ import annotations
+
+import json
+import os
+import shutil
+import signal
+import socket
+import time
+import warnings
+from contextlib import contextmanager
+from functools import partial
+from pathlib import Path
+
+import pytest
+
+from carla_recap import Recording, map_recordings
+from carla_recap.errors import RecapError, RecapWarning
+from carla_recap.fleet.cluster import connect
+from carla_recap.fleet.engine import map_sources
+from carla_recap.fleet.sources import SourceFile
+from tests.cli.command import CROSSING, answer, error, run, the_line
+from tests.samples import time_limit
+
+distributed = pytest.importorskip("distributed", reason="the extra dask is not installed")
+
+
+@pytest.fixture(scope="module")
+def cluster():
+    options = {"host": "127.0.0.1", "dashboard_address": None, "silence_logs": 50}
+    with distributed.LocalCluster(n_workers=2, threads_per_worker=1, processes=True, **options) as cluster:
+        yield cluster
+
+
+@pytest.fixture
+def client(cluster):
+    with connect(cluster.scheduler_address) as client:
+        client.wait_for_workers(2, timeout=60)
+        yield client
+
+
+def sources(count):
+    return [SourceFile(f"s3://bucket/{index}.log") for index in range(count)]
+
+
+def slow(source):
+    time.sleep(0.01)
+    return os.getpid(), source.location
+
+
+def picky(source):
+    if source.location.endswith("3.log"):
+        raise RecapError(f"{source.location}: is bad")
+    warnings.warn(source.location, RecapWarning, stacklevel=1)
+    return len(source.location)
+
+
+def wrong(source):
+    raise KeyError(source.location)
+
+
+def end_always(source, folder):
+    """End the process with recording 20, as often as it is tried; count the attempts."""
+    if source.location.endswith("/20.log"):
+        (folder / str(time.monotonic_ns())).touch()
+        os._exit(1)
+    return source.location
+
+
+def location(source):
+    return source.location
+
+
+@contextmanager
+def allowed_failures(client, number):
+    """Let Dask give up a task after more than a number of workers that end with it."""
+
+    def change(dask_scheduler, number):
+        before, dask_scheduler.allowed_failures = dask_scheduler.allowed_failures, number
+        return before
+
+    before = client.run_on_scheduler(change, number=number)
+    yield
+    client.run_on_scheduler(change, number=before)
+
+
+def test_the_outcomes_are_those_of_processes(client):
+    with time_limit(60):
+        found = list(map_sources(picky, sources(50), client=client))
+    assert found == list(map_sources(picky, sources(50), jobs=1))
+    assert found[3].error == "s3://bucket/3.log: is bad"
+    assert found[4].warnings == ("s3://bucket/4.log",)
+
+
+def test_a_worker_that_is_killed_loses_no_recording(client):
+    pids = set(client.run(os.getpid).values())
+    with time_limit(120):
+        outcomes = map_sources(slow, sources(300), client=client)
+        first = next(outcomes)
+        assert first.value[0] in pids
+        os.kill(first.value[0], signal.SIGKILL)
+        values = [first.value, *(outcome.value for outcome in outcomes)]
+    assert [location for _, location in values] == [source.location for source in sources(300)]
+
+
+def test_a_recording_that_ends_its_workers_has_an_error_and_others_have_none(client, tmp_path):
+    with time_limit(300), allowed_failures(client, 0):
+        outcomes = list(map_sources(partial(end_always, folder=tmp_path), sources(40), client=client))
+    errors = {outcome.source.location: outcome.error for outcome in outcomes if outcome.error}
+    assert errors == {"s3://bucket/20.log": "s3://bucket/20.log: the worker processes that read it end"}
+    assert [outcome.source for outcome in outcomes] == sources(40)
+    assert list(tmp_path.iterdir())
+
+
+def test_another_error_of_the_function_is_raised(client):
+    with pytest.raises(KeyError), time_limit(60):
+        list(map_sources(wrong, sources(3), client=client))
+
+
+def test_paths_of_local_files_are_absolute(client, monkeypatch, tmp_path):
+    monkeypatch.chdir(tmp_path)
+    (outcome,) = map_sources(location, [SourceFile("a.log")], client=client)
+    assert outcome.value == outcome.source.location == str(tmp_path / "a.log")
+
+
+def test_recordings_are_mapped(client):
+    (outcome,) = map_recordings(Recording.collisions, CROSSING, client=client)
+    assert len(outcome.value) == 2
+
+
+def test_an_iterator_that_is_closed_cancels_its_tasks(client):
+    outcomes = map_sources(slow, sources(3000), client=client)
+    next(outcomes)
+    outcomes.close()
+    with time_limit(60):
+        while client.run_on_scheduler(lambda dask_scheduler: len(dask_scheduler.tasks)):
+            time.sleep(0.01)
+
+
+def test_a_client_that_is_closed_is_an_error(cluster):
+    with connect(cluster.scheduler_address) as client:
+        outcomes = map_sources(slow, sources(3000), client=client)
+        next(outcomes)
+        client.close()
+        with pytest.raises(RecapError, match="the Dask cluster is gone"), time_limit(60):
+            list(outcomes)
+
+
+@pytest.mark.parametrize("form", [[], ["--json"]])
+def test_a_query_is_the_same_on_a_cluster(cluster, tmp_path, form):
+    for name in ("a.log", "b.log"):
+        shutil.copy(CROSSING, tmp_path / name)
+    asked = ["collisions", tmp_path, *form]
+    assert answer(*asked, "--dask", cluster.scheduler_address) == answer(*asked)
+
+
+def test_a_broken_recording_is_reported(cluster, tmp_path):
+    shutil.copy(CROSSING, tmp_path / "a.log")
+    (tmp_path / "b.log").write_bytes(b"junk")
+    done = run("collisions", tmp_path, "--json", "--dask", cluster.scheduler_address)
+    assert done.returncode == 2
+    assert the_line(done.stderr) == f"{tmp_path / 'b.log'}: is not a recording (neither CARLA's log nor MCAP)"
+    assert [bool(each["error"]) for each in json.loads(done.stdout)["recordings"]] == [False, True]
+
+
+def test_an_address_without_a_scheduler_is_an_error(monkeypatch):
+    monkeypatch.setattr("carla_recap.fleet.cluster._PATIENCE", 0.5)
+    with socket.socket() as free:
+        free.bind(("127.0.0.1", 0))
+        address = f"tcp://127.0.0.1:{free.getsockname()[1]}"
+        with pytest.raises(RecapError, match="no Dask scheduler answers") as caught:
+            connect(address)
+    assert "\n" not in str(caught.value)
+
+
+def test_an_invalid_address_is_an_error():
+    assert error("collisions", Path(CROSSING).parent, "--dask", "nonsense://x").startswith("nonsense://x: ")
