@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 from itertools import pairwise
 from typing import TYPE_CHECKING, Final
 
@@ -89,7 +90,7 @@ class MotionBlock:
         """The frames that the block is for, without margins."""
         return slice(self.first, self.last)
 
-    @property
+    @cached_property
     def speed(self) -> Floats:
         """The speed over the ground in m/s, (actors, frames)."""
         return np.hypot(self.vx, self.vy)
