@@ -10,6 +10,7 @@ from carla_recap.queries.measures.boxes import (
     time_headway,
     time_to_collision,
 )
+from carla_recap.queries.measures.encroachment import Path, post_encroachment_time
 from carla_recap.queries.measures.extremes import Measures, MeasureSearch, measures
 from carla_recap.queries.measures.rows import MeasureRow
 
@@ -18,9 +19,11 @@ __all__ = [
     "MeasureRow",
     "MeasureSearch",
     "Measures",
+    "Path",
     "gap",
     "measures",
     "overlaps",
+    "post_encroachment_time",
     "required_deceleration",
     "time_headway",
     "time_to_collision",

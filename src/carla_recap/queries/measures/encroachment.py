@@ -8,10 +8,11 @@ from typing import TYPE_CHECKING, Final, NamedTuple
 import numpy as np
 
 from carla_recap.queries.measures.boxes import Boxes, overlaps
+from carla_recap.queries.measures.motion import MARGIN
 from carla_recap.queries.measures.pairs import FRAMES
 
 if TYPE_CHECKING:
-    from numpy.typing import ArrayLike, NDArray
+    from numpy.typing import NDArray
 
     from carla_recap.queries.measures.motion import MotionBlock
 
@@ -25,9 +26,13 @@ CROSSING: Final = 30.0
 SLOWEST: Final = 1.0
 """The speed from which on an actor counts as moving, in m/s."""
 
-_STEP: Final = 0.05  # s between the moments that are compared
+STEP: Final = 0.05
+"""The time between the moments that are compared, in s."""
+
 _LAGS: Final = 128  # moments before another one that are compared with it, at most
 _FINE: Final = 10  # moments per step when the time is refined
+_HITS: Final = 2048  # that are examined at once
+_ALONG: Final = math.cos(math.radians(CROSSING))
 _ACROSS: Final = math.sin(math.radians(CROSSING))
 
 
@@ -48,7 +53,7 @@ class Path(NamedTuple):
     length: float
     width: float
 
-    def at(self, time: ArrayLike) -> Boxes:
+    def at(self, time: Floats) -> Boxes:
         """Return the boxes at some times, which are within those of the path."""
         x, y, yaw = (np.interp(time, self.time, values) for values in (self.x, self.y, np.unwrap(self.yaw)))
         return Boxes(x, y, yaw, self.length, self.width)
@@ -68,12 +73,16 @@ def post_encroachment_time(one: Path, other: Path, longest: float = 3.0) -> floa
     """
     start, stop = max(one.time[0], other.time[0]), min(one.time[-1], other.time[-1])
     found = math.inf
+    if start <= stop:
+        both = np.linspace(start, stop, max(math.ceil((stop - start) / STEP), 1) + 1)
+        if overlaps(one.at(both), other.at(both)).any():
+            return math.inf
     for first, second in ((one, other), (other, one)):
         begin, end = max(second.time[0], first.time[0]), min(second.time[-1], first.time[-1] + longest)
         if end < begin:
             continue
-        arrivals = np.linspace(begin, end, max(math.ceil((end - begin) / _STEP), 1) + 1)
-        lags = np.arange(1, math.ceil(longest / _STEP) + 1) * _STEP
+        arrivals = np.linspace(begin, end, max(math.ceil((end - begin) / STEP), 1) + 1)
+        lags = np.arange(1, math.ceil(longest / STEP) + 1) * STEP
         arrival, lag = (each.ravel() for each in np.meshgrid(arrivals, lags, indexing="ij"))
         known = (arrival - lag >= first.time[0]) & (arrival - lag <= first.time[-1])
         arrival, lag = arrival[known], lag[known]
@@ -82,8 +91,7 @@ def post_encroachment_time(one: Path, other: Path, longest: float = 3.0) -> floa
         if len(hits):
             best = hits[lag[hits].argmin()]
             found = min(found, refined(first, second, float(arrival[best]), float(lag[best])))
-    both = np.linspace(start, stop, max(math.ceil((stop - start) / _STEP), 1) + 1) if start <= stop else np.zeros(0)
-    return math.inf if len(both) and overlaps(one.at(both), other.at(both)).any() else found
+    return found
 
 
 def refined(first: Path, second: Path, arrival: float, lag: float) -> float:
@@ -95,7 +103,7 @@ def refined(first: Path, second: Path, arrival: float, lag: float) -> float:
         arrival: When the second one is where the first one was.
         lag: The time before it at which the first one was there, in s.
     """
-    fine = _STEP * np.linspace(-1, 1, 2 * _FINE + 1)
+    fine = STEP * np.linspace(-1, 1, 2 * _FINE + 1)
     arrivals, leavings = arrival + fine, arrival - lag + fine
     arrivals = arrivals[(arrivals >= second.time[0]) & (arrivals <= second.time[-1])]
     leavings = leavings[(leavings >= first.time[0]) & (leavings <= first.time[-1])]
@@ -126,6 +134,10 @@ class Encroachments(NamedTuple):
     arrived: Indices
     time: Floats
 
+    def take(self, kept: Booleans | Indices) -> Encroachments:
+        """Return some of them."""
+        return Encroachments(self.first[kept], self.second[kept], self.left[kept], self.arrived[kept], self.time[kept])
+
 
 def encroachments(block: MotionBlock, start: int, one: Indices, other: Indices, longest: float) -> Encroachments:
     """Return the moments in 64 frames at which one of a pair arrives where the other was, on a path that crosses its own.
@@ -139,12 +151,12 @@ def encroachments(block: MotionBlock, start: int, one: Indices, other: Indices, 
     """
     firsts, seconds = np.concatenate((one, other)), np.concatenate((other, one))
     step = _typical_step(block.time)
-    stride = max(1, round(_STEP / step)) if step > 0 else 1
+    stride = max(1, round(STEP / step)) if step > 0 else 1
     last = min(start + FRAMES, block.last)
     parts = []
     speed = block.speed
     radius = np.hypot(block.length, block.width) / 2
-    moves = (speed >= SLOWEST).any(axis=1)
+    moves = np.asarray((speed >= SLOWEST).any(axis=1))
     kept = moves[firsts] & moves[seconds]
     firsts, seconds = firsts[kept], seconds[kept]
     reach = ((radius[firsts] + radius[seconds]) ** 2)[:, None]
@@ -163,45 +175,55 @@ def encroachments(block: MotionBlock, start: int, one: Indices, other: Indices, 
         if not len(pair):
             continue
         frame += skipped
-        part = _arrivals(block, speed, firsts[pair], seconds[pair], arrived[frame] - shift, arrived[frame])
-        hits = np.flatnonzero(part.kept)
+        arrivals = Encroachments(firsts[pair], seconds[pair], arrived[frame] - shift, arrived[frame], np.zeros(len(pair)))
+        hits = _crossing(block, speed, arrivals)
         open_pairs[pair[hits], frame[hits]] = False
-        parts.append(part.found())
-    if not parts:
-        none = np.zeros(0, np.intp)
-        return Encroachments(none, none, none, none, np.zeros(0))
-    joined = Encroachments(*(np.concatenate(values) for values in zip(*parts, strict=True)))
-    within = np.flatnonzero((joined.time > 0) & (joined.time <= longest))
-    return Encroachments(*(values[within] for values in joined))
+        parts.append(arrivals.take(hits))
+    first, second, left, found = (
+        np.concatenate([np.zeros(0, np.intp), *(part[column] for part in parts)]).astype(np.intp) for column in range(4)
+    )
+    time = block.time[found] - block.time[left]
+    joined = Encroachments(first, second, left, found, time)
+    return _apart(block, joined.take((time > 0) & (time <= longest)))
 
 
-class _Arrivals(NamedTuple):
-    first: Indices
-    second: Indices
-    left: Indices
-    arrived: Indices
-    time: Floats
-    kept: Booleans
-
-    def found(self) -> Encroachments:
-        """Return those that count."""
-        return Encroachments(*(values[self.kept] for values in self[:5]))
-
-
-def _arrivals(
-    block: MotionBlock, speed: Floats, first: Indices, second: Indices, left: Indices, arrived: Indices
-) -> _Arrivals:
-    """Return which actors arrive in a frame where another was in an earlier one."""
+def _crossing(block: MotionBlock, speed: Floats, arrivals: Encroachments) -> Indices:
+    """Return which actors arrive in a frame where another was in an earlier one, on a path that crosses its own."""
+    first, second, left, arrived, _ = arrivals
     kept = (speed[first, left] >= SLOWEST) & (speed[second, arrived] >= SLOWEST)
     kept &= _cross(block.yaw[second, arrived] - block.yaw[first, left])
     kept &= np.abs(block.z[second, arrived] - block.z[first, left]) <= (block.height[first] + block.height[second]) / 2
     near = np.flatnonzero(kept)
-    a = _boxes(block, first[near], left[near])
-    b = _boxes(block, second[near], arrived[near])
-    hits = near[overlaps(a, b) & ~overlaps(_boxes(block, first[near], arrived[near]), b)]
-    kept = np.zeros(len(first), np.bool_)
-    kept[hits] = True
-    return _Arrivals(first, second, left, arrived, block.time[arrived] - block.time[left], kept)
+    near = near[overlaps(_boxes(block, first[near], left[near]), _boxes(block, second[near], arrived[near]))]
+    follows = [_follow(block, arrivals.take(near[start : start + _HITS])) for start in range(0, len(near), _HITS)]
+    return near[~np.concatenate(follows)] if follows else near
+
+
+def _follow(block: MotionBlock, arrivals: Encroachments) -> Booleans:
+    """Return whether those who arrive follow those who left: whether these had the same position and heading earlier."""
+    first, second, _, arrived, _ = arrivals
+    begin = int(np.searchsorted(block.time, block.time[arrived.min()] - MARGIN))
+    frames = slice(min(begin, int(arrived.min())), int(arrived.max()) + 1)
+    dx = block.x[first, frames] - block.x[second, arrived][:, None]
+    dy = block.y[first, frames] - block.y[second, arrived][:, None]
+    distance = np.nan_to_num(dx * dx + dy * dy, nan=math.inf)
+    rows = np.arange(len(first))
+    nearest = distance.argmin(axis=1)
+    turn = block.yaw[first, nearest + frames.start] - block.yaw[second, arrived]
+    reach = (block.width[first] + block.width[second]) / 2
+    return np.asarray((distance[rows, nearest] <= reach * reach) & (np.cos(turn) >= _ALONG))
+
+
+def _apart(block: MotionBlock, arrivals: Encroachments) -> Encroachments:
+    """Return the arrivals of pairs that do not touch in the 3 s before, in which case both are there at once."""
+    if not len(arrivals.time):
+        return arrivals
+    pairs, index = np.unique(np.stack((arrivals.first, arrivals.second)), axis=1, return_inverse=True)
+    left, last = int(arrivals.left.min()), int(arrivals.arrived.max()) + 1
+    frames = np.arange(min(int(np.searchsorted(block.time, block.time[left] - MARGIN)), left), last)
+    touching = overlaps(_boxes(block, pairs[0][:, None], frames), _boxes(block, pairs[1][:, None], frames))
+    apart = np.asarray(~touching.any(axis=1))
+    return arrivals.take(apart[index.ravel()])
 
 
 def _boxes(block: MotionBlock, actor: Indices, frame: Indices) -> Boxes:
@@ -226,5 +248,11 @@ def path_of(block: MotionBlock, actor: int, frame: int) -> Path:
     begin = int(absent[place - 1]) + 1 if place else 0
     stop = int(absent[place]) if place < len(absent) else len(known)
     rows = slice(begin, max(stop, begin + 1))
-    values = (block.time[rows], block.x[actor, rows], block.y[actor, rows], block.yaw[actor, rows])
-    return Path(*values, float(block.length[actor]), float(block.width[actor]))
+    return Path(
+        block.time[rows],
+        block.x[actor, rows],
+        block.y[actor, rows],
+        block.yaw[actor, rows],
+        float(block.length[actor]),
+        float(block.width[actor]),
+    )

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections import defaultdict
 from collections.abc import Collection
 from typing import TYPE_CHECKING, Any, ClassVar, Final, Literal
 
@@ -13,7 +14,11 @@ from carla_recap.queries import Answer
 from carla_recap.queries.actors import TYPES as ACTOR_TYPES
 from carla_recap.queries.actors import ActorCollector, ActorsByTime
 from carla_recap.queries.measures.contacts import ContactTimes
+from carla_recap.queries.measures.encroachment import STEP, encroachments, path_of, refined
 from carla_recap.queries.measures.motion import KINDS, TYPES, MotionCollector
+from carla_recap.queries.measures.pairs import near_pairs
+from carla_recap.queries.measures.road import TYPES as ROAD_TYPES
+from carla_recap.queries.measures.road import RoadSearch
 from carla_recap.queries.measures.rows import MeasureRow
 from carla_recap.queries.measures.series import JERK_WINDOW, SPEED_WINDOW, criticality, slope
 
@@ -22,6 +27,7 @@ if TYPE_CHECKING:
 
     from carla_recap.formats.base import Reader
     from carla_recap.model.batch import Batch
+    from carla_recap.model.roads import RoadNetwork
     from carla_recap.queries.actors import Actor
     from carla_recap.queries.measures.motion import MotionBlock
 
@@ -36,12 +42,16 @@ UNITS: Final = {
     "distance_headway": "m",
     "time_headway": "s",
     "required_deceleration": "m/s²",
+    "post_encroachment_time": "s",
     "speed": "m/s",
     "acceleration": "m/s²",
     "deceleration": "m/s²",
     "jerk": "m/s³",
 }
 """The measures in the order of the rows, and their units."""
+
+POST_ENCROACHMENT_TIME: Final = 3.0
+"""The longest post-encroachment time that is measured, in s."""
 
 _GREATEST: Final = ("required_deceleration", "speed", "acceleration", "deceleration", "jerk")
 
@@ -57,6 +67,7 @@ def measures(
     source: Reader,
     actors: Subjects = None,
     *,
+    roads: RoadNetwork | None = None,
     start: float = -math.inf,
     stop: float = math.inf,
 ) -> Measures:
@@ -67,6 +78,7 @@ def measures(
     Args:
         source: The recording.
         actors: The ids of vehicles or walkers, "hero" or "all"; None: the heroes, or if there is none, all vehicles.
+        roads: The roads of the map, for the speed over the limit and other measures of the road; None: without these.
         start: The elapsed seconds from which on to measure.
         stop: The elapsed seconds until which to measure.
 
@@ -74,7 +86,7 @@ def measures(
         RecapError: There is no such vehicle or walker, or no hero.
         FormatError: The file contradicts its format.
     """
-    search = MeasureSearch(source, actors, start=start, stop=stop)
+    search = MeasureSearch(source, actors, roads=roads, start=start, stop=stop)
     search.read()
     return search.finish()
 
@@ -85,7 +97,15 @@ class MeasureSearch:
     Args and errors are those of `measures`. The spawns, the ends and the collisions of all actors are read at once.
     """
 
-    def __init__(self, source: Reader, actors: Subjects = None, *, start: float = -math.inf, stop: float = math.inf) -> None:
+    def __init__(
+        self,
+        source: Reader,
+        actors: Subjects = None,
+        *,
+        roads: RoadNetwork | None = None,
+        start: float = -math.inf,
+        stop: float = math.inf,
+    ) -> None:
         self._source, self._start, self._stop = source, start, stop
         collector, self._contacts = ActorCollector(), ContactTimes()
         for frame in source.frames((*ACTOR_TYPES, "collisions"), sparse=True, stop=stop):
@@ -94,6 +114,7 @@ class MeasureSearch:
                 collector.add(packet, frame.elapsed)
         self._subjects = _subjects(source, collector.actors, actors)
         self._motion = MotionCollector(ActorsByTime(collector.actors))
+        self._roads = None if roads is None else RoadSearch(source, roads, collector.actors)
         self._extremes: dict[int, dict[str, _Extreme]] = {id: {} for id in self._subjects}
 
     def read(self) -> None:
@@ -103,11 +124,14 @@ class MeasureSearch:
             FormatError: The file contradicts its format.
         """
         if self._subjects:
-            for batch in self._source.batches(TYPES, start=self._start, stop=self._stop):
+            types = TYPES if self._roads is None else (*TYPES, *ROAD_TYPES)
+            for batch in self._source.batches(types, start=self._start, stop=self._stop):
                 self.add(batch)
 
     def add(self, batch: Batch) -> None:
-        """Process the next frames; they have at least their transforms and velocities."""
+        """Process the next frames, which have at least their transforms, velocities and, with roads, states of lights."""
+        if self._roads is not None:
+            self._roads.add(batch)
         for block in self._motion.add(batch):
             self._measure(block)
 
@@ -115,7 +139,11 @@ class MeasureSearch:
         """Return the measures."""
         for block in self._motion.finish():
             self._measure(block)
-        rows = []
+        rows, of_road = [], defaultdict(list)
+        if self._roads is not None:
+            self._roads.finish()
+            for row in self._roads.rows(self._subjects):
+                of_road[row.actor].append(row)
         for id, actor in self._subjects.items():
             for name, unit in UNITS.items():
                 extreme = self._extremes[id].get(name)
@@ -123,6 +151,7 @@ class MeasureSearch:
                     other, other_type_id = (extreme.other.id, extreme.other.type_id) if extreme.other else (None, "")
                     sides = (id, actor.type_id, actor.is_hero, other, other_type_id)
                     rows.append(MeasureRow(name, *sides, extreme.value, unit, extreme.time))
+            rows += of_road[id]
         return Measures(rows, self._source, compat=False)
 
     def _measure(self, block: MotionBlock) -> None:
@@ -149,6 +178,7 @@ class MeasureSearch:
         }
         for name, (each, others) in values.items():
             self._note(block, rows, name, each, others)
+        self._note_crossings(block, rows)
 
     def _note(self, block: MotionBlock, rows: NDArray[np.intp], name: str, values: Floats, others: Any) -> None:
         """Note the extreme values of a measure in a block, (subjects, frames)."""
@@ -162,6 +192,32 @@ class MeasureSearch:
                 frame += block.first
                 other = None if others is None else block.actors[int(others[number, frame])]
                 known[name] = _Extreme(sign * value, float(block.time[frame]), other)
+
+    def _note_crossings(self, block: MotionBlock, rows: NDArray[np.intp]) -> None:
+        """Note the least post-encroachment times in a block."""
+        is_subject = np.zeros(len(block.ids), np.bool_)
+        is_subject[rows] = True
+        fastest = np.nan_to_num(np.fmax.reduce(block.speed, axis=1))
+        reach = np.hypot(block.length, block.width) / 2 + fastest * POST_ENCROACHMENT_TIME
+        for start, one, other in near_pairs(block, is_subject, reach):
+            found = encroachments(block, start, one, other, POST_ENCROACHMENT_TIME)
+            for subjects, others in ((found.first, found.second), (found.second, found.first)):
+                order = np.lexsort((found.time, subjects))
+                order = order[is_subject[subjects[order]]]
+                is_least = np.diff(subjects[order], prepend=-1) != 0
+                for index in order[is_least].tolist():
+                    known = self._extremes[int(block.ids[subjects[index]])]
+                    before = known.get("post_encroachment_time")
+                    time = float(found.time[index])
+                    if before is not None and time - STEP > before.value:
+                        continue
+                    left, arrived = int(found.left[index]), int(found.arrived[index])
+                    first = path_of(block, int(found.first[index]), left)
+                    second = path_of(block, int(found.second[index]), arrived)
+                    time = refined(first, second, float(block.time[arrived]), time)
+                    if before is None or time < before.value:
+                        extreme = _Extreme(time, float(block.time[arrived]), block.actors[int(others[index])])
+                        known["post_encroachment_time"] = extreme
 
 
 class _Extreme:

@@ -9,6 +9,7 @@ from __future__ import annotations
 import math
 from collections import defaultdict
 from dataclasses import dataclass
+from itertools import pairwise
 from typing import TYPE_CHECKING, Final
 
 import numpy as np
@@ -46,6 +47,9 @@ _ENCOUNTER: Final = 3.0  # s; critical moments of a pair with less time between 
 _UNTIL_CONTACT: Final = 3.0  # s after a critical moment; if the pair collides by then, it is a collision
 _AFTER_CONTACT: Final = 5.0  # s after a contact in which the pair has no near miss
 _AHEAD: Final = np.linspace(0.0, 2.0, 21)  # s; when both are on their paths at once
+_BEND: Final = 3.0  # m of a path by which its bend is determined
+_BEND_FRAMES: Final = 128  # of these, at most
+_SHARPEST: Final = 0.3  # radians per m
 _BESIDE: Final = 0.3  # m between paths that still meet
 _MOST_RUNS: Final = 2000  # that are examined in a block
 
@@ -172,7 +176,7 @@ class NearMissDetector:
         pairs, times = pairs.take(order), times[order]
         is_new = (np.diff(pairs.frame) != 1) | (np.diff(pairs.one) != 0) | (np.diff(pairs.other) != 0)
         edges = [0, *(np.flatnonzero(is_new) + 1).tolist(), len(times)] if len(times) else []
-        for begin, stop in zip(edges[:-1], edges[1:], strict=True):
+        for begin, stop in pairwise(edges):
             least = begin + int(times[begin:stop].argmin())
             self._add_run(block, pairs, begin, stop, least, float(times[least]))
         return max(len(edges) - 1, 0)
@@ -260,7 +264,9 @@ def _encounters(critical: list[NearMiss]) -> list[NearMiss]:
 
 
 def _joined(one: NearMiss, other: NearMiss) -> NearMiss:
-    """Return two critical times of a pair as one, with what is most critical."""
+    """Return two critical times of a pair as one, with what is most critical; of crossings, the most critical one."""
+    if one.time_to_collision == other.time_to_collision == math.inf:
+        return min(one, other, key=lambda miss: miss.post_encroachment_time)
     worst = min(one, other, key=lambda miss: (miss.time_to_collision, miss.post_encroachment_time))
     return NearMiss(
         worst.id1,
@@ -290,7 +296,7 @@ def _paths_meet(block: MotionBlock, one: int, other: int, frame: int) -> bool:
 
 
 def _path_ahead(block: MotionBlock, actor: int, frame: int) -> tuple[Floats, Floats, Floats]:
-    """Return where an actor comes with its speed on the path that it takes from a frame on, and then straight on."""
+    """Return where an actor comes with its speed on the path that it takes from a frame on, and then as that path bends."""
     stop = int(np.searchsorted(block.time, block.time[frame] + MARGIN, side="right"))
     rows = np.arange(frame, max(stop, frame + 1))
     rows = rows[np.cumsum(np.isnan(block.x[actor, rows])) == 0]
@@ -299,4 +305,20 @@ def _path_ahead(block: MotionBlock, actor: int, frame: int) -> tuple[Floats, Flo
     wanted = float(block.speed[actor, frame]) * _AHEAD
     beyond = np.maximum(wanted - covered[-1], 0.0)
     x, y, yaw = (np.interp(wanted, covered, values) for values in (x, y, yaw))
-    return x + beyond * np.cos(yaw), y + beyond * np.sin(yaw), yaw
+    if beyond[-1] > 0:
+        yaw = yaw + _bend(block, actor, int(rows[-1])) * beyond
+        steps = np.diff(beyond, prepend=0.0)
+        x, y = x + np.cumsum(steps * np.cos(yaw)), y + np.cumsum(steps * np.sin(yaw))
+    return x, y, yaw
+
+
+def _bend(block: MotionBlock, actor: int, frame: int) -> float:
+    """Return by how much the path of an actor turns before a frame, in radians per m; 0 if it is unknown."""
+    rows = np.arange(frame, max(frame - _BEND_FRAMES, -1), -1)
+    rows = rows[np.cumsum(np.isnan(block.x[actor, rows])) == 0]
+    x, y, yaw = block.x[actor, rows], block.y[actor, rows], np.unwrap(block.yaw[actor, rows])
+    covered = np.append(0.0, np.cumsum(np.hypot(np.diff(x), np.diff(y))))
+    before = min(int(np.searchsorted(covered, _BEND)), len(covered) - 1)
+    if covered[before] < _BEND / 3:
+        return 0.0
+    return float(np.clip((yaw[0] - yaw[before]) / covered[before], -_SHARPEST, _SHARPEST))

@@ -1,0 +1,64 @@
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from carla_recap.queries.measures import post_encroachment_time
+from carla_recap.queries.measures.encroachment import Path
+
+
+def path(x: float, y: float, heading: float, speed: float, seconds: float = 6.0, length: float = 4.0) -> Path:
+    time = np.arange(0, seconds, 0.05)
+    yaw = math.radians(heading)
+    ones = np.ones(len(time))
+    return Path(time, x + speed * math.cos(yaw) * time, y + speed * math.sin(yaw) * time, yaw * ones, length, 2.0)
+
+
+EAST = path(-20, 0, 0, 10)
+
+
+@pytest.mark.parametrize(
+    ("other", "seconds"),
+    [
+        (path(0, -30, 90, 10), 0.4),
+        (path(0, -34, 90, 10), 0.8),
+        (path(0, 30, 270, 10), 0.4),  # from the other side
+        (path(0, -20, 90, 10), math.inf),  # both are there at once
+        (path(0, -80, 90, 10), math.inf),  # later than it is looked for
+        (path(-35, 0, 0, 10), math.inf),  # behind on the same path
+        (path(30, 0, 180, 10), math.inf),  # head-on
+        (path(-20, 5, 0, 10), math.inf),  # beside
+    ],
+)
+def test_analytic_cases(other: Path, seconds: float) -> None:
+    assert post_encroachment_time(EAST, other) == pytest.approx(seconds, abs=0.011)
+    assert post_encroachment_time(other, EAST) == pytest.approx(seconds, abs=0.011)
+
+
+@settings(max_examples=40, deadline=None)
+@given(st.floats(4, 14), st.floats(4, 14), st.floats(45, 135), st.floats(-40, -8))
+def test_it_is_the_entry_of_the_second_less_the_exit_of_the_first(v1: float, v2: float, turn: float, start: float) -> None:
+    """By points on a fine grid in the shared area, each with the times at which the boxes cover it."""
+    one = path(-15, 0, 0, v1, seconds=8)
+    angle = math.radians(turn)
+    other = path(start * math.cos(angle), start * math.sin(angle), turn, v2, seconds=8)
+    points = np.stack(np.meshgrid(np.linspace(-4, 4, 161), np.linspace(-1, 1, 41)), axis=-1).reshape(-1, 2)
+    spans = []
+    for box, speed in ((one, v1), (other, v2)):
+        yaw = box.yaw[0]
+        along = (points - (box.x[0], box.y[0])) @ (math.cos(yaw), math.sin(yaw))
+        across = (points - (box.x[0], box.y[0])) @ (-math.sin(yaw), math.cos(yaw))
+        covered = np.abs(across) <= 1
+        spans.append((np.where(covered, (along - 2) / speed, np.nan), np.where(covered, (along + 2) / speed, np.nan)))
+    (enter1, leave1), (enter2, leave2) = spans
+    later = np.fmax(enter2 - leave1, enter1 - leave2)
+    expected = math.inf if not (later > 0).all() and (later <= 0).any() else float(np.nanmin(later))
+    found = post_encroachment_time(one, other)
+    if expected < 2.8:
+        assert found == pytest.approx(expected, abs=0.1)
+    elif expected == math.inf:
+        assert found == math.inf or found < 0.1
