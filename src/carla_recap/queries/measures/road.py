@@ -37,7 +37,7 @@ RoadKind = Literal["red light", "stop sign", "off road", "wrong way", "speeding"
 TYPES: Final = ("transforms", "light_states")
 """The record types that are read."""
 
-STOPPED: Final = 0.3
+STOPPED: Final = 0.5
 """The speed below which a vehicle has stopped at a stop sign, in m/s."""
 STOP_ZONE: Final = 8.0
 """How far before the stop line of a stop sign a vehicle may stop, in m from its front."""

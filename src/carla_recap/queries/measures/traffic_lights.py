@@ -44,11 +44,15 @@ class LightHistory:
         if not len(signals):
             return
         for frame in source.frames(("spawned",), sparse=True):
+            taken: set[int] = set()  # lights of one frame are different signals
             for spawn in frame["spawned"]:
                 if spawn.kind == ActorKind.TRAFFIC_LIGHT:
                     apart = np.hypot(*(positions - (spawn.x * CM, -spawn.y * CM)).T)
-                    if np.nanmin(apart, initial=np.inf) <= _NEAR:
-                        self._lights[int(signals[np.nanargmin(apart)])].append((frame.elapsed, spawn.id))
+                    near = [number for number in np.argsort(apart).tolist() if apart[number] <= _NEAR]
+                    signal = next((number for number in near if number not in taken), None)
+                    if signal is not None:
+                        taken.add(signal)
+                        self._lights[int(signals[signal])].append((frame.elapsed, spawn.id))
 
     @property
     def signals(self) -> tuple[int, ...]:
