@@ -1,4 +1,4 @@
-"""Incidents: collisions, vehicles and walkers that do not move for long, and hard braking."""
+"""Incidents: collisions, vehicles and walkers that do not move for long, hard braking, broken rules of the road."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ import math
 from bisect import bisect_right
 from collections import defaultdict
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, ClassVar, Final, Literal
+from typing import TYPE_CHECKING, ClassVar, Final, Literal, get_args
 
 import numpy as np
 
@@ -22,9 +22,11 @@ from carla_recap.queries.actors import TYPES as ACTOR_TYPES
 from carla_recap.queries.actors import ActorCollector, ActorsByTime
 from carla_recap.queries.blocked import longest_first
 from carla_recap.queries.contacts import contact_starts, is_known
+from carla_recap.queries.measures.road import TYPES as ROAD_TYPES
+from carla_recap.queries.measures.road import RoadKind, RoadSearch
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Iterator
+    from collections.abc import Collection, Iterable, Iterator
 
     from numpy.typing import NDArray
 
@@ -33,9 +35,18 @@ if TYPE_CHECKING:
     from carla_recap.model.braking import Braking
     from carla_recap.model.contacts import Key
     from carla_recap.model.frame import Frame
+    from carla_recap.model.roads import RoadNetwork
     from carla_recap.model.stationary import BlockedRow
+    from carla_recap.queries.measures.road import RoadEvent
 
-Kind = Literal["collision", "blocked", "hard braking"]
+Kind = Literal["collision", "blocked", "hard braking", "red light", "stop sign", "off road", "wrong way", "speeding"]
+
+KINDS: Final[tuple[Kind, ...]] = get_args(Kind)
+"""The kinds of incidents."""
+ROAD_KINDS: Final[tuple[Kind, ...]] = get_args(RoadKind)
+"""The kinds of incidents that the roads of the map are needed for."""
+DEFAULT_KINDS: Final[tuple[Kind, ...]] = ("collision", "blocked", "hard braking")
+"""The kinds of incidents that can be found without reading every frame of an MCAP file."""
 
 _AFTERMATH: Final = 0.5  # s after a contact in which a deceleration is part of it
 _KMH: Final = 3.6  # km/h in m/s
@@ -47,7 +58,7 @@ _UNKNOWN: Final[Position] = (math.nan, math.nan, math.nan)
 
 @dataclass(frozen=True, slots=True)
 class Incident:
-    """A collision, an actor that does not move for long, or hard braking.
+    """A collision, an actor that does not move for long, hard braking, or a rule of the road that is broken.
 
     Attributes:
         kind: Which of these it is.
@@ -81,6 +92,8 @@ class Incidents(Answer[Incident]):
 def incidents(
     source: Reader,
     *,
+    kinds: Collection[Kind] | Literal["all"] | None = None,
+    roads: RoadNetwork | None = None,
     collisions: bool = True,
     blocked: bool = True,
     braking: bool = True,
@@ -97,9 +110,12 @@ def incidents(
 
     Args:
         source: The recording. For collisions alone, only the events of an MCAP file and the frames of collisions are read.
-        collisions: Whether to include collisions.
-        blocked: Whether to include vehicles and walkers that do not move for long.
-        braking: Whether to include vehicles that brake hard, for at least 0.3 s.
+        kinds: The kinds to include; None: collisions, stops and hard braking; "all": those of the road, too, if there are
+            roads.
+        roads: The roads of the map, such as `carla_recap.maps.find_road_network` returns them; for the kinds of the road.
+        collisions: Whether to include collisions, if they are among the kinds.
+        blocked: Whether to include vehicles and walkers that do not move for long, if they are among the kinds.
+        braking: Whether to include vehicles that brake hard, for at least 0.3 s, if they are among the kinds.
         min_time: The shortest time without a movement to include, in seconds.
         min_distance: The distance at which an actor has moved, in cm.
         deceleration: The deceleration from which on braking is hard, in m/s².
@@ -107,11 +123,13 @@ def incidents(
         stop: The elapsed seconds until which to look for them. Long stops in MCAP files may begin and end outside.
 
     Raises:
-        RecapError: The deceleration is not above 0.
+        RecapError: The deceleration is not above 0, there is no such kind, or a kind needs roads.
         FormatError: The file contradicts its format.
     """
     search = IncidentSearch(
         source,
+        kinds=kinds,
+        roads=roads,
         collisions=collisions,
         blocked=blocked,
         braking=braking,
@@ -135,6 +153,8 @@ class IncidentSearch:
         self,
         source: Reader,
         *,
+        kinds: Collection[Kind] | Literal["all"] | None = None,
+        roads: RoadNetwork | None = None,
         collisions: bool = True,
         blocked: bool = True,
         braking: bool = True,
@@ -146,6 +166,9 @@ class IncidentSearch:
     ) -> None:
         if not deceleration > 0:
             raise RecapError(f"a deceleration of {deceleration:g} m/s² is no braking; it must be above 0")
+        wanted = _wanted(kinds, roads)
+        collisions, blocked = collisions and "collision" in wanted, blocked and "blocked" in wanted
+        braking = braking and "hard braking" in wanted
         self._source, self._start, self._stop = source, start, stop
         collector, self._contacts = ActorCollector(), _Contacts()
         for frame in source.frames((*ACTOR_TYPES, "collisions"), sparse=True, stop=stop):
@@ -161,6 +184,9 @@ class IncidentSearch:
         self._braked = source.hard_braking(deceleration) if braking and is_whole else None
         is_needed = braking and self._braked is None
         self._detector = BrakingDetector(self._actors.ids("vehicle"), deceleration) if is_needed else None
+        self._kinds = wanted
+        of_road = roads is not None and not wanted.isdisjoint(ROAD_KINDS)
+        self._roads = RoadSearch(source, roads, collector.actors) if roads is not None and of_road else None
         self._collisions = collisions
         self._unlocated = defaultdict(list)  # contacts by frame
         for contact in self._contacts if collisions else ():
@@ -174,6 +200,7 @@ class IncidentSearch:
         """
         source = self._source
         types = {*(STATIONARY_TYPES if self._tracker else ()), *(BRAKING_TYPES if self._detector else ())}
+        types.update(ROAD_TYPES if self._roads else ())
         if types:
             for batch in source.batches((*types, "transforms"), start=self._start, stop=self._stop):
                 self.add(batch)
@@ -181,7 +208,12 @@ class IncidentSearch:
             self._look_up()
 
     def add(self, batch: Batch) -> None:
-        """Process the next frames; they have at least their transforms, velocities, spawns and destructions."""
+        """Process the next frames.
+
+        They have at least their transforms, velocities, spawns and destructions, and for roads their states of lights.
+        """
+        if self._roads:
+            self._roads.add(batch)
         if self._tracker:
             self._tracker.batch(batch)
         if self._detector:
@@ -209,8 +241,35 @@ class IncidentSearch:
         found += _blocked(longest_first(self._tracker.finish() if self._tracker else self._intervals or []), actors)
         braked = self._detector.finish() if self._detector else self._braked
         found += _braking(braked or (), contacts, actors)
+        found += _of_road(self._roads.finish(), actors, self._kinds) if self._roads else ()
         found = [incident for incident in found if not (incident.start > stop or incident.stop < start)]
         return Incidents(sorted(found, key=lambda incident: (incident.start, incident.kind)), self._source, compat=False)
+
+
+def _wanted(kinds: Collection[Kind] | Literal["all"] | None, roads: RoadNetwork | None) -> frozenset[str]:
+    """Return the kinds to find.
+
+    Raises:
+        RecapError: There is no such kind, or one needs roads.
+    """
+    if kinds is None or kinds == "all":
+        return frozenset((*DEFAULT_KINDS, *(ROAD_KINDS if kinds and roads is not None else ())))
+    wanted = frozenset((kinds,) if isinstance(kinds, str) else kinds)
+    for kind in wanted.difference(KINDS):
+        raise RecapError(f"kinds of incidents are {', '.join(KINDS)}, not {kind!r}")
+    if roads is None and not wanted.isdisjoint(ROAD_KINDS):
+        named = ", ".join(kind for kind in ROAD_KINDS if kind in wanted)
+        raise RecapError(f"incidents of the road need its map: {named}")
+    return wanted
+
+
+def _of_road(events: Iterable[RoadEvent], actors: ActorsByTime, kinds: Collection[str]) -> Iterator[Incident]:
+    for event in events:
+        if event.kind in kinds and actors.kind(event.id, event.start) == "vehicle":
+            ids = (event.id,)
+            type_ids = actors.type_ids(ids, event.start)
+            text = f"{actors.name(event.id, event.start)} {event.text}"
+            yield Incident(event.kind, event.start, event.stop, ids, type_ids, event.x, event.y, event.z, text)
 
 
 # --- collisions ----------------------------------------------------------------------------------------------------------

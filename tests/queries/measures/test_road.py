@@ -7,11 +7,13 @@ from typing import TYPE_CHECKING, Any, Final
 import numpy as np
 import pytest
 
+from carla_recap.errors import RecapError
 from carla_recap.formats import open_reader
 from carla_recap.maps.network import build_network, find_road_network
 from carla_recap.model.frame import Header
 from carla_recap.model.records import Spawn, attributes
 from carla_recap.queries.actors import actors
+from carla_recap.queries.incidents import incidents
 from carla_recap.queries.measures.road import TYPES, RoadEvent, RoadSearch
 from carla_recap.sim import VehicleControl, World
 from carla_recap.sim.scenarios.places import spawn_on_lane
@@ -21,11 +23,12 @@ from tests.maps.straight_road import LIGHT_POSITION, STRAIGHT_ROAD
 from tests.queries.conftest import write
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Sequence
+    from collections.abc import Callable, Iterator, Sequence
     from pathlib import Path
 
     from numpy.typing import NDArray
 
+    from carla_recap.formats.base import Reader
     from carla_recap.model.roads import RoadNetwork
     from carla_recap.queries.measures.rows import MeasureRow
 
@@ -47,7 +50,7 @@ class Drives:
     """Writes recordings of cars that drive along the straight road, and searches them."""
 
     def __init__(self, roads: RoadNetwork, path: Path) -> None:
-        self.roads, self._path = roads, path
+        self.roads, self.path = roads, path
         self.rows: list[MeasureRow] = []
 
     def __call__(self, *poses: Sequence[Pose] | Floats, lights: Callable[[float], int] = lambda _: GREEN) -> list[RoadEvent]:
@@ -67,8 +70,8 @@ class Drives:
             time = index * TICK
             frames.append({"transforms": at, "light_states": [(LIGHT, False, 0.0, lights(time + 1e-9))]})
         frames[0] = {"spawned": spawned, **frames[0]}
-        write(self._path, frames, header=Header("Straight", 1_600_000_000), durations=[TICK] * len(frames))
-        reader = open_reader(self._path)
+        write(self.path, frames, header=Header("Straight", 1_600_000_000), durations=[TICK] * len(frames))
+        reader = open_reader(self.path)
         try:
             return self.search(reader)
         finally:
@@ -265,6 +268,47 @@ def test_a_sign_raises_the_limit(drives: Drives) -> None:
 def test_within_the_tolerance_or_for_a_moment_it_is_none(drives: Drives, speed: float, seconds: float) -> None:
     speeds = [10.0] * 20 + [speed] * round(seconds / TICK) + [10.0] * 5
     assert drives(along(speeds)) == []
+
+
+# --- incidents -----------------------------------------------------------------------------------------------------------
+
+
+@pytest.fixture
+def drive(drives: Drives) -> Iterator[Reader]:
+    """A car that runs a red light and drives too fast."""
+    drives(along([20.0] * 120), lights=lambda _: RED)
+    reader = open_reader(drives.path)
+    yield reader
+    reader.close()
+
+
+def test_broken_rules_are_incidents_of_all_kinds_where_the_roads_are_given(drive: Reader, roads: RoadNetwork) -> None:
+    found = incidents(drive, kinds="all", roads=roads)
+    assert [(row.kind, row.actors, row.type_ids) for row in found] == [
+        ("speeding", (CAR,), ("vehicle.mini.cooper_s",)),
+        ("red light", (CAR,), ("vehicle.mini.cooper_s",)),
+    ]
+    assert found[1].text == f"vehicle.mini.cooper_s ({CAR}) runs a red light ({LIGHT}) at 72 km/h"
+    assert (found[1].x, found[1].y) == pytest.approx((100, -1.75), abs=2.5)
+
+
+def test_by_default_and_without_roads_they_are_none(drive: Reader, roads: RoadNetwork) -> None:
+    assert incidents(drive, roads=roads) == []
+    assert incidents(drive, kinds="all") == []
+
+
+def test_some_kinds_can_be_asked_for(drive: Reader, roads: RoadNetwork) -> None:
+    assert [row.kind for row in incidents(drive, kinds=["red light", "collision"], roads=roads)] == ["red light"]
+
+
+def test_a_kind_of_the_road_without_roads_is_an_error(drive: Reader) -> None:
+    with pytest.raises(RecapError, match="incidents of the road need its map: red light, speeding"):
+        incidents(drive, kinds=["speeding", "red light", "blocked"])
+
+
+def test_an_unknown_kind_is_an_error(drive: Reader, roads: RoadNetwork) -> None:
+    with pytest.raises(RecapError, match="not 'crash'"):
+        incidents(drive, kinds=["crash"], roads=roads)  # type: ignore[list-item]
 
 
 # --- recordings that are odd ---------------------------------------------------------------------------------------------
