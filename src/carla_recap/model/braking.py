@@ -86,6 +86,8 @@ class BrakingDetector:
     def add_spawns(self, spawns: Iterable[Spawn]) -> bool:
         """Add the vehicles among spawned actors; return False if one of them had records before, which were left out."""
         new = {spawn.id for spawn in spawns if spawn.kind == ActorKind.VEHICLE}
+        if not new:
+            return True
         return self._transforms.add_vehicles(new) and self._velocities.add_vehicles(new)
 
     def batch(self, batch: Batch) -> None:
@@ -123,7 +125,7 @@ class BrakingDetector:
         elapsed = np.array(self._elapsed)
         suspects = _suspects(self._transforms, self._velocities, elapsed, self._deceleration)
         if len(suspects):
-            motion = _Motion(*self._transforms.table(suspects), *self._velocities.table(suspects), elapsed)
+            motion = _VehicleMotion(*self._transforms.table(suspects), *self._velocities.table(suspects), elapsed)
             hard = motion.deceleration() >= self._deceleration
             hard &= (motion.frame >= self._done - self._first) & (motion.frame < until)
             self._runs.append(motion.runs(hard, self._first))
@@ -306,7 +308,7 @@ _RUN: Final = np.dtype(
 )
 
 
-class _Motion:
+class _VehicleMotion:
     """The motion of vehicles in some frames, one vehicle after the other.
 
     Args:

@@ -7,15 +7,18 @@ from typing import TYPE_CHECKING, Final, NamedTuple
 
 import numpy as np
 
-from carla_recap.model.records import CM
+from carla_recap.model.records import CM, UE4
 
 if TYPE_CHECKING:
+    from collections.abc import Iterable
+
     from numpy.typing import NDArray
 
     from carla_recap.model.batch import Batch
-    from carla_recap.model.frame import Frame
+    from carla_recap.model.frame import Frame, Packet
 
     Vector = tuple[float, float, float]
+    Recent = Frame | tuple[Batch, int]  # a frame, or a batch and the row of one
 
 MOTION: Final = ("transforms", "velocities")
 """The record types of positions and velocities."""
@@ -27,6 +30,8 @@ UNKNOWN: Final[Vector] = (math.nan, math.nan, math.nan)
 
 _GAP: Final = 1.0  # s between two positions that a velocity is derived from, at most
 _TOP_SPEED: Final = 100.0  # m/s; what is faster has jumped
+
+_COLLISIONS: Final = UE4.named("collisions").id
 
 Key = tuple[int, int, int]
 
@@ -82,21 +87,32 @@ class ContactTracker:
     """
 
     def __init__(self) -> None:
-        self._recent: list[tuple[Batch, int]] = []  # the two latest frames: batches and rows
+        self._recent: list[Recent] = []  # the two latest frames
         self._touching: set[tuple[int, ...]] = set()
         self._elapsed = math.nan
         self._found: list[ContactStart] = []
 
-    def batch(self, batch: Batch, index: int) -> None:
-        """Process the frames of a batch; `index` is that of the first one.
+    def frame(self, frame: Frame, index: int) -> None:
+        """Process a frame; `index` is its position in the recording.
 
         Raises:
             FormatError: A packet contradicts its layout.
         """
-        if _has_collisions(batch):
-            for row in range(len(batch)):
-                self._collide(batch, row, index + row)
-                self._recent = [*self._recent[-1:], (batch, row)]
+        if _has_collisions(frame.packets):
+            self._collide(frame, index)
+        else:
+            self._touching = set()
+        self._recent = [*self._recent[-1:], frame]
+
+    def batch(self, batch: Batch, index: int) -> None:
+        """Process the frames of a batch; `index` is the position of the first one in the recording.
+
+        Raises:
+            FormatError: A packet contradicts its layout.
+        """
+        if len(batch) == 1 or _has_collisions(column.packet(0) for column in batch.columns):
+            for row, frame in enumerate(batch):
+                self.frame(frame, index + row)
         else:
             self._touching = set()
             rows = range(max(len(batch) - 2, 0), len(batch))
@@ -107,21 +123,26 @@ class ContactTracker:
         found, self._found = self._found, []
         return found
 
-    def _collide(self, batch: Batch, row: int, index: int) -> None:
-        frame = batch.frame(row)
+    def _collide(self, frame: Frame, index: int) -> None:
         before, self._touching = self._touching, {tuple(sides) for _, *sides in frame["collisions"].tolist()}
         if not abs(frame.elapsed - self._elapsed) < SAME_CONTACT:
             before = set()
         self._elapsed = frame.elapsed
         keys = dict.fromkeys((index, id1, id2) for id1, id2, *_ in sorted(self._touching - before))
         if keys:
-            recent = [None, None, *(batch.frame(row) for batch, row in self._recent)]
+            recent = [None, None, *map(_frame, self._recent)]
             self._found += [contact_start(key, frame, recent[-1], recent[-2]) for key in keys]
 
 
-def _has_collisions(batch: Batch) -> bool:
-    columns = [column for column in batch.columns if column.type is not None and column.type.name == "collisions"]
-    return any(len(column.packet(0).records) for column in columns)
+def _frame(recent: Recent) -> Frame:
+    if not isinstance(recent, tuple):
+        return recent
+    batch, row = recent
+    return batch.frame(row)
+
+
+def _has_collisions(packets: Iterable[Packet]) -> bool:
+    return any(packet.id == _COLLISIONS and len(packet.records) for packet in packets)
 
 
 def _row(frame: Frame, name: str, id: int) -> NDArray[np.void] | None:

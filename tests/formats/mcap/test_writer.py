@@ -12,9 +12,9 @@ from mcap import records
 
 from carla_recap import RecapError, RecordError, convert, open_recording, recover
 from carla_recap.formats import create_writer
-from carla_recap.formats.mcap.index import Source
 from carla_recap.formats.mcap.recovery import recover_summary
 from carla_recap.formats.mcap.writer import CHUNK_SECONDS, CHUNK_SIZE, FRAME_SIZE
+from carla_recap.formats.sources import LocalSource
 from carla_recap.model.frame import Frame, Header, Packet
 from carla_recap.model.records import UE4, Group
 from tests.formats.mcap.forge import chunk_records, data_records, read_records
@@ -94,7 +94,7 @@ def test_the_chunks_of_events_of_a_live_file_come_in_order_of_time(tmp_path):
         for frame in drive(30):
             writer.write(frame)
         (partial,) = tmp_path.iterdir()
-        source = Source(partial)
+        source = LocalSource(partial)
         summary, _ = recover_summary(source)
         source.close()
     collisions = next(id for id, channel in summary.channels.items() if channel.topic == "/collisions")

@@ -66,8 +66,8 @@ class Digest:
     """
 
     def __init__(self, table: Table) -> None:
-        self._ids = {name: table.named(name).id for name in {*STATIONARY_TYPES, *BRAKING_TYPES, *CONTACT_TYPES}}
-        self._stationary_ids = {self._ids[name] for name in STATIONARY_TYPES}
+        self._stationary_ids = {table.named(name).id for name in STATIONARY_TYPES}
+        self._spawned = table.named("spawned").id
         self._stationary: StationaryTracker | None = StationaryTracker(table, INTERVAL_TIME)
         self._detector: BrakingDetector | None = BrakingDetector((), HARD)
         self._contacts: ContactTracker | None = ContactTracker()
@@ -76,19 +76,17 @@ class Digest:
 
     def frame(self, frame: Frame, index: int) -> None:
         """Process a frame; `index`: its position in the file that is written."""
-        filled = [packet for packet in frame.packets if packet.payload != EMPTY_LIST]
+        filled = [packet for packet in frame.packets if packet.id in self._stationary_ids and packet.payload != EMPTY_LIST]
         if self._stationary:
-            self._stationary.frame(frame, [packet for packet in filled if packet.id in self._stationary_ids])
-        batch = Batch.of(frame)
+            self._stationary.frame(frame, filled)
         if self._detector:
-            spawned = [packet for packet in filled if packet.id == self._ids["spawned"]]
-            spawns = [spawn for packet in spawned for spawn in packet.records]
+            spawns = [spawn for packet in filled if packet.id == self._spawned for spawn in packet.records]
             if self._detector.add_spawns(spawns):
-                self._detector.batch(batch)
+                self._detector.batch(Batch.of(frame))
             else:  # it has left out frames of a vehicle that was not known to be one
                 self._detector = None
         if self._contacts:
-            self._contacts.batch(batch, index)
+            self._contacts.frame(frame, index)
 
     def batch(self, batch: Batch, index: int) -> None:
         """Process the frames of a batch, in which no actors spawn; see `frame`."""
