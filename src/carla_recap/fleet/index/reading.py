@@ -18,6 +18,7 @@ from carla_recap.queries.actors import TYPES as ACTOR_TYPES
 from carla_recap.queries.actors import actors
 from carla_recap.queries.collisions import collisions
 from carla_recap.queries.incidents import incidents
+from carla_recap.queries.measures import measures
 from carla_recap.recording import Recording
 from carla_recap.util.text import readable
 
@@ -26,6 +27,7 @@ if TYPE_CHECKING:
 
     from carla_recap.fleet.sources import SourceFile
     from carla_recap.formats.base import Reader
+    from carla_recap.model.batch import Batch
     from carla_recap.model.stationary import BlockedRow
     from carla_recap.queries.actors import Actor
 
@@ -36,6 +38,8 @@ SHORTEST_STOP: Final = 10.0
 """The least duration of a stationary interval in an index, in s."""
 
 _EVENTS: Final = frozenset((*ACTOR_TYPES, "collisions"))
+_MOTION: Final = frozenset(("transforms", "velocities"))
+_SMALL: Final = 6000  # frames of a recording whose motion is kept in memory
 
 _actor = attrgetter(
     "id",
@@ -66,7 +70,7 @@ def read_recording(source: SourceFile) -> tuple[dict[str, Any], list[Columns]]:
 
 
 def _content(recording: Recording) -> tuple[dict[str, Any], list[Columns]]:
-    info, reader = recording.info, cast("Reader", _EventsOnce(recording.reader))
+    info, reader = recording.info, cast("Reader", _ReadOnce(recording.reader))
     found = actors(reader)
     stops = reader.stationary_intervals(SHORTEST_STOP, MIN_DISTANCE) or []
     rows: dict[str, Iterable[tuple[Any, ...]]] = {
@@ -74,7 +78,7 @@ def _content(recording: Recording) -> tuple[dict[str, Any], list[Columns]]:
         "stationary": map(_stop, stops),
         "collisions": map(_fields("collisions"), collisions(reader)),
         "incidents": map(_fields("incidents"), incidents(reader)),
-        "measures": (),
+        "measures": map(_fields("measures"), measures(reader, [actor.id for actor in found if actor.is_hero])),
     }
     children = [_columns(rows[table.name], len(table.hints)) for table in CHILDREN]
     fields = {
@@ -106,8 +110,8 @@ def _columns(rows: Iterable[tuple[Any, ...]], count: int) -> Columns:
     return [list(values) for values in zip(*rows, strict=True)] or [[] for _ in range(count)]
 
 
-class _EventsOnce:
-    """A reader whose events are read once for several queries, as are its stationary intervals.
+class _ReadOnce:
+    """A reader of what several queries read: its events and stationary intervals, and the motion of a small recording.
 
     Args:
         reader: The reader.
@@ -143,6 +147,21 @@ class _EventsOnce:
             packets = [packet for packet in frame.packets if packet.type is not None and packet.type.name in types]
             if packets and start <= frame.elapsed < stop:
                 yield Frame(frame.index, frame.id, frame.elapsed, frame.duration, packets, preamble=frame.preamble)
+
+    @cached_property
+    def _motion(self) -> list[Batch]:
+        return list(self._reader.batches(_MOTION))
+
+    def batches(self, types: Collection[str] | None = None, **options: Any) -> Iterator[Batch]:
+        """See `Reader.batches`."""
+        times = options.pop("start", -math.inf), options.pop("stop", math.inf)
+        if types is not None and _MOTION == set(types) and times == (-math.inf, math.inf) and not options and self._is_small:
+            return iter(self._motion)
+        return self._reader.batches(types, start=times[0], stop=times[1], **options)
+
+    @cached_property
+    def _is_small(self) -> bool:
+        return self._reader.extent().frames <= _SMALL
 
     def stationary_intervals(self, min_time: float, min_distance: float) -> list[BlockedRow] | None:
         """See `Reader.stationary_intervals`."""
