@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from carla_recap import RecapError, open_index, open_recording, write_index
+from carla_recap import ActorKind, RecapError, Spawn, create_recording, open_index, open_recording, write_index
 from carla_recap.fleet.index.tables import TABLES
 
 pytest.importorskip("pyarrow", reason="the extra `arrow` is not installed")
@@ -77,6 +77,7 @@ def test_the_rows_of_a_recording_are_those_of_the_queries(index, name):
         queries = {
             "collisions": recording.collisions().to_arrow().to_pylist(),
             "incidents": recording.incidents().to_arrow().to_pylist(),
+            "measures": recording.measures("hero").to_arrow().to_pylist(),
         }
         stops = sorted((row.id, row.start, row.duration) for row in recording.blocked(10))
         actors = {(actor.id, actor.type_id, actor.is_hero) for actor in recording.actors.values()}
@@ -100,6 +101,15 @@ def test_positions_are_in_metres_and_right_handed(index):
 def test_columns_have_units(index):
     schema = open_index(index).table("stationary").schema
     assert schema.field("duration").metadata == {b"unit": b"s"}
+
+
+def test_numbers_that_are_not_finite_are_null(tmp_path):
+    with create_recording(tmp_path / "own.mcap", map_name="Town01") as recorder:
+        recorder.add_frame(0.0, spawned=[Spawn(7, ActorKind.VEHICLE, type_id="vehicle.audi.tt")])
+        recorder.add_frame(1.0, collisions={"actor1": [7], "actor2": [8]})
+    write_index([tmp_path / "own.mcap"], tmp_path / "index", jobs=1)
+    (row,) = open_index(tmp_path / "index").table("incidents").to_pylist()
+    assert (row["kind"], row["x"]) == ("collision", None)
 
 
 # --- changes ------------------------------------------------------------------------------------------------------------

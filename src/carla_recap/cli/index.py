@@ -4,49 +4,83 @@ from __future__ import annotations
 
 import os
 import sys
-from typing import TYPE_CHECKING, NoReturn
+from contextlib import ExitStack, closing
+from typing import TYPE_CHECKING, Final, NoReturn, TypeVar
 
 import click
 
 from carla_recap.cli import options
 from carla_recap.cli.output import say
-from carla_recap.cli.progress import watch_recordings
 
 if TYPE_CHECKING:
+    from collections.abc import Iterable, Iterator
+
     from carla_recap.cli.sql_output import Form
 
-FAILED = 2
+T = TypeVar("T")
+
+FAILED: Final = 2
 """The exit code if a recording cannot be read."""
 
 
 @click.command()
-@click.argument("sources", nargs=-1, required=True, metavar="SOURCES...")
+@click.argument("sources", type=click.Path(allow_dash=True), nargs=-1, required=True, metavar="SOURCE...")
 @click.argument("index_folder", type=click.Path(), metavar="INDEX")
-@click.option("--jobs", type=click.IntRange(min=1), metavar="N", help="Processes that read; else one per processor.")
-@click.option("--prune", is_flag=True, help="Remove recordings from INDEX that SOURCES do not mean.")
+@options.jobs
+@options.dask
+@click.option("--prune", is_flag=True, help="Remove recordings from INDEX that no SOURCE means.")
 @click.option("--retry", is_flag=True, help="Read recordings again that could not be read, also unchanged ones.")
 @click.option("--all", "again", is_flag=True, help="Read all recordings again, also unchanged ones.")
-def index(sources: tuple[str, ...], index_folder: str, jobs: int | None, prune: bool, retry: bool, again: bool) -> NoReturn:
+def index(
+    sources: tuple[str, ...],
+    index_folder: str,
+    jobs: int | None,
+    dask: str | None,
+    prune: bool,
+    retry: bool,
+    again: bool,
+) -> NoReturn:
     """Write what many recordings contain into INDEX, a folder of Parquet tables.
 
-    SOURCES are files, folders and globs. Recordings that INDEX has, and that have not changed, are not read again.
+    Recordings that INDEX has, and that have not changed, are not read again.
     """
+    from carla_recap.cli.many import client_of, listed
+    from carla_recap.cli.progress import SourcesBar
     from carla_recap.fleet.index import write_index
+    from carla_recap.util.signals import unwind_on_termination
 
-    summary = write_index(
-        sources,
-        index_folder,
-        jobs=jobs,
-        prune=prune,
-        retry=retry,
-        again=again,
-        progress=watch_recordings("Indexing"),
-        report=lambda error: say(f"carla-recap: {error}"),
-    )
+    bar = SourcesBar("Index", None)
+
+    def watched(outcomes: Iterable[T], count: int) -> Iterator[T]:
+        nonlocal bar
+        with SourcesBar("Index", count) as bar:
+            for outcome in outcomes:
+                yield outcome
+                bar.advance()
+
+    def report(error: str) -> None:
+        with bar.aside():
+            say(f"carla-recap: {error}")
+
+    with ExitStack() as stack:
+        stack.enter_context(unwind_on_termination())
+        client = stack.enter_context(closing(client_of(dask))) if dask else None
+        summary = write_index(
+            listed(sources),
+            index_folder,
+            jobs=jobs,
+            client=client,
+            prune=prune,
+            retry=retry,
+            again=again,
+            progress=watched,
+            report=report,
+        )
     counts = [f"{summary.read:,} read", f"{summary.failed:,} failed", f"{summary.unchanged:,} unchanged"]
     if summary.removed:
         counts.append(f"{summary.removed:,} removed")
-    say(f"{index_folder}: {summary.recordings:,} recordings: {', '.join(counts)}")
+    things = "recording" if summary.recordings == 1 else "recordings"
+    say(f"{index_folder}: {summary.recordings:,} {things}: {', '.join(counts)}")
     sys.exit(FAILED if summary.failed else 0)
 
 

@@ -59,7 +59,7 @@ def answer(
         from carla_recap.util.signals import unwind_on_termination
 
         stack.enter_context(unwind_on_termination())
-        client = stack.enter_context(closing(_client(dask))) if dask else None
+        client = stack.enter_context(closing(client_of(dask))) if dask else None
         found, bar = watched(sources, "Read")
         stack.enter_context(bar)
         given = stack.enter_context(closing(answers(query, shape, found, jobs=jobs, client=client)))
@@ -91,20 +91,21 @@ def watched(sources: Iterable[str], title: str) -> tuple[Iterable[SourceFile], S
     from carla_recap.cli.progress import SourcesBar
     from carla_recap.fleet.sources import find_sources
 
-    found: Iterable[SourceFile] = find_sources(_listed(sources), errors="yield")
+    found: Iterable[SourceFile] = find_sources(listed(sources), errors="yield")
     if not SourcesBar.is_shown():
         return found, SourcesBar(title, None)
     found = list(found)  # whose number the bar needs
     return found, SourcesBar(title, len(found))
 
 
-def _client(address: str) -> Client:
+def client_of(address: str) -> Client:
+    """Return a client of a Dask cluster."""
     from carla_recap.fleet.cluster import connect
 
     return connect(address)
 
 
-def _listed(sources: Iterable[str]) -> Iterator[str]:
+def listed(sources: Iterable[str]) -> Iterator[str]:
     """Yield sources; for `-`, the lines of stdin."""
     from carla_recap.errors import RecapError
 

@@ -155,7 +155,7 @@ class _ReadOnce:
     def batches(self, types: Collection[str] | None = None, **options: Any) -> Iterator[Batch]:
         """See `Reader.batches`."""
         times = options.pop("start", -math.inf), options.pop("stop", math.inf)
-        if types is not None and _MOTION == set(types) and times == (-math.inf, math.inf) and not options and self._is_small:
+        if types is not None and set(types) == _MOTION and times == (-math.inf, math.inf) and not options and self._is_small:
             return iter(self._motion)
         return self._reader.batches(types, start=times[0], stop=times[1], **options)
 

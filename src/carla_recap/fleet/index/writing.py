@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+from collections.abc import Generator
 from dataclasses import dataclass, fields, replace
 from datetime import datetime, timedelta
 from time import monotonic
@@ -106,9 +107,10 @@ def write_index(
         }
         writing = _Commits(folder)
         outcomes: Iterable[Outcome[Reading]] = map_sources(read_recording, changed.values(), jobs=jobs, client=client)
+        watched = progress(outcomes, len(changed)) if progress else outcomes
         failed = 0
         try:
-            for key, outcome in zip(changed, progress(outcomes, len(changed)) if progress else outcomes, strict=True):
+            for key, outcome in zip(changed, watched, strict=True):
                 writing.add(key, outcome)
                 if outcome.error is not None:
                     failed += 1
@@ -116,6 +118,9 @@ def write_index(
                         report(outcome.error)
         finally:
             writing.flush()
+            for each in (watched, outcomes):
+                if isinstance(each, Generator):
+                    each.close()
         removed = known.keys() - meant.keys() if prune else set()
         runs = folder.runs()
         if removed or len(runs) > MOST_PARTS:

@@ -30,8 +30,10 @@ _ELEMENTS: Final = 1 << 19  # pairs and frames that are computed at once
 _STEP: Final = 0.5  # m; boxes with more than this height between them are on different levels
 
 
-def near_pairs(block: MotionBlock, subjects: Booleans, reach: float | Floats) -> Iterator[tuple[int, Indices, Indices]]:
-    """Yield the pairs that may be near each other within 64 frames: the first frame, and the actors of each pair.
+def near_pairs(
+    block: MotionBlock, subjects: Booleans, reach: float | Floats, *, frames: int = FRAMES
+) -> Iterator[tuple[int, Indices, Indices]]:
+    """Yield the pairs that may be near each other within some frames: the first frame, and the actors of each pair.
 
     Of two walkers, and of actors one of which is attached to the other, there are no pairs. If more than 131,072 pairs are
     near each other, those that are beside each other along x come first.
@@ -41,10 +43,11 @@ def near_pairs(block: MotionBlock, subjects: Booleans, reach: float | Floats) ->
         subjects: Whether an actor is of interest, (actors,); one of a pair is.
         reach: The distance in m from the centre of an actor within which the other's reach has to be; for all actors, or for
             each.
+        frames: The number of frames for which near pairs are looked for at once.
     """
     reach = np.broadcast_to(np.asarray(reach, np.float64), block.ids.shape)
     parent = {actor.id: actor.parent for actor in block.actors if actor.parent is not None}
-    starts = range(block.first, block.last, FRAMES)
+    starts = range(block.first, block.last, frames)
     edges = list(starts)
     if not edges or len(block.ids) < 2:
         return
@@ -69,7 +72,7 @@ def near_pairs(block: MotionBlock, subjects: Booleans, reach: float | Floats) ->
                 for a, b in zip(ids[one].tolist(), ids[other].tolist(), strict=True)
             ]
             one, other = one[free], other[free]
-        step = _ELEMENTS // FRAMES
+        step = _ELEMENTS // frames
         for begin in range(0, len(one), step):
             yield start, one[begin : begin + step], other[begin : begin + step]
 
@@ -107,9 +110,9 @@ class PairFrames:
     distance: Floats
 
     @staticmethod
-    def of(block: MotionBlock, start: int, one: Indices, other: Indices) -> PairFrames:
-        """Return pairs in the 64 frames from one on."""
-        rows = slice(start, min(start + FRAMES, block.last))
+    def of(block: MotionBlock, start: int, one: Indices, other: Indices, *, frames: int = FRAMES) -> PairFrames:
+        """Return pairs in some frames from one on."""
+        rows = slice(start, min(start + frames, block.last))
 
         def difference(values: Floats) -> Floats:
             part = values[:, rows]

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 
 from carla_recap.queries.measures.boxes import required_deceleration, time_headway
-from carla_recap.queries.measures.pairs import PairFrames, ahead, near_pairs
+from carla_recap.queries.measures.pairs import FRAMES, PairFrames, ahead, near_pairs
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -29,6 +29,8 @@ JERK_WINDOW: Final = 0.25
 NOBODY: Final = -1
 """The row of no actor."""
 
+_FEW: Final = 4  # actors for which pairs are looked for
+_MORE: Final = 8  # times as many frames at once, since the number of steps costs more than that of pairs
 _STEPS: Final = 32  # frames before and after a moment that count, at most
 _LONGEST: Final = 1.0  # s between frames that belong together, at most
 
@@ -70,9 +72,10 @@ def criticality(block: MotionBlock, subjects: Indices, other: int | None = None)
     position = np.full(len(block.ids), -1)
     position[subjects] = np.arange(len(subjects))
     gaps, times, headways = _Least(shape), _Least(shape), _Least(shape)
-    for start, first, second in near_pairs(block, position >= 0, RANGE / 2):
+    frames = _MORE * FRAMES if len(subjects) <= _FEW else FRAMES
+    for start, first, second in near_pairs(block, position >= 0, RANGE / 2, frames=frames):
         kept = slice(None) if other is None else (first == other) | (second == other)
-        pairs = PairFrames.of(block, start, first[kept], second[kept])
+        pairs = PairFrames.of(block, start, first[kept], second[kept], frames=frames)
         pairs = pairs.take(pairs.distance <= RANGE)
         for each in (pairs, pairs.turned()):
             each = each.take(position[each.one] >= 0)

@@ -1,0 +1,169 @@
+"""The commands index and sql, as a shell and a terminal see them."""
+
+from __future__ import annotations
+
+import json
+import shutil
+import subprocess
+from pathlib import Path
+
+import pytest
+
+from tests.cli.command import COMMAND, ENVIRONMENT, TIMEOUT, answer, error, on_terminal, run
+
+pytest.importorskip("duckdb", reason="the extra `sql` is not installed")
+
+SAMPLES = Path(__file__).parents[2] / "samples"
+
+
+@pytest.fixture(scope="module")
+def index(tmp_path_factory):
+    """An index of two samples."""
+    folder = tmp_path_factory.mktemp("cli") / "index"
+    done = run("index", SAMPLES / "crash.mcap", SAMPLES / "crossing.log", folder)
+    assert done.returncode == 0
+    return folder
+
+
+def test_a_run_ends_with_one_line_and_the_next_reads_nothing(tmp_path):
+    for counts in ("1 read, 0 failed, 0 unchanged", "0 read, 0 failed, 1 unchanged"):
+        done = run("index", SAMPLES / "crossing.log", tmp_path / "index")
+        assert (done.returncode, done.stdout) == (0, b"")
+        assert done.stderr.decode() == f"{tmp_path}/index: 1 recording: {counts}\n"
+
+
+def test_recordings_that_cannot_be_read_are_named_and_the_exit_code_is_2(tmp_path):
+    (tmp_path / "empty.log").touch()
+    shutil.copy(SAMPLES / "crossing.log", tmp_path)
+    done = run("index", tmp_path, tmp_path / "index")
+    failure, summary = done.stderr.decode().splitlines()
+    assert done.returncode == 2
+    assert failure.startswith(f"carla-recap: {tmp_path}/empty.log: is empty")
+    assert summary.endswith("2 recordings: 1 read, 1 failed, 0 unchanged")
+    assert run("index", tmp_path, tmp_path / "index").returncode == 0
+
+
+def test_a_list_of_recordings_comes_from_stdin(tmp_path):
+    command = [COMMAND, "index", "-", tmp_path / "index"]
+    done = subprocess.run(
+        command,
+        input=f"{SAMPLES}/crossing.log\n{SAMPLES}/crash.mcap\n".encode(),
+        capture_output=True,
+        env=ENVIRONMENT,
+        timeout=TIMEOUT,
+        check=False,
+    )
+    assert b"2 recordings: 2 read" in done.stderr
+
+
+def test_pruned_recordings_are_counted(tmp_path):
+    run("index", SAMPLES / "crossing.log", SAMPLES / "crash.mcap", tmp_path / "index")
+    done = run("index", "--prune", SAMPLES / "crossing.log", tmp_path / "index")
+    assert done.stderr.endswith(b"1 recording: 0 read, 0 failed, 1 unchanged, 1 removed\n")
+    assert answer("sql", tmp_path / "index", "select count(*) as n from recordings") == "n\n1\n"
+
+
+def test_a_terminal_shows_a_bar_which_is_removed(tmp_path):
+    code, shown, _ = on_terminal("index", SAMPLES / "crossing.log", tmp_path / "index", stream="stderr")
+    assert code == 0
+    assert shown.rstrip().endswith("index: 1 recording: 1 read, 0 failed, 0 unchanged")
+
+
+@pytest.mark.parametrize(
+    ("form", "expected"),
+    {
+        "--csv": 'map,frames,actors,note\nBrickfield,1200,"[41, 44]","a ""b"""\n',
+        "--json": '{"rows": [\n{"map": "Brickfield", "frames": 1200, "actors": [41, 44], "note": "a \\"b\\""}\n]}\n',
+    }.items(),
+)
+def test_rows_as_text(index, form, expected):
+    query = "select map, frames, i.actors, 'a \"b\"' as note from recordings join incidents i using (recording)"
+    assert answer("sql", index, f"{query} where text like '%walker.pedestrian.0004 (44)'", form) == expected
+
+
+def test_in_a_pipe_rows_are_csv_and_on_a_terminal_a_table(index):
+    query = "select map, frames, duration from recordings order by map"
+    assert answer("sql", index, query) == answer("sql", index, query, "--csv")
+    code, shown, _ = on_terminal("sql", index, query)
+    lines = [line.split() for line in shown.splitlines()]
+    assert code == 0
+    assert lines[2:] == [["Brickfield", "1200", "59.95"], ["Crossing", "531", "53"], ["2", "rows"]]
+
+
+def test_wide_rows_are_lists_on_a_terminal(index):
+    _, shown, _ = on_terminal("sql", index, "select * from recordings where map = 'Crossing'")
+    assert "additional_data" in shown
+    assert all(len(line) <= 120 for line in shown.splitlines())
+
+
+def test_values_of_every_kind_are_printed(index):
+    values = {
+        "1.5::decimal(4, 2)": 1.5,
+        "2.00::decimal(4, 2)": 2,
+        "'nan'::double": None,
+        "date '2026-01-02'": "2026-01-02",
+        "timestamp '2026-01-02 03:04:05'": "2026-01-02 03:04:05",
+        "timestamptz '2026-01-02 03:04:05+00'": "2026-01-02 03:04:05+00:00",
+        "time '03:04:05'": "03:04:05",
+        "'ab'::blob": "6162",
+        "map {'a': 1}": {"a": 1},
+        "{'a': [1, null]}": {"a": [1, None]},
+        "null": None,
+        "true": True,
+        "170141183460469231731687303715884105727": 170141183460469231731687303715884105727,
+        "'é\n'": "é\n",
+    }
+    columns = ", ".join(f"{value} as c{number}" for number, value in enumerate(values))
+    (row,) = json.loads(answer("sql", index, f"select {columns}", "--json"))["rows"]
+    assert list(row.values()) == list(values.values())
+
+
+def test_columns_of_one_name_are_numbered(index):
+    assert answer("sql", index, "select 1 as a, 2 as a, 3 as a") == "a,a_1,a_2\n1,2,3\n"
+
+
+def test_a_query_without_rows(index):
+    assert answer("sql", index, "select map from recordings where false") == "map\n"
+    assert json.loads(answer("sql", index, "select map from recordings where false", "--json")) == {"rows": []}
+    assert on_terminal("sql", index, "select map from recordings where false")[1] == "0 rows\n"
+
+
+def test_a_query_from_stdin(index):
+    command = [COMMAND, "sql", index, "-"]
+    done = subprocess.run(
+        command, input=b"select 1 as n", capture_output=True, env=ENVIRONMENT, timeout=TIMEOUT, check=False
+    )
+    assert done.stdout == b"n\n1\n"
+
+
+def test_names_of_recordings_cannot_control_the_terminal(index):
+    _, shown, _ = on_terminal("sql", index, "select chr(27) || '[2J' as a, chr(7) as b")
+    assert "\x1b[2J" not in shown
+    assert r"\x1b[2J" in shown
+
+
+@pytest.mark.parametrize(
+    ("query", "message"),
+    {
+        "select nothing from recordings": "Binder Error",
+        "select 1; drop view actors": "one query that begins with 'select'",
+        "select * from read_text('/etc/passwd')": "Permission Error",
+        "select error('a\nb')": "Invalid Input Error: a",
+    }.items(),
+)
+def test_a_wrong_query_is_an_error_in_one_line(index, query, message):
+    assert message in error("sql", index, query)
+
+
+def test_a_folder_that_is_no_index_is_an_error(tmp_path):
+    assert "is no index of recordings" in error("sql", tmp_path, "select 1")
+    assert "is no index of recordings" in error("sql", tmp_path / "none", "select 1")
+
+
+def test_sources_without_recordings_are_an_error(tmp_path):
+    (tmp_path / "runs").mkdir()
+    assert "no recordings" in error("index", tmp_path / "runs", tmp_path / "index")
+
+
+def test_one_argument_is_not_enough(tmp_path):
+    assert "Missing argument" in error("index", tmp_path)
