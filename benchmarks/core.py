@@ -15,6 +15,8 @@ from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Final
 
+import numpy as np
+
 import carla_recap
 from benchmarks.hour import DIRECTORY, RATE, cached
 from benchmarks.measuring import COMMAND, Line, Subject, best, convert, cpu_time, cut, medians, run, timed
@@ -35,6 +37,11 @@ TRAJECTORIES: Final = (
     "import sys; from carla_recap import open_recording; r = open_recording(sys.argv[1]); "
     "r.trajectory(r.heroes[0].id) if sys.argv[2] == 'one' else r.trajectories()"
 )
+DIFFERENCES: Final = """
+import sys
+from carla_recap import open_recording
+open_recording(sys.argv[1]).diff(open_recording(sys.argv[2])).summary
+"""
 STARTED: Final = 0.3  # s, for the start of such a process
 NUMBER: Final = re.compile(r"(?<!\w)-?(?:\d+(?:\.\d+)?(?:e[+-]\d+)?|nan|inf)\b")
 SMALL: Final = 10 * RATE  # frames of a small recording
@@ -102,6 +109,39 @@ def incidents(subject: Subject) -> Iterator[Line]:
         each = min(timed(partial(_use, _incidents, path)) for _ in range(3)) / subject.frames * 1e6
         total = f"{each * subject.frames / 1e6:.2f} s"
         yield Line(f"incidents, {name}", total, f"{each:.1f} µs/frame", "≤ 20 µs/frame", each <= 20)
+
+
+def differences(subject: Subject) -> Iterator[Line]:
+    """The recording and its conversion, which are equal, and a copy in which all positions differ."""
+    moved = DIRECTORY / "moved.log"
+    _move(subject.log, moved)
+    for what, other in ((".log and .mcap", subject.mcap), ("moved .log", moved)):
+        peaks: list[int] = []
+        seconds = cpu_time(lambda: peaks.append(run(sys.executable, "-c", DIFFERENCES, subject.log, other).peak))  # noqa: B023
+        limit = 10 * subject.seconds / 3600 + 2 * STARTED
+        yield Line(f"diff, {what}, processor time", f"{seconds:.1f} s", "", f"≤ {limit:.1f} s", seconds <= limit)
+        yield _memory(f"diff, {what}", peaks[0], 250e6)
+    moved.unlink()
+
+
+def _move(source: Path, destination: Path) -> None:
+    """Write a recording with all actors 0.3 to 0.5 m aside."""
+    from carla_recap.formats import create_writer, open_reader
+    from carla_recap.model.batch import Batch, Column, RecordsColumn
+
+    def moved(column: Column) -> Column:
+        if column.type is None or column.type.name != "transforms" or not column.records.size:
+            return column
+        records = column.records.copy()
+        records["x"] += 30 + 20 * np.sin(records["y"])
+        return RecordsColumn(column.type, records)
+
+    reader = open_reader(source)
+    with create_writer(destination, reader.header) as writer:
+        for batch in reader.batches():
+            columns = [moved(column) for column in batch.columns]
+            writer.write_batch(Batch(batch.index, batch.id, batch.elapsed, batch.duration, columns, preamble=batch.preamble))
+    reader.close()
 
 
 def info_all(subject: Subject) -> Iterator[Line]:
@@ -256,6 +296,7 @@ ROWS: Final = (
     info,
     blocked,
     incidents,
+    differences,
     info_all,
     start,
     restless,
