@@ -47,11 +47,12 @@ def recover(source: str, destination: str, force: bool) -> None:
 def clip(source: str, destination: str, force: bool, start: float, duration: float) -> None:
     """Cut a part out of a recording.
 
-    DST is a recording of its own; its suffix says the format.
+    DST is a recording of its own; its suffix says the format. SRC#t=12.1 means from 5 s before that moment to 5 s after it.
     """
     from carla_recap.cli.progress import watch
     from carla_recap.editing.clip import clip as run
 
+    source, start, duration = options.timed(source, start, duration)
     extent = run(source, destination, start=start, duration=duration, force=force, progress=watch("cutting"))
     say(f"{destination}: {extent.frames} frames, {extent.duration:g} s")
 

@@ -80,6 +80,7 @@ def export(
         raise click.BadParameter(f"{destination!r} does not end in {expected}{hint}.", param_hint="DST")
     if viewer == "foxglove" and cameras:
         raise click.BadParameter("Foxglove has no such files.", param_hint="--cameras")
+    source, start, duration = options.timed(source, start, duration)
     with open_recording(source) as recording:
         roads, progress = options.road_map_of(recording, road_map, start, duration), watch_scenes("exporting")
         if viewer == "rerun":
@@ -248,11 +249,15 @@ def clips(
 def view(
     source: str, follow: Follow | None, start: float, duration: float, road_map: str | None, view: View, web: bool
 ) -> None:
-    """Open a recording in Rerun's viewer."""
+    """Open a recording in Rerun's viewer.
+
+    SRC#t=12.1 means from 5 s before that moment to 5 s after it.
+    """
     from carla_recap.cli.progress import watch_scenes
     from carla_recap.export.viewer import view as run
     from carla_recap.recording import open_recording
 
+    source, start, duration = options.timed(source, start, duration)
     with open_recording(source) as recording:
         run(
             recording,
@@ -270,7 +275,7 @@ def view(
 @click.command()
 @options.source
 @options.destination
-@click.option("--at", type=options.TIME, required=True, metavar="S", help="The moment, in s; negative: before the end.")
+@click.option("--at", type=options.TIME, metavar="S", help="The moment, in s; negative: before the end. Or as SRC#t=S.")
 @options.follow
 @options.any_view
 @options.road_map
@@ -280,7 +285,7 @@ def view(
 def snapshot(
     source: str,
     destination: str,
-    at: float,
+    at: float | None,
     follow: Follow | None,
     view: VideoView,
     road_map: str | None,
@@ -292,9 +297,10 @@ def snapshot(
     from carla_recap.export.video import snapshot as run
     from carla_recap.recording import open_recording
 
+    source, time = options.moment(source, at)
     with open_recording(source) as recording:
-        town = partial(options.town_of, recording, road_map, at, options.MOMENT)
-        run(recording, destination, at=at, follow=follow, view=view, town=town, size=size, overlay=overlay, force=force)
+        town = partial(options.town_of, recording, road_map, time, options.MOMENT)
+        run(recording, destination, at=time, follow=follow, view=view, town=town, size=size, overlay=overlay, force=force)
     say(destination)
 
 
@@ -326,11 +332,15 @@ def video(
     overlay: bool,
     force: bool,
 ) -> None:
-    """Write a video, an .mp4 or .gif, without GPU or display."""
+    """Write a video, an .mp4 or .gif, without GPU or display.
+
+    SRC#t=12.1 means from 5 s before that moment to 5 s after it.
+    """
     from carla_recap.cli.progress import watch_scenes
     from carla_recap.export.video import export_video
     from carla_recap.recording import open_recording
 
+    source, start, duration = options.timed(source, start, duration)
     with open_recording(source) as recording:
         written = export_video(
             recording,

@@ -7,6 +7,7 @@ import re
 from typing import TYPE_CHECKING, Any, Final, TypeVar
 
 import click
+from click.core import ParameterSource
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -23,6 +24,9 @@ T = TypeVar("T")
 
 MOMENT: Final = 1e-3
 """The seconds of a recording that a picture shows."""
+
+AROUND: Final = 5.0
+"""The seconds before and after an incident, or a moment, that are shown."""
 
 _AROUND: Final = 30.0  # s around what is shown, in which vehicles drive along what are its roads
 
@@ -173,8 +177,10 @@ road_map = click.option(
     metavar="FILE",
     help="The town's map, an OpenDRIVE .xodr or a folder of them; else looked for in $CARLA_RECAP_MAPS.",
 )
-before = click.option("--before", type=NUMBER, default=5, show_default=True, metavar="S", help="Seconds before an incident.")
-after = click.option("--after", type=NUMBER, default=5, show_default=True, metavar="S", help="Seconds after it.")
+before = click.option(
+    "--before", type=NUMBER, default=AROUND, show_default=True, metavar="S", help="Seconds before an incident."
+)
+after = click.option("--after", type=NUMBER, default=AROUND, show_default=True, metavar="S", help="Seconds after it.")
 deceleration = click.option(
     "--deceleration",
     type=POSITIVE,
@@ -203,6 +209,44 @@ def opened(path: str) -> Reader:
     reader = open_reader(path)
     click.get_current_context().call_on_close(reader.close)
     return reader
+
+
+def timed(source: str, start: float, duration: float) -> tuple[str, float, float]:
+    """Return a source without the times at its end (`#t=12.1`), and the start and duration that are meant.
+
+    A moment is shown with the seconds around it that clips of incidents have. What the options say prevails.
+    """
+    from carla_recap.errors import RecapError
+    from carla_recap.formats.sources import split_time
+
+    location, times = split_time(source)
+    if times is None or _is_given("start"):
+        return location, start, duration
+    begin, end = max(times.start - AROUND, 0.0), times.start + AROUND
+    if times.stop is not None:
+        begin, end = times.start, times.stop
+    if not begin < end:
+        raise RecapError(f"{source}: an end after {begin:g} s was expected")
+    return location, begin, duration if _is_given("duration") else end - begin
+
+
+def moment(source: str, time: float | None) -> tuple[str, float]:
+    """Return a source without the time at its end (`#t=12.1`), and the time that is meant: that of the option, if any.
+
+    Raises:
+        click.MissingParameter: There is neither.
+    """
+    from carla_recap.formats.sources import split_time
+
+    location, times = split_time(source)
+    if time is None and times is None:
+        ctx = click.get_current_context()
+        raise click.MissingParameter("SRC#t=S says it, too.", ctx=ctx, param_hint="'--at'", param_type="option")
+    return location, times.start if time is None and times is not None else time or 0.0
+
+
+def _is_given(name: str) -> bool:
+    return click.get_current_context().get_parameter_source(name) is ParameterSource.COMMANDLINE
 
 
 def road_map_of(recording: Recording, path: str | None, start: float = 0.0, duration: float = 0.0) -> RoadMap | None:

@@ -113,9 +113,13 @@ def replay(
     End the replay before a crash to see whether the autopilot avoids it.
     """
     from carla_recap.editing.convert import check_destination, check_new
+    from carla_recap.errors import RecapError
+    from carla_recap.formats.sources import is_remote
     from carla_recap.sim.replaying.replayer import find_recording
 
     check_new(destination, force=True)
+    if is_remote(source):
+        raise RecapError(f"{source}: is remote; the path of a file to replay was expected, which carla-recap convert writes")
     path = find_recording(Path(source).absolute())
     check_destination(path, destination, force=force)
     with _world(town) as world:

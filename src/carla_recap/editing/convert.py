@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 from carla_recap.errors import RecapError
 from carla_recap.formats import create_writer, format_of, open_reader
 from carla_recap.formats.sources import is_remote, path_of
+from carla_recap.util.files import check_path
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable
@@ -74,8 +75,9 @@ def check_free(destination: Path | str, *, force: bool) -> None:
     """Check that a destination does not exist, or that `force` is true.
 
     Raises:
-        RecapError: It exists.
+        RecapError: It exists, or is a URL.
     """
+    check_path(destination)
     try:
         exists = Path(destination).exists() or Path(destination).is_symlink()
     except (OSError, ValueError) as error:

@@ -9,7 +9,7 @@ import os
 import re
 from pathlib import Path
 from threading import Lock
-from typing import TYPE_CHECKING, BinaryIO, Final, Protocol
+from typing import TYPE_CHECKING, BinaryIO, Final, NamedTuple, Protocol
 from urllib.parse import unquote, urlsplit
 
 from carla_recap.errors import Closed, FormatError, RecapError
@@ -22,6 +22,7 @@ if TYPE_CHECKING:
 
 SCHEMES: Final = ("s3", "s3a", "gs", "az", "adl", "azure", "abfs", "abfss", "http", "https")
 """The kinds of URLs that are read over the network."""
+_TIMES: Final = re.compile(r"(.+)#t=(?:npt:)?([0-9]+(?:\.[0-9]*)?)(?:,([0-9]+(?:\.[0-9]*)?))?", re.DOTALL)
 _URL: Final = re.compile("([A-Za-z][A-Za-z0-9+.-]+)://")
 WEB: Final = ("http", "https")
 """The kinds of URLs of web servers, which list no files."""
@@ -175,3 +176,27 @@ def path_of(location: Path | str) -> Path:
     if scheme in WEB:
         return Path(f"{url.scheme}://{url.netloc}{unquote(url.path)}")
     return Path(location)
+
+
+class TimeFragment(NamedTuple):
+    """The times that the end of a location names, in elapsed seconds: a moment, or a span if it has a stop."""
+
+    start: float
+    stop: float | None
+
+
+def split_time(location: str) -> tuple[str, TimeFragment | None]:
+    """Return a location without the times at its end, and these: `runs/crash.mcap#t=12.1`, or `#t=12.1,20`.
+
+    Media fragments of the W3C have this form. A local file of such a name is a file.
+    """
+    found = _TIMES.fullmatch(location)
+    if found is None:
+        return location, None
+    try:
+        if scheme_of(location) in ("", "file") and path_of(location).exists():
+            return location, None
+    except (OSError, ValueError):  # such as a name that is too long
+        return location, None
+    start, stop = float(found[2]), None if found[3] is None else float(found[3])
+    return found[1], TimeFragment(start, stop)

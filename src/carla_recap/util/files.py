@@ -206,12 +206,23 @@ class WholeFile(AtomicFile):
             self._sync()
 
 
+def check_path(destination: Path | str) -> None:
+    """Refuse a destination that is a URL.
+
+    Raises:
+        RecapError: It is one.
+    """
+    if isinstance(destination, str) and "://" in destination:
+        raise RecapError(f"{destination}: is a URL; a path was expected, since only files of this machine are written")
+
+
 def check_folder(folder: Path | str, *, force: bool) -> None:
     """Refuse a destination that is no folder, or, without `force`, a folder that is not empty.
 
     Raises:
         RecapError: It is such a destination.
     """
+    check_path(folder)
     folder = Path(folder)
     try:
         if not folder.exists():

@@ -22,7 +22,7 @@ from carla_recap.model.stationary import MIN_DISTANCE, MIN_TIME
 from carla_recap.queries.incidents import Incident, incidents
 from carla_recap.recording import Recording
 from carla_recap.replay.player import Player
-from carla_recap.util.files import WholeFile, check_folder, copy_files, new_folder
+from carla_recap.util.files import WholeFile, check_folder, check_path, copy_files, new_folder
 from carla_recap.util.text import readable
 
 if TYPE_CHECKING:
@@ -161,6 +161,7 @@ def write_report(
     """
     if not (before >= 0 and after >= 0):
         raise RecapError(f"{before:g} s before and {after:g} s after incidents cannot be shown; 0 or more were expected")
+    check_path(path)
     path = Path(path)
     single = path.suffix.lower() in SINGLE
     _check_destination(path, single=single, force=force)

@@ -1,0 +1,84 @@
+"""Commands on recordings at URLs, and on moments of recordings: SRC#t=12.1."""
+
+from __future__ import annotations
+
+import shutil
+
+import pytest
+
+from carla_recap import open_recording
+from tests.cli.command import CROSSING, answer, error, run
+
+web = pytest.importorskip("tests.web", reason="the extra `remote` is not installed")
+
+
+@pytest.fixture
+def served(tmp_path):
+    (tmp_path / "served").mkdir()
+    shutil.copy(CROSSING, tmp_path / "served")
+    with web.serve(tmp_path / "served") as server:
+        yield f"{server.url}/{CROSSING.name}"
+
+
+@pytest.mark.parametrize(
+    "command", [("info", "--text"), ("collisions", "--json"), ("incidents", "--json"), ("actors", "--json")]
+)
+def test_a_query_of_a_url_answers_as_of_the_file(served, command):
+    name, form = command
+    assert answer(name, served, form).replace(served, str(CROSSING)) == answer(name, CROSSING, form)
+
+
+def test_a_recording_at_a_url_is_converted(served, tmp_path):
+    assert run("convert", served, tmp_path / "copy.log").returncode == 0
+    assert (tmp_path / "copy.log").read_bytes() == CROSSING.read_bytes()
+
+
+def test_the_page_of_a_url_names_it(served, tmp_path):
+    assert run("report", served, tmp_path / "page.html", "--pictures", "none").returncode == 0
+    assert "crossing.log" in (tmp_path / "page.html").read_text()
+
+
+def test_an_error_has_the_whole_url(served):
+    missing = served.replace("crossing", "missing")
+    assert error("collisions", missing) == f"{missing}: cannot be read: not found (404)"
+
+
+@pytest.mark.parametrize("command", ["convert", "clips", "report"])
+def test_nothing_is_written_to_a_url(command):
+    url = "s3://bucket/out.mcap" if command != "report" else "s3://bucket/out"
+    assert error(command, CROSSING, url) == (
+        f"{url}: is a URL; a path was expected, since only files of this machine are written"
+    )
+
+
+# --- moments -----------------------------------------------------------------------------------------------
+
+CLIPS = {
+    ("#t=20.5",): (15.5, 25.5),
+    ("#t=2",): (0, 7),
+    ("#t=20,21.5",): (20, 21.5),
+    ("#t=20", "--duration", "3"): (15, 18),
+    ("#t=20", "--start", "1", "--duration", "2"): (1, 3),
+}
+
+
+@pytest.mark.parametrize("arguments", CLIPS)
+def test_a_clip_of_a_moment(served, tmp_path, arguments):
+    fragment, *options = arguments
+    begin, end = CLIPS[arguments]
+    for source in (CROSSING, served):
+        assert run("clip", f"{source}{fragment}", tmp_path / "clip.log", "--force", *options).returncode == 0
+        with open_recording(tmp_path / "clip.log") as recording:
+            assert recording.info.duration == pytest.approx(end - begin, abs=0.2)
+            (found,) = recording.frames(stop=0.05)
+        with open_recording(CROSSING) as recording:
+            expected = recording.frame_at(begin)
+        assert found["transforms"].tolist() == expected["transforms"].tolist()
+
+
+def test_a_span_that_ends_before_it_begins(tmp_path):
+    assert error("clip", f"{CROSSING}#t=20,10", tmp_path / "x.log") == f"{CROSSING}#t=20,10: an end after 20 s was expected"
+
+
+def test_a_picture_needs_a_moment(tmp_path):
+    assert error("snapshot", CROSSING, tmp_path / "x.png").startswith("Missing option '--at'. SRC#t=S says it, too.")
