@@ -100,6 +100,7 @@ def test_has_a_traffic_manager_of_its_own(carla_world):
 def test_ends_the_server(carla_world):
     (server,) = Path("/proc/self/task", str(os.getpid()), "children").read_text().split()
     os.kill(int(server), 9)
+    os.waitid(os.P_PID, int(server), os.WEXITED | os.WNOWAIT)
 
 def test_gets_another_server(carla_world, carla_server):
     assert vehicles(carla_world) == 0

@@ -27,6 +27,7 @@ TICK: Final = 0.05
 """The default time step, in s."""
 
 _TIMEOUT: Final = 60.0  # s for a call
+_TO_END: Final = 20.0  # s for the end of a recording after a test
 _NAME: Final = 120  # characters of the name of a recording
 _OPTIONS: Final = ("map", "rules", "fixed_delta_seconds", "synchronous")
 _SECTION: Final = "carla-recap"
@@ -189,7 +190,8 @@ class CarlaWorld:
 
     def close(self) -> None:
         """Complete the recording, and end the traffic manager; the server may have ended."""
-        if self._server.is_alive:
+        if self._is_recording and self._server.is_alive:
+            self.client.set_timeout(_TO_END)
             with suppress(RuntimeError):
                 self.stop_recording()
         if self._traffic_manager is not None:

@@ -38,7 +38,7 @@ def test_verdicts_are_printed_the_worst_first(runs):
         ("pass", "junction.mcap"),
     ]
     assert "no-hero-collision  12.10 s  2 collisions of the hero" in lines[1]
-    assert lines[-1] == f"1 passed, 1 failed, 1 unreadable; 3 recordings, 5 rules of {RULES}"
+    assert lines[-1] == f"1 passed, 1 failed, 1 not judged; 3 recordings, 5 rules of {RULES}"
     assert (done.returncode, done.stderr) == (2, b"")
 
 
@@ -120,4 +120,4 @@ def test_a_source_without_recordings_is_an_error_among_the_verdicts(runs, tmp_pa
     (tmp_path / "empty").mkdir()
     done = run("check", runs, tmp_path / "empty", "--rules", RULES)
     assert done.returncode == 2
-    assert "1 passed, 1 failed, 1 unreadable" in done.stdout.decode()
+    assert "1 passed, 1 failed, 1 not judged" in done.stdout.decode()

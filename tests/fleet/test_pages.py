@@ -74,7 +74,7 @@ def test_the_overview_begins_with_what_is_wrong():
         RULES,
     )
     words = text(page)
-    assert words.index("1 failed and 1 unreadable of 3 recordings") < words.index("The hero hits nothing")
+    assert words.index("1 failed and 1 not judged of 3 recordings") < words.index("The hero hits nothing")
     assert words.index("c.mcap") < words.index("b.mcap") < words.index("a.mcap")
     assert "no-hero-collision The hero hits nothing 1 failed" in words
     assert "Passed: nobody-blocked, gentle-braking, one-hero, complete" in words

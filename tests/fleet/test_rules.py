@@ -1,5 +1,6 @@
 from __future__ import annotations
 
+import shutil
 from contextlib import closing
 from pathlib import Path
 from textwrap import dedent
@@ -116,6 +117,70 @@ def test_a_condition(sample, rule, status, message):
     assert (found.status, found.message) == (status, message)
 
 
+@pytest.mark.parametrize(
+    ("rule", "status", "message"),
+    [
+        (
+            'time_to_collision = { of = "hero", min = "1.5 s" }',
+            "fail",
+            "the least time to collision of the hero is 0.00 s instead of at least 1.5 s: "
+            "hero and walker.pedestrian.0004 (44), 0.00 s at 12.10 s",
+        ),
+        (
+            'speed = { of = "hero", max = "50 km/h" }',
+            "fail",
+            "the greatest speed of the hero is 14.15 m/s instead of at most 13.889 m/s: hero, 14.15 m/s at 11.90 s",
+        ),
+        ('speed = { of = "hero", max = 15 }', "pass", "the greatest speed of the hero is 14.15 m/s"),
+        ('speed = { of = "walker", max = 15 }', "pass", "the greatest speed of walkers is 13.61 m/s"),
+        ('distance_off_road = { of = "hero", max = "0.5 m" }', "pass", "no distance off road of the hero was measured"),
+        (
+            'jerk = { of = "role:ego", max = 15 }',
+            "pass",
+            "no jerk of the actor of the role ego was measured (it has no role:ego)",
+        ),
+    ],
+)
+def test_a_measure(rule, status, message):
+    found = verdict("crash.mcap", rule)
+    assert (found.status, found.message) == (status, message)
+
+
+def test_a_measure_of_the_road_needs_the_map():
+    found = verdict("crossing.log", 'speed_over_limit = { max = "5 km/h" }')
+    assert found.status == "error"
+    assert found.message == "the map 'Crossing' was not found; --map or CARLA_RECAP_MAPS says where maps are"
+
+
+def test_a_recording_is_compared_with_its_baseline(tmp_path):
+    (tmp_path / "base").mkdir()
+    shutil.copy(SAMPLES / "crash.mcap", tmp_path / "base")
+    shutil.copy(SAMPLES / "junction.mcap", tmp_path / "base" / "blocked.mcap")
+    rules = parse_rules('[rules.it]\nsame_as = { baseline = "base", tolerance = "10 cm" }', tmp_path / "rules.toml")
+    verdicts = {}
+    for name in ("crash", "blocked", "junction"):
+        with open_recording(SAMPLES / f"{name}.mcap") as recording:
+            (verdicts[name],) = check(recording, rules)
+    base = tmp_path / "base"
+    assert (verdicts["crash"].status, verdicts["crash"].message) == (
+        "pass",
+        f"equal to {base / 'crash.mcap'} within 0.1 m",
+    )
+    assert (verdicts["blocked"].status, verdicts["blocked"].time) == ("fail", 0.0)
+    assert verdicts["blocked"].message.startswith(f"differs from {base / 'blocked.mcap'}: ")
+    assert (verdicts["junction"].status, verdicts["junction"].message) == (
+        "error",
+        f"{base}: has no baseline junction.log or .mcap",
+    )
+
+
+def test_a_baseline_can_be_a_file(tmp_path):
+    found = verdict("crash.mcap", f"same_as = {{ baseline = '{SAMPLES / 'crash.mcap'}' }}")
+    assert found.status == "pass"
+    found = verdict("crash.mcap", f"same_as = {{ baseline = '{tmp_path / 'absent.mcap'}' }}")
+    assert found.status == "error"
+
+
 def test_a_failure_has_the_time_the_actors_and_all_offences():
     found = verdict("crash.mcap", 'collisions = { of = "hero", max = 0 }')
     assert (found.rule, found.time, found.actors) == ("it", pytest.approx(12.1), (41, 44))
@@ -202,6 +267,12 @@ def test_the_description_is_the_authors_or_that_of_the_condition():
         (f"[rules.a]\nduration = {{ min = 1{'0' * 400} }}", "duration.min: "),
         ("[rules.a]\nduration = { min = 5, max = 4 }", "duration.min: 5; no more than max was expected"),
         ("[rules.a]\nmap = ''", "rule 'a'.map: ''; the name of a map or a list of names was expected"),
+        ("[rules.a]\nspeed = { min = 3 }", "speed.min: 3; max (since the greatest value is measured) was expected"),
+        ("[rules.a]\ngap = { max = '1 m' }", "gap.max: '1 m'; min (since the least value is measured) was expected"),
+        ("[rules.a]\nspeed = { max = '3 m' }", "speed.max: '3 m'; a number in m/s, or a text such as \"1.5 m/s\""),
+        ("[rules.a]\nsame_as = { tolerance = 1 }", "same_as.baseline: is missing; the path of a recording, or of a folder "),
+        ("[rules.a]\nsame_as = { baseline = ['a'] }", "same_as.baseline: ['a']; the path of a recording, or of a folder "),
+        ("[rules.a]\nsame_as = { baseline = 'a', tolerance = -1 }", "same_as.tolerance: -1; a distance of 0 or more"),
         ('[rules.""]\nmap = "x"', "rule '': a name was expected"),
         ("a = " + "[" * 100_000, ""),
     ],

@@ -4,14 +4,14 @@ from __future__ import annotations
 
 import json
 import sys
-from contextlib import contextmanager
+from contextlib import ExitStack, closing, contextmanager
 from typing import TYPE_CHECKING, Any, Final, NoReturn
 
 import click
 
 from carla_recap.cli import options
+from carla_recap.cli.many import client_of, watched
 from carla_recap.cli.output import warn
-from carla_recap.cli.progress import watch_recordings
 from carla_recap.util.text import visible
 
 if TYPE_CHECKING:
@@ -26,7 +26,7 @@ _STYLES: Final = {"pass": "green", "fail": "red", "error": "magenta"}
 
 
 @click.command()
-@click.argument("sources", nargs=-1, required=True, type=click.Path(), metavar="SOURCES...")
+@options.sources
 @click.option("--rules", "rules_file", required=True, type=click.Path(), metavar="FILE", help="The rules, a TOML file.")
 @click.option("--junit", type=click.Path(), metavar="FILE", help="Write the verdicts as JUnit XML.")
 @click.option(
@@ -35,7 +35,8 @@ _STYLES: Final = {"pass": "green", "fail": "red", "error": "magenta"}
 @click.option("--clips", is_flag=True, help="Cut a clip of the first offence of each of these, too.")
 @options.road_map
 @options.force
-@click.option("--jobs", type=click.IntRange(min=1), metavar="N", help="The number of processes; else one per processor.")
+@options.jobs
+@options.dask
 @options.json
 @options.text
 def check(
@@ -47,34 +48,42 @@ def check(
     road_map: str | None,
     force: bool,
     jobs: int | None,
+    dask: str | None,
     form: str | None,
 ) -> NoReturn:
     """Check recordings by rules.
 
-    SOURCES are recordings, folders and globs. The exit code is 0 if all pass, 1 if one fails, 2 if one cannot be read.
+    SOURCE is a recording, a folder, a glob or a URL; - means a list of these on stdin. The exit code is 0 if all pass, 1 if
+    one fails, 2 if one cannot be judged.
     """
     from carla_recap.fleet.check import check_sources, worst
     from carla_recap.fleet.junit import write_junit
     from carla_recap.fleet.rules import load_rules
-    from carla_recap.fleet.sources import find_sources
+    from carla_recap.util.signals import unwind_on_termination
 
     if html is None and clips:
         raise click.UsageError("--clips goes with --html.", click.get_current_context())
     rules = load_rules(rules_file)
-    found = list(find_sources(sources, errors="yield"))
-    with _folder_of_pages(html, force=force) as room:
-        checked = []
-        for each in watch_recordings("checking")(check_sources(found, rules, jobs=jobs), len(found)):
-            checked.append(each)
-            _warn(each, each.warnings)
+    checked = []
+    with ExitStack() as stack:
+        stack.enter_context(unwind_on_termination())
+        room = stack.enter_context(_folder_of_pages(html, force=force))
+        client = stack.enter_context(closing(client_of(dask))) if dask else None
+        found, bar = watched(sources, "Checked")
+        with bar, closing(check_sources(found, rules, road_map=road_map, jobs=jobs, client=client)) as given:
+            for each in given:
+                checked.append(each)
+                bar.advance()
+                with bar.aside():
+                    _warn(each, each.warnings)
         if room is not None:
             from carla_recap.fleet.pages import overview, write_pages
 
-            written = write_pages(checked, room, clips=clips, road_map=road_map, jobs=jobs)
-            checked = []
-            for each, warnings in watch_recordings("writing pages")(written, len(found)):
-                checked.append(each)
-                _warn(each, warnings)
+            written, checked = write_pages(checked, room, clips=clips, road_map=road_map, jobs=jobs), []
+            with closing(written):
+                for each, warnings in written:
+                    checked.append(each)
+                    _warn(each, warnings)
             (room / "index.html").write_text(overview(checked, rules), "utf-8")
     if junit:
         write_junit(checked, junit, html)
@@ -104,7 +113,7 @@ def _warn(checked: CheckedRecording, warnings: Iterable[str]) -> None:
 def summary(checked: Sequence[CheckedRecording]) -> str:
     """Return the numbers of recordings by status, in words."""
     counts = {status: sum(each.status == status for each in checked) for status in _EXIT_CODES}
-    words = (("pass", "passed"), ("fail", "failed"), ("error", "unreadable"))
+    words = (("pass", "passed"), ("fail", "failed"), ("error", "not judged"))
     return ", ".join(f"{counts[status]} {word}" for status, word in words if counts[status] or status != "error")
 
 
@@ -132,7 +141,7 @@ def _rows(checked: CheckedRecording) -> list[tuple[str, str, str, str, str]]:
     name, rules = visible(checked.recording), _many(len(checked.verdicts), "rule")
     if checked.status == "pass":
         return [("pass", name, "", "", rules)]
-    bad = [verdict for verdict in checked.verdicts if verdict.status != "pass"]
+    bad = [verdict for status in ("error", "fail") for verdict in checked.verdicts if verdict.status == status]
     if len(bad) > 1 and len({(verdict.status, verdict.message) for verdict in bad}) == 1:
         return [(checked.status, name, rules, "", bad[0].message)]
     return [(each.status, name, visible(each.rule), _seconds(each.time), each.message) for each in bad]

@@ -14,7 +14,7 @@ from carla_recap.recording import open_recording
 from carla_recap.util.text import readable, visible
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Iterator, Sequence
+    from collections.abc import Generator, Iterable, Sequence
 
     from distributed import Client
 
@@ -58,17 +58,23 @@ def worst(statuses: Iterable[Status]) -> Status:
 
 
 def check_sources(
-    sources: Iterable[SourceFile], rules: RuleSet, *, jobs: int | None = None, client: Client | None = None
-) -> Iterator[CheckedRecording]:
+    sources: Iterable[SourceFile],
+    rules: RuleSet,
+    *,
+    road_map: str | None = None,
+    jobs: int | None = None,
+    client: Client | None = None,
+) -> Generator[CheckedRecording]:
     """Yield many recordings with the verdicts on them, in their order.
 
     Args:
         sources: The recordings.
         rules: The rules.
+        road_map: See `carla_recap.fleet.rules.check`.
         jobs: See `map_sources`.
         client: See `map_sources`.
     """
-    for outcome in map_sources(partial(_checked, rules), sources, jobs=jobs, client=client):
+    for outcome in map_sources(partial(_checked, rules, road_map), sources, jobs=jobs, client=client):
         if outcome.value is None:
             error = visible((outcome.error or "it cannot be read").removeprefix(f"{outcome.source.location}: "))
             yield CheckedRecording(outcome.source.location, tuple(unreadable(rules, error)), warnings=outcome.warnings)
@@ -79,9 +85,9 @@ def check_sources(
             )
 
 
-def _checked(rules: RuleSet, source: SourceFile) -> tuple[str, int, float, Sequence[Verdict]]:
+def _checked(rules: RuleSet, road_map: str | None, source: SourceFile) -> tuple[str, int, float, Sequence[Verdict]]:
     with open_recording(source.location) as recording:
-        verdicts = check(recording, rules)
+        verdicts = check(recording, rules, road_map=road_map)
         map_name = visible(plain_name(readable(recording.header.map_name)))
         try:
             extent = recording.reader.extent()

@@ -2,23 +2,35 @@
 
 from __future__ import annotations
 
+import math
 from collections import defaultdict
 from dataclasses import dataclass
 from fnmatch import fnmatchcase
+from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final, NamedTuple, Protocol, TypeVar
 
 from carla_recap.errors import RecapError
+from carla_recap.formats import SUFFIXES
+from carla_recap.maps.lookup import find_map_of
+from carla_recap.maps.network import load_road_network
 from carla_recap.maps.road_map import plain_name
 from carla_recap.queries.actors import Actor, actors
 from carla_recap.queries.blocked import blocked
+from carla_recap.queries.differences import differences, metres, name_of
 from carla_recap.queries.incidents import incidents
+from carla_recap.queries.measures import measures
+from carla_recap.queries.measures.extremes import UNITS
+from carla_recap.queries.measures.road import UNITS as ROAD_UNITS
+from carla_recap.recording import open_recording
 from carla_recap.util.text import number, readable
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Sequence
 
+    from carla_recap.model.roads import RoadNetwork
     from carla_recap.model.stationary import BlockedRow
     from carla_recap.queries.incidents import Incident
+    from carla_recap.queries.measures import MeasureRow
     from carla_recap.recording import Recording
 
 T = TypeVar("T")
@@ -30,6 +42,12 @@ OBJECT: Final = "object"
 ROLE: Final = "role:"
 ROAD_USERS: Final = ("vehicle", "walker")
 
+MEASURES: Final = {**UNITS, **ROAD_UNITS}
+"""The measures, and their units."""
+LEAST: Final = ("gap", "time_to_collision", "distance_headway", "time_headway", "post_encroachment_time")
+"""The measures whose least value is critical; of the others it is the greatest one."""
+
+_LARGE: Final = 1e6  # from which on a value is shown with an exponent
 _MANY: Final = {HERO: "the hero", "vehicle": "vehicles", "walker": "walkers", OBJECT: "what is no actor"}
 
 
@@ -102,9 +120,9 @@ class Bounds:
         """Return the bounds in words."""
         after = f" {unit}" if unit else ""
         if self.least is not None and self.least == self.most:
-            return f"exactly {number(self.least)}{after}"
+            return f"exactly {self.least:.5g}{after}"
         words = (("at least", self.least), ("at most", self.most))
-        return " and ".join(f"{word} {number(value)}" for word, value in words if value is not None) + after
+        return " and ".join(f"{word} {value:.5g}" for word, value in words if value is not None) + after
 
 
 class Facts:
@@ -113,13 +131,19 @@ class Facts:
     Args:
         recording: The recording.
         conditions: All conditions that will be judged.
+        road_map: The map, or the folder of maps; None: the usual folders.
     """
 
-    def __init__(self, recording: Recording, conditions: Iterable[Condition]) -> None:
+    def __init__(self, recording: Recording, conditions: Iterable[Condition], road_map: str | None = None) -> None:
         self.recording = recording
+        self._road_map = road_map
         conditions = list(conditions)
         self._kinds = {kind for each in conditions if isinstance(each, IncidentCount) for kind in each.kinds}
         self._stop_times = [each.longest for each in conditions if isinstance(each, LongestStop)]
+        self._measured = [each.of for each in conditions if isinstance(each, MeasureBounds)]
+        self._road_measures = [
+            each.measure for each in conditions if isinstance(each, MeasureBounds) and each.measure in ROAD_UNITS
+        ]
         self._answers: dict[str, Any] = {}
 
     @property
@@ -146,6 +170,38 @@ class Facts:
     def stops(self) -> Sequence[BlockedRow]:
         """The stops that any condition forbids, the longest first."""
         return self._once("stops", lambda: blocked(self.recording.reader, min(self._stop_times)))
+
+    @property
+    def measures(self) -> Sequence[MeasureRow]:
+        """The extreme values of the measures of all actors that conditions are about."""
+
+        def ask() -> Sequence[MeasureRow]:
+            movers = [actor for actor in self.actors if actor.kind in ROAD_USERS]
+            ids = {actor.id for actor in movers if any(of.matches(actor) for of in self._measured)}
+            roads = self._roads if self._road_measures else None
+            return measures(self.recording.reader, ids, roads=roads) if ids else []
+
+        return self._once("measures", ask)
+
+    @property
+    def _roads(self) -> RoadNetwork | None:
+        """The roads of the map; None if the map is not found."""
+
+        def ask() -> RoadNetwork | None:
+            found = find_map_of(self.recording, self._road_map)
+            return None if found is None else load_road_network(found)
+
+        return self._once("roads", ask)
+
+    def check_roads(self) -> None:
+        """Check that the map is found.
+
+        Raises:
+            RecapError: It is not, or is damaged.
+        """
+        if self._roads is None:
+            name = plain_name(readable(self.recording.header.map_name))
+            raise RecapError(f"the map {name!r} was not found; --map or CARLA_RECAP_MAPS says where maps are")
 
     def actor(self, id: int, time: float) -> Actor | None:
         """Return the actor that had an id at a time; None if its spawn is not recorded."""
@@ -226,7 +282,7 @@ class IncidentCount:
         return Finding(False, f"{message} instead of {self.bounds.text()}", offences)
 
     def _sides(self) -> str:
-        of = "" if self.of.text == ANY else f" of {self.of}"
+        of = _of(self.of)
         return of if self.other.text == ANY else f"{of} with {self.other}"
 
     def _counts(self, incident: Incident, facts: Facts) -> bool:
@@ -255,28 +311,120 @@ class LongestStop:
 
     def text(self) -> str:
         """See `Condition.text`."""
-        return f"standing still{self._of()}: at most {number(self.longest)} s"
+        return f"standing still{_of(self.of)}: at most {number(self.longest)} s"
 
     def judge(self, facts: Facts) -> Finding:
         """See `Condition.judge`."""
         found = [row for row in facts.stops if row.duration > self.longest and self._counts(facts.actor(row.id, row.start))]
         if not found:
-            return Finding(True, f"no stop{self._of()} of more than {number(self.longest)} s{facts.absent(self.of)}")
+            return Finding(True, f"no stop{_of(self.of)} of more than {number(self.longest)} s{facts.absent(self.of)}")
         offences = []
         for row in found:
             actor = facts.actor(row.id, row.start)
             text = f"{_name(row.id, actor)} stands still for {row.duration:.1f} s"
             offences.append(Offence(text, row.start, (row.id,)))
         stops = "1 stop" if len(found) == 1 else f"{len(found)} stops"
-        return Finding(False, f"{stops}{self._of()} of more than {number(self.longest)} s", tuple(offences))
-
-    def _of(self) -> str:
-        return "" if self.of.text == ANY else f" of {self.of}"
+        return Finding(False, f"{stops}{_of(self.of)} of more than {number(self.longest)} s", tuple(offences))
 
     def _counts(self, actor: Actor | None) -> bool:
         if self.of.text == ANY:
             return actor is not None and actor.kind in ROAD_USERS
         return self.of.matches(actor)
+
+
+@dataclass(frozen=True, slots=True)
+class MeasureBounds:
+    """The least or the greatest value of a measure, whichever is critical.
+
+    Attributes:
+        measure: The measure, such as `time_to_collision`.
+        of: The actors; any: vehicles and walkers.
+        bounds: The valid values, in the measure's unit.
+    """
+
+    measure: str
+    of: Selector
+    bounds: Bounds
+
+    def text(self) -> str:
+        """See `Condition.text`."""
+        return f"{self._name()}{_of(self.of)}: {self.bounds.text(MEASURES[self.measure])}"
+
+    def judge(self, facts: Facts) -> Finding:
+        """See `Condition.judge`."""
+        if self.measure in ROAD_UNITS:
+            facts.check_roads()
+        found = [
+            row
+            for row in facts.measures
+            if row.measure == self.measure and self.of.matches(facts.actor(row.actor, row.time)) and math.isfinite(row.value)
+        ]
+        found.sort(key=lambda row: row.value if self.measure in LEAST else -row.value)
+        unit = MEASURES[self.measure]
+        if not found:
+            return Finding(True, f"no {self._name()}{_of(self.of)} was measured{facts.absent(self.of)}")
+        offences = tuple(self._offence(row, facts) for row in found if not self.bounds.contain(row.value))
+        extreme = "least" if self.measure in LEAST else "greatest"
+        message = f"the {extreme} {self._name()}{_of(self.of)} is {_value(found[0].value, unit)}"
+        if not offences:
+            return Finding(True, message)
+        return Finding(False, f"{message} instead of {self.bounds.text(unit)}", offences)
+
+    def _name(self) -> str:
+        return self.measure.replace("_", " ")
+
+    def _offence(self, row: MeasureRow, facts: Facts) -> Offence:
+        name, value = _name(row.actor, facts.actor(row.actor, row.time)), _value(row.value, row.unit)
+        if row.other is None:
+            return Offence(f"{name}, {value}", row.time, (row.actor,))
+        other = _name(row.other, facts.actor(row.other, row.time))
+        return Offence(f"{name} and {other}, {value}", row.time, (row.actor, row.other))
+
+
+@dataclass(frozen=True, slots=True)
+class SameAs:
+    """That a recording shows the same as a baseline.
+
+    Attributes:
+        baseline: The baseline, or the folder of baselines, in which that of a recording has the same name.
+        tolerance: The distance that counts as equal, in m.
+    """
+
+    baseline: str
+    tolerance: float
+
+    def text(self) -> str:
+        """See `Condition.text`."""
+        return f"the same as {self.baseline}, within {number(self.tolerance)} m"
+
+    def judge(self, facts: Facts) -> Finding:
+        """See `Condition.judge`."""
+        reader = facts.recording.reader
+        path = self._path(str(getattr(reader, "location", reader.path)))
+        with open_recording(path) as baseline:
+            found = differences(baseline.reader, reader, tolerance=self.tolerance)
+        if found.equal:
+            return Finding(True, f"equal to {path} within {number(self.tolerance)} m")
+        offences = [Offence(reason) for reason in found.reasons]
+        if found.first is not None:
+            text = f"{name_of(found.first)} is {metres(found.first.first_distance)} apart"
+            offences.insert(0, Offence(text, found.first.first, (found.first.id_b,)))
+        return Finding(False, f"differs from {path}", tuple(offences))
+
+    def _path(self, recording: str) -> str:
+        """Return the path of the baseline of a recording.
+
+        Raises:
+            RecapError: The folder has none.
+        """
+        if not Path(self.baseline).is_dir():
+            return self.baseline
+        stem = Path(recording.partition("?")[0]).stem
+        for suffix in SUFFIXES:
+            path = Path(self.baseline, stem + suffix)
+            if path.exists():
+                return str(path)
+        raise RecapError(f"{self.baseline}: has no baseline {stem}{' or '.join(SUFFIXES)}")
 
 
 @dataclass(frozen=True, slots=True)
@@ -359,10 +507,18 @@ def map_key(name: str) -> str:
     return plain_name(name).lower().removesuffix("_opt")
 
 
+def _value(value: float, unit: str) -> str:
+    return f"{value:.2f} {unit}" if abs(value) < _LARGE else f"{number(value)} {unit}"
+
+
 def _name(id: int, actor: Actor | None) -> str:
     if actor is None:
         return f"actor {id}"
     return HERO if actor.is_hero else f"{actor.type_id} ({id})"
+
+
+def _of(selector: Selector) -> str:
+    return "" if selector.text == ANY else f" of {selector}"
 
 
 def _plural(kind: str) -> str:

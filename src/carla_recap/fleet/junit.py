@@ -71,7 +71,7 @@ def _add(suite: Element, checked: CheckedRecording, verdict: Verdict, pages: Pat
     case = SubElement(suite, "testcase", {"classname": _clean(checked.recording), "name": _clean(verdict.rule), "time": "0"})
     if verdict.status == "pass":
         return
-    tag, kind = ("failure", "rule") if verdict.status == "fail" else ("error", "unreadable")
+    tag, kind = ("failure", "rule") if verdict.status == "fail" else ("error", "recording")
     lines = [verdict.message, *verdict.details]
     if verdict.actors:
         lines.append(f"actors: {', '.join(map(str, verdict.actors))}")

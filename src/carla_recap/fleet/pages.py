@@ -21,7 +21,7 @@ from carla_recap.fleet.sources import SourceFile
 from carla_recap.util.text import number, visible
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator, Sequence
+    from collections.abc import Generator, Iterator, Sequence
 
     from carla_recap.fleet.check import CheckedRecording
     from carla_recap.fleet.rules import RuleSet, Status, Verdict
@@ -38,7 +38,7 @@ _LEAD: Final = 3.0  # s before an offence at which a link into a page begins
 _AROUND: Final = 5.0  # s before and after an offence in a clip
 _NAME: Final = 80  # characters of the name of a page
 _OPEN: Final = 60  # recordings that pass, up to which they are shown at once
-_WORDS: Final[dict[Status, str]] = {"pass": "passed", "fail": "failed", "error": "unreadable"}
+_WORDS: Final[dict[Status, str]] = {"pass": "passed", "fail": "failed", "error": "not judged"}
 _ICON: Final = (
     "data:image/svg+xml,%3Csvg xmlns='http://www.w3.org/2000/svg' viewBox='0 0 16 16'%3E%3Ccircle cx='8' cy='8' r='7' "
     "fill='%23ffb020'/%3E%3Cpath d='M4.5 8.2l2.4 2.4 4.6-5' fill='none' stroke='%2314161c' stroke-width='1.8'/%3E%3C/svg%3E"
@@ -68,7 +68,7 @@ def write_pages(
     clips: bool = False,
     road_map: str | None = None,
     jobs: int | None = None,
-) -> Iterator[tuple[CheckedRecording, tuple[str, ...]]]:
+) -> Generator[tuple[CheckedRecording, tuple[str, ...]]]:
     """Write the incident page of each recording that fails into a folder; yield each recording, and the warnings about it.
 
     The first `MOST` recordings that fail get a page. One whose page cannot be made has none, which is a warning.
@@ -200,7 +200,7 @@ def _rules(checked: Sequence[CheckedRecording], rules: RuleSet) -> str:
         counts = Counter(each.verdicts[index].status for each in checked)
         said = f'<b class="fail">{counts["fail"]}</b> failed' if counts["fail"] else '<span class="quiet">all passed</span>'
         if counts["error"] and not counts["fail"]:
-            said = f'<span class="quiet">{counts["error"]} unreadable</span>'
+            said = f'<span class="quiet">{counts["error"]} not judged</span>'
         rows.append(
             f'<tr><th scope="row">{_text(rule.name)}</th><td class="description">{_text(rule.description)}</td>'
             f'<td class="number">{said}</td><td class="share">{_bar(counts)}</td></tr>\n'

@@ -9,17 +9,19 @@ with open_recording("run.mcap") as recording:
 from __future__ import annotations
 
 import math
+import os
 import re
 import tomllib
 from collections.abc import Sequence
 from dataclasses import dataclass
 from difflib import get_close_matches
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final, Literal, get_args
 
 from carla_recap.errors import RecapError
 from carla_recap.fleet import conditions
-from carla_recap.fleet.conditions import ANY, OBJECT, ROLE, Bounds, Facts, Offence, Selector
+from carla_recap.fleet.conditions import ANY, LEAST, MEASURES, OBJECT, ROLE, Bounds, Facts, Offence, Selector
 from carla_recap.queries.incidents import Kind
 from carla_recap.util.text import visible
 
@@ -159,13 +161,18 @@ def make_rules(**conditions: Any) -> RuleSet:
     return RuleSet("", tuple(_rule(name, {name: value}, "rules") for name, value in conditions.items()))
 
 
-def check(recording: Recording, rules: Iterable[Rule]) -> list[Verdict]:
+def check(recording: Recording, rules: Iterable[Rule], *, road_map: str | None = None) -> list[Verdict]:
     """Return the verdicts of rules on a recording, in the order of the rules; only what they need is read.
 
     A recording that is damaged gives verdicts with the status `error`.
+
+    Args:
+        recording: The recording.
+        rules: The rules.
+        road_map: The map, or the folder of maps, for rules about the road; None: the usual folders.
     """
     rules = list(rules)
-    facts = Facts(recording, (rule.condition for rule in rules))
+    facts = Facts(recording, (rule.condition for rule in rules), road_map)
     return [_verdict(rule, facts) for rule in rules]
 
 
@@ -201,10 +208,12 @@ class _Fields:
     Args:
         table: The fields.
         prefix: The file, the rule and the name of the condition, for errors.
+        folder: The folder that paths are relative to.
     """
 
-    def __init__(self, table: Any, prefix: str) -> None:
+    def __init__(self, table: Any, prefix: str, folder: str = "") -> None:
         self._prefix = prefix
+        self.folder = folder
         if not isinstance(table, dict):
             raise RecapError(f"{prefix}: {_shown(table)}; a table was expected, such as {{ max = 0 }}")
         self._table = table
@@ -236,10 +245,10 @@ class _Fields:
             raise self.wrong(name, f"{', '.join(words)}, role:NAME or a blueprint such as vehicle.tesla.*")
         return Selector(value)
 
-    def texts(self, name: str, expected: str, valid: Sequence[str] = ()) -> tuple[str, ...]:
+    def texts(self, name: str, expected: str, valid: Sequence[str] = (), *, single: bool = False) -> tuple[str, ...]:
         """Return one text, or a list of them."""
         value = self.get(name)
-        values = value if isinstance(value, list) else [value]
+        values = value if isinstance(value, list) and not single else [value]
         if not values or not all(isinstance(each, str) and each and (each in valid or not valid) for each in values):
             raise self.wrong(name, expected)
         return tuple(values)
@@ -325,6 +334,23 @@ def _map(fields: _Fields) -> Condition:
     return conditions.MapName(fields.texts("map", "the name of a map or a list of names"))
 
 
+def _measure(name: str, fields: _Fields) -> Condition:
+    of, bounds = fields.selector("of"), fields.quantities(MEASURES[name])
+    wrong, right = ("max", "min") if name in LEAST else ("min", "max")
+    if fields.has(wrong):
+        critical = "least" if name in LEAST else "greatest"
+        raise fields.wrong(wrong, f"{right} (since the {critical} value is measured)")
+    return conditions.MeasureBounds(name, of, bounds)
+
+
+def _same_as(fields: _Fields) -> Condition:
+    (baseline,) = fields.texts("baseline", "the path of a recording, or of a folder of recordings,", single=True)
+    tolerance = fields.quantity("tolerance", "m") or 0.0
+    if tolerance < 0:
+        raise fields.wrong("tolerance", "a distance of 0 or more")
+    return conditions.SameAs(baseline if "://" in baseline else os.path.join(fields.folder, baseline), tolerance)  # noqa: PTH118
+
+
 _CONDITIONS: Final[Mapping[str, Callable[[_Fields], Condition]]] = {
     "collisions": _collisions,
     "incidents": _incidents,
@@ -333,6 +359,8 @@ _CONDITIONS: Final[Mapping[str, Callable[[_Fields], Condition]]] = {
     "frames": _frames,
     "actors": _actors,
     "map": _map,
+    "same_as": _same_as,
+    **{name: partial(_measure, name) for name in MEASURES},
 }
 """What reads the fields of each condition."""
 _PLAIN: Final = ("map",)
@@ -340,7 +368,7 @@ _PLAIN: Final = ("map",)
 
 
 def _rule(name: str, table: Any, path: Path | str) -> Rule:
-    prefix = f"{path}: rule {_shown(name)}"
+    prefix, folder = f"{path}: rule {_shown(name)}", os.path.dirname(path)  # noqa: PTH120
     if not name.strip():
         raise RecapError(f"{prefix}: a name was expected")
     if not isinstance(table, dict):
@@ -357,7 +385,7 @@ def _rule(name: str, table: Any, path: Path | str) -> Rule:
         some = f"has the conditions {' and '.join(given)}" if given else "has no condition"
         raise RecapError(f"{prefix}: {some}; one of {', '.join(_CONDITIONS)} was expected")
     (key,) = given
-    inner = _Fields({key: table[key]}, prefix) if key in _PLAIN else _Fields(table[key], f"{prefix}: {key}")
+    inner = _Fields({key: table[key]}, prefix) if key in _PLAIN else _Fields(table[key], f"{prefix}: {key}", folder)
     condition = _CONDITIONS[key](inner)
     inner.done()
     return Rule(name, condition, " ".join((description or condition.text()).split()))
