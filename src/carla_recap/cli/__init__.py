@@ -73,7 +73,8 @@ class _Commands(click.Group):
 def cli() -> None:
     """Recordings of the driving simulator CARLA, without the simulator.
 
-    FILE and SRC are recordings: CARLA's .log, or .mcap.
+    FILE and SRC are recordings: CARLA's .log, or .mcap. SOURCE... are recordings, folders or globs in quotes, in any
+    number, or - for a list on stdin.
     """
 
 

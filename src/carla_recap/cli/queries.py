@@ -10,12 +10,14 @@ import click
 from carla_recap.cli import options
 from carla_recap.cli.many import answer
 
+_EPILOG = "Each SOURCE is a recording, a folder, or a glob in quotes; - is a list of them on stdin, one in a line."
+
 _sources = options.together(options.sources, options.json, options.text)
 _many = options.together(options.jobs, options.dask)
 _report = options.together(_sources, options.compat)
 
 
-@click.command()
+@click.command(epilog=_EPILOG)
 @_report
 @click.option("--all", "everything", is_flag=True, help="Every record of every frame, not only the events.")
 @_many
@@ -28,7 +30,7 @@ def info(
     answer(partial(query, all=everything, compat=compat), sources, form, compat=compat, jobs=jobs, dask=dask)
 
 
-@click.command()
+@click.command(epilog=_EPILOG)
 @_report
 @click.option(
     "--types",
@@ -60,7 +62,7 @@ def collisions(
     answer(asked, sources, form, compat=compat, max_rows=max_rows, jobs=jobs, dask=dask)
 
 
-@click.command()
+@click.command(epilog=_EPILOG)
 @_report
 @click.option(
     "--min-time", type=options.TIME, default=30, show_default=True, metavar="S", help="Shortest stop to report, in s."
@@ -87,7 +89,7 @@ def blocked(
     answer(asked, sources, form, compat=compat, max_rows=max_rows, jobs=jobs, dask=dask)
 
 
-@click.command()
+@click.command(epilog=_EPILOG)
 @_sources
 @_many
 def actors(sources: tuple[str, ...], form: str | None, jobs: int | None, dask: str | None) -> None:
@@ -97,7 +99,7 @@ def actors(sources: tuple[str, ...], form: str | None, jobs: int | None, dask: s
     answer(query, sources, form, jobs=jobs, dask=dask)
 
 
-@click.command()
+@click.command(epilog=_EPILOG)
 @_sources
 @options.min_time
 @options.min_distance
@@ -124,7 +126,7 @@ def incidents(
     answer(asked, sources, form, max_rows=max_rows, jobs=jobs, dask=dask)
 
 
-@click.command()
+@click.command(epilog=_EPILOG)
 @_sources
 @click.option(
     "--actor",
