@@ -9,6 +9,7 @@ import click
 
 from carla_recap.cli import options
 from carla_recap.cli.many import answer
+from carla_recap.cli.output import form_of
 
 _EPILOG = "Each SOURCE is a recording, a folder, or a glob in quotes; - is a list of them on stdin, one in a line."
 
@@ -58,7 +59,8 @@ def collisions(
         raise click.BadParameter(f"{types!r} is not two of the letters h, v, w, t, o, a, such as hv.", param_hint="--types")
     if not compat:
         check_letters(*types)
-    asked = partial(query, type1=types[0], type2=types[1], compat=compat)
+    speeds = form_of(form, compat=compat) != "text"  # CARLA's text has none
+    asked = partial(query, type1=types[0], type2=types[1], compat=compat, speeds=speeds)
     answer(asked, sources, form, compat=compat, max_rows=max_rows, jobs=jobs, dask=dask)
 
 

@@ -28,6 +28,7 @@ from carla_recap import (
 from carla_recap.formats.mcap import frames as frames_module
 from carla_recap.formats.mcap.index import CHUNK_LIMIT
 from carla_recap.model.frame import Frame, Header, Packet
+from carla_recap.model.records import NO_ACTOR, Spawn
 from carla_recap.queries.blocked import blocked
 from tests import strategies
 from tests.formats.mcap import forge
@@ -592,6 +593,72 @@ def test_odd_packets_are_not_summed_up(tmp_path, standing):
             with pytest.warns(RecapWarning, match="1 bytes more"):
                 writer.write(Frame(frame.index, frame.id, frame.elapsed, frame.duration, packets))
     assert stood(tmp_path / "odd.mcap") is None
+
+
+@pytest.fixture
+def struck(tmp_path):
+    """A car that brakes hard, and then touches something; its velocity is recorded."""
+    path = tmp_path / "struck.mcap"
+    with create_recording(path, map_name="Town01") as recorder:
+        recorder.add_frame(0.0, spawned=[Spawn(7, 1, type_id="vehicle.a")], transforms={"id": [7]})
+        for number in range(1, 60):
+            speed = max(0.0, 20.0 - 0.4 * number)
+            contact = {"collisions": {"actor1": [7], "actor2": [NO_ACTOR]}} if number == 50 else {}
+            velocity = {"id": [7], "x": [speed]}
+            recorder.add_frame(number / 20, transforms={"id": [7], "x": [5.0 * number]}, velocities=velocity, **contact)
+    return path
+
+
+def digest_of(path):
+    with reading(path) as reader:
+        return reader.hard_braking(6), reader.contact_starts()
+
+
+def test_braking_and_contacts_are_read_from_the_events(struck):
+    ((braking,), (contact,)) = digest_of(struck)
+    assert (braking.id, braking.speed) == (7, pytest.approx(19.6, abs=1.0))
+    assert (contact.key, contact.position1[0]) == ((50, 7, NO_ACTOR), 250.0)
+    assert contact.velocity1 == (pytest.approx(0.4), 0.0, 0.0)
+    with reading(struck) as reader:
+        assert reader.hard_braking(7) is None
+
+
+@pytest.mark.parametrize(("topic", "kept"), [("/vehicles/braking", [False, True]), ("/collisions/contacts", [True, False])])
+def test_a_digest_that_another_program_left_out_is_missed(struck, topic, kept):
+    parts = data_records(struck)
+    (gone,) = (part.id for part in parts if isinstance(part, records.Channel) and part.topic == topic)
+
+    def without(part):
+        if not isinstance(part, records.Chunk):
+            return part
+        found = list(breakup_chunk(part))
+        rest = [record for record in found if not (isinstance(record, records.Message) and record.channel_id == gone)]
+        return part if len(rest) == len(found) else resealed_with(part, rest)
+
+    Forge([without(part) for part in parts]).write(struck)
+    assert [found is not None for found in digest_of(struck)] == kept
+
+
+def resealed_with(chunk, messages):
+    times = {"message_start_time": chunk.message_start_time, "message_end_time": chunk.message_end_time}
+    return seal(forge.packed(*messages), **times)
+
+
+def test_odd_velocities_leave_the_digest_out(tmp_path, struck):
+    with reading(struck) as reader, create_writer(tmp_path / "odd.mcap", reader.header) as writer:
+        for frame in reader.frames():
+            packets = [Packet(p.id, p.type, bytes(p.payload) + b"!" * (p.id == 12)) for p in frame.packets]
+            with warnings_ignored():
+                writer.write(Frame(frame.index, frame.id, frame.elapsed, frame.duration, packets))
+    assert digest_of(tmp_path / "odd.mcap") == (None, None)
+
+
+def test_a_vehicle_that_spawns_behind_its_first_transform_leaves_braking_out(tmp_path):
+    path = tmp_path / "late.mcap"
+    with create_recording(path, map_name="Town01") as recorder:
+        recorder.add_frame(0.0, transforms={"id": [7]})
+        recorder.add_frame(0.1, spawned=[Spawn(7, 1, type_id="vehicle.a")], transforms={"id": [7]})
+    assert digest_of(path) == (None, [])
 
 
 @pytest.fixture

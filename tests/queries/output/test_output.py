@@ -97,12 +97,13 @@ def test_json_of_texts_that_are_none(make: Make) -> None:
 
 
 def test_table_of_collisions(make: Make) -> None:
-    reader = make({"spawned": [spawn(1, "vehicle.a")]}, {"collisions": [(0, 1, NO_ACTOR, 1, 0), (0, 1, 9, 0, 0)]})
+    before = {"spawned": [spawn(1, "vehicle.a")], "velocities": [(1, 3, 4, 0, 0, 0, 0)]}
+    reader = make(before, {"collisions": [(0, 1, NO_ACTOR, 1, 0), (0, 1, 9, 0, 0)]})
     lines = [" ".join(line.split()) for line in printed(collisions(reader)).splitlines()]
     assert lines[0] == "Town01, 09/13/20 12:26:40, version 1"
-    assert "Time Frame Id Actor 1 Id Actor 2" in lines
-    assert "0.50 2 1 vehicle.a (hero) 4294967295 no actor" in lines
-    assert "0.50 2 1 vehicle.a 9 unknown" in lines
+    assert "Time Frame Id Actor 1 Id Actor 2 Impact m/s Relative m/s" in lines
+    assert "0.50 2 1 vehicle.a (hero) 4294967295 no actor 5.00 5.00" in lines
+    assert "0.50 2 1 vehicle.a 9 unknown 5.00" in lines
     assert lines[-1] == "2 rows; 2 frames, 0.5 seconds"
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from itertools import islice
 from typing import TYPE_CHECKING, Any, Final
@@ -106,6 +107,10 @@ def _seconds(value: float) -> str:
     return f"{value:.2f}" if abs(value) < 1e9 else number(value)
 
 
+def _speed(value: float) -> str:
+    return "" if math.isnan(value) else _seconds(value)
+
+
 def _actor(id: int, type_id: str, hero: bool = False) -> str:
     name = type_id or ("no actor" if id == NO_ACTOR else "unknown")
     return f"{name} (hero)" if hero else name
@@ -137,6 +142,8 @@ _COLUMNS: Final[dict[type, tuple[_Column, ...]]] = {
         _Column("Actor 1", lambda row: _actor(row.id1, row.type_id1, row.hero1)),
         _Column("Id", lambda row: str(row.id2), is_number=True),
         _Column("Actor 2", lambda row: _actor(row.id2, row.type_id2, row.hero2)),
+        _Column("Impact m/s", lambda row: _speed(row.impact_speed), is_number=True),
+        _Column("Relative m/s", lambda row: _speed(row.relative_speed), is_number=True),
     ),
     Actor: (
         _Column("Id", lambda row: str(row.id), is_number=True),
