@@ -12,7 +12,7 @@ from carla_recap import clip, convert
 from tests.cli.command import answer, error, on_terminal, run
 
 SAMPLES = Path(__file__).parents[2] / "samples"
-CRASH, BLOCKED = SAMPLES / "crash.mcap", SAMPLES / "blocked.mcap"
+CRASH, BLOCKED, JUNCTION = (SAMPLES / f"{name}.mcap" for name in ("crash", "blocked", "junction"))
 
 
 def test_equal_recordings(tmp_path):
@@ -86,3 +86,16 @@ def test_a_page_and_an_rrd(tmp_path):
     done = run("diff", CRASH, tmp_path / "b.mcap", "--rrd", tmp_path / "both.rrd", "--no-events")
     assert done.returncode == 1
     assert (tmp_path / "both.rrd").stat().st_size > 100_000
+
+
+def test_a_replay_repeats_all_positions_and_has_one_more_frame(tmp_path):
+    pytest.importorskip("pymunk", reason="the extra `sim` is not installed")
+    again = tmp_path / "again.mcap"
+    assert run("replay", JUNCTION, again, "--then", 0).returncode == 0
+    done = run("diff", JUNCTION, again, "--json")
+    found = json.loads(done.stdout)
+    assert done.returncode == 1
+    assert found["reasons"] == ["600 frames in 29.95 s, and 601 in 30.00 s"]
+    assert {row["max"] for row in found["actors"] if row["frames"]} == {0.0}
+    assert [actor["kind"] for actor in found["missing"]] == ["sensor"]
+    assert answer("diff", JUNCTION, again, "--tolerance", 1e-6).startswith("equal within 1e-06 m")

@@ -289,8 +289,10 @@ def differences(
 
 def _compared(source: Reader, elapsed: NDArray[np.float64]) -> ComparedRecording:
     extent = source.extent()
-    steps = np.diff(elapsed)
+    with np.errstate(invalid="ignore"):
+        steps = np.diff(elapsed)
     location = str(getattr(source, "location", source.path))
+    steps = steps[np.isfinite(steps)]
     step = float(np.median(steps)) if len(steps) else math.nan
     return ComparedRecording(location, readable(source.header.map_name), extent.frames, extent.duration, step)
 
@@ -425,6 +427,8 @@ def _events(
                 actors.append((-1, number))
             elif id(life) in tracks:
                 actors.append((2, tracks[id(life)]))
+            elif life.actor.type_id == _SPECTATOR:
+                actors.append((3, 0))
             else:
                 actors.append((side, id(life)))
         return incident.kind, tuple(sorted(actors))
