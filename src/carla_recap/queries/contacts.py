@@ -5,10 +5,11 @@ from __future__ import annotations
 import math
 from typing import TYPE_CHECKING, Final
 
+from carla_recap.formats.sources import is_remote
 from carla_recap.model.contacts import MOTION, contact_start
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Mapping
+    from collections.abc import Iterable, Iterator, Mapping
 
     from carla_recap.formats.base import Reader
     from carla_recap.model.batch import Batch
@@ -19,6 +20,7 @@ LOOK_UPS: Final = 500
 """Moments that are looked up one by one; to find more, all frames are read."""
 _BEFORE: Final = 1.0  # s before a moment that are read with it
 _BEHIND: Final = 1e-3  # s behind it
+_AT_ONCE: Final = 24  # times that are read at once from a remote recording
 _FRAMES: Final = 3  # the frame of a contact, and two before it
 
 
@@ -40,8 +42,8 @@ def contact_starts(source: Reader, wanted: Mapping[Key, float]) -> dict[Key, Con
         search = _Search(times)
         spans = _spans(times.values())
         if len(spans) <= LOOK_UPS and getattr(source, "metadata", {}).get("steady_clock") == "1":
-            for start, stop in spans:
-                search.add(source.batches(MOTION, start=start, stop=stop))
+            for batches in _read(source, spans):
+                search.add(batches)
         if search.missing:
             search.add(source.batches(MOTION), is_whole=True)
         found |= search.found
@@ -58,6 +60,20 @@ def _spans(times: Iterable[float]) -> list[tuple[float, float]]:
         else:
             spans.append((start, stop))
     return spans
+
+
+def _read(source: Reader, spans: list[tuple[float, float]]) -> Iterator[Iterable[Batch]]:
+    """Yield the frames of each of some times; of a remote recording, several are read at once, to wait for them once."""
+    if not is_remote(source.location):
+        for start, stop in spans:
+            yield source.batches(MOTION, start=start, stop=stop)
+        return
+    from concurrent.futures import ThreadPoolExecutor
+
+    with ThreadPoolExecutor(_AT_ONCE, "carla-recap-contacts") as pool:
+        for index in range(0, len(spans), _AT_ONCE):
+            part = spans[index : index + _AT_ONCE]
+            yield from pool.map(lambda span: list(source.batches(MOTION, start=span[0], stop=span[1])), part)
 
 
 class _Search:
