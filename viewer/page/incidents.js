@@ -179,7 +179,7 @@ class Incidents {
   }
 }
 
-const NO_INCIDENTS = "There are no collisions, no hard braking and no long stops.";
+const NO_INCIDENTS = "There are no incidents.";
 
 function metres(value) {
   return (Math.abs(value) < 0.05 ? 0 : value).toFixed(1).replace("-", "−");

@@ -22,8 +22,16 @@ const PALETTES = {
   },
 };
 const TONES = {
-  dark: { collision: "#ff5f5f", "hard braking": "#ffa24d", blocked: "#b9a0ff" },
-  light: { collision: "#cf2230", "hard braking": "#b45a00", blocked: "#6a45c9" },
+  dark: {
+    collision: "#ff5f5f", "hard braking": "#ffa24d", blocked: "#b9a0ff",
+    "red light": "#ff6fa5", "wrong way": "#ff8a66", "off road": "#d6b36a",
+    "stop sign": "#f08fd6", "near miss": "#ffd24d", "speeding": "#5cc8ff",
+  },
+  light: {
+    collision: "#cf2230", "hard braking": "#b45a00", blocked: "#6a45c9",
+    "red light": "#b3125f", "wrong way": "#a8380f", "off road": "#7a5a12",
+    "stop sign": "#96308a", "near miss": "#806300", "speeding": "#0b6fa8",
+  },
 };
 const KEPT = "carla-recap-theme";
 

@@ -437,6 +437,7 @@ def report(
             deceleration=deceleration,
             road_map=options.road_map_of(recording, road_map) if viewer else None,
             town=options.town_of(recording, road_map),
+            roads=options.roads_of(recording, road_map),
             pictures=pictures,
             viewer=viewer,
             progress=watch_scenes("sampling"),

@@ -15,6 +15,7 @@ if TYPE_CHECKING:
 
     from carla_recap.formats.base import Reader
     from carla_recap.maps import RoadMap
+    from carla_recap.model.roads import RoadNetwork
     from carla_recap.recording import Recording
     from carla_recap.rendering.town import TownMesh
 
@@ -274,6 +275,14 @@ def town_of(recording: Recording, path: str | None, start: float = 0.0, duration
     from carla_recap.rendering.town import load_town_of
 
     return load_town_of(recording, path, start, duration)
+
+
+def roads_of(recording: Recording, path: str | None) -> RoadNetwork | None:
+    """Return the roads of a recording's town, for incidents and measures; None if its map is unknown; see `road_map_of`."""
+    from carla_recap.maps import load_road_network
+
+    found = map_file_of(recording, path)
+    return None if found is None else load_road_network(found)
 
 
 def map_file_of(recording: Recording, path: str | None) -> Path | None:

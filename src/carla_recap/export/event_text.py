@@ -14,13 +14,14 @@ from carla_recap.errors import RecapError
 from carla_recap.export import style
 from carla_recap.model.batch import within
 from carla_recap.model.frame import SAME_TIME
-from carla_recap.queries.incidents import IncidentSearch
+from carla_recap.queries.incidents import ALL_KINDS, ROAD_KINDS, IncidentSearch
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator, Sequence
 
     from carla_recap.model.batch import Batch
-    from carla_recap.queries.incidents import Incident
+    from carla_recap.model.roads import RoadNetwork
+    from carla_recap.queries.incidents import Incident, Kind
     from carla_recap.replay import Collided, Player, Present, Scene
 
 _MANY: Final = 5  # the number of actors that appear or disappear in a scene from which on they are counted, not named
@@ -91,13 +92,16 @@ class PlayedIncidents:
 
     Args:
         player: The player, which has not begun; its frames are what they are found in.
+        roads: The roads of the map, if it is known.
     """
 
-    def __init__(self, player: Player) -> None:
+    def __init__(self, player: Player, roads: RoadNetwork | None = None) -> None:
         self._start, self._stop = player.start, player.stop + 2 * SAME_TIME
         self._search: IncidentSearch | None = None
         with suppress(RecapError):
-            self._search = IncidentSearch(player.reader, collisions=False, start=self._start, stop=self._stop)
+            self._search = IncidentSearch(
+                player.reader, kinds=_kinds(roads), roads=roads, start=self._start, stop=self._stop
+            )
             player.observe(self._add)
 
     def found(self) -> Iterable[Incident]:
@@ -113,8 +117,13 @@ class PlayedIncidents:
             self._search = None
 
 
+def _kinds(roads: RoadNetwork | None) -> list[Kind]:
+    """Return the kinds of incidents that are not among the events."""
+    return [kind for kind in ALL_KINDS if kind != "collision" and (roads is not None or kind not in ROAD_KINDS)]
+
+
 def incident_lines(found: Iterable[Incident]) -> Iterator[tuple[float, Line]]:
-    """Yield the lines of hard braking and of long stops, with their elapsed seconds; collisions are among the events."""
+    """Yield the lines of incidents, with their elapsed seconds, but not of collisions, which are among the events."""
     for incident in found:
         if incident.kind != "collision":
             yield incident.start, Line(Level.WARNING, "incidents", incident.text)

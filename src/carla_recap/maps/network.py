@@ -8,6 +8,7 @@ from __future__ import annotations
 import re
 import sys
 from collections import defaultdict
+from contextlib import suppress
 from functools import lru_cache
 from io import BytesIO
 from pathlib import Path
@@ -17,6 +18,7 @@ import numpy as np
 
 from carla_recap.errors import FormatError
 from carla_recap.maps import road_geometry
+from carla_recap.maps.corridors import is_of_corridors
 from carla_recap.maps.parsing import parse_in_child, read_content, run_child
 from carla_recap.maps.road_geometry import in_metres_per_second, read_roads, sparse_stations
 from carla_recap.maps.road_map import find_map
@@ -30,6 +32,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from carla_recap.maps.road_geometry import Road, RoadLane, RoadSection, RoadSignal
+    from carla_recap.maps.road_map import RoadMap
 
     Floats = NDArray[np.float64]
     Lane = tuple[int, int, int]
@@ -98,6 +101,15 @@ def road_network_of(opendrive: str, name: str = "") -> RoadNetwork:
         FormatError: It is no OpenDRIVE map with lanes for cars.
     """
     return _network(name, Path(name or "map"), opendrive.encode())
+
+
+def road_network_of_map(road_map: RoadMap | None) -> RoadNetwork | None:
+    """Return the road network of a map; None if there is none: of no map, of corridors, and of a map without lanes."""
+    if road_map is None or not road_map.opendrive or is_of_corridors(road_map.opendrive):
+        return None
+    with suppress(FormatError):
+        return road_network_of(road_map.opendrive, road_map.name)
+    return None
 
 
 @lru_cache(4)

@@ -41,11 +41,11 @@ if TYPE_CHECKING:
 
 Kind = Literal["collision", "blocked", "hard braking", "red light", "stop sign", "off road", "wrong way", "speeding"]
 
-KINDS: Final[tuple[Kind, ...]] = get_args(Kind)
+ALL_KINDS: Final[tuple[Kind, ...]] = get_args(Kind)
 """The kinds of incidents."""
 ROAD_KINDS: Final[tuple[Kind, ...]] = get_args(RoadKind)
 """The kinds of incidents that the roads of the map are needed for."""
-DEFAULT_KINDS: Final[tuple[Kind, ...]] = ("collision", "blocked", "hard braking")
+KINDS: Final[tuple[Kind, ...]] = ("collision", "blocked", "hard braking")
 """The kinds of incidents that can be found without reading every frame of an MCAP file."""
 
 _AFTERMATH: Final = 0.5  # s after a contact in which a deceleration is part of it
@@ -253,10 +253,10 @@ def _wanted(kinds: Collection[Kind] | Literal["all"] | None, roads: RoadNetwork 
         RecapError: There is no such kind, or one needs roads.
     """
     if kinds is None or kinds == "all":
-        return frozenset((*DEFAULT_KINDS, *(ROAD_KINDS if kinds and roads is not None else ())))
+        return frozenset((*KINDS, *(ROAD_KINDS if kinds and roads is not None else ())))
     wanted = frozenset((kinds,) if isinstance(kinds, str) else kinds)
-    for kind in wanted.difference(KINDS):
-        raise RecapError(f"kinds of incidents are {', '.join(KINDS)}, not {kind!r}")
+    for kind in wanted.difference(ALL_KINDS):
+        raise RecapError(f"kinds of incidents are {', '.join(ALL_KINDS)}, not {kind!r}")
     if roads is None and not wanted.isdisjoint(ROAD_KINDS):
         named = ", ".join(kind for kind in ROAD_KINDS if kind in wanted)
         raise RecapError(f"incidents of the road need its map: {named}")

@@ -71,6 +71,7 @@ def export_foxglove(
     from carla_recap.export.event_text import PlayedIncidents
     from carla_recap.export.foxglove.town import town_of
     from carla_recap.export.foxglove.writer import FoxgloveWriter
+    from carla_recap.maps.network import road_network_of_map
 
     reader = source.reader
     check_destination(reader.location, destination, force=force)
@@ -78,7 +79,7 @@ def export_foxglove(
     town = town_of(road_map, player, source)
     description, stops = _description(reader, player), stop_points(reader)
     with FoxgloveWriter(destination, reader.header, description, player.followed, town, stops) as writer:
-        incidents = PlayedIncidents(player)
+        incidents = PlayedIncidents(player, road_network_of_map(road_map) if town is not None else None)
         for batch in player.batches(progress):
             writer.write(batch)
         played = writer.end()

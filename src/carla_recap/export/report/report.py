@@ -17,6 +17,7 @@ from carla_recap.export.report.packing import Packer
 from carla_recap.export.report.sampling import sample
 from carla_recap.export.report.single import data_address, single_page
 from carla_recap.export.style import LIGHTS, OTHER, STYLES
+from carla_recap.maps.network import road_network_of_map
 from carla_recap.model.braking import HARD
 from carla_recap.model.stationary import MIN_DISTANCE, MIN_TIME
 from carla_recap.queries.incidents import Incident, incidents
@@ -31,6 +32,7 @@ if TYPE_CHECKING:
     from carla_recap.export.report.samples import SampledReplay
     from carla_recap.formats.base import Reader
     from carla_recap.maps import RoadMap
+    from carla_recap.model.roads import RoadNetwork
     from carla_recap.queries.differences import Differences
     from carla_recap.rendering.town import TownMesh
     from carla_recap.replay.player import Progress
@@ -40,7 +42,9 @@ Pictures = Literal["drawn", "rendered", "none"]
 
 SINGLE: Final = (".html", ".htm")  # the suffixes of a page that is one file
 REPLAYED: Final = 200  # the most incidents with a taken picture and, of a long recording, with a replay
-FIRST: Final = ("collision", "hard braking", "blocked")  # the kinds of incidents in the order in which they are chosen
+FIRST: Final = (  # the kinds of incidents in the order in which they are chosen
+    *("collision", "red light", "wrong way", "off road", "stop sign", "near miss", "hard braking", "speeding", "blocked"),
+)
 PICTURE_SIZE: Final = (640, 400)
 LISTED: Final = 2000  # the most incidents in the list
 VIEWER_FILES: Final = ("re_viewer.js", "re_viewer_bg.wasm")
@@ -81,13 +85,21 @@ class _Reported:
     Args:
         recording: The recording.
         limits: What counts as an incident.
+        roads: The roads of the map, for incidents.
         progress: Gets the scenes and their player, and yields the scenes.
     """
 
-    def __init__(self, recording: Recording, limits: _Limits, progress: Progress | None) -> None:
+    def __init__(self, recording: Recording, limits: _Limits, roads: RoadNetwork | None, progress: Progress | None) -> None:
         self.recording = recording
         before, after, min_time, min_distance, deceleration = limits
-        found = incidents(recording.reader, min_time=min_time, min_distance=min_distance, deceleration=deceleration)
+        found = incidents(
+            recording.reader,
+            kinds="all",
+            roads=roads,
+            min_time=min_time,
+            min_distance=min_distance,
+            deceleration=deceleration,
+        )
         self.incidents = found[:LISTED]
         self.omitted = len(found) - len(self.incidents)
         chosen = sorted(range(len(self.incidents)), key=lambda index: FIRST.index(found[index].kind))[:REPLAYED]
@@ -128,6 +140,7 @@ def write_report(
     deceleration: float = HARD,
     road_map: RoadMap | None = None,
     town: TownMesh | None = None,
+    roads: RoadNetwork | None = None,
     pictures: Pictures = "drawn",
     viewer: bool = False,
     force: bool = False,
@@ -148,6 +161,7 @@ def write_report(
         deceleration: The deceleration that counts as an incident, in m/s².
         road_map: The roads to show.
         town: Their surfaces, if they are made already.
+        roads: The road network of the map, for incidents such as red light runs; None: that of `road_map`.
         pictures: "drawn": a drawing of each incident, from above; "rendered": a view from behind the first actor, which
             takes the extra `cameras`; or "none".
         viewer: Add Rerun's viewer, to see the scene in 3D; it needs the extra `rerun`, and a server for the page.
@@ -170,7 +184,8 @@ def write_report(
     if viewer and (single or len(recordings) > 1):
         raise RecapError(f"{path}: the viewer goes with a folder and one recording, not with a single file or a comparison")
     limits = _Limits(before, after, min_time, min_distance, deceleration)
-    reported = [_Reported(recording, limits, progress) for recording in recordings]
+    network = roads or road_network_of_map(road_map)
+    reported = [_Reported(recording, limits, network, progress) for recording in recordings]
     if viewer and not reported[0].whole:
         raise RecapError(f"{recordings[0].location}: is too long for the viewer in a page; clips of its incidents are not")
     town = town or town_of(road_map)

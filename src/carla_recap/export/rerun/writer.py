@@ -25,6 +25,7 @@ from carla_recap.export.rerun.lights import LightAheadWriter, TrafficLightWriter
 from carla_recap.export.rerun.rrd import piped, rbl
 from carla_recap.export.rerun.stream import Stream, TimeColumns
 from carla_recap.export.rerun.town import is_elsewhere, write_map, write_sky, write_town
+from carla_recap.maps.network import road_network_of_map
 from carla_recap.queries.actors import actors
 from carla_recap.recording import Recording
 from carla_recap.rendering.town import town_mesh_of
@@ -203,7 +204,7 @@ def write(
         road_map = None
     writer = SceneWriter(stream, followed=player.followed, road_map=road_map, cameras=cameras, stops=stop_points(reader))
     count = 0
-    incidents = PlayedIncidents(player)
+    incidents = PlayedIncidents(player, road_network_of_map(road_map))
     for batch in player.batches(progress):
         writer.write(batch)
         count += len(batch)

@@ -18,7 +18,9 @@ _FADE: Final = 0.4  # s of the video, in which it fades
 _PATIENCE: Final = 2.0  # s after which a long stop is mentioned
 _NEAR: Final = 70.0  # m; incidents of others are mentioned if they are no farther away
 _MOST: Final = 2  # captions at a time
-_KINDS: Final = ("blocked", "hard braking", "collision")  # ascending by importance
+_KINDS: Final = (  # ascending by importance
+    *("blocked", "speeding", "hard braking", "near miss", "stop sign", "off road", "wrong way", "red light", "collision"),
+)
 _MAKES: Final = {"bh": "", "bmw": "BMW", "carlamotors": "", "t2": "T2", "tt": "TT", "c3": "C3", "a2": "A2", "zx125": "ZX125"}
 
 

@@ -31,6 +31,12 @@ _KINDS: Final[dict[str, Color]] = {
     "collision": (235, 64, 52, 255),
     "hard braking": (245, 166, 66, 255),
     "blocked": (150, 170, 255, 255),
+    "red light": (255, 111, 165, 255),
+    "wrong way": (255, 138, 102, 255),
+    "off road": (214, 179, 106, 255),
+    "stop sign": (240, 143, 214, 255),
+    "near miss": (255, 210, 77, 255),
+    "speeding": (92, 200, 255, 255),
 }
 
 _REFERENCE: Final = (1280, 720)  # the size in which the lengths below are given, in pixels
