@@ -66,7 +66,8 @@ def test_a_form_means_one_recording_or_many(folder):
 
 
 def test_a_list_on_stdin(folder, monkeypatch):
-    monkeypatch.setattr(sys, "stdin", io.StringIO(f"{folder}/b.mcap\n\n  \r\n{folder}/deep\r\n{folder}/b.mcap"))
+    lines = f"{folder}/b.mcap\n\n  \r\n{folder}/deep\r\n{folder}/b.mcap"
+    monkeypatch.setattr(sys, "stdin", io.TextIOWrapper(io.BytesIO(lines.encode())))
     assert names([folder / "c.txt", "-"], folder) == ["c.txt", "b.mcap", "deep/d.LOG"]
 
 
@@ -157,3 +158,16 @@ def test_a_bucket_without_such_recordings(bucket, source):
 def test_a_bucket_that_does_not_exist(bucket):
     with pytest.raises(RecapError, match=r"^s3://other/runs: cannot be listed: the server answers 404 Not Found$"):
         list(find_sources(["s3://other/runs/"]))
+
+
+def test_an_empty_list_is_an_error(monkeypatch):
+    monkeypatch.setattr(sys, "stdin", io.TextIOWrapper(io.BytesIO(b"\n")))
+    with pytest.raises(RecapError, match="stdin: no recordings"):
+        list(find_sources(["-"], errors="yield"))
+
+
+@pytest.mark.parametrize("name", ["x" * 5000, "x" * 5000 + "*", "a\0b.log", "a\0*.log", "[", "nonsense://x"])
+def test_a_name_that_no_file_has_is_an_error_or_a_row(name):
+    (found,) = find_sources([name], errors="yield")
+    assert found.location == name
+    assert found.size is None

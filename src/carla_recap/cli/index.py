@@ -44,7 +44,7 @@ def index(
 
     Recordings that INDEX has, and that have not changed, are not read again.
     """
-    from carla_recap.cli.many import client_of, listed
+    from carla_recap.cli.many import client_of
     from carla_recap.cli.progress import SourcesBar
     from carla_recap.fleet.index import write_index
     from carla_recap.util.signals import unwind_on_termination
@@ -66,7 +66,7 @@ def index(
         stack.enter_context(unwind_on_termination())
         client = stack.enter_context(closing(client_of(dask))) if dask else None
         summary = write_index(
-            listed(sources),
+            sources,
             index_folder,
             jobs=jobs,
             client=client,

@@ -5,7 +5,6 @@ from __future__ import annotations
 import os
 import re
 import signal
-import sys
 from contextlib import ExitStack, closing
 from functools import partial
 from time import monotonic
@@ -15,7 +14,7 @@ from carla_recap.cli import options
 from carla_recap.cli.output import BAD_INPUT, PYTHON_HINT, TOO_MANY, form_of, print_pieces, say, show, warn
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterable, Iterator, Sequence
+    from collections.abc import Callable, Iterable, Sequence
 
     from distributed import Client
 
@@ -74,8 +73,6 @@ def answer(
 
 def is_one(source: str) -> bool:
     """Return whether a source means one recording by its form, so that it is answered as such."""
-    if source == "-":
-        return False
     if os.path.isfile(source):  # noqa: PTH113 - which is enough for most, and imports nothing
         return True
     from carla_recap.fleet.sources import means_one
@@ -91,7 +88,7 @@ def watched(sources: Iterable[str], title: str) -> tuple[Iterable[SourceFile], S
     from carla_recap.cli.progress import SourcesBar
     from carla_recap.fleet.sources import find_sources
 
-    found: Iterable[SourceFile] = find_sources(listed(sources), errors="yield")
+    found: Iterable[SourceFile] = find_sources(sources, errors="yield")
     if not SourcesBar.is_shown():
         return found, SourcesBar(title, None)
     found = list(found)  # whose number the bar needs
@@ -103,23 +100,6 @@ def client_of(address: str) -> Client:
     from carla_recap.fleet.cluster import connect
 
     return connect(address)
-
-
-def listed(sources: Iterable[str]) -> Iterator[str]:
-    """Yield sources; for `-`, the lines of stdin."""
-    from carla_recap.errors import RecapError
-
-    for source in sources:
-        if source != "-":
-            yield source
-            continue
-        empty = True
-        for line in sys.stdin.buffer:
-            if name := os.fsdecode(line.rstrip(b"\r\n")):
-                yield name
-                empty = False
-        if empty:
-            raise RecapError("stdin: no recordings; a list of them was expected, one in a line")
 
 
 def _print(given: Iterable[RecordingAnswer], form: str, bar: SourcesBar, max_rows: int | None) -> int:

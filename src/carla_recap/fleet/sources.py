@@ -52,7 +52,7 @@ def find_sources(sources: Iterable[str | Path], *, errors: Literal["raise", "yie
         errors: "raise"; or "yield": a source that means none is yielded with its error.
 
     Raises:
-        RecapError: A folder or a glob means no recording, or cannot be listed.
+        RecapError: A folder or a glob means no recording, or cannot be listed; or the list is empty.
         MissingExtra: It is remote, and the extra for that is not installed.
     """
     seen: set[str] = set()
@@ -62,9 +62,11 @@ def find_sources(sources: Iterable[str | Path], *, errors: Literal["raise", "yie
                 if found.location not in seen:
                     seen.add(found.location)
                     yield found
-        except RecapError as error:
+        except (RecapError, OSError, ValueError) as error:  # the latter of names that are too long, or have a NUL
+            if not isinstance(error, RecapError):
+                error = RecapError(f"{source}: {getattr(error, 'strerror', None) or error}")
             if errors == "raise":
-                raise
+                raise error from None
             yield SourceFile(source, error=str(error))
 
 
@@ -87,10 +89,14 @@ def _named(sources: Iterable[str | Path]) -> Iterator[str]:
     for source in sources:
         if source != "-":
             yield os.fspath(source)
-        elif sys.stdin is not None:
-            for line in sys.stdin:
-                if line.strip():
-                    yield line.rstrip("\r\n")
+        else:
+            lines = iter(sys.stdin.buffer if sys.stdin is not None else ())
+            names = (os.fsdecode(line.rstrip(b"\r\n")) for line in lines if line.strip())
+            first = next(names, None)
+            if first is None:
+                raise RecapError("stdin: no recordings; a list of them was expected, one in a line")
+            yield first
+            yield from names
 
 
 def _expanded(source: str) -> Iterator[SourceFile]:
