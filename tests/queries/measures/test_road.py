@@ -114,7 +114,7 @@ def test_crossing_the_line_on_red_is_found_with_its_time(drives: Drives) -> None
     assert (event.kind, event.id) == ("red light", CAR)
     assert event.start == pytest.approx(5 - TICK - LENGTH / 2 / 10, abs=0.02)
     assert event.stop == pytest.approx(5 - TICK, abs=0.02)
-    assert event.text == f"runs a red light ({LIGHT}) at 36 km/h"
+    assert event.text == f"runs a red light at 36 km/h (light {LIGHT})"
 
 
 @pytest.mark.parametrize("state", [YELLOW, GREEN, 3, 4])
@@ -288,7 +288,7 @@ def test_broken_rules_are_incidents_of_all_kinds_where_the_roads_are_given(drive
         ("speeding", (CAR,), ("vehicle.mini.cooper_s",)),
         ("red light", (CAR,), ("vehicle.mini.cooper_s",)),
     ]
-    assert found[1].text == f"vehicle.mini.cooper_s ({CAR}) runs a red light ({LIGHT}) at 72 km/h"
+    assert found[1].text == f"vehicle.mini.cooper_s ({CAR}) runs a red light at 72 km/h (light {LIGHT})"
     assert (found[1].x, found[1].y) == pytest.approx((100, -1.75), abs=2.5)
 
 
@@ -379,7 +379,7 @@ def test_red_light_runs_among_traffic_in_the_built_in_town_are_found_and_no_othe
     assert {event.id: event.start for event in found} == pytest.approx(crossed, abs=0.11)
     assert len(found) == len(runners)
     for event in found:
-        assert event.text.startswith(f"runs a red light ({runners[event.id][2]}) at ")
+        assert event.text.endswith(f" (light {runners[event.id][2]})")
 
 
 def test_law_abiding_traffic_breaks_no_rule(tmp_path: Path) -> None:

@@ -306,7 +306,7 @@ class RoadSearch:
             kind: RoadKind = "red light"
             light = self._lights.red_during(signal, front.time, crossing.time)
             if light is not None:
-                text = f"runs a red light ({light}) at {front.speed * _KMH:.0f} km/h"
+                text = f"runs a red light at {front.speed * _KMH:.0f} km/h (light {light})"
             elif self._lines.is_stop(front.line) and not front.has_stopped:
                 kind, text = "stop sign", f"passes a stop sign at {front.speed * _KMH:.0f} km/h without stopping"
             if text:
