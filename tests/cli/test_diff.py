@@ -99,3 +99,18 @@ def test_a_replay_repeats_all_positions_and_has_one_more_frame(tmp_path):
     assert {row["max"] for row in found["actors"] if row["frames"]} == {0.0}
     assert [actor["kind"] for actor in found["missing"]] == ["sensor"]
     assert answer("diff", JUNCTION, again, "--tolerance", 1e-6).startswith("equal within 1e-06 m")
+
+
+def test_recordings_at_urls(tmp_path):
+    pytest.importorskip("obstore", reason="the extra `remote` is not installed")
+    from tests.web import serve
+
+    with serve(SAMPLES) as web:
+        url = f"{web.url}/{JUNCTION.name}"
+        lines = answer("diff", url, JUNCTION).splitlines()
+        assert lines[0] == "equal within 0 m"
+        assert lines[1].startswith(f"A: {url}: Brickfield, 600 frames")
+        page = tmp_path / "page.html"
+        assert run("diff", JUNCTION, url, "--html", page).returncode == 0
+        assert page.exists()
+        assert f"{web.url}/none.mcap" in error("diff", JUNCTION, f"{web.url}/none.mcap")
