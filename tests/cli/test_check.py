@@ -35,10 +35,11 @@ def test_verdicts_are_printed_the_worst_first(runs):
         ("error", "broken.mcap"),
         ("fail", "crash.mcap"),
         ("fail", "crash.mcap"),
+        ("fail", "crash.mcap"),
         ("pass", "junction.mcap"),
     ]
-    assert "no-hero-collision  12.10 s  2 collisions of the hero" in lines[1]
-    assert lines[-1] == f"1 passed, 1 failed, 1 not judged; 3 recordings, 5 rules of {RULES}"
+    assert "no-hero-collision   12.10 s  2 collisions of the hero" in lines[1]
+    assert lines[-1] == f"1 passed, 1 failed, 1 not judged; 3 recordings, 6 rules of {RULES}"
     assert (done.returncode, done.stderr) == (2, b"")
 
 
@@ -71,7 +72,7 @@ def test_junit(runs, tmp_path):
     done = run("check", runs, "--rules", RULES, "--junit", tmp_path / "out.xml", "--jobs", "1")
     assert done.returncode == 1
     suites = ElementTree.parse(tmp_path / "out.xml").getroot()
-    assert (suites.get("tests"), suites.get("failures"), suites.get("errors")) == ("10", "2", "0")
+    assert (suites.get("tests"), suites.get("failures"), suites.get("errors")) == ("12", "3", "0")
 
 
 def test_on_a_terminal_verdicts_are_a_table(runs):

@@ -368,7 +368,9 @@ class MeasureBounds:
         message = f"the {extreme} {self._name()}{_of(self.of)} is {_value(found[0].value, unit)}"
         if not offences:
             return Finding(True, message)
-        return Finding(False, f"{message} instead of {self.bounds.text(unit)}", offences)
+        least, most = self.bounds.least, self.bounds.most
+        limit = f"falls below {least:.5g}" if least is not None else f"exceeds {most:.5g}"
+        return Finding(False, f"the {self._name()}{_of(self.of)} {limit} {unit}", offences)
 
     def _name(self) -> str:
         return self.measure.replace("_", " ")
