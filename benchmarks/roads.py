@@ -42,7 +42,7 @@ def rules(subject: Subject) -> Iterator[Line]:
     network = town()
     network.lanes_at(np.zeros((1, 2)))
     seconds = cpu_time(lambda: found(subject.mcap, network))
-    goal = 15 * subject.seconds / 3600
+    goal = max(15 * subject.seconds / 3600, 1.0)
     each = seconds / subject.frames * 1e6
     yield Line(
         f"rules of the road, {subject.length}",
