@@ -151,6 +151,27 @@ def test_a_measure_of_the_road_needs_the_map():
     assert found.message == "the map 'Crossing' was not found; --map or CARLA_RECAP_MAPS says where maps are"
 
 
+@pytest.mark.parametrize(
+    ("sample", "kind", "status", "message"),
+    [
+        ("junction.mcap", '"red light"', "pass", "no red light runs"),
+        ("crash.mcap", '["red light", "stop sign", "wrong way"]', "pass", "no red light runs, stop sign runs or drives "),
+        ("crossing.log", '"red light"', "error", "the map 'Crossing' was not found; "),
+    ],
+)
+def test_an_incident_of_the_road_needs_the_map(sample, kind, status, message):
+    found = verdict(sample, f"incidents = {{ kind = {kind}, max = 0 }}")
+    assert found.status == status
+    assert found.message.startswith(message)
+
+
+def test_rules_that_need_no_map_are_judged_without_it():
+    text = '[rules.a]\nincidents = { kind = "red light", max = 0 }\n[rules.b]\ncollisions = { max = 9 }'
+    with open_recording(SAMPLES / "crossing.log") as recording:
+        verdicts = check(recording, parse_rules(text, "rules.toml"))
+    assert [each.status for each in verdicts] == ["error", "pass"]
+
+
 def test_a_recording_is_compared_with_its_baseline(tmp_path):
     (tmp_path / "base").mkdir()
     shutil.copy(SAMPLES / "crash.mcap", tmp_path / "base")

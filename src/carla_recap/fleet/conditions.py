@@ -17,7 +17,7 @@ from carla_recap.maps.road_map import plain_name
 from carla_recap.queries.actors import Actor, actors
 from carla_recap.queries.blocked import blocked
 from carla_recap.queries.differences import differences, metres, name_of
-from carla_recap.queries.incidents import incidents
+from carla_recap.queries.incidents import ROAD_KINDS, incidents
 from carla_recap.queries.measures import measures
 from carla_recap.queries.measures.extremes import UNITS
 from carla_recap.queries.measures.road import UNITS as ROAD_UNITS
@@ -29,7 +29,7 @@ if TYPE_CHECKING:
 
     from carla_recap.model.roads import RoadNetwork
     from carla_recap.model.stationary import BlockedRow
-    from carla_recap.queries.incidents import Incident
+    from carla_recap.queries.incidents import Incident, Kind
     from carla_recap.queries.measures import MeasureRow
     from carla_recap.recording import Recording
 
@@ -48,6 +48,17 @@ LEAST: Final = ("gap", "time_to_collision", "distance_headway", "time_headway", 
 """The measures whose least value is critical; of the others it is the greatest one."""
 
 _LARGE: Final = 1e6  # from which on a value is shown with an exponent
+_KINDS: Final = {
+    "blocked": ("long stop", "long stops"),
+    "hard braking": ("hard braking", "hard braking"),
+    "near miss": ("near miss", "near misses"),
+    "red light": ("red light run", "red light runs"),
+    "stop sign": ("stop sign run", "stop sign runs"),
+    "off road": ("departure from the road", "departures from the road"),
+    "wrong way": ("drive in the wrong direction", "drives in the wrong direction"),
+    "speeding": ("speeding", "speeding"),
+}
+"""What kinds of incidents are called, one and several."""
 _MANY: Final = {HERO: "the hero", "vehicle": "vehicles", "walker": "walkers", OBJECT: "what is no actor"}
 
 
@@ -138,7 +149,7 @@ class Facts:
         self.recording = recording
         self._road_map = road_map
         conditions = list(conditions)
-        self._kinds = {kind for each in conditions if isinstance(each, IncidentCount) for kind in each.kinds}
+        self._kinds = frozenset(kind for each in conditions if isinstance(each, IncidentCount) for kind in each.kinds)
         self._stop_times = [each.longest for each in conditions if isinstance(each, LongestStop)]
         self._measured = [each.of for each in conditions if isinstance(each, MeasureBounds)]
         self._road_measures = [
@@ -156,13 +167,9 @@ class Facts:
         """The incidents of all kinds that conditions are about, in order of time."""
 
         def ask() -> Sequence[Incident]:
-            kinds = self._kinds
-            return incidents(
-                self.recording.reader,
-                collisions="collision" in kinds,
-                blocked="blocked" in kinds,
-                braking="hard braking" in kinds,
-            )
+            roads = None if self._kinds.isdisjoint(ROAD_KINDS) else self._roads
+            kinds = self._kinds if roads is not None else self._kinds.difference(ROAD_KINDS)
+            return incidents(self.recording.reader, kinds=kinds, roads=roads) if kinds else []
 
         return self._once("incidents", ask)
 
@@ -261,20 +268,22 @@ class IncidentCount:
         bounds: The valid numbers.
     """
 
-    kinds: tuple[str, ...]
+    kinds: tuple[Kind, ...]
     of: Selector
     other: Selector
     bounds: Bounds
 
     def text(self) -> str:
         """See `Condition.text`."""
-        kinds = _listed(_plural(kind) for kind in self.kinds)
+        kinds = _listed(map(_plural, self.kinds))
         return f"{kinds}{self._sides()}: {self.bounds.text()}"
 
     def judge(self, facts: Facts) -> Finding:
         """See `Condition.judge`."""
+        if not set(self.kinds).isdisjoint(ROAD_KINDS):
+            facts.check_roads()
         found = [incident for incident in facts.incidents if incident.kind in self.kinds and self._counts(incident, facts)]
-        message = f"{len(found) or 'no'} {_listed(kind if len(found) == 1 else _plural(kind) for kind in self.kinds)}"
+        message = f"{len(found) or 'no'} {_listed(map(_singular if len(found) == 1 else _plural, self.kinds))}"
         message += self._sides()
         if self.bounds.contain(len(found)):
             return Finding(True, message + ("" if found else facts.absent(self.of)))
@@ -524,7 +533,11 @@ def _of(selector: Selector) -> str:
 
 
 def _plural(kind: str) -> str:
-    return {"blocked": "long stops", "hard braking": "hard braking", "near miss": "near misses"}.get(kind, f"{kind}s")
+    return _KINDS.get(kind, (kind, f"{kind}s"))[1]
+
+
+def _singular(kind: str) -> str:
+    return _KINDS.get(kind, (kind, ""))[0]
 
 
 def _listed(words: Iterable[str]) -> str:

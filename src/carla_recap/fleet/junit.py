@@ -21,7 +21,6 @@ if TYPE_CHECKING:
     from carla_recap.fleet.rules import Verdict
 
 SUITE: Final = "carla-recap check"
-_BEFORE: Final = 3.0  # s before an offence at which a view of it begins
 _UNPRINTABLE: Final = re.compile("[^\t\n\r\x20-\ud7ff\ue000-\ufffd\U00010000-\U0010ffff]")  # what XML 1.0 cannot contain
 
 
@@ -64,7 +63,7 @@ def how_to_see(recording: str, verdict: Verdict) -> str:
     """Return the command that shows the first offence of a verdict."""
     if verdict.time is None:
         return f"carla-recap view {shlex.quote(recording)}"
-    return f"carla-recap view --start {max(verdict.time - _BEFORE, 0.0):.1f} {shlex.quote(recording)}"
+    return f"carla-recap view {shlex.quote(f'{recording}#t={verdict.time:.1f}')}"
 
 
 def _add(suite: Element, checked: CheckedRecording, verdict: Verdict, pages: Path) -> None:

@@ -108,6 +108,8 @@ def _relative(path: Path | None, folder: Path) -> str | None:
 def _write_files(wanted: dict[str, _Wanted], source: SourceFile) -> None:
     from carla_recap.editing.clip import clip
     from carla_recap.export.report import write_report
+    from carla_recap.maps import load_road_network
+    from carla_recap.maps.lookup import find_map_of
     from carla_recap.recording import open_recording
     from carla_recap.rendering.town import load_town_of
 
@@ -116,7 +118,9 @@ def _write_files(wanted: dict[str, _Wanted], source: SourceFile) -> None:
         start = max(files.time - _AROUND, 0.0)
         clip(source.location, files.clip, start=start, duration=files.time + _AROUND - start)
     with open_recording(source.location) as recording:
-        write_report(recording, files.page, town=load_town_of(recording, files.road_map))
+        found = find_map_of(recording, files.road_map)
+        roads = None if found is None else load_road_network(found)
+        write_report(recording, files.page, town=load_town_of(recording, files.road_map), roads=roads)
 
 
 def _names(checked: Sequence[CheckedRecording]) -> Iterator[str]:

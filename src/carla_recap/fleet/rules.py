@@ -17,12 +17,12 @@ from dataclasses import dataclass
 from difflib import get_close_matches
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Final, Literal, get_args
+from typing import TYPE_CHECKING, Any, Final, Literal
 
 from carla_recap.errors import RecapError
 from carla_recap.fleet import conditions
 from carla_recap.fleet.conditions import ANY, LEAST, MEASURES, OBJECT, ROLE, Bounds, Facts, Offence, Selector
-from carla_recap.queries.incidents import Kind
+from carla_recap.queries.incidents import ALL_KINDS as KINDS
 from carla_recap.util.text import visible
 
 if TYPE_CHECKING:
@@ -32,9 +32,6 @@ if TYPE_CHECKING:
     from carla_recap.recording import Recording
 
 Status = Literal["pass", "fail", "error"]
-
-KINDS: Final[tuple[str, ...]] = get_args(Kind)
-"""The kinds of incidents that a rule can be about."""
 
 _LARGEST: Final = 1 << 20  # bytes of a file of rules
 _SHOWN: Final = 60  # characters of a wrong value in an error
@@ -307,7 +304,8 @@ def _collisions(fields: _Fields) -> Condition:
 
 
 def _incidents(fields: _Fields) -> Condition:
-    kinds = fields.texts("kind", f"one or a list of {', '.join(KINDS)}", KINDS)
+    given = fields.texts("kind", f"one or a list of {', '.join(KINDS)}", KINDS)
+    kinds = tuple(kind for kind in KINDS if kind in given)
     return conditions.IncidentCount(kinds, fields.selector("of"), Selector(), fields.counts())
 
 
