@@ -1,6 +1,9 @@
 from __future__ import annotations
 
 import math
+import sys
+import threading
+from collections import deque
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any
 
@@ -13,7 +16,8 @@ from carla_recap.model.frame import Header
 from carla_recap.model.records import Spawn
 from carla_recap.queries.blocked import BlockedRow, blocked
 from carla_recap.queries.output.text import text
-from tests.samples import time_limit
+from tests.cli.command import CROSSING
+from tests.samples import reading, time_limit
 
 if TYPE_CHECKING:
     from carla_recap.formats.base import Reader
@@ -300,3 +304,28 @@ def test_a_walker_that_lies_on_the_ground_is_not_blocked(make: Make) -> None:
     rows = [(row.id, row.start, row.duration) for row in blocked(make(*frames, durations=durations), 2)]
     assert rows == [(2, 0.0, 6.0), (3, 0.0, 6.0), (1, 0.0, 3.0)]
     assert [row.duration for row in blocked(make(*frames, durations=durations), 2, compat=True)] == [6.0] * 3
+
+
+def test_a_thread_that_holds_frames_of_others_changes_nothing() -> None:
+    """A profiler samples the frames of threads and keeps them, and with them views of what the query computes with."""
+    done = threading.Event()
+    held: deque[object] = deque(maxlen=1000)
+
+    def sample() -> None:
+        while not done.is_set():
+            held.extend(sys._current_frames().values())
+
+    sampler = threading.Thread(target=sample)
+    interval = sys.getswitchinterval()
+    sys.setswitchinterval(1e-5)
+    sampler.start()
+    try:
+        for compat in (False, True):
+            with reading(CROSSING) as reader:
+                found = blocked(reader, 10, compat=compat)
+            assert len(found) > 2
+    finally:
+        done.set()
+        sampler.join()
+        sys.setswitchinterval(interval)
+    assert held
