@@ -3,11 +3,14 @@
 from __future__ import annotations
 
 import shutil
+import signal
+import subprocess
+import time
 
 import pytest
 
 from carla_recap import open_recording
-from tests.cli.command import CROSSING, answer, error, run
+from tests.cli.command import COMMAND, CROSSING, ENVIRONMENT, TIMEOUT, answer, error, run
 
 web = pytest.importorskip("tests.web", reason="the extra `remote` is not installed")
 
@@ -49,6 +52,18 @@ def test_nothing_is_written_to_a_url(command):
     assert error(command, CROSSING, url) == (
         f"{url}: is a URL; a path was expected, since only files of this machine are written"
     )
+
+
+def test_ctrl_c_does_not_wait_for_a_server(tmp_path):
+    with web.serve(tmp_path) as server:
+        server.delay = 600
+        command = [COMMAND, "collisions", f"{server.url}/x.mcap"]
+        with subprocess.Popen(command, env=ENVIRONMENT, stdout=subprocess.PIPE, stderr=subprocess.PIPE) as process:
+            while not server.requests and process.poll() is None:
+                time.sleep(0.01)
+            process.send_signal(signal.SIGINT)
+            _, messages = process.communicate(timeout=TIMEOUT)
+    assert (process.returncode, messages.strip()) == (130, b"")
 
 
 # --- moments -----------------------------------------------------------------------------------------------

@@ -11,12 +11,12 @@ import re
 import tempfile
 from bisect import bisect_right
 from collections import deque
-from concurrent.futures import ThreadPoolExecutor
+from concurrent.futures import Future
 from datetime import timedelta
-from functools import lru_cache
+from functools import lru_cache, partial
 from shutil import disk_usage
-from threading import Lock
-from typing import TYPE_CHECKING, BinaryIO, Final, NamedTuple
+from threading import Lock, Thread
+from typing import TYPE_CHECKING, BinaryIO, Final, NamedTuple, TypeVar
 
 from carla_recap.errors import Closed, FormatError, MissingExtra, NotARecording, RecapError
 from carla_recap.formats.sources import WEB, outside, path_of, scheme_of
@@ -35,12 +35,14 @@ except ModuleNotFoundError:
     raise MissingExtra("a recording at a URL", "remote") from None
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Iterator, Sequence
+    from collections.abc import Callable, Iterable, Iterator, Sequence
 
     from obstore import GetOptions, ObjectMeta
     from obstore.store import ClientConfig, ObjectStore, RetryConfig
 
     from carla_recap.formats.sources import Span
+
+T = TypeVar("T")
 
 TAIL: Final = 512 << 10
 """The bytes at the end of an object that are fetched when it is opened."""
@@ -119,7 +121,8 @@ def list_objects(url: str) -> Iterator[ListedObject]:
     root = url[: len(url) - len(key)]
     root = root if root.endswith("/") else f"{root}/"
     try:
-        for listed in obstore.list(store, key or None, chunk_size=1000):
+        listing = obstore.list(store, key or None, chunk_size=1000)
+        while listed := _started(partial(next, listing, ())).result():
             for meta in listed:
                 modified = meta["last_modified"].timestamp()
                 yield ListedObject(root + meta["path"], meta["size"], modified, meta["e_tag"])
@@ -159,10 +162,9 @@ class RemoteSource:
         self._address = address_of(url)
         self._closed = False
         self._lock = Lock()
-        self._pool: ThreadPoolExecutor | None = None
         self._block = 0, b""  # the offset of the bytes that were read last, and these
         self.size, self.etag = 0, None
-        tail, meta = self._get({"range": {"suffix": TAIL}})
+        tail, meta = _started(partial(self._get, {"range": {"suffix": TAIL}})).result()
         self.size, self.etag = meta["size"], meta["e_tag"]
         self._tail = self.size - len(tail), tail
 
@@ -172,7 +174,8 @@ class RemoteSource:
         for begin, data in (self._tail, self._block):
             if begin <= offset and offset + size <= begin + len(data):
                 return data[offset - begin : offset - begin + size]
-        data = self._fetch(offset, max(size, min(_BLOCK, self._tail[0] - offset)), what)
+        fetched = max(size, min(_BLOCK, self._tail[0] - offset))
+        data = _started(partial(self._fetch, offset, fetched, what)).result()
         self._block = offset, data
         return data[:size]
 
@@ -183,16 +186,15 @@ class RemoteSource:
         if first is None:
             return
         yield from _each(self._fetch_all(first, what))
-        with ThreadPoolExecutor(1, "carla-recap-ahead") as ahead:
-            # The second window is asked for when all of the first one was used: many a read ends there.
-            coming = None
-            for window in windows:
-                fetched = coming.result() if coming is not None else None
-                coming = ahead.submit(self._fetch_all, window, what)
-                if fetched is not None:
-                    yield from _each(fetched)
-            if coming is not None:
-                yield from _each(coming.result())
+        # The second window is asked for when all of the first one was used: many a read ends there.
+        coming: Future[deque[bytes]] | None = None
+        for window in windows:
+            fetched = coming.result() if coming is not None else None
+            coming = _started(partial(self._fetch_all, window, what))
+            if fetched is not None:
+                yield from _each(fetched)
+        if coming is not None:
+            yield from _each(coming.result())
 
     def start(self) -> bytes:
         """Return the first bytes, which say the format."""
@@ -211,9 +213,6 @@ class RemoteSource:
         """Forget the bytes; do nothing if that was done."""
         self._closed = True
         self._tail = self._block = 0, b""
-        if self._pool is not None:
-            self._pool.shutdown(wait=False)
-            self._pool = None
 
     def _check(self, offset: int, size: int, what: str) -> None:
         if offset < 0 or size < 0 or offset + size > self.size:
@@ -226,8 +225,7 @@ class RemoteSource:
             self._check(offset, size, what)
         begin, tail = self._tail
         joined = _joined(spans, begin)
-        fetch = self._threads().map if len(joined) > 1 else map
-        parts = list(fetch(lambda span: self._fetch(span[0], span[1], what), joined))
+        parts = _at_once(lambda span: self._fetch(span[0], span[1], what), joined)
         starts, parts = [*(offset for offset, _ in joined), begin], [*parts, tail]
         found = deque[bytes]()
         for offset, size in spans:
@@ -273,11 +271,40 @@ class RemoteSource:
     def _changed(self) -> RecapError:
         return RecapError(f"{self.location}: has changed while it was read; try it again")
 
-    def _threads(self) -> ThreadPoolExecutor:
-        with self._lock:
-            if self._pool is None:
-                self._pool = ThreadPoolExecutor(_AT_ONCE, "carla-recap-remote")
-            return self._pool
+
+def _started(function: Callable[[], T]) -> Future[T]:
+    """Call a function in a thread of its own, so that Ctrl-C does not wait for a server."""
+    future: Future[T] = Future()
+
+    def work() -> None:
+        try:
+            future.set_result(function())
+        except BaseException as error:
+            future.set_exception(error)
+
+    Thread(target=work, name="carla-recap-remote", daemon=True).start()
+    return future
+
+
+def _at_once(fetch: Callable[[Span], bytes], spans: Sequence[Span]) -> list[bytes]:
+    """Return what is fetched for each of some spans, with several requests at the same time."""
+    parts = dict.fromkeys(range(len(spans)), b"")
+    waiting = deque(enumerate(spans))
+
+    def work() -> None:
+        while waiting:
+            try:
+                index, span = waiting.popleft()
+            except IndexError:  # another thread has taken the last one
+                return
+            parts[index] = fetch(span)
+
+    try:
+        for future in [_started(work) for _ in range(min(len(spans), _AT_ONCE))]:
+            future.result()
+    finally:
+        waiting.clear()
+    return list(parts.values())
 
 
 def copy_of(url: str) -> BinaryIO:
