@@ -7,12 +7,21 @@ import sys
 import traceback
 from pathlib import Path
 
-from benchmarks import core, exports, fleet, rendering, roads, server, simulator
+from benchmarks import core, exports, fleet, remote, rendering, roads, server, simulator
 from benchmarks.hour import FRAMES, cached
 from benchmarks.measuring import Subject, in_new_process, measure
 
 REAL = Path("../shared/data/carla-logs/carla-0.9.13-lane-center.log")
-ROWS = (*core.ROWS, *fleet.ROWS, *exports.ROWS, *rendering.ROWS, *simulator.ROWS, *server.ROWS, *roads.ROWS)
+ROWS = (
+    *core.ROWS,
+    *fleet.ROWS,
+    *remote.ROWS,
+    *exports.ROWS,
+    *rendering.ROWS,
+    *simulator.ROWS,
+    *server.ROWS,
+    *roads.ROWS,
+)
 WIDTHS = (46, 18, 18, 18, 8)
 
 
