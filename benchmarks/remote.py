@@ -30,14 +30,16 @@ def remote(subject: Subject) -> Iterator[Line]:
         server.delay = DELAY
         url = f"{server.url}/{subject.mcap.name}"
         for name, query in QUERIES.items():
-            server.reset()
-            started = time.perf_counter()
-            with open_recording(url) as recording:
-                query(recording)
-            seconds = time.perf_counter() - started
+            taken = []
+            for _ in range(3):
+                server.reset()
+                started = time.perf_counter()
+                with open_recording(url) as recording:
+                    query(recording)
+                taken.append(time.perf_counter() - started)
             read = f"{len(server.requests)} req, {server.sent / 1e6:.2f} MB"
             ok = len(server.requests) <= REQUESTS and server.sent <= BYTES
-            yield Line(f"{name}, remote .mcap, {seconds:.2f} s", read, "", f"≤ {REQUESTS} req, {BYTES / 1e6:g} MB", ok)
+            yield Line(f"{name}, remote .mcap, {min(taken):.2f} s", read, "", f"≤ {REQUESTS} req, {BYTES / 1e6:g} MB", ok)
 
 
 ROWS: Final = (remote,)
