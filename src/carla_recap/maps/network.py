@@ -11,6 +11,7 @@ from collections import defaultdict
 from contextlib import suppress
 from functools import lru_cache
 from io import BytesIO
+from itertools import pairwise
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final, NamedTuple
 
@@ -53,6 +54,7 @@ _SPACING: Final = 1.0  # m between the points at which the course of a road is e
 _MOST_POINTS: Final = 300_000  # at which roads are examined
 _MOST_PIECES: Final = 1_000_000
 _MOST_LINES: Final = 20_000
+_MOST_PLACES: Final = 200  # at which a signal applies
 _MOST_NAME: Final = 64  # characters of an id
 _NARROW: Final = 0.02  # m
 _BEFORE_END: Final = 1e-6  # m
@@ -63,6 +65,7 @@ _SAME_HEADING: Final = np.cos(np.radians(15))
 
 _CELL: Final = 0.5  # m
 _MOST_CELLS: Final = 400  # along a side of a junction
+_MOST_CELLS_OF_ALL: Final = 8_000_000  # of all junctions
 _MOST_GAPS: Final = 200_000  # pieces that fill gaps, of all junctions
 _LARGEST_GAP: Final = 100.0  # square metres; the island of a roundabout is larger
 
@@ -190,15 +193,18 @@ class _LaneMaker:
         self._count = 0
         spacing = max(_SPACING, sum(road.length for road in found) / _MOST_POINTS)
         for number, road in enumerate(found):
+            signs = list(_signs(road))
             for index, section in enumerate(road.sections):
-                self._add(number, road, index, section, spacing)
+                self._add(number, road, index, section, signs, spacing)
 
     def tables(self) -> tuple[NDArray[np.void], NDArray[np.void]]:
         """Return the lanes and the pieces."""
         pieces = np.concatenate(self._pieces) if self._pieces else np.zeros(0, roads.PIECE)
         return np.array(self._lanes, roads.LANE), pieces
 
-    def _add(self, number: int, road: Road, index: int, section: RoadSection, spacing: float) -> None:
+    def _add(
+        self, number: int, road: Road, index: int, section: RoadSection, signs: Sequence[_LimitSign], spacing: float
+    ) -> None:
         lanes = (*section.left[::-1], *section.right)
         if not any(lane.kind in _KINDS for lane in lanes):
             return
@@ -206,7 +212,8 @@ class _LaneMaker:
         dense = np.linspace(start, end, max(int((end - start) / spacing), 3) + 1)
         points, _, _, offsets = _courses(road, section, dense)
         stations = sparse_stations(dense, points[[0, len(section.left), -1]])
-        changes = [station for station, _ in _limits_of(road) if start + 0.1 < station < end - 0.1]
+        changes = [*(station for station, _ in road.limits), *(sign.station for sign in signs)]
+        changes = [station for station in changes if start + 0.1 < station < end - 0.1]
         stations = np.union1d(stations, changes)
         points, lefts, _headings, offsets = _courses(road, section, stations)
         junction = self.junctions[road.junction] if road.in_junction else roads.NONE
@@ -218,7 +225,7 @@ class _LaneMaker:
                 continue
             pieces = _pieces(stations, (left + right) / 2, lefts, wide / 2, reverse=lane.id > 0)
             middles = (stations[1:] + stations[:-1]) / 2
-            limits = _limits(road, section, lane, middles)
+            limits = _limits(road, section, lane, signs, middles)
             pieces["limit"] = limits[::-1] if lane.id > 0 else limits
             good = np.all(
                 [np.isfinite(pieces[name]) for name in roads.PIECE.names or () if name not in ("lane", "limit")], axis=0
@@ -281,19 +288,15 @@ def _side(ahead: bool | None) -> tuple[tuple[int, int], ...]:
     return {True: ((-1000, -1),), False: ((1, 1000),), None: ((-1000, 1000),)}[ahead]
 
 
-def _limits_of(road: Road) -> list[tuple[float, float]]:
-    return [*road.limits, *((sign.station, sign.limit) for sign in _signs(road))]
-
-
-def _limits(road: Road, section: RoadSection, lane: RoadLane, stations: Floats) -> Floats:
+def _limits(road: Road, section: RoadSection, lane: RoadLane, signs: Sequence[_LimitSign], stations: Floats) -> Floats:
     """Return the speed limits of a lane: its own, else the higher one of those of the road and of the sign before."""
     own = _stepwise(lane.limits, stations - section.start)
     of_road = _stepwise(road.limits, stations)
-    signs = [(sign.station, sign.limit) for sign in _signs(road) if _is_among(lane.id, sign.lanes)]
+    of_lane = [(sign.station, sign.limit) for sign in signs if _is_among(lane.id, sign.lanes)]
     if lane.id > 0:
-        signed = _stepwise(sorted((road.length - station, limit) for station, limit in signs), road.length - stations)
+        signed = _stepwise(sorted((road.length - station, limit) for station, limit in of_lane), road.length - stations)
     else:
-        signed = _stepwise(sorted(signs), stations)
+        signed = _stepwise(sorted(of_lane), stations)
     return np.where(np.isfinite(own), own, np.fmax(of_road, signed))
 
 
@@ -331,7 +334,7 @@ class _Signals:
         for id, (number, signal) in signals.items():
             if len(self._lines) >= _MOST_LINES:
                 break
-            self._add(id, found[number], signal, places[id])
+            self._add(id, found[number], signal, places[id][:_MOST_PLACES])
 
     def tables(self) -> tuple[NDArray[np.void], NDArray[np.void], tuple[str, ...]]:
         """Return the signals, the stop lines, and the ids of the signals."""
@@ -405,14 +408,19 @@ def _is_same(line: _Cross, other: _Cross) -> bool:
 
 def _gaps(network: RoadNetwork) -> tuple[NDArray[np.void], NDArray[np.void]]:
     """Return the lanes and pieces of a network, with others for what the lanes of a junction enclose."""
-    lanes, pieces, count = [network.lanes], [network.pieces], 0
+    lanes, pieces, count, cells = [network.lanes], [network.pieces], 0, 0
     junctions = network.lanes["junction"][network.pieces["lane"]]
-    for junction in range(len(network.junction_ids)):
-        of_it = network.pieces[junctions == junction]
-        if not len(of_it) or count >= _MOST_GAPS:
+    order = np.argsort(junctions, kind="stable")
+    bounds = np.searchsorted(junctions[order], np.arange(len(network.junction_ids) + 1)).tolist()
+    for junction, (first, last) in enumerate(pairwise(bounds)):
+        if first == last or count >= _MOST_GAPS:
             continue
-        gaps = _enclosed(network, of_it)
-        count += len(gaps)
+        of_it = network.pieces[order[first:last]]
+        low, shape = _extent(of_it)
+        if max(shape) > _MOST_CELLS or cells > _MOST_CELLS_OF_ALL:
+            continue
+        gaps = _enclosed(network, of_it, low, shape)
+        count, cells = count + len(gaps), cells + shape[0] * shape[1]
         if len(gaps):
             gaps["lane"] = sum(map(len, lanes))
             lanes.append(np.array([(roads.NONE, 0, 0, roads.GAP, junction)], roads.LANE))
@@ -420,17 +428,20 @@ def _gaps(network: RoadNetwork) -> tuple[NDArray[np.void], NDArray[np.void]]:
     return np.concatenate(lanes), np.concatenate(pieces)
 
 
-def _enclosed(network: RoadNetwork, pieces: NDArray[np.void]) -> NDArray[np.void]:
-    """Return strips that cover the areas which the lanes of a junction enclose, but not those of large islands."""
+def _extent(pieces: NDArray[np.void]) -> tuple[Floats, tuple[int, int]]:
+    """Return the corner of the least x and y around pieces, and the number of cells from there along x and y."""
     points = np.concatenate([np.stack((pieces[f"x{end}"], pieces[f"y{end}"]), axis=1) for end in "01"])
     reach = float(max(pieces["half0"].max(), pieces["half1"].max())) + 2 * _CELL
     low, high = points.min(axis=0) - reach, points.max(axis=0) + reach
-    columns, rows = np.ceil((high - low) / _CELL).astype(np.int64) + 1
-    empty = np.zeros(0, roads.PIECE)
-    if max(columns, rows) > _MOST_CELLS:
-        return empty
+    columns, rows = (np.ceil((high - low) / _CELL).astype(np.int64) + 1).tolist()
+    return low, (columns, rows)
+
+
+def _enclosed(network: RoadNetwork, pieces: NDArray[np.void], low: Floats, shape: tuple[int, int]) -> NDArray[np.void]:
+    """Return strips that cover the areas which the lanes of a junction enclose, but not those of large islands."""
+    columns, rows = shape
     x, y = np.meshgrid(low[0] + np.arange(columns) * _CELL, low[1] + np.arange(rows) * _CELL, indexing="ij")
-    free = (network.lanes_at(np.stack((x.ravel(), y.ravel()), axis=1)).outside > 0).reshape(columns, rows)
+    free = ~network.on_road(np.stack((x.ravel(), y.ravel()), axis=1)).reshape(shape)
     gaps = np.zeros_like(free)
     for area in _areas(free):
         if len(area) * _CELL**2 <= _LARGEST_GAP:

@@ -146,6 +146,10 @@ class RoadNetwork:
             outside=found["outside"],
         )
 
+    def on_road(self, points: Floats) -> Flags:
+        """Return whether points, (n, 2) or (n, 3), are on paved lanes or in junctions."""
+        return np.asarray(self._near.find(np.asarray(points, np.float64), None)["outside"] <= 0)
+
     def __getstate__(self) -> dict[str, Any]:
         return {name: value for name, value in self.__dict__.items() if name not in ("_near", "_far")}
 

@@ -9,18 +9,21 @@ import pytest
 
 from carla_recap.errors import RecapError
 from carla_recap.formats import open_reader
-from carla_recap.maps.network import build_network, find_road_network
+from carla_recap.maps.network import build_network, find_road_network, load_road_network
 from carla_recap.model.frame import Header
 from carla_recap.model.records import Spawn, attributes
 from carla_recap.queries.actors import actors
 from carla_recap.queries.incidents import incidents
 from carla_recap.queries.measures.road import TYPES, RoadEvent, RoadSearch
+from carla_recap.queries.measures.traffic_lights import LightHistory
 from carla_recap.sim import VehicleControl, World
 from carla_recap.sim.scenarios.places import spawn_on_lane
 from carla_recap.sim.town.town import SignalKind
 from carla_recap.sim.traffic.spawning import populate
 from tests.maps.straight_road import LIGHT_POSITION, STRAIGHT_ROAD
+from tests.maps.towns import town
 from tests.queries.conftest import write
+from tests.samples import carla_log
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator, Sequence
@@ -400,5 +403,22 @@ def events_in(recording: Path) -> list[RoadEvent]:
     reader = open_reader(recording)
     try:
         return Drives(roads, recording).search(reader)
+    finally:
+        reader.close()
+
+
+# --- recordings of CARLA -------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("name", ["carla-0.9.10-lane-center.log", "carla-0.9.13-lane-center.log"])
+def test_a_calm_drive_in_town01_breaks_no_rule(name: str) -> None:
+    roads = load_road_network(town("Town01"))
+    reader = open_reader(carla_log(name))
+    try:
+        search = RoadSearch(reader, roads, actors(reader))
+        for batch in reader.batches(TYPES):
+            search.add(batch)
+        assert search.finish() == []
+        assert len(LightHistory(reader, roads).signals) == 36  # all lights of the map are recorded
     finally:
         reader.close()
