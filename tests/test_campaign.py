@@ -40,7 +40,7 @@ def test_the_campaign_is_checked(runs, tmp_path):
         ("seed-13.mcap", "no-hero-collision"),
         ("seed-13.mcap", "keeps-its-distance"),
     ]
-    assert len(cases) == 12
+    assert len(cases) == 14
     assert [path.name for path in (tmp_path / "pages" / "pages").iterdir()] == ["seed-13.html"]
     assert [path.name for path in (tmp_path / "pages" / "clips").iterdir()] == ["seed-13.mcap"]
 

@@ -3,14 +3,18 @@
 from __future__ import annotations
 
 import json
+import os
 import shutil
+import signal
+import subprocess
+import time
 from pathlib import Path
 from xml.etree import ElementTree
 
 import pytest
 
-from tests.cli.command import error, on_terminal, run
-from tests.samples import names_in, save
+from tests.cli.command import COMMAND, ENVIRONMENT, TIMEOUT, error, on_terminal, run
+from tests.samples import names_in, save, time_limit
 
 ROOT = Path(__file__).parents[2]
 SAMPLES = ROOT / "samples"
@@ -39,7 +43,7 @@ def test_verdicts_are_printed_the_worst_first(runs):
         ("pass", "junction.mcap"),
     ]
     assert "no-hero-collision   12.10 s  2 collisions of the hero" in lines[1]
-    assert lines[-1] == f"1 passed, 1 failed, 1 not judged; 3 recordings, 6 rules of {RULES}"
+    assert lines[-1] == f"1 passed, 1 failed, 1 not judged; 3 recordings, 7 rules of {RULES}"
     assert (done.returncode, done.stderr) == (2, b"")
 
 
@@ -72,7 +76,7 @@ def test_junit(runs, tmp_path):
     done = run("check", runs, "--rules", RULES, "--junit", tmp_path / "out.xml", "--jobs", "1")
     assert done.returncode == 1
     suites = ElementTree.parse(tmp_path / "out.xml").getroot()
-    assert (suites.get("tests"), suites.get("failures"), suites.get("errors")) == ("12", "3", "0")
+    assert (suites.get("tests"), suites.get("failures"), suites.get("errors")) == ("14", "3", "0")
 
 
 def test_on_a_terminal_verdicts_are_a_table(runs):
@@ -122,3 +126,37 @@ def test_a_source_without_recordings_is_an_error_among_the_verdicts(runs, tmp_pa
     done = run("check", runs, tmp_path / "empty", "--rules", RULES)
     assert done.returncode == 2
     assert "1 passed, 1 failed, 1 not judged" in done.stdout.decode()
+
+
+def test_names_that_are_no_text_are_printed_and_written(tmp_path):
+    name = os.fsdecode(b"caf\xe9 <&\x1b[31m.mcap")
+    shutil.copy(SAMPLES / "crash.mcap", tmp_path / name)
+    for form in ("--json", "--text"):
+        options = ("--html", tmp_path / form, "--junit", tmp_path / "out.xml")
+        done = run("check", tmp_path / name, "--rules", RULES, form, *options)
+        assert (done.returncode, done.stderr) == (1, b"")
+    assert b"caf\\udce9 <&\\x1b[31m.mcap" in done.stdout
+    assert len(names_in(tmp_path / "--text" / "pages")) == 1
+    assert (
+        next(ElementTree.parse(tmp_path / "out.xml").iter("testcase"))
+        .get("classname")
+        .endswith("caf\ufffd <&\ufffd[31m.mcap")
+    )
+
+
+def test_an_interrupt_ends_it_and_leaves_no_pages(tmp_path):
+    (tmp_path / "runs").mkdir()
+    for number in range(400):
+        (tmp_path / "runs" / f"{number}.mcap").symlink_to(SAMPLES / "crash.mcap")
+    command = [COMMAND, "check", "-", "--rules", RULES, "--html", "out", "--jobs", "2"]
+    with subprocess.Popen(command, cwd=tmp_path, stdin=subprocess.PIPE, stdout=subprocess.PIPE, env=ENVIRONMENT) as process:
+        process.stdin.write(b"runs\n")
+        process.stdin.close()
+        with time_limit(TIMEOUT):
+            while not list(tmp_path.glob(".out.*.partial")):
+                assert process.poll() is None
+                time.sleep(0.01)
+            process.send_signal(signal.SIGINT)
+            assert process.wait() == 130
+        assert process.stdout.read() == b""
+    assert names_in(tmp_path) == ["runs"]

@@ -12,7 +12,7 @@ from carla_recap.errors import RecapError
 from carla_recap.fleet.rules import parse_rules
 from carla_recap.formats.mcap.reader import McapReader
 from carla_recap.recording import Recording
-from tests.samples import save, time_limit
+from tests.samples import carla_log, save, time_limit, warnings_ignored
 
 ROOT = Path(__file__).parents[2]
 SAMPLES = ROOT / "samples"
@@ -211,17 +211,16 @@ def test_a_failure_has_the_time_the_actors_and_all_offences():
 
 
 def test_verdicts_are_in_the_order_of_the_rules():
+    rules = load_rules(SAMPLES / "rules.toml")
     with open_recording(SAMPLES / "crash.mcap") as recording:
-        found = check(recording, load_rules(SAMPLES / "rules.toml"))
-    assert [each.rule for each in found] == [
+        found = check(recording, rules)
+    assert [each.rule for each in found] == [rule.name for rule in rules]
+    assert [each.rule for each in found if each.status == "fail"] == [
         "no-hero-collision",
         "keeps-its-distance",
-        "gentle-braking",
         "nobody-blocked",
-        "one-hero",
-        "complete",
     ]
-    assert [each.status for each in found] == ["fail", "fail", "pass", "fail", "pass", "pass"]
+    assert {each.status for each in found} == {"pass", "fail"}
 
 
 def test_a_rule_about_collisions_reads_a_small_part_of_the_recording(driven):
@@ -232,6 +231,13 @@ def test_a_rule_about_collisions_reads_a_small_part_of_the_recording(driven):
         for frame in reader.frames(("transforms",)):
             assert len(frame["transforms"])
         assert once < (reader.bytes_read - once) / 1.5
+
+
+def test_times_that_are_no_numbers_are_left_out():
+    with warnings_ignored(), open_recording(carla_log("times.log")) as recording:
+        (found,) = check(recording, parse_rules("[rules.it]\ncollisions = { max = 0 }", "rules.toml"))
+    assert (found.status, found.time) == ("fail", None)
+    assert found.message == "22 collisions instead of at most 0: v (13) collides with v (5)"
 
 
 def test_a_damaged_recording_gives_errors_and_the_rules_that_can_be_judged_are(tmp_path):

@@ -123,7 +123,7 @@ def _show(checked: Sequence[CheckedRecording], rules: RuleSet, form: str | None)
 
     ordered = sorted(checked, key=lambda each: WORST_FIRST.index(each.status))
     if form == "json":
-        click.echo(json.dumps(_plain(ordered, rules), indent=1))
+        click.echo(json.dumps(_plain(ordered, rules), indent=1, allow_nan=False))
         return
     rows = [row for each in ordered for row in _rows(each)]
     if form is None and sys.stdout.isatty():
@@ -133,7 +133,9 @@ def _show(checked: Sequence[CheckedRecording], rules: RuleSet, form: str | None)
         for row in rows:
             cells = [cell.ljust(width) for cell, width in zip(row, widths, strict=False)]
             click.echo("  ".join((*(cell for cell, width in zip(cells, widths, strict=True) if width), row[4])))
-    click.echo(f"{summary(checked)}; {_many(len(checked), 'recording')}, {_many(len(rules), 'rule')} of {rules.path}")
+    click.echo(
+        f"{summary(checked)}; {_many(len(checked), 'recording')}, {_many(len(rules), 'rule')} of {visible(rules.path)}"
+    )
 
 
 def _rows(checked: CheckedRecording) -> list[tuple[str, str, str, str, str]]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, field
 from functools import partial
 from typing import TYPE_CHECKING, Final
@@ -93,4 +94,4 @@ def _checked(rules: RuleSet, road_map: str | None, source: SourceFile) -> tuple[
             extent = recording.reader.extent()
         except RecapError:  # which the verdicts say
             return map_name, 0, 0.0, verdicts
-        return map_name, extent.frames, extent.duration, verdicts
+        return map_name, extent.frames, extent.duration if math.isfinite(extent.duration) else 0.0, verdicts

@@ -187,6 +187,7 @@ def _verdict(rule: Rule, facts: Facts) -> Verdict:
         return Verdict(rule.name, "error", visible(error.strerror or str(error)))
     if passes:
         return Verdict(rule.name, "pass", visible(message))
+    offences = tuple(each if math.isfinite(each.time or 0.0) else each._replace(time=None) for each in offences)
     details = [each.text if each.time is None else f"{each.time:.2f} s: {each.text}" for each in offences[:_LISTED]]
     if len(offences) > _LISTED:
         details.append(f"and {len(offences) - _LISTED} more")
