@@ -190,6 +190,12 @@ def test_a_terminal_gets_a_table_with_errors(runs):
     assert shown.splitlines()[-1] == "6 rows; 4 recordings, 1 failed"
 
 
+def test_text_on_a_terminal_has_spaces_for_tabs(whole):
+    code, shown, _ = on_terminal("info", "runs", "--text")
+    assert code == 0
+    assert shown == answer("info", "runs").replace("\t", "  ")
+
+
 def test_a_table_without_errors_has_no_column_for_them(whole):
     code, shown, _ = on_terminal("blocked", "runs")
     assert code == 0

@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 import re
 import signal
+import sys
 from contextlib import ExitStack, closing
 from functools import partial
 from time import monotonic
@@ -143,11 +144,12 @@ class _TextPrinter:
     def __init__(self, bar: SourcesBar) -> None:
         self._out = _Output(bar)
         self._is_headed = False
+        self._is_terminal = sys.stdout.isatty()
 
     def add(self, given: RecordingAnswer) -> None:
         for piece in given.pieces:
             self._head(given)
-            self._out.write(str(piece))
+            self._write(str(piece))
         self._head(given)
         self._out.pause()
 
@@ -161,19 +163,24 @@ class _TextPrinter:
 
         self._is_headed = True
         if line := heading(given.kind.__name__):
-            self._out.write(f"Recording\t{line}")
+            self._write(f"Recording\t{line}")
+
+    def _write(self, lines: str) -> None:
+        if self._is_terminal:  # where tabs are shown as escape sequences, as all that controls it
+            lines = re.sub(r"(?m)^([^\t\n]*)\t", r"\1  ", lines)
+        self._out.write(lines)
 
 
 class _JsonPrinter:
     """Prints one JSON object: the rows of all recordings, then the recordings, whose text waits in a file."""
 
     def __init__(self, bar: SourcesBar) -> None:
-        from tempfile import TemporaryFile
+        from tempfile import SpooledTemporaryFile
 
         self._out = _Output(bar)
         self._out.write('{"rows": [')
         self._separator = "\n"
-        self._recordings = TemporaryFile("w+")  # noqa: SIM115 - which ends with the process
+        self._recordings = SpooledTemporaryFile(_MEGABYTE, "w+")  # noqa: SIM115 - which ends with the process
 
     def add(self, given: RecordingAnswer) -> None:
         from carla_recap.queries.output.json import encoded, facts
