@@ -122,7 +122,7 @@ def test_clip(tmp_path):
 
 
 def test_clips(tmp_path):
-    words = said("clips", CROSSING, tmp_path / "clips", "--collisions", "--before", "1", "--after", "1")
+    words = said("clips", CROSSING, tmp_path / "clips", "--kinds", "collision", "--before", "1", "--after", "1")
     names = sorted(path.name for path in (tmp_path / "clips").iterdir())
     assert names == [
         f"{name}{suffix}"

@@ -118,12 +118,12 @@ def test_speeds_can_be_left_out(make: Make) -> None:
 
 OPTIONS: list[dict[str, Any]] = [
     {},
-    {"blocked": False},
-    {"collisions": False},
-    {"braking": False},
+    {"kinds": ["collision", "hard braking"]},
+    {"kinds": ["blocked", "hard braking"]},
+    {"kinds": ["collision", "blocked"]},
     {"deceleration": 3.0},
-    {"blocked": False, "start": 2.0},
-    {"blocked": False, "braking": False, "start": 1.0, "stop": 3.0},
+    {"kinds": ["collision", "hard braking"], "start": 2.0},
+    {"kinds": ["collision"], "start": 1.0, "stop": 3.0},
 ]
 
 

@@ -82,7 +82,7 @@ def test_a_calm_drive_has_none(name: str, opened: Callable[[Path], Reader]) -> N
 
 def test_collisions_alone_read_the_events_and_their_places(driven: Path) -> None:
     with closing(McapReader(driven)) as reader:
-        incidents(reader, blocked=False, braking=False)
+        incidents(reader, kinds=["collision"])
         once = reader.bytes_read
         for frame in reader.frames(("transforms",)):
             assert len(frame["transforms"])
@@ -93,7 +93,7 @@ def test_collisions_alone_read_the_events_and_their_places(driven: Path) -> None
 
 
 def collided(reader: Reader) -> list[Any]:
-    return list(incidents(reader, blocked=False, braking=False))
+    return list(incidents(reader, kinds=["collision"]))
 
 
 def test_a_contact_is_one_incident(make: Make) -> None:
@@ -156,7 +156,7 @@ def test_the_actor_is_the_one_that_had_the_id_then(make: Make) -> None:
 
 def test_only_vehicles_and_walkers_are_blocked(make: Make) -> None:
     still = {"transforms": [pose(id, 100.0 * id, 50.0) for id in (2, 3, 4, 99)]}
-    rows = list(incidents(make({"spawned": CAST, **still}, *[still] * 9), min_time=2.0, braking=False))
+    rows = list(incidents(make({"spawned": CAST, **still}, *[still] * 9), min_time=2.0, kinds=["collision", "blocked"]))
     assert [(row.actors, row.start) for row in rows] == [((2,), TICK), ((3,), TICK)]
     assert (rows[0].x, rows[0].y, rows[0].z) == (2.0, -0.5, 0.5)
     assert rows[1].text.startswith("vehicle.b (3) stands still for ")
@@ -192,7 +192,7 @@ def drive(
 
 def braked(path: Path, **options: Any) -> list[Any]:
     with reading(path) as reader:
-        return list(incidents(reader, blocked=False, collisions=False, **options))
+        return list(incidents(reader, kinds=["hard braking"], **options))
 
 
 @pytest.mark.parametrize("recorded", [False, True])
@@ -310,3 +310,40 @@ def test_reports(make: Make) -> None:
     assert row == asdict(answer[0]) | {"actors": [1], "type_ids": ["vehicle.audi.tt"]}
     assert "     0.5        0.0 collision    hero collides with something that is no actor\n" in "".join(text(answer))
     table(answer)
+
+
+# --- near misses ---------------------------------------------------------------------------------------
+
+
+def crossing(seconds: float, hero: int = 0) -> list[dict[str, Any]]:
+    """Return frames in which car 5 crosses the path of car 3, some seconds after it has left."""
+    frames: list[dict[str, Any]] = []
+    for index in range(121):
+        time = index / RATE
+        one = (3, -2000.0 + 1000 * time, 0.0, 0.0, 0.0, 0.0, 0.0)
+        other = (5, 0.0, 2600.0 + 1000 * (seconds - time), 0.0, 0.0, 0.0, -90.0)
+        frames.append({"transforms": [one, other]})
+    boxes = [(id, 0.0, 0.0, 75.0, 200.0, 100.0, 75.0) for id in (3, 5)]
+    cars = [spawn(3, 1, "vehicle.b"), spawn(5, 1, "vehicle.d", **({"role_name": "hero"} if hero else {}))]
+    frames[0] |= {"spawned": cars, "bounding_boxes": boxes}
+    return frames
+
+
+def test_near_misses(make: Make) -> None:
+    reader = make(*crossing(0.4), durations=[1 / RATE] * 120 + [LAST_FRAME_DURATION])
+    (row,) = incidents(reader, kinds=["near miss"])
+    assert (row.kind, row.actors, row.type_ids) == ("near miss", (5, 3), ("vehicle.d", "vehicle.b"))
+    assert row.text == "vehicle.d (5) crosses the path of vehicle.b (3) 0.4 s after it at 36 km/h"
+    assert (row.start, row.stop) == (pytest.approx(2.3, abs=0.06), pytest.approx(2.7, abs=0.06))
+    assert (row.x, row.y) == (0.0, pytest.approx(-3.0, abs=0.6))
+    assert list(incidents(reader, kinds="all")) == [row]
+    assert incidents(reader) == []
+
+
+@pytest.mark.parametrize("kinds", ["near miss", ["near misses"], ["red light"]])
+def test_kinds_that_do_not_exist_or_take_roads(make: Make, kinds: Any) -> None:
+    if kinds == "near miss":
+        assert incidents(make({"spawned": CAST}), kinds=kinds) == []
+    else:
+        with pytest.raises(RecapError, match=r"kinds of incidents are|need its map"):
+            incidents(make({"spawned": CAST}), kinds=kinds)

@@ -6,7 +6,7 @@ import sys
 from contextlib import ExitStack
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Final
+from typing import TYPE_CHECKING, Final, Literal
 
 import click
 from click.core import ParameterSource
@@ -20,6 +20,7 @@ if TYPE_CHECKING:
     from carla_recap.export.report import Pictures
     from carla_recap.export.rerun.blueprint import View
     from carla_recap.export.video.cameras import VideoView
+    from carla_recap.queries.incidents import Kind
     from carla_recap.replay.follow import Follow
 
 VIEWERS: Final = {".rrd": "rerun", ".mcap": "foxglove"}
@@ -171,9 +172,7 @@ def _export_exchanged(ctx: click.Context, source: str, destination: str, to: str
 @options.source
 @options.folder
 @options.force
-@click.option("--collisions", is_flag=True, help="Of collisions; without any of these three, of all incidents.")
-@click.option("--blocked", is_flag=True, help="Of long stops of vehicles and walkers.")
-@click.option("--braking", is_flag=True, help="Of vehicles that braked hard.")
+@options.kinds
 @options.before
 @options.after
 @click.option(
@@ -191,9 +190,7 @@ def _export_exchanged(ctx: click.Context, source: str, destination: str, to: str
 def clips(
     source: str,
     folder: str,
-    collisions: bool,
-    blocked: bool,
-    braking: bool,
+    kinds: tuple[Kind, ...] | Literal["all"] | None,
     suffix: str,
     rrd: bool | None,
     video: bool,
@@ -209,18 +206,18 @@ def clips(
     """Cut a clip of each incident, into a folder."""
     from carla_recap.cli.progress import watch_incidents
     from carla_recap.export.clips import clips as run
+    from carla_recap.fleet.roads import roads_for
     from carla_recap.recording import open_recording
 
-    every = not (collisions or blocked or braking)
     with open_recording(source) as recording:
+        network = roads_for(kinds, recording.reader, road_map)
         roads = options.road_map_of(recording, road_map) if rrd is not False else None
         town = partial(options.town_of, recording, road_map)
     written = run(
         source,
         folder,
-        collisions=collisions or every,
-        blocked=blocked or every,
-        braking=braking or every,
+        kinds=kinds,
+        roads=network,
         before=before,
         after=after,
         suffix=f".{suffix}",

@@ -83,6 +83,24 @@ class _Measured(click.ParamType[Any]):
         return int(value)
 
 
+class _Kinds(click.ParamType[Any]):
+    """Kinds of incidents, with commas between them, or all."""
+
+    name = "kinds"
+
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Any:
+        from carla_recap.queries import incidents
+
+        if value == "all" or not isinstance(value, str):
+            return value
+        kinds = tuple(kind.strip().replace("-", " ") for kind in value.split(","))
+        for kind in kinds:
+            if kind not in incidents.ALL_KINDS:
+                names = ", ".join(known.replace(" ", "-") for known in incidents.ALL_KINDS)
+                self.fail(f"{kind!r} is no kind of incident; there are {names}, and all.", param, ctx)
+        return kinds
+
+
 class _View(click.ParamType[Any]):
     """A view of the software renderer: its name, or the id of a recorded camera."""
 
@@ -113,6 +131,7 @@ POSITIVE = _Number(0, exclusive=True)
 TIME = _Number()
 FOLLOW = _Follow()
 MEASURED = _Measured()
+KINDS = _Kinds()
 SIZE = _Size()
 VIEW = _View()
 
@@ -182,6 +201,13 @@ before = click.option(
     "--before", type=NUMBER, default=AROUND, show_default=True, metavar="S", help="Seconds before an incident."
 )
 after = click.option("--after", type=NUMBER, default=AROUND, show_default=True, metavar="S", help="Seconds after it.")
+kinds = click.option(
+    "--kinds",
+    type=KINDS,
+    metavar="all|KIND,...",
+    help="The kinds of incidents: collision, blocked, hard-braking (these three if none are given), near-miss, and with a "
+    "map red-light, stop-sign, off-road, wrong-way, speeding; or all.",
+)
 deceleration = click.option(
     "--deceleration",
     type=POSITIVE,

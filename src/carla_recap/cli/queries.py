@@ -13,6 +13,9 @@ from carla_recap.cli.output import form_of
 
 _EPILOG = "Each SOURCE is a recording, a folder, or a glob in quotes; - is a list of them on stdin, one in a line."
 
+Kinds = tuple[str, ...] | Literal["all"] | None
+"""The kinds of incidents that are asked for; None: the usual ones."""
+
 _sources = options.together(options.sources, options.json, options.text)
 _many = options.together(options.jobs, options.dask)
 _report = options.together(_sources, options.compat)
@@ -103,6 +106,8 @@ def actors(sources: tuple[str, ...], form: str | None, jobs: int | None, dask: s
 
 @click.command(epilog=_EPILOG)
 @_sources
+@options.kinds
+@options.road_map
 @options.min_time
 @options.min_distance
 @options.deceleration
@@ -111,6 +116,8 @@ def actors(sources: tuple[str, ...], form: str | None, jobs: int | None, dask: s
 def incidents(
     sources: tuple[str, ...],
     form: str | None,
+    kinds: Kinds,
+    road_map: str | None,
     min_time: float,
     min_distance: float,
     deceleration: float,
@@ -118,13 +125,20 @@ def incidents(
     jobs: int | None,
     dask: str | None,
 ) -> None:
-    """Print the incidents: collisions, hard braking, long stops.
+    """Print the incidents: collisions, hard braking, long stops, and with --kinds others.
 
     Only stops of vehicles and walkers are incidents.
     """
-    from carla_recap.queries.incidents import incidents as query
+    from carla_recap.fleet.roads import incidents as query
 
-    asked = partial(query, min_time=min_time, min_distance=min_distance, deceleration=deceleration)
+    asked = partial(
+        query,
+        kinds=kinds,
+        road_map=road_map,
+        min_time=min_time,
+        min_distance=min_distance,
+        deceleration=deceleration,
+    )
     answer(asked, sources, form, max_rows=max_rows, jobs=jobs, dask=dask)
 
 
@@ -138,11 +152,13 @@ def incidents(
     metavar="ID|hero|all",
     help="The actor to measure, may be repeated; else the hero, or if there is none, all vehicles.",
 )
+@options.road_map
 @_many
 def measures(
     sources: tuple[str, ...],
     form: str | None,
     actors: tuple[int | Literal["hero", "all"], ...],
+    road_map: str | None,
     jobs: int | None,
     dask: str | None,
 ) -> None:
@@ -150,10 +166,11 @@ def measures(
 
     These are the extreme values of its measures, such as the least time to collision, and when they occur.
     """
-    from carla_recap.queries.measures import measures as query
+    from carla_recap.fleet.roads import measures as query
 
     words = [actor for actor in actors if isinstance(actor, str)]
     if words and len(actors) > 1:
         raise click.BadParameter("hero and all go with no other actor.", param_hint="'--actor'")
     ids = [actor for actor in actors if isinstance(actor, int)]
-    answer(partial(query, actors=words[0] if words else ids or None), sources, form, jobs=jobs, dask=dask)
+    asked = partial(query, actors=words[0] if words else ids or None, road_map=road_map)
+    answer(asked, sources, form, jobs=jobs, dask=dask)

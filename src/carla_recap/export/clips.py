@@ -6,7 +6,7 @@ import math
 import warnings
 from contextlib import contextmanager
 from pathlib import Path
-from typing import TYPE_CHECKING, Final, NamedTuple
+from typing import TYPE_CHECKING, Final, Literal, NamedTuple
 
 from carla_recap.editing.clip import ClipCutter, origin
 from carla_recap.editing.convert import check_destination
@@ -20,14 +20,16 @@ from carla_recap.recording import Recording, open_recording
 from carla_recap.util.files import check_folder, new_folder
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterable, Iterator, Sequence
+    from collections.abc import Callable, Collection, Iterable, Iterator, Sequence
 
     from carla_recap.export.video.film import Town
     from carla_recap.formats.base import Reader
     from carla_recap.maps import RoadMap
-    from carla_recap.queries.incidents import Incident, Incidents
+    from carla_recap.model.roads import RoadNetwork
+    from carla_recap.queries.incidents import Incident, Incidents, Kind
     from carla_recap.rendering.process import RenderProcess
 
+COLLISIONS: Final[tuple[Kind, ...]] = ("collision",)
 LONGEST: Final = 60.0
 """The length of the clip of a longer incident, in seconds from the start of the incident."""
 
@@ -52,9 +54,8 @@ def clips(
     source: Path | str,
     folder: Path | str,
     *,
-    collisions: bool = True,
-    blocked: bool = False,
-    braking: bool = False,
+    kinds: Collection[Kind] | Literal["all"] | None = COLLISIONS,
+    roads: RoadNetwork | None = None,
     min_time: float = 30.0,
     min_distance: float = 10.0,
     deceleration: float = HARD,
@@ -75,9 +76,9 @@ def clips(
         source: A recording of any format, or its URL.
         folder: A new folder, or an empty one. It appears when it is complete. The names of the files contain the kind of
             the incident, its time and the ids of its actors: `01-collision-21.3s-105-110.mcap`.
-        collisions: Include collisions.
-        blocked: Include vehicles and walkers that stood still for long; such a clip shows the first 60 s.
-        braking: Include hard braking of vehicles.
+        kinds: The kinds of incidents, see `carla_recap.queries.incidents.incidents`; of actors that stood still for long, a
+            clip shows the first 60 s.
+        roads: The roads of the map, for the kinds of incidents that take them.
         min_time: The shortest time of standing still that counts as blocked, in seconds.
         min_distance: The distance at which an actor has moved, in cm.
         deceleration: The smallest deceleration that counts as hard braking, in m/s².
@@ -120,9 +121,8 @@ def clips(
     try:
         answer = incidents(
             reader,
-            collisions=collisions,
-            blocked=blocked,
-            braking=braking,
+            kinds=kinds,
+            roads=roads,
             min_time=min_time,
             min_distance=min_distance,
             deceleration=deceleration,

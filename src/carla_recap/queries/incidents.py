@@ -1,4 +1,4 @@
-"""Incidents: collisions, vehicles and walkers that do not move for long, hard braking, broken rules of the road."""
+"""Incidents: collisions, actors that do not move for long, hard braking, near misses, and broken rules of the road."""
 
 from __future__ import annotations
 
@@ -22,6 +22,9 @@ from carla_recap.queries.actors import TYPES as ACTOR_TYPES
 from carla_recap.queries.actors import ActorCollector, ActorsByTime
 from carla_recap.queries.blocked import longest_first
 from carla_recap.queries.contacts import contact_starts, is_known
+from carla_recap.queries.measures.contacts import ContactTimes
+from carla_recap.queries.measures.near_misses import TYPES as MOTION_TYPES
+from carla_recap.queries.measures.near_misses import NearMissDetector
 from carla_recap.queries.measures.road import TYPES as ROAD_TYPES
 from carla_recap.queries.measures.road import RoadKind, RoadSearch
 
@@ -37,9 +40,12 @@ if TYPE_CHECKING:
     from carla_recap.model.frame import Frame
     from carla_recap.model.roads import RoadNetwork
     from carla_recap.model.stationary import BlockedRow
+    from carla_recap.queries.measures.near_misses import NearMiss
     from carla_recap.queries.measures.road import RoadEvent
 
-Kind = Literal["collision", "blocked", "hard braking", "red light", "stop sign", "off road", "wrong way", "speeding"]
+Kind = Literal[
+    "collision", "blocked", "hard braking", "near miss", "red light", "stop sign", "off road", "wrong way", "speeding"
+]
 
 ALL_KINDS: Final[tuple[Kind, ...]] = get_args(Kind)
 """The kinds of incidents."""
@@ -58,10 +64,10 @@ _UNKNOWN: Final[Position] = (math.nan, math.nan, math.nan)
 
 @dataclass(frozen=True, slots=True)
 class Incident:
-    """A collision, an actor that does not move for long, hard braking, or a rule of the road that is broken.
+    """What went wrong at a time, or nearly did.
 
     Attributes:
-        kind: Which of these it is.
+        kind: What it is.
         start: The beginning, in elapsed seconds.
         stop: The end, in elapsed seconds; of a collision, the time of its last record.
         actors: The ids of the actors, the most important first: the hero, else a vehicle, else a walker. What was hit but is
@@ -94,9 +100,6 @@ def incidents(
     *,
     kinds: Collection[Kind] | Literal["all"] | None = None,
     roads: RoadNetwork | None = None,
-    collisions: bool = True,
-    blocked: bool = True,
-    braking: bool = True,
     min_time: float = 30.0,
     min_distance: float = 10.0,
     deceleration: float = HARD,
@@ -106,16 +109,14 @@ def incidents(
     """Return the incidents of a recording, sorted by start, then kind.
 
     A contact of two actors is one collision, in however many frames it is recorded. A deceleration that begins right after a
-    contact is part of it and no hard braking.
+    contact is part of it and no hard braking, and an encounter that ends in a collision is no near miss.
 
     Args:
         source: The recording. For collisions alone, only the events of an MCAP file and the frames of collisions are read.
-        kinds: The kinds to include; None: collisions, stops and hard braking; "all": those of the road, too, if there are
-            roads.
+        kinds: The kinds to include: "collision"; "blocked", vehicles and walkers that do not move for long; "hard braking",
+            of vehicles, for at least 0.3 s; "near miss"; with roads "red light", "stop sign", "off road", "wrong way" and
+            "speeding". None: the first three; "all": all, those of the road if there are roads.
         roads: The roads of the map, such as `carla_recap.maps.find_road_network` returns them; for the kinds of the road.
-        collisions: Whether to include collisions, if they are among the kinds.
-        blocked: Whether to include vehicles and walkers that do not move for long, if they are among the kinds.
-        braking: Whether to include vehicles that brake hard, for at least 0.3 s, if they are among the kinds.
         min_time: The shortest time without a movement to include, in seconds.
         min_distance: The distance at which an actor has moved, in cm.
         deceleration: The deceleration from which on braking is hard, in m/s².
@@ -130,9 +131,6 @@ def incidents(
         source,
         kinds=kinds,
         roads=roads,
-        collisions=collisions,
-        blocked=blocked,
-        braking=braking,
         min_time=min_time,
         min_distance=min_distance,
         deceleration=deceleration,
@@ -155,9 +153,6 @@ class IncidentSearch:
         *,
         kinds: Collection[Kind] | Literal["all"] | None = None,
         roads: RoadNetwork | None = None,
-        collisions: bool = True,
-        blocked: bool = True,
-        braking: bool = True,
         min_time: float = 30.0,
         min_distance: float = 10.0,
         deceleration: float = HARD,
@@ -167,23 +162,24 @@ class IncidentSearch:
         if not deceleration > 0:
             raise RecapError(f"a deceleration of {deceleration:g} m/s² is no braking; it must be above 0")
         wanted = _wanted(kinds, roads)
-        collisions, blocked = collisions and "collision" in wanted, blocked and "blocked" in wanted
-        braking = braking and "hard braking" in wanted
+        collisions, braking = "collision" in wanted, "hard braking" in wanted
         self._source, self._start, self._stop = source, start, stop
-        collector, self._contacts = ActorCollector(), _Contacts()
+        collector, self._contacts, touching = ActorCollector(), _Contacts(), ContactTimes()
         for frame in source.frames((*ACTOR_TYPES, "collisions"), sparse=True, stop=stop):
             if not frame.elapsed < start:
                 self._contacts.add(frame)
+            touching.add(frame)
             for packet in frame.packets:
                 collector.add(packet, frame.elapsed)
         self._actors = ActorsByTime(collector.actors)
-        self._intervals = source.stationary_intervals(min_time, min_distance) if blocked else []
+        self._intervals = source.stationary_intervals(min_time, min_distance) if "blocked" in wanted else []
         is_listed = self._intervals is not None
         self._tracker = None if is_listed else StationaryTracker(source.header.table, min_time, min_distance)
         is_whole = start == -math.inf and stop == math.inf
         self._braked = source.hard_braking(deceleration) if braking and is_whole else None
         is_needed = braking and self._braked is None
         self._detector = BrakingDetector(self._actors.ids("vehicle"), deceleration) if is_needed else None
+        self._near = NearMissDetector(self._actors, touching) if "near miss" in wanted else None
         self._kinds = wanted
         of_road = roads is not None and not wanted.isdisjoint(ROAD_KINDS)
         self._roads = RoadSearch(source, roads, collector.actors) if roads is not None and of_road else None
@@ -200,7 +196,7 @@ class IncidentSearch:
         """
         source = self._source
         types = {*(STATIONARY_TYPES if self._tracker else ()), *(BRAKING_TYPES if self._detector else ())}
-        types.update(ROAD_TYPES if self._roads else ())
+        types |= {*(MOTION_TYPES if self._near else ()), *(ROAD_TYPES if self._roads else ())}
         if types:
             for batch in source.batches((*types, "transforms"), start=self._start, stop=self._stop):
                 self.add(batch)
@@ -218,6 +214,8 @@ class IncidentSearch:
             self._tracker.batch(batch)
         if self._detector:
             self._detector.batch(batch)
+        if self._near:
+            self._near.batch(batch)
         for row in range(len(batch)) if self._unlocated else ():
             if batch.index + row in self._unlocated:
                 _locate(self._unlocated[batch.index + row], batch.frame(row)["transforms"])
@@ -241,6 +239,7 @@ class IncidentSearch:
         found += _blocked(longest_first(self._tracker.finish() if self._tracker else self._intervals or []), actors)
         braked = self._detector.finish() if self._detector else self._braked
         found += _braking(braked or (), contacts, actors)
+        found += _near_misses(self._near.finish() if self._near else (), actors)
         found += _of_road(self._roads.finish(), actors, self._kinds) if self._roads else ()
         found = [incident for incident in found if not (incident.start > stop or incident.stop < start)]
         return Incidents(sorted(found, key=lambda incident: (incident.start, incident.kind)), self._source, compat=False)
@@ -252,8 +251,10 @@ def _wanted(kinds: Collection[Kind] | Literal["all"] | None, roads: RoadNetwork 
     Raises:
         RecapError: There is no such kind, or one needs roads.
     """
-    if kinds is None or kinds == "all":
-        return frozenset((*KINDS, *(ROAD_KINDS if kinds and roads is not None else ())))
+    if kinds is None:
+        return frozenset(KINDS)
+    if kinds == "all":
+        return frozenset(ALL_KINDS if roads is not None else set(ALL_KINDS).difference(ROAD_KINDS))
     wanted = frozenset((kinds,) if isinstance(kinds, str) else kinds)
     for kind in wanted.difference(ALL_KINDS):
         raise RecapError(f"kinds of incidents are {', '.join(ALL_KINDS)}, not {kind!r}")
@@ -381,6 +382,22 @@ def _braking(rows: Iterable[Braking], contacts: Iterable[_Contact], actors: Acto
         text = f"{actors.name(row.id, row.start)} brakes hard at {row.speed * _KMH:.0f} km/h"
         position = _metres(row.x, row.y, row.z)
         yield Incident("hard braking", row.start, stop, ids, actors.type_ids(ids, row.start), *position, text)
+
+
+def _near_misses(rows: Iterable[NearMiss], actors: ActorsByTime) -> Iterator[Incident]:
+    for row in rows:
+        first, second = (actors.name(id, row.start) for id in (row.id1, row.id2))
+        at = f"at {row.speed * _KMH:.0f} km/h"
+        if row.time_to_collision == 0:
+            text = f"{first} touches {second} {at}, though no collision is recorded"
+        elif row.time_to_collision < math.inf:
+            text = f"{first} comes within {row.time_to_collision:.1f} s of {second} {at}"
+        else:
+            text = f"{first} crosses the path of {second} {row.post_encroachment_time:.1f} s after it {at}"
+        ids, other = (row.id1, row.id2), actors.get(row.id2, row.start)
+        if (other is not None and other.is_hero) or actors.kind(row.id1, row.start) == "walker":
+            ids = ids[::-1]
+        yield Incident("near miss", row.start, row.stop, ids, actors.type_ids(ids, row.start), row.x, row.y, row.z, text)
 
 
 def _slowed_by(contacts: Iterable[_Contact]) -> dict[int, list[tuple[float, float]]]:

@@ -28,6 +28,7 @@ if TYPE_CHECKING:
 
     from carla_recap.export.video.cameras import VideoView
     from carla_recap.export.video.encoding import Picture, Size
+    from carla_recap.queries.incidents import Incident
     from carla_recap.recording import Recording
     from carla_recap.rendering.camera import Camera
     from carla_recap.rendering.instances import Instances
@@ -45,6 +46,7 @@ RATE: Final = 30.0
 
 _LONG: Final = 300.0  # s of a recording, without map, of which only a part is read for the roads
 _AROUND: Final = 60.0  # s before and after what is shown
+_ENCOUNTER: Final = 5.0  # s around what is shown in which near misses are looked for
 
 
 class VideoShot(NamedTuple):
@@ -98,7 +100,7 @@ class Film:
         self._overlay: Overlay | None = None
         if overlay:
             self._captions = Captions(
-                recording.incidents(), start=player.start, stop=player.stop, speed=speed, followed=player.followed
+                _incidents(recording, player), start=player.start, stop=player.stop, speed=speed, followed=player.followed
             )
             marks = list(self._captions.marks()) if frames else []
             map_name = plain_name(recording.header.map_name)
@@ -259,3 +261,12 @@ def submit(renderer: RenderProcess, shot: VideoShot) -> Future[Images]:
         shot.camera, shot.instances, (ImageKind.RGB,), Sky.of_weather(shot.scene.weather)
     )
     return future
+
+
+def _incidents(recording: Recording, player: Player) -> list[Incident]:
+    """Return the incidents of a recording, and the near misses around the time that is shown."""
+    from carla_recap.queries.incidents import incidents
+
+    start, stop = player.start - _ENCOUNTER, player.stop + _ENCOUNTER
+    near = incidents(recording.reader, kinds=["near miss"], start=start, stop=stop)
+    return sorted([*recording.incidents(), *near], key=lambda incident: incident.start)

@@ -1,7 +1,8 @@
 """Near misses: encounters of two actors that nearly end in a collision.
 
 An encounter is one if the time to collision falls to 1.5 s or less, and the speed at which they approach then takes a
-deceleration of 3.4 m/s² or more to lose; or if one arrives less than 1 s after the other has left, where their paths cross.
+deceleration of 3.4 m/s² or more to lose; or if a vehicle arrives less than 1 s after the other has left, where their paths
+cross.
 """
 
 from __future__ import annotations
@@ -41,7 +42,7 @@ DECELERATION: Final = 3.4
 """The least deceleration that a near miss by its time to collision requires, in m/s²."""
 
 _SLOWEST: Final = 2.0  # m/s of relative speed
-_CROSSING_SPEED: Final = 3.0  # m/s of a vehicle of those whose paths cross
+_CROSSING_SPEED: Final = 3.0  # m/s of a vehicle that arrives where another actor was
 _FEWEST: Final = 3  # frames
 _ENCOUNTER: Final = 3.0  # s; critical moments of a pair with less time between them are one encounter
 _UNTIL_CONTACT: Final = 3.0  # s after a critical moment; if the pair collides by then, it is a collision
@@ -207,12 +208,8 @@ class NearMissDetector:
         found = encroachments(block, start, one, other, self._soonest)
         if not len(found.time):
             return
-        with np.errstate(invalid="ignore"):
-            speeds = [
-                np.where(block.is_vehicle[actor], block.speed[actor, frame], 0.0)
-                for actor, frame in ((found.first, found.left), (found.second, found.arrived))
-            ]
-        fast = np.flatnonzero(np.maximum(*speeds) >= _CROSSING_SPEED)
+        arrives = block.is_vehicle[found.second] & (block.speed[found.second, found.arrived] >= _CROSSING_SPEED)
+        fast = np.flatnonzero(arrives)
         order = fast[np.lexsort((found.time[fast], found.second[fast], found.first[fast]))]
         first, second = found.first[order], found.second[order]
         is_new = np.append(True, (np.diff(first) != 0) | (np.diff(second) != 0))[: len(order)]

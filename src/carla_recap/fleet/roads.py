@@ -1,0 +1,96 @@
+"""Queries that take the roads of a recording's map, which is looked for: incidents and measures."""
+
+from __future__ import annotations
+
+import warnings
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from carla_recap.errors import RecapError, RecapWarning
+from carla_recap.queries.incidents import ROAD_KINDS
+from carla_recap.queries.incidents import incidents as query_incidents
+from carla_recap.queries.measures import measures as query_measures
+
+if TYPE_CHECKING:
+    from carla_recap.formats.base import Reader
+    from carla_recap.model.roads import RoadNetwork
+    from carla_recap.queries.incidents import Incidents
+    from carla_recap.queries.measures import Measures
+
+
+def roads_of(source: Reader, road_map: str | None = None, *, needed: bool = False) -> RoadNetwork | None:
+    """Return the roads of a recording's map; None if its file is unknown.
+
+    Args:
+        source: The recording.
+        road_map: The map, or the folder to look in; None: the usual folders.
+        needed: Whether an unknown map is an error.
+
+    Raises:
+        RecapError: The map is needed and unknown, the given folder does not have it, or the map is damaged.
+    """
+    from carla_recap.maps.network import find_road_network, load_road_network
+
+    name = source.header.map_name
+    if road_map is not None and not Path(road_map).is_dir():
+        return load_road_network(road_map)
+    found = find_road_network(name, road_map)
+    if found is None and (needed or road_map is not None):
+        where = "" if road_map is None else f" in {road_map}"
+        raise RecapError(f"{source.location}: there is no .xodr{where} for the map {name!r}, whose roads are needed")
+    return found
+
+
+def roads_for(kinds: Any, source: Reader, road_map: str | None = None) -> RoadNetwork | None:
+    """Return the roads that some kinds of incidents take; None if they take none.
+
+    Args:
+        kinds: The kinds; "all": those of the road, if the map is known.
+        source: The recording.
+        road_map: See `roads_of`.
+
+    Raises:
+        RecapError: See `roads_of`.
+
+    Warns:
+        RecapWarning: All kinds are asked for, and the map is unknown.
+    """
+    if kinds is None or (kinds != "all" and set(kinds).isdisjoint(ROAD_KINDS)):
+        return None
+    roads = roads_of(source, road_map, needed=kinds != "all")
+    if roads is None:
+        message = f"{source.location}: the map {source.header.map_name!r} is unknown; incidents of the road are left out"
+        warnings.warn(message, RecapWarning, stacklevel=3)
+    return roads
+
+
+def incidents(source: Reader, *, kinds: Any = None, road_map: str | None = None, **options: Any) -> Incidents:
+    """Return the incidents of a recording; see `carla_recap.queries.incidents.incidents`.
+
+    Args:
+        source: The recording.
+        kinds: The kinds to include.
+        road_map: See `roads_of`; for the kinds of the road.
+        options: The other arguments of the query.
+
+    Raises:
+        RecapError: See `roads_of` and the query.
+
+    Warns:
+        RecapWarning: All kinds are asked for, and the map is unknown.
+    """
+    return query_incidents(source, kinds=kinds, roads=roads_for(kinds, source, road_map), **options)
+
+
+def measures(source: Reader, *, actors: Any = None, road_map: str | None = None) -> Measures:
+    """Return the measures of actors, with those of the road if the map is known; see `carla_recap.queries.measures`.
+
+    Args:
+        source: The recording.
+        actors: The actors to measure.
+        road_map: See `roads_of`.
+
+    Raises:
+        RecapError: See `roads_of` and the query.
+    """
+    return query_measures(source, actors, roads=roads_of(source, road_map))
