@@ -38,6 +38,7 @@ class FileServer:
         ranges: Whether ranges are served; else whole files.
         etags: Whether files have ETags; "weak" for weak ones.
         status: The status of every answer, instead of the file.
+        failures: The number of requests that get that status; the others get the file.
         limit: The number of requests after which connections are dropped without an answer.
     """
 
@@ -50,6 +51,7 @@ class FileServer:
     ranges: bool = True
     etags: bool | str = True
     status: int | None = None
+    failures: float = float("inf")
     limit: float = float("inf")
     _lock: Lock = field(default_factory=Lock)
     _now: int = 0
@@ -87,8 +89,9 @@ def serve(folder: Path) -> Iterator[FileServer]:
 
         def _answer(self) -> None:
             path = files.folder / unquote(urlsplit(self.path).path).lstrip("/")
-            if files.status is not None or not path.is_file():
-                self._send(files.status or 404, {}, b"an answer of\nseveral lines")
+            failing = files.status is not None and len(files.requests) <= files.failures
+            if failing or not path.is_file():
+                self._send(files.status if failing and files.status else 404, {}, b"an answer of\nseveral lines")
                 return
             status = path.stat()
             size = status.st_size

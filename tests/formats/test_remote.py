@@ -22,14 +22,17 @@ HEADER = Header("Town01", 1_600_000_000)
 SECONDS, RATE, ACTORS = 120, 10, 100
 
 
-def frames():
-    """Yield frames whose poses cannot be compressed, with a collision every 10 s."""
+def frames(contacts=0):
+    """Yield frames whose poses cannot be compressed, with a collision every 10 s, or random ones in each frame."""
     random = np.random.default_rng(1)
     for n in range(SECONDS * RATE):
         poses = np.zeros(ACTORS, [("id", "<u4"), ("pose", "<f4", 6)])
         poses["id"], poses["pose"] = np.arange(ACTORS), random.normal(0, 1e4, (ACTORS, 6))
         packets = [Packet(6, UE4.named("transforms"), struct.pack("<H", ACTORS) + poses.tobytes()), Packet(1, UE4[1], b"")]
-        if n % (10 * RATE) == 0:
+        if contacts:
+            pairs = random.integers(0, 1 << 31, (contacts, 3)).tolist()
+            packets.insert(0, Packet(5, UE4.named("collisions"), listed(*(collision(*pair) for pair in pairs))))
+        elif n % (10 * RATE) == 0:
             packets.insert(0, Packet(5, UE4.named("collisions"), listed(collision(n, 1, 2))))
         if n == 0:
             cars = listed(*(spawn(id, 1, "vehicle.tesla.model3") for id in range(ACTORS)))
@@ -82,6 +85,18 @@ def test_a_query_of_a_finished_recording_takes_two_requests_and_a_megabyte(web, 
     assert len(web.requests) <= 2
     assert web.sent < 1 << 20
     assert web.requests[0] == ("/finished.mcap", "bytes=-524288")
+
+
+def test_more_events_than_the_tail_has_take_a_second_request(tmp_path):
+    with McapWriter(tmp_path / "run.mcap", HEADER) as writer:
+        for frame in frames(contacts=60):
+            writer.write(frame)
+    with serve(tmp_path) as web, open_recording(f"{web.url}/run.mcap") as recording:
+        for _ in range(2):
+            found = sum(len(frame["collisions"]) for frame in recording.reader.frames(("collisions",), sparse=True))
+            assert found == 60 * SECONDS * RATE
+        assert len(web.requests) == 2
+        assert 1 << 20 < web.sent < 2 << 20
 
 
 def test_the_events_of_a_live_recording_are_fetched_at_once(web):
@@ -205,6 +220,13 @@ def test_what_a_server_refuses_is_an_error_of_one_line(small_web, status):
     ):
         open_recording(f"{small_web.url}/small.mcap")
     assert "\n" not in str(caught.value)
+
+
+def test_a_server_that_fails_once_is_asked_again(small_web):
+    small_web.status, small_web.failures = 503, 1
+    with open_recording(f"{small_web.url}/small.mcap") as recording:
+        assert recording.info.frames == 4
+    assert len(small_web.requests) == 2
 
 
 def test_a_server_without_ranges(small_web):

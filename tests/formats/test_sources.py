@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 from carla_recap import RecapError, open_recording
-from carla_recap.formats.sources import TimeFragment, is_remote, path_of, split_time
+from carla_recap.formats.sources import TimeFragment, is_remote, path_of, split_time, unsigned
 from tests.samples import save
 
 
@@ -33,6 +33,12 @@ def test_urls(location):
 )
 def test_the_name_of_a_url(location, name):
     assert path_of(location).name == name
+
+
+def test_signatures_are_left_out_of_what_is_passed_on():
+    assert unsigned("https://h/a.mcap?signature=secret") == "https://h/a.mcap"
+    assert unsigned("s3://b/a?.mcap") == "s3://b/a?.mcap"
+    assert unsigned("a?.mcap") == "a?.mcap"
 
 
 @pytest.mark.parametrize(

@@ -179,9 +179,9 @@ class RemoteSource:
         self._block = offset, data
         return data[:size]
 
-    def read_ranges(self, spans: Iterable[Span], what: str) -> Iterator[bytes]:
+    def read_ranges(self, spans: Iterable[Span], what: str, *, whole: bool = False) -> Iterator[bytes]:
         """Yield the bytes of each of some spans; see `ByteSource.read_ranges`."""
-        windows = _windows(spans, self._tail[0])
+        windows = _windows(spans, self._tail[0], _WINDOW if whole else _FIRST_WINDOW)
         first = next(windows, None)
         if first is None:
             return
@@ -225,6 +225,12 @@ class RemoteSource:
             self._check(offset, size, what)
         begin, tail = self._tail
         joined = _joined(spans, begin)
+        if len(joined) == 1 and begin - sum(joined[0]) < _BLOCK and self.size - joined[0][0] <= _WINDOW:
+            # The events of a long recording begin before the tail; they are asked for again.
+            offset = joined.pop()[0]
+            tail = _started(partial(self._fetch, offset, begin - offset, what)).result() + tail
+            begin = offset
+            self._tail = begin, tail
         parts = _at_once(lambda span: self._fetch(span[0], span[1], what), joined)
         starts, parts = [*(offset for offset, _ in joined), begin], [*parts, tail]
         found = deque[bytes]()
@@ -330,7 +336,7 @@ def copied(source: RemoteSource) -> BinaryIO:
         file = tempfile.TemporaryFile(prefix="carla-recap-", buffering=0)  # noqa: SIM115
         try:
             spans = ((offset, min(_PART, source.size - offset)) for offset in range(0, source.size, _PART))
-            for data in source.read_ranges(spans, "the file"):
+            for data in source.read_ranges(spans, "the file", whole=True):
                 _write_all(file, data)
             file.seek(0)
         except BaseException:
@@ -347,10 +353,10 @@ def _write_all(file: BinaryIO, data: bytes) -> None:
         view = view[file.write(view) :]
 
 
-def _windows(spans: Iterable[Span], stop: int) -> Iterator[list[Span]]:
-    """Yield spans in parts: a small one first, then larger ones; bytes from an offset on are there already."""
+def _windows(spans: Iterable[Span], stop: int, limit: int) -> Iterator[list[Span]]:
+    """Yield spans in parts, the first of limited size, each twice as large; bytes from an offset on are there already."""
     window: list[Span] = []
-    total, limit = 0, _FIRST_WINDOW
+    total = 0
     for span in spans:
         size = span[1] if span[0] < stop else 0
         if window and total + size > limit:

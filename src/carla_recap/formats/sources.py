@@ -61,8 +61,14 @@ class ByteSource(Protocol):
         """
         ...
 
-    def read_ranges(self, spans: Iterable[Span], what: str) -> Iterator[bytes]:
-        """Yield the bytes of each of some spans, in their order; those of an object are fetched many at a time."""
+    def read_ranges(self, spans: Iterable[Span], what: str, *, whole: bool = False) -> Iterator[bytes]:
+        """Yield the bytes of each of some spans, in their order; those of an object are fetched many at a time.
+
+        Args:
+            spans: The spans.
+            what: See `read`.
+            whole: Whether all are wanted for certain; else, few are fetched at first.
+        """
         ...
 
     def check_open(self) -> None:
@@ -116,7 +122,7 @@ class LocalSource:
             raise FormatError(self.location, offset + len(data), f"the file ends inside {what}")
         return data
 
-    def read_ranges(self, spans: Iterable[Span], what: str) -> Iterator[bytes]:
+    def read_ranges(self, spans: Iterable[Span], what: str, *, whole: bool = False) -> Iterator[bytes]:
         """Yield the bytes of each of some spans; see `ByteSource.read_ranges`."""
         for offset, size in spans:
             yield self.read(offset, size, what)
@@ -176,6 +182,11 @@ def path_of(location: Path | str) -> Path:
     if scheme in WEB:
         return Path(f"{url.scheme}://{url.netloc}{unquote(url.path)}")
     return Path(location)
+
+
+def unsigned(location: str) -> str:
+    """Return a location without the query of a web server's URL, which may be a signature, for files that are passed on."""
+    return location.partition("?")[0] if scheme_of(location) in WEB else location
 
 
 class TimeFragment(NamedTuple):

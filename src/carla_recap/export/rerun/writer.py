@@ -40,7 +40,8 @@ if TYPE_CHECKING:
     from carla_recap.export.ahead import StopPoints
     from carla_recap.formats.base import Reader
     from carla_recap.maps import RoadMap
-    from carla_recap.model.frame import Header
+    from carla_recap.formats.sources import unsigned
+from carla_recap.model.frame import Header
     from carla_recap.queries.incidents import Incident
     from carla_recap.rendering.town import TownMesh
     from carla_recap.replay import SceneBatch
@@ -198,7 +199,7 @@ def write(
         FormatError: The file contradicts its format.
     """
     reader = player.reader
-    describe(stream, reader.header, reader.path.name, reader.location)
+    describe(stream, reader.header, reader.path.name, unsigned(reader.location))
     if road_map is not None and is_elsewhere(road_map, first_locations(player)):
         warnings.warn(f"{road_map.name}: no actor is near this map, which is left out", RecapWarning, stacklevel=2)
         road_map = None

@@ -288,7 +288,8 @@ class McapReader:
 
     def _opened(self, chunks: list[ChunkIndex], *, ahead: bool) -> Iterator[bytes]:
         """Yield the records of some chunks; `ahead`: the next one is decompressed while this one is used."""
-        stored = self._source.read_ranges([(chunk.offset, chunk.length) for chunk in chunks], "a chunk")
+        spans = [(chunk.offset, chunk.length) for chunk in chunks]
+        stored = self._source.read_ranges(spans, "a chunk", whole=not ahead)
         if not ahead or len(chunks) < 2 or self._source.is_remote:
             yield from map(self._open, chunks, stored)
             return
