@@ -25,6 +25,7 @@ from carla_recap.export.rerun.lights import LightAheadWriter, TrafficLightWriter
 from carla_recap.export.rerun.rrd import piped, rbl
 from carla_recap.export.rerun.stream import Stream, TimeColumns
 from carla_recap.export.rerun.town import is_elsewhere, write_map, write_sky, write_town
+from carla_recap.formats.sources import unsigned
 from carla_recap.maps.network import road_network_of_map
 from carla_recap.queries.actors import actors
 from carla_recap.recording import Recording
@@ -40,8 +41,7 @@ if TYPE_CHECKING:
     from carla_recap.export.ahead import StopPoints
     from carla_recap.formats.base import Reader
     from carla_recap.maps import RoadMap
-    from carla_recap.formats.sources import unsigned
-from carla_recap.model.frame import Header
+    from carla_recap.model.frame import Header
     from carla_recap.queries.incidents import Incident
     from carla_recap.rendering.town import TownMesh
     from carla_recap.replay import SceneBatch
