@@ -155,6 +155,13 @@ def test_a_wrong_query_is_an_error_in_one_line(index, query, message):
     assert message in error("sql", index, query)
 
 
+def test_a_question_about_measures_that_the_index_does_not_have_is_answered_with_a_warning(index):
+    done = run("sql", index, "select count(*) as n from measures")
+    assert (done.returncode, done.stdout) == (0, b"n\n0\n")
+    assert b"warning: " in done.stderr
+    assert b"--measures" in done.stderr
+
+
 def test_a_folder_that_is_no_index_is_an_error(tmp_path):
     assert "is no index of recordings" in error("sql", tmp_path, "select 1")
     assert "is no index of recordings" in error("sql", tmp_path / "none", "select 1")

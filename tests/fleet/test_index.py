@@ -10,6 +10,7 @@ import pytest
 
 from carla_recap import ActorKind, RecapError, Spawn, create_recording, open_index, open_recording, write_index
 from carla_recap.fleet.index.tables import TABLES
+from carla_recap.maps import find_road_network
 
 pytest.importorskip("pyarrow", reason="the extra `arrow` is not installed")
 
@@ -31,7 +32,7 @@ def runs(tmp_path):
 def index(tmp_path_factory):
     """An index of the samples."""
     folder = tmp_path_factory.mktemp("samples") / "index"
-    write_index([SAMPLES / name for name in NAMES], folder, jobs=1)
+    write_index([SAMPLES / name for name in NAMES], folder, jobs=1, measures=True)
     return folder
 
 
@@ -74,10 +75,11 @@ def test_a_recording_is_a_row_with_what_info_says(index):
 @pytest.mark.parametrize("name", NAMES)
 def test_the_rows_of_a_recording_are_those_of_the_queries(index, name):
     with open_recording(SAMPLES / name) as recording:
+        roads = find_road_network(recording.info.map_name)
         queries = {
             "collisions": recording.collisions().to_arrow().to_pylist(),
-            "incidents": recording.incidents().to_arrow().to_pylist(),
-            "measures": recording.measures("hero").to_arrow().to_pylist(),
+            "incidents": recording.incidents(kinds="all", roads=roads).to_arrow().to_pylist(),
+            "measures": recording.measures("hero", roads=roads).to_arrow().to_pylist(),
         }
         stops = sorted((row.id, row.start, row.duration) for row in recording.blocked(10))
         actors = {(actor.id, actor.type_id, actor.is_hero) for actor in recording.actors.values()}
@@ -88,6 +90,24 @@ def test_the_rows_of_a_recording_are_those_of_the_queries(index, name):
         assert own[table] == [{"recording": path} | row for row in expected]
     assert sorted((row["id"], row["start"], row["duration"]) for row in own["stationary"]) == stops
     assert {(row["id"], row["type_id"], row["hero"]) for row in own["actors"]} == actors
+
+
+def test_without_measures_the_events_are_read_alone_and_with_them_later(tmp_path):
+    assert counts(write_index([SAMPLES / "crash.mcap"], tmp_path / "index", jobs=1)) == (1, 0, 0, 0)
+    assert open_index(tmp_path / "index").table("measures").num_rows == 0
+    assert recordings(tmp_path / "index")["crash.mcap"]["measured"] is False
+    for expected in ((1, 0, 0, 0), (0, 0, 1, 0)):
+        assert counts(write_index([SAMPLES / "crash.mcap"], tmp_path / "index", jobs=1, measures=True)) == expected
+    assert open_index(tmp_path / "index").table("measures").num_rows > 5
+    assert counts(write_index([SAMPLES / "crash.mcap"], tmp_path / "index", jobs=1)) == (0, 0, 1, 0)
+
+
+def test_the_map_is_the_one_that_is_given(tmp_path):
+    summary = write_index(
+        [SAMPLES / "crash.mcap"], tmp_path / "index", jobs=1, measures=True, road_map=tmp_path / "none.xodr"
+    )
+    assert summary.failed == 1
+    assert "none.xodr" in recordings(tmp_path / "index")["crash.mcap"]["error"]
 
 
 def test_positions_are_in_metres_and_right_handed(index):

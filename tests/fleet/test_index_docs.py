@@ -30,7 +30,7 @@ TYPES = {
 def folder(tmp_path_factory):
     """A folder with an index of the samples."""
     folder = tmp_path_factory.mktemp("docs")
-    write_index([ROOT / "samples"], folder / "runs.index", jobs=1)
+    write_index([ROOT / "samples"], folder / "runs.index", jobs=1, measures=True)
     return folder
 
 

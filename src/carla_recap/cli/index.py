@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Final, NoReturn, TypeVar
 import click
 
 from carla_recap.cli import options
-from carla_recap.cli.output import say
+from carla_recap.cli.output import say, warn
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator
@@ -28,6 +28,8 @@ FAILED: Final = 2
 @click.argument("index_folder", type=click.Path(), metavar="INDEX")
 @options.jobs
 @options.dask
+@click.option("--measures", is_flag=True, help="Read every frame, for the measures of heroes and for incidents of the road.")
+@options.road_map
 @click.option("--prune", is_flag=True, help="Remove recordings from INDEX that no SOURCE means.")
 @click.option("--retry", is_flag=True, help="Read recordings again that could not be read, also unchanged ones.")
 @click.option("--all", "again", is_flag=True, help="Read all recordings again, also unchanged ones.")
@@ -36,13 +38,15 @@ def index(
     index_folder: str,
     jobs: int | None,
     dask: str | None,
+    measures: bool,
+    road_map: str | None,
     prune: bool,
     retry: bool,
     again: bool,
 ) -> NoReturn:
     """Write what many recordings contain into INDEX, a folder of Parquet tables.
 
-    Recordings that INDEX has, and that have not changed, are not read again.
+    Recordings that INDEX has, and that have not changed, are not read again. Without --measures, only their events are read.
     """
     from carla_recap.cli.many import client_of
     from carla_recap.cli.progress import SourcesBar
@@ -70,6 +74,8 @@ def index(
             index_folder,
             jobs=jobs,
             client=client,
+            measures=measures,
+            road_map=road_map,
             prune=prune,
             retry=retry,
             again=again,
@@ -98,6 +104,10 @@ def sql(index_folder: str, query: str, form: Form | None) -> NoReturn:
     from carla_recap.fleet.index import open_index
 
     text = sys.stdin.read() if query == "-" else query
-    show_rows(open_index(index_folder).sql(text), form or ("table" if sys.stdout.isatty() else "csv"))
+    opened = open_index(index_folder)
+    rows = opened.sql(text)
+    if "measures" in text.lower() and not len(opened.table("measures")):
+        warn(f"{index_folder}: the index has no measures, which 'carla-recap index --measures' adds")
+    show_rows(rows, form or ("table" if sys.stdout.isatty() else "csv"))
     sys.stdout.flush()
     os._exit(0)  # ending the interpreter takes longer than most queries

@@ -5,11 +5,13 @@ from __future__ import annotations
 import math
 from functools import cached_property
 from operator import attrgetter
+from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final, cast
 
 from carla_recap.errors import RecapError
 from carla_recap.fleet.index.tables import CHILDREN
 from carla_recap.formats import open_reader
+from carla_recap.maps import find_road_network, load_road_network
 from carla_recap.model.frame import SAME_TIME, Frame
 from carla_recap.model.records import CM
 from carla_recap.model.stationary import MIN_DISTANCE, StationaryTracker
@@ -28,6 +30,7 @@ if TYPE_CHECKING:
     from carla_recap.fleet.sources import SourceFile
     from carla_recap.formats.base import Reader
     from carla_recap.model.batch import Batch
+    from carla_recap.model.roads import RoadNetwork
     from carla_recap.model.stationary import BlockedRow
     from carla_recap.queries.actors import Actor
 
@@ -38,7 +41,7 @@ SHORTEST_STOP: Final = 10.0
 """The least duration of a stationary interval in an index, in s."""
 
 _EVENTS: Final = frozenset((*ACTOR_TYPES, "collisions"))
-_MOTION: Final = frozenset(("transforms", "velocities"))
+_MOTION: Final = frozenset(("transforms", "velocities", "light_states"))
 _SMALL: Final = 6000  # frames of a recording whose motion is kept in memory
 
 _actor = attrgetter(
@@ -54,31 +57,40 @@ _actor = attrgetter(
 _box = attrgetter("x", "y", "z", "extent_x", "extent_y", "extent_z")
 
 
-def read_recording(source: SourceFile) -> tuple[dict[str, Any], list[Columns]]:
+def read_recording(
+    source: SourceFile, *, measured: bool = False, road_map: str | None = None
+) -> tuple[dict[str, Any], list[Columns]]:
     """Return the fields of a recording's row that its content determines, and the columns of each of `CHILDREN`.
+
+    Args:
+        source: The recording.
+        measured: Whether to read every frame, for measures and incidents of the road; else its events are read alone.
+        road_map: The map, or the folder to look in; None: the usual folders.
 
     Raises:
         RecapError: The recording cannot be read.
     """
     try:
         with Recording(open_reader(source.location)) as recording:
-            return _content(recording)
+            return _content(recording, measured, road_map)
     except (RecapError, OSError, MemoryError):
         raise
     except Exception as error:  # a file that no check has foreseen must not end the reading of thousands
         raise RecapError(f"{source.location}: cannot be read: {type(error).__name__}: {error}") from error
 
 
-def _content(recording: Recording) -> tuple[dict[str, Any], list[Columns]]:
+def _content(recording: Recording, measured: bool, road_map: str | None) -> tuple[dict[str, Any], list[Columns]]:
     info, reader = recording.info, cast("Reader", _ReadOnce(recording.reader))
     found = actors(reader)
+    roads = _roads(info.map_name, road_map) if measured else None
+    heroes = [actor.id for actor in found if actor.is_hero] if measured else []
     stops = reader.stationary_intervals(SHORTEST_STOP, MIN_DISTANCE) or []
     rows: dict[str, Iterable[tuple[Any, ...]]] = {
         "actors": map(_actor_row, found),
         "stationary": map(_stop, stops),
         "collisions": map(_fields("collisions"), collisions(reader)),
-        "incidents": map(_fields("incidents"), incidents(reader)),
-        "measures": map(_fields("measures"), measures(reader, [actor.id for actor in found if actor.is_hero])),
+        "incidents": map(_fields("incidents"), incidents(reader, kinds="all" if measured else None, roads=roads)),
+        "measures": map(_fields("measures"), measures(reader, heroes, roads=roads) if heroes else ()),
     }
     children = [_columns(rows[table.name], len(table.hints)) for table in CHILDREN]
     fields = {
@@ -88,10 +100,17 @@ def _content(recording: Recording) -> tuple[dict[str, Any], list[Columns]]:
         "frames": info.frames,
         "duration": info.duration,
         "additional_data": info.additional_data,
+        "measured": measured,
         "actors": len(found),
         "heroes": sum(actor.is_hero for actor in found),
     }
     return fields, children
+
+
+def _roads(map_name: str, road_map: str | None) -> RoadNetwork | None:
+    if road_map is not None and not Path(road_map).is_dir():
+        return load_road_network(road_map)
+    return find_road_network(map_name, road_map)
 
 
 def _fields(table: str) -> Callable[[Any], tuple[Any, ...]]:
@@ -154,10 +173,11 @@ class _ReadOnce:
 
     def batches(self, types: Collection[str] | None = None, **options: Any) -> Iterator[Batch]:
         """See `Reader.batches`."""
-        times = options.pop("start", -math.inf), options.pop("stop", math.inf)
-        if types is not None and set(types) == _MOTION and times == (-math.inf, math.inf) and not options and self._is_small:
+        is_motion = types is not None and "transforms" in types and _MOTION.issuperset(types)
+        is_whole = options in ({}, {"start": -math.inf, "stop": math.inf})
+        if is_motion and is_whole and self._is_small:
             return iter(self._motion)
-        return self._reader.batches(types, start=times[0], stop=times[1], **options)
+        return self._reader.batches(types, **options)
 
     @cached_property
     def _is_small(self) -> bool:

@@ -6,6 +6,8 @@ import os
 from collections.abc import Generator
 from dataclasses import dataclass, fields, replace
 from datetime import datetime, timedelta
+from functools import partial
+from pathlib import Path
 from time import monotonic
 from typing import TYPE_CHECKING, Any, Final
 
@@ -20,7 +22,6 @@ from carla_recap.tables import arrow
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Sequence
-    from pathlib import Path
 
     import pyarrow as pa
     from distributed import Client
@@ -65,6 +66,8 @@ def write_index(
     *,
     jobs: int | None = None,
     client: Client | None = None,
+    measures: bool = False,
+    road_map: Path | str | None = None,
     prune: bool = False,
     retry: bool = False,
     again: bool = False,
@@ -81,6 +84,9 @@ def write_index(
         index: The folder, which is made if it does not exist.
         jobs: The number of processes; None: as many as there are processors.
         client: Dask's client, whose cluster reads instead of processes of this machine.
+        measures: Read every frame, also of recordings of which this was not done: for the measures of heroes, and for
+            incidents of the road where the map is known. Else their events are read alone.
+        road_map: The map, or the folder with maps to look in; None: the usual folders.
         prune: Remove all recordings from the index that the sources do not mean.
         retry: Read recordings again that could not be read, even if they have not changed.
         again: Read all recordings again.
@@ -103,10 +109,12 @@ def write_index(
         changed = {
             key: source
             for key, source in meant.items()
-            if again or key not in known or not known[key].holds(source) or (retry and known[key].failed)
+            if again or key not in known or not known[key].suffices(source, retry=retry, measured=measures)
         }
         writing = _Commits(folder)
-        outcomes: Iterable[Outcome[Reading]] = map_sources(read_recording, changed.values(), jobs=jobs, client=client)
+        maps = None if road_map is None else str(Path(road_map).absolute())
+        read = partial(read_recording, measured=measures, road_map=maps)
+        outcomes: Iterable[Outcome[Reading]] = map_sources(read, changed.values(), jobs=jobs, client=client)
         watched = progress(outcomes, len(changed)) if progress else outcomes
         failed = 0
         try:
@@ -137,14 +145,22 @@ class _Known:
         modified: See `RecordingRow`.
         etag: See `RecordingRow`.
         failed: Whether it could not be read.
+        measured: See `RecordingRow`.
     """
 
     size: int | None
     modified: datetime | None
     etag: str | None
     failed: bool
+    measured: bool
 
-    def holds(self, source: SourceFile) -> bool:
+    def suffices(self, source: SourceFile, *, retry: bool, measured: bool) -> bool:
+        """Return whether a recording need not be read again: it is as it was, and was read as is wanted."""
+        if self.failed:
+            return not retry and self._is_of(source)
+        return (self.measured or not measured) and self._is_of(source)
+
+    def _is_of(self, source: SourceFile) -> bool:
         """Return whether a recording is as it was; not if nothing is known of it."""
         if source.etag is not None:
             return (self.size, self.etag) == (source.size, source.etag)
@@ -153,9 +169,9 @@ class _Known:
 
 def _known(folder: IndexFolder) -> dict[str, _Known]:
     known: dict[str, _Known] = {}
-    for rows in folder.columns(RECORDINGS.name, [RECORDING, "size", "modified", "etag", "error"]):
-        for key, size, modified, etag, error in zip(*(column.to_pylist() for column in rows.columns), strict=True):
-            known[key] = _Known(size, modified, etag, error is not None)
+    for rows in folder.columns(RECORDINGS.name, [RECORDING, "size", "modified", "etag", "error", "measured"]):
+        for key, size, modified, etag, error, measured in zip(*(column.to_pylist() for column in rows.columns), strict=True):
+            known[key] = _Known(size, modified, etag, error is not None, bool(measured))
     return known
 
 
