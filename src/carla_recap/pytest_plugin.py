@@ -272,6 +272,7 @@ def _keep(world: CarlaWorld, config: pytest.Config, name: str, *, page: bool) ->
     """Move the recording of a test, and write its page; return what to say of them."""
     from carla_recap.errors import RecapError
     from carla_recap.export.report import write_report
+    from carla_recap.maps import find_road_network
     from carla_recap.recording import open_recording
     from carla_recap.rendering.town import load_town_of
 
@@ -287,7 +288,8 @@ def _keep(world: CarlaWorld, config: pytest.Config, name: str, *, page: bool) ->
         if page:
             with warnings.catch_warnings(), open_recording(kept) as recording:
                 warnings.simplefilter("ignore")
-                write_report(recording, kept_page, town=load_town_of(recording), force=True)
+                roads = find_road_network(recording.header.map_name)
+                write_report(recording, kept_page, town=load_town_of(recording), roads=roads, force=True)
             lines.append(f"page: {kept_page}")
     except (RecapError, RuntimeError, OSError) as error:
         lines.append(f"{'page' if lines else 'recording'}: none: {error}")
