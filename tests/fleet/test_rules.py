@@ -18,6 +18,16 @@ ROOT = Path(__file__).parents[2]
 SAMPLES = ROOT / "samples"
 
 
+@pytest.fixture
+def web():
+    """A web server of the samples."""
+    pytest.importorskip("obstore", reason="the extra `remote` is not installed")
+    from tests.web import serve
+
+    with serve(SAMPLES) as server:
+        yield server
+
+
 def verdict(sample: str, rule: str):
     rules = parse_rules(f"[rules.it]\n{dedent(rule)}", "rules.toml")
     with open_recording(SAMPLES / sample) as recording:
@@ -231,6 +241,17 @@ def test_a_rule_about_collisions_reads_a_small_part_of_the_recording(driven):
         for frame in reader.frames(("transforms",)):
             assert len(frame["transforms"])
         assert once < (reader.bytes_read - once) / 1.5
+
+
+def test_a_rule_about_collisions_asks_a_web_server_once_and_baselines_can_be_there(web):
+    text = '[rules.a]\ncollisions = { max = 9 }\n[rules.b]\nactors = { of = "hero", min = 1 }'
+    with open_recording(f"{web.url}/crash.mcap") as recording:
+        assert {each.status for each in check(recording, parse_rules(text, "rules.toml"))} == {"pass"}
+    assert len(web.requests) == 1
+    rules = parse_rules(f'[rules.a]\nsame_as = {{ baseline = "{web.url}/" }}', "rules.toml")
+    with open_recording(SAMPLES / "crash.mcap") as recording:
+        (found,) = check(recording, rules)
+    assert (found.status, found.message) == ("pass", f"equal to {web.url}/crash.mcap within 0 m")
 
 
 def test_times_that_are_no_numbers_are_left_out():

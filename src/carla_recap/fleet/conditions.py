@@ -428,9 +428,12 @@ class SameAs:
         Raises:
             RecapError: The folder has none.
         """
+        name = Path(recording.partition("?")[0])
+        if "://" in self.baseline and self.baseline.endswith("/"):
+            return self.baseline + name.name
         if not Path(self.baseline).is_dir():
             return self.baseline
-        stem = Path(recording.partition("?")[0]).stem
+        stem = name.stem
         for suffix in SUFFIXES:
             path = Path(self.baseline, stem + suffix)
             if path.exists():
