@@ -3,7 +3,7 @@ node_modules := tests/node/node_modules
 protoc = $(python) -m grpc_tools.protoc --proto_path=proto $(wildcard proto/carla_recap/v1/*.proto)
 generated := src/carla_recap/v1
 
-.PHONY: help venv test lint types proto check-proto wheel check bench soak search demo clean
+.PHONY: help venv test lint types proto check-proto wheel check docs bench soak search demo clean
 
 help: ## List the targets
 	@awk -F ':.*## ' '/^[a-z-]+:.*## / { printf "  %-12s %s\n", $$1, $$2 }' $(MAKEFILE_LIST)
@@ -35,6 +35,9 @@ wheel: venv ## Build the wheel and try it in an empty environment
 	PYTHON=$(python) tools/check-wheel
 
 check: lint types check-proto wheel ## Everything but the tests
+
+docs: venv ## Build the documentation as a site, in build/site
+	NO_MKDOCS_2_WARNING=1 .venv/bin/mkdocs build --quiet
 
 bench: venv ## Measure the speed and the sizes that the README states
 	$(python) -m benchmarks
