@@ -83,9 +83,8 @@ def python() -> str:
             if line == "## `Recording`":
                 break
             lines.append(f"\n{line}\n")
-        for name in re.findall(r"^\| `(\w+)`", line):
-            if name in where:
-                lines.append(f"::: {where[name]}.{name}\n")
+        names = re.findall(r"^\| `(\w+)`", line)
+        lines += [f"::: {where[name]}.{name}\n" for name in names if name in where]
     return "\n".join(lines)
 
 
