@@ -203,7 +203,7 @@ class _JsonPrinter:
 
 
 class _TablePrinter:
-    """Prints tables of some rows each, and a line with the numbers of rows and recordings."""
+    """Prints tables of some rows each, tables of the errors between them, and a line with the numbers of all."""
 
     def __init__(self, bar: SourcesBar) -> None:
         from rich.console import Console
@@ -211,49 +211,46 @@ class _TablePrinter:
         self._console = Console()
         self._bar = bar
         self._page: list[tuple[str, ...]] = []
-        self._errors: dict[int, str] = {}  # by position in the page
+        self._errors: list[tuple[str, ...]] = []
         self._row_type: type[Any] | None = None
         self._due = 0.0
         self._rows = self._recordings = self._failed = 0
 
     def add(self, given: RecordingAnswer) -> None:
         for piece in given.pieces:
-            self._row(given, tuple(piece))
+            self._row_type = given.kind.row_type if given.kind else None
+            self._add(self._page, tuple(piece))
         if given.error is not None:
             self._failed += 1
-            self._errors[len(self._page)] = given.error.removeprefix(f"{given.source.location}: ")
-            self._row(given, (given.source.location,))
+            location = given.source.location
+            self._add(self._errors, (location, given.error.removeprefix(f"{location}: ")))
         self._rows += given.rows
         self._recordings += 1
-        if self._page and monotonic() > self._due:
+        if (self._page or self._errors) and monotonic() > self._due:
             self._print_page()
 
     def end(self) -> None:
-        if self._page:
-            self._print_page()
+        self._print_page()
         failed = f", {self._failed} failed" if self._failed else ""
         line = f"{_counted(self._rows, 'row')}; {_counted(self._recordings, 'recording')}{failed}"
         self._console.print(line, highlight=False)
 
-    def _row(self, given: RecordingAnswer, cells: tuple[str, ...]) -> None:
-        if not self._page:
+    def _add(self, rows: list[tuple[str, ...]], row: tuple[str, ...]) -> None:
+        if not self._page and not self._errors:
             self._due = monotonic() + _INTERVAL
-        self._page.append(cells)
-        if given.kind is not None:
-            self._row_type = given.kind.row_type
-        if len(self._page) == _PAGE:
+        rows.append(row)
+        if len(rows) == _PAGE:
             self._print_page()
 
     def _print_page(self) -> None:
-        from carla_recap.queries.output.table import print_rows, width
+        from carla_recap.queries.output.table import print_rows
 
-        rows, count = self._page, 1 + width(self._row_type)
-        if self._errors:
-            padded = [(*row, *[""] * (count - len(row))) for row in rows]
-            rows = [(*row, self._errors.get(index, "")) for index, row in enumerate(padded)]
         with self._bar.aside():
-            print_rows(self._console, self._row_type, rows, "Recording", last="Error" if self._errors else "")
-        self._page, self._errors = [], {}
+            if self._page:
+                print_rows(self._console, self._row_type, self._page, "Recording")
+            if self._errors:
+                print_rows(self._console, None, self._errors, "Recording", "Error")
+        self._page, self._errors = [], []
 
 
 class _Output:

@@ -170,7 +170,7 @@ def _lost(worker: _Worker[T]) -> Iterator[tuple[_Task, Outcome[T] | None]]:
 
 def _no_start(worker: _Worker[Any]) -> str:
     worker.process.join()
-    hint = "in a script, many recordings are read below `if __name__ == '__main__':`, or with jobs=1"
+    hint = "a script calls this below `if __name__ == '__main__':`, a notebook with a function of a module, or with jobs=1"
     return f"the worker processes do not start ({_cause(worker)}); {hint}"
 
 

@@ -31,6 +31,7 @@ class _Column:
     cell: Callable[[Any], str]
     width: int | None = None  # of a table that is printed in pages
     is_number: bool = False
+    least: int | None = None  # width
 
 
 def table(answer: AnyAnswer, console: Console | None = None) -> None:
@@ -65,24 +66,17 @@ def cells(answer: AnyAnswer) -> Iterator[tuple[str, ...]]:
     return (tuple(column.cell(row) for column in columns) for row in answer)
 
 
-def width(row_type: type | None) -> int:
-    """Return the number of columns of a class of rows."""
-    return len(_COLUMNS[row_type]) if row_type else 0
-
-
-def print_rows(console: Console, row_type: type | None, rows: Sequence[Sequence[str]], *first: str, last: str = "") -> None:
+def print_rows(console: Console, row_type: type | None, rows: Sequence[Sequence[str]], *first: str) -> None:
     """Print a table of the rows of several answers, whose cells are known.
 
     Args:
         console: The console to print to.
-        row_type: The class of the rows; None if there is no answer.
-        rows: The cells of each row: those of further columns at the left, those of `cells`, and maybe one more.
+        row_type: The class of the rows; None if there are no cells of rows.
+        rows: The cells of each row: those of further columns at the left, then those of `cells`.
         first: The headings of the columns at the left.
-        last: The heading of the column at the right; empty if there is none.
     """
-    columns = [_Column(heading, str) for heading in first]
-    columns += _COLUMNS[row_type] if row_type else ()
-    _print_cells(console, [*columns, *([_Column(last, str)] if last else ())], rows, headed=True)
+    columns = [*(_Column(heading, str, least=len(heading)) for heading in first), *(_COLUMNS[row_type] if row_type else ())]
+    _print_cells(console, columns, rows, headed=True)
 
 
 def _print_page(console: Console, columns: Sequence[_Column], rows: list[Any], *, headed: bool) -> None:
@@ -97,7 +91,7 @@ def _print_cells(console: Console, columns: Iterable[_Column], rows: Iterable[It
     page = Table(box=box.SIMPLE_HEAD, show_edge=False, show_header=headed)
     for column in columns:
         justify: Any = "right" if column.is_number else "left"
-        page.add_column(column.heading, justify=justify, width=column.width, overflow="fold")
+        page.add_column(column.heading, justify=justify, width=column.width, min_width=column.least, overflow="fold")
     for row in rows:
         page.add_row(*(Text(visible(cell)) for cell in row))
     console.print(page)
