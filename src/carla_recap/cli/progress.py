@@ -60,18 +60,6 @@ def watch_ticks(title: str, seconds: float) -> Callable[[Iterable[float]], Itera
     return lambda ticks: _bar(ticks, title, seconds, float)
 
 
-def watch_recordings(title: str) -> Callable[[Iterable[T], int], Iterable[T]]:
-    """Return a wrapper of the outcomes of a number of recordings."""
-
-    def progress(outcomes: Iterable[T], count: int) -> Iterable[T]:
-        if not sys.stderr.isatty():
-            return outcomes
-        numbered = _watched(enumerate(outcomes, 1), title, count, lambda item: item[0])
-        return (outcome for _, outcome in numbered)
-
-    return progress
-
-
 class SourcesBar:
     """A bar that counts recordings; a context manager, in which it is shown.
 

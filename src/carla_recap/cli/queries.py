@@ -11,7 +11,7 @@ from carla_recap.cli import options
 from carla_recap.cli.many import answer
 from carla_recap.cli.output import form_of
 
-_EPILOG = "Each SOURCE is a recording, a folder, or a glob in quotes; - is a list of them on stdin, one in a line."
+_EPILOG = "Each SOURCE is a recording, a folder, a glob in quotes, or a URL; - is a list of them on stdin, one in a line."
 
 Kinds = tuple[str, ...] | Literal["all"] | None
 """The kinds of incidents that are asked for; None: the usual ones."""
