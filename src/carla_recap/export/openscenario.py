@@ -69,7 +69,7 @@ def export_openscenario(
         RecapError: The recording has no such time or is too long, or the file cannot be written.
     """
     reader = source.reader
-    check_destination(reader.path, destination, force=force)
+    check_destination(reader.location, destination, force=force)
     player = Player(source, start=start, duration=duration)
     actors: dict[tuple[int, float], Present] = {}
     parts: dict[tuple[int, float], list[Floats]] = {}
@@ -87,7 +87,7 @@ def export_openscenario(
             parts.setdefault(key, []).append(rows[np.isfinite(rows).all(axis=1)])
             vertices += len(rows)
         if vertices > _MOST:
-            raise RecapError(f"{reader.path}: more than {_MOST:,} poses; --start and --duration export a part of it")
+            raise RecapError(f"{reader.location}: more than {_MOST:,} poses; --start and --duration export a part of it")
     paths = {key: _reduced(np.concatenate(rows)) for key, rows in parts.items()}
     paths = {key: path for key, path in paths.items() if len(path)}
     scenario = _scenario(_printable(readable(reader.header.map_name)), opendrive, player.stop - player.start)

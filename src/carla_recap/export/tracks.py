@@ -64,7 +64,7 @@ def export_csv(
         RecapError: The recording has no such time, or the file cannot be written.
     """
     reader = source.reader
-    check_destination(reader.path, destination, force=force)
+    check_destination(reader.location, destination, force=force)
     player = Player(source, start=start, duration=duration)
     frames, first, last = 0, player.start, player.start
     with WholeFile(destination) as file:

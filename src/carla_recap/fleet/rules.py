@@ -182,7 +182,7 @@ def _verdict(rule: Rule, facts: Facts) -> Verdict:
     try:
         passes, message, offences = rule.condition.judge(facts)
     except RecapError as error:
-        return Verdict(rule.name, "error", visible(str(error).removeprefix(f"{facts.recording.path}: ")))
+        return Verdict(rule.name, "error", visible(str(error).removeprefix(f"{facts.recording.location}: ")))
     except OSError as error:
         return Verdict(rule.name, "error", visible(error.strerror or str(error)))
     if passes:

@@ -68,7 +68,7 @@ def export_osi(
         RecapError: The recording has no such time or no such actor, or a file cannot be read or written.
     """
     reader = source.reader
-    check_destination(reader.path, destination, force=force)
+    check_destination(reader.location, destination, force=force)
     content = None if opendrive is None else read_content(Path(opendrive)).decode("utf-8", "replace")
     heroes = [actor.id for actor in source.heroes]
     player = Player(source, start=start, duration=duration, follow=follow)

@@ -246,7 +246,7 @@ def _subjects(source: Reader, recorded: list[Actor], wanted: Subjects) -> dict[i
         return movers
     if wanted == "hero":
         if not heroes:
-            raise RecapError(f"{source.path}: there is no hero to measure (no vehicle or walker has the role_name hero)")
+            raise RecapError(f"{source.location}: there is no hero to measure (no vehicle or walker has the role_name hero)")
         return heroes
     if isinstance(wanted, str):
         raise RecapError(f"actors to measure must be ids, 'hero' or 'all', not {wanted!r}")
@@ -254,5 +254,5 @@ def _subjects(source: Reader, recorded: list[Actor], wanted: Subjects) -> dict[i
         if id not in movers:
             near = sorted(movers, key=lambda known: abs(known - id))[:3]
             names = ", ".join(map(str, near)) or "none"
-            raise RecapError(f"{source.path}: no vehicle or walker {id} to measure; near ids are {names}")
+            raise RecapError(f"{source.location}: no vehicle or walker {id} to measure; near ids are {names}")
     return {id: movers[id] for id in wanted}
