@@ -15,6 +15,7 @@ from carla_recap.export import style
 from carla_recap.model.batch import within
 from carla_recap.model.frame import SAME_TIME
 from carla_recap.queries.incidents import ALL_KINDS, ROAD_KINDS, IncidentSearch
+from carla_recap.queries.measures.over_time import SeriesCollector
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator, Sequence
@@ -22,6 +23,7 @@ if TYPE_CHECKING:
     from carla_recap.model.batch import Batch
     from carla_recap.model.roads import RoadNetwork
     from carla_recap.queries.incidents import Incident, Kind
+    from carla_recap.queries.measures import MeasureSeries
     from carla_recap.replay import Collided, Player, Present, Scene
 
 _MANY: Final = 5  # the number of actors that appear or disappear in a scene from which on they are counted, not named
@@ -90,6 +92,8 @@ class EventText:
 class PlayedIncidents:
     """The incidents in the time that is played, without collisions; none if the recording is damaged elsewhere.
 
+    Near misses are those of the followed actor, if there is one.
+
     Args:
         player: The player, which has not begun; its frames are what they are found in.
         roads: The roads of the map, if it is known.
@@ -98,15 +102,26 @@ class PlayedIncidents:
     def __init__(self, player: Player, roads: RoadNetwork | None = None) -> None:
         self._start, self._stop = player.start, player.stop + 2 * SAME_TIME
         self._search: IncidentSearch | None = None
+        self._series = None if player.followed is None else SeriesCollector(player.followed)
         with suppress(RecapError):
             self._search = IncidentSearch(
-                player.reader, kinds=_kinds(roads), roads=roads, start=self._start, stop=self._stop
+                player.reader,
+                kinds=_kinds(roads),
+                roads=roads,
+                start=self._start,
+                stop=self._stop,
+                near=None if player.followed is None else (player.followed,),
+                series=self._series,
             )
             player.observe(self._add)
 
     def found(self) -> Iterable[Incident]:
         """Return the incidents in all that was played."""
         return () if self._search is None else self._search.finish()
+
+    def series(self) -> MeasureSeries | None:
+        """Return the measures of the followed actor, after `found`; None without one, or if the recording is damaged."""
+        return None if self._search is None or self._series is None else self._series.finish()
 
     def _add(self, batch: Batch) -> None:
         try:

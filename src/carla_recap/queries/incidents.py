@@ -41,6 +41,7 @@ if TYPE_CHECKING:
     from carla_recap.model.roads import RoadNetwork
     from carla_recap.model.stationary import BlockedRow
     from carla_recap.queries.measures.near_misses import NearMiss
+    from carla_recap.queries.measures.over_time import SeriesCollector
     from carla_recap.queries.measures.road import RoadEvent
 
 Kind = Literal[
@@ -144,7 +145,8 @@ def incidents(
 class IncidentSearch:
     """Finds the incidents of a recording in its batches, which are read for something else, too.
 
-    Args and errors are those of `incidents`. The spawns, the ends and the collisions of all actors are read at once.
+    Args and errors are those of `incidents`; besides, `near` are the actors whose near misses count, None for all, and
+    `series` gets the motion that these are found in. The spawns, the ends and the collisions of all actors are read at once.
     """
 
     def __init__(
@@ -158,6 +160,8 @@ class IncidentSearch:
         deceleration: float = HARD,
         start: float = -math.inf,
         stop: float = math.inf,
+        near: Collection[int] | None = None,
+        series: SeriesCollector | None = None,
     ) -> None:
         if not deceleration > 0:
             raise RecapError(f"a deceleration of {deceleration:g} m/s² is no braking; it must be above 0")
@@ -179,7 +183,9 @@ class IncidentSearch:
         self._braked = source.hard_braking(deceleration) if braking and is_whole else None
         is_needed = braking and self._braked is None
         self._detector = BrakingDetector(self._actors.ids("vehicle"), deceleration) if is_needed else None
-        self._near = NearMissDetector(self._actors, touching) if "near miss" in wanted else None
+        ids = None if near is None else frozenset(near)
+        detector = NearMissDetector(self._actors, touching, ids, series=series) if "near miss" in wanted else None
+        self._near = detector
         self._kinds = wanted
         of_road = roads is not None and not wanted.isdisjoint(ROAD_KINDS)
         self._roads = RoadSearch(source, roads, collector.actors) if roads is not None and of_road else None

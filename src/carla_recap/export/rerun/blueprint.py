@@ -12,7 +12,7 @@ import rerun.blueprint as rrb
 from carla_recap.export import style
 from carla_recap.export.rerun import paths
 from carla_recap.export.rerun.eyes import LOOK_DOWN, Triple, chase_eye
-from carla_recap.export.rerun.plots import CONTROLS
+from carla_recap.export.rerun.plots import CONTROLS, FARTHEST, LATEST
 from carla_recap.export.rerun.stream import FRAME, SIM_TIME
 from carla_recap.model.records import CM
 from carla_recap.rendering.looks import look_of_present
@@ -74,7 +74,7 @@ def arranged(cameras: Mapping[View, rrb.Spatial3DView], view: View, ego: int | N
     )
     beside: list[rrb.View | rrb.Container] = [rrb.Spatial2DView(origin=paths.MAP, name="Map", background=[*style.MAP, 255])]
     if ego is not None:
-        beside += _plots(ego)
+        beside += _plots(ego, live=live)
     return rrb.Blueprint(
         rrb.Horizontal(scene, rrb.Vertical(*beside, row_shares=[2] + [1] * (len(beside) - 1)), column_shares=[3, 1]),
         rrb.BlueprintPanel(state="collapsed"),
@@ -153,8 +153,23 @@ def follow_views(
     }
 
 
-def _plots(id: int) -> list[rrb.View]:
+def _plots(id: int, *, live: bool) -> list[rrb.View | rrb.Container]:
     no_legend = rrb.PlotLegend(visible=False)  # it would cover the lines
+    legend = rrb.PlotLegend(corner=rrb.Corner2D.LeftTop)
+    others = rrb.Tabs(
+        rrb.TimeSeriesView(
+            origin=paths.TIMES,
+            name="Time to collision, headway (s)",
+            axis_y=rrb.ScalarAxis(range=(0.0, LATEST)),
+            plot_legend=legend,
+        ),
+        rrb.TimeSeriesView(
+            origin=paths.DISTANCES,
+            name="Gap, headway (m)",
+            axis_y=rrb.ScalarAxis(range=(0.0, FARTHEST)),
+            plot_legend=legend,
+        ),
+    )
     return [
         rrb.TimeSeriesView(origin=paths.SPEED, name=f"Speed of {id} (km/h)", plot_legend=no_legend),
         rrb.TimeSeriesView(
@@ -163,6 +178,7 @@ def _plots(id: int) -> list[rrb.View]:
             axis_y=rrb.ScalarAxis(range=_ACCELERATIONS),
             plot_legend=no_legend,
         ),
+        *(() if live else (others,)),
         rrb.TimeSeriesView(
             origin=paths.EGO,
             contents=[paths.CONTROLS, paths.PEDALS],

@@ -63,9 +63,14 @@ class EventWriter:
         if len(self._lines) >= _MAX_LINES:
             self.flush()
 
+    @property
+    def clock(self) -> TimeColumns:
+        """The times of all scenes so far."""
+        return TimeColumns.joined(self._clock) if self._clock else TimeColumns.of_points(())
+
     def write_incidents(self, found: Iterable[Incident]) -> None:
         """Write the incidents that began during the scenes so far, each at the scene at which it began."""
-        clock = TimeColumns.joined(self._clock) if self._clock else TimeColumns.of_points(())
+        clock = self.clock
         seconds = np.maximum.accumulate(clock.seconds)
         for start, line in incident_lines(found):
             row = int(np.searchsorted(seconds, start - SAME_TIME))

@@ -1,4 +1,4 @@
-"""Plots of the followed actor: its speed, its acceleration and its controls."""
+"""Plots of the followed actor: its speed, its acceleration and its controls, and how close others are."""
 
 from __future__ import annotations
 
@@ -10,12 +10,14 @@ import rerun as rr
 from carla_recap.export.motion import SPAN, HeldPedals, accelerations
 from carla_recap.export.rerun import paths
 from carla_recap.export.rerun.stream import TimeColumns
+from carla_recap.model.frame import SAME_TIME
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from carla_recap.export.rerun.stream import Stream
     from carla_recap.export.style import Color
+    from carla_recap.queries.measures import MeasureSeries
 
     Floats = NDArray[np.float64]
 
@@ -25,10 +27,44 @@ CONTROLS: Final = ("throttle", "brake", "steer")
 THROTTLE: Final[Color] = (90, 200, 120)
 BRAKE: Final[Color] = (240, 90, 80)
 STEER: Final[Color] = (130, 170, 255)
+GAP: Final[Color] = (235, 235, 240)
+HEADWAY: Final[Color] = (110, 200, 235)
+FARTHEST: Final = 50.0
+"""The distances up to which there are plots, in m."""
+LATEST: Final = 5.0
+"""The times up to which there are plots, in s."""
 SPEED: Final[Color] = (255, 190, 80)
 ACCELERATION: Final[Color] = (205, 150, 240)
 
 _KMH: Final = 3.6  # in a m/s
+
+
+def write_measures(stream: Stream, clock: TimeColumns, series: MeasureSeries) -> None:
+    """Write the plots of how close others are to the followed actor, at the scenes in which it is measured.
+
+    Args:
+        stream: The stream.
+        clock: The times of all scenes.
+        series: The measures.
+    """
+    seconds = np.maximum.accumulate(clock.seconds)
+    rows = np.searchsorted(seconds, series.time - SAME_TIME)
+    known = np.flatnonzero(rows < len(seconds))
+    known = known[np.abs(seconds[rows[known]] - series.time[known]) <= 2 * SAME_TIME]
+    times = clock.take(rows[known])
+    lines = (
+        (paths.GAP, GAP, "gap, m", series.gap, FARTHEST),
+        (paths.HEADWAY, HEADWAY, "headway, m", series.distance_headway, FARTHEST),
+        (paths.TIME_TO_COLLISION, BRAKE, "time to collision, s", series.time_to_collision, LATEST),
+        (paths.TIME_HEADWAY, HEADWAY, "time headway, s", series.time_headway, LATEST),
+    )
+    for path, color, name, values, most in lines:
+        stream.log_static(path, rr.SeriesLines(colors=[color], names=[name], widths=[2.0]))
+        shown = values[known]
+        shown = np.where(shown <= most, shown, np.nan)
+        # A NaN ends a line; those that follow it are left out.
+        kept = np.flatnonzero(~(np.isnan(shown) & np.isnan(np.append(np.nan, shown[:-1]))))
+        stream.columns(path, times.take(kept), rr.Scalars.columns(scalars=shown[kept]))
 
 
 class PlotWriter:

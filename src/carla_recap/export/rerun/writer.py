@@ -22,6 +22,7 @@ from carla_recap.export.rerun.followed import FollowedWriter
 from carla_recap.export.rerun.ghosts import write_ghosts
 from carla_recap.export.rerun.ground import ground_below, write_ground
 from carla_recap.export.rerun.lights import LightAheadWriter, TrafficLightWriter
+from carla_recap.export.rerun.plots import write_measures
 from carla_recap.export.rerun.rrd import piped, rbl
 from carla_recap.export.rerun.stream import Stream, TimeColumns
 from carla_recap.export.rerun.town import is_elsewhere, write_map, write_sky, write_town
@@ -43,6 +44,7 @@ if TYPE_CHECKING:
     from carla_recap.maps import RoadMap
     from carla_recap.model.frame import Header
     from carla_recap.queries.incidents import Incident
+    from carla_recap.queries.measures import MeasureSeries
     from carla_recap.rendering.town import TownMesh
     from carla_recap.replay import SceneBatch
     from carla_recap.replay.follow import Follow
@@ -153,6 +155,10 @@ class SceneWriter:
         """Write the hard braking and the long stops that began during the scenes so far."""
         self._events.write_incidents(found)
 
+    def write_measures(self, series: MeasureSeries) -> None:
+        """Write how close others were to the followed actor during the scenes so far."""
+        write_measures(self._stream, self._events.clock, series)
+
     def flush(self) -> None:
         """Write what is held back."""
         self._actors.flush()
@@ -210,6 +216,9 @@ def write(
         writer.write(batch)
         count += len(batch)
     writer.write_incidents(incidents.found())
+    series = incidents.series()
+    if series is not None:
+        writer.write_measures(series)
     writer.close()
     return Played(count, player.stop - player.start)
 

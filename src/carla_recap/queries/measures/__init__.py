@@ -12,12 +12,14 @@ from carla_recap.queries.measures.boxes import (
 )
 from carla_recap.queries.measures.encroachment import Path, post_encroachment_time
 from carla_recap.queries.measures.extremes import Measures, MeasureSearch, measures
+from carla_recap.queries.measures.over_time import MeasureSeries, time_series
 from carla_recap.queries.measures.rows import MeasureRow
 
 __all__ = [
     "Boxes",
     "MeasureRow",
     "MeasureSearch",
+    "MeasureSeries",
     "Measures",
     "Path",
     "gap",
@@ -26,5 +28,6 @@ __all__ = [
     "post_encroachment_time",
     "required_deceleration",
     "time_headway",
+    "time_series",
     "time_to_collision",
 ]

@@ -27,6 +27,7 @@ if TYPE_CHECKING:
     from carla_recap.queries.actors import ActorsByTime
     from carla_recap.queries.measures.contacts import ContactTimes
     from carla_recap.queries.measures.motion import MotionBlock
+    from carla_recap.queries.measures.over_time import SeriesCollector
 
     Booleans = NDArray[np.bool_]
     Floats = NDArray[np.float64]
@@ -100,6 +101,7 @@ class NearMissDetector:
         actors: The actors.
         contacts: When they touch: near misses that end in a collision are none, nor is what follows a collision.
         ids: The actors of interest, one of which a near miss must have; None for all.
+        series: Gets the motion, too.
         time_to_collision: The greatest time to collision of a near miss, in s.
         post_encroachment_time: The greatest post-encroachment time of a near miss, in s.
     """
@@ -110,10 +112,11 @@ class NearMissDetector:
         contacts: ContactTimes,
         ids: frozenset[int] | None = None,
         *,
+        series: SeriesCollector | None = None,
         time_to_collision: float = TIME_TO_COLLISION,
         post_encroachment_time: float = POST_ENCROACHMENT_TIME,
     ) -> None:
-        self._contacts, self._ids = contacts, ids
+        self._contacts, self._ids, self._series = contacts, ids, series
         self._longest, self._soonest = time_to_collision, post_encroachment_time
         self._motion = MotionCollector(actors)
         self._approaches: dict[tuple[int, int], list[_Critical]] = defaultdict(list)
@@ -148,6 +151,8 @@ class NearMissDetector:
 
     def add(self, block: MotionBlock) -> None:
         """Process a block of motion."""
+        if self._series is not None:
+            self._series.add(block)
         subjects = np.ones(len(block.ids), np.bool_) if self._ids is None else np.isin(block.ids, list(self._ids))
         if not subjects.any() or len(block.ids) < 2:
             return

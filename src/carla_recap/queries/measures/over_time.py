@@ -1,0 +1,150 @@
+"""The measures of an actor over time."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, fields
+from typing import TYPE_CHECKING, Any, ClassVar
+
+import numpy as np
+
+from carla_recap.errors import RecapError
+from carla_recap.queries.actors import ActorsByTime, actors
+from carla_recap.queries.measures.motion import KINDS, TYPES, MotionCollector
+from carla_recap.queries.measures.series import JERK_WINDOW, SPEED_WINDOW, criticality, slope
+from carla_recap.tables import Columns
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+    from carla_recap.formats.base import Reader
+    from carla_recap.queries.measures.motion import MotionBlock
+
+    Floats = NDArray[np.float64]
+    Ids = NDArray[np.int64]
+
+
+@dataclass(frozen=True)
+class MeasureSeries(Columns):
+    """The measures of an actor over time: arrays of one length, a value for each frame in which it is present.
+
+    Attributes:
+        time: Elapsed seconds.
+        speed: The speed over the ground in m/s.
+        acceleration: In m/s², below 0 when it brakes; NaN where it is unknown.
+        jerk: In m/s³; NaN where it is unknown.
+        gap: The least gap to another actor in m; inf without one within 100 m.
+        nearest: The id of the actor that is this near; -1 without one.
+        time_to_collision: The least time to collision in s; inf above 10 s.
+        threat: The id of the actor that this is the time to; -1 without one.
+        distance_headway: The distance to the leader in m, from bumper to bumper; inf without one.
+        time_headway: The same as a time in s; inf at rest.
+        required_deceleration: The deceleration to avoid the leader in m/s².
+        leader: The id of the leader; -1 without one.
+    """
+
+    column_units: ClassVar = {
+        "time": "s",
+        "speed": "m/s",
+        "acceleration": "m/s²",
+        "jerk": "m/s³",
+        "gap": "m",
+        "time_to_collision": "s",
+        "distance_headway": "m",
+        "time_headway": "s",
+        "required_deceleration": "m/s²",
+    }
+
+    time: Floats
+    speed: Floats
+    acceleration: Floats
+    jerk: Floats
+    gap: Floats
+    nearest: Ids
+    time_to_collision: Floats
+    threat: Ids
+    distance_headway: Floats
+    time_headway: Floats
+    required_deceleration: Floats
+    leader: Ids
+
+    def __len__(self) -> int:
+        return len(self.time)
+
+
+def time_series(
+    source: Reader, actor: int, other: int | None = None, *, start: float = -math.inf, stop: float = math.inf
+) -> MeasureSeries:
+    """Return the measures of an actor over time.
+
+    Args:
+        source: The recording.
+        actor: The id of the vehicle or walker.
+        other: The id of the only other actor that counts; None for all.
+        start: The elapsed seconds from which on to measure.
+        stop: The elapsed seconds until which to measure.
+
+    Raises:
+        RecapError: There is no such vehicle or walker.
+        FormatError: The file contradicts its format.
+    """
+    known = ActorsByTime(actors(source))
+    for id in (actor,) if other is None else (actor, other):
+        if not any(id in known.ids(kind) for kind in KINDS):
+            raise RecapError(f"{source.location}: no vehicle or walker {id} to measure")
+    motion, series = MotionCollector(known), SeriesCollector(actor, other)
+    for batch in source.batches(TYPES, start=start, stop=stop):
+        for block in motion.add(batch):
+            series.add(block)
+    for block in motion.finish():
+        series.add(block)
+    return series.finish()
+
+
+class SeriesCollector:
+    """Collects the measures of an actor over time from blocks of motion.
+
+    Args:
+        actor: The id of the actor.
+        other: The id of the only other actor that counts; None for all.
+    """
+
+    def __init__(self, actor: int, other: int | None = None) -> None:
+        self._actor, self._other = actor, other
+        self._parts: list[list[NDArray[Any]]] = []
+
+    def add(self, block: MotionBlock) -> None:
+        """Add a block."""
+        rows = np.flatnonzero(block.ids == self._actor)
+        others = np.flatnonzero(block.ids == (self._actor if self._other is None else self._other))
+        if not len(rows) or not len(others):
+            return
+        found = criticality(block, rows, None if self._other is None else int(others[0]))
+        speed = block.speed[rows]
+        acceleration = slope(block.time, speed, SPEED_WINDOW)
+        ids = np.append(block.ids, -1)  # of no actor
+        columns = [
+            block.time[None],
+            speed,
+            acceleration,
+            slope(block.time, acceleration, JERK_WINDOW),
+            found.gap,
+            ids[found.nearest],
+            found.time_to_collision,
+            ids[found.threat],
+            found.headway,
+            found.time_headway,
+            found.required_deceleration,
+            ids[found.leader],
+        ]
+        present = np.flatnonzero(~np.isnan(block.x[rows[0], block.core])) + block.first
+        self._parts.append([np.asarray(column[0, present]) for column in columns])
+
+    def finish(self) -> MeasureSeries:
+        """Return the measures."""
+        names = [field.name for field in fields(MeasureSeries)]
+        columns: dict[str, Any] = {}
+        for number, name in enumerate(names):
+            none = np.zeros(0, np.int64 if name in ("nearest", "threat", "leader") else np.float64)
+            columns[name] = np.concatenate([none, *(part[number] for part in self._parts)])
+        return MeasureSeries(**columns)
