@@ -5,11 +5,12 @@ from contextlib import closing
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+import numpy as np
 import pytest
 
 from carla_recap.errors import RecapError
 from carla_recap.formats import open_reader
-from carla_recap.queries.measures import measures
+from carla_recap.queries.measures import measures, time_series
 from carla_recap.queries.output.json import json
 from carla_recap.queries.output.text import text
 from tests.queries.measures.conftest import Mover, straight
@@ -212,3 +213,32 @@ def test_poses_that_are_no_positions(drive: Drive, value: float) -> None:
 def test_nothing_to_measure(drive: Drive) -> None:
     assert measures(drive([], seconds=1.0)) == []
     assert measures(drive([Mover(1, present=lambda _: False, role_name="hero")], seconds=1.0)) == []
+
+
+# --- over time ------------------------------------------------------------------------------------------
+
+
+def test_over_time(drive: Drive) -> None:
+    cars = [straight(1, 0, 0, 15), straight(2, 40, 0, 10), straight(3, 0, 6, 15, kind=2, type_id="walker.a", size=(1, 1))]
+    reader = drive(cars, seconds=3.0)
+    found = time_series(reader, 1)
+    assert len(found) == 61
+    assert found.time == pytest.approx(np.arange(61) / 20)
+    assert found.distance_headway == pytest.approx(36 - 5 * found.time, abs=1e-2)
+    assert found.time_to_collision == pytest.approx(found.distance_headway / 5, abs=1e-2)
+    assert found.time_headway == pytest.approx(found.distance_headway / 15, abs=1e-2)
+    assert found.gap == pytest.approx(4.5, abs=1e-2)
+    assert (set(found.leader), set(found.threat), set(found.nearest)) == ({2}, {2}, {3})
+    of_pair = time_series(reader, 1, 2)
+    assert of_pair.gap == pytest.approx(found.distance_headway, abs=1e-2)
+    alone = time_series(reader, 3, 2)
+    assert set(alone.leader) == {-1}
+    assert np.isinf(alone.time_to_collision).all()
+    with pytest.raises(RecapError, match="no vehicle or walker 4"):
+        time_series(reader, 4)
+
+
+def test_the_least_post_encroachment_time(drive: Drive) -> None:
+    cars = [straight(1, -20, 0, 10, role_name="hero"), straight(2, 0, -40, 10, yaw=90), straight(3, -45, 0, 10)]
+    row = of(measures(drive(cars, seconds=6)))["post_encroachment_time"]
+    assert (row.value, row.other) == (pytest.approx(1.4, abs=0.02), 2)

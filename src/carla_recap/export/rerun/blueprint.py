@@ -155,19 +155,18 @@ def follow_views(
 
 def _plots(id: int, *, live: bool) -> list[rrb.View | rrb.Container]:
     no_legend = rrb.PlotLegend(visible=False)  # it would cover the lines
-    legend = rrb.PlotLegend(corner=rrb.Corner2D.LeftTop)
     others = rrb.Tabs(
         rrb.TimeSeriesView(
             origin=paths.TIMES,
-            name="Time to collision, headway (s)",
+            name="Collision (red), headway (s)",
             axis_y=rrb.ScalarAxis(range=(0.0, LATEST)),
-            plot_legend=legend,
+            plot_legend=no_legend,
         ),
         rrb.TimeSeriesView(
             origin=paths.DISTANCES,
-            name="Gap, headway (m)",
+            name="Gap (white), headway (m)",
             axis_y=rrb.ScalarAxis(range=(0.0, FARTHEST)),
-            plot_legend=legend,
+            plot_legend=no_legend,
         ),
     )
     return [

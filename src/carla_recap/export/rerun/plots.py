@@ -62,8 +62,10 @@ def write_measures(stream: Stream, clock: TimeColumns, series: MeasureSeries) ->
         stream.log_static(path, rr.SeriesLines(colors=[color], names=[name], widths=[2.0]))
         shown = values[known]
         shown = np.where(shown <= most, shown, np.nan)
-        # A NaN ends a line; those that follow it are left out.
-        kept = np.flatnonzero(~(np.isnan(shown) & np.isnan(np.append(np.nan, shown[:-1]))))
+        # A NaN ends a line; those that follow it are left out, but for the first and the last time of the axis.
+        is_needed = ~(np.isnan(shown) & np.isnan(np.append(np.nan, shown[:-1])))
+        is_needed[:1] = is_needed[-1:] = True
+        kept = np.flatnonzero(is_needed)
         stream.columns(path, times.take(kept), rr.Scalars.columns(scalars=shown[kept]))
 
 
