@@ -7,7 +7,7 @@ import sys
 import traceback
 from pathlib import Path
 
-from benchmarks import core, exports, fleet, remote, rendering, roads, server, simulator
+from benchmarks import core, exports, fleet, measures, remote, rendering, roads, server, simulator
 from benchmarks.hour import FRAMES, cached
 from benchmarks.measuring import Subject, in_new_process, measure
 
@@ -21,6 +21,7 @@ ROWS = (
     *simulator.ROWS,
     *server.ROWS,
     *roads.ROWS,
+    *measures.ROWS,
 )
 WIDTHS = (46, 18, 18, 18, 8)
 
