@@ -91,6 +91,11 @@ def test_a_clip_of_a_moment(served, tmp_path, arguments):
         assert found["transforms"].tolist() == expected["transforms"].tolist()
 
 
+def test_an_export_of_a_moment(served, tmp_path):
+    done = run("export", f"{served}#t=20", tmp_path / "tracks.csv")
+    assert done.stderr.decode() == f"{tmp_path}/tracks.csv: 101 frames, 10 s\n"
+
+
 def test_a_span_that_ends_before_it_begins(tmp_path):
     assert error("clip", f"{CROSSING}#t=20,10", tmp_path / "x.log") == f"{CROSSING}#t=20,10: an end after 20 s was expected"
 

@@ -62,7 +62,7 @@ def export(
 
     With --to parquet, DST is a folder: a file for each record type, and actors, collisions and incidents. --to osi writes
     ASAM OSI's ground truth (.mcap); --to csv the tracks of vehicles and walkers; --to xosc their trajectories as
-    OpenSCENARIO.
+    OpenSCENARIO. SRC#t=12.1 means from 5 s before that moment to 5 s after it.
     """
     from carla_recap.cli.progress import watch_scenes
     from carla_recap.recording import open_recording
@@ -147,7 +147,8 @@ def _export_exchanged(ctx: click.Context, source: str, destination: str, to: str
         raise click.BadParameter(f"{destination!r} does not end in {expected}.", param_hint="DST")
     extra = {"osi": ("follow", "road_map"), "xosc": ("road_map",), "csv": ()}[to]
     _refuse_others(ctx, (*_TRACES, *extra), to)
-    given = {name: ctx.params[name] for name in ("start", "duration", "force")}
+    source, start, duration = options.timed(source, ctx.params["start"], ctx.params["duration"])
+    given = {"start": start, "duration": duration, "force": ctx.params["force"]}
     with open_recording(source) as recording:
         watched = {**given, "progress": watch_scenes("exporting")}
         if to == "csv":
