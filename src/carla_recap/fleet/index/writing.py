@@ -35,9 +35,9 @@ if TYPE_CHECKING:
 
 MOST_PARTS: Final = 20
 """The number of commits from which on their parts are merged at the end."""
-_ROWS: Final = 200_000  # of all tables, that wait to be written, at most
-_PAUSE: Final = 5.0  # s between two commits, at least
-_SHARE: Final = 0.05  # of the time of the whole run, that this pause is at least
+_ROWS: Final = 50_000  # of all tables, that wait to be written, at most
+_PAUSE: Final = 1.0  # s between two commits, at least
+_SHARE: Final = 0.1  # of the time of the whole run, that this pause is at least
 _EPOCH: Final = datetime(1970, 1, 1)
 
 
