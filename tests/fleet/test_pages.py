@@ -77,7 +77,7 @@ def test_the_overview_begins_with_what_is_wrong():
     assert words.index("1 failed and 1 not judged of 3 recordings") < words.index("The hero hits nothing")
     assert words.index("c.mcap") < words.index("b.mcap") < words.index("a.mcap")
     assert "no-hero-collision The hero hits nothing 1 failed" in words
-    assert "Passed: no-red-light, keeps-its-distance, gentle-braking, nobody-blocked, one-hero, complete" in words
+    assert "Passed: no-red-light, keeps-its-distance, gentle-braking, no-long-stops, one-hero, complete" in words
 
 
 def test_an_offence_links_to_its_moment_in_the_page():

@@ -228,7 +228,7 @@ def test_verdicts_are_in_the_order_of_the_rules():
     assert [each.rule for each in found if each.status == "fail"] == [
         "no-hero-collision",
         "keeps-its-distance",
-        "nobody-blocked",
+        "no-long-stops",
     ]
     assert {each.status for each in found} == {"pass", "fail"}
 

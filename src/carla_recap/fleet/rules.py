@@ -293,7 +293,7 @@ class _Fields:
         return Bounds(least, most)
 
     def done(self) -> None:
-        """Refuse fields that nobody has read."""
+        """Refuse fields that were not read."""
         for name in self._table:
             if name not in self._known:
                 raise RecapError(f"{self._prefix}: unknown field {_shown(name)}; {_hint(name, self._known)}")
