@@ -108,6 +108,13 @@ def test_an_export_imported_again_has_the_same_transforms(tmp_path, sample):
         ("time,id,x,y\n0,7,1,north\n", "line 2: y is 'north'; a number"),
         ("time,id,x,y\n0,7,1,nan\n", "line 2: time, x and y must be finite"),
         ("time,id,x,y\n0,7,1,1\n0,7,2,2\n", "object 7 has two rows at 0 s"),
+        ("time,id,x,y\n0,7,1e38,1\n", "line 2: x is 1e38, which is too large"),
+        ("time,id,x,y,vx,vy\n0,7,1,1,-1e300,0\n", "line 2: vx is -1e300, which is too large"),
+        ("time,id,x,y\n-1e308,7,1,1\n1e308,7,1,1\n", "line 2: time is -1e308, which is too large"),
+        ("time,id,x,y\n0,,1,1\n", "line 2: the id is empty"),
+        (f"time,id,x,y\n0,{'7' * 70_000},1,1\n", "line 2: id has 70000 characters"),
+        ("time,id,x,y,X\n0,7,1,1,2\n", "two columns are named x"),
+        ('time,id,x,y\n0,"7,1,1\n1,"7,2,2\n', "is no CSV file"),
     ],
 )
 def test_what_is_no_such_table_is_an_error_and_leaves_no_file(tmp_path, text, message):
@@ -116,6 +123,13 @@ def test_what_is_no_such_table_is_an_error_and_leaves_no_file(tmp_path, text, me
     with pytest.raises(RecapError, match=message):
         import_tracks(source, tmp_path / "out.mcap")
     assert [path.name for path in tmp_path.iterdir()] == ["tracks.csv"]
+
+
+def test_what_is_not_finite_is_unknown(table):
+    with table("time,id,x,y,z,yaw,length,width,vx,vy\n0,7,1,2,inf,-inf,inf,2,inf,nan\n") as recording:
+        (frame,) = recording
+        assert frame["transforms"].tolist() == [(7, 100, -200, 0, 0, 0, 0)]
+        assert len(frame["velocities"]) == len(frame["bounding_boxes"]) == 0
 
 
 @pytest.mark.parametrize(

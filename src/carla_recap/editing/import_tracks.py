@@ -76,6 +76,9 @@ _PER_SECOND: Final[Mapping[str, float]] = {"s": 1.0, "ms": 1e3, "us": 1e6, "ns":
 _PROP: Final = "static.prop.box01"
 _DAY: Final = 86_400.0  # s; a recording whose times begin later, or before 0, begins at 0
 _ROWS: Final = 50_000_000  # that are read at most
+_LONGEST: Final = 1_000  # characters of an id, a kind, a blueprint or a role
+_LARGEST: Final = 1e12  # of the unit of a column; a recording has floats of 32 bits
+_LATEST: Final = 1e21  # s, ms, us or ns
 _STANDSTILL: Final = 0.02  # m; a shorter step has no direction
 _HEIGHT: Final = 1.5  # m; of a box whose height is not given
 _IDS: Final = 1 << 31  # ids from here on are replaced
@@ -161,7 +164,7 @@ def _read(path: Path, given: Mapping[str, str]) -> tuple[_Columns, dict[str, str
     """Return the columns of a file, and the names that they have in it."""
     try:
         with path.open(newline="", encoding="utf-8-sig") as file:
-            lines = csv.reader(file)
+            lines = csv.reader(file, strict=True)
             header = next(lines, None)
             if header is None:
                 raise RecapError(f"{path}: is empty; a CSV file with a row of names at its top was expected")
@@ -179,11 +182,14 @@ def _positions(path: Path, header: list[str], given: Mapping[str, str]) -> tuple
     unknown = [name for name in given if name not in ALIASES]
     if unknown:
         raise RecapError(f"there is no column {unknown[0]!r}; there are {', '.join(ALIASES)}")
-    by_name = {name.strip().lower(): index for index, name in reversed(list(enumerate(header)))}
+    headings = [name.strip().lower() for name in header]
+    by_name = {name: index for index, name in enumerate(headings)}
     names, positions = {}, {}
     for column, aliases in ALIASES.items():
         wanted = (given[column].lower(),) if column in given else aliases
         match = next((alias for alias in wanted if alias in by_name), None)
+        if match is not None and headings.count(match) > 1:
+            raise RecapError(f"{path}: two columns are named {match}")
         if match is not None:
             names[column], positions[column] = match, by_name[match]
         elif column in given or column in REQUIRED:
@@ -207,14 +213,23 @@ def _parse(path: Path, lines: Iterable[list[str]], positions: Mapping[str, int],
         for name, values in numbers.items():
             text = line[positions[name]]
             try:
-                values.append(float(text) if text else math.nan)
+                value = float(text) if text else math.nan
             except ValueError:
                 raise RecapError(f"{path}: line {number}: {name} is {text[:40]!r}; a number was expected") from None
+            if abs(value) > (_LATEST if name == "time" else _LARGEST) and math.isfinite(value):
+                raise RecapError(f"{path}: line {number}: {name} is {text[:40]}, which is too large")
+            values.append(value if math.isfinite(value) else math.nan)
         for name, items in texts.items():
             text = line[positions[name]]
+            if len(text) > _LONGEST:
+                raise RecapError(
+                    f"{path}: line {number}: {name} has {len(text)} characters; at most {_LONGEST} were expected"
+                )
             items.append(pooled.setdefault(text, text))
         if not all(math.isfinite(numbers[name][-1]) for name in ("time", "x", "y")):
             raise RecapError(f"{path}: line {number}: time, x and y must be finite numbers")
+        if not texts["id"][-1]:
+            raise RecapError(f"{path}: line {number}: the id is empty")
     if not texts["id"]:
         raise RecapError(f"{path}: no rows below the names")
     return _Columns({name: np.frombuffer(values).copy() for name, values in numbers.items()}, texts)
@@ -242,18 +257,18 @@ def _to_carla(found: _Columns, per_second: float, length_unit: str, angle_unit: 
 
 
 def _tracks(path: Path, found: _Columns, hero: str | None) -> list[_Track]:
-    ids = np.array(found.texts["id"])
-    unique, first, inverse = np.unique(ids, return_index=True, return_inverse=True)
-    if hero is not None and hero not in unique:
-        raise RecapError(f"{path}: no object {hero}; ids are {', '.join(unique[:3].tolist())} …")
+    names: dict[str, int] = {}  # in the order of appearance
+    indices = np.array([names.setdefault(name, len(names)) for name in found.texts["id"]])
+    if hero is not None and hero not in names:
+        raise RecapError(f"{path}: no object {hero}; ids are {', '.join(list(names)[:3])} …")
     time = found.numbers["time"]
-    order = np.lexsort((time, inverse))
-    edges = np.searchsorted(inverse[order], np.arange(len(unique) + 1))
-    numbers = _numbers(unique[np.argsort(first)].tolist())
+    found.numbers.setdefault("yaw", np.full(len(time), np.nan))
+    order = np.lexsort((time, indices))
+    edges = np.searchsorted(indices[order], np.arange(len(names) + 1))
+    numbers = _numbers(list(names))
     tracks = []
-    for index in np.argsort(first).tolist():
+    for index, name in enumerate(names):
         rows = order[edges[index] : edges[index + 1]]
-        name = str(unique[index])
         twice = np.flatnonzero(np.diff(time[rows]) <= 0)
         if len(twice):
             raise RecapError(f"{path}: object {name} has two rows at {time[rows[twice[0]]]:g} s")
@@ -271,7 +286,7 @@ def _numbers(names: list[str]) -> dict[str, int]:
 
 def _face(numbers: dict[str, Floats], rows: Indices) -> None:
     """Set the yaw of a track where it is missing: the direction of its motion, kept while it stands."""
-    yaw = numbers.setdefault("yaw", np.full(len(numbers["time"]), np.nan))
+    yaw = numbers["yaw"]
     known = np.isfinite(yaw[rows])
     if known.all():
         return
