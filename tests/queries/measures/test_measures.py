@@ -242,3 +242,18 @@ def test_the_least_post_encroachment_time(drive: Drive) -> None:
     cars = [straight(1, -20, 0, 10, role_name="hero"), straight(2, 0, -40, 10, yaw=90), straight(3, -45, 0, 10)]
     row = of(measures(drive(cars, seconds=6)))["post_encroachment_time"]
     assert (row.value, row.other) == (pytest.approx(1.4, abs=0.02), 2)
+
+
+def test_a_straight_line_out_of_a_bend_is_no_collision_course(drive: Drive) -> None:
+    def bend(id: int, radius: float, speed: float, start: float, **given: Any) -> Mover:
+        def angle(t: float) -> float:
+            return start + speed * t / radius
+
+        def yaw(t: float) -> float:
+            return math.degrees(angle(t)) + math.copysign(90, speed)
+
+        return Mover(id, lambda t: radius * math.cos(angle(t)), lambda t: radius * math.sin(angle(t)), yaw, **given)
+
+    reader = drive([bend(1, 25, 9, 0, role_name="hero"), bend(2, 28.5, -9, 2.5)], seconds=6)
+    assert time_series(reader, 1).time_to_collision.min() < 1.5
+    assert values(measures(reader)).get("time_to_collision", math.inf) >= 3

@@ -16,6 +16,7 @@ from carla_recap.queries.actors import ActorCollector, ActorsByTime
 from carla_recap.queries.measures.contacts import ContactTimes
 from carla_recap.queries.measures.encroachment import STEP, encroachments, path_of, refined
 from carla_recap.queries.measures.motion import KINDS, TYPES, MotionCollector
+from carla_recap.queries.measures.near_misses import paths_meet
 from carla_recap.queries.measures.pairs import near_pairs
 from carla_recap.queries.measures.road import TYPES as ROAD_TYPES
 from carla_recap.queries.measures.road import RoadSearch
@@ -30,6 +31,7 @@ if TYPE_CHECKING:
     from carla_recap.model.roads import RoadNetwork
     from carla_recap.queries.actors import Actor
     from carla_recap.queries.measures.motion import MotionBlock
+    from carla_recap.queries.measures.series import Criticality
 
     Floats = NDArray[np.float64]
 
@@ -53,6 +55,12 @@ UNITS: Final = {
 POST_ENCROACHMENT_TIME: Final = 3.0
 """The longest post-encroachment time that is measured, in s."""
 
+SHORT: Final = 3.0
+"""The time to collision below which both actors have to meet on the paths that they take, too, in s."""
+
+_LATER: Final = 0.5  # s by which a bent path may take longer
+_CHECKS: Final = 64  # of an actor in a block
+_SAME_THREAT: Final = 0.25  # s
 _GREATEST: Final = ("required_deceleration", "speed", "acceleration", "deceleration", "jerk")
 
 
@@ -159,6 +167,7 @@ class MeasureSearch:
         if not len(rows):
             return
         found = criticality(block, rows)
+        self._drop_unconfirmed(block, rows, found)
         speed = block.speed[rows]
         change = slope(block.time, speed, SPEED_WINDOW)
         jerk = np.abs(slope(block.time, change, JERK_WINDOW))
@@ -192,6 +201,21 @@ class MeasureSearch:
                 frame += block.first
                 other = None if others is None else block.actors[int(others[number, frame])]
                 known[name] = _Extreme(sign * value, float(block.time[frame]), other)
+
+    def _drop_unconfirmed(self, block: MotionBlock, rows: NDArray[np.intp], found: Criticality) -> None:
+        """Drop short times to collision with actors that are not on the path that the subject takes, as in a bend."""
+        for number, row in enumerate(rows.tolist()):
+            times, threats = found.time_to_collision[number], found.threat[number]
+            known = self._extremes[int(block.ids[row])].get("time_to_collision")
+            limit = SHORT if known is None else min(SHORT, known.value)
+            for _ in range(_CHECKS):
+                frame = block.first + int(times[block.core].argmin())
+                if not times[frame] < limit or paths_meet(block, row, int(threats[frame]), frame, SHORT + _LATER):
+                    break
+                is_same = (threats == threats[frame]) & (np.abs(block.time - block.time[frame]) <= _SAME_THREAT)
+                times[is_same] = np.inf
+            else:
+                times[times < limit] = np.inf
 
     def _note_crossings(self, block: MotionBlock, rows: NDArray[np.intp]) -> None:
         """Note the least post-encroachment times in a block."""

@@ -48,7 +48,8 @@ _FEWEST: Final = 3  # frames
 _ENCOUNTER: Final = 3.0  # s; critical moments of a pair with less time between them are one encounter
 _UNTIL_CONTACT: Final = 3.0  # s after a critical moment; if the pair collides by then, it is a collision
 _AFTER_CONTACT: Final = 5.0  # s after a contact in which the pair has no near miss
-_AHEAD: Final = np.linspace(0.0, 2.0, 21)  # s; when both are on their paths at once
+_AHEAD: Final = 2.0  # s in which both have to meet on their paths
+_STEP: Final = 0.1  # s
 _BEND: Final = 3.0  # m of a path by which its bend is determined
 _BEND_FRAMES: Final = 128  # of these, at most
 _SHARPEST: Final = 0.3  # radians per m
@@ -189,7 +190,7 @@ class NearMissDetector:
 
     def _add_run(self, block: MotionBlock, pairs: PairFrames, begin: int, stop: int, least: int, time: float) -> None:
         one, other, frame = int(pairs.one[least]), int(pairs.other[least]), int(pairs.frame[least])
-        if not _paths_meet(block, one, other, frame):
+        if not paths_meet(block, one, other, frame):
             return
         if block.speed[other, frame] > block.speed[one, frame]:
             one, other = other, one
@@ -285,26 +286,34 @@ def _joined(one: NearMiss, other: NearMiss) -> NearMiss:
     )
 
 
-def _paths_meet(block: MotionBlock, one: int, other: int, frame: int) -> bool:
+def paths_meet(block: MotionBlock, one: int, other: int, frame: int, seconds: float = _AHEAD) -> bool:
     """Return whether two actors touch, or pass at less than 0.3 m, if they keep their speed on the paths that they take.
 
     So the other lane of a bend, and what is parked beside it, is no obstacle, though a straight line leads there.
+
+    Args:
+        block: The motion.
+        one: The row of an actor.
+        other: That of the other one.
+        frame: The frame from which on they keep their speed.
+        seconds: The time in which they have to meet.
     """
+    ahead = np.linspace(0.0, seconds, round(seconds / _STEP) + 1)
     boxes = [
-        Boxes(*_path_ahead(block, actor, frame), block.length[actor], block.width[actor] + wider)
+        Boxes(*_path_ahead(block, actor, frame, ahead), block.length[actor], block.width[actor] + wider)
         for actor, wider in ((one, 2 * _BESIDE), (other, 0.0))
     ]
     return bool(overlaps(*boxes).any())
 
 
-def _path_ahead(block: MotionBlock, actor: int, frame: int) -> tuple[Floats, Floats, Floats]:
+def _path_ahead(block: MotionBlock, actor: int, frame: int, ahead: Floats) -> tuple[Floats, Floats, Floats]:
     """Return where an actor comes with its speed on the path that it takes from a frame on, and then as that path bends."""
     stop = int(np.searchsorted(block.time, block.time[frame] + MARGIN, side="right"))
     rows = np.arange(frame, max(stop, frame + 1))
     rows = rows[np.cumsum(np.isnan(block.x[actor, rows])) == 0]
     x, y, yaw = block.x[actor, rows], block.y[actor, rows], np.unwrap(block.yaw[actor, rows])
     covered = np.append(0.0, np.cumsum(np.hypot(np.diff(x), np.diff(y))))
-    wanted = float(block.speed[actor, frame]) * _AHEAD
+    wanted = float(block.speed[actor, frame]) * ahead
     beyond = np.maximum(wanted - covered[-1], 0.0)
     x, y, yaw = (np.interp(wanted, covered, values) for values in (x, y, yaw))
     if beyond[-1] > 0:
