@@ -114,3 +114,13 @@ def test_recordings_at_urls(tmp_path):
         assert run("diff", JUNCTION, url, "--html", page).returncode == 0
         assert page.exists()
         assert f"{web.url}/none.mcap" in error("diff", JUNCTION, f"{web.url}/none.mcap")
+
+
+@pytest.mark.parametrize("names", [("a", "b"), ("b", "a")])
+def test_ghosts_never_overwrite_what_is_compared(tmp_path, names):
+    for name in names:
+        (tmp_path / f"{name}.mcap").write_bytes(CRASH.read_bytes())
+    first, second = (tmp_path / f"{name}.mcap" for name in names)
+    said = error("diff", first, second, "--rrd", tmp_path / "b.mcap", "--force")
+    assert said.endswith("b.mcap: is the source itself")
+    assert (tmp_path / "b.mcap").read_bytes() == CRASH.read_bytes()

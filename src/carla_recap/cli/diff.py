@@ -56,13 +56,14 @@ def diff(
 
     The exit code is 0 if they are equal within the tolerance, 1 if they differ, 2 if one cannot be read.
     """
-    from carla_recap.editing.convert import check_free
+    from carla_recap.editing.convert import check_destination
     from carla_recap.queries.output import differences as output
     from carla_recap.recording import open_recording
 
     for path in filter(None, (rrd, html)):
         if Path(path).is_file():  # a folder is a page, too
-            check_free(path, force=force)
+            for source in (first, second):
+                check_destination(source, path, force=force)
     with ExitStack() as stack:
         a, b = (stack.enter_context(open_recording(path)) for path in (first, second))
         found = a.diff(b, tolerance=tolerance, time_tolerance=time_tolerance, events=events)

@@ -259,7 +259,9 @@ def export_rerun(
         FormatError: The file contradicts its format.
     """
     reader = source.reader if isinstance(source, Recording) else source
-    check_destination(reader.location, destination, force=force)
+    other = ghost.reader if isinstance(ghost, Recording) else ghost
+    for read in filter(None, (reader, other)):
+        check_destination(read.location, destination, force=force)
     if cameras is not None:
         check_folder(cameras, force=force)
         if Path(cameras).absolute() == Path(destination).absolute():
@@ -272,8 +274,7 @@ def export_rerun(
     ):
         with piped(blueprint(player, view=view), file.write) as stream:
             played = write(stream, player, road_map=road_map, progress=progress, cameras=filmed)
-            if ghost is not None:
-                other = ghost.reader if isinstance(ghost, Recording) else ghost
+            if other is not None:
                 write_ghosts(stream, reader, other, start=player.start, duration=played.seconds, follow=player.followed)
         for id in filmed:
             (folder / f"follow_{id}.rbl").write_bytes(rbl(blueprint(player, view=view, followed=id)))
