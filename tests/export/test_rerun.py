@@ -953,3 +953,10 @@ def test_the_other_recording_may_end_before_the_exported_part(tmp_path: Path) ->
     with open_recording(parting(tmp_path / "b.log", 20, aside=300, count=5)) as other:
         rrd = export(first, tmp_path / "late.rrd", ghost=other, start=6)
     assert not [entity for entity in rrd.entities if entity.startswith("/world/ghost/")]
+
+
+def test_how_close_others_are_is_plotted(crossing) -> None:
+    times = [value for _, value in crossing.rrd.rows("/ego/times/time_to_collision", "Scalars:scalars")]
+    gaps = [value for _, value in crossing.rrd.rows("/ego/distances/gap", "Scalars:scalars")]
+    assert np.nanmin(np.concatenate([np.ravel(value) for value in times])) < 0.5  # it crashes
+    assert np.nanmin(np.concatenate([np.ravel(value) for value in gaps])) == 0
