@@ -7,8 +7,12 @@ export SOURCE_DATE_EPOCH=1767261600
 NPY_DISABLE_CPU_FEATURES=$(python -c 'from numpy._core._multiarray_umath import __cpu_dispatch__ as names; print(*names)')
 export NPY_DISABLE_CPU_FEATURES
 
+temporary=$(mktemp -d)
+trap 'rm -rf "$temporary"' EXIT
+
 record() {
-    carla-recap record "$folder/$1" --force --additional-data "${@:2}"
+    carla-recap record "$temporary/$1" --additional-data "${@:2}"
+    carla-recap convert "$temporary/$1" "$folder/$1" --force # events at the end, which are read at once
 }
 
 record crash.mcap --crash --vehicles 3 --walkers 3 --duration 60 --seed 1

@@ -105,7 +105,7 @@ def test_channels_of_the_summary_win_over_damaged_ones(driven):
     hit = data.index(b"/actors/transforms")
     save(driven, data[:hit] + b"\x01" + data[hit + 1 :])
     topics = {channel.topic for channel in recovered(driven)[0].channels.values()}
-    assert topics == {"/frames", "/actors/transforms", "/collisions"}
+    assert topics == {"/frames", "/actors/transforms", "/collisions", "/collisions/contacts"}
 
 
 def test_a_summary_without_channels_does_not_matter(driven):
@@ -113,7 +113,7 @@ def test_a_summary_without_channels_does_not_matter(driven):
     forged.write(driven)
     forged.write(driven, summary=[])
     summary, _ = recovered(driven)
-    assert len(summary.channels) == 3
+    assert len(summary.channels) == 4
     assert len(summary.chunks) == len(forged.indexes)
 
 
