@@ -1,1 +1,1 @@
-"""Speed and sizes, as the README states them: `python -m benchmarks`."""
+"""Speed and sizes, as docs/performance.md states them: `python -m benchmarks`."""

@@ -1,4 +1,4 @@
-"""Measure the speed and the sizes that the README states, and print them as a table with their goals."""
+"""Measure the speed and the sizes that docs/performance.md states, and print them as a table with their goals."""
 
 from __future__ import annotations
 
