@@ -393,11 +393,14 @@ def test_a_changed_message_is_read_as_protobuf_reads_it(index, byte, cut):
     type = UE4.named("spawned")
     message = bytearray(messages.head(1, 0.0) + variable.encode(type, pack(type, SPAWNED)))
     message[index : index + cut] = bytes([byte])
+    records = variable.decode_records(type, bytes(message))
     try:
         found = variable.decode(type, bytes(message))
     except messages.WireError:
+        assert records is None
         return
     assert found == variable._decode_by_protobuf(type, bytes(message))
+    assert records is None or repr(records) == repr(unpack(type, found)[0])
 
 
 def test_a_number_without_an_end_costs_no_time():
@@ -413,3 +416,31 @@ def test_a_number_that_takes_more_than_a_byte_is_read(name, field, value):
     setattr(getattr(message, type.items)[0], field, value)
     records, extra = unpack(type, variable.decode(type, message.SerializeToString()))
     assert (records[field].tolist(), extra) == ([value], 0)
+
+
+def test_records_of_spawns_are_those_of_their_payload():
+    type = UE4.named("spawned")
+    message = messages.head(1, 0.0) + variable.encode(type, pack(type, SPAWNED))
+    assert variable.decode_records(type, message) == unpack(type, variable.decode(type, message))[0] == SPAWNED
+
+
+def test_spawns_of_equal_attributes_share_no_object():
+    type = UE4.named("spawned")
+    message = messages.head(1, 0.0) + variable.encode(type, pack(type, SPAWNED))
+    first, second = variable.decode_records(type, message)
+    first.attributes[0].value = "other"
+    assert second.attributes == SPAWNED[1].attributes
+    assert variable.decode_records(type, message) == SPAWNED
+
+
+@pytest.mark.parametrize("change", ["a byte less", "a field more", "a flag that does not fit", "broken text"])
+def test_records_of_spawns_of_another_form_are_decoded_from_their_payload(change):
+    type = UE4.named("spawned")
+    payload = bytearray(pack(type, SPAWNED))
+    if change == "a flag that does not fit":
+        payload[6] = 200  # the kind of the first one
+    if change == "broken text":
+        payload[payload.index(b"hero")] = 0xFF
+    message = messages.head(1, 0.0) + variable.encode(type, bytes(payload))
+    message = {"a byte less": message[:-1], "a field more": message + b"\x7a\x01\x00"}.get(change, message)
+    assert variable.decode_records(type, message) is None

@@ -52,6 +52,7 @@ class WireNumbers:
         masks: Of each of these bytes, the bits that are not free: a number of one byte is to fit a varint of one byte.
         fixed_bits: The bits of the message that are not free, as one number.
         values: The numbers in the message, as bytes.
+        numbers: The numbers in the message.
     """
 
     def __init__(self, numbers: Numbers, first: int = 1) -> None:
@@ -74,6 +75,8 @@ class WireNumbers:
         fixed_bits[self.targets] = self.masks
         self.fixed_bits = int.from_bytes(fixed_bits.tobytes(), "little")
         self.values = struct.Struct("".join(f"{len(name)}x{size}s" for name, _, size, _ in self.fields))
+        codes = zip(self.fields, numbers.struct.format.removeprefix("<"), strict=True)
+        self.numbers = struct.Struct("<" + "".join(f"{len(name)}x{code}" for (name, *_), code in codes))
 
     def matches(self, data: bytes) -> bool:
         """Return whether some bytes are these numbers in a message."""

@@ -27,7 +27,7 @@ from carla_recap.formats.mcap.schema import (
     RAW_MESSAGE,
     RAW_TOPIC,
 )
-from carla_recap.formats.mcap.variable import decode
+from carla_recap.formats.mcap.variable import decode, decode_records
 from carla_recap.model.batch import Batch, ConstantColumn
 from carla_recap.model.frame import Frame, Packet
 from carla_recap.model.layout import EMPTY_LIST
@@ -153,6 +153,8 @@ class MessagePacket(Packet):
             payloads = self._source.payloads or self._source.decode()
             if payloads is not None:
                 return payloads.records(self._index)
+            if self._payload is None and self.type is not None:
+                self._records = decode_records(self.type, self._source.messages[self._index])
         return super().records
 
     def _broken(self, error: messages.WireError) -> FormatError:

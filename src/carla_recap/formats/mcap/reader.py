@@ -58,6 +58,7 @@ T = TypeVar("T")
 BLOCK_SIZE: Final = 256 << 10
 """Chunks that are smaller than this, in bytes, are taken several at a time."""
 _LARGE_BLOCK: Final = 4 << 20  # bytes
+_WORTH_A_THREAD: Final = 2 << 20  # bytes of a file from which on chunks are decompressed ahead
 
 
 class McapReader:
@@ -290,10 +291,10 @@ class McapReader:
         """Yield the records of some chunks; `ahead`: the next one is decompressed while this one is used."""
         spans = [(chunk.offset, chunk.length) for chunk in chunks]
         stored = self._source.read_ranges(spans, "a chunk", whole=not ahead)
-        if not ahead or len(chunks) < 2 or self._source.is_remote:
+        if not ahead or len(chunks) < 2 or self._source.is_remote or self._source.size < _WORTH_A_THREAD:
             yield from map(self._open, chunks, stored)
             return
-        from concurrent.futures import ThreadPoolExecutor  # a small recording has no second chunk
+        from concurrent.futures import ThreadPoolExecutor
 
         with ThreadPoolExecutor(1, "carla-recap-reader") as pool:
             coming = pool.submit(self._open_next, chunks[0], stored)

@@ -12,6 +12,7 @@ from __future__ import annotations
 
 import struct
 from contextlib import suppress
+from dataclasses import astuple
 from functools import lru_cache
 from typing import TYPE_CHECKING, Any, Final, NamedTuple
 
@@ -26,6 +27,7 @@ from carla_recap.formats.mcap.messages import (
     RAW_TAG,
     WireError,
     have_heads,
+    head,
     parse,
     read_head,
     tag,
@@ -51,7 +53,7 @@ from carla_recap.model.layout import (
 from carla_recap.model.records import Group
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Sequence
+    from collections.abc import Callable, Iterable, Sequence
 
     from numpy.typing import NDArray
 
@@ -62,6 +64,7 @@ if TYPE_CHECKING:
 _VARINT_SIZE: Final = 10  # bytes of a number of 64 bits
 _REPEATED: Final = 64  # bytes of a record: smaller ones, such as attributes, are cached, since many are equal
 _SMALL: Final = 1 << 17  # bytes of a message: for larger ones, protobuf is worth the time of its import
+_ENDING: Final = 1 << 10  # bytes behind the first numbers of a record: fewer are cached, such as those of a blueprint
 _LEAST: Final = 7  # bytes of a record with nothing but an id
 _templates: dict[RecordType, PacketTemplate] = {}  # of the latest packet of each type
 
@@ -191,6 +194,28 @@ class _Decoder:
             raise ValueError("other fields")
         return payload
 
+    def records(self, type: PacketType) -> list[Any]:
+        """Return the records of a layout that begins with numbers; these must fit, as in nearly all messages they do."""
+        layout = compiled(type)
+        form, make, name = wire_numbers(layout.steps[0]), layout.make, tag(ITEMS, LEN)
+        assert make is not None
+        message, size, found = self._message, len(form.blank), []
+        if read_head(message) is None:
+            raise ValueError("other fields")
+        while self._offset < len(message):
+            record = self._take(self._size(name))
+            numbers, ending = record[:size], record[size:]
+            if not form.matches(numbers):
+                raise ValueError("numbers of other sizes")
+            endings = _ending if len(ending) <= _ENDING else _ending.__wrapped__
+            values: list[Any] = list(form.numbers.unpack(numbers))
+            for value, make_item in endings(type, ending):
+                values.append([make_item(*item) for item in value] if make_item else value)
+            found.append(make(*values))
+        if len(found) > MAX_COUNT:
+            raise ValueError("more records than a packet counts")
+        return found
+
     def _items(self, number: int, counter: struct.Struct, layout: CompiledLayout, end: int) -> bytes:
         """Return the items of a field of a message that ends at an offset, with their number in front."""
         name, items = tag(number, LEN), []
@@ -265,6 +290,22 @@ class _Decoder:
 def _decoded(layout: CompiledLayout, choice: int, record: bytes) -> bytes:
     """Return the bytes of a record in a payload."""
     return _Decoder(record, choice, 0)._record(layout, len(record))
+
+
+@lru_cache(maxsize=1 << 10)
+def _ending(type: PacketType, data: bytes) -> list[tuple[Any, Callable[..., Any] | None]]:
+    """Return the values behind the first numbers of a record: a text, or the values of each item, and the items' class."""
+    first, *steps = compiled(type).steps
+    record = wire_numbers(first).blank + data
+    message = tag(ITEMS, LEN) + varint(len(record)) + record
+    decoder = _Decoder(head(0, 0.0) + message, 0)
+    ((found,), _) = unpack(type, decoder.payload(type))
+    values: list[tuple[Any, Callable[..., Any] | None]] = []
+    for step in steps:
+        assert not isinstance(step, Numbers)
+        value, make = getattr(found, step.name), step.layouts[0].make if isinstance(step, Items) else None
+        values.append(([astuple(item) for item in value] if make else value, make))
+    return values
 
 
 def _template(type: RecordType, payload: Buffer) -> tuple[PacketTemplate, bytes]:
@@ -347,6 +388,18 @@ def decode(type: RecordType, data: Buffer) -> bytes:
     template = _templates.get(type)
     payloads = template.decode(_row(data)) if template else None
     return _decode_any(type, data) if payloads is None else payloads.tobytes()
+
+
+def decode_records(type: RecordType, data: Buffer) -> list[Any] | None:
+    """Return the records of a message of events whose size varies; None where its payload has to be decoded first.
+
+    Many actors have the same blueprint and attributes: these are decoded once.
+    """
+    if type.fixed or type.opaque or type.group is Group.STATE or compiled(type).choices > 1 or len(data) > OBJECTS_LIMIT:
+        return None
+    with suppress(ValueError, struct.error):
+        return _Decoder(bytes(data), 0).records(type)
+    return None
 
 
 def decode_rows(type: RecordType, messages: NDArray[np.uint8]) -> NDArray[np.uint8] | None:
