@@ -58,6 +58,12 @@ def test_columns_may_have_other_names(table):
         assert recording.trajectory(7).x == [1]
 
 
+@pytest.mark.parametrize("separator", [";", "\t"])
+def test_semicolons_and_tabs_separate_columns_too(table, separator):
+    with table("time,id,x,y\n0,7,1,2\n".replace(",", separator)) as recording:
+        assert recording.trajectory(7).y == [2]
+
+
 def test_nanoseconds_are_known_by_the_name_of_their_column(table):
     with table("total_nanos,idx,x,y\n0,7,0,0\n2000000000,7,1,0\n") as recording:
         assert recording.info.duration == 2

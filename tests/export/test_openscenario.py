@@ -18,7 +18,7 @@ ROWS = [(7, 0, 0, 0, 0, 0, 0), (8, 0, 0, 0, 0, 0, 0)]
 def scenario(tmp_path_factory):
     path = tmp_path_factory.mktemp("xosc") / "crash.xosc"
     with open_recording(CRASH) as recording:
-        export_openscenario(recording, path, opendrive="Brickfield.xodr")
+        export_openscenario(recording, path, opendrive="/maps/Brickfield.xodr")
     return ElementTree.parse(path).getroot()
 
 

@@ -161,6 +161,8 @@ def _export_exchanged(ctx: click.Context, source: str, destination: str, to: str
                 from carla_recap.export.openscenario import export_openscenario
 
                 played = export_openscenario(recording, destination, opendrive=opendrive, **watched)
+                if opendrive is not None:
+                    say(f"the map that belongs beside it: {opendrive}")
             else:
                 from carla_recap.export.osi import export_osi
 

@@ -71,6 +71,8 @@ KINDS: Final[Mapping[str, str]] = {
 }
 """The blueprint of each kind; others become props."""
 
+_SEPARATORS: Final = ",;\t"
+_LONGEST_LINE: Final = 1 << 16  # characters of the names that are looked at for the separator
 _TEXT: Final = ("id", "kind", "type_id", "role_name")
 _PER_SECOND: Final[Mapping[str, float]] = {"s": 1.0, "ms": 1e3, "us": 1e6, "ns": 1e9}
 _PROP: Final = "static.prop.box01"
@@ -122,7 +124,7 @@ def import_tracks(
     Velocities are recorded if they are given. Times that begin before 0, or later than after a day, are shifted to 0.
 
     Args:
-        source: The CSV file, with a row of names at its top.
+        source: The CSV file, with a row of names at its top; commas, semicolons or tabs separate the columns.
         destination: The recording; its suffix says the format. It appears when it is complete.
         map_name: The name of the map.
         columns: The names of columns that have others, such as `{"x": "east"}`.
@@ -164,7 +166,10 @@ def _read(path: Path, given: Mapping[str, str]) -> tuple[_Columns, dict[str, str
     """Return the columns of a file, and the names that they have in it."""
     try:
         with path.open(newline="", encoding="utf-8-sig") as file:
-            lines = csv.reader(file, strict=True)
+            first = file.readline(_LONGEST_LINE)
+            file.seek(0)
+            separator = max(_SEPARATORS, key=first.count)
+            lines = csv.reader(file, delimiter=separator, strict=True)
             header = next(lines, None)
             if header is None:
                 raise RecapError(f"{path}: is empty; a CSV file with a row of names at its top was expected")

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from collections import Counter
 from datetime import UTC, datetime
+from pathlib import Path
 from typing import TYPE_CHECKING, Final
 from xml.etree.ElementTree import Element, SubElement, indent, tostring
 
@@ -23,8 +24,6 @@ from carla_recap.util.files import WholeFile
 from carla_recap.util.text import readable
 
 if TYPE_CHECKING:
-    from pathlib import Path
-
     from numpy.typing import NDArray
 
     from carla_recap.recording import Recording
@@ -58,7 +57,7 @@ def export_openscenario(
         destination: The file, which ends in .xosc; it appears when it is complete.
         start: The beginning, in elapsed seconds; negative: in seconds before the end.
         duration: The number of seconds to export; 0: all of the rest.
-        opendrive: The map of the town, an OpenDRIVE file, which the scenario names.
+        opendrive: The map of the town, an OpenDRIVE file; the scenario has its name without the folder.
         force: Overwrite the file if it exists.
         progress: Is given the stream of scenes and their player, and passes the scenes on.
 
@@ -142,7 +141,7 @@ def _scenario(map_name: str, opendrive: Path | str | None, seconds: float) -> El
         SubElement(root, name)
     network = SubElement(root, "RoadNetwork")
     if opendrive is not None:
-        SubElement(network, "LogicFile", filepath=str(opendrive))
+        SubElement(network, "LogicFile", filepath=Path(opendrive).name)
     SubElement(root, "Entities")
     board = SubElement(root, "Storyboard")
     SubElement(SubElement(board, "Init"), "Actions")
