@@ -27,8 +27,8 @@ def test_recordings_that_differ():
     assert (done.returncode, done.stderr) == (1, b"")
     printed = done.stdout.decode()
     lines = printed.splitlines()
-    assert lines[0] == "first parts at 0.00 s: vehicle.audi.a2 (45, 43) by 113.64 m"
-    assert lines[2:4] == ["6 actors only in A", "6 actors only in B"]
+    assert lines[0] == "first parts at 0.00 s: vehicle.tesla.model3 (hero, 41, 42) by 28.00 m"
+    assert lines[2:4] == ["7 actors only in A", "7 actors only in B"]
     listed = [block.splitlines()[0] for block in printed.split("\n\n")[1:]]
     assert listed == [
         "Actors that differ, in m, s and degrees",
@@ -52,11 +52,11 @@ def test_json():
     found = json.loads(done.stdout)
     assert done.returncode == 1
     assert found["equal"] is False
-    assert found["first"]["id_a"] == 45
-    assert found["actors"][0]["max"] == pytest.approx(181.87, abs=0.01)
+    assert found["first"]["id_a"] == 41
+    assert found["actors"][0]["max"] == pytest.approx(73.0, abs=0.01)
     assert any(row["mean"] is None for row in found["actors"])
     assert found["events"] == []
-    assert [len(found[name]) for name in ("missing", "extra", "lights")] == [6, 6, 17]
+    assert [len(found[name]) for name in ("missing", "extra", "lights")] == [7, 7, 17]
     assert found["a"]["map_name"] == "Brickfield"
 
 

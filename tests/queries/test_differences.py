@@ -173,6 +173,24 @@ def test_paths_that_part(drive: Callable[..., Reader]) -> None:
     assert found.summary.startswith("first parts at 1.00 s: vehicle.a (hero, 10) by 0.50 m; 1 of 4 actors differs")
 
 
+def test_the_hero_leads(drive: Callable[..., Reader]) -> None:
+    def poses(time: float) -> Poses:
+        return aside(1.0, 50)(time) | ({12: (-300.0, 700.0)} if time >= 0.5 else {})
+
+    found = differences(drive(), drive(poses))
+    assert found.first is row_of(found, 10)
+    assert found.reasons[:2] == ["parts at 1.00 s: vehicle.a (hero, 10) by 0.50 m", "1 other actor before, from 0.50 s on"]
+
+
+def test_vehicles_lead_if_the_hero_does_not_part(drive: Callable[..., Reader]) -> None:
+    def poses(time: float) -> Poses:
+        found = forward(time) | {12: (-300.0, 1.0)}
+        return found | ({11: (500.0, 0.0)} if time >= 1.5 else {})
+
+    found = differences(drive(), drive(poses))
+    assert found.first is row_of(found, 11)
+
+
 def test_within_the_tolerance(drive: Callable[..., Reader]) -> None:
     a, b = drive(), drive(aside(1.0, 50))
     assert differences(a, b, tolerance=0.5).summary == "equal within 0.5 m"
@@ -290,6 +308,23 @@ def test_a_missing_and_an_extra_actor(drive: Callable[..., Reader]) -> None:
     assert [actor.id for actor in found.extra] == [15]
     assert not found.equal
     assert found.summary == "1 actor only in A; 1 actor only in B"
+
+
+@pytest.mark.parametrize(("metres", "pairs"), [(9.0, [(12, 112)]), (11.0, [])])
+def test_actors_are_matched_by_order_only_near_each_other(
+    drive: Callable[..., Reader], metres: float, pairs: list[tuple[int, int]]
+) -> None:
+    elsewhere = drive(spawns=(replace(WALKER, x=WALKER.x + 100 * metres),), ids=lambda id: id + 100)
+    found = differences(drive(spawns=(WALKER,)), elsewhere)
+    assert [(row.id_a, row.id_b) for row in found.actors if row.matched_by == "order"] == pairs
+    assert (len(found.missing), len(found.extra)) == (1 - len(pairs),) * 2
+
+
+def test_a_match_by_order_passes_over_those_far_away(drive: Callable[..., Reader]) -> None:
+    far, near = replace(WALKER, id=20, x=WALKER.x + 5000), replace(WALKER, id=21, x=WALKER.x + 200)
+    found = differences(drive(spawns=(WALKER,)), drive(spawns=(far, near)))
+    assert [(row.id_a, row.id_b, row.matched_by) for row in found.actors] == [(12, 21, "order")]
+    assert [actor.id for actor in found.extra] == [20]
 
 
 def test_a_sensor_in_one_recording_does_not_count(drive: Callable[..., Reader]) -> None:

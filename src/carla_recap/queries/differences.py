@@ -210,9 +210,12 @@ class Differences:
 
     @property
     def first(self) -> ActorDifference | None:
-        """The actor whose path is the first to be beyond the tolerance, of several the farthest; None if there is none."""
+        """The hero if its path is beyond the tolerance, else the first vehicle, else the first actor; None if there is none.
+
+        Of several at the same time, it is the farthest.
+        """
         rows = (row for row in self.actors if row.first is not None)
-        return min(rows, key=lambda row: (row.first, -(row.first_distance or 0)), default=None)
+        return min(rows, key=lambda row: (_rank(row), row.first, -(row.first_distance or 0)), default=None)
 
     @property
     def reasons(self) -> list[str]:
@@ -474,7 +477,11 @@ def _reasons(found: Differences) -> Iterator[str]:
         yield f"the maps are {a.map_name or 'unnamed'} and {b.map_name or 'unnamed'}"
     first = found.first
     if first is not None:
-        yield f"first parts at {first.first:.2f} s: {name_of(first)} by {metres(first.first_distance)}"
+        earlier = [row.first for row in found.actors if row.first is not None and row.first < (first.first or 0.0)]
+        adverb = "" if earlier else "first "
+        yield f"{adverb}parts at {first.first:.2f} s: {name_of(first)} by {metres(first.first_distance)}"
+        if earlier:
+            yield f"{_count(len(earlier), 'other actor')} before, from {min(earlier):.2f} s on"
     different = [row for row in found.actors if row.differs]
     if different:
         yield f"{len(different)} of {_count(len(found.actors), 'actor')} {_differ(different)}, {_largest(different)}"
@@ -492,6 +499,13 @@ def _reasons(found: Differences) -> Iterator[str]:
         same = a.frames == b.frames and not _is_apart(a.duration, b.duration, 0.0)
         sizes = f"{a.frames} frames in {a.duration:.2f} s, and {b.frames} in {b.duration:.2f} s"
         yield f"the times of frames differ from {found.clock:.2f} s on" if same else sizes
+
+
+def _rank(row: ActorDifference) -> int:
+    """Return how much an actor matters: heroes most, then vehicles."""
+    if row.role_name == "hero":
+        return 0
+    return 1 if row.kind == "vehicle" else 2
 
 
 def _town(map_name: str) -> str:

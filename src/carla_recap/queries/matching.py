@@ -9,6 +9,8 @@ from dataclasses import dataclass
 from itertools import product
 from typing import TYPE_CHECKING, Final, Literal
 
+import numpy as np
+
 from carla_recap.model.records import CM
 from carla_recap.queries.actors import TYPES, Actor, ActorCollector
 
@@ -22,13 +24,15 @@ MatchedBy = Literal["role", "birth", "position", "parent", "order", "id"]
 
 role: their role_name, which no other actor of the kind has. birth: blueprint, place and time of their spawn. position: that
 of a traffic light or sign. parent: what they are attached to, and their blueprint. order: they are the n-th of a blueprint
-to appear. id: their id, if nothing else is known.
+to appear, not far from each other. id: their id, if nothing else is known.
 """
 
 SAME_PLACE: Final = 0.5
 """The distance between spawns of the same actor, in m, at most."""
 SAME_BIRTH: Final = 1.0
 """The seconds between spawns of the same actor, at most."""
+NEAR: Final = 10.0
+"""The distance between spawns of two actors that are matched by their order, in m, at most; also if it is unknown."""
 
 _STATIC: Final = ("traffic_light", "traffic_sign")
 _CANDIDATES: Final = 16  # actors near a place that are looked at, at most
@@ -114,7 +118,7 @@ def match(a: Sequence[Life], b: Sequence[Life]) -> list[Match]:
     The rules, each for the actors that the ones before have left: a role_name that is unique in both recordings; blueprint,
     place (0.5 m) and time (1 s) of the spawn, the nearest first, and the same id among equals; of lights and signs, the
     position alone; of what is attached to something, its blueprint and what it is attached to; blueprint and order of
-    appearance, of actors that exist at the same time.
+    appearance, of actors that appear within 10 m and exist at the same time.
     """
     matching = _Matching(a, b)
     matching.by_role()
@@ -190,16 +194,20 @@ class _Matching:
                 if life.actor.kind not in _STATIC:
                     groups[life.blueprint][side].append(life)
         for a, b in groups.values():
-            first = second = 0
-            while first < len(a) and second < len(b):
-                life, other = a[first], b[second]
-                if life.stop <= other.actor.spawned_at:
-                    first += 1
-                elif other.stop <= life.actor.spawned_at:
-                    second += 1
-                else:
-                    self._add(life, other, "order")
-                    first, second = first + 1, second + 1
+            if not a or not b:
+                continue
+            places = np.array([other.place for other in b])
+            starts, stops = (np.array(times) for times in zip(*((other.actor.spawned_at, other.stop) for other in b), strict=True))
+            is_free = np.ones(len(b), np.bool_)
+            for life in a:
+                with np.errstate(invalid="ignore", over="ignore"):
+                    is_far = np.linalg.norm(places - life.place, axis=1) > NEAR
+                    is_other = (life.stop <= starts) | (stops <= life.actor.spawned_at)
+                fitting = is_free & ~is_far & ~is_other
+                index = int(fitting.argmax())
+                if fitting[index]:
+                    is_free[index] = False
+                    self._add(life, b[index], "order")
 
     def _pair(
         self,
