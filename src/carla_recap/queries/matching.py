@@ -197,7 +197,8 @@ class _Matching:
             if not a or not b:
                 continue
             places = np.array([other.place for other in b])
-            starts, stops = (np.array(times) for times in zip(*((other.actor.spawned_at, other.stop) for other in b), strict=True))
+            starts = np.array([other.actor.spawned_at for other in b])
+            stops = np.array([other.stop for other in b])
             is_free = np.ones(len(b), np.bool_)
             for life in a:
                 with np.errstate(invalid="ignore", over="ignore"):
