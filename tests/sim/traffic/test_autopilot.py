@@ -143,6 +143,54 @@ def test_stops_at_yellow_only_if_the_distance_suffices(distance: float, stops: b
     assert (front(vehicle) < 120.0) == stops
 
 
+@pytest.mark.parametrize("state", [YELLOW, RED])
+def test_waits_if_the_light_changes_while_it_stands_right_at_the_line(state: int) -> None:
+    """It stands behind another car, less than 0.8 m before the line, and was to go on."""
+    world = world_of(lane(0, (300, 0)), signals=(light(120.0),))
+    (signal,) = world.traffic_lights
+    signal.freeze()
+    signal.set_state(GREEN)
+    ahead = car(world, 124.2, drives=False)
+    vehicle = car(world, 100.0)
+    for _ in ticks(world, 10.0):
+        pass
+    stands = front(vehicle)
+    assert 119.3 < stands < 120.0
+    signal.set_state(state)
+    ahead.destroy()
+    for _ in ticks(world, 10.0):
+        pass
+    assert front(vehicle) == pytest.approx(stands, abs=0.1)
+    signal.set_state(GREEN)
+    for _ in ticks(world, 5.0):
+        pass
+    assert front(vehicle) > 125.0
+
+
+@pytest.mark.parametrize(("length", "name"), [(11.1, "vehicle.carlamotors.firetruck"), (8.0, MODEL3)])
+def test_stops_at_a_red_light_on_a_short_road_between_two_junctions(length: float, name: str) -> None:
+    entry = 110.0 + length
+    lanes = [
+        lane(0, (100, 0), successors=(1,)),
+        lane(1, (10, 0), start=(100, 0), successors=(2,), junction=1),
+        lane(2, (length, 0), start=(110, 0), successors=(3,)),
+        lane(3, (10, 0), start=(entry, 0), successors=(4,), junction=2),
+        lane(4, (200, 0), start=(entry + 10, 0)),
+    ]
+    junctions = Junction(1, (1,), (), ()), Junction(2, (3,), (), ())
+    world = world_of(*lanes, signals=(light(length, 2, (3,)),), junctions=junctions)
+    vehicle, (signal,) = car(world, 60.0, name=name), world.traffic_lights
+    signal.freeze()
+    signal.set_state(RED)
+    for _ in ticks(world, 25.0):
+        assert front(vehicle) < entry
+    assert front(vehicle) > entry - 2.0
+    signal.set_state(GREEN)
+    for _ in ticks(world, 8.0):
+        pass
+    assert front(vehicle) > entry + 10
+
+
 def test_stops_at_a_stop_sign_and_continues() -> None:
     lanes, junction = crossing()
     world = world_of(*lanes, signals=(light(100.0, 0, (1,), SignalKind.STOP),), junctions=(junction,))

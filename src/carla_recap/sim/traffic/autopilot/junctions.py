@@ -32,6 +32,7 @@ if TYPE_CHECKING:
 
 _PASSED: Final = 0.3  # m beyond a line, from where on a vehicle goes on
 _COMFORTABLE: Final = 3.0  # m/s²: vehicles that would have to brake harder for a light that has changed go on
+_REACTION: Final = 0.3  # s until vehicles brake for it
 _AT_SIGN: Final = 3.5  # m before the line of a stop sign, where vehicles have to have stopped
 _STANDING: Final = 0.3  # m/s
 _ROOM: Final = 3.0  # m that a vehicle needs to wait between two junctions, in addition to its length
@@ -147,7 +148,9 @@ class JunctionControl:
 
     def _revoke(self, state: Integers, distance: Floats, speed: Floats) -> None:
         drivers = self._drivers
-        can_stop = speed**2 < 2 * _COMFORTABLE * np.maximum(distance - BEFORE_LINE, 0)
+        before = np.minimum(BEFORE_LINE, _REACTION * speed)  # so that those that stand right at the line wait, too
+        can_stop = speed**2 < 2 * _COMFORTABLE * np.maximum(distance - before, 0)
+        can_stop |= (speed < _STANDING) & (distance > 0)
         for row in np.flatnonzero(drivers.has_reservation & (state < GREEN) & can_stop).tolist():
             line = self._next[int(drivers.id[row])]
             assert line is not None

@@ -25,6 +25,7 @@ _LONG: Final = 20.0  # s: vehicles that wait longer go when the path is free, ev
 _STUCK: Final = 10.0  # s of standing in a junction, from which on a vehicle counts as stuck
 _AT_LINE: Final = 12.0  # m before a line, where vehicles count as waiting there
 _GAP: Final = 2.0  # m between standing vehicles
+_SPARE: Final = 1.0  # m less room between two junctions that is enough to wait for a light; a length and the gap are left
 
 
 @dataclass(frozen=True)
@@ -141,7 +142,8 @@ def _before_junction(
     end, after = begin, number
     for index in range(number, len(lanes)):
         if network.junction[lanes[index]] != NONE:
-            if starts[index] - end >= room and through:
+            spare = _SPARE if lanes[index] in rules.lights else 0.0  # so that few drive on to the light behind both
+            if starts[index] - end >= room - spare and through:
                 break
             through.append((lanes[index], starts[index]))
             end, after = starts[index] + float(network.length[lanes[index]]), index + 1
