@@ -1,14 +1,22 @@
 from __future__ import annotations
 
 import math
+from typing import TYPE_CHECKING
 
 import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from carla_recap.queries.actors import ActorsByTime, actors
 from carla_recap.queries.measures import post_encroachment_time
-from carla_recap.queries.measures.encroachment import Path
+from carla_recap.queries.measures.encroachment import Path, encroachments
+from carla_recap.queries.measures.motion import TYPES, MotionCollector
+from tests.queries.measures.conftest import Mover
+
+if TYPE_CHECKING:
+    from carla_recap.formats.base import Reader
+    from tests.queries.measures.conftest import Drive
 
 
 def path(x: float, y: float, heading: float, speed: float, seconds: float = 6.0, length: float = 4.0) -> Path:
@@ -62,3 +70,45 @@ def test_it_is_the_entry_of_the_second_less_the_exit_of_the_first(v1: float, v2:
         assert found == pytest.approx(expected, abs=0.1)
     elif expected == math.inf:
         assert found == math.inf or found < 0.1
+
+
+# --- many frames at once --------------------------------------------------------------------------------
+
+
+def circling(id: int, x: float, y: float, radius: float, speed: float) -> Mover:
+    def angle(time: float) -> float:
+        return time * speed / radius + id
+
+    return Mover(
+        id,
+        lambda time: x + radius * math.cos(angle(time)),
+        lambda time: y + radius * math.sin(angle(time)),
+        lambda time: math.degrees(angle(time)) + 90,
+    )
+
+
+def arrivals(reader: Reader, size: int) -> set[tuple[int, int, int, int]]:
+    """Return who leaves a spot, who arrives there, and the frames of both, by so many frames at once."""
+    collector = MotionCollector(ActorsByTime(actors(reader)))
+    blocks = [block for batch in reader.batches(TYPES) for block in collector.add(batch)]
+    found = set()
+    for block in [*blocks, *collector.finish()]:
+        one, other = np.triu_indices(len(block.ids), 1)
+        for start in range(block.first, block.last, size):
+            for first, second, left, arrived, _ in zip(*encroachments(block, start, one, other, 3.0), strict=True):
+                found.add((int(block.ids[first]), int(block.ids[second]), block.index + left, block.index + arrived))
+    return found
+
+
+def test_the_number_of_frames_at_once_changes_nothing(drive: Drive, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Cars in circles, which cross, follow and touch each other again and again for 30 s."""
+    cars = [circling(id, 9.0 * (id % 3), 11.0 * (id // 3), 7.0 + id, 4.0 + 0.7 * id) for id in range(6)]
+    reader = drive(cars, seconds=30)
+    found = {}
+    for size, block in ((1024, 1024), (512, 1024), (64, 1024), (64, 100), (30, 1024)):
+        monkeypatch.setattr("carla_recap.queries.measures.encroachment.FRAMES", size)
+        monkeypatch.setattr("carla_recap.queries.measures.motion._FRAMES", block)
+        found[size, block] = arrivals(reader, size)
+    whole = found[1024, 1024]
+    assert len(whole) > 400
+    assert {sizes: len(part ^ whole) for sizes, part in found.items()} == dict.fromkeys(found, 0)

@@ -32,6 +32,7 @@ STEP: Final = 0.05
 _LAGS: Final = 128  # moments before another one that are compared with it, at most
 _FINE: Final = 10  # moments per step when the time is refined
 _HITS: Final = 2048  # that are examined at once
+_ROUNDING: Final = 1e-6  # s
 _ALONG: Final = math.cos(math.radians(CROSSING))
 _ACROSS: Final = math.sin(math.radians(CROSSING))
 
@@ -202,11 +203,13 @@ def _crossing(block: MotionBlock, speed: Floats, arrivals: Encroachments) -> Ind
 def _follow(block: MotionBlock, arrivals: Encroachments) -> Booleans:
     """Return whether those who arrive follow those who left: whether these had the same position and heading earlier."""
     first, second, _, arrived, _ = arrivals
-    begin = int(np.searchsorted(block.time, block.time[arrived.min()] - MARGIN))
-    frames = slice(min(begin, int(arrived.min())), int(arrived.max()) + 1)
+    frames = slice(int(_before(block, arrived).min()), int(arrived.max()) + 1)
     dx = block.x[first, frames] - block.x[second, arrived][:, None]
     dy = block.y[first, frames] - block.y[second, arrived][:, None]
     distance = np.nan_to_num(dx * dx + dy * dy, nan=math.inf)
+    frame = np.arange(frames.start, frames.stop)
+    earliest = _before(block, arrived)[:, None]
+    distance[(frame < earliest) | (frame > arrived[:, None])] = math.inf
     rows = np.arange(len(first))
     nearest = distance.argmin(axis=1)
     turn = block.yaw[first, nearest + frames.start] - block.yaw[second, arrived]
@@ -215,15 +218,26 @@ def _follow(block: MotionBlock, arrivals: Encroachments) -> Booleans:
 
 
 def _apart(block: MotionBlock, arrivals: Encroachments) -> Encroachments:
-    """Return the arrivals of pairs that do not touch in the 3 s before, in which case both are there at once."""
+    """Return the arrivals of pairs that do not touch in the 3 s before and after, in which case both are there at once."""
     if not len(arrivals.time):
         return arrivals
     pairs, index = np.unique(np.stack((arrivals.first, arrivals.second)), axis=1, return_inverse=True)
-    left, last = int(arrivals.left.min()), int(arrivals.arrived.max()) + 1
-    frames = np.arange(min(int(np.searchsorted(block.time, block.time[left] - MARGIN)), left), last)
+    begin, end = _before(block, arrivals.arrived), _after(block, arrivals.arrived)
+    frames = np.arange(begin.min(), end.max() + 1)
     touching = overlaps(_boxes(block, pairs[0][:, None], frames), _boxes(block, pairs[1][:, None], frames))
-    apart = np.asarray(~touching.any(axis=1))
-    return arrivals.take(apart[index.ravel()])
+    count = np.pad(np.cumsum(touching, axis=1), ((0, 0), (1, 0)))  # of the frames before each one in which they touch
+    row = index.ravel()
+    return arrivals.take(count[row, end + 1 - frames[0]] == count[row, begin - frames[0]])
+
+
+def _before(block: MotionBlock, frame: Indices) -> Indices:
+    """Return the first frame within 3 s before each of some frames; the margins of a block have all of these."""
+    return np.minimum(np.searchsorted(block.time, block.time[frame] - MARGIN + _ROUNDING), frame)
+
+
+def _after(block: MotionBlock, frame: Indices) -> Indices:
+    """Return the last frame within 3 s after each of some frames."""
+    return np.maximum(np.searchsorted(block.time, block.time[frame] + MARGIN - _ROUNDING) - 1, frame)
 
 
 def _boxes(block: MotionBlock, actor: Indices, frame: Indices) -> Boxes:
