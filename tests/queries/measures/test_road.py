@@ -139,6 +139,19 @@ def test_creeping_over_the_line_and_waiting_for_green_is_no_violation(drives: Dr
     assert drives(creeps, lights=lambda time: RED if time < 9 else GREEN) == []
 
 
+def test_entering_on_green_and_going_on_at_red_from_across_the_line_is_no_violation(drives: Drives) -> None:
+    waits = along(
+        [10.0] * 100 + [0.0] * 100 + [10.0] * 50, x=50 - LENGTH / 4
+    )  # from 5 s to 10 s with its front over the line
+    assert drives(waits, lights=lambda time: RED if time >= 7 else GREEN) == []
+
+
+def test_standing_before_the_line_and_going_on_at_red_is_one(drives: Drives) -> None:
+    waits = along([10.0] * 90 + [0.0] * 100 + [3.0] * 50, x=50)  # the front stands 3 m before the line
+    (event,) = drives(waits, lights=lambda time: RED if time >= 7 else GREEN)
+    assert event.text == f"runs a red light at 11 km/h (light {LIGHT})"
+
+
 def test_the_other_direction_is_not_governed(drives: Drives) -> None:
     westward = along(STEADY, x=115, y=1.75, heading=180)
     assert [event.kind for event in drives(westward, lights=lambda _: RED)] == []
