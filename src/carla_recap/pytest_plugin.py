@@ -124,8 +124,13 @@ class CarlaWorld:
     def traffic_manager(self) -> carla.TrafficManager:
         """A traffic manager of this test alone, synchronous if the world is."""
         if self._traffic_manager is None:
+            synchronous = self._options.get("synchronous", True)
             self._traffic_manager = self.client.get_trafficmanager(_free_port())
-            self._traffic_manager.set_synchronous_mode(self._options.get("synchronous", True))
+            self._traffic_manager.set_synchronous_mode(synchronous)
+            if synchronous:
+                # Its first cycle is asynchronous: it forgets each vehicle registered that was spawned since the last tick.
+                # Settings are signalled to managers as ticks are: this returns when the manager waits for the next signal.
+                self.world.apply_settings(self.world.get_settings())
         return self._traffic_manager
 
     def load_world(self, name: str) -> carla.World:
