@@ -12,7 +12,10 @@ from pathlib import Path
 from xml.etree import ElementTree
 
 import pytest
+from click.testing import CliRunner
 
+from carla_recap.cli.check import check
+from carla_recap.errors import RecapError
 from tests.cli.command import COMMAND, ENVIRONMENT, TIMEOUT, error, on_terminal, run
 from tests.samples import names_in, save, time_limit
 
@@ -92,10 +95,29 @@ def test_wrong_rules_are_an_error_before_anything_is_read(tmp_path):
     assert message == f"{rules}: rule 'a': collisions.max: 'none'; a whole number of 0 or more was expected"
 
 
-def test_a_junit_file_that_cannot_be_written_is_an_error(runs, tmp_path):
+def test_the_folder_of_the_junit_file_is_made(runs, tmp_path):
     done = run("check", runs, "--rules", RULES, "--junit", tmp_path / "absent" / "out.xml")
-    assert done.returncode == 2
-    assert b"out.xml: cannot be written" in done.stderr
+    assert (done.returncode, done.stderr) == (1, b"")
+    assert (tmp_path / "absent" / "out.xml").exists()
+
+
+def test_a_junit_file_that_cannot_be_written_is_an_error_before_anything_is_read(tmp_path):
+    (tmp_path / "file").touch()
+    for path in (tmp_path / "file" / "out.xml", tmp_path):
+        message = error("check", "absent.mcap", "--rules", RULES, "--junit", path)
+        assert message.startswith(f"{path}: cannot be written: ")
+
+
+def test_what_cannot_be_written_is_an_error_after_the_verdicts(runs, tmp_path, monkeypatch):
+    def fails(*_):
+        raise RecapError("out.xml: cannot be written: No space left on device")
+
+    monkeypatch.setattr("carla_recap.fleet.junit.write_junit", fails)
+    monkeypatch.setattr("carla_recap.fleet.pages.overview", fails)
+    for options in (["--junit", tmp_path / "out.xml"], ["--html", tmp_path / "out", "--jobs", "1"]):
+        done = CliRunner().invoke(check, [str(runs), "--rules", str(RULES), *map(str, options)])
+        assert "no-hero-collision   12.10 s  2 collisions of the hero" in done.stdout
+        assert isinstance(done.exception, RecapError)
 
 
 def test_pages(runs, tmp_path):

@@ -56,40 +56,70 @@ def check(
     SOURCE is a recording, a folder, a glob or a URL; - means a list of these on stdin. The exit code is 0 if all pass, 1 if
     one fails, 2 if one cannot be judged.
     """
+    from carla_recap.errors import RecapError
     from carla_recap.fleet.check import check_sources, worst
     from carla_recap.fleet.junit import write_junit
     from carla_recap.fleet.rules import load_rules
+    from carla_recap.util.files import prepare_file
     from carla_recap.util.signals import unwind_on_termination
 
     if html is None and clips:
         raise click.UsageError("--clips goes with --html.", click.get_current_context())
     rules = load_rules(rules_file)
-    checked = []
-    with ExitStack() as stack:
-        stack.enter_context(unwind_on_termination())
-        room = stack.enter_context(_folder_of_pages(html, force=force))
-        client = stack.enter_context(closing(client_of(dask))) if dask else None
-        found, bar = watched(sources, "Checked")
-        with bar, closing(check_sources(found, rules, road_map=road_map, jobs=jobs, client=client)) as given:
-            for each in given:
-                checked.append(each)
-                bar.advance()
-                with bar.aside():
-                    _warn(each, each.warnings)
-        if room is not None:
-            from carla_recap.fleet.pages import overview, write_pages
-
-            written, checked = write_pages(checked, room, clips=clips, road_map=road_map, jobs=jobs), []
-            with closing(written):
-                for each, warnings in written:
-                    checked.append(each)
-                    _warn(each, warnings)
-            (room / "index.html").write_text(overview(checked, rules), "utf-8")
     if junit:
-        write_junit(checked, junit, html)
+        prepare_file(junit)
+    judged: list[CheckedRecording] = []
+    checked, is_judged, failures = judged, False, []
+    try:
+        with ExitStack() as stack:
+            stack.enter_context(unwind_on_termination())
+            room = stack.enter_context(_folder_of_pages(html, force=force))
+            client = stack.enter_context(closing(client_of(dask))) if dask else None
+            found, bar = watched(sources, "Checked")
+            with bar, closing(check_sources(found, rules, road_map=road_map, jobs=jobs, client=client)) as given:
+                for each in given:
+                    judged.append(each)
+                    bar.advance()
+                    with bar.aside():
+                        _warn(each, each.warnings)
+            is_judged = True
+            shown = judged if room is None else _write_pages(judged, rules, room, clips=clips, road_map=road_map, jobs=jobs)
+        checked = shown
+    except RecapError as error:
+        if not is_judged:
+            raise
+        failures.append(error)
+    if junit:
+        try:
+            write_junit(checked, junit, html)
+        except RecapError as error:
+            failures.append(error)
     _show(checked, rules, form)
     sys.stdout.flush()
+    if failures:  # after the verdicts, which took longer than the writing
+        raise failures[0]
     sys.exit(_EXIT_CODES[worst(each.status for each in checked)])
+
+
+def _write_pages(
+    judged: Sequence[CheckedRecording],
+    rules: RuleSet,
+    room: Path,
+    *,
+    clips: bool,
+    road_map: str | None,
+    jobs: int | None,
+) -> list[CheckedRecording]:
+    """Write the pages and the overview into a folder; return the recordings with the paths of their pages."""
+    from carla_recap.fleet.pages import overview, write_pages
+
+    checked = []
+    with closing(write_pages(judged, room, clips=clips, road_map=road_map, jobs=jobs)) as written:
+        for each, warnings in written:
+            checked.append(each)
+            _warn(each, warnings)
+    (room / "index.html").write_text(overview(checked, rules), "utf-8")
+    return checked
 
 
 @contextmanager

@@ -116,12 +116,40 @@ class Selector:
         return _MANY.get(self.text, self.text)
 
 
+class Written(NamedTuple):
+    """How a quantity is written in a rule.
+
+    Attributes:
+        text: The quantity, such as `0.8 g`.
+        unit: Its unit.
+        size: The unit in the unit of the measure, such as 9.80665.
+    """
+
+    text: str
+    unit: str
+    size: float
+
+
 @dataclass(frozen=True, slots=True)
 class Bounds:
-    """The least and the greatest valid number; None where there is none."""
+    """The least and the greatest valid number; None where there is none.
+
+    Attributes:
+        least: The least valid number.
+        most: The greatest one.
+        least_written: How the least one is written, if with a unit.
+        most_written: How the greatest one is written, if with a unit.
+    """
 
     least: float | None = None
     most: float | None = None
+    least_written: Written | None = None
+    most_written: Written | None = None
+
+    @property
+    def written(self) -> Written | None:
+        """How a bound is written, whose unit values are shown in."""
+        return self.most_written or self.least_written
 
     def contain(self, value: float) -> bool:
         """Return whether a number is valid; NaN is not."""
@@ -129,11 +157,13 @@ class Bounds:
 
     def text(self, unit: str = "") -> str:
         """Return the bounds in words."""
-        after = f" {unit}" if unit else ""
+        least, most = quantity(self.least, unit, self.least_written), quantity(self.most, unit, self.most_written)
         if self.least is not None and self.least == self.most:
-            return f"exactly {self.least:.5g}{after}"
-        words = (("at least", self.least), ("at most", self.most))
-        return " and ".join(f"{word} {value:.5g}" for word, value in words if value is not None) + after
+            return f"exactly {least}"
+        if self.least is not None and self.most is not None and self.written is None:
+            least = f"{self.least:.5g}"  # the unit follows once
+        words = (("at least", self.least, least), ("at most", self.most, most))
+        return " and ".join(f"{word} {text}" for word, value, text in words if value is not None)
 
 
 class Facts:
@@ -313,27 +343,37 @@ class LongestStop:
     Attributes:
         of: The actors; any: vehicles and walkers.
         longest: The longest valid time, in s.
+        written: How it is written, if with a unit.
     """
 
     of: Selector
     longest: float
+    written: Written | None = None
 
     def text(self) -> str:
         """See `Condition.text`."""
-        return f"standing still{_of(self.of)}: at most {number(self.longest)} s"
+        return f"standing still{_of(self.of)}: at most {self._most()}"
 
     def judge(self, facts: Facts) -> Finding:
         """See `Condition.judge`."""
         found = [row for row in facts.stops if row.duration > self.longest and self._counts(facts.actor(row.id, row.start))]
         if not found:
-            return Finding(True, f"no stop{_of(self.of)} of more than {number(self.longest)} s{facts.absent(self.of)}")
+            return Finding(True, f"no stop{_of(self.of)} of more than {self._most()}{facts.absent(self.of)}")
         offences = []
         for row in found:
             actor = facts.actor(row.id, row.start)
-            text = f"{_name(row.id, actor)} stands still for {row.duration:.1f} s"
+            duration = (
+                _value(row.duration, "s", self.written)
+                if self.written and self.written.unit != "s"
+                else f"{row.duration:.1f} s"
+            )
+            text = f"{_name(row.id, actor)} stands still for {duration}"
             offences.append(Offence(text, row.start, (row.id,)))
         stops = "1 stop" if len(found) == 1 else f"{len(found)} stops"
-        return Finding(False, f"{stops}{_of(self.of)} of more than {number(self.longest)} s", tuple(offences))
+        return Finding(False, f"{stops}{_of(self.of)} of more than {self._most()}", tuple(offences))
+
+    def _most(self) -> str:
+        return self.written.text if self.written else f"{number(self.longest)} s"
 
     def _counts(self, actor: Actor | None) -> bool:
         if self.of.text == ANY:
@@ -374,18 +414,19 @@ class MeasureBounds:
             return Finding(True, f"no {self._name()}{_of(self.of)} was measured{facts.absent(self.of)}")
         offences = tuple(self._offence(row, facts) for row in found if not self.bounds.contain(row.value))
         extreme = "least" if self.measure in LEAST else "greatest"
-        message = f"the {extreme} {self._name()}{_of(self.of)} is {_value(found[0].value, unit)}"
+        message = f"the {extreme} {self._name()}{_of(self.of)} is {_value(found[0].value, unit, self.bounds.written)}"
         if not offences:
             return Finding(True, message)
         least, most = self.bounds.least, self.bounds.most
-        limit = f"falls below {least:.5g}" if least is not None else f"exceeds {most:.5g}"
-        return Finding(False, f"the {self._name()}{_of(self.of)} {limit} {unit}", offences)
+        bound = quantity(most if least is None else least, unit, self.bounds.written)
+        limit = f"{'exceeds' if least is None else 'falls below'} {bound}"
+        return Finding(False, f"the {self._name()}{_of(self.of)} {limit}", offences)
 
     def _name(self) -> str:
         return self.measure.replace("_", " ")
 
     def _offence(self, row: MeasureRow, facts: Facts) -> Offence:
-        name, value = _name(row.actor, facts.actor(row.actor, row.time)), _value(row.value, row.unit)
+        name, value = _name(row.actor, facts.actor(row.actor, row.time)), _value(row.value, row.unit, self.bounds.written)
         if row.other is None:
             return Offence(f"{name}, {value}", row.time, (row.actor,))
         other = _name(row.other, facts.actor(row.other, row.time))
@@ -399,14 +440,16 @@ class SameAs:
     Attributes:
         baseline: The baseline, or the folder of baselines, in which that of a recording has the same name.
         tolerance: The distance that counts as equal, in m.
+        written: How it is written, if with a unit.
     """
 
     baseline: str
     tolerance: float
+    written: Written | None = None
 
     def text(self) -> str:
         """See `Condition.text`."""
-        return f"the same as {self.baseline}, within {number(self.tolerance)} m"
+        return f"the same as {self.baseline}, within {self._within()}"
 
     def judge(self, facts: Facts) -> Finding:
         """See `Condition.judge`."""
@@ -415,12 +458,15 @@ class SameAs:
         with open_recording(path) as baseline:
             found = differences(baseline.reader, reader, tolerance=self.tolerance)
         if found.equal:
-            return Finding(True, f"equal to {path} within {number(self.tolerance)} m")
+            return Finding(True, f"equal to {path} within {self._within()}")
         offences = [Offence(reason) for reason in found.reasons]
         if found.first is not None:
             text = f"{name_of(found.first)} is {metres(found.first.first_distance)} apart"
             offences.insert(0, Offence(text, found.first.first, (found.first.id_b,)))
         return Finding(False, f"differs from {path}", tuple(offences))
+
+    def _within(self) -> str:
+        return self.written.text if self.written else f"{number(self.tolerance)} m"
 
     def _path(self, recording: str) -> str:
         """Return the path of the baseline of a recording.
@@ -461,7 +507,9 @@ class Size:
         """See `Condition.judge`."""
         extent = facts.recording.reader.extent()
         value = extent.duration if self.unit == "s" else extent.frames
-        message = f"the recording has {number(value) if self.unit == 's' else value} {self.unit}"
+        written = self.bounds.written
+        length = _value(value, self.unit, written) if written else number(value) if self.unit == "s" else str(value)
+        message = f"the recording has {length if written else f'{length} {self.unit}'}"
         if self.bounds.contain(value):
             return Finding(True, message)
         return Finding(False, f"{message} instead of {self.bounds.text(self.unit)}")
@@ -521,8 +569,18 @@ def map_key(name: str) -> str:
     return plain_name(name).lower().removesuffix("_opt")
 
 
-def _value(value: float, unit: str) -> str:
-    return f"{value:.2f} {unit}" if abs(value) < _LARGE else f"{number(value)} {unit}"
+def quantity(value: float | None, unit: str, written: Written | None) -> str:
+    """Return a bound as it is written in a rule."""
+    if written is not None:
+        return written.text
+    return f"{value or 0.0:.5g} {unit}".rstrip()
+
+
+def _value(value: float, unit: str, written: Written | None = None) -> str:
+    """Return a value in the unit in which its bound is written, with at least the digits that it has in its own one."""
+    unit, size = (unit, 1.0) if written is None else (written.unit, written.size)
+    shown = value / size
+    return f"{shown:.{2 if size <= 1 else 3}f} {unit}" if abs(shown) < _LARGE else f"{number(shown)} {unit}"
 
 
 def _name(id: int, actor: Actor | None) -> str:

@@ -21,7 +21,7 @@ from typing import TYPE_CHECKING, Any, Final, Literal
 
 from carla_recap.errors import RecapError
 from carla_recap.fleet import conditions
-from carla_recap.fleet.conditions import ANY, LEAST, MEASURES, OBJECT, ROLE, Bounds, Facts, Offence, Selector
+from carla_recap.fleet.conditions import ANY, LEAST, MEASURES, OBJECT, ROLE, Bounds, Facts, Offence, Selector, Written
 from carla_recap.queries.incidents import ALL_KINDS as KINDS
 from carla_recap.util.text import visible
 
@@ -264,7 +264,7 @@ class _Fields:
 
     def quantities(self, unit: str) -> Bounds:
         """Return the bounds of a quantity, from `min` and `max`."""
-        return self._bounds(lambda name: self.quantity(name, unit))
+        return self._bounds(lambda name: self.quantity(name, unit), unit)
 
     def quantity(self, name: str, unit: str) -> float | None:
         """Return a quantity: a number in a unit, or a text with a number and its unit; None if the field is missing."""
@@ -283,14 +283,22 @@ class _Fields:
             raise self.wrong(name, expected if units else "a number")
         return number
 
-    def _bounds(self, read: Callable[[str], float | None]) -> Bounds:
+    def written(self, name: str, unit: str) -> Written | None:
+        """Return how a quantity is written, if it is a valid text; the first unit of its kind needs no factor."""
+        value = self.get(name)
+        match = _QUANTITY.fullmatch(value) if isinstance(value, str) else None
+        return Written(f"{match[1]} {match[2]}", match[2], _UNITS[unit][match[2]]) if match else None
+
+    def _bounds(self, read: Callable[[str], float | None], unit: str = "") -> Bounds:
         least, most = read("min"), read("max")
         if least is None and most is None:
             self.done()
             raise RecapError(f"{self._prefix}: has no bound; min or max was expected")
         if least is not None and most is not None and least > most:
             raise self.wrong("min", "no more than max")
-        return Bounds(least, most)
+        if not unit:
+            return Bounds(least, most)
+        return Bounds(least, most, self.written("min", unit), self.written("max", unit))
 
     def done(self) -> None:
         """Refuse fields that were not read."""
@@ -305,8 +313,9 @@ def _collisions(fields: _Fields) -> Condition:
 
 
 def _incidents(fields: _Fields) -> Condition:
-    given = fields.texts("kind", f"one or a list of {', '.join(KINDS)}", KINDS)
-    kinds = tuple(kind for kind in KINDS if kind in given)
+    dashed = {kind.replace(" ", "-"): kind for kind in KINDS}  # as on the command line
+    given = fields.texts("kind", f"one or a list of {', '.join(KINDS)}", (*KINDS, *dashed))
+    kinds = tuple(kind for dash, kind in dashed.items() if kind in given or dash in given)
     return conditions.IncidentCount(kinds, fields.selector("of"), Selector(), fields.counts())
 
 
@@ -314,7 +323,7 @@ def _blocked(fields: _Fields) -> Condition:
     of, longest = fields.selector("of"), fields.quantity("max", "s")
     if longest is None or longest < 0:
         raise fields.wrong("max", 'the longest valid stop, such as "60 s",')
-    return conditions.LongestStop(of, longest)
+    return conditions.LongestStop(of, longest, fields.written("max", "s"))
 
 
 def _duration(fields: _Fields) -> Condition:
@@ -347,7 +356,8 @@ def _same_as(fields: _Fields) -> Condition:
     tolerance = fields.quantity("tolerance", "m") or 0.0
     if tolerance < 0:
         raise fields.wrong("tolerance", "a distance of 0 or more")
-    return conditions.SameAs(baseline if "://" in baseline else os.path.join(fields.folder, baseline), tolerance)  # noqa: PTH118
+    path = baseline if "://" in baseline else os.path.join(fields.folder, baseline)  # noqa: PTH118
+    return conditions.SameAs(path, tolerance, fields.written("tolerance", "m"))
 
 
 _CONDITIONS: Final[Mapping[str, Callable[[_Fields], Condition]]] = {

@@ -216,6 +216,20 @@ def check_path(destination: Path | str) -> None:
         raise RecapError(f"{destination}: is a URL; a path was expected, since only files of this machine are written")
 
 
+def prepare_file(path: Path | str) -> None:
+    """Create the folder of a file that will be written, and check that it can be.
+
+    Raises:
+        RecapError: It cannot.
+    """
+    check_path(path)
+    try:
+        Path(path).parent.mkdir(parents=True, exist_ok=True)
+        WholeFile(path).abort()
+    except (OSError, ValueError) as error:
+        raise RecapError(f"{str(path)[:200]}: cannot be written: {getattr(error, 'strerror', None) or error}") from None
+
+
 def check_folder(folder: Path | str, *, force: bool) -> None:
     """Refuse a destination that is no folder, or, without `force`, a folder that is not empty.
 
