@@ -102,6 +102,26 @@ def test_without_measures_the_events_are_read_alone_and_with_them_later(tmp_path
     assert counts(write_index([SAMPLES / "crash.mcap"], tmp_path / "index", jobs=1)) == (0, 0, 1, 0)
 
 
+def test_near_misses_are_incidents_of_recordings_that_are_measured(tmp_path):
+    cars = [Spawn(id, ActorKind.VEHICLE, type_id="vehicle.audi.tt") for id in (3, 5)]
+    boxes = [(id, 0.0, 0.0, 75.0, 200.0, 100.0, 75.0) for id in (3, 5)]
+    with create_recording(tmp_path / "own.mcap", map_name="Town01") as recorder:
+        for index in range(121):  # one crosses the path of the other, 0.4 s after it
+            way = 50.0 * index
+            poses = [(3, -2000.0 + way, 0.0, 0.0, 0.0, 0.0, 0.0), (5, 0.0, 3000.0 - way, 0.0, 0.0, 0.0, -90.0)]
+            first = {"spawned": cars, "bounding_boxes": boxes} if index == 0 else {}
+            recorder.add_frame(index / 20, transforms=poses, **first)
+    write_index([tmp_path / "own.mcap"], tmp_path / "index", jobs=1)
+    assert open_index(tmp_path / "index").table("incidents").num_rows == 0
+    write_index([tmp_path / "own.mcap"], tmp_path / "index", jobs=1, measures=True)
+    assert open_index(tmp_path / "index").table("incidents")["kind"].to_pylist() == ["near miss"]
+
+
+def test_an_index_is_not_written_to_a_url(tmp_path):
+    with pytest.raises(RecapError, match="is a URL; a path was expected"):
+        write_index([SAMPLES / "crash.mcap"], "s3://bucket/index", jobs=1)
+
+
 def test_the_map_is_the_one_that_is_given(tmp_path):
     summary = write_index(
         [SAMPLES / "crash.mcap"], tmp_path / "index", jobs=1, measures=True, road_map=tmp_path / "none.xodr"

@@ -28,7 +28,7 @@ FAILED: Final = 2
 @click.argument("index_folder", type=click.Path(), metavar="INDEX")
 @options.jobs
 @options.dask
-@click.option("--measures", is_flag=True, help="Read every frame, for the measures of heroes and for incidents of the road.")
+@click.option("--measures", is_flag=True, help="Read every frame: for measures, near misses and incidents of the road.")
 @options.road_map
 @click.option("--prune", is_flag=True, help="Remove recordings from INDEX that no SOURCE means.")
 @click.option("--retry", is_flag=True, help="Read recordings again that could not be read, also unchanged ones.")

@@ -13,6 +13,8 @@ def readable(text: str) -> str:
     Each invalid byte becomes a `?`, but a sequence of five or six bytes, as in early UTF-8, becomes one, as does the end of
     a text that is more than a byte shorter than its last sequence.
     """
+    if text.isascii() and "\0" not in text:
+        return text
     text = text.partition("\0")[0]
     if text.isascii() or not re.search(_SUSPECT, text):
         return text

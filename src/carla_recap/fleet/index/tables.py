@@ -39,7 +39,7 @@ class RecordingRow:
         frames: The number of frames.
         duration: The elapsed time of the last frame, in s.
         additional_data: Whether the first frame has additional data, such as velocities.
-        measured: Whether its measures, and incidents of the road if its map was found, are in the index.
+        measured: Whether its measures, near misses, and incidents of the road if its map was found, are in the index.
         actors: The number of actors.
         heroes: The number of heroes.
     """

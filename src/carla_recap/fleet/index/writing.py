@@ -19,6 +19,7 @@ from carla_recap.fleet.index.reading import read_recording
 from carla_recap.fleet.index.tables import CHILDREN, RECORDING, RECORDINGS, TABLES, RecordingRow
 from carla_recap.fleet.sources import find_sources
 from carla_recap.tables import arrow
+from carla_recap.util.files import check_path
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Sequence
@@ -84,8 +85,8 @@ def write_index(
         index: The folder, which is made if it does not exist.
         jobs: The number of processes; None: as many as there are processors.
         client: Dask's client, whose cluster reads instead of processes of this machine.
-        measures: Read every frame, also of recordings of which this was not done: for the measures of heroes, and for
-            incidents of the road where the map is known. Else their events are read alone.
+        measures: Read every frame, also of recordings of which this was not done: for the measures of heroes, for near
+            misses, and for incidents of the road where the map is known. Else their events are read alone.
         road_map: The map, or the folder with maps to look in; None: the usual folders.
         prune: Remove all recordings from the index that the sources do not mean.
         retry: Read recordings again that could not be read, even if they have not changed.
@@ -95,9 +96,10 @@ def write_index(
 
     Raises:
         MissingExtra: pyarrow is not installed.
-        RecapError: A folder or glob means no recordings, the index is of another version, damaged or written by another
-            process, or it cannot be written.
+        RecapError: A folder or glob means no recordings, the index is at a URL, of another version, damaged or written by
+            another process, or it cannot be written.
     """
+    check_path(index)
     arrow.require("an index")
     folder = IndexFolder(index)
     meant = {_unicode(source.location): source for source in map(_absolute, find_sources(sources))}
