@@ -40,7 +40,17 @@ def test_recordings_that_cannot_be_read_are_named_and_the_exit_code_is_2(tmp_pat
     assert done.returncode == 2
     assert failure.startswith(f"carla-recap: {tmp_path}/empty.log: is empty")
     assert summary.endswith("2 recordings: 1 read, 1 failed, 0 unchanged")
-    assert run("index", tmp_path, tmp_path / "index").returncode == 0
+    again = run("index", tmp_path, tmp_path / "index")
+    assert again.returncode == 0
+    assert again.stderr.endswith(b"0 read, 0 failed, 2 unchanged (1 of them with an error)\n")
+
+
+def test_unknown_maps_are_a_warning(tmp_path):
+    done = run("index", "--measures", SAMPLES / "crossing.log", tmp_path / "index")
+    assert done.returncode == 0
+    warning = done.stderr.decode().splitlines()[-1]
+    assert warning.startswith("carla-recap: warning: unknown maps: 'Crossing'; ")
+    assert "--map" in warning
 
 
 def test_a_list_of_recordings_comes_from_stdin(tmp_path):

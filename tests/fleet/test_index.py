@@ -10,7 +10,8 @@ import pytest
 
 from carla_recap import ActorKind, RecapError, Spawn, create_recording, open_index, open_recording, write_index
 from carla_recap.fleet.index.tables import TABLES
-from carla_recap.maps import find_road_network
+from carla_recap.fleet.sources import SourceFile
+from carla_recap.maps import find_map, find_road_network
 
 pytest.importorskip("pyarrow", reason="the extra `arrow` is not installed")
 
@@ -122,6 +123,24 @@ def test_an_index_is_not_written_to_a_url(tmp_path):
         write_index([SAMPLES / "crash.mcap"], "s3://bucket/index", jobs=1)
 
 
+def test_a_recording_without_its_map_is_read_again_when_the_map_is_known(tmp_path, monkeypatch):
+    monkeypatch.delenv("CARLA_RECAP_MAPS", raising=False)
+    runs, index, maps = SAMPLES / "crossing.log", tmp_path / "index", tmp_path / "maps"
+    maps.mkdir()
+    summary = write_index([runs], index, jobs=1, measures=True)
+    assert summary.unknown_maps == ("Crossing",)
+    row = recordings(index)["crossing.log"]
+    assert (row["measured"], row["roads_known"]) == (True, False)
+    summary = write_index([runs], index, jobs=1, measures=True, road_map=maps)
+    assert (summary.unchanged, summary.unknown_maps) == (1, ("Crossing",))
+    shutil.copy(find_map("Brickfield"), maps / "Crossing.xodr")
+    assert write_index([runs], index, jobs=1, road_map=maps).unchanged == 1
+    summary = write_index([runs], index, jobs=1, measures=True, road_map=maps)
+    assert (summary.read, summary.unknown_maps) == (1, ())
+    assert recordings(index)["crossing.log"]["roads_known"] is True
+    assert write_index([runs], index, jobs=1, measures=True, road_map=maps).unchanged == 1
+
+
 def test_the_map_is_the_one_that_is_given(tmp_path):
     summary = write_index(
         [SAMPLES / "crash.mcap"], tmp_path / "index", jobs=1, measures=True, road_map=tmp_path / "none.xodr"
@@ -191,6 +210,15 @@ def test_a_broken_recording_is_a_row_with_its_error_and_is_read_when_it_has_chan
     shutil.copy(SAMPLES / "crash.mcap", runs / "cut.mcap")
     assert counts(write_index([runs], tmp_path / "index", jobs=1)) == (1, 0, 3, 0)
     assert recordings(tmp_path / "index")["cut.mcap"]["error"] is None
+
+
+@pytest.mark.parametrize("etag", ['"1f-2"', 'W/"1f-2"'])
+def test_etags_have_no_quotes_and_decide_what_is_read(tmp_path, monkeypatch, etag):
+    found = [SourceFile(str(SAMPLES / "crossing.log"), size=5, modified=None, etag=etag)]
+    monkeypatch.setattr("carla_recap.fleet.index.writing.find_sources", lambda sources: found)
+    assert counts(write_index([], tmp_path / "index", jobs=1)) == (1, 0, 0, 0)
+    assert recordings(tmp_path / "index")["crossing.log"]["etag"] == etag.replace('"', "")
+    assert counts(write_index([], tmp_path / "index", jobs=1)) == (0, 0, 1, 0)
 
 
 def test_parts_are_merged_when_there_are_many(runs, tmp_path, monkeypatch):

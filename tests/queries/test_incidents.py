@@ -333,7 +333,7 @@ def test_near_misses(make: Make) -> None:
     reader = make(*crossing(0.4), durations=[1 / RATE] * 120 + [LAST_FRAME_DURATION])
     (row,) = incidents(reader, kinds=["near miss"])
     assert (row.kind, row.actors, row.type_ids) == ("near miss", (5, 3), ("vehicle.d", "vehicle.b"))
-    assert row.text == "vehicle.d (5) crosses the path of vehicle.b (3) 0.4 s after it at 36 km/h"
+    assert row.text == "vehicle.d (5) crosses the path of vehicle.b (3) 0.4 s after it at 2.70 s, at 36 km/h"
     assert (row.start, row.stop) == (pytest.approx(2.3, abs=0.06), pytest.approx(2.7, abs=0.06))
     assert (row.x, row.y) == (0.0, pytest.approx(-3.0, abs=0.6))
     assert list(incidents(reader, kinds="all")) == [row]

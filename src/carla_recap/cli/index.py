@@ -19,6 +19,7 @@ if TYPE_CHECKING:
 
 T = TypeVar("T")
 
+_LONGEST: Final = 200  # characters of the names of maps
 FAILED: Final = 2
 """The exit code if a recording cannot be read."""
 
@@ -28,7 +29,9 @@ FAILED: Final = 2
 @click.argument("index_folder", type=click.Path(), metavar="INDEX")
 @options.jobs
 @options.dask
-@click.option("--measures", is_flag=True, help="Read every frame: for measures, near misses and incidents of the road.")
+@click.option(
+    "--measures", is_flag=True, help="Read every frame, for near misses, the measures of heroes and incidents of the road."
+)
 @options.road_map
 @click.option("--prune", is_flag=True, help="Remove recordings from INDEX that no SOURCE means.")
 @click.option("--retry", is_flag=True, help="Read recordings again that could not be read, also unchanged ones.")
@@ -52,6 +55,7 @@ def index(
     from carla_recap.cli.progress import SourcesBar
     from carla_recap.fleet.index import write_index
     from carla_recap.util.signals import unwind_on_termination
+    from carla_recap.util.text import readable
 
     bar = SourcesBar("Index", None)
 
@@ -83,10 +87,17 @@ def index(
             report=report,
         )
     counts = [f"{summary.read:,} read", f"{summary.failed:,} failed", f"{summary.unchanged:,} unchanged"]
+    if summary.unreadable:
+        counts[-1] += f" ({summary.unreadable:,} of them with an error)"
     if summary.removed:
         counts.append(f"{summary.removed:,} removed")
     things = "recording" if summary.recordings == 1 else "recordings"
     say(f"{index_folder}: {summary.recordings:,} {things}: {', '.join(counts)}")
+    if summary.unknown_maps:
+        named = readable(", ".join(repr(name) for name in summary.unknown_maps))[:_LONGEST]
+        warn(
+            f"unknown maps: {named}; without them, rules of the road are not judged. Name them with --map or CARLA_RECAP_MAPS"
+        )
     sys.exit(FAILED if summary.failed else 0)
 
 

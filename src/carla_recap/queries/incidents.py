@@ -393,7 +393,7 @@ def _braking(rows: Iterable[Braking], contacts: Iterable[_Contact], actors: Acto
 def _near_misses(rows: Iterable[NearMiss], actors: ActorsByTime) -> Iterator[Incident]:
     for row in rows:
         first, second = (actors.name(id, row.start) for id in (row.id1, row.id2))
-        at = f"at {row.speed * _KMH:.0f} km/h"
+        at = f"at {row.time:.2f} s, at {row.speed * _KMH:.0f} km/h"
         if row.time_to_collision == 0:
             text = f"{first} touches {second} {at}, though no collision is recorded"
         elif row.time_to_collision < math.inf:

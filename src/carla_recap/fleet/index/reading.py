@@ -101,6 +101,7 @@ def _content(recording: Recording, measured: bool, road_map: str | None) -> tupl
         "duration": info.duration,
         "additional_data": info.additional_data,
         "measured": measured,
+        "roads_known": roads is not None,
         "actors": len(found),
         "heroes": sum(actor.is_hero for actor in found),
     }

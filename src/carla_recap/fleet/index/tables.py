@@ -30,7 +30,7 @@ class RecordingRow:
     Attributes:
         size: Its size in bytes.
         modified: The time of its last change, in UTC.
-        etag: What identifies its content in an object store.
+        etag: What identifies its content in an object store, without quotes.
         error: Why it cannot be read; None if it can.
         warning: The warnings of its reading; None without any.
         map: The name of the map.
@@ -39,7 +39,8 @@ class RecordingRow:
         frames: The number of frames.
         duration: The elapsed time of the last frame, in s.
         additional_data: Whether the first frame has additional data, such as velocities.
-        measured: Whether its measures, near misses, and incidents of the road if its map was found, are in the index.
+        measured: Whether every frame was read, for its measures.
+        roads_known: Whether its map was found then, so that its rules of the road were judged, too.
         actors: The number of actors.
         heroes: The number of heroes.
     """
@@ -56,6 +57,7 @@ class RecordingRow:
     duration: float | None = None
     additional_data: bool | None = None
     measured: bool | None = None
+    roads_known: bool | None = None
     actors: int | None = None
     heroes: int | None = None
 

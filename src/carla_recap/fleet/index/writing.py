@@ -6,7 +6,7 @@ import os
 from collections.abc import Generator
 from dataclasses import dataclass, fields, replace
 from datetime import datetime, timedelta
-from functools import partial
+from functools import lru_cache, partial
 from pathlib import Path
 from time import monotonic
 from typing import TYPE_CHECKING, Any, Final
@@ -18,6 +18,7 @@ from carla_recap.fleet.index.folder import IndexFolder
 from carla_recap.fleet.index.reading import read_recording
 from carla_recap.fleet.index.tables import CHILDREN, RECORDING, RECORDINGS, TABLES, RecordingRow
 from carla_recap.fleet.sources import find_sources
+from carla_recap.maps import find_map
 from carla_recap.tables import arrow
 from carla_recap.util.files import check_path
 
@@ -51,14 +52,18 @@ class IndexSummary:
         read: The number of those that were read.
         failed: The number of those that could not be read.
         unchanged: The number of those that had not changed since they were read.
+        unreadable: The number of unchanged ones that could not be read then.
         removed: The number of recordings that the index had before, and no longer has.
+        unknown_maps: The names of the maps that are unknown, of recordings that were measured without their roads.
     """
 
     recordings: int
     read: int
     failed: int
     unchanged: int
+    unreadable: int
     removed: int
+    unknown_maps: tuple[str, ...]
 
 
 def write_index(
@@ -85,8 +90,9 @@ def write_index(
         index: The folder, which is made if it does not exist.
         jobs: The number of processes; None: as many as there are processors.
         client: Dask's client, whose cluster reads instead of processes of this machine.
-        measures: Read every frame, also of recordings of which this was not done: for the measures of heroes, for near
-            misses, and for incidents of the road where the map is known. Else their events are read alone.
+        measures: Read every frame, also of recordings of which this was not done: for near misses, for the measures of
+            heroes, and for incidents of the road where the map is known; also of recordings whose map was unknown then, and
+            is known now. Else their events are read alone.
         road_map: The map, or the folder with maps to look in; None: the usual folders.
         prune: Remove all recordings from the index that the sources do not mean.
         retry: Read recordings again that could not be read, even if they have not changed.
@@ -108,13 +114,16 @@ def write_index(
         folder.check()
         folder.clean()
         known = _known(folder)
+        maps = None if road_map is None else str(Path(road_map).absolute())
+        finds = _finder(maps)
         changed = {
             key: source
             for key, source in meant.items()
-            if again or key not in known or not known[key].suffices(source, retry=retry, measured=measures)
+            if again or key not in known or not known[key].suffices(source, finds, retry=retry, measured=measures)
         }
+        kept = [known[key] for key in meant.keys() - changed.keys()]
+        without_roads = {each.map for each in kept if measures and each.lacks_roads}
         writing = _Commits(folder)
-        maps = None if road_map is None else str(Path(road_map).absolute())
         read = partial(read_recording, measured=measures, road_map=maps)
         outcomes: Iterable[Outcome[Reading]] = map_sources(read, changed.values(), jobs=jobs, client=client)
         watched = progress(outcomes, len(changed)) if progress else outcomes
@@ -122,6 +131,8 @@ def write_index(
         try:
             for key, outcome in zip(changed, watched, strict=True):
                 writing.add(key, outcome)
+                if measures and outcome.value is not None and not outcome.value[0]["roads_known"]:
+                    without_roads.add(outcome.value[0]["map"])
                 if outcome.error is not None:
                     failed += 1
                     if report:
@@ -135,7 +146,15 @@ def write_index(
         runs = folder.runs()
         if removed or len(runs) > MOST_PARTS:
             folder.merge(runs[-1] + 1, removed)
-    return IndexSummary(len(meant), len(changed) - failed, failed, len(meant) - len(changed), len(removed))
+    return IndexSummary(
+        recordings=len(meant),
+        read=len(changed) - failed,
+        failed=failed,
+        unchanged=len(kept),
+        unreadable=sum(each.failed for each in kept),
+        removed=len(removed),
+        unknown_maps=tuple(sorted(without_roads)),
+    )
 
 
 @dataclass(frozen=True, slots=True)
@@ -148,6 +167,8 @@ class _Known:
         etag: See `RecordingRow`.
         failed: Whether it could not be read.
         measured: See `RecordingRow`.
+        roads_known: See `RecordingRow`.
+        map: The name of its map.
     """
 
     size: int | None
@@ -155,26 +176,56 @@ class _Known:
     etag: str | None
     failed: bool
     measured: bool
+    roads_known: bool
+    map: str
 
-    def suffices(self, source: SourceFile, *, retry: bool, measured: bool) -> bool:
-        """Return whether a recording need not be read again: it is as it was, and was read as is wanted."""
+    @property
+    def lacks_roads(self) -> bool:
+        """Whether it was measured without its roads."""
+        return self.measured and not self.roads_known
+
+    def suffices(self, source: SourceFile, finds: Callable[[str], bool], *, retry: bool, measured: bool) -> bool:
+        """Return whether a recording need not be read again: it is as it was, and was read as is wanted.
+
+        Args:
+            source: The recording.
+            finds: Returns whether a map is known now.
+            retry: Whether to read it again if it could not be read.
+            measured: Whether measures are wanted.
+        """
         if self.failed:
             return not retry and self._is_of(source)
-        return (self.measured or not measured) and self._is_of(source)
+        if measured and (not self.measured or (self.lacks_roads and finds(self.map))):
+            return False
+        return self._is_of(source)
 
     def _is_of(self, source: SourceFile) -> bool:
         """Return whether a recording is as it was; not if nothing is known of it."""
         if source.etag is not None:
-            return (self.size, self.etag) == (source.size, source.etag)
+            return (self.size, self.etag) == (source.size, _bare(source.etag))
         return source.size is not None and (self.size, self.modified) == (source.size, _time(source.modified))
 
 
 def _known(folder: IndexFolder) -> dict[str, _Known]:
     known: dict[str, _Known] = {}
-    for rows in folder.columns(RECORDINGS.name, [RECORDING, "size", "modified", "etag", "error", "measured"]):
-        for key, size, modified, etag, error, measured in zip(*(column.to_pylist() for column in rows.columns), strict=True):
-            known[key] = _Known(size, modified, etag, error is not None, bool(measured))
+    names = ["size", "modified", "etag", "error", "measured", "roads_known", "map"]
+    for rows in folder.columns(RECORDINGS.name, [RECORDING, *names]):
+        columns = (rows[name].to_pylist() for name in (RECORDING, *names))
+        for key, size, modified, etag, error, measured, roads_known, name in zip(*columns, strict=True):
+            known[key] = _Known(size, modified, etag, error is not None, bool(measured), bool(roads_known), name or "")
     return known
+
+
+def _finder(maps: str | None) -> Callable[[str], bool]:
+    """Return a function that returns whether a map is known; see `write_index`."""
+    if maps is not None and not Path(maps).is_dir():
+        return lambda name: True
+    return lru_cache(None)(lambda name: find_map(name, maps) is not None)
+
+
+def _bare(etag: str | None) -> str | None:
+    """Return an ETag without its quotes."""
+    return None if etag is None else etag.replace('"', "")
 
 
 class _Commits:
@@ -201,7 +252,7 @@ class _Commits:
         source, content = outcome.source, outcome.value
         warning = "; ".join(dict.fromkeys(outcome.warnings)) or None
         read, children = content if content is not None else ({}, [])
-        row = RecordingRow(source.size, _time(source.modified), source.etag, outcome.error, warning, **read)
+        row = RecordingRow(source.size, _time(source.modified), _bare(source.etag), outcome.error, warning, **read)
         self._add(RECORDINGS.name, key, [[getattr(row, field.name)] for field in fields(row)])
         for table, columns in zip(CHILDREN, children, strict=False):
             self._add(table.name, key, columns)
