@@ -95,9 +95,8 @@ def index(
     say(f"{index_folder}: {summary.recordings:,} {things}: {', '.join(counts)}")
     if summary.unknown_maps:
         named = readable(", ".join(repr(name) for name in summary.unknown_maps))[:_LONGEST]
-        warn(
-            f"unknown maps: {named}; without them, rules of the road are not judged. Name them with --map or CARLA_RECAP_MAPS"
-        )
+        advice = "rules of the road are not judged there; --map or CARLA_RECAP_MAPS names maps"
+        warn(f"unknown maps: {named}; {advice}")
     sys.exit(FAILED if summary.failed else 0)
 
 
