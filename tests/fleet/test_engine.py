@@ -6,7 +6,7 @@ from functools import partial
 import pytest
 
 from carla_recap.errors import RecapError
-from carla_recap.fleet.engine import map_sources
+from carla_recap.fleet.engine import map_sources, processors
 from carla_recap.fleet.sources import SourceFile
 
 
@@ -34,3 +34,10 @@ def test_one_job_runs_in_this_process_and_several_do_not():
     source = SourceFile("a")
     assert next(map_sources(process, [source], jobs=1)).value == os.getpid()
     assert next(map_sources(process, [source], jobs=2)).value != os.getpid()
+
+
+def test_thousands_of_jobs_are_no_thousands_of_processes(monkeypatch):
+    given = []
+    monkeypatch.setattr("carla_recap.fleet.workers.map_in_workers", lambda *arguments: given.append(arguments[-1]) or [])
+    list(map_sources(process, [SourceFile("a", 1, None)], jobs=10**20))
+    assert given == [max(32, 4 * processors())]

@@ -282,7 +282,7 @@ def test_times_that_are_no_numbers_are_left_out():
 def test_a_damaged_recording_gives_errors_and_the_rules_that_can_be_judged_are(tmp_path):
     content = bytearray((SAMPLES / "crash.mcap").read_bytes())
     content[len(content) // 3 : len(content) // 2] = bytes(len(content) // 2 - len(content) // 3)
-    rules = parse_rules('[rules.map]\nmap = "Brickfield"\n[rules.hits]\ncollisions = { max = 9 }', "rules.toml")
+    rules = parse_rules('[rules.map]\nmap = "Brickfield"\n[rules.speed]\nspeed = { max = 99 }', "rules.toml")
     with open_recording(save(tmp_path / "damaged.mcap", bytes(content))) as recording:
         verdicts = check(recording, rules)
     assert verdicts[0].status == "pass"
@@ -368,3 +368,13 @@ def test_a_file_that_cannot_be_read_is_an_error(tmp_path):
         with pytest.raises(RecapError, match=message) as error:
             load_rules(path)
         assert str(error.value).startswith(str(path))
+
+
+@pytest.mark.parametrize("number", ["9" * 5000, "0x" + "f" * 10_000])
+def test_a_number_of_thousands_of_digits_is_one_line(number):
+    with pytest.raises(RecapError) as caught:
+        parse_rules(f"[rules.short]\nframes = {{ max = {number} }}", "rules.toml")
+    message = str(caught.value)
+    assert message.startswith("rules.toml: ")
+    assert "\n" not in message
+    assert len(message) < 300

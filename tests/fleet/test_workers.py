@@ -8,6 +8,7 @@ import sys
 import threading
 import time
 from functools import partial
+from multiprocessing.process import BaseProcess
 
 import pytest
 
@@ -169,3 +170,21 @@ def test_an_error_of_the_sources_is_raised():
 
     with pytest.raises(RecapError, match="no more"):
         list(map_sources(process, broken(), jobs=2))
+
+
+def interrupts_are_held(_):
+    return signal.SIGINT in signal.pthread_sigmask(signal.SIG_BLOCK, ())
+
+
+def test_ctrl_c_is_held_while_a_worker_starts(monkeypatch):
+    held = []
+    start = BaseProcess.start
+
+    def started(self):
+        held.append(interrupts_are_held(None))
+        start(self)
+
+    monkeypatch.setattr(BaseProcess, "start", started)
+    assert not any(outcome.value for outcome in values(interrupts_are_held, 4))
+    assert held == [True] * len(held) != []
+    assert not interrupts_are_held(None)

@@ -20,6 +20,7 @@ __all__ = ["Outcome", "map_sources", "processors"]
 T = TypeVar("T")
 
 _PATIENCE: Final = 0.3  # s of reading in this process after which worker processes, which start in that time, are worthwhile
+_MOST: Final = 32  # worker processes, or four for each processor if these are more
 _LARGE: Final = 16 << 20  # bytes of a recording that is worth them
 
 
@@ -40,8 +41,8 @@ def map_sources(
         function: Is called with each recording, maybe in another process: a function of a module, or a partial of one. Its
             `RecapError`, `OSError` or `MemoryError` is the outcome's error; others are raised.
         sources: The recordings.
-        jobs: The number of worker processes; 1: this process alone; None: as many as there are processors, but this
-            process alone while the recordings are few and small.
+        jobs: The number of worker processes, 32 or four for each processor at most; 1: this process alone; None: as many as
+            there are processors, but this process alone while the recordings are few and small.
         client: Dask's client, whose cluster is used instead of processes of this machine.
 
     Raises:
@@ -53,7 +54,7 @@ def map_sources(
         yield from map_on_cluster(function, sources, client)
         return
     left = iter(sources)
-    count = jobs or processors()
+    count = min(jobs or processors(), max(_MOST, 4 * processors()))
     deadline = monotonic() + _PATIENCE if jobs is None else 0.0
     for source in left:
         if count > 1 and (monotonic() > deadline or (source.size or 0) >= _LARGE):

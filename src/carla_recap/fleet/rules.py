@@ -34,6 +34,7 @@ if TYPE_CHECKING:
 Status = Literal["pass", "fail", "error"]
 
 _LARGEST: Final = 1 << 20  # bytes of a file of rules
+_LARGEST_COUNT: Final = 1 << 63
 _SHOWN: Final = 60  # characters of a wrong value in an error
 _LISTED: Final = 20  # offences that a verdict lists
 _UNITS: Final[Mapping[str, Mapping[str, float]]] = {
@@ -137,6 +138,10 @@ def parse_rules(text: str, path: Path | str) -> RuleSet:
         raise RecapError(f"{path}: {visible(str(error))}; TOML was expected") from None
     except RecursionError:
         raise RecapError(f"{path}: is nested too deeply; tables of rules were expected") from None
+    except ValueError:  # of `int`
+        raise RecapError(
+            f"{path}: has a number of thousands of digits; quantities and numbers of things were expected"
+        ) from None
     unknown = [key for key in document if key != "rules"]
     if unknown:
         raise RecapError(f"{path}: {_shown(unknown[0])}: rules were expected, as [rules.NAME]")
@@ -256,7 +261,7 @@ class _Fields:
 
         def read(name: str) -> float | None:
             value = self.get(name)
-            if value is not None and (type(value) is not int or value < 0):
+            if value is not None and (type(value) is not int or not 0 <= value <= _LARGEST_COUNT):
                 raise self.wrong(name, "a whole number of 0 or more")
             return value
 
@@ -409,5 +414,7 @@ def _shown(value: Any) -> str:
     """Return a value of a file for an error."""
     if value is None:
         return "is missing"
+    if type(value) is int and abs(value) > _LARGEST_COUNT:
+        return "a number of many digits"
     text = repr(value[:_SHOWN] if isinstance(value, (str, list)) else value) if not isinstance(value, dict) else "a table"
     return visible(text if len(text) <= 2 * _SHOWN else f"{text[:_SHOWN]}…")

@@ -68,7 +68,8 @@ class _Worker(Generic[T]):
         context = get_context("spawn")
         self.connection, theirs = context.Pipe()
         self.process = context.Process(target=_serve, args=(theirs, function), daemon=True)
-        self.process.start()
+        with _interrupts_are_held():
+            self.process.start()
         theirs.close()
         self.tasks: deque[_Task] = deque()
         self.has_begun = False
@@ -198,6 +199,19 @@ def _end(workers: Iterable[_Worker[Any]], *, graceful: bool) -> None:
 
 
 @contextmanager
+def _interrupts_are_held() -> Iterator[None]:
+    """Hold Ctrl-C in a `with` block; processes that start in it hold it until they have a handler."""
+    if not hasattr(signal, "pthread_sigmask"):
+        yield
+        return
+    before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
+    try:
+        yield
+    finally:
+        signal.pthread_sigmask(signal.SIG_SETMASK, before)
+
+
+@contextmanager
 def _broken_pipes_are_errors() -> Iterator[None]:
     """Make writing to a process that has ended an `OSError` in a `with` block, where it would end this process."""
     number = getattr(signal, "SIGPIPE", None)
@@ -218,7 +232,9 @@ def _broken_pipes_are_errors() -> Iterator[None]:
 def _serve(connection: Connection, function: Callable[[SourceFile], T]) -> None:
     """Call a function for the recordings that come, until the connection is closed; the body of a worker."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # which all processes of a terminal get: the parent ends its workers
-    signal.signal(signal.SIGTERM, lambda *_: sys.exit(128 + signal.SIGTERM))
+    if hasattr(signal, "pthread_sigmask"):
+        signal.pthread_sigmask(signal.SIG_UNBLOCK, {signal.SIGINT})  # see `_interrupts_are_held`
+    signal.signal(signal.SIGTERM, _exit_silently)
     with suppress(EOFError, OSError):
         connection.send(None)
         while True:
@@ -234,6 +250,11 @@ def _serve(connection: Connection, function: Callable[[SourceFile], T]) -> None:
                     connection.send_bytes(_pickled(_raised(error)))
                     return
             connection.send_bytes(_pickled(outcomes))
+
+
+def _exit_silently(*_: object) -> None:
+    sys.unraisablehook = lambda _: None  # SystemExit cannot be raised from a generator or an object that is being deleted
+    sys.exit(128 + signal.SIGTERM)
 
 
 def _pickled(message: object) -> bytes:
