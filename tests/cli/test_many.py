@@ -14,10 +14,12 @@ from pathlib import Path
 import pytest
 
 from carla_recap import open_recording
+from carla_recap.maps import find_map
 from tests.cli.command import COMMAND, CROSSING, ENVIRONMENT, TIMEOUT, answer, error, on_terminal, run, the_line
 from tests.samples import time_limit
 
 CRASH = CROSSING.with_name("crash.mcap")
+MAP = {"measures": ("--map", find_map("Brickfield"))}  # else a warning says that the map is unknown
 QUERIES = ("actors", "blocked", "collisions", "incidents", "info", "measures")
 
 
@@ -49,10 +51,11 @@ def lines(*arguments: object) -> list[str]:
 
 @pytest.mark.parametrize("command", ["actors", "blocked", "collisions", "incidents", "measures"])
 def test_rows_have_the_name_of_their_recording_in_front(whole, command):
-    expected = [f"Recording\t{lines(command, CROSSING)[4]}"]
+    options = MAP.get(command, ())
+    expected = [f"Recording\t{lines(command, CROSSING, *options)[4]}"]
     for name in ("a.log", "b.mcap", "d.log"):
-        expected += [f"runs/{name}\t{row}" for row in lines(command, whole / name)[5:-3]]
-    assert lines(command, "runs") == expected
+        expected += [f"runs/{name}\t{row}" for row in lines(command, whole / name, *options)[5:-3]]
+    assert lines(command, "runs", *options) == expected
 
 
 @pytest.mark.parametrize("options", [[], ["--all"], ["--compat"]])
@@ -101,7 +104,7 @@ def test_a_long_answer_is_the_same_by_processes(whole):
 @pytest.mark.parametrize("command", QUERIES)
 @pytest.mark.parametrize("jobs", [1, 2])
 def test_a_broken_recording_is_a_line_on_stderr_and_not_the_end(runs, command, jobs):
-    done = run(command, "runs", "--jobs", jobs)
+    done = run(command, "runs", "--jobs", jobs, *MAP.get(command, ()))
     assert done.returncode == 2
     assert the_line(done.stderr) == "runs/c.log: is not a recording (neither CARLA's log nor MCAP)"
     assert b"runs/d.log\t" in done.stdout

@@ -209,11 +209,11 @@ def clips(
     """Cut a clip of each incident, into a folder."""
     from carla_recap.cli.progress import watch_incidents
     from carla_recap.export.clips import clips as run
-    from carla_recap.fleet.roads import roads_for
+    from carla_recap.fleet.roads import kinds_and_roads
     from carla_recap.recording import open_recording
 
     with open_recording(source) as recording:
-        network = roads_for(kinds, recording.reader, road_map)
+        kinds, network = kinds_and_roads(kinds, recording.reader, road_map)
         roads = options.road_map_of(recording, road_map) if rrd is not False else None
         town = partial(options.town_of, recording, road_map)
     written = run(

@@ -36,32 +36,45 @@ def roads_of(source: Reader, road_map: str | None = None, *, needed: bool = Fals
         return load_road_network(road_map)
     found = find_road_network(name, road_map)
     if found is None and (needed or road_map is not None):
-        where = "" if road_map is None else f" in {road_map}"
-        raise RecapError(f"{source.location}: there is no .xodr{where} for the map {name!r}, whose roads are needed")
+        if road_map is None:
+            raise RecapError(f"{source.location}: {_unknown(name)}; its roads are needed")
+        raise RecapError(f"{source.location}: there is no .xodr in {road_map} for the map {name!r}, whose roads are needed")
     return found
 
 
-def roads_for(kinds: Any, source: Reader, road_map: str | None = None) -> RoadNetwork | None:
-    """Return the roads that some kinds of incidents take; None if they take none.
+def kinds_and_roads(kinds: Any, source: Reader, road_map: str | None = None) -> tuple[Any, RoadNetwork | None]:
+    """Return kinds of incidents that can be found, and the roads that they take; None if they take none.
 
     Args:
-        kinds: The kinds; "all": those of the road, if the map is known.
+        kinds: The kinds; those of the road are left out if the map is unknown.
         source: The recording.
         road_map: See `roads_of`.
 
     Raises:
-        RecapError: See `roads_of`.
+        RecapError: The map is unknown, and all kinds are of the road; or see `roads_of`.
 
     Warns:
-        RecapWarning: All kinds are asked for, and the map is unknown.
+        RecapWarning: The map is unknown, and kinds of the road are left out.
     """
-    if kinds is None or (kinds != "all" and set(kinds).isdisjoint(ROAD_KINDS)):
-        return None
-    roads = roads_of(source, road_map, needed=kinds != "all")
-    if roads is None:
-        message = f"{source.location}: the map {source.header.map_name!r} is unknown; incidents of the road are left out"
-        warnings.warn(message, RecapWarning, stacklevel=3)
-    return roads
+    asked = {kinds} if isinstance(kinds, str) else set(kinds or ())
+    if kinds is None or (kinds != "all" and asked.isdisjoint(ROAD_KINDS)):
+        return kinds, None
+    others = asked.difference(ROAD_KINDS)
+    roads = roads_of(source, road_map, needed=not others)
+    if roads is not None:
+        return kinds, roads
+    warn_without_roads(source)
+    return kinds if kinds == "all" else sorted(others), None
+
+
+def warn_without_roads(source: Reader) -> None:
+    """Warn that the map of a recording is unknown."""
+    message = f"{source.location}: {_unknown(source.header.map_name)}; rules of the road are left out"
+    warnings.warn(message, RecapWarning, stacklevel=4)
+
+
+def _unknown(name: str) -> str:
+    return f"the map {name!r} is unknown, which --map or CARLA_RECAP_MAPS names"
 
 
 def incidents(source: Reader, *, kinds: Any = None, road_map: str | None = None, **options: Any) -> Incidents:
@@ -74,12 +87,13 @@ def incidents(source: Reader, *, kinds: Any = None, road_map: str | None = None,
         options: The other arguments of the query.
 
     Raises:
-        RecapError: See `roads_of` and the query.
+        RecapError: See `kinds_and_roads` and the query.
 
     Warns:
-        RecapWarning: All kinds are asked for, and the map is unknown.
+        RecapWarning: See `kinds_and_roads`.
     """
-    return query_incidents(source, kinds=kinds, roads=roads_for(kinds, source, road_map), **options)
+    found, roads = kinds_and_roads(kinds, source, road_map)
+    return query_incidents(source, kinds=found, roads=roads, **options)
 
 
 def measures(source: Reader, *, actors: Any = None, road_map: str | None = None) -> Measures:
@@ -92,5 +106,11 @@ def measures(source: Reader, *, actors: Any = None, road_map: str | None = None)
 
     Raises:
         RecapError: See `roads_of` and the query.
+
+    Warns:
+        RecapWarning: The map is unknown.
     """
-    return query_measures(source, actors, roads=roads_of(source, road_map))
+    roads = roads_of(source, road_map)
+    if roads is None:
+        warn_without_roads(source)
+    return query_measures(source, actors, roads=roads)

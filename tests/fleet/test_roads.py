@@ -1,0 +1,42 @@
+"""What queries answer that take the roads of a map which is unknown."""
+
+from __future__ import annotations
+
+from contextlib import closing
+from pathlib import Path
+
+import pytest
+
+from carla_recap import RecapError, RecapWarning
+from carla_recap.fleet.roads import incidents, measures
+from carla_recap.formats import open_reader
+
+CROSSING = Path(__file__).parents[2] / "samples" / "crossing.log"
+WARNING = "'Crossing' is unknown, which --map or CARLA_RECAP_MAPS names; rules of the road are left out"
+
+
+@pytest.fixture
+def crossing(monkeypatch):
+    """A recording of an unknown map."""
+    monkeypatch.delenv("CARLA_RECAP_MAPS", raising=False)
+    with closing(open_reader(CROSSING)) as reader:
+        yield reader
+
+
+@pytest.mark.parametrize("kinds", ["all", ["collision", "red light"]])
+def test_kinds_of_the_road_are_left_out_with_a_warning(crossing, kinds):
+    with pytest.warns(RecapWarning, match=WARNING) as caught:
+        found = incidents(crossing, kinds=kinds)
+    assert len(caught) == 1
+    assert "collision" in {row.kind for row in found}
+
+
+def test_kinds_of_the_road_alone_are_an_error(crossing):
+    with pytest.raises(RecapError, match="CARLA_RECAP_MAPS names; its roads are needed"):
+        incidents(crossing, kinds=["red light", "speeding"])
+
+
+def test_measures_of_the_road_are_left_out_with_a_warning(crossing):
+    with pytest.warns(RecapWarning, match=WARNING) as caught:
+        assert measures(crossing)
+    assert len(caught) == 1
