@@ -13,6 +13,7 @@ from xml.etree import ElementTree
 import pytest
 
 from carla_recap import open_recording
+from tests.export.report.conftest import data
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -246,6 +247,13 @@ def test_broken_rules_are_named(run: Run, name: str) -> None:
     assert "harmless: 1 collision of the hero instead of at most 0: hero collides with vehicle.audi.tt" in section
     assert "def assert_rules" not in section
     assert "def pytest_runtest_call" not in section
+
+
+@pytest.mark.parametrize("name", ["test_breaks_rules", "test_breaks_the_rules_of_its_marker"])
+def test_the_page_opens_at_the_offence_and_names_the_broken_rule(run: Run, name: str) -> None:
+    opening = data(run.folder / "carla-recordings" / f"test_drive-{name}.html", "report")["opening"]
+    assert 0 < opening["time"] < 3
+    assert [note.partition(":")[0] for note in opening["notes"]] == ["harmless"]
 
 
 def test_a_kept_recording_is_complete(run: Run) -> None:

@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 
     import carla
 
-    from carla_recap.fleet.rules import RuleSet
+    from carla_recap.fleet.rules import RuleSet, Verdict
 
 HOST: Final = "127.0.0.1"
 FOLDER: Final = "carla-recordings"
@@ -92,6 +92,7 @@ class CarlaWorld:
     Attributes:
         client: CARLA's client.
         recording: The path of the recording of the test; it is complete after `stop_recording`.
+        broken: The verdicts of the rules that it has been found to break.
     """
 
     def __init__(self, server: _Server, recording: Path, options: dict[str, Any]) -> None:
@@ -100,6 +101,7 @@ class CarlaWorld:
         from carla_recap.sim.town.town import BUILT_IN
 
         self.recording = recording
+        self.broken: list[Verdict] = []
         self._server = server
         self._options = options
         self._is_recording = False
@@ -189,6 +191,7 @@ class CarlaWorld:
         with open_recording(self.stop_recording()) as recording:
             verdicts = check(recording, [rule for each in demanded for rule in each])
         broken = [verdict for verdict in verdicts if verdict.status != "pass"]
+        self.broken += broken
         if broken:
             lines = [f"{verdict.rule}: {verdict.message}" for verdict in broken]
             raise AssertionError("\n".join((f"{len(broken)} of {len(verdicts)} rules are broken", *lines)))
@@ -277,6 +280,7 @@ def _keep(world: CarlaWorld, config: pytest.Config, name: str, *, page: bool) ->
     """Move the recording of a test, and write its page; return what to say of them."""
     from carla_recap.errors import RecapError
     from carla_recap.export.report import write_report
+    from carla_recap.fleet.pages import opening_of
     from carla_recap.maps import find_road_network
     from carla_recap.recording import open_recording
     from carla_recap.rendering.town import load_town_of
@@ -294,7 +298,8 @@ def _keep(world: CarlaWorld, config: pytest.Config, name: str, *, page: bool) ->
             with warnings.catch_warnings(), open_recording(kept) as recording:
                 warnings.simplefilter("ignore")
                 roads = find_road_network(recording.header.map_name)
-                write_report(recording, kept_page, town=load_town_of(recording), roads=roads, force=True)
+                opening, town = opening_of(world.broken), load_town_of(recording)
+                write_report(recording, kept_page, opening=opening, town=town, roads=roads, force=True)
             lines.append(f"page: {kept_page}")
     except (RecapError, RuntimeError, OSError) as error:
         lines.append(f"{'page' if lines else 'recording'}: none: {error}")

@@ -102,3 +102,18 @@ def test_a_span_that_ends_before_it_begins(tmp_path):
 
 def test_a_picture_needs_a_moment(tmp_path):
     assert error("snapshot", CROSSING, tmp_path / "x.png").startswith("Missing option '--at'. SRC#t=S says it, too.")
+
+
+@pytest.mark.parametrize("text", ["abc", "", "-1", "1,x"])
+def test_what_is_no_time_is_said_to_be_none(tmp_path, text):
+    source = f"{CROSSING}#t={text}"
+    expected = f"{source}: {text!r} is no time; seconds were expected, such as #t=12.1, or #t=12.1,20"
+    assert error("clip", source, tmp_path / "out.mcap") == expected
+    assert error("snapshot", source, tmp_path / "out.png") == expected
+
+
+def test_a_moment_after_the_end_is_named_as_it_was_given(tmp_path):
+    for time_asked in (56, 99):  # 5 s before the first one is in the recording
+        message = error("clip", f"{CROSSING}#t={time_asked}", tmp_path / "out.mcap")
+        assert message == f"{CROSSING}: nothing at {time_asked} s; the recording ends at 53 s"
+    assert run("clip", f"{CROSSING}#t=53.05", tmp_path / "out.mcap").returncode == 0

@@ -11,6 +11,7 @@ from carla_recap.fleet.pages import MOST, overview, write_pages
 from carla_recap.fleet.rules import Verdict, load_rules, parse_rules
 from carla_recap.fleet.sources import find_sources
 from carla_recap.queries.info import info
+from tests.export.report.conftest import data
 from tests.samples import names_in, reading, save
 
 SAMPLES = Path(__file__).parents[2] / "samples"
@@ -49,6 +50,9 @@ def test_each_recording_that_fails_gets_a_page_and_a_clip(runs):
         (None, None, ()),
     ]
     assert names_in(folder / "pages") == ["run-2.html", "run.html"]
+    opening = data(folder / "pages" / "run.html", "report")["opening"]
+    assert (opening["time"], opening["actors"]) == (12.1, [41, 44])
+    assert opening["notes"][0].startswith("no-hero-collision: 2 collisions of the hero instead of at most 0")
     with reading(folder / "clips" / "run.mcap") as clip:
         assert clip.extent().duration == pytest.approx(10, abs=0.1)
         assert "vehicle.mercedes.sprinter" in str(list(info(clip)))

@@ -39,6 +39,7 @@ class Replay {
     if (NARROW.matches) this.togglePlots();
     this.summarise();
     if (recordings.length > 1) this.compare();
+    this.note();
     this.listen();
   }
 
@@ -76,6 +77,13 @@ class Replay {
     });
     add("Actors", ...(shown.length ? shown : ["none"]));
     document.getElementById("program").textContent = program;
+  }
+
+  /** Show what the page is about, such as broken rules. */
+  note() {
+    const list = document.getElementById("notes");
+    for (const note of this.recording.report.opening?.notes ?? []) list.append(element("li", "", note));
+    list.hidden = !list.children.length;
   }
 
   /** Set up the comparison of two recordings. */
@@ -171,9 +179,24 @@ class Replay {
       this.stage.draw(this.clock.time);
       this.fit();
     }
+    this.showOpening();
     this.begun = this.address(); // is left out of the address
     this.readLink();
     this.changed();
+  }
+
+  /** Show the moment that the page is about: the incident that begins then, or else what happens from a little before. */
+  showOpening() {
+    const { time = null, actors = [] } = this.recording.report.opening ?? {};
+    if (time === null) return;
+    const begins = ({ incident }) => Math.abs(incident.start - time) < 0.01 && incident.actors.join() === actors.join();
+    const index = this.incidents.items.findIndex(begins);
+    if (this.incidents.items[index]?.replayed) {
+      this.open(index, { play: false });
+      return;
+    }
+    this.clock.seek(Math.max(0, time - BEFORE));
+    if (actors.length && this.tracks.byId.has(actors[0])) this.follow(actors[0], { quiet: true });
   }
 
   // --- actions ------------------------------------------------------------------------------------------

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import re
+from contextlib import closing
 from typing import TYPE_CHECKING, Any, Final, TypeVar
 
 import click
@@ -14,6 +15,7 @@ if TYPE_CHECKING:
     from pathlib import Path
 
     from carla_recap.formats.base import Reader
+    from carla_recap.formats.sources import TimeFragment
     from carla_recap.maps import RoadMap
     from carla_recap.model.roads import RoadNetwork
     from carla_recap.recording import Recording
@@ -29,6 +31,7 @@ MOMENT: Final = 1e-3
 AROUND: Final = 5.0
 """The seconds before and after an incident, or a moment, that are shown."""
 
+_PRINTED: Final = 0.06  # s by which a printed time may be after the end
 _AROUND: Final = 30.0  # s around what is shown, in which vehicles drive along what are its roads
 
 
@@ -244,13 +247,14 @@ def timed(source: str, start: float, duration: float) -> tuple[str, float, float
     A moment is shown with the seconds around it that clips of incidents have. What the options say prevails.
     """
     from carla_recap.errors import RecapError
-    from carla_recap.formats.sources import split_time
 
-    location, times = split_time(source)
+    location, times = _split(source)
     if times is None or _is_given("start"):
         return location, start, duration
     begin, end = max(times.start - AROUND, 0.0), times.start + AROUND
-    if times.stop is not None:
+    if times.stop is None:
+        _check_moment(location, times.start)
+    else:
         begin, end = times.start, times.stop
     if not begin < end:
         raise RecapError(f"{source}: an end after {begin:g} s was expected")
@@ -263,13 +267,55 @@ def moment(source: str, time: float | None) -> tuple[str, float]:
     Raises:
         click.MissingParameter: There is neither.
     """
-    from carla_recap.formats.sources import split_time
-
-    location, times = split_time(source)
+    location, times = _split(source)
     if time is None and times is None:
         ctx = click.get_current_context()
         raise click.MissingParameter("SRC#t=S says it, too.", ctx=ctx, param_hint="'--at'", param_type="option")
     return location, times.start if time is None and times is not None else time or 0.0
+
+
+def _split(source: str) -> tuple[str, TimeFragment | None]:
+    """Return a source without the times at its end, and these, if it has any.
+
+    Raises:
+        RecapError: What it has is no time.
+    """
+    from carla_recap.errors import RecapError
+    from carla_recap.formats.sources import split_time
+
+    location, times = split_time(source)
+    name, mark, text = source.rpartition("#t=")
+    if times is None and name and mark and not _exists(source):
+        raise RecapError(f"{source}: {text!r} is no time; seconds were expected, such as #t=12.1, or #t=12.1,20")
+    return location, times
+
+
+def _exists(source: str) -> bool:
+    """Return whether there is a file of exactly this name."""
+    from pathlib import Path
+
+    try:
+        return Path(source).exists()
+    except (OSError, ValueError):  # such as a name that is too long
+        return False
+
+
+def _check_moment(location: str, time: float) -> None:
+    """Refuse a time after the end of a recording of this machine; others are not read twice.
+
+    Raises:
+        RecapError: It is one, or the recording cannot be read.
+    """
+    from carla_recap.errors import RecapError
+    from carla_recap.formats import open_reader
+    from carla_recap.formats.sources import is_remote
+
+    if is_remote(location):
+        return
+    with closing(open_reader(location)) as reader:
+        end = reader.extent().duration
+    if time > end + _PRINTED:
+        raise RecapError(f"{location}: nothing at {time:g} s; the recording ends at {end:g} s")
 
 
 def _is_given(name: str) -> bool:

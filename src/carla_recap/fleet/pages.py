@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING, Final, NamedTuple
 from urllib.parse import quote
 
 from carla_recap.export import viewer_folder
+from carla_recap.export.report import Opening
 from carla_recap.export.report.single import hash_source
 from carla_recap.fleet.check import WORST_FIRST
 from carla_recap.fleet.engine import map_sources
@@ -21,7 +22,7 @@ from carla_recap.fleet.sources import SourceFile
 from carla_recap.util.text import number, visible
 
 if TYPE_CHECKING:
-    from collections.abc import Generator, Iterator, Sequence
+    from collections.abc import Generator, Iterable, Iterator, Sequence
 
     from carla_recap.fleet.check import CheckedRecording
     from carla_recap.fleet.rules import RuleSet, Status, Verdict
@@ -51,13 +52,13 @@ class _Wanted(NamedTuple):
     Attributes:
         page: The path of its incident page.
         clip: The path of the clip of an offence; None: no clip.
-        time: The time of the offence, in elapsed seconds.
+        opening: What the page shows first: the offence, and the broken rules.
         road_map: The map, or the folder of maps; None: the usual folders.
     """
 
     page: Path
     clip: Path | None
-    time: float
+    opening: Opening
     road_map: str | None
 
 
@@ -83,9 +84,9 @@ def write_pages(
     failed = [each for each in checked if each.status == "fail"]
     wanted = {}
     for each, name in zip(failed[:MOST], _names(failed[:MOST]), strict=True):
-        time = min((verdict.time for verdict in each.verdicts if verdict.time is not None), default=None)
-        clip_path = folder / CLIPS / f"{name}.mcap" if clips and time is not None else None
-        wanted[each.recording] = _Wanted(folder / PAGES / f"{name}.html", clip_path, time or 0.0, road_map)
+        opening = opening_of(each.verdicts)
+        clip_path = folder / CLIPS / f"{name}.mcap" if clips and opening.time is not None else None
+        wanted[each.recording] = _Wanted(folder / PAGES / f"{name}.html", clip_path, opening, road_map)
     if wanted:
         (folder / PAGES).mkdir()
     if any(each.clip for each in wanted.values()):
@@ -99,6 +100,14 @@ def write_pages(
         failures = () if outcome.error is None else (visible(f"no page: {outcome.error}"),)
         page, clip = (_relative(path, folder) for path in (files.page, files.clip))
         yield replace(each, page=page, clip=clip), (*map(visible, outcome.warnings), *failures)
+
+
+def opening_of(verdicts: Iterable[Verdict]) -> Opening:
+    """Return what the page of a recording shows first: the first offence, and the rules that are broken."""
+    broken = [verdict for verdict in verdicts if verdict.status != "pass"]
+    first = min((each for each in broken if each.time is not None), key=lambda each: each.time or 0.0, default=None)
+    notes = tuple(f"{visible(each.rule)}: {each.message}" for each in broken)
+    return Opening(notes=notes) if first is None else Opening(first.time, first.actors, notes)
 
 
 def _relative(path: Path | None, folder: Path) -> str | None:
@@ -115,12 +124,14 @@ def _write_files(wanted: dict[str, _Wanted], source: SourceFile) -> None:
 
     files = wanted[source.location]
     if files.clip is not None:
-        start = max(files.time - _AROUND, 0.0)
-        clip(source.location, files.clip, start=start, duration=files.time + _AROUND - start)
+        time = files.opening.time or 0.0
+        start = max(time - _AROUND, 0.0)
+        clip(source.location, files.clip, start=start, duration=time + _AROUND - start)
     with open_recording(source.location) as recording:
         found = find_map_of(recording, files.road_map)
         roads = None if found is None else load_road_network(found)
-        write_report(recording, files.page, town=load_town_of(recording, files.road_map), roads=roads)
+        town = load_town_of(recording, files.road_map)
+        write_report(recording, files.page, opening=files.opening, town=town, roads=roads)
 
 
 def _names(checked: Sequence[CheckedRecording]) -> Iterator[str]:

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 from carla_recap import open_recording
+from carla_recap.export.report import Opening
 from carla_recap.replay import Player, right_handed
 from tests.export.report.conftest import CROSSING, NASTY, data, record, report, spawn
 from tests.samples import carla_log
@@ -258,3 +259,26 @@ def test_recordings_of_carla_open(chromium: Chrome, tmp_path: Path, name: str) -
     page.press("n", " ", "f", "h")
     page.until(lambda: page.ask("document.getElementById('now').textContent.length") > 0)
     assert page.errors == []
+
+
+def test_it_opens_at_an_incident_and_names_the_broken_rules(chromium: Chrome, crossing_page: Path, tmp_path: Path) -> None:
+    incident = data(crossing_page, "report")["incidents"][0]
+    opening = Opening(incident["start"], tuple(incident["actors"]), tuple(f"rule {number}" for number in range(6)))
+    page = Page(chromium, report(CROSSING, tmp_path / "page.html", opening=opening))
+    assert page.time == pytest.approx(incident["start"] - 3)
+    assert page.ask("[replay.incidents.current, replay.camera.followed]") == [0, incident["actors"][0]]
+    assert page.ask("[...document.querySelectorAll('#notes li')].map(note => note.textContent)") == [
+        *("rule 0", "rule 1", "rule 2", "rule 3", "and 2 more"),
+    ]
+    assert page.ask("location.hash") == ""
+    assert Page(chromium, tmp_path / "page.html", "#t=20").time == 20
+    assert page.errors == []
+
+
+def test_it_opens_shortly_before_a_moment_without_an_incident(chromium: Chrome, crossing_page: Path, tmp_path: Path) -> None:
+    actor = data(crossing_page, "report")["incidents"][0]["actors"][0]
+    page = Page(chromium, report(CROSSING, tmp_path / "page.html", opening=Opening(20.0, (actor,))))
+    assert page.time == 17
+    assert page.ask("[replay.incidents.current, replay.camera.followed, document.getElementById('notes').hidden]") == [
+        *(-1, actor, True),
+    ]

@@ -7,7 +7,7 @@ serve("crash")
 
 from __future__ import annotations
 
-from carla_recap.export.report.report import Pictures, Report, write_report
+from carla_recap.export.report.report import Opening, Pictures, Report, write_report
 from carla_recap.export.report.server import page_server, serve
 
-__all__ = ["Pictures", "Report", "page_server", "serve", "write_report"]
+__all__ = ["Opening", "Pictures", "Report", "page_server", "serve", "write_report"]

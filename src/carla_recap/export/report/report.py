@@ -47,6 +47,7 @@ FIRST: Final = (  # the kinds of incidents in the order in which they are chosen
 )
 PICTURE_SIZE: Final = (640, 400)
 LISTED: Final = 2000  # the most incidents in the list
+NOTES: Final = 4  # the most notes
 VIEWER_FILES: Final = ("re_viewer.js", "re_viewer_bg.wasm")
 _TIMEOUT: Final = 30.0  # s
 
@@ -67,6 +68,20 @@ class Report(NamedTuple):
     whole: bool
     seconds: float
     size: int
+
+
+class Opening(NamedTuple):
+    """What a page shows first.
+
+    Attributes:
+        time: The moment, in elapsed seconds, shown from a little before; None: the beginning.
+        actors: The ids of its actors, of which the first is followed.
+        notes: What the page is about, such as broken rules, a line each.
+    """
+
+    time: float | None = None
+    actors: tuple[int, ...] = ()
+    notes: tuple[str, ...] = ()
 
 
 class _Limits(NamedTuple):
@@ -133,6 +148,7 @@ def write_report(
     *,
     other: Recording | Reader | None = None,
     differences: Differences | None = None,
+    opening: Opening | None = None,
     before: float = 5.0,
     after: float = 5.0,
     min_time: float = MIN_TIME,
@@ -154,6 +170,7 @@ def write_report(
             `.html`, a single file.
         other: Another recording of the same map, to be shown beside the first one, or over it.
         differences: The differences of both, whose actors are the same on the page, which begins with one over the other.
+        opening: What the page shows first; None: the beginning.
         before: The seconds before an incident in the replay of a long recording.
         after: The seconds after it.
         min_time: The time of standing still that counts as an incident, in seconds; see `carla_recap.queries.incidents`.
@@ -196,6 +213,8 @@ def write_report(
     options: dict[str, Any] = {"drawn": pictures == "drawn", "viewer": viewer}
     if differences is not None:
         options["differences"] = _differences(differences)
+    if opening is not None:
+        options["opening"] = _opening(opening)
     data = {
         "data/ground.js": script.script("GROUND", ground),
         "data/recordings.js": script.script("RECORDINGS", [_packed(each.replay) for each in reported]),
@@ -324,6 +343,14 @@ def _differences(found: Differences) -> dict[str, Any]:
     reasons = found.reasons or [found.summary]
     text = reasons[0][:1].upper() + reasons[0][1:]
     return {"text": text[: 2 * script.LONGEST], "since": found.first and found.first.first, "pairs": pairs}
+
+
+def _opening(opening: Opening) -> dict[str, Any]:
+    notes = [note[: 2 * script.LONGEST] for note in opening.notes[:NOTES]]
+    if len(opening.notes) > NOTES:
+        notes.append(f"and {len(opening.notes) - NOTES} more")
+    time = None if opening.time is None else script.number(opening.time)
+    return {"time": time, "actors": list(opening.actors), "notes": notes}
 
 
 def _incident(incident: Incident, picture: str | None) -> dict[str, Any]:
