@@ -36,6 +36,7 @@ class FileServer:
         together: The most requests that were answered at the same time.
         delay: The time that each request takes, in s.
         ranges: Whether ranges are served; else whole files.
+        refusal: The status of answers to ranges that count from the end; None to serve them.
         etags: Whether files have ETags; "weak" for weak ones.
         status: The status of every answer, instead of the file.
         failures: The number of requests that get that status; the others get the file.
@@ -49,6 +50,7 @@ class FileServer:
     together: int = 0
     delay: float = 0.0
     ranges: bool = True
+    refusal: int | None = None
     etags: bool | str = True
     status: int | None = None
     failures: float = float("inf")
@@ -87,6 +89,16 @@ def serve(folder: Path) -> Iterator[FileServer]:
                 with files._lock:
                     files._now -= 1
 
+        def do_HEAD(self) -> None:
+            if files.refusal is None:
+                self.send_error(501)
+                return
+            path = files.folder / unquote(urlsplit(self.path).path).lstrip("/")
+            self.send_response(200)
+            self.send_header("Content-Length", str(path.stat().st_size))
+            self.send_header("Last-Modified", self.date_time_string(int(path.stat().st_mtime)))
+            self.end_headers()
+
         def _answer(self) -> None:
             path = files.folder / unquote(urlsplit(self.path).path).lstrip("/")
             failing = files.status is not None and len(files.requests) <= files.failures
@@ -106,6 +118,9 @@ def serve(folder: Path) -> Iterator[FileServer]:
             found = _RANGE.fullmatch(self.headers.get("Range", "")) if files.ranges else None
             if found is None:
                 self._send(200, headers, path.read_bytes())
+                return
+            if files.refusal is not None and not found[1]:
+                self._send(files.refusal, {}, b"")
                 return
             if not size:
                 self._send(416, {"Content-Range": "bytes */0"}, b"")

@@ -192,6 +192,14 @@ def test_servers_without_strong_etags(web, etags):
         assert len(recording.collisions()) == SECONDS / 10
 
 
+@pytest.mark.parametrize("status", [400, 416, 501])
+@pytest.mark.parametrize("name", ["small.mcap", "small.log"])
+def test_servers_that_refuse_ranges_from_the_end(small_web, name, status):
+    small_web.refusal = status
+    with open_recording(f"{small_web.url}/{name}") as recording:
+        assert recording.info.frames == 4
+
+
 def test_a_recording_is_converted_and_recovered(small_web, tmp_path):
     original = (small_web.folder / "small.log").read_bytes()
     for name in ("small.mcap", "small.log"):

@@ -59,6 +59,7 @@ _METADATA: Final = (  # where keys are looked for last
 )
 _MESSAGE: Final = re.compile('(?:message|error): "([^"]+)"')
 _STATUS: Final = re.compile(r"status code: ([0-9]+ [A-Za-z -]+)")
+_REFUSED: Final = re.compile("the server answers (400|501) |: is empty; ")
 _KIND: Final = re.compile("^Generic [A-Za-z0-9]+ error: ")
 _CLIENT: Final[ClientConfig] = {
     "allow_http": True,
@@ -127,7 +128,8 @@ def list_objects(url: str) -> Iterator[ListedObject]:
                 modified = meta["last_modified"].timestamp()
                 yield ListedObject(root + meta["path"], meta["size"], modified, meta["e_tag"])
     except (BaseError, OSError, ValueError) as error:
-        raise RecapError(f"{url}: cannot be listed: {_reason(error)}") from None
+        reason = "no such bucket or prefix" if " 404 " in str(error) else f"cannot be listed: {_reason(error)}"
+        raise RecapError(f"{url}: {reason}") from None
 
 
 def _settings() -> frozenset[tuple[str, str]]:
@@ -164,7 +166,7 @@ class RemoteSource:
         self._lock = Lock()
         self._block = 0, b""  # the offset of the bytes that were read last, and these
         self.size, self.etag = 0, None
-        tail, meta = _started(partial(self._get, {"range": {"suffix": TAIL}})).result()
+        tail, meta = _started(self._get_tail).result()
         self.size, self.etag = meta["size"], meta["e_tag"]
         self._tail = self.size - len(tail), tail
 
@@ -247,6 +249,24 @@ class RemoteSource:
         if len(data) < size:
             raise FormatError(self.location, offset + len(data), f"the file ends inside {what}")
         return data
+
+    def _get_tail(self) -> tuple[bytes, ObjectMeta]:
+        """Return the last bytes, and the description of the object; see `_get`.
+
+        Some small web servers refuse to count ranges from the end; they are asked for the size first.
+        """
+        try:
+            return self._get({"range": {"suffix": TAIL}})
+        except RecapError as error:
+            if scheme_of(self.location) not in WEB or not _REFUSED.search(str(error)):
+                raise
+            try:
+                size = obstore.head(*self._address)["size"]
+            except (BaseError, OSError, ValueError):
+                size = 0
+            if not size:
+                raise
+        return self._get({"range": (max(size - TAIL, 0), size)})
 
     def _get(self, options: GetOptions) -> tuple[bytes, ObjectMeta]:
         """Return what the server sends, and the description of the object.
