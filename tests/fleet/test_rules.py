@@ -212,7 +212,7 @@ def test_a_recording_is_compared_with_its_baseline(tmp_path):
     base = tmp_path / "base"
     assert (verdicts["crash"].status, verdicts["crash"].message) == (
         "pass",
-        f"equal to {base / 'crash.mcap'} within 0.1 m",
+        f"equal to {base / 'crash.mcap'} within 10 cm",
     )
     assert (verdicts["blocked"].status, verdicts["blocked"].time) == ("fail", 0.0)
     assert verdicts["blocked"].message.startswith(f"differs from {base / 'blocked.mcap'}: ")
