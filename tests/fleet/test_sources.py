@@ -84,7 +84,7 @@ def test_file_urls_mean_paths(folder):
 def test_web_servers_list_no_files(url):
     with pytest.raises(RecapError) as caught:
         list(find_sources([url]))
-    assert str(caught.value) == f"{url}: a web server does not list its files; the URL of each recording was expected"
+    assert str(caught.value) == f"{url}: a web server does not list its files; name each file"
 
 
 @pytest.mark.parametrize("url", ["http://[::1]/a.mcap?x=*&y=[]", "https://host/download/17", "s3://runs/deep/a.LOG"])
@@ -156,7 +156,7 @@ def test_a_bucket_without_such_recordings(bucket, source):
 
 
 def test_a_bucket_that_does_not_exist(bucket):
-    with pytest.raises(RecapError, match=r"^s3://other/runs: no such bucket or prefix$"):
+    with pytest.raises(RecapError, match=r"^s3://other/runs/: no such bucket or prefix$"):
         list(find_sources(["s3://other/runs/"]))
 
 

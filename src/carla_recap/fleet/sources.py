@@ -142,8 +142,8 @@ def _described(location: str) -> SourceFile:
 def _remote(source: str) -> Iterator[SourceFile]:
     """Yield the recordings that a URL means."""
     if scheme_of(source) in WEB:
-        if _is_glob(source) or source.endswith("/"):
-            raise RecapError(f"{source}: a web server does not list its files; the URL of each recording was expected")
+        if _is_glob(source) or source.endswith("/") or not _key(source):
+            raise RecapError(f"{source}: a web server does not list its files; name each file")
         yield SourceFile(source)
         return
     key = _key(source)
@@ -163,7 +163,7 @@ def _remote(source: str) -> Iterator[SourceFile]:
     from carla_recap.formats.remote import list_objects
 
     count = 0
-    for location, size, modified, etag in list_objects(root + fixed):
+    for location, size, modified, etag in list_objects(root + fixed, source):
         found = pattern.fullmatch(location[len(root) :])
         if found is not None and (not found["below"] or _is_listed(found["below"])):
             count += 1

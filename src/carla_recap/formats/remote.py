@@ -112,8 +112,12 @@ class ListedObject(NamedTuple):
     etag: str | None
 
 
-def list_objects(url: str) -> Iterator[ListedObject]:
+def list_objects(url: str, source: str = "") -> Iterator[ListedObject]:
     """Yield the objects below a URL of an object store, in the order of the server, as they are listed.
+
+    Args:
+        url: The URL.
+        source: The URL or glob that was given, for messages.
 
     Raises:
         RecapError: They cannot be listed.
@@ -129,7 +133,7 @@ def list_objects(url: str) -> Iterator[ListedObject]:
                 yield ListedObject(root + meta["path"], meta["size"], modified, meta["e_tag"])
     except (BaseError, OSError, ValueError) as error:
         reason = "no such bucket or prefix" if " 404 " in str(error) else f"cannot be listed: {_reason(error)}"
-        raise RecapError(f"{url}: {reason}") from None
+        raise RecapError(f"{source or url}: {reason}") from None
 
 
 def _settings() -> frozenset[tuple[str, str]]:
