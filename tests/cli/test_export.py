@@ -167,7 +167,9 @@ def test_report(tmp_path):
 
 def test_a_report_as_one_file(tmp_path):
     page = tmp_path / "page.html"
-    assert said("report", CROSSING, page).startswith(f"{page}: 4 incidents, ")
+    line = said("report", CROSSING, page)
+    assert line.startswith(f"{page}: 4 incidents, ")
+    assert "the map 'Crossing' is unknown, so that rules of the road are not judged (--map)" in line
     assert "exists; --force" in error("report", CROSSING, page)
     assert said("report", CROSSING, CROSSING, page, "--force").startswith(f"{page}: 8 incidents, ")
 

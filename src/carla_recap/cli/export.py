@@ -426,6 +426,7 @@ def report(
         raise click.UsageError("--viewer goes with one recording.", ctx)
     with ExitStack() as stack:
         recording, *others = (stack.enter_context(open_recording(source)) for source in sources)
+        roads, map_name = options.roads_of(recording, road_map), recording.header.map_name
         written = write_report(
             recording,
             destination,
@@ -437,14 +438,15 @@ def report(
             deceleration=deceleration,
             road_map=options.road_map_of(recording, road_map) if viewer else None,
             town=options.town_of(recording, road_map),
-            roads=options.roads_of(recording, road_map),
+            roads=roads,
             pictures=pictures,
             viewer=viewer,
             progress=watch_scenes("sampling"),
             force=force,
         )
     page = destination if single else Path(destination) / "index.html"
-    say(f"{page}: {written.incidents} incidents, {written.size / 1e6:.1f} MB")
+    unjudged = "" if roads else f"; the map {map_name!r} is unknown, so that rules of the road are not judged (--map)"
+    say(f"{page}: {written.incidents} incidents, {written.size / 1e6:.1f} MB{unjudged}")
     if serve:
         serve_page(destination, port or 0, ready=_announce)
 
