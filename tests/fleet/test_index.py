@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import shutil
+import signal
 from pathlib import Path
 
 import pytest
@@ -277,3 +278,24 @@ def test_a_wrong_query_is_an_error_in_one_line(index, query, message):
 def test_a_folder_that_is_no_index_cannot_be_opened(tmp_path):
     with pytest.raises(RecapError, match="is no index of recordings"):
         open_index(tmp_path)
+
+
+@pytest.mark.skipif(not hasattr(signal, "SIGALRM"), reason="this system has no such signal")
+def test_a_signal_ends_a_query_that_never_ends(tmp_path):
+    pytest.importorskip("duckdb", reason="the extra `sql` is not installed")
+
+    def interrupt(*_):
+        raise KeyboardInterrupt
+
+    write_index([SAMPLES / "crossing.log"], tmp_path / "index", jobs=1)
+    before = signal.signal(signal.SIGALRM, interrupt)
+    try:
+        with open_index(tmp_path / "index") as index:
+            endless = "with recursive t(n) as (select 1 union all select n + 1 from t) select count(*) from t"
+            signal.setitimer(signal.ITIMER_REAL, 0.3)
+            with pytest.raises(KeyboardInterrupt):
+                index.sql(endless)
+            assert index.sql("select count(*) as n from recordings")["n"].to_pylist() == [1]
+    finally:
+        signal.setitimer(signal.ITIMER_REAL, 0)
+        signal.signal(signal.SIGALRM, before)

@@ -110,12 +110,16 @@ def sql(index_folder: str, query: str, form: Form | None) -> NoReturn:
 
     The tables are recordings, actors, collisions, stationary, incidents and measures. A QUERY of - is read from stdin.
     """
+    from carla_recap.cli import INTERRUPTED
     from carla_recap.cli.sql_output import show_rows
     from carla_recap.fleet.index import open_index
 
     text = sys.stdin.read() if query == "-" else query
     opened = open_index(index_folder)
-    rows = opened.sql(text)
+    try:
+        rows = opened.sql(text)
+    except (KeyboardInterrupt, SystemExit) as end:
+        os._exit(INTERRUPTED if isinstance(end, KeyboardInterrupt) else int(end.code or 0))  # the query may go on
     if "measures" in text.lower() and not len(opened.table("measures")):
         warn(f"{index_folder}: the index has no measures, which 'carla-recap index --measures' adds")
     show_rows(rows, form or ("table" if sys.stdout.isatty() else "csv"))

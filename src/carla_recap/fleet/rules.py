@@ -33,7 +33,7 @@ if TYPE_CHECKING:
 
 Status = Literal["pass", "fail", "error"]
 
-_LARGEST: Final = 1 << 20  # bytes of a file of rules
+_LARGEST: Final = 1 << 16  # bytes of a file of rules: long keys take quadratic time
 _LARGEST_COUNT: Final = 1 << 63
 _SHOWN: Final = 60  # characters of a wrong value in an error
 _LISTED: Final = 20  # offences that a verdict lists
@@ -115,7 +115,7 @@ def load_rules(path: Path | str) -> RuleSet:
     except (OSError, ValueError) as error:
         raise RecapError(f"{path}: cannot be read: {getattr(error, 'strerror', None) or error}") from None
     if len(content) > _LARGEST:
-        raise RecapError(f"{path}: is larger than {_LARGEST >> 20} MB; a file of rules was expected")
+        raise RecapError(f"{path}: is larger than {_LARGEST >> 10} kB; a file of rules was expected")
     try:
         return parse_rules(content.decode("utf-8-sig"), path)
     except UnicodeDecodeError as error:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
+from threading import Thread
 from typing import TYPE_CHECKING, Any, Final
 
 from carla_recap.errors import MissingExtra, RecapError
@@ -24,6 +25,8 @@ _SETTINGS: Final = (
     "set lock_configuration=true",
 )
 _NEWEST: Final = "internal.newest"
+_INTERVAL: Final = 0.1  # s between looks at signals
+_GRACE: Final = 1.0  # s for a query to end after a signal
 
 
 class RecordingIndex:
@@ -89,17 +92,13 @@ class RecordingIndex:
                 kinds = [statement.type for statement in self._database.extract_statements(query)]
                 if kinds not in ([duckdb.StatementType.SELECT], [duckdb.StatementType.MULTI]):  # the latter is a pivot
                     raise RecapError(f"{_shown(query)}: one query that begins with 'select' was expected")
-                return self._database.sql(query).to_arrow_table()
+                return _answer(self._database, query)
             except duckdb.IOException as error:
                 if last:
                     raise RecapError(_one_line(error)) from None
                 self.close()  # another process has merged the parts, perhaps: the index is opened again
             except duckdb.Error as error:
                 raise RecapError(_one_line(error)) from None
-            except RuntimeError as error:
-                if "interrupted" in str(error):
-                    raise KeyboardInterrupt from None
-                raise
         raise AssertionError
 
     def _open(self) -> duckdb.DuckDBPyConnection:
@@ -139,6 +138,31 @@ def open_index(path: Path | str) -> RecordingIndex:
         RecapError: The folder is no index, or one of another version.
     """
     return RecordingIndex(path)
+
+
+def _answer(database: duckdb.DuckDBPyConnection, query: str) -> pa.Table:
+    """Return the answer to a query, which a signal ends: DuckDB itself heeds none."""
+    found: list[pa.Table] = []
+    failed: list[BaseException] = []
+
+    def work() -> None:
+        try:
+            found.append(database.sql(query).to_arrow_table())
+        except BaseException as error:
+            failed.append(error)
+
+    thread = Thread(target=work, name="carla-recap-sql", daemon=True)
+    thread.start()
+    try:
+        while thread.is_alive():
+            thread.join(_INTERVAL)
+    except BaseException:
+        database.interrupt()
+        thread.join(_GRACE)
+        raise
+    if failed:
+        raise failed[0]
+    return found[0]
 
 
 def _duckdb() -> Any:
