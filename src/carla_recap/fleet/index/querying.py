@@ -99,6 +99,9 @@ class RecordingIndex:
                 self.close()  # another process has merged the parts, perhaps: the index is opened again
             except duckdb.Error as error:
                 raise RecapError(_one_line(error)) from None
+            except (KeyboardInterrupt, SystemExit):
+                self._database = None  # which the query may still use
+                raise
         raise AssertionError
 
     def _open(self) -> duckdb.DuckDBPyConnection:
