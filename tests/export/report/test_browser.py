@@ -229,7 +229,7 @@ def test_hostile_texts_are_shown_as_texts(chromium: Chrome, tmp_path: Path) -> N
 def test_a_recording_of_one_frame_without_actors(chromium: Chrome, tmp_path: Path) -> None:
     page = Page(chromium, report(record(tmp_path / "a.log", [{}]), tmp_path / "page"))
     assert page.ask("document.getElementById('play').disabled")
-    assert "There are no collisions" in page.text("nothing")
+    assert "There are no incidents" in page.text("nothing")
     page.press(" ", "f", "n", "+")
     assert page.errors == []
 
