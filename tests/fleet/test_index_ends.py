@@ -232,7 +232,7 @@ def test_files_with_other_names_are_left_alone(runs, tmp_path):
     assert (tmp_path / "index" / "actors" / "part-x.parquet").read_text() == "mine"
 
 
-def test_a_lock_of_a_killed_process_holds_nobody_up(tmp_path):
+def test_a_lock_of_a_killed_process_does_not_block_the_next(tmp_path):
     hold = "import sys, time; from carla_recap.fleet.index.folder import IndexFolder\n"
     hold += "with IndexFolder(sys.argv[1]).locked(): print('locked', flush=True); time.sleep(1000)"
     with subprocess.Popen([sys.executable, "-c", hold, tmp_path / "index"], stdout=subprocess.PIPE) as process:

@@ -116,7 +116,7 @@ def test_large_recordings_are_read_by_workers(monkeypatch):
     assert os.getpid() not in {outcome.value for outcome in map_sources(process, large)}
 
 
-def test_many_outcomes_are_not_held_while_nobody_asks():
+def test_many_outcomes_are_not_held_while_none_is_asked_for():
     taken = 0
 
     def endless():

@@ -17,6 +17,7 @@ import numpy as np
 
 from carla_recap.errors import MissingExtra, RecapError
 from carla_recap.model.records import CM
+from carla_recap.queries.output.packet_lines import LIGHTS, sorted_points
 from carla_recap.recording import Recording, open_recording
 from carla_recap.tables.trajectories import actor_rows, trajectories
 from carla_recap.util.text import number, readable
@@ -41,10 +42,6 @@ if TYPE_CHECKING:
 _EVENTS: Final = (
     *("spawned", "destroyed", "parented", "collisions"),
     *("bounding_boxes", "trigger_volumes", "physics", "light_times", "scene_lights"),
-)
-_LIGHTS: Final = (  # in the order of CARLA's text
-    *("Position", "LowBeam", "HighBeam", "Brake", "RightBlinker", "LeftBlinker"),
-    *("Reverse", "Interior", "Fog", "Special1", "Special2"),
 )
 _FULL_COLOR: Final = 255
 
@@ -272,7 +269,7 @@ class MetricsLog:
         row = self._row("vehicle_lights", vehicle_id, frame)
         if row is None:
             return None
-        states = [getattr(carla.VehicleLightState, name) for name in _LIGHTS]
+        states = [getattr(carla.VehicleLightState, name) for name in LIGHTS]
         return [state for state in states if int(row["flags"]) & int(state)] or [carla.VehicleLightState.NONE]
 
     def is_vehicle_light_active(self, light: carla.VehicleLightState, vehicle_id: int, frame: int) -> bool:
@@ -463,7 +460,4 @@ def _physics_control(found: Physics) -> carla.VehiclePhysicsControl:
 
 
 def _points(curve: NDArray[np.void]) -> list[carla.Vector2D]:
-    """Return the points of a curve in the order of CARLA's text: by x; of equal ones, the latest first."""
-    backwards = curve[::-1]
-    ordered = backwards[np.argsort(backwards["x"], kind="stable")]
-    return [carla.Vector2D(float(point["x"]), float(point["y"])) for point in ordered]
+    return [carla.Vector2D(float(point["x"]), float(point["y"])) for point in sorted_points(curve)]

@@ -125,7 +125,7 @@ class RoadNetwork:
         """Return where points are in relation to the lanes.
 
         Args:
-            points: Rows of x, y or x, y, z, in m. With z, lanes of bridges and tunnels are told apart.
+            points: Rows of x, y or x, y, z, in m. With z, lanes at different heights are distinguished, as on bridges.
             headings: Directions in radians: of the lanes that overlap in junctions, one in this direction is preferred.
         """
         points = np.asarray(points, np.float64)

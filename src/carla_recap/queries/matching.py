@@ -216,7 +216,7 @@ class _Matching:
         key_of_b: Callable[[Life], Hashable] | None = None,
         by: MatchedBy | None = None,
     ) -> None:
-        """Match actors with the same key, in their order; those whose key is None are left."""
+        """Match actors with the same key, in their order, except for actors whose key is None."""
         groups: dict[Hashable, list[Life]] = defaultdict(list)
         for life in reversed(self._left[1]):
             groups[(key_of_b or key)(life)].append(life)

@@ -88,7 +88,7 @@ def circling(id: int, x: float, y: float, radius: float, speed: float) -> Mover:
 
 
 def arrivals(reader: Reader, size: int) -> set[tuple[int, int, int, int]]:
-    """Return who leaves a spot, who arrives there, and the frames of both, by so many frames at once."""
+    """Return the actors that leave a spot, those that arrive, and the frames of both, for a block size in frames."""
     collector = MotionCollector(ActorsByTime(actors(reader)))
     blocks = [block for batch in reader.batches(TYPES) for block in collector.add(batch)]
     found = set()

@@ -201,7 +201,7 @@ def _crossing(block: MotionBlock, speed: Floats, arrivals: Encroachments) -> Ind
 
 
 def _follow(block: MotionBlock, arrivals: Encroachments) -> Booleans:
-    """Return whether those who arrive follow those who left: whether these had the same position and heading earlier."""
+    """Return whether arriving actors follow leaving ones, which had the same position and heading earlier."""
     first, second, _, arrived, _ = arrivals
     frames = slice(int(_before(block, arrived).min()), int(arrived.max()) + 1)
     dx = block.x[first, frames] - block.x[second, arrived][:, None]

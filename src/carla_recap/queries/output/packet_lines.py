@@ -114,7 +114,7 @@ def _count(packet: Packet) -> int:
 
 # --- words for numbers -----------------------------------------------------------------------------------
 
-_LIGHTS: Final = {  # in CARLA's order
+LIGHTS: Final = {
     "Position": 1 << 0,
     "LowBeam": 1 << 1,
     "HighBeam": 1 << 2,
@@ -127,7 +127,8 @@ _LIGHTS: Final = {  # in CARLA's order
     "Special1": 1 << 9,
     "Special2": 1 << 10,
 }
-_ALL_LIGHTS: Final = sum(_LIGHTS.values())
+"""The flags of vehicle lights by name, in the order of CARLA's text."""
+_ALL_LIGHTS: Final = sum(LIGHTS.values())
 _DOORS: Final = ("Front Left", "Front Right", "Rear Left", "Rear Right", "Hood", "Trunk", "All")
 
 
@@ -137,7 +138,7 @@ def _lights(flags: int) -> str:
 
 @cache
 def _light_names(flags: int) -> str:
-    return " ".join(name for name, bit in _LIGHTS.items() if flags & bit) or "None"
+    return " ".join(name for name, bit in LIGHTS.items() if flags & bit) or "None"
 
 
 def _door(door: int) -> str:
@@ -200,10 +201,14 @@ _WHEEL: Final = _Template(
 _POINT: Final = _Template(_inside("physics", "torque_curve"), " ({x}, {y})")
 
 
-def _curve(points: NDArray[np.void]) -> str:
-    """Return the text of points, sorted by x; of equal ones, the one recorded last comes first."""
+def sorted_points(points: NDArray[np.void]) -> NDArray[np.void]:
+    """Return the points of a curve as CARLA prints them: by x; of equal ones, the one recorded last comes first."""
     backwards = points[::-1]
-    return _POINT.text(backwards[np.argsort(backwards["x"], kind="stable")])
+    return backwards[np.argsort(backwards["x"], kind="stable")]
+
+
+def _curve(points: NDArray[np.void]) -> str:
+    return _POINT.text(sorted_points(points))
 
 
 # --- the table -------------------------------------------------------------------------------------------
