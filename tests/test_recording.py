@@ -268,6 +268,13 @@ def test_controls(recording):
     assert len(recording.controls(PROP).time) == 0
 
 
+def test_measures_over_time(recording):
+    series = recording.time_series(HERO, start=2.0)
+    assert series.time.tolist() == [2 + STEP * n for n in range(len(series))]
+    with pytest.raises(RecapError, match="no vehicle or walker 400 to measure"):
+        recording.time_series(HERO, PROP)
+
+
 def test_light_states(recording):
     states = recording.light_states(LIGHT)
     assert states.state.tolist() == [0] * 10 + [2] * 10

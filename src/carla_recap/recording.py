@@ -40,6 +40,7 @@ if TYPE_CHECKING:
     from carla_recap.queries.incidents import Incidents
     from carla_recap.queries.measures import Measures
     from carla_recap.queries.measures.extremes import Subjects
+    from carla_recap.queries.measures.over_time import MeasureSeries
 
 T = TypeVar("T")
 
@@ -339,6 +340,21 @@ class Recording:
         from carla_recap.queries.measures import measures
 
         return measures(self.reader, actors, **options)
+
+    def time_series(self, actor_id: int, other_id: int | None = None, **options: Any) -> MeasureSeries:
+        """Return the measures of a vehicle or walker over time: arrays of shape (n,), for the n frames that have it.
+
+        Args:
+            actor_id: The id of the actor.
+            other_id: The id of the only other actor that counts; None for all.
+            options: Those of `carla_recap.queries.measures.time_series`: `start` and `stop`, in elapsed seconds.
+
+        Raises:
+            RecapError: There is no such vehicle or walker.
+        """
+        from carla_recap.queries.measures import time_series
+
+        return time_series(self.reader, actor_id, other_id, **options)
 
     def _rows(self, actor_id: int, name: str) -> ActorRows:
         """Return the records of an actor; of several in a frame, the last one."""

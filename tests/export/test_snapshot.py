@@ -16,6 +16,8 @@ from PIL import Image
 from carla_recap import open_recording
 from carla_recap.errors import MissingExtra, RecapError
 from carla_recap.export.video import picture, snapshot
+from carla_recap.maps import find_map
+from carla_recap.rendering.town import load_town_mesh
 from tests.cli.command import COMMAND, ENVIRONMENT, before_others, the_line
 from tests.export.conftest import SAMPLE
 from tests.replay.scripts import pose, spawn, write
@@ -59,6 +61,13 @@ def test_a_snapshot_is_a_png_of_the_size(crossing: Recording, tmp_path: Path, re
         assert (image.size, image.format) == ((640, 360), "PNG")
         assert len(image.convert("RGB").getcolors(1 << 24)) > 1000
     assert names_in(tmp_path) == ["crash.png"]
+
+
+def test_the_map_of_the_recording_is_found_by_its_name(renderer: RenderProcess) -> None:
+    town = load_town_mesh(find_map("Brickfield"))
+    with open_recording(SAMPLE.with_name("crash.mcap")) as recording:
+        found, given = (picture(recording, at=12, size=(320, 180), **options) for options in ({}, {"town": town}))
+    assert found == given
 
 
 def test_another_time_is_another_picture(crossing: Recording, renderer: RenderProcess) -> None:

@@ -207,7 +207,8 @@ def opened_renderer(
 
     Args:
         renderer: The given one.
-        town: The town of a new one; None: roads where the vehicles of the recording have driven.
+        town: The town of a new one; None: that of the recording's map, or if that is unknown, roads where its vehicles have
+            driven.
         recording: The recording.
         start: The elapsed seconds from which on it is shown.
         stop: The elapsed seconds until which it is shown.
@@ -235,7 +236,19 @@ def _make_renderer(town: Town | None, source: str, start: float, stop: float, su
     from carla_recap.rendering.process import RenderProcess
 
     mesh = town() if callable(town) else town
-    return RenderProcess(_driven_town(source, start, stop) if mesh is None else mesh, supersampling=supersampling)
+    if mesh is None:
+        mesh = _found_town(source) or _driven_town(source, start, stop)
+    return RenderProcess(mesh, supersampling=supersampling)
+
+
+def _found_town(source: str) -> TownMesh | None:
+    """Return the town of the map of a recording; None if that is unknown."""
+    from carla_recap.maps import find_map
+    from carla_recap.rendering.town import load_town_mesh
+
+    with open_recording(source) as recording:
+        path = find_map(recording.header.map_name)
+    return None if path is None else load_town_mesh(path)
 
 
 def _driven_town(source: str, start: float, stop: float) -> TownMesh:

@@ -49,7 +49,8 @@ def snapshot(
         at: The time in elapsed seconds; a negative number is counted from the end.
         follow: The actor that the camera follows: an id or "hero"; None: see `choose_followed`, in the seconds before.
         view: The view; see `export_video`.
-        town: The town, or a function that loads it; None: roads where vehicles have driven.
+        town: The town, or a function that loads it; None: that of the recording's map if it is the built-in one or in the
+            folder that CARLA_RECAP_MAPS names, else roads where vehicles have driven.
         size: Width and height in pixels; None: 1280 x 720, or of a recorded camera those of its images.
         overlay: Write the map, time, speed and more on it.
         force: Overwrite an existing file.

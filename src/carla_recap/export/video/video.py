@@ -83,7 +83,8 @@ def export_video(
         rate: The frames per second; None: 30, of a GIF 12.5.
         smooth: Draw smooth edges, which takes about twice as long.
         overlay: Write time, speed, controls, the light ahead and incidents on the pictures.
-        town: The town, or a function that loads it; None: roads where vehicles have driven.
+        town: The town, or a function that loads it; None: that of the recording's map if it is the built-in one or in the
+            folder that CARLA_RECAP_MAPS names, else roads where vehicles have driven.
         renderer: What draws the pictures, for several videos of one town; None: one is made and closed.
         progress: Is given all scenes and the player, and passes the scenes on.
         force: Overwrite an existing file.
