@@ -1,7 +1,9 @@
+PYTHON ?= python3
 python := .venv/bin/python
 node_modules := tests/node/node_modules
 protoc = $(python) -m grpc_tools.protoc --proto_path=proto $(wildcard proto/carla_recap/v1/*.proto)
 generated := src/carla_recap/v1
+demo_extras := sim,video,foxglove
 
 .PHONY: help venv test lint types proto check-proto wheel check docs bench soak search demo clean
 
@@ -49,17 +51,28 @@ search: venv ## Try 10,000 random sequences of world operations, for crashes and
 	@mkdir -p build
 	$(python) -X faulthandler -m tests.sim.sequences --random --trace build/operations.txt
 
-demo: venv ## Simulate and record a crash, query it, and export it
+demo: $(if $(shell test .venv/stamp -nt pyproject.toml && echo yes),venv,.venv/demo-stamp) ## Simulate and record a crash, query it, film it, and make its incident page
 	PATH="$(CURDIR)/.venv/bin:$$PATH" samples/demo.sh
 
 clean: ## Remove everything that the other targets make
 	rm -rf .venv build dist $(node_modules) .pytest_cache .mypy_cache .ruff_cache .hypothesis
 	find src tests benchmarks -name __pycache__ -prune -exec rm -rf {} +
 
+# Both targets install into .venv: the demo what it needs, the other all that a developer needs. An environment without a
+# working pip is what is left of an interrupted start, or of a Python that is gone: it is made anew.
+define install
+	@$(python) -m pip --version >/dev/null 2>&1 || $(PYTHON) -m venv --clear .venv
+	$(python) -m pip install --quiet --editable '.[$(1)]'
+	@touch $@
+endef
+
 .venv/stamp: pyproject.toml
-	test -x $(python) || python3 -m venv .venv
-	$(python) -m pip install --quiet --editable '.[dev]'
-	touch $@
+	@echo 'Installing carla-recap and all tools into .venv: some minutes.'
+	$(call install,dev)
+
+.venv/demo-stamp: pyproject.toml
+	@echo 'Installing carla-recap with the simulator and videos into .venv: about 115 MB to download.'
+	$(call install,$(demo_extras))
 
 $(node_modules): tests/node/package-lock.json
 	@if command -v npm >/dev/null; \

@@ -1,5 +1,5 @@
 #!/usr/bin/env bash
-# Simulate a crash, query it, convert and export it. Run it with `make demo`.
+# Simulate a crash, query it, film it, and make its incident page. Run it with `make demo`.
 set -euo pipefail
 cd "$(dirname "$0")/.."
 
@@ -15,7 +15,7 @@ run() {
 out=build/demo
 mcap=$out/crash.mcap
 mkdir -p "$out"
-rm -rf "$out"/{crash,crossing,avoided,foxglove,compared}.* "$out/page"
+rm -rf "$out"/{crash,crossing,avoided,foxglove,compared}.* "$out/page.html"
 export SOURCE_DATE_EPOCH=1767261600 # the date that the recordings get
 
 simulates=true
@@ -45,28 +45,37 @@ run carla-recap convert samples/crossing.log "$out/crossing.mcap"
 run carla-recap convert "$out/crossing.mcap" "$out/crossing.log"
 run cmp samples/crossing.log "$out/crossing.log"
 
-say 'Make the incident page, and export the recording for Rerun and for Foxglove.'
-run carla-recap report "$mcap" "$out/page"
+say 'Make the incident page, a page that compares both drives, and a file for Foxglove.'
+run carla-recap report "$mcap" "$out/page.html"
 if $simulates; then
     run carla-recap report "$mcap" "$out/avoided.mcap" "$out/compared.html"
 fi
-run carla-recap export "$mcap" "$out/crash.rrd"
 run carla-recap export "$mcap" "$out/foxglove.mcap"
 
+say 'Film the crash, from behind the hero.'
+films=true
+run carla-recap video "$mcap" "$out/crash.mp4" --start 9 --duration 9 --size 960x540 || films=false
+
 hint() {
-    printf '%-52s # %s\n' "$1" "$2"
+    printf '  %-42s %s\n' "$1" "$2"
 }
 
-say "All files are in $out. To open them, with .venv/bin on the PATH:"
-hint "$out/page/index.html" 'the incident page: open it in any browser'
+say "Made in $PWD/$out; open them in a browser:"
+hint "$out/page.html" 'the incident page'
 if $simulates; then
     hint "$out/compared.html" 'the crash, and how it is avoided, side by side'
 fi
-hint "rerun $out/crash.rrd" "Rerun's viewer; or: carla-recap view $mcap --web"
-hint "$out/foxglove.mcap" 'open it in Foxglove, with the layout named above'
-hint "carla-recap snapshot $mcap crash.png --at 12" 'takes a picture, without a display'
-say 'More queries:'
+if $films; then
+    hint "$out/crash.mp4" 'the film'
+else
+    hint '(no film)' 'the line above says why'
+fi
+hint "$out/foxglove.mcap" 'for Foxglove, with the layout named above'
+say 'The commands are in .venv. To go on:'
+hint '. .venv/bin/activate' ''
 hint "carla-recap collisions $mcap --types hv" 'collisions of the hero with vehicles'
-hint "carla-recap blocked $mcap --min-time 5" 'shorter stops, too'
-hint "carla-recap info $mcap --all" 'every record of every frame'
-hint 'carla-recap convert YOUR.log YOUR.mcap' 'a recording of yours'
+hint "carla-recap incidents $mcap" 'hard braking and long stops, too'
+hint "carla-recap convert YOUR.log YOUR.mcap" 'a recording of yours'
+say "Rerun's viewer in 3D takes 700 MB more:"
+hint "pip install '.[rerun]'" ''
+hint "carla-recap view $mcap" 'on a machine without a display, with --web'
