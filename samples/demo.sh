@@ -57,10 +57,10 @@ films=true
 run carla-recap video "$mcap" "$out/crash.mp4" --start 9 --duration 9 --size 960x540 || films=false
 
 hint() {
-    printf '  %-42s %s\n' "$1" "$2"
+    printf '  %-50s %s\n' "$1" "${2:+# $2}"
 }
 
-say "Made in $PWD/$out; open them in a browser:"
+say "Made in $PWD/$out. Open in a browser:"
 hint "$out/page.html" 'the incident page'
 if $simulates; then
     hint "$out/compared.html" 'the crash, and how it is avoided, side by side'
@@ -68,14 +68,14 @@ fi
 if $films; then
     hint "$out/crash.mp4" 'the film'
 else
-    hint '(no film)' 'the line above says why'
+    echo '  There is no film; the line above says why.'
 fi
-hint "$out/foxglove.mcap" 'for Foxglove, with the layout named above'
-say 'The commands are in .venv. To go on:'
-hint '. .venv/bin/activate' ''
-hint "carla-recap collisions $mcap --types hv" 'collisions of the hero with vehicles'
+say 'To go on:'
+hint '. .venv/bin/activate' 'the commands are here'
 hint "carla-recap incidents $mcap" 'hard braking and long stops, too'
-hint "carla-recap convert YOUR.log YOUR.mcap" 'a recording of yours'
-say "Rerun's viewer in 3D takes 700 MB more:"
-hint "pip install '.[rerun]'" ''
-hint "carla-recap view $mcap" 'on a machine without a display, with --web'
+hint 'carla-recap info YOUR.log' 'a recording of yours'
+say "Rerun's viewer, in 3D, takes 700 MB more:"
+hint "pip install '.[rerun]'"
+hint "carla-recap view $mcap" 'without a display, with --web'
+say 'For Foxglove, with the layout named above:'
+hint "$out/foxglove.mcap"
