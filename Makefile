@@ -5,7 +5,7 @@ protoc = $(python) -m grpc_tools.protoc --proto_path=proto $(wildcard proto/carl
 generated := src/carla_recap/v1
 demo_extras := sim,video,foxglove
 
-.PHONY: help venv test lint types proto check-proto wheel check docs bench soak search demo clean
+.PHONY: help venv test lint types proto check-proto wheel check docs bench performance soak search demo clean
 
 help: ## List the targets
 	@awk -F ':.*## ' '/^[a-z-]+:.*## / { printf "  %-12s %s\n", $$1, $$2 }' $(MAKEFILE_LIST)
@@ -41,8 +41,11 @@ check: lint types check-proto wheel ## Everything but the tests
 docs: venv ## Build the documentation as a site, in build/site
 	NO_MKDOCS_2_WARNING=1 .venv/bin/mkdocs build --quiet
 
-bench: venv ## Measure the speed and the sizes that the README states
+bench: venv ## Measure speed and sizes, and print them
 	$(python) -m benchmarks
+
+performance: venv ## Measure speed and sizes, and write docs/performance.md of them
+	$(python) -m benchmarks --markdown
 
 soak: venv ## Run a server with clients for half an hour, and check that nothing leaks, hangs or is left over
 	$(python) -m benchmarks.soak

@@ -82,7 +82,7 @@ def video(subject: Subject) -> Iterator[Line]:
     window = ("--start", str(subject.seconds / 2), "--duration", "10")
     taken = best(partial(run, COMMAND, "video", "--force", subject.mcap, target, *window), times=2)
     size = target.stat().st_size / 1e6
-    what = "video of 10 s, 1280x720 at 30 fps"
+    what = "video of 10 s, 1280 x 720 at 30 fps"
     yield Line(what, f"{taken.seconds:.1f} s", f"{size:.1f} MB of file", "≤ 20 s", taken.seconds <= 20)
 
 

@@ -29,7 +29,7 @@ def indexing(subject: Subject) -> Iterator[Line]:
     lines, seconds, cpu = _run("index", runs, index)
     rate, failed = count / seconds, count // BROKEN
     ratio = f"{cpu / count * 1e3:.1f} ms of processors each"
-    yield Line(f"{count:,} recordings indexed", f"{rate:.0f} /s", ratio, "≥ 120 /s", rate >= 120)
+    yield Line(f"{count:,} recordings indexed", f"{rate:.0f} a second", ratio, "≥ 120 /s", rate >= 120)
     expected = f"{count:,} recordings: {count - failed:,} read, {failed} failed, 0 unchanged"
     yield Line("of these", lines[-1].partition(": ")[2], "", f"{failed} errors named", lines[-1].endswith(expected))
     size = sum(file.stat().st_size for file in index.rglob("*.parquet"))
@@ -65,7 +65,7 @@ def many_collisions(subject: Subject) -> Iterator[Line]:
     _, seconds, cpu = _run("collisions", "--json", runs)
     rate = count / seconds
     ratio = f"{cpu / count * 1e3:.1f} ms of processors each"
-    yield Line(f"collisions of {count:,} recordings", f"{rate:.0f} /s", ratio, "≥ 500 /s", rate >= 500)
+    yield Line(f"collisions of {count:,} recordings", f"{rate:.0f} a second", ratio, "≥ 500 /s", rate >= 500)
 
 
 def many_memory(subject: Subject) -> Iterator[Line]:

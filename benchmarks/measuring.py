@@ -26,7 +26,15 @@ CONVERT: Final = "import sys; from carla_recap.editing.convert import convert; c
 
 @dataclass(frozen=True)
 class Line:
-    """A line of the table."""
+    """A line of the table.
+
+    Attributes:
+        what: The name of what is measured, which no other line has.
+        measured: The figure with its unit.
+        ratio: The same in proportion to something else, or another figure.
+        goal: What developers aim at.
+        ok: Whether the goal is met.
+    """
 
     what: str
     measured: str

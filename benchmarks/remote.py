@@ -37,9 +37,10 @@ def remote(subject: Subject) -> Iterator[Line]:
                 with open_recording(url) as recording:
                     query(recording)
                 taken.append(time.perf_counter() - started)
-            read = f"{len(server.requests)} req, {server.sent / 1e6:.2f} MB"
-            ok = len(server.requests) <= REQUESTS and server.sent <= BYTES
-            yield Line(f"{name}, remote .mcap, {min(taken):.2f} s", read, "", f"≤ {REQUESTS} req, {BYTES / 1e6:g} MB", ok)
+            count = len(server.requests)
+            read = f"{count} request{'s' if count > 1 else ''}, {server.sent / 1e6:.2f} MB"
+            ok = count <= REQUESTS and server.sent <= BYTES
+            yield Line(f"{name}, remote .mcap", f"{min(taken):.2f} s", read, f"≤ {REQUESTS}, {BYTES / 1e6:g} MB", ok)
 
 
 ROWS: Final = (remote,)

@@ -27,7 +27,7 @@ def cameras(_: Subject) -> Iterator[Line]:
     from carla_recap.rendering.renderer import Renderer
 
     four = (ImageKind.RGB, ImageKind.SEMANTIC, ImageKind.INSTANCE, ImageKind.DEPTH)
-    name, town, actors, poses = crowded_town()
+    town, actors, poses = crowded_town()
     times = {}
     with Renderer(town) as renderer:
         for what, width, height, kinds, goal in (
@@ -46,8 +46,8 @@ def cameras(_: Subject) -> Iterator[Line]:
             cpu = min(cpu_time(draw_all) for _ in range(ROUNDS)) / VIEWS
             times[what, width] = cpu
             yield Line(
-                f"{name}, {width} x {height}: {what}",
-                f"{1 / seconds:.0f} images/s",
+                f"{width} x {height}: {what}",
+                f"{1 / seconds:.0f} a second",
                 f"{cpu * 1e3:.0f} ms of CPU",
                 f"≥ {goal} /s",
                 1 / seconds >= goal,
@@ -59,7 +59,7 @@ def cameras(_: Subject) -> Iterator[Line]:
 def drawing_process(_: Subject) -> Iterator[Line]:
     from carla_recap.rendering.process import RenderProcess
 
-    _, town, actors, poses = crowded_town()
+    town, actors, poses = crowded_town()
     camera = camera_behind(poses[0], 800, 600)
     start = timed(lambda: RenderProcess(town).close())
     yield Line("the process that draws: start to end", f"{start:.1f} s", "", "", True)
@@ -75,8 +75,8 @@ def drawing_process(_: Subject) -> Iterator[Line]:
     yield Line("an image of 800 x 600 by it, alone", f"{one * 1e3:.0f} ms", f"{one / many:.1f} x that of many", "", True)
 
 
-def crowded_town() -> tuple[str, Any, Any, Any]:
-    """Return a town's name, its mesh, actors in it, and CARLA's poses of these."""
+def crowded_town() -> tuple[Any, Any, Any]:
+    """Return the mesh of a town, actors in it, and CARLA's poses of these."""
     from carla_recap.maps.road_map import find_map, load_map
     from carla_recap.rendering.actors import instances
     from carla_recap.rendering.looks import look_of
@@ -96,7 +96,7 @@ def crowded_town() -> tuple[str, Any, Any, Any]:
         color = ",".join(str(chance.randrange(256)) for _ in range(3))
         looks.append(look_of(kind, 1 if number < VEHICLES else 2, {"color": color}, None))
     table = np.array(poses)
-    return path.stem, load_town_mesh(path), instances(range(1, len(looks) + 1), looks, table), table
+    return load_town_mesh(path), instances(range(1, len(looks) + 1), looks, table), table
 
 
 def camera_behind(pose: Any, width: int, height: int) -> Any:

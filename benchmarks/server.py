@@ -37,7 +37,7 @@ def sync_ticks(_: Subject) -> Iterator[Line]:
             most.append(in_new_process(idle_rate, port))
     replies.unlink()
     rate, share = max(rates), max(rates) / max(most)
-    measured, ratio = f"{rate:,.0f} /s", f"{share:.0%} of {max(most):,.0f}"
+    measured, ratio = f"{rate:,.0f} a second", f"{100 * share:.0f} %"
     yield Line(f"sync ticks, {IDLE} idle vehicles", measured, ratio, "≥ 2,500 /s", rate >= 2500)
 
 
@@ -47,8 +47,8 @@ def managed_ticks(_: Subject) -> Iterator[Line]:
         with running(recordings=DIRECTORY) as port:
             found.append(in_new_process(managed_rate, port))
     rate, own = max(found)
-    what, measured = f"sync ticks, {MANAGED} under traffic manager", f"{rate:,.0f} /s"
-    yield Line(what, measured, f"client's: {own * 1e3:.1f} ms", "≥ 350 /s", rate >= 350)
+    what, measured = f"sync ticks, {MANAGED} under traffic manager", f"{rate:,.0f} a second"
+    yield Line(what, measured, f"{own * 1e3:.1f} ms", "≥ 350 /s", rate >= 350)
 
 
 def controls(_: Subject) -> Iterator[Line]:
@@ -188,4 +188,4 @@ def per_second(work: Callable[[], object], count: int) -> float:
 
 
 def rate_line(what: str, rate: float, least: float) -> Line:
-    return Line(what, f"{rate:,.0f} /s", "", f"≥ {least:,.0f} /s", rate >= least)
+    return Line(what, f"{rate:,.0f} a second", "", f"≥ {least:,.0f} /s", rate >= least)
