@@ -31,7 +31,7 @@ PAGES = [ROOT / "README.md", ROOT / "samples" / "README.md", *sorted((ROOT / "do
 FORMAT = (ROOT / "docs" / "format.md").read_text("utf-8")
 RECORDS = (ROOT / "docs" / "records.md").read_text("utf-8")
 ARCHITECTURE = (ROOT / "docs" / "architecture.md").read_text("utf-8")
-SERVING = (ROOT / "docs" / "serving.md").read_text("utf-8")
+SENSORS = (ROOT / "docs" / "sensors.md").read_text("utf-8")
 ENUMS = {
     "spawned": "ActorKind",
     "wheels": "WheelLocation",
@@ -107,7 +107,7 @@ def test_every_sensor_has_a_row():
     from carla_recap.server.sensors import SENSOR_KINDS
 
     for name, kind in SENSOR_KINDS.items():
-        assert f"| `{name}` | {kind.support} | {kind.what} |" in SERVING
+        assert f"| `{name}` | {kind.support} | {kind.what} |" in SENSORS
 
 
 def test_the_docs_list_every_command_and_every_extra():

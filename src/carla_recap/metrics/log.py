@@ -2,7 +2,7 @@
 
 The methods are those of ScenarioRunner's class of this name, with its units: metres, m/s, degrees, CARLA's left-handed axes,
 and the types of CARLA's client library. Frames count from 1, except where a method says otherwise, as there. What differs is
-listed in docs/metrics.md.
+listed in docs/scenario-runner.md.
 """
 
 from __future__ import annotations
