@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import json
 import os
 import re
 import runpy
+import shlex
 import subprocess
 import sys
 import tomllib
@@ -28,10 +30,26 @@ if TYPE_CHECKING:
 ROOT = Path(__file__).parents[1]
 PACKAGE = Path(carla_recap.__file__).parent
 PAGES = [ROOT / "README.md", ROOT / "samples" / "README.md", *sorted((ROOT / "docs").glob("*.md"))]
+TEXTS = [*PAGES, ROOT / "CONTRIBUTING.md", ROOT / "CHANGELOG.md"]
 FORMAT = (ROOT / "docs" / "format.md").read_text("utf-8")
 RECORDS = (ROOT / "docs" / "records.md").read_text("utf-8")
 ARCHITECTURE = (ROOT / "docs" / "architecture.md").read_text("utf-8")
 SENSORS = (ROOT / "docs" / "sensors.md").read_text("utf-8")
+FILES = {
+    "run.mcap": "crash.mcap",
+    "run.log": "crossing.log",
+    "runs/crash.mcap": "crash.mcap",
+    "rules.toml": "rules.toml",
+    "recordings/FollowLeadingVehicle_1.log": "crossing.log",
+}
+NOT_RUN = re.compile(
+    r"carla-recap (?:"
+    r"(?:serve|view|watch|capture)\b"  # until they are ended, or with another server
+    r"|video\b"  # takes long: see tests/export/video
+    r"|.* --(?:serve|dask)\b"
+    r")"
+)
+"""Commands of which only the options are checked."""
 ENUMS = {
     "spawned": "ActorKind",
     "wheels": "WheelLocation",
@@ -118,11 +136,25 @@ def test_the_docs_list_every_command_and_every_extra():
     assert {name for name in extras if f"`{name}`" not in requirements} == {"dev"}
 
 
-@pytest.mark.parametrize("page", [*PAGES, ROOT / "CONTRIBUTING.md"], ids=lambda page: str(page.relative_to(ROOT)))
+def anchors(page: Path) -> set[str]:
+    """Return the anchors of the headings of a page, as GitHub makes them."""
+    text = re.sub(r"^```.*?^```$", "", page.read_text("utf-8"), flags=re.DOTALL | re.MULTILINE)
+    titles = re.findall(r"^#+ (.*)$", text, re.MULTILINE)
+    return {re.sub(r"[^\w\- ]", "", title.lower()).strip().replace(" ", "-") for title in titles}
+
+
+@pytest.mark.parametrize("page", TEXTS, ids=lambda page: str(page.relative_to(ROOT)))
+def test_links_lead_to_files_and_headings(page):
+    for link in re.findall(r"\]\(([^):]+)\)", page.read_text("utf-8")):
+        name, _, heading = re.sub(r"\s", "", link).partition("#")
+        target = page.parent / name if name else page
+        assert target.exists(), link
+        assert not heading or heading in anchors(target), link
+
+
+@pytest.mark.parametrize("page", TEXTS, ids=lambda page: str(page.relative_to(ROOT)))
 def test_files_and_folders_that_a_page_names_exist(page):
     text = page.read_text("utf-8")
-    for name in {path.partition("#")[0] for path in re.findall(r"\]\(([^):]+)\)", text)} - {""}:
-        assert (page.parent / name).exists(), name
     for name in re.findall(r"`((?:[\w-]+/)+[\w.-]*)`", text):
         homes = [home for home in (ROOT, ROOT / "src", PACKAGE) if (home / name.partition("/")[0]).is_dir()]
         assert not homes or any((home / name).exists() for home in homes), name
@@ -181,8 +213,15 @@ def test_a_data_frame_of_all_vehicles_takes_three_lines():
 
 @pytest.fixture
 def working_directory(tmp_path, monkeypatch):
-    """An empty working directory with a link to the samples."""
+    """A working directory with the samples, and with files of the names that pages use for those of a reader."""
     (tmp_path / "samples").symlink_to(ROOT / "samples")
+    (tmp_path / "maps").mkdir()
+    for name, source in FILES.items():
+        (tmp_path / name).parent.mkdir(exist_ok=True)
+        (tmp_path / name).symlink_to(ROOT / "samples" / source)
+    (metric,) = blocks(ROOT / "docs" / "scenario-runner.md", "py")
+    (tmp_path / "my_metric.py").write_text(metric, "utf-8")
+    (tmp_path / "criteria.json").write_text("{}", "utf-8")
     monkeypatch.chdir(tmp_path)
     return tmp_path
 
@@ -215,12 +254,71 @@ def test_a_snippet_runs(working_directory, code):
 def test_commands_print_what_is_shown(working_directory, page):
     """The commands of a page that use samples, or files that other commands have made of them, one after another."""
     for command, shown in commands(page):
+        if NOT_RUN.match(command):
+            continue
         if "samples/" in command or any((working_directory / word).exists() for word in command.split()):
             code, printed = run(command)
             if code == 2 and re.match(r"carla-recap: carla-recap \w+ needs ", printed):
                 continue  # an extra is not installed
-            assert code in (0, 1), command
+            assert code in (0, 1), (command, printed)
             assert not shown or lines(printed) == lines(shown), command
+
+
+@pytest.mark.parametrize("page", PAGES, ids=lambda page: str(page.relative_to(ROOT)))
+def test_commands_have_options_that_exist(working_directory, page):
+    """All commands of a page, also those that are not run."""
+    for arguments in invocations(page):
+        command = cli.get_command(Context(cli), arguments[0])
+        assert command is not None, arguments
+        command.make_context(arguments[0], arguments[1:])
+
+
+def invocations(page: Path) -> Iterator[list[str]]:
+    """Yield the arguments of each `carla-recap` in the shell commands of a page."""
+    shown = [line[2:] for line in "".join(blocks(page, "console")).splitlines() if line.startswith("$ ")]
+    for line in shown + "".join(blocks(page, "sh")).splitlines():
+        for part in re.split(r"\|+|&&?|;(?=(?:[^']*'[^']*')*[^']*$)", re.sub(r"\s#.*", "", line)):
+            if part.strip().startswith("carla-recap "):
+                yield shlex.split(part)[1:]
+
+
+def test_nearly_all_commands_are_run():
+    """A command of which only the options are checked has a reason."""
+    every = [command for page in PAGES for command, _ in commands(page)]
+    assert len([command for command in every if NOT_RUN.match(command)]) <= len(every) / 4
+
+
+def test_the_rules_of_a_page_can_be_loaded(tmp_path):
+    (rules,) = blocks(ROOT / "docs" / "ci.md", "toml")
+    (tmp_path / "rules.toml").write_text(rules, "utf-8")
+    assert len(carla_recap.load_rules(tmp_path / "rules.toml").rules) == 2
+
+
+def test_an_answer_that_is_shown_has_the_keys_of_an_answer():
+    (shown,) = blocks(ROOT / "docs" / "many-recordings.md", "json")
+    code, printed = run(f"carla-recap collisions '{ROOT}/samples/*.mcap' --json")
+    assert code == 0
+    answer, shown = json.loads(printed), json.loads(shown)
+    assert list(shown) == list(answer)
+    assert all(list(row) == list(answer["recordings"][0]) for row in shown["recordings"])
+    assert all(set(row) <= set(answer["rows"][0]) for row in shown["rows"])
+
+
+def test_a_question_about_parquet_files_is_answered(working_directory):
+    duckdb = pytest.importorskip("duckdb", reason="the extra `sql` is not installed")
+    (question,) = blocks(ROOT / "docs" / "tables.md", "sql")
+    with carla_recap.open_recording("samples/crossing.log") as recording:
+        carla_recap.export_parquet(recording, "crossing")
+    with duckdb.connect() as connection:
+        assert connection.sql(question).fetchall()
+
+
+@pytest.mark.parametrize(
+    ("page", "code"), [(page.name, code) for page in PAGES for code in blocks(page, "py")], ids=lambda value: value[:24]
+)
+def test_code_for_other_programs_is_valid(page, code):
+    """Tests for pytest, and metrics for ScenarioRunner; tests/test_pytest_plugin.py and tests/metrics run such."""
+    assert compile(code, page, "exec")
 
 
 def commands(page: Path) -> list[tuple[str, str]]:
