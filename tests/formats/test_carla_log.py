@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import struct
+from contextlib import closing
 
 import pytest
 from hypothesis import example, given
@@ -424,6 +425,27 @@ def test_windows_of_any_size_give_the_same_frames(tmp_path, monkeypatch, window)
     expected = images(path)
     monkeypatch.setattr("carla_recap.formats.log_scan._WINDOW", window)
     assert images(path) == expected
+
+
+@pytest.mark.parametrize("lenient", [False, True])
+@pytest.mark.parametrize("window", [64, 1000, 2 << 20])
+def test_frames_by_index_are_those_of_a_whole_read(tmp_path, monkeypatch, window, lenient):
+    monkeypatch.setattr("carla_recap.formats.log_scan._WINDOW", window)
+    data = log_header() + packet(6, listed(transform(1))) + busy_log(60, 40)[len(log_header()) :]
+    with closing(LogReader(save(tmp_path / "busy.log", data), lenient=lenient)) as reader:
+        assert reader.frames_by_index([0], ["transforms"]) is None
+        frames = list(reader.frames(["transforms", "collisions"]))
+        assert frames[0].preamble
+        indexes = [0, 1, 2, 39, 40, 41, 7, len(frames) - 1]
+        found = list(reader.frames_by_index(indexes, ["transforms", "collisions"]))
+    assert [image(frame) for frame in found] == [image(frames[index]) for index in indexes]
+    assert [frame.index for frame in found] == indexes
+
+
+def test_the_frames_of_a_part_are_not_taken_for_all(tmp_path):
+    with closing(LogReader(save(tmp_path / "busy.log", busy_log(60, 40)))) as reader:
+        next(reader.frames(["transforms"]))
+        assert reader.frames_by_index([0], ["transforms"]) is None
 
 
 def busy_log(frames: int, alike: int) -> bytes:

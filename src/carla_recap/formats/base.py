@@ -6,7 +6,7 @@ import math
 from typing import TYPE_CHECKING, Protocol, Self
 
 if TYPE_CHECKING:
-    from collections.abc import Collection, Iterator
+    from collections.abc import Collection, Iterable, Iterator
     from pathlib import Path
     from types import TracebackType
 
@@ -68,6 +68,15 @@ class Reader(Protocol):
 
     def frame_at(self, elapsed: float) -> Frame | None:
         """Return the last frame that begins at or before a time in seconds, or within `SAME_TIME` of it; else None."""
+        ...
+
+    def frames_by_index(self, indexes: Iterable[int], types: Collection[str]) -> Iterator[Frame] | None:
+        """Return the frames at some indexes, in their order; None if that would take reading all frames.
+
+        Args:
+            indexes: The positions of frames in the recording, from 0.
+            types: Names of record types, as in `batches`.
+        """
         ...
 
     def extent(self) -> Extent:

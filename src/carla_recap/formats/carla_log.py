@@ -12,7 +12,6 @@ import stat
 import struct
 import warnings
 from array import array
-from bisect import bisect_right
 from threading import Lock
 from typing import TYPE_CHECKING, BinaryIO, Final
 
@@ -29,10 +28,10 @@ from carla_recap.model.records import FRAME_START, UE4, UE5, RecordType
 from carla_recap.util.files import AtomicFile
 
 if TYPE_CHECKING:
-    from collections.abc import Collection, Iterator, Sequence
+    from collections.abc import Collection, Iterable, Iterator, Sequence
     from pathlib import Path
 
-    from carla_recap.formats.log_scan import Run, Span
+    from carla_recap.formats.log_scan import Offsets, Run, Span
     from carla_recap.model.batch import Column
 
 MAGIC: Final = b"CARLA_RECORDER"
@@ -49,6 +48,7 @@ _SNIFFED_PACKETS: Final = 20_000
 SYNC_SECONDS: Final = 5.0
 """The time in seconds that a live recording loses at most if its process dies."""
 
+_FEW: Final = 1 << 15  # bytes that are read for one frame, unless it is larger
 _LONGEST_HEADER: Final = 1 << 18  # bytes: two texts of at most 64 KiB, and some numbers
 _SNIFFED: Final = frozenset((2, 6, 12, 13, 17, *SHIFT))  # ids of packets by which builds differ
 
@@ -84,7 +84,8 @@ class LogReader:
         self._lenient = lenient
         self._warned: set[str] = set()
         self._extent: Extent | None = None
-        self._index: _Index | None = None
+        self._elapsed: array[float] | None = None  # of each frame, in s
+        self._offsets: Offsets | None = None  # once all frames have been read
         self._end: int | None = None  # of the last complete packet, once known
         try:
             self._file: BinaryIO = file or self.path.open("rb", buffering=0)
@@ -153,12 +154,20 @@ class LogReader:
     def frame_at(self, elapsed: float) -> Frame | None:
         """Return the last frame that begins at or before a time; see `Reader.frame_at`."""
         self._check_open()
-        index = self._indexed()
-        earlier = np.flatnonzero(np.frombuffer(index.elapsed) <= elapsed + SAME_TIME)
+        times, offsets = self._indexed()
+        earlier = np.flatnonzero(np.frombuffer(times) <= elapsed + SAME_TIME)
         if not len(earlier):
             return None
         position = int(earlier[-1])
-        return self._batch(next(self._runs(position, index.offset(position), None))).frame(0)
+        return self._batch(next(self._runs(position, offsets[position], None))).frame(0)
+
+    def frames_by_index(self, indexes: Iterable[int], types: Collection[str]) -> Iterator[Frame] | None:
+        """Return the frames at some indexes, if all frames have been read before; see `Reader.frames_by_index`."""
+        if (offsets := self._offsets) is None:
+            return None
+        names = frozenset(types)
+        runs = (next(self._runs(index, offsets[index], names, piece=_FEW)) for index in indexes)
+        return (self._batch(run).frame(0) for run in runs)
 
     def extent(self) -> Extent:
         """Return the number of frames, the last id and the duration."""
@@ -247,11 +256,13 @@ class LogReader:
         if self._file.closed:
             raise Closed(self.location)
 
-    def _window(self) -> Window:
+    def _window(self, piece: int | None = None) -> Window:
         self._check_open()
-        return Window(self.location, self._file, self._size, self._lock)
+        return Window(self.location, self._file, self._size, self._lock, piece)
 
-    def _runs(self, index: int, offset: int, names: frozenset[str] | None, *, sparse: bool = False) -> Iterator[Run]:
+    def _runs(
+        self, index: int, offset: int, names: frozenset[str] | None, *, sparse: bool = False, piece: int | None = None
+    ) -> Iterator[Run]:
         """Scan the frames from one on, whose position in the recording is given, to the end.
 
         Args:
@@ -259,8 +270,9 @@ class LogReader:
             offset: The offset of the first frame in the file.
             names: The types of the packets that are wanted, if they have records; None for all packets.
             sparse: Whether to leave out frames without such packets.
+            piece: The bytes to read at once; None for as many as a scan reads.
         """
-        window = self._window()
+        window = self._window(piece)
         wanted = None if names is None else [type is not None and type.name in names for type in self._types]
         scanner = Scanner(self.location, window, self._types, wanted=wanted, sparse=sparse, lenient=self._lenient)
         for run in scanner.runs(index, offset, preamble=self._preamble and offset == self._start):
@@ -269,6 +281,8 @@ class LogReader:
         self.lost_bytes += scanner.lost_bytes
         assert scanner.end is not None
         self._end = scanner.end
+        if offset == self._start:
+            self._offsets = scanner.offsets
         self._extent = Extent()
         if scanner.last is not None:
             id, _, elapsed = START.unpack(window.read(scanner.last + PACKET.size, START.size))
@@ -331,49 +345,26 @@ class LogReader:
 
     # --- random access -------------------------------------------------------------------------------------------------
 
-    def _indexed(self) -> _Index:
-        if self._index is None:
-            index = _Index()
+    def _indexed(self) -> tuple[array[float], Offsets]:
+        """Return the elapsed seconds and the offsets of all frames."""
+        if self._elapsed is None:
+            elapsed = array("d")
             for run in self._runs(0, self._start, frozenset()):
-                index.add(run)
-            self._index = index
-        return self._index
+                if run.preamble:
+                    elapsed.append(0.0)
+                else:
+                    shape, stride = (run.frames,), (run.stride,)
+                    starts = np.ndarray(shape, _STARTS, run.data, run.offset - run.base + PACKET.size, stride)
+                    elapsed.frombytes(starts["elapsed"].tobytes())
+            self._elapsed = elapsed
+        assert self._offsets is not None
+        return self._elapsed, self._offsets
 
     def _first_at(self, start: float) -> tuple[int, int] | None:
         """Return the position and the offset of the first frame at or after a time."""
-        index = self._indexed()
-        later = np.flatnonzero(np.frombuffer(index.elapsed) >= start)
-        return (int(later[0]), index.offset(int(later[0]))) if len(later) else None
-
-
-class _Index:
-    """The offset and the time of each frame.
-
-    Attributes:
-        elapsed: The times in seconds.
-    """
-
-    def __init__(self) -> None:
-        self.elapsed = array("d")
-        self._first = array("q")  # the position of the first frame of each run
-        self._offsets = array("q")
-        self._strides = array("q")
-
-    def add(self, run: Run) -> None:
-        """Add the frames of a run."""
-        self._first.append(run.first)
-        self._offsets.append(run.offset)
-        self._strides.append(run.stride)
-        if run.preamble:
-            self.elapsed.append(0.0)
-        else:
-            starts = np.ndarray((run.frames,), _STARTS, run.data, run.offset - run.base + PACKET.size, (run.stride,))
-            self.elapsed.frombytes(starts["elapsed"].tobytes())
-
-    def offset(self, position: int) -> int:
-        """Return the offset of a frame in the file, in bytes."""
-        run = bisect_right(self._first, position) - 1
-        return self._offsets[run] + (position - self._first[run]) * self._strides[run]
+        times, offsets = self._indexed()
+        later = np.flatnonzero(np.frombuffer(times) >= start)
+        return (int(later[0]), offsets[int(later[0])]) if len(later) else None
 
 
 def _read_text(data: bytes, offset: int) -> tuple[bytes, int]:

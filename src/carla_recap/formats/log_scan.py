@@ -7,6 +7,8 @@ compared with those of the first all at once.
 from __future__ import annotations
 
 import struct
+from array import array
+from bisect import bisect_right
 from typing import TYPE_CHECKING, Final, NamedTuple
 
 import numpy as np
@@ -65,6 +67,28 @@ class Run(NamedTuple):
     base: int
 
 
+class Offsets:
+    """The offsets of frames in a file, by their positions in the recording; stored are those of the first frames of runs."""
+
+    def __init__(self) -> None:
+        self._positions = array("q")  # of the first frame of each run
+        self._offsets = array("q")
+
+    def add(self, position: int, offset: int) -> None:
+        """Add a run by its first frame, or the end of the last run."""
+        self._positions.append(position)
+        self._offsets.append(offset)
+
+    def __getitem__(self, position: int) -> int:
+        """Return the offset of a frame in the file, in bytes."""
+        run = bisect_right(self._positions, position) - 1
+        first, offset = self._positions[run], self._offsets[run]
+        if position == first:
+            return offset
+        stride = (self._offsets[run + 1] - offset) // (self._positions[run + 1] - first)
+        return offset + (position - first) * stride
+
+
 class Window:
     """A part of a file in memory, moved along as needed.
 
@@ -76,6 +100,7 @@ class Window:
         file: The file, unbuffered.
         size: Its size, in bytes.
         lock: Held while a part of the file is read, as several windows may share the file.
+        piece: The bytes to read at once, unless more are needed.
 
     Attributes:
         base: The offset of the data in the file.
@@ -83,8 +108,9 @@ class Window:
         size: The size of the file, in bytes.
     """
 
-    def __init__(self, location: str, file: BinaryIO, size: int, lock: Lock) -> None:
+    def __init__(self, location: str, file: BinaryIO, size: int, lock: Lock, piece: int | None = None) -> None:
         self._location = location
+        self._piece = piece or _WINDOW
         self._file = file
         self._lock = lock
         self.size = size
@@ -128,7 +154,7 @@ class Window:
         return True
 
     def _read(self, offset: int, size: int) -> None:
-        size = min(max(size, _WINDOW), self.size - offset)
+        size = min(max(size, self._piece), self.size - offset)
         self.data = b""  # so that its memory serves again
         self.data, self.base = self._bytes(offset, size), offset
         if len(self.data) < size:
@@ -163,6 +189,7 @@ class Scanner:
         last: The offset of that frame in the file; None before any.
         end: The offset after the last complete packet, once the scan has come to it.
         lost_bytes: Bytes that were left out so far.
+        offsets: The offsets of the frames that were found so far.
     """
 
     def __init__(
@@ -190,6 +217,7 @@ class Scanner:
         self.last: int | None = None
         self.end: int | None = None
         self.lost_bytes = 0
+        self.offsets = Offsets()
 
     def runs(self, index: int, offset: int, *, preamble: bool) -> Iterator[Run]:
         """Yield the runs from an offset on.
@@ -220,6 +248,7 @@ class Scanner:
             if found is None:
                 break
             packets, end = found
+            self.offsets.add(self.count, self._offset)
             if packets or not self._sparse:
                 size = end - self._offset
                 yield Run(self.count, self._offset, 1, size, packets, preamble, window.data, window.base)
@@ -228,11 +257,13 @@ class Scanner:
                 self.last = self._offset
             self._offset, preamble = end, False
         self.end = self._offset
+        self.offsets.add(self.count, self.end)
 
     def _ordinary_runs(self) -> Iterator[Run]:
         """Yield the runs up to a frame that needs care: the last one, a broken one, or one that is larger than a window."""
         window, unpack, header, first = self._window, PACKET.unpack_from, PACKET.size, _FIRST_PACKET
         wanted, skipped, ignored, sparse = self._wanted, self._skipped, self._ignored, self._sparse
+        add_offset = self.offsets.add
         short_runs = wait = 0  # in a row; the number of frames until the next run is searched for
         window.begin(self._offset)
         while True:
@@ -269,6 +300,7 @@ class Scanner:
                         frames = self._alike(data, start, stride)
                         short_runs = short_runs + 1 if frames < _SHORT_RUN else 0
                         wait = min(1 << short_runs, _LONGEST_WAIT) if short_runs > 1 else 0
+                    add_offset(self.count, base + start)
                     if packets or not sparse:
                         yield Run(self.count, base + start, frames, stride, packets, False, data, base)
                     start += frames * stride

@@ -41,7 +41,9 @@ def contact_starts(source: Reader, wanted: Mapping[Key, float]) -> dict[Key, Con
     if times:
         search = _Search(times)
         spans = _spans(times.values())
-        if len(spans) <= LOOK_UPS and getattr(source, "metadata", {}).get("steady_clock") == "1":
+        if len(times) <= LOOK_UPS and (frames := source.frames_by_index(search.indexes, MOTION)):
+            search.add_frames(frames)
+        elif len(spans) <= LOOK_UPS and getattr(source, "metadata", {}).get("steady_clock") == "1":
             for batches in _read(source, spans):
                 search.add(batches)
         if search.missing:
@@ -85,6 +87,7 @@ class _Search:
     Attributes:
         found: Those that were found, by key.
         missing: The keys of the others, by frame.
+        indexes: The indexes of the frames that they are found in, in order.
     """
 
     def __init__(self, keys: Iterable[Key]) -> None:
@@ -92,7 +95,8 @@ class _Search:
         self.missing: dict[int, list[Key]] = {}
         for key in keys:
             self.missing.setdefault(key[0], []).append(key)
-        self._indexes = {index - back for index in self.missing for back in range(_FRAMES)}
+        self._indexes = {index - back for index in self.missing for back in range(_FRAMES) if index >= back}
+        self.indexes = sorted(self._indexes)
         self._frames: dict[int, Frame] = {}
 
     def add(self, batches: Iterable[Batch], *, is_whole: bool = False) -> None:
@@ -106,15 +110,22 @@ class _Search:
         for batch in batches:
             rows = range(batch.index, batch.index + len(batch))
             if len(self._indexes) < len(rows):
-                wanted = sorted(index for index in self._indexes if index in rows)
+                wanted = [index for index in self.indexes if index in rows]
             else:
                 wanted = [index for index in rows if index in self._indexes]
             for index in wanted:
-                self._frames[index] = batch.frame(index - batch.index)
-                self._frames.pop(index - _FRAMES, None)
-                self._find(index, is_whole=is_whole)
+                self._add(index, batch.frame(index - batch.index), is_whole=is_whole)
             if not self.missing:
                 return
+
+    def add_frames(self, frames: Iterable[Frame]) -> None:
+        """Search the frames at `indexes`."""
+        for frame in frames:
+            self._add(frame.index, frame, is_whole=True)
+
+    def _add(self, index: int, frame: Frame, *, is_whole: bool) -> None:
+        self._frames = {each: held for each, held in self._frames.items() if each > index - _FRAMES} | {index: frame}
+        self._find(index, is_whole=is_whole)
 
     def _find(self, index: int, *, is_whole: bool) -> None:
         recent = [self._frames.get(index - back) for back in range(_FRAMES)]

@@ -33,10 +33,9 @@ from carla_recap.model.stationary import MIN_DISTANCE, StationaryTracker
 from carla_recap.model.stationary import TYPES as STATIONARY_TYPES
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Iterator
+    from collections.abc import Iterable, Iterator, Sequence
 
     from carla_recap.model.frame import Frame
-    from carla_recap.model.layout import Buffer
     from carla_recap.model.records import RecordType, Table
     from carla_recap.model.stationary import BlockedRow
 
@@ -141,22 +140,22 @@ class Digest:
         return STRETCHES_TOPIC, messages.stationary_intervals(intervals)
 
 
-def read_braking(data: Buffer) -> list[Braking]:
-    """Return the intervals of a `BrakingIntervals` message.
+def read_braking(messages: Sequence[bytes]) -> list[Braking]:
+    """Return the intervals of `BrakingIntervals` messages.
 
     Raises:
-        WireError: It is no such message.
+        WireError: One is no such message.
     """
-    return [Braking(*row) for row in _decoded(_BRAKING, BRAKING_MESSAGE, data)]
+    return [Braking(*row) for row in _decoded(_BRAKING, BRAKING_MESSAGE, messages)]
 
 
-def read_contacts(data: Buffer) -> list[ContactStart]:
-    """Return the contacts of a `Contacts` message.
+def read_contacts(messages: Sequence[bytes]) -> list[ContactStart]:
+    """Return the contacts of `Contacts` messages.
 
     Raises:
-        WireError: It is no such message.
+        WireError: One is no such message.
     """
-    rows = _decoded(_CONTACTS, CONTACTS_MESSAGE, data)
+    rows = _decoded(_CONTACTS, CONTACTS_MESSAGE, messages)
     return [ContactStart(row[0], row[1], row[2], row[3:6], row[6:9], row[9:12], row[12:]) for row in rows]
 
 
@@ -172,10 +171,10 @@ def _encoded(type: PacketType, rows: list[tuple[Any, ...]]) -> bytes:
     return bytes(bodies[0])
 
 
-def _decoded(type: PacketType, message: str, data: Buffer) -> list[Any]:
-    """Return the rows of a message; its fields may come in any order."""
-    payloads = fixed_codec(type).decode([data])
+def _decoded(type: PacketType, name: str, messages: Sequence[bytes]) -> list[Any]:
+    """Return the rows of messages of a name; the fields of a message may come in any order."""
+    payloads = fixed_codec(type).decode(messages)
     if payloads is not None:
-        return list(payloads.records(0).tolist())
-    found = getattr(parse(type.name, message, data), _ITEMS[message])
-    return [tuple(getattr(row, name) for name in type.layout.fields) for row in found]
+        return [row for index in range(len(messages)) for row in payloads.records(index).tolist()]
+    found = [row for message in messages for row in getattr(parse(type.name, name, message), _ITEMS[name])]
+    return [tuple(getattr(row, field) for field in type.layout.fields) for row in found]

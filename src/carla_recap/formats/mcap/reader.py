@@ -9,7 +9,7 @@ import itertools
 import math
 import warnings
 from os import PathLike
-from typing import TYPE_CHECKING, Final, TypeVar
+from typing import TYPE_CHECKING, Any, Final, TypeVar
 
 import numpy as np
 from mcap.opcode import Opcode
@@ -167,6 +167,9 @@ class McapReader:
                 return frame
         raise FormatError(self.location, None, f"frame {found.id} is in no chunk of its time: the index is wrong")
 
+    def frames_by_index(self, indexes: Iterable[int], types: Collection[str]) -> None:
+        """Return None: an MCAP file has an index by time."""
+
     def extent(self) -> Extent:
         """Return how far the recording goes."""
         if self._extent is None:
@@ -187,7 +190,9 @@ class McapReader:
         least, distance, count = self._digest_of(STRETCHES, 3)
         if not min_time >= least or min_distance != distance:
             return None
-        rows = self._listed(STRETCHES_TOPIC, decode_intervals, count)
+        rows = self._listed(
+            STRETCHES_TOPIC, lambda messages: itertools.chain.from_iterable(map(decode_intervals, messages)), count
+        )
         if rows is None:
             return None
         from carla_recap.model.stationary import BlockedRow
@@ -224,10 +229,11 @@ class McapReader:
             numbers = []
         return numbers if len(numbers) == size else [math.nan] * size
 
-    def _listed(self, topic: str, read: Callable[[memoryview], Iterable[T]], count: float) -> list[T] | None:
+    def _listed(self, topic: str, read: Callable[[list[bytes]], Iterable[T]], count: float) -> list[T] | None:
         """Return the rows of all messages of a topic; None if their number differs, as if another program left some out."""
+        messages = [bytes(message) for message in self._messages(topic)]
         try:
-            rows = [row for message in self._messages(topic) for row in read(message)]
+            rows = list(read(messages))
         except WireError as error:
             raise FormatError(self.location, None, str(error)) from None
         return rows if len(rows) == count else None
@@ -355,6 +361,11 @@ class McapReader:
                 RecapWarning,
                 stacklevel=2,
             )
+
+
+def _read_intervals(messages: Iterable[bytes]) -> Iterator[Any]:
+    """Yield the stationary intervals of `Stretches` messages."""
+    return itertools.chain.from_iterable(map(decode_intervals, messages))
 
 
 def _match(summary: Summary, specs: list[ChannelSpec]) -> dict[int, ChannelSpec]:
