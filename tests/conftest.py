@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import os
 import signal
-from datetime import timedelta
 from importlib.util import find_spec
 from typing import TYPE_CHECKING
 
@@ -27,7 +26,7 @@ for _signal, _handler in ((signal.SIGINT, signal.default_int_handler), (signal.S
 
 # The same examples in every run; HYPOTHESIS_PROFILE=search tries more and new ones.
 _SETTINGS = {
-    "deadline": timedelta(seconds=20),
+    "deadline": None,
     "suppress_health_check": [
         HealthCheck.function_scoped_fixture,  # tests overwrite what is in their directory
         HealthCheck.too_slow,

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import signal
 import struct
 import warnings
 from contextlib import contextmanager
@@ -174,22 +173,6 @@ def warnings_ignored() -> Iterator[None]:
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", RecapWarning)
         yield
-
-
-@contextmanager
-def time_limit(seconds: float) -> Iterator[None]:
-    """Fail after a time instead of hanging."""
-
-    def give_up(*_: object) -> None:
-        raise TimeoutError(f"not done after {seconds} s")
-
-    before = signal.signal(signal.SIGALRM, give_up)
-    signal.setitimer(signal.ITIMER_REAL, seconds)
-    try:
-        yield
-    finally:
-        signal.setitimer(signal.ITIMER_REAL, 0)
-        signal.signal(signal.SIGALRM, before)
 
 
 # --- the content of a recording, in a form that can be compared --------------------------------------------

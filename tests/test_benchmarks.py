@@ -13,6 +13,7 @@ import pytest
 from benchmarks import page
 from benchmarks.measuring import Line, Subject
 from benchmarks.results import Conditions, Result, load, save
+from tests.waiting import PATIENCE
 
 ROOT = Path(__file__).parents[1]
 ROWS = ("mcap_to_log", "collisions", "blocked", "incidents", "differences", "info_all", "remote")
@@ -22,7 +23,9 @@ def test_the_benchmarks_run(tmp_path):
     pytest.importorskip("msgpack", reason="the extra `server` is not installed")
     command = [sys.executable, "-m", "benchmarks", "--frames", "100", *(f"--only={row}" for row in ROWS)]
     environment = os.environ | {"PYTHONPATH": os.pathsep.join([str(ROOT), *filter(None, [os.environ.get("PYTHONPATH")])])}
-    done = subprocess.run(command, cwd=tmp_path, env=environment, capture_output=True, text=True, timeout=120, check=False)
+    done = subprocess.run(
+        command, cwd=tmp_path, env=environment, capture_output=True, text=True, timeout=PATIENCE, check=False
+    )
     assert done.returncode == 0, done.stdout + done.stderr
     lines = done.stdout.splitlines()
     assert len(lines) == 1 + 3 + 3 + 4 + 2 + 4 + 1 + 4

@@ -11,10 +11,10 @@ from xml.etree import ElementTree
 import pytest
 
 from tests.cli.command import run
+from tests.waiting import PATIENCE
 
 SAMPLES = Path(__file__).parents[1] / "samples"
 WORKFLOWS = sorted((SAMPLES / "ci").glob("*.yml"))
-TIMEOUT = 120  # s
 
 
 @pytest.fixture(scope="module")
@@ -25,7 +25,7 @@ def runs(tmp_path_factory):
     folder = tmp_path_factory.mktemp("campaign") / "runs"
     for seed in ("1", "13"):
         command = [sys.executable, SAMPLES / "campaign.py", folder, "--seeds=1", f"--first={seed}"]
-        subprocess.run(command, check=True, timeout=TIMEOUT, capture_output=True)
+        subprocess.run(command, check=True, timeout=PATIENCE, capture_output=True)
     return folder
 
 

@@ -23,6 +23,7 @@ from carla_recap import MissingExtra
 from carla_recap.cli import cli
 from carla_recap.model.layout import Framing, Layout, Many
 from carla_recap.model.records import UE4, Group
+from tests.waiting import PATIENCE
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -330,7 +331,7 @@ def run(command: str) -> tuple[int, str]:
     path = f"{Path(sys.executable).parent}{os.pathsep}{os.environ['PATH']}"
     environment = {**os.environ, "PATH": path, "TZ": "UTC"}
     done = subprocess.run(
-        command, shell=True, env=environment, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, timeout=60, check=False
+        command, shell=True, env=environment, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, timeout=PATIENCE, check=False
     )
     return done.returncode, done.stdout.decode()
 

@@ -9,6 +9,7 @@ from importlib.metadata import version
 import pytest
 
 import carla_recap
+from tests.waiting import PATIENCE
 
 NAMES = [
     "Actor",
@@ -110,7 +111,7 @@ def test_the_version_is_that_of_the_package():
 @pytest.mark.parametrize("heavy", ["numpy", "mcap", "google.protobuf", "pandas", "zstandard"])
 def test_importing_the_package_imports_nothing_heavy(heavy):
     code = f"import sys, carla_recap; sys.exit({heavy!r} in sys.modules)"
-    assert subprocess.run([sys.executable, "-c", code], check=False, timeout=60).returncode == 0
+    assert subprocess.run([sys.executable, "-c", code], check=False, timeout=PATIENCE).returncode == 0
 
 
 def test_errors_have_one_base():

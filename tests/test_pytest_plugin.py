@@ -14,6 +14,7 @@ import pytest
 
 from carla_recap import open_recording
 from tests.export.report.conftest import data
+from tests.waiting import PATIENCE
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -24,7 +25,6 @@ pytestmark = pytest.mark.skipif(
     not all(map(find_spec, ("carla", "pymunk", "msgpack"))), reason="the extra `server` is not installed"
 )
 
-TIMEOUT = 240  # s
 COMMON = """
 import carla
 import os
@@ -198,7 +198,7 @@ class Run(NamedTuple):
 
 def run_pytest(folder: Path, *options: str) -> Run:
     command = [sys.executable, "-m", "pytest", "-p", "no:cacheprovider", "--junitxml=out.xml", *options]
-    done = subprocess.run(command, cwd=folder, capture_output=True, text=True, timeout=TIMEOUT, check=False)
+    done = subprocess.run(command, cwd=folder, capture_output=True, text=True, timeout=PATIENCE, check=False)
     cases = ElementTree.parse(folder / "out.xml").iter("testcase")
     return Run(done.stdout + done.stderr, {case.get("name", ""): list(case) for case in cases}, folder)
 

@@ -10,7 +10,8 @@ from pathlib import Path
 import pytest
 
 import carla_recap
-from tests.cli.command import COMMAND, ENVIRONMENT, TIMEOUT, answer
+from tests.cli.command import COMMAND, ENVIRONMENT, answer
+from tests.waiting import PATIENCE
 
 SAMPLES = Path(__file__).parents[1] / "samples"
 SIMULATED = ("blocked", "crash", "junction")
@@ -150,7 +151,7 @@ def test_the_script_makes_the_same_frames(tmp_path):
     environment["OPENBLAS_CORETYPE"] = "Prescott"  # as on a machine whose processor has fewer instructions
     environment["GLIBC_TUNABLES"] = "glibc.cpu.hwcaps=-FMA,-AVX2"
     script = [SAMPLES / "make_recordings.sh", tmp_path]
-    subprocess.run(script, env=environment, timeout=TIMEOUT, check=True, capture_output=True)
+    subprocess.run(script, env=environment, timeout=PATIENCE, check=True, capture_output=True)
     for name in SIMULATED:
         logs = [tmp_path / f"{name}.{which}.log" for which in ("anew", "sample")]
         for recording, log in zip((tmp_path, SAMPLES), logs, strict=True):

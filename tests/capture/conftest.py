@@ -12,6 +12,7 @@ import pytest
 
 from tests.cli.command import COMMAND, ENVIRONMENT
 from tests.server.conftest import client, port, recordings, world
+from tests.waiting import PATIENCE, wait_until
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
@@ -21,7 +22,6 @@ if TYPE_CHECKING:
 
 __all__ = ["client", "port", "recordings", "world"]
 
-PATIENCE = 20.0  # s
 BEHIND = 0.5  # s: a world may tick faster than a client can follow
 
 
@@ -76,11 +76,15 @@ def capturing(port: int, world: carla.World, tmp_path: Path) -> Iterator[Callabl
 
 
 def wait_for(world: carla.World, condition: Callable[[], object]) -> None:
-    deadline = time.monotonic() + PATIENCE
-    while not condition():
-        assert time.monotonic() < deadline
-        world.tick()
-        time.sleep(0.05)
+    """Tick until a condition is met."""
+
+    def met() -> object:
+        found = condition()
+        if not found:
+            world.tick()
+        return found
+
+    wait_until(met, pause=0.05)
 
 
 def own_sensors(world: carla.World) -> list[carla.Actor]:

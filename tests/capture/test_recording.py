@@ -17,8 +17,9 @@ from carla_recap import RecapError, open_recording
 from carla_recap.capture.observer import Observation
 from carla_recap.capture.recording import capture, frames, header_of
 from carla_recap.server import running
-from tests.capture.conftest import PATIENCE, own_sensors, spawn, started, wait_for
+from tests.capture.conftest import own_sensors, spawn, started, wait_for
 from tests.cli.command import error
+from tests.waiting import PATIENCE, wait_until
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
@@ -180,11 +181,9 @@ def started_after_server(path: Path) -> Iterator[Capture]:
             capture = stack.enter_context(started(path, port))
             world = carla.Client("127.0.0.1", port).get_world()
             spawn(world, "vehicle.tesla.model3", 0, role_name="hero")
-            deadline = time.monotonic() + PATIENCE
-            while not own_sensors(world):
-                assert time.monotonic() < deadline
-                time.sleep(0.05)
-            time.sleep(1.0)
+            wait_until(lambda: own_sensors(world))
+            begin = world.get_snapshot().frame
+            wait_until(lambda: world.get_snapshot().frame > begin + 30)
         yield capture
 
 

@@ -15,11 +15,13 @@ import pytest
 
 from carla_recap import create_recording, open_recording
 from carla_recap.editing.recover import recover
+from carla_recap.errors import RecapError
 from carla_recap.model.records import Attribute, Spawn
 from carla_recap.server import running as server
 from carla_recap.util.files import partials
-from tests.capture.conftest import PATIENCE, wait_for
+from tests.capture.conftest import wait_for
 from tests.cli.command import COMMAND, ENVIRONMENT
+from tests.waiting import PATIENCE, wait_until
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -36,10 +38,7 @@ def running(path: Path, port: int) -> Iterator[subprocess.Popen[str]]:
     command = [COMMAND, *arguments, "--port", str(port)]
     with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True, env=ENVIRONMENT) as process:
         try:
-            deadline = time.monotonic() + PATIENCE
-            while not partials(path):
-                assert time.monotonic() < deadline
-                time.sleep(0.05)
+            wait_until(lambda: partials(path))
             yield process
         finally:
             process.kill()
@@ -75,7 +74,7 @@ def test_no_callback_of_the_client_is_left_when_the_interpreter_ends(tmp_path: P
 
     with server() as port, ThreadPoolExecutor(3) as threads:
         client = carla.Client("127.0.0.1", port)
-        client.set_timeout(10.0)
+        client.set_timeout(PATIENCE)
         world = client.get_world()
         world.apply_settings(carla.WorldSettings(fixed_delta_seconds=0.002))  # hundreds of ticks in a second
         hero = world.get_blueprint_library().find("vehicle.tesla.model3")
@@ -93,24 +92,41 @@ def test_the_recorded_frames_survive_the_process(world: carla.World, port: int, 
         begin = world.tick()
         while world.get_snapshot().frame - begin < 12.0 / 0.05:
             world.tick()
-        time.sleep(0.5)
+        wait_until(lambda: duration_so_far(path, tmp_path / "copy") > 12.0 - KEPT - 1.0, pause=0.1)
         process.kill()
         process.wait(PATIENCE)
     (left,) = partials(path)
     assert recover(left, path).duration > 12.0 - KEPT - 1.0
 
 
+def duration_so_far(path: Path, folder: Path) -> float:
+    """Return the duration in s of what is on the disk of a recording that is being written."""
+    (left,) = partials(path)
+    folder.mkdir(exist_ok=True)
+    copy = folder / f"copy{path.suffix}"
+    copy.write_bytes(left.read_bytes())
+    try:
+        return recover(copy, folder / path.name, force=True).duration
+    except RecapError:  # nothing yet
+        return 0.0
+
+
 def test_a_live_file_is_on_the_disk_while_it_is_written(port: int, tmp_path: Path) -> None:
     chunk = pytest.importorskip("rerun.chunk", reason="the extra `rerun` is not installed")
     with running(tmp_path / "a.rrd", port) as process:
-        time.sleep(5.0)
+        (live,) = partials(tmp_path / "a.rrd")
+        saved = tmp_path / "saved.rrd"
+
+        def saved_chunks() -> int:
+            saved.write_bytes(live.read_bytes())
+            with pytest.warns(Warning, match="no footer"):
+                return len(list(chunk.RrdReader(saved).stream().to_chunks()))
+
+        wait_until(lambda: live.stat().st_size)
+        wait_until(lambda: saved_chunks() > 20, pause=0.2)
         process.kill()
         process.wait(PATIENCE)
-    (left,) = partials(tmp_path / "a.rrd")
-    saved = left.rename(tmp_path / "saved.rrd")
-    with pytest.warns(Warning, match="no footer"):
-        chunks = list(chunk.RrdReader(saved).stream().to_chunks())
-    assert len(chunks) > 20
+    assert saved_chunks() > 20
 
 
 @pytest.mark.parametrize("name", ["a.mcap", "a.rrd"])
@@ -164,7 +180,7 @@ def showing_a_ghost(folder: Path) -> Iterator[tuple[int, carla.World]]:
             assert process.stdout is not None
             port = int(process.stdout.readline().split(":")[-1])
             client = carla.Client("127.0.0.1", port)
-            client.set_timeout(10.0)
+            client.set_timeout(PATIENCE)
             world = client.get_world()
             world.apply_settings(carla.WorldSettings(synchronous_mode=True, fixed_delta_seconds=0.05))
             client.replay_file(str(path), 0.0, 0.0, 0)

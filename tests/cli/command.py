@@ -9,11 +9,10 @@ import sys
 from pathlib import Path
 from typing import Any
 
-from tests.samples import time_limit
+from tests.waiting import PATIENCE, time_limit
 
 COMMAND = Path(sys.executable).with_name("carla-recap")
 CROSSING = Path(__file__).parents[2] / "samples" / "crossing.log"
-TIMEOUT = 60
 
 ENVIRONMENT = {
     **{name: value for name, value in os.environ.items() if not name.startswith(("COLUMNS", "FORCE_", "NO_COLOR", "TTY_"))},
@@ -34,7 +33,7 @@ def run(*arguments: object, **options: Any) -> Done:
     """Run the command, with its output in pipes."""
     command = [COMMAND, *map(os.fspath, map(_as_path, arguments))]
     return subprocess.run(
-        command, capture_output=True, env=ENVIRONMENT, stdin=subprocess.DEVNULL, timeout=TIMEOUT, check=False, **options
+        command, capture_output=True, env=ENVIRONMENT, stdin=subprocess.DEVNULL, timeout=PATIENCE, check=False, **options
     )
 
 
@@ -74,14 +73,14 @@ def on_terminal(*arguments: object, stream: str = "stdout") -> tuple[int, str, b
         os.close(theirs)
         shown = read_terminal(ours)
         other = (process.stderr or process.stdout).read()
-        code = process.wait(TIMEOUT)
+        code = process.wait(PATIENCE)
     os.close(ours)
     return code, shown, other
 
 
 def read_terminal(terminal: int) -> str:
     pieces = []
-    with time_limit(TIMEOUT):
+    with time_limit():
         while True:
             try:
                 piece = os.read(terminal, 1 << 16)

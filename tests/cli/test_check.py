@@ -16,8 +16,9 @@ from click.testing import CliRunner
 
 from carla_recap.cli.check import check
 from carla_recap.errors import RecapError
-from tests.cli.command import COMMAND, ENVIRONMENT, TIMEOUT, error, on_terminal, run
-from tests.samples import names_in, save, time_limit
+from tests.cli.command import COMMAND, ENVIRONMENT, error, on_terminal, run
+from tests.samples import names_in, save
+from tests.waiting import time_limit
 
 ROOT = Path(__file__).parents[2]
 SAMPLES = ROOT / "samples"
@@ -174,7 +175,7 @@ def test_an_interrupt_ends_it_and_leaves_no_pages(tmp_path):
     with subprocess.Popen(command, cwd=tmp_path, stdin=subprocess.PIPE, stdout=subprocess.PIPE, env=ENVIRONMENT) as process:
         process.stdin.write(b"runs\n")
         process.stdin.close()
-        with time_limit(TIMEOUT):
+        with time_limit():
             while not list(tmp_path.glob(".out.*.partial")):
                 assert process.poll() is None
                 time.sleep(0.01)

@@ -27,14 +27,14 @@ from tests.cli.command import (
     COMMAND,
     CROSSING,
     ENVIRONMENT,
-    TIMEOUT,
     answer,
     error,
     on_terminal,
     run,
     the_line,
 )
-from tests.samples import CARLA_LOGS, carla_log, images, log_header, names_in, packet, reading, save, start, time_limit
+from tests.samples import CARLA_LOGS, carla_log, images, log_header, names_in, packet, reading, save, start
+from tests.waiting import PATIENCE, time_limit
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -495,12 +495,12 @@ def test_a_conversion_that_is_stopped_leaves_nothing(tmp_path, long_log, command
     there = save(tmp_path / "there.mcap", b"precious")
     arguments = [COMMAND, command, long_log, there, "--force"]
     with subprocess.Popen(arguments, env=ENVIRONMENT, stdout=subprocess.PIPE, stderr=subprocess.PIPE) as process:
-        with time_limit(TIMEOUT):
+        with time_limit():
             while len(names_in(tmp_path)) < 2:  # until it writes, and not a moment longer
                 assert process.poll() is None
         time.sleep(delay)
         process.send_signal(number)
-        output, errors = process.communicate(timeout=TIMEOUT)
+        output, errors = process.communicate(timeout=PATIENCE)
     assert process.returncode == code
     assert output == b""
     assert b"Traceback" not in errors
@@ -516,7 +516,7 @@ def test_the_reader_of_a_pipe_closes_it(arguments):
         assert process.stdout.readline()
         process.stdout.close()
         assert process.stderr.read() == b""
-        assert process.wait(TIMEOUT) in (0, -signal.SIGPIPE)
+        assert process.wait(PATIENCE) in (0, -signal.SIGPIPE)
 
 
 @pytest.mark.skipif(not Path("/dev/full").exists(), reason="there is no /dev/full here")
@@ -524,7 +524,7 @@ def test_the_reader_of_a_pipe_closes_it(arguments):
 def test_a_full_disk_behind_stdout(arguments):
     with Path("/dev/full").open("wb") as full:
         command = [COMMAND, arguments[0], CROSSING, *arguments[1:]]
-        done = subprocess.run(command, env=ENVIRONMENT, stdout=full, stderr=subprocess.PIPE, timeout=TIMEOUT, check=False)
+        done = subprocess.run(command, env=ENVIRONMENT, stdout=full, stderr=subprocess.PIPE, timeout=PATIENCE, check=False)
     assert done.returncode == 2
     assert the_line(done.stderr) == "output: No space left on device"
 
@@ -554,13 +554,13 @@ def test_help_of_a_command(command):
 def test_version():
     assert answer("--version") == f"carla-recap, version {__version__}\n"
     command = [sys.executable, "-m", "carla_recap", "--version"]
-    assert subprocess.check_output(command, timeout=TIMEOUT).decode() == answer("--version")
+    assert subprocess.check_output(command, timeout=PATIENCE).decode() == answer("--version")
 
 
 def imported(*arguments: object) -> set[str]:
     """Return the packages that a command imports."""
     command = [sys.executable, "-X", "importtime", COMMAND, *map(str, arguments)]
-    done = subprocess.run(command, env=ENVIRONMENT, capture_output=True, timeout=TIMEOUT, check=True)
+    done = subprocess.run(command, env=ENVIRONMENT, capture_output=True, timeout=PATIENCE, check=True)
     modules = re.findall(r"\| +([\w.]+)$", done.stderr.decode(), re.MULTILINE)
     assert "carla_recap.cli" in modules
     return {module.partition(".")[0] for module in modules}

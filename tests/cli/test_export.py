@@ -11,9 +11,10 @@ import pytest
 from mcap.reader import make_reader
 
 from carla_recap import open_recording
-from tests.cli.command import COMMAND, CROSSING, ENVIRONMENT, TIMEOUT, before_others, error, on_terminal, run, the_line
+from tests.cli.command import COMMAND, CROSSING, ENVIRONMENT, before_others, error, on_terminal, run, the_line
 from tests.maps.towns import town
 from tests.samples import carla_log, reading
+from tests.waiting import PATIENCE
 
 rerun = pytest.importorskip("rerun", reason="the extra `rerun` is not installed")
 REAL = "carla-0.9.13-lane-center.log"
@@ -140,7 +141,7 @@ def test_clips_need_no_rerun(tmp_path, option):
     (tmp_path / "rerun.py").write_text("raise ImportError('no rerun here')")
     environment = ENVIRONMENT | {"PYTHONPATH": before_others(tmp_path)}
     command = [COMMAND, "clips", CROSSING, tmp_path / "clips", *filter(None, [option])]
-    done = subprocess.run(command, env=environment, capture_output=True, timeout=TIMEOUT, check=False)
+    done = subprocess.run(command, env=environment, capture_output=True, timeout=PATIENCE, check=False)
     if option == "--rrd":
         assert done.returncode == 2
         assert "pip install '.[rerun]'" in the_line(done.stderr)
@@ -189,16 +190,16 @@ def test_the_page_is_served_until_it_is_interrupted(tmp_path):
         try:
             address = process.stdout.readline().decode().strip()
             assert address.startswith("http://127.0.0.1:")
-            with urllib.request.urlopen(address, timeout=TIMEOUT) as answer:
+            with urllib.request.urlopen(address, timeout=PATIENCE) as answer:
                 assert b"<title>" in answer.read()
         finally:
             process.send_signal(signal.SIGINT)
-        assert process.wait(TIMEOUT) == 0
+        assert process.wait(PATIENCE) == 0
 
 
 def test_a_viewer_without_a_display_is_an_error(monkeypatch):
     environment = {name: value for name, value in ENVIRONMENT.items() if "DISPLAY" not in name}
-    done = subprocess.run([COMMAND, "view", CROSSING], env=environment, capture_output=True, timeout=TIMEOUT, check=False)
+    done = subprocess.run([COMMAND, "view", CROSSING], env=environment, capture_output=True, timeout=PATIENCE, check=False)
     assert done.returncode == 2
     assert "--web" in the_line(done.stderr)
 
@@ -207,7 +208,7 @@ def test_a_missing_extra_is_an_error_in_one_line(tmp_path):
     (tmp_path / "rerun.py").write_text("raise ImportError('no rerun here')")
     environment = ENVIRONMENT | {"PYTHONPATH": before_others(tmp_path)}
     command = [COMMAND, "export", CROSSING, tmp_path / "out.rrd"]
-    done = subprocess.run(command, env=environment, capture_output=True, timeout=TIMEOUT, check=False)
+    done = subprocess.run(command, env=environment, capture_output=True, timeout=PATIENCE, check=False)
     assert done.returncode == 2
     assert the_line(done.stderr) == (
         "carla-recap export needs an optional dependency: pip install '.[rerun]' in a clone of carla-recap"
@@ -218,7 +219,7 @@ def test_a_missing_extra_for_maps_is_a_warning(tmp_path):
     (tmp_path / "carla.py").write_text("raise ImportError('no carla here')")
     environment = ENVIRONMENT | {"PYTHONPATH": before_others(tmp_path), "CARLA_RECAP_MAPS": str(town("Town01").parent)}
     command = [COMMAND, "export", carla_log(REAL), tmp_path / "out.rrd", "--duration", "0.1"]
-    done = subprocess.run(command, env=environment, capture_output=True, timeout=TIMEOUT, check=False)
+    done = subprocess.run(command, env=environment, capture_output=True, timeout=PATIENCE, check=False)
     assert done.returncode == 0
     warning, written = done.stderr.decode().splitlines()
     assert "pip install '.[carla]'" in warning

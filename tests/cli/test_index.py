@@ -9,7 +9,8 @@ from pathlib import Path
 
 import pytest
 
-from tests.cli.command import COMMAND, ENVIRONMENT, TIMEOUT, answer, error, on_terminal, run
+from tests.cli.command import COMMAND, ENVIRONMENT, answer, error, on_terminal, run
+from tests.waiting import PATIENCE
 
 pytest.importorskip("duckdb", reason="the extra `sql` is not installed")
 
@@ -60,7 +61,7 @@ def test_a_list_of_recordings_comes_from_stdin(tmp_path):
         input=f"{SAMPLES}/crossing.log\n{SAMPLES}/crash.mcap\n".encode(),
         capture_output=True,
         env=ENVIRONMENT,
-        timeout=TIMEOUT,
+        timeout=PATIENCE,
         check=False,
     )
     assert b"2 recordings: 2 read" in done.stderr
@@ -141,7 +142,7 @@ def test_a_query_without_rows(index):
 def test_a_query_from_stdin(index):
     command = [COMMAND, "sql", index, "-"]
     done = subprocess.run(
-        command, input=b"select 1 as n", capture_output=True, env=ENVIRONMENT, timeout=TIMEOUT, check=False
+        command, input=b"select 1 as n", capture_output=True, env=ENVIRONMENT, timeout=PATIENCE, check=False
     )
     assert done.stdout == b"n\n1\n"
 

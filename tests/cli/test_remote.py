@@ -10,7 +10,8 @@ import time
 import pytest
 
 from carla_recap import open_recording
-from tests.cli.command import COMMAND, CROSSING, ENVIRONMENT, TIMEOUT, answer, error, run
+from tests.cli.command import COMMAND, CROSSING, ENVIRONMENT, answer, error, run
+from tests.waiting import PATIENCE
 
 web = pytest.importorskip("tests.web", reason="the extra `remote` is not installed")
 
@@ -62,7 +63,7 @@ def test_ctrl_c_does_not_wait_for_a_server(tmp_path):
             while not server.requests and process.poll() is None:
                 time.sleep(0.01)
             process.send_signal(signal.SIGINT)
-            _, messages = process.communicate(timeout=TIMEOUT)
+            _, messages = process.communicate(timeout=PATIENCE)
     assert (process.returncode, messages.strip()) == (130, b"")
 
 

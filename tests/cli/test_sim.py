@@ -11,9 +11,10 @@ import time
 import pytest
 
 from carla_recap import open_recording
-from tests.cli.command import COMMAND, CROSSING, ENVIRONMENT, TIMEOUT, before_others, error, on_terminal, run, the_line
+from tests.cli.command import COMMAND, CROSSING, ENVIRONMENT, before_others, error, on_terminal, run, the_line
 from tests.maps.towns import town
 from tests.samples import carla_log
+from tests.waiting import PATIENCE, wait_until
 
 pytest.importorskip("pymunk", reason="the extra `sim` is not installed")
 
@@ -38,7 +39,7 @@ def test_the_same_seed_makes_the_same_bytes(tmp_path, suffix):
     environment = ENVIRONMENT | {"SOURCE_DATE_EPOCH": "1767261600"}
     paths = [tmp_path / f"{name}{suffix}" for name in "ab"]
     for path in paths:
-        subprocess.run([COMMAND, "record", path, *FEW], env=environment, timeout=TIMEOUT, check=True, capture_output=True)
+        subprocess.run([COMMAND, "record", path, *FEW], env=environment, timeout=PATIENCE, check=True, capture_output=True)
     assert paths[0].read_bytes() == paths[1].read_bytes()
 
 
@@ -48,7 +49,7 @@ def test_a_seed_sets_the_date(tmp_path):
     dates = []
     for options in (["--seed", "4"], []):
         command = [COMMAND, "record", tmp_path / "a.log", *FEW, *options, "--force"]
-        subprocess.run(command, env=environment, timeout=TIMEOUT, check=True, capture_output=True)
+        subprocess.run(command, env=environment, timeout=PATIENCE, check=True, capture_output=True)
         with open_recording(tmp_path / "a.log") as recording:
             dates.append(recording.header.date)
     assert dates[0] == 1767261600
@@ -97,7 +98,7 @@ def test_a_missing_map_is_an_error_with_the_folders(tmp_path):
             [COMMAND, "record", tmp_path / "a.log", "--town", "Atlantis"],
             env=ENVIRONMENT | {"CARLA_RECAP_MAPS": str(folder)},
             capture_output=True,
-            timeout=TIMEOUT,
+            timeout=PATIENCE,
             check=False,
         )
         assert the_line(done.stderr).endswith(str(told))
@@ -139,13 +140,10 @@ def test_a_signal_completes_the_recording(tmp_path, number):
     path = tmp_path / "a.mcap"
     command = [COMMAND, "record", path, "--vehicles", "1", "--walkers", "0", "--duration", "inf"]
     with subprocess.Popen(command, env=ENVIRONMENT, stderr=subprocess.PIPE) as process:
-        until = time.monotonic() + TIMEOUT
-        while not any(tmp_path.iterdir()) and time.monotonic() < until:
-            time.sleep(0.05)
-        time.sleep(0.3)
+        wait_until(lambda: any(each.stat().st_size > 10_000 for each in tmp_path.iterdir()))
         process.send_signal(number)
         try:
-            _, stderr = process.communicate(timeout=TIMEOUT)
+            _, stderr = process.communicate(timeout=PATIENCE)
         finally:
             process.kill()
     assert process.returncode == 128 + number
@@ -159,7 +157,7 @@ def test_a_full_disk_ends_the_recording_and_keeps_it(tmp_path, suffix):
     path = tmp_path / f"a{suffix}"
     record = shlex.join([str(COMMAND), "record", str(path), "--vehicles", "3", "--walkers", "0"])
     done = subprocess.run(
-        ["bash", "-c", f"ulimit -f 100; {record}"], env=ENVIRONMENT, capture_output=True, timeout=TIMEOUT, check=False
+        ["bash", "-c", f"ulimit -f 100; {record}"], env=ENVIRONMENT, capture_output=True, timeout=PATIENCE, check=False
     )
     assert done.returncode == 2
     assert the_line(done.stderr).startswith("warning: the recording has ended: ")
@@ -183,7 +181,7 @@ def test_a_missing_extra_is_an_error_in_one_line(tmp_path):
     (tmp_path / "pymunk.py").write_text("raise ModuleNotFoundError('no pymunk here')")
     command = [COMMAND, "record", tmp_path / "a.mcap", *FEW]
     environment = ENVIRONMENT | {"PYTHONPATH": before_others(tmp_path)}
-    done = subprocess.run(command, env=environment, capture_output=True, timeout=TIMEOUT, check=False)
+    done = subprocess.run(command, env=environment, capture_output=True, timeout=PATIENCE, check=False)
     assert done.returncode == 2
     assert the_line(done.stderr).startswith("carla-recap record needs an optional dependency: pip install '.[sim]'")
 

@@ -32,10 +32,10 @@ from tests.samples import (
     save,
     small_log,
     start,
-    time_limit,
     warnings_ignored,
     write,
 )
+from tests.waiting import time_limit
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -117,7 +117,7 @@ def test_both_formats_give_the_same_frames(name, tmp_path):
 def test_any_recording_survives_a_round_trip(tmp_path, recording):
     header, frames = recording
     log = write(tmp_path / "any.log", header, frames)
-    with warnings_ignored(), time_limit(20):
+    with warnings_ignored(), time_limit():
         assert there_and_back(log) == log.read_bytes()
         for path in (log, log.with_suffix(".mcap")):
             assert images(path) == [image(frame) for frame in frames]

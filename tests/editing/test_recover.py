@@ -25,10 +25,10 @@ from tests.samples import (
     save,
     small_log,
     start,
-    time_limit,
     warnings_ignored,
     write,
 )
+from tests.waiting import time_limit
 
 
 def chunk_places(data):
@@ -238,14 +238,14 @@ def test_a_packet_that_contradicts_its_type_is_left_out(tmp_path):
 def test_thousands_of_unknown_packets_take_little_time(tmp_path):
     """After each, the next frame is searched, in vain."""
     data = log_header() + start(1, 0.0) + END + start(2, 0.1) + packet(150, b"") * 190_000 + bytes((0,)) * 4_000_000
-    with time_limit(60), warnings_ignored():
+    with time_limit(), warnings_ignored():
         recovery = recover(save(tmp_path / "many.log", data), tmp_path / "saved.log")
     assert recovery.frames == 2
 
 
 def test_a_frame_of_too_many_packets_is_cut(tmp_path):
     data = log_header() + start(1, 0.0) + packet(150, b"") * 200_010 + END + start(2, 0.1) + END
-    with time_limit(30), warnings_ignored():
+    with time_limit(), warnings_ignored():
         recovery = recover(save(tmp_path / "many.log", data), tmp_path / "saved.log")
     assert recovery.frames == len(images(tmp_path / "saved.log")) == 2
 
@@ -268,7 +268,7 @@ def test_any_damage_ends_in_a_recording_or_a_recap_error(tmp_path, kind, data):
     damaged = strategies.damaged(whole, data.draw(strategies.mutations(len(whole))))
     path, saved = save(tmp_path / f"damaged{kind}", damaged), tmp_path / "saved.mcap"
     saved.unlink(missing_ok=True)
-    with warnings_ignored(), time_limit(10):
+    with warnings_ignored(), time_limit():
         try:
             recovery = recover(path, saved)
         except RecapError as error:

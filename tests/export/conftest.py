@@ -10,6 +10,7 @@ from pathlib import Path
 import pytest
 
 from carla_recap.errors import RecapError
+from tests.waiting import PATIENCE
 
 SAMPLE = Path(__file__).parents[2] / "samples" / "crossing.log"
 
@@ -54,6 +55,6 @@ def limited():
             f"resource.setrlimit(resource.RLIMIT_FSIZE, ({size}, {size}))\n"
         )
         command = [sys.executable, "-B", "-c", limit + code]
-        return subprocess.run(command, capture_output=True, text=True, timeout=30)
+        return subprocess.run(command, capture_output=True, text=True, timeout=PATIENCE)
 
     return run

@@ -27,6 +27,8 @@ pytest.importorskip("foxglove_schemas_protobuf", reason="the extra foxglove is n
 
 from mcap_protobuf.decoder import DecoderFactory
 
+from tests.waiting import PATIENCE
+
 ROOT = Path(__file__).parents[2]
 CROSSING = ROOT / "samples" / "crossing.log"
 NODE = ROOT / "tests" / "node"
@@ -141,7 +143,7 @@ def test_foxgloves_own_libraries_read_an_export(tmp_path, name):
         pytest.skip("the libraries of the independent reader are not installed: npm ci --prefix tests/node")
     export(CROSSING if name == "crossing" else carla_log(name), tmp_path / "export.mcap")
     done = subprocess.run(
-        ["node", NODE / "read.mjs", tmp_path / "export.mcap"], capture_output=True, text=True, timeout=60, check=False
+        ["node", NODE / "read.mjs", tmp_path / "export.mcap"], capture_output=True, text=True, timeout=PATIENCE, check=False
     )
     assert done.returncode == 0, done.stderr
     found = json.loads(done.stdout)
@@ -215,7 +217,7 @@ try:
 except MissingExtra as error:
     print(error)
 """
-    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=60, check=True)
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=PATIENCE, check=True)
     assert done.stdout.strip() == str(MissingExtra("an export to Foxglove", "foxglove"))
     assert names_in(tmp_path) == []
 

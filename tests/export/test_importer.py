@@ -22,8 +22,9 @@ from rerun.chunk import RrdReader
 from carla_recap import convert
 from carla_recap.export.importer import FAILED, NOT_OURS
 from tests.export.conftest import SAMPLE
-from tests.samples import CARLA_LOGS, carla_log, log_header, save, small_log, time_limit
+from tests.samples import CARLA_LOGS, carla_log, log_header, save, small_log
 from tests.screenshots import ScreenshotTaker
+from tests.waiting import PATIENCE, time_limit
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -34,7 +35,7 @@ RUN = "import sys; from carla_recap.export.importer import main; main()"
 
 def run(path: Path | str, *options: str, **environment: str) -> subprocess.CompletedProcess[bytes]:
     return subprocess.run(
-        [sys.executable, "-c", RUN, path, *options], capture_output=True, timeout=30, env={**os.environ, **environment}
+        [sys.executable, "-c", RUN, path, *options], capture_output=True, timeout=PATIENCE, env={**os.environ, **environment}
     )
 
 
@@ -95,7 +96,7 @@ def test_other_files_cause_no_slow_imports(tmp_path):
     check = f"import sys; sys.argv[1:] = [{str(save(tmp_path / 'file.log', b'text'))!r}]; import atexit; " + (
         "atexit.register(lambda: print({'numpy', 'rerun', 'mcap', 'google.protobuf'} & set(sys.modules))); " + RUN
     )
-    done = subprocess.run([sys.executable, "-c", check], capture_output=True, timeout=30)
+    done = subprocess.run([sys.executable, "-c", check], capture_output=True, timeout=PATIENCE)
     assert (done.returncode, done.stdout) == (NOT_OURS, b"set()\n")
 
 
@@ -119,7 +120,7 @@ def test_it_ends_when_the_viewer_has_ended():
     with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE) as process:
         process.stdout.close()
         try:
-            assert process.wait(20) == -signal.SIGPIPE
+            assert process.wait(PATIENCE) == -signal.SIGPIPE
             assert process.stderr.read() == b""
         finally:
             process.kill()
@@ -129,7 +130,7 @@ def test_it_ends_when_the_viewer_has_ended():
 def test_a_full_destination_is_an_error_of_one_line():
     command = [sys.executable, "-c", RUN, SAMPLE]
     with Path("/dev/full").open("wb") as full:
-        done = subprocess.run(command, stdout=full, stderr=subprocess.PIPE, timeout=30)
+        done = subprocess.run(command, stdout=full, stderr=subprocess.PIPE, timeout=PATIENCE)
     line = f"{NAME}: stdout: cannot be written: No space left on device\n"
     assert (done.returncode, done.stderr.decode()) == (FAILED, line)
 
@@ -137,7 +138,7 @@ def test_a_full_destination_is_an_error_of_one_line():
 @pytest.mark.skipif(os.name != "posix", reason="descriptors are POSIX's")
 def test_without_stdout_it_fails_with_one_line():
     closed = f"import os; os.close(1); os.execv({sys.executable!r}, [{sys.executable!r}, '-c', {RUN!r}, {str(SAMPLE)!r}])"
-    done = subprocess.run([sys.executable, "-c", closed], stderr=subprocess.PIPE, timeout=30)
+    done = subprocess.run([sys.executable, "-c", closed], stderr=subprocess.PIPE, timeout=PATIENCE)
     assert (done.returncode, done.stderr.decode().count("\n")) == (FAILED, 1)
 
 
@@ -149,7 +150,7 @@ def test_an_interruption_prints_nothing():
             assert process.stdout.read(4)  # it has begun to send
             process.send_signal(signal.SIGINT)
             process.stdout.read()
-            assert process.wait(20) in (-signal.SIGINT, 0)
+            assert process.wait(PATIENCE) in (-signal.SIGINT, 0)
             assert process.stderr.read() == b""
         finally:
             process.kill()
@@ -173,7 +174,7 @@ def opened(path: Path, seconds: float) -> Iterator[ScreenshotTaker]:
             timelines = [timeline for recording in screenshots.state.recordings for timeline in recording.timelines]
             return ("sim_time", round(seconds * 1e9)) in [(timeline.name, timeline.end) for timeline in timelines]
 
-        with time_limit(60):
+        with time_limit():
             screenshots._process.wait_for(f"{seconds} s", complete)
         yield screenshots
 

@@ -12,11 +12,13 @@ import pytest
 from carla_recap import MissingExtra, RecapError, create_recording, export_parquet, open_recording
 from carla_recap.export import parquet as exporter
 from carla_recap.model.records import UE4, Bone, Bones
-from tests.cli.command import COMMAND, CROSSING, ENVIRONMENT, TIMEOUT, before_others, error, on_terminal, run, the_line
+from tests.cli.command import COMMAND, CROSSING, ENVIRONMENT, before_others, error, on_terminal, run, the_line
 from tests.samples import log_header, names_in, packet, save, small_log, start
 
 pytest.importorskip("pyarrow", reason="the extra `arrow` is not installed")
 from pyarrow import parquet
+
+from tests.waiting import PATIENCE
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -230,7 +232,7 @@ def test_without_pyarrow_the_error_is_one_line(tmp_path: Path) -> None:
     (tmp_path / "pyarrow.py").write_text("raise ImportError('no pyarrow here')")
     environment = ENVIRONMENT | {"PYTHONPATH": before_others(tmp_path)}
     command = [COMMAND, "export", CROSSING, tmp_path / "out", "--to", "parquet"]
-    done = subprocess.run(command, env=environment, capture_output=True, timeout=TIMEOUT, check=False)
+    done = subprocess.run(command, env=environment, capture_output=True, timeout=PATIENCE, check=False)
     assert done.returncode == 2
     assert "pip install '.[arrow]'" in the_line(done.stderr)
     assert names_in(tmp_path) == ["pyarrow.py"]

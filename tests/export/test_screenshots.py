@@ -22,8 +22,8 @@ from carla_recap.errors import MissingExtra, RecapError
 from carla_recap.export import viewer
 from carla_recap.replay import Player
 from tests.export.conftest import SAMPLE
-from tests.samples import time_limit
 from tests.screenshots import ScreenshotTaker
+from tests.waiting import PATIENCE, time_limit
 
 
 def runs(pid: int) -> bool:
@@ -76,7 +76,7 @@ def test_no_notices_cover_the_first_picture(crossing_rrd):
 def test_without_a_graphics_driver_the_error_says_what_to_install(crossing_rrd, temporary, monkeypatch):
     monkeypatch.setenv("VK_ICD_FILENAMES", "/nonexistent")
     monkeypatch.setenv("VK_DRIVER_FILES", "/nonexistent")
-    with time_limit(20), pytest.raises(RecapError, match=r"^the Rerun viewer found no graphics .* mesa-vulkan-drivers$"):
+    with time_limit(), pytest.raises(RecapError, match=r"^the Rerun viewer found no graphics .* mesa-vulkan-drivers$"):
         ScreenshotTaker(crossing_rrd).__enter__()
 
 
@@ -84,7 +84,7 @@ def test_a_file_that_the_viewer_cannot_load_is_an_error(tmp_path, temporary, mon
     monkeypatch.setattr(viewer, "TIMEOUT", 2.0)
     cut = tmp_path / "cut.rrd"
     cut.write_bytes(crossing_rrd.read_bytes()[:3000])
-    with time_limit(20), pytest.raises(RecapError, match="no recording within 2 s: failed to read RRD metadata"):
+    with time_limit(), pytest.raises(RecapError, match="no recording within 2 s: failed to read RRD metadata"):
         ScreenshotTaker(cut).__enter__()
 
 
@@ -93,7 +93,7 @@ def test_a_viewer_that_hangs_is_killed(crossing_rrd, temporary, monkeypatch):
         pid = screenshots._process.pid
         monkeypatch.setattr(viewer, "TIMEOUT", 0.5)
         os.kill(pid, signal.SIGSTOP)
-        with time_limit(10), pytest.raises(RecapError, match="the Rerun viewer does not answer"):
+        with time_limit(), pytest.raises(RecapError, match="the Rerun viewer does not answer"):
             screenshots.take(21)
     assert not runs(pid)
 
@@ -126,7 +126,7 @@ def test_a_terminated_process_ends_its_viewer(crossing_rrd, temporary):
         pid = int(process.stdout.readline())
         assert runs(pid)
         process.terminate()
-        assert process.wait(15) == 128 + signal.SIGTERM
+        assert process.wait(PATIENCE) == 128 + signal.SIGTERM
     assert not runs(pid)
 
 

@@ -22,6 +22,7 @@ from tests.cli.command import COMMAND, ENVIRONMENT, before_others, the_line
 from tests.export.conftest import SAMPLE
 from tests.replay.scripts import pose, spawn, write
 from tests.samples import carla_log, names_in
+from tests.waiting import PATIENCE
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -165,7 +166,7 @@ def test_without_a_package_the_error_names_the_extra(tmp_path: Path, package: st
     (tmp_path / "hidden" / f"{package}.py").write_text(f"raise ModuleNotFoundError(name={package!r})")
     command = [COMMAND, "snapshot", SAMPLE, tmp_path / "out.png", "--at", "24"]
     environment = ENVIRONMENT | {"PYTHONPATH": before_others(tmp_path / "hidden")}
-    done = subprocess.run(command, capture_output=True, env=environment, timeout=60)
+    done = subprocess.run(command, capture_output=True, env=environment, timeout=PATIENCE)
     expected = "carla-recap snapshot needs an optional dependency: pip install '.[cameras]' in a clone of carla-recap"
     assert (done.returncode, the_line(done.stderr)) == (2, expected)
     assert names_in(tmp_path) == ["hidden"]

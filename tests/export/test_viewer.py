@@ -6,7 +6,6 @@ import os
 import signal
 import subprocess
 import sys
-from time import sleep
 from urllib.parse import parse_qs, urlsplit
 from urllib.request import urlopen
 
@@ -20,8 +19,8 @@ from carla_recap import open_recording
 from carla_recap.errors import RecapError
 from carla_recap.export.viewer import view
 from tests.export.conftest import SAMPLE
-from tests.samples import time_limit
 from tests.screenshots import ScreenshotTaker
+from tests.waiting import PATIENCE, time_limit, wait_until
 
 SERVE = """
 import sys
@@ -48,15 +47,15 @@ def test_a_browser_is_served_until_it_is_interrupted(served):
     process, url = served
     children = psutil.Process(process.pid).children()
     assert urlsplit(url).hostname == "127.0.0.1"
-    with urlopen(url, timeout=10) as page:
+    with urlopen(url, timeout=PATIENCE) as page:
         assert page.headers["Content-Type"].startswith("text/html")
         assert b"re_viewer" in page.read()
-    with urlopen(url.partition("?")[0] + "re_viewer_bg.wasm", timeout=10) as program:
+    with urlopen(url.partition("?")[0] + "re_viewer_bg.wasm", timeout=PATIENCE) as program:
         assert program.read(4) == b"\0asm"
     sockets = [socket for child in children for socket in child.net_connections("inet")]
     assert {socket.laddr.ip for socket in sockets} == {"127.0.0.1"}
     process.send_signal(signal.SIGINT)
-    assert process.wait(15) == 0
+    assert process.wait(PATIENCE) == 0
     assert process.stderr.read() == ""
     assert not [child for child in children if child.is_running()]
 
@@ -66,7 +65,7 @@ def test_a_closed_terminal_ends_the_viewer(served):
     process, _ = served
     children = psutil.Process(process.pid).children()
     process.send_signal(signal.SIGHUP)
-    assert process.wait(15) == 128 + signal.SIGHUP
+    assert process.wait(PATIENCE) == 128 + signal.SIGHUP
     assert children
     assert not [child for child in children if child.is_running()]
 
@@ -76,15 +75,14 @@ def test_a_closed_stdout_ends_the_viewer(temporary):
     code = f"import signal; signal.signal(signal.SIGPIPE, signal.SIG_DFL)\n{SERVE}"
     with subprocess.Popen([sys.executable, "-c", code, SAMPLE], stdout=subprocess.PIPE, stderr=subprocess.PIPE) as process:
         process.stdout.close()
-        assert process.wait(20) in (0, -signal.SIGPIPE)
+        assert process.wait(PATIENCE) in (0, -signal.SIGPIPE)
         assert process.stderr.read() == b""
 
 
 def test_the_browser_gets_the_recording(served, crossing_rrd):
     (source,) = parse_qs(urlsplit(served[1]).query)["url"]
-    with ScreenshotTaker(source) as screenshots, time_limit(60):
-        while _times(screenshots) != (20_000_000_000, 26_000_000_000):
-            sleep(0.05)
+    with ScreenshotTaker(source) as screenshots:
+        wait_until(lambda: _times(screenshots) == (20_000_000_000, 26_000_000_000))
 
 
 def _times(screenshots: ScreenshotTaker) -> tuple[int, int] | None:
@@ -107,7 +105,7 @@ def test_a_window_that_does_not_open_is_an_error(temporary, monkeypatch):
     monkeypatch.setenv("DISPLAY", ":4711")
     with (
         open_recording(SAMPLE) as recording,
-        time_limit(20),
+        time_limit(),
         pytest.raises(RecapError, match=r"exit code 1: Failed to open"),
     ):
         view(recording, start=20, duration=1)

@@ -21,7 +21,7 @@ from carla_recap.fleet.cluster import connect
 from carla_recap.fleet.engine import map_sources
 from carla_recap.fleet.sources import SourceFile
 from tests.cli.command import CROSSING, answer, error, run, the_line
-from tests.samples import time_limit
+from tests.waiting import PATIENCE, time_limit, wait_until
 
 distributed = pytest.importorskip("distributed", reason="the extra dask is not installed")
 
@@ -36,7 +36,7 @@ def cluster():
 @pytest.fixture
 def client(cluster):
     with connect(cluster.scheduler_address) as client:
-        client.wait_for_workers(2, timeout=60)
+        client.wait_for_workers(2, timeout=PATIENCE)
         yield client
 
 
@@ -86,7 +86,7 @@ def allowed_failures(client, number):
 
 
 def test_the_outcomes_are_those_of_processes(client):
-    with time_limit(60):
+    with time_limit():
         found = list(map_sources(picky, sources(50), client=client))
     assert found == list(map_sources(picky, sources(50), jobs=1))
     assert found[3].error == "s3://bucket/3.log: is bad"
@@ -95,7 +95,7 @@ def test_the_outcomes_are_those_of_processes(client):
 
 def test_a_worker_that_is_killed_loses_no_recording(client):
     pids = set(client.run(os.getpid).values())
-    with time_limit(120):
+    with time_limit():
         outcomes = map_sources(slow, sources(300), client=client)
         first = next(outcomes)
         assert first.value[0] in pids
@@ -105,7 +105,7 @@ def test_a_worker_that_is_killed_loses_no_recording(client):
 
 
 def test_a_recording_that_ends_its_workers_has_an_error_and_others_have_none(client, tmp_path):
-    with time_limit(300), allowed_failures(client, 0):
+    with time_limit(), allowed_failures(client, 0):
         outcomes = list(map_sources(partial(end_always, folder=tmp_path), sources(40), client=client))
     errors = {outcome.source.location: outcome.error for outcome in outcomes if outcome.error}
     assert errors == {"s3://bucket/20.log": "s3://bucket/20.log: the worker processes that read it end"}
@@ -114,7 +114,7 @@ def test_a_recording_that_ends_its_workers_has_an_error_and_others_have_none(cli
 
 
 def test_another_error_of_the_function_is_raised(client):
-    with pytest.raises(KeyError), time_limit(60):
+    with pytest.raises(KeyError), time_limit():
         list(map_sources(wrong, sources(3), client=client))
 
 
@@ -133,9 +133,7 @@ def test_an_iterator_that_is_closed_cancels_its_tasks(client):
     outcomes = map_sources(slow, sources(3000), client=client)
     next(outcomes)
     outcomes.close()
-    with time_limit(60):
-        while client.run_on_scheduler(lambda dask_scheduler: len(dask_scheduler.tasks)):
-            time.sleep(0.01)
+    wait_until(lambda: not client.run_on_scheduler(lambda dask_scheduler: len(dask_scheduler.tasks)))
 
 
 def test_a_client_that_is_closed_is_an_error(cluster):
@@ -143,7 +141,7 @@ def test_a_client_that_is_closed_is_an_error(cluster):
         outcomes = map_sources(slow, sources(3000), client=client)
         next(outcomes)
         client.close()
-        with pytest.raises(RecapError, match="the Dask cluster is gone"), time_limit(60):
+        with pytest.raises(RecapError, match="the Dask cluster is gone"), time_limit():
             list(outcomes)
 
 

@@ -19,11 +19,11 @@ from carla_recap import RecapError, open_index, write_index
 from carla_recap.fleet.index.folder import IndexFolder
 from carla_recap.fleet.index.reading import read_recording
 from carla_recap.fleet.index.tables import TABLES
+from tests.waiting import wait_until
 
 pytest.importorskip("pyarrow", reason="the extra `arrow` is not installed")
 
 SAMPLES = Path(__file__).parents[2] / "samples"
-DEADLINE = 60.0  # s
 WRITE = """
 import sys
 from carla_recap.fleet.index import writing
@@ -153,10 +153,7 @@ def test_a_process_that_is_killed_again_and_again_makes_the_same_tables(tmp_path
     for _ in range(3):
         commits = _commits(index)
         process = subprocess.Popen([sys.executable, "-c", WRITE, tmp_path / "runs", index, "2"])
-        deadline = time.monotonic() + DEADLINE
-        while process.poll() is None and _commits(index) == commits:
-            assert time.monotonic() < deadline
-            time.sleep(0.01)
+        wait_until(lambda process=process, commits=commits: process.poll() is not None or _commits(index) != commits)
         time.sleep(rng.uniform(0.0, 0.1))
         process.send_signal(signal.SIGKILL)
         process.wait()

@@ -12,7 +12,8 @@ from carla_recap.errors import RecapError
 from carla_recap.fleet.rules import parse_rules
 from carla_recap.formats.mcap.reader import McapReader
 from carla_recap.recording import Recording
-from tests.samples import carla_log, save, time_limit, warnings_ignored
+from tests.samples import carla_log, save, warnings_ignored
+from tests.waiting import time_limit
 
 ROOT = Path(__file__).parents[2]
 SAMPLES = ROOT / "samples"
@@ -350,7 +351,7 @@ def test_the_description_is_the_authors_or_that_of_the_condition():
     ],
 )
 def test_a_wrong_file_is_an_error_in_one_line_that_names_the_rule_and_what_was_expected(text, message):
-    with pytest.raises(RecapError) as error, time_limit(20):
+    with pytest.raises(RecapError) as error, time_limit():
         parse_rules(text, "rules.toml")
     assert str(error.value).startswith("rules.toml: ")
     assert message in str(error.value)

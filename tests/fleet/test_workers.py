@@ -15,7 +15,7 @@ import pytest
 from carla_recap.errors import RecapError
 from carla_recap.fleet.engine import map_sources
 from carla_recap.fleet.sources import SourceFile
-from tests.samples import time_limit
+from tests.waiting import PATIENCE, time_limit, wait_until
 
 
 def sources(count):
@@ -48,7 +48,7 @@ def fail(source):
 
 def wait_for(source, folder):
     (folder / source.location).touch()
-    time.sleep(60)
+    time.sleep(1000)
 
 
 def unpicklable(_):
@@ -56,7 +56,7 @@ def unpicklable(_):
 
 
 def values(function, count=60):
-    with time_limit(60):
+    with time_limit():
         return list(map_sources(function, sources(count), jobs=2))
 
 
@@ -101,12 +101,13 @@ def test_a_script_without_a_guard_has_an_error_that_says_so(tmp_path):
         "from carla_recap.fleet.sources import SourceFile\n"
         "print(list(map_sources(len, [SourceFile('a')], jobs=2)))\n"
     )
-    done = subprocess.run([sys.executable, script], capture_output=True, timeout=60, check=False)
+    done = subprocess.run([sys.executable, script], capture_output=True, timeout=PATIENCE, check=False)
     assert done.returncode == 1
     assert "the worker processes do not start (exit code 1)" in done.stderr.decode().splitlines()[-1]
 
 
-def test_few_and_small_recordings_are_read_in_this_process():
+def test_few_and_small_recordings_are_read_in_this_process(monkeypatch):
+    monkeypatch.setattr("carla_recap.fleet.engine._PATIENCE", PATIENCE)
     assert {outcome.value for outcome in map_sources(process, sources(20))} == {os.getpid()}
 
 
@@ -150,9 +151,7 @@ def test_workers_that_are_busy_end_at_once(tmp_path):
     started = threading.Event()
 
     def watch():
-        deadline = time.monotonic() + 60
-        while not (tmp_path / "1.log").exists() and time.monotonic() < deadline:
-            time.sleep(0.01)
+        wait_until((tmp_path / "1.log").exists)
         started.set()
         os.kill(os.getpid(), signal.SIGINT)
 

@@ -39,11 +39,11 @@ from tests.samples import (
     small_log,
     start,
     text,
-    time_limit,
     transform,
     warnings_ignored,
     write,
 )
+from tests.waiting import time_limit
 
 
 def header_of(path):
@@ -289,7 +289,7 @@ def test_a_spawn_that_ends_within_a_text_is_an_error_with_its_offset(tmp_path):
 def test_an_impossible_count_is_an_error_and_takes_no_memory(tmp_path):
     wheels = listed(struct.pack("<II", 7, 0xFFFFFFFF))
     path = save(tmp_path / "many.log", log_header() + start(1, 0.0) + packet(6, listed()) + packet(21, wheels))
-    with reading(path) as reader, time_limit(5):
+    with reading(path) as reader, time_limit():
         (frame,) = reader.frames()
         with pytest.raises(FormatError, match="wheels"):
             frame["wheels"]
@@ -316,7 +316,7 @@ def test_any_damage_ends_in_an_answer_or_in_an_error_of_ours(tmp_path, data):
     whole = small_log()
     damaged = strategies.damaged(whole, data.draw(strategies.mutations(len(whole))))
     path = save(tmp_path / "damaged.log", damaged)
-    with warnings_ignored(), time_limit(10):
+    with warnings_ignored(), time_limit():
         answers = explore(path)
         assert not [answer for answer in answers if "Error: " in answer and "\n" in answer]
         try:
@@ -331,7 +331,7 @@ def test_any_damage_ends_in_an_answer_or_in_an_error_of_ours(tmp_path, data):
 @given(st.binary(max_size=120))
 @example(b"\0\x18\0\0\0" + bytes(24) + b"\6\2\0\0\0")
 def test_any_bytes_behind_a_header_are_an_answer_or_an_error_of_ours(tmp_path, data):
-    with warnings_ignored(), time_limit(10):
+    with warnings_ignored(), time_limit():
         explore(save(tmp_path / "any.log", log_header() + data))
 
 

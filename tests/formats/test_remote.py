@@ -15,7 +15,8 @@ from carla_recap import FormatError, RecapError, convert, open_recording, recove
 from carla_recap.formats.mcap.writer import McapWriter
 from carla_recap.model.frame import Frame, Header, Packet
 from carla_recap.model.records import UE4
-from tests.samples import collision, explore, listed, save, spawn, time_limit
+from tests.samples import collision, explore, listed, save, spawn
+from tests.waiting import time_limit
 from tests.web import obstore, serve, serve_bucket
 
 HEADER = Header("Town01", 1_600_000_000)
@@ -223,7 +224,7 @@ FAULTS = {
 def test_what_a_server_refuses_is_an_error_of_one_line(small_web, status):
     small_web.status = status
     with (
-        time_limit(30),
+        time_limit(),
         pytest.raises(RecapError, match=rf"^{small_web.url}/small\.mcap: cannot be read: {FAULTS[status]}") as caught,
     ):
         open_recording(f"{small_web.url}/small.mcap")
@@ -246,14 +247,14 @@ def test_a_server_without_ranges(small_web):
 def test_a_server_that_is_gone(folder):
     with serve(folder) as web:
         pass
-    with time_limit(30), pytest.raises(RecapError, match=r"live\.mcap: cannot be read: Connection refused"):
+    with time_limit(), pytest.raises(RecapError, match=r"live\.mcap: cannot be read: Connection refused"):
         open_recording(f"{web.url}/live.mcap")
 
 
 def test_a_server_that_hangs_up_meanwhile(web):
     with open_recording(f"{web.url}/live.mcap") as recording:
         web.limit = 0
-        with time_limit(60), pytest.raises(RecapError, match=r"live\.mcap: cannot be read: the server has hung up"):
+        with time_limit(), pytest.raises(RecapError, match=r"live\.mcap: cannot be read: the server has hung up"):
             recording.collisions()
 
 
@@ -348,7 +349,7 @@ def test_no_credentials(bucket, monkeypatch):
     monkeypatch.delenv("AWS_ACCESS_KEY_ID")
     monkeypatch.delenv("AWS_SECRET_ACCESS_KEY")
     monkeypatch.setenv("AWS_METADATA_ENDPOINT", "http://127.0.0.1:1")
-    with time_limit(30), pytest.raises(RecapError, match="no credentials were found in the environment"):
+    with time_limit(), pytest.raises(RecapError, match="no credentials were found in the environment"):
         open_recording(f"{bucket}/live.mcap")
     monkeypatch.setenv("AWS_SKIP_SIGNATURE", "true")  # which this server denies
     with pytest.raises(RecapError, match="the server denies access"):

@@ -13,6 +13,7 @@ pytest.importorskip("carla", reason="the extra `carla` is not installed")
 
 from carla_recap.server import running
 from tests.cli.command import CROSSING, ENVIRONMENT, error, run
+from tests.waiting import PATIENCE
 
 SAMPLES = CROSSING.parent
 SHARED = Path(__file__).parents[3] / "shared"
@@ -103,7 +104,7 @@ def test_a_metric_gives_the_same_figures_as_with_scenario_runners_manager(tmp_pa
     with running(maps=maps) as port:
         command = [sys.executable, PEER / "metrics_manager.py", "--port", str(port), "--log", name, "--metric", LANE_CENTER]
         environment = {**ENVIRONMENT, "PYTHONPATH": str(PEER), "SCENARIO_RUNNER_ROOT": str(logs)}
-        subprocess.run(command, check=True, env=environment, cwd=tmp_path / "theirs", capture_output=True, timeout=120)
+        subprocess.run(command, check=True, env=environment, cwd=tmp_path / "theirs", capture_output=True, timeout=PATIENCE)
     ours, theirs = (json.loads(path.read_text()) for path in results)
     assert ours["frames"] == theirs["frames"]
     # The text that the manager parses has six digits.

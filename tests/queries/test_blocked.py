@@ -17,7 +17,8 @@ from carla_recap.model.records import Spawn
 from carla_recap.queries.blocked import BlockedRow, blocked
 from carla_recap.queries.output.text import text
 from tests.cli.command import CROSSING
-from tests.samples import reading, time_limit
+from tests.samples import reading
+from tests.waiting import time_limit
 
 if TYPE_CHECKING:
     from carla_recap.formats.base import Reader
@@ -176,7 +177,7 @@ def test_an_actor_that_is_listed_thousands_of_times(make: Make) -> None:
     transforms = np.zeros(count, Header("Town01", 0).table.named("transforms").dtype)
     transforms["id"] = 7
     transforms["x"] = np.where(np.arange(count) % 3 == 2, 100.0, 0.0)
-    with time_limit(10):
+    with time_limit():
         reader = make(*[{"transforms": transforms}] * 3, {})
         rows = blocked(reader, 0.5, compat=True)
     assert [row.duration for row in rows] == [1.0] + [0.5] * (count - 1)

@@ -6,7 +6,6 @@ import os
 import signal
 import subprocess
 import sys
-import time
 from concurrent.futures import CancelledError
 from contextlib import suppress
 from dataclasses import replace
@@ -21,12 +20,12 @@ from carla_recap.errors import MissingExtra, RecapError
 from carla_recap.rendering import process as process_module
 from carla_recap.rendering.process import RenderProcess, RenderProcessEnded, RenderProcessNotStarted
 from tests.rendering.test_renderer import ALL, MODELS, PLANE, RGB, boxes, camera, create
+from tests.waiting import PATIENCE, wait_until
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
 BOXES = boxes((10, 0, 2), (15, 4, 1))
-TIMEOUT = 120.0  # s, after which a test fails
 
 
 @pytest.fixture(scope="module")
@@ -60,7 +59,7 @@ def test_a_town_that_cannot_be_made_is_an_error_and_leaves_no_process() -> None:
     with pytest.raises(RecapError, match="no lane"):
         RenderProcess(fail, models=())
     assert started
-    assert psutil.wait_procs(started, timeout=TIMEOUT)[1] == []
+    assert psutil.wait_procs(started, timeout=PATIENCE)[1] == []
 
 
 def test_pictures_of_several_sizes_come_in_their_order(process: RenderProcess) -> None:
@@ -69,7 +68,7 @@ def test_pictures_of_several_sizes_come_in_their_order(process: RenderProcess) -
     futures = [process.submit(replace(camera(), width=width, height=height), BOXES) for width, height in sizes]
     for width, future in zip(sizes, futures, strict=True):
         future.add_done_callback(lambda _, width=width[0]: order.append(width))
-    assert [future.result(TIMEOUT)[RGB].shape[1::-1] for future in futures] == sizes
+    assert [future.result(PATIENCE)[RGB].shape[1::-1] for future in futures] == sizes
     process.draw(camera(), BOXES)
     assert order == [width for width, _ in sizes]
 
@@ -151,7 +150,7 @@ def test_closing_ends_the_process_and_cancels_what_is_not_drawn() -> None:
     process.close()
     process.close()
     with pytest.raises(CancelledError):
-        futures[-1].result(TIMEOUT)
+        futures[-1].result(PATIENCE)
     assert all(future.done() for future in futures)
     with pytest.raises(ProcessLookupError):
         os.kill(pid, 0)
@@ -175,10 +174,7 @@ def test_the_process_ends_with_its_parent() -> None:
     with parent:
         pid = int(parent.stdout.readline())
         parent.kill()
-    ended = time.monotonic() + TIMEOUT
-    while _is_running(pid):
-        assert time.monotonic() < ended
-        time.sleep(0.05)
+    wait_until(lambda: not _is_running(pid))
 
 
 def _is_running(pid: int) -> bool:

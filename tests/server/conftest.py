@@ -8,6 +8,7 @@ import carla
 import pytest
 
 from carla_recap.server import running
+from tests.waiting import PATIENCE
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -31,7 +32,7 @@ def client(port: int, recordings: Path) -> Iterator[carla.Client]:
     """The official client; the world is in synchronous mode, without actors at the end."""
     client = carla.Client("127.0.0.1", port)
     client.set_files_base_folder(str(recordings))  # where it keeps navigation meshes; else in the home folder
-    client.set_timeout(30.0)
+    client.set_timeout(PATIENCE)
     world = client.get_world()
     before = {actor.id for actor in world.get_actors()}
     world.apply_settings(carla.WorldSettings(synchronous_mode=True, fixed_delta_seconds=0.05))

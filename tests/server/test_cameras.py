@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import subprocess
-import time
 from contextlib import contextmanager
 from itertools import pairwise
 from typing import TYPE_CHECKING, Any
@@ -16,7 +15,8 @@ import pytest
 from carla_recap.errors import RecapError
 from carla_recap.rendering.materials import Tag
 from carla_recap.util.processes import module_command, module_environment
-from tests.server.test_sensors import PATIENCE, Data, of_frame, sensor, start, vehicle
+from tests.server.test_sensors import Data, of_frame, sensor, start, vehicle
+from tests.waiting import PATIENCE, wait_until
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -47,9 +47,7 @@ def driver() -> None:
 def ground(world: carla.World) -> None:
     """Wait until rays meet the ground."""
     lidar = Data(sensor(world, "lidar.ray_cast", None, carla.Transform(carla.Location(z=1.0)), lower_fov="-90"))
-    end = time.monotonic() + PATIENCE
-    while not len(of_frame(lidar, world.tick())) and time.monotonic() < end:
-        pass
+    wait_until(lambda: len(of_frame(lidar, world.tick())))
     lidar.sensor.destroy()
 
 
@@ -128,7 +126,7 @@ def test_fifty_ticks_have_fifty_images_of_each_camera(world: carla.World) -> Non
     of_frame(depth, frame)
     frames = [world.tick() for _ in range(50)]  # without waiting for the images
     for data in (rgb, depth):
-        assert [data.get(timeout=20.0).frame for _ in frames] == frames
+        assert [data.get(timeout=PATIENCE).frame for _ in frames] == frames
         assert data.empty()
 
 
@@ -283,7 +281,7 @@ def test_in_asynchronous_mode_images_come_as_time_passes(world: carla.World) -> 
     rgb = Data(sensor(world, "camera.rgb", vehicle(world), EYE, **SIZE))
     start(world, rgb)
     world.apply_settings(carla.WorldSettings())
-    images = [rgb.get(timeout=20.0) for _ in range(5)]
+    images = [rgb.get(timeout=PATIENCE) for _ in range(5)]
     assert all(later.frame > earlier.frame for earlier, later in pairwise(images))
     assert images[-1].frame <= world.wait_for_tick().frame
 
@@ -292,7 +290,7 @@ def test_two_clients_get_the_same_images_of_a_camera(world: carla.World, port: i
     camera = sensor(world, "camera.rgb", vehicle(world), EYE, **SIZE)
     world.tick()
     other = carla.Client("127.0.0.1", port)
-    other.set_timeout(30.0)
+    other.set_timeout(PATIENCE)
     mine, theirs = Data(camera), Data(other.get_world().get_actor(camera.id))
     start(world, mine, theirs)
     for _ in range(5):
@@ -329,7 +327,7 @@ def test_the_world_is_loaded_anew_while_images_are_drawn(world: carla.World, cli
 def test_a_server_that_ends_while_images_are_drawn_leaves_no_process() -> None:
     with served() as (process, port):
         client = carla.Client("127.0.0.1", port)
-        client.set_timeout(30.0)
+        client.set_timeout(PATIENCE)
         world = client.get_world()
         rgb = Data(sensor(world, "camera.rgb", vehicle(world), EYE, image_size_x="1920", image_size_y="1080"))
         rgb.get(timeout=PATIENCE)
@@ -342,12 +340,10 @@ def test_a_server_that_ends_while_images_are_drawn_leaves_no_process() -> None:
 
 def test_a_server_that_is_killed_while_its_town_is_loaded_leaves_no_process() -> None:
     with served(CARLA_RECAP_CACHE="") as (process, _):
-        server, end = psutil.Process(process.pid), time.monotonic() + PATIENCE
-        while not (children := server.children(recursive=True)) and time.monotonic() < end:
-            time.sleep(0.01)
+        server = psutil.Process(process.pid)
+        children = wait_until(lambda: server.children(recursive=True))
         process.kill()
         process.wait(PATIENCE)
-    assert children
     assert not psutil.wait_procs(children, PATIENCE)[1]
 
 

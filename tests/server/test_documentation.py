@@ -9,6 +9,8 @@ from typing import TYPE_CHECKING, Any
 import carla
 import pytest
 
+from tests.waiting import PATIENCE
+
 if TYPE_CHECKING:
     from pathlib import Path
 
@@ -103,7 +105,7 @@ def test_blocked_actors(client: carla.Client, camera: int) -> None:
 
 def test_client_creation(port: int) -> None:
     client = carla.Client("localhost", port)
-    client.set_timeout(10.0)  # seconds
+    client.set_timeout(PATIENCE)  # seconds
     assert client.get_client_version() == client.get_server_version()
 
 
@@ -209,7 +211,7 @@ def test_synchronous_mode(world: carla.World, vehicle: carla.Vehicle) -> None:
         sensor.listen(data_queue.put)
         for _ in range(3):
             frame = world.tick()
-            assert data_queue.get(timeout=20.0).frame == frame
+            assert data_queue.get(timeout=PATIENCE).frame == frame
         sensor.destroy()
 
 
@@ -218,7 +220,7 @@ def test_waiting_for_a_tick_and_being_called_at_each(world: carla.World) -> None
     called: queue.Queue[carla.WorldSnapshot] = queue.Queue()
     number = world.on_tick(lambda world_snapshot: called.put(world_snapshot))
     world_snapshot = world.wait_for_tick()
-    frames = [called.get(timeout=20.0).frame for _ in range(5)]
+    frames = [called.get(timeout=PATIENCE).frame for _ in range(5)]
     assert frames == list(range(frames[0], frames[0] + 5))
     assert abs(world_snapshot.frame - frames[0]) < 3
     world.remove_on_tick(number)

@@ -6,6 +6,7 @@ import carla
 import pytest
 
 from carla_recap.sim.town.town import load_town
+from tests.waiting import PATIENCE
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -78,7 +79,7 @@ def test_what_is_no_map_is_refused(client: carla.Client, world: carla.World) -> 
 
 def test_another_client_learns_of_the_episode(client: carla.Client, world: carla.World, port: int) -> None:
     other = carla.Client("127.0.0.1", port)
-    other.set_timeout(10.0)
+    other.set_timeout(PATIENCE)
     theirs = other.get_world()
     seen: list[int] = []
     theirs.on_tick(lambda snapshot: seen.append(snapshot.frame))

@@ -26,6 +26,7 @@ from carla_recap.sim.geometry import Location, Rotation, Transform
 from carla_recap.sim.world import World
 from tests.server.test_sensor_feeds import sensor, vehicle
 from tests.sim.flat import at, flat_town, flat_world
+from tests.waiting import PATIENCE
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
@@ -37,7 +38,6 @@ from carla_recap.sim.actors.control import VehicleControl
 from carla_recap.sim.actors.moving import Vehicle
 
 SMALL = {"image_size_x": "32", "image_size_y": "16", "fov": "70"}
-PATIENCE = 20.0  # s
 SYNCHRONOUS = EpisodeSettings(synchronous_mode=True, fixed_delta_seconds=0.05)
 
 

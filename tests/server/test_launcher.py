@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 import os
+import random
 import signal
 import socket
 import subprocess
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -15,6 +16,7 @@ import pytest
 
 from carla_recap.cli.launcher import serve_arguments
 from tests.cli.command import ENVIRONMENT
+from tests.waiting import PATIENCE
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -45,13 +47,16 @@ def launched(*arguments: str) -> Iterator[tuple[subprocess.Popen[str], int]]:
 
 def connected(port: int) -> carla.Client:
     client = carla.Client("127.0.0.1", port)
-    client.set_timeout(20.0)
+    client.set_timeout(PATIENCE)
     return client
 
 
-def free_ports() -> tuple[int, int]:
-    with socket.create_server(("127.0.0.1", 0)) as one, socket.create_server(("127.0.0.1", 0)) as other:
-        return one.getsockname()[1], other.getsockname()[1]
+def free_port() -> int:
+    """Return a port that no program gets but one that asks for it."""
+    for port in random.sample(range(10_000, 30_000), 100):
+        with suppress(OSError), socket.create_server(("127.0.0.1", port)):
+            return port
+    return pytest.fail("there is no free port")
 
 
 def test_the_usual_arguments_start_a_server_for_clients() -> None:
@@ -59,18 +64,18 @@ def test_the_usual_arguments_start_a_server_for_clients() -> None:
         world = connected(port).get_world()
         assert world.get_map().name.endswith("Brickfield")
         assert world.get_settings().fixed_delta_seconds == 0.1
-        assert world.wait_for_tick(20.0).timestamp.delta_seconds == pytest.approx(0.1)
+        assert world.wait_for_tick(PATIENCE).timestamp.delta_seconds == pytest.approx(0.1)
         process.terminate()
-        _, errors = process.communicate(timeout=20)
+        _, errors = process.communicate(timeout=PATIENCE)
     assert errors == ""
 
 
 def test_streams_have_the_port_of_the_arguments() -> None:
-    calls, streams = free_ports()
+    calls, streams = free_port(), free_port()
     with launched(f"-carla-rpc-port={calls}", f"-carla-streaming-port={streams}") as (_, port):
         assert port == calls
         world = connected(port).get_world()
-        assert world.wait_for_tick(20.0).frame > 0
+        assert world.wait_for_tick(PATIENCE).frame > 0
         socket.create_connection(("127.0.0.1", streams)).close()
 
 
@@ -78,7 +83,7 @@ def test_streams_have_the_port_of_the_arguments() -> None:
 def test_a_signal_to_the_launcher_ends_the_server(number: int) -> None:
     with launched("-carla-rpc-port=0") as (process, port):
         process.send_signal(number)
-        assert process.wait(20) == 0
+        assert process.wait(PATIENCE) == 0
         with pytest.raises(ConnectionRefusedError):
             socket.create_connection(("127.0.0.1", port))
 
@@ -86,7 +91,7 @@ def test_a_signal_to_the_launcher_ends_the_server(number: int) -> None:
 def test_a_killed_launcher_leaves_no_server() -> None:
     with launched("-carla-rpc-port=0") as (process, port):
         process.kill()
-        assert process.wait(20) == -signal.SIGKILL
+        assert process.wait(PATIENCE) == -signal.SIGKILL
         with pytest.raises(ConnectionRefusedError):
             socket.create_connection(("127.0.0.1", port))
 
@@ -97,14 +102,14 @@ def test_a_missing_map_is_replaced_by_the_built_in_town() -> None:
 
 
 def test_a_wrong_port_is_an_error_in_one_line() -> None:
-    done = subprocess.run([LAUNCHER, "-carla-rpc-port=many"], capture_output=True, text=True, timeout=60, check=False)
+    done = subprocess.run([LAUNCHER, "-carla-rpc-port=many"], capture_output=True, text=True, timeout=PATIENCE, check=False)
     assert done.returncode == 2
     (line,) = done.stderr.splitlines()
     assert "'many' is not a valid integer range" in line
 
 
 def test_help_lists_the_arguments() -> None:
-    done = subprocess.run([LAUNCHER, "--help"], capture_output=True, text=True, timeout=60, check=True)
+    done = subprocess.run([LAUNCHER, "--help"], capture_output=True, text=True, timeout=PATIENCE, check=True)
     assert "-quality-level=Low|Epic" in done.stderr
     assert "--maps DIR" in done.stdout
 

@@ -9,6 +9,7 @@ import pytest
 
 from carla_recap.server import running
 from tests.sim.two_levels import BRIDGE, two_levels
+from tests.waiting import PATIENCE
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -20,7 +21,7 @@ def world(tmp_path_factory: pytest.TempPathFactory) -> Iterator[carla.World]:
     with running(str(two_levels(folder)), recordings=folder) as port:
         client = carla.Client("127.0.0.1", port)
         client.set_files_base_folder(str(folder))
-        client.set_timeout(30.0)
+        client.set_timeout(PATIENCE)
         world = client.get_world()
         world.apply_settings(carla.WorldSettings(synchronous_mode=True, fixed_delta_seconds=0.05))
         yield world

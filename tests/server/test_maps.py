@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import asyncio
 import shutil
-import time
 from contextlib import suppress
 from pathlib import Path
 from threading import Event
@@ -25,6 +24,7 @@ from carla_recap.sim.town import town
 from carla_recap.sim.town.town import load_town
 from carla_recap.sim.world import World
 from carla_recap.util import cache
+from tests.waiting import PATIENCE, wait_until
 
 if TYPE_CHECKING:
     from collections.abc import Awaitable, Callable, Iterator
@@ -52,7 +52,7 @@ def port(folder: Path) -> Iterator[int]:
 @pytest.fixture
 def client(port: int) -> carla.Client:
     client = carla.Client("127.0.0.1", port)
-    client.set_timeout(30.0)
+    client.set_timeout(PATIENCE)
     return client
 
 
@@ -114,7 +114,7 @@ def test_our_town_stands_in_for_a_missing_map(caplog: pytest.LogCaptureFixture) 
 def test_clients_get_the_name_that_they_asked_for() -> None:
     with running(town="Town05", stand_in=True) as port:
         client = carla.Client("127.0.0.1", port)
-        client.set_timeout(30.0)
+        client.set_timeout(PATIENCE)
         assert client.get_world().get_map().name == "Carla/Maps/Town05"
         assert client.load_world("Town03").get_map().name == "Carla/Maps/Town03"
         assert client.load_world("Town05").get_map().name == "Carla/Maps/Town05"
@@ -123,7 +123,7 @@ def test_clients_get_the_name_that_they_asked_for() -> None:
 def test_a_replay_of_a_missing_map_is_stood_in_for(tmp_path: Path) -> None:
     with running(town="Town05", stand_in=True, recordings=tmp_path) as port:
         client = carla.Client("127.0.0.1", port)
-        client.set_timeout(30.0)
+        client.set_timeout(PATIENCE)
         client.start_recorder("stood_in.log")
         client.get_world().wait_for_tick()
         client.stop_recorder()
@@ -138,7 +138,7 @@ def test_a_replay_of_a_map_that_is_not_served_is_on_its_corridors(tmp_path: Path
     shutil.copy(SAMPLES / "crossing.log", tmp_path)
     with running(stand_in=True, recordings=tmp_path) as port:
         client = carla.Client("127.0.0.1", port)
-        client.set_timeout(30.0)
+        client.set_timeout(PATIENCE)
         answer = client.replay_file("crossing.log", 0.0, 0.0, 0)
         assert "There is no map Crossing: the corridors that the vehicles have driven are its roads" in answer
         assert client.get_world().get_map().name.endswith("Crossing")
@@ -159,7 +159,7 @@ async def while_serving(host: Host, work: Callable[[int], Awaitable[None]]) -> N
     """Serve a world while something is done with its port."""
     ports: asyncio.Queue[int] = asyncio.Queue()
     server = asyncio.create_task(serve(host, "127.0.0.1", 0, ports.put_nowait))
-    async with asyncio.timeout(30):
+    async with asyncio.timeout(PATIENCE):
         await work(await ports.get())
     server.cancel()
     with suppress(asyncio.CancelledError):
@@ -170,7 +170,7 @@ def test_the_server_answers_and_ticks_while_it_loads(folder: Path, monkeypatch: 
     may_load = Event()
 
     def slow(name: str, folder: Path | None) -> Town:
-        assert may_load.wait(30)
+        assert may_load.wait(PATIENCE)
         return load_town(name, folder)
 
     monkeypatch.setattr(server_maps, "load_town", slow)
@@ -201,7 +201,7 @@ def test_the_server_answers_while_a_replay_loads_a_map(
     parse = town.parse_in_child
 
     def slow(*arguments: Any) -> bytes:
-        assert may_parse.wait(30)
+        assert may_parse.wait(PATIENCE)
         return parse(*arguments)
 
     host = Host(World("Town10HD", maps=folder, recordings=tmp_path))
@@ -269,7 +269,4 @@ def test_maps_are_parsed_before_a_client_loads_them(tmp_path: Path, monkeypatch:
     key = town.content_key((tmp_path / "Town10HD.xodr").read_bytes())
     assert cache.read_entry(key) is None
     with running(maps=tmp_path):
-        end = time.monotonic() + 60
-        while cache.read_entry(key) is None and time.monotonic() < end:
-            time.sleep(0.1)
-    assert cache.read_entry(key) is not None
+        wait_until(lambda: cache.read_entry(key))

@@ -24,6 +24,7 @@ from carla_recap.sim.actors.moving import Vehicle
 from carla_recap.sim.geometry import Transform
 from tests.samples import CARLA_LOGS
 from tests.server.inside import Inside
+from tests.waiting import PATIENCE
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
@@ -407,7 +408,7 @@ def test_the_spectator_follows_at_an_offset(client: carla.Client, world: carla.W
 
 def test_a_recording_of_another_map_begins_an_episode(client: carla.Client, world: carla.World, port: int) -> None:
     other = carla.Client("127.0.0.1", port)
-    other.set_timeout(10.0)
+    other.set_timeout(PATIENCE)
     watched = other.get_world()
     frame = world.tick()
     ids = {actor.id for actor in world.get_actors()}
@@ -476,7 +477,7 @@ def test_a_recording_ends_a_replay_unless_a_newer_client_records_it(recordings: 
 def confined(recordings: Path) -> Iterator[carla.Client]:
     with running(recordings=recordings, confine=True) as port:
         client = carla.Client("127.0.0.1", port)
-        client.set_timeout(10.0)
+        client.set_timeout(PATIENCE)
         yield client
 
 

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 import pytest
 
 from tests.server.test_sensors import Data, sensor, settle
+from tests.waiting import PATIENCE
 
 if TYPE_CHECKING:
     import carla
@@ -29,7 +30,7 @@ def test_sensors_on_both_replayed_actors_get_the_recorded_collision(client: carl
     settle()
     while world.get_snapshot().timestamp.elapsed_seconds < begin + IMPACT - START + 0.5:
         world.tick()
-    events = [each.get(timeout=5.0) for each in data]
+    events = [each.get(timeout=PATIENCE) for each in data]
     assert [(event.actor.id, event.other_actor.id) for event in events] == [(hero.id, walker.id), (walker.id, hero.id)]
     assert events[0].frame == events[1].frame
     assert events[0].timestamp == pytest.approx(begin + IMPACT - START, abs=3 * DELTA)

@@ -15,6 +15,7 @@ import pytest
 from carla_recap.errors import RecapError
 from carla_recap.sim import World, load_town
 from carla_recap.sim.scenarios import Crash
+from tests.waiting import PATIENCE
 
 SAMPLES = Path(__file__).parents[2] / "samples"
 TEXTS = {path.stem: path.read_text() for path in SAMPLES.glob("*.py")}
@@ -48,7 +49,7 @@ def command(port: int, script: str, *arguments: object) -> list[str]:
 
 
 def output_of(port: int, script: str, *arguments: object) -> str:
-    done = subprocess.run(command(port, script, *arguments), capture_output=True, text=True, timeout=180)
+    done = subprocess.run(command(port, script, *arguments), capture_output=True, text=True, timeout=PATIENCE)
     assert not done.returncode, done.stdout + done.stderr
     return done.stdout
 

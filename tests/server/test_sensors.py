@@ -13,8 +13,9 @@ import carla
 import numpy as np
 import pytest
 
+from tests.waiting import PATIENCE, wait_until
+
 AHEAD = carla.Transform(carla.Location(x=2.5, z=0.8))
-PATIENCE = 60.0  # s
 
 
 def vehicle(world: carla.World, number: int = 0, ahead: float = 0.0) -> carla.Vehicle:
@@ -50,10 +51,12 @@ def settle() -> None:
 
 def start(world: carla.World, *sensors: Data) -> None:
     """Tick until sensors with data in each frame have sent some."""
-    end = time.monotonic() + PATIENCE
-    while any(data.empty() for data in sensors) and time.monotonic() < end:
+
+    def have_begun() -> bool:
         world.tick()
-        time.sleep(0.02)
+        return not any(data.empty() for data in sensors)
+
+    wait_until(have_begun)
 
 
 def tick_until(world: carla.World, data: Data, most: int = 200) -> Any:

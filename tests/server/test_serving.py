@@ -11,6 +11,7 @@ import pytest
 
 from carla_recap.sim import World, load_town
 from tests.cli.command import error
+from tests.waiting import PATIENCE
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -22,7 +23,7 @@ def test_clients_that_leave_before_their_replies_do_no_harm(port: int) -> None:
         with socket.create_connection(("127.0.0.1", port)) as leaving:
             leaving.sendall(calls)
     client = carla.Client("127.0.0.1", port)
-    client.set_timeout(5.0)
+    client.set_timeout(PATIENCE)
     assert client.get_server_version() == "0.9.16"
 
 
@@ -30,7 +31,7 @@ def test_clients_that_leave_before_their_replies_do_no_harm(port: int) -> None:
     "module", ["rpc.connection", "client", "host", "traffic_manager.pause", "calls", "rpc.registry", "actor_records"]
 )
 def test_each_module_can_be_imported_first(module: str) -> None:
-    subprocess.run([sys.executable, "-c", f"import carla_recap.server.{module}"], timeout=30, check=True)
+    subprocess.run([sys.executable, "-c", f"import carla_recap.server.{module}"], timeout=PATIENCE, check=True)
 
 
 def test_invalid_folders_are_errors_in_one_line(tmp_path: Path) -> None:
@@ -63,10 +64,10 @@ def test_a_warning_is_printed_once(tmp_path: Path) -> None:
     with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as process:
         assert process.stdout is not None
         client = carla.Client("127.0.0.1", int(process.stdout.readline().rsplit(":", 1)[1]))
-        client.set_timeout(10.0)
+        client.set_timeout(PATIENCE)
         for _ in range(3):
             assert "Frames: " in client.show_recorder_file_info("cut.log", False)
         process.terminate()
-        _, errors = process.communicate(timeout=20)
+        _, errors = process.communicate(timeout=PATIENCE)
     (line,) = errors.splitlines()
     assert line.startswith(f"carla-recap: warning: {path}")

@@ -9,6 +9,7 @@ from carla_recap.server.host import Host
 from carla_recap.server.rpc.structs import EpisodeSettings
 from carla_recap.server.serving import Ticker
 from tests.sim.flat import flat_world
+from tests.waiting import PATIENCE
 
 if TYPE_CHECKING:
     import pytest
@@ -32,5 +33,5 @@ def test_a_failing_tick_is_logged_and_others_follow(caplog: pytest.LogCaptureFix
             await asyncio.sleep(0.005)
         pace.cancel()
 
-    asyncio.run(asyncio.wait_for(wait(), 10))
+    asyncio.run(asyncio.wait_for(wait(), PATIENCE))
     assert caplog.messages == ["a tick has failed: KeyError('lost')"] * 3

@@ -7,6 +7,8 @@ from typing import TYPE_CHECKING
 
 import pytest
 
+from tests.waiting import PATIENCE
+
 if TYPE_CHECKING:
     import carla
 
@@ -15,10 +17,10 @@ import json, math, os, sys
 import carla
 port, *arguments = sys.argv[1:]
 client = carla.Client("127.0.0.1", int(port))
-client.set_timeout(60.0)
+client.set_timeout(600.0)
 world = client.get_world()
 synchronous = carla.WorldSettings(synchronous_mode=True, fixed_delta_seconds=0.05)
-MANAGER = int(port) + 10
+MANAGER = 10_000 + int(port) % 20_000  # which no program gets that asks for any port
 def spawn(count):
     points = world.get_map().get_spawn_points()
     model = world.get_blueprint_library().find("vehicle.tesla.model3")
@@ -94,7 +96,7 @@ os.kill(os.getpid(), 9)
 
 def run(script: str, port: int, *arguments: str, code: int = 0) -> str:
     command = [sys.executable, "-c", BEGIN + script, str(port), *arguments]
-    done = subprocess.run(command, capture_output=True, text=True, timeout=240, check=False)
+    done = subprocess.run(command, capture_output=True, text=True, timeout=PATIENCE, check=False)
     assert done.returncode == code, done.stderr
     return done.stdout
 
@@ -125,8 +127,8 @@ def test_another_client_begins_episodes_while_it_lives(client: carla.Client, por
         assert process.stdout.readline() == "driving\n"
         for _ in range(5):
             world = client.reload_world()
-            world.wait_for_tick(5.0)
-        output, _ = process.communicate("go on\n", timeout=120)
+            world.wait_for_tick(PATIENCE)
+        output, _ = process.communicate("go on\n", timeout=PATIENCE)
     assert process.returncode == 0
     assert int(output) == world.id
 

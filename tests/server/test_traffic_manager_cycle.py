@@ -6,6 +6,8 @@ from typing import TYPE_CHECKING, Any, Final
 import msgpack
 import pytest
 
+from tests.waiting import PATIENCE
+
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
@@ -19,7 +21,7 @@ SETTINGS: Final = ("get_episode_settings",)
 @pytest.fixture
 def wire(client: carla.Client, port: int) -> Iterator[socket.socket]:
     """A bare connection; the world is in synchronous mode."""
-    with socket.create_connection(("127.0.0.1", port), timeout=10) as wire:
+    with socket.create_connection(("127.0.0.1", port), timeout=PATIENCE) as wire:
         yield wire
 
 
@@ -27,7 +29,7 @@ def wire(client: carla.Client, port: int) -> Iterator[socket.socket]:
 def manager(wire: socket.socket) -> Iterator[socket.socket]:
     """The server of a traffic manager that is registered over that connection."""
     with socket.create_server(("127.0.0.1", 0)) as manager:
-        manager.settimeout(6.0)
+        manager.settimeout(PATIENCE)
         answered(wire, ("add_traffic_manager_running", list(manager.getsockname())))
         yield manager
 
@@ -68,7 +70,7 @@ def test_a_manager_that_has_missed_a_tick_is_woken(wire: socket.socket, manager:
     answered(wire, *CYCLE, SETTINGS, TICK)
     caller, _ = manager.accept()
     with caller:
-        caller.settimeout(6.0)
+        caller.settimeout(PATIENCE)
         assert [answered_request(caller), answered_request(caller)] == [
             ["set_synchronous_mode", [False]],
             ["set_synchronous_mode", [True]],
@@ -85,7 +87,7 @@ def test_a_manager_that_begins_a_cycle_is_not_woken(wire: socket.socket, manager
 def test_the_manager_whose_turn_it_is_is_woken(wire: socket.socket) -> None:
     with socket.create_server(("127.0.0.1", 0)) as one, socket.create_server(("127.0.0.1", 0)) as other:
         for manager in (one, other):
-            manager.settimeout(6.0)
+            manager.settimeout(PATIENCE)
             answered(wire, ("add_traffic_manager_running", list(manager.getsockname())))
         first, second = sorted((one, other), key=lambda manager: manager.getsockname()[1])
         answered(wire, *CYCLE, SETTINGS, TICK, CYCLE[0])

@@ -16,6 +16,7 @@ from carla_recap.sim.actors.control import VehicleControl
 from carla_recap.sim.geometry import Vector
 from tests.server.test_sensor_feeds import HERE, Listener, sensor, served, vehicle
 from tests.sim.flat import at
+from tests.waiting import wait_until
 
 if TYPE_CHECKING:
     from carla_recap.server.host import Host
@@ -217,12 +218,15 @@ def spawn(world: carla.World, name: str, parent: carla.Actor | None = None, x: f
 
 
 def received(world: carla.World, data: queue.Queue[Any], act: Any = lambda: None) -> Any:
-    end = time.monotonic() + 10.0
-    while data.empty() and time.monotonic() < end:
-        act()
-        world.tick()
-        time.sleep(0.05)
-    return data.get(timeout=1.0)
+
+    def has_come() -> bool:
+        if data.empty():
+            act()
+            world.tick()
+        return not data.empty()
+
+    wait_until(has_come, pause=0.05)
+    return data.get()
 
 
 def test_the_client_reads_cams(world: carla.World) -> None:

@@ -13,14 +13,13 @@ import pytest
 
 from carla_recap.errors import RecapError
 from tests.cli.command import COMMAND, ENVIRONMENT, error
+from tests.waiting import PATIENCE, wait_until
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
     from pathlib import Path
 
 pytest.importorskip("rerun", reason="the extra `rerun` is not installed")
-
-PATIENCE = 30.0  # s
 
 
 @contextmanager
@@ -31,7 +30,7 @@ def showing(*options: object) -> Iterator[carla.World]:
         try:
             assert process.stdout is not None
             client = carla.Client("127.0.0.1", int(process.stdout.readline().split(":")[-1]))
-            client.set_timeout(10.0)
+            client.set_timeout(PATIENCE)
             yield client.get_world()
             process.terminate()
             process.wait(PATIENCE)
@@ -45,11 +44,12 @@ def rrd(tmp_path_factory: pytest.TempPathFactory) -> Path:
     path = tmp_path_factory.mktemp("live") / "live.rrd"
     with showing("--rerun-to", path) as world:
         world.apply_settings(carla.WorldSettings(synchronous_mode=True, fixed_delta_seconds=0.05))
-        deadline = time.monotonic() + PATIENCE
-        while not list(path.parent.glob(".live.rrd.*")):  # until it is written to
-            assert time.monotonic() < deadline
+
+        def is_written_to() -> bool:
             world.tick()
-            time.sleep(0.05)
+            return any(path.parent.glob(".live.rrd.*"))
+
+        wait_until(is_written_to, pause=0.05)
         library, place = world.get_blueprint_library(), world.get_map().get_spawn_points()[0]
         hero = library.find("vehicle.tesla.model3")
         hero.set_attribute("role_name", "hero")
@@ -111,12 +111,12 @@ def test_what_it_cannot_be_written_to(tmp_path: Path) -> None:
 
 def test_without_rerun_it_says_so() -> None:
     code = "import sys; sys.modules['rerun'] = None; from carla_recap.cli import main; main()"
-    done = subprocess.run([sys.executable, "-c", code, "serve", "--rerun"], capture_output=True, text=True, timeout=60)
+    done = subprocess.run([sys.executable, "-c", code, "serve", "--rerun"], capture_output=True, text=True, timeout=PATIENCE)
     assert (done.returncode, done.stderr.count("\n")) == (2, 1)
     assert "pip install '.[rerun]'" in done.stderr
 
 
 def test_without_physics_it_asks_for_the_server() -> None:
     code = "import sys; sys.modules['pymunk'] = None; from carla_recap.cli import main; main()"
-    done = subprocess.run([sys.executable, "-c", code, "serve"], capture_output=True, text=True, timeout=60)
+    done = subprocess.run([sys.executable, "-c", code, "serve"], capture_output=True, text=True, timeout=PATIENCE)
     assert done.stderr.startswith("carla-recap: carla-recap serve needs an optional dependency: pip install '.[server]'")

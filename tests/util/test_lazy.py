@@ -8,6 +8,7 @@ import sys
 import pytest
 
 from carla_recap import sim
+from tests.waiting import PATIENCE
 
 
 def test_a_package_has_its_public_names():
@@ -21,4 +22,4 @@ def test_a_package_has_its_public_names():
 
 def test_a_name_imports_only_its_module():
     code = "import sys; from carla_recap.sim import Location; sys.exit('pymunk' in sys.modules or 'numpy' in sys.modules)"
-    assert subprocess.run([sys.executable, "-c", code], check=False, timeout=60).returncode == 0
+    assert subprocess.run([sys.executable, "-c", code], check=False, timeout=PATIENCE).returncode == 0

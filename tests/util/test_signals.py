@@ -8,6 +8,7 @@ import pytest
 
 from carla_recap.util import signals
 from carla_recap.util.signals import call_on_termination
+from tests.waiting import PATIENCE
 
 
 def test_the_first_signal_is_handled_and_others_are_ignored() -> None:
@@ -43,12 +44,13 @@ def test_a_late_signal_ends_the_process() -> None:
     code = """
 import signal, time
 from carla_recap.util import signals
-signals.GRACE = 0.1
+signals.GRACE = 1e6
 with signals.call_on_termination(print):
     for _ in range(2):
         signal.raise_signal(signal.SIGINT)
     print("still there", flush=True)
-    time.sleep(0.2)
+    signals.GRACE = 0.0
+    time.sleep(0.01)
     signal.raise_signal(signal.SIGINT)
 """
     assert outcome(code) == (-signal.SIGINT, "SIGINT\nstill there\n")
@@ -79,6 +81,6 @@ cli.main()
 
 def outcome(code: str) -> tuple[int, str]:
     """Run a process; return its exit code and what it prints."""
-    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=30)
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=PATIENCE)
     assert done.stderr.strip() == ""
     return done.returncode, done.stdout

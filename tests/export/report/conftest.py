@@ -16,6 +16,7 @@ import pytest
 
 from carla_recap import ActorKind, Attribute, Spawn, create_recording, open_recording
 from carla_recap.export.report import write_report
+from tests.waiting import PATIENCE
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping, Sequence
@@ -106,6 +107,8 @@ def browser(*arguments: str) -> Iterator[Chrome]:
         options.add_argument(f"--{argument}")
     options.set_capability("goog:loggingPrefs", {"browser": "ALL"})
     chrome = webdriver.Chrome(options=options, service=Service(driver))
+    chrome.set_script_timeout(PATIENCE)
+    chrome.set_page_load_timeout(PATIENCE)
     try:
         yield chrome
     finally:

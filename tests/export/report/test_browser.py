@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import time
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -13,6 +12,7 @@ from carla_recap.export.report import Opening
 from carla_recap.replay import Player, right_handed
 from tests.export.report.conftest import CROSSING, NASTY, data, record, report, spawn
 from tests.samples import carla_log
+from tests.waiting import wait_until
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -35,10 +35,7 @@ class Page:
         return self.browser.execute_script(f"return {expression}", *arguments)
 
     def until(self, condition: Callable[[], bool]) -> None:
-        patience = time.monotonic() + 20
-        while not condition():
-            assert time.monotonic() < patience
-            time.sleep(0.02)
+        wait_until(condition)
 
     def click(self, selector: str, index: int = 0) -> None:
         self.browser.execute_script("document.querySelectorAll(arguments[0])[arguments[1]].click()", selector, index)

@@ -12,6 +12,7 @@ import pytest
 from carla_recap import RecapError
 from carla_recap.export.report import page_server, serve
 from carla_recap.export.report import server as module
+from tests.waiting import PATIENCE
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -42,7 +43,7 @@ def serving(folder: Path) -> Iterator[int]:
 
 
 def get(port: int, path: str, **headers: str) -> tuple[int, str | None, bytes]:
-    connection = HTTPConnection("127.0.0.1", port, timeout=5)
+    connection = HTTPConnection("127.0.0.1", port, timeout=PATIENCE)
     connection.request("GET", path, headers=headers)
     answer = connection.getresponse()
     found = answer.status, answer.getheader("Content-Type"), answer.read()

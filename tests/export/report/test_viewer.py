@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-import time
 from threading import Thread
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import pytest
 
@@ -12,19 +11,12 @@ from carla_recap import RecapError
 from carla_recap.export.report import page_server, sampling
 from tests.export.report.conftest import CROSSING, browser, data, report
 from tests.samples import names_in
+from tests.waiting import wait_until
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
     from pathlib import Path
 
 pytest.importorskip("rerun", reason="the extra rerun is not installed")
-
-
-def until(condition: Callable[[], Any]) -> None:
-    patience = time.monotonic() + 40
-    while not condition():
-        assert time.monotonic() < patience
-        time.sleep(0.1)
 
 
 def test_the_viewer_shows_the_time_and_the_actor_of_an_incident(tmp_path: Path) -> None:
@@ -41,7 +33,7 @@ def test_the_viewer_shows_the_time_and_the_actor_of_an_incident(tmp_path: Path) 
             chromium.switch_to.frame("space")
             chromium.execute_script("starting.then(viewer => { window.viewer = viewer })")
             before = pytest.approx(incident["start"] - 3)
-            until(lambda: chromium.execute_script("return window.viewer && viewer.time") == before)
+            wait_until(lambda: chromium.execute_script("return window.viewer && viewer.time") == before)
             assert chromium.execute_script("return viewer.camera") == f"cameras/follow_{incident['actors'][0]}.rbl"
             asked = chromium.execute_script("return performance.getEntriesByType('resource').map(entry => entry.name)")
             assert all(name.startswith("http://127.0.0.1:") for name in asked), asked

@@ -26,6 +26,7 @@ from tests.export.report.conftest import browser
 from tests.export.video.conftest import SAMPLES
 from tests.replay.scripts import pose, spawn, write
 from tests.samples import carla_log, names_in
+from tests.waiting import PATIENCE
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -285,7 +286,7 @@ def test_ctrl_c_leaves_nothing(tmp_path: Path, renderer: RenderProcess) -> None:
         while process.poll() is None and not names_in(tmp_path):
             time.sleep(0.02)
         process.send_signal(signal.SIGINT)
-        assert process.wait(30) == 130
+        assert process.wait(PATIENCE) == 130
         assert process.stderr is not None
         assert process.stderr.read().strip() == b""
     assert names_in(tmp_path) == []
@@ -309,7 +310,6 @@ def test_a_browser_plays_it(crossing: Recording, tmp_path: Path, renderer: Rende
     export_video(crossing, path, renderer=renderer, start=24, duration=1, size=SMALL)
     page.write_text("<!doctype html><body></body>")
     with browser("disable-gpu", "autoplay-policy=no-user-gesture-required") as chrome:
-        chrome.set_script_timeout(30)
         chrome.get(page.as_uri())
         played = chrome.execute_async_script(PLAYED, path.as_uri())
     assert played == {"duration": pytest.approx(1, abs=0.02), "width": 320, "time": pytest.approx(1, abs=0.05)}, json.dumps(

@@ -27,7 +27,8 @@ from carla_recap.formats.mcap.index import (
 from carla_recap.formats.sources import LocalSource
 from tests import strategies
 from tests.formats.mcap.forge import Forge, data_records, packed, seal
-from tests.samples import save, time_limit, warnings_ignored
+from tests.samples import save, warnings_ignored
+from tests.waiting import time_limit
 
 CONTENT = bytes(range(256)) * 5
 
@@ -174,7 +175,7 @@ def test_any_summary_is_read_or_an_error(tmp_path, data):
     footer = packed(records.Footer(summary_start=8, summary_offset_start=0, summary_crc=0))
     magic = b"\x89MCAP0\r\n"
     source = LocalSource(save(tmp_path / "x.mcap", magic + summary + footer + magic))
-    with time_limit(5), warnings.catch_warnings():
+    with time_limit(), warnings.catch_warnings():
         warnings.simplefilter("error")
         try:
             read_summary(source)
@@ -189,7 +190,7 @@ def test_a_summary_of_more_channels_than_there_can_be(driven):
     forge.write(driven)
     channel = next(record for record in forge.described if isinstance(record, records.Channel))
     forge.write(driven, summary=[*forge.described, *forge.indexes, *[channel] * (RECORDS_LIMIT + 1)])
-    with time_limit(10), pytest.raises(FormatError, match="more than 131072 records beside chunk indexes"):
+    with time_limit(), pytest.raises(FormatError, match="more than 131072 records beside chunk indexes"):
         open_recording(driven)
 
 
@@ -200,8 +201,8 @@ def test_metadata_of_millions_of_entries(driven):
         if isinstance(part, records.Metadata) and part.name == "carla_recap.header":
             parts[number] = records.Metadata(part.name, part.metadata | entries)
     Forge(parts).write(driven)
-    with time_limit(5), pytest.raises(FormatError, match=r"the metadata carla_recap\.header was expected"):
+    with time_limit(), pytest.raises(FormatError, match=r"the metadata carla_recap\.header was expected"):
         open_recording(driven)
-    with time_limit(10), warnings_ignored():
+    with time_limit(), warnings_ignored():
         recovery = recover(driven, driven.with_name("saved.mcap"))
     assert (recovery.frames, recovery.headless) == (600, True)

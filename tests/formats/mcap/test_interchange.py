@@ -18,6 +18,7 @@ from carla_recap import convert
 from carla_recap.model.frame import Header
 from carla_recap.model.layout import Framing
 from tests.samples import carla_log, drive, plain, reading, save, small_log, warnings_ignored, write
+from tests.waiting import PATIENCE
 
 NODE = Path(__file__).parents[2] / "node"
 
@@ -146,7 +147,7 @@ def node():
 
 
 def test_the_libraries_of_foxglove_read_the_same(recording, node):
-    run = subprocess.run([node, NODE / "read.mjs", recording], capture_output=True, text=True, timeout=60, check=False)
+    run = subprocess.run([node, NODE / "read.mjs", recording], capture_output=True, text=True, timeout=PATIENCE, check=False)
     assert run.returncode == 0, run.stderr
     found = json.loads(run.stdout)
     counts = Counter(topic for topic, *_ in decoded(recording))

@@ -42,10 +42,10 @@ from tests.samples import (
     reading,
     save,
     small_log,
-    time_limit,
     warnings_ignored,
     write,
 )
+from tests.waiting import time_limit
 
 
 def chunks_of(parts):
@@ -477,7 +477,7 @@ def test_any_damage_ends_in_an_answer_or_in_an_error_of_ours(tmp_path, data):
         (tmp_path / "kept").write_bytes(path.read_bytes())
     whole = (tmp_path / "kept").read_bytes()
     save(tmp_path / "damaged.mcap", strategies.damaged(whole, data.draw(strategies.mutations(len(whole)))))
-    with warnings_ignored(), time_limit(10):
+    with warnings_ignored(), time_limit():
         answers = explore(tmp_path / "damaged.mcap")
     assert not [text for text in answers if "\n" in text and "Error: " in text]
 

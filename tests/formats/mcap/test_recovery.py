@@ -14,7 +14,8 @@ from carla_recap.formats.mcap.recovery import recover_summary
 from carla_recap.formats.sources import LocalSource
 from tests import strategies
 from tests.formats.mcap.forge import MAGIC, Forge, data_records, seal
-from tests.samples import save, time_limit
+from tests.samples import save
+from tests.waiting import time_limit
 
 
 def recovered(path):
@@ -149,7 +150,7 @@ def test_any_damage_is_survived(tmp_path, data):
         whole = write(tmp_path / "drive.mcap", Header("T", 5), drive(6, 5, 2)).read_bytes()
         save(tmp_path / "whole", whole)
     damaged = strategies.damaged(whole, data.draw(strategies.mutations(len(whole))))
-    with time_limit(5):
+    with time_limit():
         summary, _ = recovered(save(tmp_path / "damaged.mcap", damaged))
     for chunk in summary.chunks:
         assert chunk.offset + chunk.length <= len(damaged)
@@ -176,7 +177,7 @@ def test_false_heads_of_chunks_cost_little(driven, honest):
         junk += head_of_a_chunk(length, length - 44 if honest else 7, 1000).ljust(each, b"\0")
     assert len(junk) == count * each
     save(driven, data[: chunks[1]] + bytes(junk) + bytes(100_000) + data[chunks[1] :])
-    with time_limit(10):
+    with time_limit():
         source = LocalSource(driven)
         summary, damage = recover_summary(source)
         source.close()
@@ -189,7 +190,7 @@ def test_small_false_heads_are_found_in_one_window(tmp_path):
     junk = (b"\x06" + bytes(36) + b"\x04\0\0\0zstd") * 50_000
     path = save(tmp_path / "x.mcap", MAGIC + junk)
     source = LocalSource(path)
-    with time_limit(10):
+    with time_limit():
         recover_summary(source)
     source.close()
     assert source.bytes_read < 4 * len(junk)
@@ -201,7 +202,7 @@ def test_bombs_cost_little(driven):
     message = struct.pack("<BQHIQQ", 5, 22, 1, 0, 0, 0)
     bombs = [seal(bytes(64 << 20))] * 20 + [seal(message * ((64 << 20) // len(message)))] * 20
     Forge([*parts, *bombs]).write(driven)
-    with time_limit(20):
+    with time_limit():
         summary, damage = recovered(driven)
     assert len(summary.chunks) >= count
     assert damage.chunks >= 38
@@ -212,6 +213,6 @@ def test_thousands_of_channels_cost_little(driven):
     channel = next(part for part in parts if isinstance(part, records.Channel))
     data = Forge([*parts, *[channel] * 300_000]).write(driven, summary=[]).read_bytes()
     save(driven, data[:-100])
-    with time_limit(20):
+    with time_limit():
         summary, _ = recovered(driven)
     assert len(summary.chunks) == len(offsets_of(data))

@@ -3,13 +3,12 @@
 from __future__ import annotations
 
 import math
-import time
 from typing import TYPE_CHECKING
 
 import carla
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterable
+    from collections.abc import Iterable
 
 
 def spawn(world: carla.World, blueprint: str, place: carla.Transform, **attributes: str) -> carla.Actor:
@@ -52,16 +51,6 @@ def drive(world: carla.World, vehicle: carla.Vehicle, ticks: int, throttle: floa
     for _ in range(ticks):
         world.tick()
     return start.distance_2d(vehicle.get_location())
-
-
-def eventually(happens: Callable[[], object], seconds: float = 5.0) -> bool:
-    """Wait for something that comes over a stream."""
-    end = time.monotonic() + seconds
-    while time.monotonic() < end:
-        if happens():
-            return True
-        time.sleep(0.01)
-    return bool(happens())
 
 
 def destroy(client: carla.Client, actors: Iterable[carla.Actor]) -> None:

@@ -5,7 +5,8 @@ from __future__ import annotations
 import carla
 import pytest
 
-from tests.server.clients.calls import ahead, eventually, spawn, straight
+from tests.server.clients.calls import ahead, spawn, straight
+from tests.waiting import wait_until
 
 TICKING = (
     "sensor.other.gnss",
@@ -26,7 +27,7 @@ def test_a_sensor_sends_at_once_and_then_every_sensor_tick(world: carla.World, b
     first = world.tick()
     for _ in range(49):
         world.tick()
-    assert eventually(lambda: len(frames) >= 3)
+    wait_until(lambda: len(frames) >= 3)
     assert frames == [first, first + 20, first + 40]
 
 
@@ -47,7 +48,7 @@ def test_sensors_repeat_their_noise_in_every_episode(client: carla.Client, bluep
         sensor.listen(data.append)
         for _ in range(5):
             world.tick()
-        assert eventually(lambda data=data: len(data) >= 5)
+        wait_until(lambda data=data: len(data) >= 5)
         runs.append([bytes(datum.raw_data) if blueprint.endswith("radar") else datum.latitude for datum in data[:5]])
     assert runs[0] == runs[1]
     assert len(set(runs[0])) > 1
@@ -62,7 +63,7 @@ def test_vehicles_hear_of_each_other(world: carla.World) -> None:
         sensor.listen(events.append)
     for _ in range(40):
         world.tick()
-    assert eventually(lambda: all(heard))
+    wait_until(lambda: all(heard))
     for car, events in zip(cars, heard, strict=True):
         (other,) = (each for each in cars if each.id != car.id)
         message = events[0][0].get()
@@ -82,5 +83,5 @@ def test_messages_of_clients_are_delivered(world: carla.World) -> None:
         sender.send(text)
         for _ in range(3):
             world.tick()
-    assert eventually(lambda: len(heard) >= 2)
+    wait_until(lambda: len(heard) >= 2)
     assert [event[0].get()["Message"]["Message"] for event in heard] == ["hello", "a" * 99]

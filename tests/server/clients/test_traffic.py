@@ -9,17 +9,18 @@ import sys
 import carla
 
 from tests.server.clients.calls import destroy
+from tests.waiting import PATIENCE
 
 BEGIN = """
 import json, math, os, sys
 import carla
 port, arguments = int(sys.argv[1]), sys.argv[2:]
 client = carla.Client("127.0.0.1", port)
-client.set_timeout(60.0)
+client.set_timeout(600.0)
 world = client.get_world()
 synchronous = carla.WorldSettings(synchronous_mode=True, fixed_delta_seconds=0.05)
 world.apply_settings(synchronous)
-library, MANAGER = world.get_blueprint_library(), port + 11
+library, MANAGER = world.get_blueprint_library(), 10_000 + port % 20_000
 points = world.get_map().get_spawn_points()
 def spawn(count):
     model = library.find("vehicle.tesla.model3")
@@ -72,7 +73,7 @@ os.kill(os.getpid(), 9)
 
 def run(script: str, port: int, *arguments: str, code: int = 0) -> str:
     command = [sys.executable, "-X", "faulthandler", "-c", BEGIN + script, str(port), *arguments]
-    done = subprocess.run(command, capture_output=True, text=True, timeout=120, check=False)
+    done = subprocess.run(command, capture_output=True, text=True, timeout=PATIENCE, check=False)
     assert done.returncode == code, done.stderr
     return done.stdout
 

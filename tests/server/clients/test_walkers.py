@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import carla
 
-from tests.server.clients.calls import ahead, drive, eventually, spawn, straight
+from tests.server.clients.calls import ahead, drive, spawn, straight
+from tests.waiting import wait_until
 
 
 def test_a_walker_who_is_hit_lies_on_the_road_and_is_reported(world: carla.World) -> None:
@@ -16,7 +17,7 @@ def test_a_walker_who_is_hit_lies_on_the_road_and_is_reported(world: carla.World
     collisions: list[carla.CollisionEvent] = []
     sensor.listen(collisions.append)
     drive(world, car, 100, throttle=1.0)
-    assert eventually(lambda: collisions)
+    wait_until(lambda: collisions)
     assert collisions[0].other_actor.id == walker.id
     rotation = walker.get_transform().rotation
     assert max(abs(rotation.pitch), abs(rotation.roll)) > 45.0

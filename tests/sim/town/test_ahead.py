@@ -4,19 +4,17 @@ from __future__ import annotations
 
 import subprocess
 import sys
-import time
 from typing import TYPE_CHECKING, Any
 
 import psutil
 
 from carla_recap.sim.town import ahead
+from tests.waiting import wait_until
 
 if TYPE_CHECKING:
     from pathlib import Path
 
     import pytest
-
-PATIENCE = 60.0  # s
 
 
 def test_the_process_is_no_zombie_when_it_has_ended(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
@@ -32,8 +30,5 @@ def test_the_process_is_no_zombie_when_it_has_ended(monkeypatch: pytest.MonkeyPa
     monkeypatch.setattr(subprocess, "Popen", start)
     with ahead.parsing_ahead(tmp_path):
         (process,) = started
-        end = time.monotonic() + PATIENCE
-        while psutil.pid_exists(process.pid):
-            assert time.monotonic() < end
-            time.sleep(0.01)
+        wait_until(lambda: not psutil.pid_exists(process.pid))
     assert process.returncode == 0
