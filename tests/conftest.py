@@ -10,8 +10,10 @@ from typing import TYPE_CHECKING
 import pytest
 from hypothesis import HealthCheck, settings
 
+from carla_recap import formats
 from carla_recap.model.frame import Header
 from tests.samples import drive, save, small_log, write
+from tests.waiting import PATIENCE
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -23,6 +25,8 @@ collect_ignore = [] if all(map(find_spec, ("carla", "pymunk", "msgpack"))) else 
 for _signal, _handler in ((signal.SIGINT, signal.default_int_handler), (signal.SIGHUP, signal.SIG_DFL)):
     if signal.getsignal(_signal) is signal.SIG_IGN:
         signal.signal(_signal, _handler)
+
+formats._PATIENCE = PATIENCE  # s: a recording that a server completes is waited for, even on a busy machine
 
 # The same examples in every run; HYPOTHESIS_PROFILE=search tries more and new ones.
 _SETTINGS = {

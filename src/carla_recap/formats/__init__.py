@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import warnings
+from contextlib import suppress
 from pathlib import Path
 from time import monotonic, sleep
 from typing import TYPE_CHECKING
@@ -15,7 +16,7 @@ if TYPE_CHECKING:
     from carla_recap.model.frame import Header
 
 SUFFIXES = (".log", ".mcap")
-_PATIENCE = 2.0  # s
+_PATIENCE = 5.0  # s without a change
 _PAUSE = 0.01  # s
 _MCAP = b"\x89MCAP"
 _MCAP_END = b"\x89MCAP0\r\n"
@@ -31,7 +32,7 @@ def open_reader(location: Path | str) -> Reader:
     wait for the end of `stop_recorder`.
 
     Warns:
-        RecapWarning: The recording is still incomplete after `_PATIENCE` seconds.
+        RecapWarning: The recording is incomplete, and has not changed for `_PATIENCE` seconds.
 
     Raises:
         NotARecording: The content is in neither format.
@@ -42,7 +43,7 @@ def open_reader(location: Path | str) -> Reader:
     if is_remote(location):
         return _open_remote(str(location))
     path = path_of(location)
-    deadline = monotonic() + _PATIENCE
+    since, before = monotonic(), None
     while True:
         opened = _identity(path)
         reader = _open(location)
@@ -53,7 +54,9 @@ def open_reader(location: Path | str) -> Reader:
         left = partials(path)
         if not left and _identity(path) == opened:
             return reader
-        if monotonic() > deadline:
+        if (written := _sizes(left)) != before:
+            since, before = monotonic(), written
+        if monotonic() > since + _PATIENCE:
             message = f"{location}: is being recorded, or was interrupted; its frames are in {' and '.join(map(str, left))}"
             warnings.warn(message, RecapWarning, stacklevel=3)
             return reader
@@ -68,6 +71,15 @@ def _identity(path: Path | str) -> int | None:
     except (OSError, ValueError):
         return None
     return status.st_ino if status.st_size <= _SMALL else None
+
+
+def _sizes(paths: list[Path]) -> list[int]:
+    """Return the sizes of those of some files that exist."""
+    sizes = []
+    for path in paths:
+        with suppress(OSError):
+            sizes.append(path.stat().st_size)
+    return sizes
 
 
 def _has_no_frames(reader: Reader) -> bool:

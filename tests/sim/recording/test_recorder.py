@@ -25,6 +25,7 @@ import pytest
 from mcap.reader import make_reader
 
 import carla_recap
+from carla_recap import formats
 from carla_recap.errors import RecapError, RecapWarning
 from carla_recap.formats.carla_log import is_log
 from carla_recap.model.records import NO_ACTOR, ActorKind
@@ -34,7 +35,7 @@ from carla_recap.sim.errors import DestinationError, SimError
 from carla_recap.sim.geometry import Location, Transform, Vector
 from carla_recap.sim.recording import recorder
 from carla_recap.sim.recording.recorder import recording_path, recordings_folder
-from carla_recap.sim.recording.writer_process import start_process
+from carla_recap.sim.recording.writer_process import WriterProcess, start_process
 from carla_recap.sim.weather import PRESETS
 from carla_recap.sim.world import World
 from tests.sim.flat import at, flat_town, flat_world, light
@@ -412,8 +413,25 @@ def test_a_full_disk_leaves_a_recording_of_any_suffix(tmp_path: Path) -> None:
     assert len(frames(path)) > 100
 
 
+@pytest.fixture
+def handed_over(monkeypatch: pytest.MonkeyPatch) -> list[str]:
+    """The commands that processes that write have carried out."""
+    done: list[str] = []
+    command = WriterProcess._command
+
+    def counted(self: WriterProcess, name: str, *arguments: Any) -> None:
+        command(self, name, *arguments)
+        done.append(name)
+
+    monkeypatch.setattr(WriterProcess, "_command", counted)
+    return done
+
+
 @pytest.mark.parametrize("suffix", [".mcap", ".log"])
-def test_a_visible_recording_is_complete_at_every_moment(tmp_path: Path, suffix: str) -> None:
+def test_a_visible_recording_is_complete_at_every_moment(
+    tmp_path: Path, suffix: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(formats, "_PATIENCE", 0.1)
     world, path = flat_world(), tmp_path / f"a{suffix}"
     record(world, path, 3)
     world.recorder.start(path, visible=True)
@@ -429,11 +447,13 @@ def test_a_visible_recording_is_complete_at_every_moment(tmp_path: Path, suffix:
 
 
 @pytest.mark.parametrize("suffix", [".mcap", ".log"])
-def test_a_visible_recording_whose_writer_is_killed_is_recovered_from_beside_it(tmp_path: Path, suffix: str) -> None:
+def test_a_visible_recording_whose_writer_is_killed_is_recovered_from_beside_it(
+    tmp_path: Path, suffix: str, handed_over: list[str]
+) -> None:
     world = flat_world()
     path = world.recorder.start(tmp_path / f"a{suffix}", visible=True)
     world.run(12.0)
-    wait_until(lambda: max(each.stat().st_size for each in tmp_path.iterdir()) >= 10_000)
+    wait_until(lambda: handed_over.count("write") >= 4)
     os.kill(pid(world), signal.SIGKILL)
     with pytest.warns(RecapWarning, match="the process that writes it has ended"):
         world.stop_recorder()
@@ -456,12 +476,8 @@ def test_a_visible_recording_that_is_being_completed_is_waited_for(tmp_path: Pat
 @pytest.mark.parametrize("ticks", [0, 240])
 def test_a_visible_recording_of_a_process_that_is_killed_is_completed(tmp_path: Path, ticks: int) -> None:
     path = tmp_path / "a.log"
-    script = (
-        textwrap.dedent(_SCRIPT)
-        .replace("world.start_recorder(Path(sys.argv[1]))", _VISIBLE)
-        .replace("12.0", f"{ticks / 20}")
-    )
-    script += "\nimport time\ntime.sleep(1)\nos.kill(os.getpid(), 9)"
+    script = killed("os.kill(os.getpid(), 9)", batches=4 if ticks else 0)
+    script = script.replace("world.start_recorder(Path(sys.argv[1]))", _VISIBLE).replace("12.0", f"{ticks / 20}")
     subprocess.run([sys.executable, "-c", script, str(path)], stderr=subprocess.PIPE)
     assert len(frames(path)) > ticks - 102
     assert list(tmp_path.iterdir()) == [path]
@@ -538,13 +554,27 @@ def test_a_forgotten_world_completes_the_recording(tmp_path: Path) -> None:
 
 
 _SCRIPT = """
-    import os, sys
+    import os, sys, time
     from pathlib import Path
     from tests.sim.flat import flat_world
     world = flat_world()
     world.start_recorder(Path(sys.argv[1]))
     world.run(12.0)
 """
+_COUNTING = """
+    from carla_recap.sim.recording.writer_process import WriterProcess
+    handed_over, command = [], WriterProcess._command
+    def counted(self, name, *arguments):
+        command(self, name, *arguments)
+        handed_over.extend([name] * (name == "write"))
+    WriterProcess._command = counted
+"""
+
+
+def killed(end: str, batches: int = 4) -> str:
+    """Return the script with an end that kills it, once batches of 50 ticks have been handed over to the process that writes."""
+    handed_over = f"while len(handed_over) < {batches}:\n    time.sleep(0.01)\n"
+    return "".join((textwrap.dedent(_COUNTING), textwrap.dedent(_SCRIPT), handed_over, textwrap.dedent(end)))
 
 
 @pytest.mark.parametrize("suffix", [".mcap", ".log"])
@@ -559,9 +589,8 @@ def test_a_process_that_is_killed_leaves_its_recording_complete_but_for_the_last
     tmp_path: Path, suffix: str
 ) -> None:
     path = tmp_path / f"a{suffix}"
-    end = "\nimport time\ntime.sleep(1)\nos.kill(os.getpid(), 9)"  # what has been handed over by then is not lost
-    script = textwrap.dedent(_SCRIPT) + end
-    subprocess.run([sys.executable, "-c", script, str(path)], stderr=subprocess.PIPE)  # kept open by who writes
+    command = [sys.executable, "-c", killed("os.kill(os.getpid(), 9)"), str(path)]
+    subprocess.run(command, stderr=subprocess.PIPE)  # kept open by who writes
     told = frames(path)
     assert list(tmp_path.iterdir()) == [path]
     assert told[-1].elapsed > 12 - 5 - 0.1
@@ -618,10 +647,7 @@ def test_ctrl_c_while_a_recording_is_started_leaves_the_older_one(tmp_path: Path
 
 
 def test_a_signal_to_the_whole_group_completes_the_recording(tmp_path: Path) -> None:
-    script = (
-        textwrap.dedent(_SCRIPT)
-        + "\nimport time\ntime.sleep(1)\nos.kill(world.recorder._writer.pid, 15)\nos.kill(os.getpid(), 15)"
-    )
+    script = killed("os.kill(world.recorder._writer.pid, 15)\nos.kill(os.getpid(), 15)")
     subprocess.run([sys.executable, "-c", script, str(tmp_path / "a.mcap")], stderr=subprocess.PIPE)
     assert len(frames(tmp_path / "a.mcap")) > 100
     assert list(tmp_path.iterdir()) == [tmp_path / "a.mcap"]
@@ -665,8 +691,6 @@ def test_forked_processes_that_go_on_hold_nobody_up(tmp_path: Path) -> None:
 def test_a_process_that_is_killed_has_its_recording_completed_even_while_forked_ones_go_on(tmp_path: Path) -> None:
     path = tmp_path / "a.mcap"
     end = """
-        import time
-        time.sleep(1)
         child = os.fork()
         if not child:
             time.sleep(300)
@@ -674,7 +698,7 @@ def test_a_process_that_is_killed_has_its_recording_completed_even_while_forked_
         print(child, flush=True)
         os.kill(os.getpid(), 9)
     """
-    command = [sys.executable, "-c", textwrap.dedent(_SCRIPT) + textwrap.dedent(end), str(path)]
+    command = [sys.executable, "-c", killed(end), str(path)]
     with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as process:
         assert process.stdout is not None
         child = int(process.stdout.readline())
@@ -811,12 +835,12 @@ def test_what_a_full_disk_has_room_for_is_a_recording(tmp_path: Path) -> None:
     assert list(tmp_path.iterdir()) == [path]
 
 
-def test_who_writes_may_be_killed(tmp_path: Path) -> None:
+def test_who_writes_may_be_killed(tmp_path: Path, handed_over: list[str]) -> None:
     world = flat_world()
     world.start_recorder(tmp_path / "a.mcap")
     world.run(12.0)
     (partial,) = tmp_path.iterdir()
-    wait_until(lambda: partial.stat().st_size >= 10_000)
+    wait_until(lambda: handed_over.count("write") >= 4)
     os.kill(pid(world), signal.SIGKILL)
     with pytest.warns(RecapWarning, match=r"the recording has ended: .*a.mcap: the process that writes it has ended"):
         run_until_it_fails(world)

@@ -37,7 +37,7 @@ QUEUE: Final = 16
 """The number of batches that may wait; the simulation waits only for a disk that is that far behind."""
 _READY: Final = b"carla-recap: ready to write recordings\n"
 """The first line of the process; lines before it are printed by other code that runs when an interpreter starts."""
-_PATIENCE: Final = 5.0  # s, for the end of the process
+_PATIENCE: Final = 30.0  # s, for the end of the process
 _NICE: Final = 5  # the simulation goes first where processors are few; the writer needs a tenth of one
 
 
