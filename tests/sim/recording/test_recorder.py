@@ -572,7 +572,7 @@ _COUNTING = """
 
 
 def killed(end: str, batches: int = 4) -> str:
-    """Return the script with an end that kills it, once batches of 50 ticks have been handed over to the process that writes."""
+    """Return the script with an end that kills it, once whole batches have been handed over to the process that writes."""
     handed_over = f"while len(handed_over) < {batches}:\n    time.sleep(0.01)\n"
     return "".join((textwrap.dedent(_COUNTING), textwrap.dedent(_SCRIPT), handed_over, textwrap.dedent(end)))
 
