@@ -39,6 +39,10 @@ def test_lengths() -> None:
     assert Location(1, 1, 1).distance(Location(2, 3, 3)) == 3
 
 
+def test_a_vector_times_a_number() -> None:
+    assert Vector(1, -2, 3) * 2.5 == Vector(2.5, -5, 7.5)
+
+
 def test_transforms_do_not_share_their_parts() -> None:
     first, second = Transform(), Transform()
     first.location.x = 5

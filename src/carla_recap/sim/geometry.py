@@ -37,6 +37,9 @@ class Vector:
     y: float = 0.0
     z: float = 0.0
 
+    def __mul__(self, factor: float) -> Vector:
+        return Vector(factor * self.x, factor * self.y, factor * self.z)
+
     def length(self) -> float:
         """Return its length, in the unit of its components."""
         return hypot(self.x, self.y, self.z)

@@ -63,7 +63,7 @@ def point_on_lane(lane: Lane, s: float) -> tuple[Location, float]:
     return Location(x, y, z), float(np.interp(s, lane.s, lane.heading))
 
 
-def spawn_on_lane(world: ScenarioWorld, blueprint: str, lane: Lane, s: float, role_name: str) -> Vehicle:
+def spawn_on_lane(world: ScenarioWorld, blueprint: str, lane: Lane, s: float, role_name: str = "") -> Vehicle:
     """Spawn a vehicle that stands on a lane, at a distance along it in m.
 
     Raises:
