@@ -1,4 +1,4 @@
-"""Pages of the documentation that are made from other files: the commands, the Python names, samples, changes.
+"""Pages of the documentation that are made from other files: the commands, the Python names, notebooks, samples, changes.
 
 mkdocs calls these functions; see `mkdocs.yml`.
 """
@@ -6,7 +6,10 @@ mkdocs calls these functions; see `mkdocs.yml`.
 from __future__ import annotations
 
 import ast
+import json
+import posixpath
 import re
+from base64 import b64decode
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
@@ -21,6 +24,7 @@ if TYPE_CHECKING:
 
 ROOT: Final = Path(__file__).parents[1]
 COPIES: Final = {"samples.md": "samples/README.md", "changes.md": "CHANGELOG.md", "contributing.md": "CONTRIBUTING.md"}
+NOTEBOOKS: Final = {f"notebooks/{path.stem}.md": path for path in sorted((ROOT / "samples/notebooks").glob("*.ipynb"))}
 OUTSIDE: Final = re.compile(r"\]\((?!https?:|#|mailto:)([^)#\s]+)(#[^)]*)?\)")
 
 
@@ -28,30 +32,72 @@ def on_files(files: Files, config: MkDocsConfig) -> Files:
     """Add the pages that are made."""
     pages = {"commands.md": commands(), "python.md": python()}
     pages |= {name: (ROOT / source).read_text("utf-8") for name, source in COPIES.items()}
-    for name, content in pages.items():
+    files_beside = (*NOTEBOOKS.values(), *(ROOT / "samples/notebooks").glob("*.jpg"))
+    others = {f"notebooks/{path.name}": path.read_bytes() for path in files_beside}
+    for name, path in NOTEBOOKS.items():
+        pages[name], pictures = notebook(path)
+        others |= {f"notebooks/{picture}": data for picture, data in pictures.items()}
+    for name, content in (pages | others).items():
         files.append(File.generated(config, name, content=content))
     return files
 
 
 def on_page_markdown(markdown: str, page: Any, **_: Any) -> str:
     """Return a page whose links lead to pages of the site; files that are none are named only."""
-    source = ROOT / COPIES.get(page.file.src_uri, f"docs/{page.file.src_uri}")
-    return re.sub(OUTSIDE, lambda match: _link(match, source.parent), markdown)
+    uri = page.file.src_uri
+    source = NOTEBOOKS.get(uri, ROOT / COPIES.get(uri, f"docs/{uri}"))
+    return re.sub(OUTSIDE, lambda match: _link(match, source.parent, posixpath.dirname(uri)), markdown)
 
 
-def _link(match: re.Match[str], folder: Path) -> str:
-    target = (folder / match[1]).resolve()
-    if not target.is_relative_to(ROOT):
+def _link(match: re.Match[str], source: Path, folder: str) -> str:
+    target = (source / match[1]).resolve()
+    uri = _uri(target.relative_to(ROOT).as_posix()) if target.is_relative_to(ROOT) else None
+    if uri is None:
         return "]"
-    name = target.relative_to(ROOT).as_posix()
-    copied = next((page for page, source in COPIES.items() if source == name), None)
-    if copied is not None:
-        return f"]({copied}{match[2] or ''})"
-    if name == "README.md":
-        return f"](index.md{match[2] or ''})" if not match[2] else "](index.md)"
-    if name.startswith("docs/"):
-        return f"]({name.removeprefix('docs/')}{match[2] or ''})"
-    return "]"
+    anchor = "" if uri == "index.md" else match[2] or ""
+    return f"]({posixpath.relpath(uri, folder or '.')}{anchor})"
+
+
+def _uri(name: str) -> str | None:
+    """Return the page or picture of the site that a file becomes; None if it becomes none."""
+    made = {source: page for page, source in COPIES.items()} | {"README.md": "index.md"}
+    made |= {path.relative_to(ROOT).as_posix(): page for page, path in NOTEBOOKS.items()}
+    if name in made:
+        return made[name]
+    for folder in ("docs/", "samples/"):
+        if name.startswith(folder) and (folder == "docs/" or Path(name).suffix in (".jpg", ".jpeg", ".png")):
+            return name.removeprefix(folder)
+    return None
+
+
+# --- notebooks -----------------------------------------------------------------------------------------------------------
+
+
+def notebook(path: Path) -> tuple[str, dict[str, bytes]]:
+    """Return a notebook as a page, and its pictures by name."""
+    parts, pictures = [], {}
+    for cell in json.loads(path.read_text("utf-8"))["cells"]:
+        text = "".join(cell["source"])
+        parts.append(text if cell["cell_type"] == "markdown" else f"```python\n{text}\n```")
+        for number, output in enumerate(cell.get("outputs", ())):
+            data = {kind: "".join(lines) for kind, lines in output.get("data", {"text/plain": output.get("text")}).items()}
+            image = next((kind for kind in data if kind.startswith("image/")), None)
+            if image is not None:
+                name = f"{path.stem}-{cell['id']}-{number}.{image.removeprefix('image/')}"
+                pictures[name] = b64decode(data[image])
+                parts.append(f"![{_heading(parts)}]({name})")
+            elif "text/html" in data:  # a table of pandas
+                table = re.sub(r"<style.*?</style>\n?", "", data["text/html"], flags=re.DOTALL)
+                parts.append(re.sub(r' (border|class|style)="[^"]*"', "", table))
+            else:
+                parts.append(f"```text\n{data['text/plain'].rstrip()}\n```")
+    parts.insert(1, f'<a href="{path.name}" download>Download this notebook</a>, or open `samples/notebooks/{path.name}`.')
+    return "\n\n".join(parts), pictures
+
+
+def _heading(parts: list[str]) -> str:
+    """Return the last heading, which describes the pictures below it."""
+    return re.findall(r"^#+ (.*)$", "\n".join(part for part in parts if part.startswith("#")), re.MULTILINE)[-1]
 
 
 # --- commands ------------------------------------------------------------------------------------------------------------
