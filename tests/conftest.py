@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import signal
+import sys
 from importlib.util import find_spec
 from typing import TYPE_CHECKING
 
@@ -20,6 +21,10 @@ if TYPE_CHECKING:
 
 # CARLA's library is not published for every system and Python.
 collect_ignore = [] if all(map(find_spec, ("carla", "pymunk", "msgpack"))) else ["capture", "server", "sim"]
+
+# Workers and the hundreds of processes that tests start compile each module once, and not all modules each time.
+sys.dont_write_bytecode = False
+os.environ.pop("PYTHONDONTWRITEBYTECODE", None)
 
 # In the background, or under nohup, signals are ignored, which commands would inherit; tests send them.
 for _signal, _handler in ((signal.SIGINT, signal.default_int_handler), (signal.SIGHUP, signal.SIG_DFL)):
