@@ -11,7 +11,7 @@ from tests.waiting import PATIENCE
 if TYPE_CHECKING:
     from pathlib import Path
 
-SEQUENCES = 40
+SEQUENCES = 15
 COMMAND = (sys.executable, "-X", "faulthandler", "-m", "tests.sim.sequences", f"--examples={SEQUENCES}")
 
 

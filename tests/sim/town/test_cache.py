@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import pickle
+import shutil
 from hashlib import sha256
 from typing import TYPE_CHECKING
 
@@ -17,6 +18,18 @@ if TYPE_CHECKING:
     from pathlib import Path
 
 BUILT_IN = load_town().opendrive
+
+
+@pytest.fixture(scope="module")
+def parsed(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A folder with the entry of the built-in map, as it was written when the map was parsed."""
+    folder = tmp_path_factory.mktemp("parsed")
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setenv(cache.FOLDER, str(folder))
+        forget()
+        load_town()
+        forget()
+    return folder
 
 
 class Parser:
@@ -40,6 +53,13 @@ def parser(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> Parser:
     forget()
     yield parser
     forget()
+
+
+@pytest.fixture
+def filled(parser: Parser, parsed: Path, tmp_path: Path) -> Parser:
+    """The parser, with the entry of the built-in map in the cache."""
+    shutil.copytree(parsed, tmp_path / "cache")
+    return parser
 
 
 def forget() -> None:
@@ -77,17 +97,19 @@ def test_the_content_counts_and_not_the_name(parser: Parser, tmp_path: Path) -> 
     assert parser.count == 2
 
 
-def test_another_parser_does_not_use_the_entries(parser: Parser, monkeypatch: pytest.MonkeyPatch) -> None:
-    load_town()
-    forget()
+def test_an_entry_of_another_process_is_used(filled: Parser) -> None:
+    assert load_town().spawn_points
+    assert filled.count == 0
+
+
+def test_another_parser_does_not_use_the_entries(filled: Parser, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(cache, "_digest", lambda _: b"newer")
     load_town()
-    assert parser.count == 2
+    assert filled.count == 1
 
 
 @pytest.mark.parametrize("damage", ["empty", "cut", "flipped", "pickle", "no town", "a folder"])
-def test_damaged_entries_are_ignored_and_rebuilt(parser: Parser, damage: str, tmp_path: Path) -> None:
-    load_town()
+def test_damaged_entries_are_ignored_and_rebuilt(filled: Parser, damage: str) -> None:
     path = entry()
     whole = path.read_bytes()
     signed = {"pickle": pickle.dumps({"lines": 1}), "no town": b"PK\x05\x06" + bytes(18)}
@@ -103,20 +125,17 @@ def test_damaged_entries_are_ignored_and_rebuilt(parser: Parser, damage: str, tm
             path.mkdir()
         case _:
             path.write_bytes(b"carla-recap town 1\n" + sha256(signed[damage]).digest() + signed[damage])
-    forget()
     assert load_town().spawn_points
-    assert parser.count == 2
+    assert filled.count == 1
     if damage != "a folder":
         assert path.read_bytes() == whole
 
 
 @pytest.mark.skipif(not hasattr(os, "getuid"), reason="Windows has no file modes")
-def test_entries_that_others_can_write_are_ignored(parser: Parser) -> None:
-    load_town()
+def test_entries_that_others_can_write_are_ignored(filled: Parser) -> None:
     entry().chmod(0o666)
-    forget()
     load_town()
-    assert parser.count == 2
+    assert filled.count == 1
 
 
 def test_a_folder_that_cannot_be_written_costs_nothing(
