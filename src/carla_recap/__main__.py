@@ -1,5 +1,38 @@
-"""`python -m carla_recap`: the command line."""
+"""The command line, as `carla-recap`, `CarlaUE4.sh` and `python -m carla_recap`.
 
-from carla_recap.cli import main
+Until the commands are imported, Ctrl-C ends the process as any other program, without Python's traceback.
+"""
 
-main()
+from __future__ import annotations
+
+import signal
+
+
+def main() -> None:
+    """Run the command line."""
+    with _Start():
+        from carla_recap.cli import main as run
+    run()
+
+
+def launch() -> None:
+    """Run the server with the arguments of CARLA's own."""
+    with _Start():
+        from carla_recap.cli.launcher import launch as run
+    run()
+
+
+class _Start:
+    """A `with` block in which Ctrl-C has the system's own effect, unless it is ignored."""
+
+    def __enter__(self) -> None:
+        self._before = signal.getsignal(signal.SIGINT)
+        if self._before is signal.default_int_handler:
+            signal.signal(signal.SIGINT, signal.SIG_DFL)
+
+    def __exit__(self, *_: object) -> None:
+        signal.signal(signal.SIGINT, self._before)
+
+
+if __name__ == "__main__":
+    main()

@@ -162,14 +162,14 @@ def test_its_sensor_is_destroyed_and_in_no_recording(world: carla.World, capturi
 def test_it_ends_after_a_duration(port: int, world: carla.World, tmp_path: Path) -> None:
     with started(tmp_path / "a.mcap", port, "--duration", "1") as capture:
         wait_for(world, lambda: capture.process.poll() is not None)
-        assert capture.ended().endswith("a.mcap: 21 frames, 1 s: the duration has passed\n")
+        assert capture.ended().partition("a.mcap: ")[2].startswith("21 frames, 1 s, the duration has passed, ")
     assert [frame.duration for frame in frames_of(capture.path)][-2:] == [pytest.approx(0.05), -1.0]
 
 
 def test_the_end_of_the_server_completes_it(tmp_path: Path) -> None:
     with started_after_server(tmp_path / "a.mcap") as capture:
         said = capture.ended()
-    assert said.endswith(" s: the server is gone\n")
+    assert " s, the server is gone, " in said
     assert len(frames_of(capture.path)) > 5
 
 

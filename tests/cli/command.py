@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import pty
+import re
 import subprocess
 import sys
 from pathlib import Path
@@ -58,6 +59,15 @@ def the_line(stderr: bytes) -> str:
     assert line.isprintable()
     assert line.startswith("carla-recap: ")
     return line.removeprefix("carla-recap: ")
+
+
+def wrote(stderr: bytes | str) -> list[str]:
+    """Return what success lines say was written, without the sizes at their ends."""
+    text = stderr.decode() if isinstance(stderr, bytes) else stderr
+    lines = [line for line in text.splitlines() if line.startswith("wrote ")]
+    found = [re.fullmatch(r"wrote (.*?)[,:] \d+(?:\.\d)? (?:bytes|kB|MB)", line) for line in lines]
+    assert all(found), lines
+    return [match[1] for match in found if match]
 
 
 def on_terminal(*arguments: object, stream: str = "stdout") -> tuple[int, str, bytes]:

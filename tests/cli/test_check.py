@@ -16,7 +16,7 @@ from click.testing import CliRunner
 
 from carla_recap.cli.check import check
 from carla_recap.errors import RecapError
-from tests.cli.command import COMMAND, ENVIRONMENT, error, on_terminal, run
+from tests.cli.command import COMMAND, ENVIRONMENT, error, on_terminal, run, wrote
 from tests.samples import names_in, save
 from tests.waiting import time_limit
 
@@ -97,7 +97,7 @@ def test_wrong_rules_are_an_error_before_anything_is_read(tmp_path):
 
 
 def test_the_folder_of_the_junit_file_is_made(runs, tmp_path):
-    done = run("check", runs, "--rules", RULES, "--junit", tmp_path / "absent" / "out.xml")
+    done = run("check", runs, "--rules", RULES, "--junit", tmp_path / "absent" / "out.xml", "-q")
     assert (done.returncode, done.stderr) == (1, b"")
     assert (tmp_path / "absent" / "out.xml").exists()
 
@@ -123,7 +123,7 @@ def test_what_cannot_be_written_is_an_error_after_the_verdicts(runs, tmp_path, m
 
 def test_pages(runs, tmp_path):
     done = run("check", runs, "--rules", RULES, "--html", tmp_path / "out", "--clips", "--junit", tmp_path / "out.xml")
-    assert (done.returncode, done.stderr) == (1, b"")
+    assert (done.returncode, wrote(done.stderr)) == (1, [f"{tmp_path}/out/index.html", f"{tmp_path}/out.xml"])
     assert names_in(tmp_path / "out") == ["clips", "index.html", "pages"]
     assert names_in(tmp_path / "out" / "pages") == ["crash.html"]
     assert "1 failed of 2 recordings" in (tmp_path / "out" / "index.html").read_text("utf-8")
@@ -156,7 +156,7 @@ def test_names_that_are_no_text_are_printed_and_written(tmp_path):
     shutil.copy(SAMPLES / "crash.mcap", tmp_path / name)
     for form in ("--json", "--text"):
         options = ("--html", tmp_path / form, "--junit", tmp_path / "out.xml")
-        done = run("check", tmp_path / name, "--rules", RULES, form, *options)
+        done = run("check", tmp_path / name, "--rules", RULES, form, "-q", *options)
         assert (done.returncode, done.stderr) == (1, b"")
     assert b"caf\\udce9 <&\\x1b[31m.mcap" in done.stdout
     assert len(names_in(tmp_path / "--text" / "pages")) == 1

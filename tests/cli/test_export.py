@@ -11,7 +11,7 @@ import pytest
 from mcap.reader import make_reader
 
 from carla_recap import open_recording
-from tests.cli.command import COMMAND, CROSSING, ENVIRONMENT, before_others, error, on_terminal, run, the_line
+from tests.cli.command import COMMAND, CROSSING, ENVIRONMENT, before_others, error, on_terminal, run, the_line, wrote
 from tests.maps.towns import town
 from tests.samples import carla_log, reading
 from tests.waiting import PATIENCE
@@ -45,10 +45,8 @@ def test_export_to_rerun(tmp_path):
     from rerun.chunk import RrdReader
 
     target = tmp_path / "out.rrd"
-    assert (
-        said("export", CROSSING, target, "--start", "-20", "--duration", "2", "--follow", "101")
-        == f"{target}: 21 frames, 2 s\n"
-    )
+    message = said("export", CROSSING, target, "--start", "-20", "--duration", "2", "--follow", "101")
+    assert wrote(message) == [f"{target}: 21 frames, 2 s"]
     paths = RrdReader(target).store().schema().entity_paths()
     assert "/world/actors/101" in paths
 
@@ -116,7 +114,8 @@ def test_export_has_a_progress_bar(tmp_path):
 
 def test_clip(tmp_path):
     target = tmp_path / "clip.log"
-    assert said("clip", CROSSING, target, "--start", "20", "--duration", "2") == f"{target}: 21 frames, 2 s\n"
+    message = said("clip", CROSSING, target, "--start", "20", "--duration", "2")
+    assert wrote(message) == [f"{target}: 21 frames, 2 s"]
     with open_recording(target) as recording:
         assert recording.actors.keys() >= {100, 101, 105, 110}
         assert [hit.id1 for hit in recording.collisions()] == [105]
@@ -161,18 +160,18 @@ def test_a_snapshot_outside_the_recording_is_an_error(tmp_path):
 
 def test_report(tmp_path):
     page = tmp_path / "page"
-    assert said("report", CROSSING, page).startswith(f"{page / 'index.html'}: 4 incidents, ")
+    assert said("report", CROSSING, page).startswith(f"wrote {page / 'index.html'}: 4 incidents, ")
     assert (page / "index.html").is_file()
     assert "is not empty" in error("report", CROSSING, page)
 
 
 def test_a_report_as_one_file(tmp_path):
     page = tmp_path / "page.html"
-    line = said("report", CROSSING, page)
-    assert line.startswith(f"{page}: 4 incidents, ")
-    assert "the map 'Crossing' is unknown, so that rules of the road are not judged (--map)" in line
+    line, warning = said("report", CROSSING, page).splitlines()
+    assert line.startswith(f"wrote {page}: 4 incidents, ")
+    assert "warning: the map 'Crossing' is unknown, so that rules of the road are not judged; --map" in warning
     assert "exists; --force" in error("report", CROSSING, page)
-    assert said("report", CROSSING, CROSSING, page, "--force").startswith(f"{page}: 8 incidents, ")
+    assert said("report", CROSSING, CROSSING, page, "--force").startswith(f"wrote {page}: 8 incidents, ")
 
 
 def test_a_report_of_wrong_arguments_is_an_error(tmp_path):
@@ -232,13 +231,8 @@ def test_exports_for_other_programs_say_how_much_they_wrote(tmp_path, name, opti
         pytest.importorskip("betterosi", reason="the extra `osi` is not installed")
     done = run("export", CROSSING, tmp_path / name, "--start", "20", "--duration", "1", *options)
     assert done.returncode == 0
-    assert the_line_of(done.stderr) == f"{tmp_path / name}: 11 frames, 1 s"
+    assert wrote(done.stderr) == [f"{tmp_path / name}: 11 frames, 1 s"]
     assert (tmp_path / name).stat().st_size > 1000
-
-
-def the_line_of(stderr):
-    (line,) = stderr.decode().splitlines()
-    return line
 
 
 @pytest.mark.parametrize(
@@ -258,5 +252,5 @@ def test_wrong_exports_for_other_programs_are_errors(tmp_path, arguments, messag
 def test_a_table_is_imported(tmp_path):
     (tmp_path / "tracks.csv").write_text("t,id,east,y\n0,7,1,2\n1,7,2,2\n")
     done = run("import", tmp_path / "tracks.csv", tmp_path / "out.log", "--column", "x=east", "--hero", "7")
-    assert (done.returncode, the_line_of(done.stderr)) == (0, f"{tmp_path / 'out.log'}: 2 frames, 1 s")
+    assert (done.returncode, wrote(done.stderr)) == (0, [f"{tmp_path / 'out.log'}: 2 frames, 1 s"])
     assert "no NAME=COLUMN" in error("import", tmp_path / "tracks.csv", tmp_path / "b.log", "--column", "east")

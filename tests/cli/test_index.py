@@ -9,7 +9,7 @@ from pathlib import Path
 
 import pytest
 
-from tests.cli.command import COMMAND, ENVIRONMENT, answer, error, on_terminal, run
+from tests.cli.command import COMMAND, ENVIRONMENT, answer, error, on_terminal, run, wrote
 from tests.waiting import PATIENCE
 
 pytest.importorskip("duckdb", reason="the extra `sql` is not installed")
@@ -30,7 +30,7 @@ def test_a_run_ends_with_one_line_and_the_next_reads_nothing(tmp_path):
     for counts in ("1 read, 0 failed, 0 unchanged", "0 read, 0 failed, 1 unchanged"):
         done = run("index", SAMPLES / "crossing.log", tmp_path / "index")
         assert (done.returncode, done.stdout) == (0, b"")
-        assert done.stderr.decode() == f"{tmp_path}/index: 1 recording: {counts}\n"
+        assert wrote(done.stderr) == [f"{tmp_path}/index: 1 recording ({counts})"]
 
 
 def test_recordings_that_cannot_be_read_are_named_and_the_exit_code_is_2(tmp_path):
@@ -40,10 +40,10 @@ def test_recordings_that_cannot_be_read_are_named_and_the_exit_code_is_2(tmp_pat
     failure, summary = done.stderr.decode().splitlines()
     assert done.returncode == 2
     assert failure.startswith(f"carla-recap: {tmp_path}/empty.log: is empty")
-    assert summary.endswith("2 recordings: 1 read, 1 failed, 0 unchanged")
+    assert wrote(summary) == [f"{tmp_path}/index: 2 recordings (1 read, 1 failed, 0 unchanged)"]
     again = run("index", tmp_path, tmp_path / "index")
     assert again.returncode == 0
-    assert again.stderr.endswith(b"0 read, 0 failed, 2 unchanged (1 of them with an error)\n")
+    assert b"(0 read, 0 failed, 2 unchanged, 1 of them with an error)" in again.stderr
 
 
 def test_unknown_maps_are_a_warning(tmp_path):
@@ -64,13 +64,13 @@ def test_a_list_of_recordings_comes_from_stdin(tmp_path):
         timeout=PATIENCE,
         check=False,
     )
-    assert b"2 recordings: 2 read" in done.stderr
+    assert b"2 recordings (2 read" in done.stderr
 
 
 def test_pruned_recordings_are_counted(tmp_path):
     run("index", SAMPLES / "crossing.log", SAMPLES / "crash.mcap", tmp_path / "index")
     done = run("index", "--prune", SAMPLES / "crossing.log", tmp_path / "index")
-    assert done.stderr.endswith(b"1 recording: 0 read, 0 failed, 1 unchanged, 1 removed\n")
+    assert b"1 recording (0 read, 0 failed, 1 unchanged, 1 removed)" in done.stderr
     assert answer("sql", tmp_path / "index", "select count(*) as n from recordings") == "n\n1\n"
 
 

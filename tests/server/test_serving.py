@@ -45,12 +45,12 @@ def test_invalid_folders_are_errors_in_one_line(tmp_path: Path) -> None:
 
 def test_serving_other_machines_prints_how_they_connect() -> None:
     command = [sys.executable, "-m", "carla_recap", "serve", "--port=0", "--host=0.0.0.0"]
-    with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, text=True) as process:
+    with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as process:
         assert process.stdout is not None
-        lines = [process.stdout.readline() for _ in range(2)]
+        port = process.stdout.readline().rsplit(":", 1)[1].strip()
         process.terminate()
-    port = lines[0].rsplit(":", 1)[1].strip()
-    assert f"carla.Client('HOST', {port}), with the name or address of this machine" in lines[1]
+        _, said = process.communicate()
+    assert f"carla.Client('HOST', {port}), with the name or address of this machine" in said
 
 
 def test_a_warning_is_printed_once(tmp_path: Path) -> None:

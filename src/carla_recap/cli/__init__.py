@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING, Final
 
 import click
 
-from carla_recap.cli.output import BAD_INPUT, PYTHON_HINT, say, warn
+from carla_recap.cli.output import BAD_INPUT, PYTHON_HINT, ask_quiet, fail, log_to_stderr, print_written, warn
 from carla_recap.errors import MissingExtra, RecapError, RecapWarning
 from carla_recap.util.signals import ignore_termination, is_first, is_terminating, set_handlers
 
@@ -58,7 +58,15 @@ class _Commands(click.Group):
         if cmd_name not in _MODULES:
             return super().get_command(ctx, cmd_name)
         command: click.Command = getattr(import_module(f"carla_recap.cli.{_MODULES[cmd_name]}"), _function(cmd_name))
+        if not any(each.name == "quiet" for each in command.params):
+            command.params += (_verbose(), _quiet())
         return command
+
+    def resolve_command(self, ctx: click.Context, args: list[str]) -> tuple[str | None, click.Command | None, list[str]]:
+        try:
+            return super().resolve_command(ctx, args)
+        except click.NoSuchCommand as error:
+            raise click.NoSuchCommand(error.command_name, possibilities=list(_MODULES), ctx=ctx) from None
 
     def invoke(self, ctx: click.Context) -> object:
         try:
@@ -66,6 +74,30 @@ class _Commands(click.Group):
         except MissingExtra as error:
             extra = _EXTRAS.get((str(ctx.invoked_subcommand), error.extra), error.extra)
             raise MissingExtra(f"carla-recap {ctx.invoked_subcommand}", extra) from None
+        finally:
+            print_written(ctx)
+
+
+def _set_quiet(ctx: click.Context, _: click.Parameter, value: bool) -> None:
+    if value:
+        ask_quiet(ctx)
+
+
+def _set_verbose(_: click.Context, __: click.Parameter, value: int) -> None:
+    if value:
+        log_to_stderr(value)
+
+
+def _quiet() -> click.Option:
+    """Return an option of all commands, before and after their names."""
+    words = "Print neither progress nor what was written; errors and warnings stay."
+    return click.Option(["-q", "--quiet"], is_flag=True, expose_value=False, callback=_set_quiet, help=words)
+
+
+def _verbose() -> click.Option:
+    """Return another such option."""
+    words = "Log what is done, on stderr; -vv with details."
+    return click.Option(["-v", "--verbose"], count=True, expose_value=False, callback=_set_verbose, help=words)
 
 
 @click.group(cls=_Commands, context_settings={"help_option_names": ["-h", "--help"]})
@@ -74,8 +106,11 @@ def cli() -> None:
     """Recordings of the driving simulator CARLA, without the simulator.
 
     FILE and SRC are recordings: CARLA's .log, or .mcap. SOURCE... are recordings, folders or globs in quotes, in any
-    number, or - for a list on stdin.
+    number, or - for a list on stdin. The options -q and -v go before a command or after it.
     """
+
+
+cli.params += (_verbose(), _quiet())
 
 
 def main() -> None:
@@ -106,7 +141,7 @@ def main() -> None:
 
 
 def _fail(message: str) -> None:
-    say(f"carla-recap: {message}")
+    fail(message)
     sys.exit(BAD_INPUT)
 
 

@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 import math
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import click
 
 from carla_recap.cli import options
-from carla_recap.cli.output import say
+from carla_recap.cli.output import counted, note, wrote
 
 if TYPE_CHECKING:
     from carla_recap.export.rerun.blueprint import View
@@ -40,6 +40,7 @@ _server = options.together(
 )
 @click.option("--additional-data", is_flag=True, help="Record velocities, boxes, physics and times, too.")
 @options.force
+@options.written
 def capture(destination: str, host: str, port: int, duration: float, additional_data: bool, force: bool) -> None:
     """Record what a CARLA server does, as one of its clients, to .mcap or .log."""
     from carla_recap.capture import capture as run
@@ -54,8 +55,9 @@ def capture(destination: str, host: str, port: int, duration: float, additional_
         force=force,
         progress=watch_ticks("capturing", duration),
     )
-    missed = f", {captured.missed} ticks missed" if captured.missed else ""
-    say(f"{destination}: {captured.frames} frames, {captured.seconds:g} s{missed}: {captured.why}")
+    missed = [f"{counted(captured.missed, 'tick')} missed"] if captured.missed else []
+    facts: dict[str, Any] = {"missed": captured.missed, "end": captured.why}
+    wrote(destination, *missed, captured.why, frames=captured.frames, seconds=captured.seconds, **facts)
 
 
 @click.command()
@@ -71,4 +73,4 @@ def watch(to: str | None, host: str, port: int, follow: Follow, view: View, forc
     from carla_recap.capture.live import watch as run
 
     why = run(to, host=host, port=port, follow=follow, view=view, force=force)
-    say(f"{to or 'the viewer'}: {why}")
+    note(f"{to or 'the viewer'}: {why}")

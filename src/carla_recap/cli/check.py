@@ -5,18 +5,18 @@ from __future__ import annotations
 import json
 import sys
 from contextlib import ExitStack, closing, contextmanager
+from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final, NoReturn
 
 import click
 
 from carla_recap.cli import options
 from carla_recap.cli.many import client_of, watched
-from carla_recap.cli.output import warn
+from carla_recap.cli.output import counted, warn, wrote
 from carla_recap.util.text import visible
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator, Sequence
-    from pathlib import Path
 
     from carla_recap.fleet.check import CheckedRecording
     from carla_recap.fleet.rules import RuleSet
@@ -75,7 +75,7 @@ def check(
             stack.enter_context(unwind_on_termination())
             room = stack.enter_context(_folder_of_pages(html, force=force))
             client = stack.enter_context(closing(client_of(dask))) if dask else None
-            found, bar = watched(sources, "Checked")
+            found, bar = watched(sources, "checking")
             with bar, closing(check_sources(found, rules, road_map=road_map, jobs=jobs, client=client)) as given:
                 for each in given:
                     judged.append(each)
@@ -96,6 +96,10 @@ def check(
             failures.append(error)
     _show(checked, rules, form)
     sys.stdout.flush()
+    if html:
+        wrote(Path(html) / "index.html")
+    if junit and not failures:
+        wrote(junit)
     if failures:  # after the verdicts, which took longer than the writing
         raise failures[0]
     sys.exit(_EXIT_CODES[worst(each.status for each in checked)])
@@ -164,13 +168,13 @@ def _show(checked: Sequence[CheckedRecording], rules: RuleSet, form: str | None)
             cells = [cell.ljust(width) for cell, width in zip(row, widths, strict=False)]
             click.echo("  ".join((*(cell for cell, width in zip(cells, widths, strict=True) if width), row[4])))
     click.echo(
-        f"{summary(checked)}; {_many(len(checked), 'recording')}, {_many(len(rules), 'rule')} of {visible(rules.path)}"
+        f"{summary(checked)}; {counted(len(checked), 'recording')}, {counted(len(rules), 'rule')} of {visible(rules.path)}"
     )
 
 
 def _rows(checked: CheckedRecording) -> list[tuple[str, str, str, str, str]]:
     """Return the status, recording, rule, time and message of each rule that is broken, or of all rules in one row."""
-    name, rules = visible(checked.recording), _many(len(checked.verdicts), "rule")
+    name, rules = visible(checked.recording), counted(len(checked.verdicts), "rule")
     if checked.status == "pass":
         return [("pass", name, "", "", rules)]
     bad = [verdict for status in ("error", "fail") for verdict in checked.verdicts if verdict.status == status]
@@ -181,17 +185,18 @@ def _rows(checked: CheckedRecording) -> list[tuple[str, str, str, str, str]]:
 
 def _print_table(rows: Sequence[tuple[str, ...]]) -> None:
     """Print the rows as a table, on a terminal."""
-    from rich import box
     from rich.console import Console
-    from rich.table import Table
-    from rich.text import Text
 
-    table = Table(box=box.SIMPLE_HEAD, show_edge=False)
-    for heading in ("", "Recording", "Rule", "Time", "What happens"):
-        table.add_column(heading, justify="right" if heading == "Time" else "left", overflow="fold")
-    for status, *cells in rows:
-        table.add_row(Text(status, _STYLES[status]), *map(Text, cells))
-    Console().print(table)
+    from carla_recap.queries.output.terminal import TableColumn, print_table
+
+    columns = (
+        TableColumn("", style=_STYLES.__getitem__),
+        TableColumn("Recording", narrowed="middle"),
+        TableColumn("Rule"),
+        TableColumn("Time", is_number=True),
+        TableColumn("What happens", narrowed="words"),
+    )
+    print_table(Console(), columns, rows)
 
 
 def _plain(checked: Sequence[CheckedRecording], rules: RuleSet) -> dict[str, Any]:
@@ -205,7 +210,3 @@ def _plain(checked: Sequence[CheckedRecording], rules: RuleSet) -> dict[str, Any
 
 def _seconds(time: float | None) -> str:
     return "" if time is None else f"{time:.2f} s"
-
-
-def _many(count: int, thing: str) -> str:
-    return f"{count} {thing}{'' if count == 1 else 's'}"

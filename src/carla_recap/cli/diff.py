@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Final, NoReturn
 import click
 
 from carla_recap.cli import options
-from carla_recap.cli.output import print_pieces, say
+from carla_recap.cli.output import counted, print_pieces, wrote
 
 if TYPE_CHECKING:
     from carla_recap.queries.differences import Differences
@@ -87,7 +87,7 @@ def _write_rrd(a: Recording, b: Recording, path: str, road_map: str | None, *, f
 
     roads = options.road_map_of(a, road_map)
     played = export_rerun(a, path, ghost=b, road_map=roads, force=force, progress=watch_scenes("exporting"))
-    say(f"{path}: {played.frames} frames, {played.seconds:.4g} s")
+    wrote(path, frames=played.frames, seconds=played.seconds)
 
 
 def _write_page(a: Recording, b: Recording, found: Differences, path: str, road_map: str | None, *, force: bool) -> None:
@@ -96,4 +96,4 @@ def _write_page(a: Recording, b: Recording, found: Differences, path: str, road_
 
     progress, town = watch_scenes("sampling"), options.town_of(a, road_map)
     written = write_report(a, path, other=b, differences=found, town=town, force=force, progress=progress)
-    say(f"{path}: {written.incidents} incidents, {written.size / 1e6:.1f} MB")
+    wrote(path, counted(written.incidents, "incident"), size=written.size, incidents=written.incidents)

@@ -7,12 +7,12 @@ from typing import TYPE_CHECKING
 import click
 
 from carla_recap.cli import options
-from carla_recap.cli.output import say
+from carla_recap.cli.output import wrote
 
 if TYPE_CHECKING:
     from carla_recap.editing.import_tracks import AngleUnit, LengthUnit, TimeUnit, TrackAxes
 
-_copy = options.together(options.source, options.destination, options.force)
+_copy = options.together(options.source, options.destination, options.force, options.written)
 
 
 @click.command()
@@ -26,7 +26,7 @@ def convert(source: str, destination: str, force: bool) -> None:
     from carla_recap.editing.convert import convert as run
 
     extent = run(source, destination, force=force, progress=watch("converting"))
-    say(f"{destination}: {extent.frames} frames, {extent.duration:g} s")
+    wrote(destination, frames=extent.frames, seconds=extent.duration)
 
 
 @click.command()
@@ -37,7 +37,9 @@ def recover(source: str, destination: str, force: bool) -> None:
     from carla_recap.editing.recover import recover as run
 
     result = run(source, destination, force=force, progress=watch("recovering"))
-    say(f"{destination}: {result}")
+    lost = {"lost_frames": result.lost_frames, "lost_packets": result.lost_packets, "lost_bytes": result.lost_bytes}
+    words = result.losses or ["nothing lost"]
+    wrote(destination, *words, frames=result.frames, seconds=result.duration, **lost, finished=result.finished)
 
 
 @click.command()
@@ -54,7 +56,7 @@ def clip(source: str, destination: str, force: bool, start: float, duration: flo
 
     source, start, duration = options.timed(source, start, duration)
     extent = run(source, destination, start=start, duration=duration, force=force, progress=watch("cutting"))
-    say(f"{destination}: {extent.frames} frames, {extent.duration:g} s")
+    wrote(destination, frames=extent.frames, seconds=extent.duration)
 
 
 @click.command(name="import")
@@ -80,6 +82,7 @@ def clip(source: str, destination: str, force: bool, start: float, duration: flo
     help="Right-handed: y to the left, a positive yaw turns left; carla: y to the right.",
 )
 @options.force
+@options.written
 def import_(
     source: str,
     destination: str,
@@ -117,4 +120,4 @@ def import_(
         hero=hero,
         force=force,
     )
-    say(f"{destination}: {extent.frames} frames, {extent.duration:g} s")
+    wrote(destination, frames=extent.frames, seconds=extent.duration)

@@ -6,17 +6,19 @@ import sys
 from contextlib import ExitStack
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Final, Literal
+from typing import TYPE_CHECKING, Any, Final, Literal
 
 import click
 from click.core import ParameterSource
 
 from carla_recap.cli import options
-from carla_recap.cli.output import say
+from carla_recap.cli.output import counted, note, warn, wrote
+from carla_recap.util.text import number
 
 if TYPE_CHECKING:
     from collections.abc import Collection
 
+    from carla_recap.export.clips import IncidentClip
     from carla_recap.export.report import Pictures
     from carla_recap.export.rerun.blueprint import View
     from carla_recap.export.video.cameras import VideoView
@@ -43,6 +45,7 @@ _window = options.together(options.follow, options.start, options.duration, opti
 @options.camera
 @click.option("--cameras", type=click.Path(), metavar="DIR", help="Write a small .rbl for each actor, to follow it (Rerun).")
 @options.force
+@options.written
 @click.pass_context
 def export(
     ctx: click.Context,
@@ -113,8 +116,8 @@ def export(
                 force=force,
             )
             for viewer, path in layout_files().items():
-                say(f"the layout for {viewer}: {path}")
-    say(f"{destination}: {played.frames} frames, {played.seconds:g} s")
+                note(f"the layout for {viewer}: {path}")
+    wrote(destination, frames=played.frames, seconds=played.seconds)
 
 
 def _export_tables(ctx: click.Context, source: str, folder: str, *, force: bool) -> None:
@@ -126,7 +129,8 @@ def _export_tables(ctx: click.Context, source: str, folder: str, *, force: bool)
     _refuse_others(ctx, _TABLES, "parquet")
     with open_recording(source) as recording:
         files = export_parquet(recording, folder, force=force, progress=watch("exporting"))
-        say(f"{folder}: {len(files)} files, {recording.info.frames} frames, {recording.info.duration:g} s")
+        about, count = recording.info, len(files)
+        wrote(folder, counted(count, "file"), frames=about.frames, seconds=about.duration, files=count)
 
 
 def _refuse_others(ctx: click.Context, allowed: Collection[str], to: str) -> None:
@@ -162,13 +166,13 @@ def _export_exchanged(ctx: click.Context, source: str, destination: str, to: str
 
                 played = export_openscenario(recording, destination, opendrive=opendrive, **watched)
                 if opendrive is not None:
-                    say(f"the map that belongs beside it: {opendrive}")
+                    note(f"the map that belongs beside it: {opendrive}")
             else:
                 from carla_recap.export.osi import export_osi
 
                 follow = ctx.params["follow"]
                 played = export_osi(recording, destination, follow=follow, opendrive=opendrive, **watched)
-    say(f"{destination}: {played.frames} frames, {played.seconds:g} s")
+    wrote(destination, frames=played.frames, seconds=played.seconds)
 
 
 @click.command()
@@ -190,6 +194,7 @@ def _export_exchanged(ctx: click.Context, source: str, destination: str, to: str
 @click.option(
     "--limit", type=click.IntRange(min=1), default=100, show_default=True, metavar="N", help="The largest number of clips."
 )
+@options.written
 def clips(
     source: str,
     folder: str,
@@ -236,9 +241,15 @@ def clips(
         force=force,
     )
     for each in written:
-        say(f"{each.recording}: {each.incident.text}")
+        wrote(each.recording, each.incident.text, **_facts(each))
     if not written:
-        say(f"{folder}: no incidents, no clips")
+        note(f"{folder}: no incidents, no clips")
+
+
+def _facts(clip: IncidentClip) -> dict[str, Any]:
+    """Return an incident and the files beside its clip, for JSON."""
+    others = {name: path and str(path) for name, path in (("rrd", clip.rrd), ("video", clip.video))}
+    return {"kind": clip.incident.kind, "incident": clip.incident.text, "start": clip.incident.start, **others}
 
 
 @click.command()
@@ -282,6 +293,7 @@ def view(
 @click.option("--size", type=options.SIZE, metavar="WxH", help="In pixels; 1280x720, or of a recorded camera its own.")
 @options.overlay
 @options.force
+@options.written
 def snapshot(
     source: str,
     destination: str,
@@ -301,7 +313,7 @@ def snapshot(
     with open_recording(source) as recording:
         town = partial(options.town_of, recording, road_map, time, options.MOMENT)
         run(recording, destination, at=time, follow=follow, view=view, town=town, size=size, overlay=overlay, force=force)
-    say(destination)
+    wrote(destination, f"a picture at {number(time)} s", time=time)
 
 
 @click.command()
@@ -317,6 +329,7 @@ def snapshot(
 @click.option("--smooth", is_flag=True, help="Draw smooth edges, which takes about twice as long.")
 @options.overlay
 @options.force
+@options.written
 def video(
     source: str,
     destination: str,
@@ -359,7 +372,8 @@ def video(
             force=force,
         )
     width, height = written.size
-    say(f"{destination}: {written.seconds:.4g} s, {width}x{height}, {written.size_on_disk / 1e6:.2g} MB")
+    facts = {"width": width, "height": height}
+    wrote(destination, f"{width}x{height}", frames=written.frames, seconds=written.seconds, **facts)
 
 
 @click.command()
@@ -382,6 +396,7 @@ def video(
 @options.min_time
 @options.min_distance
 @options.deceleration
+@options.written
 @click.pass_context
 def report(
     ctx: click.Context,
@@ -445,8 +460,9 @@ def report(
             force=force,
         )
     page = destination if single else Path(destination) / "index.html"
-    unjudged = "" if roads else f"; the map {map_name!r} is unknown, so that rules of the road are not judged (--map)"
-    say(f"{page}: {written.incidents} incidents, {written.size / 1e6:.1f} MB{unjudged}")
+    wrote(page, counted(written.incidents, "incident"), size=written.size, incidents=written.incidents)
+    if roads is None:
+        warn(f"the map {map_name!r} is unknown, so that rules of the road are not judged; --map names its file")
     if serve:
         serve_page(destination, port or 0, ready=_announce)
 
@@ -455,4 +471,4 @@ def _announce(address: str) -> None:
     """Print the address of a server, on stdout for programs."""
     click.echo(address)
     sys.stdout.flush()
-    say("Ctrl-C ends it")
+    note("Ctrl-C ends it")

@@ -5,12 +5,13 @@ from __future__ import annotations
 import os
 import sys
 from contextlib import ExitStack, closing
+from dataclasses import asdict
 from typing import TYPE_CHECKING, Final, NoReturn, TypeVar
 
 import click
 
 from carla_recap.cli import options
-from carla_recap.cli.output import say, warn
+from carla_recap.cli.output import fail, warn, wrote
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator
@@ -36,6 +37,7 @@ FAILED: Final = 2
 @click.option("--prune", is_flag=True, help="Remove recordings from INDEX that no SOURCE means.")
 @click.option("--retry", is_flag=True, help="Read recordings again that could not be read, also unchanged ones.")
 @click.option("--all", "again", is_flag=True, help="Read all recordings again, also unchanged ones.")
+@options.written
 def index(
     sources: tuple[str, ...],
     index_folder: str,
@@ -57,18 +59,18 @@ def index(
     from carla_recap.util.signals import unwind_on_termination
     from carla_recap.util.text import readable
 
-    bar = SourcesBar("Index", None)
+    bar = SourcesBar("indexing", None)
 
     def watched(outcomes: Iterable[T], count: int) -> Iterator[T]:
         nonlocal bar
-        with SourcesBar("Index", count) as bar:
+        with SourcesBar("indexing", count) as bar:
             for outcome in outcomes:
                 yield outcome
                 bar.advance()
 
     def report(error: str) -> None:
         with bar.aside():
-            say(f"carla-recap: {error}")
+            fail(error)
 
     with ExitStack() as stack:
         stack.enter_context(unwind_on_termination())
@@ -88,11 +90,11 @@ def index(
         )
     counts = [f"{summary.read:,} read", f"{summary.failed:,} failed", f"{summary.unchanged:,} unchanged"]
     if summary.unreadable:
-        counts[-1] += f" ({summary.unreadable:,} of them with an error)"
+        counts[-1] += f", {summary.unreadable:,} of them with an error"
     if summary.removed:
         counts.append(f"{summary.removed:,} removed")
     things = "recording" if summary.recordings == 1 else "recordings"
-    say(f"{index_folder}: {summary.recordings:,} {things}: {', '.join(counts)}")
+    wrote(index_folder, f"{summary.recordings:,} {things} ({', '.join(counts)})", **asdict(summary))
     if summary.unknown_maps:
         named = readable(", ".join(repr(name) for name in summary.unknown_maps))[:_LONGEST]
         advice = "rules of the road are not judged there; --map or CARLA_RECAP_MAPS names maps"

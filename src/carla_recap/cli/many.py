@@ -12,7 +12,7 @@ from time import monotonic
 from typing import TYPE_CHECKING, Any, Final, NoReturn
 
 from carla_recap.cli import options
-from carla_recap.cli.output import BAD_INPUT, PYTHON_HINT, TOO_MANY, form_of, print_pieces, say, show, warn
+from carla_recap.cli.output import BAD_INPUT, PYTHON_HINT, TOO_MANY, counted, fail, form_of, print_pieces, show, warn
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Sequence
@@ -60,7 +60,7 @@ def answer(
 
         stack.enter_context(unwind_on_termination())
         client = stack.enter_context(closing(client_of(dask))) if dask else None
-        found, bar = watched(sources, "Read")
+        found, bar = watched(sources, "reading")
         stack.enter_context(bar)
         given = stack.enter_context(closing(answers(query, shape, found, jobs=jobs, client=client)))
         try:
@@ -114,7 +114,7 @@ def _print(given: Iterable[RecordingAnswer], form: str, bar: SourcesBar, max_row
                 for message in each.warnings:
                     warn(_with_location(message, each))
                 if each.error:
-                    say("carla-recap: " + _with_location(re.sub(PYTHON_HINT, "", each.error), each))
+                    fail(_with_location(re.sub(PYTHON_HINT, "", each.error), each))
         failed += each.error is not None
         rows += each.rows
         bar.advance()
@@ -122,7 +122,7 @@ def _print(given: Iterable[RecordingAnswer], form: str, bar: SourcesBar, max_row
     printer.end()
     too_many = max_rows is not None and rows > max_rows
     if too_many:
-        say(f"carla-recap: {rows} rows, at most {max_rows} were allowed")
+        fail(f"{counted(rows, 'row')}, at most {max_rows} were allowed")
     return BAD_INPUT if failed else TOO_MANY if too_many else 0
 
 
@@ -232,7 +232,7 @@ class _TablePrinter:
     def end(self) -> None:
         self._print_page()
         failed = f", {self._failed} failed" if self._failed else ""
-        line = f"{_counted(self._rows, 'row')}; {_counted(self._recordings, 'recording')}{failed}"
+        line = f"{counted(self._rows, 'row')}; {counted(self._recordings, 'recording')}{failed}"
         self._console.print(line, highlight=False)
 
     def _add(self, rows: list[tuple[str, ...]], row: tuple[str, ...]) -> None:
@@ -244,12 +244,14 @@ class _TablePrinter:
 
     def _print_page(self) -> None:
         from carla_recap.queries.output.table import print_rows
+        from carla_recap.queries.output.terminal import TableColumn
 
+        recording = TableColumn("Recording", narrowed="middle")
         with self._bar.aside():
             if self._page:
-                print_rows(self._console, self._row_type, self._page, "Recording")
+                print_rows(self._console, self._row_type, self._page, recording)
             if self._errors:
-                print_rows(self._console, None, self._errors, "Recording", "Error")
+                print_rows(self._console, None, self._errors, recording, TableColumn("Error", narrowed="words"))
         self._page, self._errors = [], []
 
 
@@ -285,7 +287,3 @@ _PRINTERS: Final[dict[str, Callable[[SourcesBar], Any]]] = {
     "json": _JsonPrinter,
     "table": _TablePrinter,
 }
-
-
-def _counted(count: int, thing: str) -> str:
-    return f"{count} {thing}{'' if count == 1 else 's'}"

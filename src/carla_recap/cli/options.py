@@ -10,6 +10,8 @@ from typing import TYPE_CHECKING, Any, Final, TypeVar
 import click
 from click.core import ParameterSource
 
+from carla_recap.cli.output import ask_json
+
 if TYPE_CHECKING:
     from collections.abc import Callable
     from pathlib import Path
@@ -129,6 +131,11 @@ class _Size(click.ParamType[Any]):
         return int(match[1]), int(match[2])
 
 
+def _ask_json(context: click.Context, _: click.Parameter, value: bool) -> None:
+    if value:
+        ask_json(context)
+
+
 NUMBER = _Number(0)
 POSITIVE = _Number(0, exclusive=True)
 TIME = _Number()
@@ -149,6 +156,13 @@ destination = click.argument("destination", type=click.Path(), metavar="DST")
 folder = click.argument("folder", type=click.Path(), metavar="DIR")
 force = click.option("--force", is_flag=True, help="Overwrite what exists.")
 json = click.option("--json", "form", flag_value="json", help="Print JSON.")
+written = click.option(
+    "--json",
+    is_flag=True,
+    expose_value=False,
+    callback=_ask_json,
+    help="Print what was written as JSON.",
+)
 text = click.option("--text", "form", flag_value="text", help="Print CARLA's text, as in a pipe.")
 compat = click.option(
     "--compat",

@@ -5,11 +5,12 @@ from __future__ import annotations
 import os
 import sys
 from functools import lru_cache
-from typing import TYPE_CHECKING, Any, Final, NoReturn
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Final, NoReturn, TextIO
 
 import click
 
-from carla_recap.util.text import visible
+from carla_recap.util.text import number, visible
 
 if TYPE_CHECKING:
     from collections.abc import Iterable
@@ -22,6 +23,8 @@ BAD_INPUT: Final = 2
 """The exit code of an error."""
 PYTHON_HINT: Final = r" \(in Python, [^)]*\)"
 """What errors say to callers of the package alone, as a pattern."""
+_QUIET: Final = "carla_recap.quiet"
+_WRITTEN: Final = "carla_recap.written"
 
 
 def form_of(form: str | None, *, compat: bool) -> Form:
@@ -62,7 +65,7 @@ def show(answer: Any, form: str | None, max_rows: int | None = None) -> NoReturn
     sys.stdout.flush()
     too_many = max_rows is not None and len(answer) > max_rows
     if too_many:
-        click.echo(f"carla-recap: {len(answer)} rows, at most {max_rows} were allowed", err=True)
+        fail(f"{counted(len(answer), 'row')}, at most {max_rows} were allowed")
     os._exit(TOO_MANY if too_many else 0)  # ending the interpreter takes longer than a small query
 
 
@@ -75,30 +78,154 @@ def print_pieces(pieces: Iterable[str]) -> None:
     out.flush()
 
 
-def say(message: str) -> None:
-    """Print a line on stderr; names from a recording can neither control the terminal nor break the line."""
+def is_quiet() -> bool:
+    """Return whether the command was asked to print neither progress nor success lines."""
+    context = click.get_current_context(silent=True)
+    return context is not None and bool(context.meta.get(_QUIET))
+
+
+def ask_quiet(context: click.Context) -> None:
+    """Print neither progress nor success lines from now on."""
+    context.meta[_QUIET] = True
+
+
+def ask_json(context: click.Context) -> None:
+    """Print what `wrote` was called with as JSON on stdout, when the command ends."""
+    context.meta.setdefault(_WRITTEN, [])
+
+
+def has_colors(stream: TextIO) -> bool:
+    """Return whether colours are printed: on terminals other than dumb ones; `NO_COLOR` and `FORCE_COLOR` prevail."""
+    if os.environ.get("NO_COLOR"):
+        return False
+    return bool(os.environ.get("FORCE_COLOR")) or (os.environ.get("TERM") not in ("dumb", "unknown") and stream.isatty())
+
+
+def say(message: str, *, before: str = "", color: str = "", stream: TextIO | None = None) -> None:
+    """Print a line on stderr; names from a recording can neither control the terminal nor break the line.
+
+    Args:
+        message: The text.
+        before: Words in front of it, which are in colour if the stream has colours.
+        color: This colour, by its name in click.
+        stream: Another stream.
+    """
+    stream = stream or sys.stderr
     line = "".join(c if c.isprintable() else repr(c)[1:-1] for c in message)
-    click.echo(line.encode("utf-8", "surrogateescape"), err=True)
+    if before:
+        shown = click.style(before, fg=color, bold=True) if color and has_colors(stream) else before
+        line = f"{shown} {line}"
+    click.echo(line.encode("utf-8", "surrogateescape"), file=stream)
+
+
+def note(message: str) -> None:
+    """Print a line that says what happens, on stderr, unless the command was asked to be quiet."""
+    if not is_quiet():
+        say(message)
+
+
+def wrote(
+    path: str | Path,
+    *notes: str,
+    frames: int | None = None,
+    seconds: float | None = None,
+    size: int | None = None,
+    **facts: Any,
+) -> None:
+    """Say that a file or folder was written: `wrote crash.mp4: 300 frames, 10 s, 2.1 MB`.
+
+    Args:
+        path: The file or folder.
+        notes: What else is to be said, in words.
+        frames: The number of its frames.
+        seconds: Its duration.
+        size: Its size in bytes; None: as found.
+        facts: More facts for JSON.
+    """
+    size = _size_of(Path(path)) if size is None else size
+    context = click.get_current_context(silent=True)
+    if context is not None and _WRITTEN in context.meta:
+        known = {"path": os.fspath(path), "frames": frames, "seconds": seconds, "bytes": size, **facts}
+        context.meta[_WRITTEN].append({name: value for name, value in known.items() if value is not None})
+    if is_quiet():
+        return
+    told = [
+        "" if frames is None else counted(frames, "frame"),
+        "" if seconds is None else f"{number(seconds)} s",
+        *notes,
+        "" if size is None else _bytes(size),
+    ]
+    about = ", ".join(filter(None, told))
+    say(f"{os.fspath(path)}: {about}" if about else os.fspath(path), before="wrote", color="green")
+
+
+def print_written(context: click.Context) -> None:
+    """Print what was written as one JSON object, if the command was asked for it."""
+    if written := context.meta.get(_WRITTEN):
+        from carla_recap.queries.output.json import encoded
+
+        print_pieces([encoded({"written": written}) + "\n"])
+
+
+def _size_of(path: Path) -> int | None:
+    try:
+        if path.is_dir():
+            return sum(each.stat().st_size for each in path.rglob("*") if each.is_file())
+        return path.stat().st_size if path.is_file() else None
+    except (OSError, ValueError):  # such as a URL
+        return None
+
+
+def _bytes(size: int) -> str:
+    """Return a size in words, with two digits at least."""
+    for unit, factor in (("GB", 1e9), ("MB", 1e6), ("kB", 1e3)):
+        if size >= 0.9995 * factor:
+            value = size / factor
+            return f"{value:.1f} {unit}" if value < 9.95 else f"{value:.0f} {unit}"
+    return f"{size} bytes"
+
+
+def counted(count: int, thing: str) -> str:
+    """Return a number of things, with a plural of s."""
+    return f"{count} {thing}{'' if count == 1 else 's'}"
+
+
+def fail(message: str) -> None:
+    """Print an error."""
+    say(message, before="carla-recap:", color="red")
 
 
 def warn(message: object) -> None:
     """Print a warning."""
-    say(f"carla-recap: warning: {message}")
+    say(str(message), before="carla-recap: warning:", color="yellow")
 
 
-def log_to_stderr() -> None:
-    """Print the package's log on stderr, from warnings upwards; a line that was printed recently is not repeated."""
+def log_to_stderr(verbosity: int = 0) -> None:
+    """Print the package's log on stderr; a line that was printed recently is not repeated.
+
+    Args:
+        verbosity: 0 for warnings and errors, 1 for what is done, too, 2 for its details.
+    """
     import logging
 
     @lru_cache(maxsize=256)
     def print_once(level: int, message: str) -> None:
         if level == logging.WARNING:
             warn(message)
+        elif level > logging.WARNING:
+            fail(message)
         else:
-            say(f"carla-recap: {message}")
+            say(message, before=f"carla-recap: {logging.getLevelName(level).lower()}:", color="cyan")
 
     class StderrHandler(logging.Handler):
         def emit(self, record: logging.LogRecord) -> None:
             print_once(record.levelno, record.getMessage())
 
-    logging.getLogger("carla_recap").addHandler(StderrHandler(logging.WARNING))
+    logger, level = logging.getLogger("carla_recap"), (logging.WARNING, logging.INFO, logging.DEBUG)[min(verbosity, 2)]
+    handler = next((each for each in logger.handlers if type(each).__name__ == StderrHandler.__name__), None)
+    if handler is None:
+        handler = StderrHandler(level)
+        logger.addHandler(handler)
+    handler.setLevel(min(handler.level, level))
+    if verbosity:
+        logger.setLevel(level)

@@ -10,6 +10,8 @@ from stat import S_ISFIFO
 from time import monotonic
 from typing import TYPE_CHECKING, Any, Self, TypeVar
 
+from carla_recap.cli.output import is_quiet
+
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Iterator, Sequence
 
@@ -26,6 +28,11 @@ if TYPE_CHECKING:
 T = TypeVar("T")
 
 _INTERVAL = 0.1  # s between two updates of a bar
+
+
+def _is_shown() -> bool:
+    """Return whether bars are shown: on terminals that can, unless the command is quiet."""
+    return sys.stderr.isatty() and os.environ.get("TERM") not in ("dumb", "unknown") and not is_quiet()
 
 
 def watch(title: str) -> Progress:
@@ -79,7 +86,7 @@ class SourcesBar:
     @staticmethod
     def is_shown() -> bool:
         """Return whether such bars are shown."""
-        return sys.stderr.isatty() and not S_ISFIFO(os.fstat(sys.stdout.fileno()).st_mode)
+        return _is_shown() and not S_ISFIFO(os.fstat(sys.stdout.fileno()).st_mode)
 
     def __enter__(self) -> Self:
         if self.is_shown():
@@ -118,7 +125,7 @@ class SourcesBar:
 
 
 def _bar(items: Iterable[T], title: str, total: float, position: Callable[[T], float]) -> Iterable[T]:
-    return _watched(items, title, total, position) if sys.stderr.isatty() else items
+    return _watched(items, title, total, position) if _is_shown() else items
 
 
 def _watched(items: Iterable[T], title: str, total: float, position: Callable[[T], float]) -> Iterator[T]:

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING
 import click
 
 from carla_recap.cli import options
-from carla_recap.cli.output import log_to_stderr, warn
+from carla_recap.cli.output import log_to_stderr, note, warn
 from carla_recap.errors import RecapError, RecapWarning
 
 if TYPE_CHECKING:
@@ -142,8 +142,9 @@ def _make_folder(folder: Path) -> None:
 
 
 def _announce(town: str, host: str, port: int) -> None:
-    click.echo(f"{town} is served at {host}:{port}")
+    click.echo(f"{town} is served at {host}:{port}")  # for programs, which wait for it
+    sys.stdout.flush()
     if host in _EVERYWHERE:
-        click.echo(f"connect to it: carla.Client('HOST', {port}), with the name or address of this machine; Ctrl-C ends it")
+        note(f"connect to it: carla.Client('HOST', {port}), with the name or address of this machine; Ctrl-C ends it")
     else:
-        click.echo(f"connect to it: carla.Client({host!r}, {port}); Ctrl-C ends it")
+        note(f"connect to it: carla.Client({host!r}, {port}); Ctrl-C ends it")

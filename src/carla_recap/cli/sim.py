@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING
 import click
 
 from carla_recap.cli import options
-from carla_recap.cli.output import log_to_stderr, say
+from carla_recap.cli.output import log_to_stderr, wrote
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -51,6 +51,7 @@ _additional_data = click.option("--additional-data", is_flag=True, help="Record 
 @_seed
 @_additional_data
 @options.force
+@options.written
 def record(
     destination: str,
     town: str | None,
@@ -97,6 +98,7 @@ def record(
 @click.option("--ignore-hero", is_flag=True, help="Leave the hero out.")
 @_additional_data
 @options.force
+@options.written
 def replay(
     source: str,
     destination: str,
@@ -159,7 +161,7 @@ def _recording(world: World, destination: str, *, additional_data: bool, force: 
     finally:
         world.stop_recorder()
         if world.recorder.error is None:
-            say(", ".join((f"{destination}: {world.frame} frames", f"{world.elapsed:g} s", *notes)))
+            wrote(destination, *notes, frames=world.frame, seconds=world.elapsed)
         elif sys.exc_info()[0] is None:  # which was a warning
             click.get_current_context().exit(_FAILED)
 

@@ -50,15 +50,20 @@ class Recovery:
     headless: bool = False
     lost_packets: int = 0
 
-    def __str__(self) -> str:
-        saved = f"{self.frames} frame{'s' * (self.frames != 1)} saved, up to {self.duration:g} s"
+    @property
+    def losses(self) -> list[str]:
+        """What is missing, in words; empty if nothing is."""
         counts = ((self.lost_frames, "frames"), (self.lost_packets, "packets"), (self.lost_bytes, "bytes"))
         lost = [f"{count} {what} lost" for count, what in counts if count]
         if not self.finished:
             lost.append("it was never finished, or its end is damaged")
         if self.headless:
             lost.append("its header is lost: the map is unknown")
-        return "; ".join([saved, *(lost or ["nothing lost"])])
+        return lost
+
+    def __str__(self) -> str:
+        saved = f"{self.frames} frame{'s' * (self.frames != 1)} saved, up to {self.duration:g} s"
+        return "; ".join([saved, *(self.losses or ["nothing lost"])])
 
 
 def recover(

@@ -7,6 +7,8 @@ from dataclasses import asdict, dataclass
 from typing import TYPE_CHECKING, Any, Final
 
 from carla_recap.queries.output.json import encoded
+from carla_recap.queries.output.table import most_important_first
+from carla_recap.queries.output.terminal import TableColumn, brief_actor, print_table
 from carla_recap.util.text import visible
 
 if TYPE_CHECKING:
@@ -22,6 +24,14 @@ class _ListedColumn:
     heading: str
     cell: Callable[[Any], str]
     is_number: bool = False
+    is_name: bool = False
+    rank: int = 0
+
+    def looks(self) -> TableColumn:
+        """Return the column of a table on a terminal."""
+        if self.is_name:
+            return TableColumn(self.heading, narrowed="middle", brief=brief_actor)
+        return TableColumn(self.heading, self.is_number, "words" if self.heading == "What happens" else "never", self.rank)
 
 
 @dataclass(frozen=True)
@@ -70,9 +80,7 @@ def table(found: Differences, console: Console | None = None) -> None:
         found: The differences.
         console: The console to print to; None for the standard output.
     """
-    from rich import box
     from rich.console import Console
-    from rich.table import Table
     from rich.text import Text
 
     console = console or Console()
@@ -80,15 +88,10 @@ def table(found: Differences, console: Console | None = None) -> None:
         style = ("bold green" if found.equal else "bold red") if not number else ""
         console.print(Text(visible(line), style))
     for listing in _listings(found):
-        (headings, *rows), numbers = listing.cells(), listing.numbers()
-        page = Table(box=box.SIMPLE_HEAD, show_edge=False, pad_edge=False, collapse_padding=True)
-        for heading, is_number in zip(headings, numbers, strict=True):
-            page.add_column(heading, justify="right" if is_number else "left", overflow="fold", no_wrap=is_number)
-        for row in rows:
-            page.add_row(*map(Text, row))
+        rows = [[column.cell(row) for column in listing.columns] for row in listing.rows]
         console.print()
         console.print(Text(listing.title, "bold"))
-        console.print(page)
+        print_table(console, [column.looks() for column in listing.columns], rows)
 
 
 def json(found: Differences) -> Iterator[str]:
@@ -135,8 +138,8 @@ def _listings(found: Differences) -> Iterator[_Listing]:
     """Yield the lists of what differs; none are empty."""
     listings = (
         _Listing("Actors that differ, in m, s and degrees", _ACTORS, [row for row in found.actors if row.differs]),
-        _Listing("Actors only in A", _UNMATCHED, found.missing),
-        _Listing("Actors only in B", _UNMATCHED, found.extra),
+        _Listing("Actors only in A", _UNMATCHED, most_important_first(found.missing)),
+        _Listing("Actors only in B", _UNMATCHED, most_important_first(found.extra)),
         _Listing("Traffic lights that differ, in m and s", _LIGHTS, [row for row in found.lights if row.differs]),
         _Listing("Events that differ, in s", _EVENTS, found.events),
     )
@@ -181,20 +184,20 @@ def _lives(row: ActorDifference) -> str:
 
 _ACTORS: Final = (
     _ListedColumn("Id", _ids, is_number=True),
-    _ListedColumn("Actor", _actor),
+    _ListedColumn("Actor", _actor, is_name=True),
     _ListedColumn("Parts", lambda row: _seconds(row.first), is_number=True),
     _ListedColumn("By", lambda row: _metres(row.first_distance), is_number=True),
     _ListedColumn("Mean", lambda row: _metres(row.mean), is_number=True),
     _ListedColumn("Max", lambda row: _metres(row.max), is_number=True),
     _ListedColumn("At", lambda row: _seconds(row.max_at) if row.max else "", is_number=True),
     _ListedColumn("Final", lambda row: _metres(row.final), is_number=True),
-    _ListedColumn("Heading", lambda row: _degrees(row.heading), is_number=True),
-    _ListedColumn("Exists", _lives),
+    _ListedColumn("Heading", lambda row: _degrees(row.heading), is_number=True, rank=2),
+    _ListedColumn("Exists", _lives, rank=1),
 )
 _UNMATCHED: Final = (
     _ListedColumn("Id", lambda actor: str(actor.id), is_number=True),
     _ListedColumn("Kind", lambda actor: actor.kind),
-    _ListedColumn("Actor", lambda actor: actor.type_id or "unknown"),
+    _ListedColumn("Actor", lambda actor: actor.type_id or "unknown", is_name=True),
     _ListedColumn("Role", lambda actor: actor.role_name),
     _ListedColumn("Exists", lambda actor: _life(actor.spawned_at, actor.destroyed_at)),
 )

@@ -3,17 +3,17 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
 from itertools import islice
-from typing import TYPE_CHECKING, Any, Final
+from typing import TYPE_CHECKING, Any, Final, NamedTuple
 
 from carla_recap.model.records import NO_ACTOR
-from carla_recap.queries.actors import Actor
+from carla_recap.queries.actors import Actor, RecordedActors
 from carla_recap.queries.blocked import BlockedRow
 from carla_recap.queries.collisions import CollisionRow
 from carla_recap.queries.incidents import Incident
 from carla_recap.queries.info import Info, InfoRow
 from carla_recap.queries.measures.rows import MeasureRow
+from carla_recap.queries.output.terminal import TableColumn, brief_actor, kind_style, print_table
 from carla_recap.queries.output.text import local_date
 from carla_recap.util.text import number, visible
 
@@ -25,13 +25,13 @@ if TYPE_CHECKING:
     from carla_recap.queries.output.text import AnyAnswer
 
 
-@dataclass(frozen=True)
-class _Column:
-    heading: str
+class _Column(NamedTuple):
+    looks: TableColumn
     cell: Callable[[Any], str]
-    width: int | None = None  # of a table that is printed in pages
-    is_number: bool = False
-    least: int | None = None  # width
+
+
+def _column(heading: str, cell: Callable[[Any], str], **looks: Any) -> _Column:
+    return _Column(TableColumn(heading, **looks), cell)
 
 
 def table(answer: AnyAnswer, console: Console | None = None) -> None:
@@ -48,9 +48,11 @@ def table(answer: AnyAnswer, console: Console | None = None) -> None:
     header = answer.header
     console.print(Text(f"{visible(header.map_name)}, {local_date(header.date)}, version {header.version}"))
     count = 0
-    rows = iter(answer)
+    rows = iter(in_order(answer))
     while page := list(islice(rows, _PAGE if isinstance(answer, Info) else None)):
-        _print_page(console, _COLUMNS[answer.row_type], page, headed=not count)
+        columns = _COLUMNS[answer.row_type]
+        cells = [[column.cell(row) for column in columns] for row in page]
+        print_table(console, [column.looks for column in columns], cells, headed=not count)
         count += len(page)
     extent = answer.extent
     things = "row" if count == 1 else "rows"
@@ -60,41 +62,34 @@ def table(answer: AnyAnswer, console: Console | None = None) -> None:
 _PAGE: Final = 500
 
 
+def in_order(answer: AnyAnswer) -> Iterable[Any]:
+    """Return the rows of an answer as tables have them."""
+    return most_important_first(answer) if isinstance(answer, RecordedActors) else answer
+
+
+def most_important_first(actors: Iterable[Actor]) -> list[Actor]:
+    """Return actors in the order of tables: heroes, vehicles and walkers before what never moves."""
+    ranks = {kind: rank for rank, kind in enumerate(_KINDS)}
+    return sorted(actors, key=lambda actor: (not actor.is_hero, ranks.get(actor.kind, len(ranks)), actor.id))
+
+
 def cells(answer: AnyAnswer) -> Iterator[tuple[str, ...]]:
     """Yield the cells of each row of an answer."""
     columns = _COLUMNS[answer.row_type]
-    return (tuple(column.cell(row) for column in columns) for row in answer)
+    return (tuple(column.cell(row) for column in columns) for row in in_order(answer))
 
 
-def print_rows(console: Console, row_type: type | None, rows: Sequence[Sequence[str]], *first: str) -> None:
+def print_rows(console: Console, row_type: type | None, rows: Sequence[Sequence[str]], *first: TableColumn) -> None:
     """Print a table of the rows of several answers, whose cells are known.
 
     Args:
         console: The console to print to.
         row_type: The class of the rows; None if there are no cells of rows.
         rows: The cells of each row: those of further columns at the left, then those of `cells`.
-        first: The headings of the columns at the left.
+        first: The columns at the left.
     """
-    columns = [*(_Column(heading, str, least=len(heading)) for heading in first), *(_COLUMNS[row_type] if row_type else ())]
-    _print_cells(console, columns, rows, headed=True)
-
-
-def _print_page(console: Console, columns: Sequence[_Column], rows: list[Any], *, headed: bool) -> None:
-    _print_cells(console, columns, ([column.cell(row) for column in columns] for row in rows), headed=headed)
-
-
-def _print_cells(console: Console, columns: Iterable[_Column], rows: Iterable[Iterable[str]], *, headed: bool) -> None:
-    from rich import box
-    from rich.table import Table
-    from rich.text import Text
-
-    page = Table(box=box.SIMPLE_HEAD, show_edge=False, show_header=headed)
-    for column in columns:
-        justify: Any = "right" if column.is_number else "left"
-        page.add_column(column.heading, justify=justify, width=column.width, min_width=column.least, overflow="fold")
-    for row in rows:
-        page.add_row(*(Text(visible(cell)) for cell in row))
-    console.print(page)
+    columns = [*first, *(column.looks for column in _COLUMNS[row_type])] if row_type else first
+    print_table(console, columns, rows)
 
 
 def _seconds(value: float) -> str:
@@ -122,53 +117,65 @@ def _brief(value: Any) -> str:
     return f"[{', '.join(map(_brief, value))}]" if isinstance(value, list) else str(value)
 
 
+_KINDS: Final = ("vehicle", "walker", "traffic_light", "sensor", "traffic_sign", "other")
+"""The kinds of actors, in the order of tables."""
+
+
+def _number(heading: str, cell: Callable[[Any], str], **looks: Any) -> _Column:
+    return _column(heading, cell, is_number=True, **looks)
+
+
+def _name(heading: str, cell: Callable[[Any], str], **looks: Any) -> _Column:
+    return _column(heading, cell, narrowed="middle", brief=brief_actor, **looks)
+
+
 _COLUMNS: Final[dict[type, tuple[_Column, ...]]] = {
     InfoRow: (
-        _Column("Time", lambda row: _seconds(row.elapsed), 10, is_number=True),
-        _Column("Frame", lambda row: str(row.frame), 8, is_number=True),
-        _Column("Record", lambda row: row.type, 16),
-        _Column("Details", lambda row: _details(row.record)),
+        _number("Time (s)", lambda row: _seconds(row.elapsed), least=10),
+        _number("Frame", lambda row: str(row.frame), least=8),
+        _column("Record", lambda row: row.type, least=16),
+        _column("Details", lambda row: _details(row.record), narrowed="words", least=16),
     ),
     CollisionRow: (
-        _Column("Time", lambda row: _seconds(row.elapsed), is_number=True),
-        _Column("Frame", lambda row: str(row.frame), is_number=True),
-        _Column("Id", lambda row: str(row.id1), is_number=True),
-        _Column("Actor 1", lambda row: _actor(row.id1, row.type_id1, row.hero1)),
-        _Column("Id", lambda row: str(row.id2), is_number=True),
-        _Column("Actor 2", lambda row: _actor(row.id2, row.type_id2, row.hero2)),
-        _Column("Impact m/s", lambda row: _speed(row.impact_speed), is_number=True),
-        _Column("Relative m/s", lambda row: _speed(row.relative_speed), is_number=True),
+        _number("Time (s)", lambda row: _seconds(row.elapsed)),
+        _number("Frame", lambda row: str(row.frame), rank=2),
+        _number("Id", lambda row: str(row.id1)),
+        _name("Actor 1", lambda row: _actor(row.id1, row.type_id1, row.hero1)),
+        _number("Id", lambda row: str(row.id2)),
+        _name("Actor 2", lambda row: _actor(row.id2, row.type_id2, row.hero2)),
+        _number("Impact (m/s)", lambda row: _speed(row.impact_speed)),
+        _number("Relative (m/s)", lambda row: _speed(row.relative_speed), rank=1),
     ),
     Actor: (
-        _Column("Id", lambda row: str(row.id), is_number=True),
-        _Column("Kind", lambda row: row.kind),
-        _Column("Actor", lambda row: row.type_id),
-        _Column("Role", lambda row: row.role_name),
-        _Column("From", lambda row: _seconds(row.spawned_at), is_number=True),
-        _Column("To", lambda row: "" if row.destroyed_at is None else _seconds(row.destroyed_at), is_number=True),
-        _Column("Parent", lambda row: "" if row.parent is None else str(row.parent), is_number=True),
+        _number("Id", lambda row: str(row.id)),
+        _column("Kind", lambda row: row.kind, style=kind_style),
+        _name("Actor", lambda row: row.type_id),
+        _column("Role", lambda row: row.role_name, narrowed="middle"),
+        _number("From (s)", lambda row: _seconds(row.spawned_at)),
+        _number("To (s)", lambda row: "" if row.destroyed_at is None else _seconds(row.destroyed_at)),
+        _number("Parent", lambda row: "" if row.parent is None else str(row.parent), rank=1),
     ),
     BlockedRow: (
-        _Column("Start", lambda row: _seconds(row.start), is_number=True),
-        _Column("Duration", lambda row: _seconds(row.duration), is_number=True),
-        _Column("Id", lambda row: str(row.id), is_number=True),
-        _Column("Actor", lambda row: _actor(row.id, row.type_id)),
-        _Column("Place (cm)", lambda row: ", ".join(map(number, (row.x, row.y, row.z)))),
+        _number("Start (s)", lambda row: _seconds(row.start)),
+        _number("Duration (s)", lambda row: _seconds(row.duration)),
+        _number("Id", lambda row: str(row.id)),
+        _name("Actor", lambda row: _actor(row.id, row.type_id)),
+        _column("Place (cm)", lambda row: ", ".join(map(number, (row.x, row.y, row.z))), rank=1),
     ),
     MeasureRow: (
-        _Column("Id", lambda row: str(row.actor), is_number=True),
-        _Column("Actor", lambda row: _actor(row.actor, row.type_id, row.hero)),
-        _Column("Measure", lambda row: row.measure.replace("_", " ")),
-        _Column("Value", lambda row: f"{row.value:.3f}", is_number=True),
-        _Column("Unit", lambda row: row.unit),
-        _Column("Time", lambda row: _seconds(row.time), is_number=True),
-        _Column("Other", lambda row: "" if row.other is None else f"{row.other_type_id} ({row.other})"),
+        _number("Id", lambda row: str(row.actor)),
+        _name("Actor", lambda row: _actor(row.actor, row.type_id, row.hero)),
+        _column("Measure", lambda row: row.measure.replace("_", " ")),
+        _number("Value", lambda row: f"{row.value:.3f}"),
+        _column("Unit", lambda row: row.unit),
+        _number("Time (s)", lambda row: _seconds(row.time), rank=1),
+        _name("Other", lambda row: "" if row.other is None else f"{row.other_type_id} ({row.other})"),
     ),
     Incident: (
-        _Column("Start", lambda row: _seconds(row.start), is_number=True),
-        _Column("Stop", lambda row: _seconds(row.stop), is_number=True),
-        _Column("Incident", lambda row: row.kind),
-        _Column("What happens", lambda row: row.text),
-        _Column("Place (m)", lambda row: ", ".join(f"{number:.1f}" for number in (row.x, row.y, row.z))),
+        _number("Start (s)", lambda row: _seconds(row.start)),
+        _number("Stop (s)", lambda row: _seconds(row.stop), rank=2),
+        _column("Incident", lambda row: row.kind, style=kind_style),
+        _column("What happens", lambda row: row.text, narrowed="words", brief=brief_actor),
+        _column("Place (m)", lambda row: ", ".join(f"{number:.1f}" for number in (row.x, row.y, row.z)), rank=1),
     ),
 }
