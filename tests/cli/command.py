@@ -64,7 +64,8 @@ def the_line(stderr: bytes) -> str:
 def wrote(stderr: bytes | str) -> list[str]:
     """Return what success lines say was written, without the sizes at their ends."""
     text = stderr.decode() if isinstance(stderr, bytes) else stderr
-    lines = [line for line in text.splitlines() if line.startswith("wrote ")]
+    plain = re.sub(r"\x1b\[[0-9;?]*[a-zA-Z]", "", text)
+    lines = [line for line in plain.splitlines() if line.startswith("wrote ")]
     found = [re.fullmatch(r"wrote (.*?)[,:] \d+(?:\.\d)? (?:bytes|kB|MB)", line) for line in lines]
     assert all(found), lines
     return [match[1] for match in found if match]

@@ -77,7 +77,7 @@ def test_pruned_recordings_are_counted(tmp_path):
 def test_a_terminal_shows_a_bar_which_is_removed(tmp_path):
     code, shown, _ = on_terminal("index", SAMPLES / "crossing.log", tmp_path / "index", stream="stderr")
     assert code == 0
-    assert shown.rstrip().endswith("index: 1 recording: 1 read, 0 failed, 0 unchanged")
+    assert wrote(shown) == [f"{tmp_path}/index: 1 recording (1 read, 0 failed, 0 unchanged)"]
 
 
 @pytest.mark.parametrize(
