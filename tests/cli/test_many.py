@@ -188,7 +188,8 @@ def test_a_terminal_gets_a_table_with_errors(runs):
     assert code == 2
     plain = re.sub(r"\x1b\[[0-9;]*m", "", shown)
     headings = [line.split() for line in plain.splitlines() if "Recording" in line]
-    assert ["Frame" in headings[0], headings[-1]] == [True, ["Recording", "Error"]]
+    assert ["Recording", "Error"] in headings
+    assert any("Frame" in heading for heading in headings)
     assert "runs/c.log is not a recording (neither CARLA's log nor MCAP)" in " ".join(plain.split())
     assert shown.splitlines()[-1] == "6 rows; 4 recordings, 1 failed"
 
