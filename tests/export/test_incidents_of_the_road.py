@@ -1,7 +1,8 @@
-"""Tests that exports show what vehicles do against the rules of the road, where the map is known."""
+"""Tests that exports show incidents, and where the map is known what vehicles do against the rules of the road."""
 
 from __future__ import annotations
 
+from pathlib import Path
 from typing import TYPE_CHECKING
 
 import pytest
@@ -17,10 +18,11 @@ from tests.maps.straight_road import LIGHT_POSITION, STRAIGHT_ROAD
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
-    from pathlib import Path
 
+    from carla_recap.queries.incidents import Kind
     from carla_recap.recording import Recording
 
+SAMPLES = Path(__file__).parents[2] / "samples"
 TICK = 0.05
 RUN = "vehicle.mini.cooper_s (7) runs a red light at 36 km/h (light 3)"
 
@@ -76,3 +78,15 @@ def test_the_page_lists_them(recording: Recording, tmp_path: Path) -> None:
 def test_maps_without_lanes_have_no_network(opendrive: str) -> None:
     assert road_network_of_map(road_map(opendrive)) is None
     assert road_network_of_map(None) is None
+
+
+@pytest.mark.parametrize("name", ["blocked.mcap", "crash.mcap", "crossing.log"])
+def test_a_whole_replay_has_the_incidents_of_a_query(name: str) -> None:
+    with open_recording(SAMPLES / name) as recording:
+        player = Player(recording)
+        played = PlayedIncidents(player)
+        for _ in player.batches():
+            pass
+        kinds: list[Kind] = ["blocked", "hard braking"]
+        found = [incident for incident in played.found() if incident.kind in kinds]
+        assert found == list(recording.incidents(kinds=kinds))

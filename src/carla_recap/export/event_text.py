@@ -5,6 +5,7 @@ Of many actors at once there is a single line, and of a contact of many frames, 
 
 from __future__ import annotations
 
+import math
 from collections import Counter
 from contextlib import suppress
 from enum import IntEnum
@@ -101,6 +102,8 @@ class PlayedIncidents:
 
     def __init__(self, player: Player, roads: RoadNetwork | None = None) -> None:
         self._start, self._stop = player.start, player.stop + 2 * SAME_TIME
+        if player.start <= 0 and player.stop >= player.total:  # all: what an MCAP file lists need not be computed
+            self._start, self._stop = -math.inf, math.inf
         self._search: IncidentSearch | None = None
         self._series = None if player.followed is None else SeriesCollector(player.followed)
         with suppress(RecapError):
