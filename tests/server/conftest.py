@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import time
 from typing import TYPE_CHECKING
 
 import carla
@@ -13,6 +14,9 @@ from tests.waiting import PATIENCE
 if TYPE_CHECKING:
     from collections.abc import Iterator
     from pathlib import Path
+
+QUIET = 0.01
+"""The time in s in which the thread of a client leaves its callbacks; released within them, it aborts the process."""
 
 
 @pytest.fixture(scope="module")
@@ -45,6 +49,16 @@ def client(port: int, recordings: Path) -> Iterator[carla.Client]:
         if actor.id not in before and not actor.type_id.startswith(("traffic.", "spectator")):
             actor.destroy()
     world.apply_settings(carla.WorldSettings())
+    time.sleep(QUIET)
+
+
+@pytest.fixture
+def other_client(port: int) -> Iterator[carla.Client]:
+    """A second client in the same process."""
+    client = carla.Client("127.0.0.1", port)
+    client.set_timeout(PATIENCE)
+    yield client
+    time.sleep(QUIET)
 
 
 @pytest.fixture

@@ -286,12 +286,10 @@ def test_in_asynchronous_mode_images_come_as_time_passes(world: carla.World) -> 
     assert images[-1].frame <= world.wait_for_tick().frame
 
 
-def test_two_clients_get_the_same_images_of_a_camera(world: carla.World, port: int) -> None:
+def test_two_clients_get_the_same_images_of_a_camera(world: carla.World, other_client: carla.Client) -> None:
     camera = sensor(world, "camera.rgb", vehicle(world), EYE, **SIZE)
     world.tick()
-    other = carla.Client("127.0.0.1", port)
-    other.set_timeout(PATIENCE)
-    mine, theirs = Data(camera), Data(other.get_world().get_actor(camera.id))
+    mine, theirs = Data(camera), Data(other_client.get_world().get_actor(camera.id))
     start(world, mine, theirs)
     for _ in range(5):
         frame = world.tick()

@@ -20,14 +20,8 @@ os.kill(os.getpid(), 9)
 """
 
 
-def another(port: int) -> carla.Client:
-    client = carla.Client("127.0.0.1", port)
-    client.set_timeout(PATIENCE)
-    return client
-
-
-def test_two_clients_tick_one_world(world: carla.World, port: int) -> None:
-    theirs = another(port).get_world()
+def test_two_clients_tick_one_world(world: carla.World, other_client: carla.Client) -> None:
+    theirs = other_client.get_world()
     frames = [ticking.tick() for _ in range(20) for ticking in (world, theirs)]
     assert frames == list(range(frames[0], frames[0] + 40))
 
@@ -74,9 +68,9 @@ def test_variable_ticks_are_as_long_as_the_clock_says(world: carla.World) -> Non
     wait_until(lambda: abs(seconds_gained()) < 0.3)  # a machine without time for them has shorter ones
 
 
-def test_a_world_stays_synchronous_when_its_client_dies_as_with_carla(port: int) -> None:
+def test_a_world_stays_synchronous_when_its_client_dies_as_with_carla(port: int, other_client: carla.Client) -> None:
     subprocess.run([sys.executable, "-c", DYING, str(port)], timeout=PATIENCE, check=False)
-    world = another(port).get_world()
+    world = other_client.get_world()
     assert world.get_settings().synchronous_mode
     frame = wait_until(lambda: world.get_snapshot().frame)  # in synchronous mode get_world does not wait for the first one
     time.sleep(0.2)

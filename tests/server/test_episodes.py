@@ -2,14 +2,14 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-import carla
 import pytest
 
 from carla_recap.sim.town.town import load_town
-from tests.waiting import PATIENCE
 
 if TYPE_CHECKING:
     from pathlib import Path
+
+    import carla
 
 TEXT = load_town().opendrive
 
@@ -77,15 +77,13 @@ def test_what_is_no_map_is_refused(client: carla.Client, world: carla.World) -> 
     world.tick()
 
 
-def test_another_client_learns_of_the_episode(client: carla.Client, world: carla.World, port: int) -> None:
-    other = carla.Client("127.0.0.1", port)
-    other.set_timeout(PATIENCE)
-    theirs = other.get_world()
+def test_another_client_learns_of_the_episode(client: carla.Client, world: carla.World, other_client: carla.Client) -> None:
+    theirs = other_client.get_world()
     seen: list[int] = []
     theirs.on_tick(lambda snapshot: seen.append(snapshot.frame))
     world = client.reload_world(reset_settings=False)
     world.tick()
-    assert other.get_world().id == world.id
+    assert other_client.get_world().id == world.id
     assert seen == sorted(seen)
 
 

@@ -263,6 +263,9 @@ def test_first_calls_find_everything_computed(monkeypatch: pytest.MonkeyPatch) -
 
 
 def test_maps_are_parsed_before_a_client_loads_them(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    (tmp_path / "site").mkdir()
+    (tmp_path / "site" / "sitecustomize.py").write_text("import os\ndel os.nice\n")  # on a busy machine, it would take hours
+    monkeypatch.syspath_prepend(tmp_path / "site")  # which started processes have, too
     monkeypatch.setenv(cache.FOLDER, str(tmp_path / "cache"))
     (tmp_path / "Broken.xodr").write_text("no map")
     (tmp_path / "Town10HD.xodr").write_text(load_town().opendrive + "<!-- of another content -->")

@@ -406,10 +406,10 @@ def test_the_spectator_follows_at_an_offset(client: carla.Client, world: carla.W
         assert camera.rotation.pitch == pytest.approx(offset.rotation.pitch, abs=1e-3)
 
 
-def test_a_recording_of_another_map_begins_an_episode(client: carla.Client, world: carla.World, port: int) -> None:
-    other = carla.Client("127.0.0.1", port)
-    other.set_timeout(PATIENCE)
-    watched = other.get_world()
+def test_a_recording_of_another_map_begins_an_episode(
+    client: carla.Client, world: carla.World, other_client: carla.Client
+) -> None:
+    watched = other_client.get_world()
     frame = world.tick()
     ids = {actor.id for actor in world.get_actors()}
     answer = client.replay_file("elsewhere.log", 0.0, 0.0, 0).splitlines()
@@ -423,7 +423,7 @@ def test_a_recording_of_another_map_begins_an_episode(client: carla.Client, worl
     assert now.get_map().name.endswith(OTHER_MAP)
     assert now.tick() > frame
     assert ids.isdisjoint(actor.id for actor in now.get_actors())
-    assert other.get_world().get_map().name.endswith(OTHER_MAP)
+    assert other_client.get_world().get_map().name.endswith(OTHER_MAP)
     assert watched.get_snapshot().frame > frame
     assert "Loading map Brickfield\n" in client.replay_file("drive", 0.0, 0.0, 0)
 

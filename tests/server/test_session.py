@@ -37,9 +37,7 @@ def test_the_weather_is_kept(world: carla.World) -> None:
     assert world.get_weather() == carla.WeatherParameters.HardRainNoon
 
 
-def test_a_late_subscriber_gets_the_latest_snapshot(client: carla.Client, world: carla.World, port: int) -> None:
+def test_a_late_subscriber_gets_the_latest_snapshot(world: carla.World, other_client: carla.Client) -> None:
     frame = world.tick()
-    other = carla.Client("127.0.0.1", port)
-    other.set_timeout(PATIENCE)
-    theirs = other.get_world()
+    theirs = other_client.get_world()
     wait_until(lambda: theirs.get_snapshot().frame >= frame)  # in synchronous mode get_world does not wait for the first one
