@@ -38,8 +38,9 @@ wheel: venv ## Build the wheel and try it in an empty environment
 
 check: lint types check-proto wheel ## Everything but the tests
 
-docs: venv ## Build the documentation as a site, in build/site
+docs: venv ## Build the documentation as a site, in build/site, and check its links
 	NO_MKDOCS_2_WARNING=1 .venv/bin/mkdocs build --quiet
+	$(python) tools/check-site
 
 bench: venv ## Measure speed and sizes, and print them
 	$(python) -m benchmarks

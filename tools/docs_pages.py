@@ -13,7 +13,6 @@ from base64 import b64decode
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
-import click
 from mkdocs.structure.files import File
 
 if TYPE_CHECKING:
@@ -25,12 +24,24 @@ if TYPE_CHECKING:
 ROOT: Final = Path(__file__).parents[1]
 COPIES: Final = {"samples.md": "samples/README.md", "changes.md": "CHANGELOG.md", "contributing.md": "CONTRIBUTING.md"}
 NOTEBOOKS: Final = {f"notebooks/{path.stem}.md": path for path in sorted((ROOT / "samples/notebooks").glob("*.ipynb"))}
+OTHERS: Final = ("Simulator", "Other packages")
+PACKAGES: Final = {
+    "carla_recap": (
+        "Python: recordings",
+        "The public names of `carla_recap`, with their docstrings. [Names](reference.md) is a short list of them.",
+    ),
+    "carla_recap.sim": (
+        "Python: simulator and exports",
+        "The public names of `carla_recap.sim` and of other packages. [Simulating](simulating.md) describes the simulator.",
+    ),
+}
+"""The pages of public names: title and introduction. The first has all sections but `OTHERS`, the second has these."""
 OUTSIDE: Final = re.compile(r"\]\((?!https?:|#|mailto:)([^)#\s]+)(#[^)]*)?\)")
 
 
 def on_files(files: Files, config: MkDocsConfig) -> Files:
     """Add the pages that are made."""
-    pages = {"commands.md": commands(), "python.md": python()}
+    pages = {"commands.md": commands(), "python.md": python("carla_recap"), "python-sim.md": python("carla_recap.sim")}
     pages |= {name: (ROOT / source).read_text("utf-8") for name, source in COPIES.items()}
     files_beside = (*NOTEBOOKS.values(), *(ROOT / "samples/notebooks").glob("*.jpg"))
     others = {f"notebooks/{path.name}": path.read_bytes() for path in files_beside}
@@ -100,19 +111,24 @@ def _heading(parts: list[str]) -> str:
     return re.findall(r"^#+ (.*)$", "\n".join(part for part in parts if part.startswith("#")), re.MULTILINE)[-1]
 
 
+def on_post_build(config: MkDocsConfig, **_: Any) -> None:
+    """Remove the page for missing pages, whose links are for a server at the top of a host."""
+    (Path(config.site_dir) / "404.html").unlink(missing_ok=True)
+
+
 # --- commands ------------------------------------------------------------------------------------------------------------
 
 
 def commands() -> str:
-    """Return the page of the command line: the usage, the arguments and the options of each command."""
+    """Return the page of the command line: what `--help` of each command prints."""
     from carla_recap.cli import cli
 
-    context = click.Context(cli, info_name="carla-recap")
-    parts = ["# Commands\n", "What `carla-recap COMMAND --help` prints.\n"]
+    context = cli.make_context("carla-recap", [], resilient_parsing=True, terminal_width=80)
+    parts = ["# Commands\n", "What `carla-recap COMMAND --help` prints, at 80 columns.\n"]
     for name in cli.list_commands(context):
         command = cli.get_command(context, name)
         assert command is not None
-        inner = click.Context(command, info_name=name, parent=context, max_content_width=100, terminal_width=100)
+        inner = command.make_context(name, [], parent=context, resilient_parsing=True)
         parts.append(f"## {name}\n\n```text\n{command.get_help(inner)}\n```\n")
     return "\n".join(parts)
 
@@ -120,23 +136,25 @@ def commands() -> str:
 # --- Python --------------------------------------------------------------------------------------------------------------
 
 
-def python() -> str:
-    """Return the page of the public names, in the sections of `docs/reference.md`; mkdocstrings fills in the docstrings."""
-    where = dict(_definitions())
-    lines = ["# Python\n", "The public names of `carla_recap`, with their docstrings. Units are in the docstrings.\n"]
-    for line in (ROOT / "docs" / "reference.md").read_text("utf-8").splitlines():
-        if line.startswith("## "):
-            if line == "## `Recording`":
-                break
-            lines.append(f"\n{line}\n")
-        names = re.findall(r"^\| `(\w+)`", line)
-        lines += [f"::: {where[name]}.{name}\n" for name in names if name in where]
+def python(package: str) -> str:
+    """Return the page of the public names of a package, in the sections of `docs/reference.md`; mkdocstrings fills it in."""
+    title, introduction = PACKAGES[package]
+    modules = dict(_definitions(package))
+    lines = [f"# {title}\n", f"{introduction}\n"]
+    text = (ROOT / "docs" / "reference.md").read_text("utf-8")
+    for heading, table in re.findall(r"^## (.*?)\n(.*?)(?=^## |\Z)", text, re.DOTALL | re.MULTILINE):
+        if heading.startswith("`") or (heading in OTHERS) != (package != "carla_recap"):
+            continue
+        lines.append(f"\n## {heading}\n")
+        for cell in re.findall(r"^\| (`.*?`) \|", table, re.MULTILINE):
+            names = re.findall(r"`([\w.]+)`", cell)
+            lines += [f"::: {name if '.' in name else f'{modules[name]}.{name}'}\n" for name in names]
     return "\n".join(lines)
 
 
-def _definitions() -> Iterator[tuple[str, str]]:
-    """Yield the public names with the modules that define them."""
-    tree = ast.parse((ROOT / "src" / "carla_recap" / "__init__.py").read_text("utf-8"))
+def _definitions(package: str) -> Iterator[tuple[str, str]]:
+    """Yield the public names of a package with the modules that define them."""
+    tree = ast.parse((ROOT / "src" / package.replace(".", "/") / "__init__.py").read_text("utf-8"))
     for node in ast.walk(tree):
         if isinstance(node, ast.ImportFrom) and node.module and node.module.startswith("carla_recap."):
             module = node.module
