@@ -16,6 +16,7 @@ import pytest
 from carla_recap.server import quirks
 from carla_recap.server.host import Host
 from carla_recap.server.quirks import PendingSubscriptions, busy_polling_loop, unread_bytes
+from tests.server.test_sensor_feeds import sensor
 from tests.sim.flat import flat_world
 from tests.waiting import PATIENCE, wait_until
 
@@ -176,6 +177,20 @@ def test_a_tick_does_not_wait_long_for_a_subscription_that_never_comes() -> None
         return time.monotonic() - begin
 
     assert asyncio.run(asyncio.wait_for(run(), PATIENCE)) >= 0.2
+
+
+# --- threads that are busy with the episode before ------------------------------------------------------------------------
+
+
+def test_nothing_of_an_episode_is_sent_after_its_end() -> None:
+    """Without it, a client that has no episode reads an image of the old one, and aborts, now and then."""
+    host, client = Host(flat_world()), Receiver()
+    host.snapshots.open(client)
+    gnss = sensor(host, "other.gnss")
+    host.tick()
+    host.begin_episode(host.world.town, client)
+    assert gnss.closed
+    assert len(gnss.take()) == 1
 
 
 # --- a stream of snapshots for each connection ----------------------------------------------------------------------------

@@ -114,6 +114,7 @@ class Host:
         """Begin a new episode for a client, and send its first snapshot to all; see `SnapshotStreams.renew`."""
         frames = self.world.frame
         self.world.reload(town)
+        self.sensors.end_episode()
         self.check_episode(frames)
         self.snapshots.renew(client)
         self.publish()

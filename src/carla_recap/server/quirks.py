@@ -13,6 +13,9 @@
 | a client that begins an episode has none until its call has returned \
 | learning of the new one from its stream before, its process aborts | `quirks.SnapshotStreams` \
 | `test_episodes_begin_while_it_lives`, `test_a_client_that_begins_an_episode_gets_it_in_a_new_stream` |
+| its threads may then still be busy with a snapshot or an image of the episode before \
+| its process aborts, now and then | `quirks.settled` \
+| `test_the_world_is_loaded_anew_while_images_are_drawn`, `test_nothing_of_an_episode_is_sent_after_its_end` |
 | meanwhile, the thread of its traffic manager looks at the episode | its process aborts \
 | `traffic_manager.pause.TrafficManagerPause` | `test_episodes_begin_while_it_lives` |
 | the client signals a tick to its traffic manager without holding the manager's lock \
@@ -95,7 +98,7 @@ def unread_bytes(transport: asyncio.Transport) -> bytes:
 
 # --- subscriptions that are about to come -------------------------------------------------------------------------------
 
-_SUBSCRIBED_BY: Final = 0.25  # s: a client that has asked for a token subscribes by then, or not at all
+_SUBSCRIBED_BY: Final = 1.0  # s: a client that has asked for a token subscribes by then, or not at all
 
 
 class PendingSubscriptions:
@@ -120,6 +123,16 @@ class PendingSubscriptions:
         if stream in self._pending:
             _, subscription = self._pending.pop(stream)
             subscription.set_result(None)
+
+
+# --- threads that are busy with the episode before ----------------------------------------------------------------------
+
+_SETTLED: Final = 0.05  # s
+
+
+async def settled() -> None:
+    """Wait until clients have handled what they have been sent."""
+    await asyncio.sleep(_SETTLED)
 
 
 # --- a stream of snapshots for each connection --------------------------------------------------------------------------

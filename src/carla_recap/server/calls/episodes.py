@@ -6,6 +6,7 @@ from functools import partial
 from typing import Any, Final
 
 from carla_recap.server.client import Client
+from carla_recap.server.quirks import settled
 from carla_recap.server.rpc.registry import call
 from carla_recap.server.rpc.structs import EpisodeSettings
 from carla_recap.server.traffic_manager.pause import TrafficManagerPause
@@ -46,6 +47,7 @@ async def load_new_episode(client: Client, name: str, reset_settings: bool = Tru
             client.pause = TrafficManagerPause()
             await client.pause.begin(partial(host.publish_again, client))
             client.in_background(_end_pause(client.pause, client))
+        await settled()
         if reset_settings:
             host.apply_settings(EpisodeSettings())
         host.begin_episode(town, client)

@@ -247,6 +247,12 @@ class Sensors:
         except Exception as error:
             _LOG.error("images are lost: %r", error)
 
+    def end_episode(self) -> None:
+        """Close the streams of all sensors, which are destroyed: images that are still being drawn are not sent."""
+        for stream in self._feeds:
+            self._streams.close(stream)
+        self._feeds.clear()
+
     def _start(self, sensor: Actor) -> None:
         """Begin to count the ticks of a new sensor."""
         if sensor not in self._first_ticks:
