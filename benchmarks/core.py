@@ -101,14 +101,14 @@ def blocked(subject: Subject) -> Iterator[Line]:
     for (name, path, query), goal in zip(asked, (10, 12, 10, 12), strict=True):
         seconds = min(timed(partial(ask, query, path)) for _ in range(3))
         each = seconds / subject.frames * 1e6
-        yield Line(f"blocked, {name}", f"{seconds:.2f} s", f"{each:.1f} µs/frame", f"≤ {goal} µs/frame", each <= goal)
+        yield Line(f"blocked, {name}", f"{seconds:.2f} s", f"{each:.1f} µs a frame", f"≤ {goal} µs a frame", each <= goal)
 
 
 def incidents(subject: Subject) -> Iterator[Line]:
     for name, path in subject.both:
         each = min(timed(partial(_use, _incidents, path)) for _ in range(3)) / subject.frames * 1e6
         total = f"{each * subject.frames / 1e6:.2f} s"
-        yield Line(f"incidents, {name}", total, f"{each:.1f} µs/frame", "≤ 20 µs/frame", each <= 20)
+        yield Line(f"incidents, {name}", total, f"{each:.1f} µs a frame", "≤ 20 µs a frame", each <= 20)
 
 
 def differences(subject: Subject) -> Iterator[Line]:
@@ -153,7 +153,7 @@ def info_all(subject: Subject) -> Iterator[Line]:
     seconds = min(timed(partial(ask, everything, minute)) for _ in range(3))
     each = seconds / numbers * 1e6
     what = f"info --all, {min(subject.seconds, 60):.0f} s"
-    yield Line(what, f"{seconds:.2f} s", f"{each:.2f} µs/number", "≤ 0.25 µs/number", each <= 0.25)
+    yield Line(what, f"{seconds:.2f} s", f"{each:.2f} µs a number", "≤ 0.25 µs a number", each <= 0.25)
 
 
 def start(subject: Subject) -> Iterator[Line]:
@@ -191,7 +191,7 @@ def restless(subject: Subject) -> Iterator[Line]:
         rounds = [(cpu_time(work), cpu_time(loop)) for _ in range(2)]
         taken, bare = map(min, zip(*rounds, strict=True))
         ratio, goal = taken / bare, BEFORE[name] * NOISE
-        measured = f"{taken / RESTLESS_FRAMES * 1e6:.1f} µs/frame"
+        measured = f"{taken / RESTLESS_FRAMES * 1e6:.1f} µs a frame"
         yield Line(f"restless, {name}", measured, f"{ratio:.1f} x bare loop", f"≤ {goal:.3g} x", ratio <= goal)
     equal = filecmp.cmp(log, back, shallow=False)
     back.unlink()
@@ -217,7 +217,7 @@ def real(subject: Subject) -> Iterator[Line]:
     for name, use in USES.items():
         for path in (subject.real, mcap):
             each = min(timed(partial(_use, use, path)) for _ in range(5)) / length.frames * 1e6
-            yield Line(f"CARLA's own, {name}, {path.suffix}", f"{each:.1f} µs/frame", "", "", True)
+            yield Line(f"CARLA's own, {name}, {path.suffix}", f"{each:.1f} µs a frame", "", "", True)
 
 
 def _collisions(recording: Recording) -> object:

@@ -18,6 +18,7 @@ if TYPE_CHECKING:
 
 MOST: Final = 5000
 BROKEN: Final = 100  # recordings, one of which is broken
+KILLED: Final = 1000
 KILLS: Final = 10
 MEMORY: Final = 60e6  # bytes, which ten times as many recordings may take in addition
 
@@ -28,7 +29,7 @@ def indexing(subject: Subject) -> Iterator[Line]:
     index = _new_index()
     lines, seconds, cpu = _run("index", runs, index)
     rate, failed = count / seconds, count // BROKEN
-    ratio = f"{cpu / count * 1e3:.1f} ms of processors each"
+    ratio = f"{cpu / count * 1e3:.1f} ms of processor time each"
     yield Line(f"{count:,} recordings indexed", f"{rate:.0f} a second", ratio, "≥ 120 /s", rate >= 120)
     expected = f"{count:,} recordings: {count - failed:,} read, {failed} failed, 0 unchanged"
     yield Line("of these", lines[-1].partition(": ")[2], "", f"{failed} errors named", lines[-1].endswith(expected))
@@ -43,7 +44,7 @@ def indexing(subject: Subject) -> Iterator[Line]:
 
 def index_kills(subject: Subject) -> Iterator[Line]:
     """A process that writes an index is killed ten times at random moments, and then ends."""
-    runs, count = _campaign(subject)
+    runs, count = _campaign(subject, KILLED)
     expected, index = _new_index("expected"), _new_index()
     _, seconds, _ = _run("index", runs, expected)
     rng = random.Random(5)
@@ -64,7 +65,7 @@ def many_collisions(subject: Subject) -> Iterator[Line]:
     runs, count = _campaign(subject)
     _, seconds, cpu = _run("collisions", "--json", runs)
     rate = count / seconds
-    ratio = f"{cpu / count * 1e3:.1f} ms of processors each"
+    ratio = f"{cpu / count * 1e3:.1f} ms of processor time each"
     yield Line(f"collisions of {count:,} recordings", f"{rate:.0f} a second", ratio, "≥ 500 /s", rate >= 500)
 
 
@@ -88,9 +89,9 @@ def many_memory(subject: Subject) -> Iterator[Line]:
 ROWS: Final = (indexing, index_kills, many_collisions, many_memory)
 
 
-def _campaign(subject: Subject) -> tuple[Path, int]:
-    """Return the folder of a campaign, and the number of its recordings: 5,000, or in a short run of all benchmarks, few."""
-    count = MOST if subject.frames >= FRAMES else BROKEN
+def _campaign(subject: Subject, most: int = MOST) -> tuple[Path, int]:
+    """Return the folder of a campaign, and the number of its recordings, which are few in a short run of all benchmarks."""
+    count = most if subject.frames >= FRAMES else BROKEN
     folder = DIRECTORY / f"campaign-{count}"
     if not folder.exists():
         unfinished = folder.with_suffix(".unfinished")

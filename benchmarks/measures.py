@@ -30,8 +30,8 @@ def _line(name: str, subject: Subject, query: Callable[[Recording], object], hou
 
     seconds = cpu_time(run)
     goal = max(hour * subject.seconds / 3600, 1.0)
-    each = seconds / subject.frames * 1e6
-    return Line(f"{name}, {subject.length}", f"{seconds:.1f} s", f"{each:.0f} µs/frame", f"≤ {goal:.0f} s", seconds <= goal)
+    each = f"{seconds / subject.frames * 1e6:.0f} µs a frame"
+    return Line(f"{name}, {subject.length}", f"{seconds:.1f} s", each, f"≤ {goal:.0f} s", seconds <= goal)
 
 
 ROWS = (of_hero, near_misses)

@@ -40,22 +40,27 @@ def main() -> None:
         path.write_text(with_figures(path.read_text("utf-8"), OTHERS[name], results), "utf-8")
 
 
+def figures(template: str) -> set[tuple[str, str]]:
+    """Return the figures in a template, as the groups of `FIGURE`."""
+    return {key for line in template.splitlines() if line != CONDITIONS for key in FIGURE.findall(line)}
+
+
 def page(results: Mapping[str, Result], template: str | None = None) -> str:
     """Return docs/performance.md."""
-    figures, lines = measured(results), []
+    found, lines = measured(results), []
     for line in (TEMPLATE.read_text("utf-8") if template is None else template).splitlines():
         if line == CONDITIONS:
             lines += conditions(results)
-        elif all(key in figures for key in FIGURE.findall(line)):
-            lines.append(FIGURE.sub(lambda match: figures[match[1], match[2]], line))
+        elif figures(line) <= set(found):
+            lines.append(FIGURE.sub(lambda match: found[match[1], match[2]], line))
     return _without_empty_tables("\n".join(lines)) + "\n"
 
 
 def measured(results: Mapping[str, Result]) -> dict[tuple[str, str], str]:
     """Return the figures by what a template calls them, as the groups of `FIGURE`."""
     lines = [line for result in results.values() for line in result.lines]
-    figures = {("", line.what): line.measured for line in lines} | {("ratio: ", line.what): line.ratio for line in lines}
-    return {key: figure.replace(" x ", f" {TIMES} ") for key, figure in figures.items()}
+    found = {("", line.what): line.measured for line in lines} | {("ratio: ", line.what): line.ratio for line in lines}
+    return {key: figure.replace(" x ", f" {TIMES} ") for key, figure in found.items()}
 
 
 def conditions(results: Mapping[str, Result]) -> list[str]:

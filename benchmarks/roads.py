@@ -47,7 +47,7 @@ def rules(subject: Subject) -> Iterator[Line]:
     yield Line(
         f"rules of the road, {subject.length}",
         f"{seconds:.1f} s",
-        f"{each:.0f} µs/frame",
+        f"{each:.0f} µs a frame",
         f"≤ {goal:.0f} s",
         seconds <= goal,
     )

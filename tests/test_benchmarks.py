@@ -67,7 +67,7 @@ def test_the_figures_in_another_page_are_those_of_the_stored_results(name):
 def test_every_figure_of_the_page_is_measured_if_all_rows_are(rows):
     if set(load()) != set(rows):
         pytest.skip("not all rows have been measured")
-    assert set(page.FIGURE.findall(page.TEMPLATE.read_text("utf-8"))) <= set(page.measured(load()))
+    assert page.figures(page.TEMPLATE.read_text("utf-8")) <= set(page.measured(load()))
 
 
 CALM = Conditions("2026-01-02", "abc1234", "2 cores of Z80, Linux", "3.12.1")
