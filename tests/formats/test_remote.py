@@ -82,7 +82,7 @@ def test_a_query_of_a_finished_recording_takes_two_requests_and_a_megabyte(web, 
     with open_recording(f"{web.url}/finished.mcap") as recording:
         found = QUERIES[query](recording)
     with open_recording(folder / "finished.mcap") as recording:
-        assert found == QUERIES[query](recording)
+        assert repr(found) == repr(QUERIES[query](recording))  # unknown speeds, which are NaN, are equal
     assert len(web.requests) <= 2
     assert web.sent < 1 << 20
     assert web.requests[0] == ("/finished.mcap", "bytes=-524288")
@@ -115,7 +115,7 @@ def test_the_frames_around_collisions_are_fetched_at_once(web, folder):
     with open_recording(f"{web.url}/live.mcap") as recording:
         found = list(recording.collisions())
     with open_recording(folder / "live.mcap") as recording:
-        assert found == list(recording.collisions())
+        assert repr(found) == repr(list(recording.collisions()))
     assert len(web.requests) < 1 + 4 * SECONDS / 10
     assert web.together > 2
 

@@ -365,6 +365,7 @@ def test_blocks_change_nothing(drives: Drives, monkeypatch: pytest.MonkeyPatch) 
 
 def test_red_light_runs_among_traffic_in_the_built_in_town_are_found_and_no_others(tmp_path: Path) -> None:
     """Five cars do not stop at red lights that stay so, among thirty that do."""
+    pytest.importorskip("carla", reason="the extra `carla` is not installed")
     world = World(seed=5)
     lights = [signal for signal in world.town.signals if signal.kind is SignalKind.LIGHT]
     runners = {}
@@ -400,6 +401,7 @@ def test_red_light_runs_among_traffic_in_the_built_in_town_are_found_and_no_othe
 
 def test_law_abiding_traffic_breaks_no_rule(tmp_path: Path) -> None:
     """Half a minute of it; `benchmarks/` has ten."""
+    pytest.importorskip("carla", reason="the extra `carla` is not installed")
     world = World(seed=1)
     populate(world, 60, 0)
     recording = world.start_recorder(tmp_path / "traffic.mcap")
