@@ -130,7 +130,7 @@ def replay(
         with _recording(world, destination, additional_data=additional_data, force=force) as notes:
             _watch("replaying", played.duration, _replayed(world))
             # the last tick is the first one after the replay
-            notes.append(f"by autopilot from frame {world.frame} on")
+            notes.append(f"by autopilot from frame {world.recorder.frames} on")
             _watch("simulating", then, _ticks(world, then))
 
 
@@ -161,7 +161,7 @@ def _recording(world: World, destination: str, *, additional_data: bool, force: 
     finally:
         world.stop_recorder()
         if world.recorder.error is None:
-            wrote(destination, *notes, frames=world.frame, seconds=world.elapsed)
+            wrote(destination, *notes, frames=world.recorder.frames, seconds=world.recorder.duration)
         elif sys.exc_info()[0] is None:  # which was a warning
             click.get_current_context().exit(_FAILED)
 
@@ -183,10 +183,7 @@ def _ticks(world: World, seconds: float) -> Iterator[float]:
 
 
 def _replayed(world: World) -> Iterator[float]:
-    """Tick until the end of the replay; the first tick shows its start, as the first frame of a recording is at 0 s."""
-    world.set_replayer_time_factor(0.0)
-    world.tick()
-    world.set_replayer_time_factor(1.0)
+    """Tick until the end of the replay."""
     begin = world.elapsed
     while world.replayer.is_playing and world.recorder.path:
         world.tick()

@@ -4,12 +4,14 @@ from __future__ import annotations
 
 import os
 import time
+import warnings
 from math import ceil
 from pathlib import Path
 from typing import TYPE_CHECKING, Final, Self
 
 import numpy as np
 
+from carla_recap.errors import RecapWarning
 from carla_recap.sim.actors.blueprints import standard_library
 from carla_recap.sim.actors.ids import ActorIds
 from carla_recap.sim.actors.motion import ActorMotion
@@ -299,8 +301,12 @@ class World:
         return None if self._replayer is None else self._replayer.path
 
     def start_recorder(self, name: Path | str, additional_data: bool = False, *, force: bool = True) -> Path:
-        """Begin a recording, which replaces an older one of that name, as in CARLA; see `WorldRecorder.start`."""
-        return self.recorder.start(name, additional_data, force=force)
+        """Begin a recording, which replaces an older one of that name, as in CARLA; see `WorldRecorder.start`.
+
+        The first frame is the end of the next tick; between `replay_file` and the next tick, it is the start of the replay.
+        """
+        now = self._replayer is not None and self._replayer.shows_start
+        return self.recorder.start(name, additional_data, force=force, now=now)
 
     def stop_recorder(self) -> None:
         """Complete the recording, if there is one."""
@@ -318,7 +324,17 @@ class World:
         *,
         keep_town: bool = False,
     ) -> Replay:
-        """Replay a recording; see `Replayer.start`."""
+        """Replay a recording; see `Replayer.start`.
+
+        A running recorder stops, as in CARLA. To record the replay, start the recorder between this call and the next tick.
+
+        Warns:
+            RecapWarning: A recorder was running; see `Replayer.start` for others.
+        """
+        recorded = None if self._recorder is None else self._recorder.path
+        if recorded is not None:
+            reason = "a replay begins, which stops the recorder; start it after replay_file to record the replay"
+            warnings.warn(f"{recorded}: ends here: {reason}", RecapWarning, stacklevel=2)
         return self.replayer.start(name, start, duration, follow, replay_sensors, offset, keep_town=keep_town)
 
     def stop_replayer(self, keep_actors: bool = False) -> None:

@@ -139,16 +139,17 @@ def test_a_replay_that_is_recorded_is_the_recording(tmp_path: Path, drive: Path,
     world.close()
     ids = world.replayer.mapping
     first, second = frames(source), frames(tmp_path / f"b{suffix}")
-    assert len(second) == 200
-    for then, now in zip(first[1:], second[:-1], strict=True):  # the first tick of a replay leads to the second frame
+    assert len(second) == 201
+    for then, now in zip(first, second[:-1], strict=True):  # the last one is the first one by autopilot
+        assert now.elapsed == pytest.approx(then.elapsed, abs=1e-9)
         _agree(then, now, ids)
     spawns = {spawn.id: spawn for spawn in second[0]["spawned"]}
     for spawn in first[0]["spawned"]:
         again = spawns[ids[spawn.id]] if spawn.type_id != "spectator" else spawns[world.spectator.id]
         assert (again.type_id, again.kind, again.uid) == (spawn.type_id, spawn.kind, spawn.uid)
         assert sorted((a.key, a.value) for a in again.attributes) == sorted((a.key, a.value) for a in spawn.attributes)
-    assert [spawn.type_id for spawn in second[39]["spawned"]] == ["vehicle.audi.tt"]
-    assert second[119]["destroyed"]["id"].tolist() == [second[39]["spawned"][0].id]
+    assert [spawn.type_id for spawn in second[40]["spawned"]] == ["vehicle.audi.tt"]
+    assert second[120]["destroyed"]["id"].tolist() == [second[40]["spawned"][0].id]
 
 
 def _agree(then: Frame, now: Frame, ids: Any) -> None:
@@ -615,13 +616,82 @@ def test_a_new_replay_ends_the_one_before_and_a_recording(tmp_path: Path, drive:
     world = new_world()
     world.start_recorder(tmp_path / "a.log")
     world.run(1.0)
-    world.replay_file(drive)
+    with pytest.warns(RecapWarning, match=r"a\.log: ends here: a replay begins"):
+        world.replay_file(drive)
     assert len(frames(tmp_path / "a.log")) == 20
     first = played(world, 4)
     world.tick()
     world.replay_file(tmp_path / "a.log")
     assert not first.is_alive
     assert world.replayer.mapping.keys() == {2, 3}
+
+
+# --- actors that leave the replay --------------------------------------------------------------------------------------
+
+
+def test_the_autopilot_drives_one_vehicle_while_the_others_follow_the_recording(drive: Path) -> None:
+    world, beside = new_world(), new_world()
+    play(world, drive, 60)
+    play(beside, drive, 60)
+    hero = played(world, 4)
+    speed = hero.velocity.length()
+    hero.set_autopilot()
+    world.tick()
+    beside.tick()
+    assert hero.simulates_physics
+    assert hero.velocity.length() == pytest.approx(speed, rel=0.1)
+    for _ in range(100):
+        world.tick()
+        beside.tick()
+    assert hero.transform.location.distance(played(beside, 4).transform.location) > 3  # the recorded hero brakes at 6 s
+    assert hero.autopilot
+    for id in (5, 6, 7):
+        assert played(world, id).transform == played(beside, id).transform
+    assert played(world, 4) is hero
+    world.stop_replayer()
+    assert hero.is_alive
+    assert [actor for actor in world.actors.values() if isinstance(actor, (Vehicle, Walker, Prop))] == [hero]
+
+
+def test_a_vehicle_that_gets_the_autopilot_at_the_start_has_its_recorded_speed(drive: Path) -> None:
+    world = new_world()
+    world.replay_file(drive, start=5.0)
+    hero = played(world, 4)
+    hero.set_autopilot()
+    world.run(4 * DELTA)
+    with carla_recap.open_recording(drive) as recording:
+        way = recording.trajectory(4)
+    then = np.searchsorted(way.time, 5.0)
+    assert hero.simulates_physics
+    assert hero.velocity.length() == pytest.approx(np.hypot(way.vx[then], way.vy[then]), rel=0.1)
+
+
+def test_a_vehicle_that_is_released_obeys_its_control(drive: Path) -> None:
+    world = new_world()
+    play(world, drive, 60, follow="hero")
+    hero = played(world, 4)
+    world.replayer.release(hero)
+    hero.apply_control(VehicleControl(brake=1.0))
+    for _ in range(100):
+        world.tick()
+    assert world.replayer.is_playing
+    assert not hero.autopilot
+    assert hero.velocity.length() < 0.1
+    behind = hero.transform.transform(Location(-10.0))
+    camera = world.spectator.transform.location
+    assert (camera.x, camera.y) == pytest.approx((behind.x, behind.y), abs=0.01)
+    with pytest.raises(SimError, match="no vehicle or walker that follows a recording"):
+        world.replayer.release(hero)
+
+
+def test_a_released_vehicle_outlives_its_recorded_counterpart(drive: Path) -> None:
+    world = new_world()
+    play(world, drive, 60)
+    guest = played(world, 8)
+    world.replayer.release(guest)
+    for _ in range(80):
+        world.tick()
+    assert guest.is_alive
 
 
 def test_a_new_episode_ends_the_replay(drive: Path) -> None:

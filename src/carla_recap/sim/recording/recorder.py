@@ -23,6 +23,7 @@ if TYPE_CHECKING:
     import subprocess
 
     from carla_recap.sim.interfaces import RecordedWorld
+    from carla_recap.sim.recording.snapshots import SnapshotBatch
 
 FOLDER: Final = "CARLA_RECAP_RECORDINGS"
 """The environment variable that contains the folder of recordings."""
@@ -83,10 +84,14 @@ class WorldRecorder:
 
     Attributes:
         error: The error that ended the latest recording early; None without one.
+        frames: The number of frames of the latest recording.
+        duration: The time from its first frame to its last one, in s.
     """
 
     def __init__(self, world: RecordedWorld, folder: Path | str | None = None) -> None:
         self.error: RecapError | None = None
+        self.frames = 0
+        self.duration = 0.0
         self._world = world
         self._folder = folder
         self._sampler: WorldSampler | None = None
@@ -122,7 +127,15 @@ class WorldRecorder:
             return None
         return process
 
-    def start(self, name: Path | str, additional_data: bool = False, *, force: bool = True, visible: bool = False) -> Path:
+    def start(
+        self,
+        name: Path | str,
+        additional_data: bool = False,
+        *,
+        force: bool = True,
+        visible: bool = False,
+        now: bool = False,
+    ) -> Path:
         """Begin a recording; one that is running is completed first.
 
         It replaces an older one of that name when it is complete.
@@ -134,6 +147,8 @@ class WorldRecorder:
             force: Overwrite an older recording; else one that exists at the start is an error, and one that exists at the
                 end stays: the new recording lies beside it then, and a warning contains its path.
             visible: Put a recording without frames under the name at once; else the name appears with the complete one.
+
+            now: Record the world as it is as the first frame; else the first frame is the end of the next tick.
 
         Returns:
             The path of the complete recording.
@@ -155,6 +170,9 @@ class WorldRecorder:
             self._sampler = sampler
             # A recording that is never stopped is completed with the recorder or the interpreter.
             self._finish = weakref.finalize(self, self._writer.close)
+            self.frames, self.duration = 0, 0.0
+            if now:
+                self._write(self._writer, sampler, sampler.sample_now())
             return path
 
     def stop(self) -> None:
@@ -176,7 +194,11 @@ class WorldRecorder:
             if self._writer.error is not None:
                 self.stop()
                 return
-            self._writer.write(self._sampler.sample(self._world.delta))
+            self._write(self._writer, self._sampler, self._sampler.sample(self._world.delta))
+
+    def _write(self, writer: WriterProcess, sampler: WorldSampler, batch: SnapshotBatch) -> None:
+        writer.write(batch)
+        self.frames, self.duration = sampler.count, sampler.elapsed
 
     def destination(self, name: Path | str) -> Path:
         """Return the path at which a recording of a name will be.

@@ -49,6 +49,10 @@ class WorldSampler:
         world: The world; the actors that it contains are spawned in the first frame.
         additional_data: Record velocities, boxes, physics, and the times of lights, too.
 
+    Attributes:
+        count: The number of snapshots.
+        elapsed: The time from the first snapshot to the latest one, in s.
+
     Raises:
         RecapError: An actor has data that no record can hold.
     """
@@ -56,14 +60,16 @@ class WorldSampler:
     def __init__(self, world: RecordedWorld, *, additional_data: bool) -> None:
         self._world = world
         self._additional = additional_data
-        self._count = 0
-        self._elapsed = 0.0
+        self.count = 0
+        self.elapsed = 0.0
         self._collisions = 0
         self._weather: Weather | None = None
         self._batch: SnapshotBatch | None = None
         self._batch_ends = 0.0
         self._find_actors()
-        self._known = {field.name: len(getattr(world.pending, field.name)) for field in fields(TickEvents)}
+        self._known: dict[str, int] | None = {
+            field.name: len(getattr(world.pending, field.name)) for field in fields(TickEvents)
+        }
         actors = list(world.actors.values())
         first = self._introduction(actors)
         first["parented"] = [(actor.id, actor.parent.id) for actor in actors if actor.parent is not None]
@@ -71,6 +77,10 @@ class WorldSampler:
         self._first = _packed(first)
         for packet in self._first.values():
             _ = packet.payload  # data that no record can hold is an error now, and not in the first tick
+
+    def sample_now(self) -> SnapshotBatch:
+        """Take the first snapshot, of the world before its next tick; see `sample`."""
+        return self._add(TickEvents(collisions=self._world.pending.collisions), 0.0)
 
     def sample(self, delta: float) -> SnapshotBatch:
         """Take a snapshot of the world at the end of a tick.
@@ -81,16 +91,18 @@ class WorldSampler:
         Returns:
             The batch that contains the snapshot, and that later ones may be added to; the one before is complete.
         """
-        events = self._events()
+        return self._add(self._events(), delta)
+
+    def _add(self, events: TickEvents, delta: float) -> SnapshotBatch:
         happened = _packed(self._records(events))
         if self._batch is None:
             happened = _joined(self._first, happened)
         else:
             self._batch.timestamps[-1].duration = delta
-            self._elapsed += delta
+            self.elapsed += delta
         batch = self._batch = self._current_batch(changed=bool(events.spawned or events.destroyed))
-        batch.add(Timestamp(self._count, self._elapsed, self._world.elapsed, happened), self._columns())
-        self._count += 1
+        batch.add(Timestamp(self.count, self.elapsed, self._world.elapsed, happened), self._columns())
+        self.count += 1
         return batch
 
     def _current_batch(self, *, changed: bool) -> SnapshotBatch:
@@ -135,10 +147,12 @@ class WorldSampler:
     # --- what has happened --------------------------------------------------------------------------------------------
 
     def _events(self) -> TickEvents:
-        """Return what happened since the last snapshot; since the beginning of the recording, for the first."""
-        if self._count:
-            return self._world.events
-        return TickEvents(**{name: getattr(self._world.events, name)[known:] for name, known in self._known.items()})
+        """Return what happened in the tick; in the first one, what happened since the beginning of the recording."""
+        events, known = self._world.events, self._known
+        self._known = None
+        if known is None:
+            return events
+        return TickEvents(**{name: getattr(events, name)[count:] for name, count in known.items()})
 
     def _records(self, events: TickEvents) -> RecordsByType:
         records = self._introduction(events.spawned) if events.spawned else {}

@@ -39,7 +39,8 @@ class ActorMapping:
         replay_sensors: Spawn sensors, too.
 
     Attributes:
-        replayed: The actors of the world by the ids of the recording.
+        replayed: The actors of the world that follow the recording, by the ids of the recording.
+        released: Those that have followed it, and go on by themselves, by the same ids.
         substitutes: Blueprints of the recording that are not in the library, and those that replace them.
         changes: The number of times that a replayed actor came or went.
     """
@@ -49,13 +50,14 @@ class ActorMapping:
         self._replay_sensors = replay_sensors
         self._spawned: set[int] = set()
         self.replayed: dict[int, Actor] = {}
+        self.released: dict[int, Actor] = {}
         self.substitutes: dict[str, str] = {}
         self.changes = 0
 
     @property
     def ids(self) -> Mapping[int, int]:
-        """The ids of replayed actors by the ids of the recording."""
-        return MappingProxyType({id: actor.id for id, actor in self.replayed.items()})
+        """The ids of replayed and released actors by the ids of the recording."""
+        return MappingProxyType({id: actor.id for id, actor in (self.replayed | self.released).items()})
 
     def add(self, actors: Iterable[Present], scene: Scene) -> None:
         """Map recorded actors that appear.
@@ -72,7 +74,7 @@ class ActorMapping:
         for actor in actors:
             if not actor.type_id.startswith(_TRAFFIC) and (replayed := self._counterpart(actor, scene)) is not None:
                 self.replayed[actor.id] = replayed
-                _release(replayed)
+                _make_kinematic(replayed)
         self.changes += 1
 
     def remove(self, id: int) -> None:
@@ -83,8 +85,15 @@ class ActorMapping:
             self._world.destroy(replayed)
         self.changes += 1
 
+    def release(self, id: int) -> None:
+        """Release an actor, which is the caller's then: it outlives the replay, and its recorded counterpart."""
+        self.released[id] = self.replayed.pop(id)
+        self._spawned.discard(id)
+        self.changes += 1
+
     def forget_dead(self) -> None:
         """Forget replayed actors that have been destroyed."""
+        self.released = {id: actor for id, actor in self.released.items() if actor.is_alive}
         dead = [id for id, actor in self.replayed.items() if not actor.is_alive]
         for id in dead:
             del self.replayed[id]
@@ -108,7 +117,8 @@ class ActorMapping:
 
     def _spawn(self, actor: Present, scene: Scene) -> Actor | None:
         blueprint, model = blueprint_for(actor, self._world.blueprints)
-        parent = self.replayed.get(actor.parent) if actor.attached and actor.parent is not None else None
+        possible = self.replayed | self.released
+        parent = possible.get(actor.parent) if actor.attached and actor.parent is not None else None
         pose = scene.pose_of(actor.id) if parent is None else actor.spawn_pose
         if pose is None:  # its parent is left out
             return None
@@ -141,8 +151,8 @@ class ActorMapping:
         return found
 
 
-def _release(actor: Actor) -> None:
-    """Release an actor from physics, autopilot and navigation: only the replay moves it."""
+def _make_kinematic(actor: Actor) -> None:
+    """Switch physics, autopilot and navigation of an actor off: only the replay moves it."""
     if isinstance(actor, MovingActor):
         actor.set_simulate_physics(False)
     if isinstance(actor, Vehicle):

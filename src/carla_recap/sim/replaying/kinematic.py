@@ -85,6 +85,10 @@ class KinematicReplay:
         self._set_walks(scene)
         self._set_lights(scene)
 
+    def has_moved(self, actor: MovingActor) -> bool:
+        """Return whether the recorded velocity of an actor is known."""
+        return actor.id in self._speeds
+
     def velocity(self, actor: MovingActor) -> list[float]:
         """Return the recorded velocity of an actor, in m/s along the world's axes."""
         return self._speeds.get(actor.id, [0.0, 0.0, 0.0])
@@ -105,7 +109,8 @@ class KinematicReplay:
         motions[rows, :2] = path[:, :2] * rate * pushing[:, None]
         motions[rows, 2] = np.radians(yaw_change) * rate * pushing
         moving: NDArray[np.bool_] = (motions != 0).any(axis=1)
-        stopping = np.isin(movers.id, self._in_motion.get(name, ()))  # bodies keep the velocity of the tick before
+        in_motion = self._in_motion.get(name, ())
+        stopping = np.isin(movers.id, in_motion) & ~movers.simulated  # bodies keep the velocity of the tick before
         self._in_motion[name] = movers.id[moving]
         moving[rows] |= movers.velocity[rows].any(axis=1)
         movers.set_body_velocities(moving | stopping, motions)

@@ -9,6 +9,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Final
 
+import numpy as np
+
 from carla_recap.errors import RecapError, RecapWarning
 from carla_recap.formats import SUFFIXES, open_reader
 from carla_recap.maps.road_map import described_folder, plain_name
@@ -18,7 +20,7 @@ from carla_recap.sim.actors.control import VehicleControl
 from carla_recap.sim.actors.moving import MovingActor, Vehicle, Walker
 from carla_recap.sim.errors import MapMissing, SimError
 from carla_recap.sim.geometry import Location, Rotation, Transform, Vector
-from carla_recap.sim.recording.poses import CM_PER_M, transform
+from carla_recap.sim.recording.poses import CM_PER_M, pose, transform
 from carla_recap.sim.recording.recorder import recording_path
 from carla_recap.sim.replaying.actor_mapping import ActorMapping
 from carla_recap.sim.replaying.collisions import CollisionReplay
@@ -30,9 +32,8 @@ from carla_recap.sim.weather import Weather
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping
 
-    import numpy as np
-
     from carla_recap.replay import Follow, Scene
+    from carla_recap.sim.actors.actor import Actor
     from carla_recap.sim.interfaces import ReplayWorld
     from carla_recap.sim.town.town import Town
 
@@ -76,8 +77,8 @@ class Replay:
 class Replayer:
     """Replays recordings in a world; a controller of its ticks.
 
-    Replayed actors have the poses, the controls, the lights and the collisions of the recording. All others go on as
-    before, and collide with replayed actors without moving them.
+    Replayed actors have the poses, the controls, the lights and the collisions of the recording, until they are released.
+    All others go on as before, and collide with replayed actors without moving them.
 
     Args:
         world: The world.
@@ -97,6 +98,7 @@ class Replayer:
         self._follow: int | None = None
         self._offset = CHASE
         self._player: Player | None = None
+        self._shows_start = False
         self._path: Path | None = None
         self._corridors: Town | None = None
         self._close: Callable[[], object] = lambda: None
@@ -114,13 +116,18 @@ class Replayer:
         return self._player is not None
 
     @property
+    def shows_start(self) -> bool:
+        """Whether a replay has begun, and no tick has followed yet."""
+        return self.is_playing and self._shows_start
+
+    @property
     def path(self) -> Path | None:
         """The recording that is being replayed; None between replays."""
         return self._path if self.is_playing else None
 
     @property
     def mapping(self) -> Mapping[int, int]:
-        """The ids of the replayed actors of the latest replay, by the ids of the recording."""
+        """The ids of the replayed actors of the latest replay, released ones included, by the ids of the recording."""
         return self._mapping.ids
 
     @property
@@ -239,13 +246,33 @@ class Replayer:
         if not keep_actors:
             self._mapping.destroy_spawned()
         for actor in self._mapping.replayed.values():
-            self._return_to_traffic(actor)
+            self._return_to_traffic(actor, autopilot=True)
+
+    def release(self, actor: Actor) -> None:
+        """Let an actor leave the replay, and go on by itself: from its pose, at its recorded speed.
+
+        It is left to its control, and stays when the replay ends; `stop` does not destroy it. All others follow the
+        recording. To release a vehicle to the autopilot, call its `set_autopilot` instead.
+
+        Args:
+            actor: The actor of the world.
+
+        Raises:
+            SimError: It does not follow a recording.
+        """
+        recorded = next((id for id, other in self._mapping.replayed.items() if other is actor), None)
+        if not self.is_playing or recorded is None or not isinstance(actor, MovingActor):
+            raise SimError(f"{actor!r}: is no vehicle or walker that follows a recording")
+        self._mapping.release(recorded)
+        self._return_to_traffic(actor, autopilot=False)
 
     def step(self, delta: float) -> None:
         """Replay a tick; a damaged recording ends the replay, with a warning."""
         player = self._player
         if player is None:
             return
+        self._shows_start = False
+        self._release_to_autopilot()
         before = player.time
         try:
             scene = player.tick(delta)
@@ -305,9 +332,20 @@ class Replayer:
         self._doors, self._weather = {}, None
         self._frozen = world.signals.frozen.copy()
         world.signals.held = True
+        self._shows_start = True
         scene = player.tick(0.0)
         assert scene is not None
         self._show(scene, 0.0, 0.0)
+
+    def _release_to_autopilot(self) -> None:
+        """Release the vehicles that have been given to the autopilot, once their speed is known."""
+        vehicles = self._world.vehicles
+        for row in np.flatnonzero(vehicles.autopilot & ~vehicles.simulated).tolist():
+            vehicle = vehicles.actors[row]
+            recorded = next((id for id, actor in self._mapping.replayed.items() if actor is vehicle), None)
+            if recorded is not None and self._kinematic.has_moved(vehicle):
+                self._mapping.release(recorded)
+                self._return_to_traffic(vehicle, autopilot=True)
 
     def _show(self, scene: Scene, delta: float, seconds: float) -> None:
         if self._world.events.destroyed or self._world.pending.destroyed:
@@ -322,9 +360,14 @@ class Replayer:
         self._move_doors(scene)
         if self._replay_weather:
             self._change_weather(scene)
-        pose = None if self._follow is None else scene.pose_of(self._follow)
-        if pose is not None:
-            self._world.spectator.transform = transform(level(pose)).attached(self._offset)
+        if self._follow is not None:
+            self._move_spectator(self._follow, scene)
+
+    def _move_spectator(self, followed: int, scene: Scene) -> None:
+        released = self._mapping.released.get(followed)
+        recorded = scene.pose_of(followed) if released is None else np.array(pose(released.transform))
+        if recorded is not None:
+            self._world.spectator.transform = transform(level(recorded)).attached(self._offset)
 
     def _move_doors(self, scene: Scene) -> None:
         if scene.doors == self._doors:
@@ -341,14 +384,14 @@ class Replayer:
             self._weather = scene.weather
             self._world.weather = Weather(*scene.weather.item())
 
-    def _return_to_traffic(self, actor: object) -> None:
+    def _return_to_traffic(self, actor: Actor, *, autopilot: bool) -> None:
         """Let an actor move by itself again."""
         if isinstance(actor, MovingActor):
             actor.set_simulate_physics(True)
         if isinstance(actor, Vehicle):
             actor.set_target_velocity(Vector(*self._kinematic.velocity(actor)))
             actor.apply_control(VehicleControl())
-            actor.set_autopilot(True)
+            actor.set_autopilot(autopilot)
         if isinstance(actor, Walker):
             self._world.walkers.speed[actor.row] = 0.0
             actor.set_target_velocity(Vector())
