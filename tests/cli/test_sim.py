@@ -25,7 +25,7 @@ def test_record(tmp_path):
     path = tmp_path / "traffic.mcap"
     done = run("record", path, *FEW, "--hero", "--seed", "4", "--additional-data")
     assert (done.returncode, done.stdout) == (0, b"")
-    assert wrote(done.stderr) == [f"{path}: 40 frames, 2 s"]
+    assert wrote(done.stderr) == [f"{path}: 40 frames, 1.95 s"]
     with open_recording(path) as recording:
         assert recording.info.map_name == "Brickfield"
         assert recording.info.additional_data
@@ -106,7 +106,7 @@ def test_a_missing_map_is_an_error_with_the_folders(tmp_path):
 
 def test_the_number_of_ticks_is_that_of_the_duration(tmp_path):
     done = run("record", tmp_path / "a.mcap", "--vehicles", "0", "--walkers", "0", "--duration", "60")
-    assert wrote(done.stderr) == [f"{tmp_path / 'a.mcap'}: 1200 frames, 60 s"]
+    assert wrote(done.stderr) == [f"{tmp_path / 'a.mcap'}: 1200 frames, 59.95 s"]
 
 
 @pytest.mark.parametrize(
@@ -200,7 +200,7 @@ def crash(tmp_path_factory):
 def test_a_replay_is_recorded_as_it_was(crash, tmp_path):
     done = run("replay", crash, tmp_path / "again.mcap", "--then", "0")
     assert (done.returncode, done.stdout) == (0, b"")
-    assert wrote(done.stderr) == [f"{tmp_path / 'again.mcap'}: 401 frames, 20.05 s, by autopilot from frame 401 on"]
+    assert wrote(done.stderr) == [f"{tmp_path / 'again.mcap'}: 401 frames, 20 s, by autopilot from frame 401 on"]
     with open_recording(crash) as first, open_recording(tmp_path / "again.mcap") as second:
         before, after = (recording.trajectory(recording.heroes[0].id) for recording in (first, second))
     assert after.time[:400] == pytest.approx(before.time)
@@ -211,7 +211,7 @@ def test_a_replay_is_recorded_as_it_was(crash, tmp_path):
 def test_the_autopilot_avoids_the_crash(crash, tmp_path):
     path = tmp_path / "avoided.log"
     done = run("replay", crash, path, "--start", "4", "--duration", "6.5", "--then", "12")
-    assert wrote(done.stderr) == [f"{path}: 372 frames, 18.6 s, by autopilot from frame 132 on"]
+    assert wrote(done.stderr) == [f"{path}: 372 frames, 18.55 s, by autopilot from frame 132 on"]
     with open_recording(crash) as recording:
         assert len(recording.collisions("h")) == 2
     with open_recording(path) as recording:
