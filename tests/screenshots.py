@@ -7,7 +7,9 @@ from time import monotonic
 from typing import TYPE_CHECKING, Final, Self
 
 from carla_recap.errors import RecapError
+from carla_recap.export import viewer
 from carla_recap.export.viewer import GRPC_PORT, HOST, RerunViewer
+from tests.waiting import PATIENCE
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -20,7 +22,10 @@ Size = tuple[int, int]
 
 _AROUND: Final = (7, 71)  # pixels of the window around a view
 _SETTLED: Final = 0.15  # s without a change, after which a picture is complete
-_UNSETTLED: Final = 10.0  # s, after which it is taken in any case
+_SAME: Final = 4  # pictures without a change: on a busy machine, one takes that long
+_UNSETTLED: Final = 60.0  # s, after which it is taken in any case
+
+viewer.TIMEOUT = PATIENCE
 
 
 class ScreenshotTaker:
@@ -96,11 +101,12 @@ class ScreenshotTaker:
     def _settled_picture(self) -> bytes:
         """Return the picture when it has stopped changing; the viewer loads data as it shows it."""
         begun = since = monotonic()
-        picture = b""
-        while (now := monotonic()) - since < _SETTLED and now - begun < _UNSETTLED:
+        picture, same = b"", 0
+        while ((now := monotonic()) - since < _SETTLED or same < _SAME) and now - begun < _UNSETTLED:
             before, picture = picture, self._client.take_screenshot(self._shown)
+            same += 1
             if picture != before:
-                since = monotonic()
+                since, same = monotonic(), 1
         return picture
 
     def _loaded(self) -> ViewerState | None:

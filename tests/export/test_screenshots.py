@@ -23,7 +23,7 @@ from carla_recap.export import viewer
 from carla_recap.replay import Player
 from tests.export.conftest import SAMPLE
 from tests.screenshots import ScreenshotTaker
-from tests.waiting import PATIENCE, time_limit
+from tests.waiting import PATIENCE, time_limit, wait_until
 
 
 def runs(pid: int) -> bool:
@@ -81,7 +81,13 @@ def test_without_a_graphics_driver_the_error_says_what_to_install(crossing_rrd, 
 
 
 def test_a_file_that_the_viewer_cannot_load_is_an_error(tmp_path, temporary, monkeypatch, crossing_rrd):
-    monkeypatch.setattr(viewer, "TIMEOUT", 2.0)
+    def port_when_it_has_failed(self, announced):
+        wait_until(lambda: "failed to read RRD metadata" in self._output())
+        monkeypatch.setattr(viewer, "TIMEOUT", 2.0)
+        return port(self, announced)
+
+    port = viewer.RerunViewer.port
+    monkeypatch.setattr(viewer.RerunViewer, "port", port_when_it_has_failed)
     cut = tmp_path / "cut.rrd"
     cut.write_bytes(crossing_rrd.read_bytes()[:3000])
     with time_limit(), pytest.raises(RecapError, match="no recording within 2 s: failed to read RRD metadata"):
@@ -116,7 +122,7 @@ import sys, time
 from tests.screenshots import ScreenshotTaker
 with ScreenshotTaker(sys.argv[1]) as screenshots:
     print(screenshots._process.pid, flush=True)
-    time.sleep(60)
+    time.sleep(1000)
 """
 
 
