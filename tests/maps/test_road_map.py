@@ -2,6 +2,7 @@ from __future__ import annotations
 
 import os
 import random
+import signal
 from contextlib import suppress
 from itertools import pairwise
 from typing import TYPE_CHECKING
@@ -188,6 +189,24 @@ def test_a_parser_that_takes_too_long_is_killed(tmp_path, monkeypatch):
     path.write_text(SOUND)
     with pytest.raises(RecapError, match=r"slow\.xodr: CARLA's parser has not read it within 0\.02 s"):
         load_map(path)
+
+
+ENDLESS = """
+from carla_recap.maps import parsing
+parsing._PROCESSOR_TIME = 1
+def parse(text):
+    while True:
+        pass
+parsing.run_child(parse)
+"""
+
+
+@pytest.mark.skipif(not hasattr(signal, "SIGXCPU"), reason="limits of processor time are POSIX's")
+def test_a_parser_that_computes_for_too_long_is_ended(tmp_path, monkeypatch):
+    (tmp_path / "endless.py").write_text(ENDLESS)
+    monkeypatch.syspath_prepend(tmp_path)
+    with pytest.raises(RecapError, match=r"slow\.xodr: CARLA's parser has not read it within 60 s of processor time"):
+        parsing.parse_in_child("endless", tmp_path / "slow.xodr", b"")
 
 
 def test_an_endless_file_is_not_read(tmp_path, monkeypatch):

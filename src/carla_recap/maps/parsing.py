@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import signal
 import subprocess
 import sys
 import time
@@ -25,7 +26,8 @@ if TYPE_CHECKING:
     Lines = dict[str, list[NDArray[Any]]]
 
 _LARGEST: Final = 256 << 20  # bytes of a file
-_TIMEOUT: Final = 60.0  # s
+_PROCESSOR_TIME: Final = 60  # s, for CARLA's parser
+_TIMEOUT: Final = 600.0  # s, for a busy machine
 _MEMORY: Final = 4 << 30  # bytes of the child process
 _PARENT_CHECK: Final = 0.5  # s
 _SIZES: Final = ".sizes"
@@ -87,6 +89,8 @@ def parse_in_child(module: str, path: Path, content: bytes) -> bytes:
         )
     except subprocess.TimeoutExpired:
         raise FormatError(path, None, f"CARLA's parser has not read it within {_TIMEOUT:g} s") from None
+    if done.returncode == -getattr(signal, "SIGXCPU", 0) < 0:
+        raise FormatError(path, None, f"CARLA's parser has not read it within {_PROCESSOR_TIME} s of processor time")
     if done.returncode:
         reason = " ".join(done.stdout.decode(errors="replace").split())[:200]
         outcome = f"says: {reason}" if reason else "breaks down on it"
@@ -106,7 +110,7 @@ def run_child(parse: Callable[[str], bytes]) -> int:
     with os.fdopen(os.dup(1), "wb") as output:
         os.dup2(2, 1)  # the parser prints warnings
         Thread(target=_end_with, args=(os.getppid(),), daemon=True).start()
-        _limit_memory()
+        _limit_resources()
         try:
             output.write(parse(decode(sys.stdin.buffer.read())))
         except Exception as error:
@@ -140,11 +144,14 @@ def _end_with(parent: int) -> None:
     os._exit(1)
 
 
-def _limit_memory() -> None:
-    """End this process soon if it allocates without limit, and write no core file."""
+def _limit_resources() -> None:
+    """End this process soon if it allocates or computes without limit, and write no core file."""
     with suppress(ImportError):  # not on Windows
         import resource
 
+        _, allowed = resource.getrlimit(resource.RLIMIT_CPU)
+        limit = _PROCESSOR_TIME if allowed == resource.RLIM_INFINITY else min(_PROCESSOR_TIME, allowed)
+        resource.setrlimit(resource.RLIMIT_CPU, (limit, allowed))  # ends it by SIGXCPU
         for kind, most in ((resource.RLIMIT_AS, _MEMORY), (resource.RLIMIT_CORE, 0)):
             _, allowed = resource.getrlimit(kind)
             limit = most if allowed == resource.RLIM_INFINITY else min(most, allowed)

@@ -44,7 +44,7 @@ if TYPE_CHECKING:
 
     Images = dict[ImageKind, NDArray[Any]]
 
-PATIENCE: Final = 60.0
+PATIENCE: Final = 300.0
 """The seconds after which a picture that does not come counts as failed."""
 _READY: Final = b"carla-recap: ready to draw\n"
 """The first line of the process; lines before it are printed by other code that runs when an interpreter starts."""
