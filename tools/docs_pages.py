@@ -99,7 +99,9 @@ def notebook(path: Path) -> tuple[str, dict[str, bytes]]:
                 parts.append(f"![{_heading(parts)}]({name})")
             elif "text/html" in data:  # a table of pandas
                 table = re.sub(r"<style.*?</style>\n?", "", data["text/html"], flags=re.DOTALL)
-                parts.append(re.sub(r' (border|class|style)="[^"]*"', "", table))
+                table = re.sub(r' (border|class|style)="[^"]*"', "", table).replace("<div>", '<div class="dataframe">')
+                head, _, body = table.partition("<tbody>")
+                parts.append("<tbody>".join((head, body.replace("th>", "td>"))))
             else:
                 parts.append(f"```text\n{data['text/plain'].rstrip()}\n```")
     parts.insert(1, f'<a href="{path.name}" download>Download this notebook</a>, or open `samples/notebooks/{path.name}`.')
