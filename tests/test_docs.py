@@ -28,6 +28,8 @@ from tests.waiting import PATIENCE
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
+    import griffe
+
 ROOT = Path(__file__).parents[1]
 PACKAGE = Path(carla_recap.__file__).parent
 PAGES = [ROOT / "README.md", ROOT / "samples" / "README.md", *sorted((ROOT / "docs").glob("*.md"))]
@@ -193,6 +195,29 @@ def test_every_public_name_is_in_the_reference():
         package, _, name = path.rpartition(".")
         with suppress(MissingExtra):
             assert name in import_module(package).__all__
+
+
+def test_every_public_attribute_has_a_docstring():
+    """Attributes of the classes in the reference: a docstring of their own, or a line of that of their class."""
+    griffe = pytest.importorskip("griffe", reason="mkdocstrings is not installed")
+    package = griffe.load("carla_recap", search_paths=[ROOT / "src"], docstring_parser="google")
+    missing = []
+    for name in [*carla_recap.__all__, *(f"sim.{name}" for name in import_module("carla_recap.sim").__all__)]:
+        found = package[name]
+        found = found.final_target if found.is_alias else found
+        assert found.docstring, name
+        if found.is_class and not {"IntEnum", "StrEnum"} & {str(base) for base in found.bases}:
+            members = [member for key, member in found.all_members.items() if not key.startswith("_") and key != "args"]
+            listed = documented(found)
+            missing += [f"{name}.{member.name}" for member in members if not (member.docstring or member.name in listed)]
+    assert not missing
+
+
+def documented(found: griffe.Class) -> set[str]:
+    """Return the names in the sections Attributes and Args of the docstrings of a class and its bases."""
+    texts = [each.docstring.value for each in (found, *found.mro()) if each.docstring]
+    lines = re.findall(r"^ +(\w+(?:, \w+)*): ", "\n".join(texts), re.MULTILINE)
+    return {name for line in lines for name in line.split(", ")}
 
 
 def test_a_data_frame_of_all_vehicles_takes_three_lines():

@@ -299,14 +299,15 @@ class Recording:
         return blocked(self.reader, min_time, min_distance, compat=compat)
 
     def incidents(self, **options: Any) -> Incidents:
-        """Return the incidents: collisions, long stops, hard braking, in order of time.
+        """Return the incidents in order of time: by default collisions, long stops and hard braking.
 
         Args:
-            options: Those of `carla_recap.queries.incidents.incidents`: `collisions`, `blocked` and `braking`, whether to
-                return these, `min_time` in s and `min_distance` in cm of stops, `deceleration` in m/s² of hard braking.
+            options: Those of `carla_recap.queries.incidents.incidents`: `kinds`, such as `["collision", "near miss"]` or "all";
+                `roads`, the roads of the map, for kinds that are about them; `min_time` in s and `min_distance` in cm of
+                stops; `deceleration` in m/s² of hard braking; `start` and `stop`, in s, of the part to look at.
 
         Raises:
-            RecapError: The deceleration is not above 0.
+            RecapError: The deceleration is not above 0, there is no such kind, or a kind needs roads.
         """
         from carla_recap.queries.incidents import incidents
 

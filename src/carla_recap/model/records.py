@@ -51,7 +51,13 @@ class Group(Enum):
 
 @dataclass(slots=True)
 class Attribute:
-    """One attribute of a spawned actor. `type`: 0 bool, 1 int, 2 float, 3 string, 4 colour (one more in file version 2)."""
+    """One attribute of a spawned actor.
+
+    Attributes:
+        type: 0 bool, 1 int, 2 float, 3 string, 4 colour; one more in recordings of version 2.
+        key: The name, such as role_name.
+        value: The value as text, such as hero, true, 1.5 or 255,0,0.
+    """
 
     type: int
     key: str
@@ -73,10 +79,13 @@ def _as_text(value: str | bool | int | float) -> str:
 
 @dataclass(slots=True)
 class Spawn:
-    """An actor appears. Position in cm, angles in degrees, left-handed.
+    """An actor appears. Axes are CARLA's: x forward, y right, z up, left-handed.
 
     Attributes:
+        id: The id of the actor.
         kind: What it is, as in `ActorKind`.
+        x, y, z: Position, in cm.
+        roll, pitch, yaw: Rotation, in degrees.
         uid: Index in the build's list of blueprints; 0 where it has none.
         type_id: The blueprint, such as vehicle.tesla.model3.
         attributes: Its attributes; `attributes(role_name="hero")` makes them.

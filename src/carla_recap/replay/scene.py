@@ -149,7 +149,11 @@ class Scene:
         events: The events since the previous scene.
         ids: The actors that have a pose, ascending, (ids,).
         poses: x, y, z in cm and roll, pitch, yaw in degrees of each of the `ids`, (ids, 6).
+        actors: The actors that exist, by id.
         light_states: The latest state of each traffic light, ascending by id.
+        doors: The open doors of each vehicle.
+        weather: The latest weather; None if none was recorded yet.
+        scene_lights: The latest state of each street or house light, ascending by id.
     """
 
     def __init__(self, batch: SceneBatch, row: int = 0) -> None:

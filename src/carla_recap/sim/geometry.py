@@ -31,7 +31,11 @@ class Location:
 
 @dataclass(slots=True)
 class Vector:
-    """A vector, such as a velocity in m/s or an impulse in N s, in the axes of a `Location`."""
+    """A vector, such as a velocity in m/s or an impulse in N s.
+
+    Attributes:
+        x, y, z: The components, in the axes of a `Location`: x forward, y right, z up.
+    """
 
     x: float = 0.0
     y: float = 0.0
@@ -88,7 +92,12 @@ def _dot(one: _Row, other: _Row) -> float:
 
 @dataclass(slots=True)
 class Transform:
-    """A location and a rotation."""
+    """A location and a rotation.
+
+    Attributes:
+        location: The location, in m.
+        rotation: The rotation, in degrees.
+    """
 
     location: Location = field(default_factory=Location)
     rotation: Rotation = field(default_factory=Rotation)

@@ -84,7 +84,11 @@ class Tabular:
 
 
 class Columns(Tabular):
-    """Base of a dataclass whose fields are arrays of one length."""
+    """Base of a dataclass whose fields are arrays of one length.
+
+    Attributes:
+        column_units: The units of the fields that have one.
+    """
 
     column_units: ClassVar[Mapping[str, str]] = {}
 

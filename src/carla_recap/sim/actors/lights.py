@@ -184,7 +184,11 @@ class Sign(Actor):
 
 
 class TrafficLight(Sign):
-    """A traffic light; its numbers are those of row `row` of `World.signals`."""
+    """A traffic light.
+
+    Attributes:
+        row: The row of `World.signals` that has its numbers.
+    """
 
     context: SignalContext
 

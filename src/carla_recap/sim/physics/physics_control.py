@@ -49,7 +49,12 @@ class WheelPhysics:
 
 @dataclass(slots=True)
 class Gear:
-    """A forward gear: its ratio, and the shares of `max_rpm` below and above which the gearbox leaves it."""
+    """A forward gear.
+
+    Attributes:
+        ratio: The ratio of the gear.
+        down_ratio, up_ratio: The shares of `max_rpm` below and above which the gearbox leaves the gear.
+    """
 
     ratio: float = 1.0
     down_ratio: float = 0.5
@@ -64,7 +69,8 @@ class PhysicsControl:
         torque_curve: The torque of the engine in N m at revolutions per minute, ascending.
         max_rpm: The most revolutions per minute.
         moi: The engine's moment of inertia in kg m².
-        damping_rate_full_throttle: Of the engine, as of the two below.
+        damping_rate_full_throttle: Damping of the engine at full throttle, in kg m²/s.
+        damping_rate_zero_throttle_clutch_engaged, damping_rate_zero_throttle_clutch_disengaged: The same without throttle.
         use_gear_autobox: Whether the gears change on their own.
         gear_switch_time: In s.
         clutch_strength: In kg m²/s.
