@@ -302,7 +302,7 @@ class Recording:
         """Return the incidents in order of time: by default collisions, long stops and hard braking.
 
         Args:
-            options: Those of `carla_recap.queries.incidents.incidents`: `kinds`, such as `["collision", "near miss"]` or "all";
+            options: Those of `carla_recap.queries.incidents.incidents`: `kinds`, such as `["near miss"]` or "all";
                 `roads`, the roads of the map, for kinds that are about them; `min_time` in s and `min_distance` in cm of
                 stops; `deceleration` in m/s² of hard braking; `start` and `stop`, in s, of the part to look at.
 
