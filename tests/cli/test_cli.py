@@ -181,7 +181,7 @@ def test_text_cannot_control_a_terminal(evil, command):
 def test_errors_name_options(tmp_path):
     (tmp_path / "there.log").touch()
     message = error("convert", CROSSING, tmp_path / "there.log")
-    assert message == f"{tmp_path / 'there.log'}: exists already; --force overwrites it"
+    assert message == f"{tmp_path / 'there.log'}: exists already; --force replaces it"
     (tmp_path / "folder").mkdir()
     (tmp_path / "folder" / "a").touch()
     message = error("clips", CROSSING, tmp_path / "folder")

@@ -235,7 +235,7 @@ def test_progress_sees_every_frame(small, tmp_path):
 
 def test_an_existing_destination_needs_force(small, tmp_path):
     there = save(tmp_path / "there.mcap", b"precious")
-    with pytest.raises(RecapError, match=r"there\.mcap: exists already; --force \(in Python, force=True\) overwrites it"):
+    with pytest.raises(RecapError, match=r"there\.mcap: exists already; --force \(in Python, force=True\) replaces it"):
         convert(small, there)
     assert there.read_bytes() == b"precious"
     convert(small, there, force=True)

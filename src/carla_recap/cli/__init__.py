@@ -21,6 +21,7 @@ from carla_recap.errors import MissingExtra, RecapError, RecapWarning
 from carla_recap.util.signals import ignore_termination, is_first, is_terminating, set_handlers
 
 if TYPE_CHECKING:
+    from collections.abc import Sequence
     from types import FrameType
 
 INTERRUPTED: Final = 130
@@ -123,26 +124,39 @@ def main() -> None:
         signal.signal(signal.SIGPIPE, signal.SIG_DFL)
     atexit.register(_ignore_more)  # as the first, so that it is called as the last
     set_handlers(_stop)
+    sys.exit(run())
+
+
+def run(arguments: Sequence[str] | None = None) -> int:
+    """Run a command; errors are a line on stderr.
+
+    Args:
+        arguments: Its name and arguments; None: those of the process.
+
+    Returns:
+        The exit code, as far as the command does not end the process itself.
+    """
+    name = None if arguments is None else "carla-recap"
     try:
-        sys.exit(cli(standalone_mode=False))
+        return int(cli(arguments, name, standalone_mode=False) or 0)
     except RecapError as error:
-        _fail(re.sub(PYTHON_HINT, "", str(error)))
+        return _fail(re.sub(PYTHON_HINT, "", str(error)))
     except click.exceptions.NoArgsIsHelpError as error:
         error.show()
-        sys.exit(BAD_INPUT)
+        return BAD_INPUT
     except click.UsageError as error:
-        _fail(error.format_message() + (f" Try '{error.ctx.command_path} --help'." if error.ctx else ""))
+        return _fail(error.format_message() + (f" Try '{error.ctx.command_path} --help'." if error.ctx else ""))
     except click.Abort:
-        sys.exit(INTERRUPTED)
+        return INTERRUPTED
     except OSError as error:
-        _fail(f"{error.filename or 'output'}: {error.strerror}")
+        return _fail(f"{error.filename or 'output'}: {error.strerror}")
     except MemoryError:
-        _fail("not enough memory")
+        return _fail("not enough memory")
 
 
-def _fail(message: str) -> None:
+def _fail(message: str) -> int:
     fail(message)
-    sys.exit(BAD_INPUT)
+    return BAD_INPUT
 
 
 def _print_warning(message: Warning | str, *_: object, **__: object) -> None:

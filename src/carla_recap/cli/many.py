@@ -8,6 +8,7 @@ import signal
 import sys
 from contextlib import ExitStack, closing
 from functools import partial
+from itertools import chain
 from time import monotonic
 from typing import TYPE_CHECKING, Any, Final, NoReturn
 
@@ -26,6 +27,7 @@ if TYPE_CHECKING:
 _PAGE: Final = 200  # rows of a table
 _INTERVAL: Final = 0.5  # s after which what is known is printed
 _MEGABYTE: Final = 1 << 20
+_LONGEST: Final = 300  # characters of the names of maps
 
 
 def answer(
@@ -105,14 +107,20 @@ def client_of(address: str) -> Client:
 
 def _print(given: Iterable[RecordingAnswer], form: str, bar: SourcesBar, max_rows: int | None) -> int:
     """Print answers; return the exit code."""
+    from carla_recap.fleet.roads import unknown_map
+
     printer = _PRINTERS[form](bar)
     rows = failed = 0
+    without_map: dict[str, list[str]] = {}
     for each in given:
         printer.add(each)
         if each.warnings or each.error:
             with bar.aside():
                 for message in each.warnings:
-                    warn(_with_location(message, each))
+                    if name := unknown_map(message):
+                        without_map.setdefault(name, []).append(_with_location(message, each))
+                    else:
+                        warn(_with_location(message, each))
                 if each.error:
                     fail(_with_location(re.sub(PYTHON_HINT, "", each.error), each))
         failed += each.error is not None
@@ -120,10 +128,26 @@ def _print(given: Iterable[RecordingAnswer], form: str, bar: SourcesBar, max_row
         bar.advance()
     bar.close()
     printer.end()
+    _warn_of_maps(without_map)
     too_many = max_rows is not None and rows > max_rows
     if too_many:
         fail(f"{counted(rows, 'row')}, at most {max_rows} were allowed")
     return BAD_INPUT if failed else TOO_MANY if too_many else 0
+
+
+def _warn_of_maps(unknown: dict[str, list[str]]) -> None:
+    """Warn of unknown maps, once for all recordings.
+
+    Args:
+        unknown: The warnings by the quoted name of the map.
+    """
+    messages = list(chain.from_iterable(unknown.values()))
+    if len(messages) == 1:
+        warn(messages[0])
+    elif messages:
+        maps = f"the map {next(iter(unknown))} is" if len(unknown) == 1 else f"the maps {', '.join(unknown)} are"
+        advice = "rules of the road are left out there; --map or CARLA_RECAP_MAPS names maps"
+        warn(f"{maps[:_LONGEST]} unknown, of {len(messages)} recordings; {advice}")
 
 
 def _with_location(message: str, given: RecordingAnswer) -> str:

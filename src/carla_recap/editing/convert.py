@@ -83,7 +83,7 @@ def check_free(destination: Path | str, *, force: bool) -> None:
     except (OSError, ValueError) as error:
         raise RecapError(f"{str(destination)[:200]}: cannot be written: {_reason(error)}") from None
     if exists and not force:
-        raise RecapError(f"{destination}: exists already; --force (in Python, force=True) overwrites it")
+        raise RecapError(f"{destination}: exists already; --force (in Python, force=True) replaces it")
 
 
 def check_new(destination: Path | str, *, force: bool) -> None:

@@ -7,6 +7,7 @@ from time import monotonic
 from typing import TYPE_CHECKING, Final, TypeVar
 
 from carla_recap.fleet.outcomes import Outcome, outcome_of
+from carla_recap.util.log import log_info
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Iterator
@@ -60,6 +61,7 @@ def map_sources(
         if count > 1 and (monotonic() > deadline or (source.size or 0) >= _LARGE):
             from carla_recap.fleet.workers import map_in_workers
 
+            log_info(__name__, "reads %s and further recordings in %s processes", source.location, count)
             yield from map_in_workers(function, source, left, count)
             return
         yield outcome_of(function, source)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import warnings
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -75,6 +76,12 @@ def warn_without_roads(source: Reader) -> None:
 
 def _unknown(name: str) -> str:
     return f"the map {name!r} is unknown, which --map or CARLA_RECAP_MAPS names"
+
+
+def unknown_map(warning: str) -> str | None:
+    """Return the name of the map, quoted, that a warning says is unknown; None if it is about something else."""
+    match = re.search(r"the map (.*) is unknown, which --map", warning)
+    return match[1] if match else None
 
 
 def incidents(source: Reader, *, kinds: Any = None, road_map: str | None = None, **options: Any) -> Incidents:

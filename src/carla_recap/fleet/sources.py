@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Final, Literal
 from carla_recap.errors import RecapError
 from carla_recap.formats import SUFFIXES
 from carla_recap.formats.sources import WEB, is_remote, path_of, scheme_of
+from carla_recap.util.log import log_info
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator
@@ -121,13 +122,13 @@ def _expanded(source: str) -> Iterator[SourceFile]:
 
 def _in_folder(folder: str) -> list[str]:
     found = []
+    skipped = 0
     for parent, folders, files in os.walk(folder):
         folders[:] = sorted(name for name in folders if not name.startswith("."))
-        found += [
-            str(Path(parent, name))
-            for name in sorted(files)
-            if not name.startswith(".") and Path(name).suffix.lower() in SUFFIXES
-        ]
+        names = [name for name in files if not name.startswith(".") and Path(name).suffix.lower() in SUFFIXES]
+        found += [str(Path(parent, name)) for name in sorted(names)]
+        skipped += len(files) - len(names)
+    log_info(__name__, "%s has %s recordings; %s other files are skipped", folder, len(found), skipped)
     return found
 
 

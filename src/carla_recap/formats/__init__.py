@@ -9,7 +9,8 @@ from time import monotonic, sleep
 from typing import TYPE_CHECKING
 
 from carla_recap.errors import NotARecording, RecapError, RecapWarning
-from carla_recap.formats.sources import is_remote, path_of
+from carla_recap.formats.sources import is_remote, path_of, unsigned
+from carla_recap.util.log import log_info
 
 if TYPE_CHECKING:
     from carla_recap.formats.base import Reader, Writer
@@ -95,10 +96,12 @@ def _open(location: Path | str) -> Reader:
     if start.startswith(_MCAP):
         from carla_recap.formats.mcap.reader import McapReader
 
+        log_info(__name__, "opens %s (MCAP)", location)
         return McapReader(location)
     from carla_recap.formats.carla_log import LogReader, is_log
 
     if is_log(start):
+        log_info(__name__, "opens %s (CARLA's log)", location)
         return LogReader(location)
     if not start:
         raise NotARecording(location, "is empty; a CARLA log or an MCAP recording was expected")
@@ -109,6 +112,7 @@ def _open_remote(url: str) -> Reader:
     from carla_recap.formats.remote import RemoteSource, copied
 
     source = RemoteSource(url)
+    log_info(__name__, "opens %s (%s bytes)", unsigned(url), source.size)
     try:
         start = b"" if source.ends_with(_MCAP_END) else source.start()
         if not start or start.startswith(_MCAP):
@@ -140,6 +144,8 @@ def read_start(location: Path | str) -> bytes:
             raise NotARecording(location, "is not a regular file")
         with path.open("rb") as file:
             return file.read(64)
+    except IsADirectoryError:
+        raise RecapError(f"{location}: is a folder; a recording was expected, a .log or .mcap file") from None
     except OSError as error:
         raise RecapError(f"{location}: {error.strerror}") from None
     except ValueError as error:

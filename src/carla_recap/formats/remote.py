@@ -19,7 +19,8 @@ from threading import Lock, Thread
 from typing import TYPE_CHECKING, BinaryIO, Final, NamedTuple, TypeVar
 
 from carla_recap.errors import Closed, FormatError, MissingExtra, NotARecording, RecapError
-from carla_recap.formats.sources import WEB, outside, path_of, scheme_of
+from carla_recap.formats.sources import WEB, outside, path_of, scheme_of, unsigned
+from carla_recap.util.log import log_debug, log_info
 
 try:
     import obstore
@@ -126,6 +127,7 @@ def list_objects(url: str, source: str = "") -> Iterator[ListedObject]:
     root = url[: len(url) - len(key)]
     root = root if root.endswith("/") else f"{root}/"
     try:
+        log_info(__name__, "lists %s", unsigned(url))
         listing = obstore.list(store, key or None, chunk_size=1000)
         while listed := _started(partial(next, listing, ())).result():
             for meta in listed:
@@ -284,6 +286,7 @@ class RemoteSource:
         try:
             found = obstore.get(*self._address, options=options)
             meta, data = found.meta, bytes(found.bytes())
+            log_debug(__name__, "got %s bytes of %s", len(data), unsigned(self.location))
         except PreconditionError:
             raise self._changed() from None
         except (BaseError, OSError, ValueError) as error:

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Final
 
 from carla_recap.errors import FormatError
 from carla_recap.maps.parsing import parse_in_child, read_content, unpack
+from carla_recap.util.log import log_info
 
 if TYPE_CHECKING:
     import numpy as np
@@ -77,7 +78,12 @@ def find_map(map_name: str, folder: Path | str | None = None) -> Path | None:
     """
     maps = find_maps(folder)
     name = plain_name(map_name)
-    return maps.get(name) or maps.get(name.removesuffix(_LAYERED))
+    found = maps.get(name) or maps.get(name.removesuffix(_LAYERED))
+    if found is None:
+        log_info(__name__, "the map %r is not in %s", map_name, described_folder(folder))
+    else:
+        log_info(__name__, "the map %r is %s", map_name, found)
+    return found
 
 
 def plain_name(map_name: str) -> str:

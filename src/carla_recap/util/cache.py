@@ -15,6 +15,8 @@ from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from typing import Final
 
+from carla_recap.util.log import log_info
+
 FOLDER: Final = "CARLA_RECAP_CACHE"
 """The environment variable that names the cache folder; empty for no cache."""
 _MAGIC: Final = b"carla-recap town 1\n"
@@ -62,7 +64,9 @@ def read_entry(key: str) -> bytes | None:
         data = content[head:]
         if content[:head] == _MAGIC + sha256(data).digest():
             os.utime(path)
+            log_info(__name__, "takes %s from the cache", path)
             return data
+    log_info(__name__, "the cache has no %s", path)
     return None
 
 
@@ -78,6 +82,7 @@ def write_entry(key: str, data: bytes) -> None:
             file.write(_MAGIC + sha256(data).digest() + data)
         partial.replace(path)
         _evict(path.parent)
+        log_info(__name__, "keeps %s in the cache", path)
     except OSError:
         with suppress(OSError):
             partial.unlink(missing_ok=True)

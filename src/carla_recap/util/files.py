@@ -10,6 +10,7 @@ from time import monotonic
 from typing import TYPE_CHECKING, Final, Self
 
 from carla_recap.errors import Closed, RecapError
+from carla_recap.util.log import log_debug
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
@@ -121,6 +122,7 @@ class AtomicFile:
 
     def _move(self) -> None:
         """Move the complete file to its destination."""
+        log_debug(__name__, "%s is complete", self.path)
         if self._force:
             self._partial.replace(self.path)
             return

@@ -11,6 +11,8 @@ from pathlib import Path
 from select import select
 from typing import TYPE_CHECKING, Any, BinaryIO, Final
 
+from carla_recap.util.log import log_info
+
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
@@ -21,6 +23,7 @@ _PARENT_CHECK: Final = 1.0  # s between checks whether the parent has ended
 
 def module_command(module: str, *arguments: str) -> list[str]:
     """Return the command that runs a module with this interpreter; modules in the working directory are not imported."""
+    log_info(__name__, "runs %s in a process of its own", module)
     return [sys.executable or "python3", "-P", "-m", module, *arguments]
 
 

@@ -75,7 +75,7 @@ def test_a_minute_of_traffic_is_less_than_one_and_a_half_megabytes(tmp_path: Pat
 def test_a_file_that_exists_is_kept_without_force(tmp_path: Path) -> None:
     page = tmp_path / "page.html"
     page.write_text("mine")
-    with pytest.raises(RecapError, match=r"page\.html: exists; --force"):
+    with pytest.raises(RecapError, match=r"page\.html: exists already; --force"):
         report(CROSSING, page)
     assert page.read_text() == "mine"
     assert "<canvas" in report(CROSSING, page, force=True).read_text("utf-8")

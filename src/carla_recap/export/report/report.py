@@ -247,7 +247,7 @@ def _check_destination(path: Path, *, single: bool, force: bool) -> None:
     elif path.exists() and not path.is_file():
         raise RecapError(f"{path}: is no file; the name of a file was expected, since it ends in {path.suffix}")
     elif path.exists() and not force:
-        raise RecapError(f"{path}: exists; --force (in Python, force=True) replaces it")
+        raise RecapError(f"{path}: exists already; --force (in Python, force=True) replaces it")
 
 
 def _check_maps(recordings: Sequence[Recording]) -> None:

@@ -1,0 +1,30 @@
+"""The log of the package: what is done, for `-v`; without listeners it costs nothing, not even an import.
+
+Logging takes as long to import as a small query takes. A program that listens has imported it, so that there is nobody to
+log for until then.
+"""
+
+from __future__ import annotations
+
+import sys
+from typing import Any
+
+
+def log_info(name: str, message: str, *values: Any) -> None:
+    """Log what is done.
+
+    Args:
+        name: The name of the logger: that of the module.
+        message: The text, with a `%s` for each value.
+        values: The values.
+    """
+    logging = sys.modules.get("logging")
+    if logging is not None:
+        logging.getLogger(name).info(message, *values)
+
+
+def log_debug(name: str, message: str, *values: Any) -> None:
+    """Log a detail of what is done; see `log_info`."""
+    logging = sys.modules.get("logging")
+    if logging is not None:
+        logging.getLogger(name).debug(message, *values)

@@ -1,0 +1,305 @@
+"""What commands print beside answers: success lines, JSON of them, progress, the log, colours, errors; in this process."""
+
+from __future__ import annotations
+
+import io
+import json
+import logging
+import os
+import re
+import signal
+import subprocess
+import sys
+import warnings
+from contextlib import redirect_stderr, redirect_stdout
+from pathlib import Path
+from typing import NamedTuple
+
+import click
+import pytest
+
+from carla_recap import RecapWarning, cli
+from carla_recap.cli.output import BAD_INPUT
+from carla_recap.queries.output.terminal import TableColumn, print_table, shortened
+from tests.cli.command import CROSSING, wrote
+from tests.waiting import PATIENCE
+
+CRASH = CROSSING.with_name("crash.mcap")
+WRITING = ("capture", "clip", "clips", "convert", "export", "import", "index", "record", "recover", "replay", "report")
+WRITING += ("snapshot", "video")
+ASKING = ("actors", "blocked", "check", "collisions", "diff", "incidents", "info", "measures", "sql")
+
+
+class Stream(io.TextIOWrapper):
+    """A stream in memory.
+
+    Args:
+        is_terminal: Whether it says that it is a terminal.
+    """
+
+    def __init__(self, is_terminal: bool) -> None:
+        super().__init__(io.BytesIO(), "utf-8", write_through=True)
+        self._is_terminal = is_terminal
+
+    def isatty(self) -> bool:
+        return self._is_terminal
+
+    def fileno(self) -> int:
+        return 2
+
+    @property
+    def text(self) -> str:
+        return self.buffer.getvalue().decode()
+
+
+class Done(NamedTuple):
+    code: int
+    out: str
+    err: str
+
+
+class Exited(BaseException):
+    """Instead of the end of the process."""
+
+
+@pytest.fixture
+def invoke(monkeypatch, tmp_path):
+    """A function that runs a command in this process, in an empty folder."""
+
+    def end(code):
+        raise Exited(code)
+
+    def run(*arguments, terminal=False):
+        out, err = Stream(terminal), Stream(terminal)
+        logger = logging.getLogger("carla_recap")
+        handlers, level = list(logger.handlers), logger.level
+        with redirect_stdout(out), redirect_stderr(err), warnings.catch_warnings():
+            warnings.simplefilter("always", RecapWarning)
+            warnings.showwarning = cli._print_warning
+            try:
+                code = cli.run([str(argument) for argument in arguments])
+            except (Exited, SystemExit) as ended:
+                code = ended.args[0]
+            finally:
+                logger.handlers[:] = handlers
+                logger.setLevel(level)
+        return Done(code, out.text, err.text)
+
+    monkeypatch.setattr(os, "_exit", end)
+    monkeypatch.chdir(tmp_path)
+    for name in ("NO_COLOR", "FORCE_COLOR"):
+        monkeypatch.delenv(name, raising=False)
+    monkeypatch.setenv("TERM", "xterm")
+    monkeypatch.setenv("COLUMNS", "80")
+    return run
+
+
+# --- options of all commands -------------------------------------------------------------------------------
+
+
+def test_every_command_has_the_options_of_all_commands():
+    context = click.Context(cli.cli)
+    for name in cli.cli.list_commands(context):
+        command = cli.cli.get_command(context, name)
+        options = [option for each in command.params for option in each.opts]
+        assert [options.count(option) for option in ("-q", "--quiet", "-v", "--verbose")] == [1, 1, 1, 1], name
+        assert ("--json" in options) == (name in WRITING + ASKING), name
+
+
+@pytest.mark.parametrize("arguments", [("-q", "convert"), ("convert", "-q"), ("convert", "--quiet")], ids=" ".join)
+def test_quiet_prints_nothing_before_and_after_the_command(invoke, arguments):
+    assert invoke(*arguments, CROSSING, "out.mcap", terminal=True) == (0, "", "")
+
+
+def test_quiet_prints_errors_and_warnings(invoke, tmp_path):
+    done = invoke("-q", "convert", "missing.log", "out.mcap")
+    assert done == (2, "", "carla-recap: missing.log: No such file or directory\n")
+    (tmp_path / "cut.log").write_bytes(CROSSING.read_bytes()[:-10])
+    done = invoke("-q", "convert", "cut.log", "out.mcap")
+    assert done.code == 0
+    assert done.err.startswith("carla-recap: warning: cut.log: ")
+
+
+def test_verbose_logs_what_is_done(invoke):
+    for arguments in (("-v", "convert"), ("convert", "-v")):
+        done = invoke(*arguments, CROSSING, "out.mcap", "--force")
+        assert f"carla-recap: info: opens {CROSSING} (CARLA's log)\n" in done.err
+        assert "carla-recap: debug: " not in done.err
+        assert wrote(done.err) == ["out.mcap: 531 frames, 53 s"]
+    assert "carla-recap: debug: out.mcap is complete\n" in invoke("convert", "-vv", CROSSING, "out.mcap", "--force").err
+
+
+def test_verbose_names_the_map_that_is_looked_for(invoke):
+    assert "carla-recap: info: the map 'Crossing' is not in " in invoke("incidents", "-v", "--kinds", "all", CROSSING).err
+
+
+# --- success lines -----------------------------------------------------------------------------------------
+
+
+def test_a_success_line_says_what_was_written(invoke):
+    done = invoke("clip", CROSSING, "out.log", "--duration", "2")
+    assert done.out == ""
+    size = Path("out.log").stat().st_size
+    assert done.err == f"wrote out.log: 21 frames, 2 s, {size / 1e3:.0f} kB\n"
+
+
+def test_json_of_what_was_written(invoke):
+    done = invoke("clip", CROSSING, "out.log", "--duration", "2", "--json", "-q")
+    assert (done.code, done.err) == (0, "")
+    size = Path("out.log").stat().st_size
+    assert json.loads(done.out) == {"written": [{"path": "out.log", "frames": 21, "seconds": 2.0, "bytes": size}]}
+
+
+def test_json_of_what_failed_is_nothing(invoke):
+    assert invoke("clip", CROSSING, "out.log", "--start", "99", "--json")[:2] == (BAD_INPUT, "")
+
+
+def test_json_of_clips(invoke):
+    done = invoke("clips", CROSSING, "out", "--kinds", "collision", "--no-rrd", "--json")
+    written = json.loads(done.out)["written"]
+    assert [each["kind"] for each in written] == ["collision", "collision"]
+    assert all(Path(each["path"]).is_file() for each in written)
+    assert len(wrote(done.err)) == 2
+
+
+# --- colours -----------------------------------------------------------------------------------------------
+
+
+def test_a_terminal_gets_colors(invoke, tmp_path):
+    assert "\x1b[31m\x1b[1mcarla-recap:\x1b[0m missing.log: " in invoke("info", "missing.log", terminal=True).err
+    (tmp_path / "cut.log").write_bytes(CROSSING.read_bytes()[:-10])
+    done = invoke("convert", "cut.log", "out.mcap", terminal=True)
+    assert "\x1b[33m\x1b[1mcarla-recap: warning:\x1b[0m cut.log: " in done.err
+    assert "\x1b[32m\x1b[1mwrote\x1b[0m out.mcap: " in done.err
+
+
+def test_kinds_in_tables_have_colors(invoke):
+    assert re.search("\x1b\\[31mcollision", invoke("incidents", CRASH, terminal=True).out)
+
+
+@pytest.mark.parametrize(("name", "value"), [("NO_COLOR", "1"), ("TERM", "dumb")])
+def test_colors_are_switched_off(invoke, monkeypatch, name, value):
+    monkeypatch.setenv(name, value)
+    assert not re.search("\x1b\\[[0-9;]*3[0-9]m", invoke("incidents", CRASH, terminal=True).out)
+    assert invoke("info", "missing.log", terminal=True).err == "carla-recap: missing.log: No such file or directory\n"
+
+
+def test_a_pipe_gets_no_colors_unless_they_are_forced(invoke, monkeypatch):
+    assert "\x1b" not in invoke("info", "missing.log").err
+    monkeypatch.setenv("FORCE_COLOR", "1")
+    assert "\x1b[31m" in invoke("info", "missing.log").err
+    monkeypatch.setenv("NO_COLOR", "1")
+    assert "\x1b" not in invoke("info", "missing.log").err
+
+
+def test_a_dumb_terminal_gets_no_progress(invoke, monkeypatch):
+    monkeypatch.setenv("TERM", "dumb")
+    done = invoke("convert", CROSSING, "out.mcap", terminal=True)
+    assert wrote(done.err) == [done.err.removeprefix("wrote ").rpartition(", ")[0]]
+
+
+# --- tables ------------------------------------------------------------------------------------------------
+
+
+def lines_of(done: Done) -> list[str]:
+    return re.sub(r"\x1b\[[0-9;]*m", "", done.out).splitlines()
+
+
+def test_actors_that_move_come_first(invoke):
+    kinds = [line.split()[1] for line in lines_of(invoke("actors", CRASH, terminal=True))[3:-1]]
+    assert kinds[:2] == ["vehicle", "vehicle"]
+    order = list(dict.fromkeys(kinds))
+    assert order == ["vehicle", "walker", "traffic_light", "sensor", "traffic_sign", "other"]
+
+
+def test_heroes_come_before_other_vehicles(invoke):
+    assert lines_of(invoke("actors", CROSSING, terminal=True))[3].split()[1:4] == ["vehicle", "tesla.model3", "hero"]
+
+
+@pytest.mark.parametrize("command", ["actors", "blocked", "collisions", "incidents", "measures"])
+def test_a_row_is_a_line_in_80_columns(invoke, command):
+    rows = json.loads(invoke(command, CRASH, "--json").out)["rows"]
+    lines = [line for line in lines_of(invoke(command, CRASH, terminal=True)) if line and not line.startswith("(")]
+    assert max(map(len, lines)) <= 80
+    assert len(rows) <= len(lines) - 4 <= len(rows) + 1  # the map, headings, a line, the rows, their number
+
+
+def test_a_narrow_table_says_what_is_left_out(invoke, monkeypatch):
+    narrow = lines_of(invoke("collisions", CRASH, terminal=True))
+    assert "(Frame, Relative (m/s): in a wider terminal, or with --json)" in narrow
+    monkeypatch.setenv("COLUMNS", "120")
+    wide = lines_of(invoke("collisions", CRASH, terminal=True))
+    assert "Relative (m/s)" in wide[1]
+    assert not any("in a wider terminal" in line for line in wide)
+
+
+def test_long_paths_are_shortened_in_their_middle():
+    assert shortened("runs/2026/night/crash.mcap", 14) == "runs/…ash.mcap"
+    assert shortened("crash.mcap", 14) == "crash.mcap"
+    assert shortened("日本語のとても長い名前", 8) == "日 …名前"
+
+
+def test_a_table_fits_in_any_terminal():
+    from rich.console import Console
+
+    recording, error = TableColumn("Recording", narrowed="middle"), TableColumn("Error", narrowed="words")
+    columns = [recording, TableColumn("Id", is_number=True), error]
+    for width in (1, 10, 40, 200):
+        stream = io.StringIO()
+        print_table(Console(file=stream, width=width), columns, [["runs/" + "a" * 90, "1", "it is " * 20]])
+        assert max(map(len, stream.getvalue().splitlines())) <= width
+
+
+# --- errors ------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (["colisions"], "No such command 'colisions'. Did you mean 'collisions'? Try 'carla-recap --help'."),
+        (["info", CROSSING, "--jso"], "(Did you mean one of: '--jobs', '--json'?)"),
+        (["convert", ".", "out.log"], ".: is a folder; a recording was expected, a .log or .mcap file"),
+        (["snapshot", CRASH, "out.png", "--at", "3", "--follow", "99"], "no actor 99 to follow; near ids are 50, 49, 48"),
+        (["export", CRASH, "out.foo"], "'out.foo' does not end in .rrd or .mcap; tables are written to a folder with"),
+        (
+            ["convert", "ftp://a/b.mcap", "out.log"],
+            "unknown kind of URL; s3, gs, az, abfs, http, https or file was expected",
+        ),
+        (["clip", CRASH, "out.log", "--start", "99"], "nothing at 99 s; the recording ends at 59.95 s"),
+    ],
+    ids=lambda value: value[0] if isinstance(value, list) else "",
+)
+def test_an_error_is_a_line_that_says_what_to_do(invoke, arguments, message):
+    done = invoke(*arguments)
+    assert (done.code, done.out, done.err.count("\n")) == (BAD_INPUT, "", 1)
+    assert message in done.err
+    assert not list(Path().iterdir())
+
+
+def test_unknown_maps_of_many_recordings_are_one_warning(invoke, tmp_path):
+    for name in ("a.log", "b.log"):
+        (tmp_path / name).symlink_to(CROSSING)
+    done = invoke("incidents", "--kinds", "all", "a.log", "b.log")
+    assert done.err.startswith("carla-recap: warning: the map 'Crossing' is unknown, of 2 recordings; ")
+    assert done.err.count("\n") == 1
+    assert "a.log: the map 'Crossing' is unknown" in invoke("incidents", "--kinds", "all", "a.log").err
+
+
+# --- the start ---------------------------------------------------------------------------------------------
+
+
+def test_ctrl_c_while_the_commands_are_imported_ends_the_process_without_a_traceback():
+    code = """
+import os, signal, sys
+
+class Finder:
+    def find_spec(self, name, *_):
+        if name == "carla_recap.cli":
+            os.kill(os.getpid(), signal.SIGINT)
+
+sys.meta_path.insert(0, Finder())
+from carla_recap.__main__ import main
+main()
+"""
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, timeout=PATIENCE, check=False)
+    assert (done.returncode, done.stderr) == (-signal.SIGINT, b"")
