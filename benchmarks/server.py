@@ -86,8 +86,8 @@ def long_answer(subject: Subject) -> Iterator[Line]:
                 break
             frames = int(frames * 1.1 * LONG / size)
         seconds = min(timed(lambda: client.show_recorder_file_info(str(log), True)) for _ in range(3))
-        each = f"{size / seconds / 1e6:.0f} MB/s"
-        yield Line(f"file info of {size / 1e6:.0f} MB", f"{seconds:.2f} s", each, "< 2 s", seconds < 2)
+        ratio = f"{size / 1e6:.0f} MB, {size / seconds / 1e6:.0f} MB a second"
+        yield Line("file info of a long log", f"{seconds:.2f} s", ratio, "< 2 s", seconds < 2)
 
 
 ROWS = (sync_ticks, managed_ticks, controls, get_world, long_answer)
