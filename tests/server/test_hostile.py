@@ -83,7 +83,7 @@ def reset(connection: socket.socket) -> None:
 @pytest.mark.parametrize("pause", [0.0, 0.002, 0.01])
 def test_the_last_calls_of_a_client_that_has_left_are_served(port: int, recordings: Path, pause: float) -> None:
     long, stop = [0, 2, "get_actor_definitions", [[False]]], [0, 3, "stop_recorder", [[False]]]
-    for _ in range(20):
+    for _ in range(7):
         path = recordings / f"last words {pause}.log"
         path.unlink(missing_ok=True)
         connection = connect(port)

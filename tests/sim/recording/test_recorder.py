@@ -334,21 +334,22 @@ _RUN = """
     import sys
     from pathlib import Path
     from tests.sim.recording.test_recorder import car, lit_world, record, walker
-    world = lit_world()
-    for x in (10.0, 30.0, 50.0):
-        car(world, x).set_autopilot(True)
-    walker(world)
-    record(world, Path(sys.argv[1]), 150, additional_data=True)
+    for path in map(Path, sys.argv[1:]):
+        world = lit_world()
+        for x in (10.0, 30.0, 50.0):
+            car(world, x).set_autopilot(True)
+        walker(world)
+        record(world, path, 150, additional_data=True)
 """
 
 
-@pytest.mark.parametrize("suffix", [".mcap", ".log"])
-def test_the_same_seed_and_steps_give_the_same_bytes_in_any_process(tmp_path: Path, suffix: str) -> None:
-    paths = [tmp_path / f"{seed}{suffix}" for seed in (1, 2)]
-    for seed, path in enumerate(paths, 1):
-        script = [sys.executable, "-c", textwrap.dedent(_RUN), str(path)]
-        subprocess.run(script, check=True, env={**os.environ, "PYTHONHASHSEED": str(seed)})
-    assert paths[0].read_bytes() == paths[1].read_bytes()
+def test_the_same_seed_and_steps_give_the_same_bytes_in_any_process(tmp_path: Path) -> None:
+    for seed in ("1", "2"):
+        paths = [str(tmp_path / f"{seed}{suffix}") for suffix in (".mcap", ".log")]
+        script = [sys.executable, "-c", textwrap.dedent(_RUN), *paths]
+        subprocess.run(script, check=True, env={**os.environ, "PYTHONHASHSEED": seed})
+    for suffix in (".mcap", ".log"):
+        assert (tmp_path / f"1{suffix}").read_bytes() == (tmp_path / f"2{suffix}").read_bytes(), suffix
 
 
 # --- where it goes, and until when -------------------------------------------------------------------------------------
