@@ -19,14 +19,14 @@ QUIET = 0.01
 """The time in s in which the thread of a client leaves its callbacks; released within them, it aborts the process."""
 
 
-@pytest.fixture(scope="module")
+@pytest.fixture(scope="package")
 def recordings(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return tmp_path_factory.mktemp("recordings")
 
 
-@pytest.fixture(scope="module")
+@pytest.fixture(scope="package")
 def port(recordings: Path) -> Iterator[int]:
-    """A server with the built-in town."""
+    """A server with the built-in town, for all modules of a folder."""
     with running(recordings=recordings) as port:
         yield port
 

@@ -8,14 +8,19 @@ import socket
 import subprocess
 import sys
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import carla
 import pytest
 
 from carla_recap.errors import RecapError
+from carla_recap.server import running
 from carla_recap.sim import World, load_town
 from carla_recap.sim.scenarios import Crash
 from tests.waiting import PATIENCE
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
 
 SAMPLES = Path(__file__).parents[2] / "samples"
 TEXTS = {path.stem: path.read_text() for path in SAMPLES.glob("*.py")}
@@ -34,6 +39,13 @@ def recordings(tmp_path_factory: pytest.TempPathFactory) -> Path:
     world.run(20.0)
     world.close()
     return folder
+
+
+@pytest.fixture(scope="module")
+def port(recordings: Path) -> Iterator[int]:
+    """A server that has the recording."""
+    with running(recordings=recordings) as port:
+        yield port
 
 
 @pytest.fixture(scope="module")

@@ -3,13 +3,18 @@
 from __future__ import annotations
 
 import math
+from typing import TYPE_CHECKING
 
 import carla
 import pytest
 
+from carla_recap import open_recording
 from carla_recap.errors import RecapError
 from tests.server.inside import Inside
 from tests.server.test_actors import FAR, spawn, ticks
+
+if TYPE_CHECKING:
+    from pathlib import Path
 
 
 @pytest.fixture
@@ -135,9 +140,17 @@ def test_doors_open_and_close(inside: Inside) -> None:
     car.destroy()
 
 
-def test_doors_are_opened_by_the_client(car: carla.Vehicle) -> None:
-    car.open_door(carla.VehicleDoor.FL)
-    car.close_door(carla.VehicleDoor.All)
+def test_doors_are_opened_by_the_client(client: carla.Client, car: carla.Vehicle, recordings: Path) -> None:
+    path = recordings / "doors.log"
+    client.start_recorder(str(path), True)
+    for change, doors in ((car.open_door, "FL"), (car.open_door, "RR"), (car.close_door, "All")):
+        change(getattr(carla.VehicleDoor, doors))
+        ticks(client.get_world(), 1)
+    client.stop_recorder()
+    client.get_server_version()  # which is answered when the recording is complete
+    with open_recording(path) as recording:
+        told = [change for frame in recording.frames() for change in frame["doors"].tolist()]
+    assert told == [(car.id, 0, 1), (car.id, 3, 1), (car.id, 6, 0)]
 
 
 def test_telemetry_is_of_the_motion(world: carla.World, car: carla.Vehicle) -> None:
