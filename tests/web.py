@@ -15,6 +15,8 @@ from urllib.request import Request, urlopen
 
 import pytest
 
+from tests.waiting import PATIENCE
+
 obstore = pytest.importorskip("obstore", reason="the extra `remote` is not installed")
 
 if TYPE_CHECKING:
@@ -35,6 +37,7 @@ class FileServer:
         sent: The number of bytes of files that were sent so far.
         together: The most requests that were answered at the same time.
         delay: The time that each request takes, in s.
+        crowd: The number of requests at the same time for which all but the very first one wait.
         ranges: Whether ranges are served; else whole files.
         refusal: The status of answers to ranges that count from the end; None to serve them.
         etags: Whether files have ETags; "weak" for weak ones.
@@ -49,6 +52,7 @@ class FileServer:
     sent: int = 0
     together: int = 0
     delay: float = 0.0
+    crowd: int = 0
     ranges: bool = True
     refusal: int | None = None
     etags: bool | str = True
@@ -57,6 +61,7 @@ class FileServer:
     limit: float = float("inf")
     _lock: Lock = field(default_factory=Lock)
     _now: int = 0
+    _crowded: Event = field(default_factory=Event)
 
     def reset(self) -> None:
         """Count from 0 again."""
@@ -79,11 +84,16 @@ def serve(folder: Path) -> Iterator[FileServer]:
                 files._now += 1
                 files.together = max(files.together, files._now)
                 is_over = len(files.requests) > files.limit
+                is_first = len(files.requests) == 1
+                if files.crowd and files._now >= files.crowd:
+                    files._crowded.set()
             try:
                 if is_over:
                     self.close_connection = True
                     return
                 pause.wait(files.delay)
+                if files.crowd and not is_first:
+                    files._crowded.wait(PATIENCE)
                 self._answer()
             finally:
                 with files._lock:

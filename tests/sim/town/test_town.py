@@ -1,9 +1,9 @@
 from __future__ import annotations
 
+import os
 import random
 import subprocess
 import sys
-import time
 from contextlib import suppress
 from functools import cache
 from itertools import combinations, pairwise
@@ -431,9 +431,9 @@ def test_two_loads_are_alike(brickfield: Town) -> None:
 
 def test_loading_takes_no_time_to_speak_of() -> None:
     path = town("Town01")
-    started = time.perf_counter()
+    started = sum(os.times()[:4])
     load_town(path)
-    assert time.perf_counter() - started < 5.0
+    assert sum(os.times()[:4]) - started < 5.0  # s of processor time, of child processes, too
 
 
 def test_a_town_may_lack_all_but_a_lane(tmp_path: Path) -> None:
