@@ -6,6 +6,7 @@ import signal
 import subprocess
 import time
 from contextlib import contextmanager
+from pathlib import Path
 from typing import TYPE_CHECKING
 
 import pytest
@@ -16,13 +17,12 @@ from tests.waiting import PATIENCE, wait_until
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
-    from pathlib import Path
 
     import carla
 
 __all__ = ["client", "port", "recordings", "world"]
 
-BEHIND = 0.5  # s: a world may tick faster than a client can follow
+BEHIND = 0.5  # s: a world may tick faster than a client can follow, which asks for some data now and then
 
 
 class Capture:
@@ -38,7 +38,7 @@ class Capture:
 
     def end(self) -> str:
         """End it by Ctrl-C, when it has observed the present world; return its output."""
-        time.sleep(BEHIND)
+        settle(self.process)
         self.process.send_signal(signal.SIGINT)
         return self.ended()
 
@@ -73,6 +73,26 @@ def capturing(port: int, world: carla.World, tmp_path: Path) -> Iterator[Callabl
     yield begin
     for each in running:
         each.__exit__(None, None, None)
+
+
+def settle(process: subprocess.Popen[str]) -> None:
+    """Wait until a process has handled what it has been sent, and has asked the server again: until no thread of it runs."""
+    threads = Path(f"/proc/{process.pid}/task")
+
+    def is_idle() -> bool:
+        states = [stat.read_text().rpartition(")")[2].split()[0] for stat in threads.glob("*/stat")]
+        return not {"R", "D"} & set(states)
+
+    def stays_idle() -> bool:
+        for _ in range(4):
+            if not is_idle():
+                return False
+            time.sleep(0.005)
+        return True
+
+    time.sleep(BEHIND)
+    if threads.exists():
+        wait_until(stays_idle)
 
 
 def wait_for(world: carla.World, condition: Callable[[], object]) -> None:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import subprocess
 import sys
-import time
 from contextlib import ExitStack, contextmanager
 from types import SimpleNamespace
 from typing import TYPE_CHECKING, Any
@@ -17,7 +16,7 @@ from carla_recap import RecapError, open_recording
 from carla_recap.capture.observer import Observation
 from carla_recap.capture.recording import capture, frames, header_of
 from carla_recap.server import running
-from tests.capture.conftest import own_sensors, spawn, started, wait_for
+from tests.capture.conftest import own_sensors, settle, spawn, started, wait_for
 from tests.cli.command import error
 from tests.waiting import PATIENCE, wait_until
 
@@ -34,7 +33,7 @@ NEAR = {"rtol": 2e-7, "atol": 5e-4}  # float32, of metres and of centimetres
 STATES = ("transforms", "velocities", "vehicle_controls", "walker_controls", "vehicle_lights", "light_states")
 
 
-def drive(client: carla.Client, world: carla.World) -> str:
+def drive(client: carla.Client, world: carla.World, capture: Capture) -> str:
     """Record a hero that hits a parked van, actors that come and go, a walker, lights that change; return the recording."""
     hero = next(actor for actor in world.get_actors() if actor.attributes.get("role_name") == "hero")
     ahead = hero.get_transform()
@@ -48,7 +47,7 @@ def drive(client: carla.Client, world: carla.World) -> str:
     van.set_light_state(carla.VehicleLightState(carla.VehicleLightState.Brake | carla.VehicleLightState.Position))
     light = world.get_actors().filter("traffic.traffic_light")[0]
     light.set_state(carla.TrafficLightState.Yellow)
-    time.sleep(0.5)  # the lights of vehicles are asked for now and then
+    settle(capture.process)  # the lights of vehicles are asked for now and then
     path = client.start_recorder("own.mcap", True)
     hero.apply_control(carla.VehicleControl(throttle=1.0, steer=0.01))
     walker.apply_control(carla.WalkerControl(carla.Vector3D(0.0, 1.0, 0.0), 1.5))
@@ -73,7 +72,7 @@ def test_a_capture_equals_the_recording_of_the_server(
     spawn(world, "vehicle.tesla.model3", 0, role_name="hero")
     world.tick()
     capture = capturing("captured.mcap", "--additional-data")
-    path = drive(client, world)
+    path = drive(client, world, capture)
     own = {actor.id for actor in own_sensors(world)}
     assert capture.end().endswith(" s: stopped by SIGINT\n")
     theirs, ours = frames_of(path), frames_of(capture.path)

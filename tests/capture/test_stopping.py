@@ -19,7 +19,7 @@ from carla_recap.errors import RecapError
 from carla_recap.model.records import Attribute, Spawn
 from carla_recap.server import running as server
 from carla_recap.util.files import partials
-from tests.capture.conftest import wait_for
+from tests.capture.conftest import settle, wait_for
 from tests.cli.command import COMMAND, ENVIRONMENT
 from tests.waiting import PATIENCE, wait_until
 
@@ -137,7 +137,7 @@ def test_an_actor_that_the_client_cannot_read_is_left_out(tmp_path: Path, name: 
             list(world.get_actors())
         for _ in range(10):
             world.tick()
-        time.sleep(0.5)
+        settle(process)
         process.send_signal(signal.SIGINT)
         said, _ = process.communicate(timeout=PATIENCE)
     assert process.returncode == 0, said

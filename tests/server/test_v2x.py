@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import queue
-import time
 from math import log10
 from typing import TYPE_CHECKING, Any
 
@@ -273,13 +272,13 @@ def test_the_client_sends_and_reads_messages_of_its_own(world: carla.World) -> N
     assert message.get()["Message"]["Header"]["Station ID"] == cars[0].id
     radios[0].send("x" * 300)
     texts = [received(world, near)[0].get()["Message"]["Message"]]
-    while not near.empty():
-        texts.append(near.get()[0].get()["Message"]["Message"])
-    world.tick()
-    time.sleep(0.2)
-    while not near.empty():
-        texts.append(near.get()[0].get()["Message"]["Message"])
-    assert texts[-1] == "x" * 99
+
+    def is_last() -> bool:
+        while not near.empty():
+            texts.append(near.get()[0].get()["Message"]["Message"])
+        return texts[-1] == "x" * 99
+
+    wait_until(is_last)
     assert own.empty()
     assert far.empty()
     for actor in (*radios, *cars):

@@ -62,8 +62,27 @@ def rrd(tmp_path_factory: pytest.TempPathFactory) -> Path:
         for _ in range(100):
             world.tick()
             time.sleep(0.02)
-        time.sleep(0.5)
+        (live,) = path.parent.glob(".live.rrd.*")
+        copy = path.with_name("copy.rrd")
+
+        def has_collision() -> bool:
+            copy.write_bytes(live.read_bytes())
+            with pytest.warns(Warning, match="no footer"):
+                return any("collides with vehicle.volkswagen.t2" in text for text in events(copy))
+
+        wait_until(has_collision, pause=0.1)
     return path
+
+
+def events(path: Path) -> list[str]:
+    """Return the texts of the events in an .rrd."""
+    from rerun.chunk import RrdReader
+
+    return [
+        text.as_py()[0]
+        for chunk in RrdReader(path).stream().filter(content="/events", is_static=False).to_chunks()
+        for text in chunk.to_record_batch().column("TextLog:text")
+    ]
 
 
 def test_it_is_what_an_export_holds(rrd: Path) -> None:
@@ -73,12 +92,7 @@ def test_it_is_what_an_export_holds(rrd: Path) -> None:
     paths = {str(path) for path in reader.store().schema().entity_paths()}
     assert {"/world/chase", "/world/map/roads", "/ego/speed_kmh", "/ego/controls", "/map/actors", "/events"} <= paths
     assert any(path.startswith("/world/actors/") for path in paths)
-    texts = [
-        text.as_py()[0]
-        for chunk in reader.stream().filter(content="/events", is_static=False).to_chunks()
-        for text in chunk.to_record_batch().column("TextLog:text")
-    ]
-    assert any("collides with vehicle.volkswagen.t2" in text for text in texts)
+    assert any("collides with vehicle.volkswagen.t2" in text for text in events(rrd))
 
 
 def test_the_camera_follows_the_hero(rrd: Path) -> None:
