@@ -56,7 +56,7 @@ def test_further_signals_do_not_prevent_its_completion(port: int, tmp_path: Path
             time.sleep(gap)
         said, _ = process.communicate(timeout=PATIENCE)
     assert process.returncode == 0, said
-    assert said.endswith(": stopped by SIGINT\n")
+    assert "stopped by SIGINT" in said.splitlines()[-1]
     assert "Traceback" not in said
     assert [path.name for path in tmp_path.iterdir()] == [name]
     assert (tmp_path / name).stat().st_size > 1000
@@ -143,7 +143,7 @@ def test_an_actor_that_the_client_cannot_read_is_left_out(tmp_path: Path, name: 
     assert process.returncode == 0, said
     warning, last = said.splitlines()[-2:]
     assert "warning: actors that CARLA's client cannot make out are left out: " in warning
-    assert last.endswith(": stopped by SIGINT")
+    assert "stopped by SIGINT" in last
     if name.endswith(".mcap"):
         with open_recording(tmp_path / name) as recording:
             recorded = {spawned.type_id for frame in recording for spawned in frame["spawned"]}
