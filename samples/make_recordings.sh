@@ -18,3 +18,7 @@ record() {
 record crash.mcap --crash --vehicles 3 --walkers 3 --duration 60 --seed 1
 record blocked.mcap --blocked --vehicles 2 --walkers 3 --duration 60 --seed 2
 record junction.mcap --junction --hero --vehicles 16 --walkers 8 --duration 30 --seed 33
+
+# the crash, with the autopilot in all cars from 11 s on
+carla-recap replay "$folder/crash.mcap" "$temporary/avoided.mcap" --duration 11 --then 15 --additional-data
+carla-recap convert "$temporary/avoided.mcap" "$folder/avoided.mcap" --force

@@ -14,7 +14,7 @@ from tests.cli.command import COMMAND, ENVIRONMENT, answer
 from tests.waiting import PATIENCE
 
 SAMPLES = Path(__file__).parents[1] / "samples"
-SIMULATED = ("blocked", "crash", "junction")
+SIMULATED = ("avoided", "blocked", "crash", "junction")
 LARGEST = 512 << 10  # bytes
 RED, YELLOW, GREEN = range(3)
 
@@ -27,10 +27,15 @@ A_MINUTE = """
 Frames: 1200
 Duration: 59.95 seconds
 """
+AVOIDED = """
+Frames: 522
+Duration: 26.05 seconds
+"""
 HALF_A_MINUTE = """
 Frames: 600
 Duration: 29.95 seconds
 """
+ENDS = {"avoided": AVOIDED, "junction": HALF_A_MINUTE}
 COLLISIONS = """
     Time  Types     Id Actor 1                                 Id Actor 2
 """
@@ -61,7 +66,7 @@ def test_the_samples_are_small(name):
 def test_info_lists_their_frames(name):
     text = printed("info", name)
     assert text.startswith(HEAD)
-    assert text.endswith(HALF_A_MINUTE if name == "junction" else A_MINUTE)
+    assert text.endswith(ENDS.get(name, A_MINUTE))
     with carla_recap.open_recording(SAMPLES / f"{name}.mcap") as recording:
         assert recording.info.additional_data
         assert len(recording.heroes) == 1
@@ -95,6 +100,12 @@ def test_after_the_crash_both_cars_stay_where_they_are_and_the_walker_is_not_blo
         (41, 15.65, 44.3),
         (42, 16.1, 43.85),
     ]
+
+
+def test_the_crash_that_the_autopilot_avoids_is_a_near_miss():
+    assert printed("collisions", "avoided") == HEAD + COLLISIONS + AVOIDED
+    (miss,) = json.loads(answer("incidents", SAMPLES / "avoided.mcap", "--kinds", "near-miss", "--json"))["rows"]
+    assert (miss["actors"], round(miss["start"], 3), round(miss["stop"], 3)) == ([41, 44], 10.6, 11.0)
 
 
 def test_in_the_blocked_lane_three_cars_queue_behind_the_van_one_after_another():

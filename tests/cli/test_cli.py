@@ -226,6 +226,16 @@ def test_a_terminal_gets_a_table(command, words):
     assert "\nFrames: " not in shown
 
 
+def test_on_a_terminal_incidents_say_which_kinds_they_are():
+    code, shown, errors = on_terminal("incidents", CROSSING)
+    assert code == 0
+    assert "hard braking" in shown
+    assert errors.decode() == (
+        "carla-recap: collisions, hard braking and long stops; --kinds all also finds near misses and broken rules\n"
+    )
+    assert on_terminal("incidents", CROSSING, "--kinds", "collision")[2] == b""
+
+
 @pytest.mark.parametrize("form", ["--text", "--json", "--compat"])
 def test_options_choose_the_form_on_a_terminal(form):
     code, shown, errors = on_terminal("collisions", CROSSING, form)

@@ -27,10 +27,22 @@ def index(tmp_path_factory):
 
 
 def test_a_run_ends_with_one_line_and_the_next_reads_nothing(tmp_path):
-    for counts in ("1 read, 0 failed, 0 unchanged", "0 read, 0 failed, 1 unchanged"):
+    events = ", events alone (--measures adds near misses)"
+    for counts, hint in (("1 read, 0 failed, 0 unchanged", events), ("0 read, 0 failed, 1 unchanged", "")):
         done = run("index", SAMPLES / "crossing.log", tmp_path / "index")
         assert (done.returncode, done.stdout) == (0, b"")
-        assert wrote(done.stderr) == [f"{tmp_path}/index: 1 recording ({counts})"]
+        assert wrote(done.stderr) == [f"{tmp_path}/index: 1 recording ({counts}){hint}"]
+
+
+def test_an_answer_without_near_misses_says_how_they_are_found(index):
+    for query in (
+        "select * from incidents where kind = 'near miss'",
+        "select count(*) from incidents where kind = 'near miss'",
+    ):
+        done = run("sql", index, query)
+        assert done.returncode == 0
+        assert "2 recordings without near misses, measures" in done.stderr.decode()
+    assert run("sql", index, "select kind from incidents").stderr == b""
 
 
 def test_recordings_that_cannot_be_read_are_named_and_the_exit_code_is_2(tmp_path):
@@ -77,7 +89,9 @@ def test_pruned_recordings_are_counted(tmp_path):
 def test_a_terminal_shows_a_bar_which_is_removed(tmp_path):
     code, shown, _ = on_terminal("index", SAMPLES / "crossing.log", tmp_path / "index", stream="stderr")
     assert code == 0
-    assert wrote(shown) == [f"{tmp_path}/index: 1 recording (1 read, 0 failed, 0 unchanged)"]
+    assert wrote(shown) == [
+        f"{tmp_path}/index: 1 recording (1 read, 0 failed, 0 unchanged), events alone (--measures adds near misses)"
+    ]
 
 
 @pytest.mark.parametrize(

@@ -11,12 +11,13 @@ from typing import TYPE_CHECKING, Final, NoReturn, TypeVar
 import click
 
 from carla_recap.cli import options
-from carla_recap.cli.output import fail, warn, wrote
+from carla_recap.cli.output import counted, fail, warn, wrote
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator
 
     from carla_recap.cli.sql_output import Form
+    from carla_recap.fleet.index import RecordingIndex
 
 T = TypeVar("T")
 
@@ -94,7 +95,10 @@ def index(
     if summary.removed:
         counts.append(f"{summary.removed:,} removed")
     things = "recording" if summary.recordings == 1 else "recordings"
-    wrote(index_folder, f"{summary.recordings:,} {things} ({', '.join(counts)})", **asdict(summary))
+    told = [f"{summary.recordings:,} {things} ({', '.join(counts)})"]
+    if summary.read > summary.failed and not measures:
+        told.append("events alone (--measures adds near misses)")
+    wrote(index_folder, *told, **asdict(summary))
     if summary.unknown_maps:
         named = readable(", ".join(repr(name) for name in summary.unknown_maps))[:_LONGEST]
         advice = "rules of the road are not judged there; --map or CARLA_RECAP_MAPS names maps"
@@ -122,8 +126,20 @@ def sql(index_folder: str, query: str, form: Form | None) -> NoReturn:
         rows = opened.sql(text)
     except (KeyboardInterrupt, SystemExit) as end:
         os._exit(INTERRUPTED if isinstance(end, KeyboardInterrupt) else int(end.code or 0))  # the query may go on
-    if "measures" in text.lower() and not len(opened.table("measures")):
-        warn(f"{index_folder}: the index has no measures, which 'carla-recap index --measures' adds")
+    if _needs_measures(text, found=len(rows)) and (missing := _without_measures(opened)):
+        what = "near misses, measures and incidents of the road, which 'carla-recap index --measures' adds"
+        warn(f"{index_folder}: {counted(missing, 'recording')} without {what}")
     show_rows(rows, form or ("table" if sys.stdout.isatty() else "csv"))
     sys.stdout.flush()
     os._exit(0)  # ending the interpreter takes longer than most queries
+
+
+def _needs_measures(query: str, *, found: int) -> bool:
+    words = query.lower()
+    return "measures" in words or "near miss" in words or ("incidents" in words and not found)
+
+
+def _without_measures(opened: RecordingIndex) -> int:
+    """Return the number of recordings that were read without --measures."""
+    rows = opened.table("recordings").select(["measured", "error"]).to_pylist()
+    return sum(not row["measured"] and row["error"] is None for row in rows)

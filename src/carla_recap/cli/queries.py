@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import sys
 from functools import partial
 from typing import Literal
 
@@ -9,7 +10,7 @@ import click
 
 from carla_recap.cli import options
 from carla_recap.cli.many import answer
-from carla_recap.cli.output import form_of
+from carla_recap.cli.output import form_of, note
 
 _EPILOG = "Each SOURCE is a recording, a folder, a glob in quotes, or a URL; - is a list of them on stdin, one in a line."
 
@@ -127,10 +128,14 @@ def incidents(
 ) -> None:
     """Print the incidents: collisions, hard braking, long stops, and with --kinds others.
 
-    Only stops of vehicles and walkers are incidents.
+    Only stops of vehicles and walkers are incidents. The page of 'report' also lists near misses and, where the map is
+    known, broken rules of the road, as --kinds all does. The duration of a collision is that of the contact: 0 if one frame
+    has it.
     """
     from carla_recap.fleet.roads import incidents as query
 
+    if kinds is None and form is None and sys.stdout.isatty():
+        note("collisions, hard braking and long stops; --kinds all also finds near misses and broken rules")
     asked = partial(
         query,
         kinds=kinds,

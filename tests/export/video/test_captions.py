@@ -36,6 +36,11 @@ def test_a_collision_is_shown_from_its_start_for_some_seconds() -> None:
     assert texts(found, 10.0) == ["Hero collides with Audi A2 (2)"]
 
 
+def test_a_rounded_time_is_that_of_the_incident() -> None:
+    late = incident("collision", 12.100000000000037, 12.5, 1, 2)
+    assert texts(captions(late, start=12.1, stop=12.1), 12.1) == ["Hero does it"]
+
+
 def test_captions_are_shown_for_seconds_of_the_video() -> None:
     slow, fast = (captions(CRASH, speed=speed) for speed in (0.25, 4.0))
     assert [len(slow.at(time)) for time in (10.8, 11.0)] == [1, 0]

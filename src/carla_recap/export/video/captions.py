@@ -7,6 +7,7 @@ import re
 from typing import TYPE_CHECKING, Final
 
 from carla_recap.export.video.overlay import Caption
+from carla_recap.model.frame import SAME_TIME
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Iterator
@@ -41,7 +42,7 @@ class Captions:
         self._start, self._stop = start, stop
         self._speed = speed
         self._followed = followed
-        shown = [each for each in incidents if each.start <= stop and self._end(each) >= start]
+        shown = [each for each in incidents if each.start <= stop + SAME_TIME and self._end(each) >= start]
         self._incidents = sorted(shown, key=lambda each: (self._concerns(each), _KINDS.index(each.kind), each.start))
 
     def marks(self) -> Iterator[tuple[float, str]]:
@@ -61,7 +62,7 @@ class Captions:
         found = []
         for each in self._incidents:
             begin, end = self._begin(each), self._end(each)
-            if begin <= time <= end and (self._concerns(each) or is_near is None or is_near(each.x, each.y)):
+            if begin - SAME_TIME <= time <= end and (self._concerns(each) or is_near is None or is_near(each.x, each.y)):
                 rest = (end - time) / self._speed
                 opacity = min(1.0, (rest + 0.05) / _FADE)
                 found.append(Caption(each.kind, _text(each, time), round(opacity, 1)))
