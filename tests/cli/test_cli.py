@@ -231,7 +231,7 @@ def test_on_a_terminal_incidents_say_which_kinds_they_are():
     assert code == 0
     assert "hard braking" in shown
     assert errors.decode() == (
-        "carla-recap: collisions, hard braking and long stops; --kinds all also finds near misses and broken rules\n"
+        "collisions, hard braking and long stops; --kinds all also finds near misses and broken rules\n"
     )
     assert on_terminal("incidents", CROSSING, "--kinds", "collision")[2] == b""
 
