@@ -114,3 +114,9 @@ if any("writer_process" in word for word in sys.orig_argv):
             client.stop_recorder()
             client.get_server_version()
         may_start.touch()
+
+
+def test_a_server_of_a_script_prints_nothing(capfd):
+    with running():
+        pass
+    assert capfd.readouterr() == ("", "")

@@ -104,7 +104,7 @@ def serve(
     with viewer as shown, World(_town(town, maps, stand_in), seed=seed, recordings=recordings, maps=maps) as world:
 
         def ready(port: int) -> None:
-            _announce(world.town.name, host, port)
+            _announce(world.town.name, host, port, hint=not attached)
             if shown is not None:
                 shown.open(host, port)
 
@@ -141,9 +141,11 @@ def _make_folder(folder: Path) -> None:
         raise RecapError(f"{folder}: the folder of recordings cannot be made: {reason}") from None
 
 
-def _announce(town: str, host: str, port: int) -> None:
+def _announce(town: str, host: str, port: int, *, hint: bool) -> None:
     click.echo(f"{town} is served at {host}:{port}")  # for programs, which wait for it
     sys.stdout.flush()
+    if not hint:
+        return
     if host in _EVERYWHERE:
         note(f"connect to it: carla.Client('HOST', {port}), with the name or address of this machine; Ctrl-C ends it")
     else:
