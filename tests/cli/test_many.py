@@ -279,7 +279,7 @@ def test_the_reader_of_a_pipe_closes_it(whole):
         process.stdout.read(100)
         process.stdout.close()
         messages = process.stderr.read()
-        assert process.wait(PATIENCE) == -signal.SIGPIPE
+        assert process.wait(PATIENCE) in (-signal.SIGPIPE, 0)  # 0: the pipe had room for all
     assert messages == b""
 
 
