@@ -211,7 +211,7 @@ def test_numbers_of_any_kind(tmp_path: Path, renderer: RenderProcess) -> None:
     path = tmp_path / "out.mp4"
     done = run("video", carla_log("floats.log"), path, "--size", "64x64")
     assert done.returncode == 0
-    assert the_said(done.stderr).startswith(f"{path}: 0.06667 s, 64x64, ")
+    assert the_said(done.stderr).startswith(f"wrote {path}: 2 frames, 0.0666667 s, 64x64, ")
 
 
 def test_poses_that_are_no_numbers(tmp_path: Path, renderer: RenderProcess) -> None:
@@ -258,7 +258,7 @@ def test_the_command(tmp_path: Path, renderer: RenderProcess) -> None:
     arguments = ("--start", "24", "--duration", "0.5", "--size", "320x180", "--fps", "10", "--view", "top", "--no-overlay")
     done = run("video", SAMPLES / "crossing.log", path, *arguments)
     assert done.returncode == 0
-    assert the_said(done.stderr).startswith(f"{path}: 0.5 s, 320x180, 0.")
+    assert the_said(done.stderr).startswith(f"wrote {path}: 5 frames, 0.5 s, 320x180, ")
     assert len(frames_of(path)) == 5
     assert "exists already" in error("video", SAMPLES / "crossing.log", path)
 
