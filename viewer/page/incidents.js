@@ -79,7 +79,7 @@ class Incidents {
     const replayed = incident.start !== null && recording.tracks.covers(incident.start);
     const badge = element("span", "badge", "", [icon(path), element("span", "", name)]);
     const top = element("span", "top", "", [badge, element("time", "", when(incident))]);
-    const body = element("span", "body", "", [top, element("span", "text", incident.text), this.meta(recording, incident)]);
+    const body = element("span", "body", "", [top, element("span", "text", "", breakable(incident.text)), this.meta(recording, incident)]);
     const button = element("button", "incident", "", [body]);
     button.type = "button";
     button.title = `Play from ${BEFORE} s before it`;
@@ -192,4 +192,9 @@ function counted(count) {
 function when({ start, stop }) {
   if (start === null) return "–";
   return stop !== null && stop - start >= 1 ? `${clockTime(start)} – ${clockTime(stop)}` : clockTime(start);
+}
+
+/** Return a text as nodes, with breaks allowed behind the dots of names. */
+function breakable(text) {
+  return text.split(/(?<=[a-z]\.)(?=\w)/).flatMap((part, index) => (index ? [element("wbr", ""), part] : [part]));
 }

@@ -94,7 +94,8 @@ class Transport {
     const lines = group.slice(0, 8).map(({ incident }) => `${clockTime(incident.start)} ${incident.text}`);
     mark.type = "button";
     mark.tabIndex = -1; // on the keyboard, incidents are chosen in the list
-    mark.title = [...lines, ...(group.length > 8 ? [`and ${group.length - 8} more`] : [])].join("\n");
+    const several = `${group.length} incidents; a click plays one after the other:`;
+    mark.title = [...(group.length > 1 ? [several] : []), ...lines, ...(group.length > 8 ? [`and ${group.length - 8} more`] : [])].join("\n");
     mark.setAttribute("aria-label", group.length > 1 ? `${group.length} incidents` : mark.title);
     mark.classList.toggle("cluster", group.length > 1);
     mark.classList.toggle("below", group[0].recording.index > 0);

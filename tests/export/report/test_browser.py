@@ -73,6 +73,8 @@ def test_the_list_contains_the_incidents(crossing: Page, crossing_page: Path) ->
         "[...document.querySelectorAll('.incident')].map(row => [row.dataset.kind, row.querySelector('.text').textContent])"
     )
     assert rows == [[one["kind"], one["text"]] for one in data(crossing_page, "report")["incidents"]]
+    breaks = "[...document.querySelectorAll('.incident .text wbr')].map(each => each.previousSibling.textContent)"
+    assert {part[-1] for part in crossing.ask(breaks)} == {"."}  # names break behind dots
     assert crossing.text("map") == "Crossing"
     assert "crossing.log" in crossing.text("origin")
     crossing.until(lambda: crossing.pictures == len(rows))

@@ -101,6 +101,7 @@ def test_hundreds_of_marks_do_not_overlap(chromium: Chrome, crowded: Path) -> No
 
 def test_a_mark_of_several_opens_one_after_the_other(chromium: Chrome, crowded: Path) -> None:
     page = Page(chromium, crowded)
+    assert "incidents; a click plays one after the other" in page.ask("document.querySelectorAll('.mark')[1].title")
     page.click(".mark", 1)
     first = page.ask("replay.incidents.current")
     page.click(".mark", 1)
