@@ -38,7 +38,7 @@ def client(port: int, recordings: Path) -> Iterator[carla.Client]:
     client.set_files_base_folder(str(recordings))  # where it keeps navigation meshes; else in the home folder
     client.set_timeout(PATIENCE)
     world = client.get_world()
-    before = {actor.id for actor in world.get_actors()}
+    before, episode = {actor.id for actor in world.get_actors()}, world.id
     world.apply_settings(carla.WorldSettings(synchronous_mode=True, fixed_delta_seconds=0.05))
     yield client
     client.stop_recorder()
@@ -48,6 +48,8 @@ def client(port: int, recordings: Path) -> Iterator[carla.Client]:
     for actor in world.get_actors():
         if actor.id not in before and not actor.type_id.startswith(("traffic.", "spectator")):
             actor.destroy()
+    if world.id != episode:  # perhaps of another map
+        world = client.load_world("Brickfield")
     world.apply_settings(carla.WorldSettings())
     time.sleep(QUIET)
 
