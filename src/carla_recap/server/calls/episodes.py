@@ -43,11 +43,11 @@ async def load_new_episode(client: Client, name: str, reset_settings: bool = Tru
     host = client.host
     async with host.maps.loading:
         town = await host.maps.load(name) if name else host.world.town
+        await settled()
         if host.traffic_managers.has_one(client):
             client.pause = TrafficManagerPause()
             await client.pause.begin(partial(host.publish_again, client))
             client.in_background(_end_pause(client.pause, client))
-        await settled()
         if reset_settings:
             host.apply_settings(EpisodeSettings())
         host.begin_episode(town, client)
