@@ -178,6 +178,7 @@ def test_a_report_of_wrong_arguments_is_an_error(tmp_path):
     page = tmp_path / "page.html"
     assert "compares two" in error("report", CROSSING, CROSSING, CROSSING, page)
     assert "--serve goes with a folder" in error("report", CROSSING, page, "--serve")
+    assert "--serve prints its address" in error("report", CROSSING, tmp_path / "page", "--serve", "--json")
     assert "--viewer goes with a folder" in error("report", CROSSING, page, "--viewer")
     assert "--viewer goes with one recording" in error("report", CROSSING, CROSSING, tmp_path / "page", "--viewer")
     assert not page.exists()

@@ -150,6 +150,16 @@ def test_json_of_what_was_written(invoke):
     assert json.loads(done.out) == {"written": [{"path": "out.log", "frames": 21, "seconds": 2.0, "bytes": size}]}
 
 
+def test_json_of_nothing_written_is_an_empty_list(invoke):
+    done = invoke("clips", CROSSING, "clips", "--min-time", "1000", "--kinds", "blocked", "--json")
+    assert (done.code, json.loads(done.out)) == (0, {"written": []})
+    assert done.err == "clips: no incidents, no clips\n"
+
+
+def test_no_json_is_printed_with_an_error(invoke):
+    assert invoke("convert", "missing.log", "out.mcap", "--json").out == ""
+
+
 def test_json_of_what_failed_is_nothing(invoke):
     assert invoke("clip", CROSSING, "out.log", "--start", "99", "--json")[:2] == (BAD_INPUT, "")
 

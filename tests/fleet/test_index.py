@@ -239,6 +239,14 @@ def test_two_processes_cannot_write_one_index(runs, tmp_path):
     write_index([runs], tmp_path / "index", jobs=1)
 
 
+def test_a_file_is_no_index(tmp_path, runs):
+    file = tmp_path / "file"
+    file.write_text("mine")
+    with pytest.raises(RecapError, match="file: is a file; an index is a folder"):
+        write_index([runs], file)
+    assert file.read_text() == "mine"
+
+
 def test_a_folder_with_other_files_is_not_written_to(runs):
     with pytest.raises(RecapError, match="neither an index of recordings nor an empty folder"):
         write_index([SAMPLES], runs)

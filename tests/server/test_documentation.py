@@ -154,12 +154,13 @@ def test_vehicle_lights(world: carla.World, vehicle: carla.Vehicle) -> None:
 
 
 def test_debugging(world: carla.World, vehicle: carla.Vehicle) -> None:
+    frame = world.get_snapshot().frame
     actor_snapshot = world.get_snapshot().find(vehicle.id)
     debug = world.debug
     place = actor_snapshot.get_transform()
     box = carla.BoundingBox(place.location, carla.Vector3D(0.5, 0.5, 2))
     debug.draw_box(box, place.rotation, 0.05, carla.Color(255, 0, 0, 0), 0)
-    world.tick()
+    assert world.tick() == frame + 1
 
 
 def test_world_snapshots(world: carla.World, vehicle: carla.Vehicle) -> None:

@@ -70,13 +70,16 @@ class _Commands(click.Group):
             raise click.NoSuchCommand(error.command_name, possibilities=list(_MODULES), ctx=ctx) from None
 
     def invoke(self, ctx: click.Context) -> object:
+        succeeds = False
         try:
-            return super().invoke(ctx)
+            answer = super().invoke(ctx)
+            succeeds = True
+            return answer
         except MissingExtra as error:
             extra = _EXTRAS.get((str(ctx.invoked_subcommand), error.extra), error.extra)
             raise MissingExtra(f"carla-recap {ctx.invoked_subcommand}", extra) from None
         finally:
-            print_written(ctx)
+            print_written(ctx, empty=succeeds)
 
 
 def _set_quiet(ctx: click.Context, _: click.Parameter, value: bool) -> None:

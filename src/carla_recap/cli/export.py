@@ -12,7 +12,7 @@ import click
 from click.core import ParameterSource
 
 from carla_recap.cli import options
-from carla_recap.cli.output import counted, note, warn, wrote
+from carla_recap.cli.output import counted, note, wants_json, warn, wrote
 from carla_recap.util.text import number
 
 if TYPE_CHECKING:
@@ -434,6 +434,8 @@ def report(
         raise click.UsageError("A page shows one recording, or compares two.", ctx)
     if port is not None and not serve:
         raise click.UsageError("--port goes with --serve.", ctx)
+    if serve and wants_json(ctx):
+        raise click.UsageError("--json goes with a page that is written; --serve prints its address.", ctx)
     for name, given in (("--serve", serve), ("--viewer", viewer)):
         if single and given:
             raise click.UsageError(f"{name} goes with a folder; {destination} is a single file.", ctx)

@@ -94,6 +94,11 @@ def ask_json(context: click.Context) -> None:
     context.meta.setdefault(_WRITTEN, [])
 
 
+def wants_json(context: click.Context) -> bool:
+    """Return whether `ask_json` was called."""
+    return _WRITTEN in context.meta
+
+
 def has_colors(stream: TextIO) -> bool:
     """Return whether colours are printed: on terminals other than dumb ones; `NO_COLOR` and `FORCE_COLOR` prevail."""
     if os.environ.get("NO_COLOR"):
@@ -144,7 +149,7 @@ def wrote(
     """
     size = _size_of(Path(path)) if size is None else size
     context = click.get_current_context(silent=True)
-    if context is not None and _WRITTEN in context.meta:
+    if context is not None and wants_json(context):
         known = {"path": os.fspath(path), "frames": frames, "seconds": seconds, "bytes": size, **facts}
         context.meta[_WRITTEN].append({name: value for name, value in known.items() if value is not None})
     if is_quiet():
@@ -159,12 +164,17 @@ def wrote(
     say(f"{os.fspath(path)}: {about}" if about else os.fspath(path), before="wrote", color="green")
 
 
-def print_written(context: click.Context) -> None:
-    """Print what was written as one JSON object, if the command was asked for it."""
-    if written := context.meta.get(_WRITTEN):
+def print_written(context: click.Context, *, empty: bool) -> None:
+    """Print what was written as one JSON object, if the command was asked for it.
+
+    Args:
+        context: The context of the command.
+        empty: Whether to print the object if nothing was written.
+    """
+    if wants_json(context) and (empty or context.meta[_WRITTEN]):
         from carla_recap.queries.output.json import encoded
 
-        print_pieces([encoded({"written": written}) + "\n"])
+        print_pieces([encoded({"written": context.meta[_WRITTEN]}) + "\n"])
 
 
 def _size_of(path: Path) -> int | None:

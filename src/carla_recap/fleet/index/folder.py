@@ -83,6 +83,8 @@ class IndexFolder:
         Raises:
             RecapError: Another process is writing.
         """
+        if self.path.is_file():
+            raise RecapError(f"{self.path}: is a file; an index is a folder")
         try:
             self.path.mkdir(parents=True, exist_ok=True)
             file = (self.path / _LOCK).open("ab")
