@@ -172,6 +172,17 @@ def test_json_of_clips(invoke):
     assert len(wrote(done.err)) == 2
 
 
+@pytest.mark.parametrize("to", ["csv", "osi", "parquet", "xosc"])
+def test_exports_to_other_programs_have_the_options_of_all_commands(invoke, to):
+    if to == "parquet":
+        pytest.importorskip("pyarrow")
+    name = {"csv": "out.csv", "osi": "out.mcap", "parquet": "out", "xosc": "out.xosc"}[to]
+    done = invoke("export", CROSSING, name, "--to", to, "--json", "-q", "-v")
+    assert done.code == 0, done.err
+    assert json.loads(done.out)["written"][0]["path"] == name
+    assert wrote(done.err) == []
+
+
 # --- colours -----------------------------------------------------------------------------------------------
 
 

@@ -134,10 +134,10 @@ def _export_tables(ctx: click.Context, source: str, folder: str, *, force: bool)
 
 
 def _refuse_others(ctx: click.Context, allowed: Collection[str], to: str) -> None:
-    """Check that only parameters that concern an export are given."""
+    """Check that only parameters that concern an export are given, or all commands, such as --quiet."""
     for param in ctx.command.params:
         name = param.name or ""
-        if name not in allowed and ctx.get_parameter_source(name) is ParameterSource.COMMANDLINE:
+        if param.expose_value and name not in allowed and ctx.get_parameter_source(name) is ParameterSource.COMMANDLINE:
             raise click.UsageError(f"{param.opts[0]} does not go with --to {to}.", ctx)
 
 
