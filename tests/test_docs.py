@@ -123,6 +123,16 @@ def test_the_table_of_calls_is_up_to_date():
     assert script["PAGE"].read_text("utf-8") == script["page"](), "run tools/make-calls"
 
 
+def test_the_page_of_calls_names_every_method_of_the_client():
+    carla = pytest.importorskip("carla", reason="the client is not installed")
+    page = (ROOT / "docs" / "calls.md").read_text("utf-8")
+    methods = tomllib.loads((ROOT / "tools" / "client-methods.toml").read_text("utf-8"))
+    for name, entry in methods.items():
+        listed = {*entry["alone"], *entry.get("calls", {})}
+        assert listed == {member for member in vars(getattr(carla, name)) if not member.startswith("_")}, name
+        assert [member for member in listed if f"`{name}.{member}`" not in page] == []
+
+
 def test_every_sensor_has_a_row():
     pytest.importorskip("pymunk", reason="the extra `sim` is not installed")
     from carla_recap.server.sensors import SENSOR_KINDS

@@ -30,7 +30,7 @@ class _Answer:
     value: Any = None
 
 
-_MANAGER: Final = "the traffic manager, which runs in the client, drives"
+_MANAGER: Final = "a traffic manager drives, which runs in the client"
 _NOTHING_DRAWN: Final = "nothing is drawn"
 _NO_BONES: Final = "actors are boxes, without bones, sockets or components"
 _PHYSICS: Final = "the simulator has physics of its own"
