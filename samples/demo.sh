@@ -50,7 +50,7 @@ run carla-recap report "$mcap" "$out/page.html"
 if $simulates; then
     run carla-recap report "$mcap" "$out/avoided.mcap" "$out/compared.html"
 fi
-run carla-recap export "$mcap" "$out/foxglove.mcap"
+run carla-recap export "$mcap" "$out/foxglove.mcap" --quiet
 
 say 'Film the crash, from behind the hero.'
 films=true
@@ -77,5 +77,6 @@ hint 'carla-recap info YOUR.log' 'a recording of yours'
 say "Rerun's viewer, in 3D, takes 700 MB more:"
 hint "pip install '.[rerun]'"
 hint "carla-recap view $mcap" 'without a display, with --web'
-say 'For Foxglove, with the layout named above:'
+say 'For Foxglove, the recording and its layout, which its menu "Layouts" imports:'
 hint "$out/foxglove.mcap"
+hint "$(python -c 'from carla_recap.export.foxglove import layout_files; print(layout_files()["Foxglove"])')"

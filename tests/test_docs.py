@@ -133,6 +133,15 @@ def test_the_page_of_calls_names_every_method_of_the_client():
         assert [member for member in listed if f"`{name}.{member}`" not in page] == []
 
 
+def test_the_methods_of_a_metrics_log_are_listed():
+    from carla_recap.metrics import MetricsLog
+
+    methods = [name for name in vars(MetricsLog) if name.startswith(("get_", "is_"))]
+    page = (ROOT / "docs" / "scenario-runner.md").read_text("utf-8")
+    assert f"All {len(methods)} methods" in page
+    assert [name for name in methods if f"`{name}`" not in page] == []
+
+
 def test_every_sensor_has_a_row():
     pytest.importorskip("pymunk", reason="the extra `sim` is not installed")
     from carla_recap.server.sensors import SENSOR_KINDS

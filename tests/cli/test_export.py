@@ -169,7 +169,7 @@ def test_a_report_as_one_file(tmp_path):
     page = tmp_path / "page.html"
     line, warning = said("report", CROSSING, page).splitlines()
     assert line.startswith(f"wrote {page}: 4 incidents, ")
-    assert "warning: the map 'Crossing' is unknown, so that rules of the road are not judged; --map" in warning
+    assert "warning: the map 'Crossing' is unknown; rules of the road are left out; --map" in warning
     assert "exists already; --force" in error("report", CROSSING, page)
     assert said("report", CROSSING, CROSSING, page, "--force").startswith(f"wrote {page}: 8 incidents, ")
 

@@ -12,7 +12,7 @@ from carla_recap.fleet.roads import incidents, measures
 from carla_recap.formats import open_reader
 
 CROSSING = Path(__file__).parents[2] / "samples" / "crossing.log"
-WARNING = "'Crossing' is unknown, which --map or CARLA_RECAP_MAPS names; rules of the road are left out"
+WARNING = "'Crossing' is unknown; rules of the road are left out; --map or CARLA_RECAP_MAPS says where maps are"
 
 
 @pytest.fixture
@@ -32,7 +32,7 @@ def test_kinds_of_the_road_are_left_out_with_a_warning(crossing, kinds):
 
 
 def test_kinds_of_the_road_alone_are_an_error(crossing):
-    with pytest.raises(RecapError, match="CARLA_RECAP_MAPS names; its roads are needed"):
+    with pytest.raises(RecapError, match="is unknown, whose roads are needed; --map or CARLA_RECAP_MAPS"):
         incidents(crossing, kinds=["red light", "speeding"])
 
 

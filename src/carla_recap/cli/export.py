@@ -425,6 +425,7 @@ def report(
     from carla_recap.export.report import serve as serve_page
     from carla_recap.export.report import write_report
     from carla_recap.export.report.report import SINGLE
+    from carla_recap.fleet.roads import WITHOUT_ROADS
     from carla_recap.recording import open_recording
 
     single = Path(destination).suffix.lower() in SINGLE
@@ -464,7 +465,7 @@ def report(
     page = destination if single else Path(destination) / "index.html"
     wrote(page, counted(written.incidents, "incident"), size=written.size, incidents=written.incidents)
     if roads is None:
-        warn(f"the map {map_name!r} is unknown, so that rules of the road are not judged; --map names its file")
+        warn(f"the map {map_name!r} is unknown; {WITHOUT_ROADS}")
     if serve:
         serve_page(destination, port or 0, ready=_announce)
 

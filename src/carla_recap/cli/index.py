@@ -57,6 +57,7 @@ def index(
     from carla_recap.cli.many import client_of
     from carla_recap.cli.progress import SourcesBar
     from carla_recap.fleet.index import write_index
+    from carla_recap.fleet.roads import WITHOUT_ROADS
     from carla_recap.util.signals import unwind_on_termination
     from carla_recap.util.text import readable
 
@@ -101,8 +102,7 @@ def index(
     wrote(index_folder, *told, **asdict(summary))
     if summary.unknown_maps:
         named = readable(", ".join(repr(name) for name in summary.unknown_maps))[:_LONGEST]
-        advice = "rules of the road are not judged there; --map or CARLA_RECAP_MAPS names maps"
-        warn(f"unknown maps: {named}; {advice}")
+        warn(f"unknown maps: {named}; {WITHOUT_ROADS}")
     sys.exit(FAILED if summary.failed else 0)
 
 

@@ -141,13 +141,14 @@ def _warn_of_maps(unknown: dict[str, list[str]]) -> None:
     Args:
         unknown: The warnings by the quoted name of the map.
     """
+    from carla_recap.fleet.roads import WITHOUT_ROADS
+
     messages = list(chain.from_iterable(unknown.values()))
     if len(messages) == 1:
         warn(messages[0])
     elif messages:
         maps = f"the map {next(iter(unknown))} is" if len(unknown) == 1 else f"the maps {', '.join(unknown)} are"
-        advice = "rules of the road are left out there; --map or CARLA_RECAP_MAPS names maps"
-        warn(f"{maps[:_LONGEST]} unknown, of {len(messages)} recordings; {advice}")
+        warn(f"{maps[:_LONGEST]} unknown, of {len(messages)} recordings; {WITHOUT_ROADS}")
 
 
 def _with_location(message: str, given: RecordingAnswer) -> str:

@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final, NamedTuple, Protocol, TypeVar
 
 from carla_recap.errors import RecapError
+from carla_recap.fleet.roads import WHERE_MAPS
 from carla_recap.formats import SUFFIXES
 from carla_recap.maps.lookup import find_map_of
 from carla_recap.maps.network import load_road_network
@@ -238,7 +239,7 @@ class Facts:
         """
         if self._roads is None:
             name = plain_name(readable(self.recording.header.map_name))
-            raise RecapError(f"the map {name!r} was not found; --map or CARLA_RECAP_MAPS says where maps are")
+            raise RecapError(f"the map {name!r} is unknown; {WHERE_MAPS}")
 
     def actor(self, id: int, time: float) -> Actor | None:
         """Return the actor that had an id at a time; None if its spawn is not recorded."""

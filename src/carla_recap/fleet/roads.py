@@ -5,7 +5,7 @@ from __future__ import annotations
 import re
 import warnings
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Final
 
 from carla_recap.errors import RecapError, RecapWarning
 from carla_recap.queries.incidents import ROAD_KINDS
@@ -17,6 +17,10 @@ if TYPE_CHECKING:
     from carla_recap.model.roads import RoadNetwork
     from carla_recap.queries.incidents import Incidents
     from carla_recap.queries.measures import Measures
+
+WHERE_MAPS: Final = "--map or CARLA_RECAP_MAPS says where maps are"
+WITHOUT_ROADS: Final = f"rules of the road are left out; {WHERE_MAPS}"
+"""What follows from an unknown map, and what to do, for warnings."""
 
 
 def roads_of(source: Reader, road_map: str | None = None, *, needed: bool = False) -> RoadNetwork | None:
@@ -38,7 +42,7 @@ def roads_of(source: Reader, road_map: str | None = None, *, needed: bool = Fals
     found = find_road_network(name, road_map)
     if found is None and (needed or road_map is not None):
         if road_map is None:
-            raise RecapError(f"{source.location}: {_unknown(name)}; its roads are needed")
+            raise RecapError(f"{source.location}: {_unknown(name)}, whose roads are needed; {WHERE_MAPS}")
         raise RecapError(f"{source.location}: there is no .xodr in {road_map} for the map {name!r}, whose roads are needed")
     return found
 
@@ -70,17 +74,17 @@ def kinds_and_roads(kinds: Any, source: Reader, road_map: str | None = None) -> 
 
 def warn_without_roads(source: Reader) -> None:
     """Warn that the map of a recording is unknown."""
-    message = f"{source.location}: {_unknown(source.header.map_name)}; rules of the road are left out"
+    message = f"{source.location}: {_unknown(source.header.map_name)}; {WITHOUT_ROADS}"
     warnings.warn(message, RecapWarning, stacklevel=4)
 
 
 def _unknown(name: str) -> str:
-    return f"the map {name!r} is unknown, which --map or CARLA_RECAP_MAPS names"
+    return f"the map {name!r} is unknown"
 
 
 def unknown_map(warning: str) -> str | None:
     """Return the name of the map, quoted, that a warning says is unknown; None if it is about something else."""
-    match = re.search(r"the map (.*) is unknown, which --map", warning)
+    match = re.search(rf"the map (.*) is unknown; {WITHOUT_ROADS}", warning)
     return match[1] if match else None
 
 
