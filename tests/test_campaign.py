@@ -32,7 +32,10 @@ def runs(tmp_path_factory):
 def test_the_campaign_is_checked(runs, tmp_path):
     out = tmp_path / "out.xml"
     done = run("check", runs, "--rules", SAMPLES / "rules.toml", "--junit", out, "--html", tmp_path / "pages", "--clips")
-    assert (done.returncode, done.stderr) == (1, b"")
+    assert done.returncode == 1
+    assert [line.split(":")[0] for line in done.stderr.decode().splitlines()] == [
+        f"wrote {path}" for path in (tmp_path / "pages" / "index.html", out)
+    ]
     cases = {
         (Path(case.get("classname")).name, case.get("name")): list(case) for case in ElementTree.parse(out).iter("testcase")
     }

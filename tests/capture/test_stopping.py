@@ -6,8 +6,9 @@ import signal
 import subprocess
 import sys
 import time
+import warnings
 from concurrent.futures import ThreadPoolExecutor
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from typing import TYPE_CHECKING
 
 import carla
@@ -118,9 +119,13 @@ def test_a_live_file_is_on_the_disk_while_it_is_written(port: int, tmp_path: Pat
         saved = tmp_path / "saved.rrd"
 
         def saved_chunks() -> int:
+            """Return the number of complete chunks on the disk; the last one may be incomplete."""
             saved.write_bytes(live.read_bytes())
-            with pytest.warns(Warning, match="no footer"):
-                return len(list(chunk.RrdReader(saved).stream().to_chunks()))
+            count = 0
+            with warnings.catch_warnings(action="ignore"), suppress(RuntimeError):
+                for _ in chunk.RrdReader(saved).stream().to_chunks():
+                    count += 1
+            return count
 
         wait_until(lambda: live.stat().st_size)
         wait_until(lambda: saved_chunks() > 20, pause=0.2)

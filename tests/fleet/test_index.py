@@ -286,6 +286,9 @@ def test_a_wrong_query_is_an_error_in_one_line(index, query, message):
 def test_a_folder_that_is_no_index_cannot_be_opened(tmp_path):
     with pytest.raises(RecapError, match="is no index of recordings"):
         open_index(tmp_path)
+    (tmp_path / "index.json").write_text("{")
+    with pytest.raises(RecapError, match=r"index\.json is damaged; index again into a new folder"):
+        open_index(tmp_path)
 
 
 @pytest.mark.skipif(not hasattr(signal, "SIGALRM"), reason="this system has no such signal")

@@ -67,7 +67,7 @@ def test_the_usual_arguments_start_a_server_for_clients() -> None:
         assert world.wait_for_tick(PATIENCE).timestamp.delta_seconds == pytest.approx(0.1)
         process.terminate()
         _, errors = process.communicate(timeout=PATIENCE)
-    assert errors == ""
+    assert errors == f"connect to it: carla.Client('127.0.0.1', {port}); Ctrl-C ends it\n"
 
 
 def test_streams_have_the_port_of_the_arguments() -> None:

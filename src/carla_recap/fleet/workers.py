@@ -18,11 +18,13 @@ from dataclasses import dataclass
 from itertools import chain, islice
 from multiprocessing import get_context
 from multiprocessing.connection import wait
+from multiprocessing.resource_tracker import ensure_running
 from time import monotonic
 from typing import TYPE_CHECKING, Any, Final, Generic, TypeVar
 
 from carla_recap.errors import RecapError
 from carla_recap.fleet.outcomes import Outcome, outcome_of
+from carla_recap.util.signals import TERMINATION
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Iterator
@@ -68,7 +70,8 @@ class _Worker(Generic[T]):
         context = get_context("spawn")
         self.connection, theirs = context.Pipe()
         self.process = context.Process(target=_serve, args=(theirs, function), daemon=True)
-        with _interrupts_are_held():
+        ensure_running()  # which would release the signals below
+        with _signals_are_held():
             self.process.start()
         theirs.close()
         self.tasks: deque[_Task] = deque()
@@ -199,12 +202,12 @@ def _end(workers: Iterable[_Worker[Any]], *, graceful: bool) -> None:
 
 
 @contextmanager
-def _interrupts_are_held() -> Iterator[None]:
-    """Hold Ctrl-C in a `with` block; processes that start in it hold it until they have a handler."""
+def _signals_are_held() -> Iterator[None]:
+    """Hold the signals that end a process in a `with` block; processes that start in it do so until they have handlers."""
     if not hasattr(signal, "pthread_sigmask"):
         yield
         return
-    before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
+    before = signal.pthread_sigmask(signal.SIG_BLOCK, TERMINATION)
     try:
         yield
     finally:
@@ -232,9 +235,9 @@ def _broken_pipes_are_errors() -> Iterator[None]:
 def _serve(connection: Connection, function: Callable[[SourceFile], T]) -> None:
     """Call a function for the recordings that come, until the connection is closed; the body of a worker."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # which all processes of a terminal get: the parent ends its workers
-    if hasattr(signal, "pthread_sigmask"):
-        signal.pthread_sigmask(signal.SIG_UNBLOCK, {signal.SIGINT})  # see `_interrupts_are_held`
     signal.signal(signal.SIGTERM, _exit_silently)
+    if hasattr(signal, "pthread_sigmask"):
+        signal.pthread_sigmask(signal.SIG_UNBLOCK, TERMINATION)  # see `_signals_are_held`
     with suppress(EOFError, OSError):
         connection.send(None)
         while True:

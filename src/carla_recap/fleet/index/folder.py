@@ -10,7 +10,7 @@ from __future__ import annotations
 import os
 import re
 from contextlib import contextmanager, suppress
-from json import JSONDecodeError, dumps, loads
+from json import dumps, loads
 from pathlib import Path
 from typing import TYPE_CHECKING, Final
 
@@ -52,7 +52,9 @@ class IndexFolder:
         try:
             content = loads(marker.read_text("utf-8"))
         except (OSError, ValueError, RecursionError) as error:
-            reason = "is no index of recordings" if isinstance(error, JSONDecodeError) else _reason(error)
+            reason = f"{MARKER} is damaged; index again into a new folder"
+            if isinstance(error, OSError):
+                reason = _reason(error)
             if not marker.exists():
                 reason = "is no index of recordings, which 'carla-recap index' makes"
             raise RecapError(f"{str(self.path)[:200]}: {reason}") from None
