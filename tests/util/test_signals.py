@@ -1,14 +1,18 @@
 from __future__ import annotations
 
+import os
 import signal
 import subprocess
 import sys
+import threading
 
 import pytest
 
 from carla_recap.util import signals
-from carla_recap.util.signals import call_on_termination
+from carla_recap.util.signals import call_on_termination, hold_termination
 from tests.waiting import PATIENCE
+
+MASK = "import signal; print(signal.SIGINT in signal.pthread_sigmask(signal.SIG_BLOCK, ()), end='')"
 
 
 def test_the_first_signal_is_handled_and_others_are_ignored() -> None:
@@ -27,6 +31,30 @@ def test_each_block_has_a_first_signal() -> None:
         with call_on_termination(calls.append):
             signal.raise_signal(signal.SIGINT)
     assert calls == ["SIGINT", "SIGINT"]
+
+
+def test_a_held_signal_is_handled_at_the_end_of_the_block() -> None:
+    """Another thread receives it, as this one has blocked it."""
+    outputs = []
+
+    def interrupted() -> None:
+        with hold_termination():
+            os.kill(os.getpid(), signal.SIGINT)
+            outputs.append(
+                subprocess.run([sys.executable, "-c", MASK], capture_output=True, timeout=PATIENCE, check=True).stdout
+            )
+
+    ended = threading.Event()
+    thread = threading.Thread(target=ended.wait)
+    thread.start()
+    try:
+        with pytest.raises(KeyboardInterrupt):
+            interrupted()
+    finally:
+        ended.set()
+        thread.join()
+    assert outputs == [b"True"]
+    assert signal.SIGINT not in signal.pthread_sigmask(signal.SIG_BLOCK, ())
 
 
 def test_an_ignored_signal_stays_ignored() -> None:

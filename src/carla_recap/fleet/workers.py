@@ -24,7 +24,7 @@ from typing import TYPE_CHECKING, Any, Final, Generic, TypeVar
 
 from carla_recap.errors import RecapError
 from carla_recap.fleet.outcomes import Outcome, outcome_of
-from carla_recap.util.signals import TERMINATION
+from carla_recap.util.signals import TERMINATION, hold_termination
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Iterator
@@ -71,7 +71,7 @@ class _Worker(Generic[T]):
         self.connection, theirs = context.Pipe()
         self.process = context.Process(target=_serve, args=(theirs, function), daemon=True)
         ensure_running()  # which would release the signals below
-        with _signals_are_held():
+        with hold_termination():
             self.process.start()
         theirs.close()
         self.tasks: deque[_Task] = deque()
@@ -202,19 +202,6 @@ def _end(workers: Iterable[_Worker[Any]], *, graceful: bool) -> None:
 
 
 @contextmanager
-def _signals_are_held() -> Iterator[None]:
-    """Hold the signals that end a process in a `with` block; processes that start in it do so until they have handlers."""
-    if not hasattr(signal, "pthread_sigmask"):
-        yield
-        return
-    before = signal.pthread_sigmask(signal.SIG_BLOCK, TERMINATION)
-    try:
-        yield
-    finally:
-        signal.pthread_sigmask(signal.SIG_SETMASK, before)
-
-
-@contextmanager
 def _broken_pipes_are_errors() -> Iterator[None]:
     """Make writing to a process that has ended an `OSError` in a `with` block, where it would end this process."""
     number = getattr(signal, "SIGPIPE", None)
@@ -237,7 +224,7 @@ def _serve(connection: Connection, function: Callable[[SourceFile], T]) -> None:
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # which all processes of a terminal get: the parent ends its workers
     signal.signal(signal.SIGTERM, _exit_silently)
     if hasattr(signal, "pthread_sigmask"):
-        signal.pthread_sigmask(signal.SIG_UNBLOCK, TERMINATION)  # see `_signals_are_held`
+        signal.pthread_sigmask(signal.SIG_UNBLOCK, TERMINATION)  # see `hold_termination`
     with suppress(EOFError, OSError):
         connection.send(None)
         while True:

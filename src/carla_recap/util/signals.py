@@ -61,6 +61,28 @@ def ignore_termination() -> None:
 
 
 @contextmanager
+def hold_termination() -> Iterator[None]:
+    """Hold `TERMINATION` in a `with` block: the first one is handled at its end.
+
+    Processes that start in the block hold these signals until they release them. Another thread may receive a signal that
+    this one has blocked, and Python then calls its handler here all the same: so there is another handler meanwhile.
+    """
+    held: list[int] = []
+    is_main = threading.current_thread() is threading.main_thread()
+    handlers = set_handlers(lambda number, _: held.append(number)) if is_main else {}
+    mask = signal.pthread_sigmask(signal.SIG_BLOCK, TERMINATION) if hasattr(signal, "pthread_sigmask") else None
+    try:
+        yield
+    finally:
+        if mask is not None:
+            signal.pthread_sigmask(signal.SIG_SETMASK, mask)
+        for number, handler in handlers.items():
+            signal.signal(number, handler)
+        if held:
+            signal.raise_signal(held[0])
+
+
+@contextmanager
 def call_on_termination(callback: Callable[[str], object]) -> Iterator[None]:
     """Call a function instead of ending the process while a `with` block runs; outside the main thread, do nothing.
 
