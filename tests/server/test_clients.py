@@ -88,4 +88,4 @@ def test_a_port_in_use_is_an_error_in_one_line(port: int) -> None:
     )
     assert done.returncode == 2
     assert len(done.stderr.strip().splitlines()) == 1
-    assert f":{port}: cannot be listened at" in done.stderr
+    assert f":{port}: cannot be listened at: Address already in use; choose another port with --port" in done.stderr

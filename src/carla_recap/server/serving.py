@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import errno
 import logging
 import os
 import signal
@@ -159,7 +160,11 @@ async def _listen(make: Callable[[], asyncio.Protocol], address: str, port: int)
     try:
         return await loop.create_server(make, address, port, backlog=_BACKLOG)
     except OSError as error:
-        raise RecapError(f"{address}:{port}: cannot be listened at: {error.strerror}") from None
+        if error.errno in (errno.EADDRINUSE, errno.EACCES):
+            reason = f"{os.strerror(error.errno)}; choose another port with --port"
+        else:
+            reason = str(error.strerror)
+        raise RecapError(f"{address}:{port}: cannot be listened at: {reason}") from None
 
 
 def _log_exception(_: asyncio.AbstractEventLoop, context: dict[str, Any]) -> None:
