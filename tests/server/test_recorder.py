@@ -12,7 +12,7 @@ import carla
 import pytest
 
 import carla_recap
-from carla_recap.errors import RecapError
+from carla_recap.errors import RecapError, RecapWarning
 from carla_recap.model.records import Attribute, Spawn
 from carla_recap.queries.info import info
 from carla_recap.server import recordings as served
@@ -24,6 +24,7 @@ from carla_recap.sim.actors.moving import Vehicle
 from carla_recap.sim.geometry import Transform
 from tests.samples import CARLA_LOGS
 from tests.server.inside import Inside
+from tests.server.test_actors import ticks as run_ticks
 from tests.waiting import PATIENCE
 
 if TYPE_CHECKING:
@@ -302,11 +303,90 @@ def test_a_recording_of_an_unknown_map_replays_on_its_corridors(client: carla.Cl
     client.load_world(before)
 
 
-def test_what_carla_has_no_text_for_is_an_error(client: carla.Client) -> None:
-    with pytest.raises(RuntimeError, match=r"nothing at 99 s; the recording ends at 3\.95 s"):
-        client.replay_file("drive", 99.0, 0.0, 0)
-    with pytest.raises(RuntimeError, match="no actor 4242 to follow; near ids are"):
-        client.replay_file("drive", 0.0, 0.0, 4242)
+def test_a_replay_from_beyond_the_end_is_told_as_by_carla(recordings: Path) -> None:
+    inside = Inside()
+    with pytest.warns(RecapWarning, match=r"drive\.mcap: the replay starts at its end, 3\.95 s, instead of 99 s"):
+        answer = inside.call("replay_file", str(recordings / "drive.mcap"), 99.0, 0.0, 0)
+    assert "Replaying from 99 s - 3.95 s (3.95 s) at 1.0x\n" in answer
+    assert {vehicle.type_id for vehicle in inside.world.vehicles.actors} == CARS
+    inside.world.tick()
+    assert not inside.world.replayer.is_playing
+
+
+def test_a_replay_that_follows_a_missing_actor_runs_without_following(recordings: Path) -> None:
+    inside = Inside()
+    before = inside.world.spectator.transform
+    with pytest.warns(RecapWarning, match="follows no actor: .* no actor 4242 to follow; near ids are"):
+        answer = inside.call("replay_file", str(recordings / "drive.mcap"), 0.0, 0.0, 4242)
+    assert "Replaying from 0 s - 3.95 s" in answer
+    inside.world.tick()
+    assert inside.world.replayer.is_playing
+    assert inside.world.spectator.transform == before
+
+
+def drive_on(client: carla.Client, world: carla.World) -> carla.Vehicle:
+    """Return the hero of a replay that has ended, which the autopilot of the server drives."""
+    client.replay_file("drive", 2.0, 0.0, 0)
+    run_ticks(world, 10)
+    client.stop_replayer(True)
+    run_ticks(world, 2)
+    hero = vehicles(world)["vehicle.tesla.model3"]
+    assert isinstance(hero, carla.Vehicle)
+    assert hero.get_velocity().length() > 5.0
+    return hero
+
+
+@pytest.mark.parametrize("how", ["control", "batch", "ackermann"])
+def test_a_client_stops_a_vehicle_after_a_replay(client: carla.Client, world: carla.World, how: str) -> None:
+    hero = drive_on(client, world)
+    if how == "control":
+        hero.apply_control(carla.VehicleControl(brake=1.0))
+    elif how == "batch":
+        client.apply_batch_sync([carla.command.ApplyVehicleControl(hero, carla.VehicleControl(brake=1.0))])
+    else:
+        hero.apply_ackermann_control(carla.VehicleAckermannControl(speed=0.0))
+    run_ticks(world, 80)
+    assert hero.get_velocity().length() == pytest.approx(0.0, abs=0.05)
+
+
+def test_a_vehicle_coasts_when_a_client_switches_the_autopilot_off_after_a_replay(recordings: Path) -> None:
+    inside = Inside()
+    inside.world.replay_file(recordings / "drive.mcap", start=2.0)
+    inside.world.run(0.5)
+    inside.world.stop_replayer(keep_actors=True)
+    inside.world.run(0.1)
+    hero = next(vehicle for vehicle in inside.world.vehicles.actors if vehicle.type_id == "vehicle.tesla.model3")
+    assert hero.autopilot
+    inside.call("set_actor_autopilot", hero.id, False)
+    inside.world.tick()
+    assert not hero.autopilot
+    assert (hero.control.throttle, hero.control.brake) == (0.0, 0.0)
+
+
+def test_that_a_client_cannot_drive_a_replayed_vehicle_is_logged_once(
+    recordings: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    inside = Inside()
+    for number in range(2):
+        inside.call("replay_file", str(recordings / "drive.mcap"), 0.0, 0.0, 0)
+        for vehicle in list(inside.world.vehicles.actors):
+            inside.call("set_actor_autopilot", vehicle.id, True)
+            inside.call("apply_control_to_vehicle", vehicle.id, [0.0, 0.0, 1.0, False, False, False, 0])
+        assert caplog.text.count("follows a recording") == number + 1
+
+
+def test_that_a_recording_ends_another_or_a_replay_is_logged(
+    recordings: Path, tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    inside = Inside()
+    inside.call("start_recorder", str(tmp_path / "first.log"))
+    assert not caplog.records
+    inside.call("start_recorder", str(tmp_path / "second.log"))
+    assert re.search(r"the recording of \S+first\.log ends, since \S+second\.log begins", caplog.text)
+    inside.call("replay_file", str(recordings / "drive.mcap"), 0.0, 0.0, 0)
+    inside.call("start_recorder", str(tmp_path / "third.log"))
+    assert re.search(r"the replay of \S+drive\.mcap ends", caplog.text)
+    inside.world.close()
 
 
 def test_replayed_actors_are_seen_and_go(client: carla.Client, world: carla.World) -> None:

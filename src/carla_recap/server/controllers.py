@@ -6,6 +6,7 @@ brake that gives the desired acceleration, so that there is nothing to tune; the
 
 from __future__ import annotations
 
+import logging
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Final
 from weakref import WeakKeyDictionary
@@ -15,13 +16,17 @@ from carla_recap.sim.geometry import Location, Transform, Vector
 from carla_recap.sim.physics.drivetrain import SPEEDS
 
 if TYPE_CHECKING:
+    from collections.abc import Iterable
+
     from carla_recap.sim.actors.moving import Vehicle
+    from carla_recap.sim.world import World
 
 _RESPONSE: Final = 0.3  # s: the time constant of the speed
 _MOST: Final = 8.0  # m/s²: the default limit
 _RESISTANCE: Final = 0.013 * 9.81  # m/s², of rolling tyres
 _COASTING: Final = 0.5 + _RESISTANCE  # m/s²: the deceleration without throttle
 _HALT: Final = 0.1  # m/s: below it, a vehicle that is to stand is braked
+_log: Final = logging.getLogger(__name__)
 
 
 @dataclass(slots=True)
@@ -151,6 +156,48 @@ class ConstantVelocity:
     def release(self, vehicle: Vehicle) -> None:
         """Stop holding the velocity of a vehicle."""
         self._velocities.pop(vehicle, None)
+
+
+class Takeover:
+    """Ends the server's autopilot of vehicles that clients drive.
+
+    The server's autopilot drives the vehicles of a replay that has ended. As in CARLA, the control of a client counts more.
+
+    Args:
+        world: The world.
+    """
+
+    def __init__(self, world: World) -> None:
+        self._world = world
+        self._is_logged = False
+
+    def begin_replay(self) -> None:
+        """Log the first vehicle of a new replay that a client tries to drive."""
+        self._is_logged = False
+
+    def take(self, vehicles: Iterable[Vehicle]) -> bool:
+        """End the server's autopilot of vehicles; vehicles that follow a recording do so until the replay ends.
+
+        Returns:
+            Whether it drove any of them.
+        """
+        is_taken = False
+        for vehicle in vehicles:
+            if not vehicle.simulates_physics and self._world.replayer.follows(vehicle):
+                self._log_once(vehicle)
+            elif vehicle.autopilot:
+                vehicle.set_autopilot(False)
+                is_taken = True
+        return is_taken
+
+    def _log_once(self, vehicle: Vehicle) -> None:
+        if not self._is_logged:
+            self._is_logged = True
+            _log.warning(
+                "%r follows a recording: controls and autopilots of clients have no effect on replayed vehicles until the "
+                "replay ends",
+                vehicle,
+            )
 
 
 def _set_velocity(vehicle: Vehicle, velocity: Vector) -> None:

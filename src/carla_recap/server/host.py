@@ -6,7 +6,7 @@ from dataclasses import replace
 from typing import TYPE_CHECKING
 
 from carla_recap.server.actor_records import ActorCache, encoded_definitions
-from carla_recap.server.controllers import AckermannController, ConstantVelocity
+from carla_recap.server.controllers import AckermannController, ConstantVelocity, Takeover
 from carla_recap.server.maps import Maps
 from carla_recap.server.navmesh import prepare_navigation
 from carla_recap.server.quirks import SnapshotStreams
@@ -53,6 +53,7 @@ class Host:
         sensors: The sensors that clients listen to.
         ackermann: The controller of vehicles with a desired speed and steering angle.
         constant_velocity: The controller of vehicles with a constant velocity.
+        takeover: Ends the server's autopilot of vehicles that clients drive.
         on_settings: Callbacks for a change of the settings.
     """
 
@@ -72,6 +73,7 @@ class Host:
         self.sensors = Sensors(world, self.streams, self.known_actor, quality)
         self.ackermann = AckermannController()
         self.constant_velocity = ConstantVelocity()
+        self.takeover = Takeover(world)
         world.controllers.append(self.ackermann)
         world.listeners.append(self.constant_velocity)
         self.on_settings: list[Callable[[], None]] = []

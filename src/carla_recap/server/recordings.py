@@ -63,7 +63,10 @@ class Recordings:
         _expect_name(name)
         recorder = self._world.recorder
         self._check(name, recording_path(name, self._world.recordings))
-        self._check(name, recorder.destination(name))
+        destination = recorder.destination(name)
+        self._check(name, destination)
+        if recorder.path is not None:
+            _log.warning("start_recorder: the recording of %s ends, since %s begins", recorder.path, destination)
         try:
             return str(recorder.start(name, additional_data, visible=True).absolute())
         except DestinationError as error:
@@ -175,16 +178,17 @@ def map_missing(error: MapMissing) -> str:
     return f"Could not load mapfile {readable(error.map_name)}\n{error.reason}\n"
 
 
-def replay_begins(replay: Replay, replayer: Replayer, duration: float) -> str:
+def replay_begins(replay: Replay, replayer: Replayer, begin: float, duration: float) -> str:
     """Return the answer about a replay that has begun.
 
     Args:
         replay: The replay.
         replayer: The replayer.
+        begin: The start in elapsed s; CARLA reports it even where it is after the end.
         duration: The length that was asked for, in s; CARLA reports its end even where the recording is shorter.
     """
-    total, start = number(replay.total), number(replay.start)
-    stop = number(replay.start + duration) if duration > 0 else total
+    total, start = number(replay.total), number(begin)
+    stop = number(begin + duration) if duration > 0 else total
     lines = replaying(replay.path)
     if replay.loaded:
         lines += f"Loading map {readable(replay.map_name)}\nReplayer will start after map is loaded...\n"

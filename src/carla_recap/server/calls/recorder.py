@@ -6,6 +6,7 @@ Failures for which CARLA has a text are answered with it; all others become the 
 from __future__ import annotations
 
 import asyncio
+import logging
 from collections.abc import Awaitable
 from dataclasses import replace
 from functools import partial
@@ -29,6 +30,7 @@ from carla_recap.sim.town.town import BUILT_IN
 
 _NEWS: Final = 0.1
 """Seconds until a client that has just been sent a new episode assigns its calls to that one."""
+_log: Final = logging.getLogger(__name__)
 _transform: Final = decoder(Transform)
 
 
@@ -39,8 +41,10 @@ def start_recorder(client: Client, name: str, additional_data: bool = False, sto
     The suffix .mcap, or none, is for MCAP; any other one is for CARLA's format. A running replay ends, as in CARLA, unless
     a newer client asks to record it.
     """
-    if stop_replayer:
-        client.host.world.stop_replayer()
+    world = client.host.world
+    if stop_replayer and world.replayer.is_playing:
+        _log.warning("start_recorder: the replay of %s ends, and its actors are destroyed", world.replayer.path)
+        world.stop_replayer()
     return client.host.recordings.start(name, additional_data)
 
 
@@ -115,6 +119,7 @@ async def replay_file(
             offset,
             replay_weather=weather,
             map_name=map_name,
+            lenient=True,
         )
     except NotARecording:
         return recordings.replaying(path) + recordings.NOT_A_RECORDING
@@ -123,10 +128,11 @@ async def replay_file(
     finally:
         if client.host.check_episode(frames):
             client.host.publish()
+    client.host.takeover.begin_replay()
     replay = replace(replay, loaded=replay.loaded or town is not None)
     if replay.loaded:
         await asyncio.sleep(_NEWS)
-    return recordings.replay_begins(replay, world.replayer, duration)
+    return recordings.replay_begins(replay, world.replayer, max(start, replay.start), duration)
 
 
 @call

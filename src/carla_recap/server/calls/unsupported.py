@@ -30,7 +30,6 @@ class _Answer:
     value: Any = None
 
 
-_MANAGER: Final = "a traffic manager drives, which runs in the client"
 _NOTHING_DRAWN: Final = "nothing is drawn"
 _NO_BONES: Final = "actors are boxes, without bones, sockets or components"
 _PHYSICS: Final = "the simulator has physics of its own"
@@ -39,7 +38,6 @@ _NO_ROS: Final = "there is no ROS 2 bridge"
 _NO_GBUFFERS: Final = "there are no G-buffers"
 
 _ACCEPTED: Final[dict[str, _Answer]] = {
-    "set_actor_autopilot": _Answer(_MANAGER),
     "show_vehicle_debug_telemetry": _Answer(_NOTHING_DRAWN),
     "set_wheel_steer_direction": _Answer(_NOTHING_DRAWN),
     "set_wheel_pitch_angle": _Answer(_NOTHING_DRAWN),

@@ -32,6 +32,7 @@ _LIGHT_BITS: Final = 0xFFFFFFFF
 def apply_control_to_vehicle(client: Client, id: int, control: VehicleControl) -> None:
     """Apply a control to a vehicle."""
     vehicle = expect(client, id, Vehicle)
+    client.host.takeover.take([vehicle])
     client.host.ackermann.release(vehicle)
     control.gear = min(max(control.gear, -1), vehicle.gears)
     vehicle.apply_control(control)
@@ -59,8 +60,10 @@ def apply_controls_to_vehicles(client: Client, controls: list[tuple[Any, Any]]) 
     values = np.array(pedals)
     if any(manual) or not np.isfinite(values).all():
         return False
-    for row in rows:
-        client.host.ackermann.release(fleet.actors[row])
+    driven = [fleet.actors[row] for row in rows]
+    client.host.takeover.take(driven)
+    for vehicle in driven:
+        client.host.ackermann.release(vehicle)
     fleet.drive(rows, values, hand_brake, reverse)
     return True
 
@@ -68,7 +71,17 @@ def apply_controls_to_vehicles(client: Client, controls: list[tuple[Any, Any]]) 
 @call
 def apply_ackermann_control_to_vehicle(client: Client, id: int, control: AckermannControl) -> None:
     """Drive a vehicle to a speed and a steering angle, until it gets a control."""
-    client.host.ackermann.drive(expect(client, id, Vehicle), control)
+    vehicle = expect(client, id, Vehicle)
+    client.host.takeover.take([vehicle])
+    client.host.ackermann.drive(vehicle, control)
+
+
+@call
+def set_actor_autopilot(client: Client, id: int, enabled: bool) -> None:
+    """End the server's own autopilot of a vehicle; the autopilot to start or stop is the client's traffic manager."""
+    vehicle = client.host.world.actors.get(id)
+    if isinstance(vehicle, Vehicle) and client.host.takeover.take([vehicle]):
+        vehicle.apply_control(VehicleControl())
 
 
 @call

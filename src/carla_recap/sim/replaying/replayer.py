@@ -16,6 +16,7 @@ from carla_recap.formats import SUFFIXES, open_reader
 from carla_recap.maps.road_map import described_folder, plain_name
 from carla_recap.replay import Player, level
 from carla_recap.replay.camera import CHASE_BACK, CHASE_PITCH, CHASE_UP
+from carla_recap.replay.follow import find_followed
 from carla_recap.sim.actors.control import VehicleControl
 from carla_recap.sim.actors.moving import MovingActor, Vehicle, Walker
 from carla_recap.sim.errors import MapMissing, SimError
@@ -32,6 +33,7 @@ from carla_recap.sim.weather import Weather
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping
 
+    from carla_recap.formats.base import Reader
     from carla_recap.replay import Follow, Scene
     from carla_recap.sim.actors.actor import Actor
     from carla_recap.sim.interfaces import ReplayWorld
@@ -151,6 +153,10 @@ class Replayer:
         if self._player is not None:
             self._player.time_factor = factor
 
+    def follows(self, actor: Actor) -> bool:
+        """Return whether an actor of the world follows the recording of a running replay."""
+        return self.is_playing and any(other is actor for other in self._mapping.replayed.values())
+
     def start(
         self,
         name: Path | str,
@@ -163,6 +169,7 @@ class Replayer:
         keep_town: bool = False,
         replay_weather: bool = True,
         map_name: str = "",
+        lenient: bool = False,
     ) -> Replay:
         """Begin a replay; a running recording is completed, and a running replay ends, with the actors spawned for it.
 
@@ -180,9 +187,12 @@ class Replayer:
             keep_town: Stay in the town, whatever the map of the recording is; a warning reports another one.
             replay_weather: Change the weather as in the recording.
             map_name: The map to replay on; "" for that of the recording.
+            lenient: As CARLA, accept a start after the end, which is the end, and an actor to follow that is missing, which
+                is none; else they are errors.
 
         Warns:
-            RecapWarning: There is no map of the recorded name, or the town that is kept has another one.
+            RecapWarning: There is no map of the recorded name, the town that is kept has another one, or `lenient` has
+                accepted something.
 
         Raises:
             RecapError: There is no such recording, it is damaged, or there is no such start or actor.
@@ -195,6 +205,8 @@ class Replayer:
         reader = open_reader(path)
         self._close = weakref.finalize(self, reader.close)
         try:
+            if lenient:
+                start, follow = self._accept(reader, start, follow)
             player = Player(
                 reader,
                 start=start,
@@ -284,6 +296,22 @@ class Replayer:
             self.error = error
             self.stop(keep_actors=True)
             warnings.warn(f"the replay has ended: {error}", RecapWarning, stacklevel=3)
+
+    def _accept(self, reader: Reader, start: float, follow: Follow | None) -> tuple[float, Follow | None]:
+        """Return the start, at most the end, and the actor to follow if it can be followed; warn where they change."""
+        total = reader.extent().duration
+        if start > total:
+            warnings.warn(
+                f"{reader.location}: the replay starts at its end, {total:g} s, instead of {start:g} s",
+                RecapWarning,
+                stacklevel=4,
+            )
+            start = total
+        try:
+            return start, find_followed(reader, follow, ignore_hero=self.ignore_hero) if follow else None
+        except RecapError as error:
+            warnings.warn(f"the spectator follows no actor: {error}", RecapWarning, stacklevel=4)
+            return start, None
 
     def _load(self, path: Path, map_name: str, *, keep_town: bool, is_recorded: bool) -> bool:
         """Load a map unless it is the town's, or the town is kept; return whether it was loaded.
