@@ -27,7 +27,7 @@ def test_recordings_that_differ():
     assert (done.returncode, done.stderr) == (1, b"")
     printed = done.stdout.decode()
     lines = printed.splitlines()
-    assert lines[0] == "first parts at 0.00 s: vehicle.tesla.model3 (hero, 41, 42) by 28.00 m"
+    assert lines[0] == "the paths differ from 0.00 s on: vehicle.tesla.model3 (hero, 41, 42) by 28.00 m"
     assert lines[2:4] == ["7 actors only in A", "7 actors only in B"]
     listed = [block.splitlines()[0] for block in printed.split("\n\n")[1:]]
     assert listed == [

@@ -326,7 +326,7 @@ def test_a_recovery_of_a_file_without_an_end_says_so():
 def test_the_error_about_an_unfinished_recording_contains_the_path_of_its_partial_file(tmp_path):
     partial = tmp_path / ".k.mcap.0123abcd.partial"
     partial.write_bytes(b"")
-    told = f"was never finished; what was written of it until then lies in {partial}"
+    told = f"was never finished; what was written of it until then is in {partial}"
     with pytest.raises(RecapError, match=re.escape(told)):
         recover(tmp_path / "k.mcap", tmp_path / "b.mcap")
 

@@ -170,7 +170,7 @@ def test_paths_that_part(drive: Callable[..., Reader]) -> None:
     assert row.heading == 0
     assert row.differs
     assert [other.differs for other in found.actors] == [True, False, False, False]
-    assert found.summary.startswith("first parts at 1.00 s: vehicle.a (hero, 10) by 0.50 m; 1 of 4 actors differs")
+    assert found.summary.startswith("the paths differ from 1.00 s on: vehicle.a (hero, 10) by 0.50 m; 1 of 4 actors differs")
 
 
 def test_the_hero_leads(drive: Callable[..., Reader]) -> None:
@@ -179,7 +179,7 @@ def test_the_hero_leads(drive: Callable[..., Reader]) -> None:
 
     found = differences(drive(), drive(poses))
     assert found.first is row_of(found, 10)
-    assert found.reasons[:2] == ["parts at 1.00 s: vehicle.a (hero, 10) by 0.50 m", "1 other actor before, from 0.50 s on"]
+    assert found.reasons[:2] == ["the paths differ from 1.00 s on: vehicle.a (hero, 10) by 0.50 m", "1 other actor before, from 0.50 s on"]
 
 
 def test_vehicles_lead_if_the_hero_does_not_part(drive: Callable[..., Reader]) -> None:
@@ -205,7 +205,7 @@ def test_the_smallest_difference_counts(drive: Callable[..., Reader]) -> None:
     found = differences(drive(), drive(poses))
     assert not found.equal
     assert found.first is row_of(found, 12)
-    assert found.summary.startswith("first parts at 2.00 s: walker.c (12) by 3.1e-07 m")
+    assert found.summary.startswith("the paths differ from 2.00 s on: walker.c (12) by 3.1e-07 m")
 
 
 def test_headings_turn_across_the_half_circle(drive: Callable[..., Reader]) -> None:

@@ -583,5 +583,5 @@ def test_a_confined_server_keeps_to_its_folder(confined: carla.Client, recording
         if name != "link":  # a new link.mcap is as good as any
             calls.append(lambda client, name=name: client.start_recorder(name))
         for ask in calls:
-            with pytest.raises(RuntimeError, match="lies outside the folder of recordings"):
+            with pytest.raises(RuntimeError, match="is outside the folder of recordings"):
                 ask(confined)

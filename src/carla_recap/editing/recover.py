@@ -139,7 +139,7 @@ def finish_partial(
         with warnings.catch_warnings(action="ignore", category=RecapWarning):  # the returned error says that it was cut
             saved = recover(partial, path, force=force, format=format)
     except Exception:  # any error: the partial file has the frames
-        return RecapError(f"{error}; what was recorded until then lies in {partial}, for carla-recap recover")
+        return RecapError(f"{error}; what was recorded until then is in {partial}, for carla-recap recover")
     with suppress(OSError):
         partial.unlink()
     return RecapError(f"{error}; the recording ends at {saved.duration:g} s")
@@ -148,7 +148,7 @@ def finish_partial(
 def _unfinished(source: Path | str, left: list[Path]) -> RecapError:
     """Return the error about a recording that was never finished, with the paths of its partial files."""
     paths = " and ".join(map(str, left))
-    return RecapError(f"{source}: was never finished; what was written of it until then lies in {paths}")
+    return RecapError(f"{source}: was never finished; what was written of it until then is in {paths}")
 
 
 def _is_sound(packet: Packet) -> bool:

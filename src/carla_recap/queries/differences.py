@@ -478,8 +478,7 @@ def _reasons(found: Differences) -> Iterator[str]:
     first = found.first
     if first is not None:
         earlier = [row.first for row in found.actors if row.first is not None and row.first < (first.first or 0.0)]
-        adverb = "" if earlier else "first "
-        yield f"{adverb}parts at {first.first:.2f} s: {name_of(first)} by {metres(first.first_distance)}"
+        yield f"the paths differ from {first.first:.2f} s on: {name_of(first)} by {metres(first.first_distance)}"
         if earlier:
             yield f"{_count(len(earlier), 'other actor')} before, from {min(earlier):.2f} s on"
     different = [row for row in found.actors if row.differs]

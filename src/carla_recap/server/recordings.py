@@ -52,7 +52,7 @@ class Recordings:
         self._confined = confined
 
     def start(self, name: str, additional_data: bool) -> str:
-        """Begin a recording; a recording without frames lies under its name at once, since clients do not wait for the end.
+        """Begin a recording; a recording without frames has its name at once, since clients do not wait for the end.
 
         Returns:
             The absolute path; `NOT_RECORDED` where it cannot be written to, and the reason is logged.
@@ -105,7 +105,7 @@ class Recordings:
         folder = recordings_folder(self._world.recordings)
         if self._confined and not is_within(path, folder):
             raise CallError(
-                f"{_shown(name)}: lies outside the folder of recordings, {folder}; this server is confined to it"
+                f"{_shown(name)}: is outside the folder of recordings, {folder}; this server is confined to it"
             )
 
 

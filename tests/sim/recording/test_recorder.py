@@ -458,7 +458,7 @@ def test_a_visible_recording_whose_writer_is_killed_is_recovered_from_beside_it(
     os.kill(pid(world), signal.SIGKILL)
     with pytest.warns(RecapWarning, match="the process that writes it has ended"):
         world.stop_recorder()
-    with pytest.raises(RecapError, match=r"was never finished; what was written of it until then lies in .*\.partial"):
+    with pytest.raises(RecapError, match=r"was never finished; what was written of it until then is in .*\.partial"):
         carla_recap.recover(path, tmp_path / f"b{suffix}")
     (partial,) = set(tmp_path.iterdir()) - {path}
     with warnings.catch_warnings():
@@ -809,7 +809,7 @@ def run_until_it_fails(world: World) -> None:
 def test_a_full_disk_ends_the_recording_and_not_the_simulation(tmp_path: Path) -> None:
     world = flat_world()
     world.start_recorder(tmp_path / "a.mcap")
-    told = r"has ended: .*a.mcap: cannot be written: File too large; what was recorded until then lies in .*\.partial"
+    told = r"has ended: .*a.mcap: cannot be written: File too large; what was recorded until then is in .*\.partial"
     with disk_of(world, 60_000), pytest.warns(RecapWarning, match=told):
         run_until_it_fails(world)
     error = world.recorder.error
@@ -950,7 +950,7 @@ def test_what_appeared_meanwhile_stays_if_it_must(tmp_path: Path) -> None:
     path = world.start_recorder(tmp_path / "a.mcap", force=False)
     world.run(1.0)
     path.write_text("mine")
-    with pytest.warns(RecapWarning, match=r"File exists; what was recorded until then lies in .*\.partial"):
+    with pytest.warns(RecapWarning, match=r"File exists; what was recorded until then is in .*\.partial"):
         world.stop_recorder()
     assert path.read_text() == "mine"
     (partial,) = set(tmp_path.iterdir()) - {path}

@@ -132,7 +132,7 @@ def test_what_is_written_before_a_disk_fails_becomes_a_recording(tmp_path: Path,
 
 def test_what_a_full_disk_holds_is_left_to_be_recovered(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     broken_after(monkeypatch, 2, for_good=True)
-    with pytest.raises(RecapError, match=r"what was recorded until then lies in .*\.partial, for carla-recap recover"):
+    with pytest.raises(RecapError, match=r"what was recorded until then is in .*\.partial, for carla-recap recover"):
         write(tmp_path / "a.mcap", 300)
     (partial,) = tmp_path.iterdir()
     monkeypatch.undo()
@@ -172,7 +172,7 @@ def test_what_appeared_meanwhile_stays_if_it_must_even_where_there_are_no_links(
     for batch in batches(20):
         commands.write(batch)
     path.write_text("mine")
-    with pytest.raises(RecapError, match=r"File exists; what was recorded until then lies in .*\.partial"):
+    with pytest.raises(RecapError, match=r"File exists; what was recorded until then is in .*\.partial"):
         commands.close()
     assert path.read_text() == "mine"
     (partial,) = set(tmp_path.iterdir()) - {path}

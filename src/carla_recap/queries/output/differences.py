@@ -185,7 +185,7 @@ def _lives(row: ActorDifference) -> str:
 _ACTORS: Final = (
     _ListedColumn("Id", _ids, is_number=True),
     _ListedColumn("Actor", _actor, is_name=True),
-    _ListedColumn("Parts", lambda row: _seconds(row.first), is_number=True),
+    _ListedColumn("From", lambda row: _seconds(row.first), is_number=True),
     _ListedColumn("By", lambda row: _metres(row.first_distance), is_number=True),
     _ListedColumn("Mean", lambda row: _metres(row.mean), is_number=True),
     _ListedColumn("Max", lambda row: _metres(row.max), is_number=True),
@@ -204,7 +204,7 @@ _UNMATCHED: Final = (
 _LIGHTS: Final = (
     _ListedColumn("Id", _ids, is_number=True),
     _ListedColumn("Place", lambda row: f"{row.x:.1f}, {row.y:.1f}"),
-    _ListedColumn("Differs from", lambda row: _seconds(row.first), is_number=True),
+    _ListedColumn("From", lambda row: _seconds(row.first), is_number=True),
     _ListedColumn("For", lambda row: _seconds(row.seconds), is_number=True),
 )
 _EVENTS: Final = (
