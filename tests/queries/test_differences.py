@@ -179,7 +179,10 @@ def test_the_hero_leads(drive: Callable[..., Reader]) -> None:
 
     found = differences(drive(), drive(poses))
     assert found.first is row_of(found, 10)
-    assert found.reasons[:2] == ["the paths differ from 1.00 s on: vehicle.a (hero, 10) by 0.50 m", "1 other actor before, from 0.50 s on"]
+    assert found.reasons[:2] == [
+        "the paths differ from 1.00 s on: vehicle.a (hero, 10) by 0.50 m",
+        "1 other actor before, from 0.50 s on",
+    ]
 
 
 def test_vehicles_lead_if_the_hero_does_not_part(drive: Callable[..., Reader]) -> None:

@@ -104,9 +104,7 @@ class Recordings:
     def _check(self, name: str, path: Path) -> None:
         folder = recordings_folder(self._world.recordings)
         if self._confined and not is_within(path, folder):
-            raise CallError(
-                f"{_shown(name)}: is outside the folder of recordings, {folder}; this server is confined to it"
-            )
+            raise CallError(f"{_shown(name)}: is outside the folder of recordings, {folder}; this server is confined to it")
 
 
 def _expect_name(name: str) -> None:
