@@ -242,15 +242,26 @@ def test_a_trajectory_has_the_transforms_of_the_log():
 
 
 @pytest.mark.parametrize("question", ["trajectory", "controls", "light_states"])
-def test_an_unknown_actor_is_an_error_that_lists_near_ids(recording, question):
-    with pytest.raises(RecapError, match=r"drive\.\w+: no actor 102; near ids are 10[01], 10[01], [24]00"):
+def test_an_unknown_actor_is_an_error_that_names_others(recording, question):
+    with pytest.raises(RecapError, match=r"drive\.\w+: no actor 102; known ids are \d+ \(hero\)"):
         getattr(recording, question)(102)
+
+
+@pytest.mark.parametrize("question", ["trajectory", "controls", "time_series"])
+def test_the_hero_by_name(recording, question):
+    ask = getattr(recording, question)
+    np.testing.assert_array_equal(ask("hero").time, ask(HERO).time)
+
+
+def test_another_name_than_the_hero_is_an_error(recording):
+    with pytest.raises(RecapError, match="an actor id or 'hero' was expected, found 'ego'"):
+        recording.trajectory("ego")
 
 
 def test_an_unknown_actor_of_an_empty_recording(tmp_path):
     with (
         open_recording(save(tmp_path / "x.log", log_header())) as recording,
-        pytest.raises(RecapError, match="no actor 7; near ids are none"),
+        pytest.raises(RecapError, match="no actor 7; known ids are none"),
     ):
         recording.trajectory(7)
 

@@ -12,7 +12,7 @@ import numpy as np
 
 from carla_recap.errors import Closed, RecapError
 from carla_recap.formats import open_reader
-from carla_recap.queries.actors import Actor, RecordedActors, actors
+from carla_recap.queries.actors import Actor, ActorName, RecordedActors, actors, find_actor
 from carla_recap.tables import Rows, Tabular
 from carla_recap.tables.records import RecordTable, record_table
 from carla_recap.tables.trajectories import (
@@ -189,20 +189,21 @@ class Recording:
             )
         return frame
 
-    def trajectory(self, actor_id: int, *, axes: Axes = "right-handed") -> Trajectory:
+    def trajectory(self, actor_id: ActorName, *, axes: Axes = "right-handed") -> Trajectory:
         """Return the trajectory of an actor: arrays of shape (n,), for the n frames in which it has a transform.
 
         Positions are in m, rotations in degrees, velocities in m/s. If several actors had the id, it is that of all.
 
         Args:
-            actor_id: The id of the actor.
+            actor_id: The id of the actor, or "hero".
             axes: "right-handed", x forward, y left, z up, as in ROS, Rerun and Foxglove; or "carla", CARLA's own, with y to
                 the right, and pitch and yaw turning the other way.
 
         Raises:
             RecapError: There is no such actor, or no such axes.
         """
-        return self._of_one(actor_id, trajectories(self.reader, {actor_id}, axes=axes), lambda: Trajectory.empty(actor_id))
+        id = self._id(actor_id)
+        return self._of_one(id, trajectories(self.reader, {id}, axes=axes), lambda: Trajectory.empty(id))
 
     def trajectories(self, kind: str | None = None, *, axes: Axes = "right-handed") -> Trajectories:
         """Return the trajectories of actors by id, read in one pass; see `trajectory`. They are a table, too.
@@ -250,8 +251,11 @@ class Recording:
         """
         return self.reader.batches(types, start=start, stop=stop)
 
-    def controls(self, actor_id: int) -> Controls:
+    def controls(self, actor_id: ActorName) -> Controls:
         """Return the controls of a vehicle: arrays of shape (n,), for the n frames in which they are recorded.
+
+        Args:
+            actor_id: The id of the vehicle, or "hero".
 
         Raises:
             RecapError: There is no such actor.
@@ -293,6 +297,9 @@ class Recording:
             min_time: The least duration of a stop, in s.
             min_distance: The distance from which on an actor has moved, in cm.
             compat: Answer as CARLA 0.9.16 does, errors included.
+
+        Raises:
+            RecapError: `min_time` is below 0, which only `compat` accepts.
         """
         from carla_recap.queries.blocked import blocked
 
@@ -342,12 +349,12 @@ class Recording:
 
         return measures(self.reader, actors, **options)
 
-    def time_series(self, actor_id: int, other_id: int | None = None, **options: Any) -> MeasureSeries:
+    def time_series(self, actor_id: ActorName, other_id: ActorName | None = None, **options: Any) -> MeasureSeries:
         """Return the measures of a vehicle or walker over time: arrays of shape (n,), for the n frames that have it.
 
         Args:
-            actor_id: The id of the actor.
-            other_id: The id of the only other actor that counts; None for all.
+            actor_id: The id of the actor, or "hero".
+            other_id: The same of the only other actor that counts; None for all.
             options: Those of `carla_recap.queries.measures.time_series`: `start` and `stop`, in elapsed seconds.
 
         Raises:
@@ -357,20 +364,23 @@ class Recording:
 
         return time_series(self.reader, actor_id, other_id, **options)
 
-    def _rows(self, actor_id: int, name: str) -> ActorRows:
-        """Return the records of an actor; of several in a frame, the last one."""
-        rows = actor_rows(self.reader, (name,), {actor_id})[name]
+    def _rows(self, actor_id: ActorName, name: str) -> ActorRows:
+        """Return the records of an actor; of several in a frame, the last one; raise if there is no such actor."""
+        id = self._id(actor_id)
+        rows = actor_rows(self.reader, (name,), {id})[name]
         empty = ActorRows(np.empty(0, np.int64), np.empty(0), np.empty(0, self.header.table.named(name).dtype))
-        return self._of_one(actor_id, rows, lambda: empty)
+        return self._of_one(id, rows, lambda: empty)
 
-    def _of_one(self, actor_id: int, found: Mapping[int, T], empty: Callable[[], T]) -> T:
+    def _id(self, actor_id: ActorName) -> int:
+        """Return the id of an actor; one that is an id need not have been spawned in the recording."""
+        return actor_id if isinstance(actor_id, int) else find_actor(self.location, self.actors.values(), actor_id).id
+
+    def _of_one(self, id: int, found: Mapping[int, T], empty: Callable[[], T]) -> T:
         """Return the result for an actor, or an empty one; raise if there is no such actor."""
-        if actor_id in found:
-            return found[actor_id]
-        if actor_id in self.actors:
-            return empty()
-        near = sorted(self.actors, key=lambda id: abs(id - actor_id))[:3]
-        raise RecapError(f"{self.location}: no actor {actor_id}; near ids are {', '.join(map(str, near)) or 'none'}")
+        if id in found:
+            return found[id]
+        find_actor(self.location, self.actors.values(), id)
+        return empty()
 
 
 def open_recording(location: Path | str) -> Recording:

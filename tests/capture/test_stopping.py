@@ -15,6 +15,7 @@ import carla
 import pytest
 
 from carla_recap import create_recording, open_recording
+from carla_recap.capture.live import watch
 from carla_recap.editing.recover import recover
 from carla_recap.errors import RecapError
 from carla_recap.model.records import Attribute, Spawn
@@ -61,6 +62,13 @@ def test_further_signals_do_not_prevent_its_completion(port: int, tmp_path: Path
     assert "Traceback" not in said
     assert [path.name for path in tmp_path.iterdir()] == [name]
     assert (tmp_path / name).stat().st_size > 1000
+
+
+def test_watch_ends_after_a_duration(port: int, tmp_path: Path) -> None:
+    pytest.importorskip("rerun", reason="the extra `rerun` is not installed")
+    said = watch(tmp_path / "a.rrd", port=port, duration=0.5)
+    assert said == "the duration has passed"
+    assert [path.name for path in tmp_path.iterdir()] == ["a.rrd"]
 
 
 def test_no_callback_of_the_client_is_left_when_the_interpreter_ends(tmp_path: Path) -> None:

@@ -76,7 +76,7 @@ def test_a_camera_for_each_actor(tmp_path):
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
-        (("out.rrd", "--follow", "102000"), "no actor 102000 to follow; near ids are "),
+        (("out.rrd", "--follow", "102000"), "no actor 102000 to follow; known ids are "),
         (("out.rrd", "--follow", "somebody"), "'somebody' is neither an actor id nor hero"),
         (("out.rrd", "--start", "54"), "nothing at 54 s; the recording ends at 53 s"),
         (("out.txt",), "'out.txt' does not end in .rrd or .mcap"),

@@ -280,7 +280,10 @@ def test_a_table_fits_in_any_terminal():
         (["colisions"], "No such command 'colisions'. Did you mean 'collisions'? Try 'carla-recap --help'."),
         (["info", CROSSING, "--jso"], "(Did you mean one of: '--jobs', '--json'?)"),
         (["convert", ".", "out.log"], ".: is a folder; a recording was expected, a .log or .mcap file"),
-        (["snapshot", CRASH, "out.png", "--at", "3", "--follow", "99"], "no actor 99 to follow; near ids are 50, 49, 48"),
+        (
+            ["snapshot", CRASH, "out.png", "--at", "3", "--follow", "99"],
+            "no actor 99 to follow; known ids are 41 (hero), 47 (vehicle), 46 (vehicle)",
+        ),
         (["export", CRASH, "out.foo"], "'out.foo' does not end in .rrd or .mcap; tables are written to a folder with"),
         (
             ["convert", "ftp://a/b.mcap", "out.log"],

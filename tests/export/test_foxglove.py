@@ -188,7 +188,7 @@ def test_a_missing_folder_is_an_error(tmp_path):
 
 
 def test_an_unknown_actor_to_follow_leaves_no_file(tmp_path):
-    with pytest.raises(RecapError, match="no actor 7 to follow; near ids are"):
+    with pytest.raises(RecapError, match="no actor 7 to follow; known ids are"):
         export(CROSSING, tmp_path / "out.mcap", follow=7)
     assert names_in(tmp_path) == []
 

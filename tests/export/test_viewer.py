@@ -92,6 +92,14 @@ def _times(screenshots: ScreenshotTaker) -> tuple[int, int] | None:
 
 
 @pytest.mark.skipif(not sys.platform.startswith("linux"), reason="displays are named so on Linux")
+def test_an_unknown_actor_is_an_error_even_without_a_display(temporary, monkeypatch):
+    for name in ("DISPLAY", "WAYLAND_DISPLAY", "WAYLAND_SOCKET"):
+        monkeypatch.delenv(name, raising=False)
+    with open_recording(SAMPLE) as recording, pytest.raises(RecapError, match="no actor 777 to follow"):
+        view(recording, follow=777)
+
+
+@pytest.mark.skipif(not sys.platform.startswith("linux"), reason="displays are named so on Linux")
 def test_without_a_display_the_error_suggests_the_browser(temporary, monkeypatch):
     for name in ("DISPLAY", "WAYLAND_DISPLAY", "WAYLAND_SOCKET"):
         monkeypatch.delenv(name, raising=False)

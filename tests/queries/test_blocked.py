@@ -12,6 +12,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from carla_recap.errors import RecapError
 from carla_recap.model.frame import Header
 from carla_recap.model.records import Spawn
 from carla_recap.queries.blocked import BlockedRow, blocked
@@ -287,6 +288,7 @@ def test_by_definition(
     min_time: float,
     min_distance: float,
 ) -> None:
+    min_time = min_time if compat else max(min_time, 0.0)
     durations = data.draw(st.lists(lasting, min_size=len(frames), max_size=len(frames)))
     reader = make(*frames, durations=durations)
     rows = blocked(reader, min_time, min_distance, compat=compat)
@@ -305,6 +307,14 @@ def test_a_walker_that_lies_on_the_ground_is_not_blocked(make: Make) -> None:
     rows = [(row.id, row.start, row.duration) for row in blocked(make(*frames, durations=durations), 2)]
     assert rows == [(2, 0.0, 6.0), (3, 0.0, 6.0), (1, 0.0, 3.0)]
     assert [row.duration for row in blocked(make(*frames, durations=durations), 2, compat=True)] == [6.0] * 3
+
+
+@pytest.mark.parametrize("min_time", [-1.0, float("nan")])
+def test_a_time_below_0_is_for_carlas_answer_alone(make: Make, min_time: float) -> None:
+    reader = make({"transforms": [(1, 0, 0, 0, 0, 0, 0)]}, {})
+    with pytest.raises(RecapError, match="must be 0 s or more"):
+        blocked(reader, min_time)
+    blocked(reader, min_time, compat=True)
 
 
 def test_a_thread_that_holds_frames_of_others_changes_nothing() -> None:

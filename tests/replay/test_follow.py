@@ -45,9 +45,9 @@ def test_a_given_actor(record: Record) -> None:
 
 def test_an_unknown_id(record: Record) -> None:
     recording = record({"spawned": CAST})
-    with pytest.raises(RecapError, match="no actor 16 to follow; near ids are 15, 14, 13"):
+    with pytest.raises(RecapError, match=r"no actor 16 to follow; known ids are 14 \(hero\)"):
         Player(recording, follow=16)
-    with pytest.raises(RecapError, match="near ids are none"):
+    with pytest.raises(RecapError, match="known ids are none"):
         Player(record({}), follow=1)
     with pytest.raises(RecapError, match="found 'ego'"):
         Player(recording, follow="ego")

@@ -316,7 +316,7 @@ def test_a_replay_from_beyond_the_end_is_told_as_by_carla(recordings: Path) -> N
 def test_a_replay_that_follows_a_missing_actor_runs_without_following(recordings: Path) -> None:
     inside = Inside()
     before = inside.world.spectator.transform
-    with pytest.warns(RecapWarning, match="follows no actor: .* no actor 4242 to follow; near ids are"):
+    with pytest.warns(RecapWarning, match="follows no actor: .* no actor 4242 to follow; known ids are"):
         answer = inside.call("replay_file", str(recordings / "drive.mcap"), 0.0, 0.0, 4242)
     assert "Replaying from 0 s - 3.95 s" in answer
     inside.world.tick()

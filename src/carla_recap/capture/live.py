@@ -6,6 +6,7 @@ second, and leaves out the others.
 
 from __future__ import annotations
 
+import math
 from contextlib import ExitStack, contextmanager
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -13,7 +14,7 @@ from time import monotonic
 from typing import TYPE_CHECKING, Final
 
 from carla_recap.capture.observer import HOST, PORT, Observer
-from carla_recap.capture.recording import header_of, live_frames
+from carla_recap.capture.recording import header_of, live_frames, until
 from carla_recap.editing.convert import check_free
 from carla_recap.errors import RecapError
 from carla_recap.export.rerun import LiveView, View, live_blueprint, piped, sent
@@ -43,18 +44,21 @@ def watch(
     *,
     host: str = HOST,
     port: int = PORT,
+    duration: float = math.inf,
     follow: Follow = HERO,
     view: View = "chase",
     force: bool = False,
 ) -> str:
     """Show the world of a CARLA server, until the viewer is closed, the server has gone, or Ctrl-C is pressed.
 
-    The world is not changed. Collisions are shown if a collision sensor reports them.
+    It also ends after a duration, if one is given. The world is not changed.
+    Collisions are shown if a collision sensor reports them.
 
     Args:
         to: An .rrd, or the address of a viewer that listens: `rerun+http://127.0.0.1:9876/proxy`; else a viewer is opened.
         host: The address of the server.
         port: Its port.
+        duration: The simulated seconds after which it ends.
         follow: The actor that the camera follows as soon as it is present: an id, or "hero".
         view: The camera that is shown first.
         force: Overwrite an existing file.
@@ -79,7 +83,8 @@ def watch(
                     observer.end("the viewer was closed")
 
             due = 0.0
-            for frame in live_frames(observer.observations(idle=show), additional_data=True):
+            observations = until(duration, observer, observer.observations(idle=show))
+            for frame in live_frames(observations, additional_data=True):
                 live.enter(frame)
                 if monotonic() >= due:
                     show()

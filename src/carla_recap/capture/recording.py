@@ -77,7 +77,7 @@ def capture(
         header = header_of(observer)
         writer = create_writer(Path(destination), header, live=True)
         try:
-            observations = _until(duration, observer)
+            observations = until(duration, observer, observer.observations())
             elapsed = _written(writer.write, frames(observations, additional_data=additional_data))
             last = deque(enumerate(progress(elapsed) if progress else elapsed, 1), maxlen=1)
             writer.close()
@@ -124,10 +124,10 @@ def live_frames(observations: Iterable[Observation], *, additional_data: bool) -
         yield Frame(number, number + 1, observation.time - first.time, LAST_FRAME_DURATION, [*packets, _END])
 
 
-def _until(duration: float, observer: Observer) -> Iterator[Observation]:
-    """Yield observations until a number of simulated seconds have passed."""
+def until(duration: float, observer: Observer, observations: Iterable[Observation]) -> Iterator[Observation]:
+    """Yield observations of an observer until a number of simulated seconds have passed, which ends it."""
     begin: float | None = None
-    for observation in observer.observations():
+    for observation in observations:
         yield observation
         begin = observation.time if begin is None else begin
         if observation.time - begin >= duration - _ROUNDING:

@@ -100,7 +100,7 @@ def _quiet() -> click.Option:
 
 def _verbose() -> click.Option:
     """Return another such option."""
-    words = "Log what is done, on stderr; -vv with details."
+    words = "Log on stderr what is opened, found and kept; -vv also what is read and written."
     return click.Option(["-v", "--verbose"], count=True, expose_value=False, callback=_set_verbose, help=words)
 
 

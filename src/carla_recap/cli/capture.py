@@ -62,15 +62,18 @@ def capture(destination: str, host: str, port: int, duration: float, additional_
 
 @click.command()
 @_server
+@click.option(
+    "--duration", type=options.NUMBER, default=math.inf, metavar="S", help="Simulated s to show; else until Ctrl-C."
+)
 @options.force
 @click.option(
     "--to", metavar="FILE|URL", help="Write an .rrd, or send to the viewer at rerun+http://...; else one is opened."
 )
 @_follow
 @options.camera
-def watch(to: str | None, host: str, port: int, follow: Follow, view: View, force: bool) -> None:
+def watch(to: str | None, host: str, port: int, duration: float, follow: Follow, view: View, force: bool) -> None:
     """Show what a CARLA server does in Rerun's viewer, live."""
     from carla_recap.capture.live import watch as run
 
-    why = run(to, host=host, port=port, follow=follow, view=view, force=force)
+    why = run(to, host=host, port=port, duration=duration, follow=follow, view=view, force=force)
     note(f"{to or 'the viewer'}: {why}")

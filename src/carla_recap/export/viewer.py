@@ -17,6 +17,7 @@ from urllib.parse import urlencode
 from carla_recap.errors import MissingExtra, RecapError
 from carla_recap.export.rerun import View, export_rerun
 from carla_recap.recording import Recording
+from carla_recap.replay.follow import find_followed
 from carla_recap.util.processes import terminate
 from carla_recap.util.signals import unwind_on_termination
 
@@ -216,6 +217,8 @@ def view(
     """
     reader = source.reader if isinstance(source, Recording) else source
     if not web and not has_display():
+        if follow is not None:
+            find_followed(reader, follow)  # an unknown actor is the first thing to mend
         raise RecapError("there is no display for the Rerun viewer; --web serves it to a browser")
     with TemporaryDirectory(prefix="carla-recap-") as folder:
         path = Path(folder) / f"{reader.path.stem[:200]}.rrd"

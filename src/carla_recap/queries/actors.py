@@ -6,8 +6,10 @@ import math
 from bisect import bisect_right
 from collections import defaultdict
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, ClassVar, Final
+from numbers import Integral
+from typing import TYPE_CHECKING, ClassVar, Final, Literal
 
+from carla_recap.errors import RecapError
 from carla_recap.model.records import CM, NO_ACTOR, ActorKind, Spawn
 from carla_recap.queries import Answer
 from carla_recap.util.text import readable
@@ -17,6 +19,11 @@ if TYPE_CHECKING:
 
     from carla_recap.formats.base import Reader
     from carla_recap.model.frame import Packet
+
+
+HERO: Final = "hero"
+ActorName = int | Literal["hero"]
+"""An actor: its id, or "hero", the first one with that role name."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -60,7 +67,7 @@ class Actor:
     @property
     def is_hero(self) -> bool:
         """Whether its role_name is hero."""
-        return self.role_name == "hero"
+        return self.role_name == HERO
 
 
 class RecordedActors(Answer[Actor]):
@@ -81,6 +88,37 @@ def actors(source: Reader) -> RecordedActors:
         for packet in frame.packets:
             collector.add(packet, frame.elapsed)
     return RecordedActors(collector.actors, source, compat=False)
+
+
+def find_actor(location: object, known: Iterable[Actor], wanted: ActorName, what: str = "actor", purpose: str = "") -> Actor:
+    """Return the actor that is asked for; of several that had its id, the first.
+
+    Args:
+        location: The recording, for messages.
+        known: The actors that can be asked for.
+        wanted: An id, or "hero".
+        what: The noun for such an actor, for messages.
+        purpose: What it is needed for, for messages, such as "to follow".
+
+    Raises:
+        RecapError: There is no such actor; the message names the hero, and vehicles and walkers of near ids.
+    """
+    known, end = list(known), f" {purpose}" if purpose else ""
+    if wanted != HERO and not isinstance(wanted, Integral):
+        raise RecapError(f"{location}: an actor id or 'hero' was expected{end}, found {wanted!r}")
+    found = next((actor for actor in known if (actor.is_hero if wanted == HERO else actor.id == wanted)), None)
+    if found is not None:
+        return found
+    if wanted == HERO:
+        raise RecapError(f"{location}: there is no hero{end} (no {what} has the role_name hero)")
+    ranks = {"vehicle": 0, "walker": 1}
+    movers = [actor for actor in known if actor.is_hero or actor.kind in ranks]
+    near = sorted(
+        movers or known, key=lambda actor: (not actor.is_hero, ranks.get(actor.kind, len(ranks)), abs(actor.id - wanted))
+    )
+    names = {actor.id: f"{actor.id} ({HERO if actor.is_hero else actor.kind.replace('_', ' ')})" for actor in near}
+    some = ", ".join(list(names.values())[:3]) or "none"
+    raise RecapError(f"{location}: no {what} {wanted}{end}; known ids are {some}")
 
 
 TYPES: Final = ("spawned", "destroyed", "parented", "bounding_boxes")

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, ClassVar
 
+from carla_recap.errors import RecapError
 from carla_recap.model.stationary import MIN_DISTANCE, MIN_TIME, TYPES, BlockedRow, StationaryTracker
 from carla_recap.queries import Answer
 
@@ -38,8 +39,11 @@ def blocked(
         compat: Whether to reproduce the mistakes of CARLA 0.9.16.
 
     Raises:
+        RecapError: The shortest interval is below 0 or NaN, which only `compat` accepts.
         FormatError: The file contradicts its format.
     """
+    if not compat and not min_time >= 0:
+        raise RecapError(f"the shortest stop must be 0 s or more, not {min_time:g} s")
     rows = None if compat else source.stationary_intervals(min_time, min_distance)
     if rows is None:
         tracker = StationaryTracker(source.header.table, min_time, min_distance, compat=compat)

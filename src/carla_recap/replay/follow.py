@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 import math
-from typing import TYPE_CHECKING, Final, Literal
+from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
 from carla_recap.errors import RecapError
-from carla_recap.queries.actors import actors
+from carla_recap.queries.actors import HERO, ActorName, actors, find_actor
 from carla_recap.replay.pose import JUMP, LOCATION, TOP_SPEED
 from carla_recap.replay.selection import NO_IDS, Ids, Selection, array, find, numbers
 
@@ -20,8 +20,9 @@ if TYPE_CHECKING:
     from carla_recap.formats.base import Reader
     from carla_recap.queries.actors import Actor
 
-HERO: Final = "hero"
-Follow = int | Literal["hero"]
+__all__ = ["HERO", "Follow", "choose_followed", "find_followed"]
+
+Follow = ActorName
 
 _MAX_STEP: Final = 0.5  # s; the longest step in which distances are measured
 _MIN_STEPS: Final = 100  # the number of steps in a short recording
@@ -36,20 +37,15 @@ def find_followed(reader: Reader, follow: Follow, *, ignore_hero: bool = False) 
         ignore_hero: Whether the hero is left out, so that it cannot be followed.
 
     Raises:
-        RecapError: The actor does not exist; the message lists near ids.
+        RecapError: The actor does not exist; the message names some that do.
     """
-    all_actors = actors(reader)
-    matching = [actor for actor in all_actors if (actor.is_hero if follow == HERO else actor.id == follow)]
-    if matching:
-        if ignore_hero and all(actor.is_hero for actor in matching):
-            raise RecapError(f"{reader.location}: the hero, actor {matching[0].id}, cannot be followed and ignored")
-        return matching[0].id
-    if follow == HERO:
-        raise RecapError(f"{reader.location}: there is no hero to follow (no actor has the role_name hero)")
-    if not isinstance(follow, int):
-        raise RecapError(f"{reader.location}: an actor id or 'hero' was expected to follow, found {follow!r}")
-    near = sorted({actor.id for actor in all_actors}, key=lambda id: abs(id - follow))[:3]
-    raise RecapError(f"{reader.location}: no actor {follow} to follow; near ids are {', '.join(map(str, near)) or 'none'}")
+    known = actors(reader)
+    found = find_actor(reader.location, known, follow, purpose="to follow")
+    if ignore_hero and found.is_hero:
+        others = [actor for actor in known if actor.id == found.id and not actor.is_hero]
+        if follow == HERO or not others:
+            raise RecapError(f"{reader.location}: the hero, actor {found.id}, cannot be followed and ignored")
+    return found.id
 
 
 def choose_followed(reader: Reader, *, start: float = 0.0, stop: float = math.inf, ignore_hero: bool = False) -> int | None:

@@ -229,7 +229,7 @@ def test_poses_that_are_no_numbers(tmp_path: Path, renderer: RenderProcess) -> N
     ("name", "options", "message"),
     [
         ("out.mp4", {"start": 60}, "crossing.log: nothing at 60 s; the recording ends at 53 s"),
-        ("out.mp4", {"follow": 999}, "no actor 999 to follow; near ids are"),
+        ("out.mp4", {"follow": 999}, "no actor 999 to follow; known ids are"),
         ("out.mp4", {"view": 100}, "crossing.log: no camera 100 is recorded; the recorded cameras are: none"),
         ("out.mp4", {"speed": 0}, "a speed of 0: a number above 0 was expected"),
         ("out.mp4", {"speed": 1e-9}, "a video has 1,000,000 frames at most"),

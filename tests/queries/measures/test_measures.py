@@ -174,7 +174,11 @@ def test_of_ids(street: Reader) -> None:
 
 
 @pytest.mark.parametrize(
-    ("actors", "error"), [([5], "no vehicle or walker 5 to measure; near ids are 4, 3, 9"), ("hero", "no hero")]
+    ("actors", "error"),
+    [
+        ([5], r"no vehicle or walker 5 to measure; known ids are 4 \(vehicle\), 3 \(vehicle\), 9 \(walker\)"),
+        ("hero", "no hero"),
+    ],
 )
 def test_actors_that_do_not_exist_are_an_error(street: Reader, actors: Any, error: str) -> None:
     with pytest.raises(RecapError, match=error):

@@ -7,6 +7,7 @@ from dataclasses import asdict
 from itertools import islice
 from typing import TYPE_CHECKING, Any, NoReturn
 
+import pytest
 from rich.console import Console
 
 from carla_recap.model.frame import Header
@@ -17,10 +18,9 @@ from carla_recap.queries.info import info
 from carla_recap.queries.output import table as table_output
 from carla_recap.queries.output.json import json as json_text
 from carla_recap.queries.output.table import table
+from carla_recap.recording import open_recording
 
 if TYPE_CHECKING:
-    import pytest
-
     from tests.queries.conftest import Make
 
 NAN = float("nan")
@@ -112,6 +112,39 @@ def test_table_of_blocked(make: Make) -> None:
     lines = [" ".join(line.split()) for line in printed(blocked(reader, 0.1)).splitlines()]
     assert "0.00 0.50 3 unknown 0, 0, 0" in lines
     assert lines[-1] == "1 row; 2 frames, 0.5 seconds"
+
+
+def test_blocked_vehicles_come_before_walkers_and_others(make: Make) -> None:
+    cast = [spawn(1, "spectator"), spawn(2, "static.prop.mesh"), spawn(3, "walker.a"), spawn(4, "vehicle.a")]
+    poses = [(actor.id, actor.id, 0, 0, 0, 0, 0) for actor in cast]
+    answer = blocked(make({"spawned": cast, "transforms": poses}, {}), 0.1)
+    assert [cells[2] for cells in table_output.cells(answer)] == ["4", "3", "1", "2"]
+    assert [row.id for row in answer] == [1, 2, 3, 4]
+
+
+@pytest.mark.parametrize(
+    ("width", "heading"),
+    [
+        (120, "Id Actor Measure Value Unit Time (s) Id Other"),
+        (80, "Id Measure Value Unit Time (s) Id Other"),
+        (60, "Id Measure Value Unit Time (s) Id"),
+        (40, "Id Measure Value Time (s)"),
+    ],
+)
+def test_measures_keep_ids_values_and_times_in_narrow_terminals(width: int, heading: str) -> None:
+    with open_recording("samples/crash.mcap") as recording:
+        lines = printed(recording.measures("hero"), width).splitlines()
+    assert " ".join(lines[1].split()) == heading
+    assert max(map(len, lines)) <= width
+    hard = next(line.split() for line in lines if "1033.845" in line)
+    assert hard[0] == "41"
+    assert "15.10" in hard
+
+
+def test_a_number_is_whole_in_a_terminal_that_is_too_narrow(make: Make) -> None:
+    cast = [spawn(4_000_000_001, "vehicle.a"), spawn(4_000_000_002, "vehicle.b")]
+    answer = collisions(make({"spawned": cast}, {"collisions": [(0, cast[0].id, cast[1].id, 1, 1)]}))
+    assert "4000000001" in printed(answer, 20)
 
 
 def test_table_of_info(make: Make) -> None:

@@ -20,6 +20,7 @@ _SEE_THROUGH: Final = 0.4
 _IN_THE_WAY: Final = 0.25  # the opacity of an actor between the camera and the followed one
 _HIDDEN: Final = 0.6  # the part of an actor's box that is hidden, from which on the followed actor is made see-through
 _REACH: Final = 60.0  # m; actors farther away are small
+_FLAT: Final = 0.3  # m; lower boxes, such as debris that is driven over, hide nothing and need not be seen
 _CORNERS: Final = np.array([(x, y, z) for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)], np.float64)
 
 
@@ -61,7 +62,8 @@ class Transparency:
             return {}
         with np.errstate(invalid="ignore", over="ignore"):
             offsets = instances.locations - camera.location
-            near = np.flatnonzero((offsets**2).sum(axis=1) < _REACH**2)
+            high = (2 * instances.half_extents[:, 2] >= _FLAT) | (instances.ids == followed)
+            near = np.flatnonzero(((offsets**2).sum(axis=1) < _REACH**2) & high)
         if own not in near:
             return {}
         boxes = (instances.half_extents[near, None] * _CORNERS) @ np.swapaxes(instances.rotations[near], 1, 2)

@@ -11,8 +11,8 @@ import numpy as np
 
 from carla_recap.errors import RecapError
 from carla_recap.queries import Answer
+from carla_recap.queries.actors import HERO, ActorCollector, ActorsByTime, find_actor
 from carla_recap.queries.actors import TYPES as ACTOR_TYPES
-from carla_recap.queries.actors import ActorCollector, ActorsByTime
 from carla_recap.queries.measures.contacts import ContactTimes
 from carla_recap.queries.measures.encroachment import STEP, encroachments, path_of, refined
 from carla_recap.queries.measures.motion import KINDS, TYPES, MotionCollector
@@ -269,14 +269,10 @@ def _subjects(source: Reader, recorded: list[Actor], wanted: Subjects) -> dict[i
     if wanted == "all":
         return movers
     if wanted == "hero":
-        if not heroes:
-            raise RecapError(f"{source.location}: there is no hero to measure (no vehicle or walker has the role_name hero)")
+        find_actor(source.location, movers.values(), HERO, "vehicle or walker", "to measure")
         return heroes
     if isinstance(wanted, str):
         raise RecapError(f"actors to measure must be ids, 'hero' or 'all', not {wanted!r}")
     for id in wanted:
-        if id not in movers:
-            near = sorted(movers, key=lambda known: abs(known - id))[:3]
-            names = ", ".join(map(str, near)) or "none"
-            raise RecapError(f"{source.location}: no vehicle or walker {id} to measure; near ids are {names}")
+        find_actor(source.location, movers.values(), id, "vehicle or walker", "to measure")
     return {id: movers[id] for id in wanted}

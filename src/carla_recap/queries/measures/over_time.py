@@ -8,8 +8,7 @@ from typing import TYPE_CHECKING, Any, ClassVar
 
 import numpy as np
 
-from carla_recap.errors import RecapError
-from carla_recap.queries.actors import ActorsByTime, actors
+from carla_recap.queries.actors import ActorName, ActorsByTime, actors, find_actor
 from carla_recap.queries.measures.motion import KINDS, TYPES, MotionCollector
 from carla_recap.queries.measures.series import JERK_WINDOW, SPEED_WINDOW, criticality, slope
 from carla_recap.tables import Columns
@@ -73,14 +72,14 @@ class MeasureSeries(Columns):
 
 
 def time_series(
-    source: Reader, actor: int, other: int | None = None, *, start: float = -math.inf, stop: float = math.inf
+    source: Reader, actor: ActorName, other: ActorName | None = None, *, start: float = -math.inf, stop: float = math.inf
 ) -> MeasureSeries:
     """Return the measures of an actor over time.
 
     Args:
         source: The recording.
-        actor: The id of the vehicle or walker.
-        other: The id of the only other actor that counts; None for all.
+        actor: The id of the vehicle or walker, or "hero".
+        other: The same of the only other actor that counts; None for all.
         start: The elapsed seconds from which on to measure.
         stop: The elapsed seconds until which to measure.
 
@@ -88,11 +87,14 @@ def time_series(
         RecapError: There is no such vehicle or walker.
         FormatError: The file contradicts its format.
     """
-    known = ActorsByTime(actors(source))
-    for id in (actor,) if other is None else (actor, other):
-        if not any(id in known.ids(kind) for kind in KINDS):
-            raise RecapError(f"{source.location}: no vehicle or walker {id} to measure")
-    motion, series = MotionCollector(known), SeriesCollector(actor, other)
+    known = actors(source)
+    movers = [each for each in known if each.kind in KINDS]
+
+    def find(name: ActorName) -> int:
+        return find_actor(source.location, movers, name, "vehicle or walker", "to measure").id
+
+    series = SeriesCollector(find(actor), None if other is None else find(other))
+    motion = MotionCollector(ActorsByTime(known))
     for batch in source.batches(TYPES, start=start, stop=stop):
         for block in motion.add(batch):
             series.add(block)

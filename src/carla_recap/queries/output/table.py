@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any, Final, NamedTuple
 
 from carla_recap.model.records import NO_ACTOR
 from carla_recap.queries.actors import Actor, RecordedActors
-from carla_recap.queries.blocked import BlockedRow
+from carla_recap.queries.blocked import Blocked, BlockedRow
 from carla_recap.queries.collisions import CollisionRow
 from carla_recap.queries.incidents import Incident
 from carla_recap.queries.info import Info, InfoRow
@@ -64,13 +64,14 @@ _PAGE: Final = 500
 
 def in_order(answer: AnyAnswer) -> Iterable[Any]:
     """Return the rows of an answer as tables have them."""
+    if isinstance(answer, Blocked):
+        return sorted(answer, key=lambda row: _KINDS.get(row.type_id.partition(".")[0], len(_KINDS)))
     return most_important_first(answer) if isinstance(answer, RecordedActors) else answer
 
 
 def most_important_first(actors: Iterable[Actor]) -> list[Actor]:
     """Return actors in the order of tables: heroes, vehicles and walkers before what never moves."""
-    ranks = {kind: rank for rank, kind in enumerate(_KINDS)}
-    return sorted(actors, key=lambda actor: (not actor.is_hero, ranks.get(actor.kind, len(ranks)), actor.id))
+    return sorted(actors, key=lambda actor: (not actor.is_hero, _KINDS.get(actor.kind, len(_KINDS)), actor.id))
 
 
 def cells(answer: AnyAnswer) -> Iterator[tuple[str, ...]]:
@@ -117,8 +118,8 @@ def _brief(value: Any) -> str:
     return f"[{', '.join(map(_brief, value))}]" if isinstance(value, list) else str(value)
 
 
-_KINDS: Final = ("vehicle", "walker", "traffic_light", "sensor", "traffic_sign", "other")
-"""The kinds of actors, in the order of tables."""
+_KINDS: Final = {"vehicle": 0, "walker": 1, "traffic_light": 2, "sensor": 3, "traffic_sign": 4, "other": 5}
+"""The ranks of kinds of actors in the order of tables."""
 
 
 def _number(heading: str, cell: Callable[[Any], str], **looks: Any) -> _Column:
@@ -131,8 +132,8 @@ def _name(heading: str, cell: Callable[[Any], str], **looks: Any) -> _Column:
 
 _COLUMNS: Final[dict[type, tuple[_Column, ...]]] = {
     InfoRow: (
-        _number("Time (s)", lambda row: _seconds(row.elapsed), least=10),
-        _number("Frame", lambda row: str(row.frame), least=8),
+        _number("Time (s)", lambda row: _seconds(row.elapsed), least=8),
+        _number("Frame", lambda row: str(row.frame), least=8, rank=-1),
         _column("Record", lambda row: row.type, least=16),
         _column("Details", lambda row: _details(row.record), narrowed="words", least=16),
     ),
@@ -143,20 +144,20 @@ _COLUMNS: Final[dict[type, tuple[_Column, ...]]] = {
         _name("Actor 1", lambda row: _actor(row.id1, row.type_id1, row.hero1)),
         _number("Id", lambda row: str(row.id2)),
         _name("Actor 2", lambda row: _actor(row.id2, row.type_id2, row.hero2)),
-        _number("Impact (m/s)", lambda row: _speed(row.impact_speed)),
+        _number("Impact (m/s)", lambda row: _speed(row.impact_speed), rank=-1),
         _number("Relative (m/s)", lambda row: _speed(row.relative_speed), rank=1),
     ),
     Actor: (
         _number("Id", lambda row: str(row.id)),
         _column("Kind", lambda row: row.kind, style=kind_style),
         _name("Actor", lambda row: row.type_id),
-        _column("Role", lambda row: row.role_name, narrowed="middle"),
-        _number("From (s)", lambda row: _seconds(row.spawned_at)),
-        _number("To (s)", lambda row: "" if row.destroyed_at is None else _seconds(row.destroyed_at)),
+        _column("Role", lambda row: row.role_name, narrowed="middle", rank=-3),
+        _number("From (s)", lambda row: _seconds(row.spawned_at), rank=-2),
+        _number("To (s)", lambda row: "" if row.destroyed_at is None else _seconds(row.destroyed_at), rank=-1),
         _number("Parent", lambda row: "" if row.parent is None else str(row.parent), rank=1),
     ),
     BlockedRow: (
-        _number("Start (s)", lambda row: _seconds(row.start)),
+        _number("Start (s)", lambda row: _seconds(row.start), rank=-1),
         _number("Duration (s)", lambda row: _seconds(row.duration)),
         _number("Id", lambda row: str(row.id)),
         _name("Actor", lambda row: _actor(row.id, row.type_id)),
@@ -164,12 +165,13 @@ _COLUMNS: Final[dict[type, tuple[_Column, ...]]] = {
     ),
     MeasureRow: (
         _number("Id", lambda row: str(row.actor)),
-        _name("Actor", lambda row: _actor(row.actor, row.type_id, row.hero)),
-        _column("Measure", lambda row: row.measure.replace("_", " ")),
+        _name("Actor", lambda row: _actor(row.actor, row.type_id, row.hero), rank=4),
+        _column("Measure", lambda row: row.measure.replace("_", " "), narrowed="words"),
         _number("Value", lambda row: f"{row.value:.3f}"),
-        _column("Unit", lambda row: row.unit),
-        _number("Time (s)", lambda row: _seconds(row.time), rank=1),
-        _name("Other", lambda row: "" if row.other is None else f"{row.other_type_id} ({row.other})"),
+        _column("Unit", lambda row: row.unit, rank=2),
+        _number("Time (s)", lambda row: _seconds(row.time)),
+        _number("Id", lambda row: "" if row.other is None else str(row.other), rank=1),
+        _name("Other", lambda row: "" if row.other is None else row.other_type_id, rank=3),
     ),
     Incident: (
         _number("Start (s)", lambda row: _seconds(row.start)),

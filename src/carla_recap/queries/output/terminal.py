@@ -9,13 +9,13 @@ from typing import TYPE_CHECKING, Any, Final, Literal
 from carla_recap.util.text import visible
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Sequence
+    from collections.abc import Callable, Mapping, Sequence
 
     from rich.console import Console
 
 _GAP: Final = 2  # spaces between two columns
 _COMFORT: Final = {"never": 0, "middle": 24, "words": 40}  # characters that are enough, by how a column is narrowed
-_LEAST: Final = {"never": 0, "middle": 10, "words": 16}  # characters below which nothing could be read
+_LEAST: Final = {"never": 0, "middle": 10, "words": 12}  # characters below which nothing could be read
 
 
 @dataclass(frozen=True)
@@ -27,7 +27,8 @@ class TableColumn:
         is_number: Whether its cells are numbers, which are at the right.
         narrowed: What is done with cells that are too wide: "middle" is left out, as of paths and names, or they are
             continued in the next line ("words").
-        rank: How soon it is left out if there is not enough room: the highest first, 0 never.
+        rank: How soon it is left out if there is not enough room: the highest first, 0 never; below 0 only if
+            there is not even enough room for the narrowest forms of the others.
         least: The least width; for tables that are printed in pages.
         brief: Returns a shorter form of a cell, for when there is not enough room.
         style: Returns the style of a cell.
@@ -70,11 +71,11 @@ def print_table(
                 shown[number] = list(map(brief, shown[number]))
     dropped = _drop(columns, shown, kept, console.width)
     widths = _widths(columns, shown, kept, console.width)
-    console.print(_made(columns, shown, kept, widths, headed=headed))
-    if dropped:
+    console.print(_made(columns, shown, kept, widths, headed=headed), crop=False)  # lines are whole even if too long
+    if dropped and headed:
         from rich.text import Text
 
-        names = ", ".join(columns[number].heading for number in sorted(dropped))
+        names = ", ".join(dict.fromkeys(columns[number].heading for number in sorted(dropped)))
         console.print(Text(f"({names}: in a wider terminal, or with --json)", style="dim"))
 
 
@@ -92,6 +93,7 @@ def _made(
     from rich.text import Text
 
     table = Table(box=box.SIMPLE_HEAD, show_edge=False, show_header=headed, pad_edge=False, padding=(0, 1, 0, 0))
+    table.width = sum(widths) + _GAP * (len(widths) - 1)  # Rich breaks no number to narrow it
     for number, width in zip(kept, widths, strict=True):
         column = columns[number]
         heading = Text(visible(column.heading))
@@ -129,22 +131,37 @@ def _total(columns: Sequence[TableColumn], shown: Sequence[Sequence[str]], kept:
 
 def _comfortable(columns: Sequence[TableColumn], shown: Sequence[Sequence[str]], kept: Sequence[int]) -> list[int]:
     """Return the width of each column with which it can be read easily."""
+    return _limited(columns, shown, kept, _COMFORT)
+
+
+def _limited(
+    columns: Sequence[TableColumn], shown: Sequence[Sequence[str]], kept: Sequence[int], enough: Mapping[str, int]
+) -> list[int]:
+    """Return the width of each column, at most what is enough for one that is narrowed as it is."""
     found = []
     for number in kept:
         column, whole = columns[number], columns[number].width(shown[number])
-        found.append(whole if column.narrowed == "never" else min(whole, max(_COMFORT[column.narrowed], column.least)))
+        found.append(whole if column.narrowed == "never" else min(whole, max(enough[column.narrowed], column.least)))
     return found
 
 
 def _drop(columns: Sequence[TableColumn], shown: Sequence[Sequence[str]], kept: list[int], room: int) -> list[int]:
     """Remove the less important columns for which there is not enough room; return these."""
     dropped: list[int] = []
-    while sum(_comfortable(columns, shown, kept)) + _GAP * (len(kept) - 1) > room:
-        ranked = [number for number in kept if columns[number].rank]
-        if not ranked:
-            break
-        dropped.append(max(ranked, key=lambda number: (columns[number].rank, number)))
-        kept.remove(dropped[-1])
+
+    def fits(enough: Mapping[str, int], among: Sequence[int]) -> bool:
+        return sum(_limited(columns, shown, among, enough)) + _GAP * (len(among) - 1) <= room
+
+    for enough, sign in ((_COMFORT, 1), (_LEAST, -1)):
+        ranked = [number for number in kept if columns[number].rank * sign > 0]
+        for number in sorted(ranked, key=lambda number: (columns[number].rank, number), reverse=True):
+            if not fits(enough, kept):
+                dropped.append(number)
+                kept.remove(number)
+    for number in reversed(dropped):  # a narrow one may fit, where a wide one was in its way
+        if fits(_COMFORT, more := sorted([*kept, number])):
+            kept[:] = more
+            dropped.remove(number)
     return dropped
 
 
