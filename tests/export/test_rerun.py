@@ -270,14 +270,6 @@ def test_the_followed_car_is_see_through_while_it_hides_another_actor(tmp_path: 
     assert free == pytest.approx(2.9, abs=0.25)
 
 
-def test_the_followed_car_is_not_see_through_over_flat_debris(tmp_path: Path) -> None:
-    frames = [{"transforms": [pose(1), pose(2, 380)]} for _ in range(50)]
-    frames[0]["spawned"] = [spawn(1, role_name="hero"), spawn(2, "static.prop.dirtdebris01")]
-    frames[0]["bounding_boxes"] = [(2, 0, 0, 0, 90, 70, 7)]
-    rrd = export(write(tmp_path / "x.log", frames, tick=0.1), tmp_path / "x.rrd")
-    assert not rrd.rows("/world/actors/1", "Mesh3D:albedo_factor")
-
-
 def test_a_sensor_is_fixed_to_its_car(crossing) -> None:
     assert crossing.rrd.rows(f"/world/actors/{SENSOR}", "Transform3D:parent_frame")[0][1] == [f"tf#/world/actors/{HERO}"]
 

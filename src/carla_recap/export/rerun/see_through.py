@@ -33,7 +33,6 @@ _REACH: Final = 30.0  # m; what is farther ahead need not be seen
 _STEP: Final = 0.2  # s between the moments that are looked at
 _HELD: Final = 1.0  # s for which it stays see-through
 _OPACITY: Final = 0.45
-_FLAT: Final = 0.3  # m; lower actors, such as debris that is driven over, need not be seen
 _LOW: Final = 0.5  # the height of the part of an actor that has to be visible, as a share of its box
 
 
@@ -62,7 +61,7 @@ class SeeThroughWriter:
         seconds = block.times.seconds
         rows = _every(seconds, _STEP)
         rows = rows[block.present[rows, own[0]]]
-        others = np.array([id != self._id and self._is_high(id) for id in block.ids.tolist()], np.bool_)
+        others = np.array([id in self._looks and id != self._id for id in block.ids.tolist()], np.bool_)
         if not len(rows):
             return
         hidden = self._hides(look, block, rows, own[0], np.flatnonzero(others))
@@ -79,10 +78,6 @@ class SeeThroughWriter:
             alphas = [(255, 255, 255, round(255 * _OPACITY) if faded else 255) for _, faded in changes]
             column = rr.Mesh3D.columns(albedo_factor=np.array(alphas, np.uint8))
             self._stream.columns(paths.actor(self._id), times, column)
-
-    def _is_high(self, id: int) -> bool:
-        look = self._looks.get(id)
-        return look is not None and 2 * look.half_extents[2] >= _FLAT
 
     def _hides(self, look: Look, block: PoseBlock, rows: NDArray[np.intp], own: int, others: NDArray[np.intp]) -> Flags:
         """Return whether the actor hides any other one in some rows of a block."""

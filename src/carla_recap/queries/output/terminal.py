@@ -71,7 +71,7 @@ def print_table(
                 shown[number] = list(map(brief, shown[number]))
     dropped = _drop(columns, shown, kept, console.width)
     widths = _widths(columns, shown, kept, console.width)
-    console.print(_made(columns, shown, kept, widths, headed=headed), crop=False)  # lines are whole even if too long
+    console.print(_made(columns, shown, kept, widths, headed=headed))
     if dropped and headed:
         from rich.text import Text
 
@@ -93,7 +93,6 @@ def _made(
     from rich.text import Text
 
     table = Table(box=box.SIMPLE_HEAD, show_edge=False, show_header=headed, pad_edge=False, padding=(0, 1, 0, 0))
-    table.width = sum(widths) + _GAP * (len(widths) - 1)  # Rich breaks no number to narrow it
     for number, width in zip(kept, widths, strict=True):
         column = columns[number]
         heading = Text(visible(column.heading))
@@ -173,12 +172,15 @@ def _widths(columns: Sequence[TableColumn], shown: Sequence[Sequence[str]], kept
     for index, number in sorted(enumerate(kept), key=lambda each: columns[each[1]].narrowed):  # "middle" before "words"
         if columns[number].narrowed != "never":
             widths[index] += max(min(whole[index] - widths[index], room - sum(widths)), 0)
-    while sum(widths) > room:
-        spare = [width - _LEAST[columns[number].narrowed] for width, number in zip(widths, kept, strict=True)]
-        spare = [each if columns[number].narrowed != "never" else 0 for each, number in zip(spare, kept, strict=True)]
-        if max(spare) <= 0:
-            break
-        widths[max(range(len(kept)), key=lambda index: (spare[index] > 0, widths[index]))] -= 1
+    for least in (_LEAST, dict.fromkeys(_LEAST, 1)):  # numbers are whole for as long as there is room for them
+        while sum(widths) > room:
+            spare = [
+                0 if columns[number].narrowed == "never" else width - least[columns[number].narrowed]
+                for width, number in zip(widths, kept, strict=True)
+            ]
+            if max(spare) <= 0:
+                break
+            widths[max(range(len(kept)), key=lambda index: (spare[index] > 0, widths[index]))] -= 1
     return widths
 
 
