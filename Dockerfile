@@ -3,7 +3,7 @@
 ARG EXTRAS=server
 ARG PACKAGES=""
 
-FROM python:3.12-slim AS build
+FROM python:3.11-slim AS build
 ARG EXTRAS
 WORKDIR /build
 COPY pyproject.toml README.md LICENSE ./
@@ -12,7 +12,7 @@ COPY viewer ./viewer
 COPY src ./src
 RUN python -m venv /opt/carla-recap && /opt/carla-recap/bin/pip install --no-cache-dir ".[$EXTRAS]"
 
-FROM python:3.12-slim
+FROM python:3.11-slim
 ARG PACKAGES
 RUN if [ -n "$PACKAGES" ]; then apt-get update && apt-get install --yes --no-install-recommends $PACKAGES && rm -rf /var/lib/apt/lists/*; fi
 COPY --from=build /opt/carla-recap /opt/carla-recap
