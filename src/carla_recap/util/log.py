@@ -1,7 +1,6 @@
 """The log of the package: what is done, for `-v`; without listeners it costs nothing, not even an import.
 
-Logging takes as long to import as a small query takes. A program that listens has imported it, so that there is nobody to
-log for until then.
+Importing `logging` takes as long as a small query. A program that listens has imported it; until then, nothing is logged.
 """
 
 from __future__ import annotations

@@ -52,9 +52,8 @@ class IndexFolder:
         try:
             content = loads(marker.read_text("utf-8"))
         except (OSError, ValueError, RecursionError) as error:
-            reason = f"{MARKER} is damaged; index again into a new folder"
-            if isinstance(error, OSError):
-                reason = _reason(error)
+            damaged = f"{MARKER} is damaged; index again into a new folder"
+            reason = _reason(error) if isinstance(error, OSError) else damaged
             if not marker.exists():
                 reason = "is no index of recordings, which 'carla-recap index' makes"
             raise RecapError(f"{str(self.path)[:200]}: {reason}") from None

@@ -128,11 +128,6 @@ def _total(columns: Sequence[TableColumn], shown: Sequence[Sequence[str]], kept:
     return sum(columns[number].width(shown[number]) for number in kept) + _GAP * (len(kept) - 1)
 
 
-def _comfortable(columns: Sequence[TableColumn], shown: Sequence[Sequence[str]], kept: Sequence[int]) -> list[int]:
-    """Return the width of each column with which it can be read easily."""
-    return _limited(columns, shown, kept, _COMFORT)
-
-
 def _limited(
     columns: Sequence[TableColumn], shown: Sequence[Sequence[str]], kept: Sequence[int], enough: Mapping[str, int]
 ) -> list[int]:
@@ -167,7 +162,7 @@ def _drop(columns: Sequence[TableColumn], shown: Sequence[Sequence[str]], kept: 
 def _widths(columns: Sequence[TableColumn], shown: Sequence[Sequence[str]], kept: Sequence[int], room: int) -> list[int]:
     """Return the widths of columns that share a room."""
     room -= _GAP * (len(kept) - 1)
-    widths = _comfortable(columns, shown, kept)
+    widths = _limited(columns, shown, kept, _COMFORT)
     whole = [columns[number].width(shown[number]) for number in kept]
     for index, number in sorted(enumerate(kept), key=lambda each: columns[each[1]].narrowed):  # "middle" before "words"
         if columns[number].narrowed != "never":
