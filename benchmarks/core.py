@@ -18,6 +18,7 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 
 import carla_recap
+from benchmarks import lively as lively_log
 from benchmarks.hour import DIRECTORY, RATE, cached
 from benchmarks.measuring import COMMAND, Line, Subject, best, convert, cpu_time, cut, medians, run, timed
 
@@ -59,6 +60,18 @@ def mcap_to_log(subject: Subject) -> Iterator[Line]:
     equal = filecmp.cmp(subject.log, back, shallow=False)
     yield Line(".log → .mcap → .log", f"{back.stat().st_size:,} bytes", "", "equal", equal)
     back.unlink()
+
+
+def lively(subject: Subject) -> Iterator[Line]:
+    """A log in which actors come, go and collide; as long as the recording, at most."""
+    count = min(subject.frames, lively_log.FRAMES)
+    log, back = lively_log.cached(count), DIRECTORY / "back.log"
+    mcap = log.with_suffix(".mcap")
+    yield from _conversion("lively, .log → .mcap", count / RATE, log, mcap, 450)
+    yield from _conversion("lively, .mcap → .log", count / RATE, mcap, back, 450)
+    equal = filecmp.cmp(log, back, shallow=False)
+    back.unlink()
+    yield Line("lively, .log → .mcap → .log", "", "", "equal", equal)
 
 
 def size(subject: Subject) -> Iterator[Line]:
@@ -290,6 +303,7 @@ Measured with the code that read frame by frame, alternating with the bare loop 
 ROWS: Final = (
     log_to_mcap,
     mcap_to_log,
+    lively,
     size,
     trajectories,
     collisions,

@@ -10,6 +10,7 @@ from __future__ import annotations
 import argparse
 import zlib
 from collections import defaultdict
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
@@ -20,7 +21,7 @@ from carla_recap.model.frame import LAST_FRAME_DURATION, Frame, Header, Packet
 from carla_recap.model.records import NO_ACTOR, UE4, ActorKind, Attribute, Spawn
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Iterator
+    from collections.abc import Callable, Iterable, Iterator
 
     from numpy.typing import NDArray
 
@@ -185,13 +186,13 @@ class Hour:
         rng, count = self._rng, self.count
         car = slot < FIRST_WALKER
         cruise, go, halt = ((500, 1400), (30, 150), (10, 60)) if car else ((90, 180), (30, 200), (5, 30))
-        speed = _stop_and_go(rng, count, cruise, go, halt)
+        speed = stop_and_go(rng, count, cruise, go, halt)
         if FIRST_WALKER - PARKED <= slot < FIRST_WALKER:
             speed[:] = 0
         distance = np.cumsum(speed * TICK)
         for index in jumps:
             distance[index:] += rng.uniform(0, 1e5)
-        x, y, yaw = _loop(rng, distance, rng.uniform(6_000, 25_000) if car else rng.uniform(2_000, 6_000))
+        x, y, yaw = closed_curve(rng, distance, rng.uniform(6_000, 25_000) if car else rng.uniform(2_000, 6_000))
         pose = self._poses[:, slot]
         pose["x"], pose["y"], pose["yaw"] = x, y, np.degrees(yaw)
         hills = 40 * np.sin(x / 9_000) * np.sin(y / 7_000)
@@ -295,15 +296,15 @@ def _code(value: str) -> int:
     return 1 if value.isdigit() else 2 if value.replace(".", "", 1).isdigit() else 3
 
 
-def _stop_and_go(
+def stop_and_go(
     rng: np.random.Generator,
     count: int,
     cruise: tuple[float, float],
     go: tuple[float, float],
     halt: tuple[float, float],
+    ramp: int = 3 * RATE,
 ) -> Floats:
-    """Return the speed in each frame in cm/s: `go` seconds at a `cruise` speed, `halt` seconds of rest, ramps of 3 s."""
-    ramp = 3 * RATE
+    """Return the speed in each frame in cm/s: `go` seconds at a `cruise` speed, `halt` seconds of rest, ramps in frames."""
     legs = int((count + ramp) / RATE / (go[0] + halt[0])) + 2
     seconds = np.column_stack((rng.uniform(*go, legs), rng.uniform(*halt, legs)))
     speeds = np.column_stack((rng.uniform(*cruise, legs), np.zeros(legs)))
@@ -312,7 +313,7 @@ def _stop_and_go(
     return np.convolve(steps[: count + ramp - 1], np.full(ramp, 1 / ramp), "valid")
 
 
-def _loop(rng: np.random.Generator, distance: Floats, radius: float) -> tuple[Floats, Floats, Floats]:
+def closed_curve(rng: np.random.Generator, distance: Floats, radius: float) -> tuple[Floats, Floats, Floats]:
     """Return x, y (cm) and heading after distances (cm) along a random closed curve of about a radius (cm)."""
     orders = np.arange(6)
     weights = radius * 0.4 / np.maximum(orders, 1) ** 2 * np.exp(2j * np.pi * rng.random(6))
@@ -336,13 +337,18 @@ def make(path: Path, count: int = FRAMES, seed: int = 1, *, restless: bool = Fal
 
 def cached(count: int = FRAMES, *, restless: bool = False) -> Path:
     """Return the log, which is made again if this module has changed."""
-    name = f"{'restless' if restless else 'hour'}-{count}-"
-    path = DIRECTORY / f"{name}{zlib.crc32(Path(__file__).read_bytes()):08x}.log"
+    name = f"{'restless' if restless else 'hour'}-{count}"
+    return stored(name, partial(make, count=count, restless=restless), Path(__file__))
+
+
+def stored(name: str, make: Callable[[Path], None], source: Path) -> Path:
+    """Return a log of a name, which is made again if the module that makes it has changed."""
+    path = DIRECTORY / f"{name}-{zlib.crc32(source.read_bytes()):08x}.log"
     if not path.exists():
         DIRECTORY.mkdir(parents=True, exist_ok=True)
-        for stale in DIRECTORY.glob(f"{name}*"):
+        for stale in DIRECTORY.glob(f"{name}-*"):
             stale.unlink()
-        make(path, count, restless=restless)
+        make(path)
     return path
 
 
