@@ -12,9 +12,9 @@ import carla_recap
 from tests.waiting import PATIENCE
 
 NAMES = [
-    "Actor",
     "ActorDifference",
     "ActorKind",
+    "ActorLife",
     "Attribute",
     "Batch",
     "BlockedRow",

@@ -47,7 +47,6 @@ if TYPE_CHECKING:
     from carla_recap.model.batch import Batch
     from carla_recap.model.frame import Frame, Header
     from carla_recap.model.records import ActorKind, Attribute, Spawn, attributes
-    from carla_recap.queries.actors import Actor
     from carla_recap.queries.blocked import BlockedRow
     from carla_recap.queries.collisions import CollisionRow
     from carla_recap.queries.differences import ActorDifference, Differences, EventDifference, LightDifference
@@ -59,9 +58,9 @@ if TYPE_CHECKING:
     from carla_recap.tables.trajectories import Controls, LightStates, Trajectories, Trajectory
 
 __all__ = [
-    "Actor",
     "ActorDifference",
     "ActorKind",
+    "ActorLife",
     "Attribute",
     "Batch",
     "BlockedRow",
@@ -145,7 +144,7 @@ _get, __dir__ = lazily(
         "fleet.sources": ("SourceFile",),
         "model.frame": ("Frame", "Header"),
         "maps": ("RoadMap", "load_map"),
-        "queries.actors": ("Actor",),
+        "model.actors": ("ActorLife",),
         "queries.blocked": ("BlockedRow",),
         "queries.collisions": ("CollisionRow",),
         "queries.differences": ("ActorDifference", "Differences", "EventDifference", "LightDifference"),

@@ -12,7 +12,8 @@ import numpy as np
 
 from carla_recap.errors import Closed, RecapError
 from carla_recap.formats import open_reader
-from carla_recap.queries.actors import Actor, ActorName, RecordedActors, actors, find_actor
+from carla_recap.model.actors import ActorLife, ActorName, find_actor
+from carla_recap.queries.actors import RecordedActors, actors
 from carla_recap.tables import Rows, Tabular
 from carla_recap.tables.records import RecordTable, record_table
 from carla_recap.tables.trajectories import (
@@ -66,14 +67,14 @@ class RecordingInfo:
     additional_data: bool
 
 
-class ActorTable(Rows[Actor]):
+class ActorTable(Rows[ActorLife]):
     """Actors as rows."""
 
-    row_type = Actor
+    row_type = ActorLife
     row_units = RecordedActors.row_units
 
 
-class ActorsById(dict[int, Actor], Tabular):
+class ActorsById(dict[int, ActorLife], Tabular):
     """Actors by id; as a table, a row for each."""
 
     def columns(self) -> dict[str, Any]:
@@ -160,7 +161,7 @@ class Recording:
         return ActorsById((actor.id, actor) for actor in actors(self.reader))
 
     @property
-    def heroes(self) -> list[Actor]:
+    def heroes(self) -> list[ActorLife]:
         """The actors whose role_name is hero."""
         return [actor for actor in self.actors.values() if actor.is_hero]
 

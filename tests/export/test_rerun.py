@@ -585,7 +585,7 @@ def test_contacts_with_pauses(tmp_path: Path) -> None:
     assert told == [
         "vehicle.audi.tt (1) collides with vehicle.audi.tt (2)",
         "vehicle.audi.tt (1) collides with vehicle.audi.tt (2)",
-        "vehicle.audi.tt (1) collides with something that is no actor",
+        "vehicle.audi.tt (1) collides with a static object",
     ]
 
 

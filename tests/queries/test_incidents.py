@@ -119,9 +119,9 @@ def test_a_second_without_a_record_ends_a_contact(make: Make) -> None:
         ((4, 2, 0, 0), (2, 4), "walker.a (2) collides with static.prop.c (4)"),
         ((3, 5, 0, 0), (3, 5), "vehicle.b (3) collides with vehicle.d (5)"),
         ((99, 4, 0, 0), (4, 99), "static.prop.c (4) collides with actor 99"),
-        ((1, NO_ACTOR, 1, 0), (1,), "hero collides with something that is no actor"),
-        ((NO_ACTOR, 3, 0, 0), (3,), "vehicle.b (3) collides with something that is no actor"),
-        ((3, 0, 0, 0), (3,), "vehicle.b (3) collides with something that is no actor"),
+        ((1, NO_ACTOR, 1, 0), (1,), "hero collides with a static object"),
+        ((NO_ACTOR, 3, 0, 0), (3,), "vehicle.b (3) collides with a static object"),
+        ((3, 0, 0, 0), (3,), "vehicle.b (3) collides with a static object"),
     ],
 )
 def test_who_comes_first(make: Make, hit: tuple[int, ...], actors: tuple[int, ...], text: str) -> None:
@@ -308,7 +308,7 @@ def test_reports(make: Make) -> None:
     answer = incidents(make({"spawned": CAST}, contact(1, NO_ACTOR)))
     (row,) = stdlib.loads("".join(json_text(answer)))["rows"]
     assert row == asdict(answer[0]) | {"actors": [1], "type_ids": ["vehicle.audi.tt"]}
-    assert "     0.5        0.0 collision    hero collides with something that is no actor\n" in "".join(text(answer))
+    assert "     0.5        0.0 collision    hero collides with a static object\n" in "".join(text(answer))
     table(answer)
 
 

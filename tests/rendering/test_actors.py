@@ -10,9 +10,9 @@ import numpy as np
 import pytest
 
 from carla_recap import open_recording
+from carla_recap.model.actors import BoundingBox
 from carla_recap.model.blueprints import blueprint_sizes
 from carla_recap.model.records import ActorKind
-from carla_recap.queries.actors import BoundingBox
 from carla_recap.rendering.actors import SceneActors, instances_of, lamps_of_vehicles, look_of
 from carla_recap.rendering.collisions import MARKED
 from carla_recap.rendering.materials import Material, Tag

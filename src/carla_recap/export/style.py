@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Final, NamedTuple
 
-from carla_recap.model.records import ActorKind
-from carla_recap.queries.actors import BoundingBox
+from carla_recap.model.actors import STATIC_OBJECT, BoundingBox
+from carla_recap.model.records import NO_ACTOR, ActorKind
 from carla_recap.replay.events import Collided, Destroyed, Parented, Spawned
 
 if TYPE_CHECKING:
@@ -27,9 +27,6 @@ HORIZON: Final[Color] = (208, 222, 236)
 ZENITH: Final[Color] = (98, 146, 204)
 HERO: Final[Color] = (255, 176, 32)
 COLLISION: Final[Color] = (255, 64, 64)
-
-NOTHING: Final = 0xFFFF_FFFF
-"""The id of anything hit that is no actor: a wall, the ground."""
 
 
 class Style(NamedTuple):
@@ -120,8 +117,8 @@ def _kind_of(actor: Present) -> int:
 
 def name_of(id: int, actors: Mapping[int, Present]) -> str:
     """Return the name of an actor for a sentence: `vehicle.audi.tt (31)`."""
-    if id == NOTHING:
-        return "something that is no actor"
+    if id == NO_ACTOR:
+        return STATIC_OBJECT
     return f"{actors[id].type_id} ({id})" if id in actors else f"actor {id}"
 
 

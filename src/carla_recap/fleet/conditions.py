@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from collections import defaultdict
 from dataclasses import dataclass
 from fnmatch import fnmatchcase
 from pathlib import Path
@@ -15,7 +14,8 @@ from carla_recap.formats import SUFFIXES
 from carla_recap.maps.lookup import find_map_of
 from carla_recap.maps.network import load_road_network
 from carla_recap.maps.road_map import plain_name
-from carla_recap.queries.actors import Actor, actors
+from carla_recap.model.actors import HERO, ROAD_USERS, ActorLives
+from carla_recap.queries.actors import actors
 from carla_recap.queries.blocked import blocked
 from carla_recap.queries.differences import differences, metres, name_of
 from carla_recap.queries.incidents import ROAD_KINDS, incidents
@@ -28,6 +28,7 @@ from carla_recap.util.text import number, readable
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Sequence
 
+    from carla_recap.model.actors import ActorLife
     from carla_recap.model.roads import RoadNetwork
     from carla_recap.model.stationary import BlockedRow
     from carla_recap.queries.incidents import Incident, Kind
@@ -36,12 +37,10 @@ if TYPE_CHECKING:
 
 T = TypeVar("T")
 
-HERO: Final = "hero"
 ANY: Final = "any"
 OBJECT: Final = "object"
-"""The other side of a collision with what is no actor, such as a building."""
+"""The other side of a collision with a static object, such as a building."""
 ROLE: Final = "role:"
-ROAD_USERS: Final = ("vehicle", "walker")
 
 MEASURES: Final = {**UNITS, **ROAD_UNITS}
 """The measures, and their units."""
@@ -60,7 +59,7 @@ _KINDS: Final = {
     "speeding": ("speeding", "speeding"),
 }
 """What kinds of incidents are called, one and several."""
-_MANY: Final = {HERO: "the hero", "vehicle": "vehicles", "walker": "walkers", OBJECT: "what is no actor"}
+_MANY: Final = {HERO: "the hero", "vehicle": "vehicles", "walker": "walkers", OBJECT: "static objects"}
 
 
 class Offence(NamedTuple):
@@ -101,7 +100,7 @@ class Selector:
 
     text: str = ANY
 
-    def matches(self, actor: Actor | None) -> bool:
+    def matches(self, actor: ActorLife | None) -> bool:
         """Return whether an actor is one of them; None stands for an actor whose spawn is not recorded."""
         if self.text == ANY or actor is None:
             return self.text == ANY
@@ -189,9 +188,9 @@ class Facts:
         self._answers: dict[str, Any] = {}
 
     @property
-    def actors(self) -> Sequence[Actor]:
-        """All actors, in order of appearance."""
-        return self._once("actors", lambda: actors(self.recording.reader))
+    def actors(self) -> ActorLives:
+        """All actors."""
+        return self._once("actors", lambda: ActorLives(actors(self.recording.reader)))
 
     @property
     def incidents(self) -> Sequence[Incident]:
@@ -240,18 +239,6 @@ class Facts:
         if self._roads is None:
             name = plain_name(readable(self.recording.header.map_name))
             raise RecapError(f"the map {name!r} is unknown; {WHERE_MAPS}")
-
-    def actor(self, id: int, time: float) -> Actor | None:
-        """Return the actor that had an id at a time; None if its spawn is not recorded."""
-
-        def by_id() -> dict[int, list[Actor]]:
-            found = defaultdict(list)
-            for actor in self.actors:
-                found[actor.id].append(actor)
-            return found
-
-        found = self._once("actors by id", by_id).get(id, [])
-        return next((actor for actor in reversed(found) if actor.spawned_at <= time), found[0] if found else None)
 
     def absent(self, selector: Selector) -> str:
         """Return a remark if a recording has no such actors, else an empty text."""
@@ -326,7 +313,7 @@ class IncidentCount:
         return of if self.other.text == ANY else f"{of} with {self.other}"
 
     def _counts(self, incident: Incident, facts: Facts) -> bool:
-        involved = [facts.actor(id, incident.start) for id in incident.actors]
+        involved = [facts.actors.at(id, incident.start) for id in incident.actors]
         if self.other.text == OBJECT:
             return len(involved) == 1 and self.of.matches(involved[0])
         if self.other.text == ANY:
@@ -357,18 +344,19 @@ class LongestStop:
 
     def judge(self, facts: Facts) -> Finding:
         """See `Condition.judge`."""
-        found = [row for row in facts.stops if row.duration > self.longest and self._counts(facts.actor(row.id, row.start))]
+        found = [
+            row for row in facts.stops if row.duration > self.longest and self._counts(facts.actors.at(row.id, row.start))
+        ]
         if not found:
             return Finding(True, f"no stop{_of(self.of)} of more than {self._most()}{facts.absent(self.of)}")
         offences = []
         for row in found:
-            actor = facts.actor(row.id, row.start)
             duration = (
                 _value(row.duration, "s", self.written)
                 if self.written and self.written.unit != "s"
                 else f"{row.duration:.1f} s"
             )
-            text = f"{_name(row.id, actor)} stands still for {duration}"
+            text = f"{facts.actors.name(row.id, row.start)} stands still for {duration}"
             offences.append(Offence(text, row.start, (row.id,)))
         stops = "1 stop" if len(found) == 1 else f"{len(found)} stops"
         return Finding(False, f"{stops}{_of(self.of)} of more than {self._most()}", tuple(offences))
@@ -376,7 +364,7 @@ class LongestStop:
     def _most(self) -> str:
         return self.written.text if self.written else f"{number(self.longest)} s"
 
-    def _counts(self, actor: Actor | None) -> bool:
+    def _counts(self, actor: ActorLife | None) -> bool:
         if self.of.text == ANY:
             return actor is not None and actor.kind in ROAD_USERS
         return self.of.matches(actor)
@@ -407,7 +395,9 @@ class MeasureBounds:
         found = [
             row
             for row in facts.measures
-            if row.measure == self.measure and self.of.matches(facts.actor(row.actor, row.time)) and math.isfinite(row.value)
+            if row.measure == self.measure
+            and self.of.matches(facts.actors.at(row.actor, row.time))
+            and math.isfinite(row.value)
         ]
         found.sort(key=lambda row: row.value if self.measure in LEAST else -row.value)
         unit = MEASURES[self.measure]
@@ -427,10 +417,10 @@ class MeasureBounds:
         return self.measure.replace("_", " ")
 
     def _offence(self, row: MeasureRow, facts: Facts) -> Offence:
-        name, value = _name(row.actor, facts.actor(row.actor, row.time)), _value(row.value, row.unit, self.bounds.written)
+        name, value = facts.actors.name(row.actor, row.time), _value(row.value, row.unit, self.bounds.written)
         if row.other is None:
             return Offence(f"{name}, {value}", row.time, (row.actor,))
-        other = _name(row.other, facts.actor(row.other, row.time))
+        other = facts.actors.name(row.other, row.time)
         return Offence(f"{name} and {other}, {value}", row.time, (row.actor, row.other))
 
 
@@ -538,7 +528,7 @@ class ActorCount:
         message = f"{len(found)} {'actor' if len(found) == 1 else 'actors'} ({self.of})"
         if self.bounds.contain(len(found)):
             return Finding(True, message)
-        offences = tuple(Offence(f"{_name(each.id, each)} appears", each.spawned_at, (each.id,)) for each in found)
+        offences = tuple(Offence(f"{each.name} appears", each.spawned_at, (each.id,)) for each in found)
         return Finding(False, f"{message} instead of {self.bounds.text()}", offences)
 
 
@@ -582,12 +572,6 @@ def _value(value: float, unit: str, written: Written | None = None) -> str:
     unit, size = (unit, 1.0) if written is None else (written.unit, written.size)
     shown = value / size
     return f"{shown:.{2 if size <= 1 else 3}f} {unit}" if abs(shown) < _LARGE else f"{number(shown)} {unit}"
-
-
-def _name(id: int, actor: Actor | None) -> str:
-    if actor is None:
-        return f"actor {id}"
-    return HERO if actor.is_hero else f"{actor.type_id} ({id})"
 
 
 def _of(selector: Selector) -> str:

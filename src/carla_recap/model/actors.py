@@ -1,14 +1,227 @@
-"""The actors that are present at a time, and the order in which CARLA iterates over them."""
+"""The actors of a recording: who had an id when, and the order in which CARLA iterates over them."""
 
 from __future__ import annotations
 
+import math
+from bisect import bisect_right
+from dataclasses import dataclass, field
 from math import isqrt
-from typing import TYPE_CHECKING, Generic, TypeVar
+from numbers import Integral
+from typing import TYPE_CHECKING, Final, Generic, Literal, TypeVar
+
+from carla_recap.errors import RecapError
+from carla_recap.model.records import CM, NO_ACTOR, ActorKind, Spawn
+from carla_recap.util.text import readable
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator
+    from collections.abc import Iterable, Iterator, Sequence
+
+    from carla_recap.model.frame import Packet
 
 A = TypeVar("A")
+
+HERO: Final = "hero"
+ActorName = int | Literal["hero"]
+"""An actor: its id, or "hero", the first one with that role name."""
+ROAD_USERS: Final = ("vehicle", "walker")
+"""The kinds of actors that take part in traffic, the most important first."""
+STATIC_OBJECT: Final = "a static object"
+"""What a text calls an object that is no actor, such as a building or a barrier."""
+TYPES: Final = ("spawned", "destroyed", "parented", "bounding_boxes")
+"""The record types that describe actors."""
+
+_KINDS: Final = {kind.value: kind.name.lower() for kind in ActorKind}
+
+
+@dataclass(frozen=True, slots=True)
+class BoundingBox:
+    """The bounding box of an actor in its own axes, right-handed (x forward, y left, z up): centre and half extents in m."""
+
+    x: float
+    y: float
+    z: float
+    extent_x: float
+    extent_y: float
+    extent_z: float
+
+    @classmethod
+    def of(cls, sizes: Sequence[float]) -> BoundingBox | None:
+        """Return the box of a record; None unless it is finite and has a size.
+
+        Args:
+            sizes: Centre and half extents in cm, left-handed.
+        """
+        if not all(map(math.isfinite, sizes)) or min(sizes[3:]) <= 0:
+            return None
+        x, y, z, *extent = (size * CM for size in sizes)
+        return cls(x, -y, z, *extent)
+
+
+@dataclass(slots=True)
+class ActorLife:
+    """An actor of a recording, from its spawn to its end.
+
+    Attributes:
+        id: The actor id; if a recording uses it again, each actor that had it has a life.
+        type_id: The blueprint, such as vehicle.tesla.model3.
+        kind: The kind: vehicle, walker, traffic_light, traffic_sign, sensor, other; or CARLA's number, if unknown.
+        role_name: The attribute role_name, "" without one.
+        spawned_at: The elapsed seconds at which it appears.
+        destroyed_at: The elapsed seconds at which it disappears; None if it stays.
+        parent: The actor that it is attached to, if any.
+        attributes: All attributes, as text.
+        bounding_box: Its bounding box; None unless a finite one of positive size is recorded.
+        spawn: The record of its spawn, with its pose in cm and degrees, left-handed; no column of a table.
+    """
+
+    id: int
+    type_id: str
+    kind: str
+    role_name: str
+    spawned_at: float
+    destroyed_at: float | None = None
+    parent: int | None = None
+    attributes: dict[str, str] = field(default_factory=dict)
+    bounding_box: BoundingBox | None = None
+    spawn: Spawn = field(kw_only=True, repr=False, compare=False)
+
+    @classmethod
+    def of(cls, spawn: Spawn, elapsed: float) -> ActorLife:
+        """Return an actor that appears at some elapsed seconds."""
+        attributes = {readable(item.key): readable(item.value) for item in spawn.attributes}
+        kind = _KINDS.get(spawn.kind, str(spawn.kind))
+        role_name = attributes.get("role_name", "")
+        return cls(spawn.id, readable(spawn.type_id), kind, role_name, elapsed, attributes=attributes, spawn=spawn)
+
+    @property
+    def is_hero(self) -> bool:
+        """Whether its role_name is hero."""
+        return self.role_name == HERO
+
+    @property
+    def end(self) -> float:
+        """The elapsed seconds at which it disappears; inf if it stays."""
+        return math.inf if self.destroyed_at is None else self.destroyed_at
+
+    @property
+    def place(self) -> tuple[float, float, float]:
+        """The place of its spawn, in m, right-handed."""
+        return self.spawn.x * CM, -self.spawn.y * CM, self.spawn.z * CM
+
+    @property
+    def name(self) -> str:
+        """What a text calls it."""
+        return HERO if self.is_hero else f"{self.type_id} ({self.id})"
+
+
+class ActorLives:
+    """All actors of a recording, by id and time; iterable in order of appearance.
+
+    Args:
+        lives: The actors, in order of appearance; `add` adds more.
+    """
+
+    def __init__(self, lives: Iterable[ActorLife] = ()) -> None:
+        self._by_id: dict[int, list[ActorLife]] = {}
+        self._all: list[ActorLife] = []
+        self._present: dict[int, ActorLife] = {}
+        for life in lives:
+            self._append(life)
+
+    def __iter__(self) -> Iterator[ActorLife]:
+        return iter(self._all)
+
+    def add(self, packet: Packet, elapsed: float) -> None:
+        """Add a packet of a frame at a time in seconds; packets of other types than `TYPES` do not count."""
+        name, present = packet.type.name if packet.type else "", self._present
+        if name == "spawned":
+            for spawn in packet.records:
+                life = present[spawn.id] = ActorLife.of(spawn, elapsed)
+                self._append(life)
+        elif name in TYPES:
+            for id, *values in packet.records.tolist():  # type: ignore[union-attr]
+                if id not in present:
+                    continue
+                if name == "destroyed":
+                    present.pop(id).destroyed_at = elapsed
+                elif name == "parented":
+                    (present[id].parent,) = values
+                elif (box := BoundingBox.of(values)) is not None:
+                    present[id].bounding_box = box
+
+    def _append(self, life: ActorLife) -> None:
+        self._all.append(life)
+        self._by_id.setdefault(life.id, []).append(life)
+
+    def at(self, id: int, time: float) -> ActorLife | None:
+        """Return the actor that had an id at a time; the first one to have it, if none had it yet; None if unknown."""
+        lives = self._by_id.get(id)
+        return lives[max(bisect_right(lives, time, key=_spawned_at) - 1, 0)] if lives else None
+
+    def ids(self, *kinds: str) -> list[int]:
+        """Return the ids that an actor of some kinds had at some time; without kinds, all ids."""
+        return [id for id, lives in self._by_id.items() if not kinds or any(life.kind in kinds for life in lives)]
+
+    def reuses(self) -> dict[int, list[float]]:
+        """Return, by id, the times at which an actor gets the id of another one."""
+        return {id: [life.spawned_at for life in lives[1:]] for id, lives in self._by_id.items() if len(lives) > 1}
+
+    def kind(self, id: int, time: float) -> str:
+        """Return the kind of an actor; empty if unknown."""
+        life = self.at(id, time)
+        return life.kind if life else ""
+
+    def type_ids(self, ids: Iterable[int], time: float) -> tuple[str, ...]:
+        """Return the blueprints of actors; empty for unknown actors."""
+        return tuple(life.type_id if (life := self.at(id, time)) else "" for id in ids)
+
+    def is_object(self, id: int) -> bool:
+        """Return whether an id stands for a static object, which is no actor; before CARLA 0.9.13 that is 0."""
+        return id == NO_ACTOR or (id == 0 and id not in self._by_id)
+
+    def name(self, id: int, time: float) -> str:
+        """Return what a text calls an actor or a static object."""
+        life = self.at(id, time)
+        if life is not None:
+            return life.name
+        return STATIC_OBJECT if self.is_object(id) else f"actor {id}"
+
+
+def _spawned_at(life: ActorLife) -> float:
+    return life.spawned_at
+
+
+def find_actor(
+    location: object, known: Iterable[ActorLife], wanted: ActorName, what: str = "actor", purpose: str = ""
+) -> ActorLife:
+    """Return the actor that is asked for; of several that had its id, the first.
+
+    Args:
+        location: The recording, for messages.
+        known: The actors that can be asked for.
+        wanted: An id, or "hero".
+        what: The noun for such an actor, for messages.
+        purpose: What it is needed for, for messages, such as "to follow".
+
+    Raises:
+        RecapError: There is no such actor; the message names the hero, and vehicles and walkers of near ids.
+    """
+    known, end = list(known), f" {purpose}" if purpose else ""
+    if wanted != HERO and not isinstance(wanted, Integral):
+        raise RecapError(f"{location}: an actor id or 'hero' was expected{end}, found {wanted!r}")
+    found = next((actor for actor in known if (actor.is_hero if wanted == HERO else actor.id == wanted)), None)
+    if found is not None:
+        return found
+    if wanted == HERO:
+        raise RecapError(f"{location}: there is no hero{end} (no {what} has the role_name hero)")
+    ranks = {kind: rank for rank, kind in enumerate(ROAD_USERS)}
+    movers = [actor for actor in known if actor.is_hero or actor.kind in ranks]
+    near = sorted(
+        movers or known, key=lambda actor: (not actor.is_hero, ranks.get(actor.kind, len(ranks)), abs(actor.id - wanted))
+    )
+    names = {actor.id: f"{actor.id} ({HERO if actor.is_hero else actor.kind.replace('_', ' ')})" for actor in near}
+    some = ", ".join(list(names.values())[:3]) or "none"
+    raise RecapError(f"{location}: no {what} {wanted}{end}; known ids are {some}")
 
 
 class PresentActors(Generic[A]):

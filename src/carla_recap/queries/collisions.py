@@ -40,7 +40,7 @@ class CollisionRow:
         elapsed: Seconds since the recording began.
         frame: CARLA's frame number.
         letter1: The kind of the first actor: `v` vehicle, `w` walker, `t` traffic light, `o` other.
-        id1: Its id; 4294967295 for an object that is no actor, such as a building.
+        id1: Its id; 4294967295 for a static object, such as a building.
         type_id1: Its blueprint, such as `vehicle.audi.tt`; empty for an unknown actor.
         hero1: Whether it is the hero.
         letter2: The kind of the second actor.
@@ -49,7 +49,7 @@ class CollisionRow:
         hero2: Whether it is the hero.
         impact_speed: The speed of the first actor in the frame before, in m/s; NaN where it is unknown.
         relative_speed: The magnitude of the difference of both velocities in the frame before, in m/s; NaN where it is
-            unknown. What is no actor, and a traffic light, stands still.
+            unknown. A static object and a traffic light stand still.
     """
 
     elapsed: float

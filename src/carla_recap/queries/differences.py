@@ -13,10 +13,12 @@ from typing import TYPE_CHECKING, ClassVar, Final, Literal
 import numpy as np
 
 from carla_recap.errors import RecapError
+from carla_recap.model.actors import ActorLife, ActorLives
 from carla_recap.model.frame import SAME_TIME
-from carla_recap.queries.actors import Actor
+from carla_recap.model.records import Spawn
+from carla_recap.queries.actors import actors
 from carla_recap.queries.incidents import Incident, incidents
-from carla_recap.queries.matching import Life, LivesById, Match, MatchedBy, lives, match
+from carla_recap.queries.matching import Match, MatchedBy, match
 from carla_recap.queries.paths import PathComparison, PathTotals
 from carla_recap.tables import Rows
 from carla_recap.util.text import readable
@@ -155,10 +157,10 @@ class ActorDifferences(Rows[ActorDifference]):
     }
 
 
-class UnmatchedActors(Rows[Actor]):
+class UnmatchedActors(Rows[ActorLife]):
     """The actors that are in one of the recordings alone, in order of appearance."""
 
-    row_type = Actor
+    row_type = ActorLife
     row_units: ClassVar = {"spawned_at": "s", "destroyed_at": "s"}
 
 
@@ -256,36 +258,35 @@ def differences(
             raise RecapError(f"a {name} of {value:g} cannot be; it must be 0 or more")
     if time_tolerance is None:
         time_tolerance = TIME_TOLERANCE if tolerance > 0 else 0.0
-    ours, theirs = lives(a), lives(b)
-    by_id = LivesById(ours), LivesById(theirs)
-    ours, theirs = ([life for life in every if life.actor.type_id != _SPECTATOR] for every in (ours, theirs))
+    lives = ActorLives(actors(a)), ActorLives(actors(b))
+    ours, theirs = ([life for life in every if life.type_id != _SPECTATOR] for every in lives)
     matches = match(ours, theirs)
     tracks = {id(life): number for number, found in enumerate(matches) for life in (found.a, found.b)}
-    paths = PathComparison((a, b), by_id, tracks, len(matches), tolerance)
+    paths = PathComparison((a, b), lives, tracks, len(matches), tolerance)
     paths.read()
     tracked = list(enumerate(matches))
-    missing, extra = ([life.actor for life in every if id(life) not in tracks] for every in (ours, theirs))
+    missing, extra = ([life for life in every if id(life) not in tracks] for every in (ours, theirs))
     for number, track in paths.unknown.items():
         in_a, in_b = paths.totals.poses[:, track] > 0
-        life = Life(Actor(number, "", "", "", math.nan), (math.nan, math.nan, math.nan))
+        life = ActorLife(number, "", "", "", math.nan, spawn=Spawn(number, x=math.nan, y=math.nan, z=math.nan))
         if in_a and in_b:
             tracked.append((track, Match(life, life, "id")))
         elif in_a or in_b:
-            (missing if in_a else extra).append(life.actor)
+            (missing if in_a else extra).append(life)
     first, second = _compared(a, paths.elapsed[0]), _compared(b, paths.elapsed[1])
     clock = _clock(*paths.elapsed)
-    actors = _Actors(paths.totals, tolerance, time_tolerance, (first.duration, second.duration), same_clock=clock is None)
+    rows = _Actors(paths.totals, tolerance, time_tolerance, (first.duration, second.duration), same_clock=clock is None)
     lights = [_light(found, paths.totals, track, time_tolerance) for track, found in tracked if _is_light(found)]
     return Differences(
         a=first,
         b=second,
         tolerance=tolerance,
         time_tolerance=time_tolerance,
-        actors=ActorDifferences(sorted((actors.row(found, track) for track, found in tracked), key=_by_size)),
+        actors=ActorDifferences(sorted((rows.row(found, track) for track, found in tracked), key=_by_size)),
         missing=UnmatchedActors(missing),
         extra=UnmatchedActors(extra),
         lights=LightDifferences(sorted(lights, key=lambda row: (not row.differs, -row.seconds, row.id_a))),
-        events=EventDifferences(_events((a, b), by_id, tracks, time_tolerance) if events else []),
+        events=EventDifferences(_events((a, b), lives, tracks, time_tolerance) if events else []),
         clock=clock,
     )
 
@@ -340,7 +341,7 @@ class _Actors:
     def row(self, found: Match, track: int) -> ActorDifference:
         """Return the row of an actor."""
         totals = self._totals
-        a, b = found.a.actor, found.b.actor
+        a, b = found.a, found.b
         finite, first = int(totals.finite[track]), _known(totals.first_at[track])
         heading = float(totals.heading[track])
         differs = first is not None or a.type_id != b.type_id or self._lives_differ(a, b) or self._poses_differ(track)
@@ -368,7 +369,7 @@ class _Actors:
             destroyed_at_b=b.destroyed_at,
         )
 
-    def _lives_differ(self, a: Actor, b: Actor) -> bool:
+    def _lives_differ(self, a: ActorLife, b: ActorLife) -> bool:
         allowed = self._time_tolerance
         if _is_apart(a.spawned_at, b.spawned_at, allowed):
             return True
@@ -404,33 +405,33 @@ def _by_size(row: ActorDifference) -> tuple[bool, float, float, int]:
 
 
 def _is_light(found: Match) -> bool:
-    return found.a.actor.kind == "traffic_light"
+    return found.a.kind == "traffic_light"
 
 
 def _light(found: Match, totals: PathTotals, track: int, time_tolerance: float) -> LightDifference:
     first, seconds = _known(totals.light_first_at[track]), float(totals.light_seconds[track])
     differs = first is not None and (seconds > time_tolerance or not time_tolerance)
     x, y, _ = found.a.place
-    return LightDifference(found.a.actor.id, found.b.actor.id, x, y, differs, first, seconds)
+    return LightDifference(found.a.id, found.b.id, x, y, differs, first, seconds)
 
 
 # --- events --------------------------------------------------------------------------------------------------------------
 
 
 def _events(
-    sources: tuple[Reader, Reader], lives: tuple[LivesById, LivesById], tracks: dict[int, int], time_tolerance: float
+    sources: tuple[Reader, Reader], lives: tuple[ActorLives, ActorLives], tracks: dict[int, int], time_tolerance: float
 ) -> Iterator[EventDifference]:
     """Yield the incidents that are in one recording alone, or in both at different times, in order of time."""
 
     def subject(side: int, incident: Incident) -> Hashable:
-        found = [lives[side].get(number, incident.start) for number in incident.actors]
+        found = [lives[side].at(number, incident.start) for number in incident.actors]
         actors: list[tuple[int, int]] = []
         for number, life in zip(incident.actors, found, strict=True):
             if life is None:
                 actors.append((-1, number))
             elif id(life) in tracks:
                 actors.append((2, tracks[id(life)]))
-            elif life.actor.type_id == _SPECTATOR:
+            elif life.type_id == _SPECTATOR:
                 actors.append((3, 0))
             else:
                 actors.append((side, id(life)))
@@ -484,8 +485,8 @@ def _reasons(found: Differences) -> Iterator[str]:
     different = [row for row in found.actors if row.differs]
     if different:
         yield f"{len(different)} of {_count(len(found.actors), 'actor')} {_differ(different)}, {_largest(different)}"
-    for actors, side in ((found.missing, "A"), (found.extra, "B")):
-        count = sum(actor.kind != _SENSOR for actor in actors)
+    for alone, side in ((found.missing, "A"), (found.extra, "B")):
+        count = sum(actor.kind != _SENSOR for actor in alone)
         if count:
             yield f"{_count(count, 'actor')} only in {side}"
     lights = [row for row in found.lights if row.differs]

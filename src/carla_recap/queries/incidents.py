@@ -11,6 +11,8 @@ from typing import TYPE_CHECKING, ClassVar, Final, Literal, get_args
 import numpy as np
 
 from carla_recap.errors import RecapError
+from carla_recap.model.actors import ROAD_USERS, ActorLives
+from carla_recap.model.actors import TYPES as ACTOR_TYPES
 from carla_recap.model.braking import HALF_WINDOW, HARD, SHORTEST, BrakingDetector
 from carla_recap.model.braking import TYPES as BRAKING_TYPES
 from carla_recap.model.contacts import SAME_CONTACT
@@ -18,8 +20,6 @@ from carla_recap.model.records import CM
 from carla_recap.model.stationary import TYPES as STATIONARY_TYPES
 from carla_recap.model.stationary import StationaryTracker
 from carla_recap.queries import Answer
-from carla_recap.queries.actors import TYPES as ACTOR_TYPES
-from carla_recap.queries.actors import ActorCollector, ActorsByTime
 from carla_recap.queries.blocked import longest_first
 from carla_recap.queries.contacts import contact_starts, is_known
 from carla_recap.queries.measures.contacts import ContactTimes
@@ -57,7 +57,6 @@ KINDS: Final[tuple[Kind, ...]] = ("collision", "blocked", "hard braking")
 
 _AFTERMATH: Final = 0.5  # s after a contact in which a deceleration is part of it
 _KMH: Final = 3.6  # km/h in m/s
-_ROAD_USERS: Final = ("vehicle", "walker")
 
 Position = tuple[float, float, float]
 _UNKNOWN: Final[Position] = (math.nan, math.nan, math.nan)
@@ -71,8 +70,8 @@ class Incident:
         kind: What it is.
         start: The beginning, in elapsed seconds.
         stop: The end, in elapsed seconds; of a collision, the time of its last record.
-        actors: The ids of the actors, the most important first: the hero, else a vehicle, else a walker. What was hit but is
-            no actor (a wall, a kerb) is not included.
+        actors: The ids of the actors, the most important first: the hero, else a vehicle, else a walker. A static object
+            (a wall, a kerb) is not included.
         type_ids: The blueprint of each actor; empty for an unknown actor.
         x, y, z: The position of the first actor at the start, in m, right-handed; NaN where it is unknown.
         text: A description: a sentence without its full stop.
@@ -168,14 +167,13 @@ class IncidentSearch:
         wanted = _wanted(kinds, roads)
         collisions, braking = "collision" in wanted, "hard braking" in wanted
         self._source, self._start, self._stop = source, start, stop
-        collector, self._contacts, touching = ActorCollector(), _Contacts(), ContactTimes()
+        self._actors, self._contacts, touching = ActorLives(), _Contacts(), ContactTimes()
         for frame in source.frames((*ACTOR_TYPES, "collisions"), sparse=True, stop=stop):
             if not frame.elapsed < start:
                 self._contacts.add(frame)
             touching.add(frame)
             for packet in frame.packets:
-                collector.add(packet, frame.elapsed)
-        self._actors = ActorsByTime(collector.actors)
+                self._actors.add(packet, frame.elapsed)
         self._intervals = source.stationary_intervals(min_time, min_distance) if "blocked" in wanted else []
         is_listed = self._intervals is not None
         self._tracker = None if is_listed else StationaryTracker(source.header.table, min_time, min_distance)
@@ -188,7 +186,7 @@ class IncidentSearch:
         self._near = detector
         self._kinds = wanted
         of_road = roads is not None and not wanted.isdisjoint(ROAD_KINDS)
-        self._roads = RoadSearch(source, roads, collector.actors) if roads is not None and of_road else None
+        self._roads = RoadSearch(source, roads, self._actors) if roads is not None and of_road else None
         self._collisions = collisions
         self._unlocated = defaultdict(list)  # contacts by frame
         for contact in self._contacts if collisions else ():
@@ -270,7 +268,7 @@ def _wanted(kinds: Collection[Kind] | Literal["all"] | None, roads: RoadNetwork 
     return wanted
 
 
-def _of_road(events: Iterable[RoadEvent], actors: ActorsByTime, kinds: Collection[str]) -> Iterator[Incident]:
+def _of_road(events: Iterable[RoadEvent], actors: ActorLives, kinds: Collection[str]) -> Iterator[Incident]:
     for event in events:
         if event.kind in kinds and actors.kind(event.id, event.start) == "vehicle":
             ids = (event.id,)
@@ -337,29 +335,29 @@ def _locate(contacts: Iterable[_Contact], transforms: NDArray[np.void]) -> None:
                 contact.positions[id] = _metres(x, y, z)
 
 
-def _collisions(contacts: Iterable[_Contact], actors: ActorsByTime) -> Iterator[Incident]:
+def _collisions(contacts: Iterable[_Contact], actors: ActorLives) -> Iterator[Incident]:
     for contact in contacts:
         first, second = _ranked(contact, actors)
-        if actors.is_no_actor(first):
+        if actors.is_object(first):
             continue
-        ids = (first,) if actors.is_no_actor(second) else (first, second)
+        ids = (first,) if actors.is_object(second) else (first, second)
         position = next((contact.positions[id] for id in ids if id in contact.positions), _UNKNOWN)
         text = f"{actors.name(first, contact.start)} collides with {actors.name(second, contact.start)}"
         type_ids = actors.type_ids(ids, contact.start)
         yield Incident("collision", contact.start, contact.stop, ids, type_ids, *position, text)
 
 
-def _ranked(contact: _Contact, actors: ActorsByTime) -> tuple[int, int]:
-    """Return both ids: the hero first, else a vehicle, a walker, the actor with the sensor; what is no actor last."""
+def _ranked(contact: _Contact, actors: ActorLives) -> tuple[int, int]:
+    """Return both ids: the hero first, else a vehicle, a walker, the actor with the sensor; a static object last."""
 
     def rank(side: int) -> int:
         id = contact.ids[side]
-        actor = actors.get(id, contact.start)
-        if actors.is_no_actor(id):
+        actor = actors.at(id, contact.start)
+        if actors.is_object(id):
             return 5
         if contact.heroes[side] or (actor and actor.is_hero):
             return 0
-        return 1 + (*_ROAD_USERS, actor.kind).index(actor.kind) if actor else 4
+        return 1 + (*ROAD_USERS, actor.kind).index(actor.kind) if actor else 4
 
     first, second = sorted((0, 1), key=rank)
     return contact.ids[first], contact.ids[second]
@@ -368,15 +366,15 @@ def _ranked(contact: _Contact, actors: ActorsByTime) -> tuple[int, int]:
 # --- blocked actors and hard braking -------------------------------------------------------------------------------------
 
 
-def _blocked(rows: Iterable[BlockedRow], actors: ActorsByTime) -> Iterator[Incident]:
+def _blocked(rows: Iterable[BlockedRow], actors: ActorLives) -> Iterator[Incident]:
     for row in rows:
-        if actors.kind(row.id, row.start) in _ROAD_USERS:
+        if actors.kind(row.id, row.start) in ROAD_USERS:
             text = f"{actors.name(row.id, row.start)} stands still for {row.duration:.0f} s"
             position = _metres(row.x, row.y, row.z)
             yield Incident("blocked", row.start, row.start + row.duration, (row.id,), (row.type_id,), *position, text)
 
 
-def _braking(rows: Iterable[Braking], contacts: Iterable[_Contact], actors: ActorsByTime) -> Iterator[Incident]:
+def _braking(rows: Iterable[Braking], contacts: Iterable[_Contact], actors: ActorLives) -> Iterator[Incident]:
     slowed = _slowed_by(contacts)
     for row in rows:
         spans, ids = slowed.get(row.id, []), (row.id,)
@@ -390,7 +388,7 @@ def _braking(rows: Iterable[Braking], contacts: Iterable[_Contact], actors: Acto
         yield Incident("hard braking", row.start, stop, ids, actors.type_ids(ids, row.start), *position, text)
 
 
-def _near_misses(rows: Iterable[NearMiss], actors: ActorsByTime) -> Iterator[Incident]:
+def _near_misses(rows: Iterable[NearMiss], actors: ActorLives) -> Iterator[Incident]:
     for row in rows:
         first, second = (actors.name(id, row.start) for id in (row.id1, row.id2))
         at = f"at {row.time:.2f} s, at {row.speed * _KMH:.0f} km/h"
@@ -400,7 +398,7 @@ def _near_misses(rows: Iterable[NearMiss], actors: ActorsByTime) -> Iterator[Inc
             text = f"{first} comes within {row.time_to_collision:.1f} s of {second} {at}"
         else:
             text = f"{first} crosses the path of {second} {row.post_encroachment_time:.1f} s after it {at}"
-        ids, other = (row.id1, row.id2), actors.get(row.id2, row.start)
+        ids, other = (row.id1, row.id2), actors.at(row.id2, row.start)
         if (other is not None and other.is_hero) or actors.kind(row.id1, row.start) == "walker":
             ids = ids[::-1]
         yield Incident("near miss", row.start, row.stop, ids, actors.type_ids(ids, row.start), row.x, row.y, row.z, text)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from bisect import bisect_right
 from collections import Counter, defaultdict
 from dataclasses import dataclass
 from itertools import product
@@ -11,13 +10,11 @@ from typing import TYPE_CHECKING, Final, Literal
 
 import numpy as np
 
-from carla_recap.model.records import CM
-from carla_recap.queries.actors import TYPES, Actor, ActorCollector
-
 if TYPE_CHECKING:
     from collections.abc import Callable, Hashable, Iterable, Iterator, Sequence
 
-    from carla_recap.formats.base import Reader
+    from carla_recap.model.actors import ActorLife
+
 
 MatchedBy = Literal["role", "birth", "position", "parent", "order", "id"]
 """How two actors were recognized as the same.
@@ -41,78 +38,15 @@ Place = tuple[float, float, float]
 
 
 @dataclass(frozen=True, eq=False, slots=True)
-class Life:
-    """An actor, and where it appears.
-
-    Attributes:
-        actor: The actor.
-        place: The place of its spawn, in m, right-handed.
-    """
-
-    actor: Actor
-    place: Place
-
-    @property
-    def stop(self) -> float:
-        """The elapsed seconds at which it disappears; inf if it stays."""
-        return math.inf if self.actor.destroyed_at is None else self.actor.destroyed_at
-
-    @property
-    def blueprint(self) -> tuple[str, str]:
-        """Its kind and blueprint."""
-        return self.actor.kind, self.actor.type_id
-
-
-@dataclass(frozen=True, eq=False, slots=True)
 class Match:
     """An actor of one recording and the same actor of another."""
 
-    a: Life
-    b: Life
+    a: ActorLife
+    b: ActorLife
     by: MatchedBy
 
 
-def lives(source: Reader) -> list[Life]:
-    """Return the actors of a recording and where they appear, in this order.
-
-    Raises:
-        FormatError: The file contradicts its format.
-    """
-    collector, places = ActorCollector(), list[Place]()
-    for frame in source.frames(TYPES, sparse=True):
-        for packet in frame.packets:
-            collector.add(packet, frame.elapsed)
-            if packet.type is not None and packet.type.name == "spawned":
-                places += [(spawn.x * CM, -spawn.y * CM, spawn.z * CM) for spawn in packet.records]
-    return [Life(actor, place) for actor, place in zip(collector.actors, places, strict=True)]
-
-
-class LivesById:
-    """The actors of a recording by id and time."""
-
-    def __init__(self, lives: Iterable[Life]) -> None:
-        self._lives: dict[int, list[Life]] = defaultdict(list)
-        for life in lives:
-            self._lives[life.actor.id].append(life)
-
-    def get(self, id: int, time: float) -> Life | None:
-        """Return the actor that had an id at a time; the next one to have it, if none had it yet; None if unknown."""
-        found = self._lives.get(id)
-        if not found:
-            return None
-        later = bisect_right(found, time, key=lambda life: life.actor.spawned_at)
-        return found[max(later - 1, 0)]
-
-    def ids(self) -> list[int]:
-        """Return all ids."""
-        return list(self._lives)
-
-    def reuses(self) -> dict[int, list[float]]:
-        """Return, by id, the times at which an actor gets the id of another one."""
-        return {id: [life.actor.spawned_at for life in found[1:]] for id, found in self._lives.items() if len(found) > 1}
-
-
-def match(a: Sequence[Life], b: Sequence[Life]) -> list[Match]:
+def match(a: Sequence[ActorLife], b: Sequence[ActorLife]) -> list[Match]:
     """Return the actors that are in both of two recordings, in the order of the first one.
 
     The rules, each for the actors that the ones before have left: a role_name that is unique in both recordings; blueprint,
@@ -132,19 +66,19 @@ def match(a: Sequence[Life], b: Sequence[Life]) -> list[Match]:
 class _Matching:
     """Matches of two recordings, and the actors that are left."""
 
-    def __init__(self, a: Sequence[Life], b: Sequence[Life]) -> None:
+    def __init__(self, a: Sequence[ActorLife], b: Sequence[ActorLife]) -> None:
         self.found: list[Match] = []
         self._all = a, b
-        self._left: tuple[dict[Life, None], dict[Life, None]] = dict.fromkeys(a), dict.fromkeys(b)
+        self._left = {id(life): life for life in a}, {id(life): life for life in b}
 
-    def _add(self, a: Life, b: Life, by: MatchedBy) -> None:
+    def _add(self, a: ActorLife, b: ActorLife, by: MatchedBy) -> None:
         self.found.append(Match(a, b, by))
-        del self._left[0][a], self._left[1][b]
+        del self._left[0][id(a)], self._left[1][id(b)]
 
     def by_role(self) -> None:
-        def unique(lives: Iterable[Life]) -> dict[tuple[str, str], Life]:
-            roles = {(life.actor.kind, life.actor.role_name): life for life in lives if life.actor.role_name}
-            counts = Counter((life.actor.kind, life.actor.role_name) for life in lives)
+        def unique(lives: Iterable[ActorLife]) -> dict[tuple[str, str], ActorLife]:
+            roles = {(life.kind, life.role_name): life for life in lives if life.role_name}
+            counts = Counter((life.kind, life.role_name) for life in lives)
             return {role: life for role, life in roles.items() if counts[role] == 1}
 
         others = unique(self._all[1])
@@ -153,57 +87,57 @@ class _Matching:
                 self._add(life, others[role], "role")
 
     def by_birth(self) -> None:
-        def exact(life: Life) -> Hashable:
+        def exact(life: ActorLife) -> Hashable:
             # A place as text, so that a NaN equals itself.
-            return *life.blueprint, str(life.place), life.actor.spawned_at
+            return *_blueprint(life), str(life.place), life.spawned_at
 
-        self._pair(lambda life: (exact(life), life.actor.id))
+        self._pair(lambda life: (exact(life), life.id))
         self._pair(exact)
-        grid: dict[Hashable, list[Life]] = defaultdict(list)
-        for life in self._left[1]:
+        grid: dict[Hashable, list[ActorLife]] = defaultdict(list)
+        for life in self._left[1].values():
             cell = _cell(life.place)
             if cell is not None:
-                grid[(*life.blueprint, *cell)].append(life)
-        near: list[tuple[float, float, bool, int, Life, Life]] = []
-        for number, life in enumerate(self._left[0]):
+                grid[(*_blueprint(life), *cell)].append(life)
+        near: list[tuple[float, float, bool, int, ActorLife, ActorLife]] = []
+        for number, life in enumerate(self._left[0].values()):
             for other in _neighbours(grid, life):
                 distance, seconds = _apart(life, other)
                 if distance <= SAME_PLACE and seconds <= SAME_BIRTH:
-                    near.append((distance, seconds, life.actor.id != other.actor.id, number, life, other))
+                    near.append((distance, seconds, life.id != other.id, number, life, other))
         for *_, life, other in sorted(near, key=lambda row: row[:4]):
-            if life in self._left[0] and other in self._left[1]:
+            if id(life) in self._left[0] and id(other) in self._left[1]:
                 self._add(life, other, _birth(life))
 
     def by_parent(self) -> None:
-        partner = {(match.a.actor.id): match.b.actor.id for match in self.found}
+        partner = {(match.a.id): match.b.id for match in self.found}
         known = set(partner.values())
 
-        def attached(life: Life, parent: int | None) -> Hashable:
-            return None if parent is None else (*life.blueprint, life.actor.role_name, parent)
+        def attached(life: ActorLife, parent: int | None) -> Hashable:
+            return None if parent is None else (*_blueprint(life), life.role_name, parent)
 
         self._pair(
-            lambda life: attached(life, partner.get(life.actor.parent) if life.actor.parent is not None else None),
-            lambda life: attached(life, life.actor.parent if life.actor.parent in known else None),
+            lambda life: attached(life, partner.get(life.parent) if life.parent is not None else None),
+            lambda life: attached(life, life.parent if life.parent in known else None),
             by="parent",
         )
 
     def by_order(self) -> None:
-        groups: dict[tuple[str, str], tuple[list[Life], list[Life]]] = defaultdict(lambda: ([], []))
+        groups: dict[tuple[str, str], tuple[list[ActorLife], list[ActorLife]]] = defaultdict(lambda: ([], []))
         for side in (0, 1):
-            for life in self._left[side]:
-                if life.actor.kind not in _STATIC:
-                    groups[life.blueprint][side].append(life)
+            for life in self._left[side].values():
+                if life.kind not in _STATIC:
+                    groups[_blueprint(life)][side].append(life)
         for a, b in groups.values():
             if not a or not b:
                 continue
             places = np.array([other.place for other in b])
-            starts = np.array([other.actor.spawned_at for other in b])
-            stops = np.array([other.stop for other in b])
+            starts = np.array([other.spawned_at for other in b])
+            stops = np.array([other.end for other in b])
             is_free = np.ones(len(b), np.bool_)
             for life in a:
                 with np.errstate(invalid="ignore", over="ignore"):
                     is_far = np.linalg.norm(places - life.place, axis=1) > NEAR
-                    is_other = (life.stop <= starts) | (stops <= life.actor.spawned_at)
+                    is_other = (life.end <= starts) | (stops <= life.spawned_at)
                 fitting = is_free & ~is_far & ~is_other
                 index = int(fitting.argmax())
                 if fitting[index]:
@@ -212,22 +146,26 @@ class _Matching:
 
     def _pair(
         self,
-        key: Callable[[Life], Hashable],
-        key_of_b: Callable[[Life], Hashable] | None = None,
+        key: Callable[[ActorLife], Hashable],
+        key_of_b: Callable[[ActorLife], Hashable] | None = None,
         by: MatchedBy | None = None,
     ) -> None:
         """Match actors with the same key, in their order, except for actors whose key is None."""
-        groups: dict[Hashable, list[Life]] = defaultdict(list)
-        for life in reversed(self._left[1]):
+        groups: dict[Hashable, list[ActorLife]] = defaultdict(list)
+        for life in reversed(self._left[1].values()):
             groups[(key_of_b or key)(life)].append(life)
-        for life in list(self._left[0]):
+        for life in list(self._left[0].values()):
             group = key(life)
             if group is not None and groups.get(group):
                 self._add(life, groups[group].pop(), by or _birth(life))
 
 
-def _birth(life: Life) -> MatchedBy:
-    return "position" if life.actor.kind in _STATIC else "birth"
+def _blueprint(life: ActorLife) -> tuple[str, str]:
+    return life.kind, life.type_id
+
+
+def _birth(life: ActorLife) -> MatchedBy:
+    return "position" if life.kind in _STATIC else "birth"
 
 
 def _cell(place: Place) -> tuple[int, int, int] | None:
@@ -238,15 +176,15 @@ def _cell(place: Place) -> tuple[int, int, int] | None:
     return math.floor(x / SAME_PLACE), math.floor(y / SAME_PLACE), math.floor(z / SAME_PLACE)
 
 
-def _neighbours(grid: dict[Hashable, list[Life]], life: Life) -> Iterator[Life]:
+def _neighbours(grid: dict[Hashable, list[ActorLife]], life: ActorLife) -> Iterator[ActorLife]:
     """Yield the actors of the same blueprint that may be near; of many, the first ones."""
     cell = _cell(life.place)
     for step in product((-1, 0, 1), repeat=3) if cell is not None else ():
         x, y, z = (coordinate + change for coordinate, change in zip(cell or (), step, strict=True))
-        yield from grid.get((*life.blueprint, x, y, z), ())[:_CANDIDATES]
+        yield from grid.get((*_blueprint(life), x, y, z), ())[:_CANDIDATES]
 
 
-def _apart(life: Life, other: Life) -> tuple[float, float]:
+def _apart(life: ActorLife, other: ActorLife) -> tuple[float, float]:
     """Return the distance of the spawns of two actors in m, and the seconds between them, which do not count for lights."""
-    seconds = 0.0 if life.actor.kind in _STATIC else abs(life.actor.spawned_at - other.actor.spawned_at)
+    seconds = 0.0 if life.kind in _STATIC else abs(life.spawned_at - other.spawned_at)
     return math.dist(life.place, other.place), seconds

@@ -22,8 +22,8 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from carla_recap.formats.base import Reader
+    from carla_recap.model.actors import ActorLives
     from carla_recap.model.batch import Batch
-    from carla_recap.queries.matching import LivesById
 
     Booleans = NDArray[np.bool_]
     Floats = NDArray[np.float64]
@@ -96,7 +96,7 @@ class PathComparison:
     def __init__(
         self,
         sources: tuple[Reader, Reader],
-        lives: tuple[LivesById, LivesById],
+        lives: tuple[ActorLives, ActorLives],
         tracks: dict[int, int],
         count: int,
         tolerance: float,
@@ -404,7 +404,7 @@ class _Tracks:
         unknown: Returns the track of an id that no actor has.
     """
 
-    def __init__(self, lives: LivesById, tracks: dict[int, int], unknown: Callable[[int], int]) -> None:
+    def __init__(self, lives: ActorLives, tracks: dict[int, int], unknown: Callable[[int], int]) -> None:
         self._lives, self._tracks, self._unknown = lives, tracks, unknown
         reuses = lives.reuses()
         self.changes: Floats = np.unique([time for times in reuses.values() for time in times])
@@ -424,7 +424,7 @@ class _Tracks:
         return found
 
     def _track(self, id: int, time: float) -> int:
-        life = self._lives.get(id, time)
+        life = self._lives.at(id, time)
         return self._unknown(id) if life is None else self._tracks.get(builtins.id(life), -1)
 
 

@@ -15,7 +15,7 @@ from carla_recap.util.text import readable
 if TYPE_CHECKING:
     from collections.abc import Mapping
 
-    from carla_recap.queries.actors import BoundingBox
+    from carla_recap.model.actors import BoundingBox
     from carla_recap.replay.events import Present
 
 Triple = tuple[float, float, float]

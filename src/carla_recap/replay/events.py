@@ -12,8 +12,8 @@ from carla_recap.util.text import readable
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
+    from carla_recap.model.actors import BoundingBox
     from carla_recap.model.records import Spawn
-    from carla_recap.queries.actors import BoundingBox
 
 
 @dataclass(frozen=True, slots=True)
@@ -102,7 +102,7 @@ class Collided(Event):
     Attributes:
         number: CARLA's number of the collision.
         actor1: The actor that has the sensor.
-        actor2: What it touched; 4294967295 for what is no actor.
+        actor2: What it touched; 4294967295 for a static object.
         hero1: Whether the first one is the hero.
         hero2: Whether the second one is.
     """

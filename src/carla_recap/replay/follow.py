@@ -8,7 +8,8 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 
 from carla_recap.errors import RecapError
-from carla_recap.queries.actors import HERO, ActorName, actors, find_actor
+from carla_recap.model.actors import HERO, ROAD_USERS, ActorName, find_actor
+from carla_recap.queries.actors import actors
 from carla_recap.replay.pose import JUMP, LOCATION, TOP_SPEED
 from carla_recap.replay.selection import NO_IDS, Ids, Selection, array, find, numbers
 
@@ -18,7 +19,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from carla_recap.formats.base import Reader
-    from carla_recap.queries.actors import Actor
+    from carla_recap.model.actors import ActorLife
 
 __all__ = ["HERO", "Follow", "choose_followed", "find_followed"]
 
@@ -70,19 +71,19 @@ def choose_followed(reader: Reader, *, start: float = 0.0, stop: float = math.in
     if hero is not None:
         return hero
     kinds = {actor.id: actor.kind for actor in present if actor.type_id != "spectator"}
-    collided = _first_to_collide(reader, {id for id in kinds if kinds[id] in ("vehicle", "walker")}, start, stop)
+    collided = _first_to_collide(reader, {id for id in kinds if kinds[id] in ROAD_USERS}, start, stop)
     if collided is not None:
         return collided
     distances = _distances(reader, start, stop)
-    for kind in ("vehicle", "walker", "other"):
+    for kind in (*ROAD_USERS, "other"):
         those = {id: distance for id, distance in distances.items() if kinds.get(id) == kind}
         if those and (max(those.values()) > 0 or kind != "other"):
             return max(those, key=those.__getitem__)
     return None
 
 
-def _is_present(actor: Actor, start: float, stop: float) -> bool:
-    return actor.spawned_at <= stop and (actor.destroyed_at is None or actor.destroyed_at > start)
+def _is_present(actor: ActorLife, start: float, stop: float) -> bool:
+    return actor.spawned_at <= stop and actor.end > start
 
 
 def _first_to_collide(reader: Reader, ids: set[int], start: float, stop: float) -> int | None:

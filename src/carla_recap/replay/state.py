@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections import defaultdict
 from dataclasses import replace
 from types import MappingProxyType
@@ -10,8 +9,8 @@ from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
-from carla_recap.model.records import CM, ActorKind, Spawn
-from carla_recap.queries.actors import BoundingBox
+from carla_recap.model.actors import BoundingBox
+from carla_recap.model.records import ActorKind, Spawn
 from carla_recap.replay.events import Collided, Destroyed, Event, Parented, Present, Spawned
 from carla_recap.replay.selection import NO_IDS, Ids, Selection, merged
 
@@ -170,9 +169,8 @@ class ReplayState:
     def _box(self, records: NDArray[np.void], elapsed: float) -> None:
         self._unshare()
         for id, *sizes in records.tolist():
-            if id in self._actors and all(map(math.isfinite, sizes)) and min(sizes[3:]) > 0:
-                x, y, z, *extent = (size * CM for size in sizes)
-                self._actors[id] = replace(self._actors[id], box=BoundingBox(x, -y, z, *extent))
+            if id in self._actors and (box := BoundingBox.of(sizes)) is not None:
+                self._actors[id] = replace(self._actors[id], box=box)
 
     def _change_weather(self, records: NDArray[np.void], elapsed: float) -> None:
         self.weather = records[-1]

@@ -129,7 +129,12 @@ class Rows(list[T], Tabular):
         if row_type is None:
             return {}
         hints = get_type_hints(row_type)
-        return {field.name: hints[field.name] for field in fields(row_type)}
+        return {name: hints[name] for name in column_names(row_type)}
+
+
+def column_names(row_type: type[Any]) -> list[str]:
+    """Return the names of a dataclass's columns: of all fields that its `repr` shows."""
+    return [field.name for field in fields(row_type) if field.repr]
 
 
 _NUMBERS = (int, float, bool)

@@ -8,7 +8,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from carla_recap.queries.actors import ActorsByTime, actors
+from carla_recap.model.actors import ActorLives
+from carla_recap.queries.actors import actors
 from carla_recap.queries.measures import post_encroachment_time
 from carla_recap.queries.measures.encroachment import Path, encroachments
 from carla_recap.queries.measures.motion import TYPES, MotionCollector
@@ -89,7 +90,7 @@ def circling(id: int, x: float, y: float, radius: float, speed: float) -> Mover:
 
 def arrivals(reader: Reader, size: int) -> set[tuple[int, int, int, int]]:
     """Return the actors that leave a spot, those that arrive, and the frames of both, for a block size in frames."""
-    collector = MotionCollector(ActorsByTime(actors(reader)))
+    collector = MotionCollector(ActorLives(actors(reader)))
     blocks = [block for batch in reader.batches(TYPES) for block in collector.add(batch)]
     found = set()
     for block in [*blocks, *collector.finish()]:

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from carla_recap.formats import open_reader
-from carla_recap.queries.actors import ActorCollector, ActorsByTime
+from carla_recap.model.actors import ActorLives
 from carla_recap.queries.measures.contacts import ContactTimes
 from carla_recap.queries.measures.near_misses import TYPES, NearMissDetector
 from tests.queries.measures.conftest import Mover, straight
@@ -23,12 +23,12 @@ SAMPLES = Path(__file__).parents[3] / "samples"
 
 
 def near_misses(reader: Reader, ids: frozenset[int] | None = None, **thresholds: float) -> list[NearMiss]:
-    collector, contacts = ActorCollector(), ContactTimes()
+    collector, contacts = ActorLives(), ContactTimes()
     for frame in reader.frames(("spawned", "destroyed", "parented", "bounding_boxes", "collisions"), sparse=True):
         contacts.add(frame)
         for packet in frame.packets:
             collector.add(packet, frame.elapsed)
-    detector = NearMissDetector(ActorsByTime(collector.actors), contacts, ids, **thresholds)
+    detector = NearMissDetector(collector, contacts, ids, **thresholds)
     for batch in reader.batches(TYPES):
         detector.batch(batch)
     return detector.finish()

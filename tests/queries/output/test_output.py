@@ -102,7 +102,7 @@ def test_table_of_collisions(make: Make) -> None:
     lines = [" ".join(line.split()) for line in printed(collisions(reader)).splitlines()]
     assert lines[0] == "Town01, 09/13/20 12:26:40, version 1"
     assert "Time (s) Frame Id Actor 1 Id Actor 2 Impact (m/s) Relative (m/s)" in lines
-    assert "0.50 2 1 vehicle.a (hero) 4294967295 no actor 5.00 5.00" in lines
+    assert "0.50 2 1 vehicle.a (hero) a static object 5.00 5.00" in lines
     assert "0.50 2 1 vehicle.a 9 unknown 5.00" in lines
     assert lines[-1] == "2 rows; 2 frames, 0.5 seconds"
 

@@ -11,8 +11,8 @@ import numpy as np
 
 from carla_recap.export.report.base_map import LAYERS
 from carla_recap.export.style import OTHER, box_of, color_of, label_of, style_of
+from carla_recap.model.actors import BoundingBox
 from carla_recap.model.records import ActorKind
-from carla_recap.queries.actors import BoundingBox
 from carla_recap.rendering.looks import look_of_present
 from carla_recap.rendering.materials import Tag
 

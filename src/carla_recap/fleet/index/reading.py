@@ -12,11 +12,11 @@ from carla_recap.errors import RecapError
 from carla_recap.fleet.index.tables import CHILDREN
 from carla_recap.formats import open_reader
 from carla_recap.maps import find_road_network, load_road_network
+from carla_recap.model.actors import TYPES as ACTOR_TYPES
 from carla_recap.model.frame import SAME_TIME, Frame
 from carla_recap.model.records import CM
 from carla_recap.model.stationary import MIN_DISTANCE, StationaryTracker
 from carla_recap.model.stationary import TYPES as STATIONARY_TYPES
-from carla_recap.queries.actors import TYPES as ACTOR_TYPES
 from carla_recap.queries.actors import actors
 from carla_recap.queries.collisions import collisions
 from carla_recap.queries.incidents import incidents
@@ -29,10 +29,10 @@ if TYPE_CHECKING:
 
     from carla_recap.fleet.sources import SourceFile
     from carla_recap.formats.base import Reader
+    from carla_recap.model.actors import ActorLife
     from carla_recap.model.batch import Batch
     from carla_recap.model.roads import RoadNetwork
     from carla_recap.model.stationary import BlockedRow
-    from carla_recap.queries.actors import Actor
 
 Columns = list[list[Any]]
 """The values of a table's columns, in their order."""
@@ -118,7 +118,7 @@ def _fields(table: str) -> Callable[[Any], tuple[Any, ...]]:
     return attrgetter(*next(each.hints for each in CHILDREN if each.name == table))
 
 
-def _actor_row(actor: Actor) -> tuple[Any, ...]:
+def _actor_row(actor: ActorLife) -> tuple[Any, ...]:
     return *_actor(actor), list(actor.attributes.items()), actor.bounding_box and _box(actor.bounding_box)
 
 

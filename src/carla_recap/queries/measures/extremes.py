@@ -10,9 +10,9 @@ from typing import TYPE_CHECKING, Any, ClassVar, Final, Literal
 import numpy as np
 
 from carla_recap.errors import RecapError
+from carla_recap.model.actors import HERO, ActorLives, find_actor
+from carla_recap.model.actors import TYPES as ACTOR_TYPES
 from carla_recap.queries import Answer
-from carla_recap.queries.actors import HERO, ActorCollector, ActorsByTime, find_actor
-from carla_recap.queries.actors import TYPES as ACTOR_TYPES
 from carla_recap.queries.measures.contacts import ContactTimes
 from carla_recap.queries.measures.encroachment import STEP, encroachments, path_of, refined
 from carla_recap.queries.measures.motion import KINDS, TYPES, MotionCollector
@@ -27,9 +27,9 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from carla_recap.formats.base import Reader
+    from carla_recap.model.actors import ActorLife
     from carla_recap.model.batch import Batch
     from carla_recap.model.roads import RoadNetwork
-    from carla_recap.queries.actors import Actor
     from carla_recap.queries.measures.motion import MotionBlock
     from carla_recap.queries.measures.series import Criticality
 
@@ -115,14 +115,14 @@ class MeasureSearch:
         stop: float = math.inf,
     ) -> None:
         self._source, self._start, self._stop = source, start, stop
-        collector, self._contacts = ActorCollector(), ContactTimes()
+        lives, self._contacts = ActorLives(), ContactTimes()
         for frame in source.frames((*ACTOR_TYPES, "collisions"), sparse=True, stop=stop):
             self._contacts.add(frame)
             for packet in frame.packets:
-                collector.add(packet, frame.elapsed)
-        self._subjects = _subjects(source, collector.actors, actors)
-        self._motion = MotionCollector(ActorsByTime(collector.actors))
-        self._roads = None if roads is None else RoadSearch(source, roads, collector.actors)
+                lives.add(packet, frame.elapsed)
+        self._subjects = _subjects(source, lives, actors)
+        self._motion = MotionCollector(lives)
+        self._roads = None if roads is None else RoadSearch(source, roads, lives)
         self._extremes: dict[int, dict[str, _Extreme]] = {id: {} for id in self._subjects}
 
     def read(self) -> None:
@@ -249,17 +249,17 @@ class _Extreme:
 
     __slots__ = ("other", "time", "value")
 
-    def __init__(self, value: float, time: float, other: Actor | None) -> None:
+    def __init__(self, value: float, time: float, other: ActorLife | None) -> None:
         self.value, self.time, self.other = value, time, other
 
 
-def _subjects(source: Reader, recorded: list[Actor], wanted: Subjects) -> dict[int, Actor]:
+def _subjects(source: Reader, recorded: ActorLives, wanted: Subjects) -> dict[int, ActorLife]:
     """Return the actors to measure by id; of those that had one id, the first.
 
     Raises:
         RecapError: There is no such vehicle or walker, or no hero.
     """
-    movers: dict[int, Actor] = {}
+    movers: dict[int, ActorLife] = {}
     for actor in recorded:
         if actor.kind in KINDS:
             movers.setdefault(actor.id, actor)

@@ -9,17 +9,17 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
+from carla_recap.model.actors import BoundingBox
 from carla_recap.model.blueprints import blueprint_sizes
 from carla_recap.model.records import CM
-from carla_recap.queries.actors import BoundingBox
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
     from numpy.typing import NDArray
 
+    from carla_recap.model.actors import ActorLife, ActorLives
     from carla_recap.model.batch import Batch
-    from carla_recap.queries.actors import Actor, ActorsByTime
 
     Booleans = NDArray[np.bool_]
     Floats = NDArray[np.float64]
@@ -72,7 +72,7 @@ class MotionBlock:
     last: int
     time: Floats
     ids: Ids
-    actors: tuple[Actor, ...]
+    actors: tuple[ActorLife, ...]
     is_vehicle: Booleans
     x: Floats
     y: Floats
@@ -117,9 +117,9 @@ class MotionCollector:
         actors: The actors of the recording.
     """
 
-    def __init__(self, actors: ActorsByTime) -> None:
+    def __init__(self, actors: ActorLives) -> None:
         self._actors = actors
-        self._known = np.array(sorted({id for kind in KINDS for id in actors.ids(kind)}), np.int64)
+        self._known = np.array(sorted(actors.ids(*KINDS)), np.int64)
         self._parts: list[_MotionPart] = []
         self._frames = 0  # of the parts
         self._done = 0  # the number of frames of the parts that have been in a block
@@ -215,7 +215,7 @@ class MotionCollector:
         parts = [part for _, part in self._within(start, stop)]
         time = np.concatenate([part.time for part in parts])
         middle = float(time[(first + last) // 2 - start])
-        found = [self._actors.get(id, middle) for id in ids.tolist()]
+        found = [self._actors.at(id, middle) for id in ids.tolist()]
         kept = [actor is not None and actor.kind in KINDS for actor in found]
         ids, actors = ids[kept], tuple(actor for actor in found if actor is not None and actor.kind in KINDS)
         pose, velocity = np.full((4, len(ids), len(time)), np.nan), np.full((2, len(ids), len(time)), np.nan)
@@ -251,7 +251,7 @@ class MotionCollector:
         )
 
 
-def box_of(actor: Actor) -> BoundingBox:
+def box_of(actor: ActorLife) -> BoundingBox:
     """Return the box of a vehicle or walker: as recorded, else of its blueprint's size, else that of its kind.
 
     Without either, a vehicle is 4.5 m long and 1.9 m wide, one of two wheels 2 m and 0.8 m, and a walker 0.5 m and 0.5 m.

@@ -23,8 +23,8 @@ from carla_recap.queries.measures.pairs import PairFrames, near_pairs
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
+    from carla_recap.model.actors import ActorLives
     from carla_recap.model.batch import Batch
-    from carla_recap.queries.actors import ActorsByTime
     from carla_recap.queries.measures.contacts import ContactTimes
     from carla_recap.queries.measures.motion import MotionBlock
     from carla_recap.queries.measures.over_time import SeriesCollector
@@ -109,7 +109,7 @@ class NearMissDetector:
 
     def __init__(
         self,
-        actors: ActorsByTime,
+        actors: ActorLives,
         contacts: ContactTimes,
         ids: frozenset[int] | None = None,
         *,

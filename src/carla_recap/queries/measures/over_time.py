@@ -8,7 +8,8 @@ from typing import TYPE_CHECKING, Any, ClassVar
 
 import numpy as np
 
-from carla_recap.queries.actors import ActorName, ActorsByTime, actors, find_actor
+from carla_recap.model.actors import ActorLives, ActorName, find_actor
+from carla_recap.queries.actors import actors
 from carla_recap.queries.measures.motion import KINDS, TYPES, MotionCollector
 from carla_recap.queries.measures.series import JERK_WINDOW, SPEED_WINDOW, criticality, slope
 from carla_recap.tables import Columns
@@ -94,7 +95,7 @@ def time_series(
         return find_actor(source.location, movers, name, "vehicle or walker", "to measure").id
 
     series = SeriesCollector(find(actor), None if other is None else find(other))
-    motion = MotionCollector(ActorsByTime(known))
+    motion = MotionCollector(ActorLives(known))
     for batch in source.batches(TYPES, start=start, stop=stop):
         for block in motion.add(batch):
             series.add(block)

@@ -24,9 +24,9 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from carla_recap.formats.base import Reader
+    from carla_recap.model.actors import ActorLife
     from carla_recap.model.batch import Batch
     from carla_recap.model.roads import LanePositions, RoadNetwork
-    from carla_recap.queries.actors import Actor
 
     Floats = NDArray[np.float64]
     Indices = NDArray[np.int64]
@@ -105,9 +105,9 @@ class RoadSearch:
         actors: The actors of the recording.
     """
 
-    def __init__(self, source: Reader, network: RoadNetwork, actors: Iterable[Actor]) -> None:
+    def __init__(self, source: Reader, network: RoadNetwork, actors: Iterable[ActorLife]) -> None:
         self._network = network
-        self._actors: dict[int, Actor] = {}
+        self._actors: dict[int, ActorLife] = {}
         for actor in actors:
             if actor.kind == "vehicle":
                 self._actors[actor.id] = actor
@@ -333,7 +333,7 @@ class RoadSearch:
                 yield run.event("speeding", text)
 
 
-def _box(actor: Actor) -> tuple[float, float]:
+def _box(actor: ActorLife) -> tuple[float, float]:
     """Return how far the centre of the box of a vehicle is ahead of its location, and half of its length, in m."""
     if actor.bounding_box is not None and actor.bounding_box.extent_x < _CELL:
         return actor.bounding_box.x, actor.bounding_box.extent_x

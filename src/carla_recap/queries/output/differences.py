@@ -6,7 +6,7 @@ import math
 from dataclasses import asdict, dataclass
 from typing import TYPE_CHECKING, Any, Final
 
-from carla_recap.queries.output.json import encoded
+from carla_recap.queries.output.json import encoded, rows
 from carla_recap.queries.output.table import most_important_first
 from carla_recap.queries.output.terminal import TableColumn, brief_actor, print_table
 from carla_recap.util.text import visible
@@ -115,8 +115,8 @@ def json(found: Differences) -> Iterator[str]:
     for name in ("actors", "missing", "extra", "lights", "events"):
         yield f', "{name}": ['
         separator = "\n"
-        for row in getattr(found, name):
-            yield separator + encoded(asdict(row))
+        for row in rows(getattr(found, name)):
+            yield separator + row
             separator = ",\n"
         yield "\n]"
     yield "}\n"

@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 import math
-from dataclasses import asdict, fields
+from dataclasses import asdict
 from json import JSONEncoder
 from typing import TYPE_CHECKING, Any, Final
 
+from carla_recap.tables import column_names
 from carla_recap.util.text import readable
 
 if TYPE_CHECKING:
@@ -31,7 +32,7 @@ def json(answer: AnyAnswer) -> Iterator[str]:
 
 def rows(answer: AnyAnswer, **more: Any) -> Iterator[str]:
     """Yield each row of an answer as a JSON object, with more fields in front."""
-    names = [field.name for field in fields(answer.row_type)]
+    names = column_names(answer.row_type)
     for row in answer:
         yield encoded({**more, **{name: getattr(row, name) for name in names}})
 

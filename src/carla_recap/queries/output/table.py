@@ -6,8 +6,9 @@ import math
 from itertools import islice
 from typing import TYPE_CHECKING, Any, Final, NamedTuple
 
+from carla_recap.model.actors import STATIC_OBJECT, ActorLife
 from carla_recap.model.records import NO_ACTOR
-from carla_recap.queries.actors import Actor, RecordedActors
+from carla_recap.queries.actors import RecordedActors
 from carla_recap.queries.blocked import Blocked, BlockedRow
 from carla_recap.queries.collisions import CollisionRow
 from carla_recap.queries.incidents import Incident
@@ -69,7 +70,7 @@ def in_order(answer: AnyAnswer) -> Iterable[Any]:
     return most_important_first(answer) if isinstance(answer, RecordedActors) else answer
 
 
-def most_important_first(actors: Iterable[Actor]) -> list[Actor]:
+def most_important_first(actors: Iterable[ActorLife]) -> list[ActorLife]:
     """Return actors in the order of tables: heroes, vehicles and walkers before what never moves."""
     return sorted(actors, key=lambda actor: (not actor.is_hero, _KINDS.get(actor.kind, len(_KINDS)), actor.id))
 
@@ -101,8 +102,12 @@ def _speed(value: float) -> str:
     return "" if math.isnan(value) else _seconds(value)
 
 
+def _id(id: int) -> str:
+    return "" if id == NO_ACTOR else str(id)
+
+
 def _actor(id: int, type_id: str, hero: bool = False) -> str:
-    name = type_id or ("no actor" if id == NO_ACTOR else "unknown")
+    name = type_id or (STATIC_OBJECT if id == NO_ACTOR else "unknown")
     return f"{name} (hero)" if hero else name
 
 
@@ -140,14 +145,14 @@ _COLUMNS: Final[dict[type, tuple[_Column, ...]]] = {
     CollisionRow: (
         _number("Time (s)", lambda row: _seconds(row.elapsed)),
         _number("Frame", lambda row: str(row.frame), rank=2),
-        _number("Id", lambda row: str(row.id1)),
+        _number("Id", lambda row: _id(row.id1)),
         _name("Actor 1", lambda row: _actor(row.id1, row.type_id1, row.hero1)),
-        _number("Id", lambda row: str(row.id2)),
+        _number("Id", lambda row: _id(row.id2)),
         _name("Actor 2", lambda row: _actor(row.id2, row.type_id2, row.hero2)),
         _number("Impact (m/s)", lambda row: _speed(row.impact_speed), rank=-1),
         _number("Relative (m/s)", lambda row: _speed(row.relative_speed), rank=1),
     ),
-    Actor: (
+    ActorLife: (
         _number("Id", lambda row: str(row.id)),
         _column("Kind", lambda row: row.kind, style=kind_style),
         _name("Actor", lambda row: row.type_id),

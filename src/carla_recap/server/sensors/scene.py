@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
-from carla_recap.queries.actors import BoundingBox
+from carla_recap.model.actors import BoundingBox
 from carla_recap.rendering.actors import (
     BRAKE,
     REVERSE,

@@ -12,7 +12,7 @@ from carla_recap.sim.geometry import Box, Location, Vector
 from carla_recap.util.text import readable
 
 if TYPE_CHECKING:
-    from carla_recap.queries.actors import BoundingBox
+    from carla_recap.model.actors import BoundingBox
     from carla_recap.replay.events import Present
     from carla_recap.sim.actors.blueprints import BlueprintLibrary
 
