@@ -13,8 +13,8 @@ if TYPE_CHECKING:
     from collections.abc import Iterator
     from pathlib import Path
 
-    from carla_recap.model.roads import RoadNetwork
     from carla_recap.queries.measures.road import RoadEvent
+    from carla_recap.roads.network import RoadNetwork
 
 POINTS: Final = 1_000_000
 MINUTES: Final = 10
@@ -71,7 +71,7 @@ def law_abiding(subject: Subject) -> Iterator[Line]:
 
 def town() -> RoadNetwork:
     """Return the roads of the built-in town."""
-    from carla_recap.maps import find_road_network
+    from carla_recap.roads import find_road_network
 
     roads = find_road_network("Brickfield")
     assert roads is not None

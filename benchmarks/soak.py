@@ -351,7 +351,7 @@ def connect(port: int) -> tuple[carla.Client, carla.World]:
 
 def copied_maps(folder: Path) -> Path:
     """Fill a folder with copies of the built-in town under the names of other maps."""
-    from carla_recap.maps.road_map import find_map
+    from carla_recap.roads.find import find_map
 
     built_in = find_map("Brickfield")
     assert built_in is not None

@@ -43,7 +43,6 @@ if TYPE_CHECKING:
     from carla_recap.fleet.rules import Rule, RuleSet, Verdict, check, load_rules
     from carla_recap.fleet.sources import SourceFile
     from carla_recap.formats import create_writer
-    from carla_recap.maps import RoadMap, load_map
     from carla_recap.model.batch import Batch
     from carla_recap.model.frame import Frame, Header
     from carla_recap.model.records import ActorKind, Attribute, Spawn, attributes
@@ -54,6 +53,7 @@ if TYPE_CHECKING:
     from carla_recap.queries.info import InfoRow
     from carla_recap.recording import Recording, RecordingInfo, open_recording
     from carla_recap.replay import Player, Scene
+    from carla_recap.roads import RoadMap, load_map
     from carla_recap.tables.records import RecordTable
     from carla_recap.tables.trajectories import Controls, LightStates, Trajectories, Trajectory
 
@@ -143,7 +143,7 @@ _get, __dir__ = lazily(
         "fleet.recordings": ("map_recordings", "open_recordings"),
         "fleet.sources": ("SourceFile",),
         "model.frame": ("Frame", "Header"),
-        "maps": ("RoadMap", "load_map"),
+        "roads": ("RoadMap", "load_map"),
         "model.actors": ("ActorLife",),
         "queries.blocked": ("BlockedRow",),
         "queries.collisions": ("CollisionRow",),

@@ -281,9 +281,9 @@ def _keep(world: CarlaWorld, config: pytest.Config, name: str, *, page: bool) ->
     from carla_recap.errors import RecapError
     from carla_recap.export.report import write_report
     from carla_recap.fleet.pages import opening_of
-    from carla_recap.maps import find_road_network
     from carla_recap.recording import open_recording
     from carla_recap.rendering.town import load_town_of
+    from carla_recap.roads import find_road_network
 
     kept, kept_page = _kept(config, name)
     lines = []

@@ -12,7 +12,7 @@ from mcap.reader import make_reader
 
 from carla_recap import open_recording
 from tests.cli.command import COMMAND, CROSSING, ENVIRONMENT, before_others, error, on_terminal, run, the_line, wrote
-from tests.maps.towns import town
+from tests.roads.towns import town
 from tests.samples import carla_log, reading
 from tests.waiting import PATIENCE
 

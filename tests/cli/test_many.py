@@ -14,7 +14,7 @@ from pathlib import Path
 import pytest
 
 from carla_recap import open_recording
-from carla_recap.maps import find_map
+from carla_recap.roads import find_map
 from tests.cli.command import COMMAND, CROSSING, ENVIRONMENT, answer, error, on_terminal, run, the_line
 from tests.waiting import PATIENCE, time_limit, wait_until
 

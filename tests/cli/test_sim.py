@@ -12,7 +12,7 @@ import pytest
 
 from carla_recap import open_recording
 from tests.cli.command import COMMAND, CROSSING, ENVIRONMENT, before_others, error, on_terminal, run, the_line, wrote
-from tests.maps.towns import town
+from tests.roads.towns import town
 from tests.samples import carla_log
 from tests.waiting import PATIENCE, wait_until
 

@@ -10,8 +10,8 @@ from carla_recap import create_recording, open_recording
 from carla_recap.editing.convert import convert
 from carla_recap.errors import RecapError, RecapWarning
 from carla_recap.export.clips import IncidentClip, clips
-from carla_recap.maps import RoadMap
 from carla_recap.model.records import Spawn
+from carla_recap.roads import RoadMap
 from tests.samples import images, names_in, save
 
 CROSSING = Path(__file__).parents[2] / "samples" / "crossing.log"

@@ -760,7 +760,7 @@ def test_many_spawns_and_destructions_are_counted(record):
 @pytest.fixture(scope="module")
 def brickfield():
     pytest.importorskip("carla", reason="CARLA's library is not installed")
-    from carla_recap.maps import find_map, load_map
+    from carla_recap.roads import find_map, load_map
 
     return load_map(find_map("Brickfield"))
 

@@ -10,11 +10,11 @@ import pytest
 from carla_recap import create_recording, open_recording
 from carla_recap.export.event_text import PlayedIncidents, incident_lines
 from carla_recap.export.report import write_report
-from carla_recap.maps.network import build_network, road_network_of_map
-from carla_recap.maps.road_map import RoadMap
 from carla_recap.model.records import Spawn
 from carla_recap.replay import Player
-from tests.maps.straight_road import LIGHT_POSITION, STRAIGHT_ROAD
+from carla_recap.roads import RoadMap
+from carla_recap.roads.surfaces import build_network, road_network_of_map
+from tests.roads.straight_road import LIGHT_POSITION, STRAIGHT_ROAD
 
 if TYPE_CHECKING:
     from collections.abc import Iterator

@@ -16,8 +16,8 @@ import pytest
 
 from carla_recap import ActorKind, MissingExtra, RecapError, RecapWarning, Spawn, open_recording
 from carla_recap.export import style
-from carla_recap.maps import RoadMap, load_map
 from carla_recap.replay import Player
+from carla_recap.roads import RoadMap, load_map
 from tests.replay.scripts import light, pose, spawn, velocity, write
 from tests.samples import CARLA_LOGS, carla_log, names_in
 

@@ -16,8 +16,8 @@ from PIL import Image
 from carla_recap import open_recording
 from carla_recap.errors import MissingExtra, RecapError
 from carla_recap.export.video import picture, snapshot
-from carla_recap.maps import find_map
 from carla_recap.rendering.town import load_town_mesh
+from carla_recap.roads import find_map
 from tests.cli.command import COMMAND, ENVIRONMENT, before_others, the_line
 from tests.export.conftest import SAMPLE
 from tests.replay.scripts import pose, spawn, write

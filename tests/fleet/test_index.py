@@ -12,7 +12,7 @@ import pytest
 from carla_recap import ActorKind, RecapError, Spawn, create_recording, open_index, open_recording, write_index
 from carla_recap.fleet.index.tables import TABLES
 from carla_recap.fleet.sources import SourceFile
-from carla_recap.maps import find_map, find_road_network
+from carla_recap.roads import find_map, find_road_network
 
 pytest.importorskip("pyarrow", reason="the extra `arrow` is not installed")
 

@@ -11,16 +11,16 @@ import pytest
 import carla_recap
 import carla_recap.rendering.town as town_module
 from carla_recap.errors import RecapError
-from carla_recap.maps.road_geometry import read_roads
 from carla_recap.model.records import ActorKind, Spawn
 from carla_recap.rendering.heights import TriangleGrid
 from carla_recap.rendering.materials import Material
 from carla_recap.rendering.mesh import Mesh
 from carla_recap.rendering.town import TownMesh, build_town, corridor_town, load_town_mesh, town_mesh_of
+from carla_recap.roads.opendrive import read_roads
 from carla_recap.util import cache
-from tests.maps.towns import crossing, lane, opendrive, painted_stop, road, stop_sign
-from tests.maps.towns import section as plain_section
-from tests.maps.towns import town as carla_town
+from tests.roads.towns import crossing, lane, opendrive, painted_stop, road, stop_sign
+from tests.roads.towns import section as plain_section
+from tests.roads.towns import town as carla_town
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -115,7 +115,7 @@ def test_what_is_no_map_is_refused(text: str):
 
 def test_the_lanes_are_where_carla_has_them(tmp_path):
     carla = pytest.importorskip("carla", reason="the extra carla is not installed")
-    from carla_recap.maps import find_map
+    from carla_recap.roads import find_map
 
     path = find_map("Brickfield")
     assert path is not None

@@ -13,7 +13,7 @@ import carla
 import msgpack
 import pytest
 
-from carla_recap.maps.road_map import loadable_maps
+from carla_recap.roads.find import loadable_maps
 from carla_recap.server import actor_records, navmesh, running
 from carla_recap.server import maps as server_maps
 from carla_recap.server.host import Host

@@ -14,7 +14,7 @@ from carla_recap.server.navmesh.detour import mesh_bytes
 from carla_recap.server.navmesh.surface import CORNERS, walkable_surface
 from carla_recap.server.navmesh.walkways import CROSSWALK, ROAD, SIDEWALK, WalkwayEditor
 from carla_recap.sim.town.town import BUILT_IN, Town, WalkwayGraph, load_town
-from tests.maps.towns import opendrive, road, town
+from tests.roads.towns import opendrive, road, town
 from tests.sim.flat import flat_town
 
 if TYPE_CHECKING:

@@ -22,7 +22,7 @@ from carla_recap.sim.actors.blueprints import standard_library
 from carla_recap.sim.actors.control import VehicleControl
 from carla_recap.sim.actors.moving import Vehicle
 from carla_recap.sim.geometry import Location, Rotation, Transform, Vector
-from tests.maps.towns import town
+from tests.roads.towns import town
 from tests.sim.flat import at, flat_town, flat_world
 
 if TYPE_CHECKING:

@@ -20,8 +20,8 @@ from carla_recap.errors import RecapError
 from carla_recap.export.rerun import LiveView, View, live_blueprint, piped, sent
 from carla_recap.export.viewer import GRPC_PORT, RerunViewer, has_display
 from carla_recap.export.viewer import HOST as LOOPBACK
-from carla_recap.maps import RoadMap, load_map
 from carla_recap.replay.follow import HERO, Follow
+from carla_recap.roads import RoadMap, load_map
 from carla_recap.util.files import WholeFile
 
 if TYPE_CHECKING:

@@ -18,10 +18,10 @@ if TYPE_CHECKING:
 
     from carla_recap.formats.base import Reader
     from carla_recap.formats.sources import TimeFragment
-    from carla_recap.maps import RoadMap
-    from carla_recap.model.roads import RoadNetwork
     from carla_recap.recording import Recording
     from carla_recap.rendering.town import TownMesh
+    from carla_recap.roads import RoadMap
+    from carla_recap.roads.network import RoadNetwork
 
     Command = Callable[..., Any]
 
@@ -350,8 +350,8 @@ def road_map_of(recording: Recording, path: str | None, start: float = 0.0, dura
     Raises:
         RecapError: The given folder has no such map, or the map is damaged.
     """
-    from carla_recap.maps import load_map
-    from carla_recap.maps.lookup import load_map_of
+    from carla_recap.replay.recorded_map import load_map_of
+    from carla_recap.roads import load_map
 
     return load_map_of(recording, path, load_map, lambda corridors: corridors, start, duration)
 
@@ -365,7 +365,7 @@ def town_of(recording: Recording, path: str | None, start: float = 0.0, duration
 
 def roads_of(recording: Recording, path: str | None) -> RoadNetwork | None:
     """Return the roads of a recording's town, for incidents and measures; None if its map is unknown; see `road_map_of`."""
-    from carla_recap.maps import load_road_network
+    from carla_recap.roads import load_road_network
 
     found = map_file_of(recording, path)
     return None if found is None else load_road_network(found)
@@ -373,6 +373,6 @@ def roads_of(recording: Recording, path: str | None) -> RoadNetwork | None:
 
 def map_file_of(recording: Recording, path: str | None) -> Path | None:
     """Return the OpenDRIVE file of a recording's town; None if it is unknown; see `road_map_of`."""
-    from carla_recap.maps.lookup import find_map_of
+    from carla_recap.replay.recorded_map import find_map_of
 
     return find_map_of(recording, path)

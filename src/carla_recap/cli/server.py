@@ -117,7 +117,7 @@ def serve(
 
 
 def _town(name: str, maps: Path | None, stand_in: bool) -> Town:
-    from carla_recap.maps.road_map import find_map, plain_name
+    from carla_recap.roads.find import find_map, plain_name
     from carla_recap.sim import load_town
 
     if stand_in and name and not name.endswith(".xodr") and find_map(name, maps) is None:

@@ -24,10 +24,10 @@ if TYPE_CHECKING:
 
     from carla_recap.export.video.film import Town
     from carla_recap.formats.base import Reader
-    from carla_recap.maps import RoadMap
-    from carla_recap.model.roads import RoadNetwork
     from carla_recap.queries.incidents import Incident, Incidents, Kind
     from carla_recap.rendering.process import RenderProcess
+    from carla_recap.roads import RoadMap
+    from carla_recap.roads.network import RoadNetwork
 
 COLLISIONS: Final[tuple[Kind, ...]] = ("collision",)
 LONGEST: Final = 60.0

@@ -22,10 +22,10 @@ if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator, Sequence
 
     from carla_recap.model.batch import Batch
-    from carla_recap.model.roads import RoadNetwork
     from carla_recap.queries.incidents import Incident, Kind
     from carla_recap.queries.measures import MeasureSeries
     from carla_recap.replay import Collided, Player, Present, Scene
+    from carla_recap.roads.network import RoadNetwork
 
 _MANY: Final = 5  # the number of actors that appear or disappear in a scene from which on they are counted, not named
 _PAUSE: Final = 1.0  # s; actors that touch again within this time are still in the same contact

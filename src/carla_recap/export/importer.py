@@ -19,9 +19,9 @@ if TYPE_CHECKING:
     from argparse import Namespace
     from collections.abc import Iterable, Iterator
 
-    from carla_recap.maps import RoadMap
     from carla_recap.model.frame import Header
     from carla_recap.replay import Player, Scene
+    from carla_recap.roads import RoadMap
 
 NOT_OURS: Final = 66
 """The exit code for files that are not recordings; the viewer then tries the next importer."""
@@ -117,7 +117,7 @@ def _send(data: bytes) -> None:
 
 def _road_map(header: Header) -> RoadMap | None:
     """Return the map, or None if it is missing or cannot be read."""
-    from carla_recap.maps import find_map, load_map
+    from carla_recap.roads import find_map, load_map
 
     path = find_map(header.map_name)
     try:

@@ -26,9 +26,9 @@ if TYPE_CHECKING:
     from types import TracebackType
 
     from carla_recap.formats.base import Reader
-    from carla_recap.maps import RoadMap
     from carla_recap.replay.follow import Follow
     from carla_recap.replay.player import Progress
+    from carla_recap.roads import RoadMap
 
     T = TypeVar("T")
 

@@ -10,8 +10,8 @@ from typing import TYPE_CHECKING, Final
 from carla_recap.errors import RecapError
 from carla_recap.fleet.engine import map_sources
 from carla_recap.fleet.rules import RuleSet, Status, Verdict, check, unreadable
-from carla_recap.maps.road_map import plain_name
 from carla_recap.recording import open_recording
+from carla_recap.roads.find import plain_name
 from carla_recap.util.text import readable, visible
 
 if TYPE_CHECKING:

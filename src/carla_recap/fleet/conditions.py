@@ -11,9 +11,6 @@ from typing import TYPE_CHECKING, Any, Final, NamedTuple, Protocol, TypeVar
 from carla_recap.errors import RecapError
 from carla_recap.fleet.roads import WHERE_MAPS
 from carla_recap.formats import SUFFIXES
-from carla_recap.maps.lookup import find_map_of
-from carla_recap.maps.network import load_road_network
-from carla_recap.maps.road_map import plain_name
 from carla_recap.model.actors import HERO, ROAD_USERS, ActorLives
 from carla_recap.queries.actors import actors
 from carla_recap.queries.blocked import blocked
@@ -23,17 +20,20 @@ from carla_recap.queries.measures import measures
 from carla_recap.queries.measures.extremes import UNITS
 from carla_recap.queries.measures.road import UNITS as ROAD_UNITS
 from carla_recap.recording import open_recording
+from carla_recap.replay.recorded_map import find_map_of
+from carla_recap.roads.find import plain_name
+from carla_recap.roads.surfaces import load_road_network
 from carla_recap.util.text import number, readable
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Sequence
 
     from carla_recap.model.actors import ActorLife
-    from carla_recap.model.roads import RoadNetwork
     from carla_recap.model.stationary import BlockedRow
     from carla_recap.queries.incidents import Incident, Kind
     from carla_recap.queries.measures import MeasureRow
     from carla_recap.recording import Recording
+    from carla_recap.roads.network import RoadNetwork
 
 T = TypeVar("T")
 

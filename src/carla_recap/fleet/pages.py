@@ -117,10 +117,10 @@ def _relative(path: Path | None, folder: Path) -> str | None:
 def _write_files(wanted: dict[str, _Wanted], source: SourceFile) -> None:
     from carla_recap.editing.clip import clip
     from carla_recap.export.report import write_report
-    from carla_recap.maps import load_road_network
-    from carla_recap.maps.lookup import find_map_of
     from carla_recap.recording import open_recording
     from carla_recap.rendering.town import load_town_of
+    from carla_recap.replay.recorded_map import find_map_of
+    from carla_recap.roads import load_road_network
 
     files = wanted[source.location]
     if files.clip is not None:

@@ -14,9 +14,9 @@ from carla_recap.queries.measures import measures as query_measures
 
 if TYPE_CHECKING:
     from carla_recap.formats.base import Reader
-    from carla_recap.model.roads import RoadNetwork
     from carla_recap.queries.incidents import Incidents
     from carla_recap.queries.measures import Measures
+    from carla_recap.roads.network import RoadNetwork
 
 WHERE_MAPS: Final = "--map or CARLA_RECAP_MAPS says where maps are"
 WITHOUT_ROADS: Final = f"rules of the road are left out; {WHERE_MAPS}"
@@ -34,7 +34,7 @@ def roads_of(source: Reader, road_map: str | None = None, *, needed: bool = Fals
     Raises:
         RecapError: The map is needed and unknown, the given folder does not have it, or the map is damaged.
     """
-    from carla_recap.maps.network import find_road_network, load_road_network
+    from carla_recap.roads.surfaces import find_road_network, load_road_network
 
     name = source.header.map_name
     if road_map is not None and not Path(road_map).is_dir():

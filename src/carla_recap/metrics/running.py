@@ -12,7 +12,7 @@ from types import ModuleType
 from typing import TYPE_CHECKING, Any, Final
 
 from carla_recap.errors import RecapError
-from carla_recap.maps.parsing import parse_in_child, read_content
+from carla_recap.roads.parsing import parse_in_child, read_content
 
 if TYPE_CHECKING:
     from carla_recap.metrics.log import MetricsLog
@@ -78,7 +78,7 @@ def _town_map(path: Path) -> Any:
     import carla
 
     content = read_content(path)
-    parse_in_child("carla_recap.maps.drawing", path, content)
+    parse_in_child("carla_recap.roads.drawing", path, content)
     return carla.Map(path.stem, content.decode("utf-8", "replace"))
 
 

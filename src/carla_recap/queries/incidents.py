@@ -38,11 +38,11 @@ if TYPE_CHECKING:
     from carla_recap.model.braking import Braking
     from carla_recap.model.contacts import Key
     from carla_recap.model.frame import Frame
-    from carla_recap.model.roads import RoadNetwork
     from carla_recap.model.stationary import BlockedRow
     from carla_recap.queries.measures.near_misses import NearMiss
     from carla_recap.queries.measures.over_time import SeriesCollector
     from carla_recap.queries.measures.road import RoadEvent
+    from carla_recap.roads.network import RoadNetwork
 
 Kind = Literal[
     "collision", "blocked", "hard braking", "near miss", "red light", "stop sign", "off road", "wrong way", "speeding"
@@ -116,7 +116,7 @@ def incidents(
         kinds: The kinds to include: "collision"; "blocked", vehicles and walkers that do not move for long; "hard braking",
             of vehicles, for at least 0.3 s; "near miss"; with roads "red light", "stop sign", "off road", "wrong way" and
             "speeding". None: the first three; "all": all, those of the road if there are roads.
-        roads: The roads of the map, such as `carla_recap.maps.find_road_network` returns them; for the kinds of the road.
+        roads: The roads of the map, such as `carla_recap.roads.find_road_network` returns them; for the kinds of the road.
         min_time: The shortest time without a movement to include, in seconds.
         min_distance: The distance at which an actor has moved, in cm.
         deceleration: The deceleration from which on braking is hard, in m/s².

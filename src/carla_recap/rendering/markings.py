@@ -8,21 +8,21 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
-from carla_recap.maps.road_geometry import LIGHT, STOP
 from carla_recap.rendering.building import UP
 from carla_recap.rendering.glyphs import arrow, glyphs
 from carla_recap.rendering.materials import Material
 from carla_recap.rendering.surfaces import PAVED
+from carla_recap.roads.opendrive import LIGHT, STOP
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
 
     from numpy.typing import NDArray
 
-    from carla_recap.maps.road_geometry import Marking, Road, RoadObject, RoadSignal
     from carla_recap.rendering.building import MeshBuilder
     from carla_recap.rendering.heights import TriangleGrid
     from carla_recap.rendering.surfaces import SampledSection
+    from carla_recap.roads.opendrive import Marking, Road, RoadObject, RoadSignal
 
     Floats = NDArray[np.float64]
     Flags = NDArray[np.bool_]

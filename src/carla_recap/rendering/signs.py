@@ -8,18 +8,18 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
-from carla_recap.maps.road_geometry import LIGHT, SPEED_LIMIT, STOP, YIELD
 from carla_recap.rendering.glyphs import glyphs
 from carla_recap.rendering.materials import Material
+from carla_recap.roads.opendrive import LIGHT, SPEED_LIMIT, STOP, YIELD
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
 
     from numpy.typing import NDArray
 
-    from carla_recap.maps.road_geometry import Road
     from carla_recap.rendering.building import MeshBuilder
     from carla_recap.rendering.heights import TriangleGrid
+    from carla_recap.roads.opendrive import Road
 
     Floats = NDArray[np.float64]
 

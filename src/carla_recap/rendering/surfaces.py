@@ -7,17 +7,17 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
-from carla_recap.maps.road_geometry import sparse_stations
 from carla_recap.rendering.heights import TriangleGrid
 from carla_recap.rendering.materials import Material
+from carla_recap.roads.opendrive import sparse_stations
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator, Sequence
 
     from numpy.typing import NDArray
 
-    from carla_recap.maps.road_geometry import Road, RoadLane, RoadSection
     from carla_recap.rendering.building import MeshBuilder
+    from carla_recap.roads.opendrive import Road, RoadLane, RoadSection
 
     Floats = NDArray[np.float64]
     Flags = NDArray[np.bool_]

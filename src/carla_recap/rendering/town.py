@@ -14,9 +14,6 @@ from typing import TYPE_CHECKING, Any, Final
 import numpy as np
 
 from carla_recap.errors import FormatError
-from carla_recap.maps.corridors import corridor_opendrive, is_of_corridors
-from carla_recap.maps.parsing import pack, parse_in_child, read_content, run_child, unpack
-from carla_recap.maps.road_geometry import read_roads
 from carla_recap.rendering.building import MeshBuilder
 from carla_recap.rendering.heights import TriangleGrid
 from carla_recap.rendering.junctions import fill_junctions
@@ -27,19 +24,22 @@ from carla_recap.rendering.signs import LightPost, add_signs, light_posts
 from carla_recap.rendering.surfaces import PAVED, add_lanes, driving_grid, sample_roads, surface_grid
 from carla_recap.rendering.terrain import Terrain, add_edges
 from carla_recap.rendering.trees import add_trees
+from carla_recap.roads.corridors import is_of_corridors
+from carla_recap.roads.opendrive import read_roads
+from carla_recap.roads.parsing import pack, parse_in_child, read_content, run_child, unpack
 from carla_recap.util import cache
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-    from carla_recap.maps import RoadMap
     from carla_recap.recording import Recording
+    from carla_recap.roads import RoadMap
 
     Floats = NDArray[np.float64]
     Arrays = dict[str, list[NDArray[Any]]]
 
 _KEPT: Final = 4  # towns in memory
-_SOURCES: Final = ("rendering", "maps")  # the folders of the modules that a town is made by
+_SOURCES: Final = ("rendering", "roads")  # the folders of the modules that a town is made by
 _PAVEMENT: Final = (*PAVED, Material.JUNCTION)
 _SURFACES: Final = (*_PAVEMENT, Material.SIDEWALK, Material.KERB, Material.MEDIAN, Material.GROUND)
 _GROUND: Final = (*_SURFACES, Material.GRASS)
@@ -114,8 +114,8 @@ def town_mesh_of(opendrive: str, name: str = "") -> TownMesh:
 def load_town_of(
     recording: Recording, path: Path | str | None = None, start: float = 0.0, duration: float = 0.0
 ) -> TownMesh | None:
-    """Return the town of a recording; see `carla_recap.maps.lookup.load_map_of`."""
-    from carla_recap.maps.lookup import load_map_of
+    """Return the town of a recording; see `carla_recap.replay.recorded_map.load_map_of`."""
+    from carla_recap.replay.recorded_map import load_map_of
 
     def convert(corridors: RoadMap) -> TownMesh:
         return town_mesh_of(corridors.opendrive, corridors.name)
@@ -132,7 +132,9 @@ def corridor_town(recording: Recording) -> TownMesh:
     Raises:
         FormatError: The recording contradicts its format.
     """
-    return town_mesh_of(corridor_opendrive(recording))
+    from carla_recap.replay.recorded_map import opendrive_of_corridors
+
+    return town_mesh_of(opendrive_of_corridors(recording))
 
 
 _towns: OrderedDict[bytes, TownMesh] = OrderedDict()

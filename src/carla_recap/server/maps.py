@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Final
 
 from carla_recap.errors import RecapError
-from carla_recap.maps.road_map import described_folder, loadable_maps, plain_name
+from carla_recap.roads.find import described_folder, loadable_maps, plain_name
 from carla_recap.server.navmesh import prepare_navigation
 from carla_recap.server.rpc.registry import CallError
 from carla_recap.sim.replaying.corridors import is_unknown, load_corridors

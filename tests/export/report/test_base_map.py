@@ -8,10 +8,10 @@ import numpy as np
 import pytest
 
 from carla_recap.export.report.base_map import LAYERS, base_map, outlines, town_of
-from carla_recap.maps import RoadMap
 from carla_recap.rendering.materials import Material
 from carla_recap.rendering.mesh import Mesh
 from carla_recap.rendering.town import TownMesh, load_town_mesh
+from carla_recap.roads import RoadMap
 from tests.export.report.conftest import CROSSING
 from tests.export.report.test_samples import sampled
 

@@ -9,20 +9,20 @@ import pytest
 
 from carla_recap.errors import RecapError
 from carla_recap.formats import open_reader
-from carla_recap.maps.network import build_network, find_road_network, load_road_network
 from carla_recap.model.frame import Header
 from carla_recap.model.records import Spawn, attributes
 from carla_recap.queries.actors import actors
 from carla_recap.queries.incidents import incidents
 from carla_recap.queries.measures.road import TYPES, RoadEvent, RoadSearch
 from carla_recap.queries.measures.traffic_lights import LightHistory
+from carla_recap.roads.surfaces import build_network, find_road_network, load_road_network
 from carla_recap.sim import VehicleControl, World
 from carla_recap.sim.scenarios.places import spawn_on_lane
 from carla_recap.sim.town.town import SignalKind
 from carla_recap.sim.traffic.spawning import populate
-from tests.maps.straight_road import LIGHT_POSITION, STRAIGHT_ROAD
-from tests.maps.towns import town
 from tests.queries.conftest import write
+from tests.roads.straight_road import LIGHT_POSITION, STRAIGHT_ROAD
+from tests.roads.towns import town
 from tests.samples import carla_log
 
 if TYPE_CHECKING:
@@ -32,8 +32,8 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from carla_recap.formats.base import Reader
-    from carla_recap.model.roads import RoadNetwork
     from carla_recap.queries.measures.rows import MeasureRow
+    from carla_recap.roads.network import RoadNetwork
 
     Floats = NDArray[np.float64]
     Pose = tuple[float, float, float]

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING
 
 import pytest
 
-from carla_recap.maps.road_map import find_map
+from carla_recap.roads.find import find_map
 from carla_recap.server import running
 
 if TYPE_CHECKING:

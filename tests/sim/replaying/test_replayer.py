@@ -21,7 +21,7 @@ from carla_recap.sim.geometry import Location, Rotation, Transform, Vector
 from carla_recap.sim.town.town import load_town
 from carla_recap.sim.weather import PRESETS
 from carla_recap.sim.world import World
-from tests.maps.towns import town
+from tests.roads.towns import town
 from tests.samples import carla_log
 from tests.sim.flat import at, flat_world, light
 

@@ -15,7 +15,7 @@ from carla_recap.sim.scenarios.blockage import BREAKDOWN
 from carla_recap.sim.scenarios.crash import START
 from carla_recap.sim.scenarios.places import straight_section
 from carla_recap.sim.traffic.autopilot.controls import LEFT_BLINKER, RIGHT_BLINKER
-from tests.maps.towns import town as map_of
+from tests.roads.towns import town as map_of
 from tests.sim.flat import flat_town
 
 pytest.importorskip("carla", reason="the extra `carla` is not installed")

@@ -13,9 +13,9 @@ import numpy as np
 import pytest
 
 from carla_recap.errors import RecapError
-from carla_recap.maps import find_map, load_map
+from carla_recap.roads import find_map, load_map
 from carla_recap.sim.town.town import BUILT_IN, SignalKind, Town, load_town, main_lanes
-from tests.maps.towns import lane, opendrive, road, section, town
+from tests.roads.towns import lane, opendrive, road, section, town
 from tests.sim.two_levels import two_levels
 from tests.waiting import time_limit
 

@@ -13,7 +13,7 @@ from carla_recap.sim.actors.moving import Vehicle, Walker
 from carla_recap.sim.geometry import Location, Transform, Vector
 from carla_recap.sim.town.town import Conflict, Junction, Signal, SignalKind, Town, load_town
 from carla_recap.sim.world import World
-from tests.maps.towns import town as carla_town
+from tests.roads.towns import town as carla_town
 from tests.sim.flat import at
 from tests.sim.lanes import LIMIT, lane, ring, small_town
 

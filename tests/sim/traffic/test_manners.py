@@ -8,7 +8,7 @@ import pytest
 from carla_recap.sim import World, load_town
 from carla_recap.sim.actors.lights import RED
 from carla_recap.sim.traffic.spawning import populate
-from tests.maps.towns import town
+from tests.roads.towns import town
 
 pytest.importorskip("carla", reason="the extra `carla` is not installed")
 

@@ -29,10 +29,10 @@ if TYPE_CHECKING:
     from pathlib import Path
 
     from carla_recap.formats.base import Reader
-    from carla_recap.maps import RoadMap
     from carla_recap.recording import Recording
     from carla_recap.replay import Follow
     from carla_recap.replay.player import Progress
+    from carla_recap.roads import RoadMap
 
 __all__ = ["export_foxglove", "layout_files"]
 
@@ -71,7 +71,7 @@ def export_foxglove(
     from carla_recap.export.event_text import PlayedIncidents
     from carla_recap.export.foxglove.town import town_of
     from carla_recap.export.foxglove.writer import FoxgloveWriter
-    from carla_recap.maps.network import road_network_of_map
+    from carla_recap.roads.surfaces import road_network_of_map
 
     reader = source.reader
     check_destination(reader.location, destination, force=force)

@@ -16,9 +16,9 @@ from carla_recap.rendering.town import corridor_town, town_mesh_of
 from carla_recap.replay import Player, right_handed
 
 if TYPE_CHECKING:
-    from carla_recap.maps import RoadMap
     from carla_recap.recording import Recording
     from carla_recap.rendering.town import TownMesh
+    from carla_recap.roads import RoadMap
 
 MAP: Final = "/map"
 

@@ -18,8 +18,8 @@ from carla_recap.export.osi.messages import GROUND_TRUTH, MAP, VERSION, message_
 from carla_recap.formats.mcap.chunk import ChunkBuilder
 from carla_recap.formats.mcap.file import ChunkedFile, Topic
 from carla_recap.formats.mcap.schema import EXPORT_METADATA
-from carla_recap.maps.parsing import read_content
 from carla_recap.replay import Played, Player
+from carla_recap.roads.parsing import read_content
 from carla_recap.util.text import readable
 
 if TYPE_CHECKING:

@@ -9,11 +9,11 @@ from typing import TYPE_CHECKING, Final, NamedTuple
 import numpy as np
 
 from carla_recap.errors import RecapError
-from carla_recap.maps.corridors import fresh_parts
-from carla_recap.maps.polylines import simplify
 from carla_recap.model.records import ActorKind
 from carla_recap.rendering.materials import Material
 from carla_recap.rendering.town import town_mesh_of
+from carla_recap.roads.corridors import fresh_parts
+from carla_recap.roads.polylines import simplify
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
@@ -21,9 +21,9 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from carla_recap.export.report.samples import SampledReplay
-    from carla_recap.maps import RoadMap
     from carla_recap.rendering.mesh import Mesh
     from carla_recap.rendering.town import TownMesh
+    from carla_recap.roads import RoadMap
 
     Floats = NDArray[np.float64]
     Integers = NDArray[np.int64]

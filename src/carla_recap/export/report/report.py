@@ -17,12 +17,12 @@ from carla_recap.export.report.packing import Packer
 from carla_recap.export.report.sampling import sample
 from carla_recap.export.report.single import data_address, single_page
 from carla_recap.export.style import LIGHTS, OTHER, STYLES
-from carla_recap.maps.network import road_network_of_map
 from carla_recap.model.braking import HARD
 from carla_recap.model.stationary import MIN_DISTANCE, MIN_TIME
 from carla_recap.queries.incidents import Incident, incidents
 from carla_recap.recording import Recording
 from carla_recap.replay.player import Player
+from carla_recap.roads.surfaces import road_network_of_map
 from carla_recap.util.files import WholeFile, check_folder, check_path, copy_files, new_folder
 from carla_recap.util.text import readable
 
@@ -31,11 +31,11 @@ if TYPE_CHECKING:
 
     from carla_recap.export.report.samples import SampledReplay
     from carla_recap.formats.base import Reader
-    from carla_recap.maps import RoadMap
-    from carla_recap.model.roads import RoadNetwork
     from carla_recap.queries.differences import Differences
     from carla_recap.rendering.town import TownMesh
     from carla_recap.replay.player import Progress
+    from carla_recap.roads import RoadMap
+    from carla_recap.roads.network import RoadNetwork
 
 Pictures = Literal["drawn", "rendered", "none"]
 """The pictures of incidents: drawn from above, rendered from behind the first actor, or none."""

@@ -24,7 +24,7 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    from carla_recap.maps import RoadMap
+    from carla_recap.roads import RoadMap
 
 View = Literal["chase", "top"]
 """The camera: behind and above the actor, or straight above it."""

@@ -20,9 +20,9 @@ if TYPE_CHECKING:
     import rerun as rr
     from numpy.typing import NDArray
 
-    from carla_recap.maps import RoadMap
     from carla_recap.model.frame import Frame, Header
     from carla_recap.replay import Scene
+    from carla_recap.roads import RoadMap
 
 _PATIENCE: Final = 3.0  # s after which an actor is followed that does not move
 _MOVED: Final = 1.0  # cm from one frame to the next

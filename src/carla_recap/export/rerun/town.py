@@ -20,8 +20,8 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from carla_recap.export.rerun.stream import Stream
-    from carla_recap.maps import RoadMap
     from carla_recap.rendering.town import TownMesh
+    from carla_recap.roads import RoadMap
 
     Floats = NDArray[np.float64]
 

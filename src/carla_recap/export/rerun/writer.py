@@ -27,12 +27,12 @@ from carla_recap.export.rerun.rrd import piped, rbl
 from carla_recap.export.rerun.stream import Stream, TimeColumns
 from carla_recap.export.rerun.town import is_elsewhere, write_map, write_sky, write_town
 from carla_recap.formats.sources import unsigned
-from carla_recap.maps.network import road_network_of_map
 from carla_recap.queries.actors import actors
 from carla_recap.recording import Recording
 from carla_recap.rendering.town import town_mesh_of
 from carla_recap.replay import Played, Player, right_handed
 from carla_recap.replay.pose import LOCATION
+from carla_recap.roads.surfaces import road_network_of_map
 from carla_recap.util.files import WholeFile, check_folder, new_folder
 from carla_recap.util.text import readable
 
@@ -41,7 +41,6 @@ if TYPE_CHECKING:
 
     from carla_recap.export.ahead import StopPoints
     from carla_recap.formats.base import Reader
-    from carla_recap.maps import RoadMap
     from carla_recap.model.frame import Header
     from carla_recap.queries.incidents import Incident
     from carla_recap.queries.measures import MeasureSeries
@@ -49,6 +48,7 @@ if TYPE_CHECKING:
     from carla_recap.replay import SceneBatch
     from carla_recap.replay.follow import Follow
     from carla_recap.replay.player import Progress
+    from carla_recap.roads import RoadMap
 
 MOST_CAMERAS: Final = 500
 """The number of actors that get a camera, the first ones."""

@@ -17,9 +17,9 @@ from carla_recap.export.video.captions import Captions, is_near, readable_name
 from carla_recap.export.video.followed import FollowedActor
 from carla_recap.export.video.overlay import Overlay, Readings
 from carla_recap.export.video.transparency import Transparency
-from carla_recap.maps.road_map import plain_name
 from carla_recap.recording import open_recording
 from carla_recap.rendering.camera import ImageKind
+from carla_recap.roads.find import plain_name
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Iterator
@@ -243,8 +243,8 @@ def _make_renderer(town: Town | None, source: str, start: float, stop: float, su
 
 def _found_town(source: str) -> TownMesh | None:
     """Return the town of the map of a recording; None if that is unknown."""
-    from carla_recap.maps import find_map
     from carla_recap.rendering.town import load_town_mesh
+    from carla_recap.roads import find_map
 
     with open_recording(source) as recording:
         path = find_map(recording.header.map_name)

@@ -11,7 +11,6 @@ from typing import TYPE_CHECKING, Any, Final, cast
 from carla_recap.errors import RecapError
 from carla_recap.fleet.index.tables import CHILDREN
 from carla_recap.formats import open_reader
-from carla_recap.maps import find_road_network, load_road_network
 from carla_recap.model.actors import TYPES as ACTOR_TYPES
 from carla_recap.model.frame import SAME_TIME, Frame
 from carla_recap.model.records import CM
@@ -22,6 +21,7 @@ from carla_recap.queries.collisions import collisions
 from carla_recap.queries.incidents import incidents
 from carla_recap.queries.measures import measures
 from carla_recap.recording import Recording
+from carla_recap.roads import find_road_network, load_road_network
 from carla_recap.util.text import readable
 
 if TYPE_CHECKING:
@@ -31,8 +31,8 @@ if TYPE_CHECKING:
     from carla_recap.formats.base import Reader
     from carla_recap.model.actors import ActorLife
     from carla_recap.model.batch import Batch
-    from carla_recap.model.roads import RoadNetwork
     from carla_recap.model.stationary import BlockedRow
+    from carla_recap.roads.network import RoadNetwork
 
 Columns = list[list[Any]]
 """The values of a table's columns, in their order."""

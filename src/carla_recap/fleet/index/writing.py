@@ -18,7 +18,7 @@ from carla_recap.fleet.index.folder import IndexFolder
 from carla_recap.fleet.index.reading import read_recording
 from carla_recap.fleet.index.tables import CHILDREN, RECORDING, RECORDINGS, TABLES, RecordingRow
 from carla_recap.fleet.sources import find_sources
-from carla_recap.maps import find_map
+from carla_recap.roads import find_map
 from carla_recap.tables import arrow
 from carla_recap.util.files import check_path
 

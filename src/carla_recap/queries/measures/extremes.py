@@ -29,9 +29,9 @@ if TYPE_CHECKING:
     from carla_recap.formats.base import Reader
     from carla_recap.model.actors import ActorLife
     from carla_recap.model.batch import Batch
-    from carla_recap.model.roads import RoadNetwork
     from carla_recap.queries.measures.motion import MotionBlock
     from carla_recap.queries.measures.series import Criticality
+    from carla_recap.roads.network import RoadNetwork
 
     Floats = NDArray[np.float64]
 

@@ -12,11 +12,11 @@ from typing import TYPE_CHECKING, Final, Literal, NamedTuple
 
 import numpy as np
 
-from carla_recap.model import roads
 from carla_recap.model.blueprints import blueprint_sizes
 from carla_recap.model.records import CM
 from carla_recap.queries.measures.rows import MeasureRow
 from carla_recap.queries.measures.traffic_lights import LightHistory
+from carla_recap.roads import network as roads
 
 if TYPE_CHECKING:
     from collections.abc import Collection, Iterable, Iterator
@@ -26,7 +26,7 @@ if TYPE_CHECKING:
     from carla_recap.formats.base import Reader
     from carla_recap.model.actors import ActorLife
     from carla_recap.model.batch import Batch
-    from carla_recap.model.roads import LanePositions, RoadNetwork
+    from carla_recap.roads.network import LanePositions, RoadNetwork
 
     Floats = NDArray[np.float64]
     Indices = NDArray[np.int64]

@@ -8,13 +8,13 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
-from carla_recap.model import roads
 from carla_recap.model.records import CM, ActorKind
+from carla_recap.roads import network as roads
 
 if TYPE_CHECKING:
     from carla_recap.formats.base import Reader
     from carla_recap.model.batch import Batch
-    from carla_recap.model.roads import RoadNetwork
+    from carla_recap.roads.network import RoadNetwork
 
 RED: Final = 0
 """The state of a red light."""

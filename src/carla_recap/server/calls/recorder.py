@@ -15,10 +15,10 @@ from typing import Any, Final
 
 from carla_recap.errors import NotARecording, RecapError
 from carla_recap.formats import open_reader
-from carla_recap.maps.road_map import plain_name
 from carla_recap.queries.blocked import blocked
 from carla_recap.queries.collisions import collisions
 from carla_recap.queries.info import info
+from carla_recap.roads.find import plain_name
 from carla_recap.server import recordings
 from carla_recap.server.client import Client
 from carla_recap.server.rpc.codec import DecodeError, decoder

@@ -8,9 +8,9 @@ from threading import Lock
 from typing import TYPE_CHECKING, Final
 
 from carla_recap.formats import open_reader
-from carla_recap.maps.corridors import corridor_opendrive
-from carla_recap.maps.road_map import find_map, plain_name
 from carla_recap.recording import Recording
+from carla_recap.replay.recorded_map import opendrive_of_corridors
+from carla_recap.roads.find import find_map, plain_name
 from carla_recap.sim.town.town import load_town
 
 if TYPE_CHECKING:
@@ -51,7 +51,7 @@ def load_corridors(path: Path, map_name: str) -> Town:
     if town is None:
         with Recording(open_reader(path)) as recording, tempfile.TemporaryDirectory() as folder:
             file = Path(folder) / "corridors.xodr"
-            file.write_text(corridor_opendrive(recording))
+            file.write_text(opendrive_of_corridors(recording))
             town = load_town(file).renamed(plain_name(map_name) or _UNNAMED)
         with _lock:
             _latest.clear()

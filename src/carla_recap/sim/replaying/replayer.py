@@ -13,10 +13,10 @@ import numpy as np
 
 from carla_recap.errors import RecapError, RecapWarning
 from carla_recap.formats import SUFFIXES, open_reader
-from carla_recap.maps.road_map import described_folder, plain_name
 from carla_recap.replay import Player, level
 from carla_recap.replay.camera import CHASE_BACK, CHASE_PITCH, CHASE_UP
 from carla_recap.replay.follow import find_followed
+from carla_recap.roads.find import described_folder, plain_name
 from carla_recap.sim.actors.control import VehicleControl
 from carla_recap.sim.actors.moving import MovingActor, Vehicle, Walker
 from carla_recap.sim.errors import MapMissing, SimError

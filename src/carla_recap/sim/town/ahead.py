@@ -12,7 +12,7 @@ from threading import Thread
 from typing import TYPE_CHECKING, Any, Final
 
 from carla_recap.errors import RecapError
-from carla_recap.maps.road_map import find_maps
+from carla_recap.roads.find import find_maps
 from carla_recap.sim.town.town import fill_cache
 from carla_recap.util.cache import cache_folder
 from carla_recap.util.processes import module_command, module_environment, terminate

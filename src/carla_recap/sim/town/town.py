@@ -12,8 +12,8 @@ from typing import TYPE_CHECKING, Any, Final
 import numpy as np
 
 from carla_recap.errors import RecapError
-from carla_recap.maps.parsing import decode, parse_in_child, read_content
-from carla_recap.maps.road_map import described_folder, find_map, plain_name
+from carla_recap.roads.find import described_folder, find_map, plain_name
+from carla_recap.roads.parsing import decode, parse_in_child, read_content
 from carla_recap.sim.geometry import Location, Rotation, Transform
 from carla_recap.sim.town.lanes import Lane, LaneIndex
 from carla_recap.sim.town.parsing.packing import from_bytes
@@ -217,7 +217,7 @@ def load_town(name_or_path: str | Path = "", maps: Path | None = None) -> Town:
 
 def content_key(content: bytes) -> str:
     """Return the key of a map's content in the cache."""
-    return cache.content_key(content, "sim/town/parsing", "maps")
+    return cache.content_key(content, "sim/town/parsing", "roads")
 
 
 def fill_cache(path: Path) -> None:

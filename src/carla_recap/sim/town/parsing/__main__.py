@@ -6,8 +6,8 @@ import sys
 
 import numpy as np
 
-from carla_recap.maps.opendrive import read_opendrive
-from carla_recap.maps.parsing import run_child
+from carla_recap.roads.carla_map import read_opendrive
+from carla_recap.roads.parsing import run_child
 from carla_recap.sim.town.parsing.junctions import parse_junctions, parse_signals
 from carla_recap.sim.town.parsing.packing import Parsed, to_bytes
 from carla_recap.sim.town.parsing.roads import limit_speeds, parse_lanes, read_records

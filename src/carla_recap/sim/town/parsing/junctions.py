@@ -8,34 +8,34 @@ from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
-from carla_recap.maps import road_geometry
-from carla_recap.maps.road_geometry import in_metres_per_second
+from carla_recap.roads import opendrive
+from carla_recap.roads.opendrive import in_metres_per_second
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator
 
     from numpy.typing import NDArray
 
-    from carla_recap.maps import opendrive
+    from carla_recap.roads import carla_map
     from carla_recap.sim.town.parsing.roads import ParsedLane, Records
 
     Row = dict[str, Any]
 
 _KINDS: Final = {
-    road_geometry.LIGHT: "light",
-    road_geometry.STOP: "stop",
-    road_geometry.YIELD: "yield",
-    road_geometry.SPEED_LIMIT: "speed_limit",
+    opendrive.LIGHT: "light",
+    opendrive.STOP: "stop",
+    opendrive.YIELD: "yield",
+    opendrive.SPEED_LIMIT: "speed_limit",
 }
 _SAME_WAY: Final = np.cos(np.radians(35))  # approaches of a junction that are one, or opposite to each other
 
 
-def parse_signals(roads: opendrive.Roads, lanes: list[ParsedLane], records: Records) -> list[Row]:
+def parse_signals(roads: carla_map.Roads, lanes: list[ParsedLane], records: Records) -> list[Row]:
     """Return the lights and signs in the order of their ids, each once."""
     by_road = defaultdict(list)
     for lane in lanes:
         by_road[lane.name[0]].append(lane)
-    places: dict[str, list[opendrive.Landmark]] = defaultdict(list)
+    places: dict[str, list[carla_map.Landmark]] = defaultdict(list)
     for sign in roads.landmarks:
         if sign.kind in _KINDS and np.isfinite((*sign.location, sign.heading, sign.station)).all():
             places[sign.id].append(sign)
@@ -53,7 +53,7 @@ def _in_order(name: str) -> tuple[int, str]:
 
 def _signal(
     index: int,
-    signs: list[opendrive.Landmark],
+    signs: list[carla_map.Landmark],
     by_road: dict[int, list[ParsedLane]],
     lanes: list[ParsedLane],
     records: Records,
@@ -83,7 +83,7 @@ def _signal(
     }
 
 
-def _named(sign: opendrive.Landmark, lanes: Iterable[ParsedLane]) -> Iterator[ParsedLane]:
+def _named(sign: carla_map.Landmark, lanes: Iterable[ParsedLane]) -> Iterator[ParsedLane]:
     """Yield the lanes of a road that a sign names, at its station."""
     for lane in lanes:
         low, high = sorted(lane.stations)
@@ -93,7 +93,7 @@ def _named(sign: opendrive.Landmark, lanes: Iterable[ParsedLane]) -> Iterator[Pa
             yield lane
 
 
-def _facing(sign: opendrive.Landmark, lanes: Iterable[ParsedLane]) -> Iterator[ParsedLane]:
+def _facing(sign: carla_map.Landmark, lanes: Iterable[ParsedLane]) -> Iterator[ParsedLane]:
     """Yield the lanes of a road with the direction of travel that a sign is for, at its station."""
     for lane in lanes:
         start, stop = lane.stations
@@ -103,7 +103,7 @@ def _facing(sign: opendrive.Landmark, lanes: Iterable[ParsedLane]) -> Iterator[P
 
 
 def _stops(
-    kind: str, governed: list[tuple[ParsedLane, opendrive.Landmark]], lanes: list[ParsedLane]
+    kind: str, governed: list[tuple[ParsedLane, carla_map.Landmark]], lanes: list[ParsedLane]
 ) -> tuple[dict[int, float], set[int]]:
     """Return the stop lines, at the end of a lane before a junction, else at the sign, and the lanes governed beyond."""
     stops: dict[int, float] = {}
@@ -124,7 +124,7 @@ def _stops(
     return stops, governs
 
 
-def _speed(sign: opendrive.Landmark) -> float | None:
+def _speed(sign: carla_map.Landmark) -> float | None:
     """Return the limit on a sign; without a unit, CARLA's signs are in km/h."""
     return in_metres_per_second(sign.value, sign.unit or "km/h")
 

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
-from carla_recap.maps.parsing import pack, unpack
+from carla_recap.roads.parsing import pack, unpack
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray

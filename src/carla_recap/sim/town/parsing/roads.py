@@ -15,15 +15,15 @@ from xml.etree import ElementTree
 
 import numpy as np
 
-from carla_recap.maps.opendrive import NO_JUNCTION
-from carla_recap.maps.road_geometry import in_metres_per_second
+from carla_recap.roads.carla_map import NO_JUNCTION
+from carla_recap.roads.opendrive import in_metres_per_second
 
 if TYPE_CHECKING:
     from collections.abc import Iterable
 
     from numpy.typing import NDArray
 
-    from carla_recap.maps import opendrive
+    from carla_recap.roads import carla_map
 
     Floats = NDArray[np.float64]
     Name = tuple[int, int, int]
@@ -67,7 +67,7 @@ class ParsedLane:
         return float(self.row["width"])
 
 
-def parse_lanes(roads: opendrive.Roads) -> list[ParsedLane]:
+def parse_lanes(roads: carla_map.Roads) -> list[ParsedLane]:
     """Return the lanes for cars, in the order of roads, sections and numbers; without speed limits.
 
     Raises:
@@ -86,7 +86,7 @@ def parse_lanes(roads: opendrive.Roads) -> list[ParsedLane]:
     return lanes
 
 
-def _rows(lane: opendrive.LaneGeometry) -> Floats:
+def _rows(lane: carla_map.LaneGeometry) -> Floats:
     """Return evenly spaced rows along a lane."""
     width = np.linalg.norm(lane.left - lane.right, axis=1)
     rows: Floats = np.column_stack((lane.centre, np.unwrap(lane.headings), width)) * _TO_LEFT_HANDED
@@ -100,7 +100,7 @@ def _rows(lane: opendrive.LaneGeometry) -> Floats:
     return spaced
 
 
-def _lane(index: int, lane: opendrive.LaneGeometry, rows: Floats) -> ParsedLane:
+def _lane(index: int, lane: carla_map.LaneGeometry, rows: Floats) -> ParsedLane:
     length = max(float(np.linalg.norm(np.diff(rows[:, :3], axis=0), axis=1).sum()), _SHORTEST)
     junction = None if lane.junction == NO_JUNCTION else lane.junction
     bend = rows[-1, 3] - rows[0, 3]
@@ -125,7 +125,7 @@ def _lane(index: int, lane: opendrive.LaneGeometry, rows: Floats) -> ParsedLane:
     )
 
 
-def _link(lanes: list[ParsedLane], driving: Iterable[opendrive.LaneGeometry]) -> None:
+def _link(lanes: list[ParsedLane], driving: Iterable[carla_map.LaneGeometry]) -> None:
     """Set the predecessors, successors and neighbours of the lanes."""
     known = {lane.name: lane for lane in lanes}
     for lane in lanes:

@@ -9,15 +9,15 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
-from carla_recap.maps.opendrive import NO_JUNCTION
-from carla_recap.maps.polylines import simplify
+from carla_recap.roads.carla_map import NO_JUNCTION
+from carla_recap.roads.polylines import simplify
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator, Sequence
 
     from numpy.typing import NDArray
 
-    from carla_recap.maps import opendrive
+    from carla_recap.roads import carla_map
 
     Floats = NDArray[np.float64]
     Ends = tuple[int, int]
@@ -44,7 +44,7 @@ class Ground:
         margin: The width in m that is added on both sides.
     """
 
-    def __init__(self, lanes: Iterable[opendrive.LaneGeometry], margin: float = 0.0) -> None:
+    def __init__(self, lanes: Iterable[carla_map.LaneGeometry], margin: float = 0.0) -> None:
         borders = [_widened(left_handed(lane.left), left_handed(lane.right), margin) for lane in lanes]
         ends = np.concatenate([border[:, :2] for pair in borders for border in pair])
         extent = float(np.ptp(ends, axis=0).max())
@@ -94,7 +94,7 @@ def _widened(left: Floats, right: Floats, margin: float) -> tuple[Floats, Floats
     return left - aside, right + aside
 
 
-def barriers(lanes: Sequence[opendrive.LaneGeometry]) -> list[Floats]:
+def barriers(lanes: Sequence[carla_map.LaneGeometry]) -> list[Floats]:
     """Return lines that stop cars off the road: along the outermost lanes, some way beyond, not across other lanes."""
     real = [lane for lane in lanes if lane.kind != _NO_LANE]
     ground, road = Ground(real), Ground([lane for lane in real if lane.is_driving], _CLEAR)
@@ -103,9 +103,9 @@ def barriers(lanes: Sequence[opendrive.LaneGeometry]) -> list[Floats]:
     ]
 
 
-def _outermost(lanes: Iterable[opendrive.LaneGeometry]) -> list[opendrive.LaneGeometry]:
+def _outermost(lanes: Iterable[carla_map.LaneGeometry]) -> list[carla_map.LaneGeometry]:
     """Return the last lanes on both sides of each section of a road."""
-    outer: dict[tuple[int, int, bool], opendrive.LaneGeometry] = {}
+    outer: dict[tuple[int, int, bool], carla_map.LaneGeometry] = {}
     for lane in lanes:
         side = lane.road, lane.section, lane.id > 0
         if side not in outer or abs(lane.id) > abs(outer[side].id):
@@ -113,7 +113,7 @@ def _outermost(lanes: Iterable[opendrive.LaneGeometry]) -> list[opendrive.LaneGe
     return list(outer.values())
 
 
-def _fence(lane: opendrive.LaneGeometry, grounds: Iterable[Ground]) -> Iterator[Floats]:
+def _fence(lane: carla_map.LaneGeometry, grounds: Iterable[Ground]) -> Iterator[Floats]:
     rightwards = lane.reverse == (lane.id > 0)  # in right-hand traffic, outwards is to the right
     margin = _BEHIND_SIDEWALKS if lane.kind == SIDEWALK else _BEHIND_ROADS
     line = _widened(left_handed(lane.left), left_handed(lane.right), margin)[rightwards]
@@ -166,7 +166,7 @@ class Walks:
             self.edges.setdefault((min(one, other), max(one, other)), crossing)
 
 
-def parse_walks(roads: opendrive.Roads) -> Walks:
+def parse_walks(roads: carla_map.Roads) -> Walks:
     """Return the walkways of a town; they are empty if it has no sidewalk.
 
     Raises:
@@ -238,7 +238,7 @@ def _over(walks: Walks, outline: Floats, sidewalks: Floats) -> None:
 
 
 def _over_mouths(
-    walks: Walks, roads: opendrive.Roads, lanes: Sequence[opendrive.LaneGeometry], ends: Sequence[Ends]
+    walks: Walks, roads: carla_map.Roads, lanes: Sequence[carla_map.LaneGeometry], ends: Sequence[Ends]
 ) -> None:
     """Add crossings where roads with sidewalks on both sides meet junctions: just beyond the line where cars stop."""
     given = np.array([crossing[:-1].mean(axis=0) for crossing in walks.crossings]).reshape(-1, 3)
@@ -265,7 +265,7 @@ def _over_mouths(
         walks.crossings.append(_stripe(one + _BEYOND * ahead, other + _BEYOND * ahead, width / 2, other_width / 2))
 
 
-def _mouths(roads: opendrive.Roads) -> set[tuple[int, int, bool]]:
+def _mouths(roads: carla_map.Roads) -> set[tuple[int, int, bool]]:
     """Return where roads meet junctions: road, section, and whether at its end, or at its beginning."""
     driving = {(lane.road, lane.section, lane.id): lane for lane in roads.lanes if lane.is_driving}
     mouths = set()

@@ -10,9 +10,9 @@ import numpy as np
 import pytest
 
 from carla_recap.errors import FormatError, RecapError
-from carla_recap.maps import find_map, network
-from carla_recap.maps.network import build_network, find_road_network, load_road_network, road_network_of
-from carla_recap.model.roads import LIGHT, NONE, STOP, RoadNetwork
+from carla_recap.roads import find_map, surfaces
+from carla_recap.roads.network import LIGHT, NONE, STOP, RoadNetwork
+from carla_recap.roads.surfaces import build_network, find_road_network, load_road_network, road_network_of
 
 from .straight_road import STRAIGHT_ROAD
 
@@ -120,7 +120,7 @@ def _ring(radius: float) -> str:
 
 def test_the_built_in_town_is_found_by_name(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     monkeypatch.setenv("CARLA_RECAP_CACHE", str(tmp_path))
-    network._network.cache_clear()
+    surfaces._network.cache_clear()
     roads = find_road_network("Carla/Maps/Brickfield")
     assert roads is not None
     assert (roads.signals["kind"] == LIGHT).sum() == 17

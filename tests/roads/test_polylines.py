@@ -9,7 +9,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 
-from carla_recap.maps.polylines import Surface, distances_to, join, simplify
+from carla_recap.roads.polylines import Surface, distances_to, join, simplify
 
 LINES = hnp.arrays(np.float64, st.tuples(st.integers(2, 40), st.just(3)), elements=st.floats(-1000, 1000))
 

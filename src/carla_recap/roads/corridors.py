@@ -11,21 +11,20 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
-from carla_recap.maps.road_map import RoadMap, plain_name
-from carla_recap.model.records import CM
-from carla_recap.tables.trajectories import actor_rows
+from carla_recap.roads.drawing import RoadMap
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator, Sequence
 
     from numpy.typing import NDArray
 
-    from carla_recap.recording import Recording
-
     Floats = NDArray[np.float64]
 
 LANE_WIDTH: Final = 3.5
 """The width of a corridor, in m."""
+
+POSE: Final = np.dtype([(name, np.float64) for name in ("time", "x", "y", "z", "yaw")])
+"""The pose of an actor at a time: elapsed seconds, m, and degrees."""
 
 _HEADER: Final = (
     '<?xml version="1.0" encoding="UTF-8"?>\n'
@@ -38,8 +37,6 @@ _FARTHEST: Final = 1e5  # m from the origin
 _JUMP: Final = 100.0  # m/s; what is faster is no driving
 _LEAST_JUMP: Final = 3.0  # m
 _SHARP: Final = np.cos(np.radians(50.0))  # of a turn at a point, at which a path ends
-_LONGEST: Final = 1800.0  # s of a recording
-_AT_ONCE: Final = 10.0  # s in which a first pose is looked for
 _FEWEST: Final = 7  # points of a part of a path that is a road, about a metre apart
 _FAR: Final = 12.0  # m; the largest distance between points of a road
 _TURN: Final = np.radians(4.0)  # between points of a road
@@ -50,56 +47,41 @@ _SHOULDER: Final = 0.6  # m
 _ALONE: Final = 40.0  # m of the road where no vehicle has driven
 
 
-def corridor_opendrive(recording: Recording, start: float = -math.inf, stop: float = math.inf) -> str:
-    """Return an OpenDRIVE map whose roads are what the vehicles of a recording have driven along, once each.
+def corridor_opendrive(driven: Sequence[NDArray[np.void]], others: Iterable[NDArray[np.void]] = ()) -> str:
+    """Return an OpenDRIVE map whose roads are what vehicles have driven along, once each.
 
     Each road has one lane. Where no vehicle has moved, there is one short road.
 
     Args:
-        recording: The recording.
-        start: The elapsed seconds from which on it is read.
-        stop: The elapsed seconds until which it is read.
+        driven: The poses of each vehicle, of type `POSE`.
+        others: Those of other actors; the short road is at the first pose, if there is no vehicle.
     """
-    return _opendrive(_roads(recording, start, stop))
+    return _opendrive(_roads(driven, others))
 
 
-def corridor_map(recording: Recording, start: float = -math.inf, stop: float = math.inf) -> RoadMap | None:
-    """Return the corridors that the vehicles of a recording have driven as a road map; see `corridor_opendrive`.
+def corridor_map(name: str, driven: Sequence[NDArray[np.void]], others: Iterable[NDArray[np.void]] = ()) -> RoadMap:
+    """Return what vehicles have driven along as a road map; see `corridor_opendrive`.
 
-    Returns:
-        None for more than half an hour, which take too long to read for that.
+    Args:
+        name: The name of the map.
+        driven: The poses of each vehicle.
+        others: Those of other actors.
     """
-    if min(stop, recording.info.duration) - max(start, 0.0) > _LONGEST:
-        return None
-    roads = _roads(recording, start, stop)
+    roads = _roads(driven, others)
     borders = []
     for road in roads:
         ways = np.gradient(road[:, :2], axis=0)
         ways /= np.maximum(np.linalg.norm(ways, axis=1, keepdims=True), 1e-9)
         lefts = np.stack((-ways[:, 1], ways[:, 0], np.zeros(len(ways))), axis=1)
         borders += [road + side * LANE_WIDTH / 2 * lefts for side in (1, -1)]
-    return RoadMap(plain_name(recording.header.map_name), borders, roads, [], [], [], _opendrive(roads))
+    return RoadMap(name, borders, roads, [], [], [], _opendrive(roads))
 
 
-def _roads(recording: Recording, start: float, stop: float) -> list[Floats]:
+def _roads(driven: Sequence[NDArray[np.void]], others: Iterable[NDArray[np.void]]) -> list[Floats]:
     """Return the middles of the roads, with points where they bend."""
-    vehicles = {actor.id for actor in recording.actors.values() if actor.kind == "vehicle"}
-    tracks = list(_tracks(recording, vehicles, start, stop))
-    paths = [path for track in tracks for path in _paths(track)]
+    paths = [path for poses in driven for path in _paths(poses)]
     roads = [_bends(_extended(part)) for part in fresh_parts(paths, _CELL, _MOST, _FEWEST)]
-    return roads or [_somewhere(tracks or _tracks(recording, None, start, min(stop, max(start, 0.0) + _AT_ONCE)))]
-
-
-def _tracks(recording: Recording, ids: set[int] | None, start: float, stop: float) -> Iterator[NDArray[np.void]]:
-    """Yield the poses of each actor, as records with their time."""
-    rows = actor_rows(recording.reader, ("transforms",), ids, start=start, stop=stop)["transforms"]
-    for found in rows.values():
-        track = np.empty(len(found.records), [(name, np.float64) for name in ("time", "x", "y", "z", "yaw")])
-        track["time"] = found.time
-        with np.errstate(invalid="ignore"):  # a signaling NaN
-            for name, unit in (("x", CM), ("y", -CM), ("z", CM), ("yaw", -1.0)):
-                track[name] = found.records[name].astype(np.float64) * unit
-        yield track
+    return roads or [_somewhere(driven or others)]
 
 
 def fresh_parts(paths: Sequence[Floats], cell: float, most: int, fewest: int = 2) -> Iterator[Floats]:
@@ -138,11 +120,11 @@ def _runs(path: Floats, wanted: NDArray[np.bool_], fewest: int) -> Iterator[Floa
             yield path[first:last]
 
 
-def _paths(track: NDArray[np.void]) -> Iterator[Floats]:
+def _paths(poses: NDArray[np.void]) -> Iterator[Floats]:
     """Yield the parts of the path of a vehicle without jumps and sharp turns, a point for each metre."""
-    points = np.stack([track[axis] for axis in "xyz"], axis=1)
+    points = np.stack([poses[axis] for axis in "xyz"], axis=1)
     good = np.isfinite(points).all(axis=1) & (np.abs(points).max(axis=1, initial=0.0) < _FARTHEST)
-    points, times = points[good], track["time"][good]
+    points, times = points[good], poses["time"][good]
     steps = np.linalg.norm(np.diff(points[:, :2], axis=0), axis=1)
     jumps = steps > np.maximum(_JUMP * np.diff(times), _LEAST_JUMP)
     for part in np.split(points, np.flatnonzero(jumps) + 1):
@@ -189,11 +171,11 @@ def _bends(path: Floats) -> Floats:
     return path[kept]
 
 
-def _somewhere(tracks: Iterable[NDArray[np.void]]) -> Floats:
+def _somewhere(actors: Iterable[NDArray[np.void]]) -> Floats:
     """Return a short road at the first pose of an actor, or at the origin."""
     middle, heading = np.zeros(3), 0.0
-    for track in tracks:
-        _, x, y, z, yaw = track[0].item() if len(track) else (math.nan,) * 5
+    for poses in actors:
+        _, x, y, z, yaw = poses[0].item() if len(poses) else (math.nan,) * 5
         if np.isfinite((x, y, z, yaw)).all():
             middle, heading = np.clip((x, y, z), -_FARTHEST, _FARTHEST), math.radians(yaw)
             break

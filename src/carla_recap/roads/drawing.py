@@ -4,20 +4,23 @@ from __future__ import annotations
 
 import sys
 from collections import defaultdict
+from dataclasses import dataclass, field
+from pathlib import Path
 from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
-from carla_recap.maps.opendrive import NO_JUNCTION, read_opendrive
-from carla_recap.maps.parsing import pack, run_child
-from carla_recap.maps.polylines import Surface, distances_to, join, simplify
+from carla_recap.errors import FormatError
+from carla_recap.roads.carla_map import NO_JUNCTION, read_opendrive
+from carla_recap.roads.parsing import pack, parse_in_child, read_content, run_child, unpack
+from carla_recap.roads.polylines import Surface, distances_to, join, simplify
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator
 
     from numpy.typing import NDArray
 
-    from carla_recap.maps.opendrive import Landmark, LaneGeometry, Roads
+    from carla_recap.roads.carla_map import Landmark, LaneGeometry, Roads
 
     Floats = NDArray[np.float64]
 
@@ -29,6 +32,47 @@ _DENSITY: Final = 4  # points that cover a lane for each of its points, along it
 _MOST_ACROSS: Final = 400
 _SAME_STOP: Final = 0.5  # m between equal stop lines
 _SAME_PAINT: Final = 6.0  # m from a painted stop line, within which no other one is drawn
+
+
+@dataclass(frozen=True, eq=False)
+class RoadMap:
+    """The roads of a town as lines: arrays (n, 3), in m, right-handed: x forward, y left, z up.
+
+    Attributes:
+        name: The name of the file, without its suffix.
+        lane_borders: The borders of lanes, shoulders and pavements, each once; within junctions, only the outer ones.
+        centre_lines: The centre lines of the lanes for cars, in driving direction.
+        junctions: The outlines of junctions, as closed lines.
+        crossings: Pedestrian crossings, as closed lines.
+        stop_lines: Lines across the lanes at lights and stop signs.
+        opendrive: The text of the file, from which its surfaces are made.
+    """
+
+    name: str
+    lane_borders: list[Floats]
+    centre_lines: list[Floats]
+    junctions: list[Floats]
+    crossings: list[Floats]
+    stop_lines: list[Floats]
+    opendrive: str = field(default="", repr=False)
+
+
+def load_map(path: Path | str) -> RoadMap:
+    """Return the roads of an OpenDRIVE file.
+
+    Args:
+        path: The file, such as `Town01.xodr`.
+
+    Raises:
+        RecapError: The file cannot be read, or is no OpenDRIVE map with lanes for cars.
+        MissingExtra: CARLA's client library is not installed.
+    """
+    path = Path(path)
+    content = read_content(path)
+    lines = unpack(parse_in_child("carla_recap.roads.drawing", path, content))
+    if not lines["centre_lines"]:
+        raise FormatError(path, None, "an OpenDRIVE map was expected, and no lane for cars is in it")
+    return RoadMap(path.stem, **lines, opendrive=content.decode("utf-8", "replace"))
 
 
 def draw(roads: Roads) -> dict[str, list[Floats]]:

@@ -8,15 +8,16 @@ import numpy as np
 import pytest
 
 import carla_recap
-from carla_recap.maps.corridors import LANE_WIDTH, corridor_map, corridor_opendrive, fresh_parts
-from carla_recap.maps.road_geometry import read_roads
 from carla_recap.model.records import ActorKind, Spawn
+from carla_recap.replay.recorded_map import corridors_of, opendrive_of_corridors
+from carla_recap.roads.corridors import LANE_WIDTH, fresh_parts
+from carla_recap.roads.opendrive import read_roads
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
     from pathlib import Path
 
-    from carla_recap.maps.road_geometry import Road
+    from carla_recap.roads.opendrive import Road
 
 
 @pytest.fixture
@@ -31,7 +32,7 @@ def roads(tmp_path: Path):
                 spawned = [Spawn(id, ActorKind.VEHICLE, type_id="vehicle.audi.tt") for id, _ in here] if frame == 0 else []
                 recording.add_frame(frame / 10, spawned=spawned, transforms=poses)
         with carla_recap.open_recording(path) as recording:
-            return read_roads(corridor_opendrive(recording))
+            return read_roads(opendrive_of_corridors(recording))
 
     return roads
 
@@ -108,7 +109,7 @@ def test_a_corridor_map_has_lines_and_surfaces(tmp_path: Path):
             spawned = [Spawn(1, ActorKind.VEHICLE, type_id="vehicle.audi.tt")] if frame == 0 else []
             recording.add_frame(frame / 10, spawned=spawned, transforms=[{"id": 1, "x": 150.0 * frame}])
     with carla_recap.open_recording(path) as recording:
-        found = corridor_map(recording)
+        found = corridors_of(recording)
     assert found is not None
     assert found.name == "Nowhere"
     assert len(found.centre_lines) == 1
@@ -127,7 +128,7 @@ def test_roads_are_of_the_time_that_is_asked_for(tmp_path: Path):
             spawned = [Spawn(1, ActorKind.VEHICLE, type_id="vehicle.audi.tt")] if frame == 0 else []
             recording.add_frame(frame / 10, spawned=spawned, transforms=[{"id": 1, "x": 150.0 * frame}])
     with carla_recap.open_recording(path) as recording:
-        (road,) = read_roads(corridor_opendrive(recording, 10.0, 20.0))
+        (road,) = read_roads(corridors_of(recording, 10.0, 20.0).opendrive)
     course = points(road)
     assert course[:, 0].min() == pytest.approx(150 - 4, abs=2)
     assert course[:, 0].max() == pytest.approx(300 + 4, abs=2)

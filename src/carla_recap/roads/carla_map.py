@@ -10,10 +10,9 @@ from dataclasses import dataclass, field
 from itertools import count
 from typing import TYPE_CHECKING, Any, Final
 
-import carla
 import numpy as np
 
-from carla_recap.maps.road_geometry import LIGHT, STOP
+from carla_recap.roads.opendrive import LIGHT, STOP
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator
@@ -83,7 +82,7 @@ class Landmark:
 
     Attributes:
         id: The id in the file.
-        kind: The OpenDRIVE type, such as `road_geometry.LIGHT`.
+        kind: The OpenDRIVE type, such as `opendrive.LIGHT`.
         value: The value, such as a speed.
         unit: The unit of the value.
         road: The road along which it applies.
@@ -135,6 +134,8 @@ def read_opendrive(text: str) -> Roads:
     Args:
         text: The content of the file.
     """
+    import carla
+
     # CARLA reads only those road markings whose names have this form.
     town = carla.Map("", text.replace(f'name="{_PAINT}"', f'name="Stencil_{_PAINT}"'))
     return Roads(

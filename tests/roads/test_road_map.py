@@ -12,15 +12,15 @@ import pytest
 
 import carla_recap
 from carla_recap import RecapError
-from carla_recap.maps import load_map, parsing
-from tests.maps.towns import lane, opendrive, road, section, town
+from carla_recap.roads import load_map, parsing
+from tests.roads.towns import lane, opendrive, road, section, town
 from tests.samples import carla_log
 from tests.waiting import time_limit
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
-    from carla_recap.maps import RoadMap
+    from carla_recap.roads import RoadMap
 
 pytest.importorskip("carla", reason="the extra carla is not installed")
 
@@ -192,7 +192,7 @@ def test_a_parser_that_takes_too_long_is_killed(tmp_path, monkeypatch):
 
 
 ENDLESS = """
-from carla_recap.maps import parsing
+from carla_recap.roads import parsing
 parsing._PROCESSOR_TIME = 1
 def parse(text):
     while True:

@@ -2,7 +2,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from carla_recap.maps.parsing import pack, unpack
+from carla_recap.roads.parsing import pack, unpack
 
 
 def test_lines_survive_a_round_trip():

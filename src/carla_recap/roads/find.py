@@ -1,22 +1,13 @@
-"""The road map of a recording: finding its OpenDRIVE file, and loading it."""
+"""The OpenDRIVE files of maps, by the names that recordings have."""
 
 from __future__ import annotations
 
 import os
 import re
-from dataclasses import dataclass, field
 from pathlib import Path
-from typing import TYPE_CHECKING, Final
+from typing import Final
 
-from carla_recap.errors import FormatError
-from carla_recap.maps.parsing import parse_in_child, read_content, unpack
 from carla_recap.util.log import log_info
-
-if TYPE_CHECKING:
-    import numpy as np
-    from numpy.typing import NDArray
-
-    Floats = NDArray[np.float64]
 
 FOLDER: Final = "CARLA_RECAP_MAPS"
 """The environment variable that names the folder of maps."""
@@ -25,47 +16,6 @@ _LAYERED: Final = "_Opt"
 """The end of the name of a map whose parts can be hidden layer by layer."""
 _CARLA_TOWN: Final = re.compile(r"Town(0[1-7]|10HD)")  # the towns of CARLA 0.9.16 that have such a map
 _BUILT_IN: Final = Path(__file__).parents[1] / "sim" / "towns"
-
-
-@dataclass(frozen=True, eq=False)
-class RoadMap:
-    """The roads of a town as lines: arrays (n, 3), in m, right-handed: x forward, y left, z up.
-
-    Attributes:
-        name: The name of the file, without its suffix.
-        lane_borders: The borders of lanes, shoulders and pavements, each once; within junctions, only the outer ones.
-        centre_lines: The centre lines of the lanes for cars, in driving direction.
-        junctions: The outlines of junctions, as closed lines.
-        crossings: Pedestrian crossings, as closed lines.
-        stop_lines: Lines across the lanes at lights and stop signs.
-        opendrive: The text of the file, from which its surfaces are made.
-    """
-
-    name: str
-    lane_borders: list[Floats]
-    centre_lines: list[Floats]
-    junctions: list[Floats]
-    crossings: list[Floats]
-    stop_lines: list[Floats]
-    opendrive: str = field(default="", repr=False)
-
-
-def load_map(path: Path | str) -> RoadMap:
-    """Return the roads of an OpenDRIVE file.
-
-    Args:
-        path: The file, such as `Town01.xodr`.
-
-    Raises:
-        RecapError: The file cannot be read, or is no OpenDRIVE map with lanes for cars.
-        MissingExtra: CARLA's client library is not installed.
-    """
-    path = Path(path)
-    content = read_content(path)
-    lines = unpack(parse_in_child("carla_recap.maps.drawing", path, content))
-    if not lines["centre_lines"]:
-        raise FormatError(path, None, "an OpenDRIVE map was expected, and no lane for cars is in it")
-    return RoadMap(path.stem, **lines, opendrive=content.decode("utf-8", "replace"))
 
 
 def find_map(map_name: str, folder: Path | str | None = None) -> Path | None:

@@ -7,18 +7,27 @@ import warnings
 from pathlib import Path
 from typing import TYPE_CHECKING, Final, TypeVar
 
+import numpy as np
+
 from carla_recap.errors import MissingExtra, RecapError, RecapWarning
-from carla_recap.maps.corridors import corridor_map
-from carla_recap.maps.road_map import RoadMap, find_map
+from carla_recap.model.records import CM
+from carla_recap.roads.corridors import POSE, corridor_map, corridor_opendrive
+from carla_recap.roads.find import find_map, plain_name
+from carla_recap.tables.trajectories import actor_rows
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
+    from collections.abc import Callable, Iterator
+
+    from numpy.typing import NDArray
 
     from carla_recap.recording import Recording
+    from carla_recap.roads.drawing import RoadMap
 
 T = TypeVar("T")
 
 _AROUND: Final = 30.0  # s around what is shown, in which vehicles drive along what are its roads
+_LONGEST: Final = 1800.0  # s of a recording
+_AT_ONCE: Final = 10.0  # s in which a first pose is looked for
 
 
 def find_map_of(recording: Recording, path: Path | str | None) -> Path | None:
@@ -68,7 +77,7 @@ def load_map_of(
         try:
             begin = max(start if start >= 0 else recording.info.duration + start, 0.0)
             stop = begin + duration + _AROUND if duration > 0 else math.inf
-            corridors = corridor_map(recording, begin - _AROUND, stop)
+            corridors = corridors_of(recording, begin - _AROUND, stop)
             return None if corridors is None else convert(corridors)
         except RecapError:  # as of a damaged recording, which is reported elsewhere
             return None
@@ -77,3 +86,46 @@ def load_map_of(
     except MissingExtra as error:
         warnings.warn(f"{error}; the rest is shown without it", RecapWarning, stacklevel=2)
         return None
+
+
+def corridors_of(recording: Recording, start: float = -math.inf, stop: float = math.inf) -> RoadMap | None:
+    """Return what the vehicles of a recording have driven along as a road map.
+
+    Args:
+        recording: The recording.
+        start: The elapsed seconds from which on it is read.
+        stop: The elapsed seconds until which it is read.
+
+    Returns:
+        None for more than half an hour, which take too long to read for that.
+    """
+    if min(stop, recording.info.duration) - max(start, 0.0) > _LONGEST:
+        return None
+    return corridor_map(plain_name(recording.header.map_name), *_driven(recording, start, stop))
+
+
+def opendrive_of_corridors(recording: Recording) -> str:
+    """Return an OpenDRIVE map whose roads are what the vehicles of a recording have driven along."""
+    return corridor_opendrive(*_driven(recording))
+
+
+def _driven(
+    recording: Recording, start: float = -math.inf, stop: float = math.inf
+) -> tuple[list[NDArray[np.void]], Iterator[NDArray[np.void]]]:
+    """Return the poses of each vehicle, and those of all actors soon after the start, read when needed."""
+    vehicles = {actor.id for actor in recording.actors.values() if actor.kind == "vehicle"}
+    return list(_poses(recording, vehicles, start, stop)), _poses(
+        recording, None, start, min(stop, max(start, 0.0) + _AT_ONCE)
+    )
+
+
+def _poses(recording: Recording, ids: set[int] | None, start: float, stop: float) -> Iterator[NDArray[np.void]]:
+    """Yield the poses of each actor."""
+    rows = actor_rows(recording.reader, ("transforms",), ids, start=start, stop=stop)["transforms"]
+    for found in rows.values():
+        poses = np.empty(len(found.records), POSE)
+        poses["time"] = found.time
+        with np.errstate(invalid="ignore"):  # a signaling NaN
+            for name, unit in (("x", CM), ("y", -CM), ("z", CM), ("yaw", -1.0)):
+                poses[name] = found.records[name].astype(np.float64) * unit
+        yield poses

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING
 import pytest
 
 from carla_recap import MissingExtra
-from carla_recap.maps import find_map, load_map
+from carla_recap.roads import find_map, load_map
 
 if TYPE_CHECKING:
     from pathlib import Path

@@ -8,13 +8,13 @@ from typing import TYPE_CHECKING
 import numpy as np
 import pytest
 
-from carla_recap.maps import load_map
-from tests.maps.towns import crossing, lane, opendrive, painted_stop, road, section, stop_sign
+from carla_recap.roads import load_map
+from tests.roads.towns import crossing, lane, opendrive, painted_stop, road, section, stop_sign
 
 if TYPE_CHECKING:
     from pathlib import Path
 
-    from carla_recap.maps import RoadMap
+    from carla_recap.roads import RoadMap
 
 pytest.importorskip("carla", reason="the extra carla is not installed")
 

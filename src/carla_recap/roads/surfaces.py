@@ -1,6 +1,6 @@
 """Road networks from OpenDRIVE files; as a module, the child process that makes them.
 
-They are made of the records of the file by `road_geometry`, without CARLA's client library.
+They are made of the records of the file by `opendrive`, without CARLA's client library.
 """
 
 from __future__ import annotations
@@ -18,13 +18,13 @@ from typing import TYPE_CHECKING, Any, Final, NamedTuple
 import numpy as np
 
 from carla_recap.errors import FormatError
-from carla_recap.maps import road_geometry
-from carla_recap.maps.corridors import is_of_corridors
-from carla_recap.maps.parsing import parse_in_child, read_content, run_child
-from carla_recap.maps.road_geometry import in_metres_per_second, read_roads, sparse_stations
-from carla_recap.maps.road_map import find_map
-from carla_recap.model import roads
-from carla_recap.model.roads import RoadNetwork
+from carla_recap.roads import network as roads
+from carla_recap.roads import opendrive
+from carla_recap.roads.corridors import is_of_corridors
+from carla_recap.roads.find import find_map
+from carla_recap.roads.network import RoadNetwork
+from carla_recap.roads.opendrive import in_metres_per_second, read_roads, sparse_stations
+from carla_recap.roads.parsing import parse_in_child, read_content, run_child
 from carla_recap.util import cache
 
 if TYPE_CHECKING:
@@ -32,8 +32,8 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    from carla_recap.maps.road_geometry import Road, RoadLane, RoadSection, RoadSignal
-    from carla_recap.maps.road_map import RoadMap
+    from carla_recap.roads.drawing import RoadMap
+    from carla_recap.roads.opendrive import Road, RoadLane, RoadSection, RoadSignal
 
     Floats = NDArray[np.float64]
     Lane = tuple[int, int, int]
@@ -48,7 +48,7 @@ _KINDS: Final = {
     **dict.fromkeys(("shoulder", "border", "stop", "restricted", "biking", "tram"), roads.SHOULDER),
     **dict.fromkeys(("special1", "special2", "special3"), roads.SHOULDER),
 }
-_SIGNALS: Final = {road_geometry.LIGHT: roads.LIGHT, road_geometry.STOP: roads.STOP, road_geometry.YIELD: roads.YIELD}
+_SIGNALS: Final = {opendrive.LIGHT: roads.LIGHT, opendrive.STOP: roads.STOP, opendrive.YIELD: roads.YIELD}
 _LIMIT_OBJECT: Final = re.compile(r"Speed_?(\d{1,3})")  # the name of an object that is a sign, in CARLA's towns
 _SPACING: Final = 1.0  # m between the points at which the course of a road is examined
 _MOST_POINTS: Final = 300_000  # at which roads are examined
@@ -117,14 +117,14 @@ def road_network_of_map(road_map: RoadMap | None) -> RoadNetwork | None:
 
 @lru_cache(4)
 def _network(name: str, path: Path, content: bytes) -> RoadNetwork:
-    key = cache.content_key(content, "maps", "model")
+    key = cache.content_key(content, "roads")
     data = cache.read_entry(key)
     if data is not None:
         try:
             return _unpacked(name, data)
         except Exception:  # whatever an invalid entry causes
             cache.remove_entry(key)
-    data = parse_in_child("carla_recap.maps.network", path, content)
+    data = parse_in_child("carla_recap.roads.surfaces", path, content)
     network = _unpacked(name, data)
     if not np.isin(network.lanes["kind"], (roads.DRIVING, roads.BOTH_WAYS)).any():
         raise FormatError(path, None, "an OpenDRIVE map was expected, and no lane for cars is in it")
@@ -271,7 +271,7 @@ class _LimitSign(NamedTuple):
 
 def _signs(road: Road) -> Iterator[_LimitSign]:
     for signal in road.signals:
-        if signal.kind == road_geometry.SPEED_LIMIT:
+        if signal.kind == opendrive.SPEED_LIMIT:
             limit = in_metres_per_second(signal.value, signal.unit or "km/h")  # CARLA's signs are in km/h
             lanes = signal.lanes or _side(signal.ahead)
             if limit is not None:
