@@ -43,6 +43,8 @@ class FileServer:
         etags: Whether files have ETags; "weak" for weak ones.
         status: The status of every answer, instead of the file.
         failures: The number of requests that get that status; the others get the file.
+        short: The bytes that are left out at the end of each range.
+        admits: Whether the headers say so.
         limit: The number of requests after which connections are dropped without an answer.
     """
 
@@ -58,6 +60,8 @@ class FileServer:
     etags: bool | str = True
     status: int | None = None
     failures: float = float("inf")
+    short: int = 0
+    admits: bool = False
     limit: float = float("inf")
     _lock: Lock = field(default_factory=Lock)
     _now: int = 0
@@ -138,10 +142,11 @@ def serve(folder: Path) -> Iterator[FileServer]:
             first, last = found.groups()
             start = int(first) if first else max(size - int(last), 0)
             stop = min(int(last) + 1, size) if first and last else size
-            headers["Content-Range"] = f"bytes {start}-{stop - 1}/{size}"
+            sent = stop - start - files.short
+            headers["Content-Range"] = f"bytes {start}-{(start + sent if files.admits else stop) - 1}/{size}"
             with path.open("rb") as file:
                 file.seek(start)
-                self._send(206, headers, file.read(stop - start))
+                self._send(206, headers, file.read(sent))
 
         def _send(self, status: int, headers: dict[str, str], data: bytes) -> None:
             with files._lock:

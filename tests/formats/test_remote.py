@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import os
+import re
 import struct
 import sys
 import tempfile
+from pathlib import Path
 from types import SimpleNamespace
 
 import numpy as np
@@ -236,6 +238,31 @@ def test_a_server_that_fails_once_is_asked_again(small_web):
     with open_recording(f"{small_web.url}/small.mcap") as recording:
         assert recording.info.frames == 4
     assert len(small_web.requests) == 2
+
+
+@pytest.mark.parametrize("fault", [{"status": 503}, {"status": 429}, {"limit": 0}])
+def test_a_server_that_fails_is_asked_as_often_as_the_page_says(small_web, fault):
+    vars(small_web).update(fault)
+    with time_limit(), pytest.raises(RecapError, match="the server"):
+        open_recording(f"{small_web.url}/small.mcap")
+    page = (Path(__file__).parents[2] / "docs/remote.md").read_text("utf-8")
+    (tries,) = re.findall(r"is\s+asked\s+(\w+)\s+times", page)
+    assert len(small_web.requests) == {"three": 3, "four": 4, "five": 5}[tries]
+
+
+@pytest.mark.parametrize("admits", [True, False])
+def test_a_server_that_sends_too_few_bytes_is_blamed(web, admits):
+    size = (web.folder / "live.mcap").stat().st_size
+    web.short, web.admits = 90, admits
+    with time_limit(), pytest.raises(RecapError, match=r"live\.mcap: cannot be read: the server sent \d+ of \d+ bytes$"):
+        open_recording(f"{web.url}/live.mcap")
+    web.short = 0
+    with open_recording(f"{web.url}/live.mcap") as recording:
+        web.short = 90
+        with time_limit(), pytest.raises(RecapError, match=r"cannot be read: the server sent (\d+) of \d+ bytes$") as caught:
+            recording.collisions()
+    sent, asked = map(int, re.findall(r"(\d+) of (\d+)", str(caught.value))[0])
+    assert 0 < sent == asked - 90 < size
 
 
 def test_a_server_without_ranges(small_web):

@@ -18,7 +18,7 @@ from shutil import disk_usage
 from threading import Lock, Thread
 from typing import TYPE_CHECKING, BinaryIO, Final, NamedTuple, TypeVar
 
-from carla_recap.errors import Closed, FormatError, MissingExtra, NotARecording, RecapError
+from carla_recap.errors import Closed, MissingExtra, NotARecording, RecapError
 from carla_recap.formats.sources import WEB, outside, path_of, scheme_of, unsigned
 from carla_recap.util.log import log_debug, log_info
 
@@ -61,6 +61,7 @@ _METADATA: Final = (  # where keys are looked for last
 _MESSAGE: Final = re.compile('(?:message|error): "([^"]+)"')
 _STATUS: Final = re.compile(r"status code: ([0-9]+ [A-Za-z -]+)")
 _REFUSED: Final = re.compile("the server answers (400|501) |: is empty; ")
+_OTHER_RANGE: Final = re.compile(r"Requested ([0-9]+)\.\.([0-9]+), got ([0-9]+)\.\.([0-9]+)")
 _KIND: Final = re.compile("^Generic [A-Za-z0-9]+ error: ")
 _CLIENT: Final[ClientConfig] = {
     "allow_http": True,
@@ -183,7 +184,7 @@ class RemoteSource:
             if begin <= offset and offset + size <= begin + len(data):
                 return data[offset - begin : offset - begin + size]
         fetched = max(size, min(_BLOCK, self._tail[0] - offset))
-        data = _started(partial(self._fetch, offset, fetched, what)).result()
+        data = _started(partial(self._fetch, offset, fetched)).result()
         self._block = offset, data
         return data[:size]
 
@@ -236,10 +237,10 @@ class RemoteSource:
         if len(joined) == 1 and begin - sum(joined[0]) < _BLOCK and self.size - joined[0][0] <= _WINDOW:
             # The events of a long recording begin before the tail; they are asked for again.
             offset = joined.pop()[0]
-            tail = _started(partial(self._fetch, offset, begin - offset, what)).result() + tail
+            tail = _started(partial(self._fetch, offset, begin - offset)).result() + tail
             begin = offset
             self._tail = begin, tail
-        parts = _at_once(lambda span: self._fetch(span[0], span[1], what), joined)
+        parts = _at_once(lambda span: self._fetch(*span), joined)
         starts, parts = [*(offset for offset, _ in joined), begin], [*parts, tail]
         found = deque[bytes]()
         for offset, size in spans:
@@ -248,13 +249,10 @@ class RemoteSource:
             found.append(parts[index][at : at + size])
         return found
 
-    def _fetch(self, offset: int, size: int, what: str) -> bytes:
+    def _fetch(self, offset: int, size: int) -> bytes:
         if size == 0:
             return b""
-        data, _ = self._get({"range": (offset, offset + size)})
-        if len(data) < size:
-            raise FormatError(self.location, offset + len(data), f"the file ends inside {what}")
-        return data
+        return self._get({"range": (offset, offset + size)})[0]
 
     def _get_tail(self) -> tuple[bytes, ObjectMeta]:
         """Return the last bytes, and the description of the object; see `_get`.
@@ -295,6 +293,9 @@ class RemoteSource:
                     raise self._changed() from None
                 raise NotARecording(self.location, "is empty; a CARLA log or an MCAP recording was expected") from None
             raise RecapError(f"{self.location}: cannot be read: {_reason(error)}") from None
+        expected = found.range[1] - found.range[0]
+        if len(data) != expected:
+            raise RecapError(f"{self.location}: cannot be read: the server sent {len(data)} of {expected} bytes")
         with self._lock:
             self.bytes_read += len(data)
         if self.size and (meta["size"], meta["e_tag"]) != (self.size, self.etag):
@@ -396,7 +397,10 @@ def _windows(spans: Iterable[Span], stop: int, limit: int) -> Iterator[list[Span
 
 
 def _joined(spans: Iterable[Span], stop: int) -> list[Span]:
-    """Return spans that contain those that begin before an offset, with gaps between them that are worth a request."""
+    """Return spans that contain those that begin before an offset, with gaps between them that are worth a request.
+
+    `obstore.get_ranges` joins ranges, too, but takes no ETag: old and new content of an object could be mixed.
+    """
     joined: list[Span] = []
     for offset, size in sorted(spans):
         if offset >= stop:
@@ -433,10 +437,14 @@ def _reason(error: Exception) -> str:
             "no credentials were found in the environment, such as AWS_ACCESS_KEY_ID and AWS_SECRET_ACCESS_KEY; "
             "a public bucket needs none with AWS_SKIP_SIGNATURE=true"
         )
-    if "IncompleteMessage" in text:
+    if "IncompleteMessage" in text or "response body error" in text:
         return "the server has hung up"
     if "TimedOut" in text:
         return "the server does not answer in time"
+    other = _OTHER_RANGE.search(text)
+    if other is not None:
+        start, stop, begin, end = map(int, other.groups())
+        return f"the server sent {end - begin} of {stop - start} bytes"
     status = _STATUS.search(text)
     if status is not None:
         return f"the server answers {status[1]}"
