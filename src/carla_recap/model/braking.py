@@ -6,6 +6,7 @@ little effect. It must last for a while, so that a sudden stop (in a crash, by a
 
 from __future__ import annotations
 
+import math
 from itertools import pairwise
 from typing import TYPE_CHECKING, Any, Final, NamedTuple
 
@@ -38,6 +39,7 @@ _JUMP: Final = 5.0  # m; a shorter step is no jump
 _TOP_SPEED: Final = 100.0  # m/s; a faster step is a jump where no velocity is recorded
 _SLACK: Final = 3.0  # a jump is longer than the recorded velocity explains by more than this factor
 _ROUNDING: Final = 1e-6  # s
+_DIGITS: Final = 6  # of decelerations, beyond which they depend on where the frames that are read begin
 _SURE: Final = 0.999  # a value below this share of a limit is below it in the precision of the file, too
 
 _BLOCK: Final = 100_000  # records that are evaluated together
@@ -82,6 +84,7 @@ class BrakingDetector:
         self._first = 0  # the number of the block's first frame
         self._done = 0  # the number of the first frame that is not evaluated yet
         self._runs: list[NDArray[np.void]] = []
+        self._hard: list[Floats] = []  # ids, times and decelerations of vehicles in the frames in which they brake hard
 
     def add_spawns(self, spawns: Iterable[Spawn]) -> bool:
         """Add the vehicles among spawned actors; return False if one of them had records before, which were left out."""
@@ -119,6 +122,21 @@ class BrakingDetector:
         runs = _joined(runs, runs["start"][1:] - runs["stop"][:-1] < _GAP)
         return [Braking(*run) for run in runs[list(Braking._fields)].tolist()]
 
+    def hardest(self, id: int, start: float, stop: float) -> tuple[float, float]:
+        """Return the greatest deceleration of a vehicle that brakes hard, in m/s², and its time, after `finish`.
+
+        Args:
+            id: The vehicle.
+            start: The elapsed seconds from which on it is looked for.
+            stop: The elapsed seconds until which it is looked for.
+        """
+        ids, times, decelerations = np.concatenate((np.zeros((3, 0)), *self._hard), axis=1)
+        among = np.flatnonzero((ids == id) & (times >= start) & (times <= stop))
+        if not len(among):
+            return math.nan, math.nan
+        row = among[decelerations[among].argmax()]
+        return float(decelerations[row]), float(times[row])
+
     @np.errstate(all="ignore")
     def _evaluate(self, until: int) -> None:
         """Evaluate the frames of the block before one; the last of them stay as the margin of the next block."""
@@ -126,9 +144,12 @@ class BrakingDetector:
         suspects = _suspects(self._transforms, self._velocities, elapsed, self._deceleration)
         if len(suspects):
             motion = _VehicleMotion(*self._transforms.table(suspects), *self._velocities.table(suspects), elapsed)
-            hard = motion.deceleration() >= self._deceleration
+            deceleration = motion.deceleration()
+            hard = deceleration >= self._deceleration
             hard &= (motion.frame >= self._done - self._first) & (motion.frame < until)
             self._runs.append(motion.runs(hard, self._first))
+            values = np.round(deceleration[hard], _DIGITS)
+            self._hard.append(np.stack((motion.id[hard], motion.time[hard], values)))
         self._done = self._first + until
         dropped = max(until - _MARGIN, 0)
         self._transforms.drop(dropped)
@@ -327,14 +348,13 @@ class _VehicleMotion:
         velocity_frame: Indices,
         elapsed: Floats,
     ) -> None:
-        self.frame = frame
+        self.frame, self.id, self.time = frame, transforms["id"], elapsed[frame]
         self._transforms = transforms
-        self._time = elapsed[frame]
         self._position = np.stack([transforms[axis].astype(np.float64) * CM for axis in "xyz"])
         recorded = _recorded_speeds(transforms["id"], frame, velocities, velocity_frame)
         self._continues = self._connected(recorded)  # from each row to the next one
         # A clock on which rows that do not belong together are far apart.
-        steps = np.where(self._continues, np.diff(self._time), 2 * _GAP)
+        steps = np.where(self._continues, np.diff(self.time), 2 * _GAP)
         self._clock = np.concatenate(([0.0], np.cumsum(steps)))[: len(frame)]
         self._speed = np.where(np.isnan(recorded), self._slopes(), recorded)
 
@@ -369,7 +389,7 @@ class _VehicleMotion:
         runs = np.zeros(len(rows), _RUN)
         runs["id"] = self._transforms["id"][rows]
         runs["first"] = runs["last"] = number + self.frame[rows]
-        runs["start"] = runs["stop"] = self._time[rows]
+        runs["start"] = runs["stop"] = self.time[rows]
         for axis in "xyz":
             runs[axis] = self._transforms[axis][rows]
         runs["speed"] = self._speed[rows]
@@ -377,7 +397,7 @@ class _VehicleMotion:
 
     def _connected(self, recorded: Floats) -> Booleans:
         """Return whether each row and the next one are of a vehicle that neither jumps nor is missing for long."""
-        seconds = np.diff(self._time)
+        seconds = np.diff(self.time)
         distance = np.sqrt((np.diff(self._position) ** 2).sum(axis=0))
         speed = np.fmax(recorded[1:], recorded[:-1])
         explained = np.where(np.isnan(speed), _TOP_SPEED * seconds, _SLACK * speed * seconds)
@@ -392,7 +412,7 @@ class _VehicleMotion:
         before = rows - np.insert(self._continues, 0, False)[: len(rows)]
         after = rows + np.append(self._continues, False)[: len(rows)]
         distance = self._position[:2, after] - self._position[:2, before]
-        return np.asarray(np.hypot(*distance) / (self._time[after] - self._time[before]))
+        return np.asarray(np.hypot(*distance) / (self.time[after] - self.time[before]))
 
 
 def _recorded_speeds(ids: Ids, frame: Indices, velocities: NDArray[np.void], velocity_frame: Indices) -> Floats:

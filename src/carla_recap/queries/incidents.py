@@ -23,9 +23,10 @@ from carla_recap.queries import Answer
 from carla_recap.queries.blocked import longest_first
 from carla_recap.queries.contacts import contact_starts, is_known
 from carla_recap.queries.measures.contacts import ContactTimes
+from carla_recap.queries.measures.near_misses import POST_ENCROACHMENT_TIME, TIME_TO_COLLISION, NearMissDetector
 from carla_recap.queries.measures.near_misses import TYPES as MOTION_TYPES
-from carla_recap.queries.measures.near_misses import NearMissDetector
 from carla_recap.queries.measures.road import TYPES as ROAD_TYPES
+from carla_recap.queries.measures.road import UNITS as ROAD_UNITS
 from carla_recap.queries.measures.road import RoadKind, RoadSearch
 
 if TYPE_CHECKING:
@@ -57,6 +58,8 @@ KINDS: Final[tuple[Kind, ...]] = ("collision", "blocked", "hard braking")
 
 _AFTERMATH: Final = 0.5  # s after a contact in which a deceleration is part of it
 _KMH: Final = 3.6  # km/h in m/s
+_AROUND: Final = 2.5  # s around hard braking that are read to compute its deceleration
+_LOOK_UPS: Final = 100  # times that are read one by one; for more, all frames are read
 
 Position = tuple[float, float, float]
 _UNKNOWN: Final[Position] = (math.nan, math.nan, math.nan)
@@ -74,6 +77,11 @@ class Incident:
             (a wall, a kerb) is not included.
         type_ids: The blueprint of each actor; empty for an unknown actor.
         x, y, z: The position of the first actor at the start, in m, right-handed; NaN where it is unknown.
+        measure: What is measured, such as `time_to_collision`.
+        value: Its most critical value; NaN where it is unknown.
+        unit: The unit of the value.
+        threshold: The value from which on it is an incident; NaN if there is none.
+        time: When the value is most critical, in elapsed seconds.
         text: A description: a sentence without its full stop.
     """
 
@@ -85,6 +93,11 @@ class Incident:
     x: float
     y: float
     z: float
+    measure: str
+    value: float
+    unit: str
+    threshold: float
+    time: float
     text: str
 
 
@@ -92,7 +105,7 @@ class Incidents(Answer[Incident]):
     """The incidents of a recording, in order of time."""
 
     row_type = Incident
-    row_units: ClassVar = {"start": "s", "stop": "s", "x": "m", "y": "m", "z": "m"}
+    row_units: ClassVar = {"start": "s", "stop": "s", "x": "m", "y": "m", "z": "m", "time": "s"}
 
 
 def incidents(
@@ -167,6 +180,7 @@ class IncidentSearch:
         wanted = _wanted(kinds, roads)
         collisions, braking = "collision" in wanted, "hard braking" in wanted
         self._source, self._start, self._stop = source, start, stop
+        self._min_time, self._deceleration = min_time, deceleration
         self._actors, self._contacts, touching = ActorLives(), _Contacts(), ContactTimes()
         for frame in source.frames((*ACTOR_TYPES, "collisions"), sparse=True, stop=stop):
             if not frame.elapsed < start:
@@ -240,9 +254,10 @@ class IncidentSearch:
         found: list[Incident] = []
         if self._collisions:
             found += _collisions(contacts, actors)
-        found += _blocked(longest_first(self._tracker.finish() if self._tracker else self._intervals or []), actors)
+        stops = longest_first(self._tracker.finish() if self._tracker else self._intervals or [])
+        found += _blocked(stops, actors, self._min_time)
         braked = self._detector.finish() if self._detector else self._braked
-        found += _braking(braked or (), contacts, actors)
+        found += _braking(braked or (), self._detector, self._source, self._deceleration, contacts, actors)
         found += _near_misses(self._near.finish() if self._near else (), actors)
         found += _of_road(self._roads.finish(), actors, self._kinds) if self._roads else ()
         found = [incident for incident in found if not (incident.start > stop or incident.stop < start)]
@@ -274,7 +289,20 @@ def _of_road(events: Iterable[RoadEvent], actors: ActorLives, kinds: Collection[
             ids = (event.id,)
             type_ids = actors.type_ids(ids, event.start)
             text = f"{actors.name(event.id, event.start)} {event.text}"
-            yield Incident(event.kind, event.start, event.stop, ids, type_ids, event.x, event.y, event.z, text)
+            yield Incident(
+                event.kind,
+                event.start,
+                event.stop,
+                ids,
+                type_ids,
+                *(event.x, event.y, event.z),
+                measure=event.measure,
+                value=event.value,
+                unit={"speed": "m/s", **ROAD_UNITS}[event.measure],
+                threshold=event.threshold,
+                time=event.time,
+                text=text,
+            )
 
 
 # --- collisions ----------------------------------------------------------------------------------------------------------
@@ -344,7 +372,20 @@ def _collisions(contacts: Iterable[_Contact], actors: ActorLives) -> Iterator[In
         position = next((contact.positions[id] for id in ids if id in contact.positions), _UNKNOWN)
         text = f"{actors.name(first, contact.start)} collides with {actors.name(second, contact.start)}"
         type_ids = actors.type_ids(ids, contact.start)
-        yield Incident("collision", contact.start, contact.stop, ids, type_ids, *position, text)
+        yield Incident(
+            "collision",
+            contact.start,
+            contact.stop,
+            ids,
+            type_ids,
+            *position,
+            measure="relative_speed",
+            value=math.nan,
+            unit="m/s",
+            threshold=math.nan,
+            time=contact.start,
+            text=text,
+        )
 
 
 def _ranked(contact: _Contact, actors: ActorLives) -> tuple[int, int]:
@@ -366,26 +407,78 @@ def _ranked(contact: _Contact, actors: ActorLives) -> tuple[int, int]:
 # --- blocked actors and hard braking -------------------------------------------------------------------------------------
 
 
-def _blocked(rows: Iterable[BlockedRow], actors: ActorLives) -> Iterator[Incident]:
+def _blocked(rows: Iterable[BlockedRow], actors: ActorLives, min_time: float) -> Iterator[Incident]:
     for row in rows:
         if actors.kind(row.id, row.start) in ROAD_USERS:
             text = f"{actors.name(row.id, row.start)} stands still for {row.duration:.0f} s"
-            position = _metres(row.x, row.y, row.z)
-            yield Incident("blocked", row.start, row.start + row.duration, (row.id,), (row.type_id,), *position, text)
+            position, stop = _metres(row.x, row.y, row.z), row.start + row.duration
+            yield Incident(
+                "blocked",
+                row.start,
+                stop,
+                (row.id,),
+                (row.type_id,),
+                *position,
+                measure="duration",
+                value=row.duration,
+                unit="s",
+                threshold=min_time,
+                time=stop,
+                text=text,
+            )
 
 
-def _braking(rows: Iterable[Braking], contacts: Iterable[_Contact], actors: ActorLives) -> Iterator[Incident]:
+def _braking(
+    rows: Iterable[Braking],
+    detector: BrakingDetector | None,
+    source: Reader,
+    deceleration: float,
+    contacts: _Contacts,
+    actors: ActorLives,
+) -> Iterator[Incident]:
     slowed = _slowed_by(contacts)
+    found: list[tuple[Braking, float]] = []
     for row in rows:
-        spans, ids = slowed.get(row.id, []), (row.id,)
+        spans = slowed.get(row.id, [])
         later = bisect_right(spans, (row.start, math.inf))
         stop = min(row.stop, spans[later][0]) if later < len(spans) else row.stop
         in_contact = later > 0 and row.start <= spans[later - 1][1]
-        if in_contact or stop - row.start < SHORTEST or actors.kind(row.id, row.start) != "vehicle":
-            continue
+        if not in_contact and stop - row.start >= SHORTEST and actors.kind(row.id, row.start) == "vehicle":
+            found.append((row, stop))
+    detector = detector or _detector_of(found, source, deceleration)
+    for row, stop in found:
         text = f"{actors.name(row.id, row.start)} brakes hard at {row.speed * _KMH:.0f} km/h"
-        position = _metres(row.x, row.y, row.z)
-        yield Incident("hard braking", row.start, stop, ids, actors.type_ids(ids, row.start), *position, text)
+        value, time = detector.hardest(row.id, row.start, stop)
+        yield Incident(
+            "hard braking",
+            row.start,
+            stop,
+            (row.id,),
+            actors.type_ids((row.id,), row.start),
+            *_metres(row.x, row.y, row.z),
+            measure="deceleration",
+            value=value,
+            unit="m/s²",
+            threshold=deceleration,
+            time=time,
+            text=text,
+        )
+
+
+def _detector_of(found: Iterable[tuple[Braking, float]], source: Reader, deceleration: float) -> BrakingDetector:
+    """Return a detector that has processed the frames around known hard braking."""
+    detector = BrakingDetector({row.id for row, _ in found}, deceleration)
+    spans: list[tuple[float, float]] = []
+    for start, stop in sorted((row.start - _AROUND, stop + _AROUND) for row, stop in found):
+        if spans and start <= spans[-1][1]:
+            spans[-1] = (spans[-1][0], max(stop, spans[-1][1]))
+        else:
+            spans.append((start, stop))
+    for start, stop in spans if len(spans) <= _LOOK_UPS else [(-math.inf, math.inf)]:
+        for batch in source.batches(BRAKING_TYPES, start=start, stop=stop):
+            detector.batch(batch)
+    detector.finish()
+    return detector
 
 
 def _near_misses(rows: Iterable[NearMiss], actors: ActorLives) -> Iterator[Incident]:
@@ -401,7 +494,21 @@ def _near_misses(rows: Iterable[NearMiss], actors: ActorLives) -> Iterator[Incid
         ids, other = (row.id1, row.id2), actors.at(row.id2, row.start)
         if (other is not None and other.is_hero) or actors.kind(row.id1, row.start) == "walker":
             ids = ids[::-1]
-        yield Incident("near miss", row.start, row.stop, ids, actors.type_ids(ids, row.start), row.x, row.y, row.z, text)
+        by_collision = row.time_to_collision < math.inf
+        yield Incident(
+            "near miss",
+            row.start,
+            row.stop,
+            ids,
+            actors.type_ids(ids, row.start),
+            *(row.x, row.y, row.z),
+            measure="time_to_collision" if by_collision else "post_encroachment_time",
+            value=row.time_to_collision if by_collision else row.post_encroachment_time,
+            unit="s",
+            threshold=TIME_TO_COLLISION if by_collision else POST_ENCROACHMENT_TIME,
+            time=row.time,
+            text=text,
+        )
 
 
 def _slowed_by(contacts: Iterable[_Contact]) -> dict[int, list[tuple[float, float]]]:

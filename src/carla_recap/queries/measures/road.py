@@ -83,6 +83,7 @@ class RoadEvent(NamedTuple):
         id: The vehicle.
         start, stop: From when until when, in elapsed seconds.
         x, y, z: The position at the start, in m, right-handed.
+        measure, value, threshold, time: See `Incident`.
         text: What the vehicle does: a sentence without subject and full stop.
     """
 
@@ -93,6 +94,10 @@ class RoadEvent(NamedTuple):
     x: float
     y: float
     z: float
+    measure: str
+    value: float
+    threshold: float
+    time: float
     text: str
 
 
@@ -206,7 +211,7 @@ class RoadSearch:
         against &= ~at.in_junction & (kinds == roads.DRIVING)
         self._add_runs("wrong way", motion, against, -progress, summed=True)
         over = motion.speed - at.limit
-        self._add_runs("speeding", motion, (over > TOLERANCE) & (at.beside <= 0), motion.speed, at.limit)
+        self._add_runs("speeding", motion, (over > TOLERANCE) & (at.beside <= 0), over, at.limit)
         self._note("speed_over_limit", motion, np.where(at.beside <= 0, over, np.nan))
 
     def _add_runs(
@@ -230,6 +235,7 @@ class RoadSearch:
                 float(motion.time[last]),
                 (float(start["x"]), float(start["y"]), float(start["z"])),
                 float(np.nansum(part)) if summed else float(values[row]),
+                float(motion.time[last if summed else row]),
                 math.nan if limits is None else float(limits[row]),
             )
             self._runs[kind].append(run)
@@ -302,21 +308,33 @@ class RoadSearch:
             front = fronts.pop(key, None)
             if front is None:
                 continue
-            text = ""
+            text, threshold = "", math.nan
             kind: RoadKind = "red light"
             light = self._lights.red_during(signal, front.time, crossing.time)
             if light is not None:
                 text = f"runs a red light at {front.speed * _KMH:.0f} km/h (light {light})"
             elif self._lines.is_stop(front.line) and not front.has_stopped:
-                kind, text = "stop sign", f"passes a stop sign at {front.speed * _KMH:.0f} km/h without stopping"
+                kind, threshold = "stop sign", STOPPED
+                text = f"passes a stop sign at {front.speed * _KMH:.0f} km/h without stopping"
             if text:
-                yield RoadEvent(kind, crossing.id, front.time, crossing.time, *front.position, text)
+                yield RoadEvent(
+                    kind,
+                    crossing.id,
+                    front.time,
+                    crossing.time,
+                    *front.position,
+                    measure="speed",
+                    value=front.speed,
+                    threshold=threshold,
+                    time=front.time,
+                    text=text,
+                )
 
     def _left_road(self) -> Iterator[RoadEvent]:
         for run in _joined(self._runs["off road"]):
             if run.stop - run.start >= OFF_ROAD_TIME and run.start > self._first_on_road.get(run.id, math.inf):
                 far = f"{run.value:.1f} m" if run.value < roads.REACH else f"more than {roads.REACH:.0f} m"
-                yield run.event("off road", f"leaves the road by {far}")
+                yield run.event("off road", "distance_off_road", OFF_ROAD, f"leaves the road by {far}")
 
     def _wrong_way(self) -> Iterator[RoadEvent]:
         for run in _joined(self._runs["wrong way"], summed=True):
@@ -324,13 +342,15 @@ class RoadSearch:
             if run.value > self._extremes.get(key, (0.0, 0.0))[0]:
                 self._extremes[key] = run.value, run.start
             if run.stop - run.start >= AGAINST_TIME:
-                yield run.event("wrong way", f"drives {run.value:.0f} m against the direction of its lane")
+                text = f"drives {run.value:.0f} m against the direction of its lane"
+                yield run.event("wrong way", "distance_against_lane", AGAINST * AGAINST_TIME, text)
 
     def _speeding(self) -> Iterator[RoadEvent]:
         for run in _joined(self._runs["speeding"]):
             if run.stop - run.start >= SPEEDING_TIME:
-                text = f"drives {run.value * _KMH:.0f} km/h where {run.limit * _KMH:.0f} km/h are allowed"
-                yield run.event("speeding", text)
+                speed = (run.limit + run.value) * _KMH
+                text = f"drives {speed:.0f} km/h where {run.limit * _KMH:.0f} km/h are allowed"
+                yield run.event("speeding", "speed_over_limit", TOLERANCE, text)
 
 
 def _box(actor: ActorLife) -> tuple[float, float]:
@@ -407,6 +427,7 @@ class _Run(NamedTuple):
         start, stop: From when until when, in elapsed seconds.
         position: Where it begins.
         value: The greatest value, or the sum.
+        time: When it is reached.
         limit: The speed limit at the greatest value.
     """
 
@@ -415,11 +436,23 @@ class _Run(NamedTuple):
     stop: float
     position: tuple[float, float, float]
     value: float
+    time: float
     limit: float
 
-    def event(self, kind: RoadKind, text: str) -> RoadEvent:
+    def event(self, kind: RoadKind, measure: str, threshold: float, text: str) -> RoadEvent:
         """Return the event that this is."""
-        return RoadEvent(kind, self.id, self.start, self.stop, *self.position, text)
+        return RoadEvent(
+            kind,
+            self.id,
+            self.start,
+            self.stop,
+            *self.position,
+            measure=measure,
+            value=self.value,
+            threshold=threshold,
+            time=self.time,
+            text=text,
+        )
 
 
 def _joined(runs: Iterable[_Run], *, summed: bool = False) -> list[_Run]:
@@ -430,7 +463,8 @@ def _joined(runs: Iterable[_Run], *, summed: bool = False) -> list[_Run]:
         if last is not None and last.id == run.id and run.start - last.stop <= _GAP:
             greater = max(last, run, key=lambda part: part.value)
             value = last.value + run.value if summed else greater.value
-            joined[-1] = last._replace(stop=run.stop, value=value, limit=greater.limit)
+            time = run.time if summed else greater.time
+            joined[-1] = last._replace(stop=run.stop, value=value, time=time, limit=greater.limit)
         else:
             joined.append(run)
     return joined
