@@ -279,7 +279,7 @@ def test_a_table_fits_in_any_terminal():
     [
         (["colisions"], "No such command 'colisions'. Did you mean 'collisions'? Try 'carla-recap --help'."),
         (["info", CROSSING, "--jso"], "(Did you mean one of: '--jobs', '--json'?)"),
-        (["convert", ".", "out.log"], ".: is a folder; a recording was expected, a .log or .mcap file"),
+        (["snapshot", ".", "out.png", "--at", "3"], ".: is a folder; a recording was expected, a .log or .mcap file"),
         (
             ["snapshot", CRASH, "out.png", "--at", "3", "--follow", "99"],
             "no actor 99 to follow; known ids are 41 (hero), 47 (vehicle), 46 (vehicle)",

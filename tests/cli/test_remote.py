@@ -47,7 +47,7 @@ def test_an_error_has_the_whole_url(served):
     assert error("collisions", missing) == f"{missing}: cannot be read: not found (404)"
 
 
-@pytest.mark.parametrize("command", ["convert", "clips", "report"])
+@pytest.mark.parametrize("command", ["clips", "report"])
 def test_nothing_is_written_to_a_url(command):
     url = "s3://bucket/out.mcap" if command != "report" else "s3://bucket/out"
     assert error(command, CROSSING, url) == (

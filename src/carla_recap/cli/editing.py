@@ -2,61 +2,94 @@
 
 from __future__ import annotations
 
+from functools import partial
 from typing import TYPE_CHECKING
 
 import click
 
 from carla_recap.cli import options
 from carla_recap.cli.output import wrote
+from carla_recap.cli.writing import WriteRequest, writes
+from carla_recap.fleet.destinations import WrittenFile
 
 if TYPE_CHECKING:
     from carla_recap.editing.import_tracks import AngleUnit, LengthUnit, TimeUnit, TrackAxes
+    from carla_recap.fleet.destinations import Write
 
-_copy = options.together(options.source, options.destination, options.force, options.written)
+_format = click.option(
+    "--format",
+    "suffix",
+    type=click.Choice(["mcap", "log"]),
+    help="Of the files in a folder, mcap if not given; that of a single file is said by its suffix.",
+)
 
 
 @click.command()
-@_copy
-def convert(source: str, destination: str, force: bool) -> None:
-    """Write a recording in another format; DST's suffix says which.
+@writes
+@_format
+def convert(request: WriteRequest, suffix: str | None) -> None:
+    """Write recordings in another format: one to a file, whose suffix says which; many to a folder.
 
     .log to .mcap and back gives the same bytes.
     """
+    _write(request, _convert, suffix, "converting")
+
+
+@click.command()
+@writes
+@_format
+def recover(request: WriteRequest, suffix: str | None) -> None:
+    """Save what is intact in recordings that are damaged, or were never finished."""
+    _write(request, _recover, suffix, "recovering")
+
+
+@click.command()
+@writes
+@_format
+@options.start
+@options.duration
+def clip(request: WriteRequest, suffix: str | None, start: float | None, duration: float | None) -> None:
+    """Cut a part out of recordings.
+
+    What is cut is a recording of its own. SRC#t=12.1 means from 5 s before that moment to 5 s after it.
+    """
+    _write(request, partial(_clip, start, duration), suffix, "cutting")
+
+
+def _write(request: WriteRequest, write: Write, suffix: str | None, title: str) -> None:
+    if request.is_into_folder:
+        request.write_many(write, f".{suffix or 'mcap'}", title)
+    elif suffix is None:
+        request.write_one(write)
+    else:
+        raise click.UsageError("--format goes with a folder.", click.get_current_context())
+
+
+def _convert(source: str, destination: str, force: bool) -> WrittenFile:
     from carla_recap.cli.progress import watch
     from carla_recap.editing.convert import convert as run
 
     extent = run(source, destination, force=force, progress=watch("converting"))
-    wrote(destination, frames=extent.frames, seconds=extent.duration)
+    return WrittenFile(frames=extent.frames, seconds=extent.duration)
 
 
-@click.command()
-@_copy
-def recover(source: str, destination: str, force: bool) -> None:
-    """Save what is intact in a recording that is damaged, or was never finished."""
+def _recover(source: str, destination: str, force: bool) -> WrittenFile:
     from carla_recap.cli.progress import watch
     from carla_recap.editing.recover import recover as run
 
     result = run(source, destination, force=force, progress=watch("recovering"))
     lost = {"lost_frames": result.lost_frames, "lost_packets": result.lost_packets, "lost_bytes": result.lost_bytes}
-    words = result.losses or ["nothing lost"]
-    wrote(destination, *words, frames=result.frames, seconds=result.duration, **lost, finished=result.finished)
+    notes, facts = tuple(result.losses or ["nothing lost"]), {**lost, "finished": result.finished}
+    return WrittenFile(notes, result.frames, result.duration, facts=facts)
 
 
-@click.command()
-@_copy
-@options.start
-@options.duration
-def clip(source: str, destination: str, force: bool, start: float, duration: float) -> None:
-    """Cut a part out of a recording.
-
-    DST is a recording of its own; its suffix says the format. SRC#t=12.1 means from 5 s before that moment to 5 s after it.
-    """
+def _clip(start: float | None, duration: float | None, source: str, destination: str, force: bool) -> WrittenFile:
     from carla_recap.cli.progress import watch
     from carla_recap.editing.clip import clip as run
 
     source, start, duration = options.timed(source, start, duration)
     extent = run(source, destination, start=start, duration=duration, force=force, progress=watch("cutting"))
-    wrote(destination, frames=extent.frames, seconds=extent.duration)
+    return WrittenFile(frames=extent.frames, seconds=extent.duration)
 
 
 @click.command(name="import")

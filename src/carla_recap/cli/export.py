@@ -54,8 +54,8 @@ def export(
     destination: str,
     to: str | None,
     follow: Follow | None,
-    start: float,
-    duration: float,
+    start: float | None,
+    duration: float | None,
     road_map: str | None,
     view: View,
     cameras: str | None,
@@ -258,7 +258,13 @@ def _facts(clip: IncidentClip) -> dict[str, Any]:
 @options.camera
 @click.option("--web", is_flag=True, help="Serve the viewer to a browser on this machine.")
 def view(
-    source: str, follow: Follow | None, start: float, duration: float, road_map: str | None, view: View, web: bool
+    source: str,
+    follow: Follow | None,
+    start: float | None,
+    duration: float | None,
+    road_map: str | None,
+    view: View,
+    web: bool,
 ) -> None:
     """Open a recording in Rerun's viewer.
 
@@ -335,8 +341,8 @@ def video(
     destination: str,
     view: VideoView,
     follow: Follow | None,
-    start: float,
-    duration: float,
+    start: float | None,
+    duration: float | None,
     road_map: str | None,
     speed: float,
     size: tuple[int, int] | None,

@@ -107,52 +107,66 @@ def client_of(address: str) -> Client:
 
 def _print(given: Iterable[RecordingAnswer], form: str, bar: SourcesBar, max_rows: int | None) -> int:
     """Print answers; return the exit code."""
-    from carla_recap.fleet.roads import unknown_map
-
-    printer = _PRINTERS[form](bar)
-    rows = failed = 0
-    without_map: dict[str, list[str]] = {}
+    printer, messages, rows = _PRINTERS[form](bar), Messages(bar), 0
     for each in given:
         printer.add(each)
-        if each.warnings or each.error:
-            with bar.aside():
-                for message in each.warnings:
-                    if name := unknown_map(message):
-                        without_map.setdefault(name, []).append(_with_location(message, each))
-                    else:
-                        warn(_with_location(message, each))
-                if each.error:
-                    fail(_with_location(re.sub(PYTHON_HINT, "", each.error), each))
-        failed += each.error is not None
+        messages.add(each.source.location, each.warnings, each.error)
         rows += each.rows
         bar.advance()
     bar.close()
     printer.end()
-    _warn_of_maps(without_map)
+    messages.end()
     too_many = max_rows is not None and rows > max_rows
     if too_many:
         fail(f"{counted(rows, 'row')}, at most {max_rows} were allowed")
-    return BAD_INPUT if failed else TOO_MANY if too_many else 0
+    return BAD_INPUT if messages.failed else TOO_MANY if too_many else 0
 
 
-def _warn_of_maps(unknown: dict[str, list[str]]) -> None:
-    """Warn of unknown maps, once for all recordings.
+class Messages:
+    """Prints errors and warnings about recordings, a line each; that maps are unknown, once for all recordings.
 
     Args:
-        unknown: The warnings by the quoted name of the map.
+        bar: The progress bar.
+
+    Attributes:
+        failed: The number of errors.
     """
-    from carla_recap.fleet.roads import WITHOUT_ROADS
 
-    messages = list(chain.from_iterable(unknown.values()))
-    if len(messages) == 1:
-        warn(messages[0])
-    elif messages:
-        maps = f"the map {next(iter(unknown))} is" if len(unknown) == 1 else f"the maps {', '.join(unknown)} are"
-        warn(f"{maps[:_LONGEST]} unknown, of {len(messages)} recordings; {WITHOUT_ROADS}")
+    def __init__(self, bar: SourcesBar) -> None:
+        self.failed = 0
+        self._bar = bar
+        self._without_map: dict[str, list[str]] = {}
+
+    def add(self, location: str, warnings: Iterable[str], error: str | None = None) -> None:
+        """Print the warnings about a recording, and its error."""
+        from carla_recap.fleet.roads import unknown_map
+
+        for message in warnings:
+            said = _with_location(message, location)
+            if name := unknown_map(message):
+                self._without_map.setdefault(name, []).append(said)
+            else:
+                with self._bar.aside():
+                    warn(said)
+        if error is not None:
+            self.failed += 1
+            with self._bar.aside():
+                fail(_with_location(re.sub(PYTHON_HINT, "", error), location))
+
+    def end(self) -> None:
+        """Warn of unknown maps."""
+        from carla_recap.fleet.roads import WITHOUT_ROADS
+
+        messages = list(chain.from_iterable(self._without_map.values()))
+        if len(messages) == 1:
+            warn(messages[0])
+        elif messages:
+            maps = ", ".join(self._without_map)
+            maps = f"the map {maps} is" if len(self._without_map) == 1 else f"the maps {maps} are"
+            warn(f"{maps[:_LONGEST]} unknown, of {len(messages)} recordings; {WITHOUT_ROADS}")
 
 
-def _with_location(message: str, given: RecordingAnswer) -> str:
-    location = given.source.location
+def _with_location(message: str, location: str) -> str:
     return message if location in message else f"{location}: {message}"
 
 

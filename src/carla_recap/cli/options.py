@@ -8,7 +8,6 @@ from contextlib import closing
 from typing import TYPE_CHECKING, Any, Final, TypeVar
 
 import click
-from click.core import ParameterSource
 
 from carla_recap.cli.output import ask_json
 
@@ -183,10 +182,8 @@ min_distance = click.option(
     metavar="CM",
     help="Least movement, in cm.",
 )
-start = click.option(
-    "--start", type=TIME, default=0, metavar="S", help="The time to begin at, in s; negative: before the end."
-)
-duration = click.option("--duration", type=NUMBER, default=0, metavar="S", help="The number of seconds; 0: all of the rest.")
+start = click.option("--start", type=TIME, metavar="S", help="The time to begin at, in s; negative: before the end.")
+duration = click.option("--duration", type=NUMBER, metavar="S", help="The number of seconds; 0: all of the rest.")
 follow = click.option(
     "--follow",
     type=FOLLOW,
@@ -255,16 +252,21 @@ def opened(path: str) -> Reader:
     return reader
 
 
-def timed(source: str, start: float, duration: float) -> tuple[str, float, float]:
+def timed(source: str, start: float | None, duration: float | None) -> tuple[str, float, float]:
     """Return a source without the times at its end (`#t=12.1`), and the start and duration that are meant.
 
     A moment is shown with the seconds around it that clips of incidents have. What the options say prevails.
+
+    Args:
+        source: The source.
+        start: What the option says; None: nothing.
+        duration: See `start`.
     """
     from carla_recap.errors import RecapError
 
     location, times = _split(source)
-    if times is None or _is_given("start"):
-        return location, start, duration
+    if times is None or start is not None:
+        return location, start or 0.0, duration or 0.0
     begin, end = max(times.start - AROUND, 0.0), times.start + AROUND
     if times.stop is None:
         _check_moment(location, times.start)
@@ -272,7 +274,7 @@ def timed(source: str, start: float, duration: float) -> tuple[str, float, float
         begin, end = times.start, times.stop
     if not begin < end:
         raise RecapError(f"{source}: an end after {begin:g} s was expected")
-    return location, begin, duration if _is_given("duration") else end - begin
+    return location, begin, end - begin if duration is None else duration
 
 
 def moment(source: str, time: float | None) -> tuple[str, float]:
@@ -330,10 +332,6 @@ def _check_moment(location: str, time: float) -> None:
         end = reader.extent().duration
     if time > end + _PRINTED:
         raise RecapError(f"{location}: nothing at {time:g} s; the recording ends at {end:g} s")
-
-
-def _is_given(name: str) -> bool:
-    return click.get_current_context().get_parameter_source(name) is ParameterSource.COMMANDLINE
 
 
 def road_map_of(recording: Recording, path: str | None, start: float = 0.0, duration: float = 0.0) -> RoadMap | None:

@@ -5,7 +5,6 @@ from __future__ import annotations
 import os
 import sys
 from functools import lru_cache
-from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final, NoReturn, TextIO
 
 import click
@@ -14,6 +13,7 @@ from carla_recap.util.text import number, visible
 
 if TYPE_CHECKING:
     from collections.abc import Iterable
+    from pathlib import Path
 
     from carla_recap.fleet.answers import Form
 
@@ -91,7 +91,7 @@ def ask_quiet(context: click.Context) -> None:
 
 def ask_json(context: click.Context) -> None:
     """Print what `wrote` was called with as JSON on stdout, when the command ends."""
-    context.meta.setdefault(_WRITTEN, [])
+    context.meta.setdefault(_WRITTEN, {"written": []})
 
 
 def wants_json(context: click.Context) -> bool:
@@ -147,11 +147,14 @@ def wrote(
         size: Its size in bytes; None: as found.
         facts: More facts for JSON.
     """
-    size = _size_of(Path(path)) if size is None else size
+    if size is None:
+        from carla_recap.util.files import size_of
+
+        size = size_of(path)
     context = click.get_current_context(silent=True)
     if context is not None and wants_json(context):
         known = {"path": os.fspath(path), "frames": frames, "seconds": seconds, "bytes": size, **facts}
-        context.meta[_WRITTEN].append({name: value for name, value in known.items() if value is not None})
+        context.meta[_WRITTEN]["written"].append({name: value for name, value in known.items() if value is not None})
     if is_quiet():
         return
     told = [
@@ -164,6 +167,18 @@ def wrote(
     say(f"{os.fspath(path)}: {about}" if about else os.fspath(path), before="wrote", color="green")
 
 
+def not_written(name: str, things: list[Any]) -> None:
+    """List what was not written in the JSON object.
+
+    Args:
+        name: The name of the list.
+        things: Its values.
+    """
+    context = click.get_current_context()
+    if wants_json(context):
+        context.meta[_WRITTEN][name] = things
+
+
 def print_written(context: click.Context, *, empty: bool) -> None:
     """Print what was written as one JSON object, if the command was asked for it.
 
@@ -171,19 +186,10 @@ def print_written(context: click.Context, *, empty: bool) -> None:
         context: The context of the command.
         empty: Whether to print the object if nothing was written.
     """
-    if wants_json(context) and (empty or context.meta[_WRITTEN]):
+    if wants_json(context) and (empty or any(context.meta[_WRITTEN].values())):
         from carla_recap.queries.output.json import encoded
 
-        print_pieces([encoded({"written": context.meta[_WRITTEN]}) + "\n"])
-
-
-def _size_of(path: Path) -> int | None:
-    try:
-        if path.is_dir():
-            return sum(each.stat().st_size for each in path.rglob("*") if each.is_file())
-        return path.stat().st_size if path.is_file() else None
-    except (OSError, ValueError):  # such as a URL
-        return None
+        print_pieces([encoded(context.meta[_WRITTEN]) + "\n"])
 
 
 def _bytes(size: int) -> str:

@@ -10,6 +10,8 @@ from stat import S_ISFIFO
 from time import monotonic
 from typing import TYPE_CHECKING, Any, Self, TypeVar
 
+import click
+
 from carla_recap.cli.output import is_quiet
 
 if TYPE_CHECKING:
@@ -31,8 +33,9 @@ _INTERVAL = 0.1  # s between two updates of a bar
 
 
 def _is_shown() -> bool:
-    """Return whether bars are shown: on terminals that can, unless the command is quiet."""
-    return sys.stderr.isatty() and os.environ.get("TERM") not in ("dumb", "unknown") and not is_quiet()
+    """Return whether bars are shown: on terminals that can, unless the command is quiet, or a worker process."""
+    is_command = click.get_current_context(silent=True) is not None
+    return is_command and sys.stderr.isatty() and os.environ.get("TERM") not in ("dumb", "unknown") and not is_quiet()
 
 
 def watch(title: str) -> Progress:
@@ -77,6 +80,8 @@ class SourcesBar:
         total: Their number.
     """
 
+    is_open = False  # whether there is one, which is then the only bar
+
     def __init__(self, title: str, total: int | None) -> None:
         self._title = title
         self._total = total
@@ -89,6 +94,7 @@ class SourcesBar:
         return _is_shown() and not S_ISFIFO(os.fstat(sys.stdout.fileno()).st_mode)
 
     def __enter__(self) -> Self:
+        SourcesBar.is_open = True
         if self.is_shown():
             from rich.console import Console
             from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
@@ -104,6 +110,7 @@ class SourcesBar:
 
     def close(self) -> None:
         """Remove the bar for good."""
+        SourcesBar.is_open = False
         if self._bar is not None:
             self._bar.stop()
             self._bar = None
@@ -125,7 +132,7 @@ class SourcesBar:
 
 
 def _bar(items: Iterable[T], title: str, total: float, position: Callable[[T], float]) -> Iterable[T]:
-    return _watched(items, title, total, position) if _is_shown() else items
+    return _watched(items, title, total, position) if _is_shown() and not SourcesBar.is_open else items
 
 
 def _watched(items: Iterable[T], title: str, total: float, position: Callable[[T], float]) -> Iterator[T]:

@@ -103,8 +103,8 @@ def replay(
     source: str,
     destination: str,
     town: str | None,
-    start: float,
-    duration: float,
+    start: float | None,
+    duration: float | None,
     then: float,
     ignore_hero: bool,
     additional_data: bool,
@@ -126,7 +126,7 @@ def replay(
     check_destination(path, destination, force=force)
     with _world(town) as world:
         world.set_replayer_ignore_hero(ignore_hero)
-        played = world.replay_file(path, start, duration, keep_town=town is not None)
+        played = world.replay_file(path, start or 0.0, duration or 0.0, keep_town=town is not None)
         with _recording(world, destination, additional_data=additional_data, force=force) as notes:
             _watch("replaying", played.duration, _replayed(world))
             # the last tick is the first one after the replay

@@ -5,20 +5,21 @@ from __future__ import annotations
 import os
 import re
 import sys
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from glob import glob, has_magic
 from pathlib import Path
 from typing import TYPE_CHECKING, Final, Literal
 
 from carla_recap.errors import RecapError
 from carla_recap.formats import SUFFIXES
-from carla_recap.formats.sources import WEB, is_remote, path_of, scheme_of
+from carla_recap.formats.sources import WEB, is_remote, path_of, scheme_of, split_time
 from carla_recap.util.log import log_info
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator
 
 _PIECES: Final = re.compile(r"\[!?\]?[^\]]*\]|.", re.DOTALL)  # the parts of a glob: sets of characters, and characters
+_MAGIC: Final = re.compile(r"[*?\[]")
 _GLOB: Final = {"*": "[^/]*", "?": "[^/]"}
 
 
@@ -32,6 +33,8 @@ class SourceFile:
         modified: The time of its last change, in s since 1970; None if unknown.
         etag: What identifies its content in an object store; None for a local file.
         error: Why it, or what should be recordings, cannot be found, in one line; None if it was found, or named.
+        name: Its path below the folder, prefix or fixed part of the glob that was searched; of one that was named, its file
+            name.
     """
 
     location: str
@@ -39,6 +42,7 @@ class SourceFile:
     modified: float | None = None
     etag: str | None = None
     error: str | None = None
+    name: str = field(default="", compare=False)
 
 
 def find_sources(sources: Iterable[str | Path], *, errors: Literal["raise", "yield"] = "raise") -> Iterator[SourceFile]:
@@ -80,7 +84,7 @@ def means_one(source: str | Path) -> bool:
     if source == "-":
         return False
     if is_remote(source):
-        return not _is_glob(str(source)) and (scheme_of(source) in WEB or _has_suffix(str(source)))
+        return not _is_glob(str(source)) and (scheme_of(source) in WEB or _has_suffix(split_time(str(source))[0]))
     path = path_of(source)
     return not path.is_dir() and (not has_magic(os.fspath(path)) or path.exists())
 
@@ -106,18 +110,20 @@ def _expanded(source: str) -> Iterator[SourceFile]:
         return
     path = os.fspath(path_of(source)) if scheme_of(source) else source
     if Path(path).is_dir():
-        found = _in_folder(path)
+        found, folder = _in_folder(path), path
         expected = "a folder with .log or .mcap files was expected"
     elif has_magic(path) and not Path(path).exists():
         matched = sorted(glob(path, recursive=True))  # noqa: PTH207 - which takes no absolute pattern
         found = [each for match in matched for each in (_in_folder(match) if Path(match).is_dir() else [match])]
+        folder = os.path.dirname(path[: _MAGIC.search(path).start()])  # type: ignore[union-attr]  # noqa: PTH120
         expected = "a glob that matches recordings was expected"
     else:
-        yield _described(path)
+        yield _described(path, split_time(Path(path).name)[0])
         return
     if not found:
         raise RecapError(f"{source}: no recordings; {expected}")
-    yield from map(_described, found)
+    for each in found:
+        yield _described(each, os.path.relpath(each, folder or os.curdir))
 
 
 def _in_folder(folder: str) -> list[str]:
@@ -132,12 +138,12 @@ def _in_folder(folder: str) -> list[str]:
     return found
 
 
-def _described(location: str) -> SourceFile:
+def _described(location: str, name: str) -> SourceFile:
     try:
-        status = Path(location).stat()
+        status = Path(split_time(location)[0]).stat()
     except (OSError, ValueError):
-        return SourceFile(location)
-    return SourceFile(location, status.st_size, status.st_mtime)
+        return SourceFile(location, name=name)
+    return SourceFile(location, status.st_size, status.st_mtime, name=name)
 
 
 def _remote(source: str) -> Iterator[SourceFile]:
@@ -145,7 +151,7 @@ def _remote(source: str) -> Iterator[SourceFile]:
     if scheme_of(source) in WEB:
         if _is_glob(source) or source.endswith("/") or not _key(source):
             raise RecapError(f"{source}: a web server does not list its files; name each file")
-        yield SourceFile(source)
+        yield SourceFile(source, name=path_of(split_time(source)[0]).name)
         return
     key = _key(source)
     root = source.removesuffix(key).rstrip("/") + "/"
@@ -155,8 +161,8 @@ def _remote(source: str) -> Iterator[SourceFile]:
             pattern = re.compile(_expression(key))
         except re.error as error:
             raise RecapError(f"{source}: is no glob: {error}") from None
-    elif _has_suffix(key):
-        yield SourceFile(source)
+    elif _has_suffix(split_time(key)[0]):
+        yield SourceFile(source, name=split_time(key)[0].rpartition("/")[2])
         return
     else:
         fixed = key.strip("/")
@@ -168,7 +174,7 @@ def _remote(source: str) -> Iterator[SourceFile]:
         found = pattern.fullmatch(location[len(root) :])
         if found is not None and (not found["below"] or _is_listed(found["below"])):
             count += 1
-            yield SourceFile(location, size, modified, etag)
+            yield SourceFile(location, size, modified, etag, name=location[len(root) + len(fixed) :].lstrip("/"))
     if not count:
         raise RecapError(f"{source}: no recordings; a prefix or a glob of .log or .mcap objects was expected")
 

@@ -37,6 +37,7 @@ except ModuleNotFoundError:
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Iterator, Sequence
+    from pathlib import Path
 
     from obstore import GetOptions, ObjectMeta
     from obstore.store import ClientConfig, ObjectStore, RetryConfig
@@ -137,6 +138,36 @@ def list_objects(url: str, source: str = "") -> Iterator[ListedObject]:
     except (BaseError, OSError, ValueError) as error:
         reason = "no such bucket or prefix" if " 404 " in str(error) else f"cannot be listed: {_reason(error)}"
         raise RecapError(f"{source or url}: {reason}") from None
+
+
+def modified_at(url: str) -> float | None:
+    """Return the time of the last change of an object, in s since 1970; None if there is no such object.
+
+    Raises:
+        RecapError: The server does not say.
+    """
+    store, key = address_of(url)
+    try:
+        return _started(partial(obstore.head, store, key)).result()["last_modified"].timestamp()
+    except FileNotFoundError:
+        return None
+    except (BaseError, OSError, ValueError) as error:
+        raise RecapError(f"{url}: cannot be read: {_reason(error)}") from None
+
+
+def upload(path: Path, url: str) -> None:
+    """Copy a file to an object, which appears when all of it is there.
+
+    Raises:
+        RecapError: It cannot be written.
+    """
+    store, key = address_of(url)
+    try:
+        log_info(__name__, "uploads %s", unsigned(url))
+        _started(partial(obstore.put, store, key, path)).result()
+    except (BaseError, OSError, ValueError) as error:
+        reason = "no such bucket" if isinstance(error, FileNotFoundError) else _reason(error)
+        raise RecapError(f"{url}: cannot be written: {reason}") from None
 
 
 def _settings() -> frozenset[tuple[str, str]]:

@@ -293,6 +293,17 @@ def _merge(source: Path, folder: Path) -> None:
             item.replace(folder / item.name)
 
 
+def size_of(path: Path | str) -> int | None:
+    """Return the size of a file, or of all files in a folder, in bytes; None if it is neither."""
+    path = Path(path)
+    try:
+        if path.is_dir():
+            return sum(each.stat().st_size for each in path.rglob("*") if each.is_file())
+        return path.stat().st_size if path.is_file() else None
+    except (OSError, ValueError):  # such as a URL
+        return None
+
+
 def copy_files(source: Path, folder: Path) -> None:
     """Copy the files of a folder, without its subfolders."""
     from shutil import copyfile

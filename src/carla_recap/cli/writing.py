@@ -1,0 +1,144 @@
+"""Commands that write a file for each recording: of one, or of many into a folder, in processes or on a Dask cluster."""
+
+from __future__ import annotations
+
+import sys
+from contextlib import ExitStack, closing
+from dataclasses import dataclass
+from functools import wraps
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import click
+
+from carla_recap.cli import options
+from carla_recap.cli.many import Messages, client_of, is_one, watched
+from carla_recap.cli.output import BAD_INPUT, counted, not_written, note, wrote
+from carla_recap.fleet.destinations import DestinationFolder, WrittenFile, is_current, write_file, write_files
+from carla_recap.fleet.sources import find_sources
+from carla_recap.formats.sources import is_remote, split_time
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+    from carla_recap.fleet.destinations import Write
+
+_options = options.together(
+    click.argument("sources", type=click.Path(allow_dash=True), metavar="SOURCE...", nargs=-1),
+    options.destination,
+    options.force,
+    click.option("--newer", is_flag=True, help="Skip recordings whose file is there and newer; replace older files."),
+    options.jobs,
+    options.dask,
+    options.written,
+)
+
+
+@dataclass(frozen=True, slots=True)
+class WriteRequest:
+    """What commands are given that write a file for each recording.
+
+    Attributes:
+        sources: The recordings, and what means recordings.
+        destination: A file, or the folder of many; a path or a URL.
+        force: Replace what is there.
+        newer: Skip recordings whose file is newer, and replace what is older.
+        jobs: The number of processes; None: as many as are worthwhile.
+        dask: The address of a Dask scheduler.
+    """
+
+    sources: tuple[str, ...]
+    destination: str
+    force: bool
+    newer: bool
+    jobs: int | None
+    dask: str | None
+
+    @property
+    def has_many(self) -> bool:
+        """Whether there may be many recordings, by the form of the sources."""
+        return len(self.sources) > 1 or not is_one(split_time(self.sources[0])[0])
+
+    @property
+    def is_into_folder(self) -> bool:
+        """Whether the destination is a folder: there are many recordings, it ends with a slash, or it is there."""
+        if self.has_many or self.destination.endswith("/"):
+            return True
+        return not is_remote(self.destination) and Path(self.destination).is_dir()
+
+    def write_one(self, write: Write) -> None:
+        """Write the file, or the folder, of the only recording, and say so.
+
+        Args:
+            write: The function that writes it.
+        """
+        if self.newer and is_current(self.destination, next(find_sources(self.sources))):
+            note(f"{self.destination}: is newer than its recording")
+            return
+        written = write_file(write, self.sources[0], self.destination, force=self.force or self.newer)
+        for hint in written.hints:
+            note(hint)
+        _say(written)
+
+    def write_many(self, write: Write, suffix: str, title: str) -> None:
+        """Write a file for each recording into the folder, and say so; end the program with exit code 2 if one fails.
+
+        Args:
+            write: The function that writes one: that of a module, or a partial of one.
+            suffix: The suffix of the files; empty for folders.
+            title: What is done, for the progress bar.
+        """
+        from carla_recap.util.signals import unwind_on_termination
+
+        folder = DestinationFolder(self.destination, suffix, force=self.force, newer=self.newer)
+        found, bar = watched(self.sources, title)
+        messages, written, failed, hints = Messages(bar), 0, list[dict[str, str]](), dict[str, None]()
+        with ExitStack() as stack:
+            stack.enter_context(unwind_on_termination())
+            client = stack.enter_context(closing(client_of(self.dask))) if self.dask else None
+            stack.enter_context(bar)
+            outcomes = stack.enter_context(closing(write_files(write, found, folder, jobs=self.jobs, client=client)))
+            for outcome in outcomes:
+                messages.add(outcome.source.location, outcome.warnings, outcome.error)
+                if outcome.value is None:
+                    failed.append({"source": outcome.source.location, "error": str(outcome.error)})
+                else:
+                    written += 1
+                    hints |= dict.fromkeys(outcome.value.hints)
+                    with bar.aside():
+                        _say(outcome.value)
+                bar.advance()
+        messages.end()
+        for hint in hints:
+            note(hint)
+        note(f"{counted(written, 'recording')} written, {len(folder.skipped)} skipped, {len(failed)} failed")
+        not_written("skipped", list(folder.skipped))
+        not_written("failed", failed)
+        if failed:
+            sys.exit(BAD_INPUT)
+
+
+def _say(written: WrittenFile) -> None:
+    wrote(written.path, *written.notes, frames=written.frames, seconds=written.seconds, size=written.size, **written.facts)
+
+
+def writes(command: Callable[..., None]) -> Callable[..., None]:
+    """Give a command the arguments and options of those that write a file for each recording, as one argument."""
+
+    @_options
+    @wraps(command)
+    def with_request(
+        sources: tuple[str, ...],
+        destination: str,
+        force: bool,
+        newer: bool,
+        jobs: int | None,
+        dask: str | None,
+        **given: Any,
+    ) -> None:
+        if not sources:
+            ctx = click.get_current_context()
+            raise click.MissingParameter(ctx=ctx, param_hint="'DST'", param_type="argument")
+        command(WriteRequest(sources, destination, force, newer, jobs, dask), **given)
+
+    return with_request

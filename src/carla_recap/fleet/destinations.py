@@ -1,0 +1,227 @@
+"""A file or a folder for each of many recordings, below one folder of this machine or of an object store."""
+
+from __future__ import annotations
+
+import os
+import tempfile
+from dataclasses import dataclass, field, replace
+from functools import partial
+from pathlib import Path, PurePath
+from typing import TYPE_CHECKING, Any, Final
+
+from carla_recap.errors import RecapError
+from carla_recap.fleet.engine import map_sources
+from carla_recap.fleet.outcomes import one_line
+from carla_recap.formats import SUFFIXES
+from carla_recap.formats.sources import WEB, is_remote, path_of, scheme_of
+from carla_recap.util.files import size_of
+from carla_recap.util.log import log_info
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Generator, Iterable, Iterator, Mapping
+
+    from distributed import Client
+
+    from carla_recap.fleet.outcomes import Outcome
+    from carla_recap.fleet.sources import SourceFile
+
+    Write = Callable[[str, str, bool], "WrittenFile"]
+    """A function that writes: it gets the source, the destination, and whether to replace what is there."""
+
+_LAST: Final = "actors.parquet"  # of the files of a folder, the one that is uploaded last: with it, the folder is complete
+
+
+@dataclass(frozen=True, slots=True)
+class WrittenFile:
+    """What was written for a recording.
+
+    Attributes:
+        notes: What is to be said of it, in words.
+        frames: The number of its frames.
+        seconds: Its duration.
+        size: Its size in bytes; None: as found.
+        facts: More facts, for JSON.
+        hints: What is to be said once, however many recordings there are.
+        path: Where it is: a path or a URL.
+    """
+
+    notes: tuple[str, ...] = ()
+    frames: int | None = None
+    seconds: float | None = None
+    size: int | None = None
+    facts: Mapping[str, Any] = field(default_factory=dict)
+    hints: tuple[str, ...] = ()
+    path: str = ""
+
+
+def write_file(write: Write, source: str, destination: str, *, force: bool) -> WrittenFile:
+    """Write a file or a folder; if the destination is a URL, as a temporary file, which is uploaded when it is complete.
+
+    Args:
+        write: The function that writes.
+        source: The recording.
+        destination: A path, or the URL of an object.
+        force: Replace what is there; else that is an error.
+
+    Raises:
+        RecapError: It cannot be read, or written.
+    """
+    _check_scheme(destination)
+    if not is_remote(destination):
+        path = os.fspath(path_of(destination))
+        written = write(source, path, force)
+        return replace(written, path=path, size=size_of(path) if written.size is None else written.size)
+    from carla_recap.formats.remote import modified_at, upload
+
+    if not force and modified_at(destination) is not None:
+        raise RecapError(f"{destination}: exists already; --force (in Python, force=True) replaces it")
+    with tempfile.TemporaryDirectory(prefix="carla-recap-") as folder:
+        path = os.path.join(folder, destination.rstrip("/").rpartition("/")[2])  # noqa: PTH118
+        try:
+            written = write(source, path, True)
+        except RecapError as error:
+            if path in str(error):
+                raise RecapError(str(error).replace(path, destination)) from None
+            raise
+        size = size_of(path) if written.size is None else written.size
+        if not Path(path).is_dir():
+            upload(Path(path), destination)
+        else:
+            for file in sorted(Path(path).rglob("*"), key=lambda file: (file.name == _LAST, file)):
+                if file.is_file():
+                    upload(file, f"{destination}/{file.relative_to(path).as_posix()}")
+    return replace(written, path=destination, size=size)
+
+
+@dataclass(slots=True)
+class DestinationFolder:
+    """The folder or prefix below which a file is written for each of many recordings, of the same name.
+
+    Attributes:
+        location: Its path, or its URL.
+        suffix: The suffix of the files; empty for folders.
+        force: Replace what is there; else that is an error.
+        newer: Skip recordings whose file is there, and no older than they are; replace others.
+        skipped: The files that were skipped, so far.
+    """
+
+    location: str
+    suffix: str
+    force: bool = False
+    newer: bool = False
+    skipped: list[str] = field(default_factory=list)
+
+    def __post_init__(self) -> None:
+        _check_scheme(self.location)
+        if not is_remote(self.location):
+            self.location = os.fspath(path_of(self.location))
+            if Path(self.location).exists() and not Path(self.location).is_dir():
+                raise RecapError(f"{self.location}: is a file; a folder was expected, for the files of many recordings")
+        self.location = self.location.rstrip("/") or "/"
+
+    def file_of(self, source: SourceFile) -> str:
+        """Return the path or URL of the file of a recording."""
+        name = PurePath(source.name or PurePath(source.location).name)
+        name = name.with_suffix("") if name.suffix.lower() in SUFFIXES else name
+        return f"{self.location.rstrip('/')}/{name.as_posix()}{self.suffix}"
+
+    def planned(self, sources: Iterable[SourceFile]) -> Iterator[SourceFile]:
+        """Yield the recordings that are to be read; one whose file cannot be told from that of another has an error."""
+        given: dict[str, str] = {}
+        uploaded = _modified_below(self.location) if self.newer and is_remote(self.location) else {}
+        for source in sources:
+            if source.error is None and self._is_below(source):
+                log_info(__name__, "%s is a file of an earlier run, and is skipped", source.location)
+                continue
+            path = self.file_of(source)
+            if source.error is None and ".." in PurePath(source.name).parts:
+                source = replace(source, error=f"{source.location}: its name leads out of {self.location}")
+            elif source.error is None and path in given:
+                source = replace(source, error=f"{source.location}: {path} is already written for {given[path]}")
+            elif source.error is None:
+                given[path] = source.location
+                if self.newer and is_current(path, source, uploaded):
+                    self.skipped.append(path)
+                    continue
+            yield source
+
+    def _is_below(self, source: SourceFile) -> bool:
+        """Return whether a recording was found in this folder, which is itself below the folder that was searched."""
+        if is_remote(source.location) != is_remote(self.location):
+            return False
+        found, folder = source.location, self.location
+        if not is_remote(folder):
+            found, folder = os.path.abspath(found), os.path.abspath(folder)  # noqa: PTH100
+        searched = found[: -len(source.name)].rstrip("/")
+        return found.startswith(f"{folder}/") and folder.startswith(f"{searched}/")
+
+
+def is_current(path: str, source: SourceFile, uploaded: Mapping[str, float] | None = None) -> bool:
+    """Return whether a file or folder is there, and no older than its recording.
+
+    Args:
+        path: Its path, or its URL.
+        source: The recording.
+        uploaded: The times of objects, if they are known already.
+
+    Raises:
+        RecapError: The server does not say.
+    """
+    if source.modified is None:
+        return False
+    if not is_remote(path):
+        return Path(path).exists() and Path(path).stat().st_mtime >= source.modified
+    if uploaded is None:
+        from carla_recap.formats.remote import modified_at
+
+        written = modified_at(path)
+    else:
+        written = uploaded.get(path, uploaded.get(f"{path}/{_LAST}"))
+    return written is not None and written >= source.modified
+
+
+def _modified_below(prefix: str) -> dict[str, float]:
+    """Return the times of the last changes of the objects below a prefix."""
+    from carla_recap.formats.remote import list_objects
+
+    return {found.location: found.modified for found in list_objects(prefix, prefix)}
+
+
+def write_files(
+    write: Write,
+    sources: Iterable[SourceFile],
+    folder: DestinationFolder,
+    *,
+    jobs: int | None = None,
+    client: Client | None = None,
+) -> Generator[Outcome[WrittenFile]]:
+    """Yield what is written for each of many recordings, or the error, in their order.
+
+    Args:
+        write: The function that writes: that of a module, or a partial of one.
+        sources: The recordings.
+        folder: The folder.
+        jobs: See `map_sources`.
+        client: See `map_sources`.
+    """
+    if client is not None and not is_remote(folder.location):
+        folder.location = os.path.abspath(folder.location)  # noqa: PTH100
+    function = partial(_write_one, write, replace(folder, skipped=[]))
+    yield from map_sources(function, folder.planned(sources), jobs=jobs, client=client)
+
+
+def _write_one(write: Write, folder: DestinationFolder, source: SourceFile) -> WrittenFile:
+    destination = folder.file_of(source)
+    try:
+        if not is_remote(destination):
+            Path(destination).parent.mkdir(parents=True, exist_ok=True)
+        return write_file(write, source.location, destination, force=folder.force or folder.newer)
+    except (RecapError, OSError, MemoryError):
+        raise
+    except Exception as error:  # whatever a recording causes, the others are written
+        raise RecapError(one_line(error, source.location)) from error
+
+
+def _check_scheme(destination: str) -> None:
+    if scheme_of(destination) in WEB:
+        raise RecapError(f"{destination}: a web server takes no files; a path or s3://BUCKET/KEY was expected")

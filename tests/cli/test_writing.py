@@ -1,0 +1,215 @@
+"""Commands that write a file for each of many recordings."""
+
+from __future__ import annotations
+
+import json
+import os
+import shutil
+import signal
+import subprocess
+import time
+from pathlib import Path
+
+import pytest
+
+from carla_recap import open_recording
+from carla_recap.editing.convert import convert
+from tests.cli.command import COMMAND, CROSSING, ENVIRONMENT, error, run, wrote
+from tests.waiting import PATIENCE, wait_until
+
+CRASH = CROSSING.with_name("crash.mcap")
+
+
+@pytest.fixture
+def runs(tmp_path, monkeypatch) -> Path:
+    """Two recordings, one of them in a folder below, and a broken one, in the working directory as `runs`."""
+    folder = tmp_path / "runs"
+    (folder / "deep").mkdir(parents=True)
+    shutil.copy(CROSSING, folder / "a.log")
+    shutil.copy(CRASH, folder / "deep" / "b.mcap")
+    (folder / "c.log").write_bytes(b"junk")
+    monkeypatch.chdir(tmp_path)
+    return folder
+
+
+def files(folder: Path) -> set[str]:
+    return {path.relative_to(folder).as_posix() for path in folder.rglob("*") if path.is_file()}
+
+
+def messages(done: subprocess.CompletedProcess[bytes]) -> list[str]:
+    return done.stderr.decode().splitlines()
+
+
+def test_names_and_folders_are_kept_and_a_failure_is_a_line(runs):
+    done = run("convert", "runs", "out")
+    assert done.returncode == 2
+    assert files(Path("out")) == {"a.mcap", "deep/b.mcap"}
+    convert(CROSSING, "one.mcap")
+    assert Path("out/a.mcap").read_bytes() == Path("one.mcap").read_bytes()
+    junk = "carla-recap: runs/c.log: is not a recording (neither CARLA's log nor MCAP)"
+    assert messages(done)[1:] == [
+        junk,
+        "wrote out/deep/b.mcap: 1200 frames, 59.95 s, 444 kB",
+        "2 recordings written, 0 skipped, 1 failed",
+    ]
+
+
+def test_json_has_what_was_written_and_what_failed(runs):
+    done = run("convert", "runs/*.log", "out/", "--format", "log", "--json", "-q")
+    document = json.loads(done.stdout)
+    assert [(each["path"], each["frames"]) for each in document["written"]] == [("out/a.log", 531)]
+    assert [each["source"] for each in document["failed"]] == ["runs/c.log"]
+    assert "is not a recording" in document["failed"][0]["error"]
+    assert document["skipped"] == []
+    assert Path("out/a.log").read_bytes() == CROSSING.read_bytes()
+
+
+def test_processes_write_what_one_writes(runs):
+    for index in range(5):
+        shutil.copy(CROSSING, runs / f"{index}.log")
+    for jobs in (1, 2):
+        assert run("convert", "runs", f"out{jobs}", "--jobs", jobs).returncode == 2
+    assert files(Path("out1")) == files(Path("out2"))
+    assert all((Path("out1") / name).read_bytes() == (Path("out2") / name).read_bytes() for name in files(Path("out1")))
+
+
+def test_what_is_there_is_not_replaced_unless_asked(runs):
+    assert run("convert", runs / "a.log", "out/").returncode == 0
+    before = Path("out/a.mcap").stat().st_mtime_ns
+    done = run("convert", runs / "a.log", runs / "deep", "out/")
+    assert done.returncode == 2
+    assert messages(done)[0] == f"carla-recap: {runs}/a.log: out/a.mcap: exists already; --force replaces it"
+    assert Path("out/a.mcap").stat().st_mtime_ns == before
+    assert run("convert", runs / "a.log", "out/", "--force").returncode == 0
+    assert Path("out/a.mcap").stat().st_mtime_ns > before
+
+
+def test_newer_resumes(runs):
+    (runs / "c.log").unlink()
+    assert run("convert", "runs", "out").returncode == 0
+    (Path("out") / "deep" / "b.mcap").unlink()
+    done = run("convert", "runs", "out", "--newer", "--json")
+    document = json.loads(done.stdout)
+    assert [each["path"] for each in document["written"]] == ["out/deep/b.mcap"]
+    assert document["skipped"] == ["out/a.mcap"]
+    later = Path("out/a.mcap").stat().st_mtime + 10
+    os.utime(runs / "a.log", (later, later))
+    done = run("convert", "runs", "out", "--newer")
+    assert wrote(done.stderr) == ["out/a.mcap: 531 frames, 53 s"]
+    assert messages(done)[-1] == "1 recording written, 1 skipped, 0 failed"
+
+
+def test_newer_goes_with_a_single_file(runs):
+    assert run("convert", "runs/a.log", "a.mcap", "--newer").returncode == 0
+    assert messages(run("convert", "runs/a.log", "a.mcap", "--newer")) == ["a.mcap: is newer than its recording"]
+
+
+def test_files_of_an_earlier_run_below_the_sources_are_skipped(runs):
+    (runs / "c.log").unlink()
+    for _ in range(2):
+        done = run("convert", "runs", "runs/mcap", "--newer")
+        assert done.returncode == 0
+        assert files(runs) == {"a.log", "deep/b.mcap", "mcap/a.mcap", "mcap/deep/b.mcap"}
+    assert messages(done) == ["0 recordings written, 2 skipped, 0 failed"]
+
+
+def test_two_recordings_of_one_name_are_an_error(runs):
+    shutil.copy(CRASH, runs / "a.mcap")
+    done = run("convert", "runs/a.log", "runs/a.mcap", "out")
+    assert done.returncode == 2
+    assert messages(done)[1] == "carla-recap: runs/a.mcap: out/a.mcap is already written for runs/a.log"
+    with open_recording("out/a.mcap") as recording:
+        assert recording.info.frames == 531
+
+
+def test_a_file_as_destination_of_many_is_refused(runs):
+    expected = "runs/c.log: is a file; a folder was expected, for the files of many recordings"
+    assert error("convert", "runs/a.log", "runs/deep/b.mcap", "runs/c.log", "--force") == expected
+    assert (runs / "c.log").read_bytes() == b"junk"
+
+
+def test_a_web_server_takes_no_files(runs):
+    expected = "https://host/x.mcap: a web server takes no files; a path or s3://BUCKET/KEY was expected"
+    assert error("convert", "runs/a.log", "https://host/x.mcap") == expected
+
+
+def test_clips_of_many(runs):
+    assert run("clip", "runs", "out", "--start", 5, "--duration", 2).returncode == 2
+    for name in ("a.mcap", "deep/b.mcap"):
+        with open_recording(f"out/{name}") as clip:
+            assert clip.info.duration == pytest.approx(2, abs=0.2)
+
+
+def test_moments_of_many(runs):
+    assert run("clip", "runs/a.log#t=20,21", "runs/deep/b.mcap#t=3,7", "out").returncode == 0
+    for name, seconds in (("a", 1), ("b", 4)):
+        with open_recording(f"out/{name}.mcap") as clip:
+            assert clip.info.duration == pytest.approx(seconds, abs=0.2)
+
+
+def test_many_are_recovered(runs):
+    (runs / "c.log").write_bytes(CROSSING.read_bytes()[:-3000])
+    done = run("recover", "runs", "out", "--json")
+    assert done.returncode == 0
+    assert [each["finished"] for each in json.loads(done.stdout)["written"]] == [True, False, True]
+
+
+def test_ctrl_c_leaves_nothing_half_written(runs):
+    for index in range(300):
+        shutil.copy(CRASH, runs / f"{index}.mcap")
+    command = [COMMAND, "convert", "runs", "out", "--jobs", "2", "--format", "log"]
+    with subprocess.Popen(
+        command, env=ENVIRONMENT, stdout=subprocess.PIPE, stderr=subprocess.PIPE, start_new_session=True
+    ) as process:
+        wait_until(lambda: len(files(Path("out"))) > 3 or process.poll() is not None)
+        os.killpg(process.pid, signal.SIGINT)
+        started = time.monotonic()
+        process.communicate(timeout=PATIENCE)
+    assert time.monotonic() - started < PATIENCE
+    assert process.returncode == 130
+    found = files(Path("out"))
+    assert 0 < len(found) < 300
+    for name in found:
+        assert name.endswith(".log")
+        with open_recording(f"out/{name}") as recording:
+            assert recording.info.frames in (531, 1200)
+
+
+# --- object stores -----------------------------------------------------------------------------------------
+
+
+@pytest.fixture
+def bucket(tmp_path, monkeypatch):
+    web = pytest.importorskip("tests.web", reason="the extra `remote` is not installed")
+    (tmp_path / "empty").mkdir()
+    with web.serve_bucket("out", tmp_path / "empty") as url:
+        for name, value in os.environ.items():
+            if name.startswith("AWS_"):
+                monkeypatch.setitem(ENVIRONMENT, name, value)
+        yield url
+
+
+def test_files_are_uploaded(runs, bucket):
+    done = run("convert", "runs", f"{bucket}/mcap/", "--jobs", 2, "--json")
+    assert done.returncode == 2
+    assert [each["path"] for each in json.loads(done.stdout)["written"]] == [
+        f"{bucket}/mcap/a.mcap",
+        f"{bucket}/mcap/deep/b.mcap",
+    ]
+    convert(CROSSING, "one.mcap")
+    with open_recording(f"{bucket}/mcap/a.mcap") as recording:
+        assert recording.info.frames == 531
+    done = run("convert", "runs", f"{bucket}/mcap/", "--newer", "--json", "-q")
+    assert json.loads(done.stdout)["skipped"] == [f"{bucket}/mcap/a.mcap", f"{bucket}/mcap/deep/b.mcap"]
+
+
+def test_a_single_file_is_uploaded_and_not_replaced(runs, bucket):
+    url = f"{bucket}/a.mcap"
+    assert run("convert", "runs/a.log", url).returncode == 0
+    assert error("convert", "runs/a.log", url) == f"{url}: exists already; --force replaces it"
+    assert run("convert", "runs/a.log", url, "--force").returncode == 0
+
+
+def test_an_error_about_an_upload_names_the_url(runs, bucket):
+    assert error("convert", "runs/a.log", "s3://other/a.mcap") == "s3://other/a.mcap: cannot be written: no such bucket"
+    assert error("convert", "runs/a.log", f"{bucket}/a.txt").startswith(f"{bucket}/a.txt: ")
