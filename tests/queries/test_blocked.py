@@ -241,7 +241,9 @@ def by_definition(
                     actor = actors.setdefault(id, Actor())
                     place = [record[axis] for axis in "xyz"]
                     dx, dy, dz = (new - old for new, old in zip(place, actor.place, strict=True))
-                    if float(np.sqrt(dx * dx + dy * dy + dz * dz)) < min_distance:
+                    fallen = abs(record["pitch"]) > 60 or abs(record["roll"]) > 60
+                    lies = not compat and actor.type_id.startswith("walker.") and fallen
+                    if float(np.sqrt(dx * dx + dy * dy + dz * dz)) < min_distance and not lies:
                         if actor.duration == 0:
                             actor.start = frame.elapsed
                         actor.duration += length

@@ -7,6 +7,8 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
+from carla_recap.model.segment import last_of_each
+
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
@@ -25,15 +27,7 @@ def array(records: Records) -> NDArray[np.void]:
 
 def latest(records: NDArray[np.void]) -> NDArray[np.void]:
     """Return the last record of each id, ascending by id."""
-    return records[_last(records["id"])]
-
-
-def _last(ids: NDArray[np.integer]) -> NDArray[np.intp]:
-    if (ids[1:] > ids[:-1]).all():
-        return np.arange(len(ids))
-    _, index = np.unique(ids[::-1], return_index=True)
-    last: NDArray[np.intp] = len(ids) - 1 - index
-    return last
+    return records[last_of_each(records["id"])]
 
 
 def merged(held: NDArray[np.void], new: NDArray[np.void]) -> NDArray[np.void]:
@@ -88,7 +82,7 @@ class Selection:
         if hidden is not self._hidden or recorded != self._recorded:
             self._hidden, self._recorded = hidden, recorded
             ids = records["id"].astype(np.uint32)
-            rows = _last(ids)
+            rows = last_of_each(ids)
             if len(hidden):
                 rows = rows[~find(ids[rows], hidden)[1]]
             self.ids = ids[rows]

@@ -1,0 +1,45 @@
+from __future__ import annotations
+
+import numpy as np
+
+from carla_recap.model.records import UE4
+from carla_recap.model.segment import last_of_each, segments
+
+
+def frames(*listed: tuple[int, ...]) -> np.ndarray:
+    records = np.zeros((len(listed), len(listed[0])), UE4.named("velocities").dtype)
+    records["id"] = listed
+    records["x"] = np.arange(records.size).reshape(records.shape)
+    return records
+
+
+def test_segments_are_cut_where_the_ids_change() -> None:
+    records = frames((7, 8), (7, 8), (8, 7), (8, 7), (8, 7), (9, 7))
+    found = list(segments(records))
+    assert [(each.first, len(each), each.ids.tolist()) for each in found] == [(0, 2, [7, 8]), (2, 3, [8, 7]), (5, 1, [9, 7])]
+    assert [each.frames for each in found] == [slice(0, 2), slice(2, 5), slice(5, 6)]
+    assert np.concatenate([each.field("x") for each in found]).tolist() == records["x"].tolist()
+
+
+def test_segments_are_cut_where_they_have_to_be() -> None:
+    found = segments(frames((7,), (7,), (7,), (8,)), cuts=np.array([False, True, False]))
+    assert [each.frames for each in found] == [slice(0, 2), slice(2, 3), slice(3, 4)]
+
+
+def test_a_segment_of_some_actors() -> None:
+    (segment,) = segments(frames((7, 8, 9), (7, 8, 9)))
+    some = segment.only(segment.ids != 8)
+    assert some.ids.tolist() == [7, 9]
+    assert some.field("x").tolist() == [[0, 2], [3, 5]]
+    assert some.only(np.array([1])).field("x").tolist() == [[2], [5]]
+
+
+def test_no_frames_and_no_records() -> None:
+    assert not list(segments(np.zeros((0, 3), UE4.named("velocities").dtype)))
+    (segment,) = segments(np.zeros((4, 0), UE4.named("velocities").dtype))
+    assert (len(segment), segment.ids.tolist()) == (4, [])
+
+
+def test_the_last_record_of_an_actor_counts() -> None:
+    assert last_of_each(np.array([3, 5, 8])).tolist() == [0, 1, 2]
+    assert last_of_each(np.array([8, 3, 8, 3, 5])).tolist() == [3, 4, 2]
