@@ -16,9 +16,7 @@ from carla_recap.queries.actors import actors
 from carla_recap.queries.blocked import blocked
 from carla_recap.queries.differences import differences, metres, name_of
 from carla_recap.queries.incidents import ROAD_KINDS, incidents
-from carla_recap.queries.measures import measures
-from carla_recap.queries.measures.extremes import UNITS
-from carla_recap.queries.measures.road import UNITS as ROAD_UNITS
+from carla_recap.queries.measures import MEASURES, measures
 from carla_recap.recording import open_recording
 from carla_recap.replay.recorded_map import find_map_of
 from carla_recap.roads.find import plain_name
@@ -41,11 +39,6 @@ ANY: Final = "any"
 OBJECT: Final = "object"
 """The other side of a collision with a static object, such as a building."""
 ROLE: Final = "role:"
-
-MEASURES: Final = {**UNITS, **ROAD_UNITS}
-"""The measures, and their units."""
-LEAST: Final = ("gap", "time_to_collision", "distance_headway", "time_headway", "post_encroachment_time")
-"""The measures whose least value is critical; of the others it is the greatest one."""
 
 _LARGE: Final = 1e6  # from which on a value is shown with an exponent
 _KINDS: Final = {
@@ -183,7 +176,7 @@ class Facts:
         self._stop_times = [each.longest for each in conditions if isinstance(each, LongestStop)]
         self._measured = [each.of for each in conditions if isinstance(each, MeasureBounds)]
         self._road_measures = [
-            each.measure for each in conditions if isinstance(each, MeasureBounds) and each.measure in ROAD_UNITS
+            each.measure for each in conditions if isinstance(each, MeasureBounds) and MEASURES[each.measure].needs_roads
         ]
         self._answers: dict[str, Any] = {}
 
@@ -386,11 +379,11 @@ class MeasureBounds:
 
     def text(self) -> str:
         """See `Condition.text`."""
-        return f"{self._name()}{_of(self.of)}: {self.bounds.text(MEASURES[self.measure])}"
+        return f"{self._name()}{_of(self.of)}: {self.bounds.text(MEASURES[self.measure].unit)}"
 
     def judge(self, facts: Facts) -> Finding:
         """See `Condition.judge`."""
-        if self.measure in ROAD_UNITS:
+        if MEASURES[self.measure].needs_roads:
             facts.check_roads()
         found = [
             row
@@ -399,13 +392,15 @@ class MeasureBounds:
             and self.of.matches(facts.actors.at(row.actor, row.time))
             and math.isfinite(row.value)
         ]
-        found.sort(key=lambda row: row.value if self.measure in LEAST else -row.value)
-        unit = MEASURES[self.measure]
+        measure = MEASURES[self.measure]
+        found.sort(key=lambda row: measure.key(row.value))
+        unit = measure.unit
         if not found:
             return Finding(True, f"no {self._name()}{_of(self.of)} was measured{facts.absent(self.of)}")
         offences = tuple(self._offence(row, facts) for row in found if not self.bounds.contain(row.value))
-        extreme = "least" if self.measure in LEAST else "greatest"
-        message = f"the {extreme} {self._name()}{_of(self.of)} is {_value(found[0].value, unit, self.bounds.written)}"
+        message = (
+            f"the {measure.extreme} {self._name()}{_of(self.of)} is {_value(found[0].value, unit, self.bounds.written)}"
+        )
         if not offences:
             return Finding(True, message)
         least, most = self.bounds.least, self.bounds.most
@@ -414,7 +409,7 @@ class MeasureBounds:
         return Finding(False, f"the {self._name()}{_of(self.of)} {limit}", offences)
 
     def _name(self) -> str:
-        return self.measure.replace("_", " ")
+        return MEASURES[self.measure].title
 
     def _offence(self, row: MeasureRow, facts: Facts) -> Offence:
         name, value = facts.actors.name(row.actor, row.time), _value(row.value, row.unit, self.bounds.written)

@@ -21,8 +21,9 @@ from typing import TYPE_CHECKING, Any, Final, Literal
 
 from carla_recap.errors import RecapError
 from carla_recap.fleet import conditions
-from carla_recap.fleet.conditions import ANY, LEAST, MEASURES, OBJECT, ROLE, Bounds, Facts, Offence, Selector, Written
+from carla_recap.fleet.conditions import ANY, OBJECT, ROLE, Bounds, Facts, Offence, Selector, Written
 from carla_recap.queries.incidents import ALL_KINDS as KINDS
+from carla_recap.queries.measures import MEASURES
 from carla_recap.util.text import visible
 
 if TYPE_CHECKING:
@@ -348,11 +349,11 @@ def _map(fields: _Fields) -> Condition:
 
 
 def _measure(name: str, fields: _Fields) -> Condition:
-    of, bounds = fields.selector("of"), fields.quantities(MEASURES[name])
-    wrong, right = ("max", "min") if name in LEAST else ("min", "max")
+    of, bounds = fields.selector("of"), fields.quantities(MEASURES[name].unit)
+    extreme = MEASURES[name].extreme
+    wrong, right = ("max", "min") if extreme == "least" else ("min", "max")
     if fields.has(wrong):
-        critical = "least" if name in LEAST else "greatest"
-        raise fields.wrong(wrong, f"{right} (since the {critical} value is measured)")
+        raise fields.wrong(wrong, f"{right} (since the {extreme} value is measured)")
     return conditions.MeasureBounds(name, of, bounds)
 
 

@@ -26,8 +26,8 @@ from carla_recap.queries.measures.contacts import ContactTimes
 from carla_recap.queries.measures.near_misses import POST_ENCROACHMENT_TIME, TIME_TO_COLLISION, NearMissDetector
 from carla_recap.queries.measures.near_misses import TYPES as MOTION_TYPES
 from carla_recap.queries.measures.road import TYPES as ROAD_TYPES
-from carla_recap.queries.measures.road import UNITS as ROAD_UNITS
 from carla_recap.queries.measures.road import RoadKind, RoadSearch
+from carla_recap.queries.measures.table import MEASURES
 
 if TYPE_CHECKING:
     from collections.abc import Collection, Iterable, Iterator
@@ -298,7 +298,7 @@ def _of_road(events: Iterable[RoadEvent], actors: ActorLives, kinds: Collection[
                 *(event.x, event.y, event.z),
                 measure=event.measure,
                 value=event.value,
-                unit={"speed": "m/s", **ROAD_UNITS}[event.measure],
+                unit=MEASURES[event.measure].unit,
                 threshold=event.threshold,
                 time=event.time,
                 text=text,

@@ -32,7 +32,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from carla_recap.formats.base import Reader
-    from carla_recap.queries.measures.rows import MeasureRow
+    from carla_recap.queries.measures.table import Extreme
     from carla_recap.roads.network import RoadNetwork
 
     Floats = NDArray[np.float64]
@@ -54,7 +54,7 @@ class Drives:
 
     def __init__(self, roads: RoadNetwork, path: Path) -> None:
         self.roads, self.path = roads, path
-        self.rows: list[MeasureRow] = []
+        self.extremes: dict[int, dict[str, Extreme]] = {}
 
     def __call__(self, *poses: Sequence[Pose] | Floats, lights: Callable[[float], int] = lambda _: GREEN) -> list[RoadEvent]:
         """Return what cars do wrong that have a pose (x, y, heading in degrees) in each frame."""
@@ -86,7 +86,7 @@ class Drives:
         for batch in reader.batches(TYPES):
             search.add(batch)
         found = search.finish()
-        self.rows = search.rows()
+        self.extremes = search.extremes
         return found
 
 
@@ -239,9 +239,7 @@ def test_a_car_that_was_never_on_the_road_has_not_left_it(drives: Drives) -> Non
 
 def test_the_distance_off_road_is_a_measure(drives: Drives) -> None:
     drives(_swerve(0.2, 2.0))
-    (row,) = (row for row in drives.rows if row.measure == "distance_off_road")
-    assert (row.actor, row.unit) == (CAR, "m")
-    assert row.value == pytest.approx(0.2, abs=1e-3)
+    assert drives.extremes[CAR]["distance_off_road"].value == pytest.approx(0.2, abs=1e-3)
 
 
 # --- the wrong way -------------------------------------------------------------------------------------------------------
@@ -272,8 +270,7 @@ def test_junctions_have_no_wrong_way(drives: Drives) -> None:
 def test_speeding_is_found_with_speed_and_limit(drives: Drives) -> None:
     (event,) = drives(along([20.0] * 40))  # 72 km/h where 50 are allowed
     assert (event.kind, event.text) == ("speeding", "drives 72 km/h where 50 km/h are allowed")
-    (row,) = (row for row in drives.rows if row.measure == "speed_over_limit")
-    assert row.value == pytest.approx(20 - 50 / 3.6, abs=0.01)
+    assert drives.extremes[CAR]["speed_over_limit"].value == pytest.approx(20 - 50 / 3.6, abs=0.01)
 
 
 def test_a_sign_raises_the_limit(drives: Drives) -> None:
@@ -350,13 +347,13 @@ def test_blocks_change_nothing(drives: Drives, monkeypatch: pytest.MonkeyPatch) 
         np.concatenate((_swerve(1.0, 3.0), _swerve(1, 0)))[:200],
     )
     whole = drives(*cars, lights=lambda _: RED)
-    rows = drives.rows
+    extremes = drives.extremes
     monkeypatch.setattr("carla_recap.queries.measures.road._BLOCK", 7)
     parts = drives(*cars, lights=lambda _: RED)
     assert len({event.kind for event in whole}) == 4
     assert [event.text for event in parts] == [event.text for event in whole]
     assert parts == whole
-    assert drives.rows == rows
+    assert drives.extremes == extremes
 
 
 # --- staged in the built-in town -----------------------------------------------------------------------------------------

@@ -13,10 +13,12 @@ from carla_recap.queries.measures.boxes import (
 from carla_recap.queries.measures.encroachment import Path, post_encroachment_time
 from carla_recap.queries.measures.extremes import Measures, MeasureSearch, measures
 from carla_recap.queries.measures.over_time import MeasureSeries, time_series
-from carla_recap.queries.measures.rows import MeasureRow
+from carla_recap.queries.measures.table import MEASURES, Measure, MeasureRow
 
 __all__ = [
+    "MEASURES",
     "Boxes",
+    "Measure",
     "MeasureRow",
     "MeasureSearch",
     "MeasureSeries",

@@ -3,9 +3,8 @@
 from __future__ import annotations
 
 import math
-from collections import defaultdict
 from collections.abc import Collection
-from typing import TYPE_CHECKING, Any, ClassVar, Final, Literal
+from typing import TYPE_CHECKING, ClassVar, Final, Literal
 
 import numpy as np
 
@@ -17,11 +16,12 @@ from carla_recap.queries.measures.contacts import ContactTimes
 from carla_recap.queries.measures.encroachment import STEP, encroachments, path_of, refined
 from carla_recap.queries.measures.motion import KINDS, TYPES, MotionCollector
 from carla_recap.queries.measures.near_misses import paths_meet
+from carla_recap.queries.measures.over_time import series_of
 from carla_recap.queries.measures.pairs import near_pairs
 from carla_recap.queries.measures.road import TYPES as ROAD_TYPES
 from carla_recap.queries.measures.road import RoadSearch
-from carla_recap.queries.measures.rows import MeasureRow
-from carla_recap.queries.measures.series import JERK_WINDOW, SPEED_WINDOW, criticality, slope
+from carla_recap.queries.measures.series import criticality
+from carla_recap.queries.measures.table import MEASURES, Extreme, MeasureRow
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -30,27 +30,15 @@ if TYPE_CHECKING:
     from carla_recap.model.actors import ActorLife
     from carla_recap.model.batch import Batch
     from carla_recap.queries.measures.motion import MotionBlock
+    from carla_recap.queries.measures.over_time import MeasureSeries
     from carla_recap.queries.measures.series import Criticality
+    from carla_recap.queries.measures.table import Measure
     from carla_recap.roads.network import RoadNetwork
 
     Floats = NDArray[np.float64]
 
 Subjects = Collection[int] | Literal["hero", "all"] | None
 """The actors to measure: their ids, the heroes, all vehicles and walkers; None: the heroes, without one all vehicles."""
-
-UNITS: Final = {
-    "gap": "m",
-    "time_to_collision": "s",
-    "distance_headway": "m",
-    "time_headway": "s",
-    "required_deceleration": "m/s²",
-    "post_encroachment_time": "s",
-    "speed": "m/s",
-    "acceleration": "m/s²",
-    "deceleration": "m/s²",
-    "jerk": "m/s³",
-}
-"""The measures in the order of the rows, and their units."""
 
 POST_ENCROACHMENT_TIME: Final = 3.0
 """The longest post-encroachment time that is measured, in s."""
@@ -61,7 +49,6 @@ SHORT: Final = 3.0
 _LATER: Final = 0.5  # s by which a bent path may take longer
 _CHECKS: Final = 64  # of an actor in a block
 _SAME_THREAT: Final = 0.25  # s
-_GREATEST: Final = ("required_deceleration", "speed", "acceleration", "deceleration", "jerk")
 
 
 class Measures(Answer[MeasureRow]):
@@ -123,7 +110,7 @@ class MeasureSearch:
         self._subjects = _subjects(source, lives, actors)
         self._motion = MotionCollector(lives)
         self._roads = None if roads is None else RoadSearch(source, roads, lives)
-        self._extremes: dict[int, dict[str, _Extreme]] = {id: {} for id in self._subjects}
+        self._extremes: dict[int, dict[str, Extreme]] = {id: {} for id in self._subjects}
 
     def read(self) -> None:
         """Read the recording.
@@ -147,19 +134,18 @@ class MeasureSearch:
         """Return the measures."""
         for block in self._motion.finish():
             self._measure(block)
-        rows, of_road = [], defaultdict(list)
         if self._roads is not None:
             self._roads.finish()
-            for row in self._roads.rows(self._subjects):
-                of_road[row.actor].append(row)
+            for id in self._subjects:
+                self._extremes[id].update(self._roads.extremes.get(id, {}))
+        rows = []
         for id, actor in self._subjects.items():
-            for name, unit in UNITS.items():
+            for name, measure in MEASURES.items():
                 extreme = self._extremes[id].get(name)
                 if extreme is not None:
                     other, other_type_id = (extreme.other.id, extreme.other.type_id) if extreme.other else (None, "")
                     sides = (id, actor.type_id, actor.is_hero, other, other_type_id)
-                    rows.append(MeasureRow(name, *sides, extreme.value, unit, extreme.time))
-            rows += of_road[id]
+                    rows.append(MeasureRow(name, *sides, extreme.value, measure.unit, extreme.time))
         return Measures(rows, self._source, compat=False)
 
     def _measure(self, block: MotionBlock) -> None:
@@ -168,39 +154,31 @@ class MeasureSearch:
             return
         found = criticality(block, rows)
         self._drop_unconfirmed(block, rows, found)
-        speed = block.speed[rows]
-        change = slope(block.time, speed, SPEED_WINDOW)
-        jerk = np.abs(slope(block.time, change, JERK_WINDOW))
+        series = series_of(block, rows, found)
         for number, row in enumerate(rows.tolist()):
             disturbed = self._contacts.disturbed(int(block.ids[row]), block.time)
-            change[number, disturbed] = jerk[number, disturbed] = np.nan
-        values: dict[str, tuple[Floats, Any]] = {
-            "gap": (found.gap, found.nearest),
-            "time_to_collision": (found.time_to_collision, found.threat),
-            "distance_headway": (found.headway, found.leader),
-            "time_headway": (found.time_headway, found.leader),
-            "required_deceleration": (np.where(found.leader >= 0, found.required_deceleration, np.nan), found.leader),
-            "speed": (speed, None),
-            "acceleration": (np.where(change > 0, change, np.nan), None),
-            "deceleration": (np.where(change < 0, -change, np.nan), None),
-            "jerk": (jerk, None),
-        }
-        for name, (each, others) in values.items():
-            self._note(block, rows, name, each, others)
+            series.acceleration[number, disturbed] = series.jerk[number, disturbed] = np.nan
+        for measure in MEASURES.values():
+            if measure.values is not None:
+                self._note(block, rows, measure, series, measure.values(series))
         self._note_crossings(block, rows)
 
-    def _note(self, block: MotionBlock, rows: NDArray[np.intp], name: str, values: Floats, others: Any) -> None:
+    def _note(
+        self, block: MotionBlock, rows: NDArray[np.intp], measure: Measure, series: MeasureSeries, values: Floats
+    ) -> None:
         """Note the extreme values of a measure in a block, (subjects, frames)."""
-        sign = -1.0 if name in _GREATEST else 1.0
+        sign = -1.0 if measure.extreme == "greatest" else 1.0
         ranked = np.where(np.isfinite(values), sign * values, np.inf)[:, block.core]
         best = ranked.argmin(axis=1) if ranked.shape[1] else np.zeros(0, np.intp)
         for number, (row, frame) in enumerate(zip(rows.tolist(), best.tolist(), strict=True)):
             value = float(ranked[number, frame])
             known = self._extremes[int(block.ids[row])]
-            if value < math.inf and (name not in known or value < sign * known[name].value):
+            if value < math.inf and (measure.name not in known or value < sign * known[measure.name].value):
                 frame += block.first
-                other = None if others is None else block.actors[int(others[number, frame])]
-                known[name] = _Extreme(sign * value, float(block.time[frame]), other)
+                other = None
+                if measure.other:
+                    other = block.actors[int(np.flatnonzero(block.ids == getattr(series, measure.other)[number, frame])[0])]
+                known[measure.name] = Extreme(sign * value, float(block.time[frame]), other)
 
     def _drop_unconfirmed(self, block: MotionBlock, rows: NDArray[np.intp], found: Criticality) -> None:
         """Drop short times to collision with actors that are not on the path that the subject takes, as in a bend."""
@@ -240,17 +218,8 @@ class MeasureSearch:
                     second = path_of(block, int(found.second[index]), arrived)
                     time = refined(first, second, float(block.time[arrived]), time)
                     if before is None or time < before.value:
-                        extreme = _Extreme(time, float(block.time[arrived]), block.actors[int(others[index])])
+                        extreme = Extreme(time, float(block.time[arrived]), block.actors[int(others[index])])
                         known["post_encroachment_time"] = extreme
-
-
-class _Extreme:
-    """An extreme value, its time in s, and the other actor that it is in relation to."""
-
-    __slots__ = ("other", "time", "value")
-
-    def __init__(self, value: float, time: float, other: ActorLife | None) -> None:
-        self.value, self.time, self.other = value, time, other
 
 
 def _subjects(source: Reader, recorded: ActorLives, wanted: Subjects) -> dict[int, ActorLife]:

@@ -11,7 +11,8 @@ import numpy as np
 from carla_recap.model.actors import ActorLives, ActorName, find_actor
 from carla_recap.queries.actors import actors
 from carla_recap.queries.measures.motion import KINDS, TYPES, MotionCollector
-from carla_recap.queries.measures.series import JERK_WINDOW, SPEED_WINDOW, criticality, slope
+from carla_recap.queries.measures.series import JERK_WINDOW, NOBODY, SPEED_WINDOW, criticality, slope
+from carla_recap.queries.measures.table import MEASURES
 from carla_recap.tables import Columns
 
 if TYPE_CHECKING:
@@ -19,9 +20,11 @@ if TYPE_CHECKING:
 
     from carla_recap.formats.base import Reader
     from carla_recap.queries.measures.motion import MotionBlock
+    from carla_recap.queries.measures.series import Criticality
 
     Floats = NDArray[np.float64]
     Ids = NDArray[np.int64]
+    Indices = NDArray[np.intp]
 
 
 @dataclass(frozen=True)
@@ -43,17 +46,7 @@ class MeasureSeries(Columns):
         leader: The id of the leader; -1 without one.
     """
 
-    column_units: ClassVar = {
-        "time": "s",
-        "speed": "m/s",
-        "acceleration": "m/s²",
-        "jerk": "m/s³",
-        "gap": "m",
-        "time_to_collision": "s",
-        "distance_headway": "m",
-        "time_headway": "s",
-        "required_deceleration": "m/s²",
-    }
+    column_units: ClassVar = {"time": "s", **{name: measure.unit for name, measure in MEASURES.items()}}
 
     time: Floats
     speed: Floats
@@ -104,6 +97,33 @@ def time_series(
     return series.finish()
 
 
+def series_of(block: MotionBlock, rows: Indices, found: Criticality) -> MeasureSeries:
+    """Return the measures of some actors in a block; the arrays have the shape (actors, frames).
+
+    Args:
+        block: The block.
+        rows: The rows of the actors.
+        found: How critical their situation is.
+    """
+    speed = block.speed[rows]
+    acceleration = slope(block.time, speed, SPEED_WINDOW)
+    ids = np.append(block.ids, NOBODY).astype(np.int64)
+    return MeasureSeries(
+        time=np.broadcast_to(block.time, speed.shape),
+        speed=speed,
+        acceleration=acceleration,
+        jerk=slope(block.time, acceleration, JERK_WINDOW),
+        gap=found.gap,
+        nearest=ids[found.nearest],
+        time_to_collision=found.time_to_collision,
+        threat=ids[found.threat],
+        distance_headway=found.headway,
+        time_headway=found.time_headway,
+        required_deceleration=found.required_deceleration,
+        leader=ids[found.leader],
+    )
+
+
 class SeriesCollector:
     """Collects the measures of an actor over time from blocks of motion.
 
@@ -114,7 +134,7 @@ class SeriesCollector:
 
     def __init__(self, actor: int, other: int | None = None) -> None:
         self._actor, self._other = actor, other
-        self._parts: list[list[NDArray[Any]]] = []
+        self._parts: list[dict[str, NDArray[Any]]] = []
 
     def add(self, block: MotionBlock) -> None:
         """Add a block."""
@@ -122,32 +142,14 @@ class SeriesCollector:
         others = np.flatnonzero(block.ids == (self._actor if self._other is None else self._other))
         if not len(rows) or not len(others):
             return
-        found = criticality(block, rows, None if self._other is None else int(others[0]))
-        speed = block.speed[rows]
-        acceleration = slope(block.time, speed, SPEED_WINDOW)
-        ids = np.append(block.ids, -1)  # of no actor
-        columns = [
-            block.time[None],
-            speed,
-            acceleration,
-            slope(block.time, acceleration, JERK_WINDOW),
-            found.gap,
-            ids[found.nearest],
-            found.time_to_collision,
-            ids[found.threat],
-            found.headway,
-            found.time_headway,
-            found.required_deceleration,
-            ids[found.leader],
-        ]
+        series = series_of(block, rows, criticality(block, rows, None if self._other is None else int(others[0])))
         present = np.flatnonzero(~np.isnan(block.x[rows[0], block.core])) + block.first
-        self._parts.append([np.asarray(column[0, present]) for column in columns])
+        self._parts.append({name: values[0, present] for name, values in series.columns().items()})
 
     def finish(self) -> MeasureSeries:
         """Return the measures."""
-        names = [field.name for field in fields(MeasureSeries)]
         columns: dict[str, Any] = {}
-        for number, name in enumerate(names):
-            none = np.zeros(0, np.int64 if name in ("nearest", "threat", "leader") else np.float64)
-            columns[name] = np.concatenate([none, *(part[number] for part in self._parts)])
+        for field in fields(MeasureSeries):
+            none = np.zeros(0, np.float64 if field.type == "Floats" else np.int64)
+            columns[field.name] = np.concatenate([none, *(part[field.name] for part in self._parts)])
         return MeasureSeries(**columns)

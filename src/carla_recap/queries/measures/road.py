@@ -14,12 +14,12 @@ import numpy as np
 
 from carla_recap.model.blueprints import blueprint_sizes
 from carla_recap.model.records import CM
-from carla_recap.queries.measures.rows import MeasureRow
+from carla_recap.queries.measures.table import Extreme
 from carla_recap.queries.measures.traffic_lights import LightHistory
 from carla_recap.roads import network as roads
 
 if TYPE_CHECKING:
-    from collections.abc import Collection, Iterable, Iterator
+    from collections.abc import Iterable, Iterator
 
     from numpy.typing import NDArray
 
@@ -53,9 +53,6 @@ TOLERANCE: Final = 5 / 3.6
 """The speed above a limit that is tolerated, in m/s."""
 SPEEDING_TIME: Final = 1.0
 """How long a vehicle has to drive faster than that, in s."""
-
-UNITS: Final = {"speed_over_limit": "m/s", "distance_off_road": "m", "distance_against_lane": "m"}
-"""The measures of the road in the order of the rows, and their units."""
 
 _INTERVAL: Final = 0.1  # s between the samples of the motion
 _ROUNDING: Final = 1e-6  # s
@@ -108,6 +105,9 @@ class RoadSearch:
         source: The recording. Its spawns are read at once.
         network: The roads of its map.
         actors: The actors of the recording.
+
+    Attributes:
+        extremes: The greatest values of measures of the road after `finish`, by vehicle and measure.
     """
 
     def __init__(self, source: Reader, network: RoadNetwork, actors: Iterable[ActorLife]) -> None:
@@ -128,7 +128,7 @@ class RoadSearch:
         self._slow: dict[int, tuple[float, float, float]] = {}  # where the front of each vehicle was when it last stood
         self._crossings: list[_Crossing] = []
         self._runs: dict[RoadKind, list[_Run]] = defaultdict(list)
-        self._extremes: dict[tuple[str, int], tuple[float, float]] = {}
+        self.extremes: dict[int, dict[str, Extreme]] = defaultdict(dict)
 
     def add(self, batch: Batch) -> None:
         """Process the next frames; they have at least their transforms and states of lights."""
@@ -161,20 +161,6 @@ class RoadSearch:
         self._evaluate()
         events = [*self._at_lines(), *self._left_road(), *self._wrong_way(), *self._speeding()]
         return sorted(events, key=lambda event: (event.start, event.kind, event.id))
-
-    def rows(self, ids: Collection[int] | None = None) -> list[MeasureRow]:
-        """Return the measures of vehicles, after `finish`.
-
-        Args:
-            ids: The vehicles; None for all.
-        """
-        found = []
-        for id, actor in self._actors.items():
-            for name, unit in UNITS.items():
-                value, time = self._extremes.get((name, id), (0.0, 0.0))
-                if value > 0 and (ids is None or id in ids):
-                    found.append(MeasureRow(name, id, actor.type_id, actor.is_hero, None, "", value, unit, time))
-        return found
 
     def _sampled(self, elapsed: Floats) -> list[int]:
         """Return the rows of a batch that are samples."""
@@ -248,9 +234,13 @@ class RoadSearch:
             if not np.isfinite(part).any():
                 continue
             row = first + int(np.nanargmax(part))
-            key = measure, int(self._vehicles[motion.vehicle[row]])
-            if values[row] > self._extremes.get(key, (0.0, 0.0))[0]:
-                self._extremes[key] = float(values[row]), float(motion.time[row])
+            self._keep(measure, int(self._vehicles[motion.vehicle[row]]), float(values[row]), float(motion.time[row]))
+
+    def _keep(self, measure: str, id: int, value: float, time: float) -> None:
+        """Note a value of a vehicle if it is above 0 and the greatest so far."""
+        known = self.extremes[id].get(measure)
+        if value > (known.value if known else 0.0):
+            self.extremes[id][measure] = Extreme(value, time)
 
     def _cross(self, motion: _Motion) -> None:
         """Add the crossings of stop lines by the fronts and by the centres of vehicles."""
@@ -338,9 +328,7 @@ class RoadSearch:
 
     def _wrong_way(self) -> Iterator[RoadEvent]:
         for run in _joined(self._runs["wrong way"], summed=True):
-            key = "distance_against_lane", run.id
-            if run.value > self._extremes.get(key, (0.0, 0.0))[0]:
-                self._extremes[key] = run.value, run.start
+            self._keep("distance_against_lane", run.id, run.value, run.start)
             if run.stop - run.start >= AGAINST_TIME:
                 text = f"drives {run.value:.0f} m against the direction of its lane"
                 yield run.event("wrong way", "distance_against_lane", AGAINST * AGAINST_TIME, text)

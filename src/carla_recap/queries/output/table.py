@@ -13,7 +13,7 @@ from carla_recap.queries.blocked import Blocked, BlockedRow
 from carla_recap.queries.collisions import CollisionRow
 from carla_recap.queries.incidents import Incident
 from carla_recap.queries.info import Info, InfoRow
-from carla_recap.queries.measures.rows import MeasureRow
+from carla_recap.queries.measures.table import MeasureRow
 from carla_recap.queries.output.terminal import TableColumn, brief_actor, kind_style, print_table
 from carla_recap.queries.output.text import local_date
 from carla_recap.util.text import number, visible

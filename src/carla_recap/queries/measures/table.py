@@ -1,0 +1,206 @@
+"""The table of measures: a row for each, which queries, rules, texts and documentation use."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any, Final, Literal, NamedTuple
+
+import numpy as np
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Iterable, Mapping
+
+    from numpy.typing import NDArray
+
+    from carla_recap.model.actors import ActorLife
+    from carla_recap.queries.measures.over_time import MeasureSeries
+
+    Floats = NDArray[np.float64]
+
+
+@dataclass(frozen=True, slots=True)
+class MeasureRow:
+    """The extreme value of a measure of an actor in a recording, such as its least time to collision.
+
+    Attributes:
+        measure: The name, such as `time_to_collision`.
+        actor: The id of the actor.
+        type_id: Its blueprint.
+        hero: Whether it is the hero.
+        other: The id of the actor that the value is in relation to; None if there is none.
+        other_type_id: Its blueprint; empty if there is none.
+        value: The least or the greatest value, whichever is critical.
+        unit: The unit of the value.
+        time: When, in elapsed seconds.
+    """
+
+    measure: str
+    actor: int
+    type_id: str
+    hero: bool
+    other: int | None
+    other_type_id: str
+    value: float
+    unit: str
+    time: float
+
+
+class Extreme(NamedTuple):
+    """An extreme value of a measure of an actor.
+
+    Attributes:
+        value: The value.
+        time: When, in elapsed seconds.
+        other: The actor that it is in relation to, if any.
+    """
+
+    value: float
+    time: float
+    other: ActorLife | None = None
+
+
+@dataclass(frozen=True, kw_only=True)
+class Measure:
+    """A row of the table.
+
+    Attributes:
+        name: The name, such as `time_to_collision`.
+        unit: The unit of its values.
+        extreme: Whether its least or its greatest value is critical.
+        text: The definition, as in docs/measures.md.
+        values: Returns the values over time that count for the extreme, from the columns of a `MeasureSeries`; None: they
+            are not found frame by frame.
+        other: The column with the ids of the actors that the values are in relation to; empty if there is none.
+        needs_roads: Whether the roads of the map are needed.
+    """
+
+    name: str
+    unit: str
+    extreme: Literal["least", "greatest"]
+    text: str
+    values: Callable[[MeasureSeries], Floats] | None = None
+    other: str = ""
+    needs_roads: bool = False
+
+    @property
+    def title(self) -> str:
+        """The name in words, such as `time to collision`."""
+        return self.name.replace("_", " ")
+
+    @property
+    def key(self) -> Callable[[float], float]:
+        """What sorts values, the most critical first."""
+        return (lambda value: value) if self.extreme == "least" else (lambda value: -value)
+
+
+def _named(measures: Iterable[Measure]) -> Mapping[str, Measure]:
+    return {measure.name: measure for measure in measures}
+
+
+def _where(condition: Any, values: Any) -> Floats:
+    return np.where(condition, values, np.nan)
+
+
+MEASURES: Final = _named(
+    (
+        Measure(
+            name="gap",
+            unit="m",
+            extreme="least",
+            text="the distance between the boxes; 0 if they overlap",
+            values=lambda series: series.gap,
+            other="nearest",
+        ),
+        Measure(
+            name="time_to_collision",
+            unit="s",
+            extreme="least",
+            text="the time until the boxes touch if both keep their velocity, up to 10 s [1, 2]; less than 3 s count if "
+            "both also meet on the paths that they take, see below",
+            values=lambda series: series.time_to_collision,
+            other="threat",
+        ),
+        Measure(
+            name="distance_headway",
+            unit="m",
+            extreme="least",
+            text="the distance to the leader, from bumper to bumper along the heading",
+            values=lambda series: series.distance_headway,
+            other="leader",
+        ),
+        Measure(
+            name="time_headway",
+            unit="s",
+            extreme="least",
+            text="the same, divided by the speed; without a value at rest [1]",
+            values=lambda series: series.time_headway,
+            other="leader",
+        ),
+        Measure(
+            name="required_deceleration",
+            unit="m/s²",
+            extreme="greatest",
+            text="the squared difference of speeds over twice the distance to the leader (DRAC) [1]; it grows beyond all "
+            "bounds before a contact",
+            values=lambda series: _where(series.leader >= 0, series.required_deceleration),
+            other="leader",
+        ),
+        Measure(
+            name="post_encroachment_time",
+            unit="s",
+            extreme="least",
+            text="where paths cross: the time between one leaving a spot and the other arriving there, up to 3 s; without a "
+            "value if both are there at once (they touch in the 3 s before or after), or follow each other [1, 5]",
+        ),
+        Measure(
+            name="speed",
+            unit="m/s",
+            extreme="greatest",
+            text="the speed over the ground",
+            values=lambda series: series.speed,
+        ),
+        Measure(
+            name="acceleration",
+            unit="m/s²",
+            extreme="greatest",
+            text="the slope of a line through the speeds within 0.125 s before and after",
+            values=lambda series: _where(series.acceleration > 0, series.acceleration),
+        ),
+        Measure(
+            name="deceleration",
+            unit="m/s²",
+            extreme="greatest",
+            text="the same where the speed falls, without its sign",
+            values=lambda series: _where(series.acceleration < 0, -series.acceleration),
+        ),
+        Measure(
+            name="jerk",
+            unit="m/s³",
+            extreme="greatest",
+            text="the slope of a line through the accelerations within 0.25 s before and after, without its sign",
+            values=lambda series: np.abs(series.jerk),
+        ),
+        Measure(
+            name="speed_over_limit",
+            unit="m/s",
+            extreme="greatest",
+            text="the speed over the ground minus the speed limit of the lane, where it is above 0",
+            needs_roads=True,
+        ),
+        Measure(
+            name="distance_off_road",
+            unit="m",
+            extreme="greatest",
+            text="how far the location of the vehicle is outside the road, up to 20 m",
+            needs_roads=True,
+        ),
+        Measure(
+            name="distance_against_lane",
+            unit="m",
+            extreme="greatest",
+            text="the distance driven against the direction of a lane without a break",
+            needs_roads=True,
+        ),
+    )
+)
+"""The measures by name, in the order of the rows of an answer."""
