@@ -12,8 +12,8 @@ from carla_recap.queries.measures.boxes import (
 )
 from carla_recap.queries.measures.encroachment import Path, post_encroachment_time
 from carla_recap.queries.measures.extremes import Measures, MeasureSearch, measures
-from carla_recap.queries.measures.over_time import MeasureSeries, time_series
-from carla_recap.queries.measures.table import MEASURES, Measure, MeasureRow
+from carla_recap.queries.measures.over_time import time_series
+from carla_recap.queries.measures.table import MEASURES, Measure, MeasureRow, MeasureSeries
 
 __all__ = [
     "MEASURES",

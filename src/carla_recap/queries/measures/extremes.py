@@ -16,12 +16,11 @@ from carla_recap.queries.measures.contacts import ContactTimes
 from carla_recap.queries.measures.encroachment import STEP, encroachments, path_of, refined
 from carla_recap.queries.measures.motion import KINDS, TYPES, MotionCollector
 from carla_recap.queries.measures.near_misses import paths_meet
-from carla_recap.queries.measures.over_time import series_of
 from carla_recap.queries.measures.pairs import near_pairs
 from carla_recap.queries.measures.road import TYPES as ROAD_TYPES
 from carla_recap.queries.measures.road import RoadSearch
 from carla_recap.queries.measures.series import criticality
-from carla_recap.queries.measures.table import MEASURES, Extreme, MeasureRow
+from carla_recap.queries.measures.table import MEASURES, Extreme, MeasureRow, series_of
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -30,9 +29,8 @@ if TYPE_CHECKING:
     from carla_recap.model.actors import ActorLife
     from carla_recap.model.batch import Batch
     from carla_recap.queries.measures.motion import MotionBlock
-    from carla_recap.queries.measures.over_time import MeasureSeries
     from carla_recap.queries.measures.series import Criticality
-    from carla_recap.queries.measures.table import Measure
+    from carla_recap.queries.measures.table import Measure, MeasureSeries
     from carla_recap.roads.network import RoadNetwork
 
     Floats = NDArray[np.float64]

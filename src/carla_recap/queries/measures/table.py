@@ -7,15 +7,21 @@ from typing import TYPE_CHECKING, Any, Final, Literal, NamedTuple
 
 import numpy as np
 
+from carla_recap.queries.measures.series import JERK_WINDOW, NOBODY, SPEED_WINDOW, slope
+from carla_recap.tables import Columns
+
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Mapping
 
     from numpy.typing import NDArray
 
     from carla_recap.model.actors import ActorLife
-    from carla_recap.queries.measures.over_time import MeasureSeries
+    from carla_recap.queries.measures.motion import MotionBlock
+    from carla_recap.queries.measures.series import Criticality
 
     Floats = NDArray[np.float64]
+    Ids = NDArray[np.int64]
+    Indices = NDArray[np.intp]
 
 
 @dataclass(frozen=True, slots=True)
@@ -57,6 +63,73 @@ class Extreme(NamedTuple):
     value: float
     time: float
     other: ActorLife | None = None
+
+
+@dataclass(frozen=True)
+class MeasureSeries(Columns):
+    """The measures of an actor over time: arrays of one length, a value for each frame in which it is present.
+
+    Attributes:
+        time: Elapsed seconds.
+        speed: The speed over the ground in m/s.
+        acceleration: In m/s², below 0 when it brakes; NaN where it is unknown.
+        jerk: In m/s³; NaN where it is unknown.
+        gap: The least gap to another actor in m; inf without one within 100 m.
+        nearest: The id of the actor that is this near; -1 without one.
+        time_to_collision: The least time to collision in s; inf above 10 s.
+        threat: The id of the actor that this is the time to; -1 without one.
+        distance_headway: The distance to the leader in m, from bumper to bumper; inf without one.
+        time_headway: The same as a time in s; inf at rest.
+        required_deceleration: The deceleration to avoid the leader in m/s².
+        leader: The id of the leader; -1 without one.
+    """
+
+    time: Floats
+    speed: Floats
+    acceleration: Floats
+    jerk: Floats
+    gap: Floats
+    nearest: Ids
+    time_to_collision: Floats
+    threat: Ids
+    distance_headway: Floats
+    time_headway: Floats
+    required_deceleration: Floats
+    leader: Ids
+
+    def __len__(self) -> int:
+        return len(self.time)
+
+    def units(self) -> Mapping[str, str]:
+        """See `Tabular.units`."""
+        return {"time": "s"} | {name: measure.unit for name, measure in MEASURES.items() if hasattr(self, name)}
+
+
+def series_of(block: MotionBlock, rows: Indices, found: Criticality) -> MeasureSeries:
+    """Return the measures of some actors in a block; the arrays have the shape (actors, frames).
+
+    Args:
+        block: The block.
+        rows: The rows of the actors.
+        found: How critical their situation is.
+    """
+    speed = block.speed[rows]
+    acceleration = slope(block.time, speed, SPEED_WINDOW)
+    ids = np.append(block.ids, NOBODY).astype(np.int64)
+    return MeasureSeries(
+        time=np.broadcast_to(block.time, speed.shape),
+        speed=speed,
+        acceleration=acceleration,
+        jerk=slope(block.time, acceleration, JERK_WINDOW),
+        gap=found.gap,
+        nearest=ids[found.nearest],
+        time_to_collision=found.time_to_collision,
+        threat=ids[found.threat],
+        distance_headway=found.headway,
+        time_headway=found.time_headway,
+        required_deceleration=found.required_deceleration,
+        leader=ids[found.leader],
+    )
 
 
 @dataclass(frozen=True, kw_only=True)
