@@ -13,7 +13,7 @@ from hypothesis import example, given
 from hypothesis import strategies as st
 
 from carla_recap import RecapError, RecapWarning, convert, open_recording
-from carla_recap.formats.mcap import variable
+from carla_recap.formats.mcap import codec
 from carla_recap.model.frame import Extent, Frame, Header, Packet
 from carla_recap.model.records import UE4, UE5
 from tests import strategies
@@ -179,14 +179,14 @@ def test_a_packet_larger_than_the_largest_chunk_survives_a_round_trip(tmp_path):
 
 def test_packets_that_grow_beyond_the_parsing_limit_survive_a_round_trip(tmp_path, monkeypatch):
     limit = 4000
-    monkeypatch.setattr("carla_recap.formats.mcap.messages.PIECE", 1000)
-    for module in ("model.layout", "formats.mcap.messages", "formats.mcap.writer"):
+    monkeypatch.setattr("carla_recap.formats.mcap.codec.PIECE", 1000)
+    for module in ("model.layout", "formats.mcap.codec", "formats.mcap.writer"):
         monkeypatch.setattr(f"carla_recap.{module}.OBJECTS_LIMIT", limit)
     wheel = bytes(4) + (1).to_bytes(4, "little") + bytes(9)
     packets = [packet(21, listed(*[wheel] * count)) for count in range(limit // 25, limit // 16)]
     log = save(tmp_path / "wheels.log", log_header() + start(1, 0.0) + b"".join(packets) + END)
     convert(log, tmp_path / "wheels.mcap")
-    variable._templates.clear()  # as another process would find it
+    codec._templates.clear()  # as another process would find it
     convert(tmp_path / "wheels.mcap", tmp_path / "back.log")
     assert (tmp_path / "back.log").read_bytes() == log.read_bytes()
 

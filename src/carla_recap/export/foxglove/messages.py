@@ -15,7 +15,7 @@ import numpy as np
 from google.protobuf.descriptor import FieldDescriptor
 
 from carla_recap.errors import MissingExtra
-from carla_recap.formats.mcap.messages import FIXED32, FIXED64, LEN, VARINT, tag, varint
+from carla_recap.formats.mcap.codec import FIXED32, FIXED64, LEN, VARINT, tag, varint
 from carla_recap.formats.mcap.schema import MESSAGE, SECOND
 
 try:

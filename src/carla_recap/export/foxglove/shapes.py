@@ -19,7 +19,7 @@ from carla_recap.export.foxglove.messages import (
     Vector3,
     numbers,
 )
-from carla_recap.formats.mcap.messages import LEN, tag, varint
+from carla_recap.formats.mcap.codec import LEN, tag, varint
 from carla_recap.rendering.materials import MATERIALS, Material
 
 if TYPE_CHECKING:

@@ -9,10 +9,9 @@ import numpy as np
 from mcap.opcode import Opcode
 
 from carla_recap.errors import FormatError
-from carla_recap.formats.mcap import messages
-from carla_recap.formats.mcap.fixed import fixed_codec
+from carla_recap.formats.mcap import codec
+from carla_recap.formats.mcap.codec import encode, encode_many, encode_rows, records_codec
 from carla_recap.formats.mcap.schema import EMPTY, FILLED, MESSAGE, MESSAGE_DTYPE, MESSAGE_FIELDS, RECORD
-from carla_recap.formats.mcap.variable import encode, encode_many, encode_rows
 from carla_recap.model.batch import ConstantColumn
 from carla_recap.model.layout import EMPTY_LIST, OBJECTS_LIMIT, Framing, PayloadError
 from carla_recap.model.records import FRAME_START, Group
@@ -26,7 +25,7 @@ if TYPE_CHECKING:
     from carla_recap.model.layout import Buffer
     from carla_recap.model.records import RecordType
 
-_HEADER: Final = np.dtype([*MESSAGE_DTYPE.descr, *messages.HEAD_DTYPE.descr])  # of each message: `MESSAGE`, `messages.HEAD`
+_HEADER: Final = np.dtype([*MESSAGE_DTYPE.descr, *codec.HEAD_DTYPE.descr])  # of each message: `MESSAGE`, `codec.HEAD`
 _DURATION: Final = _HEADER.itemsize + 1  # the offset of the duration in a frame's own message
 
 
@@ -143,17 +142,17 @@ class FrameTemplate:
             type = column.type
             assert type is not None
             if type.fixed:
-                bodies.append((channels[column.id], fixed_codec(type).blank(column.records.shape[1])))
+                bodies.append((channels[column.id], records_codec(type).blank(column.records.shape[1])))
             else:
                 bodies.append((channels[column.id], encode(type, column.packet(0).payload)))
         ids = bytes((FRAME_START, *(column.id for column in batch.columns)))
         kinds = bytes((FRAME_START, *(EMPTY if _is_empty(column) else FILLED for column in batch.columns)))
-        frame = messages.frame_body(0.0, ids, kinds)
+        frame = codec.frame_body(0.0, ids, kinds)
         template = bytearray()
         for channel, body in (*bodies, (frame_channel, frame)):
             self.offsets.append((channel, len(template)))
-            length = MESSAGE_FIELDS + messages.HEAD.size + len(body)
-            template += MESSAGE.pack(Opcode.MESSAGE, length, channel, 0, 0, 0) + messages.head(0, 0.0) + body
+            length = MESSAGE_FIELDS + codec.HEAD.size + len(body)
+            template += MESSAGE.pack(Opcode.MESSAGE, length, channel, 0, 0, 0) + codec.head(0, 0.0) + body
         self.size = len(template)
         self._template = np.frombuffer(bytes(template), np.uint8)
 
@@ -169,8 +168,8 @@ class FrameTemplate:
             type = column.type
             assert type is not None
             if type.fixed:
-                codec = fixed_codec(type)
-                codec.fill(_fields(rows, codec.wire, offset + _HEADER.itemsize, column.records.shape[1]), column.records)
+                form = records_codec(type)
+                form.fill(_fields(rows, form.wire, offset + _HEADER.itemsize, column.records.shape[1]), column.records)
                 continue
             bodies = encode_rows(type, column.payloads(len(batch)))
             if bodies is None or offset + _HEADER.itemsize + bodies.shape[1] != end:
@@ -247,7 +246,7 @@ def _is_regular(column: Column) -> bool:
     try:
         if not type.fixed:
             return encode_rows(type, column.payloads(1)) is not None
-        codec, records = fixed_codec(type), column.records
-        return codec.payload_size(records.shape[1]) == column.size and codec.fits(records)
+        form, records = records_codec(type), column.records
+        return form.payload_size(records.shape[1]) == column.size and form.fits(records)
     except (PayloadError, FormatError):
         return False

@@ -6,36 +6,26 @@ their numbers. A digest is left out where packets are irregular, so that it neve
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any, Final
+from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
-from carla_recap.formats.mcap import messages
-from carla_recap.formats.mcap.fixed import fixed_codec
-from carla_recap.formats.mcap.messages import parse
-from carla_recap.formats.mcap.schema import (
-    BRAKING,
-    BRAKING_MESSAGE,
-    BRAKING_TOPIC,
-    CONTACTS,
-    CONTACTS_MESSAGE,
-    CONTACTS_TOPIC,
-    STRETCHES,
-    STRETCHES_TOPIC,
-)
+from carla_recap.formats.mcap.codec import encode
+from carla_recap.formats.mcap.schema import BRAKING, CONTACTS, STATIONARY
 from carla_recap.model.batch import Batch
-from carla_recap.model.braking import HARD, Braking, BrakingDetector
+from carla_recap.model.braking import HARD, BrakingDetector
 from carla_recap.model.braking import TYPES as BRAKING_TYPES
 from carla_recap.model.contacts import TYPES as CONTACT_TYPES
-from carla_recap.model.contacts import ContactStart, ContactTracker
-from carla_recap.model.layout import EMPTY_LIST, U16, Layout, PacketType
+from carla_recap.model.contacts import ContactTracker
+from carla_recap.model.layout import EMPTY_LIST, MAX_COUNT, pack
 from carla_recap.model.stationary import MIN_DISTANCE, StationaryTracker
 from carla_recap.model.stationary import TYPES as STATIONARY_TYPES
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Iterator, Sequence
+    from collections.abc import Iterator
 
     from carla_recap.model.frame import Frame
+    from carla_recap.model.layout import Records
     from carla_recap.model.records import RecordType, Table
     from carla_recap.model.stationary import BlockedRow
 
@@ -44,17 +34,6 @@ if TYPE_CHECKING:
 INTERVAL_TIME: Final = 1.0
 """The shortest stationary intervals that are kept, in seconds."""
 _TOGETHER: Final = 1_000  # rows of a message, about
-
-_BRAKING: Final = PacketType(
-    name="braking",
-    layout=Layout({"id": "u4", "start": "f8", "stop": "f8", "x": "f8", "y": "f8", "z": "f8", "speed": "f8"}),
-)
-_VECTORS: Final = [f"{name}{axis}{side}" for name in ("", "velocity_") for side in "12" for axis in "xyz"]
-_CONTACTS: Final = PacketType(
-    name="contacts",
-    layout=Layout({"index": "u8", "actor1": "u4", "actor2": "u4", **dict.fromkeys(_VECTORS, "f8")}),
-)
-_ITEMS: Final = {BRAKING_MESSAGE: "intervals", CONTACTS_MESSAGE: "contacts"}
 
 
 class Digest:
@@ -111,70 +90,36 @@ class Digest:
         if self._stationary:
             self._intervals += self._stationary.take()
             if len(self._intervals) >= _TOGETHER:
-                yield self._take_intervals()
+                yield from self._take_intervals()
         if self._contacts and (found := self._contacts.take()):
             self._contact_count += len(found)
-            yield CONTACTS_TOPIC, _contacts(found)
+            rows = [(*row.key, *row.position1, *row.position2, *row.velocity1, *row.velocity2) for row in found]
+            yield from _messages(CONTACTS, np.array(rows, CONTACTS.dtype))
 
     def finish(self) -> Iterator[Message]:
         """Yield the messages behind the last frame."""
         if self._stationary:
             self._intervals += self._stationary.finish()
-            if self._intervals:
-                yield self._take_intervals()
+            yield from self._take_intervals()
         braking = self._detector.finish() if self._detector else []
         self._braking_count = len(braking)
-        for start in range(0, len(braking), _TOGETHER):
-            yield BRAKING_TOPIC, _encoded(_BRAKING, [tuple(row) for row in braking[start : start + _TOGETHER]])
+        yield from _messages(BRAKING, np.array([tuple(row) for row in braking], BRAKING.dtype), _TOGETHER)
 
     def metadata(self) -> dict[str, str]:
         """Return what the extent's metadata say of the digest."""
-        stationary = {STRETCHES: f"{INTERVAL_TIME:g} {MIN_DISTANCE:g} {self._interval_count}"} if self._stationary else {}
-        braking = {BRAKING: f"{HARD:g} {self._braking_count}"} if self._detector else {}
-        contacts = {CONTACTS: f"{self._contact_count}"} if self._contacts else {}
-        return stationary | braking | contacts
+        stationary = f"{INTERVAL_TIME:g} {MIN_DISTANCE:g} {self._interval_count}" if self._stationary else ""
+        braking = f"{HARD:g} {self._braking_count}" if self._detector else ""
+        contacts = f"{self._contact_count}" if self._contacts else ""
+        values = {STATIONARY.name: stationary, BRAKING.name: braking, CONTACTS.name: contacts}
+        return {name: value for name, value in values.items() if value}
 
-    def _take_intervals(self) -> Message:
+    def _take_intervals(self) -> Iterator[Message]:
         intervals, self._intervals = self._intervals, []
         self._interval_count += len(intervals)
-        return STRETCHES_TOPIC, messages.stationary_intervals(intervals)
+        return _messages(STATIONARY, intervals)
 
 
-def read_braking(messages: Sequence[bytes]) -> list[Braking]:
-    """Return the intervals of `BrakingIntervals` messages.
-
-    Raises:
-        WireError: One is no such message.
-    """
-    return [Braking(*row) for row in _decoded(_BRAKING, BRAKING_MESSAGE, messages)]
-
-
-def read_contacts(messages: Sequence[bytes]) -> list[ContactStart]:
-    """Return the contacts of `Contacts` messages.
-
-    Raises:
-        WireError: One is no such message.
-    """
-    rows = _decoded(_CONTACTS, CONTACTS_MESSAGE, messages)
-    return [ContactStart(row[0], row[1], row[2], row[3:6], row[6:9], row[9:12], row[12:]) for row in rows]
-
-
-def _contacts(found: Iterable[ContactStart]) -> bytes:
-    rows = [(*row.key, *row.position1, *row.position2, *row.velocity1, *row.velocity2) for row in found]
-    return _encoded(_CONTACTS, rows)
-
-
-def _encoded(type: PacketType, rows: list[tuple[Any, ...]]) -> bytes:
-    """Return the body of a message."""
-    bodies = fixed_codec(type).encode([U16.pack(len(rows)) + np.array(rows, type.dtype).tobytes()])
-    assert bodies is not None
-    return bytes(bodies[0])
-
-
-def _decoded(type: PacketType, name: str, messages: Sequence[bytes]) -> list[Any]:
-    """Return the rows of messages of a name; the fields of a message may come in any order."""
-    payloads = fixed_codec(type).decode(messages)
-    if payloads is not None:
-        return [row for index in range(len(messages)) for row in payloads.records(index).tolist()]
-    found = [row for message in messages for row in getattr(parse(type.name, name, message), _ITEMS[name])]
-    return [tuple(getattr(row, field) for field in type.layout.fields) for row in found]
+def _messages(type: RecordType, records: Records, together: int = MAX_COUNT) -> Iterator[Message]:
+    """Yield messages of some records."""
+    for start in range(0, len(records), together):
+        yield type.topic, encode(type, pack(type, records[start : start + together]))

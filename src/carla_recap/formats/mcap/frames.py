@@ -15,8 +15,8 @@ from typing import TYPE_CHECKING, Any, Final, NamedTuple
 import numpy as np
 
 from carla_recap.errors import FormatError
-from carla_recap.formats.mcap import messages
-from carla_recap.formats.mcap.fixed import fixed_codec
+from carla_recap.formats.mcap import codec
+from carla_recap.formats.mcap.codec import decode, records_codec
 from carla_recap.formats.mcap.runs import BrokenRecords, column, message_runs
 from carla_recap.formats.mcap.schema import (
     EMPTY,
@@ -27,7 +27,6 @@ from carla_recap.formats.mcap.schema import (
     RAW_MESSAGE,
     RAW_TOPIC,
 )
-from carla_recap.formats.mcap.variable import decode, decode_records
 from carla_recap.model.batch import Batch, ConstantColumn
 from carla_recap.model.frame import Frame, Packet
 from carla_recap.model.layout import EMPTY_LIST
@@ -36,7 +35,7 @@ from carla_recap.model.records import FRAME_END, FRAME_START
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Iterator
 
-    from carla_recap.formats.mcap.fixed import Payloads
+    from carla_recap.formats.mcap.codec import Payloads
     from carla_recap.formats.mcap.index import ChunkIndex
     from carla_recap.formats.mcap.runs import MessageRun
     from carla_recap.formats.mcap.schema import ChannelSpec
@@ -105,7 +104,7 @@ class ChannelMessages:
         if not self.decoded:
             self.decoded = True
             if self.type is not None and self.type.fixed:
-                self.payloads = fixed_codec(self.type).decode(self.messages)
+                self.payloads = records_codec(self.type).decode(self.messages)
         return self.payloads
 
 
@@ -138,7 +137,7 @@ class MessagePacket(Packet):
             assert self.type
             try:
                 self._payload = decode(self.type, self._source.messages[self._index])
-            except messages.WireError as error:
+            except codec.WireError as error:
                 raise self._broken(error) from None
         return self._payload
 
@@ -153,12 +152,10 @@ class MessagePacket(Packet):
             payloads = self._source.payloads or self._source.decode()
             if payloads is not None:
                 return payloads.records(self._index)
-            if self._payload is None and self.type is not None:
-                self._records = decode_records(self.type, self._source.messages[self._index])
         return super().records
 
-    def _broken(self, error: messages.WireError) -> FormatError:
-        head = messages.read_head(self._source.messages[self._index])
+    def _broken(self, error: codec.WireError) -> FormatError:
+        head = codec.read_head(self._source.messages[self._index])
         name = self.type.topic if self.type else ""
         where = f"{name} of frame {head[0]}" if head else name
         return FormatError(self._source.location, None, f"{where}: {error}")
@@ -374,11 +371,11 @@ class FrameAssembler:
         slots = {slot[0]: slot for slot in run.slots}
         counts = Counter(slot[0] for slot in run.slots)
         own = slots.get(channels.frames)
-        start = messages.FRAME_HEAD.itemsize
+        start = codec.FRAME_HEAD.itemsize
         if own is None or own[2] < start or counts[channels.frames] > 1:
             return None
-        heads = run.view(messages.FRAME_HEAD, own[1])[:, 0]
-        if not messages.have_heads(heads):
+        heads = run.view(codec.FRAME_HEAD, own[1])[:, 0]
+        if not codec.have_heads(heads):
             return None
         plan = self._plan(bytes(run.message(0, own)[start:]))
         steps = [channel for _, channel in plan.steps]
@@ -423,7 +420,7 @@ class FrameAssembler:
         """Return a frame without its own message, which is not read, or lost."""
         packets: list[Packet] = [MessagePacket(source, row) for source, row in found if source.type is not None]
         data = _data(found[0])
-        head = messages.read_head(data)
+        head = codec.read_head(data)
         if head is None:
             spec = self._channels.specs[found[0][0].channel]
             message = parsed(self._location, spec.module, spec.message, data)
@@ -432,21 +429,21 @@ class FrameAssembler:
 
     def _read_frame(self, data: memoryview) -> tuple[int, float, float, _Plan]:
         """Return id, elapsed and duration of a `Frame`, and the plan to put it together."""
-        found = messages.read_frame(data)
+        found = codec.read_frame(data)
         if found is None:
             message = parsed(self._location, "frame", FRAME_MESSAGE, data)
-            packets = messages.frame_packets(message.packets, message.filled)
+            packets = codec.frame_packets(message.packets, message.filled)
             found = message.frame, message.elapsed, message.duration, packets
         id, elapsed, duration, packets = found
         return id, elapsed, duration, self._plan(packets)
 
     def _plan(self, packets: bytes) -> _Plan:
-        """Return the plan for what `messages.frame_packets` wrote."""
+        """Return the plan for what `codec.frame_packets` wrote."""
         plan = self._plans.get(packets)
         if plan is None:
             if len(self._plans) > _PLANS:
                 self._plans.clear()
-            found = messages.read_frame_packets(packets)
+            found = codec.read_frame_packets(packets)
             if found is None:
                 message = parsed(self._location, "frame", FRAME_MESSAGE, packets)
                 found = message.packets, message.filled
@@ -503,14 +500,14 @@ def channel_messages(location: str, chunk: ChunkIndex, data: bytes, channel: int
 
 
 def parsed(location: str, module: str, name: str, data: Buffer) -> Any:
-    """Return a message, parsed by protobuf; see `messages.parse`.
+    """Return a message, parsed by protobuf; see `codec.parse`.
 
     Raises:
         FormatError: It is none of that name, or too large to parse.
     """
     try:
-        return messages.parse(module, name, data)
-    except messages.WireError as error:
+        return codec.parse(module, name, data)
+    except codec.WireError as error:
         raise FormatError(location, None, str(error)) from None
 
 

@@ -15,20 +15,17 @@ import numpy as np
 from mcap.opcode import Opcode
 
 from carla_recap.errors import FormatError, NotARecording, RecapWarning
+from carla_recap.formats.mcap.codec import WireError, decode_records
 from carla_recap.formats.mcap.frames import MESSAGES_LIMIT, Channels, FrameAssembler, ReadSelection, channel_messages, parsed
 from carla_recap.formats.mcap.index import METADATA_LIMIT, open_chunk, parse_record, read_record, read_summary
-from carla_recap.formats.mcap.messages import WireError
 from carla_recap.formats.mcap.schema import (
     BRAKING,
-    BRAKING_TOPIC,
     CONTACTS,
-    CONTACTS_TOPIC,
     EXPORT_METADATA,
     EXTENT_METADATA,
     HEADER_METADATA,
     RECORD,
-    STRETCHES,
-    STRETCHES_TOPIC,
+    STATIONARY,
     TAIL_MESSAGE,
     TAIL_TOPIC,
     ChannelSpec,
@@ -38,19 +35,19 @@ from carla_recap.formats.mcap.schema import (
     parse_header,
     unchecked,
 )
-from carla_recap.formats.mcap.variable import decode_intervals
 from carla_recap.formats.sources import LocalSource
 from carla_recap.model.batch import Batch, within
 from carla_recap.model.frame import SAME_TIME, Extent, Frame, Header
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Collection, Iterable, Iterator
+    from collections.abc import Collection, Iterable, Iterator
     from pathlib import Path
 
     from carla_recap.formats.mcap.index import ChunkIndex, Summary
     from carla_recap.formats.sources import ByteSource
     from carla_recap.model.braking import Braking
     from carla_recap.model.contacts import ContactStart
+    from carla_recap.model.records import RecordType
     from carla_recap.model.stationary import BlockedRow
 
 T = TypeVar("T")
@@ -187,53 +184,48 @@ class McapReader:
 
     def stationary_intervals(self, min_time: float, min_distance: float) -> list[BlockedRow] | None:
         """Return the stationary intervals, read from the events; see `Reader.stationary_intervals`."""
-        least, distance, count = self._digest_of(STRETCHES, 3)
-        if not min_time >= least or min_distance != distance:
-            return None
-        rows = self._listed(
-            STRETCHES_TOPIC, lambda messages: itertools.chain.from_iterable(map(decode_intervals, messages)), count
-        )
+        least, distance, count = self._digest_of(STATIONARY, 3)
+        rows = self._listed(STATIONARY, count) if min_time >= least and min_distance == distance else None
         if rows is None:
             return None
         from carla_recap.model.stationary import BlockedRow
 
-        return [
-            BlockedRow(row.start, row.duration, row.id, row.type_id, row.x, row.y, row.z)
-            for row in rows
-            if row.duration >= min_time
-        ]
+        return [BlockedRow(**row._asdict()) for row in rows if row.duration >= min_time]
 
     def hard_braking(self, deceleration: float) -> list[Braking] | None:
         """Return the intervals of hard braking, read from the events; see `Reader.hard_braking`."""
         listed, count = self._digest_of(BRAKING, 2)
-        if deceleration != listed:
+        rows = self._listed(BRAKING, count) if deceleration == listed else None
+        if rows is None:
             return None
-        from carla_recap.formats.mcap.digest import read_braking
+        from carla_recap.model.braking import Braking
 
-        return self._listed(BRAKING_TOPIC, read_braking, count)
+        return [Braking(*row) for row in rows]
 
     def contact_starts(self) -> list[ContactStart] | None:
         """Return the beginnings of contacts, read from the events; see `Reader.contact_starts`."""
         (count,) = self._digest_of(CONTACTS, 1)
-        if math.isnan(count):
+        rows = self._listed(CONTACTS, count)
+        if rows is None:
             return None
-        from carla_recap.formats.mcap.digest import read_contacts
+        from carla_recap.model.contacts import ContactStart
 
-        return self._listed(CONTACTS_TOPIC, read_contacts, count)
+        return [ContactStart(row[0], row[1], row[2], row[3:6], row[6:9], row[9:12], row[12:]) for row in rows]
 
-    def _digest_of(self, name: str, size: int) -> list[float]:
+    def _digest_of(self, type: RecordType, size: int) -> list[float]:
         """Return the numbers that the metadata have of a part of the digest; NaN where they have none."""
         try:
-            numbers = [float(number) for number in self.metadata[name].split()]
+            numbers = [float(number) for number in self.metadata[type.name].split()]
         except (KeyError, ValueError):
             numbers = []
         return numbers if len(numbers) == size else [math.nan] * size
 
-    def _listed(self, topic: str, read: Callable[[list[bytes]], Iterable[T]], count: float) -> list[T] | None:
-        """Return the rows of all messages of a topic; None if their number differs, as if another program left some out."""
-        messages = [bytes(message) for message in self._messages(topic)]
+    def _listed(self, type: RecordType, count: float) -> list[Any] | None:
+        """Return a part of the digest; None if there is none, or rows are missing, as if another program left some out."""
+        if math.isnan(count):
+            return None
         try:
-            rows = list(read(messages))
+            rows = decode_records(type, [bytes(message) for message in self._messages(type.topic)])
         except WireError as error:
             raise FormatError(self.location, None, str(error)) from None
         return rows if len(rows) == count else None
@@ -361,11 +353,6 @@ class McapReader:
                 RecapWarning,
                 stacklevel=2,
             )
-
-
-def _read_intervals(messages: Iterable[bytes]) -> Iterator[Any]:
-    """Yield the stationary intervals of `Stretches` messages."""
-    return itertools.chain.from_iterable(map(decode_intervals, messages))
 
 
 def _match(summary: Summary, specs: list[ChannelSpec]) -> dict[int, ChannelSpec]:

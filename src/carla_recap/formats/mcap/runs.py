@@ -11,10 +11,8 @@ from typing import TYPE_CHECKING, Final, NamedTuple
 import numpy as np
 from mcap.opcode import Opcode
 
-from carla_recap.formats.mcap.fixed import fixed_codec
-from carla_recap.formats.mcap.messages import FRAME_BODY, HEAD, HEAD_DTYPE, have_heads
+from carla_recap.formats.mcap.codec import FRAME_BODY, HEAD, HEAD_DTYPE, decode_rows, have_heads, records_codec
 from carla_recap.formats.mcap.schema import MESSAGE, MESSAGE_DTYPE, MESSAGE_FIELDS, RECORD
-from carla_recap.formats.mcap.variable import decode_rows
 from carla_recap.model.batch import PackedColumn, RecordsColumn, equal_rows
 
 if TYPE_CHECKING:
@@ -183,7 +181,7 @@ def column(type: RecordType, run: MessageRun, slot: Slot) -> Column:
             raise ValueError(f"messages of {type.message_name} of several forms")
         size = payloads.shape[1]
         return PackedColumn(type.id, type, size, payloads.reshape(-1).data, 0, size, run.number)
-    codec, start, size = fixed_codec(type), offset + HEAD.size, size - HEAD.size
+    codec, start, size = records_codec(type), offset + HEAD.size, size - HEAD.size
     count = codec.count_in(size)
     if count is None or not have_heads(run.view(HEAD_DTYPE, offset)) or not codec.matches(run.bytes_at(start, size)):
         raise ValueError(f"a {type.message_name} of another form")

@@ -8,17 +8,19 @@ from __future__ import annotations
 import struct
 import zlib
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Final
+from typing import TYPE_CHECKING, Final, NamedTuple
 
 import numpy as np
 
 from carla_recap.errors import RecordError
 from carla_recap.model.frame import Extent, Header
+from carla_recap.model.layout import TEXT, Layout
+from carla_recap.model.records import Group, RecordType
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-    from carla_recap.model.records import RecordType, Table
+    from carla_recap.model.records import Table
 
 MAGIC: Final = b"\x89MCAP0\r\n"
 RECORD: Final = struct.Struct("<BQ")  # opcode, length
@@ -49,16 +51,56 @@ LATEST: Final = 1 << 63  # the latest beginning of a recording, so that its time
 FRAME_TOPIC: Final = "/frames"
 RAW_TOPIC: Final = "/carla/raw"
 TAIL_TOPIC: Final = "/carla/tail"
-STRETCHES_TOPIC: Final = "/actors/stretches"
-BRAKING_TOPIC: Final = "/vehicles/braking"
-CONTACTS_TOPIC: Final = "/collisions/contacts"
 FRAME_MESSAGE: Final = "carla_recap.v1.Frame"
 RAW_MESSAGE: Final = "carla_recap.v1.RawPacket"
 TAIL_MESSAGE: Final = "carla_recap.v1.Tail"
-STRETCHES_MESSAGE: Final = "carla_recap.v1.Stretches"
-BRAKING_MESSAGE: Final = "carla_recap.v1.BrakingIntervals"
-CONTACTS_MESSAGE: Final = "carla_recap.v1.Contacts"
-FRAMELESS: Final = frozenset((TAIL_TOPIC, STRETCHES_TOPIC, BRAKING_TOPIC, CONTACTS_TOPIC))
+
+
+class Interval(NamedTuple):
+    """A stationary interval, with the fields of its message; see `BlockedRow`."""
+
+    id: int
+    type_id: str
+    start: float
+    duration: float
+    x: float
+    y: float
+    z: float
+
+
+def _digest_type(name: str, topic: str, message: str, items: str, layout: Layout) -> RecordType:
+    return RecordType(id=-1, name=name, topic=topic, message=message, items=items, layout=layout, group=Group.EVENTS)
+
+
+_PLACE: Final = dict.fromkeys("xyz", "f8")
+_MOTION: Final = [f"{name}{axis}{side}" for name in ("", "velocity_") for side in "12" for axis in "xyz"]
+# The names are also those of the extent's metadata, where they stand for the parameters and the number of records.
+STATIONARY: Final = _digest_type(
+    "stretches",
+    "/actors/stretches",
+    "Stretches",
+    "stretches",
+    Layout({"id": "u4", "type_id": TEXT, "start": "f8", "duration": "f8", **_PLACE}, Interval),
+)
+"""Stationary intervals; the metadata have the least s, the cm, and the number."""
+BRAKING: Final = _digest_type(
+    "braking",
+    "/vehicles/braking",
+    "BrakingIntervals",
+    "intervals",
+    Layout({"id": "u4", "start": "f8", "stop": "f8", **_PLACE, "speed": "f8"}),
+)
+"""Hard braking; the metadata have the deceleration in m/s², and the number."""
+CONTACTS: Final = _digest_type(
+    "contacts",
+    "/collisions/contacts",
+    "Contacts",
+    "contacts",
+    Layout({"index": "u8", "actor1": "u4", "actor2": "u4", **dict.fromkeys(_MOTION, "f8")}),
+)
+"""Beginnings of contacts; the metadata have the number."""
+DIGEST: Final = (STATIONARY, BRAKING, CONTACTS)
+FRAMELESS: Final = frozenset((TAIL_TOPIC, *(type.topic for type in DIGEST)))
 """The topics whose messages belong to no frame."""
 
 EMPTY, FILLED, RAW = 0, 1, 2
@@ -68,12 +110,6 @@ HEADER_METADATA: Final = "carla_recap.header"
 EXTENT_METADATA: Final = "carla_recap.extent"
 EXPORT_METADATA: Final = "carla_recap.export"
 """What a file has that shows a recording, but is none."""
-STRETCHES: Final = "stretches"
-"""In the extent's metadata: the least s and the cm of stationary intervals, and their number; missing without them."""
-BRAKING: Final = "braking"
-"""In the extent's metadata: the deceleration in m/s² of the intervals of hard braking, and their number; missing without."""
-CONTACTS: Final = "contacts"
-"""In the extent's metadata: the number of beginnings of contacts; missing without them."""
 EVENTS_AT: Final = "events_at"
 """In the extent's metadata: the offset from which on all chunks of events come; missing where they are among the others."""
 CHECKSUM: Final = "checksum"
@@ -101,9 +137,7 @@ def channel_specs(table: Table) -> list[ChannelSpec]:
         *specs,
         ChannelSpec(RAW_TOPIC, "raw_packet", RAW_MESSAGE),
         ChannelSpec(TAIL_TOPIC, "tail", TAIL_MESSAGE),
-        ChannelSpec(STRETCHES_TOPIC, "stretches", STRETCHES_MESSAGE),
-        ChannelSpec(BRAKING_TOPIC, "braking", BRAKING_MESSAGE),
-        ChannelSpec(CONTACTS_TOPIC, "contacts", CONTACTS_MESSAGE),
+        *(ChannelSpec(type.topic, type.name, type.message_name) for type in DIGEST),
     ]
 
 

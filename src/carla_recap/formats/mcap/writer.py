@@ -8,11 +8,11 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
-from carla_recap.formats.mcap import messages
+from carla_recap.formats.mcap import codec
 from carla_recap.formats.mcap.chunk import ChunkBuilder, FrameTemplate, has_template, template_key
+from carla_recap.formats.mcap.codec import encode, records_codec
 from carla_recap.formats.mcap.digest import Digest
 from carla_recap.formats.mcap.file import ChunkedFile, Topic
-from carla_recap.formats.mcap.fixed import fixed_codec
 from carla_recap.formats.mcap.schema import (
     EMPTY,
     EVENTS_AT,
@@ -29,7 +29,6 @@ from carla_recap.formats.mcap.schema import (
     checked,
     header_metadata,
 )
-from carla_recap.formats.mcap.variable import encode
 from carla_recap.model.frame import Extent, Frame, Header, Packet
 from carla_recap.model.layout import EMPTY_LIST, OBJECTS_LIMIT, PayloadError, check
 from carla_recap.model.records import FRAME_END, FRAME_START, Group
@@ -99,11 +98,11 @@ class McapWriter(ChunkedFile):
         self._begin_frame(times[0])
         if not frame.preamble:
             self._extent = Extent(self._extent.frames + 1, frame.id, frame.elapsed)
-        head = messages.head(frame.id, frame.elapsed)
+        head = codec.head(frame.id, frame.elapsed)
         start = b"" if frame.preamble else bytes((FRAME_START,))
         packets = start + bytes([packet.id for packet in frame.packets])
         kinds = start + bytes([self._add(packet, head, times) for packet in frame.packets])
-        body = messages.frame_body(frame.duration, packets, kinds)
+        body = codec.frame_body(frame.duration, packets, kinds)
         self._chunks[Group.STATE].add(self._frame_channel, self._sequence, times, head, body)
         self._digest.frame(frame, self._sequence)
         self._add_digest(self._digest.take(), head, times)
@@ -144,7 +143,7 @@ class McapWriter(ChunkedFile):
         self._extent = Extent(self._extent.frames + count, last, elapsed)
         self._additional = self._additional or template.additional
         time, publish_time = times[count - 1].tolist()
-        self._add_digest(self._digest.take(), messages.head(last, elapsed), (time, publish_time))
+        self._add_digest(self._digest.take(), codec.head(last, elapsed), (time, publish_time))
         self._cut_large()
         return count
 
@@ -153,7 +152,7 @@ class McapWriter(ChunkedFile):
         self._check_open()
         time = self._clock.next()
         self._sequence += 1
-        self._chunks[Group.STATE].add(self._tail_channel, self._sequence, (time, time), b"", messages.tail(piece))
+        self._chunks[Group.STATE].add(self._tail_channel, self._sequence, (time, time), b"", codec.tail(piece))
         self._cut(Group.STATE)
 
     # --- frames to messages --------------------------------------------------------------------------------------------
@@ -185,7 +184,7 @@ class McapWriter(ChunkedFile):
         if type is None or type.opaque or not type.topic or len(payload) > OBJECTS_LIMIT:
             return self._add_raw(packet, head, times)
         chunk, channel = self._chunks[type.group], self._channel_of[id]
-        size = fixed_codec(type).body_size(payload) if type.fixed else None
+        size = records_codec(type).body_size(payload) if type.fixed else None
         if size is not None:
             chunk.add(channel, self._sequence, times, head, b"")
             chunk.encode_later(type, payload, size)
@@ -209,7 +208,7 @@ class McapWriter(ChunkedFile):
     def _add_raw(self, packet: Packet, head: bytes, times: tuple[int, int]) -> int:
         """Add a packet in pieces of its bytes."""
         self._digest.found_irregular(packet.type)
-        for body in messages.raw_bodies(packet.id, packet.payload):
+        for body in codec.raw_bodies(packet.id, packet.payload):
             self._chunks[Group.STATE].add(self._raw_channel, self._sequence, times, head, body)
             self._cut_within_frame(Group.STATE)
         return RAW
@@ -251,7 +250,7 @@ class McapWriter(ChunkedFile):
         if rest:
             self._sequence += 1
             time = self._clock.next()
-            self._add_digest(rest, messages.head(self._extent.last_id, self._extent.duration), (time, time))
+            self._add_digest(rest, codec.head(self._extent.last_id, self._extent.duration), (time, time))
         for group in Group:
             self._cut(group)
         self._write_chunks(0)
@@ -279,4 +278,4 @@ def _schema(module: str, message: str) -> bytes:
     """Return a message's schema: the descriptors of all files that it needs."""
     from mcap_protobuf.schema import build_file_descriptor_set
 
-    return build_file_descriptor_set(messages.message_class(module, message)).SerializeToString()
+    return build_file_descriptor_set(codec.message_class(module, message)).SerializeToString()

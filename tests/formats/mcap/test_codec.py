@@ -13,13 +13,13 @@ from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
 from carla_recap.errors import RecapWarning
-from carla_recap.formats.mcap import fixed, messages, variable
-from carla_recap.formats.mcap.schema import FRAME_MESSAGE, RAW_MESSAGE, TAIL_MESSAGE
+from carla_recap.formats.mcap import codec
+from carla_recap.formats.mcap.schema import FRAME_MESSAGE, RAW_MESSAGE, STATIONARY, TAIL_MESSAGE
 from carla_recap.model.layout import FLAG, MAX_COUNT, REAL, TEXT, Framing, Layout, Many, PayloadError, pack, unpack
 from carla_recap.model.records import UE4, UE5, Spawn, attributes
 from carla_recap.model.stationary import BlockedRow
 from tests import strategies
-from tests.samples import listed, plain
+from tests.samples import bone, listed, plain
 from tests.waiting import time_limit
 
 TYPES = [
@@ -46,7 +46,7 @@ KINDS = {
 
 
 def head_fields(descriptor):
-    return [(f.name, f.number, f.type) for f in descriptor.fields if f.number < messages.ITEMS]
+    return [(f.name, f.number, f.type) for f in descriptor.fields if f.number < codec.ITEMS]
 
 
 def payload_of(type, data):
@@ -73,11 +73,11 @@ def repaired(type, payload):
 
 
 def encoded(type, payload, frame=3, elapsed=1.5):
-    return messages.head(frame, elapsed) + variable.encode(type, payload)
+    return codec.head(frame, elapsed) + codec.encode(type, payload)
 
 
 def message_of(type, payload):
-    return messages.message_class(type.name, type.message_name).FromString(encoded(type, payload))
+    return codec.message_class(type.name, type.message_name).FromString(encoded(type, payload))
 
 
 # --- the schemas agree with the table --------------------------------------------------------------------
@@ -100,7 +100,7 @@ def check_layout(layout: Layout, descriptor, wide: bool, first: int = 1) -> None
 
 @every_type
 def test_a_schema_has_the_fields_of_its_layout(type):
-    descriptor = messages.message_class(type.name, type.message_name).DESCRIPTOR
+    descriptor = codec.message_class(type.name, type.message_name).DESCRIPTOR
     assert descriptor.full_name == type.message_name
     assert head_fields(descriptor) == [("frame", 1, Field.TYPE_FIXED64), ("elapsed", 2, Field.TYPE_DOUBLE)]
     raw = descriptor.fields_by_name["raw"]
@@ -108,10 +108,10 @@ def test_a_schema_has_the_fields_of_its_layout(type):
     assert [f.number for f in descriptor.fields] == [1, 2, 3, 4]
     if type.framing is Framing.SINGLE:
         assert list(type.layout.fields) == [type.items]
-        check_layout(type.layout, descriptor, type.wide, first=messages.ITEMS)
+        check_layout(type.layout, descriptor, type.wide, first=codec.ITEMS)
     else:
         items = descriptor.fields_by_name[type.items]
-        assert items.number == messages.ITEMS
+        assert items.number == codec.ITEMS
         assert items.is_repeated
         check_layout(type.layout, items.message_type, type.wide)
         assert len(items.message_type.fields) == len(type.layout.fields)
@@ -176,9 +176,9 @@ def test_a_message_holds_the_records(type, data):
 def test_a_payload_comes_back(type, data):
     payload = payload_of(type, data)
     message = encoded(type, payload)
-    assert variable.decode(type, message) == payload
-    variable._templates.clear()  # as another process would find it
-    assert variable.decode(type, message) == payload
+    assert codec.decode(type, message) == payload
+    codec._templates.clear()  # as another process would find it
+    assert codec.decode(type, message) == payload
 
 
 @every_type
@@ -188,10 +188,10 @@ def test_many_are_encoded_and_decoded_as_each_is(type, data):
     if not type.fixed:
         return
     payloads = [sound_payload_of(type, data) for _ in range(data.draw(st.integers(0, 4)))]
-    bodies = [bytes(body) for body in variable.encode_many(type, payloads)]
-    assert bodies == [variable.encode(type, payload) for payload in payloads]
-    assert [len(body) for body in bodies] == [fixed.fixed_codec(type).body_size(payload) for payload in payloads]
-    together = fixed.fixed_codec(type).decode([messages.head(1, 0.0) + body for body in bodies])
+    bodies = [bytes(body) for body in codec.encode_many(type, payloads)]
+    assert bodies == [codec.encode(type, payload) for payload in payloads]
+    assert [len(body) for body in bodies] == [codec.records_codec(type).body_size(payload) for payload in payloads]
+    together = codec.records_codec(type).decode([codec.head(1, 0.0) + body for body in bodies])
     assert together is not None
     for place, payload in enumerate(payloads):
         assert together.payload(place) == payload
@@ -201,49 +201,49 @@ def test_many_are_encoded_and_decoded_as_each_is(type, data):
 def test_a_full_packet_comes_back():
     type = UE4.named("transforms")
     payload = struct.pack("<H", MAX_COUNT) + np.random.default_rng(1).bytes(MAX_COUNT * 28)
-    assert variable.decode(type, encoded(type, payload)) == payload
+    assert codec.decode(type, encoded(type, payload)) == payload
 
 
 @every_type
 def test_a_payload_that_ends_too_early_is_refused(type):
     short = bytes(3) if type.framing is Framing.SINGLE else b"\2\0\1"
     with pytest.raises(PayloadError, match=type.name):
-        variable.encode(type, short)
+        codec.encode(type, short)
 
 
 @given(st.integers(0, 2**64 - 1), st.floats(), st.floats(), st.binary(max_size=300), st.data())
 def test_a_frame_is_what_protobuf_writes(frame, elapsed, duration, ids, data):
     kinds = data.draw(st.binary(min_size=len(ids), max_size=len(ids)))
-    written = messages.head(frame, elapsed) + messages.frame_body(duration, ids, kinds)
-    message = messages.parse("frame", FRAME_MESSAGE, written)
+    written = codec.head(frame, elapsed) + codec.frame_body(duration, ids, kinds)
+    message = codec.parse("frame", FRAME_MESSAGE, written)
     assert message.SerializeToString() == written
     assert plain([message.frame, message.elapsed, message.duration]) == plain([frame, elapsed, duration])
     assert (message.packets, message.filled) == (ids, kinds)
-    assert plain(messages.read_frame(written)) == plain((frame, elapsed, duration, messages.frame_packets(ids, kinds)))
+    assert plain(codec.read_frame(written)) == plain((frame, elapsed, duration, codec.frame_packets(ids, kinds)))
 
 
 @given(st.binary(max_size=80).filter(lambda data: data[:1] != b"\x09"))
 def test_what_is_no_frame_is_left_to_protobuf(data):
-    assert messages.read_frame(data) is None
+    assert codec.read_frame(data) is None
 
 
 @given(st.integers(0, 255), st.integers(0, 40))
 def test_raw_pieces_are_what_protobuf_writes(id, size):
     payload = bytes(range(size))
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(messages, "PIECE", 16)
-        bodies = list(messages.raw_bodies(id, payload))
-    parsed = [messages.parse("raw_packet", RAW_MESSAGE, messages.head(1, 2.0) + body) for body in bodies]
-    assert [m.SerializeToString() for m in parsed] == [messages.head(1, 2.0) + body for body in bodies]
+        patch.setattr(codec, "PIECE", 16)
+        bodies = list(codec.raw_bodies(id, payload))
+    parsed = [codec.parse("raw_packet", RAW_MESSAGE, codec.head(1, 2.0) + body) for body in bodies]
+    assert [m.SerializeToString() for m in parsed] == [codec.head(1, 2.0) + body for body in bodies]
     assert b"".join(m.data for m in parsed) == payload
     assert {(m.id, m.size) for m in parsed} == {(id, size)}
 
 
 @given(st.binary(max_size=300))
 def test_a_tail_is_what_protobuf_writes(data):
-    message = messages.parse("tail", TAIL_MESSAGE, messages.tail(data))
+    message = codec.parse("tail", TAIL_MESSAGE, codec.tail(data))
     assert message.data == data
-    assert message.SerializeToString() == messages.tail(data)
+    assert message.SerializeToString() == codec.tail(data)
 
 
 # --- what others may write -------------------------------------------------------------------------------
@@ -257,7 +257,7 @@ def reversed_fields(message) -> bytes:
             only = type(message)()
             if field.message_type:
                 data = reversed_fields(item)
-                parts.append(messages.tag(field.number, 2) + messages.varint(len(data)) + data)
+                parts.append(codec.tag(field.number, 2) + codec.varint(len(data)) + data)
                 continue
             setattr(only, field.name, item)
             parts.append(only.SerializeToString())
@@ -276,19 +276,19 @@ def test_fields_may_come_in_any_order_and_new_ones_too(type, data):
     payload = sound_payload_of(type, data)
     if not without_nan(payload):
         payload = bytes(len(payload)) if type.framing is Framing.SINGLE else listed()
-    unknown = messages.tag(99, 2) + b"\3new"
-    assert variable.decode(type, reversed_fields(message_of(type, payload))) == payload
-    assert variable.decode(type, encoded(type, payload) + unknown) == payload
+    unknown = codec.tag(99, 2) + b"\3new"
+    assert codec.decode(type, reversed_fields(message_of(type, payload))) == payload
+    assert codec.decode(type, encoded(type, payload) + unknown) == payload
 
 
 @every_type
 def test_missing_fields_are_zero(type):
-    message = messages.message_class(type.name, type.message_name)(frame=1, elapsed=0.0)
+    message = codec.message_class(type.name, type.message_name)(frame=1, elapsed=0.0)
     if type.framing is Framing.SINGLE:
-        assert variable.decode(type, message.SerializeToString()) == bytes(8)
+        assert codec.decode(type, message.SerializeToString()) == bytes(8)
         return
     getattr(message, type.items).add()
-    records, extra = unpack(type, variable.decode(type, message.SerializeToString()))
+    records, extra = unpack(type, codec.decode(type, message.SerializeToString()))
     assert (len(records), extra) == (1, 0)
     values = plain(records)[0]
     assert not any(value for value in values)
@@ -297,7 +297,7 @@ def test_missing_fields_are_zero(type):
 @every_type
 def test_an_empty_message_is_an_empty_packet(type):
     expected = bytes(8) if type.framing is Framing.SINGLE else listed()
-    assert variable.decode(type, b"") == expected
+    assert codec.decode(type, b"") == expected
 
 
 @every_type
@@ -310,8 +310,8 @@ def test_a_broken_message_is_an_error_or_a_packet(type, data):
         message[at] = data.draw(st.integers(0, 255))
     cut = bytes(message[: data.draw(st.integers(0, len(message)))])
     try:
-        payload = variable.decode(type, cut)
-    except messages.WireError:
+        payload = codec.decode(type, cut)
+    except codec.WireError:
         return
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", RecapWarning)
@@ -320,22 +320,22 @@ def test_a_broken_message_is_an_error_or_a_packet(type, data):
 
 def test_more_records_than_a_packet_counts_are_refused():
     type = UE4.named("destroyed")
-    one = variable.encode(type, listed(bytes(4)))
-    with pytest.raises(messages.WireError, match="65536 records, a packet counts at most 65535"):
-        variable.decode(type, messages.head(1, 0.0) + one * (MAX_COUNT + 1))
+    one = codec.encode(type, listed(bytes(4)))
+    with pytest.raises(codec.WireError, match="65536 records, a packet counts at most 65535"):
+        codec.decode(type, codec.head(1, 0.0) + one * (MAX_COUNT + 1))
 
 
 def test_a_number_beyond_its_field_is_refused():
     type = UE4.named("doors")
     message = message_of(type, listed(bytes(6)))
     message.doors[0].door = 300
-    with pytest.raises(messages.WireError, match="doors"):
-        variable.decode(type, message.SerializeToString())
+    with pytest.raises(codec.WireError, match="doors"):
+        codec.decode(type, message.SerializeToString())
 
 
 def test_a_huge_message_is_not_parsed():
-    with pytest.raises(messages.WireError, match="at most 8388608 bytes"):
-        messages.parse("tail", TAIL_MESSAGE, bytes(9 << 20))
+    with pytest.raises(codec.WireError, match="at most 8388608 bytes"):
+        codec.parse("tail", TAIL_MESSAGE, bytes(9 << 20))
 
 
 @pytest.mark.parametrize("count", [0, 4])
@@ -348,41 +348,41 @@ def test_the_layout_of_wheels_is_the_one_whose_fields_are_present(wheel, count):
     message = message_of(type, payload)
     stiff = [w.HasField("lat_stiff_value") for w in message.vehicles[0].wheels]
     assert stiff == [wheel == 48] * count
-    assert variable.decode(type, encoded(type, payload)) == payload
-    assert variable.decode(type, reversed_fields(message)) == payload
+    assert codec.decode(type, encoded(type, payload)) == payload
+    assert codec.decode(type, reversed_fields(message)) == payload
 
 
 def test_a_message_of_records_without_content_is_an_error():
     spawned = UE4.named("spawned")
-    message = messages.head(1, 0.0) + b"\x1a\x00" * 1000
-    with pytest.raises(messages.WireError, match="1000 records in 2018 bytes, most of them without an id"):
-        variable.decode(spawned, message)
+    message = codec.head(1, 0.0) + b"\x1a\x00" * 1000
+    with pytest.raises(codec.WireError, match="1000 records in 2018 bytes, most of them without an id"):
+        codec.decode(spawned, message)
 
 
 def test_stretches_are_read_as_protobuf_reads_them():
     rows = [BlockedRow(1.5, 30.0, 7, "vehicle.ä", 1.0, -2.0, 0.5), BlockedRow(2.0, 31.0, 8, "", 0.0, 0.0, 0.0)]
-    message = messages.head(5, 2.5) + messages.stationary_intervals(rows)
-    other = messages.parse("stretches", "carla_recap.v1.Stretches", message)
+    message = codec.head(5, 2.5) + codec.encode(STATIONARY, pack(STATIONARY, rows))
+    other = codec.parse("stretches", "carla_recap.v1.Stretches", message)
+    assert [(s.id, s.type_id, s.start, s.x) for s in other.stretches] == [(r.id, r.type_id, r.start, r.x) for r in rows]
     for data in (message, reversed_fields(other)):
-        found = [BlockedRow(s.start, s.duration, s.id, s.type_id, s.x, s.y, s.z) for s in variable.decode_intervals(data)]
-        assert found == rows
-    assert list(variable.decode_intervals(messages.head(5, 2.5))) == []
-    with pytest.raises(messages.WireError, match="not a carla_recap"):
-        variable.decode_intervals(message[:-1])
+        found = codec.decode_records(STATIONARY, [data, codec.head(5, 2.5)])
+        assert [BlockedRow(**row._asdict()) for row in found] == rows
+    with pytest.raises(codec.WireError, match="not a carla_recap"):
+        codec.decode_records(STATIONARY, [message[:-1]])
 
 
 @given(ids=st.binary(max_size=300), kinds=st.binary(max_size=300))
 @example(ids=b"", kinds=b"")
 @example(ids=bytes(127), kinds=bytes(127))
 def test_the_packets_of_a_frame_are_read_as_protobuf_reads_them(ids, kinds):
-    data = messages.frame_packets(ids, kinds)
-    message = messages.parse("frame", FRAME_MESSAGE, data)
+    data = codec.frame_packets(ids, kinds)
+    message = codec.parse("frame", FRAME_MESSAGE, data)
     assert (message.packets, message.filled) == (ids, kinds)
-    assert messages.read_frame_packets(data) in (None, (ids, kinds))
+    assert codec.read_frame_packets(data) in (None, (ids, kinds))
     if len(ids) == len(kinds) < 128:
-        assert messages.read_frame_packets(data) == (ids, kinds)
-    assert messages.read_frame_packets(data[:-1]) is None
-    assert messages.read_frame_packets(data + b"\x01") is None
+        assert codec.read_frame_packets(data) == (ids, kinds)
+    assert codec.read_frame_packets(data[:-1]) is None
+    assert codec.read_frame_packets(data + b"\x01") is None
 
 
 SPAWNED = [Spawn(id, 1, 1.0, type_id="vehicle.ä", attributes=attributes(role_name="hero")) for id in (1, 2)]
@@ -392,22 +392,19 @@ SPAWNED = [Spawn(id, 1, 1.0, type_id="vehicle.ä", attributes=attributes(role_na
 @settings(max_examples=300)
 def test_a_changed_message_is_read_as_protobuf_reads_it(index, byte, cut):
     type = UE4.named("spawned")
-    message = bytearray(messages.head(1, 0.0) + variable.encode(type, pack(type, SPAWNED)))
+    message = bytearray(codec.head(1, 0.0) + codec.encode(type, pack(type, SPAWNED)))
     message[index : index + cut] = bytes([byte])
-    records = variable.decode_records(type, bytes(message))
     try:
-        found = variable.decode(type, bytes(message))
-    except messages.WireError:
-        assert records is None
+        found = codec.decode(type, bytes(message))
+    except codec.WireError:
         return
-    assert found == variable._decode_by_protobuf(type, bytes(message))
-    assert records is None or repr(records) == repr(unpack(type, found)[0])
+    assert found == codec._decode_by_protobuf(type, bytes(message))
 
 
 def test_a_number_without_an_end_costs_no_time():
-    message = messages.head(1, 0.0) + b"\x1a" + b"\xff" * (1 << 20)
-    with time_limit(), pytest.raises(messages.WireError):
-        variable.decode(UE4.named("spawned"), message)
+    message = codec.head(1, 0.0) + b"\x1a" + b"\xff" * (1 << 20)
+    with time_limit(), pytest.raises(codec.WireError):
+        codec.decode(UE4.named("spawned"), message)
 
 
 @pytest.mark.parametrize(("name", "field", "value"), [("light_states", "state", -1), ("doors", "door", 200)])
@@ -415,33 +412,43 @@ def test_a_number_that_takes_more_than_a_byte_is_read(name, field, value):
     type = UE4.named(name)
     message = message_of(type, listed(bytes(type.dtype.itemsize)))
     setattr(getattr(message, type.items)[0], field, value)
-    records, extra = unpack(type, variable.decode(type, message.SerializeToString()))
+    records, extra = unpack(type, codec.decode(type, message.SerializeToString()))
     assert (records[field].tolist(), extra) == ([value], 0)
 
 
-def test_records_of_spawns_are_those_of_their_payload():
+def test_spawns_are_read_without_protobuf():
     type = UE4.named("spawned")
-    message = messages.head(1, 0.0) + variable.encode(type, pack(type, SPAWNED))
-    assert variable.decode_records(type, message) == unpack(type, variable.decode(type, message))[0] == SPAWNED
+    payload = pack(type, SPAWNED)
+    message = codec.head(1, 0.0) + codec.encode(type, payload)
+    assert codec._decode_small(type, message) == payload == codec._decode_by_protobuf(type, message)
 
 
-def test_spawns_of_equal_attributes_share_no_object():
-    type = UE4.named("spawned")
-    message = messages.head(1, 0.0) + variable.encode(type, pack(type, SPAWNED))
-    first, second = variable.decode_records(type, message)
-    first.attributes[0].value = "other"
-    assert second.attributes == SPAWNED[1].attributes
-    assert variable.decode_records(type, message) == SPAWNED
-
-
-@pytest.mark.parametrize("change", ["a byte less", "a field more", "a flag that does not fit", "broken text"])
-def test_records_of_spawns_of_another_form_are_decoded_from_their_payload(change):
+@pytest.mark.parametrize("change", ["a byte less", "a byte more", "a field more", "a flag that does not fit", "broken text"])
+def test_spawns_of_another_form_are_left_to_protobuf(change):
     type = UE4.named("spawned")
     payload = bytearray(pack(type, SPAWNED))
     if change == "a flag that does not fit":
         payload[6] = 200  # the kind of the first one
     if change == "broken text":
         payload[payload.index(b"hero")] = 0xFF
-    message = messages.head(1, 0.0) + variable.encode(type, bytes(payload))
-    message = {"a byte less": message[:-1], "a field more": message + b"\x7a\x01\x00"}.get(change, message)
-    assert variable.decode_records(type, message) is None
+    message = codec.head(1, 0.0) + codec.encode(type, bytes(payload))
+    changed = {"a byte less": message[:-1], "a byte more": message + b"\0", "a field more": message + b"\x7a\x01\x00"}
+    assert codec._decode_small(type, changed.get(change, message)) is None
+
+
+def test_a_message_of_many_bones_is_read_by_protobuf_as_without():
+    type = UE4.named("walker_bones")
+    bones = listed(*(bone(f"bone_{n}", *range(6)) for n in range(1000)))
+    payload = listed(struct.pack("<I", 8) + bones, struct.pack("<I", 9) + bones)
+    message = encoded(type, payload)
+    codec._templates.clear()
+    assert len(message) > codec._SMALL
+    assert codec.decode(type, message) == codec._decode_small(type, message) == payload
+
+
+def test_a_signalling_nan_keeps_its_bits():
+    type = UE4.named("spawned")
+    payload = bytearray(pack(type, SPAWNED))
+    payload[7:11] = b"\x01\x00\x80\x7f"  # x of the first one
+    message = encoded(type, bytes(payload))
+    assert codec.decode(type, message) == payload
