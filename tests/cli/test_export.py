@@ -160,27 +160,31 @@ def test_a_snapshot_outside_the_recording_is_an_error(tmp_path):
 
 def test_report(tmp_path):
     page = tmp_path / "page"
-    assert said("report", CROSSING, page).startswith(f"wrote {page / 'index.html'}: 4 incidents, ")
+    _, line = said("report", CROSSING, page).splitlines()
+    assert line.startswith(f"wrote {page / 'index.html'}: 4 incidents, ")
     assert (page / "index.html").is_file()
     assert "is not empty" in error("report", CROSSING, page)
 
 
 def test_a_report_as_one_file(tmp_path):
     page = tmp_path / "page.html"
-    line, warning = said("report", CROSSING, page).splitlines()
+    warning, line = said("report", CROSSING, page).splitlines()
     assert line.startswith(f"wrote {page}: 4 incidents, ")
-    assert "warning: the map 'Crossing' is unknown; rules of the road are left out; --map" in warning
+    assert "the map 'Crossing' is unknown; rules of the road are left out; --map" in warning
     assert "exists already; --force" in error("report", CROSSING, page)
-    assert said("report", CROSSING, CROSSING, page, "--force").startswith(f"wrote {page}: 8 incidents, ")
+    _, line = said("report", CROSSING, page, "--compare", CROSSING, "--force").splitlines()
+    assert line.startswith(f"wrote {page}: 8 incidents, ")
 
 
 def test_a_report_of_wrong_arguments_is_an_error(tmp_path):
     page = tmp_path / "page.html"
-    assert "compares two" in error("report", CROSSING, CROSSING, CROSSING, page)
+    assert "names a file" in error("report", CROSSING, CROSSING, page)
     assert "--serve goes with a folder" in error("report", CROSSING, page, "--serve")
     assert "--serve prints its address" in error("report", CROSSING, tmp_path / "page", "--serve", "--json")
     assert "--viewer goes with a folder" in error("report", CROSSING, page, "--viewer")
-    assert "--viewer goes with one recording" in error("report", CROSSING, CROSSING, tmp_path / "page", "--viewer")
+    assert "--viewer goes with one recording" in error(
+        "report", CROSSING, tmp_path / "page", "--compare", CROSSING, "--viewer"
+    )
     assert not page.exists()
 
 

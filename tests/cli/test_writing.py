@@ -128,6 +128,12 @@ def test_a_file_as_destination_of_many_is_refused(runs):
     assert (runs / "c.log").read_bytes() == b"junk"
 
 
+def test_the_name_of_a_file_as_destination_of_many_is_refused(runs):
+    expected = "out.mcap: names a file; a folder was expected, for the files of many recordings"
+    assert error("convert", "runs", "out.mcap") == expected
+    assert not Path("out.mcap").exists()
+
+
 def test_a_web_server_takes_no_files(runs):
     expected = "https://host/x.mcap: a web server takes no files; a path or s3://BUCKET/KEY was expected"
     assert error("convert", "runs/a.log", "https://host/x.mcap") == expected
@@ -152,6 +158,39 @@ def test_many_are_recovered(runs):
     done = run("recover", "runs", "out", "--json")
     assert done.returncode == 0
     assert [each["finished"] for each in json.loads(done.stdout)["written"]] == [True, False, True]
+
+
+def test_many_are_exported(runs):
+    done = run("export", "runs", "out", "--to", "csv", "--duration", 2)
+    assert done.returncode == 2
+    assert wrote(done.stderr) == ["out/a.csv: 21 frames, 2 s", "out/deep/b.csv: 41 frames, 2 s"]
+    assert "--to says what" in error("export", "runs", "out")
+    assert "does not go with --to csv" in error("export", "runs", "out", "--to", "csv", "--follow", "hero")
+
+
+def test_folders_of_many(runs):
+    pytest.importorskip("pyarrow", reason="the extra `arrow` is not installed")
+    done = run("export", "runs", "out", "--to", "parquet", "--jobs", 2)
+    assert done.returncode == 2
+    assert {"a/actors.parquet", "deep/b/transforms.parquet"} <= files(Path("out"))
+    done = run("export", "runs", "out", "--to", "parquet", "--newer")
+    assert messages(done)[-1] == "0 recordings written, 2 skipped, 1 failed"
+
+
+def test_a_page_of_each(runs):
+    done = run("report", "runs", "out", "--pictures", "none", "--jobs", 2)
+    assert done.returncode == 2
+    assert files(Path("out")) == {"a.html", "deep/b.html"}
+    warned = [line for line in messages(done) if "warning" in line]
+    assert len(warned) == 1
+    assert "goes with one recording" in error("report", "runs", "out", "--compare", CRASH)
+
+
+def test_videos_of_many(runs):
+    pytest.importorskip("moderngl", reason="the extra `video` is not installed")
+    done = run("video", "runs", "out", "--format", "gif", "--duration", 0.3, "--size", "64x64", "--jobs", 2)
+    assert done.returncode == 2, done.stderr
+    assert files(Path("out")) == {"a.gif", "deep/b.gif"}
 
 
 def test_ctrl_c_leaves_nothing_half_written(runs):

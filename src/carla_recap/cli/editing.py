@@ -14,7 +14,6 @@ from carla_recap.fleet.destinations import WrittenFile
 
 if TYPE_CHECKING:
     from carla_recap.editing.import_tracks import AngleUnit, LengthUnit, TimeUnit, TrackAxes
-    from carla_recap.fleet.destinations import Write
 
 _format = click.option(
     "--format",
@@ -32,7 +31,7 @@ def convert(request: WriteRequest, suffix: str | None) -> None:
 
     .log to .mcap and back gives the same bytes.
     """
-    _write(request, _convert, suffix, "converting")
+    request.write(_convert, suffix, "mcap", "converting")
 
 
 @click.command()
@@ -40,7 +39,7 @@ def convert(request: WriteRequest, suffix: str | None) -> None:
 @_format
 def recover(request: WriteRequest, suffix: str | None) -> None:
     """Save what is intact in recordings that are damaged, or were never finished."""
-    _write(request, _recover, suffix, "recovering")
+    request.write(_recover, suffix, "mcap", "recovering")
 
 
 @click.command()
@@ -53,16 +52,7 @@ def clip(request: WriteRequest, suffix: str | None, start: float | None, duratio
 
     What is cut is a recording of its own. SRC#t=12.1 means from 5 s before that moment to 5 s after it.
     """
-    _write(request, partial(_clip, start, duration), suffix, "cutting")
-
-
-def _write(request: WriteRequest, write: Write, suffix: str | None, title: str) -> None:
-    if request.is_into_folder:
-        request.write_many(write, f".{suffix or 'mcap'}", title)
-    elif suffix is None:
-        request.write_one(write)
-    else:
-        raise click.UsageError("--format goes with a folder.", click.get_current_context())
+    request.write(partial(_clip, start, duration), suffix, "mcap", "cutting")
 
 
 def _convert(source: str, destination: str, force: bool) -> WrittenFile:

@@ -4,175 +4,216 @@ from __future__ import annotations
 
 import sys
 from contextlib import ExitStack
+from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Final, Literal
+from typing import TYPE_CHECKING, Any, Final, Literal, NamedTuple
 
 import click
 from click.core import ParameterSource
 
 from carla_recap.cli import options
-from carla_recap.cli.output import counted, note, wants_json, warn, wrote
+from carla_recap.cli.output import counted, note, wants_json, wrote
+from carla_recap.cli.writing import WriteRequest, writes
+from carla_recap.fleet.destinations import WrittenFile
 from carla_recap.util.text import number
 
 if TYPE_CHECKING:
-    from collections.abc import Collection
+    from collections.abc import Callable, Collection
 
     from carla_recap.export.clips import IncidentClip
-    from carla_recap.export.report import Pictures
     from carla_recap.export.rerun.blueprint import View
     from carla_recap.export.video.cameras import VideoView
     from carla_recap.queries.incidents import Kind
     from carla_recap.replay.follow import Follow
 
-VIEWERS: Final = {".rrd": "rerun", ".mcap": "foxglove"}
-EXCHANGED: Final = {".csv": "csv", ".xosc": "xosc", ".mcap": "osi"}
-_TABLES: Final = ("source", "destination", "to", "force")  # the parameters of exports of tables
-_TRACES: Final = (*_TABLES, "start", "duration")  # those of exports to other programs' formats
-
 _window = options.together(options.follow, options.start, options.duration, options.road_map)
 
 
+@dataclass(frozen=True, slots=True)
+class ExportOptions:
+    """What is exported, and how: what the options of the command say, or None."""
+
+    follow: Follow | None
+    start: float | None
+    duration: float | None
+    road_map: str | None
+    view: View
+    cameras: str | None
+
+
+class ExportFormat(NamedTuple):
+    """What an export is to.
+
+    Attributes:
+        suffix: The suffix of its files; empty for folders.
+        write: The function that writes one.
+        options: The options that go with it.
+        is_default: Whether the suffix alone means it.
+    """
+
+    suffix: str
+    write: Callable[[ExportOptions, str, str, bool], WrittenFile]
+    options: Collection[str]
+    is_default: bool = True
+
+
 @click.command()
-@options.source
-@options.destination
+@writes
 @click.option(
     "--to",
     type=click.Choice(["rerun", "foxglove", "parquet", "osi", "csv", "xosc"]),
-    help="What to write; else DST's suffix says: .rrd for Rerun, .mcap for Foxglove, .csv, .xosc.",
+    help="What to write; else the suffix of DST says: .rrd for Rerun, .mcap for Foxglove, .csv, .xosc.",
 )
 @_window
 @options.camera
 @click.option("--cameras", type=click.Path(), metavar="DIR", help="Write a small .rbl for each actor, to follow it (Rerun).")
-@options.force
-@options.written
-@click.pass_context
-def export(
-    ctx: click.Context,
-    /,
-    source: str,
-    destination: str,
-    to: str | None,
-    follow: Follow | None,
-    start: float | None,
-    duration: float | None,
-    road_map: str | None,
-    view: View,
-    cameras: str | None,
-    force: bool,
-) -> None:
-    """Write a recording for Rerun (.rrd) or Foxglove (.mcap), or as tables or traces for other programs.
+def export(request: WriteRequest, to: str | None, **shown: Any) -> None:
+    """Write recordings for Rerun (.rrd) or Foxglove (.mcap), or as tables or traces for other programs.
 
-    With --to parquet, DST is a folder: a file for each record type, and actors, collisions and incidents. --to osi writes
-    ASAM OSI's ground truth (.mcap); --to csv the tracks of vehicles and walkers; --to xosc their trajectories as
-    OpenSCENARIO. SRC#t=12.1 means from 5 s before that moment to 5 s after it.
+    With --to parquet, a recording becomes a folder: a file for each record type, and actors, collisions and incidents. --to
+    osi writes ASAM OSI's ground truth (.mcap); --to csv the tracks of vehicles and walkers; --to xosc their trajectories as
+    OpenSCENARIO. SRC#t=12.1 means from 5 s before that moment to 5 s after it. Many recordings go to a folder.
     """
+    context, given = click.get_current_context(), Path(request.destination).suffix.lower()
+    is_many = request.has_many or (to != "parquet" and request.is_into_folder)
+    if to is None and is_many:
+        raise click.UsageError("--to says what is written to a folder.", context)
+    name = to or next((name for name, each in _FORMATS.items() if each.is_default and each.suffix == given), "")
+    if name not in _FORMATS or not (is_many or _FORMATS[name].suffix in ("", given)):
+        expected = _FORMATS[name].suffix if name else ".rrd or .mcap; tables are written to a folder with --to parquet"
+        raise click.BadParameter(f"{request.destination!r} does not end in {expected}.", param_hint="DST")
+    form = _FORMATS[name]
+    for param in context.command.params:
+        is_given = context.get_parameter_source(str(param.name)) is ParameterSource.COMMANDLINE
+        if is_given and param.name in shown and param.name not in form.options:
+            raise click.UsageError(f"{param.opts[0]} does not go with --to {name}.", context)
+    write = partial(form.write, ExportOptions(**shown))
+    if not is_many:
+        request.write_one(write)
+    elif shown["cameras"]:
+        raise click.UsageError("--cameras goes with one recording.", context)
+    else:
+        request.write_many(write, form.suffix, "exporting")
+
+
+def _rerun(shown: ExportOptions, source: str, destination: str, force: bool) -> WrittenFile:
     from carla_recap.cli.progress import watch_scenes
+    from carla_recap.export.rerun import export_rerun
     from carla_recap.recording import open_recording
 
-    if to == "parquet":
-        _export_tables(ctx, source, destination, force=force)
-        return
-    suffix = Path(destination).suffix.lower()
-    if to in EXCHANGED.values() or (to is None and suffix in EXCHANGED and suffix not in VIEWERS):
-        _export_exchanged(ctx, source, destination, to or EXCHANGED[suffix])
-        return
-    viewer = VIEWERS.get(Path(destination).suffix.lower())
-    if viewer is None or to not in (None, viewer):
-        expected = "".join(name for name, each in VIEWERS.items() if each == to) or " or ".join(VIEWERS)
-        hint = "; tables are written to a folder with --to parquet" if to is None else ""
-        raise click.BadParameter(f"{destination!r} does not end in {expected}{hint}.", param_hint="DST")
-    if viewer == "foxglove" and cameras:
-        raise click.BadParameter("Foxglove has no such files.", param_hint="--cameras")
-    source, start, duration = options.timed(source, start, duration)
+    source, start, duration = options.timed(source, shown.start, shown.duration)
     with open_recording(source) as recording:
-        roads, progress = options.road_map_of(recording, road_map, start, duration), watch_scenes("exporting")
-        if viewer == "rerun":
-            from carla_recap.export.rerun import export_rerun
-
-            played = export_rerun(
-                recording,
-                destination,
-                follow=follow,
-                start=start,
-                duration=duration,
-                road_map=roads,
-                view=view,
-                cameras=cameras,
-                progress=progress,
-                force=force,
-            )
-        else:
-            from carla_recap.export.foxglove import export_foxglove, layout_files
-
-            played = export_foxglove(
-                recording,
-                destination,
-                follow=follow,
-                start=start,
-                duration=duration,
-                road_map=roads,
-                progress=progress,
-                force=force,
-            )
-            for viewer, path in layout_files().items():
-                note(f"the layout for {viewer}: {path}")
-    wrote(destination, frames=played.frames, seconds=played.seconds)
+        played = export_rerun(
+            recording,
+            destination,
+            follow=shown.follow,
+            start=start,
+            duration=duration,
+            road_map=options.road_map_of(recording, shown.road_map, start, duration),
+            view=shown.view,
+            cameras=shown.cameras,
+            progress=watch_scenes("exporting"),
+            force=force,
+        )
+    return WrittenFile(frames=played.frames, seconds=played.seconds)
 
 
-def _export_tables(ctx: click.Context, source: str, folder: str, *, force: bool) -> None:
-    """Write Parquet files; refuse options that concern viewers."""
+def _foxglove(shown: ExportOptions, source: str, destination: str, force: bool) -> WrittenFile:
+    from carla_recap.cli.progress import watch_scenes
+    from carla_recap.export.foxglove import export_foxglove, layout_files
+    from carla_recap.recording import open_recording
+
+    source, start, duration = options.timed(source, shown.start, shown.duration)
+    with open_recording(source) as recording:
+        played = export_foxglove(
+            recording,
+            destination,
+            follow=shown.follow,
+            start=start,
+            duration=duration,
+            road_map=options.road_map_of(recording, shown.road_map, start, duration),
+            progress=watch_scenes("exporting"),
+            force=force,
+        )
+    hints = tuple(f"the layout for {viewer}: {path}" for viewer, path in layout_files().items())
+    return WrittenFile(frames=played.frames, seconds=played.seconds, hints=hints)
+
+
+def _parquet(_: ExportOptions, source: str, folder: str, force: bool) -> WrittenFile:
     from carla_recap.cli.progress import watch
     from carla_recap.export.parquet import export_parquet
     from carla_recap.recording import open_recording
 
-    _refuse_others(ctx, _TABLES, "parquet")
     with open_recording(source) as recording:
-        files = export_parquet(recording, folder, force=force, progress=watch("exporting"))
-        about, count = recording.info, len(files)
-        wrote(folder, counted(count, "file"), frames=about.frames, seconds=about.duration, files=count)
+        count = len(export_parquet(recording, folder, force=force, progress=watch("exporting")))
+        about = recording.info
+    return WrittenFile((counted(count, "file"),), about.frames, about.duration, facts={"files": count})
 
 
-def _refuse_others(ctx: click.Context, allowed: Collection[str], to: str) -> None:
-    """Check that only parameters that concern an export are given, or all commands, such as --quiet."""
-    for param in ctx.command.params:
-        name = param.name or ""
-        if param.expose_value and name not in allowed and ctx.get_parameter_source(name) is ParameterSource.COMMANDLINE:
-            raise click.UsageError(f"{param.opts[0]} does not go with --to {to}.", ctx)
-
-
-def _export_exchanged(ctx: click.Context, source: str, destination: str, to: str) -> None:
-    """Write a file for other programs."""
+def _csv(shown: ExportOptions, source: str, destination: str, force: bool) -> WrittenFile:
     from carla_recap.cli.progress import watch_scenes
+    from carla_recap.export.tracks import export_csv
     from carla_recap.recording import open_recording
 
-    if EXCHANGED.get(Path(destination).suffix.lower()) != to:
-        expected = next(suffix for suffix, name in EXCHANGED.items() if name == to)
-        raise click.BadParameter(f"{destination!r} does not end in {expected}.", param_hint="DST")
-    extra = {"osi": ("follow", "road_map"), "xosc": ("road_map",), "csv": ()}[to]
-    _refuse_others(ctx, (*_TRACES, *extra), to)
-    source, start, duration = options.timed(source, ctx.params["start"], ctx.params["duration"])
-    given = {"start": start, "duration": duration, "force": ctx.params["force"]}
+    source, start, duration = options.timed(source, shown.start, shown.duration)
     with open_recording(source) as recording:
-        watched = {**given, "progress": watch_scenes("exporting")}
-        if to == "csv":
-            from carla_recap.export.tracks import export_csv
+        watched = watch_scenes("exporting")
+        played = export_csv(recording, destination, start=start, duration=duration, progress=watched, force=force)
+    return WrittenFile(frames=played.frames, seconds=played.seconds)
 
-            played = export_csv(recording, destination, **watched)
-        else:
-            opendrive = options.map_file_of(recording, ctx.params["road_map"])
-            if to == "xosc":
-                from carla_recap.export.openscenario import export_openscenario
 
-                played = export_openscenario(recording, destination, opendrive=opendrive, **watched)
-                if opendrive is not None:
-                    note(f"the map that belongs beside it: {opendrive}")
-            else:
-                from carla_recap.export.osi import export_osi
+def _osi(shown: ExportOptions, source: str, destination: str, force: bool) -> WrittenFile:
+    from carla_recap.cli.progress import watch_scenes
+    from carla_recap.export.osi import export_osi
+    from carla_recap.recording import open_recording
 
-                follow = ctx.params["follow"]
-                played = export_osi(recording, destination, follow=follow, opendrive=opendrive, **watched)
-    wrote(destination, frames=played.frames, seconds=played.seconds)
+    source, start, duration = options.timed(source, shown.start, shown.duration)
+    with open_recording(source) as recording:
+        played = export_osi(
+            recording,
+            destination,
+            follow=shown.follow,
+            opendrive=options.map_file_of(recording, shown.road_map),
+            start=start,
+            duration=duration,
+            progress=watch_scenes("exporting"),
+            force=force,
+        )
+    return WrittenFile(frames=played.frames, seconds=played.seconds)
+
+
+def _xosc(shown: ExportOptions, source: str, destination: str, force: bool) -> WrittenFile:
+    from carla_recap.cli.progress import watch_scenes
+    from carla_recap.export.openscenario import export_openscenario
+    from carla_recap.recording import open_recording
+
+    source, start, duration = options.timed(source, shown.start, shown.duration)
+    with open_recording(source) as recording:
+        opendrive = options.map_file_of(recording, shown.road_map)
+        played = export_openscenario(
+            recording,
+            destination,
+            opendrive=opendrive,
+            start=start,
+            duration=duration,
+            progress=watch_scenes("exporting"),
+            force=force,
+        )
+    hints = () if opendrive is None else (f"the map that belongs beside it: {opendrive}",)
+    return WrittenFile(frames=played.frames, seconds=played.seconds, hints=hints)
+
+
+_SPAN: Final = ("start", "duration")
+_FORMATS: Final = {
+    "rerun": ExportFormat(".rrd", _rerun, ("follow", *_SPAN, "road_map", "view", "cameras")),
+    "foxglove": ExportFormat(".mcap", _foxglove, ("follow", *_SPAN, "road_map", "view")),
+    "parquet": ExportFormat("", _parquet, (), is_default=False),
+    "osi": ExportFormat(".mcap", _osi, ("follow", *_SPAN, "road_map"), is_default=False),
+    "csv": ExportFormat(".csv", _csv, _SPAN),
+    "xosc": ExportFormat(".xosc", _xosc, (*_SPAN, "road_map")),
+}
+"""What an export can be to."""
 
 
 @click.command()
@@ -323,38 +364,46 @@ def snapshot(
 
 
 @click.command()
-@options.source
-@options.destination
+@writes
+@click.option(
+    "--format",
+    "suffix",
+    type=click.Choice(["mp4", "gif"]),
+    help="Of the files in a folder, mp4 if not given; that of a single file is said by its suffix.",
+)
 @options.any_view
 @_window
 @click.option(
     "--speed", type=options.POSITIVE, default=1, metavar="X", help="2: twice as fast as it happened; 0.25: in slow motion."
 )
 @click.option("--size", type=options.SIZE, metavar="WxH", help="In pixels; 1280x720, of a GIF 640x360, of a camera its own.")
-@click.option("--fps", type=options.POSITIVE, metavar="N", help="Frames per second; 30, of a GIF 12.5.")
+@click.option("--fps", "rate", type=options.POSITIVE, metavar="N", help="Frames per second; 30, of a GIF 12.5.")
 @click.option("--smooth", is_flag=True, help="Draw smooth edges, which takes about twice as long.")
 @options.overlay
-@options.force
-@options.written
 def video(
-    source: str,
-    destination: str,
-    view: VideoView,
-    follow: Follow | None,
+    request: WriteRequest,
+    suffix: str | None,
     start: float | None,
     duration: float | None,
     road_map: str | None,
-    speed: float,
-    size: tuple[int, int] | None,
-    fps: float | None,
-    smooth: bool,
-    overlay: bool,
-    force: bool,
+    **shown: Any,
 ) -> None:
-    """Write a video, an .mp4 or .gif, without GPU or display.
+    """Write videos, .mp4 or .gif, without GPU or display.
 
-    SRC#t=12.1 means from 5 s before that moment to 5 s after it.
+    SRC#t=12.1 means from 5 s before that moment to 5 s after it. Many recordings go to a folder.
     """
+    request.write(partial(_video, start, duration, road_map, shown), suffix, "mp4", "filming")
+
+
+def _video(
+    start: float | None,
+    duration: float | None,
+    road_map: str | None,
+    shown: dict[str, Any],
+    source: str,
+    destination: str,
+    force: bool,
+) -> WrittenFile:
     from carla_recap.cli.progress import watch_scenes
     from carla_recap.export.video import export_video
     from carla_recap.recording import open_recording
@@ -364,27 +413,21 @@ def video(
         written = export_video(
             recording,
             destination,
-            view=view,
-            follow=follow,
             start=start,
             duration=duration,
-            speed=speed,
-            size=size,
-            rate=fps,
-            smooth=smooth,
-            overlay=overlay,
             town=partial(options.town_of, recording, road_map, start, duration),
             progress=watch_scenes("filming"),
             force=force,
+            **shown,
         )
     width, height = written.size
     facts = {"width": width, "height": height}
-    wrote(destination, f"{width}x{height}", frames=written.frames, seconds=written.seconds, **facts)
+    return WrittenFile((f"{width}x{height}",), written.frames, written.seconds, facts=facts)
 
 
 @click.command()
-@click.argument("sources", nargs=-1, type=click.Path(), metavar="SRC [OTHER]")
-@click.argument("destination", type=click.Path(), metavar="DST")
+@writes
+@click.option("--compare", metavar="OTHER", type=click.Path(), help="A second recording to show beside it, or over it.")
 @options.before
 @options.after
 @options.road_map
@@ -396,84 +439,88 @@ def video(
     help="Of incidents: drawn from above, or rendered from behind.",
 )
 @click.option("--viewer", is_flag=True, help="Add Rerun's viewer, in 3D, to a folder; it needs --serve or another server.")
-@options.force
 @click.option("--serve", is_flag=True, help="Serve the folder to a browser on this machine, until Ctrl-C.")
 @click.option("--port", type=click.IntRange(0, 65535), metavar="N", help="The port to serve at; else any free one.")
 @options.min_time
 @options.min_distance
 @options.deceleration
-@options.written
 @click.pass_context
 def report(
     ctx: click.Context,
     /,
-    sources: tuple[str, ...],
-    destination: str,
-    before: float,
-    after: float,
+    request: WriteRequest,
+    compare: str | None,
     road_map: str | None,
-    pictures: Pictures,
     viewer: bool,
-    force: bool,
     serve: bool,
     port: int | None,
-    min_time: float,
-    min_distance: float,
-    deceleration: float,
+    **shown: Any,
 ) -> None:
     """Write the incident page, for any browser.
 
     It lists what went wrong, with a replay from above. DST is a single file, if its name ends in .html, or else a folder.
-    With a second recording, the page compares both, side by side or one over the other. --before and --after are for a
-    recording that is too long to be replayed as a whole.
+    With --compare, the page shows two recordings, side by side or one over the other. Many recordings go to a folder, a
+    single file each. --before and --after are for a recording that is too long to be replayed as a whole.
     """
-    from carla_recap.cli.progress import watch_scenes
     from carla_recap.export.report import serve as serve_page
-    from carla_recap.export.report import write_report
     from carla_recap.export.report.report import SINGLE
-    from carla_recap.fleet.roads import WITHOUT_ROADS
-    from carla_recap.recording import open_recording
 
-    single = Path(destination).suffix.lower() in SINGLE
-    if not sources:
-        raise click.MissingParameter(ctx=ctx, param_hint="'DST'", param_type="argument")
-    if len(sources) > 2:
-        raise click.UsageError("A page shows one recording, or compares two.", ctx)
+    single = Path(request.destination).suffix.lower() in SINGLE
     if port is not None and not serve:
         raise click.UsageError("--port goes with --serve.", ctx)
     if serve and wants_json(ctx):
         raise click.UsageError("--json goes with a page that is written; --serve prints its address.", ctx)
     for name, given in (("--serve", serve), ("--viewer", viewer)):
         if single and given:
-            raise click.UsageError(f"{name} goes with a folder; {destination} is a single file.", ctx)
-    if viewer and len(sources) > 1:
+            raise click.UsageError(f"{name} goes with a folder; {request.destination} is a single file.", ctx)
+    for name, given in (("--serve", serve), ("--viewer", viewer), ("--compare", compare is not None)):
+        if request.has_many and given:
+            raise click.UsageError(f"{name} goes with one recording.", ctx)
+    if viewer and compare:
         raise click.UsageError("--viewer goes with one recording.", ctx)
+    write = partial(_report, compare, road_map, viewer, shown)
+    if request.has_many:
+        request.write_many(write, ".html", "sampling")
+        return
+    request.write_one(write)
+    if serve:
+        serve_page(request.destination, port or 0, ready=_announce)
+
+
+def _report(
+    compare: str | None,
+    road_map: str | None,
+    viewer: bool,
+    shown: dict[str, Any],
+    source: str,
+    destination: str,
+    force: bool,
+) -> WrittenFile:
+    from carla_recap.cli.progress import watch_scenes
+    from carla_recap.export.report import write_report
+    from carla_recap.fleet.roads import warn_without_roads
+    from carla_recap.recording import open_recording
+
     with ExitStack() as stack:
-        recording, *others = (stack.enter_context(open_recording(source)) for source in sources)
-        roads, map_name = options.roads_of(recording, road_map), recording.header.map_name
+        recording, *others = (stack.enter_context(open_recording(each)) for each in (source, compare) if each)
+        roads = options.roads_of(recording, road_map)
         written = write_report(
             recording,
             destination,
             other=others[0] if others else None,
-            before=before,
-            after=after,
-            min_time=min_time,
-            min_distance=min_distance,
-            deceleration=deceleration,
             road_map=options.road_map_of(recording, road_map) if viewer else None,
             town=options.town_of(recording, road_map),
             roads=roads,
-            pictures=pictures,
             viewer=viewer,
             progress=watch_scenes("sampling"),
             force=force,
+            **shown,
         )
-    page = destination if single else Path(destination) / "index.html"
-    wrote(page, counted(written.incidents, "incident"), size=written.size, incidents=written.incidents)
-    if roads is None:
-        warn(f"the map {map_name!r} is unknown; {WITHOUT_ROADS}")
-    if serve:
-        serve_page(destination, port or 0, ready=_announce)
+        if roads is None:
+            warn_without_roads(recording.reader)
+    notes, facts = (counted(written.incidents, "incident"),), {"incidents": written.incidents}
+    path = "index.html" if Path(destination).is_dir() else ""
+    return WrittenFile(notes, size=written.size, facts=facts, path=path)
 
 
 def _announce(address: str) -> None:

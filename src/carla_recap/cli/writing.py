@@ -66,6 +66,22 @@ class WriteRequest:
             return True
         return not is_remote(self.destination) and Path(self.destination).is_dir()
 
+    def write(self, write: Write, suffix: str | None, usual: str, title: str) -> None:
+        """Write the file of the only recording, or those of many into the folder.
+
+        Args:
+            write: The function that writes one.
+            suffix: The suffix of files in the folder, which a single file has in its name; None: the usual one.
+            usual: That one.
+            title: See `write_many`.
+        """
+        if self.is_into_folder:
+            self.write_many(write, f".{suffix or usual}", title)
+        elif suffix is None:
+            self.write_one(write)
+        else:
+            raise click.UsageError("--format goes with a folder.", click.get_current_context())
+
     def write_one(self, write: Write) -> None:
         """Write the file, or the folder, of the only recording, and say so.
 

@@ -42,7 +42,7 @@ class WrittenFile:
         size: Its size in bytes; None: as found.
         facts: More facts, for JSON.
         hints: What is to be said once, however many recordings there are.
-        path: Where it is: a path or a URL.
+        path: The path or URL; what `write_file` calls returns the path of the file to open in a folder, or nothing.
     """
 
     notes: tuple[str, ...] = ()
@@ -70,7 +70,7 @@ def write_file(write: Write, source: str, destination: str, *, force: bool) -> W
     if not is_remote(destination):
         path = os.fspath(path_of(destination))
         written = write(source, path, force)
-        return replace(written, path=path, size=size_of(path) if written.size is None else written.size)
+        return _at(written, path, path)
     from carla_recap.formats.remote import modified_at, upload
 
     if not force and modified_at(destination) is not None:
@@ -83,14 +83,19 @@ def write_file(write: Write, source: str, destination: str, *, force: bool) -> W
             if path in str(error):
                 raise RecapError(str(error).replace(path, destination)) from None
             raise
-        size = size_of(path) if written.size is None else written.size
+        written = _at(written, path, destination)
         if not Path(path).is_dir():
             upload(Path(path), destination)
         else:
             for file in sorted(Path(path).rglob("*"), key=lambda file: (file.name == _LAST, file)):
                 if file.is_file():
                     upload(file, f"{destination}/{file.relative_to(path).as_posix()}")
-    return replace(written, path=destination, size=size)
+    return written
+
+
+def _at(written: WrittenFile, path: str, destination: str) -> WrittenFile:
+    size = size_of(path) if written.size is None else written.size
+    return replace(written, path=f"{destination}/{written.path}" if written.path else destination, size=size)
 
 
 @dataclass(slots=True)
@@ -113,6 +118,8 @@ class DestinationFolder:
 
     def __post_init__(self) -> None:
         _check_scheme(self.location)
+        if self.suffix and self.location.lower().endswith(self.suffix) and not Path(self.location).is_dir():
+            raise RecapError(f"{self.location}: names a file; a folder was expected, for the files of many recordings")
         if not is_remote(self.location):
             self.location = os.fspath(path_of(self.location))
             if Path(self.location).exists() and not Path(self.location).is_dir():
