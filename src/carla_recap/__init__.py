@@ -43,6 +43,7 @@ if TYPE_CHECKING:
     from carla_recap.fleet.rules import Rule, RuleSet, Verdict, check, load_rules
     from carla_recap.fleet.sources import SourceFile
     from carla_recap.formats import create_writer
+    from carla_recap.model.actors import ActorLife
     from carla_recap.model.batch import Batch
     from carla_recap.model.frame import Frame, Header
     from carla_recap.model.records import ActorKind, Attribute, Spawn, attributes

@@ -30,7 +30,7 @@ CAST = [
 
 def test_rows(make: Make) -> None:
     answer = collisions(make({"spawned": CAST}, {"collisions": [(9, 1, 2, 1, 0)]}))
-    assert answer == [CollisionRow(0.5, 2, "v", 1, "vehicle.hero", True, "w", 2, "walker.a", False)]
+    assert answer == [CollisionRow(0.5, 2, "v", 1, "vehicle.hero", True, "w", 2, "walker.a", False, 1)]
     assert answer.extent.frames == 2
     assert answer.header.map_name == "Town01"
 

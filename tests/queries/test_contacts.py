@@ -133,7 +133,7 @@ class WithoutDigest(McapReader):
     def hard_braking(self, deceleration: float) -> None:
         return None
 
-    def contact_starts(self) -> None:
+    def impacts(self) -> None:
         return None
 
 

@@ -4,7 +4,6 @@ import json as stdlib
 import math
 import re
 from contextlib import closing
-from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -16,10 +15,11 @@ from carla_recap.formats.mcap.reader import McapReader
 from carla_recap.model import braking as braking_module
 from carla_recap.model.frame import LAST_FRAME_DURATION, Header
 from carla_recap.model.records import NO_ACTOR, Spawn, attributes
-from carla_recap.queries.incidents import incidents
+from carla_recap.queries.incidents import Incident, incidents
 from carla_recap.queries.output.json import json as json_text
 from carla_recap.queries.output.table import table
 from carla_recap.queries.output.text import text
+from carla_recap.tables import column_names
 from tests.queries.conftest import TICK, write
 from tests.samples import carla_log, reading
 
@@ -307,7 +307,8 @@ def test_of_nothing(make: Make) -> None:
 def test_reports(make: Make) -> None:
     answer = incidents(make({"spawned": CAST}, contact(1, NO_ACTOR)))
     (row,) = stdlib.loads("".join(json_text(answer)))["rows"]
-    expected = asdict(answer[0]) | {"actors": [1], "type_ids": ["vehicle.audi.tt"]}
+    shown = {name: getattr(answer[0], name) for name in column_names(Incident)}
+    expected = shown | {"actors": [1], "type_ids": ["vehicle.audi.tt"]}
     assert row == {name: None if value != value else value for name, value in expected.items()}
     assert "     0.5        0.0 collision    hero collides with a static object\n" in "".join(text(answer))
     table(answer)

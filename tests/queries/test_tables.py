@@ -76,6 +76,7 @@ def test_an_answer(make) -> None:  # type: ignore[no-untyped-def]
         "id2": 2,
         "type_id2": "",
         "hero2": False,
+        "contact": 1,
         "impact_speed": 5.0,
         "relative_speed": 4.0,
     }

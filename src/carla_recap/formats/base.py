@@ -12,7 +12,7 @@ if TYPE_CHECKING:
 
     from carla_recap.model.batch import Batch
     from carla_recap.model.braking import Braking
-    from carla_recap.model.contacts import ContactStart
+    from carla_recap.model.contacts import Impact
     from carla_recap.model.frame import Extent, Frame, Header
     from carla_recap.model.stationary import BlockedRow
 
@@ -106,8 +106,8 @@ class Reader(Protocol):
         """
         ...
 
-    def contact_starts(self) -> list[ContactStart] | None:
-        """Return the beginnings of contacts; None if the file does not list them.
+    def impacts(self) -> list[Impact] | None:
+        """Return the impacts of all contacts; None if the file does not list them.
 
         Raises:
             FormatError: The file contradicts its format.

@@ -183,7 +183,7 @@ class LogReader:
     def hard_braking(self, deceleration: float) -> None:
         """Return None: a log does not list hard braking."""
 
-    def contact_starts(self) -> None:
+    def impacts(self) -> None:
         """Return None: a log does not list the beginnings of contacts."""
 
     def tail(self) -> Iterator[bytes]:

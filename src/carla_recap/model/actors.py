@@ -179,6 +179,10 @@ class ActorLives:
         """Return whether an id stands for a static object, which is no actor; before CARLA 0.9.13 that is 0."""
         return id == NO_ACTOR or (id == 0 and id not in self._by_id)
 
+    def is_fixed(self, id: int, time: float) -> bool:
+        """Return whether an id stands for what never moves: a static object, or a traffic light."""
+        return self.is_object(id) or self.kind(id, time) == "traffic_light"
+
     def name(self, id: int, time: float) -> str:
         """Return what a text calls an actor or a static object."""
         life = self.at(id, time)

@@ -1,8 +1,10 @@
-"""Beginnings of contacts: where two actors are when they touch, and how fast they were just before."""
+"""Contacts: two actors touching, when, where, and how fast they were just before."""
 
 from __future__ import annotations
 
 import math
+from dataclasses import dataclass
+from operator import sub
 from typing import TYPE_CHECKING, Final, NamedTuple
 
 import numpy as np
@@ -10,7 +12,7 @@ import numpy as np
 from carla_recap.model.records import CM, UE4
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable
+    from collections.abc import Iterable, Iterator
 
     from numpy.typing import NDArray
 
@@ -26,8 +28,12 @@ TYPES: Final = ("collisions", *MOTION)
 """The record types that contacts are found by."""
 SAME_CONTACT: Final = 1.0
 """Records of a pair with a shorter interval between them, in seconds, belong to one contact."""
+AT_FAULT: Final = 0.1
+"""The speed in m/s from which on an actor has caused a contact, as in CARLA's criteria."""
 UNKNOWN: Final[Vector] = (math.nan, math.nan, math.nan)
 
+_STILL: Final[Vector] = (0.0, 0.0, 0.0)
+_AFTERMATH: Final = 0.5  # s after a contact in which it affects the motion
 _GAP: Final = 1.0  # s between two positions that a velocity is derived from, at most
 _TOP_SPEED: Final = 100.0  # m/s; what is faster has jumped
 
@@ -36,61 +42,163 @@ _COLLISIONS: Final = UE4.named("collisions").id
 Key = tuple[int, int, int]
 
 
-class ContactStart(NamedTuple):
-    """The first frame of a contact.
+class Impact(NamedTuple):
+    """Where two actors are when they touch, and how fast they were just before.
 
     Attributes:
-        frame_index: The index of the frame, from 0.
+        frame_index: The index of the frame in which they touch, from 0.
         id1: The actor with the collision sensor.
         id2: The other actor.
-        position1: The position of the first actor in this frame, in cm, left-handed; NaN where it is unknown.
-        position2: That of the other one.
-        velocity1: The velocity of the first actor in the frame before, in m/s, left-handed; NaN where it is unknown.
-        velocity2: That of the other one.
+        positions: The position of each in this frame, in cm, left-handed; NaN where it is unknown.
+        velocities: The velocity of each in the frame before, in m/s, left-handed; NaN where it is unknown.
     """
 
     frame_index: int
     id1: int
     id2: int
-    position1: Vector = UNKNOWN
-    position2: Vector = UNKNOWN
-    velocity1: Vector = UNKNOWN
-    velocity2: Vector = UNKNOWN
+    positions: tuple[Vector, Vector] = (UNKNOWN, UNKNOWN)
+    velocities: tuple[Vector, Vector] = (UNKNOWN, UNKNOWN)
+
+    @classmethod
+    def of(cls, key: Key, frame: Frame, before: Frame | None, earlier: Frame | None) -> Impact:
+        """Return an impact.
+
+        The velocity of an actor is the one recorded in the frame before; if none is recorded, it is derived from the
+        positions in the two frames before, unless they are more than a second apart or the actor jumps.
+
+        Args:
+            key: The index of the frame and the ids of the actors.
+            frame: The frame.
+            before: The frame before it, if there is one.
+            earlier: The frame before that one, if there is one.
+        """
+        _, id1, id2 = key
+        positions = _position(frame, id1), _position(frame, id2)
+        return cls(*key, positions, (_velocity(id1, before, earlier), _velocity(id2, before, earlier)))
 
     @property
     def key(self) -> Key:
         """The index and the ids."""
         return self[:3]
 
+    def with_fixed(self, first: bool, second: bool) -> Impact:
+        """Return it with a velocity of 0 for what never moves, such as a building or a traffic light."""
+        one, two = self.velocities
+        return self._replace(velocities=(_STILL if first else one, _STILL if second else two))
 
-def contact_start(key: Key, frame: Frame, before: Frame | None, earlier: Frame | None) -> ContactStart:
-    """Return the beginning of a contact.
+    @property
+    def speeds(self) -> tuple[float, float]:
+        """The speed of each actor just before, in m/s; NaN where it is unknown."""
+        one, two = self.velocities
+        return _length(one), _length(two)
 
-    The velocity of an actor is the one recorded in the frame before; if none is recorded, it is derived from the positions
-    in the two frames before, unless they are more than a second apart or the actor jumps.
+    @property
+    def relative_speed(self) -> float:
+        """The magnitude of the difference between both velocities, in m/s; NaN where it is unknown."""
+        return _length(map(sub, *self.velocities))
 
-    Args:
-        key: The index of the frame and the ids of the actors.
-        frame: The frame.
-        before: The frame before it, if there is one.
-        earlier: The frame before that one, if there is one.
+
+@dataclass(slots=True)
+class Contact:
+    """Two actors touching: the collision records of a pair, each less than a second after the one before.
+
+    Attributes:
+        number: The number of the contact, from 1.
+        ids: The actors of the first record, the one with the collision sensor first.
+        heroes: Whether each is the hero.
+        frame_index: The index of the frame in which it begins, from 0.
+        start: The time of its first record, in elapsed seconds.
+        stop: The time of its last record, in elapsed seconds.
+        impact: Where the actors are at the start, and how fast they were just before; None if it was not looked up.
     """
-    _, id1, id2 = key
-    positions = _position(frame, id1), _position(frame, id2)
-    return ContactStart(*key, *positions, _velocity(id1, before, earlier), _velocity(id2, before, earlier))
+
+    number: int
+    ids: tuple[int, int]
+    heroes: tuple[bool, bool]
+    frame_index: int
+    start: float
+    stop: float
+    impact: Impact | None = None
+
+    @property
+    def key(self) -> Key:
+        """The index of its first frame, and the actors."""
+        return self.frame_index, *self.ids
+
+    def is_caused_by(self, id: int) -> bool:
+        """Return whether an actor is at fault, as CARLA's criteria decide: it moved by 0.1 m/s or more just before.
+
+        So an actor that stands, and that another one drives or walks into, has not caused the contact. One whose speed is
+        unknown counts as moving.
+        """
+        if self.impact is None:
+            return id in self.ids
+        return any(id == each and not speed < AT_FAULT for each, speed in zip(self.ids, self.impact.speeds, strict=True))
 
 
-class ContactTracker:
-    """Finds the beginnings of contacts in the frames of a recording.
+class Contacts:
+    """The contacts that collision records belong to; iterable in order of their first records."""
 
-    A contact begins with a collision record if the frame before has none that is equal, or was more than a second ago.
+    def __init__(self) -> None:
+        self._all: list[Contact] = []
+        self._of_pair: dict[frozenset[int], list[Contact]] = {}
+        self._of_actor: dict[int, list[Contact]] = {}
+
+    def __iter__(self) -> Iterator[Contact]:
+        return iter(self._all)
+
+    def add(self, frame: Frame) -> None:
+        """Add the collision records of a frame."""
+        for _, id1, id2, hero1, hero2 in frame["collisions"].tolist():
+            self.touch(frame, (id1, id2), (bool(hero1), bool(hero2)))
+
+    def touch(self, frame: Frame, ids: tuple[int, int], heroes: tuple[bool, bool]) -> Contact:
+        """Add a collision record of a frame, and return the contact that it belongs to."""
+        known = self._of_pair.setdefault(frozenset(ids), [])
+        if known and abs(frame.elapsed - known[-1].stop) < SAME_CONTACT:
+            known[-1].stop = frame.elapsed
+            return known[-1]
+        contact = Contact(len(self._all) + 1, ids, heroes, frame.index, frame.elapsed, frame.elapsed)
+        self._all.append(contact)
+        known.append(contact)
+        for id in frozenset(ids):
+            self._of_actor.setdefault(id, []).append(contact)
+        return contact
+
+    def of(self, id1: int, id2: int) -> list[Contact]:
+        """Return the contacts of two actors."""
+        return self._of_pair.get(frozenset((id1, id2)), [])
+
+    def affected(self, id: int, before: float) -> list[tuple[float, float]]:
+        """Return the times in which contacts affect the motion of an actor, in order.
+
+        Contacts that are less than a second apart affect the time between them, too.
+
+        Args:
+            id: The actor.
+            before: The seconds before a contact in which its effect begins, for motion that is smoothed over time.
+        """
+        spans: list[tuple[float, float]] = []
+        for contact in sorted(self._of_actor.get(id, ()), key=lambda contact: contact.start):
+            start, stop = contact.start, contact.stop
+            if spans and start - spans[-1][1] < SAME_CONTACT:
+                start, earlier = spans.pop()
+                stop = max(stop, earlier)
+            spans.append((start, stop))
+        return [(start - before, stop + _AFTERMATH) for start, stop in spans]
+
+
+class ImpactTracker:
+    """Finds the impacts in the frames of a recording, of which contacts and CARLA's collisions have some.
+
+    An impact is a collision record if the frame before has none that is equal, or was more than a second ago.
     """
 
     def __init__(self) -> None:
         self._recent: list[Recent] = []  # the two latest frames
         self._touching: set[tuple[int, ...]] = set()
         self._elapsed = math.nan
-        self._found: list[ContactStart] = []
+        self._found: list[Impact] = []
 
     def frame(self, frame: Frame, index: int) -> None:
         """Process a frame; `index` is its position in the recording.
@@ -118,8 +226,8 @@ class ContactTracker:
             rows = range(max(len(batch) - 2, 0), len(batch))
             self._recent = [*self._recent, *((batch, row) for row in rows)][-2:]
 
-    def take(self) -> list[ContactStart]:
-        """Return the contacts that were found since the previous call."""
+    def take(self) -> list[Impact]:
+        """Return the impacts that were found since the previous call."""
         found, self._found = self._found, []
         return found
 
@@ -131,7 +239,7 @@ class ContactTracker:
         keys = dict.fromkeys((index, id1, id2) for id1, id2, *_ in sorted(self._touching - before))
         if keys:
             recent = [None, None, *map(_frame, self._recent)]
-            self._found += [contact_start(key, frame, recent[-1], recent[-2]) for key in keys]
+            self._found += [Impact.of(key, frame, recent[-1], recent[-2]) for key in keys]
 
 
 def _frame(recent: Recent) -> Frame:
@@ -177,3 +285,8 @@ def _velocity(id: int, frame: Frame | None, earlier: Frame | None) -> Vector:
     now, then = _position(frame, id), _position(earlier, id)
     x, y, z = ((a - b) * CM / seconds for a, b in zip(now, then, strict=True))
     return (x, y, z) if math.hypot(x, y, z) <= _TOP_SPEED else UNKNOWN
+
+
+def _length(vector: Iterable[float]) -> float:
+    length = math.hypot(*vector)
+    return math.nan if math.isnan(length) else length  # the same object, so that rows are equal

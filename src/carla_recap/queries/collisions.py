@@ -4,21 +4,19 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, replace
-from operator import sub
 from typing import TYPE_CHECKING, ClassVar, Final
 
 from carla_recap.errors import RecapError
 from carla_recap.model.actors import PresentActors
+from carla_recap.model.contacts import Contacts
 from carla_recap.model.records import NO_ACTOR
 from carla_recap.queries import Answer
-from carla_recap.queries.contacts import contact_starts
+from carla_recap.queries.contacts import impacts
 from carla_recap.util.text import readable
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable
-
     from carla_recap.formats.base import Reader
-    from carla_recap.model.contacts import ContactStart, Key
+    from carla_recap.model.contacts import Impact, Key
 
 LETTERS: Final = {"v": "vehicle", "w": "walker", "t": "traffic light", "o": "other", "h": "hero", "a": "any"}
 """The kinds that a side of a collision can be filtered by."""
@@ -29,12 +27,11 @@ _TYPES: Final = ("spawned", "destroyed", "collisions")
 
 _Actor = tuple[int, str]  # kind and type id
 _UNKNOWN: Final[_Actor] = (0, "")
-_STILL: Final = (0.0, 0.0, 0.0)
 
 
 @dataclass(frozen=True, slots=True)
 class CollisionRow:
-    """The beginning of a collision; the frames in which it continues give no further rows.
+    """A collision as CARLA counts them: a frame in which an actor touches another one, and did not in the frame before.
 
     Attributes:
         elapsed: Seconds since the recording began.
@@ -47,6 +44,7 @@ class CollisionRow:
         id2: Its id.
         type_id2: Its blueprint.
         hero2: Whether it is the hero.
+        contact: The number of the contact that it belongs to, from 1; an incident is a whole contact.
         impact_speed: The speed of the first actor in the frame before, in m/s; NaN where it is unknown.
         relative_speed: The magnitude of the difference of both velocities in the frame before, in m/s; NaN where it is
             unknown. A static object and a traffic light stand still.
@@ -62,6 +60,7 @@ class CollisionRow:
     id2: int
     type_id2: str
     hero2: bool
+    contact: int
     impact_speed: float = math.nan
     relative_speed: float = math.nan
 
@@ -78,8 +77,9 @@ def collisions(
 ) -> Collisions:
     """Return the collisions between two kinds of actors.
 
-    Each ordered pair of actors gives a row in the first frame of its contact. The first actor is the one with the collision
-    sensor.
+    As in CARLA, an ordered pair of actors gives a row in a frame if the frame before has no record of it. The first actor is
+    the one with the collision sensor. So a contact gives several rows if both actors have a sensor, or if a frame in it has
+    no record; rows of one contact have the same number.
 
     Speeds are those just before the contact, in the last frame without it: from the velocities that are recorded, else from
     the positions in the two frames before. They are unknown where the recording begins with the contact, where an actor has
@@ -102,6 +102,7 @@ def collisions(
     present = PresentActors[_Actor](compat=compat)
     rows: list[CollisionRow] = []
     keys: list[Key] = []
+    contacts = Contacts()
     touching: set[tuple[int, int]] = set()
     index = -2
 
@@ -122,6 +123,7 @@ def collisions(
                     present.destroy(id)
             else:
                 for _, id1, id2, hero1, hero2 in packet.records.tolist():  # type: ignore[union-attr]
+                    contact = contacts.touch(frame, (id1, id2), (bool(hero1), bool(hero2)))
                     letter1, type_id1 = look_up(id1)
                     letter2, type_id2 = look_up(id2)
                     if not (_passes(type1, letter1, hero1) and _passes(type2, letter2, hero2)):
@@ -129,33 +131,23 @@ def collisions(
                     touching.add((id1, id2))
                     if (id1, id2) not in before:
                         sides = (letter1, id1, type_id1, bool(hero1), letter2, id2, type_id2, bool(hero2))
-                        rows.append(CollisionRow(frame.elapsed, frame.id, *sides))
+                        rows.append(CollisionRow(frame.elapsed, frame.id, *sides, contact.number))
                         keys.append((index, id1, id2))
     if speeds and not compat:
-        starts = contact_starts(source, {key: row.elapsed for key, row in zip(keys, rows, strict=True)})
-        rows = [_with_speeds(row, starts[key]) if key in starts else row for key, row in zip(keys, rows, strict=True)]
+        found = impacts(source, {key: row.elapsed for key, row in zip(keys, rows, strict=True)})
+        rows = [_with_speeds(row, found[key]) if key in found else row for key, row in zip(keys, rows, strict=True)]
     return Collisions(rows, source, compat=compat)
 
 
-def _with_speeds(row: CollisionRow, start: ContactStart) -> CollisionRow:
-    first, second = (
-        _STILL if _is_fixed(id, letter, type_id) else velocity
-        for id, letter, type_id, velocity in (
-            (row.id1, row.letter1, row.type_id1, start.velocity1),
-            (row.id2, row.letter2, row.type_id2, start.velocity2),
-        )
-    )
-    return replace(row, impact_speed=_length(first), relative_speed=_length(map(sub, first, second)))
+def _with_speeds(row: CollisionRow, impact: Impact) -> CollisionRow:
+    sides = ((row.id1, row.letter1, row.type_id1), (row.id2, row.letter2, row.type_id2))
+    impact = impact.with_fixed(*(_is_fixed(*side) for side in sides))
+    return replace(row, impact_speed=impact.speeds[0], relative_speed=impact.relative_speed)
 
 
 def _is_fixed(id: int, letter: str, type_id: str) -> bool:
     """Return whether a side of a collision never moves; before CARLA 0.9.13, the id 0 stands for what is no actor."""
     return id == NO_ACTOR or letter == "t" or (id == 0 and not type_id)
-
-
-def _length(vector: Iterable[float]) -> float:
-    length = math.hypot(*vector)
-    return math.nan if math.isnan(length) else length  # the same object, so that rows are equal
 
 
 def _passes(wanted: str, letter: str, hero: int) -> bool:

@@ -1,4 +1,4 @@
-"""Looks up the beginnings of contacts: in the digest of an MCAP file, else in the frames around them."""
+"""Looks up the impacts of contacts: in the digest of an MCAP file, else in the frames around them."""
 
 from __future__ import annotations
 
@@ -6,14 +6,14 @@ import math
 from typing import TYPE_CHECKING, Final
 
 from carla_recap.formats.sources import is_remote
-from carla_recap.model.contacts import MOTION, contact_start
+from carla_recap.model.contacts import MOTION, Impact
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator, Mapping
 
     from carla_recap.formats.base import Reader
     from carla_recap.model.batch import Batch
-    from carla_recap.model.contacts import ContactStart, Key
+    from carla_recap.model.contacts import Key
     from carla_recap.model.frame import Frame
 
 LOOK_UPS: Final = 500
@@ -24,22 +24,22 @@ _AT_ONCE: Final = 24  # times that are read at once from a remote recording
 _FRAMES: Final = 3  # the frame of a contact, and two before it
 
 
-def contact_starts(source: Reader, wanted: Mapping[Key, float]) -> dict[Key, ContactStart]:
-    """Return the beginnings of contacts.
+def impacts(source: Reader, wanted: Mapping[Key, float]) -> dict[Key, Impact]:
+    """Return impacts.
 
     Args:
         source: The recording.
-        wanted: The elapsed seconds of each, by the index of its frame and the ids of the actors.
+        wanted: The elapsed seconds of each, by its key: the index of its frame and the ids of the actors.
 
     Raises:
         FormatError: The file contradicts its format.
     """
     if not wanted:
         return {}
-    found = {start.key: start for start in source.contact_starts() or () if start.key in wanted}
+    found = {impact.key: impact for impact in source.impacts() or () if impact.key in wanted}
     times = {key: time for key, time in wanted.items() if key not in found}
     if times:
-        search = _Search(times)
+        search = ImpactSearch(times)
         spans = _spans(times.values())
         if len(times) <= LOOK_UPS and (frames := source.frames_by_index(search.indexes, MOTION)):
             search.add_frames(frames)
@@ -78,11 +78,11 @@ def _read(source: Reader, spans: list[tuple[float, float]]) -> Iterator[Iterable
             yield from pool.map(lambda span: list(source.batches(MOTION, start=span[0], stop=span[1])), part)
 
 
-class _Search:
-    """Finds the beginnings of contacts in frames.
+class ImpactSearch:
+    """Finds impacts in frames.
 
     Args:
-        keys: The beginnings; see `ContactStart.key`.
+        keys: Their keys; see `Impact.key`.
 
     Attributes:
         found: Those that were found, by key.
@@ -91,7 +91,7 @@ class _Search:
     """
 
     def __init__(self, keys: Iterable[Key]) -> None:
-        self.found: dict[Key, ContactStart] = {}
+        self.found: dict[Key, Impact] = {}
         self.missing: dict[int, list[Key]] = {}
         for key in keys:
             self.missing.setdefault(key[0], []).append(key)
@@ -108,15 +108,19 @@ class _Search:
         """
         self._frames.clear()
         for batch in batches:
-            rows = range(batch.index, batch.index + len(batch))
-            if len(self._indexes) < len(rows):
-                wanted = [index for index in self.indexes if index in rows]
-            else:
-                wanted = [index for index in rows if index in self._indexes]
-            for index in wanted:
-                self._add(index, batch.frame(index - batch.index), is_whole=is_whole)
+            self.batch(batch, is_whole=is_whole)
             if not self.missing:
                 return
+
+    def batch(self, batch: Batch, *, is_whole: bool = False) -> None:
+        """Search the frames that follow those before."""
+        rows = range(batch.index, batch.index + len(batch)) if self.missing else range(0)
+        if len(self._indexes) < len(rows):
+            wanted = [index for index in self.indexes if index in rows]
+        else:
+            wanted = [index for index in rows if index in self._indexes]
+        for index in wanted:
+            self._add(index, batch.frame(index - batch.index), is_whole=is_whole)
 
     def add_frames(self, frames: Iterable[Frame]) -> None:
         """Search the frames at `indexes`."""
@@ -133,7 +137,7 @@ class _Search:
         if index not in self.missing or frame is None or not (is_whole or None not in recent[: index + 1]):
             return
         for key in self.missing.pop(index):
-            self.found[key] = contact_start(key, frame, before, earlier)
+            self.found[key] = Impact.of(key, frame, before, earlier)
 
 
 def is_known(vector: tuple[float, float, float]) -> bool:

@@ -4,25 +4,21 @@ from __future__ import annotations
 
 import math
 from bisect import bisect_right
-from collections import defaultdict
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, ClassVar, Final, Literal, get_args
-
-import numpy as np
 
 from carla_recap.errors import RecapError
 from carla_recap.model.actors import ROAD_USERS, ActorLives
 from carla_recap.model.actors import TYPES as ACTOR_TYPES
 from carla_recap.model.braking import HALF_WINDOW, HARD, SHORTEST, BrakingDetector
 from carla_recap.model.braking import TYPES as BRAKING_TYPES
-from carla_recap.model.contacts import SAME_CONTACT
+from carla_recap.model.contacts import MOTION, UNKNOWN, Contact, Contacts, Impact
 from carla_recap.model.records import CM
 from carla_recap.model.stationary import TYPES as STATIONARY_TYPES
 from carla_recap.model.stationary import StationaryTracker
 from carla_recap.queries import Answer
 from carla_recap.queries.blocked import longest_first
-from carla_recap.queries.contacts import contact_starts, is_known
-from carla_recap.queries.measures.contacts import ContactTimes
+from carla_recap.queries.contacts import ImpactSearch, impacts, is_known
 from carla_recap.queries.measures.near_misses import POST_ENCROACHMENT_TIME, TIME_TO_COLLISION, NearMissDetector
 from carla_recap.queries.measures.near_misses import TYPES as MOTION_TYPES
 from carla_recap.queries.measures.road import TYPES as ROAD_TYPES
@@ -32,13 +28,9 @@ from carla_recap.queries.measures.table import MEASURES
 if TYPE_CHECKING:
     from collections.abc import Collection, Iterable, Iterator
 
-    from numpy.typing import NDArray
-
     from carla_recap.formats.base import Reader
     from carla_recap.model.batch import Batch
     from carla_recap.model.braking import Braking
-    from carla_recap.model.contacts import Key
-    from carla_recap.model.frame import Frame
     from carla_recap.model.stationary import BlockedRow
     from carla_recap.queries.measures.near_misses import NearMiss
     from carla_recap.queries.measures.over_time import SeriesCollector
@@ -56,13 +48,11 @@ ROAD_KINDS: Final[tuple[Kind, ...]] = get_args(RoadKind)
 KINDS: Final[tuple[Kind, ...]] = ("collision", "blocked", "hard braking")
 """The kinds of incidents that can be found without reading every frame of an MCAP file."""
 
-_AFTERMATH: Final = 0.5  # s after a contact in which a deceleration is part of it
 _KMH: Final = 3.6  # km/h in m/s
 _AROUND: Final = 2.5  # s around hard braking that are read to compute its deceleration
 _LOOK_UPS: Final = 100  # times that are read one by one; for more, all frames are read
 
 Position = tuple[float, float, float]
-_UNKNOWN: Final[Position] = (math.nan, math.nan, math.nan)
 
 
 @dataclass(frozen=True, slots=True)
@@ -83,6 +73,7 @@ class Incident:
         threshold: The value from which on it is an incident; NaN if there is none.
         time: When the value is most critical, in elapsed seconds.
         text: A description: a sentence without its full stop.
+        contact: The contact, of a collision, which knows who has caused it; no column of a table.
     """
 
     kind: Kind
@@ -99,6 +90,7 @@ class Incident:
     threshold: float
     time: float
     text: str
+    contact: Contact | None = field(default=None, repr=False, compare=False)
 
 
 class Incidents(Answer[Incident]):
@@ -181,7 +173,7 @@ class IncidentSearch:
         collisions, braking = "collision" in wanted, "hard braking" in wanted
         self._source, self._start, self._stop = source, start, stop
         self._min_time, self._deceleration = min_time, deceleration
-        self._actors, self._contacts, touching = ActorLives(), _Contacts(), ContactTimes()
+        self._actors, self._contacts, touching = ActorLives(), Contacts(), Contacts()
         for frame in source.frames((*ACTOR_TYPES, "collisions"), sparse=True, stop=stop):
             if not frame.elapsed < start:
                 self._contacts.add(frame)
@@ -202,9 +194,7 @@ class IncidentSearch:
         of_road = roads is not None and not wanted.isdisjoint(ROAD_KINDS)
         self._roads = RoadSearch(source, roads, self._actors) if roads is not None and of_road else None
         self._collisions = collisions
-        self._unlocated = defaultdict(list)  # contacts by frame
-        for contact in self._contacts if collisions else ():
-            self._unlocated[contact.index].append(contact)
+        self._impacts = ImpactSearch(contact.key for contact in self._contacts if collisions)
 
     def read(self) -> None:
         """Read the recording as far as it matters.
@@ -216,10 +206,9 @@ class IncidentSearch:
         types = {*(STATIONARY_TYPES if self._tracker else ()), *(BRAKING_TYPES if self._detector else ())}
         types |= {*(MOTION_TYPES if self._near else ()), *(ROAD_TYPES if self._roads else ())}
         if types:
+            types |= {*(MOTION if self._impacts.missing else ())}
             for batch in source.batches((*types, "transforms"), start=self._start, stop=self._stop):
                 self.add(batch)
-        else:
-            self._look_up()
 
     def add(self, batch: Batch) -> None:
         """Process the next frames.
@@ -234,26 +223,25 @@ class IncidentSearch:
             self._detector.batch(batch)
         if self._near:
             self._near.batch(batch)
-        for row in range(len(batch)) if self._unlocated else ():
-            if batch.index + row in self._unlocated:
-                _locate(self._unlocated[batch.index + row], batch.frame(row)["transforms"])
+        self._impacts.batch(batch, is_whole=self._start == -math.inf)
 
-    def _look_up(self) -> None:
-        """Find the positions of contacts without reading all frames."""
-        contacts = [contact for found in self._unlocated.values() for contact in found]
-        starts = contact_starts(self._source, {contact.key: contact.start for contact in contacts})
-        for contact in contacts:
-            start = starts.get(contact.key)
-            for id, position in ((start.id1, start.position1), (start.id2, start.position2)) if start else ():
-                if is_known(position):
-                    contact.positions[id] = _metres(*position)
+    def _located(self) -> Contacts:
+        """Return the contacts with their impacts; what the batches had none of is looked up."""
+        found = self._impacts.found
+        missing = {contact.key: contact.start for contact in self._contacts if contact.key not in found}
+        found = found | impacts(self._source, missing)
+        for contact in self._contacts:
+            if contact.key in found:
+                fixed = (self._actors.is_fixed(id, contact.start) for id in contact.ids)
+                contact.impact = found[contact.key].with_fixed(*fixed)
+        return self._contacts
 
     def finish(self) -> Incidents:
         """Return the incidents."""
         contacts, actors, start, stop = self._contacts, self._actors, self._start, self._stop
         found: list[Incident] = []
         if self._collisions:
-            found += _collisions(contacts, actors)
+            found += _collisions(self._located(), actors)
         stops = longest_first(self._tracker.finish() if self._tracker else self._intervals or [])
         found += _blocked(stops, actors, self._min_time)
         braked = self._detector.finish() if self._detector else self._braked
@@ -308,68 +296,15 @@ def _of_road(events: Iterable[RoadEvent], actors: ActorLives, kinds: Collection[
 # --- collisions ----------------------------------------------------------------------------------------------------------
 
 
-@dataclass(slots=True)
-class _Contact:
-    """A contact of two actors.
-
-    Attributes:
-        ids: The actors, the one with the collision sensor first.
-        heroes: Whether each is the hero.
-        index: The frame in which it begins.
-        start: The time of its first record, in elapsed seconds.
-        stop: The time of its last record, in elapsed seconds.
-        positions: The positions of the actors at the start, by id, in m, right-handed.
-    """
-
-    ids: tuple[int, int]
-    heroes: tuple[bool, bool]
-    index: int
-    start: float
-    stop: float
-    positions: dict[int, Position] = field(default_factory=dict)
-
-    @property
-    def key(self) -> Key:
-        """The index of its first frame, and the actors."""
-        return self.index, *self.ids
-
-
-class _Contacts(list[_Contact]):
-    """The contacts that collision records belong to."""
-
-    def __init__(self) -> None:
-        super().__init__()
-        self._latest: dict[frozenset[int], _Contact] = {}
-
-    def add(self, frame: Frame) -> None:
-        """Add the collision records of a frame."""
-        for _, id1, id2, hero1, hero2 in frame["collisions"].tolist():
-            pair = frozenset((id1, id2))
-            contact = self._latest.get(pair)
-            if contact is not None and abs(frame.elapsed - contact.stop) < SAME_CONTACT:
-                contact.stop = frame.elapsed
-            else:
-                heroes = bool(hero1), bool(hero2)
-                contact = self._latest[pair] = _Contact((id1, id2), heroes, frame.index, frame.elapsed, frame.elapsed)
-                self.append(contact)
-
-
-def _locate(contacts: Iterable[_Contact], transforms: NDArray[np.void]) -> None:
-    """Note the positions of the actors of contacts that begin in a frame."""
-    for contact in contacts:
-        for row in np.flatnonzero(np.isin(transforms["id"], contact.ids)).tolist():
-            id, x, y, z, *_ = transforms[row].tolist()
-            if not (math.isnan(x) or math.isnan(y) or math.isnan(z)):
-                contact.positions[id] = _metres(x, y, z)
-
-
-def _collisions(contacts: Iterable[_Contact], actors: ActorLives) -> Iterator[Incident]:
+def _collisions(contacts: Contacts, actors: ActorLives) -> Iterator[Incident]:
     for contact in contacts:
         first, second = _ranked(contact, actors)
         if actors.is_object(first):
             continue
         ids = (first,) if actors.is_object(second) else (first, second)
-        position = next((contact.positions[id] for id in ids if id in contact.positions), _UNKNOWN)
+        impact = contact.impact or Impact(*contact.key)
+        known = dict(zip(contact.ids, impact.positions, strict=True))
+        position = _metres(*next((known[id] for id in ids if is_known(known[id])), UNKNOWN))
         text = f"{actors.name(first, contact.start)} collides with {actors.name(second, contact.start)}"
         type_ids = actors.type_ids(ids, contact.start)
         yield Incident(
@@ -380,15 +315,16 @@ def _collisions(contacts: Iterable[_Contact], actors: ActorLives) -> Iterator[In
             type_ids,
             *position,
             measure="relative_speed",
-            value=math.nan,
+            value=impact.relative_speed,
             unit="m/s",
             threshold=math.nan,
             time=contact.start,
             text=text,
+            contact=contact,
         )
 
 
-def _ranked(contact: _Contact, actors: ActorLives) -> tuple[int, int]:
+def _ranked(contact: Contact, actors: ActorLives) -> tuple[int, int]:
     """Return both ids: the hero first, else a vehicle, a walker, the actor with the sensor; a static object last."""
 
     def rank(side: int) -> int:
@@ -433,13 +369,12 @@ def _braking(
     detector: BrakingDetector | None,
     source: Reader,
     deceleration: float,
-    contacts: _Contacts,
+    contacts: Contacts,
     actors: ActorLives,
 ) -> Iterator[Incident]:
-    slowed = _slowed_by(contacts)
     found: list[tuple[Braking, float]] = []
     for row in rows:
-        spans = slowed.get(row.id, [])
+        spans = contacts.affected(row.id, HALF_WINDOW)
         later = bisect_right(spans, (row.start, math.inf))
         stop = min(row.stop, spans[later][0]) if later < len(spans) else row.stop
         in_contact = later > 0 and row.start <= spans[later - 1][1]
@@ -509,20 +444,6 @@ def _near_misses(rows: Iterable[NearMiss], actors: ActorLives) -> Iterator[Incid
             time=row.time,
             text=text,
         )
-
-
-def _slowed_by(contacts: Iterable[_Contact]) -> dict[int, list[tuple[float, float]]]:
-    """Return by actor the spans of time in which contacts slow it down, in order; those that overlap are joined."""
-    slowed: dict[int, list[tuple[float, float]]] = defaultdict(list)
-    for contact in sorted(contacts, key=lambda contact: contact.start):
-        start, stop = contact.start - HALF_WINDOW, contact.stop + _AFTERMATH
-        for id in contact.ids:
-            spans = slowed[id]
-            if spans and start <= spans[-1][1]:
-                spans[-1] = (spans[-1][0], max(stop, spans[-1][1]))
-            else:
-                spans.append((start, stop))
-    return slowed
 
 
 def _metres(x: float, y: float, z: float) -> Position:

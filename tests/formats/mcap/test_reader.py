@@ -611,14 +611,14 @@ def struck(tmp_path):
 
 def digest_of(path):
     with reading(path) as reader:
-        return reader.hard_braking(6), reader.contact_starts()
+        return reader.hard_braking(6), reader.impacts()
 
 
 def test_braking_and_contacts_are_read_from_the_events(struck):
     ((braking,), (contact,)) = digest_of(struck)
     assert (braking.id, braking.speed) == (7, pytest.approx(19.6, abs=1.0))
-    assert (contact.key, contact.position1[0]) == ((50, 7, NO_ACTOR), 250.0)
-    assert contact.velocity1 == (pytest.approx(0.4), 0.0, 0.0)
+    assert (contact.key, contact.positions[0][0]) == ((50, 7, NO_ACTOR), 250.0)
+    assert contact.velocities[0] == (pytest.approx(0.4), 0.0, 0.0)
     with reading(struck) as reader:
         assert reader.hard_braking(7) is None
 

@@ -10,7 +10,7 @@ import pytest
 
 from carla_recap.formats import open_reader
 from carla_recap.model.actors import ActorLives
-from carla_recap.queries.measures.contacts import ContactTimes
+from carla_recap.model.contacts import Contacts
 from carla_recap.queries.measures.near_misses import TYPES, NearMissDetector
 from tests.queries.measures.conftest import Mover, straight
 
@@ -23,7 +23,7 @@ SAMPLES = Path(__file__).parents[3] / "samples"
 
 
 def near_misses(reader: Reader, ids: frozenset[int] | None = None, **thresholds: float) -> list[NearMiss]:
-    collector, contacts = ActorLives(), ContactTimes()
+    collector, contacts = ActorLives(), Contacts()
     for frame in reader.frames(("spawned", "destroyed", "parented", "bounding_boxes", "collisions"), sparse=True):
         contacts.add(frame)
         for packet in frame.packets:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 from datetime import datetime
 from functools import cached_property
 from typing import TYPE_CHECKING, Any, Final, get_type_hints
@@ -11,6 +11,7 @@ from carla_recap.model.actors import BoundingBox  # noqa: TC001 - the columns ar
 from carla_recap.queries.collisions import CollisionRow, Collisions
 from carla_recap.queries.incidents import Incident, Incidents
 from carla_recap.queries.measures import MeasureRow
+from carla_recap.tables import column_names
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
@@ -64,7 +65,7 @@ class RecordingRow:
 
 @dataclass(frozen=True, slots=True)
 class ActorRow:
-    """An actor; its fields are those of `Actor`, and whether it is the hero."""
+    """An actor; its fields are those of `ActorLife`, and whether it is the hero."""
 
     id: int
     type_id: str
@@ -109,7 +110,7 @@ class IndexTable:
     def hints(self) -> dict[str, Any]:
         """The types of the columns that are fields of its rows, as type hints."""
         hints = get_type_hints(self.row_type)
-        return {field.name: hints[field.name] for field in fields(self.row_type)}
+        return {name: hints[name] for name in column_names(self.row_type)}
 
     @property
     def columns(self) -> list[str]:

@@ -1,11 +1,12 @@
 """The digest: what queries would otherwise compute from all transforms, kept as events of a recording.
 
-These are stationary intervals, hard braking and beginnings of contacts. The extent's metadata have what they depend on and
+These are stationary intervals, hard braking and impacts. The extent's metadata have what they depend on and
 their numbers. A digest is left out where packets are irregular, so that it never differs from what is computed.
 """
 
 from __future__ import annotations
 
+from itertools import chain
 from typing import TYPE_CHECKING, Final
 
 import numpy as np
@@ -16,7 +17,7 @@ from carla_recap.model.batch import Batch
 from carla_recap.model.braking import HARD, BrakingDetector
 from carla_recap.model.braking import TYPES as BRAKING_TYPES
 from carla_recap.model.contacts import TYPES as CONTACT_TYPES
-from carla_recap.model.contacts import ContactTracker
+from carla_recap.model.contacts import ImpactTracker
 from carla_recap.model.layout import EMPTY_LIST, MAX_COUNT, pack
 from carla_recap.model.stationary import MIN_DISTANCE, StationaryTracker
 from carla_recap.model.stationary import TYPES as STATIONARY_TYPES
@@ -48,9 +49,9 @@ class Digest:
         self._spawned = table.named("spawned").id
         self._stationary: StationaryTracker | None = StationaryTracker(table, INTERVAL_TIME)
         self._detector: BrakingDetector | None = BrakingDetector((), HARD)
-        self._contacts: ContactTracker | None = ContactTracker()
+        self._impacts: ImpactTracker | None = ImpactTracker()
         self._intervals: list[BlockedRow] = []
-        self._interval_count = self._braking_count = self._contact_count = 0
+        self._interval_count = self._braking_count = self._impact_count = 0
 
     def frame(self, frame: Frame, index: int) -> None:
         """Process a frame; `index`: its position in the file that is written."""
@@ -63,8 +64,8 @@ class Digest:
                 self._detector.batch(Batch.of(frame))
             else:  # it has left out frames of a vehicle that was not known to be one
                 self._detector = None
-        if self._contacts:
-            self._contacts.frame(frame, index)
+        if self._impacts:
+            self._impacts.frame(frame, index)
 
     def batch(self, batch: Batch, index: int) -> None:
         """Process the frames of a batch, in which no actors spawn; see `frame`."""
@@ -72,8 +73,8 @@ class Digest:
             self._stationary.batch(batch)
         if self._detector:
             self._detector.batch(batch)
-        if self._contacts:
-            self._contacts.batch(batch, index)
+        if self._impacts:
+            self._impacts.batch(batch, index)
 
     def found_irregular(self, type: RecordType | None) -> None:
         """Leave out what depends on a type of which a packet is irregular."""
@@ -83,7 +84,7 @@ class Digest:
         if name in BRAKING_TYPES or name == "spawned":
             self._detector = None
         if name in CONTACT_TYPES:
-            self._contacts = None
+            self._impacts = None
 
     def take(self) -> Iterator[Message]:
         """Yield the messages that belong to the latest frame."""
@@ -91,9 +92,9 @@ class Digest:
             self._intervals += self._stationary.take()
             if len(self._intervals) >= _TOGETHER:
                 yield from self._take_intervals()
-        if self._contacts and (found := self._contacts.take()):
-            self._contact_count += len(found)
-            rows = [(*row.key, *row.position1, *row.position2, *row.velocity1, *row.velocity2) for row in found]
+        if self._impacts and (found := self._impacts.take()):
+            self._impact_count += len(found)
+            rows = [(*row.key, *chain(*row.positions, *row.velocities)) for row in found]
             yield from _messages(CONTACTS, np.array(rows, CONTACTS.dtype))
 
     def finish(self) -> Iterator[Message]:
@@ -109,7 +110,7 @@ class Digest:
         """Return what the extent's metadata say of the digest."""
         stationary = f"{INTERVAL_TIME:g} {MIN_DISTANCE:g} {self._interval_count}" if self._stationary else ""
         braking = f"{HARD:g} {self._braking_count}" if self._detector else ""
-        contacts = f"{self._contact_count}" if self._contacts else ""
+        contacts = f"{self._impact_count}" if self._impacts else ""
         values = {STATIONARY.name: stationary, BRAKING.name: braking, CONTACTS.name: contacts}
         return {name: value for name, value in values.items() if value}
 

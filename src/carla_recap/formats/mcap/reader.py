@@ -46,7 +46,7 @@ if TYPE_CHECKING:
     from carla_recap.formats.mcap.index import ChunkIndex, Summary
     from carla_recap.formats.sources import ByteSource
     from carla_recap.model.braking import Braking
-    from carla_recap.model.contacts import ContactStart
+    from carla_recap.model.contacts import Impact
     from carla_recap.model.records import RecordType
     from carla_recap.model.stationary import BlockedRow
 
@@ -202,15 +202,15 @@ class McapReader:
 
         return [Braking(*row) for row in rows]
 
-    def contact_starts(self) -> list[ContactStart] | None:
-        """Return the beginnings of contacts, read from the events; see `Reader.contact_starts`."""
+    def impacts(self) -> list[Impact] | None:
+        """Return the impacts, read from the events; see `Reader.impacts`."""
         (count,) = self._digest_of(CONTACTS, 1)
         rows = self._listed(CONTACTS, count)
         if rows is None:
             return None
-        from carla_recap.model.contacts import ContactStart
+        from carla_recap.model.contacts import Impact
 
-        return [ContactStart(row[0], row[1], row[2], row[3:6], row[6:9], row[9:12], row[12:]) for row in rows]
+        return [Impact(row[0], row[1], row[2], (row[3:6], row[6:9]), (row[9:12], row[12:])) for row in rows]
 
     def _digest_of(self, type: RecordType, size: int) -> list[float]:
         """Return the numbers that the metadata have of a part of the digest; NaN where they have none."""

@@ -11,8 +11,8 @@ import numpy as np
 from carla_recap.errors import RecapError
 from carla_recap.model.actors import HERO, ActorLives, find_actor
 from carla_recap.model.actors import TYPES as ACTOR_TYPES
+from carla_recap.model.contacts import Contacts
 from carla_recap.queries import Answer
-from carla_recap.queries.measures.contacts import ContactTimes
 from carla_recap.queries.measures.encroachment import STEP, encroachments, path_of, refined
 from carla_recap.queries.measures.motion import KINDS, TYPES, MotionCollector
 from carla_recap.queries.measures.near_misses import paths_meet
@@ -44,6 +44,7 @@ POST_ENCROACHMENT_TIME: Final = 3.0
 SHORT: Final = 3.0
 """The time to collision below which both actors have to meet on the paths that they take, too, in s."""
 
+_BEFORE_CONTACT: Final = 0.4  # s before a contact in which its effect on the motion begins, since motions are means
 _LATER: Final = 0.5  # s by which a bent path may take longer
 _CHECKS: Final = 64  # of an actor in a block
 _SAME_THREAT: Final = 0.25  # s
@@ -100,7 +101,7 @@ class MeasureSearch:
         stop: float = math.inf,
     ) -> None:
         self._source, self._start, self._stop = source, start, stop
-        lives, self._contacts = ActorLives(), ContactTimes()
+        lives, self._contacts = ActorLives(), Contacts()
         for frame in source.frames((*ACTOR_TYPES, "collisions"), sparse=True, stop=stop):
             self._contacts.add(frame)
             for packet in frame.packets:
@@ -154,8 +155,9 @@ class MeasureSearch:
         self._drop_unconfirmed(block, rows, found)
         series = series_of(block, rows, found)
         for number, row in enumerate(rows.tolist()):
-            disturbed = self._contacts.disturbed(int(block.ids[row]), block.time)
-            series.acceleration[number, disturbed] = series.jerk[number, disturbed] = np.nan
+            for start, stop in self._contacts.affected(int(block.ids[row]), _BEFORE_CONTACT):
+                affected = (block.time >= start) & (block.time <= stop)
+                series.acceleration[number, affected] = series.jerk[number, affected] = np.nan
         for measure in MEASURES.values():
             if measure.values is not None:
                 self._note(block, rows, measure, series, measure.values(series))

@@ -25,7 +25,7 @@ if TYPE_CHECKING:
 
     from carla_recap.model.actors import ActorLives
     from carla_recap.model.batch import Batch
-    from carla_recap.queries.measures.contacts import ContactTimes
+    from carla_recap.model.contacts import Contacts
     from carla_recap.queries.measures.motion import MotionBlock
     from carla_recap.queries.measures.over_time import SeriesCollector
 
@@ -110,7 +110,7 @@ class NearMissDetector:
     def __init__(
         self,
         actors: ActorLives,
-        contacts: ContactTimes,
+        contacts: Contacts,
         ids: frozenset[int] | None = None,
         *,
         series: SeriesCollector | None = None,
@@ -146,8 +146,8 @@ class NearMissDetector:
     def _collides(self, miss: NearMiss) -> bool:
         """Return whether a critical time ends in a collision, or follows one."""
         return any(
-            start - _UNTIL_CONTACT <= miss.stop and miss.start <= stop + _AFTER_CONTACT
-            for start, stop in self._contacts.of(miss.id1, miss.id2)
+            contact.start - _UNTIL_CONTACT <= miss.stop and miss.start <= contact.stop + _AFTER_CONTACT
+            for contact in self._contacts.of(miss.id1, miss.id2)
         )
 
     def add(self, block: MotionBlock) -> None:

@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 
     from carla_recap.sim.actors.actor import Actor
     from carla_recap.sim.actors.registry import ActorRegistry
-    from carla_recap.sim.physics.plane import Contact
+    from carla_recap.sim.physics.plane import BodyContact
 
 _STRIDE: Final = 1.0  # m that the fastest vehicle covers in a step at most
 _ROUNDING: Final = 1e-6
@@ -90,7 +90,7 @@ class CollisionDetector:
         self._watched: dict[int, bool] = {}
         self._number = 0
 
-    def add(self, contacts: Iterable[Contact]) -> None:
+    def add(self, contacts: Iterable[BodyContact]) -> None:
         """Add the contacts of a step; walkers that are hit hard by a vehicle fall."""
         for contact in contacts:
             x, y = contact.impulse

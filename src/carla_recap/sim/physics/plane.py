@@ -52,7 +52,7 @@ _BODY: Final = (
 _CONTACT: Final = ArbiterFields.BODY_A_ID | ArbiterFields.BODY_B_ID | ArbiterFields.TOTAL_IMPULSE | ArbiterFields.POINT_A_1
 
 
-class Contact(NamedTuple):
+class BodyContact(NamedTuple):
     """A contact of two bodies in a step.
 
     Attributes:
@@ -196,7 +196,7 @@ class Plane:
         alpha, body = min(found, default=(0.0, 0))
         return (body, alpha) if found else None
 
-    def step(self, seconds: float) -> list[Contact]:
+    def step(self, seconds: float) -> list[BodyContact]:
         """Move all bodies, read their states, and return their contacts."""
         self._known_heights.clear()
         self.space.step(seconds)
@@ -209,7 +209,7 @@ class Plane:
             return []
         values = np.frombuffer(self._contacts.float_buf()).reshape(len(ids), -1)
         return [
-            Contact(a, b, (value[0], value[1]), (value[2], value[3]))
+            BodyContact(a, b, (value[0], value[1]), (value[2], value[3]))
             for (a, b), value in zip(ids.tolist(), values.tolist(), strict=True)
         ]
 
