@@ -347,5 +347,5 @@ def test_kinds_that_do_not_exist_or_take_roads(make: Make, kinds: Any) -> None:
     if kinds == "near miss":
         assert incidents(make({"spawned": CAST}), kinds=kinds) == []
     else:
-        with pytest.raises(RecapError, match=r"kinds of incidents are|need its map"):
+        with pytest.raises(RecapError, match=r"is no kind of incident; there are collision, |need its map"):
             incidents(make({"spawned": CAST}), kinds=kinds)

@@ -1,17 +1,6 @@
 // Draws the scene from above: the roads, and the actors of one recording or, over each other, of two.
 "use strict";
 
-const KINDS = {
-  collision: { name: "Collision", many: "Collisions", icon: "M4.5 4.5l7 7m0-7l-7 7" },
-  "red light": { name: "Red light", many: "Red lights", icon: "M5.5 2.5h5v11h-5zM8 5.2v.1M8 8v.1M8 10.8v.1" },
-  "wrong way": { name: "Wrong way", many: "Wrong way", icon: "M13 8H3.5M7 4.5L3.5 8 7 11.5" },
-  "off road": { name: "Off road", many: "Off road", icon: "M5 13.5V9c0-2 1-3 3-3h4M9.5 3.5L12 6 9.5 8.5" },
-  "stop sign": { name: "Stop sign", many: "Stop signs", icon: "M6 3h4l3 3v4l-3 3H6l-3-3V6z" },
-  "near miss": { name: "Near miss", many: "Near misses", icon: "M3.5 3.5l3 3M12.5 12.5l-3-3M12.5 3.5l-3 3M3.5 12.5l3-3" },
-  "hard braking": { name: "Hard braking", many: "Hard braking", icon: "M4 4l4 4 4-4M4 8.5l4 4 4-4" },
-  "speeding": { name: "Speeding", many: "Speeding", icon: "M3 11.5a5.2 5.2 0 0 1 10 0M8 11.5l3-4" },
-  blocked: { name: "Blocked", many: "Blocked", icon: "M5.5 4v8M10.5 4v8" },
-};
 const TRAIL = 3; // s
 const FAST = 40; // m/s; trails of what is farther outside the view do not reach it
 const FADES = 16; // parts of a trail

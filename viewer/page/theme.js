@@ -21,18 +21,6 @@ const PALETTES = {
     glass: "rgba(20, 24, 32, 0.78)", accent: "#a86200", other: "#007a99", frame: "#d3d8df",
   },
 };
-const TONES = {
-  dark: {
-    collision: "#ff5f5f", "hard braking": "#ffa24d", blocked: "#b9a0ff",
-    "red light": "#ff6fa5", "wrong way": "#ff8a66", "off road": "#d6b36a",
-    "stop sign": "#f08fd6", "near miss": "#ffd24d", "speeding": "#5cc8ff",
-  },
-  light: {
-    collision: "#cf2230", "hard braking": "#b45a00", blocked: "#6a45c9",
-    "red light": "#b3125f", "wrong way": "#a8380f", "off road": "#7a5a12",
-    "stop sign": "#96308a", "near miss": "#806300", "speeding": "#0b6fa8",
-  },
-};
 const KEPT = "carla-recap-theme";
 
 class Theme extends EventTarget {
@@ -81,11 +69,23 @@ class Theme extends EventTarget {
     if (name === this.name) return;
     this.name = name;
     this.colors = PALETTES[name];
-    this.tones = TONES[name];
+    this.tones = Object.fromEntries(Object.entries(KINDS).map(([kind, colors]) => [kind, colors[name]]));
     document.documentElement.dataset.theme = name;
     document.querySelector('meta[name="theme-color"]').content = this.colors.ground;
     this.dispatchEvent(new Event("change"));
   }
 }
 
+/** Return the style sheet by which elements of a kind of incident have its colour. */
+function tones() {
+  const sheet = new CSSStyleSheet();
+  const rules = Object.entries(KINDS).map(([kind, { dark, light }]) => {
+    const elements = `[data-kind="${kind}"]`;
+    return `${elements} { --tone: ${dark}; } [data-theme="light"] ${elements} { --tone: ${light}; }`;
+  });
+  sheet.replaceSync(rules.join("\n"));
+  return sheet;
+}
+
 const theme = new Theme();
+document.adoptedStyleSheets = [tones()];

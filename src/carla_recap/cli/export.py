@@ -24,7 +24,6 @@ if TYPE_CHECKING:
     from carla_recap.export.clips import IncidentClip
     from carla_recap.export.rerun.blueprint import View
     from carla_recap.export.video.cameras import VideoView
-    from carla_recap.queries.incidents import Kind
     from carla_recap.replay.follow import Follow
 
 _window = options.together(options.follow, options.start, options.duration, options.road_map)
@@ -239,7 +238,7 @@ _FORMATS: Final = {
 def clips(
     source: str,
     folder: str,
-    kinds: tuple[Kind, ...] | Literal["all"] | None,
+    kinds: tuple[str, ...] | Literal["all"] | None,
     suffix: str,
     rrd: bool | None,
     video: bool,

@@ -93,16 +93,29 @@ class _Kinds(click.ParamType[Any]):
     name = "kinds"
 
     def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Any:
-        from carla_recap.queries import incidents
+        from carla_recap.errors import RecapError
+        from carla_recap.queries.kinds import kind_named
 
         if value == "all" or not isinstance(value, str):
             return value
-        kinds = tuple(kind.strip().replace("-", " ") for kind in value.split(","))
-        for kind in kinds:
-            if kind not in incidents.ALL_KINDS:
-                names = ", ".join(known.replace(" ", "-") for known in incidents.ALL_KINDS)
-                self.fail(f"{kind!r} is no kind of incident; there are {names}, and all.", param, ctx)
-        return kinds
+        try:
+            return tuple(kind_named(kind).name for kind in value.split(","))
+        except RecapError as error:
+            self.fail(f"{error}, and all.", param, ctx)
+
+
+class _KindsOption(click.Option):
+    """The option for kinds of incidents; the table of kinds is imported if its help is asked for."""
+
+    def get_help_record(self, ctx: click.Context) -> tuple[str, str] | None:
+        from carla_recap.queries.kinds import KINDS
+
+        kinds = KINDS.values()
+        usual = ", ".join(kind.option for kind in kinds if not kind.every_frame)
+        others = ", ".join(kind.option for kind in kinds if kind.every_frame and not kind.needs_roads)
+        of_road = ", ".join(kind.option for kind in kinds if kind.needs_roads)
+        self.help = f"The kinds of incidents: {usual} (these if none are given), {others}, with a map {of_road}; or all."
+        return super().get_help_record(ctx)
 
 
 class _View(click.ParamType[Any]):
@@ -217,10 +230,9 @@ before = click.option(
 after = click.option("--after", type=NUMBER, default=AROUND, show_default=True, metavar="S", help="Seconds after it.")
 kinds = click.option(
     "--kinds",
+    cls=_KindsOption,
     type=KINDS,
     metavar="all|KIND,...",
-    help="The kinds of incidents: collision, blocked, hard-braking (these three if none are given), near-miss, and with a "
-    "map red-light, stop-sign, off-road, wrong-way, speeding; or all.",
 )
 deceleration = click.option(
     "--deceleration",

@@ -16,6 +16,7 @@ from carla_recap.model.braking import HARD
 from carla_recap.model.frame import SAME_TIME
 from carla_recap.queries.actors import actors
 from carla_recap.queries.incidents import incidents
+from carla_recap.queries.kinds import KINDS
 from carla_recap.recording import Recording, open_recording
 from carla_recap.util.files import check_folder, new_folder
 
@@ -24,12 +25,12 @@ if TYPE_CHECKING:
 
     from carla_recap.export.video.film import Town
     from carla_recap.formats.base import Reader
-    from carla_recap.queries.incidents import Incident, Incidents, Kind
+    from carla_recap.queries.incidents import Incident, Incidents
     from carla_recap.rendering.process import RenderProcess
     from carla_recap.roads import RoadMap
     from carla_recap.roads.network import RoadNetwork
 
-COLLISIONS: Final[tuple[Kind, ...]] = ("collision",)
+COLLISIONS: Final = ("collision",)
 LONGEST: Final = 60.0
 """The length of the clip of a longer incident, in seconds from the start of the incident."""
 
@@ -54,7 +55,7 @@ def clips(
     source: Path | str,
     folder: Path | str,
     *,
-    kinds: Collection[Kind] | Literal["all"] | None = COLLISIONS,
+    kinds: Collection[str] | Literal["all"] | None = COLLISIONS,
     roads: RoadNetwork | None = None,
     min_time: float = 30.0,
     min_distance: float = 10.0,
@@ -177,8 +178,8 @@ def _names(found: Sequence[Incident], suffix: str) -> Iterator[str]:
     """Yield names of files, in the order of the incidents."""
     width = max(2, len(str(len(found))))
     for number, incident in enumerate(found, 1):
-        kind = incident.kind.replace(" ", "-")
-        yield "-".join((f"{number:0{width}}", kind, f"{incident.start:.1f}s", *map(str, incident.actors))) + suffix
+        words = (f"{number:0{width}}", KINDS[incident.kind].option, f"{incident.start:.1f}s", *map(str, incident.actors))
+        yield "-".join(words) + suffix
 
 
 def _followed(incident: Incident, recording: Recording, time: float) -> int | None:

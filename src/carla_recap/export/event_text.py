@@ -15,14 +15,15 @@ from carla_recap.errors import RecapError
 from carla_recap.export import style
 from carla_recap.model.batch import within
 from carla_recap.model.frame import SAME_TIME
-from carla_recap.queries.incidents import ALL_KINDS, ROAD_KINDS, IncidentSearch
+from carla_recap.queries.incidents import IncidentSearch
+from carla_recap.queries.kinds import KINDS
 from carla_recap.queries.measures.over_time import SeriesCollector
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator, Sequence
 
     from carla_recap.model.batch import Batch
-    from carla_recap.queries.incidents import Incident, Kind
+    from carla_recap.queries.incidents import Incident
     from carla_recap.queries.measures import MeasureSeries
     from carla_recap.replay import Collided, Player, Present, Scene
     from carla_recap.roads.network import RoadNetwork
@@ -135,9 +136,9 @@ class PlayedIncidents:
             self._search = None
 
 
-def _kinds(roads: RoadNetwork | None) -> list[Kind]:
+def _kinds(roads: RoadNetwork | None) -> list[str]:
     """Return the kinds of incidents that are not among the events."""
-    return [kind for kind in ALL_KINDS if kind != "collision" and (roads is not None or kind not in ROAD_KINDS)]
+    return [name for name, kind in KINDS.items() if name != "collision" and (roads is not None or not kind.needs_roads)]
 
 
 def incident_lines(found: Iterable[Incident]) -> Iterator[tuple[float, Line]]:

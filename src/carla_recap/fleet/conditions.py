@@ -15,7 +15,8 @@ from carla_recap.model.actors import HERO, ROAD_USERS, ActorLives
 from carla_recap.queries.actors import actors
 from carla_recap.queries.blocked import blocked
 from carla_recap.queries.differences import differences, metres, name_of
-from carla_recap.queries.incidents import ROAD_KINDS, incidents
+from carla_recap.queries.incidents import incidents
+from carla_recap.queries.kinds import KINDS
 from carla_recap.queries.measures import MEASURES, measures
 from carla_recap.recording import open_recording
 from carla_recap.replay.recorded_map import find_map_of
@@ -28,7 +29,7 @@ if TYPE_CHECKING:
 
     from carla_recap.model.actors import ActorLife
     from carla_recap.model.stationary import BlockedRow
-    from carla_recap.queries.incidents import Incident, Kind
+    from carla_recap.queries.incidents import Incident
     from carla_recap.queries.measures import MeasureRow
     from carla_recap.recording import Recording
     from carla_recap.roads.network import RoadNetwork
@@ -41,17 +42,6 @@ OBJECT: Final = "object"
 ROLE: Final = "role:"
 
 _LARGE: Final = 1e6  # from which on a value is shown with an exponent
-_KINDS: Final = {
-    "blocked": ("long stop", "long stops"),
-    "hard braking": ("hard braking", "hard braking"),
-    "near miss": ("near miss", "near misses"),
-    "red light": ("red light run", "red light runs"),
-    "stop sign": ("stop sign run", "stop sign runs"),
-    "off road": ("departure from the road", "departures from the road"),
-    "wrong way": ("drive in the wrong direction", "drives in the wrong direction"),
-    "speeding": ("speeding", "speeding"),
-}
-"""What kinds of incidents are called, one and several."""
 _MANY: Final = {HERO: "the hero", "vehicle": "vehicles", "walker": "walkers", OBJECT: "static objects"}
 
 
@@ -190,8 +180,9 @@ class Facts:
         """The incidents of all kinds that conditions are about, in order of time."""
 
         def ask() -> Sequence[Incident]:
-            roads = None if self._kinds.isdisjoint(ROAD_KINDS) else self._roads
-            kinds = self._kinds if roads is not None else self._kinds.difference(ROAD_KINDS)
+            of_road = {kind for kind in self._kinds if KINDS[kind].needs_roads}
+            roads = self._roads if of_road else None
+            kinds = self._kinds if roads is not None else self._kinds - of_road
             return incidents(self.recording.reader, kinds=kinds, roads=roads) if kinds else []
 
         return self._once("incidents", ask)
@@ -279,22 +270,23 @@ class IncidentCount:
         bounds: The valid numbers.
     """
 
-    kinds: tuple[Kind, ...]
+    kinds: tuple[str, ...]
     of: Selector
     other: Selector
     bounds: Bounds
 
     def text(self) -> str:
         """See `Condition.text`."""
-        kinds = _listed(map(_plural, self.kinds))
+        kinds = _listed(KINDS[kind].plural for kind in self.kinds)
         return f"{kinds}{self._sides()}: {self.bounds.text()}"
 
     def judge(self, facts: Facts) -> Finding:
         """See `Condition.judge`."""
-        if not set(self.kinds).isdisjoint(ROAD_KINDS):
+        if any(KINDS[kind].needs_roads for kind in self.kinds):
             facts.check_roads()
         found = [incident for incident in facts.incidents if incident.kind in self.kinds and self._counts(incident, facts)]
-        message = f"{len(found) or 'no'} {_listed(map(_singular if len(found) == 1 else _plural, self.kinds))}"
+        nouns = (KINDS[kind].singular if len(found) == 1 else KINDS[kind].plural for kind in self.kinds)
+        message = f"{len(found) or 'no'} {_listed(nouns)}"
         message += self._sides()
         if self.bounds.contain(len(found)):
             return Finding(True, message + ("" if found else facts.absent(self.of)))
@@ -571,14 +563,6 @@ def _value(value: float, unit: str, written: Written | None = None) -> str:
 
 def _of(selector: Selector) -> str:
     return "" if selector.text == ANY else f" of {selector}"
-
-
-def _plural(kind: str) -> str:
-    return _KINDS.get(kind, (kind, f"{kind}s"))[1]
-
-
-def _singular(kind: str) -> str:
-    return _KINDS.get(kind, (kind, ""))[0]
 
 
 def _listed(words: Iterable[str]) -> str:

@@ -8,8 +8,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
 from carla_recap.errors import RecapError, RecapWarning
-from carla_recap.queries.incidents import ROAD_KINDS
 from carla_recap.queries.incidents import incidents as query_incidents
+from carla_recap.queries.kinds import KINDS, kind_named
 from carla_recap.queries.measures import measures as query_measures
 
 if TYPE_CHECKING:
@@ -61,15 +61,15 @@ def kinds_and_roads(kinds: Any, source: Reader, road_map: str | None = None) -> 
     Warns:
         RecapWarning: The map is unknown, and kinds of the road are left out.
     """
-    asked = {kinds} if isinstance(kinds, str) else set(kinds or ())
-    if kinds is None or (kinds != "all" and asked.isdisjoint(ROAD_KINDS)):
+    asked = set(KINDS if kinds == "all" else (kinds,) if isinstance(kinds, str) else kinds or ())
+    others = {kind for kind in asked if not kind_named(kind).needs_roads}
+    if others == asked:
         return kinds, None
-    others = asked.difference(ROAD_KINDS)
     roads = roads_of(source, road_map, needed=not others)
     if roads is not None:
         return kinds, roads
     warn_without_roads(source)
-    return kinds if kinds == "all" else sorted(others), None
+    return sorted(others), None
 
 
 def warn_without_roads(source: Reader) -> None:

@@ -22,7 +22,7 @@ from typing import TYPE_CHECKING, Any, Final, Literal
 from carla_recap.errors import RecapError
 from carla_recap.fleet import conditions
 from carla_recap.fleet.conditions import ANY, OBJECT, ROLE, Bounds, Facts, Offence, Selector, Written
-from carla_recap.queries.incidents import ALL_KINDS as KINDS
+from carla_recap.queries.kinds import KINDS, kind_named
 from carla_recap.queries.measures import MEASURES
 from carla_recap.util.text import visible
 
@@ -319,9 +319,12 @@ def _collisions(fields: _Fields) -> Condition:
 
 
 def _incidents(fields: _Fields) -> Condition:
-    dashed = {kind.replace(" ", "-"): kind for kind in KINDS}  # as on the command line
-    given = fields.texts("kind", f"one or a list of {', '.join(KINDS)}", (*KINDS, *dashed))
-    kinds = tuple(kind for dash, kind in dashed.items() if kind in given or dash in given)
+    expected = f"one or a list of {', '.join(KINDS)}"
+    try:
+        given = {kind_named(text).name for text in fields.texts("kind", expected)}
+    except RecapError:
+        raise fields.wrong("kind", expected) from None
+    kinds = tuple(kind for kind in KINDS if kind in given)
     return conditions.IncidentCount(kinds, fields.selector("of"), Selector(), fields.counts())
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from bisect import bisect_right
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, ClassVar, Final, Literal, get_args
+from typing import TYPE_CHECKING, ClassVar, Final, Literal
 
 from carla_recap.errors import RecapError
 from carla_recap.model.actors import ROAD_USERS, ActorLives
@@ -19,11 +19,12 @@ from carla_recap.model.stationary import StationaryTracker
 from carla_recap.queries import Answer
 from carla_recap.queries.blocked import longest_first
 from carla_recap.queries.contacts import ImpactSearch, impacts, is_known
+from carla_recap.queries.kinds import KINDS, kind_named
 from carla_recap.queries.measures.near_misses import POST_ENCROACHMENT_TIME, TIME_TO_COLLISION, NearMissDetector
 from carla_recap.queries.measures.near_misses import TYPES as MOTION_TYPES
 from carla_recap.queries.measures.road import TYPES as ROAD_TYPES
-from carla_recap.queries.measures.road import RoadKind, RoadSearch
-from carla_recap.queries.measures.table import MEASURES
+from carla_recap.queries.measures.road import RoadSearch
+from carla_recap.queries.measures.table import DURATION, MEASURES, RELATIVE_SPEED
 
 if TYPE_CHECKING:
     from collections.abc import Collection, Iterable, Iterator
@@ -36,17 +37,6 @@ if TYPE_CHECKING:
     from carla_recap.queries.measures.over_time import SeriesCollector
     from carla_recap.queries.measures.road import RoadEvent
     from carla_recap.roads.network import RoadNetwork
-
-Kind = Literal[
-    "collision", "blocked", "hard braking", "near miss", "red light", "stop sign", "off road", "wrong way", "speeding"
-]
-
-ALL_KINDS: Final[tuple[Kind, ...]] = get_args(Kind)
-"""The kinds of incidents."""
-ROAD_KINDS: Final[tuple[Kind, ...]] = get_args(RoadKind)
-"""The kinds of incidents that the roads of the map are needed for."""
-KINDS: Final[tuple[Kind, ...]] = ("collision", "blocked", "hard braking")
-"""The kinds of incidents that can be found without reading every frame of an MCAP file."""
 
 _KMH: Final = 3.6  # km/h in m/s
 _AROUND: Final = 2.5  # s around hard braking that are read to compute its deceleration
@@ -76,7 +66,7 @@ class Incident:
         contact: The contact, of a collision, which knows who has caused it; no column of a table.
     """
 
-    kind: Kind
+    kind: str
     start: float
     stop: float
     actors: tuple[int, ...]
@@ -103,7 +93,7 @@ class Incidents(Answer[Incident]):
 def incidents(
     source: Reader,
     *,
-    kinds: Collection[Kind] | Literal["all"] | None = None,
+    kinds: Collection[str] | Literal["all"] | None = None,
     roads: RoadNetwork | None = None,
     min_time: float = 30.0,
     min_distance: float = 10.0,
@@ -157,7 +147,7 @@ class IncidentSearch:
         self,
         source: Reader,
         *,
-        kinds: Collection[Kind] | Literal["all"] | None = None,
+        kinds: Collection[str] | Literal["all"] | None = None,
         roads: RoadNetwork | None = None,
         min_time: float = 30.0,
         min_distance: float = 10.0,
@@ -191,7 +181,7 @@ class IncidentSearch:
         detector = NearMissDetector(self._actors, touching, ids, series=series) if "near miss" in wanted else None
         self._near = detector
         self._kinds = wanted
-        of_road = roads is not None and not wanted.isdisjoint(ROAD_KINDS)
+        of_road = any(KINDS[kind].needs_roads for kind in wanted)
         self._roads = RoadSearch(source, roads, self._actors) if roads is not None and of_road else None
         self._collisions = collisions
         self._impacts = ImpactSearch(contact.key for contact in self._contacts if collisions)
@@ -252,22 +242,20 @@ class IncidentSearch:
         return Incidents(sorted(found, key=lambda incident: (incident.start, incident.kind)), self._source, compat=False)
 
 
-def _wanted(kinds: Collection[Kind] | Literal["all"] | None, roads: RoadNetwork | None) -> frozenset[str]:
+def _wanted(kinds: Collection[str] | Literal["all"] | None, roads: RoadNetwork | None) -> frozenset[str]:
     """Return the kinds to find.
 
     Raises:
         RecapError: There is no such kind, or one needs roads.
     """
     if kinds is None:
-        return frozenset(KINDS)
+        return frozenset(name for name, kind in KINDS.items() if not kind.every_frame)
     if kinds == "all":
-        return frozenset(ALL_KINDS if roads is not None else set(ALL_KINDS).difference(ROAD_KINDS))
-    wanted = frozenset((kinds,) if isinstance(kinds, str) else kinds)
-    for kind in wanted.difference(ALL_KINDS):
-        raise RecapError(f"kinds of incidents are {', '.join(ALL_KINDS)}, not {kind!r}")
-    if roads is None and not wanted.isdisjoint(ROAD_KINDS):
-        named = ", ".join(kind for kind in ROAD_KINDS if kind in wanted)
-        raise RecapError(f"incidents of the road need its map: {named}")
+        return frozenset(name for name, kind in KINDS.items() if roads is not None or not kind.needs_roads)
+    wanted = frozenset(kind_named(kind).name for kind in ((kinds,) if isinstance(kinds, str) else kinds))
+    of_road = [name for name, kind in KINDS.items() if kind.needs_roads and name in wanted]
+    if roads is None and of_road:
+        raise RecapError(f"incidents of the road need its map: {', '.join(of_road)}")
     return wanted
 
 
@@ -314,9 +302,9 @@ def _collisions(contacts: Contacts, actors: ActorLives) -> Iterator[Incident]:
             ids,
             type_ids,
             *position,
-            measure="relative_speed",
+            measure=RELATIVE_SPEED.name,
             value=impact.relative_speed,
-            unit="m/s",
+            unit=RELATIVE_SPEED.unit,
             threshold=math.nan,
             time=contact.start,
             text=text,
@@ -355,7 +343,7 @@ def _blocked(rows: Iterable[BlockedRow], actors: ActorLives, min_time: float) ->
                 (row.id,),
                 (row.type_id,),
                 *position,
-                measure="duration",
+                measure=DURATION.name,
                 value=row.duration,
                 unit="s",
                 threshold=min_time,

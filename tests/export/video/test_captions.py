@@ -11,7 +11,7 @@ from carla_recap.queries.incidents import Incident
 
 
 def incident(kind: Any, start: float, stop: float, *actors: int, text: str = "hero does it", x: float = 0.0) -> Incident:
-    return Incident(kind, start, stop, actors, ("",) * len(actors), x, 0.0, 0.0, text)
+    return Incident(kind, start, stop, actors, ("",) * len(actors), x, 0.0, 0.0, "", 0.0, "", 0.0, start, text)
 
 
 CRASH = incident("collision", 10.0, 10.5, 1, 2, text="hero collides with vehicle.audi.a2 (2)")

@@ -98,7 +98,7 @@ def test_the_line_of_time_has_marks_of_incidents() -> None:
     line = picture[-2]
     assert near(line[:630], (255, 255, 255)).all()
     assert not near(line[650:950], (255, 255, 255)).any()
-    assert np.flatnonzero(near(line, (235, 64, 52))).mean() == pytest.approx(960, abs=3)
+    assert np.flatnonzero(near(line, (255, 95, 95))).mean() == pytest.approx(960, abs=3)
 
 
 def test_a_caption_that_is_too_wide_is_above_the_panels() -> None:

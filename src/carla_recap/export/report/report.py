@@ -20,6 +20,7 @@ from carla_recap.export.style import LIGHTS, OTHER, STYLES
 from carla_recap.model.braking import HARD
 from carla_recap.model.stationary import MIN_DISTANCE, MIN_TIME
 from carla_recap.queries.incidents import Incident, incidents
+from carla_recap.queries.kinds import KINDS
 from carla_recap.recording import Recording
 from carla_recap.replay.player import Player
 from carla_recap.roads.surfaces import road_network_of_map
@@ -42,9 +43,6 @@ Pictures = Literal["drawn", "rendered", "none"]
 
 SINGLE: Final = (".html", ".htm")  # the suffixes of a page that is one file
 REPLAYED: Final = 200  # the most incidents with a taken picture and, of a long recording, with a replay
-FIRST: Final = (  # the kinds of incidents in the order in which they are chosen
-    *("collision", "red light", "wrong way", "off road", "stop sign", "near miss", "hard braking", "speeding", "blocked"),
-)
 PICTURE_SIZE: Final = (640, 400)
 LISTED: Final = 2000  # the most incidents in the list
 NOTES: Final = 4  # the most notes
@@ -117,7 +115,8 @@ class _Reported:
         )
         self.incidents = found[:LISTED]
         self.omitted = len(found) - len(self.incidents)
-        chosen = sorted(range(len(self.incidents)), key=lambda index: FIRST.index(found[index].kind))[:REPLAYED]
+        ranks = list(KINDS)
+        chosen = sorted(range(len(self.incidents)), key=lambda index: ranks.index(found[index].kind))[:REPLAYED]
         self.chosen = {index: self.incidents[index] for index in chosen}
         self.replay, self.whole = sample(recording, list(self.chosen.values()), before, after, progress)
         self.pictures: dict[int, bytes] = {}
@@ -216,6 +215,7 @@ def write_report(
     if opening is not None:
         options["opening"] = _opening(opening)
     data = {
+        "data/kinds.js": script.script("KINDS", script.kind_data()),
         "data/ground.js": script.script("GROUND", ground),
         "data/recordings.js": script.script("RECORDINGS", [_packed(each.replay) for each in reported]),
     }

@@ -13,6 +13,7 @@ from carla_recap.export.report.base_map import LAYERS
 from carla_recap.export.style import OTHER, box_of, color_of, label_of, style_of
 from carla_recap.model.actors import BoundingBox
 from carla_recap.model.records import ActorKind
+from carla_recap.queries.kinds import KINDS
 from carla_recap.rendering.looks import look_of_present
 from carla_recap.rendering.materials import Tag
 
@@ -63,6 +64,20 @@ def shortened(text: str) -> str:
 def hexadecimal(color: Color) -> str:
     """Return a colour in the notation of style sheets."""
     return "#{:02x}{:02x}{:02x}".format(*color)
+
+
+def kind_data() -> dict[str, Any]:
+    """Return what the page shows of each kind of incident, by name, the most important first."""
+    return {
+        kind.name: {
+            "name": kind.name.capitalize(),
+            "many": kind.plural[:1].upper() + kind.plural[1:],
+            "icon": kind.icon,
+            "dark": kind.dark,
+            "light": kind.light,
+        }
+        for kind in KINDS.values()
+    }
 
 
 def actor_data(sampled: SampledActor) -> dict[str, Any]:

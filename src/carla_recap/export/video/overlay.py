@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any, Final, NamedTuple
 import numpy as np
 
 from carla_recap.export.style import LIGHTS
+from carla_recap.queries.kinds import KINDS
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
@@ -27,18 +28,6 @@ _UNLIT: Final[Color] = (62, 65, 70, 255)
 _THROTTLE: Final[Color] = (70, 210, 110, 255)
 _BRAKE: Final[Color] = (235, 64, 52, 255)
 _STEER: Final[Color] = (120, 186, 255, 255)
-_KINDS: Final[dict[str, Color]] = {
-    "collision": (235, 64, 52, 255),
-    "hard braking": (245, 166, 66, 255),
-    "blocked": (150, 170, 255, 255),
-    "red light": (255, 111, 165, 255),
-    "wrong way": (255, 138, 102, 255),
-    "off road": (214, 179, 106, 255),
-    "stop sign": (240, 143, 214, 255),
-    "near miss": (255, 210, 77, 255),
-    "speeding": (92, 200, 255, 255),
-}
-
 _REFERENCE: Final = (1280, 720)  # the size in which the lengths below are given, in pixels
 _GROWTH: Final = 0.75  # the exponent by which they grow with the size, so that small videos are still readable
 _MARGIN: Final = 24
@@ -195,7 +184,7 @@ class Overlay:
         half = self._length(2)
         for part, kind in self._marks:
             x = round(part * self._width)
-            line[:, max(x - half, 0) : x + half] = _KINDS.get(kind, _WHITE)[2::-1]
+            line[:, max(x - half, 0) : x + half] = _color(kind)[2::-1]
 
     def _clock(self, time: float) -> Any:
         font, small = self._font(30), self._font(15)
@@ -254,7 +243,7 @@ class Overlay:
         text = _fitting(caption.text, font, self._width - 2 * self._length(_MARGIN) - 3 * pad - dot)
         width, height = round(font.getlength(text)) + 3 * pad + dot, self._length(44)
         image, draw = _panel_image(width, height, self._length(_RADIUS))
-        color = _KINDS.get(caption.kind, _WHITE)
+        color = _color(caption.kind)
         spot = _smooth_image(dot, dot, lambda draw, scale: draw.ellipse((0, 0, dot * scale - 1, dot * scale - 1), color))
         image.alpha_composite(spot, (pad, (height - dot) // 2))
         draw.text((2 * pad + dot, height // 2 + self._length(8)), text, _WHITE, font, anchor="ls")
@@ -321,6 +310,12 @@ def _digit_width(font: Any) -> int:
 def _number_width(text: str, font: Any) -> int:
     """Return the width of a text whose digits are all equally wide, so that it stands still while they change."""
     return sum(_digit_width(font) if char.isdigit() else math.ceil(font.getlength(char)) for char in text)
+
+
+def _color(kind: str) -> Color:
+    """Return the colour of a kind of incident."""
+    red, green, blue = bytes.fromhex(KINDS[kind].dark.removeprefix("#"))
+    return red, green, blue, 255
 
 
 def _draw_number(draw: Any, start: tuple[int, int], text: str, font: Any, color: Color) -> int:

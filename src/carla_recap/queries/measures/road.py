@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 from collections import defaultdict
-from typing import TYPE_CHECKING, Final, Literal, NamedTuple
+from typing import TYPE_CHECKING, Final, NamedTuple
 
 import numpy as np
 
@@ -31,8 +31,6 @@ if TYPE_CHECKING:
     Floats = NDArray[np.float64]
     Indices = NDArray[np.int64]
     Flags = NDArray[np.bool_]
-
-RoadKind = Literal["red light", "stop sign", "off road", "wrong way", "speeding"]
 
 TYPES: Final = ("transforms", "light_states")
 """The record types that are read."""
@@ -84,7 +82,7 @@ class RoadEvent(NamedTuple):
         text: What the vehicle does: a sentence without subject and full stop.
     """
 
-    kind: RoadKind
+    kind: str
     id: int
     start: float
     stop: float
@@ -127,7 +125,7 @@ class RoadSearch:
         self._first_on_road: dict[int, float] = {}
         self._slow: dict[int, tuple[float, float, float]] = {}  # where the front of each vehicle was when it last stood
         self._crossings: list[_Crossing] = []
-        self._runs: dict[RoadKind, list[_Run]] = defaultdict(list)
+        self._runs: dict[str, list[_Run]] = defaultdict(list)
         self.extremes: dict[int, dict[str, Extreme]] = defaultdict(dict)
 
     def add(self, batch: Batch) -> None:
@@ -202,7 +200,7 @@ class RoadSearch:
 
     def _add_runs(
         self,
-        kind: RoadKind,
+        kind: str,
         motion: _Motion,
         flags: Flags,
         values: Floats,
@@ -299,7 +297,7 @@ class RoadSearch:
             if front is None:
                 continue
             text, threshold = "", math.nan
-            kind: RoadKind = "red light"
+            kind = "red light"
             light = self._lights.red_during(signal, front.time, crossing.time)
             if light is not None:
                 text = f"runs a red light at {front.speed * _KMH:.0f} km/h (light {light})"
@@ -427,7 +425,7 @@ class _Run(NamedTuple):
     time: float
     limit: float
 
-    def event(self, kind: RoadKind, measure: str, threshold: float, text: str) -> RoadEvent:
+    def event(self, kind: str, measure: str, threshold: float, text: str) -> RoadEvent:
         """Return the event that this is."""
         return RoadEvent(
             kind,

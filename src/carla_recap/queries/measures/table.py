@@ -174,6 +174,15 @@ def _where(condition: Any, values: Any) -> Floats:
     return np.where(condition, values, np.nan)
 
 
+RELATIVE_SPEED: Final = Measure(
+    name="relative_speed",
+    unit="m/s",
+    extreme="greatest",
+    text="the magnitude of the difference of both velocities just before the contact",
+)
+DURATION: Final = Measure(name="duration", unit="s", extreme="greatest", text="the duration")
+"""Measures of incidents alone, which have no row in the answer of `measures`."""
+
 MEASURES: Final = _named(
     (
         Measure(

@@ -13,8 +13,9 @@ from carla_recap.queries.blocked import Blocked, BlockedRow
 from carla_recap.queries.collisions import CollisionRow
 from carla_recap.queries.incidents import Incident
 from carla_recap.queries.info import Info, InfoRow
+from carla_recap.queries.kinds import KINDS
 from carla_recap.queries.measures.table import MeasureRow
-from carla_recap.queries.output.terminal import TableColumn, brief_actor, kind_style, print_table
+from carla_recap.queries.output.terminal import TableColumn, actor_style, brief_actor, print_table
 from carla_recap.queries.output.text import local_date
 from carla_recap.util.text import number, visible
 
@@ -154,7 +155,7 @@ _COLUMNS: Final[dict[type, tuple[_Column, ...]]] = {
     ),
     ActorLife: (
         _number("Id", lambda row: str(row.id)),
-        _column("Kind", lambda row: row.kind, style=kind_style),
+        _column("Kind", lambda row: row.kind, style=actor_style),
         _name("Actor", lambda row: row.type_id),
         _column("Role", lambda row: row.role_name, narrowed="middle", rank=-3),
         _number("From (s)", lambda row: _seconds(row.spawned_at), rank=-2),
@@ -181,7 +182,7 @@ _COLUMNS: Final[dict[type, tuple[_Column, ...]]] = {
     Incident: (
         _number("Start (s)", lambda row: _seconds(row.start)),
         _number("Stop (s)", lambda row: _seconds(row.stop), rank=2),
-        _column("Incident", lambda row: row.kind, style=kind_style),
+        _column("Incident", lambda row: row.kind, style=lambda kind: KINDS[kind].style),
         _column("What happens", lambda row: row.text, narrowed="words", brief=brief_actor),
         _column("Place (m)", lambda row: ", ".join(f"{number:.1f}" for number in (row.x, row.y, row.z)), rank=1),
     ),

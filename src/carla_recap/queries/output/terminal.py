@@ -184,18 +184,6 @@ def brief_actor(name: str) -> str:
     return re.sub(r"\b(?:vehicle|walker)\.(?=\w)", "", name)
 
 
-_KIND_STYLES: Final = {
-    "vehicle": "cyan",
-    "walker": "magenta",
-    "collision": "red",
-    "near miss": "yellow",
-    "hard braking": "yellow",
-    "blocked": "cyan",
-}
-
-
-def kind_style(kind: str) -> str:
-    """Return the style of a kind of actor or of incident; offences against rules of the road are magenta."""
-    if kind in _KIND_STYLES:
-        return _KIND_STYLES[kind]
-    return "" if not kind else "dim" if "_" in kind or kind in ("sensor", "other") else "magenta"
+def actor_style(kind: str) -> str:
+    """Return the style of a kind of actor."""
+    return {"vehicle": "cyan", "walker": "magenta", "": ""}.get(kind, "dim")

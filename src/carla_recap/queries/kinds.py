@@ -1,0 +1,186 @@
+"""The table of kinds of incidents: a row for each, which queries, rules, texts, the incident page and videos use."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Final
+
+from carla_recap.errors import RecapError
+from carla_recap.queries.measures.table import DURATION, MEASURES, RELATIVE_SPEED, Measure
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable, Mapping
+
+
+@dataclass(frozen=True, kw_only=True)
+class IncidentKind:
+    """A row of the table.
+
+    Attributes:
+        name: The name in data, such as `near miss`.
+        singular, plural: The noun in texts, such as `long stop` and `long stops`.
+        text: The definition, as in docs/incidents.md.
+        measures: What its incidents are measured by.
+        dark, light: Its colour on dark and on light ground, such as `#ff5f5f`.
+        style: Its style in a terminal.
+        icon: The path of its icon on the incident page, in a square of 16 units.
+        every_frame: Whether every frame is read to find it, so that it is looked for only if it is asked for.
+        needs_roads: Whether the roads of the map are needed.
+    """
+
+    name: str
+    singular: str
+    plural: str
+    text: str
+    measures: tuple[Measure, ...]
+    dark: str
+    light: str
+    style: str
+    icon: str
+    every_frame: bool = False
+    needs_roads: bool = False
+
+    @property
+    def option(self) -> str:
+        """The name as it is written in options and in names of files, such as `near-miss`."""
+        return self.name.replace(" ", "-")
+
+
+def _named(kinds: Iterable[IncidentKind]) -> Mapping[str, IncidentKind]:
+    return {kind.name: kind for kind in kinds}
+
+
+KINDS: Final = _named(
+    (
+        IncidentKind(
+            name="collision",
+            singular="collision",
+            plural="collisions",
+            text="all frames of one contact between two actors; its duration is 0 if one frame alone has it",
+            measures=(RELATIVE_SPEED,),
+            dark="#ff5f5f",
+            light="#cf2230",
+            style="red",
+            icon="M4.5 4.5l7 7m0-7l-7 7",
+        ),
+        IncidentKind(
+            name="red light",
+            singular="red light run",
+            plural="red light runs",
+            text="the front of a vehicle crosses the stop line of a traffic light that is red, and the vehicle goes on: its "
+            "location crosses the line, too, before the light changes; the heading differs from that of the lane by 45 "
+            "degrees at most",
+            measures=(MEASURES["speed"],),
+            dark="#ff6fa5",
+            light="#b3125f",
+            style="magenta",
+            icon="M5.5 2.5h5v11h-5zM8 5.2v.1M8 8v.1M8 10.8v.1",
+            every_frame=True,
+            needs_roads=True,
+        ),
+        IncidentKind(
+            name="wrong way",
+            singular="drive in the wrong direction",
+            plural="drives in the wrong direction",
+            text="a vehicle drives faster than 1 m/s against the direction of the lane below it for 1 s or more, and its "
+            "heading differs from that direction by more than 120 degrees; not in junctions, where lanes cross",
+            measures=(MEASURES["distance_against_lane"],),
+            dark="#ff8a66",
+            light="#a8380f",
+            style="magenta",
+            icon="M13 8H3.5M7 4.5L3.5 8 7 11.5",
+            every_frame=True,
+            needs_roads=True,
+        ),
+        IncidentKind(
+            name="off road",
+            singular="departure from the road",
+            plural="departures from the road",
+            text="the location of a vehicle that was on the road is more than 0.3 m outside it for 0.5 s or more",
+            measures=(MEASURES["distance_off_road"],),
+            dark="#d6b36a",
+            light="#7a5a12",
+            style="magenta",
+            icon="M5 13.5V9c0-2 1-3 3-3h4M9.5 3.5L12 6 9.5 8.5",
+            every_frame=True,
+            needs_roads=True,
+        ),
+        IncidentKind(
+            name="stop sign",
+            singular="stop sign run",
+            plural="stop sign runs",
+            text="front and location of a vehicle cross the stop line of a stop sign, and it was not slower than 0.5 m/s "
+            "when its front was within 8 m before the line",
+            measures=(MEASURES["speed"],),
+            dark="#f08fd6",
+            light="#96308a",
+            style="magenta",
+            icon="M6 3h4l3 3v4l-3 3H6l-3-3V6z",
+            every_frame=True,
+            needs_roads=True,
+        ),
+        IncidentKind(
+            name="near miss",
+            singular="near miss",
+            plural="near misses",
+            text="two actors almost collide; see [near misses](measures.md#near-misses)",
+            measures=(
+                MEASURES["time_to_collision"],
+                MEASURES["post_encroachment_time"],
+            ),
+            dark="#ffd24d",
+            light="#806300",
+            style="yellow",
+            icon="M3.5 3.5l3 3M12.5 12.5l-3-3M12.5 3.5l-3 3M3.5 12.5l3-3",
+            every_frame=True,
+        ),
+        IncidentKind(
+            name="hard braking",
+            singular="hard braking",
+            plural="hard braking",
+            text="a vehicle decelerates by at least 6 m/s² for at least 0.3 s",
+            measures=(MEASURES["deceleration"],),
+            dark="#ffa24d",
+            light="#b45a00",
+            style="yellow",
+            icon="M4 4l4 4 4-4M4 8.5l4 4 4-4",
+        ),
+        IncidentKind(
+            name="speeding",
+            singular="speeding",
+            plural="speeding",
+            text="a vehicle drives more than 5 km/h faster than the limit for 1 s or more",
+            measures=(MEASURES["speed_over_limit"],),
+            dark="#5cc8ff",
+            light="#0b6fa8",
+            style="magenta",
+            icon="M3 11.5a5.2 5.2 0 0 1 10 0M8 11.5l3-4",
+            every_frame=True,
+            needs_roads=True,
+        ),
+        IncidentKind(
+            name="blocked",
+            singular="long stop",
+            plural="long stops",
+            text="a vehicle or walker stands still for at least 30 s",
+            measures=(DURATION,),
+            dark="#b9a0ff",
+            light="#6a45c9",
+            style="cyan",
+            icon="M5.5 4v8M10.5 4v8",
+        ),
+    )
+)
+"""The kinds of incidents by name, the most important first."""
+
+
+def kind_named(text: str) -> IncidentKind:
+    """Return a kind by its name, with spaces, hyphens or underscores.
+
+    Raises:
+        RecapError: There is no such kind.
+    """
+    found = KINDS.get(" ".join(text.replace("-", " ").replace("_", " ").split()).lower())
+    if found is None:
+        raise RecapError(f"{text!r} is no kind of incident; there are {', '.join(kind.option for kind in KINDS.values())}")
+    return found
