@@ -104,7 +104,7 @@ def verdict(sample: str, rule: str):
             "crash.mcap",
             'incidents = { kind = ["hard-braking", "blocked"], max = 9 }',
             "pass",
-            "2 long stops or hard braking",
+            "2 hard braking or long stops",
         ),
         (
             "junction.mcap",
