@@ -327,7 +327,7 @@ def test_the_description_is_the_authors_or_that_of_the_condition():
             "collisions.of: 'heros'; hero, vehicle, walker, any, role:NAME or ",
         ),
         ("[rules.a]\ncollisions = { max = 0, of = ['hero'] }", "collisions.of: ['hero']; hero, vehicle, "),
-        ("[rules.a]\nincidents = { max = 0 }", "incidents.kind: is missing; one or a list of collision, blocked, "),
+        ("[rules.a]\nincidents = { max = 0 }", "incidents.kind: is missing; one or a list of collision, red light, "),
         ("[rules.a]\nincidents = { max = 0, kind = 'crash' }", "incidents.kind: 'crash'; one or a list of collision, "),
         ("[rules.a]\nincidents = { max = 0, kind = [] }", "incidents.kind: []; one or a list of collision, "),
         (

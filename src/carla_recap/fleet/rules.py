@@ -321,10 +321,9 @@ def _collisions(fields: _Fields) -> Condition:
 def _incidents(fields: _Fields) -> Condition:
     expected = f"one or a list of {', '.join(KINDS)}"
     try:
-        given = {kind_named(text).name for text in fields.texts("kind", expected)}
+        kinds = tuple(dict.fromkeys(kind_named(text).name for text in fields.texts("kind", expected)))
     except RecapError:
         raise fields.wrong("kind", expected) from None
-    kinds = tuple(kind for kind in KINDS if kind in given)
     return conditions.IncidentCount(kinds, fields.selector("of"), Selector(), fields.counts())
 
 
