@@ -3,7 +3,7 @@ from __future__ import annotations
 import numpy as np
 
 from carla_recap.model.records import UE4
-from carla_recap.model.segment import last_of_each, segments
+from carla_recap.model.segment import SegmentBuffer, last_of_each, segments
 
 
 def frames(*listed: tuple[int, ...]) -> np.ndarray:
@@ -43,3 +43,30 @@ def test_no_frames_and_no_records() -> None:
 def test_the_last_record_of_an_actor_counts() -> None:
     assert last_of_each(np.array([3, 5, 8])).tolist() == [0, 1, 2]
     assert last_of_each(np.array([8, 3, 8, 3, 5])).tolist() == [3, 4, 2]
+
+
+def test_segments_as_dense_arrays() -> None:
+    buffer = SegmentBuffer()
+    for part in (frames((7, 8), (7, 8)), frames((8, 9), (8, 9), (9, 9))):
+        buffer.add(segments(part), len(part))
+    assert buffer.frames == 5
+    assert buffer.ids().tolist() == [7, 8, 9]
+    assert buffer.ids(0, 2).tolist() == [7, 8]
+    (x,), known = buffer.dense("x", np.array([7, 9]))
+    assert known.tolist() == [[True, True, False, False, False], [False, False, True, True, True]]
+    assert x[known].tolist() == [0, 2, 1, 3, 5]  # the last one of two
+    (x,), known = buffer.dense("x", np.array([8]), 1, 4)
+    assert (x.tolist(), known.all()) == ([[3, 0, 2]], True)
+
+
+def test_frames_that_are_dropped() -> None:
+    buffer = SegmentBuffer()
+    for part in (frames((7, 8), (7, 8), (7, 8)), frames((8, 9), (8, 9))):
+        buffer.add(segments(part), len(part))
+    buffer.drop(2)
+    assert (buffer.frames, buffer.ids().tolist()) == (3, [7, 8, 9])
+    assert buffer.dense("x", np.array([7, 8]))[0].tolist() == [[[4, 0, 0], [5, 0, 2]]]
+    buffer.drop(1)
+    assert (buffer.frames, buffer.ids().tolist()) == (2, [8, 9])
+    values, known = buffer.dense("xy", np.array([5]))
+    assert (values.shape, known.any()) == ((2, 1, 2), False)

@@ -53,7 +53,11 @@ def test_no_hard_braking_is_missed(path, monkeypatch):
 
     with open_recording(path) as recording:
         found = hard_braking(recording)
-        monkeypatch.setattr(braking, "_suspects", lambda transforms, *_: transforms.ids())
+        monkeypatch.setattr(braking, "_SURE", -math.inf)  # every vehicle is examined
+        assert found == hard_braking(recording)
+        monkeypatch.setattr(braking, "_FRAMES", 70)
+        monkeypatch.setattr(braking, "_CELLS", 200)
+        monkeypatch.setattr(braking, "_CACHED", 100)
         assert found == hard_braking(recording)
     assert len(found) > 5
 

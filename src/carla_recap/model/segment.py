@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator
+    from collections.abc import Iterable, Iterator, Sequence
 
     from numpy.typing import NDArray
 
@@ -79,3 +79,67 @@ def last_of_each(ids: Ids) -> Indices:
     _, behind = np.unique(ids[::-1], return_index=True)
     last: Indices = len(ids) - 1 - behind
     return last
+
+
+class SegmentBuffer:
+    """The segments of a record type in the latest frames of a recording.
+
+    Attributes:
+        frames: The number of frames.
+    """
+
+    def __init__(self) -> None:
+        self.frames = 0
+        self._segments: list[Segment] = []
+
+    def add(self, found: Iterable[Segment], frames: int) -> None:
+        """Add segments of the next frames, whose numbers begin at 0, and the number of these frames."""
+        self._segments += (replace(each, first=self.frames + each.first) for each in found if len(each.ids))
+        self.frames += frames
+
+    def drop(self, count: int) -> None:
+        """Drop the first frames; the numbers of the others begin at 0 again."""
+        self._segments = [replace(each, first=each.first - count) for each in self._within(count, self.frames)]
+        self.frames -= count
+
+    def ids(self, start: int = 0, stop: int | None = None) -> Ids:
+        """Return the ids in some frames, ascending."""
+        listed = {each.ids.tobytes(): each.ids for each in self._within(start, self.frames if stop is None else stop)}
+        return np.unique(np.concatenate(list(listed.values()))) if listed else np.zeros(0, np.uint32)
+
+    def dense(
+        self, fields: Sequence[str], ids: Ids, start: int = 0, stop: int | None = None
+    ) -> tuple[NDArray[Any], Booleans]:
+        """Return fields of the last record of each actor in each of some frames, and where there is such a record.
+
+        For example, if 7 is in both of two frames, and 8 in the second one, x is [[3, 4], [0, 9]], and where it is known
+        [[True, True], [False, True]].
+
+        Args:
+            fields: The fields, of one type.
+            ids: The actors, ascending.
+            start: The first frame.
+            stop: The frame before which to stop; None: until the last one.
+
+        Returns:
+            The values, (fields, actors, frames), and whether they are known, (actors, frames).
+        """
+        stop = self.frames if stop is None else stop
+        found = list(self._within(start, stop))
+        kind = found[0].records.dtype[fields[0]] if found else np.dtype("f4")
+        values = np.zeros((len(fields), len(ids), stop - start), kind)
+        known = np.zeros((len(ids), stop - start), np.bool_)
+        for segment in found if len(ids) else ():
+            row = np.minimum(np.searchsorted(ids, segment.ids), len(ids) - 1)
+            wanted = ids[row] == segment.ids
+            if not wanted.all():
+                segment, row = segment.only(wanted), row[wanted]
+            frames = slice(max(segment.first - start, 0), segment.first + len(segment) - start)
+            taken = slice(max(start - segment.first, 0), stop - segment.first)
+            for number, field in enumerate(fields):
+                values[number, row, frames] = segment.field(field)[taken].T
+            known[row, frames] = True
+        return values, known
+
+    def _within(self, start: int, stop: int) -> Iterator[Segment]:
+        return (each for each in self._segments if each.first < stop and each.first + len(each) > start)

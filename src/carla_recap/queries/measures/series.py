@@ -31,8 +31,6 @@ NOBODY: Final = -1
 
 _FEW: Final = 4  # actors for which pairs are looked for
 _MORE: Final = 8  # times as many frames at once, since the number of steps costs more than that of pairs
-_STEPS: Final = 32  # frames before and after a moment that count, at most
-_LONGEST: Final = 1.0  # s between frames that belong together, at most
 
 
 @dataclass(eq=False)
@@ -130,37 +128,3 @@ def _add_gaps(gaps: _Least, row: Indices, pairs: PairFrames) -> None:
     kept = pairs.distance - pairs.around() <= np.minimum(most, gaps.value.ravel())[key]
     pairs = pairs.take(kept)
     gaps.add(row[kept], pairs, pairs.gap())
-
-
-def slope(time: Floats, values: Floats, half_window: float) -> Floats:
-    """Return the slopes of straight lines through the values around each moment; NaN where there are none.
-
-    Args:
-        time: The times of the frames in s, (frames,).
-        values: The values, (series, frames); NaN where they are unknown.
-        half_window: The time before and after a moment of which the values count, in s; the frames next to it do, too.
-    """
-    known = ~np.isnan(values)
-    values = np.where(known, values, 0.0)
-    count = known.astype(np.float64)
-    times, sums, squares, products = np.zeros((4, *values.shape))
-    for apart in range(1, min(_STEPS + 1, len(time))):
-        with np.errstate(invalid="ignore"):
-            seconds = time[apart:] - time[:-apart]
-            near = (seconds > 0) & (seconds <= (_LONGEST if apart == 1 else half_window + 1e-6))
-        if not near.any():
-            break
-        seconds = np.where(near, seconds, 0.0)
-        both = near & known[:, apart:] & known[:, :-apart]
-        change = np.where(both, values[:, apart:] - values[:, :-apart], 0.0)
-        distance = np.where(both, seconds, 0.0)
-        for rows, sign in ((slice(None, -apart), 1), (slice(apart, None), -1)):
-            count[:, rows] += both
-            times[:, rows] += sign * distance
-            sums[:, rows] += sign * change
-            squares[:, rows] += distance * distance
-            products[:, rows] += distance * change
-    spread = count * squares - times * times
-    slopes = np.full(values.shape, np.nan)
-    np.divide(count * products - times * sums, spread, out=slopes, where=known & (count > 1) & (spread > 0))
-    return slopes

@@ -7,7 +7,8 @@ from typing import TYPE_CHECKING, Any, Final, Literal, NamedTuple
 
 import numpy as np
 
-from carla_recap.queries.measures.series import JERK_WINDOW, NOBODY, SPEED_WINDOW, slope
+from carla_recap.model.motion import slope
+from carla_recap.queries.measures.series import JERK_WINDOW, NOBODY, SPEED_WINDOW
 from carla_recap.tables import Columns
 
 if TYPE_CHECKING:

@@ -1,0 +1,95 @@
+"""How actors move: what a jump is, and speeds and accelerations where none are recorded."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Final
+
+import numpy as np
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+    Booleans = NDArray[np.bool_]
+    Floats = NDArray[np.float64]
+    Indices = NDArray[np.intp]
+
+JUMP: Final = 5.0
+"""The shortest step that can be a jump, in m."""
+TOP_SPEED: Final = 100.0
+"""The speed that no actor exceeds, in m/s."""
+LONGEST_STEP: Final = 1.0
+"""The longest time between two frames of an actor from which its motion between them follows, in s."""
+
+_SLACK: Final = 3.0  # a jump is longer than the recorded velocity explains by more than this factor
+_ROUNDING: Final = 1e-6  # s
+
+
+def possible_step(seconds: Floats | float, speed: Floats | float = np.nan, *, least: float = JUMP) -> Floats:
+    """Return how far an actor gets in some time at most, in m; a longer step is a jump.
+
+    That is three times the way at the recorded velocity, or the way at 100 m/s if none is recorded, and at least 5 m. In
+    0.2 s, a step of 19 m is possible, but a jump if the recorded velocity is 30 m/s, which explains 18 m.
+
+    Args:
+        seconds: The time of the step, in s.
+        speed: The greater one of the velocities recorded at its ends, in m/s; NaN if none is.
+        least: The shortest step that can be a jump if no velocity is recorded, in m: 0 where a speed is derived from it.
+    """
+    seconds, speed = np.asarray(seconds), np.asarray(speed)
+    return np.where(np.isnan(speed), np.maximum(TOP_SPEED * seconds, least), np.maximum(_SLACK * speed * seconds, JUMP))
+
+
+def neighbours(joined: Booleans) -> tuple[Indices, Indices]:
+    """Return the frame before each frame and the one behind it, or itself in place of one that it does not belong to.
+
+    If the first two of three frames belong together, that is 0 0 2 and 1 1 2.
+
+    Args:
+        joined: Whether each frame and the next one belong together, (frames - 1,).
+    """
+    frame = np.arange(len(joined) + 1)
+    return frame - np.append(False, joined), frame + np.append(joined, False)
+
+
+def slope(time: Floats, values: Floats, half_window: float, *, joined: Booleans | None = None, most: int = 32) -> Floats:
+    """Return the slopes of straight lines through the values around each moment; NaN where there are none.
+
+    A single wrong value has little effect on such a slope.
+
+    Args:
+        time: The times of the frames in s, (frames,).
+        values: The values, (series, frames); NaN where they are unknown.
+        half_window: The time before and after a moment of which the values count, in s; the frames next to it do, too.
+        joined: Whether each frame and the next one belong together, (frames - 1,); None: if at most 1 s is between them.
+        most: The number of frames before and after a moment that count, at most.
+    """
+    known = ~np.isnan(values)
+    values = np.where(known, values, 0.0)
+    count = known.astype(np.float64)
+    times, sums, squares, products = np.zeros((4, *values.shape))
+    linked = joined
+    for apart in range(1, min(most + 1, len(time))):
+        with np.errstate(invalid="ignore"):
+            seconds = time[apart:] - time[:-apart]
+            near = (seconds > 0) & (seconds <= (LONGEST_STEP if apart == 1 else half_window + _ROUNDING))
+        if joined is not None and linked is not None:
+            linked = joined if apart == 1 else linked[:-1] & joined[apart - 1 :]
+            near = linked if apart == 1 else near & linked
+        if not near.any():
+            break
+        seconds = np.where(near, seconds, 0.0)
+        both = near & known[:, apart:] & known[:, :-apart]
+        with np.errstate(invalid="ignore"):  # of infinite values
+            change = np.where(both, values[:, apart:] - values[:, :-apart], 0.0)
+        distance = np.where(both, seconds, 0.0)
+        for rows, sign in ((slice(None, -apart), 1), (slice(apart, None), -1)):
+            count[:, rows] += both
+            times[:, rows] += sign * distance
+            sums[:, rows] += sign * change
+            squares[:, rows] += distance * distance
+            products[:, rows] += distance * change
+    with np.errstate(invalid="ignore"):
+        spread = count * squares - times * times
+        slopes = np.full(values.shape, np.nan)
+        np.divide(count * products - times * sums, spread, out=slopes, where=known & (count > 1) & (spread > 0))
+    return slopes

@@ -1,0 +1,55 @@
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from carla_recap.model.motion import neighbours, possible_step, slope
+
+
+@pytest.mark.parametrize(
+    ("seconds", "speed", "least", "step"),
+    [
+        (0.2, np.nan, 5.0, 20.0),
+        (0.2, 30.0, 5.0, 18.0),
+        (0.01, np.nan, 5.0, 5.0),
+        (0.01, np.nan, 0.0, 1.0),
+        (0.01, 30.0, 0.0, 5.0),
+        (0.2, 0.0, 5.0, 5.0),
+        (0.0, np.nan, 5.0, 5.0),
+    ],
+)
+def test_a_longer_step_is_a_jump(seconds: float, speed: float, least: float, step: float) -> None:
+    assert possible_step(seconds, speed, least=least) == pytest.approx(step)
+
+
+def test_steps_of_several_actors() -> None:
+    speed = np.array([[np.nan, 10.0], [40.0, np.nan]])
+    assert possible_step(np.array([0.1, 0.2]), speed).tolist() == [[10.0, 6.0], [12.0, 20.0]]
+
+
+def test_neighbours() -> None:
+    before, after = neighbours(np.array([True, False, True, True]))
+    assert before.tolist() == [0, 0, 2, 2, 3]
+    assert after.tolist() == [1, 1, 3, 4, 4]
+
+
+def test_the_slope_of_a_line_through_values() -> None:
+    time = np.arange(8) * 0.05
+    values = np.stack((7 - 3 * time, np.where(time == time[3], np.nan, 2 * time)))
+    slopes = slope(time, values, 0.125)
+    assert slopes[0] == pytest.approx(-3)
+    assert slopes[1, [0, 1, 2, 4, 5, 6, 7]] == pytest.approx(2)
+    assert np.isnan(slopes[1, 3])
+
+
+def test_a_slope_ends_where_frames_do_not_belong_together() -> None:
+    time = np.arange(6) * 0.05
+    values = np.array([[0.0, 1.0, 2.0, 100.0, 102.0, 104.0]])
+    joined = np.array([True, True, False, True, True])
+    assert slope(time, values, 0.125, joined=joined)[0] == pytest.approx([20, 20, 20, 40, 40, 40])
+    assert slope(time, values, 0.125)[0, 2] > 400
+
+
+def test_over_a_long_time_there_is_no_slope() -> None:
+    assert np.isnan(slope(np.array([0.0, 1.5, 3.0]), np.array([[1.0, 2.0, 3.0]]), 0.125)).all()
+    assert slope(np.array([0.0, 0.9]), np.array([[0.0, 1.8]]), 0.125)[0] == pytest.approx([2, 2])
