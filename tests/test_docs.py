@@ -22,7 +22,7 @@ import carla_recap
 from carla_recap import MissingExtra
 from carla_recap.cli import cli
 from carla_recap.model.layout import Framing, Layout, Many
-from carla_recap.model.records import UE4, Group
+from carla_recap.model.records import NO_ACTOR, UE4, ActorKind, Group, Spawn, attributes
 from tests.waiting import PATIENCE
 
 if TYPE_CHECKING:
@@ -264,11 +264,35 @@ def working_directory(tmp_path, monkeypatch):
     for name, source in FILES.items():
         (tmp_path / name).parent.mkdir(exist_ok=True)
         (tmp_path / name).symlink_to(ROOT / "samples" / source)
+    scraping(tmp_path / "scraping.log")
     (metric,) = blocks(ROOT / "docs" / "scenario-runner.md", "py")
     (tmp_path / "my_metric.py").write_text(metric, "utf-8")
     (tmp_path / "criteria.json").write_text("{}", "utf-8")
     monkeypatch.chdir(tmp_path)
     return tmp_path
+
+
+def scraping(path: Path) -> None:
+    """Write a recording in which a car scrapes along a barrier, and another car with a collision sensor hits it."""
+    touched = {number: [(1, NO_ACTOR)] for number in (20, 21, 24, 25, 40)} | {
+        56: [(1, 2), (2, 1)],
+        57: [(2, 1)],
+        58: [(1, 2)],
+    }
+    cars = [
+        Spawn(1, ActorKind.VEHICLE, type_id="vehicle.tesla.model3", attributes=attributes(role_name="hero")),
+        Spawn(2, ActorKind.VEHICLE, type_id="vehicle.audi.tt"),
+    ]
+    with carla_recap.create_recording(path, map_name="Town01", date=1_767_261_600) as recorder:
+        for number in range(101):
+            pairs = touched.get(number, [])
+            hits = {
+                "actor1": [one for one, _ in pairs],
+                "actor2": [two for _, two in pairs],
+                "hero1": [one == 1 for one, _ in pairs],
+            }
+            more = {"spawned": cars} if not number else {}
+            recorder.add_frame(number / 20, transforms={"id": [1, 2], "x": [100 * number, 6000]}, collisions=hits, **more)
 
 
 def snippets() -> list[object]:

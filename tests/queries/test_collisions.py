@@ -7,6 +7,7 @@ import pytest
 from carla_recap.errors import RecapError
 from carla_recap.model.records import NO_ACTOR, Spawn
 from carla_recap.queries.collisions import CollisionRow, collisions
+from carla_recap.queries.incidents import incidents
 from carla_recap.queries.output.text import text
 
 if TYPE_CHECKING:
@@ -40,6 +41,19 @@ def test_a_contact_that_goes_on_gives_one_row(make: Make) -> None:
     other_way = {"collisions": [(0, 2, 1, 0, 0)]}
     answer = collisions(make({"spawned": CAST}, contact, contact, {}, contact, contact, other_way))
     assert [(row.frame, row.id1) for row in answer] == [(2, 1), (5, 1), (7, 2)]
+
+
+def test_rows_say_which_contact_they_belong_to(make: Make) -> None:
+    """Bounces and a second sensor give further rows, as in CARLA; an incident is a whole contact."""
+    wall, both = {"collisions": [(0, 1, NO_ACTOR, 1, 0)]}, {"collisions": [(0, 1, 2, 1, 0), (0, 2, 1, 0, 1)]}
+    reader = make({"spawned": CAST}, wall, {}, wall, both, {}, both, durations=[0.25] * 7)
+    answer = collisions(reader)
+    assert [(row.elapsed, row.contact) for row in answer] == [(0.25, 1), (0.75, 1), *[(1.0, 2)] * 2, *[(1.5, 2)] * 2]
+    assert answer.contacts == 2
+    found = incidents(reader, kinds=["collision"])
+    assert [(row.start, row.stop) for row in found] == [(0.25, 0.75), (1.0, 1.5)]
+    assert [row.contact and row.contact.number for row in found] == [1, 2]
+    assert [row.contact for row in collisions(reader, "w", "a")] == [2, 2]
 
 
 def test_other_events_do_not_bridge_a_gap(make: Make) -> None:

@@ -71,6 +71,11 @@ class Collisions(Answer[CollisionRow]):
     row_type = CollisionRow
     row_units: ClassVar = {"elapsed": "s", "impact_speed": "m/s", "relative_speed": "m/s"}
 
+    @property
+    def contacts(self) -> int:
+        """The number of contacts that the rows belong to."""
+        return len({row.contact for row in self})
+
 
 def collisions(
     source: Reader, type1: str = "a", type2: str = "a", *, compat: bool = False, speeds: bool = True

@@ -101,10 +101,16 @@ def test_table_of_collisions(make: Make) -> None:
     reader = make(before, {"collisions": [(0, 1, NO_ACTOR, 1, 0), (0, 1, 9, 0, 0)]})
     lines = [" ".join(line.split()) for line in printed(collisions(reader)).splitlines()]
     assert lines[0] == "Town01, 09/13/20 12:26:40, version 1"
-    assert "Time (s) Frame Id Actor 1 Id Actor 2 Impact (m/s) Relative (m/s)" in lines
-    assert "0.50 2 1 vehicle.a (hero) a static object 5.00 5.00" in lines
-    assert "0.50 2 1 vehicle.a 9 unknown 5.00" in lines
+    assert "Time (s) Frame Id Actor 1 Id Actor 2 Contact Impact (m/s) Relative (m/s)" in lines
+    assert "0.50 2 1 vehicle.a (hero) a static object 1 5.00 5.00" in lines
+    assert "0.50 2 1 vehicle.a 9 unknown 2 5.00" in lines
     assert lines[-1] == "2 rows; 2 frames, 0.5 seconds"
+
+
+def test_table_of_a_contact_that_is_interrupted(make: Make) -> None:
+    hit = {"collisions": [(0, 1, 2, 0, 0)]}
+    lines = printed(collisions(make(hit, {}, hit, durations=[0.25] * 3))).splitlines()
+    assert lines[-1] == "2 rows of 1 contact; 3 frames, 0.5 seconds"
 
 
 def test_table_of_blocked(make: Make) -> None:

@@ -10,7 +10,7 @@ from carla_recap.model.actors import STATIC_OBJECT, ActorLife
 from carla_recap.model.records import NO_ACTOR
 from carla_recap.queries.actors import RecordedActors
 from carla_recap.queries.blocked import Blocked, BlockedRow
-from carla_recap.queries.collisions import CollisionRow
+from carla_recap.queries.collisions import CollisionRow, Collisions
 from carla_recap.queries.incidents import Incident
 from carla_recap.queries.info import Info, InfoRow
 from carla_recap.queries.kinds import KINDS
@@ -58,6 +58,8 @@ def table(answer: AnyAnswer, console: Console | None = None) -> None:
         count += len(page)
     extent = answer.extent
     things = "row" if count == 1 else "rows"
+    if isinstance(answer, Collisions) and answer.contacts < count:
+        things += f" of {answer.contacts} contact{'s' if answer.contacts > 1 else ''}"
     console.print(Text(f"{count} {things}; {extent.frames} frames, {number(extent.duration)} seconds"))
 
 
@@ -150,6 +152,7 @@ _COLUMNS: Final[dict[type, tuple[_Column, ...]]] = {
         _name("Actor 1", lambda row: _actor(row.id1, row.type_id1, row.hero1)),
         _number("Id", lambda row: _id(row.id2)),
         _name("Actor 2", lambda row: _actor(row.id2, row.type_id2, row.hero2)),
+        _number("Contact", lambda row: str(row.contact), rank=3),
         _number("Impact (m/s)", lambda row: _speed(row.impact_speed), rank=-1),
         _number("Relative (m/s)", lambda row: _speed(row.relative_speed), rank=1),
     ),
