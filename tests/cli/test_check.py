@@ -183,3 +183,12 @@ def test_an_interrupt_ends_it_and_leaves_no_pages(tmp_path):
             assert process.wait() == 130
         assert process.stdout.read() == b""
     assert names_in(tmp_path) == ["runs"]
+
+
+def test_all_faults_of_the_rules_are_lines(tmp_path):
+    rules = save(tmp_path / "rules.toml", b"[rules.a]\nframes = { max = -1 }\n[rules.b]\nmaps = 'x'\n")
+    done = run("check", SAMPLES, "--rules", rules)
+    assert (done.returncode, done.stdout) == (2, b"")
+    first, second = done.stderr.decode().splitlines()
+    assert first.startswith(f"carla-recap: {rules}: rule 'a': frames.max: -1; ")
+    assert second.startswith(f"carla-recap: {rules}: rule 'b': unknown condition 'maps'; ")

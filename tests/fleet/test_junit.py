@@ -1,15 +1,18 @@
 from __future__ import annotations
 
+from pathlib import Path
 from xml.etree import ElementTree
 
 import pytest
 
+from carla_recap import check, open_recording
 from carla_recap.errors import RecapError
 from carla_recap.fleet.check import CheckedRecording
 from carla_recap.fleet.junit import junit, write_junit
-from carla_recap.fleet.rules import Verdict
+from carla_recap.fleet.rules import Verdict, make_rules
 from tests.samples import names_in
 
+SAMPLES = Path(__file__).parents[2] / "samples"
 CHECKED = [
     CheckedRecording(
         "runs/my run.mcap",
@@ -39,6 +42,19 @@ def test_a_recording_is_a_class_and_a_rule_is_a_test():
         ("runs/my run.mcap", "complete", []),
         ("runs/broken.mcap", "no-collision", ["error"]),
     ]
+
+
+def test_times_are_those_of_the_judging():
+    verdicts = (Verdict("quick", "pass", "", seconds=0.001), Verdict("slow", "fail", "", seconds=1.25))
+    suites = ElementTree.fromstring(junit([CheckedRecording("a.log", verdicts), CheckedRecording("b.log", verdicts)]))
+    assert [case.get("time") for case in suites.iter("testcase")] == ["0.001", "1.250"] * 2
+    assert suites.get("time") == suites[0].get("time") == "2.502"
+
+
+def test_judging_takes_time():
+    with open_recording(SAMPLES / "crash.mcap") as recording:
+        first, second = check(recording, [*make_rules(gap={"min": 1}), *make_rules(speed={"max": 1})])
+    assert first.seconds > second.seconds > 0  # both need the measures, which are read for the first one
 
 
 def test_a_failure_has_what_happened_and_how_to_see_it():

@@ -1,19 +1,21 @@
 from __future__ import annotations
 
 import shutil
+import subprocess
+import sys
 from contextlib import closing
 from pathlib import Path
 from textwrap import dedent
 
 import pytest
 
-from carla_recap import check, load_rules, open_recording
+from carla_recap import ActorKind, Spawn, attributes, check, create_recording, load_rules, open_recording
 from carla_recap.errors import RecapError
-from carla_recap.fleet.rules import parse_rules
+from carla_recap.fleet.rules import RulesError, make_rules, parse_rules
 from carla_recap.formats.mcap.reader import McapReader
 from carla_recap.recording import Recording
 from tests.samples import carla_log, save, warnings_ignored
-from tests.waiting import time_limit
+from tests.waiting import PATIENCE, time_limit
 
 ROOT = Path(__file__).parents[2]
 SAMPLES = ROOT / "samples"
@@ -379,3 +381,94 @@ def test_a_number_of_thousands_of_digits_is_one_line(number):
     assert message.startswith("rules.toml: ")
     assert "\n" not in message
     assert len(message) < 300
+
+
+def test_all_faults_of_a_file_are_said():
+    text = """
+        [rules.a]
+        collisions = { max = -1, off = "hero" }
+        [rules.b]
+        colisions = { max = 0 }
+        [rules.c]
+        duration = { min = "1 min", max = "10 s" }
+        [rules.d]
+        map = "Town01"
+        [rules.e]
+    """
+    with pytest.raises(RulesError) as caught:
+        parse_rules(dedent(text), "rules.toml")
+    assert [fault.removeprefix("rules.toml: ")[:42] for fault in caught.value.faults] == [
+        "rule 'a': collisions.max: -1; a whole numb",
+        "rule 'a': collisions: unknown field 'off';",
+        "rule 'b': unknown condition 'colisions'; d",
+        "rule 'c': duration.min: '1 min'; no more t",
+        "rule 'e': has no condition; one of collisi",
+    ]
+    assert str(caught.value).splitlines() == list(caught.value.faults)
+
+
+def test_thousands_of_faults_are_cut_short():
+    with pytest.raises(RulesError) as caught, time_limit():
+        parse_rules("[rules]\n" + "".join(f"a{index} = 1\n" for index in range(5000)), "rules.toml")
+    assert len(caught.value.faults) == 101
+    assert caught.value.faults[-1] == "rules.toml: and 4900 more faults"
+
+
+@pytest.mark.parametrize("key", ["a" + ".a" * 32_000, "[" + ".".join(["a"] * 30_000) + "]"])
+def test_a_key_of_thousands_of_names_costs_nothing(tmp_path, key):
+    rules = save(tmp_path / "rules.toml", f"{key} = 1\n".encode())
+    script = f"""if True:
+        import resource
+        from carla_recap import load_rules
+        from carla_recap.errors import RecapError
+        before = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
+        try:
+            load_rules({str(rules)!r})
+        except RecapError as error:
+            print(error)
+        print(resource.getrusage(resource.RUSAGE_SELF).ru_maxrss - before)
+    """
+    done = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, timeout=PATIENCE, check=True)
+    message, kilobytes = done.stdout.splitlines()
+    assert message.startswith(f"{rules}: line 1: has ")
+    assert message.endswith(" dots; keys of a few names were expected")
+    assert int(kilobytes) < 50_000
+
+
+# --- fault ---------------------------------------------------------------------------------------------------------------
+
+
+@pytest.fixture(params=[0.0, 0.05, 5.0])
+def struck(request, tmp_path):
+    """A recording in which a walker and the hero meet, and the speed of the hero, in m/s; the walker walks at 2 m/s."""
+    hero = Spawn(1, ActorKind.VEHICLE, type_id="vehicle.tesla.model3", attributes=attributes(role_name="hero"))
+    walker = Spawn(2, ActorKind.WALKER, type_id="walker.pedestrian.0001")
+    with create_recording(tmp_path / "run.log", map_name="Town01") as recorder:
+        for frame in range(6):
+            x = [100 * request.param * frame * 0.1, 1000 - 200 * frame * 0.1]
+            hits = {"id": [0], "actor1": [1], "actor2": [2], "hero1": [True], "hero2": [False]} if frame == 4 else None
+            more = {"collisions": hits} if hits else {}
+            recorder.add_frame(
+                frame * 0.1, spawned=[hero, walker] if frame == 0 else [], transforms={"id": [1, 2], "x": x}, **more
+            )
+    with open_recording(tmp_path / "run.log") as recording:
+        yield recording, request.param
+
+
+def test_an_actor_that_stands_has_not_caused_a_collision(struck):
+    recording, speed = struck
+    caused = speed > 0.1
+    for rule, passes in [
+        ('{ of = "hero", max = 0 }', False),
+        ('{ of = "hero", max = 0, at_fault = true }', not caused),
+        ('{ of = "hero", with = "walker", max = 0, at_fault = true }', not caused),
+        ('{ of = "hero", with = "vehicle", max = 0, at_fault = true }', True),
+        ('{ of = "walker", max = 0, at_fault = true }', False),
+        ("{ max = 0, at_fault = true }", False),
+        ("{ max = 0, at_fault = false }", False),
+    ]:
+        (found,) = check(recording, parse_rules(f"[rules.it]\ncollisions = {rule}", "rules.toml"))
+        assert (rule, found.status) == (rule, "pass" if passes else "fail")
+    (found,) = check(recording, make_rules(collisions={"of": "hero", "max": 0, "at_fault": True}))
+    expected = "1 collision caused by the hero instead of at most 0: " if caused else "no collisions caused by the hero"
+    assert found.message.startswith(expected)

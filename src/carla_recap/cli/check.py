@@ -12,7 +12,7 @@ import click
 
 from carla_recap.cli import options
 from carla_recap.cli.many import client_of, watched
-from carla_recap.cli.output import counted, warn, wrote
+from carla_recap.cli.output import BAD_INPUT, counted, fail, warn, wrote
 from carla_recap.util.text import visible
 
 if TYPE_CHECKING:
@@ -59,13 +59,18 @@ def check(
     from carla_recap.errors import RecapError
     from carla_recap.fleet.check import check_sources, worst
     from carla_recap.fleet.junit import write_junit
-    from carla_recap.fleet.rules import load_rules
+    from carla_recap.fleet.rules import RulesError, load_rules
     from carla_recap.util.files import prepare_file
     from carla_recap.util.signals import unwind_on_termination
 
     if html is None and clips:
         raise click.UsageError("--clips goes with --html.", click.get_current_context())
-    rules = load_rules(rules_file)
+    try:
+        rules = load_rules(rules_file)
+    except RulesError as error:
+        for fault in error.faults:
+            fail(fault)
+        sys.exit(BAD_INPUT)
     if junit:
         prepare_file(junit)
     judged: list[CheckedRecording] = []

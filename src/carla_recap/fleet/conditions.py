@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from fnmatch import fnmatchcase
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final, NamedTuple, Protocol, TypeVar
@@ -99,18 +99,30 @@ class Selector:
         return _MANY.get(self.text, self.text)
 
 
-class Written(NamedTuple):
-    """How a quantity is written in a rule.
+@dataclass(frozen=True, slots=True)
+class Quantity:
+    """A quantity of a rule, and how it is written there.
 
     Attributes:
-        text: The quantity, such as `0.8 g`.
-        unit: Its unit.
-        size: The unit in the unit of the measure, such as 9.80665.
+        value: The quantity, in the unit of what it bounds.
+        unit: The unit in which it is written, such as `g`; empty for a number of things.
+        size: That unit in the unit of the value, such as 9.80665.
+        text: The quantity as a text, such as `0.8 g`; empty: a number.
     """
 
-    text: str
-    unit: str
-    size: float
+    value: float
+    unit: str = ""
+    size: float = 1.0
+    text: str = ""
+
+    def __str__(self) -> str:
+        return self.text or f"{self.value:.5g} {self.unit}".rstrip()
+
+    def shown(self, value: float) -> str:
+        """Return another value in the unit in which this one is written, with at least the digits of its own unit."""
+        scaled = value / self.size
+        digits = 2 if self.size <= 1 else 3
+        return f"{scaled:.{digits}f} {self.unit}" if abs(scaled) < _LARGE else f"{number(scaled)} {self.unit}"
 
 
 @dataclass(frozen=True, slots=True)
@@ -120,33 +132,31 @@ class Bounds:
     Attributes:
         least: The least valid number.
         most: The greatest one.
-        least_written: How the least one is written, if with a unit.
-        most_written: How the greatest one is written, if with a unit.
     """
 
-    least: float | None = None
-    most: float | None = None
-    least_written: Written | None = None
-    most_written: Written | None = None
+    least: Quantity | None = None
+    most: Quantity | None = None
 
     @property
-    def written(self) -> Written | None:
-        """How a bound is written, whose unit values are shown in."""
-        return self.most_written or self.least_written
+    def written(self) -> Quantity:
+        """The bound whose unit values are shown in: one that is written with its unit, if any is."""
+        given = [each for each in (self.most, self.least) if each is not None]
+        return next((each for each in given if each.text), given[0])
 
     def contain(self, value: float) -> bool:
         """Return whether a number is valid; NaN is not."""
-        return (self.least is None or value >= self.least) and (self.most is None or value <= self.most)
+        least, most = self.least, self.most
+        return (least is None or value >= least.value) and (most is None or value <= most.value)
 
-    def text(self, unit: str = "") -> str:
-        """Return the bounds in words."""
-        least, most = quantity(self.least, unit, self.least_written), quantity(self.most, unit, self.most_written)
-        if self.least is not None and self.least == self.most:
+    def __str__(self) -> str:
+        least, most = self.least, self.most
+        if least is None or most is None:
+            return f"at most {most}" if least is None else f"at least {least}"
+        if least.value == most.value:
             return f"exactly {least}"
-        if self.least is not None and self.most is not None and self.written is None:
-            least = f"{self.least:.5g}"  # the unit follows once
-        words = (("at least", self.least, least), ("at most", self.most, most))
-        return " and ".join(f"{word} {text}" for word, value, text in words if value is not None)
+        if not self.written.text:
+            least = replace(least, unit="")  # the unit follows once
+        return f"at least {least} and at most {most}"
 
 
 class Facts:
@@ -163,7 +173,7 @@ class Facts:
         self._road_map = road_map
         conditions = list(conditions)
         self._kinds = frozenset(kind for each in conditions if isinstance(each, IncidentCount) for kind in each.kinds)
-        self._stop_times = [each.longest for each in conditions if isinstance(each, LongestStop)]
+        self._stop_times = [each.longest.value for each in conditions if isinstance(each, LongestStop)]
         self._measured = [each.of for each in conditions if isinstance(each, MeasureBounds)]
         self._road_measures = [
             each.measure for each in conditions if isinstance(each, MeasureBounds) and MEASURES[each.measure].needs_roads
@@ -268,17 +278,19 @@ class IncidentCount:
         of: The actors of which one takes part.
         other: The actors of which another one takes part, in a collision.
         bounds: The valid numbers.
+        at_fault: Whether only collisions count that the first actors have caused; see `Contact.is_caused_by`.
     """
 
     kinds: tuple[str, ...]
     of: Selector
     other: Selector
     bounds: Bounds
+    at_fault: bool = False
 
     def text(self) -> str:
         """See `Condition.text`."""
         kinds = _listed(KINDS[kind].plural for kind in self.kinds)
-        return f"{kinds}{self._sides()}: {self.bounds.text()}"
+        return f"{kinds}{self._sides()}: {self.bounds}"
 
     def judge(self, facts: Facts) -> Finding:
         """See `Condition.judge`."""
@@ -291,22 +303,24 @@ class IncidentCount:
         if self.bounds.contain(len(found)):
             return Finding(True, message + ("" if found else facts.absent(self.of)))
         offences = tuple(Offence(each.text, each.start, each.actors) for each in found)
-        return Finding(False, f"{message} instead of {self.bounds.text()}", offences)
+        return Finding(False, f"{message} instead of {self.bounds}", offences)
 
     def _sides(self) -> str:
-        of = _of(self.of)
+        of = f" caused by {self.of}" if self.at_fault and self.of.text != ANY else _of(self.of)
         return of if self.other.text == ANY else f"{of} with {self.other}"
 
     def _counts(self, incident: Incident, facts: Facts) -> bool:
         involved = [facts.actors.at(id, incident.start) for id in incident.actors]
+        chosen = [
+            self.of.matches(actor) and not (self.at_fault and incident.contact and not incident.contact.is_caused_by(id))
+            for id, actor in zip(incident.actors, involved, strict=True)
+        ]
         if self.other.text == OBJECT:
-            return len(involved) == 1 and self.of.matches(involved[0])
+            return len(involved) == 1 and chosen[0]
         if self.other.text == ANY:
-            return any(map(self.of.matches, involved))
-        first, second = involved if len(involved) == 2 else (None, None)
-        return len(involved) == 2 and any(
-            self.of.matches(one) and self.other.matches(two) for one, two in ((first, second), (second, first))
-        )
+            return any(chosen)
+        others = reversed(involved)
+        return len(involved) == 2 and any(one and self.other.matches(two) for one, two in zip(chosen, others, strict=True))
 
 
 @dataclass(frozen=True, slots=True)
@@ -316,38 +330,28 @@ class LongestStop:
     Attributes:
         of: The actors; any: vehicles and walkers.
         longest: The longest valid time, in s.
-        written: How it is written, if with a unit.
     """
 
     of: Selector
-    longest: float
-    written: Written | None = None
+    longest: Quantity
 
     def text(self) -> str:
         """See `Condition.text`."""
-        return f"standing still{_of(self.of)}: at most {self._most()}"
+        return f"standing still{_of(self.of)}: at most {self.longest}"
 
     def judge(self, facts: Facts) -> Finding:
         """See `Condition.judge`."""
-        found = [
-            row for row in facts.stops if row.duration > self.longest and self._counts(facts.actors.at(row.id, row.start))
-        ]
+        stops = [row for row in facts.stops if row.duration > self.longest.value]
+        found = [row for row in stops if self._counts(facts.actors.at(row.id, row.start))]
         if not found:
-            return Finding(True, f"no stop{_of(self.of)} of more than {self._most()}{facts.absent(self.of)}")
+            return Finding(True, f"no stop{_of(self.of)} of more than {self.longest}{facts.absent(self.of)}")
         offences = []
         for row in found:
-            duration = (
-                _value(row.duration, "s", self.written)
-                if self.written and self.written.unit != "s"
-                else f"{row.duration:.1f} s"
-            )
+            duration = f"{row.duration:.1f} s" if self.longest.unit == "s" else self.longest.shown(row.duration)
             text = f"{facts.actors.name(row.id, row.start)} stands still for {duration}"
             offences.append(Offence(text, row.start, (row.id,)))
-        stops = "1 stop" if len(found) == 1 else f"{len(found)} stops"
-        return Finding(False, f"{stops}{_of(self.of)} of more than {self._most()}", tuple(offences))
-
-    def _most(self) -> str:
-        return self.written.text if self.written else f"{number(self.longest)} s"
+        count = "1 stop" if len(found) == 1 else f"{len(found)} stops"
+        return Finding(False, f"{count}{_of(self.of)} of more than {self.longest}", tuple(offences))
 
     def _counts(self, actor: ActorLife | None) -> bool:
         if self.of.text == ANY:
@@ -371,7 +375,7 @@ class MeasureBounds:
 
     def text(self) -> str:
         """See `Condition.text`."""
-        return f"{self._name()}{_of(self.of)}: {self.bounds.text(MEASURES[self.measure].unit)}"
+        return f"{self._name()}{_of(self.of)}: {self.bounds}"
 
     def judge(self, facts: Facts) -> Finding:
         """See `Condition.judge`."""
@@ -386,25 +390,21 @@ class MeasureBounds:
         ]
         measure = MEASURES[self.measure]
         found.sort(key=lambda row: measure.key(row.value))
-        unit = measure.unit
         if not found:
             return Finding(True, f"no {self._name()}{_of(self.of)} was measured{facts.absent(self.of)}")
         offences = tuple(self._offence(row, facts) for row in found if not self.bounds.contain(row.value))
-        message = (
-            f"the {measure.extreme} {self._name()}{_of(self.of)} is {_value(found[0].value, unit, self.bounds.written)}"
-        )
+        message = f"the {measure.extreme} {self._name()}{_of(self.of)} is {self.bounds.written.shown(found[0].value)}"
         if not offences:
             return Finding(True, message)
         least, most = self.bounds.least, self.bounds.most
-        bound = quantity(most if least is None else least, unit, self.bounds.written)
-        limit = f"{'exceeds' if least is None else 'falls below'} {bound}"
+        limit = f"exceeds {most}" if least is None else f"falls below {least}"
         return Finding(False, f"the {self._name()}{_of(self.of)} {limit}", offences)
 
     def _name(self) -> str:
         return MEASURES[self.measure].title
 
     def _offence(self, row: MeasureRow, facts: Facts) -> Offence:
-        name, value = facts.actors.name(row.actor, row.time), _value(row.value, row.unit, self.bounds.written)
+        name, value = facts.actors.name(row.actor, row.time), self.bounds.written.shown(row.value)
         if row.other is None:
             return Offence(f"{name}, {value}", row.time, (row.actor,))
         other = facts.actors.name(row.other, row.time)
@@ -418,33 +418,28 @@ class SameAs:
     Attributes:
         baseline: The baseline, or the folder of baselines, in which that of a recording has the same name.
         tolerance: The distance that counts as equal, in m.
-        written: How it is written, if with a unit.
     """
 
     baseline: str
-    tolerance: float
-    written: Written | None = None
+    tolerance: Quantity
 
     def text(self) -> str:
         """See `Condition.text`."""
-        return f"the same as {self.baseline}, within {self._within()}"
+        return f"the same as {self.baseline}, within {self.tolerance}"
 
     def judge(self, facts: Facts) -> Finding:
         """See `Condition.judge`."""
         reader = facts.recording.reader
         path = self._path(str(getattr(reader, "location", reader.path)))
         with open_recording(path) as baseline:
-            found = differences(baseline.reader, reader, tolerance=self.tolerance)
+            found = differences(baseline.reader, reader, tolerance=self.tolerance.value)
         if found.equal:
-            return Finding(True, f"equal to {path} within {self._within()}")
+            return Finding(True, f"equal to {path} within {self.tolerance}")
         offences = [Offence(reason) for reason in found.reasons]
         if found.first is not None:
             text = f"{name_of(found.first)} is {metres(found.first.first_distance)} apart"
             offences.insert(0, Offence(text, found.first.first, (found.first.id_b,)))
         return Finding(False, f"differs from {path}", tuple(offences))
-
-    def _within(self) -> str:
-        return self.written.text if self.written else f"{number(self.tolerance)} m"
 
     def _path(self, recording: str) -> str:
         """Return the path of the baseline of a recording.
@@ -479,18 +474,23 @@ class Size:
 
     def text(self) -> str:
         """See `Condition.text`."""
-        return f"length of the recording: {self.bounds.text(self.unit)}"
+        return f"length of the recording: {self.bounds}{self._unit}"
 
     def judge(self, facts: Facts) -> Finding:
         """See `Condition.judge`."""
         extent = facts.recording.reader.extent()
         value = extent.duration if self.unit == "s" else extent.frames
         written = self.bounds.written
-        length = _value(value, self.unit, written) if written else number(value) if self.unit == "s" else str(value)
-        message = f"the recording has {length if written else f'{length} {self.unit}'}"
+        length = written.shown(value) if written.text else f"{number(value) if self.unit == 's' else value} {self.unit}"
+        message = f"the recording has {length}"
         if self.bounds.contain(value):
             return Finding(True, message)
-        return Finding(False, f"{message} instead of {self.bounds.text(self.unit)}")
+        return Finding(False, f"{message} instead of {self.bounds}{self._unit}")
+
+    @property
+    def _unit(self) -> str:
+        """What is counted, behind bounds that have no unit."""
+        return "" if self.unit == "s" else f" {self.unit}"
 
 
 @dataclass(frozen=True, slots=True)
@@ -507,7 +507,7 @@ class ActorCount:
 
     def text(self) -> str:
         """See `Condition.text`."""
-        return f"number of actors, {self.of}: {self.bounds.text()}"
+        return f"number of actors, {self.of}: {self.bounds}"
 
     def judge(self, facts: Facts) -> Finding:
         """See `Condition.judge`."""
@@ -516,7 +516,7 @@ class ActorCount:
         if self.bounds.contain(len(found)):
             return Finding(True, message)
         offences = tuple(Offence(f"{each.name} appears", each.spawned_at, (each.id,)) for each in found)
-        return Finding(False, f"{message} instead of {self.bounds.text()}", offences)
+        return Finding(False, f"{message} instead of {self.bounds}", offences)
 
 
 @dataclass(frozen=True, slots=True)
@@ -545,20 +545,6 @@ class MapName:
 def map_key(name: str) -> str:
     """Return a map's name as it is compared."""
     return plain_name(name).lower().removesuffix("_opt")
-
-
-def quantity(value: float | None, unit: str, written: Written | None) -> str:
-    """Return a bound as it is written in a rule."""
-    if written is not None:
-        return written.text
-    return f"{value or 0.0:.5g} {unit}".rstrip()
-
-
-def _value(value: float, unit: str, written: Written | None = None) -> str:
-    """Return a value in the unit in which its bound is written, with at least the digits that it has in its own one."""
-    unit, size = (unit, 1.0) if written is None else (written.unit, written.size)
-    shown = value / size
-    return f"{shown:.{2 if size <= 1 else 3}f} {unit}" if abs(shown) < _LARGE else f"{number(shown)} {unit}"
 
 
 def _of(selector: Selector) -> str:

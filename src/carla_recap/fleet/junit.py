@@ -48,6 +48,7 @@ def junit(checked: Sequence[CheckedRecording], pages: Path | str | None = None) 
         "failures": str(sum(verdict.status == "fail" for verdict in verdicts)),
         "errors": str(sum(verdict.status == "error" for verdict in verdicts)),
         "skipped": "0",
+        "time": _seconds(sum(verdict.seconds for verdict in verdicts)),
     }
     root = Element("testsuites", {"name": SUITE, **counts})
     suite = SubElement(root, "testsuite", {"name": SUITE, **counts})
@@ -67,7 +68,8 @@ def how_to_see(recording: str, verdict: Verdict) -> str:
 
 
 def _add(suite: Element, checked: CheckedRecording, verdict: Verdict, pages: Path) -> None:
-    case = SubElement(suite, "testcase", {"classname": _clean(checked.recording), "name": _clean(verdict.rule), "time": "0"})
+    names = {"classname": _clean(checked.recording), "name": _clean(verdict.rule)}
+    case = SubElement(suite, "testcase", {**names, "time": _seconds(verdict.seconds)})
     if verdict.status == "pass":
         return
     tag, kind = ("failure", "rule") if verdict.status == "fail" else ("error", "recording")
@@ -80,6 +82,10 @@ def _add(suite: Element, checked: CheckedRecording, verdict: Verdict, pages: Pat
             f"{name}: {(pages / path).as_posix()}" for name, path in (("page", checked.page), ("clip", checked.clip)) if path
         ]
     SubElement(case, tag, {"message": _clean(verdict.message), "type": kind}).text = _clean("\n".join(lines))
+
+
+def _seconds(time: float) -> str:
+    return f"{time:.3f}"
 
 
 def _clean(text: str) -> str:

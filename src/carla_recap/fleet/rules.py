@@ -13,15 +13,17 @@ import os
 import re
 import tomllib
 from collections.abc import Sequence
-from dataclasses import dataclass
+from contextlib import suppress
+from dataclasses import dataclass, field, replace
 from difflib import get_close_matches
 from functools import partial
 from pathlib import Path
+from time import perf_counter
 from typing import TYPE_CHECKING, Any, Final, Literal
 
 from carla_recap.errors import RecapError
 from carla_recap.fleet import conditions
-from carla_recap.fleet.conditions import ANY, OBJECT, ROLE, Bounds, Facts, Offence, Selector, Written
+from carla_recap.fleet.conditions import ANY, OBJECT, ROLE, Bounds, Facts, Offence, Quantity, Selector
 from carla_recap.queries.kinds import KINDS, kind_named
 from carla_recap.queries.measures import MEASURES
 from carla_recap.util.text import visible
@@ -35,6 +37,8 @@ if TYPE_CHECKING:
 Status = Literal["pass", "fail", "error"]
 
 _LARGEST: Final = 1 << 16  # bytes of a file of rules: long keys take quadratic time
+_MOST_DOTS: Final = 256  # dots in a line of it: a key of many names takes quadratic memory
+_MOST_FAULTS: Final = 100  # faults that are listed
 _LARGEST_COUNT: Final = 1 << 63
 _SHOWN: Final = 60  # characters of a wrong value in an error
 _LISTED: Final = 20  # offences that a verdict lists
@@ -49,6 +53,21 @@ _UNITS: Final[Mapping[str, Mapping[str, float]]] = {
 _QUANTITY: Final = re.compile(r"\s*([+-]?(?:\d+(?:\.\d*)?|\.\d+)(?:[eE][+-]?\d+)?)\s*(.*?)\s*")
 
 
+class RulesError(RecapError):
+    """Rules are wrong; the message has a line for each fault.
+
+    Args:
+        faults: The faults; each names the file, the rule and what was expected.
+    """
+
+    def __init__(self, faults: Sequence[str]) -> None:
+        super().__init__(faults)
+        self.faults = tuple(faults)
+
+    def __str__(self) -> str:
+        return "\n".join(self.faults)
+
+
 @dataclass(frozen=True, slots=True)
 class Verdict:
     """What a rule says of a recording.
@@ -60,6 +79,7 @@ class Verdict:
         time: When the first or the worst offence happens, in elapsed seconds; None if there is none.
         actors: The ids of its actors.
         details: The offences, a line each.
+        seconds: How long it took to judge, in s; what several rules need is read for the first of them.
     """
 
     rule: str
@@ -68,6 +88,7 @@ class Verdict:
     time: float | None = None
     actors: tuple[int, ...] = ()
     details: tuple[str, ...] = ()
+    seconds: float = field(default=0.0, compare=False)
 
 
 @dataclass(frozen=True, slots=True)
@@ -108,7 +129,8 @@ def load_rules(path: Path | str) -> RuleSet:
     """Return the rules of a TOML file.
 
     Raises:
-        RecapError: The file cannot be read, or is wrong; the message names the file, the rule and what was expected.
+        RulesError: The file is wrong.
+        RecapError: It cannot be read.
     """
     try:
         with Path(path).open("rb") as file:
@@ -131,25 +153,25 @@ def parse_rules(text: str, path: Path | str) -> RuleSet:
         path: Its path, for errors; paths of baselines are relative to its folder.
 
     Raises:
-        RecapError: The text is wrong.
+        RulesError: The text is wrong.
     """
+    for number, line in enumerate(text.split("\n"), 1):
+        if line.count(".") > _MOST_DOTS:
+            raise RulesError([f"{path}: line {number}: has {line.count('.')} dots; keys of a few names were expected"])
     try:
         document = tomllib.loads(text)
     except tomllib.TOMLDecodeError as error:
-        raise RecapError(f"{path}: {visible(str(error))}; TOML was expected") from None
+        raise RulesError([f"{path}: {visible(str(error))}; TOML was expected"]) from None
     except RecursionError:
-        raise RecapError(f"{path}: is nested too deeply; tables of rules were expected") from None
+        raise RulesError([f"{path}: is nested too deeply; tables of rules were expected"]) from None
     except ValueError:  # of `int`
-        raise RecapError(
-            f"{path}: has a number of thousands of digits; quantities and numbers of things were expected"
-        ) from None
-    unknown = [key for key in document if key != "rules"]
-    if unknown:
-        raise RecapError(f"{path}: {_shown(unknown[0])}: rules were expected, as [rules.NAME]")
+        fault = f"{path}: has a number of thousands of digits; quantities and numbers of things were expected"
+        raise RulesError([fault]) from None
+    faults = [f"{path}: {_shown(key)}: rules were expected, as [rules.NAME]" for key in document if key != "rules"]
     found = document.get("rules")
-    if not isinstance(found, dict) or not found:
-        raise RecapError(f"{path}: has no rules; a table of the form [rules.NAME] was expected")
-    return RuleSet(str(path), tuple(_rule(name, table, path) for name, table in found.items()))
+    if isinstance(found, dict) and found:
+        return _rules(found, path, faults)
+    raise RulesError(faults or [f"{path}: has no rules; a table of the form [rules.NAME] was expected"])
 
 
 def make_rules(**conditions: Any) -> RuleSet:
@@ -159,9 +181,10 @@ def make_rules(**conditions: Any) -> RuleSet:
         conditions: The conditions as in a file, such as `collisions={"of": "hero", "max": 0}`.
 
     Raises:
-        RecapError: A condition is wrong.
+        RulesError: A condition is wrong.
     """
-    return RuleSet("", tuple(_rule(name, {name: value}, "rules") for name, value in conditions.items()))
+    rules = _rules({name: {name: value} for name, value in conditions.items()}, "rules", [])
+    return replace(rules, path="")
 
 
 def check(recording: Recording, rules: Iterable[Rule], *, road_map: str | None = None) -> list[Verdict]:
@@ -185,6 +208,12 @@ def unreadable(rules: Iterable[Rule], error: str) -> list[Verdict]:
 
 
 def _verdict(rule: Rule, facts: Facts) -> Verdict:
+    began = perf_counter()
+    verdict = _judged(rule, facts)
+    return replace(verdict, seconds=perf_counter() - began)
+
+
+def _judged(rule: Rule, facts: Facts) -> Verdict:
     try:
         passes, message, offences = rule.condition.judge(facts)
     except RecapError as error:
@@ -207,34 +236,36 @@ def _verdict(rule: Rule, facts: Facts) -> Verdict:
 
 
 class _Fields:
-    """The fields of a condition: reads those that are expected, and refuses others.
+    """The fields of a condition: reads those that are expected, and collects the faults of these and others.
+
+    A field that is wrong is read as if it were missing.
 
     Args:
         table: The fields.
-        prefix: The file, the rule and the name of the condition, for errors.
+        prefix: The file, the rule and the name of the condition, for faults.
+        faults: The faults.
         folder: The folder that paths are relative to.
     """
 
-    def __init__(self, table: Any, prefix: str, folder: str = "") -> None:
+    def __init__(self, table: Any, prefix: str, faults: list[str], folder: str = "") -> None:
         self._prefix = prefix
+        self._faults = faults
         self.folder = folder
-        if not isinstance(table, dict):
-            raise RecapError(f"{prefix}: {_shown(table)}; a table was expected, such as {{ max = 0 }}")
-        self._table = table
+        self._table = table if isinstance(table, dict) else {}
         self._known: list[str] = []
-
-    def has(self, name: str) -> bool:
-        """Return whether a field is given."""
-        return name in self._table
+        self._is_table = isinstance(table, dict)
+        if not self._is_table:
+            self._faults.append(f"{prefix}: {_shown(table)}; a table was expected, such as {{ max = 0 }}")
 
     def get(self, name: str) -> Any:
         """Return the value of a field, or None."""
         self._known.append(name)
         return self._table.get(name)
 
-    def wrong(self, name: str, expected: str) -> RecapError:
-        """Return the error about a value."""
-        return RecapError(f"{self._prefix}.{name}: {_shown(self._table.get(name))}; {expected} was expected")
+    def refuse(self, name: str, expected: str) -> None:
+        """Add the fault of a value."""
+        if self._is_table:
+            self._faults.append(f"{self._prefix}.{name}: {_shown(self._table.get(name))}; {expected} was expected")
 
     def selector(self, name: str, *, is_other: bool = False) -> Selector:
         """Return some actors; any, if the field is missing."""
@@ -246,92 +277,93 @@ class _Fields:
             (value.startswith(ROLE) and value != ROLE) or re.fullmatch(r"[\w*?\[\]!-]+(\.[\w*?\[\]!-]+)+", value)
         )
         if value not in words and not is_pattern:
-            raise self.wrong(name, f"{', '.join(words)}, role:NAME or a blueprint such as vehicle.tesla.*")
+            self.refuse(name, f"{', '.join(words)}, role:NAME or a blueprint such as vehicle.tesla.*")
+            return Selector()
         return Selector(value)
 
-    def texts(self, name: str, expected: str, valid: Sequence[str] = (), *, single: bool = False) -> tuple[str, ...]:
-        """Return one text, or a list of them."""
+    def flag(self, name: str) -> bool:
+        """Return whether a field is true."""
+        value = self.get(name)
+        if value not in (None, True, False):
+            self.refuse(name, "true or false")
+        return value is True
+
+    def texts(self, name: str, expected: str, read: Callable[[str], str] = str, *, single: bool = False) -> tuple[str, ...]:
+        """Return one text, or a list of them; `read` changes each, or raises a `RecapError`."""
         value = self.get(name)
         values = value if isinstance(value, list) and not single else [value]
-        if not values or not all(isinstance(each, str) and each and (each in valid or not valid) for each in values):
-            raise self.wrong(name, expected)
-        return tuple(values)
+        with suppress(RecapError):
+            if values and all(isinstance(each, str) and each for each in values):
+                return tuple(dict.fromkeys(map(read, values)))
+        self.refuse(name, expected)
+        return ("",)
 
     def counts(self) -> Bounds:
         """Return the bounds of a number of things, from `min` and `max`."""
 
-        def read(name: str) -> float | None:
+        def read(name: str) -> Quantity | None:
             value = self.get(name)
             if value is not None and (type(value) is not int or not 0 <= value <= _LARGEST_COUNT):
-                raise self.wrong(name, "a whole number of 0 or more")
-            return value
+                self.refuse(name, "a whole number of 0 or more")
+                return None
+            return None if value is None else Quantity(value)
 
         return self._bounds(read)
 
     def quantities(self, unit: str) -> Bounds:
         """Return the bounds of a quantity, from `min` and `max`."""
-        return self._bounds(lambda name: self.quantity(name, unit), unit)
+        return self._bounds(lambda name: self.quantity(name, unit))
 
-    def quantity(self, name: str, unit: str) -> float | None:
+    def quantity(self, name: str, unit: str) -> Quantity | None:
         """Return a quantity: a number in a unit, or a text with a number and its unit; None if the field is missing."""
         value = self.get(name)
         if value is None:
             return None
-        number = math.nan
-        if type(value) in (int, float):
-            with_overflow = abs(value) > 1e300
-            number = math.nan if with_overflow else float(value)
-        elif isinstance(value, str) and len(value) < _SHOWN and (match := _QUANTITY.fullmatch(value)):
-            number = float(match[1]) * _UNITS.get(unit, {}).get(match[2], math.nan)
-        if not math.isfinite(number):
-            units = ", ".join(_UNITS.get(unit, {}))
-            expected = f'a number in {unit}, or a text such as "1.5 {unit}" with one of the units {units},'
-            raise self.wrong(name, expected if units else "a number")
-        return number
+        units = _UNITS.get(unit, {})
+        if type(value) in (int, float) and abs(value) <= 1e300:
+            return Quantity(float(value), unit)
+        if isinstance(value, str) and len(value) < _SHOWN and (match := _QUANTITY.fullmatch(value)):
+            size = units.get(match[2], math.nan)
+            if math.isfinite(float(match[1]) * size):
+                return Quantity(float(match[1]) * size, match[2], size, f"{match[1]} {match[2]}")
+        expected = f'a number in {unit}, or a text such as "1.5 {unit}" with one of the units {", ".join(units)},'
+        self.refuse(name, expected if units else "a number")
+        return None
 
-    def written(self, name: str, unit: str) -> Written | None:
-        """Return how a quantity is written, if it is a valid text; the first unit of its kind needs no factor."""
-        value = self.get(name)
-        match = _QUANTITY.fullmatch(value) if isinstance(value, str) else None
-        return Written(f"{match[1]} {match[2]}", match[2], _UNITS[unit][match[2]]) if match else None
-
-    def _bounds(self, read: Callable[[str], float | None], unit: str = "") -> Bounds:
+    def _bounds(self, read: Callable[[str], Quantity | None]) -> Bounds:
+        count = len(self._faults)
         least, most = read("min"), read("max")
-        if least is None and most is None:
-            self.done()
-            raise RecapError(f"{self._prefix}: has no bound; min or max was expected")
-        if least is not None and most is not None and least > most:
-            raise self.wrong("min", "no more than max")
-        if not unit:
-            return Bounds(least, most)
-        return Bounds(least, most, self.written("min", unit), self.written("max", unit))
+        if self._is_table and len(self._faults) == count:
+            if least is None and most is None:
+                if all(name in self._known for name in self._table):
+                    self._faults.append(f"{self._prefix}: has no bound; min or max was expected")
+            elif least is not None and most is not None and least.value > most.value:
+                self.refuse("min", "no more than max")
+        return Bounds(least, most)
 
     def done(self) -> None:
         """Refuse fields that were not read."""
         for name in self._table:
             if name not in self._known:
-                raise RecapError(f"{self._prefix}: unknown field {_shown(name)}; {_hint(name, self._known)}")
+                self._faults.append(f"{self._prefix}: unknown field {_shown(name)}; {_hint(name, self._known)}")
 
 
 def _collisions(fields: _Fields) -> Condition:
     of, other = fields.selector("of"), fields.selector("with", is_other=True)
-    return conditions.IncidentCount(("collision",), of, other, fields.counts())
+    at_fault = fields.flag("at_fault")
+    return conditions.IncidentCount(("collision",), of, other, fields.counts(), at_fault)
 
 
 def _incidents(fields: _Fields) -> Condition:
-    expected = f"one or a list of {', '.join(KINDS)}"
-    try:
-        kinds = tuple(dict.fromkeys(kind_named(text).name for text in fields.texts("kind", expected)))
-    except RecapError:
-        raise fields.wrong("kind", expected) from None
+    kinds = fields.texts("kind", f"one or a list of {', '.join(KINDS)}", lambda text: kind_named(text).name)
     return conditions.IncidentCount(kinds, fields.selector("of"), Selector(), fields.counts())
 
 
 def _blocked(fields: _Fields) -> Condition:
     of, longest = fields.selector("of"), fields.quantity("max", "s")
-    if longest is None or longest < 0:
-        raise fields.wrong("max", 'the longest valid stop, such as "60 s",')
-    return conditions.LongestStop(of, longest, fields.written("max", "s"))
+    if fields.get("max") is None or (longest is not None and longest.value < 0):
+        fields.refuse("max", 'the longest valid stop, such as "60 s",')
+    return conditions.LongestStop(of, longest or Quantity(0.0, "s"))
 
 
 def _duration(fields: _Fields) -> Condition:
@@ -353,19 +385,19 @@ def _map(fields: _Fields) -> Condition:
 def _measure(name: str, fields: _Fields) -> Condition:
     of, bounds = fields.selector("of"), fields.quantities(MEASURES[name].unit)
     extreme = MEASURES[name].extreme
-    wrong, right = ("max", "min") if extreme == "least" else ("min", "max")
-    if fields.has(wrong):
-        raise fields.wrong(wrong, f"{right} (since the {extreme} value is measured)")
+    wrong, right, given = ("max", "min", bounds.most) if extreme == "least" else ("min", "max", bounds.least)
+    if given is not None:
+        fields.refuse(wrong, f"{right} (since the {extreme} value is measured)")
     return conditions.MeasureBounds(name, of, bounds)
 
 
 def _same_as(fields: _Fields) -> Condition:
     (baseline,) = fields.texts("baseline", "the path of a recording, or of a folder of recordings,", single=True)
-    tolerance = fields.quantity("tolerance", "m") or 0.0
-    if tolerance < 0:
-        raise fields.wrong("tolerance", "a distance of 0 or more")
+    tolerance = fields.quantity("tolerance", "m") or Quantity(0.0, "m")
+    if tolerance.value < 0:
+        fields.refuse("tolerance", "a distance of 0 or more")
     path = baseline if "://" in baseline else os.path.join(fields.folder, baseline)  # noqa: PTH118
-    return conditions.SameAs(path, tolerance, fields.written("tolerance", "m"))
+    return conditions.SameAs(path, tolerance)
 
 
 _CONDITIONS: Final[Mapping[str, Callable[[_Fields], Condition]]] = {
@@ -384,27 +416,46 @@ _PLAIN: Final = ("map",)
 """The conditions that are one value, and no table."""
 
 
-def _rule(name: str, table: Any, path: Path | str) -> Rule:
+def _rules(tables: Mapping[str, Any], path: Path | str, faults: list[str]) -> RuleSet:
+    """Return rules, or raise the faults of all of them."""
+    rules = [_rule(name, table, path, faults) for name, table in tables.items()]
+    if faults:
+        more = [f"{path}: and {len(faults) - _MOST_FAULTS} more faults"] if len(faults) > _MOST_FAULTS else []
+        raise RulesError([*faults[:_MOST_FAULTS], *more])
+    return RuleSet(str(path), tuple(rule for rule in rules if rule is not None))
+
+
+def _rule(name: str, table: Any, path: Path | str, faults: list[str]) -> Rule | None:
+    """Return a rule; None if its condition has faults."""
     prefix, folder = f"{path}: rule {_shown(name)}", os.path.dirname(path)  # noqa: PTH120
     if not name.strip():
-        raise RecapError(f"{prefix}: a name was expected")
+        faults.append(f"{prefix}: a name was expected")
     if not isinstance(table, dict):
-        raise RecapError(f"{prefix}: {_shown(table)}; a table was expected, as [rules.NAME]")
-    fields = _Fields(table, prefix)
-    description = fields.get("description")
+        faults.append(f"{prefix}: {_shown(table)}; a table was expected, as [rules.NAME]")
+        return None
+    description = table.get("description")
     if description is not None and not isinstance(description, str):
-        raise RecapError(f"{prefix}: description: {_shown(description)}; a text was expected")
+        faults.append(f"{prefix}: description: {_shown(description)}; a text was expected")
+        description = None
     given = [key for key in table if key != "description"]
-    for key in given:
-        if key not in _CONDITIONS:
-            raise RecapError(f"{prefix}: unknown condition {_shown(key)}; {_hint(key, list(_CONDITIONS))}")
+    unknown = [key for key in given if key not in _CONDITIONS]
+    faults += [f"{prefix}: unknown condition {_shown(key)}; {_hint(key, list(_CONDITIONS))}" for key in unknown]
+    if unknown:
+        return None
     if len(given) != 1:
         some = f"has the conditions {' and '.join(given)}" if given else "has no condition"
-        raise RecapError(f"{prefix}: {some}; one of {', '.join(_CONDITIONS)} was expected")
+        faults.append(f"{prefix}: {some}; one of {', '.join(_CONDITIONS)} was expected")
+        return None
     (key,) = given
-    inner = _Fields({key: table[key]}, prefix) if key in _PLAIN else _Fields(table[key], f"{prefix}: {key}", folder)
-    condition = _CONDITIONS[key](inner)
-    inner.done()
+    count = len(faults)
+    if key in _PLAIN:
+        fields = _Fields({key: table[key]}, prefix, faults)
+    else:
+        fields = _Fields(table[key], f"{prefix}: {key}", faults, folder)
+    condition = _CONDITIONS[key](fields)
+    fields.done()
+    if len(faults) > count:
+        return None
     return Rule(name, condition, " ".join((description or condition.text()).split()))
 
 
