@@ -11,6 +11,7 @@ import pytest
 from mcap.reader import make_reader
 
 from carla_recap import open_recording
+from carla_recap.queries.output.text import local_date
 from tests.cli.command import COMMAND, CROSSING, ENVIRONMENT, before_others, error, on_terminal, run, the_line, wrote
 from tests.roads.towns import town
 from tests.samples import carla_log, reading
@@ -259,3 +260,16 @@ def test_a_table_is_imported(tmp_path):
     done = run("import", tmp_path / "tracks.csv", tmp_path / "out.log", "--column", "x=east", "--hero", "7")
     assert (done.returncode, wrote(done.stderr)) == (0, [f"{tmp_path / 'out.log'}: 2 frames, 1 s"])
     assert "no NAME=COLUMN" in error("import", tmp_path / "tracks.csv", tmp_path / "b.log", "--column", "east")
+    assert "'soon' is no date" in error("import", tmp_path / "tracks.csv", tmp_path / "b.log", "--date", "soon")
+
+
+@pytest.mark.parametrize("date", ["2024-05-01T12:30:00Z", "2024-05-01T14:30+02:00", local_date(1_714_566_600)])
+def test_an_import_has_a_date(tmp_path, date):
+    (tmp_path / "tracks.csv").write_text("t,id,x,y\n0,7,1,2\n")
+    assert run("import", tmp_path / "tracks.csv", tmp_path / "out.log", "--date", date).returncode == 0
+    with open_recording(tmp_path / "out.log") as recording:
+        assert recording.header.date == 1_714_566_600
+
+
+def test_what_has_no_end_is_not_imported(tmp_path):
+    assert "/dev/zero: is no regular file" in error("import", "/dev/zero", tmp_path / "out.log")

@@ -2,13 +2,20 @@
 
 from __future__ import annotations
 
+import csv
 import math
+import os
+from datetime import UTC, datetime
 from pathlib import Path
+from time import process_time
+from warnings import catch_warnings
 
 import numpy as np
 import pytest
 
-from carla_recap import RecapError, export_csv, import_tracks, open_recording
+from carla_recap import RecapError, RecapWarning, create_recording, export_csv, import_tracks, open_recording
+from carla_recap.model.records import ActorKind, Spawn
+from tests.samples import CARLA_LOGS
 
 SAMPLES = Path(__file__).parents[2] / "samples"
 
@@ -22,6 +29,11 @@ def table(tmp_path):
         return open_recording(tmp_path / "out.mcap")
 
     return write
+
+
+def rows_of(path):
+    with path.open(newline="") as file:
+        return list(csv.reader(file))
 
 
 def test_a_table_becomes_a_recording(table):
@@ -112,13 +124,21 @@ def test_an_export_imported_again_has_the_same_transforms(tmp_path, sample):
         ("time,id,x,y\n", "no rows"),
         ("time,id,x,y\n0,7,1\n", "line 2: 3 values, 4 were expected"),
         ("time,id,x,y\n0,7,1,north\n", "line 2: y is 'north'; a number"),
-        ("time,id,x,y\n0,7,1,nan\n", "line 2: time, x and y must be finite"),
+        ("time,id,x,y\n0,7,1,nan\n,7,1,1\n", "no rows with a time and a position"),
         ("time,id,x,y\n0,7,1,1\n0,7,2,2\n", "object 7 has two rows at 0 s"),
         ("time,id,x,y\n0,7,1e38,1\n", "line 2: x is 1e38, which is too large"),
         ("time,id,x,y,vx,vy\n0,7,1,1,-1e300,0\n", "line 2: vx is -1e300, which is too large"),
-        ("time,id,x,y\n-1e308,7,1,1\n1e308,7,1,1\n", "line 2: time is -1e308, which is too large"),
+        ("time,id,x,y\n-1e308,7,1,1\n1e308,7,1,1\n", "more seconds between the first and the last time"),
+        ("time,id,x,y,z\n0,7,1,1,3.5e36\n", "line 2: z is 3.5e36, which is too large"),
         ("time,id,x,y\n0,,1,1\n", "line 2: the id is empty"),
-        (f"time,id,x,y\n0,{'7' * 70_000},1,1\n", "line 2: id has 70000 characters"),
+        (f"time,id,x,y\n0,{'7' * 1_001},1,1\n", "line 2: id has 1001 characters"),
+        (f"time,id,x,y\n0,{'7' * 70_000},1,1\n", "line 2: a row of less than 65536 characters"),
+        (f"time,id,x,y{',' * 70_000}\n", "line 1: a row of less than 65536 characters"),
+        ("time,id,x,y\n" + '0,"7\n' + 40_000 * '","\n', "a row of less than 65536 characters"),
+        (
+            "time,id,x,y\n" + "".join(f"0,{id},1,1\n" for id in range(65_536)),
+            "65536 objects at 0 s; a recording has at most",
+        ),
         ("time,id,x,y,X\n0,7,1,1,2\n", "two columns are named x"),
         ('time,id,x,y\n0,"7,1,1\n1,"7,2,2\n', "is no CSV file"),
     ],
@@ -126,9 +146,88 @@ def test_an_export_imported_again_has_the_same_transforms(tmp_path, sample):
 def test_what_is_no_such_table_is_an_error_and_leaves_no_file(tmp_path, text, message):
     source = tmp_path / "tracks.csv"
     source.write_text(text, "utf-8")
-    with pytest.raises(RecapError, match=message):
+    with pytest.raises(RecapError, match=message), catch_warnings(action="ignore", category=RecapWarning):
         import_tracks(source, tmp_path / "out.mcap")
     assert [path.name for path in tmp_path.iterdir()] == ["tracks.csv"]
+
+
+@pytest.mark.parametrize("kind", ["directory", "fifo", "device"])
+def test_only_regular_files_are_read(tmp_path, kind):
+    source = tmp_path / "tracks.csv"
+    if kind == "directory":
+        source.mkdir()
+    elif kind == "fifo":
+        os.mkfifo(source)
+    else:
+        source = Path("/dev/zero")
+    with pytest.raises(RecapError, match=f"{source}: is no regular file"):
+        import_tracks(source, tmp_path / "out.mcap")
+
+
+def test_rows_without_a_time_or_a_position_are_left_out(table):
+    with pytest.warns(RecapWarning, match="2 rows without a time or a position left out"):
+        recording = table("time,id,x,y\n0,7,1,2\n1,7,,2\n2,7,3,4\n,7,5,6\n")
+    with recording:
+        assert recording.trajectory(7).time.tolist() == [0, 2]
+        assert recording.trajectory(7).x.tolist() == [1, 3]
+
+
+def test_the_date_is_given_or_that_of_unix_times(table):
+    rows = "time,id,x,y\n{0},7,1,2\n{1},7,2,2\n"
+    given = datetime(2024, 5, 1, 12, 30, tzinfo=UTC)
+    for first, date, expected in ((0, None, 0), (1_700_000_000, None, 1_700_000_000), (1_700_000_000, given, 1_714_566_600)):
+        with table(rows.format(first, first + 1), date=date) as recording:
+            assert (recording.header.date, recording.info.duration) == (expected, 1)
+
+
+@pytest.mark.parametrize(
+    "path", [*sorted((CARLA_LOGS.parent).rglob("*.log")), *SAMPLES.glob("*.mcap")], ids=lambda path: path.name
+)
+def test_every_export_is_imported_again(tmp_path, path):
+    tracks, again = tmp_path / "tracks.csv", tmp_path / "again.csv"
+    with catch_warnings(action="ignore", category=RecapWarning):
+        try:
+            with open_recording(path) as recording:
+                export_csv(recording, tracks)
+        except RecapError as error:
+            pytest.skip(f"nothing to export: {error}")
+        if tracks.read_text().count("\n") == 1:
+            pytest.skip("it has neither vehicles nor walkers")
+        import_tracks(tracks, tmp_path / "again.log", date=datetime(2024, 5, 1, tzinfo=UTC))
+        with open_recording(tmp_path / "again.log") as recording:
+            export_csv(recording, again)
+    numbers = [[row[:1] + row[2:3] + row[5:] for row in rows_of(file)] for file in (tracks, again)]
+    assert numbers[0] == numbers[1]  # unnamed blueprints get a name
+
+
+def test_what_is_not_finite_is_empty_in_a_table_and_said(tmp_path):
+    with create_recording(tmp_path / "run.log", map_name="Town01", additional_data=True) as recorder:
+        spawns = [Spawn(7, ActorKind.VEHICLE, type_id="vehicle.audi.tt")]
+        recorder.add_frame(
+            0.0, spawned=spawns, transforms=[(7, 3e38, 0, 0, 0, 0, 0)], velocities=[(7, math.nan, math.inf, 1, 0, 0, 0)]
+        )
+        recorder.add_frame(1.0, transforms=[(7, math.nan, 0, 0, 0, 0, 0)])
+    with open_recording(tmp_path / "run.log") as recording, pytest.warns(RecapWarning, match="1 of 2 poses are not finite"):
+        export_csv(recording, tmp_path / "tracks.csv")
+    _, row = rows_of(tmp_path / "tracks.csv")
+    assert row[11:14] == ["", "", ""]
+    import_tracks(tmp_path / "tracks.csv", tmp_path / "again.log")
+    with open_recording(tmp_path / "again.log") as again:
+        (frame,) = again
+        assert frame["transforms"]["x"] == np.float32(3e38)
+
+
+@pytest.mark.parametrize("suffix", [".log"])
+def test_many_objects_of_one_row_take_time_in_proportion(tmp_path, suffix):
+    def seconds(count):
+        source = tmp_path / "tracks.csv"
+        source.write_text("time,id,x,y\n" + "".join(f"{n / 20},{n + 1},{n},0\n" for n in range(count)))
+        start = process_time()
+        import_tracks(source, tmp_path / f"out{suffix}", force=True)
+        return process_time() - start
+
+    few = min(seconds(1_000) for _ in range(3))
+    assert seconds(8_000) < 20 * few
 
 
 def test_what_is_not_finite_is_unknown(table):

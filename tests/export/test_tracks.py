@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from carla_recap import RecapError, Spawn, create_recording, export_csv, open_recording
+from carla_recap import RecapError, RecapWarning, Spawn, create_recording, export_csv, open_recording
 
 CRASH = Path(__file__).parents[2] / "samples" / "crash.mcap"
 
@@ -53,7 +53,7 @@ def test_names_are_printable_and_poses_finite(tmp_path):
         poses = [(7, 0, 0, 0, 0, 0, 0), (8, float("nan"), 0, 0, 0, 0, 0)]
         spawns = [Spawn(7, 1, type_id='vehicle.\r\n",'), Spawn(8, 1, type_id="vehicle.b")]
         recorder.add_frame(0.0, spawned=spawns, transforms=poses)
-    with open_recording(tmp_path / "own.log") as recording:
+    with open_recording(tmp_path / "own.log") as recording, pytest.warns(RecapWarning, match="1 of 2 poses are not finite"):
         export_csv(recording, tmp_path / "own.csv")
     (row,) = rows(tmp_path / "own.csv")
     assert (row["id"], row["type_id"].isprintable()) == ("7", True)

@@ -13,6 +13,8 @@ from carla_recap.cli.writing import WriteRequest, writes
 from carla_recap.fleet.destinations import WrittenFile
 
 if TYPE_CHECKING:
+    from datetime import datetime
+
     from carla_recap.editing.import_tracks import AngleUnit, LengthUnit, TimeUnit, TrackAxes
 
 _format = click.option(
@@ -86,6 +88,9 @@ def _clip(start: float | None, duration: float | None, source: str, destination:
 @click.argument("source", type=click.Path(), metavar="CSV")
 @options.destination
 @click.option("--map-name", default="", metavar="NAME", help="The name of the map, such as Town01.")
+@click.option(
+    "--date", type=options.DATE, help="The beginning, such as 2024-05-01T12:30; else Unix times of the file, or 1970."
+)
 @click.option("--hero", metavar="ID", help="The object with the role name hero.")
 @click.option(
     "--column",
@@ -110,6 +115,7 @@ def import_(
     source: str,
     destination: str,
     map_name: str,
+    date: datetime | None,
     hero: str | None,
     columns: tuple[str, ...],
     time_unit: TimeUnit | None,
@@ -135,6 +141,7 @@ def import_(
         source,
         destination,
         map_name=map_name,
+        date=date,
         columns=names,
         time_unit=time_unit,
         length_unit=length_unit,

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import re
-from contextlib import closing
+from contextlib import closing, suppress
 from typing import TYPE_CHECKING, Any, Final, TypeVar
 
 import click
@@ -118,6 +118,20 @@ class _KindsOption(click.Option):
         return super().get_help_record(ctx)
 
 
+class _Date(click.ParamType[Any]):
+    """A date and time, as of ISO 8601 or as `info` prints them; of this time zone unless it says another."""
+
+    name = "date"
+
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Any:
+        from datetime import datetime
+
+        for parse in (datetime.fromisoformat, lambda text: datetime.strptime(text, "%m/%d/%y %H:%M:%S")):
+            with suppress(ValueError):
+                return parse(value).astimezone()
+        return self.fail(f"{value!r} is no date; one such as 2024-05-01 or 2024-05-01T12:30:00Z was expected.", param, ctx)
+
+
 class _View(click.ParamType[Any]):
     """A view of the software renderer: its name, or the id of a recorded camera."""
 
@@ -154,6 +168,7 @@ TIME = _Number()
 FOLLOW = _Follow()
 MEASURED = _Measured()
 KINDS = _Kinds()
+DATE = _Date()
 SIZE = _Size()
 VIEW = _View()
 

@@ -5,11 +5,13 @@ from __future__ import annotations
 import math
 import time
 from datetime import datetime
+from functools import cache
 from typing import TYPE_CHECKING, Any, Self, SupportsFloat
 
 from carla_recap.errors import RecordError
 from carla_recap.formats import create_writer
 from carla_recap.model.frame import LAST_FRAME_DURATION, Extent, Frame, Header, Packet
+from carla_recap.model.layout import EMPTY_LIST, pack
 from carla_recap.model.records import FRAME_END, ORDER
 
 if TYPE_CHECKING:
@@ -17,7 +19,7 @@ if TYPE_CHECKING:
     from pathlib import Path
     from types import TracebackType
 
-    from carla_recap.model.records import Table
+    from carla_recap.model.records import RecordType, Table
 
 
 class Recorder:
@@ -51,12 +53,13 @@ class Recorder:
         """
         if self._closed:
             raise RecordError("the recording is closed")
-        if not isinstance(elapsed, SupportsFloat) or not 0 <= (elapsed := float(elapsed)) < math.inf:
+        if not isinstance(elapsed, float | int | SupportsFloat) or not 0 <= (elapsed := float(elapsed)) < math.inf:
             raise RecordError(f"elapsed seconds of 0 or more were expected, found {elapsed!r}")
         if self._latest is not None and not elapsed > self._latest.elapsed:
             raise RecordError(f"a frame at {elapsed:g} s cannot follow one at {self._latest.elapsed:g} s")
         number = self.extent.frames + 1
-        frame = Frame(number - 1, number, elapsed, LAST_FRAME_DURATION, self._packets(records))
+        packets = [*packets_of(self._table, records, additional_data=self._additional), self._end]
+        frame = Frame(number - 1, number, elapsed, LAST_FRAME_DURATION, packets)
         if self._latest is not None:
             self._latest.duration = elapsed - self._latest.elapsed
             self._writer.write(self._latest)
@@ -89,10 +92,6 @@ class Recorder:
         else:
             self.abort()
 
-    def _packets(self, given: dict[str, Any]) -> list[Packet]:
-        packets = packets_of(self._table, given, additional_data=self._additional)
-        return [*(Packet(packet.id, packet.type, packet.payload) for packet in packets), self._end]
-
 
 def packets_of(table: Table, records: Mapping[str, Any], *, additional_data: bool) -> list[Packet]:
     """Return the packets of a frame, between its start and its end, in the order of CARLA's recorder.
@@ -108,12 +107,21 @@ def packets_of(table: Table, records: Mapping[str, Any], *, additional_data: boo
     given = {table.named(name).id: values for name, values in records.items()}
     if min(given, default=FRAME_END + 1) <= FRAME_END:
         raise RecordError("a frame's start and end are not given as records")
-    rows = {id: table[id] for id in ORDER}
-    return [
-        Packet(id, type, records=type.records(given.get(id, [])))
-        for id, type in rows.items()
-        if id in given or (type.always and (additional_data or not type.additional))
-    ]
+    packets = dict(_empty_packets(table, additional_data))
+    for id, values in given.items():
+        type = table[id]
+        packets[id] = Packet(id, type, pack(type, type.records(values)))
+    return [packet for packet in packets.values() if packet is not None]
+
+
+@cache
+def _empty_packets(table: Table, additional_data: bool) -> dict[int, Packet | None]:
+    """Return the packets of a frame without records by id, in CARLA's order; None for those that CARLA leaves out."""
+    types: list[RecordType] = [table[id] for id in ORDER]
+    return {
+        type.id: Packet(type.id, type, EMPTY_LIST) if type.always and (additional_data or not type.additional) else None
+        for type in types
+    }
 
 
 def create_recording(

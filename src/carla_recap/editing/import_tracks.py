@@ -4,27 +4,33 @@ from __future__ import annotations
 
 import csv
 import math
+import stat
+import warnings
 from array import array
-from dataclasses import dataclass, field
+from dataclasses import dataclass
+from itertools import pairwise
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Final, Literal, get_args
+from typing import TYPE_CHECKING, Any, Final, Literal, TextIO, get_args
 
 import numpy as np
 
 from carla_recap.editing.author import create_recording
 from carla_recap.editing.convert import check_destination, check_new
-from carla_recap.errors import RecapError
-from carla_recap.model.records import CM, ActorKind, Spawn, attributes
+from carla_recap.errors import RecapError, RecapWarning
+from carla_recap.model.layout import MAX_COUNT
+from carla_recap.model.records import CM, NO_ACTOR, UE4, ActorKind, Spawn, attributes
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Mapping
+    from collections.abc import Iterator, Mapping
+    from datetime import datetime
 
     from numpy.typing import NDArray
 
     from carla_recap.model.frame import Extent
+    from carla_recap.model.layout import Records
 
     Floats = NDArray[np.float64]
-    Indices = NDArray[np.intp]
+    Indices = NDArray[np.int64]
 
 TimeUnit = Literal["s", "ms", "us", "ns"]
 LengthUnit = Literal["m", "cm"]
@@ -72,35 +78,57 @@ KINDS: Final[Mapping[str, str]] = {
 """The blueprint of each kind; others become props."""
 
 _SEPARATORS: Final = ",;\t"
-_LONGEST_LINE: Final = 1 << 16  # characters of the names that are looked at for the separator
+_LONGEST_ROW: Final = 1 << 16  # characters
 _TEXT: Final = ("id", "kind", "type_id", "role_name")
+_POSE: Final = ("x", "y", "z", "roll", "pitch", "yaw")
+_BOX: Final = ("length", "width", "height", "box_x", "box_y", "box_z")
+_ACTOR_KINDS: Final = {"vehicle": ActorKind.VEHICLE, "walker": ActorKind.WALKER}
 _PER_SECOND: Final[Mapping[str, float]] = {"s": 1.0, "ms": 1e3, "us": 1e6, "ns": 1e9}
 _PROP: Final = "static.prop.box01"
 _DAY: Final = 86_400.0  # s; a recording whose times begin later, or before 0, begins at 0
+_LATEST: Final = 1e11  # s since 1970; later times are no dates
 _ROWS: Final = 50_000_000  # that are read at most
 _LONGEST: Final = 1_000  # characters of an id, a kind, a blueprint or a role
-_LARGEST: Final = 1e12  # of the unit of a column; a recording has floats of 32 bits
-_LATEST: Final = 1e21  # s, ms, us or ns
+_LARGEST: Final = float(np.finfo(np.float32).max) * (1 + 1e-9)  # that a recording can hold, which may have been rounded
 _STANDSTILL: Final = 0.02  # m; a shorter step has no direction
 _HEIGHT: Final = 1.5  # m; of a box whose height is not given
-_IDS: Final = 1 << 31  # ids from here on are replaced
+_IDS: Final = NO_ACTOR  # ids from here on are replaced
+
+
+@dataclass(frozen=True)
+class _Units:
+    """The units and axes of a file."""
+
+    time: TimeUnit | None
+    length: LengthUnit
+    angle: AngleUnit
+    axes: TrackAxes
+
+    def divisor(self, column: str, heading: str) -> float:
+        """Return the number that a column is divided by to get CARLA's units and left-handed axes."""
+        sign = -1.0 if self.axes == "right-handed" and column in ("y", "vy", "pitch", "yaw", "box_y") else 1.0
+        if column == "time":
+            return _PER_SECOND[self.time or ("ns" if heading == "total_nanos" else "s")]
+        if column in ("roll", "pitch", "yaw"):
+            return sign * (1.0 if self.angle == "deg" else math.radians(1))
+        if column in ("vx", "vy", "vz"):
+            return sign * (1.0 if self.length == "m" else 1 / CM)
+        return sign * (CM if self.length == "m" else 1.0)
 
 
 @dataclass
-class _Columns:
-    """The columns of a file that are used: numbers, (rows,), and texts by number."""
+class _Table:
+    """The rows of a file that have a time and a position.
 
-    numbers: dict[str, Floats] = field(default_factory=dict)
-    texts: dict[str, list[str]] = field(default_factory=dict)
+    Attributes:
+        numbers: The columns of numbers, (rows,), in CARLA's units; NaN where one is unknown.
+        texts: The columns of texts: the different ones in the order of appearance, and which of them each row has.
+        left_out: The number of other rows.
+    """
 
-
-@dataclass
-class _Track:
-    """One object: the rows that it has, ascending by time, and its spawn."""
-
-    rows: Indices
-    spawn: Spawn
-    box: tuple[float, ...] | None
+    numbers: dict[str, Floats]
+    texts: dict[str, tuple[list[str], Indices]]
+    left_out: int
 
 
 def import_tracks(
@@ -108,6 +136,7 @@ def import_tracks(
     destination: Path | str,
     *,
     map_name: str = "",
+    date: datetime | float | None = None,
     columns: Mapping[str, str] | None = None,
     time_unit: TimeUnit | None = None,
     length_unit: LengthUnit = "m",
@@ -122,11 +151,14 @@ def import_tracks(
     width, height, kind, type_id (a blueprint) and role_name are optional. An object appears with its first row and
     disappears after its last one. Without a yaw it faces the direction of its motion, which it keeps while it stands.
     Velocities are recorded if they are given. Times that begin before 0, or later than after a day, are shifted to 0.
+    A number that is empty or not finite is unknown, and rows without a time, x or y are left out.
 
     Args:
         source: The CSV file, with a row of names at its top; commas, semicolons or tabs separate the columns.
         destination: The recording; its suffix says the format. It appears when it is complete.
         map_name: The name of the map.
+        date: The beginning, as a time or in Unix seconds; None: the first time if times begin later than after a day, so
+            that they are Unix times, else 0.
         columns: The names of columns that have others, such as `{"x": "east"}`.
         time_unit: The unit of times; None: s, of a column `total_nanos` ns.
         length_unit: The unit of positions, sizes and velocities (per second).
@@ -140,6 +172,9 @@ def import_tracks(
 
     Raises:
         RecapError: The file is no such table, or the recording cannot be written.
+
+    Warns:
+        RecapWarning: Rows are left out.
     """
     for name, value, known in (
         ("time_unit", time_unit or "s", TimeUnit),
@@ -151,30 +186,68 @@ def import_tracks(
             raise RecapError(f"{name} must be one of {', '.join(get_args(known))}, not {value!r}")
     check_new(destination, force=force)
     check_destination(source, destination, force=force)
-    found, names = _read(Path(source), columns or {})
-    if time_unit is None:
-        time_unit = "ns" if names["time"].lower() == "total_nanos" else "s"
-    _to_carla(found, _PER_SECOND[time_unit], length_unit, angle_unit, axes)
-    tracks = _tracks(Path(source), found, hero)
-    return _write(found, tracks, destination, map_name)
+    path = Path(source)
+    table = _read(path, columns or {}, _Units(time_unit, length_unit, angle_unit, axes))
+    if table.left_out:
+        rows = "row" if table.left_out == 1 else "rows"
+        warnings.warn(f"{path}: {table.left_out} {rows} without a time or a position left out", RecapWarning, stacklevel=2)
+    time = table.numbers["time"]
+    first = time.min().item()
+    if first < 0 or first > _DAY:
+        with np.errstate(over="ignore"):
+            time -= first
+        if time.max() == math.inf:
+            raise RecapError(f"{path}: more seconds between the first and the last time than can be counted")
+    if date is None:
+        date = first if _DAY < first < _LATEST else 0
+    return _Tracks(path, table, hero).write(destination, map_name, date)
 
 
 # --- reading -------------------------------------------------------------------------------------------------------------
 
 
-def _read(path: Path, given: Mapping[str, str]) -> tuple[_Columns, dict[str, str]]:
-    """Return the columns of a file, and the names that they have in it."""
+class _Rows:
+    """The rows of a CSV file, each of which may have several lines, and has a bounded length."""
+
+    def __init__(self, path: Path, file: TextIO) -> None:
+        self._path, self._file, self._length = path, file, 0
+        separator = max(_SEPARATORS, key=file.readline(_LONGEST_ROW).count)
+        file.seek(0)
+        self._rows = csv.reader(self._lines(), delimiter=separator, strict=True)
+
+    @property
+    def line(self) -> int:
+        """The number of the line that was read last, from 1."""
+        return self._rows.line_num
+
+    def __iter__(self) -> Iterator[list[str]]:
+        for row in self._rows:
+            self._length = 0
+            yield row
+
+    def _lines(self) -> Iterator[str]:
+        while line := self._file.readline(_LONGEST_ROW):
+            self._length += len(line)
+            if self._length >= _LONGEST_ROW:
+                raise RecapError(
+                    f"{self._path}: line {self.line + 1}: a row of less than {_LONGEST_ROW} characters was expected"
+                )
+            yield line
+
+
+def _read(path: Path, given: Mapping[str, str], units: _Units) -> _Table:
+    """Return the rows of a file."""
     try:
+        if not stat.S_ISREG(path.stat().st_mode):
+            raise RecapError(f"{path}: is no regular file; a CSV file was expected")
         with path.open(newline="", encoding="utf-8-sig") as file:
-            first = file.readline(_LONGEST_LINE)
-            file.seek(0)
-            separator = max(_SEPARATORS, key=first.count)
-            lines = csv.reader(file, delimiter=separator, strict=True)
-            header = next(lines, None)
+            rows = _Rows(path, file)
+            header = next(iter(rows), None)
             if header is None:
                 raise RecapError(f"{path}: is empty; a CSV file with a row of names at its top was expected")
-            names, positions = _positions(path, header, given)
-            return _parse(path, lines, positions, len(header)), names
+            positions = _positions(path, header, given)
+            divisors = {name: units.divisor(name, header[at].strip().lower()) for name, at in positions.items()}
+            return _parse(path, rows, positions, divisors, len(header))
     except OSError as error:
         raise RecapError(f"{path}: {error.strerror}") from None
     except UnicodeDecodeError as error:
@@ -183,201 +256,215 @@ def _read(path: Path, given: Mapping[str, str]) -> tuple[_Columns, dict[str, str
         raise RecapError(f"{path}: is no CSV file ({error})") from None
 
 
-def _positions(path: Path, header: list[str], given: Mapping[str, str]) -> tuple[dict[str, str], dict[str, int]]:
+def _positions(path: Path, header: list[str], given: Mapping[str, str]) -> dict[str, int]:
     unknown = [name for name in given if name not in ALIASES]
     if unknown:
         raise RecapError(f"there is no column {unknown[0]!r}; there are {', '.join(ALIASES)}")
     headings = [name.strip().lower() for name in header]
     by_name = {name: index for index, name in enumerate(headings)}
-    names, positions = {}, {}
+    positions = {}
     for column, aliases in ALIASES.items():
         wanted = (given[column].lower(),) if column in given else aliases
         match = next((alias for alias in wanted if alias in by_name), None)
         if match is not None and headings.count(match) > 1:
             raise RecapError(f"{path}: two columns are named {match}")
         if match is not None:
-            names[column], positions[column] = match, by_name[match]
+            positions[column] = by_name[match]
         elif column in given or column in REQUIRED:
             expected = given.get(column) or " or ".join(aliases[:3])
             shown = ", ".join(header[:12]) + (", …" if len(header) > 12 else "")
             raise RecapError(f"{path}: no column {expected} for {column}; it has {shown:.300}")
-    return names, positions
+    return positions
 
 
-def _parse(path: Path, lines: Iterable[list[str]], positions: Mapping[str, int], width: int) -> _Columns:
+def _parse(path: Path, rows: _Rows, positions: Mapping[str, int], divisors: Mapping[str, float], width: int) -> _Table:
     numbers = {name: array("d") for name in positions if name not in _TEXT}
-    texts: dict[str, list[str]] = {name: [] for name in positions if name in _TEXT}
-    pooled: dict[str, str] = {}
-    for number, line in enumerate(lines, 2):
-        if not line:
+    texts: dict[str, dict[str, int]] = {name: {} for name in positions if name in _TEXT}
+    which = {name: array("q") for name in texts}
+    limits = {name: math.inf if name == "time" else _LARGEST * abs(divisors[name]) for name in numbers}
+    left_out = 0
+    for row in rows:
+        if not row:
             continue
-        if len(line) != width:
-            raise RecapError(f"{path}: line {number}: {len(line)} values, {width} were expected")
-        if number > _ROWS:
-            raise RecapError(f"{path}: line {number}: at most {_ROWS:,} lines are read")
-        for name, values in numbers.items():
-            text = line[positions[name]]
-            try:
-                value = float(text) if text else math.nan
-            except ValueError:
-                raise RecapError(f"{path}: line {number}: {name} is {text[:40]!r}; a number was expected") from None
-            if abs(value) > (_LATEST if name == "time" else _LARGEST) and math.isfinite(value):
-                raise RecapError(f"{path}: line {number}: {name} is {text[:40]}, which is too large")
-            values.append(value if math.isfinite(value) else math.nan)
-        for name, items in texts.items():
-            text = line[positions[name]]
+        if len(row) != width:
+            raise RecapError(f"{path}: line {rows.line}: {len(row)} values, {width} were expected")
+        if rows.line > _ROWS:
+            raise RecapError(f"{path}: line {rows.line}: at most {_ROWS:,} lines are read")
+        values = {name: _number(path, rows, name, row[positions[name]], limit) for name, limit in limits.items()}
+        if math.isnan(values["time"] + values["x"] + values["y"]):
+            left_out += 1
+            continue
+        for name, value in values.items():
+            numbers[name].append(value)
+        for name, known in texts.items():
+            text = row[positions[name]]
             if len(text) > _LONGEST:
                 raise RecapError(
-                    f"{path}: line {number}: {name} has {len(text)} characters; at most {_LONGEST} were expected"
+                    f"{path}: line {rows.line}: {name} has {len(text)} characters; at most {_LONGEST} were expected"
                 )
-            items.append(pooled.setdefault(text, text))
-        if not all(math.isfinite(numbers[name][-1]) for name in ("time", "x", "y")):
-            raise RecapError(f"{path}: line {number}: time, x and y must be finite numbers")
-        if not texts["id"][-1]:
-            raise RecapError(f"{path}: line {number}: the id is empty")
-    if not texts["id"]:
-        raise RecapError(f"{path}: no rows below the names")
-    return _Columns({name: np.frombuffer(values).copy() for name, values in numbers.items()}, texts)
+            which[name].append(known.setdefault(text, len(known)))
+        if not row[positions["id"]]:
+            raise RecapError(f"{path}: line {rows.line}: the id is empty")
+    if not which["id"]:
+        raise RecapError(f"{path}: no rows {'with a time and a position ' if left_out else ''}below the names")
+    return _Table(
+        {name: np.frombuffer(values) / divisors[name] + 0.0 for name, values in numbers.items()},  # no -0.0
+        {name: (list(known), np.frombuffer(which[name], np.int64)) for name, known in texts.items()},
+        left_out,
+    )
 
 
-def _to_carla(found: _Columns, per_second: float, length_unit: str, angle_unit: str, axes: str) -> None:
-    """Convert the numbers to s, and to CARLA's cm, degrees, m/s and left-handed axes."""
-    numbers = found.numbers
-    numbers["time"] /= per_second
-    first = numbers["time"].min()
-    if first < 0 or first > _DAY:
-        numbers["time"] -= first
-    for name, values in numbers.items():
-        if name in ("x", "y", "z", "length", "width", "height", "box_x", "box_y", "box_z") and length_unit == "m":
-            values /= CM
-        elif name in ("vx", "vy", "vz") and length_unit == "cm":
-            values *= CM
-        elif name in ("roll", "pitch", "yaw") and angle_unit == "rad":
-            values[:] = np.degrees(values)
-        if axes == "right-handed" and name in ("y", "vy", "pitch", "yaw", "box_y"):
-            np.subtract(0.0, values, out=values)
+def _number(path: Path, rows: _Rows, name: str, text: str, limit: float) -> float:
+    """Return a number of the last row; NaN if it is unknown."""
+    try:
+        value = float(text or "nan")
+    except ValueError:
+        raise RecapError(f"{path}: line {rows.line}: {name} is {text[:40]!r}; a number was expected") from None
+    if math.isinf(value):
+        return math.nan
+    if abs(value) > limit:
+        raise RecapError(f"{path}: line {rows.line}: {name} is {text[:40]}, which is too large")
+    return value
 
 
 # --- objects -------------------------------------------------------------------------------------------------------------
 
 
-def _tracks(path: Path, found: _Columns, hero: str | None) -> list[_Track]:
-    names: dict[str, int] = {}  # in the order of appearance
-    indices = np.array([names.setdefault(name, len(names)) for name in found.texts["id"]])
-    if hero is not None and hero not in names:
-        raise RecapError(f"{path}: no object {hero}; ids are {', '.join(list(names)[:3])} …")
-    time = found.numbers["time"]
-    found.numbers.setdefault("yaw", np.full(len(time), np.nan))
-    order = np.lexsort((time, indices))
-    edges = np.searchsorted(indices[order], np.arange(len(names) + 1))
-    numbers = _numbers(list(names))
-    tracks = []
-    for index, name in enumerate(names):
-        rows = order[edges[index] : edges[index + 1]]
-        twice = np.flatnonzero(np.diff(time[rows]) <= 0)
-        if len(twice):
-            raise RecapError(f"{path}: object {name} has two rows at {time[rows[twice[0]]]:g} s")
-        _face(found.numbers, rows)
-        tracks.append(_track(found, rows, name, numbers[name], is_hero=name == hero))
-    return tracks
+class _Tracks:
+    """The objects of a file: the rows of each, and what it looks like.
+
+    Args:
+        path: The file, for messages.
+        table: Its rows.
+        hero: The id of the hero.
+
+    Raises:
+        RecapError: There is no such hero, an object has two rows at a time, or there are too many objects at a time.
+    """
+
+    def __init__(self, path: Path, table: _Table, hero: str | None) -> None:
+        self._numbers, self._texts = table.numbers, table.texts
+        self._names, of_row = table.texts["id"]
+        if hero is not None and hero not in self._names:
+            raise RecapError(f"{path}: no object {hero}; ids are {', '.join(self._names[:3])} …")
+        self._hero = hero
+        time = table.numbers["time"]
+        order = np.lexsort((time, of_row))
+        edges = np.searchsorted(of_row[order], np.arange(len(self._names) + 1))
+        again = np.flatnonzero((np.diff(time[order]) <= 0) & (np.diff(of_row[order]) == 0))
+        if len(again):
+            row = order[again[0]]
+            raise RecapError(f"{path}: object {self._names[of_row[row]]} has two rows at {time[row]:g} s")
+        moments, counts = np.unique(time, return_counts=True)
+        if counts.max() > MAX_COUNT:
+            moment = moments[counts.argmax()]
+            raise RecapError(
+                f"{path}: {counts.max()} objects at {moment:g} s; a recording has at most {MAX_COUNT} at a time"
+            )
+        self._ids = _actor_ids(self._names)
+        self._first, self._last = order[edges[:-1]], order[edges[1:] - 1]
+        yaw = self._numbers.setdefault("yaw", np.full(len(time), np.nan))
+        unknown = np.isin(np.arange(len(self._names)), of_row[np.isnan(yaw)]) & (np.diff(edges) > 1)
+        for number in np.flatnonzero(unknown).tolist():
+            self._face(order[edges[number] : edges[number + 1]])
+        for name in _POSE:
+            np.nan_to_num(self._numbers.setdefault(name, np.zeros(len(time))), copy=False)
+
+    def _face(self, rows: Indices) -> None:
+        """Set the yaw of a track where it is missing: the direction of its motion, kept while it stands."""
+        x, y, yaw = self._numbers["x"][rows] * CM, self._numbers["y"][rows] * CM, self._numbers["yaw"][rows]
+        origin, moved = 0, np.full(len(rows), np.nan)
+        for row in range(1, len(rows)):
+            step = x[row] - x[origin], y[row] - y[origin]
+            if math.hypot(*step) >= _STANDSTILL:
+                moved[row - 1] = math.degrees(math.atan2(step[1], step[0]))
+                origin = row
+        valid = np.flatnonzero(np.isfinite(moved))
+        if len(valid):
+            latest = np.maximum.accumulate(np.where(np.isfinite(moved), np.arange(len(rows)), -1))
+            moved = moved[np.where(latest < 0, valid[0], latest)]
+        self._numbers["yaw"][rows] = np.where(np.isnan(yaw), np.nan_to_num(moved), yaw)
+
+    def _text(self, name: str, row: int) -> str:
+        """Return a text of a row; empty if there is no such column."""
+        if name not in self._texts:
+            return ""
+        values, which = self._texts[name]
+        return values[int(which[row])]
+
+    def _looks(self, row: int) -> tuple[str, ActorKind]:
+        """Return the blueprint and the kind of the actor that a row is about."""
+        by_kind = KINDS.get(self._text("kind", row).strip().lower() if "kind" in self._texts else "vehicle", "")
+        blueprint = self._text("type_id", row) or by_kind or _PROP
+        return blueprint, _ACTOR_KINDS.get((by_kind or blueprint).partition(".")[0], ActorKind.OTHER)
+
+    def _spawn(self, number: int) -> Spawn:
+        """Return the spawn of an object, where its first row is."""
+        row, name, id = self._first[number].item(), self._names[number], self._ids[number].item()
+        blueprint, kind = self._looks(row)
+        role = "hero" if name == self._hero else self._text("role_name", row)
+        given = {"role_name": role} if role else {}
+        if name != str(id):
+            given["track_id"] = name
+        pose = {each: self._numbers[each][row].item() for each in _POSE}
+        return Spawn(id, kind, **pose, type_id=blueprint, attributes=attributes(**given))
+
+    def _box(self, number: int) -> tuple[float, ...] | None:
+        """Return the bounding box of an object, as a record; None if its length or its width is unknown."""
+        row = self._first[number].item()
+        length, width, height, *center = (
+            self._numbers[name][row].item() if name in self._numbers else math.nan for name in _BOX
+        )
+        if not (length > 0 and width > 0):
+            return None
+        height = height if height > 0 else _HEIGHT / CM
+        middle = (0.0, 0.0, 0.0 if self._looks(row)[1] == ActorKind.WALKER else height / 2)
+        center = [default if math.isnan(value) else value for value, default in zip(center, middle, strict=True)]
+        return (self._ids[number].item(), *center, length / 2, width / 2, height / 2)
+
+    def write(self, destination: Path | str, map_name: str, date: datetime | float) -> Extent:
+        """Write the recording."""
+        time, (_, of_row) = self._numbers["time"], self._texts["id"]
+        order = np.argsort(time, kind="stable")
+        ids, moments = self._ids[of_row[order]], np.unique(time)
+        columns = {"id": ids, **{name: self._numbers[name][order] for name in _POSE}}
+        transforms = _by_moment(_records("transforms", columns), time[order], moments)
+        axes = {axis: self._numbers[f"v{axis}"][order] for axis in "xyz" if f"v{axis}" in self._numbers}
+        has_velocities = "x" in axes and "y" in axes
+        known = ~np.isnan(sum(axes.values(), np.zeros(len(order)))) if has_velocities else np.zeros(len(order), bool)
+        moving = {"id": ids[known], **{axis: values[known] for axis, values in axes.items()}}
+        velocities = _by_moment(_records("velocities", moving), time[order][known], moments)
+        begins, ends = time[self._first], time[self._last]
+        order = np.argsort(begins, kind="stable")
+        spawned = _by_moment(order, begins[order], moments)
+        order = np.argsort(ends, kind="stable")
+        destroyed = _by_moment(_records("destroyed", {"id": self._ids[order]}), ends[order], moments)
+        has_boxes = any(self._box(number) for number in range(len(self._names))) if "length" in self._numbers else False
+        additional = has_velocities or has_boxes
+        with create_recording(destination, map_name=map_name, date=date, additional_data=additional) as recorder:
+            gone: Records = []
+            for moment in moments.tolist():
+                records = {"transforms": next(transforms), "velocities": next(velocities), "destroyed": gone}
+                new = next(spawned).tolist()
+                records["spawned"] = [self._spawn(number) for number in new]
+                records["bounding_boxes"] = [box for number in new if (box := self._box(number))] if has_boxes else []
+                recorder.add_frame(moment, **{name: each for name, each in records.items() if len(each)})
+                gone = next(destroyed)
+            return recorder.extent
 
 
-def _numbers(names: list[str]) -> dict[str, int]:
+def _records(name: str, columns: dict[str, Any]) -> NDArray[np.void]:
+    return np.asarray(UE4.named(name).records(columns))
+
+
+def _by_moment(values: NDArray[Any], times: Floats, moments: Floats) -> Iterator[NDArray[Any]]:
+    """Yield the values of each moment; they are in the order of their times."""
+    edges = [*np.searchsorted(times, moments).tolist(), len(times)]
+    return (values[start:stop] for start, stop in pairwise(edges))
+
+
+def _actor_ids(names: list[str]) -> NDArray[np.uint32]:
     """Return an actor id for each name: the name itself, if all are such numbers, else 1 and up."""
     if all(name.isascii() and name.isdecimal() and 0 < int(name[:12]) < _IDS and name[0] != "0" for name in names):
-        return {name: int(name) for name in names}
-    return {name: number for number, name in enumerate(names, 1)}
-
-
-def _face(numbers: dict[str, Floats], rows: Indices) -> None:
-    """Set the yaw of a track where it is missing: the direction of its motion, kept while it stands."""
-    yaw = numbers["yaw"]
-    known = np.isfinite(yaw[rows])
-    if known.all():
-        return
-    x, y = numbers["x"][rows] * CM, numbers["y"][rows] * CM
-    origin, moved = 0, np.full(len(rows), np.nan)
-    for row in range(1, len(rows)):
-        step = x[row] - x[origin], y[row] - y[origin]
-        if math.hypot(*step) >= _STANDSTILL:
-            moved[row - 1] = math.degrees(math.atan2(step[1], step[0]))
-            origin = row
-    valid = np.flatnonzero(np.isfinite(moved))
-    if len(valid):
-        latest = np.maximum.accumulate(np.where(np.isfinite(moved), np.arange(len(rows)), -1))
-        moved = moved[np.where(latest < 0, valid[0], latest)]
-    yaw[rows] = np.where(known, yaw[rows], np.nan_to_num(moved))
-
-
-def _track(found: _Columns, rows: Indices, name: str, number: int, *, is_hero: bool) -> _Track:
-    numbers, texts, first = found.numbers, found.texts, int(rows[0])
-    kind = texts["kind"][first].strip().lower() if "kind" in texts else "vehicle"
-    blueprint = (texts["type_id"][first] if "type_id" in texts else "") or KINDS.get(kind, _PROP)
-    family = blueprint.partition(".")[0]
-    actor_kind = {"vehicle": ActorKind.VEHICLE, "walker": ActorKind.WALKER}.get(family, ActorKind.OTHER)
-    role = "hero" if is_hero else texts["role_name"][first] if "role_name" in texts else ""
-    given = {"role_name": role} if role else {}
-    if name != str(number):
-        given["track_id"] = name
-    x, y, z, roll, pitch, yaw = (float(value) for value in _pose(numbers, first).values())
-    spawn = Spawn(number, actor_kind, x, y, z, roll, pitch, yaw, type_id=blueprint, attributes=attributes(**given))
-    box = None
-    length, width = (float(numbers[each][first]) if each in numbers else math.nan for each in ("length", "width"))
-    if length > 0 and width > 0:
-        height = float(numbers["height"][first]) if "height" in numbers else math.nan
-        height = height if height > 0 else _HEIGHT / CM
-        middle = 0.0 if actor_kind == ActorKind.WALKER else height / 2
-        center = [float(numbers[each][first]) if each in numbers else 0.0 for each in ("box_x", "box_y")]
-        center.append(float(numbers["box_z"][first]) if "box_z" in numbers else middle)
-        box = (*np.nan_to_num(center).tolist(), length / 2, width / 2, height / 2)
-    return _Track(rows, spawn, box)
-
-
-def _pose(numbers: Mapping[str, Floats], rows: Any) -> dict[str, Any]:
-    zeros = np.zeros(np.shape(rows))
-    columns = {name: numbers[name][rows] if name in numbers else zeros for name in ("x", "y", "z", "roll", "pitch", "yaw")}
-    return {name: np.nan_to_num(values) for name, values in columns.items()}
-
-
-# --- writing -------------------------------------------------------------------------------------------------------------
-
-
-def _write(found: _Columns, tracks: list[_Track], destination: Path | str, map_name: str) -> Extent:
-    time = found.numbers["time"]
-    ids = np.zeros(len(time), np.uint32)
-    spawns: dict[float, list[_Track]] = {}
-    ends: dict[float, list[int]] = {}
-    for track in tracks:
-        ids[track.rows] = track.spawn.id
-        spawns.setdefault(float(time[track.rows[0]]), []).append(track)
-        ends.setdefault(float(time[track.rows[-1]]), []).append(track.spawn.id)
-    order = np.argsort(time, kind="stable")
-    moments, starts = np.unique(time[order], return_index=True)
-    columns = {"id": ids[order], **_pose(found.numbers, order)}
-    moving = {axis: found.numbers[f"v{axis}"][order] for axis in "xyz" if f"v{axis}" in found.numbers}
-    has_velocity: NDArray[np.bool_] | None = None
-    if "x" in moving and "y" in moving:
-        has_velocity = np.logical_and.reduce([np.isfinite(values) for values in moving.values()])
-    has_boxes = any(track.box for track in tracks)
-    with create_recording(
-        destination, map_name=map_name, date=0, additional_data=has_velocity is not None or has_boxes
-    ) as recorder:
-        gone: list[int] = []
-        for moment, start, stop in zip(moments.tolist(), starts, [*starts[1:], len(order)], strict=True):
-            rows = slice(start, stop)
-            records: dict[str, Any] = {"transforms": {name: values[rows] for name, values in columns.items()}}
-            new = spawns.get(moment, [])
-            if new:
-                records["spawned"] = [track.spawn for track in new]
-                boxes = [(track.spawn.id, *track.box) for track in new if track.box]
-                if boxes:
-                    records["bounding_boxes"] = boxes
-            if gone:
-                records["destroyed"] = {"id": gone}
-            if has_velocity is not None and has_velocity[rows].any():
-                known = has_velocity[rows]
-                axes = {axis: values[rows][known] for axis, values in moving.items()}
-                records["velocities"] = {"id": columns["id"][rows][known], **axes}
-            recorder.add_frame(moment, **records)
-            gone = ends.get(moment, [])
-        return recorder.extent
+        return np.array([int(name) for name in names], np.uint32)
+    return np.arange(1, len(names) + 1, dtype=np.uint32)

@@ -3,12 +3,15 @@
 from __future__ import annotations
 
 import csv
+import math
+import warnings
 from io import StringIO
 from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
 from carla_recap.editing.convert import check_destination
+from carla_recap.errors import RecapWarning
 from carla_recap.model.records import ActorKind
 from carla_recap.rendering.looks import look_of_present
 from carla_recap.replay import Played, Player
@@ -47,7 +50,7 @@ def export_csv(
     """Write the tracks of vehicles and walkers as a CSV file.
 
     Numbers have as many digits as it takes to read the same ones again: `import_tracks` gives the same transforms. A
-    velocity that was not recorded is empty. Poses with numbers that are not finite are left out.
+    velocity that was not recorded, or is not finite, is empty. Poses that are not finite are left out.
 
     Args:
         source: The recording.
@@ -62,28 +65,38 @@ def export_csv(
 
     Raises:
         RecapError: The recording has no such time, or the file cannot be written.
+
+    Warns:
+        RecapWarning: Poses are left out, or there are none.
     """
     reader = source.reader
     check_destination(reader.location, destination, force=force)
     player = Player(source, start=start, duration=duration)
     frames, first, last = 0, player.start, player.start
+    poses = left_out = 0
     with WholeFile(destination) as file:
         file.write((",".join(COLUMNS) + "\n").encode())
         for batch in player.batches(progress):
-            text = StringIO()
-            csv.writer(text, lineterminator="\n").writerows(_rows(batch))
+            text, rows = StringIO(), list(_rows(batch))
+            known = [row for row in rows if row is not None]
+            csv.writer(text, lineterminator="\n").writerows(known)
+            poses, left_out = poses + len(rows), left_out + len(rows) - len(known)
             file.write(text.getvalue().encode("utf-8", "backslashreplace"))
             first = float(batch.time[0]) if not frames else first
             frames, last = frames + len(batch), float(batch.time[-1])
+    if left_out or not poses:
+        what = f"{left_out} of {poses} poses are not finite, and left out" if poses else "no vehicle or walker has a pose"
+        warnings.warn(f"{destination}: {what}", RecapWarning, stacklevel=2)
     return Played(frames, last - first)
 
 
-def _rows(batch: SceneBatch) -> Iterator[list[object]]:
-    """Yield the rows of scenes, in the order of time."""
+def _rows(batch: SceneBatch) -> Iterator[list[object] | None]:
+    """Yield the rows of scenes, in the order of time; None for poses that are not finite."""
     actors = [(column, actor) for column, id in enumerate(batch.ids.tolist()) if (actor := _actor(batch, id))]
     poses = right_handed(batch.poses) + 0.0  # no -0.0
     recorded = batch.records("velocities")
-    velocities = np.stack([recorded[axis].astype(np.float64) for axis in "xyz"], axis=2) * (1.0, -1.0, 1.0) + 0.0
+    with np.errstate(invalid="ignore"):
+        velocities = np.stack([recorded[axis].astype(np.float64) for axis in "xyz"], axis=2) * (1.0, -1.0, 1.0) + 0.0
     known = {id: column for column, id in enumerate(recorded["id"][0].tolist())} if recorded.shape[1] else {}
     columns = []
     for column, actor in actors:
@@ -95,9 +108,11 @@ def _rows(batch: SceneBatch) -> Iterator[list[object]]:
     for row, time in enumerate(batch.time.tolist()):
         for column, head, size in columns:
             if not finite[row, column]:
+                yield None
                 continue
-            moving = velocities[row, known[head[0]]].tolist() if head[0] in known else [""] * 3
-            yield [time, *head, *poses[row, column].tolist(), *moving, *size]
+            moving = velocities[row, known[head[0]]].tolist() if head[0] in known else [math.nan]
+            is_known = all(map(math.isfinite, moving))
+            yield [time, *head, *poses[row, column].tolist(), *(moving if is_known else [""] * 3), *size]
 
 
 def _actor(batch: SceneBatch, id: int) -> Present | None:
