@@ -33,7 +33,7 @@ def indexing(subject: Subject) -> Iterator[Line]:
     yield Line(f"{count:,} recordings indexed", f"{rate:.0f} a second", ratio, "≥ 120 /s", rate >= 120)
     expected = f"{count:,} recordings: {count - failed:,} read, {failed} failed, 0 unchanged"
     yield Line("of these", lines[-1].partition(": ")[2], "", f"{failed} errors named", lines[-1].endswith(expected))
-    size = sum(file.stat().st_size for file in index.rglob("*.parquet"))
+    size = index.stat().st_size
     yield Line("the index", f"{size / 1e6:.1f} MB", f"{size / count:.0f} bytes each", "", True)
     _, seconds, _ = _run("index", runs, index)
     yield Line(f"{count:,} unchanged recordings", f"{seconds:.1f} s", "", "≤ 5 s", seconds <= 5)
@@ -102,9 +102,9 @@ def _campaign(subject: Subject, most: int = MOST) -> tuple[Path, int]:
 
 
 def _new_index(name: str = "index") -> Path:
-    folder = DIRECTORY / name
-    shutil.rmtree(folder, ignore_errors=True)
-    return folder
+    index = DIRECTORY / f"{name}.duckdb"
+    index.unlink(missing_ok=True)
+    return index
 
 
 def _run(*arguments: Any) -> tuple[list[str], float, float]:

@@ -187,8 +187,24 @@ def test_a_question_about_measures_that_the_index_does_not_have_is_answered_with
     assert b"--measures" in done.stderr
 
 
-def test_a_folder_that_is_no_index_is_an_error(tmp_path):
-    assert "is no index of recordings" in error("sql", tmp_path, "select 1")
+@pytest.mark.parametrize("form", ["argument", "stdin"])
+def test_a_query_that_is_not_utf_8_is_an_error_in_one_line(index, form):
+    query, text = ("-", b"select '\xff'") if form == "stdin" else (b"select '\xff'", b"")
+    done = subprocess.run(
+        [COMMAND, "sql", index, query], input=text, capture_output=True, env=ENVIRONMENT, timeout=PATIENCE, check=False
+    )
+    assert (done.returncode, done.stdout) == (2, b"")
+    assert done.stderr.count(b"\n") == 1
+    assert b"is not UTF-8" in done.stderr
+
+
+@pytest.mark.parametrize("query", ["select range from range(2000000000)", "select repeat('x', 1900000000)"])
+def test_an_answer_that_is_too_large_for_the_memory_is_an_error(index, query):
+    assert "there is not enough memory for this query" in error("sql", index, query)
+
+
+def test_a_file_that_is_no_index_is_an_error(tmp_path):
+    assert "is a folder; an index is a file" in error("sql", tmp_path, "select 1")
     assert "is no index of recordings" in error("sql", tmp_path / "none", "select 1")
 
 

@@ -5,6 +5,8 @@ from __future__ import annotations
 import os
 import shutil
 import signal
+import subprocess
+import sys
 from pathlib import Path
 
 import pytest
@@ -13,8 +15,9 @@ from carla_recap import ActorKind, RecapError, Spawn, create_recording, open_ind
 from carla_recap.fleet.index.tables import TABLES
 from carla_recap.fleet.sources import SourceFile
 from carla_recap.roads import find_map, find_road_network
+from tests.waiting import PATIENCE
 
-pytest.importorskip("pyarrow", reason="the extra `arrow` is not installed")
+pytest.importorskip("duckdb", reason="the extra `sql` is not installed")
 
 SAMPLES = Path(__file__).parents[2] / "samples"
 NAMES = ("blocked.mcap", "crash.mcap", "crossing.log")
@@ -223,41 +226,70 @@ def test_etags_have_no_quotes_and_decide_what_is_read(tmp_path, monkeypatch, eta
     assert counts(write_index([], tmp_path / "index", jobs=1)) == (0, 0, 1, 0)
 
 
-def test_parts_are_merged_when_there_are_many(runs, tmp_path, monkeypatch):
-    monkeypatch.setattr("carla_recap.fleet.index.writing.MOST_PARTS", 2)
-    for name in NAMES:
-        write_index([runs / name], tmp_path / "index", jobs=1)
-    assert len(list((tmp_path / "index" / "recordings").iterdir())) == 1
+def test_two_processes_write_one_index_and_nothing_is_lost(runs, tmp_path):
+    write_index([runs / NAMES[0]], tmp_path / "index", jobs=1)
+    command = [sys.executable, "-m", "carla_recap", "index", "--jobs", "1"]
+    both = [subprocess.Popen([*command, *names, tmp_path / "index"]) for names in ([runs / NAMES[1]], [runs])]
+    assert [process.wait(PATIENCE) for process in both] == [0, 0]
     write_index([runs], tmp_path / "anew", jobs=1)
     assert contents(tmp_path / "index") == contents(tmp_path / "anew")
 
 
-def test_two_processes_cannot_write_one_index(runs, tmp_path):
-    from carla_recap.fleet.index.folder import IndexFolder
+@pytest.mark.parametrize("mode", ["read_only=True", "read_only=False"])
+def test_a_process_that_has_the_index_open_is_waited_for_and_named_in_the_end(runs, tmp_path, monkeypatch, mode):
+    monkeypatch.setattr("carla_recap.fleet.index.database._PATIENCE", 0.1)
+    index = tmp_path / "index"
+    write_index([runs / NAMES[0]], index, jobs=1)
+    hold = f"import duckdb, sys; held = duckdb.connect(sys.argv[1], {mode}); print('open', flush=True); sys.stdin.read()"
+    with subprocess.Popen([sys.executable, "-c", hold, index], stdin=-1, stdout=-1) as process:
+        assert process.stdout.readline() == b"open\n"
+        with pytest.raises(RecapError, match=r"another process has been using this index for 0\.1 s"):
+            write_index([runs], index, jobs=1)
+        process.stdin.close()
+    assert counts(write_index([runs], index, jobs=1)) == (2, 0, 1, 0)
 
-    with IndexFolder(tmp_path / "index").locked(), pytest.raises(RecapError, match="another process is writing"):
-        write_index([runs], tmp_path / "index", jobs=1)
+
+def test_an_index_of_an_earlier_version_is_refused_with_the_command_that_makes_it_anew(runs, tmp_path):
+    old = tmp_path / "runs.index"
+    (old / "recordings").mkdir(parents=True)
+    (old / "index.json").write_text("{}")
+    for use in (open_index, lambda path: write_index([runs], path, jobs=1)):
+        with pytest.raises(RecapError, match=r"an earlier version .* 'carla-recap index SOURCE\.\.\. .*runs\.duckdb' makes"):
+            use(old)
+
+
+def test_an_index_of_other_columns_is_refused(runs, tmp_path):
+    import duckdb
+
     write_index([runs], tmp_path / "index", jobs=1)
+    with duckdb.connect(tmp_path / "index") as database:
+        database.execute("alter table incidents drop column text")
+    for use in (open_index, lambda path: write_index([runs], path, jobs=1)):
+        with pytest.raises(RecapError, match="another version of carla-recap; remove it, and 'carla-recap index SOURCE"):
+            use(tmp_path / "index")
 
 
-def test_a_file_is_no_index(tmp_path, runs):
-    file = tmp_path / "file"
-    file.write_text("mine")
-    with pytest.raises(RecapError, match="file: is a file; an index is a folder"):
-        write_index([runs], file)
-    assert file.read_text() == "mine"
+def test_a_database_of_something_else_is_no_index(runs, tmp_path):
+    import duckdb
+
+    with duckdb.connect(tmp_path / "mine.duckdb") as database:
+        database.execute("create table mine as select 1 as a")
+    for use in (open_index, lambda path: write_index([runs], path, jobs=1)):
+        with pytest.raises(RecapError, match="is no index of recordings"):
+            use(tmp_path / "mine.duckdb")
+    with duckdb.connect(tmp_path / "mine.duckdb") as database:
+        assert database.execute("select a from mine").fetchall() == [(1,)]
 
 
-def test_a_folder_with_other_files_is_not_written_to(runs):
-    with pytest.raises(RecapError, match="neither an index of recordings nor an empty folder"):
-        write_index([SAMPLES], runs)
+def test_units_are_comments_for_other_tools(index):
+    rows = open_index(index).sql("select comment from duckdb_columns() where table_name = 'stationary'")
+    assert rows["comment"].to_pylist() == [None, "s", "s", None, None, "m", "m", "m"]
 
 
 # --- SQL ----------------------------------------------------------------------------------------------------------------
 
 
 def test_sql_answers_from_the_tables(index):
-    pytest.importorskip("duckdb", reason="the extra `sql` is not installed")
     with open_index(index) as opened:
         for name in TABLES:
             (count,) = opened.sql(f"select count(*) as n from {name}")["n"].to_pylist()
@@ -278,24 +310,31 @@ def test_sql_answers_from_the_tables(index):
     }.items(),
 )
 def test_a_wrong_query_is_an_error_in_one_line(index, query, message):
-    pytest.importorskip("duckdb", reason="the extra `sql` is not installed")
     with open_index(index) as opened, pytest.raises(RecapError, match=message) as caught:
         opened.sql(query)
     assert "\n" not in str(caught.value)
 
 
-def test_a_folder_that_is_no_index_cannot_be_opened(tmp_path):
-    with pytest.raises(RecapError, match="is no index of recordings"):
-        open_index(tmp_path)
-    (tmp_path / "index.json").write_text("{")
-    with pytest.raises(RecapError, match=r"index\.json is damaged; index again into a new folder"):
-        open_index(tmp_path)
+def test_a_query_that_is_not_unicode_is_an_error(index):
+    with pytest.raises(RecapError, match="is not UTF-8"):
+        open_index(index).sql("select '\udcff'")
+
+
+def test_the_memory_of_a_query_is_limited(index):
+    with pytest.raises(RecapError, match="not enough memory for this query"):
+        open_index(index).sql("select list(range) from range(1000000000)")
+
+
+@pytest.mark.parametrize(("name", "message"), {"": "is a folder", "none": "is no index", "pipe": "no regular file"}.items())
+def test_what_is_no_index_cannot_be_opened(tmp_path, name, message):
+    if name == "pipe":
+        os.mkfifo(tmp_path / name)
+    with pytest.raises(RecapError, match=message):
+        open_index(tmp_path / name)
 
 
 @pytest.mark.skipif(not hasattr(signal, "SIGALRM"), reason="this system has no such signal")
 def test_a_signal_ends_a_query_that_never_ends(tmp_path):
-    pytest.importorskip("duckdb", reason="the extra `sql` is not installed")
-
     def interrupt(*_):
         raise KeyboardInterrupt
 

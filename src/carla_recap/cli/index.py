@@ -22,13 +22,14 @@ if TYPE_CHECKING:
 T = TypeVar("T")
 
 _LONGEST: Final = 200  # characters of the names of maps
+_MEMORY: Final = 2 << 30  # bytes, for a query and its answer
 FAILED: Final = 2
 """The exit code if a recording cannot be read."""
 
 
 @click.command()
 @click.argument("sources", type=click.Path(allow_dash=True), nargs=-1, required=True, metavar="SOURCE...")
-@click.argument("index_folder", type=click.Path(), metavar="INDEX")
+@click.argument("index_file", type=click.Path(), metavar="INDEX")
 @options.jobs
 @options.dask
 @click.option(
@@ -41,7 +42,7 @@ FAILED: Final = 2
 @options.written
 def index(
     sources: tuple[str, ...],
-    index_folder: str,
+    index_file: str,
     jobs: int | None,
     dask: str | None,
     measures: bool,
@@ -50,7 +51,7 @@ def index(
     retry: bool,
     again: bool,
 ) -> NoReturn:
-    """Write what many recordings contain into INDEX, a folder of Parquet tables.
+    """Write what many recordings contain into INDEX, a DuckDB file such as runs.duckdb.
 
     Recordings that INDEX has, and that have not changed, are not read again. Without --measures, only their events are read.
     """
@@ -79,7 +80,7 @@ def index(
         client = stack.enter_context(closing(client_of(dask))) if dask else None
         summary = write_index(
             sources,
-            index_folder,
+            index_file,
             jobs=jobs,
             client=client,
             measures=measures,
@@ -99,7 +100,7 @@ def index(
     told = [f"{summary.recordings:,} {things} ({', '.join(counts)})"]
     if summary.read > summary.failed and not measures:
         told.append("events alone (--measures adds near misses)")
-    wrote(index_folder, *told, **asdict(summary))
+    wrote(index_file, *told, **asdict(summary))
     if summary.unknown_maps:
         named = readable(", ".join(repr(name) for name in summary.unknown_maps))[:_LONGEST]
         warn(f"unknown maps: {named}; {WITHOUT_ROADS}")
@@ -107,11 +108,11 @@ def index(
 
 
 @click.command()
-@click.argument("index_folder", type=click.Path(), metavar="INDEX")
+@click.argument("index_file", type=click.Path(), metavar="INDEX")
 @click.argument("query")
 @options.json
 @click.option("--csv", "form", flag_value="csv", help="Print CSV, as in a pipe.")
-def sql(index_folder: str, query: str, form: Form | None) -> NoReturn:
+def sql(index_file: str, query: str, form: Form | None) -> NoReturn:
     """Answer QUERY, in SQL, from the tables of INDEX.
 
     The tables are recordings, actors, collisions, stationary, incidents and measures. A QUERY of - is read from stdin.
@@ -120,18 +121,30 @@ def sql(index_folder: str, query: str, form: Form | None) -> NoReturn:
     from carla_recap.cli.sql_output import show_rows
     from carla_recap.fleet.index import open_index
 
-    text = sys.stdin.read() if query == "-" else query
-    opened = open_index(index_folder)
+    text = sys.stdin.buffer.read().decode("utf-8", "surrogateescape") if query == "-" else query
+    opened = open_index(index_file)
+    _limit_memory()
     try:
         rows = opened.sql(text)
     except (KeyboardInterrupt, SystemExit) as end:
         os._exit(INTERRUPTED if isinstance(end, KeyboardInterrupt) else int(end.code or 0))  # the query may go on
     if _needs_measures(text, found=len(rows)) and (missing := _without_measures(opened)):
         what = "near misses, measures and incidents of the road, which 'carla-recap index --measures' adds"
-        warn(f"{index_folder}: {counted(missing, 'recording')} without {what}")
+        warn(f"{index_file}: {counted(missing, 'recording')} without {what}")
     show_rows(rows, form or ("table" if sys.stdout.isatty() else "csv"))
     sys.stdout.flush()
     os._exit(0)  # ending the interpreter takes longer than most queries
+
+
+def _limit_memory() -> None:
+    """Limit the memory of this process, since DuckDB's own limit does not count answers and long texts."""
+    try:
+        import resource
+    except ImportError:  # on Windows
+        return
+    _, allowed = resource.getrlimit(resource.RLIMIT_DATA)
+    limit = _MEMORY if allowed == resource.RLIM_INFINITY else min(_MEMORY, allowed)
+    resource.setrlimit(resource.RLIMIT_DATA, (limit, allowed))
 
 
 def _needs_measures(query: str, *, found: int) -> bool:

@@ -188,13 +188,14 @@ class WholeFile(AtomicFile):
     Args:
         path: The destination.
         live: Sync what is written, so that a partial file remains if the process dies.
+        force: See `AtomicFile`.
 
     Raises:
         RecapError: The destination cannot be written to.
     """
 
-    def __init__(self, path: Path | str, *, live: bool = False) -> None:
-        super().__init__(path, live=live)
+    def __init__(self, path: Path | str, *, live: bool = False, force: bool = True) -> None:
+        super().__init__(path, live=live, force=force)
         self._begin(lambda: None)
 
     def write(self, data: bytes) -> None:

@@ -1,4 +1,4 @@
-"""The index of many recordings: a folder of Parquet tables, which is written incrementally and queried with SQL."""
+"""The index of many recordings: a DuckDB file, which is written incrementally and queried with SQL."""
 
 from __future__ import annotations
 
@@ -7,14 +7,14 @@ from typing import TYPE_CHECKING, Any
 from carla_recap.util.lazy import lazily
 
 if TYPE_CHECKING:
-    from carla_recap.fleet.index.querying import RecordingIndex, open_index
+    from carla_recap.fleet.index.database import RecordingIndex, open_index
     from carla_recap.fleet.index.writing import IndexSummary, write_index
 
 __all__ = ["IndexSummary", "RecordingIndex", "open_index", "write_index"]
 
 _get, __dir__ = lazily(
     __name__,
-    {"querying": ("RecordingIndex", "open_index"), "writing": ("IndexSummary", "write_index")},
+    {"database": ("RecordingIndex", "open_index"), "writing": ("IndexSummary", "write_index")},
 )
 
 

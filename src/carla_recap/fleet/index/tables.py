@@ -20,8 +20,6 @@ if TYPE_CHECKING:
 
 RECORDING: Final = "recording"
 """The column of the recording that a row belongs to: an absolute path, or a URL."""
-RUN: Final = "run"
-"""The column of the number of the part that a row was first written in; a row counts if its recording's has the same."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -61,6 +59,11 @@ class RecordingRow:
     roads_known: bool | None = None
     actors: int | None = None
     heroes: int | None = None
+
+    @property
+    def lacks_roads(self) -> bool:
+        """Whether it was measured without its roads."""
+        return bool(self.measured) and not self.roads_known
 
 
 @dataclass(frozen=True, slots=True)
@@ -112,14 +115,9 @@ class IndexTable:
         hints = get_type_hints(self.row_type)
         return {name: hints[name] for name in column_names(self.row_type)}
 
-    @property
-    def columns(self) -> list[str]:
-        """The names of all columns."""
-        return [RECORDING, *self.hints, RUN]
-
     @cached_property
     def schema(self) -> pa.Schema:
-        """The Arrow schema of its parts; the metadata of columns contain their units."""
+        """Its Arrow schema; the metadata of columns contain their units."""
         import pyarrow as pa
 
         from carla_recap.tables.arrow import type_of
@@ -131,7 +129,7 @@ class IndexTable:
             return pa.timestamp("us") if kind in (datetime, datetime | None) else type_of(kind)
 
         named = [field(name, arrow_type(kind)) for name, kind in self.hints.items()]
-        return pa.schema([field(RECORDING, pa.string()), *named, field(RUN, pa.int64())])
+        return pa.schema([field(RECORDING, pa.string()), *named])
 
 
 RECORDINGS: Final = IndexTable("recordings", RecordingRow, {"size": "bytes", "duration": "s"})
@@ -143,5 +141,5 @@ CHILDREN: Final = (
     IndexTable("measures", MeasureRow, {"time": "s"}),
 )
 """The tables of what is in recordings."""
-TABLES: Final = {table.name: table for table in (*CHILDREN, RECORDINGS)}
-"""All tables by name, in the order in which parts are written: that of the recordings is the last."""
+TABLES: Final = {table.name: table for table in (RECORDINGS, *CHILDREN)}
+"""All tables by name."""

@@ -1,4 +1,4 @@
-"""Writing an index: recordings that are new or have changed are read, and their rows are added part by part."""
+"""Writing an index: recordings that are new or have changed are read, and their rows are written from time to time."""
 
 from __future__ import annotations
 
@@ -14,12 +14,11 @@ from typing import TYPE_CHECKING, Any, Final
 import numpy as np
 
 from carla_recap.fleet.engine import map_sources
-from carla_recap.fleet.index.folder import IndexFolder
+from carla_recap.fleet.index.database import create_index
 from carla_recap.fleet.index.reading import read_recording
 from carla_recap.fleet.index.tables import CHILDREN, RECORDING, RECORDINGS, TABLES, RecordingRow
 from carla_recap.fleet.sources import find_sources
 from carla_recap.roads import find_map
-from carla_recap.tables import arrow
 from carla_recap.util.files import check_path
 
 if TYPE_CHECKING:
@@ -29,16 +28,15 @@ if TYPE_CHECKING:
     from distributed import Client
 
     from carla_recap.fleet.engine import Outcome
+    from carla_recap.fleet.index.database import RecordingIndex
     from carla_recap.fleet.index.reading import Columns
     from carla_recap.fleet.sources import SourceFile
 
     Reading = tuple[dict[str, Any], list[Columns]]
     Progress = Callable[[Iterable[Outcome[Reading]], int], Iterable[Outcome[Reading]]]
 
-MOST_PARTS: Final = 20
-"""The number of commits from which on their parts are merged at the end."""
 _ROWS: Final = 50_000  # of all tables, that wait to be written, at most
-_PAUSE: Final = 1.0  # s between two commits, at least
+_PAUSE: Final = 1.0  # s between two transactions, at least
 _SHARE: Final = 0.1  # of the time of the whole run, that this pause is at least
 _EPOCH: Final = datetime(1970, 1, 1)
 
@@ -80,14 +78,15 @@ def write_index(
     progress: Progress | None = None,
     report: Callable[[str], None] | None = None,
 ) -> IndexSummary:
-    """Write the rows of recordings into an index, a folder of Parquet tables.
+    """Write the rows of recordings into an index, a DuckDB file.
 
     Recordings that the index has, and that have not changed, are not read. Those that cannot be read become rows with their
-    error. If the process ends early, however it does, the next call goes on with what is missing.
+    error. If the process ends early, however it does, the next call goes on with what is missing. Several processes may
+    write an index at the same time.
 
     Args:
         sources: Files, folders, globs and URLs of recordings.
-        index: The folder, which is made if it does not exist.
+        index: The file, which is made if it does not exist.
         jobs: The number of processes; None: as many as there are processors.
         client: Dask's client, whose cluster reads instead of processes of this machine.
         measures: Read every frame, also of recordings of which this was not done: for near misses, for the measures of
@@ -101,119 +100,79 @@ def write_index(
         report: Is called with the error of each recording that cannot be read.
 
     Raises:
-        MissingExtra: pyarrow is not installed.
-        RecapError: A folder or glob means no recordings, the index is at a URL, of another version, damaged or written by
-            another process, or it cannot be written.
+        MissingExtra: DuckDB or pyarrow is not installed.
+        RecapError: A folder or glob means no recordings, or the index is at a URL, of another version, damaged, or in use by
+            another process for a minute, or it cannot be written.
     """
     check_path(index)
-    arrow.require("an index")
-    folder = IndexFolder(index)
     meant = {_unicode(source.location): source for source in map(_absolute, find_sources(sources))}
-    with folder.locked():
-        folder.create()
-        folder.check()
-        folder.clean()
-        known = _known(folder)
-        maps = None if road_map is None else str(Path(road_map).absolute())
-        finds = _finder(maps)
-        changed = {
-            key: source
-            for key, source in meant.items()
-            if again or key not in known or not known[key].suffices(source, finds, retry=retry, measured=measures)
-        }
-        kept = [known[key] for key in meant.keys() - changed.keys()]
-        without_roads = {each.map for each in kept if measures and each.lacks_roads}
-        writing = _Commits(folder)
-        read = partial(read_recording, measured=measures, road_map=maps)
-        outcomes: Iterable[Outcome[Reading]] = map_sources(read, changed.values(), jobs=jobs, client=client)
-        watched = progress(outcomes, len(changed)) if progress else outcomes
-        failed = 0
-        try:
-            for key, outcome in zip(changed, watched, strict=True):
-                writing.add(key, outcome)
-                if measures and outcome.value is not None and not outcome.value[0]["roads_known"]:
-                    without_roads.add(outcome.value[0]["map"])
-                if outcome.error is not None:
-                    failed += 1
-                    if report:
-                        report(outcome.error)
-        finally:
-            writing.flush()
-            for each in (watched, outcomes):
-                if isinstance(each, Generator):
-                    each.close()
-        removed = known.keys() - meant.keys() if prune else set()
-        runs = folder.runs()
-        if removed or len(runs) > MOST_PARTS:
-            folder.merge(runs[-1] + 1, removed)
+    written = create_index(index)
+    written.verify()
+    known = {row.pop(RECORDING): RecordingRow(**row) for row in written.table(RECORDINGS.name).to_pylist()}
+    maps = None if road_map is None else str(Path(road_map).absolute())
+    finds = _finder(maps)
+    changed = {
+        key: source
+        for key, source in meant.items()
+        if again or key not in known or not _suffices(known[key], source, finds, retry=retry, measured=measures)
+    }
+    kept = [known[key] for key in meant.keys() - changed.keys()]
+    without_roads = {each.map or "" for each in kept if measures and each.lacks_roads}
+    writing = _Writing(written)
+    read = partial(read_recording, measured=measures, road_map=maps)
+    outcomes: Iterable[Outcome[Reading]] = map_sources(read, changed.values(), jobs=jobs, client=client)
+    watched = progress(outcomes, len(changed)) if progress else outcomes
+    failed = 0
+    try:
+        for key, outcome in zip(changed, watched, strict=True):
+            writing.add(key, outcome)
+            if measures and outcome.value is not None and not outcome.value[0]["roads_known"]:
+                without_roads.add(outcome.value[0]["map"])
+            if outcome.error is not None:
+                failed += 1
+                if report:
+                    report(outcome.error)
+    finally:
+        writing.flush()
+        for each in (watched, outcomes):
+            if isinstance(each, Generator):
+                each.close()
+    removed = known.keys() - meant.keys() if prune else set()
+    if removed:
+        written.remove(removed)
     return IndexSummary(
         recordings=len(meant),
         read=len(changed) - failed,
         failed=failed,
         unchanged=len(kept),
-        unreadable=sum(each.failed for each in kept),
+        unreadable=sum(each.error is not None for each in kept),
         removed=len(removed),
         unknown_maps=tuple(sorted(without_roads)),
     )
 
 
-@dataclass(frozen=True, slots=True)
-class _Known:
-    """What an index has of a recording.
+def _suffices(row: RecordingRow, source: SourceFile, finds: Callable[[str], bool], *, retry: bool, measured: bool) -> bool:
+    """Return whether a recording need not be read again: it is as it was, and was read as is wanted.
 
-    Attributes:
-        size: See `RecordingRow`.
-        modified: See `RecordingRow`.
-        etag: See `RecordingRow`.
-        failed: Whether it could not be read.
-        measured: See `RecordingRow`.
-        roads_known: See `RecordingRow`.
-        map: The name of its map.
+    Args:
+        row: What the index has of it.
+        source: The recording.
+        finds: Returns whether a map is known now.
+        retry: Whether to read it again if it could not be read.
+        measured: Whether measures are wanted.
     """
-
-    size: int | None
-    modified: datetime | None
-    etag: str | None
-    failed: bool
-    measured: bool
-    roads_known: bool
-    map: str
-
-    @property
-    def lacks_roads(self) -> bool:
-        """Whether it was measured without its roads."""
-        return self.measured and not self.roads_known
-
-    def suffices(self, source: SourceFile, finds: Callable[[str], bool], *, retry: bool, measured: bool) -> bool:
-        """Return whether a recording need not be read again: it is as it was, and was read as is wanted.
-
-        Args:
-            source: The recording.
-            finds: Returns whether a map is known now.
-            retry: Whether to read it again if it could not be read.
-            measured: Whether measures are wanted.
-        """
-        if self.failed:
-            return not retry and self._is_of(source)
-        if measured and (not self.measured or (self.lacks_roads and finds(self.map))):
-            return False
-        return self._is_of(source)
-
-    def _is_of(self, source: SourceFile) -> bool:
-        """Return whether a recording is as it was; not if nothing is known of it."""
-        if source.etag is not None:
-            return (self.size, self.etag) == (source.size, _bare(source.etag))
-        return source.size is not None and (self.size, self.modified) == (source.size, _time(source.modified))
+    if row.error is not None:
+        return not retry and _is_unchanged(row, source)
+    if measured and (not row.measured or (row.lacks_roads and finds(row.map or ""))):
+        return False
+    return _is_unchanged(row, source)
 
 
-def _known(folder: IndexFolder) -> dict[str, _Known]:
-    known: dict[str, _Known] = {}
-    names = ["size", "modified", "etag", "error", "measured", "roads_known", "map"]
-    for rows in folder.columns(RECORDINGS.name, [RECORDING, *names]):
-        columns = (rows[name].to_pylist() for name in (RECORDING, *names))
-        for key, size, modified, etag, error, measured, roads_known, name in zip(*columns, strict=True):
-            known[key] = _Known(size, modified, etag, error is not None, bool(measured), bool(roads_known), name or "")
-    return known
+def _is_unchanged(row: RecordingRow, source: SourceFile) -> bool:
+    """Return whether a recording is as it was; not if nothing is known of it."""
+    if source.etag is not None:
+        return (row.size, row.etag) == (source.size, _bare(source.etag))
+    return source.size is not None and (row.size, row.modified) == (source.size, _time(source.modified))
 
 
 def _finder(maps: str | None) -> Callable[[str], bool]:
@@ -228,24 +187,17 @@ def _bare(etag: str | None) -> str | None:
     return None if etag is None else etag.replace('"', "")
 
 
-class _Commits:
-    """Collects rows, and writes them from time to time.
+class _Writing:
+    """Collects rows, and writes them from time to time."""
 
-    Args:
-        folder: The index.
-    """
-
-    def __init__(self, folder: IndexFolder) -> None:
-        self._folder = folder
-        self._next = max(folder.runs(), default=0) + 1
+    def __init__(self, index: RecordingIndex) -> None:
+        self._index = index
         self._begin = self._last = monotonic()
         self._clear()
 
     def _clear(self) -> None:
         self._rows = 0
-        self._columns: dict[str, list[list[Any]]] = {
-            name: [[] for _ in table.columns[:-1]] for name, table in TABLES.items()
-        }
+        self._columns: dict[str, list[list[Any]]] = {name: [[] for _ in table.schema] for name, table in TABLES.items()}
 
     def add(self, key: str, outcome: Outcome[Reading]) -> None:
         """Add the rows of a recording."""
@@ -261,11 +213,9 @@ class _Commits:
             self.flush()
 
     def flush(self) -> None:
-        """Write the rows that wait as a commit, if there are any."""
+        """Write the rows that wait, if there are any."""
         if self._rows:
-            tables = {name: _table(name, columns) for name, columns in self._columns.items()}
-            self._folder.commit(tables, self._next)
-            self._next += 1
+            self._index.replace({name: _table(name, columns) for name, columns in self._columns.items()})
             self._clear()
             self._last = monotonic()
 
@@ -280,8 +230,7 @@ def _table(name: str, columns: Sequence[list[Any]]) -> pa.Table:
     import pyarrow as pa
 
     schema = TABLES[name].schema
-    arrays = [_array(values, field.type) for values, field in zip(columns, schema, strict=False)]
-    return pa.table(arrays, schema=pa.schema([schema.field(number) for number in range(len(arrays))]))
+    return pa.table([_array(values, field.type) for values, field in zip(columns, schema, strict=True)], schema=schema)
 
 
 def _array(values: list[Any], kind: pa.DataType) -> pa.Array:
