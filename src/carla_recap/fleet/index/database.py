@@ -1,8 +1,8 @@
 """An index as a DuckDB file: transactions that replace the rows of recordings, and queries that can read nothing else.
 
 The file is open only during a transaction or a query, so that processes wait for each other for a short time. There is no
-write-ahead log: a transaction is in the file when its checkpoint has ended, or not at all. DuckDB checks the checksum of each
-block that it reads.
+write-ahead log: a transaction is in the file when its checkpoint has ended, or not at all. DuckDB checks the checksums of
+blocks when it reads them.
 """
 
 from __future__ import annotations
@@ -71,10 +71,13 @@ class RecordingIndex:
         return self
 
     def __exit__(self, *_: object) -> None:
-        """Do nothing: no file is open between two queries."""
+        self.close()
 
     def __repr__(self) -> str:
         return f"RecordingIndex({str(self.path)!r})"
+
+    def close(self) -> None:
+        """Do nothing: between two queries, no file is open."""
 
     def table(self, name: str) -> pa.Table:
         """Return a table of the index, with the units of columns in their metadata.
