@@ -11,7 +11,7 @@ import carla_recap
 from carla_recap.model.records import ActorKind, Spawn
 from carla_recap.replay.recorded_map import corridors_of, opendrive_of_corridors
 from carla_recap.roads.corridors import LANE_WIDTH, fresh_parts
-from carla_recap.roads.opendrive import read_roads
+from carla_recap.roads.opendrive import read_opendrive
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -32,7 +32,7 @@ def roads(tmp_path: Path):
                 spawned = [Spawn(id, ActorKind.VEHICLE, type_id="vehicle.audi.tt") for id, _ in here] if frame == 0 else []
                 recording.add_frame(frame / 10, spawned=spawned, transforms=poses)
         with carla_recap.open_recording(path) as recording:
-            return read_roads(opendrive_of_corridors(recording))
+            return read_opendrive(opendrive_of_corridors(recording)).roads
 
     return roads
 
@@ -114,7 +114,7 @@ def test_a_corridor_map_has_lines_and_surfaces(tmp_path: Path):
     assert found.name == "Nowhere"
     assert len(found.centre_lines) == 1
     assert sorted(round(line[0, 1], 2) for line in found.lane_borders) == [-1.75, 1.75]
-    assert read_roads(found.opendrive)
+    assert read_opendrive(found.opendrive).roads
 
 
 def test_a_part_of_fewer_points_is_no_road(roads):
@@ -128,7 +128,7 @@ def test_roads_are_of_the_time_that_is_asked_for(tmp_path: Path):
             spawned = [Spawn(1, ActorKind.VEHICLE, type_id="vehicle.audi.tt")] if frame == 0 else []
             recording.add_frame(frame / 10, spawned=spawned, transforms=[{"id": 1, "x": 150.0 * frame}])
     with carla_recap.open_recording(path) as recording:
-        (road,) = read_roads(corridors_of(recording, 10.0, 20.0).opendrive)
+        (road,) = read_opendrive(corridors_of(recording, 10.0, 20.0).opendrive).roads
     course = points(road)
     assert course[:, 0].min() == pytest.approx(150 - 4, abs=2)
     assert course[:, 0].max() == pytest.approx(300 + 4, abs=2)

@@ -16,8 +16,6 @@ if TYPE_CHECKING:
 
     from carla_recap.roads import RoadMap
 
-pytest.importorskip("carla", reason="the extra carla is not installed")
-
 
 @pytest.fixture
 def draw(tmp_path: Path):

@@ -13,7 +13,8 @@ from carla_recap.server.navmesh import detour, navigation_files, navigation_mesh
 from carla_recap.server.navmesh.detour import mesh_bytes
 from carla_recap.server.navmesh.surface import CORNERS, walkable_surface
 from carla_recap.server.navmesh.walkways import CROSSWALK, ROAD, SIDEWALK, WalkwayEditor
-from carla_recap.sim.town.town import BUILT_IN, Town, WalkwayGraph, load_town
+from carla_recap.sim.town.sidewalks import WalkwayGraph
+from carla_recap.sim.town.town import BUILT_IN, Town, load_town
 from tests.roads.towns import opendrive, road, town
 from tests.sim.flat import flat_town
 

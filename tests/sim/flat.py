@@ -7,8 +7,10 @@ from typing import Any
 import numpy as np
 
 from carla_recap.sim.geometry import Location, Rotation, Transform
+from carla_recap.sim.town.junctions import Junction, Signal, SignalKind
 from carla_recap.sim.town.lanes import Lane
-from carla_recap.sim.town.town import Junction, Signal, SignalKind, Town, WalkwayGraph
+from carla_recap.sim.town.sidewalks import WalkwayGraph
+from carla_recap.sim.town.town import Town
 from carla_recap.sim.world import World
 
 LENGTH = 8000.0

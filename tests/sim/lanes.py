@@ -8,13 +8,14 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from carla_recap.sim.town.lanes import Lane
-from carla_recap.sim.town.town import Town, WalkwayGraph
+from carla_recap.sim.town.sidewalks import WalkwayGraph
+from carla_recap.sim.town.town import Town
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
+    from carla_recap.sim.town.junctions import Junction, Signal
     from carla_recap.sim.town.lanes import Turn
-    from carla_recap.sim.town.town import Junction, Signal
 
 LIMIT = 12.0  # m/s
 

@@ -19,7 +19,7 @@ from carla_recap.sim.actors.control import VehicleControl, WalkerControl
 from carla_recap.sim.actors.moving import Vehicle, Walker
 from carla_recap.sim.errors import DeadActor, SimError, SpawnError
 from carla_recap.sim.geometry import Location, Transform, Vector
-from carla_recap.sim.town.town import SignalKind
+from carla_recap.sim.town.junctions import SignalKind
 from carla_recap.sim.weather import PRESETS, Weather
 from carla_recap.sim.world import World
 from tests.sim.flat import at, flat_town, flat_world, light

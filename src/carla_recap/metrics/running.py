@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import inspect
 import json
+import subprocess
 import sys
 from importlib import import_module
 from importlib.util import find_spec
@@ -11,13 +12,15 @@ from pathlib import Path
 from types import ModuleType
 from typing import TYPE_CHECKING, Any, Final
 
-from carla_recap.errors import RecapError
-from carla_recap.roads.parsing import parse_in_child, read_content
+from carla_recap.errors import FormatError, RecapError
+from carla_recap.roads.drawing import load_map
 
 if TYPE_CHECKING:
     from carla_recap.metrics.log import MetricsLog
 
 _BASE: Final = "srunner.metrics.examples.basic_metric"
+_TRIAL: Final = "import carla, sys; carla.Map('', sys.stdin.read())"
+_PATIENCE: Final = 60.0  # s, for CARLA's library to read a map
 _LOG: Final = "srunner.metrics.tools.metrics_log"
 
 
@@ -77,9 +80,17 @@ def _town_map(path: Path) -> Any:
     """Return a `carla.Map`, after a child process has read the file: CARLA's library crashes on damaged ones."""
     import carla
 
-    content = read_content(path)
-    parse_in_child("carla_recap.roads.drawing", path, content)
-    return carla.Map(path.stem, content.decode("utf-8", "replace"))
+    text = load_map(path).opendrive
+    try:
+        done = subprocess.run(
+            [sys.executable, "-c", _TRIAL], input=text.encode(), capture_output=True, timeout=_PATIENCE, check=False
+        )
+        failed = done.returncode != 0
+    except subprocess.TimeoutExpired:
+        failed = True
+    if failed:
+        raise FormatError(path, None, "an OpenDRIVE map was expected; CARLA's library breaks down on it")
+    return carla.Map(path.stem, text)
 
 
 def _metric_class(path: Path) -> Any:

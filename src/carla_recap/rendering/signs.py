@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import re
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Final
 
@@ -29,7 +28,6 @@ _RADIUS: Final = 0.38  # m
 _POLE: Final = 0.04  # m
 _LAYER: Final = 0.006  # m from one layer of a plate to the next
 _APART: Final = 0.5  # m between two signs
-_LIMIT: Final = re.compile(r"Speed_?(\d{1,3})")
 
 
 @dataclass(frozen=True, eq=False)
@@ -97,10 +95,9 @@ def _signs(roads: Sequence[Road]) -> Iterator[_Sign]:
                 text = f"{signal.value:.0f}" if 0 < signal.value < 1000 else ""
                 yield _Sign(signal.kind, text, point, heading + signal.heading + np.pi)
         for thing in road.objects:
-            limit = _LIMIT.search(thing.name)
-            if limit:
+            if thing.speed_limit is not None:
                 point, heading = road.at(thing.station, thing.offset)
-                yield _Sign(SPEED_LIMIT, limit[1], point, heading + thing.heading + np.pi)
+                yield _Sign(SPEED_LIMIT, f"{thing.speed_limit:.0f}", point, heading + thing.heading + np.pi)
 
 
 def _grounded(point: Floats, ground: TriangleGrid) -> Floats:

@@ -1,12 +1,12 @@
-"""A town as triangle meshes, from an OpenDRIVE map; as a module, the child process that makes them."""
+"""A town as triangle meshes, from an OpenDRIVE map."""
 
 from __future__ import annotations
 
-import sys
 from collections import OrderedDict
 from dataclasses import dataclass, field
 from functools import cached_property
 from hashlib import sha256
+from io import BytesIO
 from pathlib import Path
 from threading import Lock
 from typing import TYPE_CHECKING, Any, Final
@@ -25,8 +25,8 @@ from carla_recap.rendering.surfaces import PAVED, add_lanes, driving_grid, sampl
 from carla_recap.rendering.terrain import Terrain, add_edges
 from carla_recap.rendering.trees import add_trees
 from carla_recap.roads.corridors import is_of_corridors
-from carla_recap.roads.opendrive import read_roads
-from carla_recap.roads.parsing import pack, parse_in_child, read_content, run_child, unpack
+from carla_recap.roads.files import decode, expecting_map, read_content
+from carla_recap.roads.opendrive import read_opendrive
 from carla_recap.util import cache
 
 if TYPE_CHECKING:
@@ -36,7 +36,6 @@ if TYPE_CHECKING:
     from carla_recap.roads import RoadMap
 
     Floats = NDArray[np.float64]
-    Arrays = dict[str, list[NDArray[Any]]]
 
 _KEPT: Final = 4  # towns in memory
 _SOURCES: Final = ("rendering", "roads")  # the folders of the modules that a town is made by
@@ -162,19 +161,19 @@ def _cached_mesh(name: str, content: bytes) -> TownMesh | None:
     if data is None:
         return None
     try:
-        return _unpacked(name, unpack(data))
+        return _unpacked(name, data)
     except Exception:  # whatever an invalid entry causes
         cache.remove_entry(key)
         return None
 
 
 def _made_mesh(name: str, path: Path, content: bytes) -> TownMesh:
-    data = parse_in_child("carla_recap.rendering.town", path, content)
-    town = _unpacked(name, unpack(data))
-    if not town.tiles:
+    with expecting_map(path):
+        tiles, lights = build_town(decode(content))
+    if not tiles:
         raise FormatError(path, None, "an OpenDRIVE map was expected, and no lane is in it")
-    cache.write_entry(cache.content_key(content, *_SOURCES), data)
-    return town
+    cache.write_entry(cache.content_key(content, *_SOURCES), _packed(tiles, lights))
+    return TownMesh.of_tiles(name, tiles, lights)
 
 
 def build_town(text: str) -> tuple[list[Mesh], list[LightPost]]:
@@ -184,7 +183,7 @@ def build_town(text: str) -> tuple[list[Mesh], list[LightPost]]:
         ValueError: It is no OpenDRIVE file.
     """
     with np.errstate(all="ignore"):
-        roads = read_roads(text)
+        roads = read_opendrive(text).roads
         sections = sample_roads(roads)
         if not sections:
             return [], []
@@ -209,28 +208,26 @@ def build_town(text: str) -> tuple[list[Mesh], list[LightPost]]:
         return builder.tiles(), light_posts(roads, ground)
 
 
+_COLUMNS: Final = ("vertices", "normals", "materials", "triangles")
+_SIZES: Final = ".sizes"
+
+
 def _packed(tiles: list[Mesh], lights: list[LightPost]) -> bytes:
-    ids = [np.frombuffer(light.id.encode(), np.uint8) for light in lights]
-    return pack(
-        {
-            "vertices": [tile.vertices for tile in tiles],
-            "normals": [tile.normals for tile in tiles],
-            "materials": [tile.materials for tile in tiles],
-            "triangles": [tile.triangles for tile in tiles],
-            "lights": [np.array([[*light.location, light.heading]]) for light in lights],
-            "ids": ids,
-        }
-    )
+    """Return tiles and lights as the bytes of an .npz."""
+    arrays: dict[str, Any] = {}
+    for column in _COLUMNS:
+        parts = [getattr(tile, column) for tile in tiles]
+        arrays[column], arrays[column + _SIZES] = np.concatenate(parts), np.array([len(part) for part in parts])
+    arrays["lights"] = np.array([(*light.location, light.heading) for light in lights]).reshape(-1, 4)
+    arrays["ids"] = np.array([light.id for light in lights], np.str_)
+    file = BytesIO()
+    np.savez(file, **arrays)
+    return file.getvalue()
 
 
-def _unpacked(name: str, arrays: Arrays) -> TownMesh:
-    columns = (arrays[column] for column in ("vertices", "normals", "materials", "triangles"))
-    lights = [
-        LightPost(bytes(id.tolist()).decode(errors="replace"), row[0, :3], row[0, 3].item())
-        for id, row in zip(arrays["ids"], arrays["lights"], strict=True)
-    ]
+def _unpacked(name: str, data: bytes) -> TownMesh:
+    with np.load(BytesIO(data)) as arrays:
+        columns = [np.split(arrays[column], np.cumsum(arrays[column + _SIZES])[:-1]) for column in _COLUMNS]
+        rows = zip(arrays["ids"].tolist(), arrays["lights"], strict=True)
+        lights = [LightPost(id, row[:3], row[3].item()) for id, row in rows]
     return TownMesh.of_tiles(name, [Mesh(*parts) for parts in zip(*columns, strict=True)], lights)
-
-
-if __name__ == "__main__":
-    sys.exit(run_child(lambda text: _packed(*build_town(text))))

@@ -3,13 +3,12 @@
 from __future__ import annotations
 
 import math
-import warnings
 from pathlib import Path
 from typing import TYPE_CHECKING, Final, TypeVar
 
 import numpy as np
 
-from carla_recap.errors import MissingExtra, RecapError, RecapWarning
+from carla_recap.errors import RecapError
 from carla_recap.model.records import CM
 from carla_recap.roads.corridors import POSE, corridor_map, corridor_opendrive
 from carla_recap.roads.find import find_map, plain_name
@@ -59,7 +58,7 @@ def load_map_of(
 ) -> T | None:
     """Return the map of a recording's town; without one, what its vehicles have driven along.
 
-    None if that is not known either, or if an extra is missing; a warning says so.
+    None if that is not known either.
 
     Args:
         recording: The recording; its map name is looked for.
@@ -81,11 +80,7 @@ def load_map_of(
             return None if corridors is None else convert(corridors)
         except RecapError:  # as of a damaged recording, which is reported elsewhere
             return None
-    try:
-        return load(found)
-    except MissingExtra as error:
-        warnings.warn(f"{error}; the rest is shown without it", RecapWarning, stacklevel=2)
-        return None
+    return load(found)
 
 
 def corridors_of(recording: Recording, start: float = -math.inf, stop: float = math.inf) -> RoadMap | None:

@@ -1,8 +1,7 @@
-"""The lines of a road map, drawn from the lanes of an OpenDRIVE file; as a module, the child process that does so."""
+"""The lines of a road map, drawn from the lanes of an OpenDRIVE file."""
 
 from __future__ import annotations
 
-import sys
 from collections import defaultdict
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -11,8 +10,9 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 
 from carla_recap.errors import FormatError
-from carla_recap.roads.carla_map import NO_JUNCTION, read_opendrive
-from carla_recap.roads.parsing import pack, parse_in_child, read_content, run_child, unpack
+from carla_recap.roads.files import decode, expecting_map, read_content
+from carla_recap.roads.lanes import NO_JUNCTION, TownRoads
+from carla_recap.roads.opendrive import read_opendrive
 from carla_recap.roads.polylines import Surface, distances_to, join, simplify
 
 if TYPE_CHECKING:
@@ -20,11 +20,11 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    from carla_recap.roads.carla_map import Landmark, LaneGeometry, Roads
+    from carla_recap.roads.lanes import Landmark, LaneGeometry
 
     Floats = NDArray[np.float64]
 
-_NOT_DRAWN: Final = "NONE"
+_NOT_DRAWN: Final = "none"
 _NARROW: Final = 0.3  # m; lanes that are nowhere wider are not drawn
 _STUB: Final = 1.0  # m; shorter parts of borders at the edge of a junction are not drawn
 _SPACING: Final = 0.15  # m between the points that cover a lane, from left to right
@@ -65,17 +65,17 @@ def load_map(path: Path | str) -> RoadMap:
 
     Raises:
         RecapError: The file cannot be read, or is no OpenDRIVE map with lanes for cars.
-        MissingExtra: CARLA's client library is not installed.
     """
     path = Path(path)
-    content = read_content(path)
-    lines = unpack(parse_in_child("carla_recap.roads.drawing", path, content))
+    text = decode(read_content(path))
+    with expecting_map(path):
+        lines = draw(TownRoads(read_opendrive(text)))
     if not lines["centre_lines"]:
         raise FormatError(path, None, "an OpenDRIVE map was expected, and no lane for cars is in it")
-    return RoadMap(path.stem, **lines, opendrive=content.decode("utf-8", "replace"))
+    return RoadMap(path.stem, **lines, opendrive=text)
 
 
-def draw(roads: Roads) -> dict[str, list[Floats]]:
+def draw(roads: TownRoads) -> dict[str, list[Floats]]:
     """Return the lines of a road map, by the fields of `RoadMap`, without those that contain NaN or infinity."""
     with np.errstate(all="ignore"):
         lanes = [lane for lane in roads.lanes if np.isfinite((lane.centre, lane.left, lane.right)).all()]
@@ -164,7 +164,7 @@ def _edges(lines: list[Floats], surface: Surface) -> Iterator[Floats]:
                 yield part
 
 
-def _stop_lines(roads: Roads, lanes: list[LaneGeometry]) -> list[Floats]:
+def _stop_lines(roads: TownRoads, lanes: list[LaneGeometry]) -> list[Floats]:
     """Return the painted stop lines, and one for each lane with a light or stop sign that has none."""
     painted = [line for line in roads.stop_lines if np.isfinite(line).all()]
     drawn: list[Floats] = []
@@ -172,8 +172,8 @@ def _stop_lines(roads: Roads, lanes: list[LaneGeometry]) -> list[Floats]:
     for lane in lanes:
         if lane.is_driving:
             driving[lane.road].append(lane)
-    for stop in roads.stops():
-        for line in _lines_at(stop, driving[stop.road]):
+    for stop in roads.landmarks:
+        for line in _lines_at(stop, driving[stop.road]) if stop.is_stop else ():
             middle = line.mean(axis=0)[None]
             if all(distances_to(middle, *other)[0] > _SAME_PAINT for other in painted) and all(
                 np.linalg.norm(other.mean(axis=0) - middle) > _SAME_STOP for other in drawn
@@ -194,7 +194,3 @@ def _lines_at(stop: Landmark, lanes: list[LaneGeometry]) -> Iterator[Floats]:
         else:
             index = stations.argmax() if parts[0].reverse else stations.argmin()
         yield np.array((left[index], right[index]))
-
-
-if __name__ == "__main__":
-    sys.exit(run_child(lambda text: pack(draw(read_opendrive(text)))))

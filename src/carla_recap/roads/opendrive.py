@@ -1,13 +1,16 @@
-"""The roads of an OpenDRIVE file as curves, evaluated from its records: lanes, markings, objects and signals.
+"""The reader of OpenDRIVE files: roads as curves with lanes, markings, objects and signals; junctions; controllers.
 
 Units are m and radians; axes are right-handed: x forward, y left, z up. As in CARLA, roads are level from side to side.
+Invalid records are left out; a file that is larger than any town is refused.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+import re
+from collections import defaultdict
+from dataclasses import dataclass, field
 from math import isfinite, nan
-from typing import TYPE_CHECKING, Final, NamedTuple
+from typing import TYPE_CHECKING, Final, NamedTuple, cast
 from xml.etree import ElementTree
 
 import numpy as np
@@ -15,10 +18,11 @@ import numpy as np
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Iterator, Sequence
 
-    from numpy.typing import NDArray
+    from numpy.typing import ArrayLike, NDArray
 
     Floats = NDArray[np.float64]
     Coefficients = tuple[float, float, float, float]
+    Rounding = Callable[[ArrayLike], Floats]
 
 OUTSIDE: Final = "-1"
 """The junction of a road that is in none."""
@@ -30,16 +34,23 @@ YIELD: Final = "205"
 SPEED_LIMIT: Final = "274"
 
 _MOST_ROADS: Final = 20_000
+_MOST_ELEMENTS: Final = 1_000_000  # of a file; CARLA's towns have up to 15,000 in a megabyte
+_MOST_OF_ROAD: Final = 200_000  # elements of a road
 _MOST_SECTIONS: Final = 2_000  # of a road
 _MOST_LANES: Final = 40  # on one side
 _MOST_RECORDS: Final = 20_000  # of one kind, of a road
 _MOST_CORNERS: Final = 100
-_LONGEST: Final = 100_000.0  # m
+_LIMIT_OBJECT: Final = re.compile(r"Speed_?(\d{1,3})")
+_CHUNK: Final = 1 << 20  # characters of a file that are parsed at once
+_LONGEST: Final = 100_000.0  # m of a road
+_LONGEST_LANES: Final = 20_000_000.0  # m of all lanes
 _WIDEST: Final = 200.0  # m of a lane
 _FARTHEST: Final = 1e6  # m from the origin
+_CONTENT: Final = ("road", "junction", "controller")
 _UNITS: Final = {"m/s": 1.0, "km/h": 1 / 3.6, "mph": 0.44704}
 _SLOWEST: Final = 0.5  # m/s: what is slower is no limit
 _FASTEST: Final = 1e9  # m/s
+_AHEAD: Final = {"+": True, "-": False}
 _ENDS: Final = ("predecessor", "successor")
 _DENSE_TOLERANCE: Final = 0.02  # m
 _STEPS: Final = (0.5, 12.0)  # m; the least and the largest between points
@@ -69,6 +80,16 @@ class Profile:
         values: Floats = a + along * (b + along * (c + along * d))
         return values
 
+    def slope(self, stations: Floats) -> Floats:
+        """Return the derivatives at stations."""
+        if not len(self.starts):
+            return np.zeros(len(stations))
+        index = np.maximum(np.searchsorted(self.starts, stations, "right") - 1, 0)
+        along = stations - self.starts[index]
+        _, b, c, d = self._coefficients[index].T
+        slopes: Floats = b + along * (2 * c + along * 3 * d)
+        return slopes
+
 
 class Marking(NamedTuple):
     """A marking along the outer border of a lane.
@@ -78,12 +99,14 @@ class Marking(NamedTuple):
         kind: The OpenDRIVE type, such as `solid` or `broken`, lower-case.
         color: The OpenDRIVE colour, such as `standard` or `yellow`, lower-case.
         width: The width of a line.
+        changes: Between which lanes it allows to change: `increase`, `decrease`, `both` or `none`.
     """
 
     start: float
     kind: str
     color: str
     width: float
+    changes: str = "both"
 
 
 @dataclass(frozen=True, eq=False)
@@ -96,13 +119,17 @@ class RoadLane:
         width: The width by the distance from the start of the section.
         markings: The markings along its outer border, in their order.
         limits: Its speed limits in m/s, each with the distance from the start of the section from which on it applies.
+        predecessor: The number of the lane before it, in the direction of the road; 0 for none.
+        successor: That of the lane after it.
     """
 
     id: int
     kind: str
     width: Profile
     markings: tuple[Marking, ...]
-    limits: tuple[tuple[float, float], ...] = ()
+    limits: tuple[tuple[float, float], ...]
+    predecessor: int
+    successor: int
 
 
 @dataclass(frozen=True, eq=False)
@@ -110,6 +137,7 @@ class RoadSection:
     """A part of a road along which the lanes are the same.
 
     Attributes:
+        number: Which section of the road it is, counted from 0.
         start: The distance along the road at which it begins.
         end: That at which it ends.
         left: The lanes to the left, from the inside.
@@ -117,11 +145,17 @@ class RoadSection:
         centre: The lane without a width in between, or None.
     """
 
+    number: int
     start: float
     end: float
     left: tuple[RoadLane, ...]
     right: tuple[RoadLane, ...]
     centre: RoadLane | None
+
+    @property
+    def lanes(self) -> tuple[RoadLane, ...]:
+        """The lanes that have a width, from the left."""
+        return (*self.left[::-1], *self.right)
 
     def borders(self, stations: Floats) -> Floats:
         """Return how far to the left of the central line each border is: (lanes + 1, n), from the left."""
@@ -151,6 +185,7 @@ class RoadObject:
         width: The extent across its direction.
         length: The extent along its direction.
         outline: The corners along its direction and to the left of it, (n, 2); relative to its position.
+        ahead: Whether it applies in the direction of the road: True, False (against it), or None (in both directions).
     """
 
     id: str
@@ -163,6 +198,13 @@ class RoadObject:
     width: float
     length: float
     outline: Floats
+    ahead: bool | None
+
+    @property
+    def speed_limit(self) -> float | None:
+        """The number on it, if it is a speed-limit sign, as in CARLA's towns."""
+        named = _LIMIT_OBJECT.fullmatch(self.name)
+        return float(named[1]) if named else None
 
 
 @dataclass(frozen=True)
@@ -206,22 +248,44 @@ class _Piece:
     kind: str
     parameters: tuple[float, ...]
 
-    def at(self, along: Floats) -> tuple[Floats, Floats, Floats]:
-        """Return x, y and heading at distances from the start of the piece."""
-        u, v, turn = _LOCAL[self.kind](along, self.length, *self.parameters)
-        cos, sin = np.cos(self.heading), np.sin(self.heading)
-        return self.x + u * cos - v * sin, self.y + u * sin + v * cos, self.heading + turn
+    def at(self, along: Floats, rounded: Rounding) -> tuple[Floats, Floats, Floats]:
+        """Return x, y and heading at distances from the start of the piece, with rounded terms."""
+        return _SHAPES[self.kind](self, np.clip(along, 0.0, self.length), rounded)
 
 
-def _line(along: Floats, _: float) -> tuple[Floats, Floats, Floats]:
-    return along, np.zeros_like(along), np.zeros_like(along)
+def single(values: ArrayLike) -> Floats:
+    """Return values in single precision, as CARLA's."""
+    rounded: Floats = np.asarray(values, np.float32)
+    return rounded
 
 
-def _arc(along: Floats, _: float, curvature: float) -> tuple[Floats, Floats, Floats]:
+def double(values: ArrayLike) -> Floats:
+    """Return values in double precision."""
+    return np.asarray(values, np.float64)
+
+
+def _line(piece: _Piece, along: Floats, rounded: Rounding) -> tuple[Floats, Floats, Floats]:
+    x = rounded(piece.x) + rounded(along * np.cos(piece.heading))
+    y = rounded(piece.y) + rounded(along * np.sin(piece.heading))
+    return x, y, np.full(len(along), piece.heading)
+
+
+def _arc(piece: _Piece, along: Floats, rounded: Rounding) -> tuple[Floats, Floats, Floats]:
+    (curvature,) = piece.parameters
     if abs(curvature) < 1e-9:
-        return _line(along, 0.0)
-    turn = along * curvature
-    return np.sin(turn) / curvature, (1 - np.cos(turn)) / curvature, turn
+        return _line(piece, along, rounded)
+    radius, start, heading = 1 / curvature, piece.heading + np.pi / 2, piece.heading + along * curvature
+    stop = heading + np.pi / 2
+    x = rounded(piece.x) + rounded(radius * np.cos(start)) - rounded(radius * np.cos(stop))
+    y = rounded(piece.y) + rounded(radius * np.sin(start)) - rounded(radius * np.sin(stop))
+    return x, y, heading
+
+
+def _by_local(piece: _Piece, along: Floats, rounded: Rounding) -> tuple[Floats, Floats, Floats]:
+    u, v, turn = _LOCAL[piece.kind](along, piece.length, *piece.parameters)
+    cos, sin = np.cos(piece.heading), np.sin(piece.heading)
+    x, y = rounded(piece.x) + rounded(u * cos - v * sin), rounded(piece.y) + rounded(u * sin + v * cos)
+    return x, y, piece.heading + turn
 
 
 def _spiral(along: Floats, length: float, first: float, last: float) -> tuple[Floats, Floats, Floats]:
@@ -252,11 +316,14 @@ def _parametric(along: Floats, length: float, normalized: float, *factors: float
 
 
 _LOCAL: Final[dict[str, Callable[..., tuple[Floats, Floats, Floats]]]] = {
-    "line": _line,
-    "arc": _arc,
     "spiral": _spiral,
     "poly3": _poly3,
     "paramPoly3": _parametric,
+}
+_SHAPES: Final[dict[str, Callable[[_Piece, Floats, Rounding], tuple[Floats, Floats, Floats]]]] = {
+    "line": _line,
+    "arc": _arc,
+    **dict.fromkeys(_LOCAL, _by_local),
 }
 
 
@@ -275,6 +342,8 @@ class Road:
         signals: The signals, and references to signals.
         links: Whether a junction precedes the road, and whether one succeeds it.
         limits: The speed limits: the station from which on each applies, and the limit in m/s; NaN for none.
+        predecessor: The id of the road or junction before it; None for none.
+        successor: That of the one after it.
     """
 
     id: str
@@ -286,25 +355,32 @@ class Road:
     objects: tuple[RoadObject, ...]
     signals: tuple[RoadSignal, ...]
     pieces: tuple[_Piece, ...]
-    links: tuple[bool, bool] = (False, False)
-    limits: tuple[tuple[float, float], ...] = ()
+    links: tuple[bool, bool]
+    limits: tuple[tuple[float, float], ...]
+    predecessor: int | None
+    successor: int | None
+
+    @property
+    def number(self) -> int:
+        """The id as a number, as CARLA has it."""
+        return _integer(self.id)
 
     @property
     def in_junction(self) -> bool:
         """Whether the road is part of a junction."""
         return self.junction != OUTSIDE
 
-    def reference(self, stations: Floats) -> tuple[Floats, Floats]:
-        """Return the points of the reference line at stations, (n, 3), and its headings, (n,)."""
+    def reference(self, stations: Floats, rounded: Rounding = double) -> tuple[Floats, Floats]:
+        """Return the points of the reference line at stations, (n, 3), and its headings, (n,); with rounded coordinates."""
         points = np.empty((len(stations), 3))
         headings = np.empty(len(stations))
         starts = np.array([piece.start for piece in self.pieces])
-        index = np.clip(np.searchsorted(starts, stations, "right") - 1, 0, len(starts) - 1)
+        index = np.maximum(np.searchsorted(starts, stations, "right") - 1, 0)
         for number in np.unique(index).tolist():
             here = index == number
             piece = self.pieces[number]
-            points[here, 0], points[here, 1], headings[here] = piece.at(np.maximum(stations[here] - piece.start, 0.0))
-        points[:, 2] = self.elevation(stations)
+            points[here, 0], points[here, 1], headings[here] = piece.at(stations[here] - piece.start, rounded)
+        points[:, 2] = rounded(self.elevation(stations))
         return points, headings
 
     def at(self, station: float, offset: float) -> tuple[Floats, float]:
@@ -342,30 +418,104 @@ def sparse_stations(stations: Floats, lines: Floats) -> Floats:
     return np.interp(np.linspace(0.0, numbers[-1], count + 1), numbers, stations)
 
 
-def read_roads(text: str) -> list[Road]:
-    """Return the roads of an OpenDRIVE file, without those that have invalid numbers.
+@dataclass
+class OpenDrive:
+    """The content of an OpenDRIVE file.
+
+    Attributes:
+        roads: The roads.
+        connections: The ids of the roads through each junction, by its id and by the id of the road from which one comes.
+        priorities: Which connecting roads of a junction have priority over which.
+        controllers: The ids of the signals of each controller, in the order in which these follow each other.
+    """
+
+    roads: list[Road] = field(default_factory=list)
+    connections: dict[int, dict[int, list[int]]] = field(default_factory=dict)
+    priorities: dict[int, set[tuple[int, int]]] = field(default_factory=lambda: defaultdict(set))
+    controllers: dict[str, list[str]] = field(default_factory=dict)
+
+
+def read_opendrive(text: str) -> OpenDrive:
+    """Return the content of an OpenDRIVE file.
 
     Raises:
-        ValueError: It is no OpenDRIVE file.
+        ValueError: It is no OpenDRIVE file, or it is larger than any town.
     """
+    found = OpenDrive()
+    controllers: list[tuple[float, str, list[str]]] = []
+    length = 0.0
+    for element in _elements(text):
+        if element.tag == "road":
+            road = _road(element)
+            if road is None:
+                continue
+            if len(found.roads) >= _MOST_ROADS:
+                raise ValueError(f"it has more than {_MOST_ROADS} roads, and no town has")
+            length += sum((section.end - section.start) * len(section.lanes) for section in road.sections)
+            if length > _LONGEST_LANES:
+                raise ValueError(f"its lanes are longer than {_LONGEST_LANES / 1000:.0f} km, and no town's are")
+            found.roads.append(road)
+        elif element.tag == "junction":
+            id = _integer(element.get("id"))
+            ways = found.connections.setdefault(id, {})
+            for connection in element.findall("connection"):
+                ways.setdefault(_integer(connection.get("incomingRoad")), []).append(
+                    _integer(connection.get("connectingRoad"))
+                )
+            for priority in element.findall("priority"):
+                found.priorities[id].add((_integer(priority.get("high")), _integer(priority.get("low"))))
+        else:
+            signals = [control.get("signalId", "") for control in element.findall("control")]
+            controllers.append((_number(element, "sequence", 0.0), element.get("id", ""), list(dict.fromkeys(signals))))
+    for _, name, signals in sorted(controllers, key=lambda controller: controller[0]):
+        found.controllers[name] = signals
+    return found
+
+
+def _elements(text: str) -> Iterator[ElementTree.Element]:
+    """Yield the roads, junctions and controllers of a file; each is empty when the next one is asked for.
+
+    Raises:
+        ValueError: It is no OpenDRIVE file, or it has too many elements.
+    """
+    if "<!ENTITY" in text:
+        raise ValueError("it declares entities, which no map does")
+    parser: ElementTree.XMLPullParser[ElementTree.Element] = ElementTree.XMLPullParser(("start", "end"))
+    root: ElementTree.Element | None = None
+    depth = count = of_road = 0
     try:
-        root = ElementTree.fromstring(text)
+        for start in range(0, len(text) + 1, _CHUNK):
+            parser.feed(text[start : start + _CHUNK])
+            if start + _CHUNK > len(text):
+                parser.close()
+            for event, element in cast("Iterator[tuple[str, ElementTree.Element]]", parser.read_events()):
+                if event == "start":
+                    if root is None:
+                        root = element
+                        if root.tag != "OpenDRIVE":
+                            raise ValueError(f"the root element is {root.tag[:40]!r}")
+                    depth, count, of_road = depth + 1, count + 1, of_road + 1
+                    if of_road > _MOST_OF_ROAD:
+                        raise ValueError(f"one of its parts has more than {_MOST_OF_ROAD} elements, and no town's has")
+                    if count > _MOST_ELEMENTS:
+                        raise ValueError(f"it has more than {_MOST_ELEMENTS} elements, and no town has")
+                    continue
+                depth -= 1
+                if depth == 1 and root is not None:
+                    if element.tag in _CONTENT:
+                        yield element
+                    root.clear()
+                    of_road = 0
     except ElementTree.ParseError as error:
         raise ValueError(f"the XML is invalid: {error}") from None
-    if root.tag != "OpenDRIVE":
-        raise ValueError(f"the root element is {root.tag[:40]!r}")
-    roads = []
-    for element in root.findall("road")[:_MOST_ROADS]:
-        road = _road(element)
-        if road is not None:
-            roads.append(road)
-    return roads
 
 
 def _road(element: ElementTree.Element) -> Road | None:
     length = _number(element, "length", -1.0)
     pieces = tuple(sorted(filter(None, map(_piece, element.findall("planView/geometry"))), key=lambda piece: piece.start))
-    if not 0.01 < length <= _LONGEST or not pieces:
+    if length > _LONGEST:
+        raise ValueError(f"a road is {length:.0f} m long, and none is longer than {_LONGEST / 1000:.0f} km")
+    if not length > 0.01 or not pieces:
         return None
     sections = _sections(element.findall("lanes/laneSection")[:_MOST_SECTIONS], length)
     if not sections:
@@ -382,13 +532,14 @@ def _road(element: ElementTree.Element) -> Road | None:
         pieces[:_MOST_RECORDS],
         tuple(any(link.get("elementType") == "junction" for link in element.findall(f"link/{end}")) for end in _ENDS),  # type: ignore[arg-type]
         tuple(_limits(element.findall("type")[:_MOST_RECORDS], "s", "speed")),
+        *(_integer(link.get("elementId")) if (link := element.find(f"link/{end}")) is not None else None for end in _ENDS),
     )
 
 
 def _piece(element: ElementTree.Element) -> _Piece | None:
     values = [_number(element, name, np.nan) for name in ("s", "x", "y", "hdg", "length")]
     shape = next(iter(element), None)
-    if shape is None or not all(map(isfinite, values)) or max(map(abs, values)) > _FARTHEST:
+    if shape is None or not all(map(isfinite, values)) or max(map(abs, values)) > _FARTHEST or values[-1] < 0:
         return None
     names = {
         "line": (),
@@ -418,7 +569,7 @@ def _sections(elements: Sequence[ElementTree.Element], length: float) -> tuple[R
         left = sorted(_lanes(element, "left"), key=lambda lane: lane.id)
         right = sorted(_lanes(element, "right"), key=lambda lane: -lane.id)
         centre = next(iter(_lanes(element, "center")), None)
-        sections.append(RoadSection(starts[number], end, tuple(left), tuple(right), centre))
+        sections.append(RoadSection(index, starts[number], end, tuple(left), tuple(right), centre))
     return tuple(sections)
 
 
@@ -431,6 +582,7 @@ def _lanes(element: ElementTree.Element, side: str) -> list[RoadLane]:
                 mark.get("type", "none").lower(),
                 mark.get("color", "standard").lower(),
                 min(max(_number(mark, "width", 0.25 if mark.get("weight") == "bold" else 0.12), 0.05), 0.6),
+                mark.get("laneChange", "both").lower(),
             )
             for mark in found.findall("roadMark")[:_MOST_RECORDS]
         ]
@@ -441,6 +593,7 @@ def _lanes(element: ElementTree.Element, side: str) -> list[RoadLane]:
                 _profile(found.findall("width"), "sOffset"),
                 tuple(_changes(sorted(marks, key=lambda mark: mark.start))),
                 tuple(_limits(found.findall("speed")[:_MOST_RECORDS], "sOffset", ".")),
+                *(_integer(None if (link := found.find(f"link/{end}")) is None else link.get("id")) for end in _ENDS),
             )
         )
     return lanes
@@ -469,12 +622,13 @@ def _object(element: ElementTree.Element) -> RoadObject:
         width=_number(element, "width", 0.0),
         length=_number(element, "length", 0.0),
         outline=np.array([(_number(c, "u", 0.0), _number(c, "v", 0.0)) for c in corners], np.float64).reshape(-1, 2),
+        ahead=_AHEAD.get(element.get("orientation", "")),
     )
 
 
 def _signal(element: ElementTree.Element) -> RoadSignal:
     ranges = [
-        sorted((int(_number(validity, "fromLane", 0.0)), int(_number(validity, "toLane", 0.0))))
+        sorted((_integer(validity.get("fromLane")), _integer(validity.get("toLane"))))
         for validity in element.findall("validity")[:_MOST_CORNERS]
     ]
     return RoadSignal(
@@ -485,7 +639,7 @@ def _signal(element: ElementTree.Element) -> RoadSignal:
         offset=_number(element, "t", 0.0),
         height=_number(element, "zOffset", 0.0),
         heading=_number(element, "hOffset", 0.0),
-        ahead={"+": True, "-": False}.get(element.get("orientation", "")),
+        ahead=_AHEAD.get(element.get("orientation", "")),
         lanes=tuple((first, last) for first, last in ranges),
         unit=element.get("unit", ""),
     )
@@ -514,10 +668,23 @@ def in_metres_per_second(value: str | float | None, unit: str | None) -> float |
 
 
 def _profile(elements: Iterable[ElementTree.Element], start: str) -> Profile:
+    """Return the function of some records; its value is NaN where a coefficient is invalid."""
     return Profile(
-        (_number(element, start, 0.0), tuple(_number(element, name, 0.0) for name in "abcd"))  # type: ignore[misc]
+        (
+            _number(element, start, 0.0),
+            tuple(_number(element, name, nan) if name in element.attrib else 0.0 for name in "abcd"),
+        )  # type: ignore[misc]
         for element in elements
     )
+
+
+def _integer(text: str | None) -> int:
+    """Return a number of a road or lane; 0 where it is none."""
+    try:
+        value = int(text or "")
+    except ValueError:
+        return 0
+    return value if abs(value) < 1 << 31 else 0
 
 
 def _number(element: ElementTree.Element, name: str, default: float) -> float:

@@ -1,19 +1,13 @@
-"""Road networks from OpenDRIVE files; as a module, the child process that makes them.
-
-They are made of the records of the file by `opendrive`, without CARLA's client library.
-"""
+"""Road networks from OpenDRIVE files: the surfaces of paved lanes and junctions, speed limits, and stop lines."""
 
 from __future__ import annotations
 
-import re
-import sys
 from collections import defaultdict
 from contextlib import suppress
 from functools import lru_cache
-from io import BytesIO
 from itertools import pairwise
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Final, NamedTuple
+from typing import TYPE_CHECKING, Final, NamedTuple
 
 import numpy as np
 
@@ -21,11 +15,10 @@ from carla_recap.errors import FormatError
 from carla_recap.roads import network as roads
 from carla_recap.roads import opendrive
 from carla_recap.roads.corridors import is_of_corridors
+from carla_recap.roads.files import decode, expecting_map, read_content
 from carla_recap.roads.find import find_map
 from carla_recap.roads.network import RoadNetwork
-from carla_recap.roads.opendrive import in_metres_per_second, read_roads, sparse_stations
-from carla_recap.roads.parsing import parse_in_child, read_content, run_child
-from carla_recap.util import cache
+from carla_recap.roads.opendrive import in_metres_per_second, read_opendrive, sparse_stations
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
@@ -49,13 +42,11 @@ _KINDS: Final = {
     **dict.fromkeys(("special1", "special2", "special3"), roads.SHOULDER),
 }
 _SIGNALS: Final = {opendrive.LIGHT: roads.LIGHT, opendrive.STOP: roads.STOP, opendrive.YIELD: roads.YIELD}
-_LIMIT_OBJECT: Final = re.compile(r"Speed_?(\d{1,3})")  # the name of an object that is a sign, in CARLA's towns
 _SPACING: Final = 1.0  # m between the points at which the course of a road is examined
 _MOST_POINTS: Final = 300_000  # at which roads are examined
 _MOST_PIECES: Final = 1_000_000
 _MOST_LINES: Final = 20_000
 _MOST_PLACES: Final = 200  # at which a signal applies
-_MOST_NAME: Final = 64  # characters of an id
 _NARROW: Final = 0.02  # m
 _BEFORE_END: Final = 1e-6  # m
 _AT_SIGN: Final = 1.0  # m beyond the ends of a section within which a signal belongs to it
@@ -80,7 +71,7 @@ def load_road_network(path: Path | str) -> RoadNetwork:
         RecapError: The file cannot be read, or is no OpenDRIVE map with lanes for cars.
     """
     path = Path(path)
-    return _network(path.stem, path, read_content(path, by_carla=False))
+    return _network(path.stem, path, read_content(path))
 
 
 def find_road_network(map_name: str, folder: Path | str | None = None) -> RoadNetwork | None:
@@ -117,38 +108,11 @@ def road_network_of_map(road_map: RoadMap | None) -> RoadNetwork | None:
 
 @lru_cache(4)
 def _network(name: str, path: Path, content: bytes) -> RoadNetwork:
-    key = cache.content_key(content, "roads")
-    data = cache.read_entry(key)
-    if data is not None:
-        try:
-            return _unpacked(name, data)
-        except Exception:  # whatever an invalid entry causes
-            cache.remove_entry(key)
-    data = parse_in_child("carla_recap.roads.surfaces", path, content)
-    network = _unpacked(name, data)
+    with expecting_map(path):
+        network = build_network(decode(content), name)
     if not np.isin(network.lanes["kind"], (roads.DRIVING, roads.BOTH_WAYS)).any():
         raise FormatError(path, None, "an OpenDRIVE map was expected, and no lane for cars is in it")
-    cache.write_entry(key, data)
     return network
-
-
-_IDS: Final = ("road_ids", "junction_ids", "signal_ids")
-
-
-def _packed(network: RoadNetwork) -> bytes:
-    file = BytesIO()
-    arrays: dict[str, Any] = {
-        name: np.array([id[:_MOST_NAME] for id in getattr(network, name)], f"U{_MOST_NAME}") for name in _IDS
-    }
-    arrays |= {name: getattr(network, name) for name in ("lanes", "pieces", "signals", "stop_lines")}
-    np.savez(file, **arrays)
-    return file.getvalue()
-
-
-def _unpacked(name: str, data: bytes) -> RoadNetwork:
-    with np.load(BytesIO(data)) as arrays:
-        ids = {name: tuple(arrays[name].tolist()) for name in _IDS}
-        return RoadNetwork(name, arrays["lanes"], arrays["pieces"], arrays["signals"], arrays["stop_lines"], **ids)
 
 
 def build_network(text: str, name: str = "") -> RoadNetwork:
@@ -158,7 +122,7 @@ def build_network(text: str, name: str = "") -> RoadNetwork:
         ValueError: It is no OpenDRIVE file.
     """
     with np.errstate(all="ignore"):
-        found = read_roads(text)
+        found = read_opendrive(text).roads
         maker = _LaneMaker(found)
         lanes, pieces = maker.tables()
         signals, lines, ids = _Signals(found).tables()
@@ -277,8 +241,7 @@ def _signs(road: Road) -> Iterator[_LimitSign]:
             if limit is not None:
                 yield _LimitSign(signal.station, limit, lanes)
     for thing in road.objects:
-        named = _LIMIT_OBJECT.fullmatch(thing.name)
-        limit = in_metres_per_second(named[1], "km/h") if named else None
+        limit = in_metres_per_second(thing.speed_limit, "km/h")
         if limit is not None:
             yield _LimitSign(thing.station, limit, _side(thing.offset < 0))
 
@@ -475,7 +438,3 @@ def _areas(free: NDArray[np.bool_]) -> Iterator[NDArray[np.int64]]:
                     ends.append(cell)
         if not outer:
             yield np.array(area, np.int64)
-
-
-if __name__ == "__main__":
-    sys.exit(run_child(lambda text: _packed(build_network(text))))

@@ -18,7 +18,6 @@ from carla_recap.errors import RecapError
 from carla_recap.server.client import Client
 from carla_recap.server.rpc.connection import ClientConnection
 from carla_recap.server.rpc.registry import CALLS
-from carla_recap.sim.town.ahead import parsing_ahead
 from carla_recap.util.signals import call_on_termination
 
 if TYPE_CHECKING:
@@ -79,11 +78,10 @@ async def serve(
         if not attached:  # such servers are started by tests, most of which have no cameras
             host.load_ahead()
         try:
-            with parsing_ahead(host.world.maps):
-                stopped = asyncio.create_task(done.wait())
-                await asyncio.wait((stopped, ticker), return_when=asyncio.FIRST_COMPLETED)
-                if ticker.done():
-                    ticker.result()
+            stopped = asyncio.create_task(done.wait())
+            await asyncio.wait((stopped, ticker), return_when=asyncio.FIRST_COMPLETED)
+            if ticker.done():
+                ticker.result()
         finally:
             ticker.cancel()
             calls.close()

@@ -11,7 +11,6 @@ import sys
 from contextlib import suppress
 from functools import cache
 from hashlib import sha256
-from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from typing import Final
 
@@ -41,7 +40,7 @@ def cache_folder() -> Path | None:
 
 
 def content_key(content: bytes, *sources: str) -> str:
-    """Return the key of a map's content, for this version of the code and of CARLA's library.
+    """Return the key of a map's content, for this version of the code.
 
     Args:
         content: The content.
@@ -117,10 +116,8 @@ def _evict(folder: Path) -> None:
 
 @cache
 def _digest(sources: tuple[str, ...]) -> bytes:
-    """Return a digest of the modules in folders, and of the version of CARLA's library."""
+    """Return a digest of the modules in folders."""
     digest = sha256()
-    with suppress(PackageNotFoundError):
-        digest.update(version("carla").encode())
     package = Path(__file__).parents[1]
     for folder in sources:
         for path in sorted((package / folder).glob("*.py")):

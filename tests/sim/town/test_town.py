@@ -14,12 +14,11 @@ import pytest
 
 from carla_recap.errors import RecapError
 from carla_recap.roads import find_map, load_map
-from carla_recap.sim.town.town import BUILT_IN, SignalKind, Town, load_town, main_lanes
+from carla_recap.sim.town.junctions import SignalKind
+from carla_recap.sim.town.town import BUILT_IN, Town, load_town, main_lanes
 from tests.roads.towns import lane, opendrive, road, section, town
 from tests.sim.two_levels import two_levels
 from tests.waiting import time_limit
-
-pytest.importorskip("carla", reason="the extra carla is not installed")
 
 ROOT = Path(__file__).parents[3]
 NAMES = (BUILT_IN, "Town01", "Town02", "Town10HD")

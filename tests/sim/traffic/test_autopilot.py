@@ -11,7 +11,8 @@ from carla_recap.sim.actors.control import VehicleControl, WalkerControl
 from carla_recap.sim.actors.lights import GREEN, RED, YELLOW
 from carla_recap.sim.actors.moving import Vehicle, Walker
 from carla_recap.sim.geometry import Location, Transform, Vector
-from carla_recap.sim.town.town import Conflict, Junction, Signal, SignalKind, Town, load_town
+from carla_recap.sim.town.junctions import Conflict, Junction, Signal, SignalKind
+from carla_recap.sim.town.town import Town, load_town
 from carla_recap.sim.world import World
 from tests.roads.towns import town as carla_town
 from tests.sim.flat import at

@@ -13,7 +13,7 @@ from carla_recap.sim.actors.moving import Vehicle, Walker
 from carla_recap.sim.errors import SimError
 from carla_recap.sim.geometry import Location, Vector
 from carla_recap.sim.town.paths import Paths
-from carla_recap.sim.town.town import WalkwayGraph
+from carla_recap.sim.town.sidewalks import WalkwayGraph
 from tests.sim.flat import at, flat_world, light
 
 if TYPE_CHECKING:

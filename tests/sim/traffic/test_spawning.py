@@ -8,7 +8,7 @@ import pytest
 from carla_recap.model.records import ActorKind
 from carla_recap.sim import Location, World, load_town
 from carla_recap.sim.errors import SimError
-from carla_recap.sim.town.town import WalkwayGraph
+from carla_recap.sim.town.sidewalks import WalkwayGraph
 from carla_recap.sim.traffic.spawning import populate
 from tests.sim.flat import at, flat_world, lane
 

@@ -19,7 +19,7 @@ from carla_recap.formats.mcap.chunk import ChunkBuilder
 from carla_recap.formats.mcap.file import ChunkedFile, Topic
 from carla_recap.formats.mcap.schema import EXPORT_METADATA
 from carla_recap.replay import Played, Player
-from carla_recap.roads.parsing import read_content
+from carla_recap.roads.files import read_content
 from carla_recap.util.text import readable
 
 if TYPE_CHECKING:

@@ -12,7 +12,8 @@ import numpy as np
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-    from carla_recap.sim.town.town import Town, WalkwayGraph
+    from carla_recap.sim.town.sidewalks import WalkwayGraph
+    from carla_recap.sim.town.town import Town
 
     Point = list[float]
     Floats = NDArray[np.float64]

@@ -8,14 +8,15 @@ import numpy as np
 
 from carla_recap.sim.actors.actor import Actor, ActorContext
 from carla_recap.sim.errors import SimError
-from carla_recap.sim.town.town import SignalKind
+from carla_recap.sim.town.junctions import SignalKind
 from carla_recap.sim.validation import LARGEST, expect_between
 
 if TYPE_CHECKING:
     from numpy.typing import ArrayLike, NDArray
 
     from carla_recap.sim.actors.blueprints import Blueprint
-    from carla_recap.sim.town.town import Signal, Town
+    from carla_recap.sim.town.junctions import Signal
+    from carla_recap.sim.town.town import Town
 
     Floats = NDArray[np.float64]
     Integers = NDArray[np.int64]

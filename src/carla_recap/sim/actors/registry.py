@@ -19,7 +19,7 @@ from carla_recap.sim.geometry import Transform
 from carla_recap.sim.physics.plane import PROP, VEHICLE, WALKER, WALL, Plane
 from carla_recap.sim.physics.vehicles import Vehicles
 from carla_recap.sim.physics.walkers import Walkers
-from carla_recap.sim.town.town import SignalKind
+from carla_recap.sim.town.junctions import SignalKind
 from carla_recap.sim.validation import expect_text, expect_transform
 
 if TYPE_CHECKING:
@@ -34,7 +34,8 @@ if TYPE_CHECKING:
     from carla_recap.sim.clock import Clock
     from carla_recap.sim.geometry import Location
     from carla_recap.sim.settings import Settings
-    from carla_recap.sim.town.town import Signal, Town
+    from carla_recap.sim.town.junctions import Signal
+    from carla_recap.sim.town.town import Town
 
 _WALKER_MASS: Final = 75.0  # kg
 _WALKER_RADIUS: Final = 0.25  # m, of the shoulders

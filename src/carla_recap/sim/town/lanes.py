@@ -2,20 +2,30 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections import defaultdict
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Final, Literal
 
 import numpy as np
 
+from carla_recap.roads.lanes import NO_JUNCTION
+
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import Mapping, Sequence
 
     from numpy.typing import ArrayLike, NDArray
+
+    from carla_recap.roads.lanes import LaneGeometry
 
     Floats = NDArray[np.float64]
     Integers = NDArray[np.int64]
     Turn = Literal["straight", "left", "right"]
 
+SPACING: Final = 1.0  # m
+DEFAULT_LIMIT: Final = 30 / 3.6  # m/s: CARLA's, where a map says nothing
+_BEND: Final = np.radians(35)  # what bends less goes straight on
+_TO_LEFT_HANDED: Final = np.array((1.0, -1, 1, -1, 1))
+_SHORTEST: Final = 1e-3  # m: so that one may divide by lengths
 _CELL: Final = 4.0  # m: no nearest lane is farther than that from a vehicle on a road
 _AGAINST: Final = 32.0  # m²: what it costs to drive against a lane's direction
 _STOREY: Final = 4.0  # a metre above or below a lane counts as two beside it
@@ -71,6 +81,91 @@ class Lane:
     def length(self) -> float:
         """The length in m."""
         return float(self.s[-1])
+
+
+def make_lanes(courses: Sequence[LaneGeometry]) -> list[Lane]:
+    """Return lanes for cars, without speed limits, at the indices of their courses.
+
+    Raises:
+        ValueError: There is none, or a coordinate is not finite.
+    """
+    if not courses:
+        raise ValueError("no lane for cars is in it")
+    index = {(course.road, course.section, course.id): number for number, course in enumerate(courses)}
+    after = [sorted({index[name] for name in course.successors if name in index}) for course in courses]
+    before = defaultdict(list)
+    for number, following in enumerate(after):
+        for other in following:
+            before[other].append(number)
+    return [_lane(number, course, after[number], before[number], index) for number, course in enumerate(courses)]
+
+
+def _lane(
+    number: int, course: LaneGeometry, after: list[int], before: list[int], index: Mapping[tuple[int, int, int], int]
+) -> Lane:
+    rows = _rows(course)
+    length = max(float(np.linalg.norm(np.diff(rows[:, :3], axis=0), axis=1).sum()), _SHORTEST)
+    bend = rows[-1, 3] - rows[0, 3]
+    is_straight = course.junction == NO_JUNCTION or abs(bend) < _BEND
+    outwards = 1 if course.reverse else -1  # numbers ascend to the left of the road's own direction
+    left, right = (
+        index.get((course.road, course.section, course.id + step)) if allowed else None
+        for step, allowed in zip((-outwards, outwards), course.changes, strict=True)
+    )
+    return Lane(
+        index=number,
+        road_id=course.road,
+        section=course.section,
+        lane_id=course.id,
+        points=rows[:, :3].copy(),
+        s=np.linspace(0, length, len(rows)),
+        heading=rows[:, 3].copy(),
+        width=float(rows[len(rows) // 2, 4]),
+        speed_limit=DEFAULT_LIMIT,
+        successors=tuple(after),
+        predecessors=tuple(before),
+        left=left,
+        right=right,
+        junction=None if course.junction == NO_JUNCTION else course.junction,
+        turn="straight" if is_straight else "right" if bend > 0 else "left",
+    )
+
+
+def _rows(course: LaneGeometry) -> Floats:
+    """Return evenly spaced rows of x, y, z, heading and width in the direction of travel, in CARLA's axes."""
+    width = np.linalg.norm(course.left - course.right, axis=1)
+    rows: Floats = np.column_stack((course.centre, np.unwrap(course.headings), width)) * _TO_LEFT_HANDED
+    if course.reverse:
+        rows = rows[::-1]
+    at = np.concatenate(((0.0,), np.cumsum(np.linalg.norm(np.diff(rows[:, :3], axis=0), axis=1))))
+    if not np.isfinite(rows).all():
+        raise ValueError("a lane has places that are no numbers")
+    even = np.linspace(0, at[-1], max(int(np.ceil(at[-1] / SPACING)), 1) + 1)
+    spaced: Floats = np.stack([np.interp(even, at, column) for column in rows.T], axis=1)
+    return spaced
+
+
+def with_limits(lanes: Sequence[Lane], courses: Sequence[LaneGeometry], signed: Mapping[int, float | None]) -> list[Lane]:
+    """Return lanes with speed limits: their own, or that of a sign or of a lane from which one comes, or the default.
+
+    Args:
+        lanes: The lanes.
+        courses: Their courses.
+        signed: The limits of signs on lanes.
+    """
+    limits = [
+        signed.get(lane.index) if course.limit is None else course.limit for lane, course in zip(lanes, courses, strict=True)
+    ]
+    known = [lane for lane in lanes if limits[lane.index] is not None]
+    for lane in known:  # grows
+        for other in lane.successors:
+            if limits[other] is None:
+                limits[other] = limits[lane.index]
+                known.append(lanes[other])
+    return [
+        replace(lane, speed_limit=DEFAULT_LIMIT if limit is None else limit)
+        for lane, limit in zip(lanes, limits, strict=True)
+    ]
 
 
 class LaneIndex:

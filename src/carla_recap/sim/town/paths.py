@@ -13,7 +13,7 @@ import numpy as np
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-    from carla_recap.sim.town.town import WalkwayGraph
+    from carla_recap.sim.town.sidewalks import WalkwayGraph
 
     Floats = NDArray[np.float64]
 

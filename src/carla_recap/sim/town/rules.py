@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
-from carla_recap.sim.town.town import SignalKind
+from carla_recap.sim.town.junctions import SignalKind
 
 if TYPE_CHECKING:
     from collections.abc import Iterator

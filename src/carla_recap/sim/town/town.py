@@ -4,25 +4,30 @@ from __future__ import annotations
 
 from copy import copy
 from dataclasses import dataclass, field
-from enum import StrEnum
 from pathlib import Path
 from threading import Lock
-from typing import TYPE_CHECKING, Any, Final
+from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
 from carla_recap.errors import RecapError
+from carla_recap.roads.files import decode, expecting_map, read_content
 from carla_recap.roads.find import described_folder, find_map, plain_name
-from carla_recap.roads.parsing import decode, parse_in_child, read_content
+from carla_recap.roads.lanes import TownRoads
+from carla_recap.roads.opendrive import read_opendrive
 from carla_recap.sim.geometry import Location, Rotation, Transform
-from carla_recap.sim.town.lanes import Lane, LaneIndex
-from carla_recap.sim.town.parsing.packing import from_bytes
-from carla_recap.util import cache
+from carla_recap.sim.town.junctions import make_junctions, make_signals
+from carla_recap.sim.town.lanes import LaneIndex, make_lanes, with_limits
+from carla_recap.sim.town.sidewalks import barriers, make_walks
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
     from numpy.typing import ArrayLike, NDArray
+
+    from carla_recap.sim.town.junctions import Junction, Signal
+    from carla_recap.sim.town.lanes import Lane
+    from carla_recap.sim.town.sidewalks import WalkwayGraph
 
     Floats = NDArray[np.float64]
     Integers = NDArray[np.int64]
@@ -35,97 +40,6 @@ _ABOVE_ENTRIES: Final = 3.0  # m: the same, in maps that clients send
 _APART: Final = 10.0  # m: between spawn points; longer than any of the vehicles
 _MOST_TOWNS: Final = 4  # in memory
 _FROM_ENDS: Final = 5.0  # m: between a spawn point and the end of its lane
-
-
-class SignalKind(StrEnum):
-    """The kind of a signal."""
-
-    LIGHT = "light"
-    STOP = "stop"
-    YIELD = "yield"
-    SPEED_LIMIT = "speed_limit"
-
-
-@dataclass(frozen=True, slots=True)
-class Signal:
-    """A traffic light or sign.
-
-    Attributes:
-        index: Its index in the list of signals.
-        opendrive_id: Its id in the file.
-        kind: The kind.
-        transform: Its location; it faces the traffic that it governs.
-        speed_limit: The speed limit in m/s, if it is a speed-limit sign.
-        junction: The id of the junction before which it stands, if there is one.
-        controller: The id of the controller of a light; lights of one controller change together.
-        stops: The lanes that it governs, and the distance along each of the stop line, or of the begin of the speed limit.
-        governs: The lanes beyond it, in the junction.
-    """
-
-    index: int
-    opendrive_id: str
-    kind: SignalKind
-    transform: Transform
-    speed_limit: float | None
-    junction: int | None
-    controller: str | None
-    stops: tuple[tuple[int, float], ...]
-    governs: tuple[int, ...]
-
-
-@dataclass(frozen=True, slots=True)
-class Conflict:
-    """A stretch of a lane in a junction where another lane crosses it, or comes to it.
-
-    Every conflict is listed twice, once for each of the two lanes.
-
-    Attributes:
-        lane: The lane.
-        other: The other lane.
-        begin: The distance along the lane at which the stretch begins, in m.
-        end: The distance at which it ends, in m.
-        merging: Whether both lanes lead to the same one; otherwise they cross.
-        yields: Whether the traffic of the lane yields to that of the other one.
-    """
-
-    lane: int
-    other: int
-    begin: float
-    end: float
-    merging: bool
-    yields: bool
-
-
-@dataclass(frozen=True, slots=True)
-class Junction:
-    """A junction.
-
-    Attributes:
-        id: Its id in the file.
-        lanes: The lanes through it.
-        conflicts: The stretches where two of them cross or merge.
-        phases: The lights that are green together, as indices of signals: one phase after another; empty without lights.
-    """
-
-    id: int
-    lanes: tuple[int, ...]
-    conflicts: tuple[Conflict, ...]
-    phases: tuple[tuple[int, ...], ...]
-
-
-@dataclass(frozen=True, eq=False)
-class WalkwayGraph:
-    """The walkways: sidewalks and crossings, as a graph.
-
-    Attributes:
-        nodes: Locations, (n, 3).
-        edges: Pairs of indices of nodes, each once, (m, 2).
-        crossing: Whether an edge leads over a road, (m,).
-    """
-
-    nodes: Floats
-    edges: Integers
-    crossing: NDArray[np.bool_]
 
 
 @dataclass(eq=False)
@@ -190,7 +104,7 @@ class Town:
 
 
 def load_town(name_or_path: str | Path = "", maps: Path | None = None) -> Town:
-    """Return a town from an OpenDRIVE file; what was parsed before is kept, in memory and in the user's cache folder.
+    """Return a town from an OpenDRIVE file; those that were made last are kept in memory.
 
     Args:
         name_or_path: Nothing for the built-in town; else its name, a file, or the name of a map, such as `Town01`.
@@ -198,77 +112,45 @@ def load_town(name_or_path: str | Path = "", maps: Path | None = None) -> Town:
 
     Raises:
         RecapError: There is no such town, or the file cannot be read or is no OpenDRIVE map with lanes for cars.
-        MissingExtra: CARLA's client library is not installed.
     """
     name, path = _find(str(name_or_path), maps)
-    content = read_content(path)
-    key = content_key(content)
+    text = decode(read_content(path))
     with _lock:
-        same = [town for (known, _), town in _towns.items() if known == key]
-        town = _towns.pop((key, name), None)
+        same = [town for (known, _), town in _towns.items() if known == text]
+        town = _towns.pop((text, name), None)
     if town is None:
-        town = (same or [_cached_town(key, content) or _parsed_town(key, content, path)])[0].renamed(name)
+        town = (same or [_made(text, path)])[0].renamed(name)
     with _lock:
-        _towns[key, name] = town
+        _towns[text, name] = town
         if len(_towns) > _MOST_TOWNS:
             del _towns[next(iter(_towns))]
     return town
 
 
-def content_key(content: bytes) -> str:
-    """Return the key of a map's content in the cache."""
-    return cache.content_key(content, "sim/town/parsing", "roads")
-
-
-def fill_cache(path: Path) -> None:
-    """Parse an OpenDRIVE file into the user's cache folder, unless it is there.
-
-    Raises:
-        RecapError: The file cannot be read, or is no OpenDRIVE map.
-    """
-    content = read_content(path)
-    key = content_key(content)
-    if cache.read_entry(key) is None:
-        cache.write_entry(key, parse_in_child("carla_recap.sim.town.parsing", path, content))
-
-
-def _cached_town(key: str, content: bytes) -> Town | None:
-    data = cache.read_entry(key)
-    if data is None:
-        return None
-    try:
-        return _town(decode(content), data)
-    except Exception:  # whatever an invalid entry causes
-        cache.remove_entry(key)
-        return None
-
-
-def _parsed_town(key: str, content: bytes, path: Path) -> Town:
-    data = parse_in_child("carla_recap.sim.town.parsing", path, content)
-    town = _town(decode(content), data)
-    cache.write_entry(key, data)
-    return town
-
-
-def _town(text: str, data: bytes) -> Town:
-    parsed = from_bytes(data)
-    edges = parsed.facts["walk_edges"]
-    (nodes,) = parsed.lines["walks"]
-    return Town(
-        "",
-        text,
-        [_lane(row, rows) for row, rows in zip(parsed.facts["lanes"], parsed.lines["lanes"], strict=True)],
-        [_signal(row) for row in parsed.facts["signals"]],
-        [_junction(row) for row in parsed.facts["junctions"]],
-        parsed.lines["sidewalks"],
-        parsed.lines["crossings"],
-        WalkwayGraph(
-            nodes,
-            np.array([edge["nodes"] for edge in edges], np.int64).reshape(-1, 2),
-            np.array([edge["crossing"] for edge in edges], np.bool_),
-        ),
-        parsed.lines["barriers"],
-    )
+def _made(text: str, path: Path) -> Town:
+    with np.errstate(all="ignore"), expecting_map(path):
+        roads = TownRoads(read_opendrive(text))
+        courses = sorted(
+            (lane for lane in roads.lanes if lane.is_driving), key=lambda lane: (lane.road, lane.section, lane.id)
+        )
+        lanes = make_lanes(courses)
+        signals = make_signals(roads.landmarks, lanes, courses, roads.content.controllers)
+        signed = {
+            lane: signal.speed_limit for signal in signals if signal.speed_limit is not None for lane, _ in signal.stops
+        }
+        lanes = with_limits(lanes, courses, signed)
+        walks = make_walks(roads)
+        return Town(
+            "",
+            text,
+            lanes,
+            signals,
+            make_junctions(lanes, signals, roads.content),
+            walks.sidewalks,
+            walks.crossings,
+            walks.graph(),
+            barriers(roads.lanes),
+        )
 
 
 def main_lanes(lanes: Sequence[Lane]) -> list[int]:
@@ -354,26 +236,3 @@ def _road_entries(lanes: Sequence[Lane]) -> list[Transform]:
 def _wrapped(degrees: float) -> float:
     """Return an angle within -180 and 180 degrees."""
     return degrees if -180 < degrees <= 180 else 180 - (180 - degrees) % 360
-
-
-def _lane(row: dict[str, Any], rows: Floats) -> Lane:
-    length = row.pop("length")
-    row["successors"], row["predecessors"] = tuple(row["successors"]), tuple(row["predecessors"])
-    return Lane(points=rows[:, :3].copy(), s=np.linspace(0, length, len(rows)), heading=rows[:, 3].copy(), **row)
-
-
-def _signal(row: dict[str, Any]) -> Signal:
-    x, y, z, yaw = row.pop("place")
-    row["kind"] = SignalKind(row["kind"])
-    row["stops"] = tuple((lane, s) for lane, s in row["stops"])
-    row["governs"] = tuple(row["governs"])
-    return Signal(transform=Transform(Location(x, y, z), Rotation(yaw=yaw)), **row)
-
-
-def _junction(row: dict[str, Any]) -> Junction:
-    return Junction(
-        row["id"],
-        tuple(row["lanes"]),
-        tuple(Conflict(**conflict) for conflict in row["conflicts"]),
-        tuple(tuple(phase) for phase in row["phases"]),
-    )

@@ -7,13 +7,14 @@ from dataclasses import dataclass, field
 from math import inf
 from typing import TYPE_CHECKING, Final
 
-from carla_recap.sim.town.town import SignalKind
+from carla_recap.sim.town.junctions import SignalKind
 from carla_recap.sim.traffic.autopilot.drivers import NONE
 
 if TYPE_CHECKING:
     from collections.abc import Callable
 
-    from carla_recap.sim.town.town import Conflict, Town
+    from carla_recap.sim.town.junctions import Conflict
+    from carla_recap.sim.town.town import Town
     from carla_recap.sim.traffic.autopilot.routes import LaneNetwork, Routes
 
     FreeLength = Callable[["StopLine"], float]

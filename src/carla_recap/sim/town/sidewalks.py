@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
-from carla_recap.roads.carla_map import NO_JUNCTION
+from carla_recap.roads.lanes import NO_JUNCTION
 from carla_recap.roads.polylines import simplify
 
 if TYPE_CHECKING:
@@ -17,13 +17,13 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    from carla_recap.roads import carla_map
+    from carla_recap.roads.lanes import LaneGeometry, TownRoads
 
     Floats = NDArray[np.float64]
     Ends = tuple[int, int]
 
-SIDEWALK: Final = "Sidewalk"
-_NO_LANE: Final = "NONE"
+SIDEWALK: Final = "sidewalk"
+_NO_LANE: Final = "none"
 _CELL: Final = 0.5  # m
 _MOST_CELLS: Final = 3000  # along a side
 _TO_LEFT_HANDED: Final = np.array((1.0, -1, 1))
@@ -36,6 +36,21 @@ _LEVEL_GAP: Final = 3.0  # m: what differs by more in height is on another level
 _SHORTEST: Final = 1.0  # m
 
 
+@dataclass(frozen=True, eq=False)
+class WalkwayGraph:
+    """The walkways: sidewalks and crossings, as a graph.
+
+    Attributes:
+        nodes: Locations, (n, 3).
+        edges: Pairs of indices of nodes, each once, (m, 2).
+        crossing: Whether an edge leads over a road, (m,).
+    """
+
+    nodes: Floats
+    edges: NDArray[np.int64]
+    crossing: NDArray[np.bool_]
+
+
 class Ground:
     """The ground that some lanes cover, as cells of a grid.
 
@@ -44,7 +59,7 @@ class Ground:
         margin: The width in m that is added on both sides.
     """
 
-    def __init__(self, lanes: Iterable[carla_map.LaneGeometry], margin: float = 0.0) -> None:
+    def __init__(self, lanes: Iterable[LaneGeometry], margin: float = 0.0) -> None:
         borders = [_widened(left_handed(lane.left), left_handed(lane.right), margin) for lane in lanes]
         ends = np.concatenate([border[:, :2] for pair in borders for border in pair])
         extent = float(np.ptp(ends, axis=0).max())
@@ -94,7 +109,7 @@ def _widened(left: Floats, right: Floats, margin: float) -> tuple[Floats, Floats
     return left - aside, right + aside
 
 
-def barriers(lanes: Sequence[carla_map.LaneGeometry]) -> list[Floats]:
+def barriers(lanes: Sequence[LaneGeometry]) -> list[Floats]:
     """Return lines that stop cars off the road: along the outermost lanes, some way beyond, not across other lanes."""
     real = [lane for lane in lanes if lane.kind != _NO_LANE]
     ground, road = Ground(real), Ground([lane for lane in real if lane.is_driving], _CLEAR)
@@ -103,9 +118,9 @@ def barriers(lanes: Sequence[carla_map.LaneGeometry]) -> list[Floats]:
     ]
 
 
-def _outermost(lanes: Iterable[carla_map.LaneGeometry]) -> list[carla_map.LaneGeometry]:
+def _outermost(lanes: Iterable[LaneGeometry]) -> list[LaneGeometry]:
     """Return the last lanes on both sides of each section of a road."""
-    outer: dict[tuple[int, int, bool], carla_map.LaneGeometry] = {}
+    outer: dict[tuple[int, int, bool], LaneGeometry] = {}
     for lane in lanes:
         side = lane.road, lane.section, lane.id > 0
         if side not in outer or abs(lane.id) > abs(outer[side].id):
@@ -113,7 +128,7 @@ def _outermost(lanes: Iterable[carla_map.LaneGeometry]) -> list[carla_map.LaneGe
     return list(outer.values())
 
 
-def _fence(lane: carla_map.LaneGeometry, grounds: Iterable[Ground]) -> Iterator[Floats]:
+def _fence(lane: LaneGeometry, grounds: Iterable[Ground]) -> Iterator[Floats]:
     rightwards = lane.reverse == (lane.id > 0)  # in right-hand traffic, outwards is to the right
     margin = _BEHIND_SIDEWALKS if lane.kind == SIDEWALK else _BEHIND_ROADS
     line = _widened(left_handed(lane.left), left_handed(lane.right), margin)[rightwards]
@@ -160,13 +175,21 @@ class Walks:
         self.nodes.append(place)
         return len(self.nodes) - 1
 
+    def graph(self) -> WalkwayGraph:
+        """Return the graph as arrays."""
+        return WalkwayGraph(
+            np.array(self.nodes).reshape(-1, 3),
+            np.array(list(self.edges), np.int64).reshape(-1, 2),
+            np.array(list(self.edges.values()), np.bool_),
+        )
+
     def link(self, one: int, other: int, *, crossing: bool = False) -> None:
         """Add an edge, if there is none."""
         if one != other:
             self.edges.setdefault((min(one, other), max(one, other)), crossing)
 
 
-def parse_walks(roads: carla_map.Roads) -> Walks:
+def make_walks(roads: TownRoads) -> Walks:
     """Return the walkways of a town; they are empty if it has no sidewalk.
 
     Raises:
@@ -237,9 +260,7 @@ def _over(walks: Walks, outline: Floats, sidewalks: Floats) -> None:
             walks.link(int(distances.argmin()), node)
 
 
-def _over_mouths(
-    walks: Walks, roads: carla_map.Roads, lanes: Sequence[carla_map.LaneGeometry], ends: Sequence[Ends]
-) -> None:
+def _over_mouths(walks: Walks, roads: TownRoads, lanes: Sequence[LaneGeometry], ends: Sequence[Ends]) -> None:
     """Add crossings where roads with sidewalks on both sides meet junctions: just beyond the line where cars stop."""
     given = np.array([crossing[:-1].mean(axis=0) for crossing in walks.crossings]).reshape(-1, 3)
     sides = {
@@ -265,7 +286,7 @@ def _over_mouths(
         walks.crossings.append(_stripe(one + _BEYOND * ahead, other + _BEYOND * ahead, width / 2, other_width / 2))
 
 
-def _mouths(roads: carla_map.Roads) -> set[tuple[int, int, bool]]:
+def _mouths(roads: TownRoads) -> set[tuple[int, int, bool]]:
     """Return where roads meet junctions: road, section, and whether at its end, or at its beginning."""
     driving = {(lane.road, lane.section, lane.id): lane for lane in roads.lanes if lane.is_driving}
     mouths = set()

@@ -1,0 +1,66 @@
+"""The content of OpenDRIVE files, and the errors about it."""
+
+from __future__ import annotations
+
+from contextlib import contextmanager
+from typing import TYPE_CHECKING, Final
+
+from carla_recap.errors import FormatError, RecapError
+from carla_recap.roads.lanes import TownRoads
+from carla_recap.roads.opendrive import read_opendrive
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+    from pathlib import Path
+
+_LARGEST: Final = 128 << 20  # bytes of a file
+
+
+def read_content(path: Path) -> bytes:
+    """Return the content of an OpenDRIVE file.
+
+    Raises:
+        RecapError: The file cannot be read.
+    """
+    if path.exists() and not path.is_file():
+        raise RecapError(f"{path}: is not a regular file")
+    try:
+        with path.open("rb") as file:
+            content = file.read(_LARGEST + 1)
+    except (OSError, ValueError) as error:
+        raise RecapError(f"{path}: {getattr(error, 'strerror', error)}") from None
+    if len(content) > _LARGEST:
+        raise RecapError(f"{path}: is larger than {_LARGEST >> 20} MB, which no map is")
+    return content
+
+
+def decode(content: bytes) -> str:
+    """Return the text of an OpenDRIVE file."""
+    return content.decode("utf-8-sig", "replace")
+
+
+@contextmanager
+def expecting_map(path: Path) -> Iterator[None]:
+    """Name the file in the errors about the content of an OpenDRIVE file.
+
+    Raises:
+        FormatError: The file is no OpenDRIVE map.
+    """
+    try:
+        yield
+    except (ValueError, ArithmeticError) as error:
+        raise FormatError(path, None, f"an OpenDRIVE map was expected: {error}") from None
+
+
+def load_roads(path: Path, content: bytes | None = None) -> TownRoads:
+    """Return the roads of an OpenDRIVE file.
+
+    Args:
+        path: The file.
+        content: Its content, if it has been read.
+
+    Raises:
+        RecapError: The file cannot be read, or is no OpenDRIVE map.
+    """
+    with expecting_map(path):
+        return TownRoads(read_opendrive(decode(read_content(path) if content is None else content)))

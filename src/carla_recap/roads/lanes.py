@@ -1,0 +1,447 @@
+"""The lanes, landmarks, crossings and stop lines of a town, where CARLA's library has them: `carla.Map`.
+
+Units are m and radians; axes are right-handed: x forward, y left, z up. Positions have single precision, and the order of
+operations is CARLA's, so that they are equal.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+from itertools import takewhile
+from typing import TYPE_CHECKING, Final
+
+import numpy as np
+
+from carla_recap.roads.opendrive import LIGHT, SPEED_LIMIT, STOP, RoadSignal, single
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable, Iterator, Mapping, Sequence
+
+    from numpy.typing import NDArray
+
+    from carla_recap.roads.opendrive import OpenDrive, Road, RoadLane, RoadObject, RoadSection
+
+    Floats = NDArray[np.float64]
+    Name = tuple[int, int, int]
+
+DRIVING: Final = "driving"
+NO_JUNCTION: Final = -1
+_STEP: Final = 0.5  # m between points of a lane
+_MOST_POINTS: Final = 1_500_000  # of all lanes; from then on they are farther apart
+_BEGIN: Final = 10 * np.finfo(np.float64).eps  # m, where CARLA has the first point of a road
+_SHARE: Final = 4096  # of a metre, to which the end of a lane is exact
+_BUCKETS: Final = (1, 13, 29, 59, 127, 257, 541, 1109, 2357, 5087, 10273, 20753)
+"""The sizes of the hash table in which CARLA's library has the roads."""
+_TO_DEGREES: Final = single(180.0) / single(np.pi)
+_LIGHT_AHEAD: Final = 0.25  # m by which CARLA moves lights forward
+_BEFORE_END: Final = 1e-5  # m of a road, where CARLA has what is at its end
+
+
+@dataclass(frozen=True, eq=False)
+class LaneGeometry:
+    """The course of a lane along a section of a road.
+
+    Attributes:
+        road: The id of the road.
+        section: The index of the section of the road.
+        id: The number of the lane, ascending to the left of the road's own direction; 0 is the line between 1 and -1.
+        kind: The OpenDRIVE type, such as `driving`, lower-case.
+        junction: The id of the junction, or `NO_JUNCTION`.
+        stations: The distances along the road, ascending, (n,).
+        centre: The points in the middle, (n, 3).
+        left: The points of the left border, as seen in driving direction, (n, 3).
+        right: The points of the border to the right.
+        headings: The driving directions, (n,).
+        changes: Whether the markings allow to change to the lane on the left, and to the lane on the right.
+        successors: The road, section and id of each lane that follows.
+        limit: Its own speed limit in m/s, or that of the road; None without one.
+    """
+
+    road: int
+    section: int
+    id: int
+    kind: str
+    junction: int
+    stations: Floats
+    centre: Floats
+    left: Floats
+    right: Floats
+    headings: Floats
+    changes: tuple[bool, bool]
+    successors: tuple[Name, ...]
+    limit: float | None
+
+    @property
+    def is_driving(self) -> bool:
+        """Whether the lane is for cars."""
+        return self.kind == DRIVING
+
+    @property
+    def reverse(self) -> bool:
+        """Whether the driving direction is from the last point to the first, against that of the road."""
+        return self.id > 0
+
+    def borders(self) -> Iterator[tuple[Name, Floats]]:
+        """Yield the two borders, each with a key that it shares with the neighbouring lane."""
+        upper = self.id if self.id > 0 else self.id + 1
+        higher, lower = (self.right, self.left) if self.reverse else (self.left, self.right)
+        yield (self.road, self.section, upper), higher
+        yield (self.road, self.section, upper - 1), lower
+
+
+@dataclass(frozen=True)
+class Landmark:
+    """A traffic light or sign at a position where it applies; it may apply at several.
+
+    Attributes:
+        id: The id in the file.
+        kind: The OpenDRIVE type, such as `opendrive.LIGHT`.
+        value: The value, such as a speed.
+        unit: The unit of the value.
+        road: The road along which it applies.
+        station: The distance along the road.
+        lanes: The ranges of lanes for which it applies: first and last lane.
+        is_for_all: Whether the file names no lanes; the ranges are CARLA's then, all lanes on one side.
+        ahead: Whether it applies in the direction of the road: True, False (against it), or None (in both directions).
+        location: The position, (3,).
+        heading: The direction that it faces.
+    """
+
+    id: str
+    kind: str
+    value: float
+    unit: str
+    road: int
+    station: float
+    lanes: tuple[tuple[int, int], ...]
+    is_for_all: bool
+    ahead: bool | None
+    location: Floats
+    heading: float
+
+    @property
+    def is_stop(self) -> bool:
+        """Whether vehicles may have to stop at it."""
+        return self.kind in (LIGHT, STOP)
+
+
+class TownRoads:
+    """The roads of a town.
+
+    Args:
+        content: The content of the OpenDRIVE file.
+    """
+
+    def __init__(self, content: OpenDrive) -> None:
+        self.content = content
+        numbered = {road.number: road for road in reversed(content.roads)}
+        self._roads = {number: numbered[number] for number in _in_order(road.number for road in content.roads)}
+
+    @cached_property
+    def lanes(self) -> list[LaneGeometry]:
+        """The lanes for cars, and all lanes of their sections, in the order in which CARLA lists roads."""
+        total = sum(
+            (section.end - section.start) * len(section.lanes) for road in self._roads.values() for section in road.sections
+        )
+        step = max(_STEP, total / _MOST_POINTS)
+        with np.errstate(all="ignore"):
+            return [
+                lane
+                for road in self._roads.values()
+                for section in road.sections
+                for lane in self._sampled(road, section, step)
+            ]
+
+    @cached_property
+    def landmarks(self) -> list[Landmark]:
+        """The traffic lights and signs at every road where they apply, with the objects that are speed-limit signs."""
+        signals = {
+            signal.id: (road, signal) for road in reversed(self.content.roads) for signal in road.signals if signal.kind
+        }
+        found = []
+        for road in self._roads.values():
+            limits = (_limit_sign(road, thing) for thing in road.objects)
+            found += [_landmark(road, sign, road, sign) for sign in limits if sign is not None]
+            for place in road.signals:
+                is_for_none = bool(place.lanes) and all(ends == (0, 0) for ends in place.lanes)
+                if place.id in signals and not is_for_none:
+                    found.append(_landmark(road, place, *signals[place.id]))
+        return found
+
+    @cached_property
+    def crossings(self) -> list[Floats]:
+        """The outlines of pedestrian crossings, closed."""
+        return [
+            _crossing(road, thing)
+            for road in self._roads.values()
+            for thing in road.objects
+            if thing.kind == "crosswalk" and len(thing.outline) > 2
+        ]
+
+    @cached_property
+    def stop_lines(self) -> list[Floats]:
+        """The painted stop lines, (2, 3) each."""
+        return [
+            stop_line(road, thing) for road in self._roads.values() for thing in road.objects if thing.name == "StopLine"
+        ]
+
+    def _sampled(self, road: Road, section: RoadSection, step: float) -> Iterator[LaneGeometry]:
+        """Yield the lanes of a section that has one for cars; beside a number that is missing there are no more."""
+        if not any(lane.kind == DRIVING for lane in section.lanes):
+            return
+        stations = _stations(section, step)
+        if len(stations) < 2:
+            return
+        for side, lanes in ((1, section.left), (-1, section.right)):
+            consecutive = [lane for number, lane in enumerate(lanes, 1) if lane.id == side * number]
+            for index, lane in enumerate(consecutive):
+                yield self._lane(road, section, lane, consecutive[: index + 1], stations)
+
+    def _lane(
+        self, road: Road, section: RoadSection, lane: RoadLane, inner: Sequence[RoadLane], stations: Floats
+    ) -> LaneGeometry:
+        """Return a lane; `inner` are the lanes from the middle of the road to this one."""
+        centre, headings = _poses(road, stations, *_to_middle(section, inner, stations), reverse=lane.id > 0)
+        width = lane.width(stations - section.start)
+        leftwards = np.stack((-np.sin(headings), np.cos(headings), np.zeros(len(headings))), axis=1)
+        to_border = leftwards * width[:, None] / 2
+        beside = section.centre if len(inner) == 1 else inner[-2]
+        return LaneGeometry(
+            road.number,
+            section.number,
+            lane.id,
+            lane.kind,
+            int(road.junction) if road.in_junction else NO_JUNCTION,
+            stations,
+            centre,
+            centre + to_border,
+            centre - to_border,
+            headings,
+            _changes(lane, beside, float(stations[len(stations) // 2]) - section.start),
+            tuple(self._successors(road, section, lane)),
+            _limit(road, lane, float(stations[0] + stations[-1]) / 2),
+        )
+
+    def _successors(self, road: Road, section: RoadSection, lane: RoadLane) -> Iterator[Name]:
+        """Yield the lanes that follow: of the next section, of the next road, or of a junction."""
+        ahead = lane.id < 0
+        following = lane.successor if ahead else lane.predecessor
+        position = road.sections.index(section) + (1 if ahead else -1)
+        if 0 <= position < len(road.sections):
+            yield from _edge(road, position, following)
+            return
+        beyond = road.successor if ahead else road.predecessor
+        if beyond in self._roads:
+            yield from self._entered(beyond, following)
+        elif beyond is not None:
+            for connecting in dict.fromkeys(self.content.connections.get(beyond, {}).get(road.number, ())):
+                yield from self._through(connecting, road.number, lane.id)
+
+    def _through(self, connecting: int, incoming: int, lane: int) -> Iterator[Name]:
+        """Yield the lanes of a road in a junction that begin at a lane of another road."""
+        road = self._roads.get(connecting)
+        if road is not None:
+            if road.predecessor == incoming:
+                yield from (
+                    (road.number, road.sections[0].number, other.id)
+                    for other in road.sections[0].right
+                    if other.predecessor == lane
+                )
+            if road.successor == incoming:
+                yield from (
+                    (road.number, road.sections[-1].number, other.id)
+                    for other in road.sections[-1].left
+                    if other.successor == lane
+                )
+
+    def _entered(self, road: int, lane: int) -> Iterator[Name]:
+        """Yield a lane that begins where a road is entered."""
+        if road in self._roads:
+            yield from _edge(self._roads[road], 0 if lane <= 0 else -1, lane)
+
+
+def _in_order(numbers: Iterable[int]) -> list[int]:
+    """Return the ids of roads, each once, in the order in which CARLA's library lists them: that of its hash table."""
+    sizes = iter(_BUCKETS)
+    size, groups = next(sizes), dict[int, list[int]]()
+    for count, number in enumerate(dict.fromkeys(numbers)):
+        if count == size:
+            size, ordered, groups = next(sizes), _listed(groups), {}
+            for other in ordered:
+                groups.setdefault(other % size, []).append(other)
+        groups.setdefault(number % size, []).append(number)
+    return _listed(groups)
+
+
+def _listed(groups: Mapping[int, list[int]]) -> list[int]:
+    """Return what is in the buckets of a hash table, the latest first."""
+    return [number for group in reversed(list(groups.values())) for number in reversed(group)]
+
+
+def _edge(road: Road, position: int, lane: int) -> Iterator[Name]:
+    section = road.sections[position]
+    if lane and any(other.id == lane for other in section.lanes):
+        yield road.number, section.number, lane
+
+
+def _stations(section: RoadSection, step: float) -> Floats:
+    """Return stations at equal distances along a section, and its end."""
+    inside = np.arange(np.ceil(section.start / step), np.ceil(section.end / step)) * step
+    if not len(inside):
+        inside = np.array([section.start])
+    inside[0] = max(inside[0], _BEGIN)
+    last = float(inside[-1])
+    shares = int(np.ceil((section.end - last) * _SHARE))
+    end = next((at for at in (float(single(last + k / _SHARE)) for k in range(shares, 0, -1)) if at < section.end), last)
+    return single(np.append(inside, [end] if end > last else [])).astype(np.float64)
+
+
+def _to_middle(section: RoadSection, inner: Sequence[RoadLane], stations: Floats) -> tuple[Floats, Floats]:
+    """Return how far the middle of a lane is to the right of the central line, and how that changes with the station."""
+    along = stations - section.start
+    shares = [1.0] * (len(inner) - 1) + [0.5]
+    side = 1 if inner[-1].id < 0 else -1
+    offset = sum(share * lane.width(along) for share, lane in zip(shares, inner, strict=True))
+    slope = sum(share * lane.width.slope(along) for share, lane in zip(shares, inner, strict=True))
+    return side * np.asarray(offset), side * np.asarray(slope)
+
+
+def _poses(road: Road, stations: Floats, offset: Floats, slope: Floats, *, reverse: bool = False) -> tuple[Floats, Floats]:
+    """Return points at distances to the right of the central line of a road, and the headings of a lane there."""
+    points, headings = road.reference(stations, single)
+    points = _aside(points, headings, -road.lane_offset(stations))
+    points = _aside(points, headings, offset)
+    turned = single(slope) - single(road.lane_offset.slope(stations))
+    return points, _rounded(headings - turned, reverse=reverse)
+
+
+def _rounded(headings: Floats, *, reverse: bool = False) -> Floats:
+    """Return headings as CARLA has them: degrees to the right, in single precision."""
+    yaw = single(-headings) * _TO_DEGREES + single(180.0 if reverse else 0.0)
+    return np.radians(-yaw.astype(np.float64))
+
+
+def _aside(points: Floats, headings: Floats, right: Floats | float) -> Floats:
+    """Return points shifted to the right of a direction."""
+    sine, cosine = _sine_and_cosine(single(headings))
+    shifted = points.copy()
+    shifted[:, 0] = single(points[:, 0]) + single(right) * sine
+    shifted[:, 1] = single(points[:, 1]) - single(right) * cosine
+    return shifted
+
+
+_SINE: Final = (1.0, -0.16666654943701084, 0.008332178146138854, -0.00019517298981385725)
+_COSINE: Final = (1.0, -0.49999999725108224, 0.041666623324344516, -0.001388676379437604, 2.4390450703564542e-05)
+
+
+def _sine_and_cosine(turns: Floats) -> tuple[Floats, Floats]:
+    """Return sines and cosines in single precision, rounded as by the C library (`sinf`, by polynomials in double)."""
+    turns = np.asarray(turns, np.float64)
+    quarters = np.rint(turns * (2 / np.pi)).astype(np.int64)
+    turns = turns - quarters * (np.pi / 2)
+    squares = turns * turns
+    sine = single(turns * np.polynomial.polynomial.polyval(squares, _SINE))
+    cosine = single(np.polynomial.polynomial.polyval(squares, _COSINE))
+    quarters = quarters % 4
+    return (
+        np.choose(quarters, (sine, cosine, -sine, -cosine)),
+        np.choose(quarters, (cosine, -sine, -cosine, sine)),
+    )
+
+
+def _changes(lane: RoadLane, beside: RoadLane | None, along: float) -> tuple[bool, bool]:
+    """Return whether the markings of a lane, at a distance from the start of its section, allow to change left and right.
+
+    A marking names the changes in the direction of ascending and descending numbers.
+    """
+    outer, inner = (_marked(each, along) for each in (lane, beside))
+    outwards = "increase" if lane.id < 0 else "decrease"
+    return inner in ("both", "decrease" if lane.id < 0 else "increase"), outer in ("both", outwards)
+
+
+def _marked(lane: RoadLane | None, along: float) -> str:
+    marks = [] if lane is None else list(takewhile(lambda mark: mark.start <= along, lane.markings))
+    found = marks[-1].changes if marks else "both"
+    return found if found in ("increase", "decrease", "none") else "both"
+
+
+def _limit(road: Road, lane: RoadLane, station: float) -> float | None:
+    """Return the speed limit of a lane, or that of the road at a station."""
+    own = [limit for _, limit in lane.limits if np.isfinite(limit)]
+    of_road = [limit for start, limit in road.limits if start <= station] or [limit for _, limit in road.limits[:1]]
+    known = own[:1] or [limit for limit in of_road[-1:] if np.isfinite(limit)]
+    return known[0] if known else None
+
+
+def _limit_sign(road: Road, thing: RoadObject) -> RoadSignal | None:
+    """Return the signal that CARLA makes of an object that is a speed-limit sign; it faces the lanes on one side."""
+    limit = thing.speed_limit
+    if limit is None:
+        return None
+    place = thing.station, thing.offset, thing.height, thing.heading
+    lanes = tuple(_one_side(road, thing.station, ahead=thing.ahead))
+    return RoadSignal(thing.id, SPEED_LIMIT, limit, *place, thing.ahead, lanes, "mph")
+
+
+def _landmark(road: Road, place: RoadSignal, home: Road, signal: RoadSignal) -> Landmark:
+    points, headings = home.reference(np.array([min(max(_placed(home, signal), 0.0), home.length)]), single)
+    (location,) = _aside(points, headings, -signal.offset)
+    (heading,) = _rounded(headings + signal.heading)
+    location[2] = single(location[2]) + single(signal.height)
+    if signal.kind == LIGHT:
+        location = single(location) + single(_LIGHT_AHEAD) * _turned(single(np.degrees(heading)))[0]
+    lanes = place.lanes or tuple(_one_side(road, place.station, ahead=place.ahead))
+    station = _placed(road, place)
+    return Landmark(
+        place.id,
+        signal.kind,
+        signal.value,
+        signal.unit,
+        road.number,
+        station,
+        lanes,
+        not place.lanes,
+        place.ahead,
+        location.astype(np.float64),
+        float(heading),
+    )
+
+
+def _placed(road: Road, place: RoadSignal) -> float:
+    """Return the station of a signal, which is not at the very end of a road."""
+    return road.length - _BEFORE_END if abs(place.station - road.length) < _BEFORE_END else place.station
+
+
+def _one_side(road: Road, station: float, *, ahead: bool | None) -> Iterator[tuple[int, int]]:
+    """Yield the lanes for which a signal applies that names none: as in CARLA, those on the left if it is for the road."""
+    lanes = [lane.id for section in road.sections if section.start <= station <= section.end for lane in section.lanes]
+    if ahead is not False and max(lanes, default=0) > 0:
+        yield 1, max(lanes)
+    if ahead is not True and min(lanes, default=0) < 0:
+        yield min(lanes), -1
+
+
+def _crossing(road: Road, thing: RoadObject) -> Floats:
+    station = np.array([min(max(thing.station, 0.0), road.length)])
+    (point,), (heading,) = _poses(road, station, np.zeros(1), np.zeros(1))
+    along = single(np.degrees(heading))
+    middle = single(point) + single(thing.offset) * _turned(along + single(90.0))[0]
+    ahead, left = _turned(along + single(thing.heading) * _TO_DEGREES)
+    u, v = single(thing.outline.T)[..., None]
+    outline: Floats = (u * ahead + v * left + middle).astype(np.float64)
+    return outline
+
+
+def _turned(degrees: Floats) -> tuple[Floats, Floats]:
+    """Return the directions ahead and to the left of a heading, (3,) each."""
+    sine, cosine = _sine_and_cosine(degrees * (single(np.pi) / single(180.0)))
+    return np.array((cosine, sine, 0.0), np.float32), np.array((-sine, cosine, 0.0), np.float32)
+
+
+def stop_line(road: Road, thing: RoadObject) -> Floats:
+    """Return the ends of a painted stop line, (2, 3)."""
+    point, heading = road.at(thing.station, thing.offset)
+    direction = heading + thing.heading
+    half = thing.length / 2 * np.array((np.cos(direction), np.sin(direction), 0.0))
+    return np.array((point - half, point + half))

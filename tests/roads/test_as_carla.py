@@ -1,0 +1,140 @@
+"""Lanes, landmarks and crossings as CARLA's own library has them, in all towns that are here."""
+
+from __future__ import annotations
+
+from functools import cache
+from itertools import pairwise
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import pytest
+
+from carla_recap.roads.lanes import NO_JUNCTION, TownRoads
+from carla_recap.roads.opendrive import read_opendrive
+from tests.roads.towns import TOWNS
+
+if TYPE_CHECKING:
+    from carla_recap.roads.lanes import LaneGeometry
+
+carla = pytest.importorskip("carla", reason="the extra carla is not installed")
+
+BUILT_IN = Path(__file__).parents[2] / "src" / "carla_recap" / "sim" / "towns"
+PATHS = sorted((*BUILT_IN.glob("*.xodr"), *TOWNS.glob("*.xodr")))
+KINDS = {"none": "NONE", "driving": "Driving", "sidewalk": "Sidewalk", "shoulder": "Shoulder", "median": "Median"}
+
+
+@cache
+def loaded(path: Path) -> tuple[TownRoads, Any]:
+    text = path.read_text()
+    return TownRoads(read_opendrive(text)), carla.Map("", text)
+
+
+@pytest.fixture(params=PATHS, ids=[path.stem for path in PATHS])
+def both(request: pytest.FixtureRequest) -> tuple[TownRoads, Any]:
+    return loaded(request.param)
+
+
+def place(location: Any) -> tuple[float, float, float]:
+    return location.x, -location.y, location.z
+
+
+def at(town: Any, lane: LaneGeometry, index: int) -> Any:
+    """CARLA's waypoint at a station of a lane."""
+    return town.get_waypoint_xodr(lane.road, lane.id, float(lane.stations[index]))
+
+
+def test_waypoints_are_equal(both: tuple[TownRoads, Any]) -> None:
+    roads, town = both
+    for lane in roads.lanes:
+        for index in (*range(0, len(lane.stations), 7), len(lane.stations) - 1):
+            waypoint = at(town, lane, index)
+            assert (waypoint.road_id, waypoint.section_id, waypoint.lane_id) == (lane.road, lane.section, lane.id)
+            assert waypoint.s == lane.stations[index]
+            assert place(waypoint.transform.location) == tuple(lane.centre[index].tolist())
+            assert np.radians(-waypoint.transform.rotation.yaw) == lane.headings[index]
+            assert waypoint.lane_width == pytest.approx(np.linalg.norm(lane.left[index] - lane.right[index]), abs=1e-6)
+            assert str(waypoint.lane_type) == KINDS[lane.kind]
+            assert (waypoint.junction_id if waypoint.is_junction else NO_JUNCTION) == lane.junction
+
+
+def test_all_lanes_of_sections_with_one_for_cars_are_there(both: tuple[TownRoads, Any]) -> None:
+    roads, town = both
+    driving = {(lane.road, lane.section, lane.id) for lane in roads.lanes if lane.is_driving}
+    assert {(point.road_id, point.section_id, point.lane_id) for point in town.generate_waypoints(0.5)} == driving
+    assert list(dict.fromkeys(lane.road for lane in roads.lanes)) == list(
+        dict.fromkeys(point.road_id for point in town.generate_waypoints(0.5))
+    )
+
+
+def test_what_follows_and_what_is_beside_is_equal(both: tuple[TownRoads, Any]) -> None:
+    roads, town = both
+    before: dict[tuple[int, int, int], set[tuple[int, int, int]]] = {}
+    for lane in roads.lanes:
+        end = at(town, lane, 0 if lane.reverse else -1)
+        following = {(point.road_id, point.section_id, point.lane_id) for point in end.next(0.01)}
+        assert following == set(lane.successors)
+        for name in following:
+            before.setdefault(name, set()).add((lane.road, lane.section, lane.id))
+        middle = at(town, lane, len(lane.stations) // 2)
+        allowed = {(False, False): "NONE", (True, False): "Left", (False, True): "Right", (True, True): "Both"}
+        assert str(middle.lane_change) == allowed[lane.changes]
+    names = {(lane.road, lane.section, lane.id): lane for lane in roads.lanes}
+    for name, lane in names.items():
+        start = at(town, lane, -1 if lane.reverse else 0)
+        previous = {(point.road_id, point.section_id, point.lane_id) for point in start.previous(0.01)}
+        assert {other for other in previous if other in names} == before.get(name, set()) - {name}
+        middle = at(town, lane, len(lane.stations) // 2)
+        towards = 1 if lane.reverse else -1  # the numbers to the right
+        for side, step in ((middle.get_right_lane(), towards), (middle.get_left_lane(), -towards)):
+            number = lane.id + step or lane.id + 2 * step
+            beside = (lane.road, lane.section, number)
+            assert (side is not None and (side.road_id, side.section_id, side.lane_id) == beside) == (beside in names)
+
+
+def test_the_topology_is_equal(both: tuple[TownRoads, Any]) -> None:
+    roads, town = both
+    starts = {(one.road_id, one.section_id, one.lane_id) for one, _ in town.get_topology()}
+    assert starts == {(lane.road, lane.section, lane.id) for lane in roads.lanes if lane.is_driving}
+    pairs = {tuple((point.road_id, point.lane_id) for point in pair) for pair in town.get_topology()}
+    for lane in roads.lanes:
+        if lane.is_driving and len(lane.successors) > 1:
+            assert {((lane.road, lane.id), (road, id)) for road, _, id in lane.successors} <= pairs
+
+
+def test_landmarks_are_equal(both: tuple[TownRoads, Any]) -> None:
+    roads, town = both
+    facts = [(mark.id, mark.kind, mark.value, mark.unit, mark.road, mark.station, mark.lanes) for mark in roads.landmarks]
+    theirs = town.get_all_landmarks()
+    assert sorted(facts) == sorted(
+        (mark.id, mark.type, mark.value, mark.unit, mark.road_id, mark.s, tuple(mark.get_lane_validities()))
+        for mark in theirs
+    )
+    ahead = {"Positive": True, "Negative": False}
+    assert {(mark.id, mark.road, mark.ahead) for mark in roads.landmarks} == {
+        (mark.id, mark.road_id, ahead.get(str(mark.orientation))) for mark in theirs
+    }
+    poses = {mark.id: (place(mark.transform.location), -mark.transform.rotation.yaw) for mark in theirs}
+    for mark in roads.landmarks:
+        location, heading = poses[mark.id]
+        # CARLA moves signs away that are close to a lane: those that are objects, by up to 0.2 m.
+        near = 0.2 if mark.unit == "mph" else 2e-5
+        assert mark.location == pytest.approx(location, abs=near)
+        assert np.cos(mark.heading - np.radians(heading)) > 1 - 2e-6
+
+
+def test_crossings_are_equal(both: tuple[TownRoads, Any]) -> None:
+    roads, town = both
+    corners = [place(corner) for corner in town.get_crosswalks()]
+    assert [tuple(corner) for outline in roads.crossings for corner in outline.tolist()] == corners
+    assert all(outline[0].tolist() == outline[-1].tolist() for outline in roads.crossings)
+
+
+def test_lanes_are_sampled_to_their_ends(both: tuple[TownRoads, Any]) -> None:
+    roads, _ = both
+    ends = {(road.number, part.number): (part.start, part.end) for road in roads.content.roads for part in road.sections}
+    for lane in roads.lanes:
+        start, end = ends[lane.road, lane.section]
+        assert 0 <= lane.stations[0] - start < 0.5
+        assert 0 < end - lane.stations[-1] < 1 / 2048
+        assert all(0 < after - before <= 0.5 for before, after in pairwise(lane.stations.tolist()))
