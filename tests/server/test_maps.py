@@ -23,8 +23,7 @@ from carla_recap.server.serving import serve
 from carla_recap.sim.town import town
 from carla_recap.sim.town.town import load_town
 from carla_recap.sim.world import World
-from carla_recap.util import cache
-from tests.waiting import PATIENCE, wait_until
+from tests.waiting import PATIENCE
 
 if TYPE_CHECKING:
     from collections.abc import Awaitable, Callable, Iterator
@@ -198,11 +197,11 @@ def test_the_server_answers_while_a_replay_loads_a_map(
     folder: Path, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:
     may_parse = Event()
-    parse = town.parse_in_child
+    make = town.make_town
 
-    def slow(*arguments: Any) -> bytes:
+    def slow(*arguments: Any) -> Town:
         assert may_parse.wait(PATIENCE)
-        return parse(*arguments)
+        return make(*arguments)
 
     host = Host(World("Town10HD", maps=folder, recordings=tmp_path))
     host.world.start_recorder("other.log")
@@ -210,8 +209,7 @@ def test_the_server_answers_while_a_replay_loads_a_map(
     host.world.reload("Brickfield")
     host.world.stop_recorder()
     town._towns.clear()
-    monkeypatch.setenv(cache.FOLDER, "")
-    monkeypatch.setattr(town, "parse_in_child", slow)
+    monkeypatch.setattr(town, "make_town", slow)
 
     async def work(port: int) -> None:
         one, other = [await asyncio.open_connection("127.0.0.1", port) for _ in range(2)]
@@ -260,16 +258,3 @@ def test_first_calls_find_everything_computed(monkeypatch: pytest.MonkeyPatch) -
 
     actor_records.encoded_definitions.cache_clear()
     asyncio.run(while_serving(host, work))
-
-
-def test_maps_are_parsed_before_a_client_loads_them(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    (tmp_path / "site").mkdir()
-    (tmp_path / "site" / "sitecustomize.py").write_text("import os\ndel os.nice\n")  # on a busy machine, it would take hours
-    monkeypatch.syspath_prepend(tmp_path / "site")  # which started processes have, too
-    monkeypatch.setenv(cache.FOLDER, str(tmp_path / "cache"))
-    (tmp_path / "Broken.xodr").write_text("no map")
-    (tmp_path / "Town10HD.xodr").write_text(load_town().opendrive + "<!-- of another content -->")
-    key = town.content_key((tmp_path / "Town10HD.xodr").read_bytes())
-    assert cache.read_entry(key) is None
-    with running(maps=tmp_path):
-        wait_until(lambda: cache.read_entry(key))

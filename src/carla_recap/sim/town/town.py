@@ -119,7 +119,7 @@ def load_town(name_or_path: str | Path = "", maps: Path | None = None) -> Town:
         same = [town for (known, _), town in _towns.items() if known == text]
         town = _towns.pop((text, name), None)
     if town is None:
-        town = (same or [_made(text, path)])[0].renamed(name)
+        town = (same or [make_town(text, path)])[0].renamed(name)
     with _lock:
         _towns[text, name] = town
         if len(_towns) > _MOST_TOWNS:
@@ -127,7 +127,12 @@ def load_town(name_or_path: str | Path = "", maps: Path | None = None) -> Town:
     return town
 
 
-def _made(text: str, path: Path) -> Town:
+def make_town(text: str, path: Path) -> Town:
+    """Return the town of the text of an OpenDRIVE file.
+
+    Raises:
+        FormatError: It is no OpenDRIVE map with lanes for cars.
+    """
     with np.errstate(all="ignore"), expecting_map(path):
         roads = TownRoads(read_opendrive(text))
         courses = sorted(
