@@ -283,7 +283,6 @@ def _keep(world: CarlaWorld, config: pytest.Config, name: str, *, page: bool) ->
     from carla_recap.fleet.pages import opening_of
     from carla_recap.recording import open_recording
     from carla_recap.rendering.town import load_town_of
-    from carla_recap.roads import find_road_network
 
     kept, kept_page = _kept(config, name)
     lines = []
@@ -297,9 +296,8 @@ def _keep(world: CarlaWorld, config: pytest.Config, name: str, *, page: bool) ->
         if page:
             with warnings.catch_warnings(), open_recording(kept) as recording:
                 warnings.simplefilter("ignore")
-                roads = find_road_network(recording.header.map_name)
                 opening, town = opening_of(world.broken), load_town_of(recording)
-                write_report(recording, kept_page, opening=opening, town=town, roads=roads, force=True)
+                write_report(recording, kept_page, opening=opening, town=town, force=True)
             lines.append(f"page: {kept_page}")
     except (RecapError, RuntimeError, OSError) as error:
         lines.append(f"{'page' if lines else 'recording'}: none: {error}")

@@ -310,16 +310,19 @@ class Recording:
         """Return the incidents in order of time: by default collisions, long stops and hard braking.
 
         Args:
-            options: Those of `carla_recap.queries.incidents.incidents`: `kinds`, such as `["near miss"]` or "all";
-                `roads`, the roads of the map, for kinds that are about them; `min_time` in s and `min_distance` in cm of
+            options: The fields of `carla_recap.queries.incidents.IncidentOptions`: `kinds`, such as `["near miss"]` or
+                "all"; `roads` or `road_map`, the map, for kinds that need it; `min_time` in s and `min_distance` in cm of
                 stops; `deceleration` in m/s² of hard braking; `start` and `stop`, in s, of the part to look at.
 
         Raises:
-            RecapError: The deceleration is not above 0, there is no such kind, or a kind needs roads.
-        """
-        from carla_recap.queries.incidents import incidents
+            RecapError: The deceleration is not above 0, there is no such kind, or all kinds need the map, which is unknown.
 
-        return incidents(self.reader, **options)
+        Warns:
+            RecapWarning: The map is unknown, and kinds that need it are left out.
+        """
+        from carla_recap.queries.incidents import IncidentOptions, incidents
+
+        return incidents(self.reader, IncidentOptions(**options))
 
     def diff(self, other: Recording, **options: Any) -> Differences:
         """Return the differences from another recording of the same scenario, such as another run of a test.

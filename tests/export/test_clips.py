@@ -11,6 +11,7 @@ from carla_recap.editing.convert import convert
 from carla_recap.errors import RecapError, RecapWarning
 from carla_recap.export.clips import IncidentClip, clips
 from carla_recap.model.records import Spawn
+from carla_recap.queries.incidents import IncidentOptions
 from carla_recap.roads import RoadMap
 from tests.samples import images, names_in, save
 
@@ -53,7 +54,9 @@ def test_clips_of_all_kinds(crossing: dict[str, Path], tmp_path: Path) -> None:
             seen.append(incident.kind)
             yield incident
 
-    written = clips(crossing[".log"], tmp_path, kinds=None, before=0, after=0, suffix=".log", rerun=False, progress=watch)
+    written = clips(
+        crossing[".log"], tmp_path, IncidentOptions(), before=0, after=0, suffix=".log", rerun=False, progress=watch
+    )
     assert [found.recording.name for found in written] == names_in(tmp_path)
     assert seen == ["blocked", "collision", "hard braking", "collision"]
     assert written[2].recording.name == "03-hard-braking-23.5s-100.log"
@@ -113,7 +116,7 @@ def test_the_followed_actor(
 
 def test_the_caller_chooses_the_kinds_of_incidents(crossing: dict[str, Path], tmp_path: Path) -> None:
     def count(**options: Any) -> int:
-        return len(clips(crossing[".mcap"], tmp_path / "clips", rerun=False, force=True, **options))
+        return len(clips(crossing[".mcap"], tmp_path / "clips", IncidentOptions(**options), rerun=False, force=True))
 
     assert [count(kinds=["blocked"], min_time=seconds) for seconds in (38.0, 40.0)] == [1, 0]
     assert count(kinds=["blocked"], min_distance=1e9) > 1
@@ -141,7 +144,7 @@ def test_a_long_incident(tmp_path: Path) -> None:
     with create_recording(path, map_name="Town01", date=0) as recorder:
         for second in range(200):
             recorder.add_frame(second, spawned=[] if second else [Spawn(1, 1)], transforms=[(1, 5, 0, 0, 0, 0, 0)])
-    (found,) = clips(path, tmp_path / "clips", kinds=["blocked"], rerun=False, after=3)
+    (found,) = clips(path, tmp_path / "clips", IncidentOptions(kinds=["blocked"]), rerun=False, after=3)
     assert 60 <= len(images(found.recording)) <= 66
 
 
@@ -190,5 +193,5 @@ def test_a_failure_leaves_no_files(crossing: dict[str, Path], tmp_path: Path) ->
 
 
 def test_no_incidents(small: Path, tmp_path: Path) -> None:
-    assert clips(small, tmp_path / "clips", kinds=[], rerun=False) == []
+    assert clips(small, tmp_path / "clips", IncidentOptions(kinds=[]), rerun=False) == []
     assert names_in(tmp_path / "clips") == []

@@ -11,6 +11,7 @@ from carla_recap import create_recording, open_recording
 from carla_recap.export.event_text import PlayedIncidents, incident_lines
 from carla_recap.export.report import write_report
 from carla_recap.model.records import Spawn
+from carla_recap.queries.incidents import IncidentOptions
 from carla_recap.replay import Player
 from carla_recap.roads import RoadMap
 from carla_recap.roads.surfaces import build_network, road_network_of_map
@@ -69,7 +70,8 @@ def test_without_a_map_they_are_left_out(recording: Recording) -> None:
 
 
 def test_the_page_lists_them(recording: Recording, tmp_path: Path) -> None:
-    written = write_report(recording, tmp_path / "page.html", roads=build_network(STRAIGHT_ROAD), pictures="none")
+    options = IncidentOptions(kinds="all", roads=build_network(STRAIGHT_ROAD))
+    written = write_report(recording, tmp_path / "page.html", options, pictures="none")
     assert written.incidents == 1
     assert "runs a red light" in (tmp_path / "page.html").read_text()
 

@@ -179,7 +179,10 @@ def test_a_measure(rule, status, message):
 def test_a_measure_of_the_road_needs_the_map():
     found = verdict("crossing.log", 'speed_over_limit = { max = "5 km/h" }')
     assert found.status == "error"
-    assert found.message == "the map 'Crossing' is unknown; --map or CARLA_RECAP_MAPS says where maps are"
+    assert (
+        found.message
+        == "the map 'Crossing' is unknown, whose roads are needed; --map or CARLA_RECAP_MAPS says where maps are"
+    )
 
 
 @pytest.mark.parametrize(
@@ -187,7 +190,7 @@ def test_a_measure_of_the_road_needs_the_map():
     [
         ("junction.mcap", '"red light"', "pass", "no red light runs"),
         ("crash.mcap", '["red light", "stop sign", "wrong way"]', "pass", "no red light runs, stop sign runs or drives "),
-        ("crossing.log", '"red light"', "error", "the map 'Crossing' is unknown; "),
+        ("crossing.log", '"red light"', "error", "the map 'Crossing' is unknown, whose roads are needed; "),
     ],
 )
 def test_an_incident_of_the_road_needs_the_map(sample, kind, status, message):

@@ -17,7 +17,7 @@ from carla_recap.model.frame import Frame, Header
 from carla_recap.model.records import NO_ACTOR, Spawn
 from carla_recap.queries import contacts as contacts_module
 from carla_recap.queries.collisions import LETTERS, collisions
-from carla_recap.queries.incidents import incidents
+from carla_recap.queries.incidents import IncidentOptions, incidents
 from tests import strategies
 from tests.queries.conftest import write
 from tests.samples import CARLA_LOGS, RANDOM_LOGS, reading, warnings_ignored
@@ -141,7 +141,7 @@ def answers(reader: Reader) -> Iterator[str]:
     for type1, type2 in [*(("a", letter) for letter in LETTERS), ("h", "a"), ("v", "w")]:
         yield repr(list(collisions(reader, type1, type2)))
     for options in OPTIONS:
-        yield repr(list(incidents(reader, min_time=1.0, **options)))
+        yield repr(list(incidents(reader, IncidentOptions(min_time=1.0, **options))))
 
 
 def assert_equal_answers(*paths: Path) -> list[str]:

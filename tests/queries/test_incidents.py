@@ -15,7 +15,8 @@ from carla_recap.formats.mcap.reader import McapReader
 from carla_recap.model import braking as braking_module
 from carla_recap.model.frame import LAST_FRAME_DURATION, Header
 from carla_recap.model.records import NO_ACTOR, Spawn, attributes
-from carla_recap.queries.incidents import Incident, incidents
+from carla_recap.queries.incidents import Incident, IncidentOptions, incidents
+from carla_recap.queries.kinds import KINDS, kinds_without_roads
 from carla_recap.queries.output.json import json as json_text
 from carla_recap.queries.output.table import table
 from carla_recap.queries.output.text import text
@@ -77,12 +78,12 @@ def test_sample(converted: Callable[[Path, str], Path], suffix: str, opened: Cal
 
 @pytest.mark.parametrize("name", ["carla-0.9.10-lane-center.log", "carla-0.9.13-lane-center.log"])
 def test_a_calm_drive_has_none(name: str, opened: Callable[[Path], Reader]) -> None:
-    assert incidents(opened(carla_log(name)), min_time=60) == []
+    assert incidents(opened(carla_log(name)), IncidentOptions(min_time=60)) == []
 
 
 def test_collisions_alone_read_the_events_and_their_places(driven: Path) -> None:
     with closing(McapReader(driven)) as reader:
-        incidents(reader, kinds=["collision"])
+        incidents(reader, IncidentOptions(kinds=["collision"]))
         once = reader.bytes_read
         for frame in reader.frames(("transforms",)):
             assert len(frame["transforms"])
@@ -93,7 +94,7 @@ def test_collisions_alone_read_the_events_and_their_places(driven: Path) -> None
 
 
 def collided(reader: Reader) -> list[Any]:
-    return list(incidents(reader, kinds=["collision"]))
+    return list(incidents(reader, IncidentOptions(kinds=["collision"])))
 
 
 def test_a_contact_is_one_incident(make: Make) -> None:
@@ -156,7 +157,11 @@ def test_the_actor_is_the_one_that_had_the_id_then(make: Make) -> None:
 
 def test_only_vehicles_and_walkers_are_blocked(make: Make) -> None:
     still = {"transforms": [pose(id, 100.0 * id, 50.0) for id in (2, 3, 4, 99)]}
-    rows = list(incidents(make({"spawned": CAST, **still}, *[still] * 9), min_time=2.0, kinds=["collision", "blocked"]))
+    rows = list(
+        incidents(
+            make({"spawned": CAST, **still}, *[still] * 9), IncidentOptions(min_time=2.0, kinds=["collision", "blocked"])
+        )
+    )
     assert [(row.actors, row.start) for row in rows] == [((2,), TICK), ((3,), TICK)]
     assert (rows[0].x, rows[0].y, rows[0].z) == (2.0, -0.5, 0.5)
     assert rows[1].text.startswith("vehicle.b (3) stands still for ")
@@ -192,7 +197,7 @@ def drive(
 
 def braked(path: Path, **options: Any) -> list[Any]:
     with reading(path) as reader:
-        return list(incidents(reader, kinds=["hard braking"], **options))
+        return list(incidents(reader, IncidentOptions(kinds=["hard braking"], **options)))
 
 
 @pytest.mark.parametrize("recorded", [False, True])
@@ -284,7 +289,7 @@ def test_an_actor_that_comes_twice_in_a_frame(tmp_path: Path) -> None:
 @pytest.mark.parametrize("deceleration", [0.0, -1.0, math.nan])
 def test_what_is_no_deceleration(make: Make, deceleration: float) -> None:
     with pytest.raises(RecapError, match="it must be above 0"):
-        incidents(make({}), deceleration=deceleration)
+        incidents(make({}), IncidentOptions(deceleration=deceleration))
 
 
 # --- all together --------------------------------------------------------------------------------------
@@ -293,7 +298,9 @@ def test_what_is_no_deceleration(make: Make, deceleration: float) -> None:
 def test_in_order_of_start_then_kind(make: Make) -> None:
     still = [pose(id, 100.0 * id) for id in (1, 2, 3)]
     hit = {"collisions": [(0, 1, 2, 0, 0)], "transforms": still}
-    rows = incidents(make({"spawned": CAST, "transforms": still}, hit, *[{"transforms": still}] * 9), min_time=2.0)
+    rows = incidents(
+        make({"spawned": CAST, "transforms": still}, hit, *[{"transforms": still}] * 9), IncidentOptions(min_time=2.0)
+    )
     assert [(row.start, row.kind) for row in rows] == sorted((row.start, row.kind) for row in rows)
     assert {row.kind for row in rows} == {"blocked", "collision"}
 
@@ -333,19 +340,22 @@ def crossing(seconds: float, hero: int = 0) -> list[dict[str, Any]]:
 
 def test_near_misses(make: Make) -> None:
     reader = make(*crossing(0.4), durations=[1 / RATE] * 120 + [LAST_FRAME_DURATION])
-    (row,) = incidents(reader, kinds=["near miss"])
+    (row,) = incidents(reader, IncidentOptions(kinds=["near miss"]))
     assert (row.kind, row.actors, row.type_ids) == ("near miss", (5, 3), ("vehicle.d", "vehicle.b"))
     assert row.text == "vehicle.d (5) crosses the path of vehicle.b (3) 0.4 s after it at 2.70 s, at 36 km/h"
     assert (row.start, row.stop) == (pytest.approx(2.3, abs=0.06), pytest.approx(2.7, abs=0.06))
     assert (row.x, row.y) == (0.0, pytest.approx(-3.0, abs=0.6))
-    assert list(incidents(reader, kinds="all")) == [row]
+    assert list(incidents(reader, IncidentOptions(kinds=kinds_without_roads()))) == [row]
     assert incidents(reader) == []
 
 
-@pytest.mark.parametrize("kinds", ["near miss", ["near misses"], ["red light"]])
-def test_kinds_that_do_not_exist_or_take_roads(make: Make, kinds: Any) -> None:
-    if kinds == "near miss":
-        assert incidents(make({"spawned": CAST}), kinds=kinds) == []
-    else:
-        with pytest.raises(RecapError, match=r"is no kind of incident; there are collision, |need its map"):
-            incidents(make({"spawned": CAST}), kinds=kinds)
+@pytest.mark.parametrize("kinds", ["near miss", "near-miss", ["near_miss", "collision"]])
+def test_a_name_has_spaces_hyphens_or_underscores(make: Make, kinds: Any) -> None:
+    reader = make(*crossing(0.4), durations=[1 / RATE] * 120 + [LAST_FRAME_DURATION])
+    assert [row.kind for row in incidents(reader, IncidentOptions(kinds=kinds))] == ["near miss"]
+
+
+def test_a_kind_that_does_not_exist_is_an_error_that_lists_the_kinds(make: Make) -> None:
+    names = ", ".join(kind.option for kind in KINDS.values())
+    with pytest.raises(RecapError, match=f"^'near misses' is no kind of incident; there are {names}$"):
+        incidents(make({"spawned": CAST}), IncidentOptions(kinds=["near misses"]))

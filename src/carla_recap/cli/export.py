@@ -7,7 +7,7 @@ from contextlib import ExitStack
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Final, Literal, NamedTuple
+from typing import TYPE_CHECKING, Any, Final, NamedTuple
 
 import click
 from click.core import ParameterSource
@@ -24,6 +24,7 @@ if TYPE_CHECKING:
     from carla_recap.export.clips import IncidentClip
     from carla_recap.export.rerun.blueprint import View
     from carla_recap.export.video.cameras import VideoView
+    from carla_recap.queries.incidents import IncidentOptions
     from carla_recap.replay.follow import Follow
 
 _window = options.together(options.follow, options.start, options.duration, options.road_map)
@@ -227,10 +228,7 @@ _FORMATS: Final = {
 )
 @click.option("--rrd/--no-rrd", default=None, help="Write an .rrd beside each clip; by default if Rerun is installed.")
 @click.option("--video", is_flag=True, help="Write a video beside each clip.")
-@options.min_time
-@options.min_distance
-@options.deceleration
-@options.road_map
+@options.incident_options
 @click.option(
     "--limit", type=click.IntRange(min=1), default=100, show_default=True, metavar="N", help="The largest number of clips."
 )
@@ -238,42 +236,32 @@ _FORMATS: Final = {
 def clips(
     source: str,
     folder: str,
-    kinds: tuple[str, ...] | Literal["all"] | None,
+    wanted: IncidentOptions,
     suffix: str,
     rrd: bool | None,
     video: bool,
     before: float,
     after: float,
-    min_time: float,
-    min_distance: float,
-    deceleration: float,
-    road_map: str | None,
     limit: int,
     force: bool,
 ) -> None:
     """Cut a clip of each incident, into a folder."""
     from carla_recap.cli.progress import watch_incidents
     from carla_recap.export.clips import clips as run
-    from carla_recap.fleet.roads import kinds_and_roads
     from carla_recap.recording import open_recording
 
     with open_recording(source) as recording:
-        kinds, network = kinds_and_roads(kinds, recording.reader, road_map)
-        roads = options.road_map_of(recording, road_map) if rrd is not False else None
-        town = partial(options.town_of, recording, road_map)
+        roads = options.road_map_of(recording, wanted.road_map) if rrd is not False else None
+        town = partial(options.town_of, recording, wanted.road_map)
     written = run(
         source,
         folder,
-        kinds=kinds,
-        roads=network,
+        wanted,
         before=before,
         after=after,
         suffix=f".{suffix}",
         rerun=rrd,
         video=video,
-        min_time=min_time,
-        min_distance=min_distance,
-        deceleration=deceleration,
         road_map=roads,
         town=town,
         limit=limit,
@@ -429,7 +417,6 @@ def _video(
 @click.option("--compare", metavar="OTHER", type=click.Path(), help="A second recording to show beside it, or over it.")
 @options.before
 @options.after
-@options.road_map
 @click.option(
     "--pictures",
     type=click.Choice(["drawn", "rendered", "none"]),
@@ -440,16 +427,14 @@ def _video(
 @click.option("--viewer", is_flag=True, help="Add Rerun's viewer, in 3D, to a folder; it needs --serve or another server.")
 @click.option("--serve", is_flag=True, help="Serve the folder to a browser on this machine, until Ctrl-C.")
 @click.option("--port", type=click.IntRange(0, 65535), metavar="N", help="The port to serve at; else any free one.")
-@options.min_time
-@options.min_distance
-@options.deceleration
+@options.incident_options
 @click.pass_context
 def report(
     ctx: click.Context,
     /,
     request: WriteRequest,
     compare: str | None,
-    road_map: str | None,
+    wanted: IncidentOptions,
     viewer: bool,
     serve: bool,
     port: int | None,
@@ -477,7 +462,7 @@ def report(
             raise click.UsageError(f"{name} goes with one recording.", ctx)
     if viewer and compare:
         raise click.UsageError("--viewer goes with one recording.", ctx)
-    write = partial(_report, compare, road_map, viewer, shown)
+    write = partial(_report, compare, wanted, viewer, shown)
     if request.has_many:
         request.write_many(write, ".html", "sampling")
         return
@@ -488,7 +473,7 @@ def report(
 
 def _report(
     compare: str | None,
-    road_map: str | None,
+    wanted: IncidentOptions,
     viewer: bool,
     shown: dict[str, Any],
     source: str,
@@ -497,26 +482,22 @@ def _report(
 ) -> WrittenFile:
     from carla_recap.cli.progress import watch_scenes
     from carla_recap.export.report import write_report
-    from carla_recap.fleet.roads import warn_without_roads
     from carla_recap.recording import open_recording
 
     with ExitStack() as stack:
         recording, *others = (stack.enter_context(open_recording(each)) for each in (source, compare) if each)
-        roads = options.roads_of(recording, road_map)
         written = write_report(
             recording,
             destination,
+            wanted,
             other=others[0] if others else None,
-            road_map=options.road_map_of(recording, road_map) if viewer else None,
-            town=options.town_of(recording, road_map),
-            roads=roads,
+            road_map=options.road_map_of(recording, wanted.road_map) if viewer else None,
+            town=options.town_of(recording, wanted.road_map),
             viewer=viewer,
             progress=watch_scenes("sampling"),
             force=force,
             **shown,
         )
-        if roads is None:
-            warn_without_roads(recording.reader)
     notes, facts = (counted(written.incidents, "incident"),), {"incidents": written.incidents}
     path = "index.html" if Path(destination).is_dir() else ""
     return WrittenFile(notes, size=written.size, facts=facts, path=path)

@@ -58,7 +58,7 @@ def index(
     from carla_recap.cli.many import client_of
     from carla_recap.cli.progress import SourcesBar
     from carla_recap.fleet.index import write_index
-    from carla_recap.fleet.roads import WITHOUT_ROADS
+    from carla_recap.queries.roads import WITHOUT_ROADS
     from carla_recap.util.signals import unwind_on_termination
     from carla_recap.util.text import readable
 

@@ -139,7 +139,7 @@ class Messages:
 
     def add(self, location: str, warnings: Iterable[str], error: str | None = None) -> None:
         """Print the warnings about a recording, and its error."""
-        from carla_recap.fleet.roads import unknown_map
+        from carla_recap.queries.roads import unknown_map
 
         for message in warnings:
             said = _with_location(message, location)
@@ -155,7 +155,7 @@ class Messages:
 
     def end(self) -> None:
         """Warn of unknown maps."""
-        from carla_recap.fleet.roads import WITHOUT_ROADS
+        from carla_recap.queries.roads import WITHOUT_ROADS
 
         messages = list(chain.from_iterable(self._without_map.values()))
         if len(messages) == 1:

@@ -5,7 +5,8 @@ from __future__ import annotations
 import math
 import re
 from contextlib import closing, suppress
-from typing import TYPE_CHECKING, Any, Final, TypeVar
+from functools import wraps
+from typing import TYPE_CHECKING, Any, Final, Literal, TypeVar
 
 import click
 
@@ -20,7 +21,6 @@ if TYPE_CHECKING:
     from carla_recap.recording import Recording
     from carla_recap.rendering.town import TownMesh
     from carla_recap.roads import RoadMap
-    from carla_recap.roads.network import RoadNetwork
 
     Command = Callable[..., Any]
 
@@ -259,6 +259,29 @@ deceleration = click.option(
 )
 
 
+def incident_options(command: Callable[..., None]) -> Callable[..., None]:
+    """Add the options that say which incidents to find, for a command that takes them as an `IncidentOptions`."""
+
+    @wraps(command)
+    def decorated(
+        *args: Any,
+        road_map: str | None,
+        min_time: float,
+        min_distance: float,
+        deceleration: float,
+        kinds: tuple[str, ...] | Literal["all"] | None = "all",
+        **given: Any,
+    ) -> None:
+        from carla_recap.queries.incidents import IncidentOptions
+
+        wanted = IncidentOptions(
+            kinds=kinds, road_map=road_map, min_time=min_time, min_distance=min_distance, deceleration=deceleration
+        )
+        command(*args, wanted=wanted, **given)
+
+    return together(road_map, min_time, min_distance, deceleration)(decorated)
+
+
 def together(*decorators: Callable[[Command], Command]) -> Callable[[Command], Command]:
     """Return several options as one decorator, in the order in which help lists them."""
 
@@ -386,14 +409,6 @@ def town_of(recording: Recording, path: str | None, start: float = 0.0, duration
     from carla_recap.rendering.town import load_town_of
 
     return load_town_of(recording, path, start, duration)
-
-
-def roads_of(recording: Recording, path: str | None) -> RoadNetwork | None:
-    """Return the roads of a recording's town, for incidents and measures; None if its map is unknown; see `road_map_of`."""
-    from carla_recap.roads import load_road_network
-
-    found = map_file_of(recording, path)
-    return None if found is None else load_road_network(found)
 
 
 def map_file_of(recording: Recording, path: str | None) -> Path | None:

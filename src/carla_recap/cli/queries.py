@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import sys
 from functools import partial
-from typing import Literal
+from typing import TYPE_CHECKING, Literal
 
 import click
 
@@ -12,10 +12,10 @@ from carla_recap.cli import options
 from carla_recap.cli.many import answer
 from carla_recap.cli.output import form_of, note
 
-_EPILOG = "Each SOURCE is a recording, a folder, a glob in quotes, or a URL; - is a list of them on stdin, one in a line."
+if TYPE_CHECKING:
+    from carla_recap.queries.incidents import IncidentOptions
 
-Kinds = tuple[str, ...] | Literal["all"] | None
-"""The kinds of incidents that are asked for; None: the usual ones."""
+_EPILOG = "Each SOURCE is a recording, a folder, a glob in quotes, or a URL; - is a list of them on stdin, one in a line."
 
 _sources = options.together(options.sources, options.json, options.text)
 _many = options.together(options.jobs, options.dask)
@@ -108,20 +108,13 @@ def actors(sources: tuple[str, ...], form: str | None, jobs: int | None, dask: s
 @click.command(epilog=_EPILOG)
 @_sources
 @options.kinds
-@options.road_map
-@options.min_time
-@options.min_distance
-@options.deceleration
+@options.incident_options
 @options.max_rows
 @_many
 def incidents(
     sources: tuple[str, ...],
     form: str | None,
-    kinds: Kinds,
-    road_map: str | None,
-    min_time: float,
-    min_distance: float,
-    deceleration: float,
+    wanted: IncidentOptions,
     max_rows: int | None,
     jobs: int | None,
     dask: str | None,
@@ -132,18 +125,11 @@ def incidents(
     known, broken rules of the road, as --kinds all does. The duration of a collision is that of the contact: 0 if one frame
     has it.
     """
-    from carla_recap.fleet.roads import incidents as query
+    from carla_recap.queries.incidents import incidents as query
 
-    if kinds is None and form is None and sys.stdout.isatty():
+    if wanted.kinds is None and form is None and sys.stdout.isatty():
         note("collisions, hard braking and long stops; --kinds all also finds near misses and broken rules")
-    asked = partial(
-        query,
-        kinds=kinds,
-        road_map=road_map,
-        min_time=min_time,
-        min_distance=min_distance,
-        deceleration=deceleration,
-    )
+    asked = partial(query, options=wanted)
     answer(asked, sources, form, max_rows=max_rows, jobs=jobs, dask=dask)
 
 
@@ -171,7 +157,7 @@ def measures(
 
     These are the extreme values of its measures, such as the least time to collision, and when they occur.
     """
-    from carla_recap.fleet.roads import measures as query
+    from carla_recap.queries.measures import measures_on_roads as query
 
     words = [actor for actor in actors if isinstance(actor, str)]
     if words and len(actors) > 1:

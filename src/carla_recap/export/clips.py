@@ -6,31 +6,29 @@ import math
 import warnings
 from contextlib import contextmanager
 from pathlib import Path
-from typing import TYPE_CHECKING, Final, Literal, NamedTuple
+from typing import TYPE_CHECKING, Final, NamedTuple
 
 from carla_recap.editing.clip import ClipCutter, origin
 from carla_recap.editing.convert import check_destination
 from carla_recap.errors import MissingExtra, RecapError, RecapWarning
 from carla_recap.formats import SUFFIXES, open_reader
-from carla_recap.model.braking import HARD
 from carla_recap.model.frame import SAME_TIME
 from carla_recap.queries.actors import actors
-from carla_recap.queries.incidents import incidents
+from carla_recap.queries.incidents import IncidentOptions, incidents
 from carla_recap.queries.kinds import KINDS
 from carla_recap.recording import Recording, open_recording
 from carla_recap.util.files import check_folder, new_folder
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Collection, Iterable, Iterator, Sequence
+    from collections.abc import Callable, Iterable, Iterator, Sequence
 
     from carla_recap.export.video.film import Town
     from carla_recap.formats.base import Reader
     from carla_recap.queries.incidents import Incident, Incidents
     from carla_recap.rendering.process import RenderProcess
     from carla_recap.roads import RoadMap
-    from carla_recap.roads.network import RoadNetwork
 
-COLLISIONS: Final = ("collision",)
+COLLISIONS: Final = IncidentOptions(kinds=("collision",))
 LONGEST: Final = 60.0
 """The length of the clip of a longer incident, in seconds from the start of the incident."""
 
@@ -54,12 +52,8 @@ class IncidentClip(NamedTuple):
 def clips(
     source: Path | str,
     folder: Path | str,
+    options: IncidentOptions = COLLISIONS,
     *,
-    kinds: Collection[str] | Literal["all"] | None = COLLISIONS,
-    roads: RoadNetwork | None = None,
-    min_time: float = 30.0,
-    min_distance: float = 10.0,
-    deceleration: float = HARD,
     before: float = 5.0,
     after: float = 5.0,
     suffix: str = ".mcap",
@@ -77,12 +71,8 @@ def clips(
         source: A recording of any format, or its URL.
         folder: A new folder, or an empty one. It appears when it is complete. The names of the files contain the kind of
             the incident, its time and the ids of its actors: `01-collision-21.3s-105-110.mcap`.
-        kinds: The kinds of incidents, see `carla_recap.queries.incidents.incidents`; of actors that stood still for long, a
-            clip shows the first 60 s.
-        roads: The roads of the map, for the kinds of incidents that take them.
-        min_time: The shortest time of standing still that counts as blocked, in seconds.
-        min_distance: The distance at which an actor has moved, in cm.
-        deceleration: The smallest deceleration that counts as hard braking, in m/s².
+        options: Which incidents to find, see `carla_recap.queries.incidents`; by default collisions. Of actors that stood
+            still for long, a clip shows the first 60 s.
         before: The seconds of a clip before the incident.
         after: The seconds of a clip after the incident.
         suffix: The format of the clips: .mcap or .log.
@@ -120,14 +110,7 @@ def clips(
     check_folder(folder, force=force)
     reader = open_reader(source)
     try:
-        answer = incidents(
-            reader,
-            kinds=kinds,
-            roads=roads,
-            min_time=min_time,
-            min_distance=min_distance,
-            deceleration=deceleration,
-        )
+        answer = incidents(reader, options)
         found = _choose(answer, limit, reader.location)
         targets = [Path(folder, name) for name in _names(found, suffix)]
         for target in targets:

@@ -15,8 +15,8 @@ from carla_recap.errors import RecapError
 from carla_recap.export import style
 from carla_recap.model.batch import within
 from carla_recap.model.frame import SAME_TIME
-from carla_recap.queries.incidents import IncidentSearch
-from carla_recap.queries.kinds import KINDS
+from carla_recap.queries.incidents import IncidentOptions, IncidentSearch
+from carla_recap.queries.kinds import KINDS, kinds_without_roads
 from carla_recap.queries.measures.over_time import SeriesCollector
 
 if TYPE_CHECKING:
@@ -107,13 +107,11 @@ class PlayedIncidents:
             self._start, self._stop = -math.inf, math.inf
         self._search: IncidentSearch | None = None
         self._series = None if player.followed is None else SeriesCollector(player.followed)
+        kinds = frozenset(KINDS) if roads is not None else kinds_without_roads()
         with suppress(RecapError):
             self._search = IncidentSearch(
                 player.reader,
-                kinds=_kinds(roads),
-                roads=roads,
-                start=self._start,
-                stop=self._stop,
+                IncidentOptions(kinds=kinds - {"collision"}, roads=roads, start=self._start, stop=self._stop),
                 near=None if player.followed is None else (player.followed,),
                 series=self._series,
             )
@@ -134,11 +132,6 @@ class PlayedIncidents:
                     self._search.add(part)
         except RecapError:
             self._search = None
-
-
-def _kinds(roads: RoadNetwork | None) -> list[str]:
-    """Return the kinds of incidents that are not among the events."""
-    return [name for name, kind in KINDS.items() if name != "collision" and (roads is not None or not kind.needs_roads)]
 
 
 def incident_lines(found: Iterable[Incident]) -> Iterator[tuple[float, Line]]:

@@ -9,19 +9,17 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final, NamedTuple, Protocol, TypeVar
 
 from carla_recap.errors import RecapError
-from carla_recap.fleet.roads import WHERE_MAPS
 from carla_recap.formats import SUFFIXES
 from carla_recap.model.actors import HERO, ROAD_USERS, ActorLives
 from carla_recap.queries.actors import actors
 from carla_recap.queries.blocked import blocked
 from carla_recap.queries.differences import differences, metres, name_of
-from carla_recap.queries.incidents import incidents
+from carla_recap.queries.incidents import IncidentOptions, incidents
 from carla_recap.queries.kinds import KINDS
 from carla_recap.queries.measures import MEASURES, measures
+from carla_recap.queries.roads import roads_of
 from carla_recap.recording import open_recording
-from carla_recap.replay.recorded_map import find_map_of
 from carla_recap.roads.find import plain_name
-from carla_recap.roads.surfaces import load_road_network
 from carla_recap.util.text import number, readable
 
 if TYPE_CHECKING:
@@ -193,7 +191,7 @@ class Facts:
             of_road = {kind for kind in self._kinds if KINDS[kind].needs_roads}
             roads = self._roads if of_road else None
             kinds = self._kinds if roads is not None else self._kinds - of_road
-            return incidents(self.recording.reader, kinds=kinds, roads=roads) if kinds else []
+            return incidents(self.recording.reader, IncidentOptions(kinds=kinds, roads=roads)) if kinds else []
 
         return self._once("incidents", ask)
 
@@ -217,12 +215,7 @@ class Facts:
     @property
     def _roads(self) -> RoadNetwork | None:
         """The roads of the map; None if the map is not found."""
-
-        def ask() -> RoadNetwork | None:
-            found = find_map_of(self.recording, self._road_map)
-            return None if found is None else load_road_network(found)
-
-        return self._once("roads", ask)
+        return self._once("roads", lambda: roads_of(self.recording.reader, self._road_map))
 
     def check_roads(self) -> None:
         """Check that the map is found.
@@ -231,8 +224,7 @@ class Facts:
             RecapError: It is not, or is damaged.
         """
         if self._roads is None:
-            name = plain_name(readable(self.recording.header.map_name))
-            raise RecapError(f"the map {name!r} is unknown; {WHERE_MAPS}")
+            roads_of(self.recording.reader, self._road_map, needed=True)
 
     def absent(self, selector: Selector) -> str:
         """Return a remark if a recording has no such actors, else an empty text."""

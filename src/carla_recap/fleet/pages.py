@@ -117,10 +117,9 @@ def _relative(path: Path | None, folder: Path) -> str | None:
 def _write_files(wanted: dict[str, _Wanted], source: SourceFile) -> None:
     from carla_recap.editing.clip import clip
     from carla_recap.export.report import write_report
+    from carla_recap.queries.incidents import IncidentOptions
     from carla_recap.recording import open_recording
     from carla_recap.rendering.town import load_town_of
-    from carla_recap.replay.recorded_map import find_map_of
-    from carla_recap.roads import load_road_network
 
     files = wanted[source.location]
     if files.clip is not None:
@@ -128,10 +127,9 @@ def _write_files(wanted: dict[str, _Wanted], source: SourceFile) -> None:
         start = max(time - _AROUND, 0.0)
         clip(source.location, files.clip, start=start, duration=time + _AROUND - start)
     with open_recording(source.location) as recording:
-        found = find_map_of(recording, files.road_map)
-        roads = None if found is None else load_road_network(found)
+        options = IncidentOptions(kinds="all", road_map=files.road_map)
         town = load_town_of(recording, files.road_map)
-        write_report(recording, files.page, opening=files.opening, town=town, roads=roads)
+        write_report(recording, files.page, options, opening=files.opening, town=town)
 
 
 def _names(checked: Sequence[CheckedRecording]) -> Iterator[str]:

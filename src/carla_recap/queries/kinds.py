@@ -3,13 +3,22 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Final
+from typing import TYPE_CHECKING, Final, Literal
 
 from carla_recap.errors import RecapError
+from carla_recap.queries.detectors import (
+    CollisionDetector,
+    HardBrakingDetector,
+    LongStopDetector,
+    NearMisses,
+    RoadRules,
+)
 from carla_recap.queries.measures.table import DURATION, MEASURES, RELATIVE_SPEED, Measure
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Mapping
+    from collections.abc import Callable, Collection, Iterable, Mapping
+
+    from carla_recap.queries.detectors import Detector, Search
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -24,6 +33,7 @@ class IncidentKind:
         dark, light: Its colour on dark and on light ground, such as `#ff5f5f`.
         style: Its style in a terminal.
         icon: The path of its icon on the incident page, in a square of 16 units.
+        detector: What finds it; one detector may find several kinds.
         every_frame: Whether every frame is read to find it, so that it is looked for only if it is asked for.
         needs_roads: Whether the roads of the map are needed.
     """
@@ -37,6 +47,7 @@ class IncidentKind:
     light: str
     style: str
     icon: str
+    detector: Callable[[Search], Detector]
     every_frame: bool = False
     needs_roads: bool = False
 
@@ -62,6 +73,7 @@ KINDS: Final = _named(
             light="#cf2230",
             style="red",
             icon="M4.5 4.5l7 7m0-7l-7 7",
+            detector=CollisionDetector,
         ),
         IncidentKind(
             name="red light",
@@ -75,6 +87,7 @@ KINDS: Final = _named(
             light="#b3125f",
             style="magenta",
             icon="M5.5 2.5h5v11h-5zM8 5.2v.1M8 8v.1M8 10.8v.1",
+            detector=RoadRules,
             every_frame=True,
             needs_roads=True,
         ),
@@ -89,6 +102,7 @@ KINDS: Final = _named(
             light="#a8380f",
             style="magenta",
             icon="M13 8H3.5M7 4.5L3.5 8 7 11.5",
+            detector=RoadRules,
             every_frame=True,
             needs_roads=True,
         ),
@@ -102,6 +116,7 @@ KINDS: Final = _named(
             light="#7a5a12",
             style="magenta",
             icon="M5 13.5V9c0-2 1-3 3-3h4M9.5 3.5L12 6 9.5 8.5",
+            detector=RoadRules,
             every_frame=True,
             needs_roads=True,
         ),
@@ -116,6 +131,7 @@ KINDS: Final = _named(
             light="#96308a",
             style="magenta",
             icon="M6 3h4l3 3v4l-3 3H6l-3-3V6z",
+            detector=RoadRules,
             every_frame=True,
             needs_roads=True,
         ),
@@ -132,6 +148,7 @@ KINDS: Final = _named(
             light="#806300",
             style="yellow",
             icon="M3.5 3.5l3 3M12.5 12.5l-3-3M12.5 3.5l-3 3M3.5 12.5l3-3",
+            detector=NearMisses,
             every_frame=True,
         ),
         IncidentKind(
@@ -144,6 +161,7 @@ KINDS: Final = _named(
             light="#b45a00",
             style="yellow",
             icon="M4 4l4 4 4-4M4 8.5l4 4 4-4",
+            detector=HardBrakingDetector,
         ),
         IncidentKind(
             name="speeding",
@@ -155,6 +173,7 @@ KINDS: Final = _named(
             light="#0b6fa8",
             style="magenta",
             icon="M3 11.5a5.2 5.2 0 0 1 10 0M8 11.5l3-4",
+            detector=RoadRules,
             every_frame=True,
             needs_roads=True,
         ),
@@ -168,6 +187,7 @@ KINDS: Final = _named(
             light="#6a45c9",
             style="cyan",
             icon="M5.5 4v8M10.5 4v8",
+            detector=LongStopDetector,
         ),
     )
 )
@@ -184,3 +204,24 @@ def kind_named(text: str) -> IncidentKind:
     if found is None:
         raise RecapError(f"{text!r} is no kind of incident; there are {', '.join(kind.option for kind in KINDS.values())}")
     return found
+
+
+def kinds_named(kinds: Collection[str] | Literal["all"] | None) -> frozenset[str]:
+    """Return the names of kinds.
+
+    Args:
+        kinds: The kinds; None: those that are found without reading every frame; "all": all.
+
+    Raises:
+        RecapError: There is no such kind.
+    """
+    if kinds is None:
+        return frozenset(name for name, kind in KINDS.items() if not kind.every_frame)
+    if kinds == "all":
+        return frozenset(KINDS)
+    return frozenset(kind_named(kind).name for kind in ((kinds,) if isinstance(kinds, str) else kinds))
+
+
+def kinds_without_roads() -> frozenset[str]:
+    """Return the names of the kinds that need no roads."""
+    return frozenset(name for name, kind in KINDS.items() if not kind.needs_roads)

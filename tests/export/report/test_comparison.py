@@ -8,7 +8,7 @@ import pytest
 
 from carla_recap import RecapError, open_recording
 from carla_recap.export.report import write_report
-from tests.export.report.conftest import record, spawn
+from tests.export.report.conftest import WITHOUT_ROADS, record, spawn
 from tests.export.report.test_browser import Page
 from tests.export.report.test_look import emulated
 from tests.samples import names_in
@@ -51,7 +51,7 @@ def compared(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 def compare(first: Path, second: Path, page: Path, **options: Any) -> Path:
     with open_recording(first) as one, open_recording(second) as other:
-        write_report(one, page, other=other, **options)
+        write_report(one, page, WITHOUT_ROADS, other=other, **options)
     return page
 
 
@@ -137,7 +137,7 @@ def test_given_differences_say_which_actors_are_the_same(chromium: Chrome, tmp_p
     avoided = driven(tmp_path / "avoided.mcap", hero=8, brakes_at=1.0, hits=False)
     with open_recording(crash) as one, open_recording(avoided) as other:
         found = one.diff(other)
-        write_report(one, tmp_path / "page.html", other=other, differences=found)
+        write_report(one, tmp_path / "page.html", WITHOUT_ROADS, other=other, differences=found)
     page = Page(chromium, tmp_path / "page.html", "#t=3")
     assert page.text("difference") == f"{found.reasons[0].capitalize()}."
     assert page.ask("replay.mode") == "over"

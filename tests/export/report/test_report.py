@@ -10,7 +10,7 @@ from carla_recap import RecapError, open_recording
 from carla_recap.export.report import report as module
 from carla_recap.export.report import sampling, write_report
 from carla_recap.queries.incidents import incidents
-from tests.export.report.conftest import CROSSING, NASTY, data, record, report, spawn
+from tests.export.report.conftest import CROSSING, NASTY, WITHOUT_ROADS, data, record, report, spawn
 from tests.samples import names_in
 
 if TYPE_CHECKING:
@@ -43,7 +43,7 @@ def test_the_incidents_are_those_of_the_query(crossing_page: Path) -> None:
 
 def test_the_summary_of_the_call(tmp_path: Path) -> None:
     with open_recording(CROSSING) as recording:
-        written = write_report(recording, tmp_path / "page", pictures="none")
+        written = write_report(recording, tmp_path / "page", WITHOUT_ROADS, pictures="none")
     assert written._replace(size=0) == (tmp_path / "page", 4, True, 53.0, 0)
     assert written.size == sum(file.stat().st_size for file in (tmp_path / "page").rglob("*") if file.is_file())
     assert not data(tmp_path / "page", "report")["drawn"]

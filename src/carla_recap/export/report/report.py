@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import shutil
 from collections import Counter
+from dataclasses import replace
 from importlib.metadata import version
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final, Literal, NamedTuple
@@ -17,9 +18,7 @@ from carla_recap.export.report.packing import Packer
 from carla_recap.export.report.sampling import sample
 from carla_recap.export.report.single import data_address, single_page
 from carla_recap.export.style import LIGHTS, OTHER, STYLES
-from carla_recap.model.braking import HARD
-from carla_recap.model.stationary import MIN_DISTANCE, MIN_TIME
-from carla_recap.queries.incidents import Incident, incidents
+from carla_recap.queries.incidents import Incident, IncidentOptions, incidents
 from carla_recap.queries.kinds import KINDS
 from carla_recap.recording import Recording
 from carla_recap.replay.player import Player
@@ -36,12 +35,12 @@ if TYPE_CHECKING:
     from carla_recap.rendering.town import TownMesh
     from carla_recap.replay.player import Progress
     from carla_recap.roads import RoadMap
-    from carla_recap.roads.network import RoadNetwork
 
 Pictures = Literal["drawn", "rendered", "none"]
 """The pictures of incidents: drawn from above, rendered from behind the first actor, or none."""
 
 SINGLE: Final = (".html", ".htm")  # the suffixes of a page that is one file
+ALL: Final = IncidentOptions(kinds="all")
 REPLAYED: Final = 200  # the most incidents with a taken picture and, of a long recording, with a replay
 PICTURE_SIZE: Final = (640, 400)
 LISTED: Final = 2000  # the most incidents in the list
@@ -82,43 +81,27 @@ class Opening(NamedTuple):
     notes: tuple[str, ...] = ()
 
 
-class _Limits(NamedTuple):
-    """What counts as an incident, and the seconds around one."""
-
-    before: float
-    after: float
-    min_time: float
-    min_distance: float
-    deceleration: float
-
-
 class _Reported:
     """A recording in a page.
 
     Args:
         recording: The recording.
-        limits: What counts as an incident.
-        roads: The roads of the map, for incidents.
+        options: Which incidents to list.
+        around: The seconds before and after an incident in the replay of a long recording.
         progress: Gets the scenes and their player, and yields the scenes.
     """
 
-    def __init__(self, recording: Recording, limits: _Limits, roads: RoadNetwork | None, progress: Progress | None) -> None:
+    def __init__(
+        self, recording: Recording, options: IncidentOptions, around: tuple[float, float], progress: Progress | None
+    ) -> None:
         self.recording = recording
-        before, after, min_time, min_distance, deceleration = limits
-        found = incidents(
-            recording.reader,
-            kinds="all",
-            roads=roads,
-            min_time=min_time,
-            min_distance=min_distance,
-            deceleration=deceleration,
-        )
+        found = incidents(recording.reader, options)
         self.incidents = found[:LISTED]
         self.omitted = len(found) - len(self.incidents)
         ranks = list(KINDS)
         chosen = sorted(range(len(self.incidents)), key=lambda index: ranks.index(found[index].kind))[:REPLAYED]
         self.chosen = {index: self.incidents[index] for index in chosen}
-        self.replay, self.whole = sample(recording, list(self.chosen.values()), before, after, progress)
+        self.replay, self.whole = sample(recording, list(self.chosen.values()), *around, progress)
         self.pictures: dict[int, bytes] = {}
 
     def take_pictures(self, town: TownMesh | None) -> None:
@@ -144,18 +127,15 @@ class _Reported:
 def write_report(
     source: Recording | Reader,
     path: Path | str,
+    options: IncidentOptions = ALL,
     *,
     other: Recording | Reader | None = None,
     differences: Differences | None = None,
     opening: Opening | None = None,
     before: float = 5.0,
     after: float = 5.0,
-    min_time: float = MIN_TIME,
-    min_distance: float = MIN_DISTANCE,
-    deceleration: float = HARD,
     road_map: RoadMap | None = None,
     town: TownMesh | None = None,
-    roads: RoadNetwork | None = None,
     pictures: Pictures = "drawn",
     viewer: bool = False,
     force: bool = False,
@@ -167,17 +147,14 @@ def write_report(
         source: The recording.
         path: The folder to write, whose `index.html` opens from the disk, or from any server; or if its name ends in
             `.html`, a single file.
+        options: Which incidents to list, see `carla_recap.queries.incidents`; without roads, those of `road_map` count.
         other: Another recording of the same map, to be shown beside the first one, or over it.
         differences: The differences of both, whose actors are the same on the page, which begins with one over the other.
         opening: What the page shows first; None: the beginning.
         before: The seconds before an incident in the replay of a long recording.
         after: The seconds after it.
-        min_time: The time of standing still that counts as an incident, in seconds; see `carla_recap.queries.incidents`.
-        min_distance: The distance at which an actor has moved, in cm.
-        deceleration: The deceleration that counts as an incident, in m/s².
         road_map: The roads to show.
         town: Their surfaces, if they are made already.
-        roads: The road network of the map, for incidents such as red light runs; None: that of `road_map`.
         pictures: "drawn": a drawing of each incident, from above; "rendered": a view from behind the first actor, which
             takes the extra `cameras`; or "none".
         viewer: Add Rerun's viewer, to see the scene in 3D; it needs the extra `rerun`, and a server for the page.
@@ -199,9 +176,8 @@ def write_report(
     _check_maps(recordings)
     if viewer and (single or len(recordings) > 1):
         raise RecapError(f"{path}: the viewer goes with a folder and one recording, not with a single file or a comparison")
-    limits = _Limits(before, after, min_time, min_distance, deceleration)
-    network = roads or road_network_of_map(road_map)
-    reported = [_Reported(recording, limits, network, progress) for recording in recordings]
+    options = replace(options, roads=options.roads or road_network_of_map(road_map))
+    reported = [_Reported(recording, options, (before, after), progress) for recording in recordings]
     if viewer and not reported[0].whole:
         raise RecapError(f"{recordings[0].location}: is too long for the viewer in a page; clips of its incidents are not")
     town = town or town_of(road_map)
@@ -209,11 +185,11 @@ def write_report(
         each.take_pictures(town)
     packer = Packer()
     ground = packer.pack(script.base_map_data(base_map(town, [each.replay for each in reported]), packer))
-    options: dict[str, Any] = {"drawn": pictures == "drawn", "viewer": viewer}
+    shown: dict[str, Any] = {"drawn": pictures == "drawn", "viewer": viewer}
     if differences is not None:
-        options["differences"] = _differences(differences)
+        shown["differences"] = _differences(differences)
     if opening is not None:
-        options["opening"] = _opening(opening)
+        shown["opening"] = _opening(opening)
     data = {
         "data/kinds.js": script.script("KINDS", script.kind_data()),
         "data/ground.js": script.script("GROUND", ground),
@@ -221,7 +197,7 @@ def write_report(
     }
     if single:
         names = [{i: data_address(one, "image/jpeg") for i, one in each.pictures.items()} for each in reported]
-        data["data/reports.js"] = _summaries(reported, names, options)
+        data["data/reports.js"] = _summaries(reported, names, shown)
         content = single_page(viewer_folder() / "page", data).encode()
         with WholeFile(path) as file:
             file.write(content)
@@ -232,7 +208,7 @@ def write_report(
             if viewer:
                 _add_viewer(recordings[0], room / "rerun", road_map)
             (room / "data").mkdir()
-            data["data/reports.js"] = _summaries(reported, _write_pictures(reported, room), options)
+            data["data/reports.js"] = _summaries(reported, _write_pictures(reported, room), shown)
             for name, text in data.items():
                 (room / name).write_text(text, "ascii")
             size = sum(file.stat().st_size for file in room.rglob("*") if file.is_file())
@@ -301,9 +277,9 @@ def _copy_viewer(folder: Path) -> None:
             raise RecapError(f"the Rerun viewer does not hand out {name}: {error}") from None
 
 
-def _summaries(reported: Iterable[_Reported], pictures: Iterable[dict[int, str]], options: dict[str, Any]) -> str:
+def _summaries(reported: Iterable[_Reported], pictures: Iterable[dict[int, str]], shown: dict[str, Any]) -> str:
     """Return the script with what is known of each recording."""
-    found = [_summary(each, names) | options for each, names in zip(reported, pictures, strict=True)]
+    found = [_summary(each, names) | shown for each, names in zip(reported, pictures, strict=True)]
     return script.script("REPORTS", found)
 
 

@@ -278,8 +278,8 @@ def submit(renderer: RenderProcess, shot: VideoShot) -> Future[Images]:
 
 def _incidents(recording: Recording, player: Player) -> list[Incident]:
     """Return the incidents of a recording, and the near misses around the time that is shown."""
-    from carla_recap.queries.incidents import incidents
+    from carla_recap.queries.incidents import IncidentOptions, incidents
 
     start, stop = player.start - _ENCOUNTER, player.stop + _ENCOUNTER
-    near = incidents(recording.reader, kinds=["near miss"], start=start, stop=stop)
+    near = incidents(recording.reader, IncidentOptions(kinds=["near miss"], start=start, stop=stop))
     return sorted([*recording.incidents(), *near], key=lambda incident: incident.start)

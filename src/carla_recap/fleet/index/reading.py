@@ -18,7 +18,8 @@ from carla_recap.model.stationary import MIN_DISTANCE, StationaryTracker
 from carla_recap.model.stationary import TYPES as STATIONARY_TYPES
 from carla_recap.queries.actors import actors
 from carla_recap.queries.collisions import collisions
-from carla_recap.queries.incidents import incidents
+from carla_recap.queries.incidents import IncidentOptions, incidents
+from carla_recap.queries.kinds import kinds_without_roads
 from carla_recap.queries.measures import measures
 from carla_recap.recording import Recording
 from carla_recap.roads import find_road_network, load_road_network
@@ -83,13 +84,14 @@ def _content(recording: Recording, measured: bool, road_map: str | None) -> tupl
     info, reader = recording.info, cast("Reader", _ReadOnce(recording.reader))
     found = actors(reader)
     roads = _roads(info.map_name, road_map) if measured else None
+    kinds = None if not measured else "all" if roads is not None else kinds_without_roads()
     heroes = [actor.id for actor in found if actor.is_hero] if measured else []
     stops = reader.stationary_intervals(SHORTEST_STOP, MIN_DISTANCE) or []
     rows: dict[str, Iterable[tuple[Any, ...]]] = {
         "actors": map(_actor_row, found),
         "stationary": map(_stop, stops),
         "collisions": map(_fields("collisions"), collisions(reader)),
-        "incidents": map(_fields("incidents"), incidents(reader, kinds="all" if measured else None, roads=roads)),
+        "incidents": map(_fields("incidents"), incidents(reader, IncidentOptions(kinds=kinds, roads=roads))),
         "measures": map(_fields("measures"), measures(reader, heroes, roads=roads) if heroes else ()),
     }
     children = [_columns(rows[table.name], len(table.hints)) for table in CHILDREN]

@@ -11,7 +11,7 @@ from carla_recap.queries.measures.boxes import (
     time_to_collision,
 )
 from carla_recap.queries.measures.encroachment import Path, post_encroachment_time
-from carla_recap.queries.measures.extremes import Measures, MeasureSearch, measures
+from carla_recap.queries.measures.extremes import Measures, MeasureSearch, measures, measures_on_roads
 from carla_recap.queries.measures.over_time import time_series
 from carla_recap.queries.measures.table import MEASURES, Measure, MeasureRow, MeasureSeries
 
@@ -26,6 +26,7 @@ __all__ = [
     "Path",
     "gap",
     "measures",
+    "measures_on_roads",
     "overlaps",
     "post_encroachment_time",
     "required_deceleration",

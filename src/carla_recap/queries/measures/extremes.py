@@ -21,6 +21,7 @@ from carla_recap.queries.measures.road import TYPES as ROAD_TYPES
 from carla_recap.queries.measures.road import RoadSearch
 from carla_recap.queries.measures.series import criticality
 from carla_recap.queries.measures.table import MEASURES, Extreme, MeasureRow, series_of
+from carla_recap.queries.roads import roads_of, warn_without_roads
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -83,6 +84,26 @@ def measures(
     search = MeasureSearch(source, actors, roads=roads, start=start, stop=stop)
     search.read()
     return search.finish()
+
+
+def measures_on_roads(source: Reader, actors: Subjects = None, *, road_map: str | None = None) -> Measures:
+    """Return the measures of actors, with those of the road if the map is known; see `measures`.
+
+    Args:
+        source: The recording.
+        actors: The actors to measure.
+        road_map: The map, or the folder to look in; None: the usual folders.
+
+    Raises:
+        RecapError: See `measures`; or the folder does not have the map, or it is damaged.
+
+    Warns:
+        RecapWarning: The map is unknown.
+    """
+    roads = roads_of(source, road_map)
+    if roads is None:
+        warn_without_roads(source)
+    return measures(source, actors, roads=roads)
 
 
 class MeasureSearch:

@@ -8,8 +8,9 @@ from pathlib import Path
 import pytest
 
 from carla_recap import RecapError, RecapWarning
-from carla_recap.fleet.roads import incidents, measures
 from carla_recap.formats import open_reader
+from carla_recap.queries.incidents import IncidentOptions, incidents
+from carla_recap.queries.measures import measures_on_roads
 
 CROSSING = Path(__file__).parents[2] / "samples" / "crossing.log"
 WARNING = "'Crossing' is unknown; rules of the road are left out; --map or CARLA_RECAP_MAPS says where maps are"
@@ -26,17 +27,17 @@ def crossing(monkeypatch):
 @pytest.mark.parametrize("kinds", ["all", ["collision", "red light"]])
 def test_kinds_of_the_road_are_left_out_with_a_warning(crossing, kinds):
     with pytest.warns(RecapWarning, match=WARNING) as caught:
-        found = incidents(crossing, kinds=kinds)
+        found = incidents(crossing, IncidentOptions(kinds=kinds))
     assert len(caught) == 1
     assert "collision" in {row.kind for row in found}
 
 
 def test_kinds_of_the_road_alone_are_an_error(crossing):
     with pytest.raises(RecapError, match="is unknown, whose roads are needed; --map or CARLA_RECAP_MAPS"):
-        incidents(crossing, kinds=["red light", "speeding"])
+        incidents(crossing, IncidentOptions(kinds=["red light", "speeding"]))
 
 
 def test_measures_of_the_road_are_left_out_with_a_warning(crossing):
     with pytest.warns(RecapWarning, match=WARNING) as caught:
-        assert measures(crossing)
+        assert measures_on_roads(crossing)
     assert len(caught) == 1

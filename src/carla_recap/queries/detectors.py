@@ -1,0 +1,426 @@
+"""What finds incidents in the frames of a recording: a detector for one kind of incident, or for several."""
+
+from __future__ import annotations
+
+import math
+from bisect import bisect_right
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, Final, Literal, Protocol
+
+from carla_recap.errors import RecapError
+from carla_recap.model.actors import ROAD_USERS
+from carla_recap.model.braking import HALF_WINDOW, HARD, SHORTEST, BrakingDetector
+from carla_recap.model.braking import TYPES as BRAKING_TYPES
+from carla_recap.model.contacts import MOTION, UNKNOWN, Contact, Impact
+from carla_recap.model.records import CM
+from carla_recap.model.stationary import MIN_DISTANCE, MIN_TIME, StationaryTracker
+from carla_recap.model.stationary import TYPES as STATIONARY_TYPES
+from carla_recap.queries.blocked import longest_first
+from carla_recap.queries.contacts import ImpactSearch, impacts, is_known
+from carla_recap.queries.measures.near_misses import POST_ENCROACHMENT_TIME, TIME_TO_COLLISION, NearMissDetector
+from carla_recap.queries.measures.near_misses import TYPES as MOTION_TYPES
+from carla_recap.queries.measures.road import TYPES as ROAD_TYPES
+from carla_recap.queries.measures.road import RoadSearch
+from carla_recap.queries.measures.table import DURATION, MEASURES, RELATIVE_SPEED
+
+if TYPE_CHECKING:
+    from collections.abc import Collection, Iterable, Iterator
+
+    from carla_recap.formats.base import Reader
+    from carla_recap.model.actors import ActorLives
+    from carla_recap.model.batch import Batch
+    from carla_recap.model.braking import Braking
+    from carla_recap.model.contacts import Contacts
+    from carla_recap.model.stationary import BlockedRow
+    from carla_recap.queries.measures.over_time import SeriesCollector
+    from carla_recap.roads.network import RoadNetwork
+
+    Position = tuple[float, float, float]
+
+_KMH: Final = 3.6  # km/h in m/s
+_AROUND: Final = 2.5  # s around hard braking that are read to compute its deceleration
+_LOOK_UPS: Final = 100  # times that are read one by one; for more, all frames are read
+
+
+@dataclass(frozen=True, slots=True)
+class Incident:
+    """What went wrong at a time, or nearly did.
+
+    Attributes:
+        kind: What it is, as in the table of kinds: "collision", "near miss" and so on.
+        start: The beginning, in elapsed seconds.
+        stop: The end, in elapsed seconds; of a collision, the time of its last record.
+        actors: The ids of the actors, the most important first: the hero, else a vehicle, else a walker. A static object
+            (a wall, a kerb) is not included.
+        type_ids: The blueprint of each actor; empty for an unknown actor.
+        x, y, z: The position of the first actor at the start, in m, right-handed; NaN where it is unknown.
+        measure: What is measured, such as `time_to_collision`.
+        value: Its most critical value; NaN where it is unknown.
+        unit: The unit of the value.
+        threshold: The value from which on it is an incident; NaN if there is none.
+        time: When the value is most critical, in elapsed seconds.
+        text: A description: a sentence without its full stop.
+        contact: The contact, of a collision, which knows who has caused it; no column of a table.
+    """
+
+    kind: str
+    start: float
+    stop: float
+    actors: tuple[int, ...]
+    type_ids: tuple[str, ...]
+    x: float
+    y: float
+    z: float
+    measure: str
+    value: float
+    unit: str
+    threshold: float
+    time: float
+    text: str
+    contact: Contact | None = field(default=None, repr=False, compare=False)
+
+
+@dataclass(frozen=True, kw_only=True)
+class IncidentOptions:
+    """Which incidents to find, and what counts as one.
+
+    Attributes:
+        kinds: The kinds, such as `["near miss"]`, with spaces or hyphens; None: those that the events of a recording
+            contain (collisions, hard braking and long stops); "all": all.
+        roads: The roads of the map, for kinds that need them; None: those of the map of the recording.
+        road_map: The OpenDRIVE file of this map, or the folder to look in; None: the usual folders.
+        min_time: The shortest time without a movement that is a long stop, in s.
+        min_distance: The distance at which an actor has moved, in cm.
+        deceleration: The deceleration from which on braking is hard, in m/s².
+        start: The elapsed seconds from which on to look for incidents.
+        stop: The elapsed seconds until which to look for them. Long stops in MCAP files may begin and end outside.
+
+    Raises:
+        RecapError: The deceleration is not above 0.
+    """
+
+    kinds: Collection[str] | Literal["all"] | None = None
+    roads: RoadNetwork | None = None
+    road_map: str | None = None
+    min_time: float = MIN_TIME
+    min_distance: float = MIN_DISTANCE
+    deceleration: float = HARD
+    start: float = -math.inf
+    stop: float = math.inf
+
+    def __post_init__(self) -> None:
+        if not self.deceleration > 0:
+            raise RecapError(f"a deceleration of {self.deceleration:g} m/s² is no braking; it must be above 0")
+
+    @property
+    def is_whole(self) -> bool:
+        """Whether all of the recording is looked at."""
+        return self.start == -math.inf and self.stop == math.inf
+
+
+@dataclass(frozen=True, kw_only=True)
+class Search:
+    """What detectors know of a recording before its frames are read.
+
+    Attributes:
+        source: The recording.
+        options: What to look for.
+        actors: All actors.
+        contacts: The contacts between them.
+        roads: The roads of the map, where a detector needs them.
+        near: The actors whose near misses count; None for all.
+        series: Gets the motion in which near misses are found, too.
+    """
+
+    source: Reader
+    options: IncidentOptions
+    actors: ActorLives
+    contacts: Contacts
+    roads: RoadNetwork | None = None
+    near: Collection[int] | None = None
+    series: SeriesCollector | None = None
+
+    def name(self, id: int, time: float) -> str:
+        """Return what a text calls an actor."""
+        return self.actors.name(id, time)
+
+
+class Detector(Protocol):
+    """Finds the incidents of some kinds: it is made of a `Search`, gets the batches, and returns what it has found."""
+
+    @property
+    def types(self) -> Collection[str]:
+        """The record types that it needs; none if it needs no frames."""
+        ...
+
+    @property
+    def also(self) -> Collection[str]:
+        """The record types that it uses, too, if frames are read."""
+        ...
+
+    def add(self, batch: Batch) -> None:
+        """Process the next frames."""
+        ...
+
+    def finish(self) -> Iterable[Incident]:
+        """Return the incidents, in any order."""
+        ...
+
+
+class CollisionDetector:
+    """Finds collisions: the contacts of actors, with the place and the speed at which they begin."""
+
+    types: Collection[str] = ()
+
+    def __init__(self, search: Search) -> None:
+        self._search = search
+        self._impacts = ImpactSearch(contact.key for contact in search.contacts)
+        self.also: Collection[str] = MOTION if self._impacts.missing else ()
+
+    def add(self, batch: Batch) -> None:
+        """See `Detector.add`."""
+        self._impacts.batch(batch, is_whole=self._search.options.start == -math.inf)
+
+    def finish(self) -> Iterator[Incident]:
+        """See `Detector.finish`; the impacts that the batches did not have are looked up."""
+        actors, contacts, found = self._search.actors, self._search.contacts, self._impacts.found
+        missing = {contact.key: contact.start for contact in contacts if contact.key not in found}
+        found = found | impacts(self._search.source, missing)
+        for contact in contacts:
+            if contact.key in found:
+                contact.impact = found[contact.key].with_fixed(*(actors.is_fixed(id, contact.start) for id in contact.ids))
+            first, second = self._ranked(contact)
+            if not actors.is_object(first):
+                yield self._incident(contact, first, second)
+
+    def _incident(self, contact: Contact, first: int, second: int) -> Incident:
+        actors = self._search.actors
+        ids = (first,) if actors.is_object(second) else (first, second)
+        impact = contact.impact or Impact(*contact.key)
+        known = dict(zip(contact.ids, impact.positions, strict=True))
+        return Incident(
+            "collision",
+            contact.start,
+            contact.stop,
+            ids,
+            actors.type_ids(ids, contact.start),
+            *_metres(*next((known[id] for id in ids if is_known(known[id])), UNKNOWN)),
+            measure=RELATIVE_SPEED.name,
+            value=impact.relative_speed,
+            unit=RELATIVE_SPEED.unit,
+            threshold=math.nan,
+            time=contact.start,
+            text=f"{actors.name(first, contact.start)} collides with {actors.name(second, contact.start)}",
+            contact=contact,
+        )
+
+    def _ranked(self, contact: Contact) -> tuple[int, int]:
+        """Return both ids: the hero first, else a vehicle, a walker, the actor with the sensor; a static object last."""
+        actors = self._search.actors
+
+        def rank(side: int) -> int:
+            id = contact.ids[side]
+            actor = actors.at(id, contact.start)
+            if actors.is_object(id):
+                return 5
+            if contact.heroes[side] or (actor and actor.is_hero):
+                return 0
+            return 1 + (*ROAD_USERS, actor.kind).index(actor.kind) if actor else 4
+
+        first, second = sorted((0, 1), key=rank)
+        return contact.ids[first], contact.ids[second]
+
+
+class LongStopDetector:
+    """Finds vehicles and walkers that do not move for long."""
+
+    also: Collection[str] = ()
+
+    def __init__(self, search: Search) -> None:
+        source, limits = search.source, (search.options.min_time, search.options.min_distance)
+        self._search = search
+        self._listed = source.stationary_intervals(*limits)
+        self._tracker = None if self._listed is not None else StationaryTracker(source.header.table, *limits)
+        self.types: Collection[str] = STATIONARY_TYPES if self._tracker else ()
+
+    def add(self, batch: Batch) -> None:
+        """See `Detector.add`."""
+        if self._tracker:
+            self._tracker.batch(batch)
+
+    def finish(self) -> Iterator[Incident]:
+        """See `Detector.finish`."""
+        rows = self._tracker.finish() if self._tracker else self._listed or ()
+        yield from map(self._incident, (row for row in longest_first(rows) if self._counts(row)))
+
+    def _counts(self, row: BlockedRow) -> bool:
+        return self._search.actors.kind(row.id, row.start) in ROAD_USERS
+
+    def _incident(self, row: BlockedRow) -> Incident:
+        return Incident(
+            "blocked",
+            row.start,
+            row.start + row.duration,
+            (row.id,),
+            (row.type_id,),
+            *_metres(row.x, row.y, row.z),
+            measure=DURATION.name,
+            value=row.duration,
+            unit=DURATION.unit,
+            threshold=self._search.options.min_time,
+            time=row.start + row.duration,
+            text=f"{self._search.name(row.id, row.start)} stands still for {row.duration:.0f} s",
+        )
+
+
+class HardBrakingDetector:
+    """Finds vehicles that brake hard, but not because of a contact."""
+
+    also: Collection[str] = ()
+
+    def __init__(self, search: Search) -> None:
+        self._search, deceleration = search, search.options.deceleration
+        self._listed = search.source.hard_braking(deceleration) if search.options.is_whole else None
+        is_listed = self._listed is not None
+        self._detector = None if is_listed else BrakingDetector(search.actors.ids("vehicle"), deceleration)
+        self.types: Collection[str] = BRAKING_TYPES if self._detector else ()
+
+    def add(self, batch: Batch) -> None:
+        """See `Detector.add`."""
+        if self._detector:
+            self._detector.batch(batch)
+
+    def finish(self) -> Iterator[Incident]:
+        """See `Detector.finish`."""
+        search, deceleration = self._search, MEASURES["deceleration"]
+        found = list(self._apart_from_contacts(self._detector.finish() if self._detector else self._listed or ()))
+        detector = self._detector or self._looked_up(found)
+        for row, stop in found:
+            value, time = detector.hardest(row.id, row.start, stop)
+            yield Incident(
+                "hard braking",
+                row.start,
+                stop,
+                (row.id,),
+                search.actors.type_ids((row.id,), row.start),
+                *_metres(row.x, row.y, row.z),
+                measure=deceleration.name,
+                value=value,
+                unit=deceleration.unit,
+                threshold=search.options.deceleration,
+                time=time,
+                text=f"{search.name(row.id, row.start)} brakes hard at {row.speed * _KMH:.0f} km/h",
+            )
+
+    def _apart_from_contacts(self, rows: Iterable[Braking]) -> Iterator[tuple[Braking, float]]:
+        """Yield the braking of vehicles that no contact causes, and when it ends: at the latest when one begins."""
+        for row in rows:
+            spans = self._search.contacts.affected(row.id, HALF_WINDOW)
+            later = bisect_right(spans, (row.start, math.inf))
+            stop = min(row.stop, spans[later][0]) if later < len(spans) else row.stop
+            in_contact = later > 0 and row.start <= spans[later - 1][1]
+            if not in_contact and stop - row.start >= SHORTEST and self._search.actors.kind(row.id, row.start) == "vehicle":
+                yield row, stop
+
+    def _looked_up(self, found: Iterable[tuple[Braking, float]]) -> BrakingDetector:
+        """Return a detector that has processed the frames around known hard braking."""
+        detector = BrakingDetector({row.id for row, _ in found}, self._search.options.deceleration)
+        spans: list[tuple[float, float]] = []
+        for start, stop in sorted((row.start - _AROUND, stop + _AROUND) for row, stop in found):
+            if spans and start <= spans[-1][1]:
+                spans[-1] = (spans[-1][0], max(stop, spans[-1][1]))
+            else:
+                spans.append((start, stop))
+        for start, stop in spans if len(spans) <= _LOOK_UPS else [(-math.inf, math.inf)]:
+            for batch in self._search.source.batches(BRAKING_TYPES, start=start, stop=stop):
+                detector.batch(batch)
+        detector.finish()
+        return detector
+
+
+class NearMisses:
+    """Finds near misses."""
+
+    types = MOTION_TYPES
+    also: Collection[str] = ()
+
+    def __init__(self, search: Search) -> None:
+        self._search = search
+        ids = None if search.near is None else frozenset(search.near)
+        self._detector = NearMissDetector(search.actors, search.contacts, ids, series=search.series)
+
+    def add(self, batch: Batch) -> None:
+        """See `Detector.add`."""
+        self._detector.batch(batch)
+
+    def finish(self) -> Iterator[Incident]:
+        """See `Detector.finish`."""
+        actors = self._search.actors
+        for row in self._detector.finish():
+            first, second = (actors.name(id, row.start) for id in (row.id1, row.id2))
+            at = f"at {row.time:.2f} s, at {row.speed * _KMH:.0f} km/h"
+            if row.time_to_collision == 0:
+                text = f"{first} touches {second} {at}, though no collision is recorded"
+            elif row.time_to_collision < math.inf:
+                text = f"{first} comes within {row.time_to_collision:.1f} s of {second} {at}"
+            else:
+                text = f"{first} crosses the path of {second} {row.post_encroachment_time:.1f} s after it {at}"
+            ids, other = (row.id1, row.id2), actors.at(row.id2, row.start)
+            if (other is not None and other.is_hero) or actors.kind(row.id1, row.start) == "walker":
+                ids = ids[::-1]
+            by_collision = row.time_to_collision < math.inf
+            measure = MEASURES["time_to_collision" if by_collision else "post_encroachment_time"]
+            yield Incident(
+                "near miss",
+                row.start,
+                row.stop,
+                ids,
+                actors.type_ids(ids, row.start),
+                *(row.x, row.y, row.z),
+                measure=measure.name,
+                value=row.time_to_collision if by_collision else row.post_encroachment_time,
+                unit=measure.unit,
+                threshold=TIME_TO_COLLISION if by_collision else POST_ENCROACHMENT_TIME,
+                time=row.time,
+                text=text,
+            )
+
+
+class RoadRules:
+    """Finds vehicles that break a rule of the road."""
+
+    types = ROAD_TYPES
+    also: Collection[str] = ()
+
+    def __init__(self, search: Search) -> None:
+        assert search.roads is not None
+        self._search = search
+        self._roads = RoadSearch(search.source, search.roads, search.actors)
+
+    def add(self, batch: Batch) -> None:
+        """See `Detector.add`."""
+        self._roads.add(batch)
+
+    def finish(self) -> Iterator[Incident]:
+        """See `Detector.finish`."""
+        actors = self._search.actors
+        for event in self._roads.finish():
+            if actors.kind(event.id, event.start) == "vehicle":
+                yield Incident(
+                    event.kind,
+                    event.start,
+                    event.stop,
+                    (event.id,),
+                    actors.type_ids((event.id,), event.start),
+                    *(event.x, event.y, event.z),
+                    measure=event.measure,
+                    value=event.value,
+                    unit=MEASURES[event.measure].unit,
+                    threshold=event.threshold,
+                    time=event.time,
+                    text=f"{actors.name(event.id, event.start)} {event.text}",
+                )
+
+
+def _metres(x: float, y: float, z: float) -> Position:
+    return x * CM, 0.0 - y * CM, z * CM

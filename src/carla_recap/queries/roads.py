@@ -1,0 +1,58 @@
+"""The roads of a recording's map, for the queries that need them."""
+
+from __future__ import annotations
+
+import re
+import warnings
+from pathlib import Path
+from typing import TYPE_CHECKING, Final
+
+from carla_recap.errors import RecapError, RecapWarning
+
+if TYPE_CHECKING:
+    from carla_recap.formats.base import Reader
+    from carla_recap.roads.network import RoadNetwork
+
+WHERE_MAPS: Final = "--map or CARLA_RECAP_MAPS says where maps are"
+WITHOUT_ROADS: Final = f"rules of the road are left out; {WHERE_MAPS}"
+"""What follows from an unknown map, and what to do, for warnings."""
+
+
+def roads_of(source: Reader, road_map: str | None = None, *, needed: bool = False) -> RoadNetwork | None:
+    """Return the roads of a recording's map; None if its file is unknown.
+
+    Args:
+        source: The recording.
+        road_map: The map, or the folder to look in; None: the usual folders.
+        needed: Whether an unknown map is an error.
+
+    Raises:
+        RecapError: The map is needed and unknown, the given folder does not have it, or the map is damaged.
+    """
+    from carla_recap.roads import find_road_network, load_road_network
+
+    name = source.header.map_name
+    if road_map is not None and not Path(road_map).is_dir():
+        return load_road_network(road_map)
+    found = find_road_network(name, road_map)
+    if found is None and (needed or road_map is not None):
+        if road_map is None:
+            raise RecapError(f"{source.location}: {_unknown(name)}, whose roads are needed; {WHERE_MAPS}")
+        raise RecapError(f"{source.location}: there is no .xodr in {road_map} for the map {name!r}, whose roads are needed")
+    return found
+
+
+def warn_without_roads(source: Reader) -> None:
+    """Warn that the map of a recording is unknown."""
+    message = f"{source.location}: {_unknown(source.header.map_name)}; {WITHOUT_ROADS}"
+    warnings.warn(message, RecapWarning, stacklevel=4)
+
+
+def unknown_map(warning: str) -> str | None:
+    """Return the name of the map, quoted, that a warning says is unknown; None if it is about something else."""
+    match = re.search(rf"the map (.*) is unknown; {WITHOUT_ROADS}", warning)
+    return match[1] if match else None
+
+
+def _unknown(name: str) -> str:
+    return f"the map {name!r} is unknown"
