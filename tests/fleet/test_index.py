@@ -14,6 +14,7 @@ import pytest
 from carla_recap import ActorKind, RecapError, Spawn, create_recording, open_index, open_recording, write_index
 from carla_recap.fleet.index.tables import TABLES
 from carla_recap.fleet.sources import SourceFile
+from carla_recap.queries.kinds import kinds_without_roads
 from carla_recap.roads import find_map, find_road_network
 from tests.waiting import PATIENCE
 
@@ -81,9 +82,10 @@ def test_a_recording_is_a_row_with_what_info_says(index):
 def test_the_rows_of_a_recording_are_those_of_the_queries(index, name):
     with open_recording(SAMPLES / name) as recording:
         roads = find_road_network(recording.info.map_name)
+        kinds = "all" if roads is not None else kinds_without_roads()
         queries = {
             "collisions": recording.collisions().to_arrow().to_pylist(),
-            "incidents": recording.incidents(kinds="all", roads=roads).to_arrow().to_pylist(),
+            "incidents": recording.incidents(kinds=kinds, roads=roads).to_arrow().to_pylist(),
             "measures": recording.measures("hero", roads=roads).to_arrow().to_pylist(),
         }
         stops = sorted((row.id, row.start, row.duration) for row in recording.blocked(10))
