@@ -241,14 +241,9 @@ class LogReader(Reader):
     def _runs(
         self, index: int, offset: int, names: frozenset[str] | None, *, sparse: bool = False, piece: int | None = None
     ) -> Iterator[Run]:
-        """Scan the frames from one on, whose position in the recording is given, to the end.
+        """Scan the frames from one on to the end; by default for all packets, else for those of some types with records.
 
-        Args:
-            index: The position of the first frame.
-            offset: The offset of the first frame in the file.
-            names: The types of the packets that are wanted, if they have records; None for all packets.
-            sparse: Whether to leave out frames without such packets.
-            piece: The bytes to read at once; None for as many as a scan reads.
+        With `sparse`, frames without such packets are left out. `piece` bytes are read at once, if not as many as usual.
         """
         window = self._window(piece)
         wanted = None if names is None else [type is not None and type.name in names for type in self._types]
@@ -355,10 +350,7 @@ def _read_text(data: bytes, offset: int) -> tuple[bytes, int]:
 def _is_shifted(id: int, payload: bytes, after: bool) -> bool | None:
     """Return whether a packet with one of the ambiguous ids is of a build with shifted ids; None if both are possible.
 
-    Args:
-        id: The packet id as in the file.
-        payload: The payload.
-        after: Whether it follows transforms or later packets of the frame: doors precede them, the others follow.
+    Doors come before transforms; what else has these ids comes after them, or after a later packet (`after`).
     """
     if len(payload) > len(EMPTY_LIST):
         plain, shifted = is_sound(UE4[id], payload), is_sound(UE4[SHIFT[id]], payload)

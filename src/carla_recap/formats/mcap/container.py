@@ -232,9 +232,7 @@ class ChunkedFile(AtomicFile):
     def _add_chunk(self, chunk: ChunkBuilder, *, at_end: bool = False) -> None:
         """Send a chunk to be compressed; chunks that are ready are written.
 
-        Args:
-            chunk: The chunk.
-            at_end: Hold it back until `_write_held`, unless the file is live, or too much is held back already.
+        With `at_end`, it is held back until `_write_held`, unless the file is live, or too much is held back already.
         """
         data, index = chunk.finish()
         self._sealed.append(_Sealed(chunk.start, chunk.end, len(data), index, self._compressed(data), at_end))
