@@ -9,9 +9,10 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
-from carla_recap.model.records import CM, ActorKind
+from carla_recap.model.motion import possible_step
+from carla_recap.model.records import ActorKind
 from carla_recap.replay.events import Destroyed
-from carla_recap.replay.pose import JUMP, TOP_SPEED, YAW, right_handed
+from carla_recap.replay.pose import YAW, right_handed
 from carla_recap.replay.selection import NO_IDS
 
 if TYPE_CHECKING:
@@ -293,8 +294,7 @@ def _intervals(samples: Floats, times: Floats) -> Iterator[tuple[int, int, int, 
     """
     present = np.isfinite(samples).all(axis=2) & (np.abs(samples[:, :, :2]).max(axis=2) < FAR)
     distances = np.hypot(*np.moveaxis(np.diff(samples[:, :, :2], axis=0), 2, 0))
-    possible = np.maximum(JUMP, TOP_SPEED * np.diff(times)) * CM
-    joined = present[1:] & present[:-1] & (distances <= possible[:, None])
+    joined = present[1:] & present[:-1] & (distances <= possible_step(np.diff(times))[:, None])
     for column in range(samples.shape[1]):
         if joined[:, column].all():
             bounds = [(0, len(times) - 1)] if present[0, column] else []

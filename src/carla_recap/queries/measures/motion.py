@@ -11,6 +11,7 @@ import numpy as np
 
 from carla_recap.model.actors import BoundingBox
 from carla_recap.model.blueprints import blueprint_sizes
+from carla_recap.model.motion import LONGEST_STEP, possible_step
 from carla_recap.model.records import CM
 
 if TYPE_CHECKING:
@@ -38,11 +39,7 @@ _MARGIN_FRAMES: Final = 512  # of a margin, at most
 _VALUES: Final = 1 << 20  # poses of a block, at most, where it has several frames
 _FAR: Final = 1e6  # m; poses farther out do not count
 _FASTEST: Final = 150.0  # m/s; velocities above it do not count
-_JUMP: Final = 5.0  # m; a shorter step is no jump
-_TOP_SPEED: Final = 100.0  # m/s; a faster step is a jump where no velocity is recorded
-_SLACK: Final = 3.0  # a jump is longer than the recorded velocity explains by more than this factor
 _AROUND_JUMP: Final = 0.5  # s before and after a jump in which an actor does not count
-_LONGEST: Final = 1.0  # s; over a longer step, there is no velocity
 
 _SEDAN: Final = BoundingBox(0.0, 0.0, 0.75, 2.25, 0.95, 0.75)
 _TWO_WHEELS: Final = BoundingBox(0.0, 0.0, 0.8, 1.0, 0.4, 0.8)
@@ -348,10 +345,8 @@ def _motion(time: Floats, pose: Floats, velocity: Floats) -> tuple[Floats, ...]:
         distance = np.hypot(dx, dy)
         speed = np.hypot(vx, vy)
         speed = np.fmax(speed[:, 1:], speed[:, :-1])
-        known = ~np.isnan(speed)
-        explained = np.where(known, np.maximum(_SLACK * speed * seconds, _JUMP), _TOP_SPEED * seconds)
-        ordered = (seconds > 0) & (seconds <= _LONGEST)
-        jumps = (distance > explained) & ordered
+        ordered = (seconds > 0) & (seconds <= LONGEST_STEP)
+        jumps = (distance > possible_step(seconds, speed, least=0.0)) & ordered
         if jumps.any():
             absent |= _around(jumps, time)
         if unknown.any():
