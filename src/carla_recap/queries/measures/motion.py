@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
-from carla_recap.model.actors import BoundingBox
+from carla_recap.model.actors import ROAD_USERS, BoundingBox
 from carla_recap.model.blueprints import blueprint_sizes
 from carla_recap.model.motion import LONGEST_STEP, possible_step
 from carla_recap.model.records import CM
@@ -28,8 +28,6 @@ if TYPE_CHECKING:
 
 TYPES: Final = ("transforms", "velocities")
 """The record types that motion is computed from."""
-KINDS: Final = ("vehicle", "walker")
-"""The kinds of actors that have a motion here."""
 MARGIN: Final = 3.0
 """The time before and after the frames of a block that it has, too, in s."""
 
@@ -116,7 +114,7 @@ class MotionCollector:
 
     def __init__(self, actors: ActorLives) -> None:
         self._actors = actors
-        self._known = np.array(sorted(actors.ids(*KINDS)), np.int64)
+        self._known = np.array(sorted(actors.ids(*ROAD_USERS)), np.int64)
         self._parts: list[_MotionPart] = []
         self._frames = 0  # of the parts
         self._done = 0  # the number of frames of the parts that have been in a block
@@ -213,8 +211,8 @@ class MotionCollector:
         time = np.concatenate([part.time for part in parts])
         middle = float(time[(first + last) // 2 - start])
         found = [self._actors.at(id, middle) for id in ids.tolist()]
-        kept = [actor is not None and actor.kind in KINDS for actor in found]
-        ids, actors = ids[kept], tuple(actor for actor in found if actor is not None and actor.kind in KINDS)
+        kept = [actor is not None and actor.kind in ROAD_USERS for actor in found]
+        ids, actors = ids[kept], tuple(actor for actor in found if actor is not None and actor.kind in ROAD_USERS)
         pose, velocity = np.full((4, len(ids), len(time)), np.nan), np.full((2, len(ids), len(time)), np.nan)
         begin = 0
         for part in parts:
