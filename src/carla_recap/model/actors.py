@@ -200,10 +200,10 @@ class ActorLives:
 
     def name(self, id: int, time: float) -> str:
         """Return what a text calls an actor or a static object."""
+        if self.is_object(id):
+            return STATIC_OBJECT
         life = self.at(id, time)
-        if life is not None:
-            return life.name
-        return STATIC_OBJECT if self.is_object(id) else f"actor {id}"
+        return life.name if life else f"actor {id}"
 
 
 def _spawned_at(life: ActorLife) -> float:
