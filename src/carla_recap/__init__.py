@@ -52,6 +52,8 @@ if TYPE_CHECKING:
     from carla_recap.queries.differences import ActorDifference, Differences, EventDifference, LightDifference
     from carla_recap.queries.incidents import Incident
     from carla_recap.queries.info import InfoRow
+    from carla_recap.queries.measures.table import MeasureSeries
+    from carla_recap.queries.summary import HeroSummary, RecordingSummary
     from carla_recap.recording import Recording, RecordingInfo, open_recording
     from carla_recap.replay import Player, Scene
     from carla_recap.roads import RoadMap, load_map
@@ -73,11 +75,13 @@ __all__ = [
     "FormatError",
     "Frame",
     "Header",
+    "HeroSummary",
     "Incident",
     "IndexSummary",
     "InfoRow",
     "LightDifference",
     "LightStates",
+    "MeasureSeries",
     "MissingExtra",
     "NotARecording",
     "Outcome",
@@ -90,6 +94,7 @@ __all__ = [
     "Recording",
     "RecordingIndex",
     "RecordingInfo",
+    "RecordingSummary",
     "Recovery",
     "RoadMap",
     "Rule",
@@ -153,6 +158,8 @@ _get, __dir__ = lazily(
         "formats": ("create_writer",),
         "queries.incidents": ("Incident",),
         "queries.info": ("InfoRow",),
+        "queries.measures.table": ("MeasureSeries",),
+        "queries.summary": ("HeroSummary", "RecordingSummary"),
         "model.records": ("ActorKind", "Attribute", "Spawn", "attributes"),
         "recording": ("Recording", "RecordingInfo", "open_recording"),
         "editing.recover": ("Recovery", "recover"),

@@ -5,9 +5,7 @@ RecapError
 │   └── NotARecording      a file is not a recording
 ├── Closed                 a closed recording is used
 ├── RecordError            records that cannot be written (too many, wrong shape, unknown name)
-└── NotSetUp               the machine lacks something, whatever the file
-    ├── MissingExtra       an optional dependency is not installed
-    └── NoCredentials      the environment has no credentials for an object store
+└── MissingExtra           an optional dependency is not installed
 RecapWarning               part of a file is left out
 """
 
@@ -82,15 +80,7 @@ def _has_carla() -> bool:
     return sys.version_info < (3, 13) and machines.get(sys.platform) == platform.machine()
 
 
-class NotSetUp(RecapError):
-    """The machine lacks something that is needed, whatever the file."""
-
-
-class NoCredentials(NotSetUp):
-    """The environment has no credentials for an object store."""
-
-
-class MissingExtra(NotSetUp):
+class MissingExtra(RecapError):
     """An optional dependency is not installed.
 
     Args:

@@ -42,6 +42,7 @@ if TYPE_CHECKING:
     from carla_recap.queries.measures import Measures
     from carla_recap.queries.measures.extremes import Subjects
     from carla_recap.queries.measures.table import MeasureSeries
+    from carla_recap.queries.summary import RecordingSummary
 
 T = TypeVar("T")
 
@@ -154,6 +155,20 @@ class Recording:
         except (OverflowError, OSError, ValueError):
             date = None
         return RecordingInfo(header.map_name, date, header.version, extent.frames, extent.duration, additional)
+
+    @cached_property
+    def summary(self) -> RecordingSummary:
+        """The overview: actors and incidents by kind, and how far and how fast the hero drives.
+
+        Raises:
+            FormatError: The file contradicts its format.
+
+        Warns:
+            RecapWarning: The map is unknown, and incidents that need it are left out.
+        """
+        from carla_recap.queries.summary import summary
+
+        return summary(self.reader)[0]
 
     @cached_property
     def actors(self) -> ActorsById:

@@ -27,7 +27,7 @@ if TYPE_CHECKING:
 INTERRUPTED: Final = 130
 
 _COMMANDS: Final = {
-    "queries": ("info", "collisions", "blocked", "actors", "incidents", "measures"),
+    "queries": ("info", "summary", "collisions", "blocked", "actors", "incidents", "measures"),
     "editing": ("convert", "recover", "clip", "import"),
     "export": ("export", "clips", "view", "snapshot", "video", "report"),
     "sim": ("record", "replay"),

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Literal
 import click
 
 from carla_recap.cli import options
-from carla_recap.cli.many import answer
+from carla_recap.cli.many import answer, is_one
 from carla_recap.cli.output import form_of, note
 
 if TYPE_CHECKING:
@@ -93,6 +93,23 @@ def blocked(
         raise click.BadParameter(f"'{min_time:g}' is not a number of 0 or more.", param_hint="'--min-time'")
     asked = partial(query, min_time=min_time, min_distance=min_distance, compat=compat)
     answer(asked, sources, form, compat=compat, max_rows=max_rows, jobs=jobs, dask=dask)
+
+
+@click.command(epilog=_EPILOG)
+@_sources
+@options.road_map
+@_many
+def summary(sources: tuple[str, ...], form: str | None, road_map: str | None, jobs: int | None, dask: str | None) -> None:
+    """Print an overview: actors by kind, how far and how fast the hero drives, incidents by kind.
+
+    Of many recordings, that is a line each.
+    """
+    from carla_recap.queries.incidents import IncidentOptions
+    from carla_recap.queries.summary import summary as query
+
+    if len(sources) == 1 and is_one(sources[0]):
+        form = form or "text"
+    answer(partial(query, options=IncidentOptions(kinds="all", road_map=road_map)), sources, form, jobs=jobs, dask=dask)
 
 
 @click.command(epilog=_EPILOG)

@@ -200,7 +200,7 @@ def import_tracks(
             raise RecapError(f"{path}: more seconds between the first and the last time than can be counted")
     if date is None:
         date = first if _DAY < first < _LATEST else 0
-    return _Tracks(path, table, hero).write(destination, map_name, date)
+    return _ImportedTracks(path, table, hero).write(destination, map_name, date)
 
 
 # --- reading -------------------------------------------------------------------------------------------------------------
@@ -330,7 +330,7 @@ def _number(path: Path, rows: _Rows, name: str, text: str, limit: float) -> floa
 # --- objects -------------------------------------------------------------------------------------------------------------
 
 
-class _Tracks:
+class _ImportedTracks:
     """The objects of a file: the rows of each, and what it looks like.
 
     Args:

@@ -42,15 +42,14 @@ def outcome_of(function: Callable[[SourceFile], T], source: SourceFile) -> Outco
         try:
             value, error = function(source), None
         except (RecapError, OSError, MemoryError) as failure:
-            value, error = None, one_line(failure, source)
-    return Outcome(source, value, error, tuple(source.as_given(str(warning.message)) for warning in caught))
+            value, error = None, one_line(failure, source.location)
+    return Outcome(source, value, error, tuple(str(warning.message) for warning in caught))
 
 
-def one_line(error: Exception, source: SourceFile) -> str:
+def one_line(error: Exception, location: str) -> str:
     """Return what an error with a recording says, in one line."""
-    location = source.location
     if isinstance(error, RecapError):
-        return source.as_given(str(error))
+        return str(error)
     if isinstance(error, MemoryError):
         return f"{location}: not enough memory"
     if isinstance(error, OSError):

@@ -9,9 +9,8 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
-from carla_recap.model.actors import ROAD_USERS, BoundingBox
+from carla_recap.model.actors import BoundingBox
 from carla_recap.model.blueprints import blueprint_sizes
-from carla_recap.model.motion import LONGEST_STEP, possible_step
 from carla_recap.model.records import CM
 
 if TYPE_CHECKING:
@@ -28,6 +27,8 @@ if TYPE_CHECKING:
 
 TYPES: Final = ("transforms", "velocities")
 """The record types that motion is computed from."""
+KINDS: Final = ("vehicle", "walker")
+"""The kinds of actors that have a motion here."""
 MARGIN: Final = 3.0
 """The time before and after the frames of a block that it has, too, in s."""
 
@@ -37,7 +38,11 @@ _MARGIN_FRAMES: Final = 512  # of a margin, at most
 _VALUES: Final = 1 << 20  # poses of a block, at most, where it has several frames
 _FAR: Final = 1e6  # m; poses farther out do not count
 _FASTEST: Final = 150.0  # m/s; velocities above it do not count
+_JUMP: Final = 5.0  # m; a shorter step is no jump
+_TOP_SPEED: Final = 100.0  # m/s; a faster step is a jump where no velocity is recorded
+_SLACK: Final = 3.0  # a jump is longer than the recorded velocity explains by more than this factor
 _AROUND_JUMP: Final = 0.5  # s before and after a jump in which an actor does not count
+_LONGEST: Final = 1.0  # s; over a longer step, there is no velocity
 
 _SEDAN: Final = BoundingBox(0.0, 0.0, 0.75, 2.25, 0.95, 0.75)
 _TWO_WHEELS: Final = BoundingBox(0.0, 0.0, 0.8, 1.0, 0.4, 0.8)
@@ -114,7 +119,7 @@ class MotionCollector:
 
     def __init__(self, actors: ActorLives) -> None:
         self._actors = actors
-        self._known = np.array(sorted(actors.ids(*ROAD_USERS)), np.int64)
+        self._known = np.array(sorted(actors.ids(*KINDS)), np.int64)
         self._parts: list[_MotionPart] = []
         self._frames = 0  # of the parts
         self._done = 0  # the number of frames of the parts that have been in a block
@@ -211,8 +216,8 @@ class MotionCollector:
         time = np.concatenate([part.time for part in parts])
         middle = float(time[(first + last) // 2 - start])
         found = [self._actors.at(id, middle) for id in ids.tolist()]
-        kept = [actor is not None and actor.kind in ROAD_USERS for actor in found]
-        ids, actors = ids[kept], tuple(actor for actor in found if actor is not None and actor.kind in ROAD_USERS)
+        kept = [actor is not None and actor.kind in KINDS for actor in found]
+        ids, actors = ids[kept], tuple(actor for actor in found if actor is not None and actor.kind in KINDS)
         pose, velocity = np.full((4, len(ids), len(time)), np.nan), np.full((2, len(ids), len(time)), np.nan)
         begin = 0
         for part in parts:
@@ -343,8 +348,10 @@ def _motion(time: Floats, pose: Floats, velocity: Floats) -> tuple[Floats, ...]:
         distance = np.hypot(dx, dy)
         speed = np.hypot(vx, vy)
         speed = np.fmax(speed[:, 1:], speed[:, :-1])
-        ordered = (seconds > 0) & (seconds <= LONGEST_STEP)
-        jumps = (distance > possible_step(seconds, speed, least=0.0)) & ordered
+        known = ~np.isnan(speed)
+        explained = np.where(known, np.maximum(_SLACK * speed * seconds, _JUMP), _TOP_SPEED * seconds)
+        ordered = (seconds > 0) & (seconds <= _LONGEST)
+        jumps = (distance > explained) & ordered
         if jumps.any():
             absent |= _around(jumps, time)
         if unknown.any():

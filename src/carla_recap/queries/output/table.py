@@ -16,8 +16,9 @@ from carla_recap.queries.info import Info, InfoRow
 from carla_recap.queries.kinds import KINDS
 from carla_recap.queries.measures.table import MeasureRow
 from carla_recap.queries.output.terminal import TableColumn, actor_style, brief_actor, print_table
-from carla_recap.queries.output.text import local_date
-from carla_recap.util.text import number, visible
+from carla_recap.queries.output.text import incident_counts, local_date
+from carla_recap.queries.summary import RecordingSummary
+from carla_recap.util.text import number, readable, visible
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Iterator, Sequence
@@ -181,6 +182,16 @@ _COLUMNS: Final[dict[type, tuple[_Column, ...]]] = {
         _number("Time (s)", lambda row: _seconds(row.time)),
         _number("Id", lambda row: "" if row.other is None else str(row.other), rank=1),
         _name("Other", lambda row: "" if row.other is None else row.other_type_id, rank=3),
+    ),
+    RecordingSummary: (
+        _column("Map", lambda row: readable(row.map), narrowed="middle", rank=3),
+        _number("Duration (s)", lambda row: _seconds(row.duration)),
+        _number("Frames", lambda row: str(row.frames), rank=4),
+        _number("Vehicles", lambda row: str(row.actors.get("vehicle", 0)), rank=1),
+        _number("Walkers", lambda row: str(row.actors.get("walker", 0)), rank=2),
+        _number("Hero (m)", lambda row: f"{row.hero.distance:.0f}" if row.hero else ""),
+        _number("Top speed (m/s)", lambda row: f"{row.hero.top_speed:.1f}" if row.hero else "", rank=1),
+        _column("Incidents", lambda row: incident_counts(row.incidents), narrowed="words"),
     ),
     Incident: (
         _number("Start (s)", lambda row: _seconds(row.start)),

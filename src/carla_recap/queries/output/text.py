@@ -22,18 +22,23 @@ if TYPE_CHECKING:
     from carla_recap.queries.incidents import Incidents
     from carla_recap.queries.info import Info
     from carla_recap.queries.measures import Measures
+    from carla_recap.queries.summary import Summaries
 
-    AnyAnswer = RecordedActors | Info | Collisions | Blocked | Incidents | Measures
+    AnyAnswer = RecordedActors | Info | Collisions | Blocked | Incidents | Measures | Summaries
 
 _NAME_WIDTH: Final = 35
+_KMH: Final = 3.6  # km/h in a m/s
 
 
 def text(answer: AnyAnswer) -> Iterator[str]:
     """Yield CARLA's text of an answer, in pieces; a similar list of what CARLA has no text for."""
     kind = type(answer).__name__
     yield _preamble(answer.header)
-    yield heading(kind)
-    yield from _BODIES[kind](answer)
+    if kind in _WITHOUT_HEADING:
+        yield from _WITHOUT_HEADING[kind](answer)
+    else:
+        yield heading(kind)
+        yield from _BODIES[kind](answer)
     # In CARLA, the row of a collision sets the number format of the stream to no decimals.
     rounded = answer.compat and kind == "Collisions" and any(answer)
     duration = (_whole if rounded else number)(answer.extent.duration)
@@ -113,6 +118,40 @@ def _actors(answer: RecordedActors) -> Iterator[str]:
         yield f"{row.id:>8} {row.kind:<13} {name} {role} {number(row.spawned_at):>8} {until:>8} {parent:>8}\n"
 
 
+def _overview(answer: Summaries) -> Iterator[str]:
+    for row in answer:
+        yield f"Actors: {_counted(row.actors)}\n"
+        if row.hero is not None:
+            hero = row.hero
+            way = f"{hero.distance:.0f} m in {hero.time:.1f} s, at {hero.top_speed * _KMH:.0f} km/h at most"
+            yield f"Hero: {hero.type_id} ({hero.id}), {way}\n"
+        yield f"Incidents: {incident_counts(row.incidents)}\n"
+
+
+def _summaries(answer: Summaries) -> Iterator[str]:
+    for row in answer:
+        vehicles, walkers = row.actors.get("vehicle", 0), row.actors.get("walker", 0)
+        others = sum(row.actors.values()) - vehicles - walkers
+        way = f"{row.hero.distance:>8.0f} {row.hero.top_speed * _KMH:>5.0f}" if row.hero else f"{'':>14}"
+        yield (
+            f"{number(row.duration):>8} {row.frames:>8} {vehicles:>8} {walkers:>7} {others:>6} {way}"
+            f" {readable(row.map):<12} {incident_counts(row.incidents)}\n"
+        )
+
+
+def _counted(actors: Mapping[str, int]) -> str:
+    """Return the numbers of actors by kind in words."""
+    return ", ".join(f"{count} {kind.replace('_', ' ')}{'s' * (count != 1)}" for kind, count in actors.items()) or "none"
+
+
+def incident_counts(incidents: Mapping[str, int]) -> str:
+    """Return the numbers of incidents by kind in words."""
+    from carla_recap.queries.kinds import KINDS
+
+    words = (f"{count} {KINDS[kind].singular if count == 1 else KINDS[kind].plural}" for kind, count in incidents.items())
+    return ", ".join(words) or "none"
+
+
 def _info(answer: Info) -> Iterator[str]:
     from carla_recap.queries.info import EVENTS
     from carla_recap.queries.output.packet_lines import packet_lines
@@ -143,13 +182,19 @@ _BODIES: Final[Mapping[str, Callable[[Any], Iterator[str]]]] = {
     "RecordedActors": _actors,
     "Incidents": _incidents,
     "Measures": _measures,
+    "Summaries": _summaries,
 }
 """By the name of the answer's class: the modules of other queries are not imported."""
+
+_WITHOUT_HEADING: Final[Mapping[str, Callable[[Any], Iterator[str]]]] = {"Summaries": _overview}
+"""Answers that are other lines if they are about one recording."""
 
 _HEADINGS: Final = {
     "Collisions": f"{'Time':>8} {'Types':>6} {'Id':>6} {'Actor 1':<35} {'Id':>6} {'Actor 2':<35}\n",
     "Incidents": f"{'Time':>8} {'Duration':>10} {'Incident':<12} What happens\n",
     "Measures": f"{'Time':>8} {'Id':>6} {'Actor':<35} {'Measure':<22} {'Value':>10} {'Unit':<5} {'Id':>6} Other\n",
+    "Summaries": f"{'Duration':>8} {'Frames':>8} {'Vehicles':>8} {'Walkers':>7} {'Others':>6} {'Hero (m)':>8} {'km/h':>5}"
+    f" {'Map':<12} Incidents\n",
     "Blocked": f"{'Time':>8} {'Id':>6} {'Actor':<35} {'Duration':>10}\n",
     "RecordedActors": f"{'Id':>8} {'Kind':<13} {'Actor':<35} {'Role':<20} {'From':>8} {'To':>8} {'Parent':>8}\n",
 }

@@ -1,0 +1,118 @@
+"""The summary of a recording: who is in it, how far the hero drives, and how often something goes wrong."""
+
+from __future__ import annotations
+
+from collections import Counter
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, ClassVar
+
+import numpy as np
+
+from carla_recap.model.actors import ROAD_USERS
+from carla_recap.model.motion import possible_step
+from carla_recap.queries import Answer
+from carla_recap.queries.actors import actors
+from carla_recap.queries.incidents import IncidentOptions, incidents
+from carla_recap.queries.kinds import KINDS
+from carla_recap.tables.trajectories import trajectories
+from carla_recap.util.text import readable
+
+if TYPE_CHECKING:
+    from carla_recap.formats.base import Reader
+    from carla_recap.model.actors import ActorLife
+
+
+@dataclass(frozen=True, slots=True)
+class HeroSummary:
+    """How the hero moves.
+
+    Attributes:
+        id: Its actor id.
+        type_id: Its blueprint.
+        time: The time between its first and its last pose, in s.
+        distance: The distance that it covers, in m; jumps do not count.
+        top_speed: Its greatest speed, in m/s.
+    """
+
+    id: int
+    type_id: str
+    time: float
+    distance: float
+    top_speed: float
+
+
+@dataclass(frozen=True, slots=True)
+class RecordingSummary:
+    """What a recording contains.
+
+    Attributes:
+        map: The name of the map.
+        frames: The number of frames.
+        duration: The elapsed time of the last frame, in s.
+        actors: The number of actors by kind, vehicles and walkers first.
+        hero: The first hero that has poses; None if there is none.
+        incidents: The number of incidents by kind, of the kinds that occur.
+    """
+
+    map: str
+    frames: int
+    duration: float
+    actors: dict[str, int]
+    hero: HeroSummary | None
+    incidents: dict[str, int]
+
+
+class Summaries(Answer[RecordingSummary]):
+    """The summary of a recording, as the only row."""
+
+    row_type = RecordingSummary
+    row_units: ClassVar = {"duration": "s"}
+
+
+def summary(source: Reader, options: IncidentOptions | None = None) -> Summaries:
+    """Return the summary of a recording.
+
+    Args:
+        source: The recording.
+        options: Which incidents to count; None: all kinds. Those of the road are left out if the map is unknown.
+
+    Raises:
+        RecapError: See `carla_recap.queries.incidents.incidents`.
+        FormatError: The file contradicts its format.
+
+    Warns:
+        RecapWarning: The map is unknown.
+    """
+    found = Counter(incident.kind for incident in incidents(source, options or IncidentOptions(kinds="all")))
+    lives = actors(source)
+    kinds = Counter(life.kind for life in lives)
+    heroes = (_hero(source, life) for life in lives if life.is_hero)
+    extent = source.extent()
+    row = RecordingSummary(
+        readable(source.header.map_name),
+        extent.frames,
+        extent.duration,
+        {kind: count for kind in (*ROAD_USERS, *kinds) if (count := kinds.get(kind))},
+        next((hero for hero in heroes if hero is not None), None),
+        {kind: found[kind] for kind in KINDS if found[kind]},
+    )
+    return Summaries([row], source, compat=False)
+
+
+def _hero(source: Reader, life: ActorLife) -> HeroSummary | None:
+    """Return how a hero moves; None if it has no pose."""
+    path = trajectories(source, {life.id}).get(life.id)
+    if path is None:
+        return None
+    xyz = np.stack((path.x, path.y, path.z))
+    rows = np.flatnonzero((path.time >= life.spawned_at) & (path.time <= life.end) & np.isfinite(xyz).all(axis=0))
+    if not len(rows):
+        return None
+    time, speed, recorded = path.time[rows], path.speed[rows], path.velocity_recorded[rows]
+    known = np.where(recorded, speed, np.nan)
+    steps = np.linalg.norm(np.diff(xyz[:, rows]), axis=0)
+    is_step = steps <= possible_step(np.diff(time), np.fmax(known[1:], known[:-1]))
+    beside_jump = ~(np.append(True, is_step) & np.append(is_step, True))
+    speeds = speed[np.isfinite(speed) & (recorded | ~beside_jump)]
+    distance, top_speed = steps[is_step].sum().item(), speeds.max(initial=0.0).item()
+    return HeroSummary(life.id, life.type_id, (time[-1] - time[0]).item(), distance, top_speed)

@@ -1,0 +1,82 @@
+"""The summary of a recording: actors and incidents by kind, and the way of the hero."""
+
+from __future__ import annotations
+
+import json
+import math
+
+import pytest
+
+from carla_recap import ActorKind, RecapWarning, Spawn, attributes, create_recording, open_recording
+from tests.cli.command import CROSSING, answer, run, the_line
+
+CRASH = CROSSING.with_name("crash.mcap")
+
+
+@pytest.fixture
+def recorded(tmp_path):
+    """Return a function that records the hero at some x in m, a frame each second."""
+
+    def record(places, suffix=".log", **more):
+        spawn = Spawn(7, ActorKind.VEHICLE, type_id="vehicle.audi.tt", attributes=attributes(role_name="hero"))
+        with create_recording(tmp_path / f"run{suffix}", map_name="nowhere") as recorder:
+            for number, x in enumerate(places):
+                records = {"spawned": [spawn, *more.get("others", [])]} if number == 0 else {}
+                recorder.add_frame(float(number), transforms=[(7, 100 * x, 0, 0, 0, 0, 0)], **records)
+        return open_recording(tmp_path / f"run{suffix}")
+
+    return record
+
+
+def test_actors_are_counted_by_kind_vehicles_and_walkers_first():
+    with open_recording(CRASH) as recording:
+        summary = recording.summary
+        assert list(summary.actors.items())[:3] == [("vehicle", 5), ("walker", 4), ("other", 1)]
+        assert sum(summary.actors.values()) == len(recording.actors)
+        assert (summary.map, summary.frames) == ("Brickfield", 1200)
+
+
+def test_incidents_are_those_of_all_kinds():
+    with open_recording(CRASH) as recording:
+        found = recording.incidents(kinds="all")
+        assert sum(recording.summary.incidents.values()) == len(found)
+        assert recording.summary.incidents["collision"] == sum(each.kind == "collision" for each in found)
+
+
+@pytest.mark.parametrize("suffix", [".log", ".mcap"])
+def test_the_way_of_the_hero_has_no_jumps(recorded, suffix):
+    with recorded([0, 10, 30, 30, 530, 535], suffix) as recording, pytest.warns(RecapWarning, match="'nowhere' is unknown"):
+        hero = recording.summary.hero
+    assert (hero.id, hero.type_id, hero.time) == (7, "vehicle.audi.tt", 5)
+    assert hero.distance == pytest.approx(35)
+    assert hero.top_speed == pytest.approx(15)  # of the slope around the second frame
+
+
+def test_places_that_are_not_finite_do_not_count(recorded):
+    with recorded([0, math.nan, 10, 20]) as recording, pytest.warns(RecapWarning):
+        assert recording.summary.hero.distance == pytest.approx(20)
+
+
+def test_without_a_hero_there_is_none(tmp_path):
+    with create_recording(tmp_path / "run.log", map_name="nowhere") as recorder:
+        recorder.add_frame(0.0)
+    with open_recording(tmp_path / "run.log") as recording, pytest.warns(RecapWarning):
+        assert (recording.summary.hero, recording.summary.actors, recording.summary.incidents) == (None, {}, {})
+
+
+def test_the_text_of_one_recording_has_few_lines_and_of_many_a_line_each():
+    alone = answer("summary", CRASH).splitlines()
+    assert len(alone) <= 15
+    assert "Actors: 5 vehicles, 4 walkers, 1 other, 17 traffic lights, 22 traffic signs, 1 sensor" in alone
+    heading, *rows = answer("summary", CRASH, CRASH.with_name("avoided.mcap")).splitlines()
+    assert (heading.split()[0], len(rows)) == ("Recording", 2)
+    assert rows[1].endswith("Brickfield   1 near miss")
+
+
+def test_json_has_the_fields():
+    (row,) = json.loads(answer("summary", CRASH, "--json"))["rows"]
+    assert (row["actors"]["vehicle"], row["hero"]["id"], row["incidents"]["collision"]) == (5, 41, 2)
+
+
+def test_an_unknown_map_is_said():
+    assert "the map 'Crossing' is unknown; rules of the road are left out" in the_line(run("summary", CROSSING).stderr)
