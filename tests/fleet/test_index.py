@@ -251,6 +251,30 @@ def test_a_process_that_has_the_index_open_is_waited_for_and_named_in_the_end(ru
     assert counts(write_index([runs], index, jobs=1)) == (2, 0, 1, 0)
 
 
+def test_a_query_waits_for_a_process_that_has_the_index_open_for_a_moment(runs, tmp_path):
+    index = tmp_path / "index"
+    write_index([runs], index, jobs=1)
+    hold = "import duckdb, sys, time; held = duckdb.connect(sys.argv[1]); print('open', flush=True); time.sleep(0.3)"
+    with subprocess.Popen([sys.executable, "-c", hold, index], stdout=-1) as process:
+        assert process.stdout.readline() == b"open\n"
+        assert open_index(index).table("recordings").num_rows == len(NAMES)
+
+
+def test_a_recording_is_not_taken_for_an_index(runs):
+    before = (runs / NAMES[0]).read_bytes()
+    for use in (open_index, lambda path: write_index([runs / NAMES[1]], path, jobs=1)):
+        with pytest.raises(RecapError, match="is no index of recordings"):
+            use(runs / NAMES[0])
+    assert (runs / NAMES[0]).read_bytes() == before
+
+
+def test_a_recording_of_unknown_size_is_read_again(tmp_path, monkeypatch):
+    found = [SourceFile(str(SAMPLES / "crossing.log"), size=None, modified=None, etag=None)]
+    monkeypatch.setattr("carla_recap.fleet.index.writing.find_sources", lambda sources: found)
+    for _ in range(2):
+        assert counts(write_index([], tmp_path / "index", jobs=1)) == (1, 0, 0, 0)
+
+
 def test_an_index_of_an_earlier_version_is_refused_with_the_command_that_makes_it_anew(runs, tmp_path):
     old = tmp_path / "runs.index"
     (old / "recordings").mkdir(parents=True)

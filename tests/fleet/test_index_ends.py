@@ -133,6 +133,41 @@ def _state(index):
     return index.stat().st_mtime_ns if index.exists() else None
 
 
+@pytest.mark.parametrize(
+    ("rows", "pause", "seen"), [(1, 1000.0, [0, 1, 2]), (10**6, 0.0, [0, 1, 2]), (10**6, 1000.0, [0, 0, 0])]
+)
+def test_rows_are_written_when_they_are_many_or_have_waited(runs, tmp_path, monkeypatch, rows, pause, seen):
+    monkeypatch.setattr("carla_recap.fleet.index.writing._ROWS", rows)
+    monkeypatch.setattr("carla_recap.fleet.index.writing._PAUSE", pause)
+    monkeypatch.setattr("carla_recap.fleet.index.writing._SHARE", 0.0)
+    found = []
+
+    def watched(outcomes, count):
+        for outcome in outcomes:
+            found.append(open_index(tmp_path / "index").table("recordings").num_rows)
+            yield outcome
+
+    write_index([runs], tmp_path / "index", jobs=1, progress=watched)
+    assert found[:3] == seen
+    assert len(contents(tmp_path / "index")["recordings"]) == 8
+
+
+def test_the_pause_between_transactions_grows_with_the_time_of_a_run(runs, tmp_path, monkeypatch):
+    now, times = 0.0, []
+
+    def watched(outcomes, count):
+        nonlocal now
+        for outcome in outcomes:
+            now += 10.0
+            times.append(open_index(tmp_path / "index").table("recordings").num_rows)
+            yield outcome
+
+    monkeypatch.setattr("carla_recap.fleet.index.writing.monotonic", lambda: now)
+    monkeypatch.setattr("carla_recap.fleet.index.writing._SHARE", 0.5)
+    write_index([runs], tmp_path / "index", jobs=1, progress=watched)
+    assert times == [0, 1, 2, 2, 4, 4, 4, 4]  # written after 10, 20, 40 and 80 s
+
+
 def test_recordings_that_were_read_before_an_interruption_are_kept(runs, tmp_path):
     def interrupted(outcomes, count):
         for number, outcome in enumerate(outcomes):
@@ -154,11 +189,10 @@ def test_an_index_that_is_cut_is_an_error_until_it_is_removed(written, tmp_path,
     content = index.read_bytes()
     cut = tmp_path / "index"
     cut.write_bytes(content[: int(share * len(content))])
-    with pytest.raises(RecapError, match="remove it, and 'carla-recap index SOURCE") as caught:
-        contents(cut)
-    assert "\n" not in str(caught.value)
-    with pytest.raises(RecapError, match="remove it, and 'carla-recap index SOURCE"):
-        write(runs, cut)
+    for use in (contents, lambda path: write(runs, path)):
+        with pytest.raises(RecapError, match=r"remove it, and 'carla-recap index SOURCE|is no index") as caught:
+            use(cut)
+        assert "\n" not in str(caught.value)
     cut.unlink()
     write(runs, cut)
     assert contents(cut) == expected
@@ -190,7 +224,7 @@ def test_a_changed_bit_is_an_error_or_changes_nothing(written, tmp_path):
 def test_a_file_of_something_else_is_an_error_and_stays(runs, tmp_path, content):
     (tmp_path / "index").write_bytes(content)
     for use in (open_index, lambda index: write(runs, index)):
-        with pytest.raises(RecapError, match="if it is damaged, remove it") as caught:
+        with pytest.raises(RecapError, match=r"is no index of recordings|if it is damaged") as caught:
             use(tmp_path / "index")
         assert "\n" not in str(caught.value)
     assert (tmp_path / "index").read_bytes() == content

@@ -126,15 +126,18 @@ class Rows(list[T], Tabular):
     def _kinds(self) -> dict[str, Any]:
         """Return the type hints of the rows' fields."""
         row_type: Any = self.row_type or (type(self[0]) if self else None)
-        if row_type is None:
-            return {}
-        hints = get_type_hints(row_type)
-        return {name: hints[name] for name in column_names(row_type)}
+        return {} if row_type is None else column_types(row_type)
 
 
 def column_names(row_type: type[Any]) -> list[str]:
     """Return the names of a dataclass's columns: of all fields that its `repr` shows."""
     return [field.name for field in fields(row_type) if field.repr]
+
+
+def column_types(row_type: type[Any]) -> dict[str, Any]:
+    """Return the type hints of a dataclass's columns."""
+    hints = get_type_hints(row_type)
+    return {name: hints[name] for name in column_names(row_type)}
 
 
 _NUMBERS = (int, float, bool)

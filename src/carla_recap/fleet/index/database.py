@@ -35,6 +35,8 @@ _CONFIG: Final[dict[str, Any]] = {
     "autoload_known_extensions": "false",
 }
 _CONFINED: Final = ("set enable_external_access=false", "set lock_configuration=true")
+_NO_INDEX: Final = "is no index of recordings, which 'carla-recap index' makes"
+_NO_DATABASE: Final = "not a valid DuckDB database file"  # in an error of DuckDB, which has no class of its own
 _BUSY: Final = re.compile("Could not set lock|file handle conflict|being used by another process")
 _PATIENCE: Final = 60.0  # s for which others may have the file open
 _PAUSE: Final = 0.02  # s between attempts to open it
@@ -58,11 +60,11 @@ class RecordingIndex:
         _require()
         self.path = Path(path)
         if not _is_file(self.path):
-            raise RecapError(f"{str(path)[:200]}: is no index of recordings, which 'carla-recap index' makes")
+            raise RecapError(f"{str(path)[:200]}: {_NO_INDEX}")
         with self._opened(_READING) as database:
             found = {name for (name,) in database.sql("select table_name from duckdb_tables()").fetchall()}
             if not found.issuperset(TABLES):
-                raise RecapError(f"{path}: is no index of recordings, which 'carla-recap index' makes")
+                raise RecapError(f"{path}: {_NO_INDEX}")
             schemas = {name: database.sql(f"from {name} limit 0").to_arrow_table().schema for name in TABLES}
         if any(not schemas[name].equals(table.schema) for name, table in TABLES.items()):
             raise RecapError(f"{path}: is an index of another version of carla-recap; {_remedy(self.path)}")
@@ -185,6 +187,8 @@ class RecordingIndex:
 
         if isinstance(error, duckdb.OutOfMemoryException):
             return RecapError(f"{self.path}: there is not enough memory for this query")
+        if _NO_DATABASE in str(error):
+            return RecapError(f"{self.path}: {_NO_INDEX}")
         damaged = (duckdb.IOException, duckdb.FatalException, duckdb.InternalException, duckdb.SerializationException)
         if isinstance(error, damaged) or type(error) is duckdb.Error:
             return RecapError(f"{self.path}: {_one_line(error)}; if it is damaged, {_remedy(self.path)}")

@@ -5,13 +5,13 @@ from __future__ import annotations
 from dataclasses import dataclass
 from datetime import datetime
 from functools import cached_property
-from typing import TYPE_CHECKING, Any, Final, get_type_hints
+from typing import TYPE_CHECKING, Any, Final
 
 from carla_recap.model.actors import BoundingBox  # noqa: TC001 - the columns are made of the type hints
 from carla_recap.queries.collisions import CollisionRow, Collisions
 from carla_recap.queries.incidents import Incident, Incidents
 from carla_recap.queries.measures import MeasureRow
-from carla_recap.tables import column_names
+from carla_recap.tables import column_types
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
@@ -112,8 +112,7 @@ class IndexTable:
     @cached_property
     def hints(self) -> dict[str, Any]:
         """The types of the columns that are fields of its rows, as type hints."""
-        hints = get_type_hints(self.row_type)
-        return {name: hints[name] for name in column_names(self.row_type)}
+        return column_types(self.row_type)
 
     @cached_property
     def schema(self) -> pa.Schema:
