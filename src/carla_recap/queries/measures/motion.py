@@ -4,14 +4,14 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cached_property
-from itertools import pairwise
-from typing import TYPE_CHECKING, Final
+from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
 from carla_recap.model.actors import BoundingBox
 from carla_recap.model.blueprints import blueprint_sizes
 from carla_recap.model.records import CM
+from carla_recap.model.segment import SegmentBuffer, segments
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -23,7 +23,7 @@ if TYPE_CHECKING:
 
     Booleans = NDArray[np.bool_]
     Floats = NDArray[np.float64]
-    Ids = NDArray[np.int64]
+    Ids = NDArray[np.integer[Any]]
 
 TYPES: Final = ("transforms", "velocities")
 """The record types that motion is computed from."""
@@ -119,10 +119,12 @@ class MotionCollector:
 
     def __init__(self, actors: ActorLives) -> None:
         self._actors = actors
-        self._known = np.array(sorted(actors.ids(*KINDS)), np.int64)
-        self._parts: list[_MotionPart] = []
-        self._frames = 0  # of the parts
-        self._done = 0  # the number of frames of the parts that have been in a block
+        self._known = np.array(sorted(actors.ids(*KINDS)), np.uint32)
+        self._poses, self._velocities = SegmentBuffer(), SegmentBuffer()
+        self._time = np.zeros(0)  # of the frames that these hold
+        self._index = 0  # of the first of them in the recording
+        self._done = 0  # the number of them that have been in a block
+        self._listed = 0  # the number of actors in the latest frame
         self._size = _FRAMES  # of the next block
         self._due = _FRAMES + _STEP  # the number of frames that have not been in a block from which on blocks are made
 
@@ -134,27 +136,30 @@ class MotionCollector:
         """
         if batch.preamble:
             return
-        actors = batch.records("transforms").shape[1]
+        transforms, velocities = (batch.records(name) for name in TYPES)
+        actors = transforms.shape[1]
         step = max(1, min(_FRAMES, _VALUES // max(actors, 1)))
         for start in range(0, len(batch), step):
-            part = batch if len(batch) <= step else batch[start : start + step]
-            self._parts += self._parts_of(part)
-            self._frames += len(part)
-            waiting = self._frames - self._done
+            frames = slice(start, start + step)
+            if not len(self._time):
+                self._index = batch.index + start
+            self._add(self._velocities, velocities[frames])
+            self._listed = self._add(self._poses, transforms[frames])
+            self._time = np.concatenate((self._time, batch.elapsed[frames]))
+            waiting = len(self._time) - self._done
             if waiting >= self._due or waiting * actors >= 2 * _VALUES:
                 yield from self._blocks(whole=waiting * actors < 2 * _VALUES)
-                self._due = max(_FRAMES, self._frames - self._done) + _STEP
+                self._due = max(_FRAMES, len(self._time) - self._done) + _STEP
 
     def finish(self) -> Iterator[MotionBlock]:
         """Yield the last blocks."""
         yield from self._blocks(ended=True)
 
-    def _parts_of(self, batch: Batch) -> Iterator[_MotionPart]:
-        poses = _ActorRecords.of(batch, "transforms", self._known, ("x", "y", "z", "yaw"))
-        velocities = _ActorRecords.of(batch, "velocities", self._known, ("x", "y"))
-        for start, stop in pairwise(sorted({0, len(batch), *poses.edges, *velocities.edges})):
-            time = batch.elapsed[start:stop]
-            yield _MotionPart(batch.index + start, time, poses.part(start, stop), velocities.part(start, stop))
+    def _add(self, buffer: SegmentBuffer, records: NDArray[np.void]) -> int:
+        """Add the records of some frames, and return the number of actors in the last one."""
+        found = [segment.only(np.isin(segment.ids, self._known)) for segment in segments(records)]
+        buffer.add(found, len(records))
+        return len(found[-1].ids)
 
     def _blocks(self, *, whole: bool = False, ended: bool = False) -> Iterator[MotionBlock]:
         """Yield blocks of the frames so far; the last ones stay as margins of the next.
@@ -163,79 +168,56 @@ class MotionCollector:
             whole: Whether to yield blocks of full size alone.
             ended: Whether these are the last frames.
         """
-        if not self._parts:
+        time, until = self._time, len(self._time)
+        if not until:
             return
-        time = np.concatenate([part.time for part in self._parts])
-        until = self._frames
         if not ended:
-            until -= min(_margin(time[::-1], -1), max(1, _VALUES // max(len(self._parts[-1].poses[0]), 1)))
+            until -= min(_margin(time[::-1], -1), max(1, _VALUES // max(self._listed, 1)))
         first = self._done
         while first < until and not (whole and until - first < self._size):
             full = size = min(self._size, until - first)
             while True:
                 last = first + size
                 start, stop = first - _margin(time[:first][::-1], -1), last + _margin(time[last:], 1)
-                ids = self._ids(start, stop)
+                ids = self._poses.ids(start, stop)
                 if size == 1 or len(ids) * (stop - start) <= _VALUES:
                     break
                 size = max(size // 2, 1)
             if len(ids) * (stop - start) > _VALUES:
                 start, stop = first, last
-                ids = self._ids(start, stop)
+                ids = self._poses.ids(start, stop)
             self._size = min(2 * self._size, _FRAMES) if size == full else size
             yield self._block(ids, start, first, last, stop)
             first = last
-        self._done = first
-        self._drop(first - _margin(time[:first][::-1], -1))
-
-    def _ids(self, start: int, stop: int) -> Ids:
-        """Return the ids that some frames list, ascending."""
-        listed = {part.poses[0].tobytes(): part.poses[0] for _, part in self._within(start, stop)}
-        return np.unique(np.concatenate(list(listed.values())))
-
-    def _within(self, start: int, stop: int) -> Iterator[tuple[int, _MotionPart]]:
-        """Yield the parts of some frames, each with its first frame."""
-        begin = 0
-        for part in self._parts:
-            end = begin + len(part.time)
-            if begin < stop and end > start:
-                yield max(begin, start), part.sliced(max(start - begin, 0), min(stop, end) - begin)
-            begin = end
-
-    def _drop(self, count: int) -> None:
-        """Drop the first frames."""
-        self._frames -= count
-        self._done -= count
-        while self._parts and len(self._parts[0].time) <= count:
-            count -= len(self._parts.pop(0).time)
-        if count:
-            self._parts[0] = self._parts[0].sliced(count, len(self._parts[0].time))
+        dropped = first - _margin(time[:first][::-1], -1)
+        self._poses.drop(dropped)
+        self._velocities.drop(dropped)
+        self._time, self._index, self._done = time[dropped:], self._index + dropped, first - dropped
 
     def _block(self, ids: Ids, start: int, first: int, last: int, stop: int) -> MotionBlock:
-        parts = [part for _, part in self._within(start, stop)]
-        time = np.concatenate([part.time for part in parts])
+        time = self._time[start:stop]
         middle = float(time[(first + last) // 2 - start])
         found = [self._actors.at(id, middle) for id in ids.tolist()]
         kept = [actor is not None and actor.kind in KINDS for actor in found]
         ids, actors = ids[kept], tuple(actor for actor in found if actor is not None and actor.kind in KINDS)
-        pose, velocity = np.full((4, len(ids), len(time)), np.nan), np.full((2, len(ids), len(time)), np.nan)
-        begin = 0
-        for part in parts:
-            rows = slice(begin, begin + len(part.time))
-            for target, (known, values) in ((pose, part.poses), (velocity, part.velocities)):
-                _fill(target[:, :, rows], ids, known, values)
-            begin = rows.stop
+        pose, velocity = (
+            np.where(known, values, np.nan).astype(np.float64)
+            for values, known in (
+                self._poses.dense(("x", "y", "z", "yaw"), ids, start, stop),
+                self._velocities.dense(("x", "y"), ids, start, stop),
+            )
+        )
         boxes = [box_of(actor) for actor in actors]
         size = 2 * np.array([(box.extent_x, box.extent_y, box.extent_z) for box in boxes]).reshape(-1, 3)
         offset = np.array([(box.x, box.y, box.z) for box in boxes]).reshape(-1, 3)
         x, y, z, yaw, vx, vy = _motion(time, pose, velocity)
         cos, sin = np.cos(yaw), np.sin(yaw)
         return MotionBlock(
-            index=parts[0].index,
+            index=self._index + start,
             first=first - start,
             last=last - start,
             time=time,
-            ids=ids,
+            ids=ids.astype(np.int64),
             actors=actors,
             is_vehicle=np.array([actor.kind == "vehicle" for actor in actors], np.bool_),
             x=x + cos * offset[:, :1] - sin * offset[:, 1:2],
@@ -264,63 +246,6 @@ def box_of(actor: ActorLife) -> BoundingBox:
     if actor.kind == "walker":
         return _PERSON
     return _TWO_WHEELS if actor.attributes.get("number_of_wheels") == "2" else _SEDAN
-
-
-@dataclass(frozen=True, eq=False)
-class _MotionPart:
-    """Consecutive frames that list the same actors.
-
-    Attributes:
-        index: The index of the first frame in the recording.
-        time: Elapsed seconds.
-        poses: The ids, and the values by field, actor and frame.
-        velocities: The same of velocities.
-    """
-
-    index: int
-    time: Floats
-    poses: tuple[Ids, NDArray[np.float32]]
-    velocities: tuple[Ids, NDArray[np.float32]]
-
-    def sliced(self, start: int, stop: int) -> _MotionPart:
-        """Return the part of some of the frames."""
-        if start == 0 and stop == len(self.time):
-            return self
-        (ids, poses), (moved, velocities) = self.poses, self.velocities
-        kept = slice(start, stop)
-        return _MotionPart(self.index + start, self.time[kept], (ids, poses[:, :, kept]), (moved, velocities[:, :, kept]))
-
-
-class _ActorRecords:
-    """The records of a type in a batch; `edges` are the frames from which on other actors are listed."""
-
-    def __init__(self, ids: NDArray[np.uint32], records: NDArray[np.void], known: Ids, fields: tuple[str, ...]) -> None:
-        self._ids, self._records, self._known, self._fields = ids, records, known, fields
-        same = len(ids) < 2 or not ids.shape[1]
-        self.edges = [] if same else (np.flatnonzero((ids[1:] != ids[:-1]).any(axis=1)) + 1).tolist()
-
-    @staticmethod
-    def of(batch: Batch, name: str, known: Ids, fields: tuple[str, ...]) -> _ActorRecords:
-        """Return the records of known actors."""
-        records = batch.records(name)
-        return _ActorRecords(np.ascontiguousarray(records["id"]), records, known, fields)
-
-    def part(self, start: int, stop: int) -> tuple[Ids, NDArray[np.float32]]:
-        """Return the ids of some frames, which list the same actors, and the values by field, actor and frame."""
-        ids = self._ids[start].astype(np.int64)
-        columns = np.flatnonzero(np.isin(ids, self._known))
-        values = np.empty((len(self._fields), len(columns), stop - start), np.float32)
-        for row, field in enumerate(self._fields):
-            values[row] = self._records[field][start:stop, columns].T
-        return ids[columns], values
-
-
-def _fill(target: Floats, ids: Ids, known: Ids, values: NDArray[np.float32]) -> None:
-    """Copy the values of some actors, by field, actor and frame, to the rows of their ids; of several, the last counts."""
-    rows = np.minimum(np.searchsorted(ids, known), max(len(ids) - 1, 0))
-    if len(ids):
-        kept = ids[rows] == known
-        target[:, rows[kept]] = values[:, kept]
 
 
 def _margin(time: Floats, direction: int) -> int:
