@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import math
+from bisect import bisect_right
 from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
 from carla_recap.errors import RecapError
 from carla_recap.model.frame import SAME_TIME
+from carla_recap.model.segment import segments
 from carla_recap.replay.events import Collided, Event, Parented, Spawned
 from carla_recap.replay.selection import array
 from carla_recap.replay.state import EVENTS, ReplayState
@@ -55,7 +57,7 @@ class Cursor:
         self._batch: Batch | None = None  # that of `next`
         self._row = 0  # of `next` in its batch
         self._ahead: Batch | None = None  # the batch after it, if it has been read
-        self._changes: NDArray[np.bool_] | None = None  # whether the ids of a row of the batch differ from the row before
+        self._ends: list[int] | None = None  # of the segments of the batch: rows, ascending
         self.state = new_state()
         self.events: list[Event] = []
         self._frame_events: list[Event] = []
@@ -82,10 +84,9 @@ class Cursor:
         times = batch.elapsed[start : start + _MAX_FRAMES]
         if not np.all(np.diff(times, prepend=time) > SAME_TIME) or not times[-1] < math.inf:
             return None
-        if self._changes is None:
-            self._changes = _id_changes(batch)
-        changes = self._changes[start + 1 : start + len(times)]
-        end = start + min(int(np.searchsorted(times, stop)), int(changes.argmax()) + 1 if changes.any() else len(times))
+        if self._ends is None:
+            self._ends = sorted({each.frames.stop for name in _NUMBERS for each in segments(batch.records(name))})
+        end = min(start + int(np.searchsorted(times, stop)), start + len(times), self._ends[bisect_right(self._ends, start)])
         if end == len(batch):
             self._ahead = self._ahead or next(self._batches, None)
             if self._ahead is not None and not self._ahead.elapsed[0] > batch.elapsed[-1] + SAME_TIME:
@@ -129,7 +130,7 @@ class Cursor:
     def _read_next(self) -> None:
         if self._batch is None or self._row >= len(self._batch):
             self._batch, self._ahead = self._ahead or next(self._batches, None), None
-            self._row, self._changes = 0, None
+            self._row, self._ends = 0, None
         self.next = None if self._batch is None else self._batch.frame(self._row)
 
     def _read_batches(self, start: float) -> Iterator[Batch]:
@@ -170,12 +171,3 @@ class Cursor:
             stop, width = start, width * _WIDER
         if recalled:
             self.state.recall_lights(np.concatenate(list(recalled.values())))
-
-
-def _id_changes(batch: Batch) -> NDArray[np.bool_]:
-    """Return of each frame whether the ids of any records differ from those of the frame before."""
-    changes = np.zeros(len(batch), np.bool_)
-    for name in _NUMBERS:
-        ids = batch.records(name)["id"]
-        changes[1:] |= (ids[1:] != ids[:-1]).any(axis=1)
-    return changes
