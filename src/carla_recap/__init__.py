@@ -37,7 +37,8 @@ if TYPE_CHECKING:
     from carla_recap.export.parquet import export_parquet
     from carla_recap.export.report import write_report
     from carla_recap.export.tracks import export_csv
-    from carla_recap.fleet.index import IndexSummary, RecordingIndex, open_index, write_index
+    from carla_recap.fleet.index.database import RecordingIndex, open_index
+    from carla_recap.fleet.index.writing import IndexSummary, write_index
     from carla_recap.fleet.outcomes import Outcome
     from carla_recap.fleet.recordings import map_recordings, open_recordings
     from carla_recap.fleet.rules import Rule, RuleSet, Verdict, check, load_rules
@@ -154,7 +155,8 @@ _get, __dir__ = lazily(
         "queries.blocked": ("BlockedRow",),
         "queries.collisions": ("CollisionRow",),
         "queries.differences": ("ActorDifference", "Differences", "EventDifference", "LightDifference"),
-        "fleet.index": ("IndexSummary", "RecordingIndex", "open_index", "write_index"),
+        "fleet.index.database": ("RecordingIndex", "open_index"),
+        "fleet.index.writing": ("IndexSummary", "write_index"),
         "formats": ("create_writer",),
         "queries.incidents": ("Incident",),
         "queries.info": ("InfoRow",),

@@ -17,7 +17,7 @@ if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator
 
     from carla_recap.cli.sql_output import Form
-    from carla_recap.fleet.index import RecordingIndex
+    from carla_recap.fleet.index.database import RecordingIndex
 
 T = TypeVar("T")
 
@@ -57,7 +57,7 @@ def index(
     """
     from carla_recap.cli.many import client_of
     from carla_recap.cli.progress import SourcesBar
-    from carla_recap.fleet.index import write_index
+    from carla_recap.fleet.index.writing import write_index
     from carla_recap.queries.roads import WITHOUT_ROADS
     from carla_recap.util.signals import unwind_on_termination
     from carla_recap.util.text import readable
@@ -119,7 +119,7 @@ def sql(index_file: str, query: str, form: Form | None) -> NoReturn:
     """
     from carla_recap.cli import INTERRUPTED
     from carla_recap.cli.sql_output import show_rows
-    from carla_recap.fleet.index import open_index
+    from carla_recap.fleet.index.database import open_index
 
     text = sys.stdin.buffer.read().decode("utf-8", "surrogateescape") if query == "-" else query
     opened = open_index(index_file)
