@@ -17,9 +17,10 @@ from carla_recap import FormatError, NotARecording, RecapError, open_recording, 
 from carla_recap.formats.mcap.index import (
     CHUNK_LIMIT,
     RECORDS_LIMIT,
+    Summary,
     decompress,
     open_chunk,
-    parse_record,
+    parse_metadata,
     read_record,
     read_summary,
     split_records,
@@ -82,27 +83,45 @@ def test_a_record_that_is_not_whole_is_an_error(rest):
 
 
 RECORDS = [
-    (records.Schema(id=3, data=b"abc", encoding="protobuf", name="a.B"), (3, "a.B")),
-    (records.Channel(3, "/a", "protobuf", {"k": "v"}, 4), (3, 4, "/a", "protobuf")),
-    (records.Metadata(name="a", metadata={"k": "v", "ä": ""}), ("a", {"k": "v", "ä": ""})),
-    (records.MetadataIndex(offset=1 << 40, length=7, name="a"), ("a", 1 << 40)),
-    (records.Statistics(1, 2, {3: 4}, 5, 6, 7, 8, 9, 10), (6, 5)),
+    (records.Schema(id=3, data=b"abc", encoding="protobuf", name="a.B"), {"schemas": {3: "a.B"}}),
+    (records.Channel(3, "/a", "protobuf", {"k": "v"}, 4), {"channels": {3: (3, 4, "/a", "protobuf")}}),
+    (records.MetadataIndex(offset=1 << 40, length=7, name="a"), {"metadata": {"a": 1 << 40}}),
+    (records.Statistics(1, 2, {3: 4}, 5, 6, 7, 8, 9, 10), {"messages": 6, "chunk_count": 5}),
+    (
+        records.ChunkIndex(7, 8, "zstd", 9, 20, 5, {3: 40, 4: 50}, 10, 11),
+        {"chunks": [(10, 20, 8, 7, {3, 4})]},
+    ),
+    (records.Attachment(1, 2, "a", "b", b"c"), {}),
 ]
 
 
-@pytest.mark.parametrize(("record", "parsed"), RECORDS)
-def test_a_record_is_parsed(record, parsed):
-    data = packed(record)
-    assert parse_record(data[0], data[9:]) == parsed
+@pytest.mark.parametrize(("record", "added"), RECORDS)
+def test_a_record_is_added_to_the_summary(record, added):
+    data, summary = packed(record), Summary()
+    summary.add(data[0], memoryview(data)[9:])
+    assert vars(summary) == vars(Summary()) | added
 
 
-@pytest.mark.parametrize("opcode", [3, 4, 11, 12, 13])
+def test_metadata_are_parsed():
+    values = {"k": "v", "ä": ""}
+    assert parse_metadata(packed(records.Metadata(name="a", metadata=values))[9:]) == ("a", values)
+
+
+@pytest.mark.parametrize("opcode", [3, 4, 8, 11, 13])
 @given(data=st.binary(max_size=60))
 def test_any_bytes_are_a_record_or_an_error(opcode, data):
     try:
-        assert isinstance(parse_record(opcode, data), tuple)
+        Summary().add(opcode, memoryview(data))
     except ValueError as error:
         assert "\n" not in str(error)  # noqa: PT017
+
+
+@given(data=st.binary(max_size=60))
+def test_any_bytes_are_metadata_or_an_error(data):
+    try:
+        assert isinstance(parse_metadata(data), tuple)
+    except ValueError as error:
+        assert str(error).startswith("broken METADATA record")  # noqa: PT017
 
 
 @pytest.mark.parametrize("compression", ["", "zstd", "lz4"])

@@ -10,7 +10,7 @@ import zlib
 from functools import lru_cache
 from itertools import pairwise
 from threading import local
-from typing import TYPE_CHECKING, Any, Final, NamedTuple
+from typing import TYPE_CHECKING, Final, NamedTuple
 
 import zstandard
 from mcap.opcode import Opcode
@@ -27,7 +27,7 @@ from carla_recap.formats.mcap.schema import (
 )
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator
+    from collections.abc import Iterator
 
     from carla_recap.formats.sources import ByteSource
 
@@ -39,6 +39,12 @@ METADATA_LIMIT: Final = 512 << 10
 """The largest metadata that are read, in bytes; those of a header with the longest of names are smaller."""
 RECORDS_LIMIT: Final = 1 << 17
 """The most records, beside chunk indexes, that a summary is made of: as many schemas and channels as there are ids."""
+
+_U16: Final = struct.Struct("<H")
+_U32: Final = struct.Struct("<I")
+_CHANNEL: Final = struct.Struct("<HH")  # id, schema
+_METADATA_INDEX: Final = struct.Struct("<QQ")  # offset, length
+_STATISTICS: Final = struct.Struct("<QHIIII")  # numbers of messages, schemas, channels, attachments, metadata, chunks
 
 
 def read_record(source: ByteSource, offset: int, opcode: Opcode, what: str, limit: int = CHUNK_LIMIT) -> bytes:
@@ -80,22 +86,6 @@ class ChannelRecord(NamedTuple):
     encoding: str
 
 
-def parse_record(opcode: int, content: bytes | memoryview) -> Any:
-    """Return what a record of a summary contains.
-
-    Returns:
-        Of a schema, its id and name; a `ChannelRecord`; of metadata, their name and a dict; of a metadata index, the name
-        and the offset; of statistics, the numbers of messages and chunks.
-
-    Raises:
-        ValueError: The content is broken.
-    """
-    try:
-        return _PARSERS[opcode](memoryview(content))
-    except (struct.error, ValueError) as error:
-        raise ValueError(f"broken {Opcode(opcode).name} record ({error})") from None
-
-
 def _string(data: memoryview, offset: int) -> tuple[str, int]:
     """Return a string with its length in front, and the offset behind it."""
     (size,) = _U32.unpack_from(data, offset)
@@ -105,50 +95,24 @@ def _string(data: memoryview, offset: int) -> tuple[str, int]:
     return str(data[offset + _U32.size : end], "utf-8"), end
 
 
-def _schema(data: memoryview) -> tuple[int, str]:
-    (id,) = _U16.unpack_from(data)
-    return id, _string(data, _U16.size)[0]
+def parse_metadata(content: bytes) -> tuple[str, dict[str, str]]:
+    """Return the name and the values of a metadata record.
 
-
-def _channel(data: memoryview) -> ChannelRecord:
-    id, schema = _CHANNEL.unpack_from(data)
-    topic, offset = _string(data, _CHANNEL.size)
-    return ChannelRecord(id, schema, topic, _string(data, offset)[0])
-
-
-def _metadata(data: memoryview) -> tuple[str, dict[str, str]]:
-    name, offset = _string(data, 0)
-    (size,) = _U32.unpack_from(data, offset)
-    offset += _U32.size
-    values, end = {}, offset + size
-    while offset < end:
-        key, offset = _string(data, offset)
-        values[key], offset = _string(data, offset)
+    Raises:
+        ValueError: It is broken.
+    """
+    try:
+        data = memoryview(content)
+        name, offset = _string(data, 0)
+        (size,) = _U32.unpack_from(data, offset)
+        offset += _U32.size
+        values, end = {}, offset + size
+        while offset < end:
+            key, offset = _string(data, offset)
+            values[key], offset = _string(data, offset)
+    except (struct.error, ValueError) as error:
+        raise ValueError(f"broken METADATA record ({error})") from None
     return name, values
-
-
-def _metadata_index(data: memoryview) -> tuple[str, int]:
-    offset, _ = _METADATA_INDEX.unpack_from(data)
-    return _string(data, _METADATA_INDEX.size)[0], offset
-
-
-def _statistics(data: memoryview) -> tuple[int, int]:
-    messages, _, _, _, _, chunks = _STATISTICS.unpack_from(data)
-    return messages, chunks
-
-
-_U16: Final = struct.Struct("<H")
-_U32: Final = struct.Struct("<I")
-_CHANNEL: Final = struct.Struct("<HH")  # id, schema
-_METADATA_INDEX: Final = struct.Struct("<QQ")  # offset, length
-_STATISTICS: Final = struct.Struct("<QHIIII")  # numbers of messages, schemas, channels, attachments, metadata, chunks
-_PARSERS: Final[dict[int, Callable[[memoryview], Any]]] = {
-    Opcode.SCHEMA: _schema,
-    Opcode.CHANNEL: _channel,
-    Opcode.METADATA: _metadata,
-    Opcode.METADATA_INDEX: _metadata_index,
-    Opcode.STATISTICS: _statistics,
-}
 
 
 _of_thread: Final = local()
@@ -245,6 +209,31 @@ class Summary:
         self.chunk_count: int | None = None
         self.finished = False
 
+    def add(self, opcode: int, data: memoryview) -> None:
+        """Add what a record says of the content, if it is of such a kind.
+
+        Raises:
+            ValueError: It is broken.
+        """
+        if opcode == Opcode.CHUNK_INDEX:
+            self.chunks.append(_chunk_index(data))
+            return
+        try:
+            if opcode == Opcode.SCHEMA:
+                (id,) = _U16.unpack_from(data)
+                self.schemas[id], _ = _string(data, _U16.size)
+            elif opcode == Opcode.CHANNEL:
+                id, schema = _CHANNEL.unpack_from(data)
+                topic, offset = _string(data, _CHANNEL.size)
+                self.channels[id] = ChannelRecord(id, schema, topic, _string(data, offset)[0])
+            elif opcode == Opcode.METADATA_INDEX:
+                offset, _ = _METADATA_INDEX.unpack_from(data)
+                self.metadata[_string(data, _METADATA_INDEX.size)[0]] = offset
+            elif opcode == Opcode.STATISTICS:
+                self.messages, *_, self.chunk_count = _STATISTICS.unpack_from(data)
+        except (struct.error, ValueError) as error:
+            raise ValueError(f"broken {Opcode(opcode).name} record ({error})") from None
+
 
 def read_summary(source: ByteSource) -> Summary:
     """Return the summary of a finished file.
@@ -286,7 +275,7 @@ def read_summary(source: ByteSource) -> Summary:
             others += opcode != Opcode.CHUNK_INDEX
             if others > RECORDS_LIMIT:
                 raise ValueError(f"more than {RECORDS_LIMIT} records beside chunk indexes")
-            _take(summary, opcode, memoryview(data)[at:until])
+            summary.add(opcode, memoryview(data)[at:until])
     except ValueError as error:
         raise FormatError(path, start, f"the summary is damaged: {error}; 'carla-recap recover' makes a new one") from None
     summary.chunks.sort(key=lambda chunk: (chunk.start, chunk.offset))
@@ -305,22 +294,6 @@ def read_summary(source: ByteSource) -> Summary:
     if summary.messages and not offsets:
         raise FormatError(path, start, f"{summary.messages} messages lie outside chunks, where none are read")
     return summary
-
-
-def _take(summary: Summary, opcode: int, data: memoryview) -> None:
-    if opcode == Opcode.CHUNK_INDEX:
-        summary.chunks.append(_chunk_index(data))
-    elif opcode == Opcode.SCHEMA:
-        id, name = parse_record(opcode, data)
-        summary.schemas[id] = name
-    elif opcode == Opcode.CHANNEL:
-        channel = parse_record(opcode, data)
-        summary.channels[channel.id] = channel
-    elif opcode == Opcode.METADATA_INDEX:
-        name, offset = parse_record(opcode, data)
-        summary.metadata[name] = offset
-    elif opcode == Opcode.STATISTICS:
-        summary.messages, summary.chunk_count = parse_record(opcode, data)
 
 
 def _chunk_index(data: memoryview) -> ChunkIndex:

@@ -17,7 +17,7 @@ from mcap.opcode import Opcode
 from carla_recap.errors import FormatError, NotARecording, RecapWarning
 from carla_recap.formats.mcap.codec import WireError, decode_records
 from carla_recap.formats.mcap.frames import MESSAGES_LIMIT, Channels, FrameAssembler, ReadSelection, channel_messages, parsed
-from carla_recap.formats.mcap.index import METADATA_LIMIT, open_chunk, parse_record, read_record, read_summary
+from carla_recap.formats.mcap.index import METADATA_LIMIT, open_chunk, parse_metadata, read_record, read_summary
 from carla_recap.formats.mcap.schema import (
     BRAKING,
     CONTACTS,
@@ -246,7 +246,7 @@ class McapReader:
             return None
         content = read_record(self._source, offset, Opcode.METADATA, f"the metadata {name}", METADATA_LIMIT)
         try:
-            return unchecked(parse_record(Opcode.METADATA, content)[1])
+            return unchecked(parse_metadata(content)[1])
         except ValueError as error:
             raise FormatError(self.location, offset, f"broken MCAP metadata {name!r}: {error}") from None
 

@@ -16,7 +16,7 @@ from carla_recap.formats.mcap.index import (
     ChunkIndex,
     Summary,
     open_chunk,
-    parse_record,
+    parse_metadata,
     read_summary,
 )
 from carla_recap.formats.mcap.schema import (
@@ -202,19 +202,14 @@ class _Scan:
         if opcode == Opcode.METADATA and length > METADATA_LIMIT:
             return
         self._parsed -= 1
-        summary = self.summary
         content = self._source.read(at + RECORD.size, length, "a record")
-        if opcode == Opcode.SCHEMA:
-            id, name = parse_record(opcode, content)
-            summary.schemas[id] = name
-        elif opcode == Opcode.CHANNEL:
-            channel = parse_record(opcode, content)
-            summary.channels[channel.id] = channel
-        else:
-            name, values = parse_record(opcode, content)
-            if name in (HEADER_METADATA, EXTENT_METADATA):
-                unchecked(values)
-            summary.metadata[name] = at
+        if opcode != Opcode.METADATA:
+            self.summary.add(opcode, memoryview(content))
+            return
+        name, values = parse_metadata(content)
+        if name in (HEADER_METADATA, EXTENT_METADATA):
+            unchecked(values)
+        self.summary.metadata[name] = at
 
     def _is_record(self, at: int) -> bool:
         if at + RECORD.size > self._source.size:
