@@ -16,6 +16,7 @@ import pytest
 
 from carla_recap import ActorKind, MissingExtra, RecapError, RecapWarning, Spawn, open_recording
 from carla_recap.export import style
+from carla_recap.model.records import NO_ACTOR
 from carla_recap.replay import Player
 from carla_recap.roads import RoadMap, load_map
 from tests.replay.scripts import light, pose, spawn, velocity, write
@@ -576,7 +577,7 @@ def test_a_light_that_is_destroyed_and_spawned_again(tmp_path: Path) -> None:
 
 
 def test_contacts_with_pauses(tmp_path: Path) -> None:
-    contacts = {0: (1, 2), 1: (2, 1), 5: (1, 2), 20: (1, 2), 21: (1, style.NOTHING)}
+    contacts = {0: (1, 2), 1: (2, 1), 5: (1, 2), 20: (1, 2), 21: (1, NO_ACTOR)}
     frames = driven(30, spawned=[spawn(1), spawn(2)])
     for number, (at, pair) in enumerate(contacts.items()):
         frames[at] |= {"collisions": [(number, *pair, 0, 0)]}
@@ -634,7 +635,7 @@ def test_cameras_are_limited(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) ->
 
 
 def test_only_the_latest_of_many_contacts_are_marked(tmp_path: Path) -> None:
-    contacts = [(id, id, style.NOTHING, 0, 0) for id in range(1, 201)]
+    contacts = [(id, id, NO_ACTOR, 0, 0) for id in range(1, 201)]
     there = [pose(id, 100 * id) for id in range(1, 201)]
     frames = [{"transforms": there, "spawned": [spawn(id) for id in range(1, 201)], "collisions": contacts}]
     rrd = export(write(tmp_path / "crash.log", [*frames, *({} for _ in range(6))]), tmp_path / "crash.rrd")
