@@ -23,6 +23,8 @@ from carla_recap import MissingExtra
 from carla_recap.cli import cli
 from carla_recap.model.layout import Framing, Layout, Many
 from carla_recap.model.records import NO_ACTOR, UE4, ActorKind, Group, Spawn, attributes
+from carla_recap.queries.kinds import KINDS
+from carla_recap.queries.measures import MEASURES
 from tests.waiting import PATIENCE
 
 if TYPE_CHECKING:
@@ -115,6 +117,28 @@ def test_the_topic_of_a_record_type_is_listed(type):
     if type.topic:
         group = "state" if type.group is Group.STATE else "events"
         assert f"| `{type.topic}` | `{type.message}` | {type.id} | {group} |" in FORMAT
+
+
+@pytest.mark.parametrize("kind", KINDS.values(), ids=KINDS)
+def test_a_kind_of_incident_is_listed(kind):
+    names = " or ".join(f"`{measure.name}`" for measure in kind.measures)
+    (unit,) = {measure.unit for measure in kind.measures}
+    page = (ROOT / "docs" / "incidents.md").read_text("utf-8")
+    assert f"\n| `{kind.option}` | {kind.text} | {names} | {unit} |\n" in page
+
+
+@pytest.mark.parametrize("measure", MEASURES.values(), ids=MEASURES)
+def test_a_measure_is_listed(measure):
+    page = (ROOT / "docs" / "measures.md").read_text("utf-8")
+    section = page.partition("\n## The road\n")[2 if measure.needs_roads else 0]
+    assert f"\n| `{measure.name}` | {measure.unit} | {measure.extreme} | {measure.text} |\n" in section
+
+
+def test_the_values_of_incidents_are_those_that_are_shown(working_directory, capsys):
+    page = ROOT / "docs" / "incidents.md"
+    (code,) = [block for block in blocks(page, "python") if "hardest" in block]
+    exec(compile(code, "snippet", "exec"), {})
+    assert capsys.readouterr().out == "".join(blocks(page, "text"))
 
 
 def test_the_table_of_calls_is_up_to_date():

@@ -51,9 +51,9 @@ if TYPE_CHECKING:
     from carla_recap.queries.blocked import BlockedRow
     from carla_recap.queries.collisions import CollisionRow
     from carla_recap.queries.differences import ActorDifference, Differences, EventDifference, LightDifference
-    from carla_recap.queries.incidents import Incident
+    from carla_recap.queries.incidents import Incident, IncidentOptions
     from carla_recap.queries.info import InfoRow
-    from carla_recap.queries.measures.table import MeasureSeries
+    from carla_recap.queries.measures.table import MeasureRow, MeasureSeries
     from carla_recap.queries.summary import HeroSummary, RecordingSummary
     from carla_recap.recording import Recording, RecordingInfo, open_recording
     from carla_recap.replay import Player, Scene
@@ -78,10 +78,12 @@ __all__ = [
     "Header",
     "HeroSummary",
     "Incident",
+    "IncidentOptions",
     "IndexSummary",
     "InfoRow",
     "LightDifference",
     "LightStates",
+    "MeasureRow",
     "MeasureSeries",
     "MissingExtra",
     "NotARecording",
@@ -158,9 +160,9 @@ _get, __dir__ = lazily(
         "fleet.index.database": ("RecordingIndex", "open_index"),
         "fleet.index.writing": ("IndexSummary", "write_index"),
         "formats": ("create_writer",),
-        "queries.incidents": ("Incident",),
+        "queries.incidents": ("Incident", "IncidentOptions"),
+        "queries.measures.table": ("MeasureRow", "MeasureSeries"),
         "queries.info": ("InfoRow",),
-        "queries.measures.table": ("MeasureSeries",),
         "queries.summary": ("HeroSummary", "RecordingSummary"),
         "model.records": ("ActorKind", "Attribute", "Spawn", "attributes"),
         "recording": ("Recording", "RecordingInfo", "open_recording"),

@@ -321,6 +321,47 @@ def test_reports(make: Make) -> None:
     table(answer)
 
 
+# --- values --------------------------------------------------------------------------------------------
+
+
+def test_the_value_of_a_collision_is_the_speed_of_the_actors_relative_to_each_other(make: Make) -> None:
+    before = {"spawned": CAST, "velocities": [(1, 3.0, 0, 0, 0, 0, 0), (2, 0, 4.0, 0, 0, 0, 0)]}
+    row, unknown = collided(make(before, contact(1, 2), {}, contact(3, 99)))
+    assert (row.measure, row.value, row.unit, row.time) == ("relative_speed", 5.0, "m/s", TICK)
+    assert math.isnan(unknown.value)
+    assert math.isnan(row.threshold)
+
+
+def test_the_value_of_a_long_stop_is_its_duration(make: Make) -> None:
+    still = {"transforms": [pose(3, 300.0)]}
+    (row,) = incidents(make({"spawned": CAST, **still}, *[still] * 9), IncidentOptions(min_time=2.0))
+    assert (row.measure, row.value, row.unit) == ("duration", row.stop - row.start, "s")
+    assert (row.threshold, row.time) == (2.0, row.stop)
+
+
+def test_the_value_of_hard_braking_is_its_greatest_deceleration(tmp_path: Path, suffix: str) -> None:
+    speeds = [20.0] * 20
+    for deceleration in [7.0] * 10 + [9.0] * 10 + [7.0] * 10:
+        speeds.append(speeds[-1] - deceleration / RATE)
+    (row,) = braked(drive(tmp_path / f"drive{suffix}", ways(speeds), speeds))
+    assert (row.measure, row.unit, row.threshold) == ("deceleration", "m/s²", 6.0)
+    assert row.value == pytest.approx(9.0, abs=1e-3)
+    assert 30 / RATE <= row.time <= 40 / RATE
+
+
+def test_the_value_of_hard_braking_that_a_collision_ends_is_from_before(tmp_path: Path, suffix: str) -> None:
+    speeds = [*slowing(7.0)[:40], *[0.0] * 20]
+    hit = {"at_40": contact(3, NO_ACTOR) | {"transforms": [pose(3, ways(speeds)[40])]}}
+    (row,) = braked(drive(tmp_path / f"crash{suffix}", ways(speeds), speeds, **hit))
+    assert row.value == pytest.approx(7.0, abs=0.1)
+    assert row.start <= row.time <= row.stop < 2.0
+
+
+def test_values_are_columns(make: Make) -> None:
+    columns = incidents(make({"spawned": CAST}, contact(1, 2))).columns()
+    assert {"measure", "value", "unit", "threshold", "time"} <= columns.keys()
+
+
 # --- near misses ---------------------------------------------------------------------------------------
 
 
@@ -345,6 +386,8 @@ def test_near_misses(make: Make) -> None:
     assert row.text == "vehicle.d (5) crosses the path of vehicle.b (3) 0.4 s after it at 2.70 s, at 36 km/h"
     assert (row.start, row.stop) == (pytest.approx(2.3, abs=0.06), pytest.approx(2.7, abs=0.06))
     assert (row.x, row.y) == (0.0, pytest.approx(-3.0, abs=0.6))
+    assert (row.measure, row.unit, row.threshold) == ("post_encroachment_time", "s", 1.0)
+    assert (row.value, row.time) == (pytest.approx(0.4, abs=0.05), pytest.approx(2.7, abs=0.06))
     assert list(incidents(reader, IncidentOptions(kinds=kinds_without_roads()))) == [row]
     assert incidents(reader) == []
 

@@ -40,11 +40,11 @@ def impacts(source: Reader, wanted: Mapping[Key, float]) -> dict[Key, Impact]:
     times = {key: time for key, time in wanted.items() if key not in found}
     if times:
         search = ImpactSearch(times)
-        spans = _spans(times.values())
+        spans = joined((time - _BEFORE, time + _BEHIND) for time in times.values())
         if len(times) <= LOOK_UPS and (frames := source.frames_by_index(search.indexes, MOTION)):
             search.add_frames(frames)
         elif len(spans) <= LOOK_UPS and getattr(source, "metadata", {}).get("steady_clock") == "1":
-            for batches in _read(source, spans):
+            for batches in read_spans(source, spans):
                 search.add(batches)
         if search.missing:
             search.add(source.batches(MOTION), is_whole=True)
@@ -52,20 +52,19 @@ def impacts(source: Reader, wanted: Mapping[Key, float]) -> dict[Key, Impact]:
     return found
 
 
-def _spans(times: Iterable[float]) -> list[tuple[float, float]]:
-    """Return the times to read, in order; those that overlap are joined."""
-    spans: list[tuple[float, float]] = []
-    for time in sorted(times):
-        start, stop = time - _BEFORE, time + _BEHIND
-        if spans and start <= spans[-1][1]:
-            spans[-1] = (spans[-1][0], stop)
+def joined(spans: Iterable[tuple[float, float]]) -> list[tuple[float, float]]:
+    """Return spans of time in order; those that overlap are joined."""
+    found: list[tuple[float, float]] = []
+    for start, stop in sorted(spans):
+        if found and start <= found[-1][1]:
+            found[-1] = (found[-1][0], max(stop, found[-1][1]))
         else:
-            spans.append((start, stop))
-    return spans
+            found.append((start, stop))
+    return found
 
 
-def _read(source: Reader, spans: list[tuple[float, float]]) -> Iterator[Iterable[Batch]]:
-    """Yield the frames of each of some times; of a remote recording, several are read at once, to wait for them once."""
+def read_spans(source: Reader, spans: list[tuple[float, float]]) -> Iterator[Iterable[Batch]]:
+    """Yield the motion in each of some spans; of a remote recording, several are read at once, to wait for them once."""
     if not is_remote(source.location):
         for start, stop in spans:
             yield source.batches(MOTION, start=start, stop=stop)

@@ -16,7 +16,7 @@ from carla_recap.model.records import CM
 from carla_recap.model.stationary import MIN_DISTANCE, MIN_TIME, StationaryTracker
 from carla_recap.model.stationary import TYPES as STATIONARY_TYPES
 from carla_recap.queries.blocked import longest_first
-from carla_recap.queries.contacts import ImpactSearch, impacts, is_known
+from carla_recap.queries.contacts import LOOK_UPS, ImpactSearch, impacts, is_known, joined, read_spans
 from carla_recap.queries.measures.near_misses import POST_ENCROACHMENT_TIME, TIME_TO_COLLISION, NearMissDetector
 from carla_recap.queries.measures.near_misses import TYPES as MOTION_TYPES
 from carla_recap.queries.measures.road import TYPES as ROAD_TYPES
@@ -39,7 +39,6 @@ if TYPE_CHECKING:
 
 _KMH: Final = 3.6  # km/h in m/s
 _AROUND: Final = 2.5  # s around hard braking that are read to compute its deceleration
-_LOOK_UPS: Final = 100  # times that are read one by one; for more, all frames are read
 
 
 @dataclass(frozen=True, slots=True)
@@ -325,14 +324,10 @@ class HardBrakingDetector:
     def _looked_up(self, found: Iterable[tuple[Braking, float]]) -> BrakingDetector:
         """Return a detector that has processed the frames around known hard braking."""
         detector = BrakingDetector({row.id for row, _ in found}, self._search.options.deceleration)
-        spans: list[tuple[float, float]] = []
-        for start, stop in sorted((row.start - _AROUND, stop + _AROUND) for row, stop in found):
-            if spans and start <= spans[-1][1]:
-                spans[-1] = (spans[-1][0], max(stop, spans[-1][1]))
-            else:
-                spans.append((start, stop))
-        for start, stop in spans if len(spans) <= _LOOK_UPS else [(-math.inf, math.inf)]:
-            for batch in self._search.source.batches(BRAKING_TYPES, start=start, stop=stop):
+        spans = joined((row.start - _AROUND, stop + _AROUND) for row, stop in found)
+        whole = [(-math.inf, math.inf)]
+        for batches in read_spans(self._search.source, spans if len(spans) <= LOOK_UPS else whole):
+            for batch in batches:
                 detector.batch(batch)
         detector.finish()
         return detector

@@ -300,6 +300,10 @@ def test_broken_rules_are_incidents_of_all_kinds_where_the_roads_are_given(drive
         ("speeding", (CAR,), ("vehicle.mini.cooper_s",)),
         ("red light", (CAR,), ("vehicle.mini.cooper_s",)),
     ]
+    values = [(row.measure, round(row.value, 1), row.unit, round(row.threshold, 2)) for row in found]
+    assert values[0] == ("speed_over_limit", 6.1, "m/s", 1.39)
+    assert values[1][:3] == ("speed", 20.0, "m/s")
+    assert found[1].time == found[1].start
     assert found[1].text == f"vehicle.mini.cooper_s ({CAR}) runs a red light at 72 km/h (light {LIGHT})"
     assert (found[1].x, found[1].y) == pytest.approx((100, -1.75), abs=2.5)
 

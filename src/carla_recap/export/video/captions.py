@@ -20,7 +20,6 @@ _FADE: Final = 0.4  # s of the video, in which it fades
 _PATIENCE: Final = 2.0  # s after which a long stop is mentioned
 _NEAR: Final = 70.0  # m; incidents of others are mentioned if they are no farther away
 _MOST: Final = 2  # captions at a time
-_RANKS: Final = {name: -rank for rank, name in enumerate(KINDS)}  # ascending by importance
 _MAKES: Final = {"bh": "", "bmw": "BMW", "carlamotors": "", "t2": "T2", "tt": "TT", "c3": "C3", "a2": "A2", "zx125": "ZX125"}
 
 
@@ -42,7 +41,8 @@ class Captions:
         self._speed = speed
         self._followed = followed
         shown = [each for each in incidents if each.start <= stop + SAME_TIME and self._end(each) >= start]
-        self._incidents = sorted(shown, key=lambda each: (self._concerns(each), _RANKS[each.kind], each.start))
+        ranks = {kind: -rank for rank, kind in enumerate(KINDS)}
+        self._incidents = sorted(shown, key=lambda each: (self._concerns(each), ranks[each.kind], each.start))
 
     def marks(self) -> Iterator[tuple[float, str]]:
         """Yield the part of the video, from 0 to 1, at which each incident of the followed actor happens, and its kind."""
