@@ -6,18 +6,17 @@ Both recordings are read side by side, some frames at a time, on their elapsed t
 from __future__ import annotations
 
 import builtins
-from collections import deque
-from dataclasses import dataclass
-from itertools import pairwise
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
 from carla_recap.model.frame import SAME_TIME
 from carla_recap.model.records import CM
+from carla_recap.model.segment import Segment, SegmentBuffer, segments
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator
+    from collections.abc import Callable, Iterator, Sequence
 
     from numpy.typing import NDArray
 
@@ -27,7 +26,7 @@ if TYPE_CHECKING:
 
     Booleans = NDArray[np.bool_]
     Floats = NDArray[np.float64]
-    Ids = NDArray[np.uint32]
+    Ids = NDArray[np.integer[Any]]
     Indices = NDArray[np.intp]
 
 _TYPES: Final = ("transforms", "light_states")
@@ -124,28 +123,21 @@ class PathComparison:
             FormatError: A file contradicts its format.
         """
         ours, theirs = self._streams
-        window: deque[_FrameBlock] = deque()
-        exhausted = False
-        for block in ours:
+        while ours.read():
             start = 0
-            while start < len(block.clock):
-                while len(window) > 1 and window[1].clock[0] <= block.clock[start]:
-                    window.popleft()
-                stop = len(block.clock)
-                if not exhausted:
-                    until = window[-1].clock[-1:] if window else np.full(1, -np.inf + 0j)
-                    stop = int(np.searchsorted(block.clock, until, "right")[0])
+            while start < len(ours.clock):
+                theirs.drop(int(np.searchsorted(theirs.clock, ours.clock[start], "right")) - 1)
+                stop = len(ours.clock)
+                if not theirs.exhausted:  # frames behind the last one of the other recording are compared later
+                    stop = int(np.searchsorted(ours.clock, theirs.clock[-1], "right")) if len(theirs.clock) else 0
                 if stop > start:
-                    self._compare(block, start, stop, list(window))
+                    self._compare(start, stop)
                     start = stop
-                    continue
-                following = next(theirs, None)
-                if following is None:
-                    exhausted = True
                 else:
-                    window.append(following)
-        for _ in theirs:  # to count its poses
-            pass
+                    theirs.read()
+            ours.drop(len(ours.clock))
+        while theirs.read():  # to count its poses
+            theirs.drop(len(theirs.clock))
 
     def _unknown(self, id: int) -> int:
         """Return the track of an actor whose spawn was not recorded."""
@@ -155,36 +147,43 @@ class PathComparison:
             self.totals.grow(track + 1)
         return track
 
-    def _compare(self, block: _FrameBlock, start: int, stop: int, window: list[_FrameBlock]) -> None:
-        """Compare frames of a block with the frames of the other recording around them."""
-        if not window:
-            return
-        tracks = _Spans([block], start, stop).tracks("transforms")
+    def _compare(self, start: int, stop: int) -> None:
+        """Compare frames of the first recording with the frames of the other one around them."""
+        ours, theirs = self._streams
+        tracks = ours.segments["transforms"].ids(start, stop)
         if len(tracks) * (stop - start) > _CELLS and stop - start > 1:  # as if frames list other actors than those before
             middle = (start + stop) // 2
-            self._compare(block, start, middle, window)
-            self._compare(block, middle, stop, window)
+            self._compare(start, middle)
+            self._compare(middle, stop)
             return
-        pairing = _paired(block.clock[start:stop], np.concatenate([other.clock for other in window]))
+        if not len(theirs.clock):
+            return
+        pairing = _paired(ours.clock[start:stop], theirs.clock)
         rows = np.flatnonzero(pairing.valid)
         if len(rows):
             low, high = int(pairing.before[rows].min()), int(pairing.after[rows].max()) + 1
             pairing = pairing.moved(low)
-            spans = _Spans(window, low, high)
-            self._compare_poses(block, start, stop, pairing, spans)
-            self._compare_lights(block, start, stop, pairing, spans)
+            for tracks in self._tracks("transforms", start, stop, low, high):
+                mine, present = ours.dense("transforms", _POSE, tracks, start, stop)
+                other, known = _interpolated(pairing, *theirs.dense("transforms", _POSE, tracks, low, high))
+                self._add_poses(tracks, ours.time[start:stop], mine, other, present & known)
+            for tracks in self._tracks("light_states", start, stop, low, high):
+                (state,), present = ours.dense("light_states", ("state",), tracks, start, stop)
+                (others,), known = theirs.dense("light_states", ("state",), tracks, low, high)
+                time, seconds = ours.time[start:stop], ours.seconds[start:stop]
+                self._add_states(tracks, time, seconds, state, present, others, known, pairing)
 
-    def _compare_poses(self, block: _FrameBlock, start: int, stop: int, pairing: _Pairing, spans: _Spans) -> None:
-        ours = _Spans([block], start, stop)
-        tracks = np.intersect1d(ours.tracks("transforms"), spans.tracks("transforms"))
-        for columns in _parts(tracks, max(ours.count, spans.count)):
-            mine, present = ours.dense("transforms", _POSE, columns)
-            theirs, known = _interpolated(pairing, *spans.dense("transforms", _POSE, columns))
-            self._add_poses(columns, block.time[start:stop], mine, theirs, present & known)
+    def _tracks(self, name: str, start: int, stop: int, low: int, high: int) -> Iterator[Ids]:
+        """Yield the tracks that have records of a type in frames of both recordings, not too many to be compared at once."""
+        ours, theirs = self._streams
+        tracks = np.intersect1d(ours.segments[name].ids(start, stop), theirs.segments[name].ids(low, high))
+        width = max(_CELLS // max(stop - start, high - low), 1)
+        for first in range(0, len(tracks), width):
+            yield tracks[first : first + width]
 
     def _add_poses(
         self,
-        tracks: Indices,
+        tracks: Ids,
         time: Floats,
         mine: NDArray[Any],
         theirs: NDArray[Any],
@@ -226,24 +225,27 @@ class PathComparison:
         turn = np.where(present & np.isfinite(turn) & (turn > _ROUNDING), turn, 0.0).max(axis=0)
         totals.heading[tracks] = np.maximum(totals.heading[tracks], turn)
 
-    def _compare_lights(self, block: _FrameBlock, start: int, stop: int, pairing: _Pairing, spans: _Spans) -> None:
-        ours = _Spans([block], start, stop)
-        tracks = np.intersect1d(ours.tracks("light_states"), spans.tracks("light_states"))
-        totals = self.totals
-        before, after = pairing.before, pairing.after
-        for columns in _parts(tracks, max(ours.count, spans.count)):
-            (mine,), present = ours.dense("light_states", ("state",), columns)
-            (other,), there = spans.dense("light_states", ("state",), columns)
-            present &= there[before] & pairing.valid[:, None]
-            totals.light_frames[columns] += present.sum(axis=0)
-            # Between two frames, a light may have either state.
-            differs = present & (mine != other[before]) & ((mine != other[after]) | ~there[after])
-            if not differs.any():
-                continue
-            time, seconds = block.time[start:stop], block.seconds[start:stop]
-            totals.light_seconds[columns] += np.where(differs, seconds[:, None], 0.0).sum(axis=0)
-            new = differs.any(axis=0) & np.isnan(totals.light_first_at[columns])
-            totals.light_first_at[columns[new]] = time[differs.argmax(axis=0)][new]
+    def _add_states(
+        self,
+        tracks: Ids,
+        time: Floats,
+        seconds: Floats,
+        mine: NDArray[Any],
+        present: Booleans,
+        other: NDArray[Any],
+        known: Booleans,
+        pairing: _Pairing,
+    ) -> None:
+        """Add states of traffic lights in some frames, and in those of the other recording, (frames, tracks)."""
+        totals, before, after = self.totals, pairing.before, pairing.after
+        present = present & known[before] & pairing.valid[:, None]
+        totals.light_frames[tracks] += present.sum(axis=0)
+        # Between two frames, a light may have either state.
+        differs = present & (mine != other[before]) & ((mine != other[after]) | ~known[after])
+        if differs.any():
+            totals.light_seconds[tracks] += np.where(differs, seconds[:, None], 0.0).sum(axis=0)
+            new = differs.any(axis=0) & np.isnan(totals.light_first_at[tracks])
+            totals.light_first_at[tracks[new]] = time[differs.argmax(axis=0)][new]
 
 
 @dataclass(frozen=True, eq=False)
@@ -299,100 +301,7 @@ def _interpolated(pairing: _Pairing, poses: NDArray[Any], present: Booleans) -> 
     return np.where(between, first + pairing.weight[:, None] * steps, first), known
 
 
-def _parts(tracks: Indices, frames: int) -> Iterator[Indices]:
-    """Yield tracks in parts that are not too large to be compared at once."""
-    width = max(_CELLS // frames, 1)
-    for first in range(0, len(tracks), width):
-        yield tracks[first : first + width]
-
-
 # --- reading -------------------------------------------------------------------------------------------------------------
-
-
-@dataclass(frozen=True, eq=False, slots=True)
-class _TrackSegment:
-    """Records of consecutive frames that list the same actors.
-
-    Attributes:
-        first: The number of the first frame in its block.
-        records: The records, (frames, records of each).
-        columns: The columns of the records of tracks.
-        tracks: The tracks.
-    """
-
-    first: int
-    records: NDArray[np.void]
-    columns: Indices
-    tracks: Indices
-
-
-@dataclass(frozen=True, eq=False, slots=True)
-class _FrameBlock:
-    """Consecutive frames.
-
-    Attributes:
-        clock: A value for each frame, which always grows: the elapsed time, and the number of frames before with the same.
-        time: The elapsed seconds of each.
-        seconds: The seconds until the next one.
-        segments: The records, by type.
-    """
-
-    clock: NDArray[np.complex128]
-    time: Floats
-    seconds: Floats
-    segments: dict[str, list[_TrackSegment]]
-
-
-class _Spans:
-    """Some of the frames of consecutive blocks."""
-
-    def __init__(self, blocks: list[_FrameBlock], start: int, stop: int) -> None:
-        self._blocks, self._start, self._stop = blocks, start, stop
-
-    @property
-    def count(self) -> int:
-        """The number of frames."""
-        return self._stop - self._start
-
-    def tracks(self, name: str) -> Indices:
-        """Return the tracks that have records of a type, ascending."""
-        found = {segment.tracks.tobytes(): segment.tracks for _, segment in self.segments(name)}
-        return np.unique(np.concatenate([np.empty(0, np.intp), *found.values()]))
-
-    def dense(self, name: str, fields: tuple[str, ...], tracks: Indices) -> tuple[NDArray[Any], Booleans]:
-        """Return fields of the records of a type, (fields, frames, tracks), and where there are such records.
-
-        Args:
-            name: The type.
-            fields: The fields.
-            tracks: Tracks, ascending.
-        """
-        segments = list(self.segments(name))
-        dtype = segments[0][1].records.dtype[fields[0]] if segments else np.dtype("f4")
-        values = np.zeros((len(fields), self.count, len(tracks)), dtype)
-        present = np.zeros((self.count, len(tracks)), np.bool_)
-        for first, segment in segments:
-            rows = slice(max(-first, 0), self.count - first)
-            records = segment.records[rows]
-            columns, chosen = segment.columns, np.searchsorted(tracks, segment.tracks)
-            is_wanted = tracks[np.minimum(chosen, len(tracks) - 1)] == segment.tracks
-            columns, chosen = columns[is_wanted], chosen[is_wanted]
-            start = max(first, 0)
-            for number, field in enumerate(fields):
-                values[number, start : start + len(records), chosen] = records[field][:, columns].T
-            present[start : start + len(records), chosen] = True
-        return values, present
-
-    def segments(self, name: str) -> Iterator[tuple[int, _TrackSegment]]:
-        """Yield the segments of a type with the number of their first frame, which may be negative."""
-        first = -self._start
-        for block in self._blocks:
-            if first < self.count and first + len(block.clock) > 0:
-                for segment in block.segments[name]:
-                    start = first + segment.first
-                    if start < self.count and start + len(segment.records) > 0:
-                        yield start, segment
-            first += len(block.clock)
 
 
 class _Tracks:
@@ -429,7 +338,7 @@ class _Tracks:
 
 
 class _FrameStream:
-    """The frames of a recording, in blocks.
+    """The frames of a recording that are not compared yet.
 
     Args:
         source: The recording.
@@ -438,32 +347,53 @@ class _FrameStream:
         side: Which of the two recordings it is: 0 or 1.
 
     Attributes:
-        elapsed: The elapsed seconds of the frames until now.
+        elapsed: The elapsed seconds of all frames until now.
+        exhausted: Whether all frames have been read.
+        clock: A value for each frame, which always grows: the elapsed time, and the number of frames before with the same.
+        time: The elapsed seconds of each.
+        seconds: The seconds until the next one.
+        segments: The records of tracks, by type.
     """
 
     def __init__(self, source: Reader, tracks: _Tracks, totals: PathTotals, side: int) -> None:
         self.elapsed: list[Floats] = []
+        self.exhausted = False
+        self.clock = np.zeros(0, np.complex128)
+        self.time, self.seconds = np.zeros((2, 0))
+        self.segments = {name: SegmentBuffer() for name in _TYPES}
         self._tracks, self._totals, self._side = tracks, totals, side
         self._portions = _portions(source)
         self._latest = 0.0  # the latest time of all frames until now
         self._repeats = 0  # the frames before with this time, the first one not counted
 
-    def __iter__(self) -> Iterator[_FrameBlock]:
-        return self
-
-    def __next__(self) -> _FrameBlock:
-        batches = next(self._portions)
+    def read(self) -> bool:
+        """Read some more frames; return whether there are any."""
+        batches = next(self._portions, None)
+        if batches is None:
+            self.exhausted = True
+            return False
         time = np.concatenate([batch.elapsed for batch in batches])
-        self.elapsed.append(time)
         seconds = np.concatenate([batch.duration for batch in batches])
         seconds = np.where(np.isfinite(seconds), np.maximum(seconds, 0.0), 0.0)
-        segments: dict[str, list[_TrackSegment]] = {name: [] for name in _TYPES}
-        first = 0
+        self.elapsed.append(time)
+        self.clock = np.concatenate((self.clock, self._clock(time)))
+        self.time, self.seconds = np.concatenate((self.time, time)), np.concatenate((self.seconds, seconds))
         for batch in batches:
-            for name in _TYPES:
-                segments[name] += self._segments(batch, name, first)
-            first += len(batch)
-        return _FrameBlock(self._clock(time), time, seconds, segments)
+            for name, buffer in self.segments.items():
+                buffer.add(self._segments(batch, name), len(batch))
+        return True
+
+    def drop(self, count: int) -> None:
+        """Drop the first frames."""
+        if count > 0:
+            self.clock, self.time, self.seconds = self.clock[count:], self.time[count:], self.seconds[count:]
+            for buffer in self.segments.values():
+                buffer.drop(count)
+
+    def dense(self, name: str, fields: Sequence[str], tracks: Ids, start: int, stop: int) -> tuple[NDArray[Any], Booleans]:
+        """Return fields of the records of tracks, (fields, frames, tracks), and where there are such records."""
+        values, known = self.segments[name].dense(fields, tracks, start, stop)
+        return np.ascontiguousarray(values.swapaxes(1, 2)), np.ascontiguousarray(known.T)
 
     def _clock(self, time: Floats) -> NDArray[np.complex128]:
         steady = np.fmax.accumulate(np.concatenate(([self._latest], np.nan_to_num(time, nan=-np.inf))))
@@ -476,22 +406,15 @@ class _FrameStream:
         self._latest, self._repeats = float(steady[-1]), int(repeats[-1])
         return clock
 
-    def _segments(self, batch: Batch, name: str, first: int) -> Iterator[_TrackSegment]:
-        records = batch.records(name)
-        if not records.shape[1]:
-            return
-        ids = np.ascontiguousarray(records["id"])
-        cut = (ids[1:] != ids[:-1]).any(axis=1)
-        if len(self._tracks.changes):
-            passed = np.searchsorted(self._tracks.changes, batch.elapsed, "right")
-            cut |= passed[1:] != passed[:-1]
-        for start, stop in pairwise([0, *(np.flatnonzero(cut) + 1).tolist(), len(ids)]):
-            tracks = self._tracks.of(ids[start], float(batch.elapsed[start]))
-            columns = np.flatnonzero(tracks >= 0)
-            tracks = tracks[columns]
+    def _segments(self, batch: Batch, name: str) -> Iterator[Segment]:
+        """Yield the segments of a type, with tracks in place of ids."""
+        passed = np.searchsorted(self._tracks.changes, batch.elapsed, "right")
+        for segment in segments(batch.records(name), cuts=passed[1:] != passed[:-1]):
+            tracks = self._tracks.of(segment.ids, float(batch.elapsed[segment.first]))
+            found = replace(segment, ids=tracks).only(tracks >= 0)
             if name == "transforms":
-                self._totals.poses[self._side, tracks] += stop - start
-            yield _TrackSegment(first + start, records[start:stop], columns, tracks)
+                self._totals.poses[self._side, found.ids] += len(segment)
+            yield found
 
 
 def _portions(source: Reader) -> Iterator[list[Batch]]:
