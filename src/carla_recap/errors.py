@@ -5,7 +5,9 @@ RecapError
 │   └── NotARecording      a file is not a recording
 ├── Closed                 a closed recording is used
 ├── RecordError            records that cannot be written (too many, wrong shape, unknown name)
-└── MissingExtra           an optional dependency is not installed
+└── NotSetUp               the machine lacks something, whatever the file
+    ├── MissingExtra       an optional dependency is not installed
+    └── NoCredentials      the environment has no credentials for an object store
 RecapWarning               part of a file is left out
 """
 
@@ -80,7 +82,15 @@ def _has_carla() -> bool:
     return sys.version_info < (3, 13) and machines.get(sys.platform) == platform.machine()
 
 
-class MissingExtra(RecapError):
+class NotSetUp(RecapError):
+    """The machine lacks something that is needed, whatever the file."""
+
+
+class NoCredentials(NotSetUp):
+    """The environment has no credentials for an object store."""
+
+
+class MissingExtra(NotSetUp):
     """An optional dependency is not installed.
 
     Args:

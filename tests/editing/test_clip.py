@@ -39,7 +39,7 @@ from tests.strategies import recordings, signature
 
 if TYPE_CHECKING:
     from carla_recap.formats.base import Reader
-    from carla_recap.replay.events import Present
+    from carla_recap.model.actors import ActorLife
     from carla_recap.replay.scene import Scene
 
 CROSSING = Path(__file__).parents[2] / "samples" / "crossing.log"
@@ -63,7 +63,7 @@ def packets_of(frame: Frame) -> list[tuple[int, bytes]]:
     return [(packet.id, bytes(packet.payload)) for packet in frame.packets]
 
 
-def parent_of(actor: Present, scene: Scene) -> int | None:
+def parent_of(actor: ActorLife, scene: Scene) -> int | None:
     """Return its parent; in the first scene only one recorded with its spawn, as others are recorded in the next frame."""
     return actor.parent if actor.attached or not scene.fresh else None
 
@@ -80,7 +80,7 @@ def seen(scene: Scene) -> Any:
                     actor.spawn.attributes,
                     parent_of(actor, scene),
                     actor.attached,
-                    actor.box,
+                    actor.bounding_box,
                 )
                 for actor in sorted(scene.actors.values(), key=lambda actor: actor.id)
             ],

@@ -310,7 +310,7 @@ def test_every_actor_with_a_body_is_shown_in_a_frame_of_its_own(crossing, time):
     from carla_recap.replay import Player
 
     with open_recording(CROSSING) as recording:
-        there = {f"actor {id}" for id, actor in Player(recording).at(time).actors.items() if actor.kind != ActorKind.SENSOR}
+        there = {f"actor {id}" for id, actor in Player(recording).at(time).actors.items() if actor.kind != "sensor"}
     assert bodies(crossing, time).keys() == there
     told = [[message for at, message in crossing[topic] if at <= time + 1e-6] for topic in ("/tf/actors", "/tf/still")]
     frames = [transform.child_frame_id for messages in told for message in messages[-1:] for transform in message.transforms]

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+import re
 import shutil
 import signal
 import socket
@@ -16,7 +17,7 @@ from pathlib import Path
 import pytest
 
 from carla_recap import Recording, map_recordings
-from carla_recap.errors import RecapError, RecapWarning
+from carla_recap.errors import MissingExtra, NoCredentials, RecapError, RecapWarning
 from carla_recap.fleet.cluster import connect
 from carla_recap.fleet.engine import map_sources
 from carla_recap.fleet.sources import SourceFile
@@ -68,8 +69,21 @@ def end_always(source, folder):
     return source.location
 
 
-def location(source):
-    return source.location
+def address(source):
+    return source.address
+
+
+def absent(source):
+    warnings.warn(f"{source.address}: is odd", RecapWarning, stacklevel=1)
+    raise RecapError(f"{source.address}: is absent")
+
+
+def without_keys(source):
+    raise NoCredentials(f"{source.location}: no credentials")
+
+
+def without_extra(source):
+    raise MissingExtra("video", "video")
 
 
 @contextmanager
@@ -118,10 +132,61 @@ def test_another_error_of_the_function_is_raised(client):
         list(map_sources(wrong, sources(3), client=client))
 
 
-def test_paths_of_local_files_are_absolute(client, monkeypatch, tmp_path):
+def test_workers_open_absolute_paths_and_messages_have_those_that_were_given(client, monkeypatch, tmp_path):
     monkeypatch.chdir(tmp_path)
-    (outcome,) = map_sources(location, [SourceFile("a.log")], client=client)
-    assert outcome.value == outcome.source.location == str(tmp_path / "a.log")
+    (outcome,) = map_sources(address, [SourceFile("a.log")], client=client)
+    assert (outcome.value, outcome.source.location) == (str(tmp_path / "a.log"), "a.log")
+    (outcome,) = map_sources(absent, [SourceFile("a.log")], client=client)
+    assert (outcome.error, outcome.warnings) == ("a.log: is absent", ("a.log: is odd",))
+
+
+def test_what_a_worker_lacks_is_said_once(client):
+    with pytest.raises(RecapError) as caught, time_limit():
+        list(map_sources(without_keys, sources(40), client=client))
+    assert re.fullmatch(r"the Dask worker tcp://127\.0\.0\.1:\d+: s3://bucket/\d+\.log: no credentials", str(caught.value))
+    with pytest.raises(RecapError, match=r"the Dask worker tcp://[^ ]*: video needs an optional dependency"), time_limit():
+        list(map_sources(without_extra, sources(40), client=client))
+
+
+def test_a_module_that_workers_lack_is_said_once(client, tmp_path, monkeypatch):
+    (tmp_path / "module_of_this_machine.py").write_text("def function(source):\n    return 1\n")
+    monkeypatch.syspath_prepend(tmp_path)
+    from module_of_this_machine import function
+
+    with (
+        pytest.raises(RecapError, match=r"the Dask worker tcp://[^ ]*: No module named .module_of_this_machine") as caught,
+        time_limit(),
+    ):
+        list(map_sources(function, sources(40), client=client))
+    assert "\n" not in str(caught.value)
+
+
+def test_a_key_that_workers_lack_is_one_line(cluster):
+    done = run("collisions", *(f"s3://bucket/{index}.mcap" for index in range(20)), "--dask", cluster.scheduler_address)
+    assert (done.returncode, done.stdout) == (2, b"")
+    message = the_line(done.stderr)
+    assert re.match(
+        r"the Dask worker tcp://[^ ]+: s3://bucket/\d+\.mcap: cannot be read: no credentials were found", message
+    )
+
+
+def test_relative_paths_are_printed_as_they_were_given(cluster, tmp_path):
+    (tmp_path / "runs").mkdir()
+    shutil.copy(CROSSING, tmp_path / "runs" / "a.log")
+    (tmp_path / "runs" / "b.log").write_bytes(b"junk")
+    for form in ([], ["--json"]):
+        asked = ["collisions", "runs", *form]
+        expected, found = (run(*asked, *more, cwd=tmp_path) for more in ([], ["--dask", cluster.scheduler_address]))
+        assert (found.returncode, found.stdout, found.stderr) == (2, expected.stdout, expected.stderr)
+
+
+def test_files_are_written_by_workers(cluster, tmp_path):
+    shutil.copy(CROSSING, tmp_path / "a.log")
+    shutil.copy(CROSSING, tmp_path / "b.log")
+    done = run("convert", "a.log", "b.log", "out", "--dask", cluster.scheduler_address, "--json", "-q", cwd=tmp_path)
+    assert done.returncode == 0, done.stderr
+    assert len(json.loads(done.stdout)["written"]) == 2
+    assert (tmp_path / "out" / "b.mcap").stat().st_size > 1000
 
 
 def test_recordings_are_mapped(client):

@@ -51,7 +51,8 @@ def state(scene: Scene) -> dict[str, Any]:
         "frame": scene.frame_id,
         "poses": dict(zip(scene.ids.tolist(), scene.poses.tolist(), strict=True)),
         "actors": {
-            id: (actor.type_id, actor.since, actor.parent, actor.attached, actor.box) for id, actor in scene.actors.items()
+            id: (actor.type_id, actor.spawned_at, actor.parent, actor.attached, actor.bounding_box)
+            for id, actor in scene.actors.items()
         },
         "order": list(scene.actors),
         "places": {id: None if (p := scene.pose_of(id)) is None else p.tolist() for id in scene.actors},

@@ -209,11 +209,11 @@ def test_boxes(record: Record) -> None:
         {"spawned": [HERO, spawn(2)], "bounding_boxes": [box(1, 100), box(2, float("nan"))]}, additional_data=True
     )
     scene = Player(recording).at(0)
-    found = scene.actors[1].box
+    found = scene.actors[1].bounding_box
     assert found is not None
     assert (found.y, found.extent_x) == pytest.approx((-0.2, 1))
-    assert scene.actors[2].box is None
-    assert scene.spawned[0].actor.box == found
+    assert scene.actors[2].bounding_box is None
+    assert scene.spawned[0].actor.bounding_box == found
 
 
 def test_controls_are_those_of_the_frame(record: Record) -> None:

@@ -22,10 +22,11 @@ from carla_recap.queries.measures.over_time import SeriesCollector
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator, Sequence
 
+    from carla_recap.model.actors import ActorLife
     from carla_recap.model.batch import Batch
     from carla_recap.queries.incidents import Incident
     from carla_recap.queries.measures import MeasureSeries
-    from carla_recap.replay import Collided, Player, Present, Scene
+    from carla_recap.replay import Collided, Player, Scene
     from carla_recap.roads.network import RoadNetwork
 
 _MANY: Final = 5  # the number of actors that appear or disappear in a scene from which on they are counted, not named
@@ -54,7 +55,7 @@ class EventText:
     """Puts the events of a recording into words, scene by scene."""
 
     def __init__(self) -> None:
-        self._actors: dict[int, Present] = {}  # the present ones, and those destroyed in the current scene
+        self._actors: dict[int, ActorLife] = {}  # the present ones, and those destroyed in the current scene
         self._contacts: dict[frozenset[int], float] = {}  # the latest time of contact of pairs, in elapsed seconds
 
     def lines(self, scene: Scene) -> Iterator[Line]:
@@ -145,7 +146,7 @@ def _actor_line(text: str) -> Line:
     return Line(Level.INFO, "actors", text)
 
 
-def _count(actors: Sequence[Present], verb: str) -> str:
+def _count(actors: Sequence[ActorLife], verb: str) -> str:
     """Return a sentence that counts actors: `150 actors appear: 60 walkers, 50 vehicles, 40 others`."""
     kinds = Counter(style.style_of(actor).name for actor in actors)
     counts = ", ".join(f"{count} {name}{'s' * (count > 1)}" for name, count in kinds.most_common())

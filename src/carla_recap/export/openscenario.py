@@ -15,7 +15,7 @@ import numpy as np
 
 from carla_recap.editing.convert import check_destination
 from carla_recap.errors import RecapError
-from carla_recap.model.records import ActorKind
+from carla_recap.model.actors import ROAD_USERS
 from carla_recap.rendering.looks import look_of_present
 from carla_recap.rendering.materials import Tag
 from carla_recap.replay import Played, Player
@@ -26,14 +26,13 @@ from carla_recap.util.text import readable
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
+    from carla_recap.model.actors import ActorLife
     from carla_recap.recording import Recording
     from carla_recap.rendering.looks import Look
-    from carla_recap.replay.events import Present
     from carla_recap.replay.player import Progress
 
     Floats = NDArray[np.float64]
 
-_KINDS: Final = (ActorKind.VEHICLE, ActorKind.WALKER)
 _CATEGORIES: Final = {Tag.TRUCK: "truck", Tag.BUS: "bus", Tag.MOTORCYCLE: "motorbike", Tag.BICYCLE: "bicycle"}
 _SAME: Final = 1e-6  # m and radians; an actor that moves by less between two frames stands
 _MOST: Final = 2_000_000  # vertices
@@ -70,7 +69,7 @@ def export_openscenario(
     reader = source.reader
     check_destination(reader.location, destination, force=force)
     player = Player(source, start=start, duration=duration)
-    actors: dict[tuple[int, float], Present] = {}
+    actors: dict[tuple[int, float], ActorLife] = {}
     parts: dict[tuple[int, float], list[Floats]] = {}
     frames = vertices = 0
     for batch in player.batches(progress):
@@ -78,9 +77,9 @@ def export_openscenario(
         poses = right_handed(batch.poses)
         for column, id in enumerate(batch.ids.tolist()):
             actor = batch.actors.get(id)
-            if actor is None or actor.kind not in _KINDS:
+            if actor is None or actor.kind not in ROAD_USERS:
                 continue
-            key = id, actor.since
+            key = id, actor.spawned_at
             actors.setdefault(key, actor)
             rows = np.column_stack((batch.time - player.start, poses[:, column]))
             parts.setdefault(key, []).append(rows[np.isfinite(rows).all(axis=1)])
@@ -99,7 +98,7 @@ def export_openscenario(
     return Played(frames, player.stop - player.start)
 
 
-def _names(actors: list[Present]) -> list[str]:
+def _names(actors: list[ActorLife]) -> list[str]:
     """Return a name for each actor: its role, if no other has it, else its blueprint with its id."""
     roles = Counter(actor.role_name for actor in actors)
     names = [
@@ -159,10 +158,10 @@ def _time_condition(name: str, seconds: float, rule: str) -> Element:
     return group
 
 
-def _add_actor(root: Element, name: str, actor: Present, path: Floats) -> None:
+def _add_actor(root: Element, name: str, actor: ActorLife, path: Floats) -> None:
     look = look_of_present(actor)
     thing = SubElement(_child(root, "Entities"), "ScenarioObject", name=name)
-    if actor.kind == ActorKind.WALKER:
+    if actor.kind == "walker":
         body = SubElement(thing, "Pedestrian", name=_printable(actor.type_id), mass="75", pedestrianCategory="pedestrian")
         SubElement(body, "ParameterDeclarations")
         _add_box(body, look)
@@ -197,7 +196,7 @@ def _child(root: Element, path: str) -> Element:
     return found
 
 
-def _add_vehicle(thing: Element, actor: Present, look: Look | None) -> None:
+def _add_vehicle(thing: Element, actor: ActorLife, look: Look | None) -> None:
     category = _CATEGORIES.get(look.tag, "car") if look else "car"
     if actor.spawn.attribute("base_type") == "van":
         category = "van"

@@ -11,7 +11,8 @@ from carla_recap.replay.events import Collided, Destroyed, Parented, Spawned
 if TYPE_CHECKING:
     from collections.abc import Mapping
 
-    from carla_recap.replay.events import Event, Present
+    from carla_recap.model.actors import ActorLife
+    from carla_recap.replay.events import Event
 
 Color = tuple[int, int, int]
 """Red, green, blue, from 0 to 255."""
@@ -76,31 +77,31 @@ def light(state: int) -> tuple[str, Color]:
     return LIGHTS[state] if 0 <= state < len(LIGHTS) else LIGHTS[-1]
 
 
-def style_of(actor: Present) -> Style:
+def style_of(actor: ActorLife) -> Style:
     """Return the style of the kind of an actor."""
     return STYLES.get(_kind_of(actor), OTHER)
 
 
-def is_outlined(actor: Present) -> bool:
+def is_outlined(actor: ActorLife) -> bool:
     """Return whether only the edges of the box are drawn: of a sensor, or an unknown actor without a recorded box."""
-    return style_of(actor) is STYLES[ActorKind.SENSOR] or (style_of(actor) is OTHER and actor.box is None)
+    return style_of(actor) is STYLES[ActorKind.SENSOR] or (style_of(actor) is OTHER and actor.bounding_box is None)
 
 
-def color_of(actor: Present) -> Color:
+def color_of(actor: ActorLife) -> Color:
     """Return the colour of an actor: that of the hero, or that of its kind."""
     return HERO if actor.is_hero else style_of(actor).color
 
 
-def label_of(actor: Present) -> str:
+def label_of(actor: ActorLife) -> str:
     """Return a short name of an actor, such as `hero 24` or `audi.tt 31`."""
     name = "hero" if actor.is_hero else actor.type_id.partition(".")[2] or actor.type_id or style_of(actor).name
     return f"{name} {actor.id}"
 
 
-def box_of(actor: Present) -> BoundingBox:
+def box_of(actor: ActorLife) -> BoundingBox:
     """Return the box of an actor in its own right-handed axes: as recorded, or else that of its kind."""
-    if actor.box is not None:
-        return actor.box
+    if actor.bounding_box is not None:
+        return actor.bounding_box
     extent = style_of(actor).extent
     kind = _kind_of(actor)
     if kind == ActorKind.VEHICLE and actor.spawn.attribute("number_of_wheels") == "2":
@@ -110,19 +111,19 @@ def box_of(actor: Present) -> BoundingBox:
     return BoundingBox(0.0, 0.0, height, *extent)
 
 
-def _kind_of(actor: Present) -> int:
+def _kind_of(actor: ActorLife) -> int:
     """Return the kind of an actor; older simulators record sensors as of another kind."""
-    return ActorKind.SENSOR if actor.type_id.startswith("sensor.") else actor.kind
+    return ActorKind.SENSOR if actor.type_id.startswith("sensor.") else actor.spawn.kind
 
 
-def name_of(id: int, actors: Mapping[int, Present]) -> str:
+def name_of(id: int, actors: Mapping[int, ActorLife]) -> str:
     """Return the name of an actor for a sentence: `vehicle.audi.tt (31)`."""
     if id == NO_ACTOR:
         return STATIC_OBJECT
     return f"{actors[id].type_id} ({id})" if id in actors else f"actor {id}"
 
 
-def sentence(event: Event, actors: Mapping[int, Present]) -> str:
+def sentence(event: Event, actors: Mapping[int, ActorLife]) -> str:
     """Return a sentence about an event.
 
     Args:

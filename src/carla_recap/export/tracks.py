@@ -12,7 +12,7 @@ import numpy as np
 
 from carla_recap.editing.convert import check_destination
 from carla_recap.errors import RecapWarning
-from carla_recap.model.records import ActorKind
+from carla_recap.model.actors import ROAD_USERS
 from carla_recap.rendering.looks import look_of_present
 from carla_recap.replay import Played, Player
 from carla_recap.replay.pose import right_handed
@@ -23,8 +23,8 @@ if TYPE_CHECKING:
     from collections.abc import Iterator
     from pathlib import Path
 
+    from carla_recap.model.actors import ActorLife
     from carla_recap.recording import Recording
-    from carla_recap.replay.events import Present
     from carla_recap.replay.player import Progress
     from carla_recap.replay.scene import SceneBatch
 
@@ -34,8 +34,6 @@ COLUMNS: Final = (
     *("length", "width", "height", "box_x", "box_y", "box_z"),
 )
 """Time in s; positions and sizes in m, angles in degrees, velocities in m/s, in right-handed axes."""
-
-_KINDS: Final = {ActorKind.VEHICLE: "vehicle", ActorKind.WALKER: "walker"}
 
 
 def export_csv(
@@ -102,7 +100,7 @@ def _rows(batch: SceneBatch) -> Iterator[list[object] | None]:
     for column, actor in actors:
         look = look_of_present(actor)
         half, center = (look.half_extents, look.center) if look else ((0.0,) * 3, (0.0,) * 3)
-        head = [actor.id, _KINDS[ActorKind(actor.kind)], visible(actor.type_id), visible(actor.role_name)]
+        head = [actor.id, actor.kind, visible(actor.type_id), visible(actor.role_name)]
         columns.append((column, head, [*(_rounded(2 * extent) for extent in half), *map(_rounded, center)]))
     finite: Any = np.isfinite(poses).all(axis=2)
     for row, time in enumerate(batch.time.tolist()):
@@ -115,10 +113,10 @@ def _rows(batch: SceneBatch) -> Iterator[list[object] | None]:
             yield [time, *head, *poses[row, column].tolist(), *(moving if is_known else [""] * 3), *size]
 
 
-def _actor(batch: SceneBatch, id: int) -> Present | None:
+def _actor(batch: SceneBatch, id: int) -> ActorLife | None:
     """Return a vehicle or a walker; None for another actor."""
     actor = batch.actors.get(id)
-    return actor if actor is not None and actor.kind in _KINDS else None
+    return actor if actor is not None and actor.kind in ROAD_USERS else None
 
 
 def _rounded(metres: float) -> float:

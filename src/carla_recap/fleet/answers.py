@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from functools import partial
 from typing import TYPE_CHECKING, Any, Final, Literal
 
+from carla_recap.errors import NotSetUp
 from carla_recap.fleet.engine import map_sources
 from carla_recap.fleet.outcomes import one_line
 
@@ -98,7 +99,7 @@ def _pieces(answer: RecordingAnswer, query: Query, form: Form) -> Iterator[Piece
 
     location = answer.source.location
     try:
-        with closing(open_reader(location)) as reader:
+        with closing(open_reader(answer.source.address)) as reader:
             answer.header = reader.header
             found = query(reader)
             answer.kind = type(found)
@@ -106,8 +107,10 @@ def _pieces(answer: RecordingAnswer, query: Query, form: Form) -> Iterator[Piece
                 answer.rows += 1
                 yield piece
             answer.extent = found.extent
+    except NotSetUp:
+        raise
     except Exception as error:  # the other recordings are answered
-        answer.error = one_line(error, location)
+        answer.error = one_line(error, answer.source)
 
 
 def _rendered(found: Any, form: Form, location: str) -> Iterator[Piece]:

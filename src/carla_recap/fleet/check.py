@@ -87,7 +87,7 @@ def check_sources(
 
 
 def _checked(rules: RuleSet, road_map: str | None, source: SourceFile) -> tuple[str, int, float, Sequence[Verdict]]:
-    with open_recording(source.location) as recording:
+    with open_recording(source.address) as recording:
         verdicts = check(recording, rules, road_map=road_map)
         map_name = visible(plain_name(readable(recording.header.map_name)))
         try:

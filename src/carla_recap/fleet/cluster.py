@@ -7,11 +7,12 @@ from collections import deque
 from concurrent.futures import CancelledError
 from contextlib import suppress
 from dataclasses import replace
+from functools import partial
 from itertools import islice
 from pathlib import Path
 from typing import TYPE_CHECKING, Final, TypeVar
 
-from carla_recap.errors import MissingExtra, RecapError
+from carla_recap.errors import MissingExtra, NotSetUp, RecapError
 from carla_recap.fleet.outcomes import Outcome, outcome_of
 
 if TYPE_CHECKING:
@@ -27,6 +28,7 @@ _EACH: Final = 16  # recordings of a task: its administration costs about a mill
 _WINDOW: Final = 3  # tasks for each thread of the cluster that run, or wait, at a time
 _LEAST: Final = 8  # tasks, so that a cluster that adapts its size grows
 _PATIENCE: Final = 10.0  # s for the scheduler to answer
+_HAS_PACKAGE: Final = "__import__('importlib.util').util.find_spec('carla_recap') is not None"
 
 _one_at_a_time = threading.Lock()
 """Held while recordings are read: threads of one process gain nothing, and their warnings would be mixed."""
@@ -59,20 +61,24 @@ def map_on_cluster(
 ) -> Iterator[Outcome[T]]:
     """Yield the outcomes of a function for recordings, in their order; see `engine.map_sources`.
 
-    The paths of local files are made absolute; the cluster's workers have to see these files. Dask runs the tasks of workers
-    that are lost on others.
+    The cluster's workers open local files by their absolute paths, and have to see these files. Dask runs the tasks of
+    workers that are lost on others. What a worker lacks, such as an extra or credentials, ends the iteration.
     """
     from distributed.client import ClosedClientError
+    from distributed.protocol.pickle import dumps
     from distributed.scheduler import KilledWorker
 
-    left = iter(sources)
+    left, pickled = iter(sources), dumps(function)
     window: deque[tuple[list[SourceFile], Future[list[Outcome[T]]]]] = deque()
 
     def submit(group: list[SourceFile]) -> tuple[list[SourceFile], Future[list[Outcome[T]]]]:
-        return group, client.submit(_outcomes, function, group, pure=False)
+        return group, client.submit(_outcomes, pickled, group, pure=False)
 
     done = room = 0
     try:
+        for worker, has_package in client.run(eval, _HAS_PACKAGE).items():
+            if not has_package:
+                raise _WorkerLacks(f"the Dask worker {worker}: carla-recap is not installed there")
         while True:
             if done % _EACH == 0:
                 room = max(_WINDOW * sum(client.nthreads().values()), _LEAST)
@@ -95,6 +101,8 @@ def map_on_cluster(
                 window.popleft()
             done += 1
             yield from outcomes
+    except _WorkerLacks as error:
+        raise RecapError(str(error)) from None
     except (ClosedClientError, CancelledError, OSError, TimeoutError) as error:
         raise RecapError(f"the Dask cluster is gone ({_line(error)})") from None
     finally:
@@ -117,9 +125,33 @@ def _line(error: BaseException) -> str:
 
 
 def _absolute(source: SourceFile) -> SourceFile:
-    return source if "://" in source.location else replace(source, location=str(Path(source.location).absolute()))
+    return source if "://" in source.location else replace(source, absolute=str(Path(source.location).absolute()))
 
 
-def _outcomes(function: Callable[[SourceFile], T], sources: Iterable[SourceFile]) -> list[Outcome[T]]:
+def _outcomes(pickled: bytes, sources: Iterable[SourceFile]) -> list[Outcome[T]]:
+    """Return the outcomes of a function for some recordings, on a worker.
+
+    The function comes as bytes, since Dask waits forever for a worker that lacks the module of a function.
+    """
+    from distributed import get_worker
+    from distributed.protocol.pickle import loads
+
     with _one_at_a_time:
-        return [outcome_of(function, source) for source in sources]
+        try:
+            function = loads(pickled)
+        except ImportError as error:
+            raise _WorkerLacks(f"the Dask worker {get_worker().address}: {_line(error)}") from None
+        return [outcome_of(partial(_on_worker, function), source) for source in sources]
+
+
+class _WorkerLacks(Exception):
+    """A worker lacks something, whatever the recording; no `RecapError`, which would be an outcome."""
+
+
+def _on_worker(function: Callable[[SourceFile], T], source: SourceFile) -> T:
+    from distributed import get_worker
+
+    try:
+        return function(source)
+    except (NotSetUp, ImportError) as error:
+        raise _WorkerLacks(f"the Dask worker {get_worker().address}: {source.as_given(_line(error))}") from None

@@ -222,11 +222,11 @@ def _write_one(write: Write, folder: DestinationFolder, source: SourceFile) -> W
     try:
         if not is_remote(destination):
             Path(destination).parent.mkdir(parents=True, exist_ok=True)
-        return write_file(write, source.location, destination, force=folder.force or folder.newer)
+        return write_file(write, source.address, destination, force=folder.force or folder.newer)
     except (RecapError, OSError, MemoryError):
         raise
     except Exception as error:  # whatever a recording causes, the others are written
-        raise RecapError(one_line(error, source.location)) from error
+        raise RecapError(one_line(error, source)) from error
 
 
 def _check_scheme(destination: str) -> None:

@@ -42,14 +42,15 @@ def outcome_of(function: Callable[[SourceFile], T], source: SourceFile) -> Outco
         try:
             value, error = function(source), None
         except (RecapError, OSError, MemoryError) as failure:
-            value, error = None, one_line(failure, source.location)
-    return Outcome(source, value, error, tuple(str(warning.message) for warning in caught))
+            value, error = None, one_line(failure, source)
+    return Outcome(source, value, error, tuple(source.as_given(str(warning.message)) for warning in caught))
 
 
-def one_line(error: Exception, location: str) -> str:
+def one_line(error: Exception, source: SourceFile) -> str:
     """Return what an error with a recording says, in one line."""
+    location = source.location
     if isinstance(error, RecapError):
-        return str(error)
+        return source.as_given(str(error))
     if isinstance(error, MemoryError):
         return f"{location}: not enough memory"
     if isinstance(error, OSError):

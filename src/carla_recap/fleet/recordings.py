@@ -85,5 +85,5 @@ def _as_list(sources: Sources) -> Iterable[str | Path]:
 
 
 def _call(function: Callable[[Recording], T], source: SourceFile) -> T:
-    with open_recording(source.location) as recording:
+    with open_recording(source.address) as recording:
         return function(recording)

@@ -35,6 +35,7 @@ class SourceFile:
         error: Why it, or what should be recordings, cannot be found, in one line; None if it was found, or named.
         name: Its path below the folder, prefix or fixed part of the glob that was searched; of one that was named, its file
             name.
+        absolute: Its absolute path, for workers in other folders; None if its location is enough.
     """
 
     location: str
@@ -43,6 +44,16 @@ class SourceFile:
     etag: str | None = None
     error: str | None = None
     name: str = field(default="", compare=False)
+    absolute: str | None = field(default=None, compare=False)
+
+    @property
+    def address(self) -> str:
+        """What opens it, wherever the process is that does."""
+        return self.absolute or self.location
+
+    def as_given(self, message: str) -> str:
+        """Return a message with the location as it was given."""
+        return message if self.absolute is None else message.replace(self.absolute, self.location)
 
 
 def find_sources(sources: Iterable[str | Path], *, errors: Literal["raise", "yield"] = "raise") -> Iterator[SourceFile]:

@@ -1,4 +1,4 @@
-"""The protocols of readers and writers, which every format implements."""
+"""The protocols of readers and writers, which every format implements, and what all readers have in common."""
 
 from __future__ import annotations
 
@@ -42,7 +42,10 @@ class Reader(Protocol):
         stop: float = math.inf,
     ) -> Iterator[Frame]:
         """Yield the frames one by one; see `batches`."""
-        ...
+        for batch in self.batches(types, sparse=sparse, start=start, stop=stop):
+            for frame in batch:
+                yield frame
+                self.check_open()
 
     def batches(
         self,
@@ -77,7 +80,7 @@ class Reader(Protocol):
             indexes: The positions of frames in the recording, from 0.
             types: Names of record types, as in `batches`.
         """
-        ...
+        return None
 
     def extent(self) -> Extent:
         """Return the number of frames, the last id and the duration."""
@@ -93,7 +96,7 @@ class Reader(Protocol):
         Raises:
             FormatError: The file contradicts its format.
         """
-        ...
+        return None
 
     def hard_braking(self, deceleration: float) -> list[Braking] | None:
         """Return the intervals in which vehicles brake hard, in no order; None if the file does not list them.
@@ -104,7 +107,7 @@ class Reader(Protocol):
         Raises:
             FormatError: The file contradicts its format.
         """
-        ...
+        return None
 
     def impacts(self) -> list[Impact] | None:
         """Return the impacts of all contacts; None if the file does not list them.
@@ -112,14 +115,22 @@ class Reader(Protocol):
         Raises:
             FormatError: The file contradicts its format.
         """
-        ...
+        return None
 
     def tail(self) -> Iterator[bytes]:
         """Yield the bytes after the last complete packet, in pieces."""
         ...
 
+    def check_open(self) -> None:
+        """Check that it is not closed.
+
+        Raises:
+            Closed: It was.
+        """
+        ...
+
     def close(self) -> None:
-        """Close the file."""
+        """Close the file; arrays that were read from it stay valid."""
         ...
 
 

@@ -18,7 +18,7 @@ from typing import TYPE_CHECKING, BinaryIO, Final
 import numpy as np
 
 from carla_recap.errors import Closed, FormatError, NotARecording, RecapError, RecapWarning, RecordError
-from carla_recap.formats.base import PIECE
+from carla_recap.formats.base import PIECE, Reader
 from carla_recap.formats.log_scan import PACKET, START, START_HEAD, Scanner, Window, is_sound
 from carla_recap.formats.sources import path_of
 from carla_recap.model.batch import Batch, ConstantColumn, PackedColumn, within
@@ -58,7 +58,7 @@ def is_log(start: bytes) -> bool:
     return len(start) >= 4 and start[4 : 4 + U16.unpack_from(start, 2)[0]].upper() == MAGIC
 
 
-class LogReader:
+class LogReader(Reader):
     """Reads a CARLA log.
 
     Args:
@@ -115,8 +115,13 @@ class LogReader:
         start = self._window().read(self._start, 1)
         self._preamble = bool(start) and start[0] != FRAME_START
 
+    def check_open(self) -> None:
+        """Check that it is not closed; see `Reader.check_open`."""
+        if self._file.closed:
+            raise Closed(self.location)
+
     def close(self) -> None:
-        """Close the file; arrays that were read from it stay valid."""
+        """Close the file; see `Reader.close`."""
         self._file.close()
 
     def batches(
@@ -128,7 +133,7 @@ class LogReader:
         stop: float = math.inf,
     ) -> Iterator[Batch]:
         """Yield the frames in batches; see `Reader.batches`."""
-        self._check_open()
+        self.check_open()
         start, stop = start - SAME_TIME, stop - SAME_TIME
         names = None if types is None else frozenset(self.header.table.named(name).name for name in types)
         first = (0, self._start) if start == -math.inf else self._first_at(start)
@@ -137,23 +142,9 @@ class LogReader:
         batches = map(self._batch, self._runs(*first, names, sparse=sparse))
         yield from batches if start == -math.inf and stop == math.inf else within(batches, start, stop)
 
-    def frames(
-        self,
-        types: Collection[str] | None = None,
-        *,
-        sparse: bool = False,
-        start: float = -math.inf,
-        stop: float = math.inf,
-    ) -> Iterator[Frame]:
-        """Yield the frames; see `Reader.frames`."""
-        for batch in self.batches(types, sparse=sparse, start=start, stop=stop):
-            for frame in batch:
-                yield frame
-                self._check_open()
-
     def frame_at(self, elapsed: float) -> Frame | None:
         """Return the last frame that begins at or before a time; see `Reader.frame_at`."""
-        self._check_open()
+        self.check_open()
         times, offsets = self._indexed()
         earlier = np.flatnonzero(np.frombuffer(times) <= elapsed + SAME_TIME)
         if not len(earlier):
@@ -177,18 +168,9 @@ class LogReader:
         assert self._extent
         return self._extent
 
-    def stationary_intervals(self, min_time: float, min_distance: float) -> None:
-        """Return None: a log does not list stationary intervals."""
-
-    def hard_braking(self, deceleration: float) -> None:
-        """Return None: a log does not list hard braking."""
-
-    def impacts(self) -> None:
-        """Return None: a log does not list the beginnings of contacts."""
-
     def tail(self) -> Iterator[bytes]:
         """Yield the bytes after the last complete packet, in pieces."""
-        self._check_open()
+        self.check_open()
         self.extent()
         assert self._end is not None
         for offset in range(self._end, self._size, PIECE):
@@ -252,32 +234,23 @@ class LogReader:
 
     # --- the frames ----------------------------------------------------------------------------------------------------
 
-    def _check_open(self) -> None:
-        if self._file.closed:
-            raise Closed(self.location)
-
     def _window(self, piece: int | None = None) -> Window:
-        self._check_open()
+        self.check_open()
         return Window(self.location, self._file, self._size, self._lock, piece)
 
     def _runs(
         self, index: int, offset: int, names: frozenset[str] | None, *, sparse: bool = False, piece: int | None = None
     ) -> Iterator[Run]:
-        """Scan the frames from one on, whose position in the recording is given, to the end.
+        """Scan the frames from one on to the end; by default for all packets, else for those of some types with records.
 
-        Args:
-            index: The position of the first frame.
-            offset: The offset of the first frame in the file.
-            names: The types of the packets that are wanted, if they have records; None for all packets.
-            sparse: Whether to leave out frames without such packets.
-            piece: The bytes to read at once; None for as many as a scan reads.
+        With `sparse`, frames without such packets are left out. `piece` bytes are read at once, if not as many as usual.
         """
         window = self._window(piece)
         wanted = None if names is None else [type is not None and type.name in names for type in self._types]
         scanner = Scanner(self.location, window, self._types, wanted=wanted, sparse=sparse, lenient=self._lenient)
         for run in scanner.runs(index, offset, preamble=self._preamble and offset == self._start):
             yield run
-            self._check_open()
+            self.check_open()
         self.lost_bytes += scanner.lost_bytes
         assert scanner.end is not None
         self._end = scanner.end
@@ -377,10 +350,7 @@ def _read_text(data: bytes, offset: int) -> tuple[bytes, int]:
 def _is_shifted(id: int, payload: bytes, after: bool) -> bool | None:
     """Return whether a packet with one of the ambiguous ids is of a build with shifted ids; None if both are possible.
 
-    Args:
-        id: The packet id as in the file.
-        payload: The payload.
-        after: Whether it follows transforms or later packets of the frame: doors precede them, the others follow.
+    Doors come before transforms; what else has these ids comes after them, or after a later packet (`after`).
     """
     if len(payload) > len(EMPTY_LIST):
         plain, shifted = is_sound(UE4[id], payload), is_sound(UE4[SHIFT[id]], payload)

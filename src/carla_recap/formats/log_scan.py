@@ -314,12 +314,12 @@ class Scanner:
             window.move(self._offset)
 
     def _alike(self, data: bytes, start: int, stride: int) -> int:
-        """Return the number of frames in some data that are like the first one, which is all in memory.
+        """Return the number of frames like the one of `stride` bytes that starts at an index of some data, whole.
 
-        Args:
-            data: The data.
-            start: The index of the first frame in the data.
-            stride: Its size in bytes.
+        Of a frame of two packets, for example, these bytes are compared (`^^`), and nothing between them:
+
+            00 18000000 (id, duration, elapsed) 06 8e000000 0500 (5 transforms) 01 00000000
+            ^^ ^^^^^^^^                         ^^ ^^^^^^^^ ^^^^                ^^ ^^^^^^^^
         """
         # Headers, and numbers of records, are compared as the last bytes of words; words begin at every byte.
         where, masks = [0], [(1 << 8 * PACKET.size) - 1]

@@ -18,7 +18,7 @@ from shutil import disk_usage
 from threading import Lock, Thread
 from typing import TYPE_CHECKING, BinaryIO, Final, NamedTuple, TypeVar
 
-from carla_recap.errors import Closed, MissingExtra, NotARecording, RecapError
+from carla_recap.errors import Closed, MissingExtra, NoCredentials, NotARecording, RecapError
 from carla_recap.formats.sources import WEB, outside, path_of, scheme_of, unsigned
 from carla_recap.util.log import log_debug, log_info
 
@@ -136,8 +136,9 @@ def list_objects(url: str, source: str = "") -> Iterator[ListedObject]:
                 modified = meta["last_modified"].timestamp()
                 yield ListedObject(root + meta["path"], meta["size"], modified, meta["e_tag"])
     except (BaseError, OSError, ValueError) as error:
-        reason = "no such bucket or prefix" if " 404 " in str(error) else f"cannot be listed: {_reason(error)}"
-        raise RecapError(f"{source or url}: {reason}") from None
+        if " 404 " in str(error):
+            raise RecapError(f"{source or url}: no such bucket or prefix") from None
+        raise _failed(f"{source or url}: cannot be listed", error) from None
 
 
 def modified_at(url: str) -> float | None:
@@ -152,7 +153,7 @@ def modified_at(url: str) -> float | None:
     except FileNotFoundError:
         return None
     except (BaseError, OSError, ValueError) as error:
-        raise RecapError(f"{url}: cannot be read: {_reason(error)}") from None
+        raise _failed(f"{url}: cannot be read", error) from None
 
 
 def upload(path: Path, url: str) -> None:
@@ -166,8 +167,9 @@ def upload(path: Path, url: str) -> None:
         log_info(__name__, "uploads %s", unsigned(url))
         _started(partial(obstore.put, store, key, path)).result()
     except (BaseError, OSError, ValueError) as error:
-        reason = "no such bucket" if isinstance(error, FileNotFoundError) else _reason(error)
-        raise RecapError(f"{url}: cannot be written: {reason}") from None
+        if isinstance(error, FileNotFoundError):
+            raise RecapError(f"{url}: cannot be written: no such bucket") from None
+        raise _failed(f"{url}: cannot be written", error) from None
 
 
 def _settings() -> frozenset[tuple[str, str]]:
@@ -323,7 +325,7 @@ class RemoteSource:
                 if self.size:
                     raise self._changed() from None
                 raise NotARecording(self.location, "is empty; a CARLA log or an MCAP recording was expected") from None
-            raise RecapError(f"{self.location}: cannot be read: {_reason(error)}") from None
+            raise _failed(f"{self.location}: cannot be read", error) from None
         expected = found.range[1] - found.range[0]
         if len(data) != expected:
             raise RecapError(f"{self.location}: cannot be read: the server sent {len(data)} of {expected} bytes")
@@ -448,6 +450,12 @@ def _each(parts: deque[bytes]) -> Iterator[bytes]:
     """Yield parts, each of which is forgotten then."""
     while parts:
         yield parts.popleft()
+
+
+def _failed(what: str, error: Exception) -> RecapError:
+    """Return the error about what has failed."""
+    kind = NoCredentials if any(host in str(error) for host in _METADATA) else RecapError
+    return kind(f"{what}: {_reason(error)}")
 
 
 def _reason(error: Exception) -> str:

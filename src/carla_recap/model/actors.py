@@ -9,12 +9,16 @@ from math import isqrt
 from numbers import Integral
 from typing import TYPE_CHECKING, Final, Generic, Literal, TypeVar
 
+import numpy as np
+
 from carla_recap.errors import RecapError
 from carla_recap.model.records import CM, NO_ACTOR, ActorKind, Spawn
 from carla_recap.util.text import readable
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator, Sequence
+
+    from numpy.typing import NDArray
 
     from carla_recap.model.frame import Packet
 
@@ -71,7 +75,10 @@ class ActorLife:
         parent: The actor that it is attached to, if any.
         attributes: All attributes, as text.
         bounding_box: Its bounding box; None unless a finite one of positive size is recorded.
-        spawn: The record of its spawn, with its pose in cm and degrees, left-handed; no column of a table.
+        attached: Whether it was attached when it was spawned: the pose of its spawn is then in the parent's axes.
+        spawn: The record of its spawn, with its pose in cm and degrees, left-handed.
+
+    The last two are no columns of a table.
     """
 
     id: int
@@ -83,6 +90,7 @@ class ActorLife:
     parent: int | None = None
     attributes: dict[str, str] = field(default_factory=dict)
     bounding_box: BoundingBox | None = None
+    attached: bool = field(default=False, repr=False)
     spawn: Spawn = field(kw_only=True, repr=False, compare=False)
 
     @classmethod
@@ -105,8 +113,14 @@ class ActorLife:
 
     @property
     def place(self) -> tuple[float, float, float]:
-        """The place of its spawn, in m, right-handed."""
+        """The place of its spawn, in m, right-handed; in the parent's axes if it is `attached`."""
         return self.spawn.x * CM, -self.spawn.y * CM, self.spawn.z * CM
+
+    @property
+    def spawn_pose(self) -> NDArray[np.float64]:
+        """x, y, z in cm and roll, pitch, yaw in degrees, left-handed; in the parent's axes if it is `attached`."""
+        spawn = self.spawn
+        return np.array((spawn.x, spawn.y, spawn.z, spawn.roll, spawn.pitch, spawn.yaw))
 
     @property
     def name(self) -> str:
@@ -146,6 +160,7 @@ class ActorLives:
                     present.pop(id).destroyed_at = elapsed
                 elif name == "parented":
                     (present[id].parent,) = values
+                    present[id].attached = elapsed == present[id].spawned_at
                 elif (box := BoundingBox.of(values)) is not None:
                     present[id].bounding_box = box
 
@@ -185,10 +200,10 @@ class ActorLives:
 
     def name(self, id: int, time: float) -> str:
         """Return what a text calls an actor or a static object."""
+        if self.is_object(id):
+            return STATIC_OBJECT
         life = self.at(id, time)
-        if life is not None:
-            return life.name
-        return STATIC_OBJECT if self.is_object(id) else f"actor {id}"
+        return life.name if life else f"actor {id}"
 
 
 def _spawned_at(life: ActorLife) -> float:

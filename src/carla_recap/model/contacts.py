@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Final, NamedTuple
 
 import numpy as np
 
+from carla_recap.model.motion import LONGEST_STEP, TOP_SPEED
 from carla_recap.model.records import CM, UE4
 
 if TYPE_CHECKING:
@@ -34,8 +35,6 @@ UNKNOWN: Final[Vector] = (math.nan, math.nan, math.nan)
 
 _STILL: Final[Vector] = (0.0, 0.0, 0.0)
 _AFTERMATH: Final = 0.5  # s after a contact in which it affects the motion
-_GAP: Final = 1.0  # s between two positions that a velocity is derived from, at most
-_TOP_SPEED: Final = 100.0  # m/s; what is faster has jumped
 
 _COLLISIONS: Final = UE4.named("collisions").id
 
@@ -280,11 +279,11 @@ def _velocity(id: int, frame: Frame | None, earlier: Frame | None) -> Vector:
     if recorded is not None:
         return _vector(recorded)
     seconds = frame.elapsed - earlier.elapsed if earlier is not None else 0.0
-    if earlier is None or not 0 < seconds <= _GAP:
+    if earlier is None or not 0 < seconds <= LONGEST_STEP:
         return UNKNOWN
     now, then = _position(frame, id), _position(earlier, id)
     x, y, z = ((a - b) * CM / seconds for a, b in zip(now, then, strict=True))
-    return (x, y, z) if math.hypot(x, y, z) <= _TOP_SPEED else UNKNOWN
+    return (x, y, z) if math.hypot(x, y, z) <= TOP_SPEED else UNKNOWN
 
 
 def _length(vector: Iterable[float]) -> float:

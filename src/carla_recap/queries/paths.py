@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Any, Final
 import numpy as np
 
 from carla_recap.model.frame import SAME_TIME
+from carla_recap.model.motion import possible_step
 from carla_recap.model.records import CM
 from carla_recap.model.segment import Segment, SegmentBuffer, segments
 
@@ -33,8 +34,6 @@ _TYPES: Final = ("transforms", "light_states")
 _FRAMES: Final = 1024  # that are handled at once
 _RECORDS: Final = 1 << 18  # that are handled at once
 _CELLS: Final = 1 << 20  # frames times actors that are compared at once
-_JUMP: Final = 5.0  # m; a shorter step is no jump
-_TOP_SPEED: Final = 100.0  # m/s; a faster step of more than that is a jump, between whose ends nothing is interpolated
 _ROUNDING: Final = 1e-9  # degrees; between angles that are whole turns apart
 _REMEMBERED: Final = 4096  # lists of ids
 _POSE: Final = ("x", "y", "z", "yaw")
@@ -295,7 +294,7 @@ def _interpolated(pairing: _Pairing, poses: NDArray[Any], present: Booleans) -> 
     first = poses[:, before].astype(np.float64)
     steps = poses[:, after] - first
     steps[3] = (steps[3] + 180.0) % 360.0 - 180.0
-    far = np.maximum(_JUMP, _TOP_SPEED * pairing.seconds)[:, None] / CM
+    far = possible_step(pairing.seconds)[:, None] / CM
     known = present[before] & present[after] & ~((steps[:3] ** 2).sum(axis=0) > far**2) & pairing.valid[:, None]
     between = (before != after)[:, None]
     return np.where(between, first + pairing.weight[:, None] * steps, first), known

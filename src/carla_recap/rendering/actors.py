@@ -20,9 +20,9 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
+    from carla_recap.model.actors import ActorLife
     from carla_recap.recording import Recording
     from carla_recap.replay import Scene, SceneBatch
-    from carla_recap.replay.events import Present
     from carla_recap.replay.selection import Ids
 
     Floats = NDArray[np.float64]
@@ -129,13 +129,13 @@ class SceneActors:
         self._signs = signs
         self._marks_wanted = marks
         self._batch: SceneBatch | None = None
-        self._present: Mapping[int, Present] = {}
+        self._present: Mapping[int, ActorLife] = {}
         self._ids: Ids | None = None
         self._actors = _LookColumns(np.zeros(0, np.uint32), [])
         self._rows = np.zeros(0, np.intp)
         self._standing: Floats = np.zeros((0, 6))  # the poses of those without recorded ones
         self._attached: list[tuple[int, int]] = []  # rows and ids of those that move with a parent
-        self._looks: dict[int, tuple[Present, Look | None]] = {}
+        self._looks: dict[int, tuple[ActorLife, Look | None]] = {}
         self._fallen = FallenWalkers()
         self._marks = CollisionMarks()
         self._recalled = False  # whether what is known belongs to a moment before the next scene
@@ -178,7 +178,7 @@ class SceneActors:
         if batch.ids is self._ids and batch.actors == self._present:
             return
         self._ids, self._present = batch.ids, batch.actors
-        looks: dict[int, tuple[Present, Look | None]] = {}
+        looks: dict[int, tuple[ActorLife, Look | None]] = {}
         for id, actor in batch.actors.items():
             known = self._looks.get(id)
             looks[id] = (

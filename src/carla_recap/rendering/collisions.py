@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Final, NamedTuple
 
 import numpy as np
 
-from carla_recap.model.records import NO_ACTOR, ActorKind
+from carla_recap.model.records import NO_ACTOR
 from carla_recap.rendering.looks import Look, look_of_present
 from carla_recap.replay.events import Collided
 from carla_recap.replay.player import Player
@@ -112,9 +112,9 @@ class FallenWalkers:
         """Return the walker that a contact knocks down, and how it lies; None if there is none."""
         pair = contact.actor1, contact.actor2
         kinds = [batch.actors[id].kind if id in batch.actors else None for id in pair]
-        if kinds.count(ActorKind.WALKER) != 1:
+        if kinds.count("walker") != 1:
             return None
-        walker, other = pair if kinds[0] == ActorKind.WALKER else pair[::-1]
+        walker, other = pair if kinds[0] == "walker" else pair[::-1]
         pose, look = batch.pose_of(walker, 0), look_of_present(batch.actors[walker])
         if walker in self.falls or pose is None or look is None or not np.isfinite(pose).all() or _leans(pose):
             return None
@@ -236,7 +236,7 @@ class CollisionMarks:
             self._marks[pair].until = until
             return
         feet = {id: foot for id in pair if id != NO_ACTOR and (foot := _foot(id, batch)) is not None}
-        walkers = [foot for id, foot in feet.items() if id in batch.actors and batch.actors[id].kind == ActorKind.WALKER]
+        walkers = [foot for id, foot in feet.items() if id in batch.actors and batch.actors[id].kind == "walker"]
         if not feet:
             return
         location = np.mean(walkers or list(feet.values()), axis=0)

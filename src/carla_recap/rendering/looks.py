@@ -10,13 +10,11 @@ from carla_recap.model.blueprints import blueprint_sizes
 from carla_recap.model.records import ActorKind
 from carla_recap.rendering.materials import Color, Tag
 from carla_recap.rendering.models import INDEX, MODELS
-from carla_recap.util.text import readable
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
 
-    from carla_recap.model.actors import BoundingBox
-    from carla_recap.replay.events import Present
+    from carla_recap.model.actors import ActorLife, BoundingBox
 
 Triple = tuple[float, float, float]
 
@@ -217,10 +215,9 @@ def look_of(
     return _look(name, _color_of(attributes) or color, Tag.STATIC, type_id, box)
 
 
-def look_of_present(actor: Present, *, signs: bool = False) -> Look | None:
+def look_of_present(actor: ActorLife, *, signs: bool = False) -> Look | None:
     """Return the look of a recorded actor; None of one that is not drawn; see `look_of`."""
-    attributes = {readable(item.key): readable(item.value) for item in actor.spawn.attributes}
-    return look_of(actor.type_id, actor.kind, attributes, actor.box, id=actor.id, signs=signs)
+    return look_of(actor.type_id, actor.spawn.kind, actor.attributes, actor.bounding_box, id=actor.id, signs=signs)
 
 
 def _is_sound(box: BoundingBox) -> bool:

@@ -8,7 +8,7 @@ with carla_recap.open_recording("crash.log") as recording:
 from __future__ import annotations
 
 from carla_recap.replay.camera import calm_heading, calm_headings, chase, level, top
-from carla_recap.replay.events import Collided, Destroyed, Event, Parented, Present, Spawned
+from carla_recap.replay.events import Collided, Destroyed, Event, Parented, Spawned
 from carla_recap.replay.follow import Follow, choose_followed, find_followed
 from carla_recap.replay.player import Played, Player
 from carla_recap.replay.pose import quaternions, right_handed, right_handed_velocities
@@ -22,7 +22,6 @@ __all__ = [
     "Parented",
     "Played",
     "Player",
-    "Present",
     "Scene",
     "SceneBatch",
     "Spawned",

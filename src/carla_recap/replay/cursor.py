@@ -110,8 +110,8 @@ class Cursor:
             self._jump(time)
         self.advance(time)
         actors = self.state.actors.values()
-        self.events = [Spawned(actor.since, actor) for actor in actors]
-        self.events += [Parented(actor.since, actor.id, actor.parent) for actor in actors if actor.parent is not None]
+        self.events = [Spawned(actor.spawned_at, actor) for actor in actors]
+        self.events += [Parented(actor.spawned_at, actor.id, actor.parent) for actor in actors if actor.parent is not None]
         self.events += [event for event in self._frame_events if isinstance(event, Collided)]
 
     def take_events(self) -> tuple[Event, ...]:
@@ -160,12 +160,12 @@ class Cursor:
         missing = set(self.state.lights.tolist()) - set(array(found["light_states"])["id"].tolist())
         stop, width = found.elapsed, _LOOK_BACK
         recalled: dict[int, NDArray[np.void]] = {}
-        while missing and stop > (earliest := min(actors[id].since for id in missing)):
+        while missing and stop > (earliest := min(actors[id].spawned_at for id in missing)):
             start = max(stop - width, earliest)
             for frame in self._reader.frames(("light_states",), start=start, stop=stop):
                 records = array(frame["light_states"])
                 for row, id in enumerate(records["id"].tolist()):
-                    if id in missing and frame.elapsed >= actors[id].since:
+                    if id in missing and frame.elapsed >= actors[id].spawned_at:
                         recalled[id] = records[row : row + 1]
             missing -= recalled.keys()
             stop, width = start, width * _WIDER

@@ -1,69 +1,12 @@
-"""The events of a recording as a replay gives them, and the actors that are present."""
+"""The events of a recording as a replay gives them."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
-import numpy as np
-
-from carla_recap.util.text import readable
-
 if TYPE_CHECKING:
-    from numpy.typing import NDArray
-
-    from carla_recap.model.actors import BoundingBox
-    from carla_recap.model.records import Spawn
-
-
-@dataclass(frozen=True, slots=True)
-class Present:
-    """A present actor.
-
-    Attributes:
-        spawn: The record of its spawn: blueprint, attributes, pose (cm, degrees, left-handed).
-        since: The elapsed seconds at which it appeared.
-        parent: The actor that it is attached to, if any.
-        attached: Whether it was attached when it was spawned: the pose of its spawn is then in the parent's axes.
-        box: Its box in m, right-handed, if a valid one was recorded.
-    """
-
-    spawn: Spawn
-    since: float
-    parent: int | None = None
-    attached: bool = False
-    box: BoundingBox | None = None
-
-    @property
-    def id(self) -> int:
-        """The actor id."""
-        return self.spawn.id
-
-    @property
-    def kind(self) -> int:
-        """The kind of actor; see `carla_recap.ActorKind`."""
-        return self.spawn.kind
-
-    @property
-    def type_id(self) -> str:
-        """The blueprint, such as vehicle.tesla.model3."""
-        return readable(self.spawn.type_id)
-
-    @property
-    def role_name(self) -> str:
-        """The attribute role_name, "" without one."""
-        return readable(self.spawn.attribute("role_name") or "")
-
-    @property
-    def is_hero(self) -> bool:
-        """Whether its role_name is hero."""
-        return self.role_name == "hero"
-
-    @property
-    def spawn_pose(self) -> NDArray[np.float64]:
-        """x, y, z in cm and roll, pitch, yaw in degrees, in the world; in the parent's axes if it is `attached`."""
-        spawn = self.spawn
-        return np.array((spawn.x, spawn.y, spawn.z, spawn.roll, spawn.pitch, spawn.yaw))
+    from carla_recap.model.actors import ActorLife
 
 
 @dataclass(frozen=True, slots=True)
@@ -77,7 +20,7 @@ class Event:
 class Spawned(Event):
     """An actor appeared; it is given as at the end of that frame."""
 
-    actor: Present
+    actor: ActorLife
 
 
 @dataclass(frozen=True, slots=True)

@@ -9,8 +9,10 @@ import numpy as np
 
 from carla_recap.errors import RecapError
 from carla_recap.model.actors import HERO, ROAD_USERS, ActorName, find_actor
+from carla_recap.model.motion import possible_step
+from carla_recap.model.records import CM
 from carla_recap.queries.actors import actors
-from carla_recap.replay.pose import JUMP, LOCATION, TOP_SPEED
+from carla_recap.replay.pose import LOCATION
 from carla_recap.replay.selection import NO_IDS, Ids, Selection, array, find, numbers
 
 if TYPE_CHECKING:
@@ -113,8 +115,7 @@ def _distances(reader: Reader, start: float, stop: float) -> dict[int, float]:
             ids, distance = selection.ids, np.zeros(len(now))
         with np.errstate(invalid="ignore", over="ignore"):
             steps = np.sqrt(((now - locations) ** 2).sum(axis=1))
-        possible = max(JUMP, TOP_SPEED * (elapsed - before))
-        distance += np.where(steps <= possible, steps, 0)
+        distance += np.where(steps * CM <= possible_step(elapsed - before), steps, 0)
         locations, before = now, elapsed
     _add(distances, ids, distance)
     return distances

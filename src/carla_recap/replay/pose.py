@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Final, TypeVar
 
 import numpy as np
 
+from carla_recap.model.motion import JUMP, possible_step
 from carla_recap.model.records import CM
 from carla_recap.replay.selection import NO_IDS, Ids, Selection, array, find, latest, numbers
 
@@ -27,10 +28,7 @@ LOCATION: Final = slice(0, 3)
 ROTATION: Final = slice(3, 6)
 YAW: Final = 5
 
-JUMP: Final = 500.0  # cm; a shorter step is never a jump
-TOP_SPEED: Final = 10_000.0  # cm/s; the speed below which a step is no jump if no velocity is recorded
-_SLACK: Final = 3.0  # the factor by which a step must exceed that of the recorded velocity to be a jump
-_NEAR: Final = JUMP / 2  # steps along each axis, in cm, and rotations, in degrees, are shorter in most frames
+_NEAR: Final = JUMP / CM / 2  # steps along each axis, in cm, and rotations, in degrees, are shorter in most frames
 
 _TO_RIGHT_HANDED: Final = np.array([CM, -CM, CM, 1, -1, -1])
 _VELOCITY_TO_RIGHT_HANDED: Final = np.array([1.0, -1, 1, 1, -1, -1])
@@ -209,9 +207,11 @@ class Interpolator:
             still = ~found
         # NaN fails these comparisons, so that it counts as a jump.
         if not np.abs(steps).max(initial=0) <= _NEAR:
-            distances = np.sqrt((steps[:, LOCATION] ** 2).sum(axis=1))
+            distances = np.sqrt((steps[:, LOCATION] ** 2).sum(axis=1)) * CM
             far = ~(distances <= JUMP)
-            far[far] = ~(distances[far] <= _possible_distances(frame, next, self._ids[far]))
+            fast = self._ids[far]
+            speeds = np.fmax(_speeds(frame, fast), _speeds(next, fast))
+            far[far] = ~(distances[far] <= possible_step(next.elapsed - frame.elapsed, speeds))
             still |= far | ~np.isfinite(steps).all(axis=1)
         replaced = [actor.id for actor in next["spawned"]] + array(next["destroyed"])["id"].tolist()
         if replaced:
@@ -219,13 +219,6 @@ class Interpolator:
         if still.any():
             steps[still] = 0
         return steps
-
-
-def _possible_distances(frame: Frame, next: Frame, ids: Ids) -> Floats:
-    """Return the distances, in cm, that actors can move from a frame to the next by the velocity recorded in either."""
-    seconds = next.elapsed - frame.elapsed
-    speeds = np.fmax(_speeds(frame, ids), _speeds(next, ids)) / CM
-    return np.where(np.isnan(speeds), TOP_SPEED * seconds, np.maximum(JUMP, _SLACK * speeds * seconds))
 
 
 def _speeds(frame: Frame, ids: Ids) -> Floats:

@@ -9,9 +9,8 @@ from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
-from carla_recap.model.actors import BoundingBox
-from carla_recap.model.records import ActorKind, Spawn
-from carla_recap.replay.events import Collided, Destroyed, Event, Parented, Present, Spawned
+from carla_recap.model.actors import ActorLife, BoundingBox
+from carla_recap.replay.events import Collided, Destroyed, Event, Parented, Spawned
 from carla_recap.replay.selection import NO_IDS, Ids, Selection, merged
 
 if TYPE_CHECKING:
@@ -21,7 +20,7 @@ if TYPE_CHECKING:
 
     from carla_recap.model.batch import Batch
     from carla_recap.model.frame import Frame
-    from carla_recap.model.records import Table
+    from carla_recap.model.records import Spawn, Table
 
 ALL_DOORS: Final = 6
 DOORS: Final = range(ALL_DOORS)
@@ -53,7 +52,7 @@ class ReplayState:
         self._hidden: set[int] = set()
         self._ignore_hero = ignore_hero
         self._ignore_spectator = ignore_spectator
-        self._actors: dict[int, Present] = {}
+        self._actors: dict[int, ActorLife] = {}
         self._doors: dict[int, frozenset[int]] = {}
         self._shared = False  # whether the two above have been returned, and must not be changed any more
         self.lights = NO_IDS
@@ -65,7 +64,7 @@ class ReplayState:
         self._actors_changed = False
 
     @property
-    def actors(self) -> Mapping[int, Present]:
+    def actors(self) -> Mapping[int, ActorLife]:
         """The present actors by id, in order of appearance."""
         self._shared = True
         return MappingProxyType(self._actors)
@@ -116,7 +115,7 @@ class ReplayState:
         self._unshare()
         for spawn in spawns:
             self._forget(spawn.id)
-            actor = Present(spawn, elapsed)
+            actor = ActorLife.of(spawn, elapsed)
             if (self._ignore_hero and actor.is_hero) or (self._ignore_spectator and actor.type_id == "spectator"):
                 self._hidden.add(spawn.id)
                 continue
@@ -170,7 +169,7 @@ class ReplayState:
         self._unshare()
         for id, *sizes in records.tolist():
             if id in self._actors and (box := BoundingBox.of(sizes)) is not None:
-                self._actors[id] = replace(self._actors[id], box=box)
+                self._actors[id] = replace(self._actors[id], bounding_box=box)
 
     def _change_weather(self, records: NDArray[np.void], elapsed: float) -> None:
         self.weather = records[-1]
@@ -184,7 +183,7 @@ class ReplayState:
         self._actors_changed = False
         if len(self._hidden) != len(self.hidden) or not self._hidden.issuperset(self.hidden.tolist()):
             self.hidden = np.array(sorted(self._hidden), np.uint32)
-        lights = sorted(id for id, actor in self._actors.items() if actor.kind == ActorKind.TRAFFIC_LIGHT)
+        lights = sorted(id for id, actor in self._actors.items() if actor.kind == "traffic_light")
         self.lights = np.array(lights, np.uint32)
         self._stray_lights = len(self.light_states) > 0
         for index, event in enumerate(self._events):

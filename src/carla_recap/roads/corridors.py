@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
+from carla_recap.model.motion import possible_step
 from carla_recap.roads.drawing import RoadMap
 
 if TYPE_CHECKING:
@@ -34,8 +35,6 @@ _STEP: Final = 1.0  # m between points of a path
 _CELL: Final = 1.5  # m of a square in which one path is a road
 _MOST: Final = 15_000  # points of roads
 _FARTHEST: Final = 1e5  # m from the origin
-_JUMP: Final = 100.0  # m/s; what is faster is no driving
-_LEAST_JUMP: Final = 3.0  # m
 _SHARP: Final = np.cos(np.radians(50.0))  # of a turn at a point, at which a path ends
 _FEWEST: Final = 7  # points of a part of a path that is a road, about a metre apart
 _FAR: Final = 12.0  # m; the largest distance between points of a road
@@ -126,7 +125,7 @@ def _paths(poses: NDArray[np.void]) -> Iterator[Floats]:
     good = np.isfinite(points).all(axis=1) & (np.abs(points).max(axis=1, initial=0.0) < _FARTHEST)
     points, times = points[good], poses["time"][good]
     steps = np.linalg.norm(np.diff(points[:, :2], axis=0), axis=1)
-    jumps = steps > np.maximum(_JUMP * np.diff(times), _LEAST_JUMP)
+    jumps = steps > possible_step(np.diff(times))
     for part in np.split(points, np.flatnonzero(jumps) + 1):
         path = _thinned(part)
         if len(path) < 2:

@@ -13,7 +13,7 @@ from carla_recap.formats.mcap.index import read_summary
 from carla_recap.formats.mcap.recovery import recover_summary
 from carla_recap.formats.sources import LocalSource
 from tests import strategies
-from tests.formats.mcap.forge import MAGIC, Forge, data_records, seal
+from tests.formats.mcap.forge import MAGIC, Forge, data_records, packed, seal
 from tests.samples import save
 from tests.waiting import time_limit
 
@@ -216,3 +216,91 @@ def test_thousands_of_channels_cost_little(driven):
     with time_limit():
         summary, _ = recovered(driven)
     assert len(summary.chunks) == len(offsets_of(data))
+
+
+# --- limits ----------------------------------------------------------------------------------------------
+
+MIB = 1 << 20
+
+
+def messages(count: int, size: int = 0) -> bytes:
+    """Some messages of a channel, each with some bytes of data."""
+    return (struct.pack("<BQHIQQ", 5, 22 + size, 1, 0, 0, 0) + bytes(size)) * count
+
+
+def other_record(opcode: int, content: bytes) -> bytes:
+    return struct.pack("<BQ", opcode, len(content)) + content
+
+
+@pytest.mark.parametrize(("opcode", "size", "followed"), [(9, 64 << 10, False), (9, 16 * MIB, True)])
+@pytest.mark.parametrize("more", [0, 1])
+def test_a_record_that_is_too_long_is_not_believed(tmp_path, opcode, size, followed, more):
+    """An attachment that contains a chunk: up to 64 KiB it is gone over, up to 16 MiB if a record follows it."""
+    content = packed(seal(messages(3))).ljust(size + more, b"\0")
+    end = packed(records.DataEnd(data_section_crc=0)) if followed else b"\xff" * 20
+    summary, _ = recovered(save(tmp_path / "x.mcap", MAGIC + other_record(opcode, content) + end))
+    assert len(summary.chunks) == more
+
+
+@pytest.mark.parametrize("more", [0, 1])
+def test_how_much_is_read_for_what_is_no_chunk(tmp_path, more):
+    """16 MiB and four times the file: another false head in front of a chunk makes the scan go on behind what it claims."""
+    length, distance, chunk = 2 * MIB, 100, packed(seal(messages(3)))
+    size = 2 * MIB + 4096
+    count = (16 * MIB + 4 * size) // length + more
+    heads = b"".join(head_of_a_chunk(length, length - 44, 1000).ljust(distance, b"\0") for _ in range(count))
+    path = save(tmp_path / "x.mcap", (MAGIC + heads + chunk).ljust(size, b"\0"))
+    # The last head claims no more than there is.
+    assert len(MAGIC) + (count - 1) * distance + 9 + length < size
+    assert len(recovered(path)[0].chunks) == 1 - more
+
+
+def test_how_much_is_unpacked(tmp_path):
+    """512 MiB and a hundred times the file."""
+    bomb = packed(seal(messages(1, (64 << 20) - 31)))
+    data = (MAGIC + bomb * 12).ljust(1_300_000, b"\xff")
+    with time_limit():
+        summary, damage = recovered(save(tmp_path / "x.mcap", data))
+    assert len(summary.chunks) == (512 * MIB + 100 * len(data)) // (64 * MIB) == 9
+    assert damage.chunks == 3
+
+
+@pytest.mark.parametrize("more", [0, 1])
+def test_how_many_messages_are_counted(tmp_path, more):
+    """A million, and one for each four bytes of the file."""
+    size = 60_000
+    chunks = packed(seal(messages(1_000_000)), seal(messages(size // 4 + more)))
+    with time_limit():
+        summary, damage = recovered(save(tmp_path / "x.mcap", (MAGIC + chunks).ljust(size, b"\xff")))
+    assert (len(summary.chunks), damage.chunks) == (2 - more, more)
+
+
+@pytest.mark.parametrize("more", [0, 1])
+def test_how_many_records_beside_chunks_are_read(tmp_path, more):
+    channel = packed(records.Channel(id=7, topic="", message_encoding="", metadata={}, schema_id=0))
+    schema = packed(records.Schema(id=3, data=b"", encoding="", name="last"))
+    summary, _ = recovered(save(tmp_path / "x.mcap", MAGIC + channel * (131_071 + more) + schema))
+    assert summary.schemas == ({} if more else {3: "last"})
+
+
+@pytest.mark.parametrize("more", [0, 1])
+def test_how_large_metadata_are_read(tmp_path, more):
+    empty = packed(records.Metadata(name="m", metadata={"k": ""}))
+    found = packed(records.Metadata(name="m", metadata={"k": "v" * ((512 << 10) - len(empty) + 9 + more)}))
+    assert len(found) - 9 == (512 << 10) + more
+    end = packed(records.DataEnd(data_section_crc=0))
+    summary, _ = recovered(save(tmp_path / "x.mcap", MAGIC + found + end))
+    assert summary.metadata == ({} if more else {"m": len(MAGIC)})
+
+
+@pytest.mark.parametrize("more", [0, 1])
+def test_how_large_chunks_are_read(tmp_path, more):
+    length = (64 << 20) + more
+    path = save(tmp_path / "x.mcap", MAGIC + head_of_a_chunk(length, length - 44, 1000))
+    with path.open("r+b") as file:
+        file.truncate(70 << 20)  # zeros that take no space
+    source = LocalSource(path)
+    with time_limit():
+        recover_summary(source)
+    source.close()
+    assert (source.bytes_read > source.size + (60 << 20)) != bool(more)

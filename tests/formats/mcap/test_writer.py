@@ -104,7 +104,7 @@ def test_the_chunks_of_events_of_a_live_file_come_in_order_of_time(tmp_path):
 
 
 def test_too_many_events_come_in_order_of_time(tmp_path, monkeypatch):
-    monkeypatch.setattr("carla_recap.formats.mcap.file._HELD_LIMIT", 500)
+    monkeypatch.setattr("carla_recap.formats.mcap.container._HELD_LIMIT", 500)
     frames = list(drive(30))
     path = write(tmp_path / "many.mcap", HEADER, frames)
     topics = topics_of(path)

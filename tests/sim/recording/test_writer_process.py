@@ -11,7 +11,7 @@ import pytest
 
 import carla_recap
 from carla_recap.errors import RecapError
-from carla_recap.formats.mcap.file import ChunkedFile
+from carla_recap.formats.mcap.container import ChunkedFile
 from carla_recap.formats.mcap.writer import McapWriter
 from carla_recap.model.frame import Header
 from carla_recap.sim.recording.sampler import WorldSampler

@@ -24,7 +24,6 @@ from carla_recap.export.foxglove.messages import (
     Vector3,
     timestamp,
 )
-from carla_recap.model.records import ActorKind
 from carla_recap.rendering.actors import lamps_of_vehicles
 from carla_recap.rendering.looks import Look, look_of_present
 from carla_recap.rendering.materials import MATERIALS, Material
@@ -33,8 +32,8 @@ from carla_recap.rendering.models import MODELS
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
+    from carla_recap.model.actors import ActorLife
     from carla_recap.rendering.collisions import Fall
-    from carla_recap.replay import Present
 
     Floats = NDArray[np.float64]
 
@@ -72,12 +71,12 @@ def lamps_id(id: int) -> str:
     return f"lamps {id}"
 
 
-def topic_of(actor: Present) -> str:
+def topic_of(actor: ActorLife) -> str:
     """Return the topic of an actor's body."""
-    return {int(ActorKind.VEHICLE): VEHICLES, int(ActorKind.WALKER): WALKERS}.get(actor.kind, OTHERS)
+    return {"vehicle": VEHICLES, "walker": WALKERS}.get(actor.kind, OTHERS)
 
 
-def body(actor: Present, look: Look, fall: Fall | None = None, *, detailed: bool = True) -> bytes:
+def body(actor: ActorLife, look: Look, fall: Fall | None = None, *, detailed: bool = True) -> bytes:
     """Return an actor as an entity, a field of a `SceneUpdate` whose end is a `TIMESTAMP`.
 
     Args:
@@ -91,7 +90,7 @@ def body(actor: Present, look: Look, fall: Fall | None = None, *, detailed: bool
     return entity(actor, frame_of(actor.id), shape)
 
 
-def entity(actor: Present, id: str, shape: bytes, **metadata: str) -> bytes:
+def entity(actor: ActorLife, id: str, shape: bytes, **metadata: str) -> bytes:
     """Return an entity in the frame of an actor; see `body`."""
     known = {"actor": style.label_of(actor), "type_id": actor.type_id, "role_name": actor.role_name, **metadata}
     pairs = [KeyValuePair(key=key, value=value) for key, value in known.items() if value]
@@ -99,7 +98,7 @@ def entity(actor: Present, id: str, shape: bytes, **metadata: str) -> bytes:
     return (MessagePart(start + shape) + TIMESTAMP).within(SceneUpdate.ENTITIES_FIELD_NUMBER).data
 
 
-def lamps(actor: Present, look: Look, flags: int) -> bytes:
+def lamps(actor: ActorLife, look: Look, flags: int) -> bytes:
     """Return the lit lamps of a vehicle as an entity; see `body`.
 
     Args:
@@ -110,13 +109,13 @@ def lamps(actor: Present, look: Look, flags: int) -> bytes:
     return entity(actor, lamps_id(actor.id), _lit_shape(look._replace(color=_ANY_COLOR), flags))
 
 
-def signal(actor: Present, look: Look, state: int) -> bytes:
+def signal(actor: ActorLife, look: Look, state: int) -> bytes:
     """Return what a traffic light shows as an entity; see `body`."""
     name, _ = style.light(state)
     return entity(actor, frame_of(actor.id), _signal_shape(look, state), state=name)
 
 
-def ahead_entity(actor: Present, state: int, text: str) -> bytes:
+def ahead_entity(actor: ActorLife, state: int, text: str) -> bytes:
     """Return a ring around the lamps of the traffic light ahead, and its name above, as an entity; see `body`."""
     look = look_of_present(actor)
     top = 0.0 if look is None else look.center[2] + look.half_extents[2]

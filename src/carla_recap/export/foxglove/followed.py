@@ -26,9 +26,10 @@ from carla_recap.export.foxglove.messages import (
     timestamp,
 )
 from carla_recap.export.motion import Accelerations, HeldPedals
+from carla_recap.model.motion import possible_step
 from carla_recap.model.records import CM
 from carla_recap.replay import Destroyed, Spawned, calm_heading, level, quaternions, right_handed
-from carla_recap.replay.pose import JUMP, LOCATION, TOP_SPEED, YAW
+from carla_recap.replay.pose import LOCATION, YAW
 from carla_recap.v1.followed_pb2 import Followed, ShownLight, ShownLights
 from carla_recap.v1.light_states_pb2 import TRAFFIC_LIGHT_COLOR_UNKNOWN, TrafficLightColor
 
@@ -96,7 +97,7 @@ class _StepCounter:
         self._time, self._location = times[-1].item(), locations[-1]
         seconds = np.diff(times)
         distances = np.array(list(map(math.dist, locations, locations[1:])))
-        distances[~(distances <= np.maximum(JUMP, TOP_SPEED * seconds))] = math.inf  # the first one, too
+        distances[~(distances * CM <= possible_step(seconds))] = math.inf  # the first one, too
         return seconds, distances
 
 

@@ -28,10 +28,11 @@ from carla_recap.export.foxglove.messages import (
     timestamp,
 )
 from carla_recap.formats.mcap.schema import MESSAGE
-from carla_recap.model.records import ActorKind, Spawn
+from carla_recap.model.actors import ActorLife
+from carla_recap.model.records import Spawn
 from carla_recap.rendering.actors import BRAKE, REVERSE
 from carla_recap.rendering.looks import look_of_present
-from carla_recap.replay import Present, quaternions, right_handed
+from carla_recap.replay import quaternions, right_handed
 from carla_recap.replay.pose import LOCATION, change
 from carla_recap.replay.selection import NO_IDS, find
 from carla_recap.v1.light_states_pb2 import TRAFFIC_LIGHT_COLOR_UNKNOWN
@@ -78,7 +79,7 @@ class _ShownActor:
         transform: The serialized transform of its frame, with the frame at the origin.
     """
 
-    actor: Present
+    actor: ActorLife
     look: Look
     detailed: bool
     topic: str = ""
@@ -91,7 +92,7 @@ class _ShownActor:
 
     _lit: dict[int, bytes] = field(default_factory=dict)
 
-    def draw(self, actor: Present, look: Look) -> None:
+    def draw(self, actor: ActorLife, look: Look) -> None:
         """Set the actor, and what depends on it."""
         self.actor, self.look = actor, look
         self.topic = bodies.topic_of(actor)
@@ -109,7 +110,7 @@ class _ShownActor:
     def lit(self, lamps: int) -> bytes:
         """Return the entity of the lit lamps; see `ActorEntities._lit_lamps`."""
         if lamps not in self._lit:
-            is_signal = self.actor.kind == ActorKind.TRAFFIC_LIGHT
+            is_signal = self.actor.kind == "traffic_light"
             make = bodies.signal if is_signal else bodies.lamps
             self._lit[lamps] = make(self.actor, self.look, lamps - is_signal)
         return self._lit[lamps]
@@ -225,10 +226,10 @@ class ActorEntities:
     """The messages of the actors: transforms, bodies, lamps. Sensors, which have no body, are left out."""
 
     def __init__(self) -> None:
-        self._actors: list[Present] = []
+        self._actors: list[ActorLife] = []
         self._unknown: list[int] = []  # the ids of recorded poses without actors
         self._ids: Ids | None = None
-        self._all: dict[int, tuple[Present, _ShownActor | None]] = {}
+        self._all: dict[int, tuple[ActorLife, _ShownActor | None]] = {}
         self._shown: list[_ShownActor] = []
         self._shown_ids = NO_IDS
         self._columns: Indices = np.zeros(0, np.intp)  # see `_ShownPoses`
@@ -326,7 +327,7 @@ class ActorEntities:
             for index in np.flatnonzero(lit[start]).tolist():
                 shown = self._shown[index]
                 data = shown.lit(int(lit[start, index]))
-                if shown.actor.kind == ActorKind.TRAFFIC_LIGHT:
+                if shown.actor.kind == "traffic_light":
                     states[bodies.frame_of(shown.actor.id)] = data
                 else:
                     lamps[bodies.lamps_id(shown.actor.id)] = data
@@ -377,7 +378,7 @@ class ActorEntities:
             return False
         unknown = sorted(set(batch.ids.tolist()).difference(batch.actors))
         if actors != self._actors or unknown != self._unknown:
-            self._take_entities([*actors, *(Present(Spawn(id), batch.time[0].item()) for id in unknown)])
+            self._take_entities([*actors, *(ActorLife.of(Spawn(id), batch.time[0].item()) for id in unknown)])
         self._actors, self._unknown, self._ids = actors, unknown, batch.ids
         self._columns, recorded = find(self._shown_ids, batch.ids)
         others = np.flatnonzero(~recorded)
@@ -387,7 +388,7 @@ class ActorEntities:
         self._carried = list(zip(carried.tolist(), self._shown_ids[others[carried]].tolist(), strict=True))
         return True
 
-    def _take_entities(self, actors: Iterable[Present]) -> None:
+    def _take_entities(self, actors: Iterable[ActorLife]) -> None:
         """Set the shown actors, given all actors."""
         known, self._all = self._all, {}
         models = sum(shown.detailed for _, shown in known.values() if shown is not None)
@@ -410,7 +411,7 @@ class ActorEntities:
         self._spawn_poses = np.array([shown.spawn_pose for shown in self._shown]).reshape(-1, 6)
         self._first = np.array([shown.first for shown in self._shown]).reshape(-1, 6)
         self._moved = np.array([shown.moved for shown in self._shown], np.bool_)
-        lights = [shown.actor.kind == ActorKind.TRAFFIC_LIGHT for shown in self._shown]
+        lights = [shown.actor.kind == "traffic_light" for shown in self._shown]
         self._signals = np.flatnonzero(lights)
 
     def _poses(self, batch: SceneBatch, rows: Indices) -> _ShownPoses:

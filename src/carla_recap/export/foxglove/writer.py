@@ -14,8 +14,7 @@ from carla_recap.export.foxglove import bodies, followed, marks, scene
 from carla_recap.export.foxglove.followed import known_poses
 from carla_recap.export.foxglove.messages import FrameTransforms, Log, SceneUpdate, single, timestamps
 from carla_recap.export.foxglove.town import MAP, map_message
-from carla_recap.formats.mcap.chunk import ChunkBuilder
-from carla_recap.formats.mcap.file import ChunkedFile, Topic
+from carla_recap.formats.mcap.container import ChunkBuilder, ChunkedFile, Topic
 from carla_recap.formats.mcap.schema import EXPORT_METADATA, MESSAGE, MESSAGE_DTYPE, RECORD, LogClock
 from carla_recap.model.frame import SAME_TIME
 from carla_recap.rendering.collisions import FallenWalkers

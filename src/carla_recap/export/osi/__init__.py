@@ -15,8 +15,7 @@ from typing import TYPE_CHECKING, Final
 from carla_recap.editing.convert import check_destination
 from carla_recap.export.osi.ground_truth import GroundTruths
 from carla_recap.export.osi.messages import GROUND_TRUTH, MAP, VERSION, message_class, schema
-from carla_recap.formats.mcap.chunk import ChunkBuilder
-from carla_recap.formats.mcap.file import ChunkedFile, Topic
+from carla_recap.formats.mcap.container import ChunkBuilder, ChunkedFile, Topic
 from carla_recap.formats.mcap.schema import EXPORT_METADATA
 from carla_recap.replay import Played, Player
 from carla_recap.roads.files import read_content

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any, Final
 import numpy as np
 
 from carla_recap.export.osi.messages import GROUND_TRUTH, VERSION, message_class
-from carla_recap.model.records import ActorKind
+from carla_recap.model.actors import ROAD_USERS
 from carla_recap.rendering.looks import look_of_present
 from carla_recap.rendering.materials import Tag
 from carla_recap.replay.pose import LOCATION, ROTATION, right_handed, wrap
@@ -21,8 +21,8 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
+    from carla_recap.model.actors import ActorLife
     from carla_recap.rendering.looks import Look
-    from carla_recap.replay.events import Present
     from carla_recap.replay.scene import SceneBatch
 
     Floats = NDArray[np.float64]
@@ -53,7 +53,7 @@ class GroundTruths:
         self._host = host
         self._map_reference = map_reference
         self._motion = _MotionEstimator()
-        self._actors: dict[int, tuple[Present, Look | None]] = {}
+        self._actors: dict[int, tuple[ActorLife, Look | None]] = {}
 
     def messages(self, batch: SceneBatch) -> Iterator[tuple[int, Any]]:
         """Yield the time of each scene in ns since the beginning of the recording, and its message.
@@ -80,7 +80,7 @@ class GroundTruths:
                 message.map_reference = self._map_reference
             for column, actor, look in objects:
                 if finite[row, column]:
-                    moving = actor.kind in (ActorKind.VEHICLE, ActorKind.WALKER)
+                    moving = actor.kind in ROAD_USERS
                     item = (message.moving_object if moving else message.stationary_object).add()
                     item.id.value = actor.id
                     _set_base(item.base, look, centers[column][row].tolist(), rotations[row, column].tolist())
@@ -95,10 +95,10 @@ class GroundTruths:
             self._add_lights(message, batch, row)
             yield nanoseconds, message
 
-    def _object(self, batch: SceneBatch, id: int) -> tuple[Present, Look] | None:
+    def _object(self, batch: SceneBatch, id: int) -> tuple[ActorLife, Look] | None:
         """Return an actor with a body; None for another one."""
         actor = batch.actors.get(id)
-        if actor is None or actor.kind in (ActorKind.TRAFFIC_LIGHT, ActorKind.TRAFFIC_SIGN):
+        if actor is None or actor.kind in ("traffic_light", "traffic_sign"):
             return None
         known = self._actors.get(id)
         if known is None or known[0] is not actor:
@@ -113,7 +113,7 @@ class GroundTruths:
         for id in batch.actors:
             each = self._object(batch, id) if id not in known else None
             pose = batch.pose_of(id, 0) if each else None
-            if each is None or pose is None or each[0].kind in (ActorKind.VEHICLE, ActorKind.WALKER):
+            if each is None or pose is None or each[0].kind in ROAD_USERS:
                 continue
             turned = right_handed(pose)
             if np.isfinite(turned).all():
@@ -200,8 +200,8 @@ def _center(poses: Floats, center: tuple[float, float, float]) -> Floats:
     return found
 
 
-def _classify(item: Any, actor: Present, look: Look) -> None:
-    if actor.kind == ActorKind.WALKER:
+def _classify(item: Any, actor: ActorLife, look: Look) -> None:
+    if actor.kind == "walker":
         item.type = _PEDESTRIAN
         return
     item.type = _VEHICLE

@@ -9,7 +9,6 @@ from typing import TYPE_CHECKING, Final, NamedTuple
 import numpy as np
 
 from carla_recap.errors import RecapError
-from carla_recap.model.records import ActorKind
 from carla_recap.rendering.materials import Material
 from carla_recap.rendering.town import town_mesh_of
 from carla_recap.roads.corridors import fresh_parts
@@ -174,7 +173,7 @@ def _driven(replays: Sequence[SampledReplay]) -> Iterator[Floats]:
     """Return the paths of all vehicles, without those parts where one is drawn already."""
     paths = []
     for replay in replays:
-        vehicles = {i for i, actor in enumerate(replay.actors) if actor.details and actor.details.kind == ActorKind.VEHICLE}
+        vehicles = {i for i, actor in enumerate(replay.actors) if actor.details and actor.details.kind == "vehicle"}
         moving = (track for track in replay.tracks if track.actor in vehicles and not track.is_still)
         paths += [_thinned(track.rows[:, :2]) for track in moving]
     return fresh_parts(paths, CELL, MOST)

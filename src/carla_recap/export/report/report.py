@@ -18,6 +18,7 @@ from carla_recap.export.report.packing import Packer
 from carla_recap.export.report.sampling import sample
 from carla_recap.export.report.single import data_address, single_page
 from carla_recap.export.style import LIGHTS, OTHER, STYLES
+from carla_recap.model.actors import ROAD_USERS
 from carla_recap.queries.incidents import Incident, IncidentOptions, incidents
 from carla_recap.queries.kinds import KINDS
 from carla_recap.recording import Recording
@@ -314,7 +315,7 @@ def _differences(found: Differences) -> dict[str, Any]:
     pairs = [
         [row.id_a, script.number(row.spawned_at_a), row.id_b, script.number(row.spawned_at_b)]
         for row in found.actors
-        if row.kind in ("vehicle", "walker")
+        if row.kind in ROAD_USERS
     ]
     reasons = found.reasons or [found.summary]
     text = reasons[0][:1].upper() + reasons[0][1:]

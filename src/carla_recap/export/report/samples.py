@@ -9,9 +9,9 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
-from carla_recap.model.records import CM, ActorKind
+from carla_recap.model.motion import possible_step
 from carla_recap.replay.events import Destroyed
-from carla_recap.replay.pose import JUMP, TOP_SPEED, YAW, right_handed
+from carla_recap.replay.pose import YAW, right_handed
 from carla_recap.replay.selection import NO_IDS
 
 if TYPE_CHECKING:
@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    from carla_recap.replay.events import Present
+    from carla_recap.model.actors import ActorLife
     from carla_recap.replay.scene import Scene
 
     Floats = NDArray[np.float64]
@@ -48,7 +48,7 @@ class SampledActor:
     id: int
     since: float
     until: float | None = None
-    details: Present | None = None
+    details: ActorLife | None = None
 
 
 @dataclass(slots=True)
@@ -142,7 +142,7 @@ class Sampler:
         self._known: dict[tuple[int, float], int] = {}  # the index of an actor by its id and the time of its spawn
         self._open: dict[int, Track] = {}  # the latest track of an actor
         self._parts: dict[int, list[Floats]] = {}  # the rows of the latest track of an actor
-        self._actors: Mapping[int, Present] = {}
+        self._actors: Mapping[int, ActorLife] = {}
         self._block: list[tuple[NDArray[np.intp], Floats]] = []
         self._begin = 0  # the first sample of the block
         self._ids = NO_IDS
@@ -205,12 +205,12 @@ class Sampler:
     def _update_actors(self, scene: Scene) -> None:
         """Find the actors of a scene."""
         for actor in scene.actors.values():
-            self._sampled[self._index_of(actor.id, actor.since)].details = actor
+            self._sampled[self._index_of(actor.id, actor.spawned_at)].details = actor
         self._ids, self._changed = scene.ids, False
         columns = [self._index[id] if id in self._index else self._index_of(id, scene.time) for id in scene.ids.tolist()]
         moving, fixed = set(scene.ids.tolist()), []
         for actor in scene.actors.values():
-            if actor.id not in moving and not actor.attached and actor.kind != ActorKind.SENSOR:
+            if actor.id not in moving and not actor.attached and actor.kind != "sensor":
                 columns.append(self._index[actor.id])
                 fixed.append(actor.spawn_pose)
         self._columns = np.array(columns, np.intp)
@@ -243,7 +243,7 @@ class Sampler:
         if not block:
             return
         for actor in self._actors.values():
-            self._sampled[self._known[actor.id, actor.since]].details = actor
+            self._sampled[self._known[actor.id, actor.spawned_at]].details = actor
         present = np.unique(np.concatenate([actors for actors, _ in block]))
         samples = np.full((len(block), len(present), 3), np.nan)
         held, columns = None, np.zeros(0, np.intp)
@@ -293,8 +293,7 @@ def _intervals(samples: Floats, times: Floats) -> Iterator[tuple[int, int, int, 
     """
     present = np.isfinite(samples).all(axis=2) & (np.abs(samples[:, :, :2]).max(axis=2) < FAR)
     distances = np.hypot(*np.moveaxis(np.diff(samples[:, :, :2], axis=0), 2, 0))
-    possible = np.maximum(JUMP, TOP_SPEED * np.diff(times)) * CM
-    joined = present[1:] & present[:-1] & (distances <= possible[:, None])
+    joined = present[1:] & present[:-1] & (distances <= possible_step(np.diff(times))[:, None])
     for column in range(samples.shape[1]):
         if joined[:, column].all():
             bounds = [(0, len(times) - 1)] if present[0, column] else []

@@ -11,8 +11,7 @@ import numpy as np
 
 from carla_recap.export.report.base_map import LAYERS
 from carla_recap.export.style import OTHER, box_of, color_of, label_of, style_of
-from carla_recap.model.actors import BoundingBox
-from carla_recap.model.records import ActorKind
+from carla_recap.model.actors import ROAD_USERS, BoundingBox
 from carla_recap.queries.kinds import KINDS
 from carla_recap.rendering.looks import look_of_present
 from carla_recap.rendering.materials import Tag
@@ -26,8 +25,8 @@ if TYPE_CHECKING:
     from carla_recap.export.report.packing import Packer
     from carla_recap.export.report.samples import SampledActor, SampledReplay
     from carla_recap.export.style import Color
+    from carla_recap.model.actors import ActorLife
     from carla_recap.rendering.looks import Look
-    from carla_recap.replay.events import Present
 
 LONGEST: Final = 120  # characters of a name
 LENGTH_UNIT: Final = 0.002  # m
@@ -101,18 +100,18 @@ def actor_data(sampled: SampledActor) -> dict[str, Any]:
     }
 
 
-def _paint(actor: Present) -> str | None:
+def _paint(actor: ActorLife) -> str | None:
     """Return the recorded colour of a vehicle."""
-    match = _PAINT.fullmatch(actor.spawn.attribute("color") or "") if actor.kind == ActorKind.VEHICLE else None
+    match = _PAINT.fullmatch(actor.spawn.attribute("color") or "") if actor.kind == "vehicle" else None
     if match is None:
         return None
     red, green, blue = (min(255, int(part)) for part in match.groups())
     return hexadecimal((red, green, blue))
 
 
-def _box(actor: Present, look: Look | None) -> BoundingBox:
+def _box(actor: ActorLife, look: Look | None) -> BoundingBox:
     """Return the box of an actor: as recorded, else that of its blueprint."""
-    if actor.box is not None or look is None or actor.kind not in (ActorKind.VEHICLE, ActorKind.WALKER):
+    if actor.bounding_box is not None or look is None or actor.kind not in ROAD_USERS:
         return box_of(actor)
     return BoundingBox(*look.center, *look.half_extents)
 

@@ -19,9 +19,10 @@ from carla_recap.export.rerun.meshes import drawn, model_mesh
 from carla_recap.export.rerun.poses import PoseBuffer
 from carla_recap.export.rerun.see_through import SeeThroughWriter
 from carla_recap.export.rerun.stream import screen_radii
-from carla_recap.model.records import CM, ActorKind, Spawn
+from carla_recap.model.actors import ROAD_USERS, ActorLife
+from carla_recap.model.records import CM, Spawn
 from carla_recap.rendering.looks import Look, look_of_present
-from carla_recap.replay import Destroyed, Present, Spawned, quaternions, right_handed
+from carla_recap.replay import Destroyed, Spawned, quaternions, right_handed
 from carla_recap.replay.pose import LOCATION
 
 if TYPE_CHECKING:
@@ -34,7 +35,6 @@ if TYPE_CHECKING:
     from carla_recap.replay import SceneBatch
     from carla_recap.replay.selection import Ids
 
-MOVERS: Final = (ActorKind.VEHICLE, ActorKind.WALKER)
 """The kinds that are on the map and that a camera can follow."""
 
 MOST_BOXES: Final = 5_000
@@ -108,7 +108,7 @@ class ActorWriter:
         if batch.ids is not self._ids:
             self._ids = batch.ids
             for id in set(batch.ids.tolist()) - self._present:
-                self._draw(Present(Spawn(id), float(batch.time[0])), batch, times.point(0))
+                self._draw(ActorLife.of(Spawn(id), float(batch.time[0])), batch, times.point(0))
         named = None if self._named is None else batch.actors.get(self._named)
         if named is not None:
             self._stream.log(paths.actor(named.id), times.point(0), _name(named, look_of_present(named)))
@@ -155,15 +155,15 @@ class ActorWriter:
             corners = [(left, top), (right, top), (right, bottom), (left, bottom), (left, top)]
             self._stream.log_static(paths.MAP_EDGE, rr.LineStrips2D([corners], colors=[_EDGE], radii=screen_radii(0.5)))
 
-    def _draw(self, actor: Present, batch: SceneBatch, time: TimePoint) -> None:
+    def _draw(self, actor: ActorLife, batch: SceneBatch, time: TimePoint) -> None:
         path = paths.actor(actor.id)
         if actor.id in self._present and actor.id in self._boxed:
             self._stream.clear(path, time)
         self._present.add(actor.id)
         self._colors.pop(actor.id, None)
-        if actor.kind == ActorKind.VEHICLE:
+        if actor.kind == "vehicle":
             self._vehicles.add(actor.id)
-        if actor.kind in MOVERS:
+        if actor.kind in ROAD_USERS:
             red, green, blue = style.color_of(actor)
             self._colors[actor.id] = red << 24 | green << 16 | blue << 8 | 255
         if actor.id not in self._boxed and len(self._boxed) >= MOST_BOXES:
@@ -171,14 +171,14 @@ class ActorWriter:
             return
         self._boxed.add(actor.id)
         look = look_of_present(actor, signs=self._signs) if actor.type_id else None
-        if look is not None and actor.kind in MOVERS:
+        if look is not None and actor.kind in ROAD_USERS:
             self._looks[actor.id] = look
         archetypes: list[rr.AsComponents] = [rr.AnyValues(name=style.label_of(actor))]
         if look is not None and self._models < MOST_MODELS:
             self._models += 1
             mesh = model_mesh(look)
-            archetypes.append(drawn(look, mesh, with_shadow=actor.kind == ActorKind.VEHICLE))
-            if actor.kind == ActorKind.VEHICLE:
+            archetypes.append(drawn(look, mesh, with_shadow=actor.kind == "vehicle"))
+            if actor.kind == "vehicle":
                 self._lamps.add(actor.id, mesh)
         elif look is not None or not actor.type_id:
             archetypes.append(_box(actor, look))
@@ -219,7 +219,7 @@ class ActorWriter:
                 self._cameras[id].write(times, block.poses[1:, index], np.flatnonzero(block.present[1:, index]))
 
 
-def _location(actor: Present) -> rr.Transform3D:
+def _location(actor: ActorLife) -> rr.Transform3D:
     """Return the pose of an actor without recorded poses: that of its spawn, or fixed to its parent."""
     pose = right_handed(actor.spawn_pose)
     upon = paths.actor(actor.parent) if actor.attached and actor.parent is not None else None
@@ -230,7 +230,7 @@ def _location(actor: Present) -> rr.Transform3D:
     )
 
 
-def _box(actor: Present, look: Look | None) -> rr.Boxes3D:
+def _box(actor: ActorLife, look: Look | None) -> rr.Boxes3D:
     """Return the box of an actor: the edges alone of one that has no look."""
     box = style.box_of(actor)
     return rr.Boxes3D(
@@ -241,7 +241,7 @@ def _box(actor: Present, look: Look | None) -> rr.Boxes3D:
     )
 
 
-def _name(actor: Present, look: Look | None) -> rr.Points3D:
+def _name(actor: ActorLife, look: Look | None) -> rr.Points3D:
     """Return the name of an actor, behind it on the ground, where it hides nothing that is ahead."""
     box = style.box_of(actor)
     half, center = (box.extent_x, box.extent_z), (box.x, box.z)

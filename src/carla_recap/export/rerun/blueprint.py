@@ -14,9 +14,10 @@ from carla_recap.export.rerun import paths
 from carla_recap.export.rerun.eyes import LOOK_DOWN, Triple, chase_eye
 from carla_recap.export.rerun.plots import CONTROLS, FARTHEST, LATEST
 from carla_recap.export.rerun.stream import FRAME, SIM_TIME
+from carla_recap.model.actors import ActorLife
 from carla_recap.model.records import CM
 from carla_recap.rendering.looks import look_of_present
-from carla_recap.replay import Player, Present, camera, right_handed
+from carla_recap.replay import Player, camera, right_handed
 from carla_recap.replay.pose import LOCATION
 
 if TYPE_CHECKING:
@@ -120,7 +121,7 @@ def _half_extents(player: Player, id: int) -> Triple | None:
     for frame in player.reader.frames(("spawned",), sparse=True, stop=player.stop):
         for spawn in frame["spawned"]:
             if spawn.id == id:
-                look = look_of_present(Present(spawn, frame.elapsed))
+                look = look_of_present(ActorLife.of(spawn, frame.elapsed))
                 return None if look is None else look.half_extents
     return None
 

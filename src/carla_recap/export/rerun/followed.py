@@ -14,8 +14,10 @@ from carla_recap.export.rerun.ground import ground_below
 from carla_recap.export.rerun.plots import CONTROLS, PlotWriter
 from carla_recap.export.rerun.poses import ROWS
 from carla_recap.export.rerun.stream import TimeColumns, screen_radii
+from carla_recap.model.motion import possible_step
+from carla_recap.model.records import CM
 from carla_recap.replay import calm_headings, level, right_handed
-from carla_recap.replay.pose import JUMP, LOCATION, TOP_SPEED, YAW
+from carla_recap.replay.pose import LOCATION, YAW
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -36,7 +38,7 @@ _RADIUS: Final = 6.0  # points of the screen; of the actor on the map
 def jumps(seconds: Floats, poses: Floats) -> Flags:
     """Return which poses are too far from the one before for an actor to have driven there."""
     distances = np.sqrt((np.diff(poses[:, LOCATION], axis=0) ** 2).sum(axis=1))
-    return np.concatenate(([False], distances > np.maximum(JUMP, TOP_SPEED * np.diff(seconds))))
+    return np.concatenate(([False], distances * CM > possible_step(np.diff(seconds))))
 
 
 class CameraAxes:

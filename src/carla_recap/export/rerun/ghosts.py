@@ -11,10 +11,11 @@ import rerun as rr
 from carla_recap.errors import RecapError
 from carla_recap.export import style
 from carla_recap.export.rerun import paths
-from carla_recap.export.rerun.actors import MOST_MODELS, MOVERS
+from carla_recap.export.rerun.actors import MOST_MODELS
 from carla_recap.export.rerun.meshes import faded, mesh3d, model_mesh
 from carla_recap.export.rerun.poses import PoseBuffer
 from carla_recap.export.rerun.stream import Stream, TimeColumns, TimePoint, screen_radii
+from carla_recap.model.actors import ROAD_USERS
 from carla_recap.model.records import CM
 from carla_recap.queries.differences import differences
 from carla_recap.rendering.looks import look_of_present
@@ -26,7 +27,8 @@ if TYPE_CHECKING:
 
     from carla_recap.export.rerun.poses import PoseBlock
     from carla_recap.formats.base import Reader
-    from carla_recap.replay import Present, SceneBatch
+    from carla_recap.model.actors import ActorLife
+    from carla_recap.replay import SceneBatch
 
 APART: Final = 0.1
 """The distance in m from which on an actor has a ghost."""
@@ -86,7 +88,7 @@ class GhostWriter:
         self.count = 0
         self._stream = stream
         self._shown, self._named = shown, named
-        self._waiting: dict[int, tuple[float, Present]] = {}
+        self._waiting: dict[int, tuple[float, ActorLife]] = {}
         self._drawn: set[int] = set()
         self._poses = PoseBuffer()
         self._last: TimePoint | None = None
@@ -100,8 +102,8 @@ class GhostWriter:
         for event in batch.events:
             if isinstance(event, Spawned):
                 self._erase(event.actor.id, times)
-                key = event.actor.id, event.actor.since
-                if key in self._shown and event.actor.kind in MOVERS and self.count + len(self._waiting) < MOST_MODELS:
+                key = event.actor.id, event.actor.spawned_at
+                if key in self._shown and event.actor.kind in ROAD_USERS and self.count + len(self._waiting) < MOST_MODELS:
                     self._waiting[event.actor.id] = self._shown[key], event.actor
             elif isinstance(event, Destroyed):
                 self._erase(event.id, times)
@@ -128,7 +130,7 @@ class GhostWriter:
             self._stream.clear(paths.GHOSTS, self._last)
             self._stream.clear(paths.MAP_GHOSTS, self._last)
 
-    def _draw(self, actor: Present, times: TimeColumns, row: int) -> None:
+    def _draw(self, actor: ActorLife, times: TimeColumns, row: int) -> None:
         look = look_of_present(actor)
         if look is None:
             return
@@ -137,7 +139,7 @@ class GhostWriter:
         mesh = model_mesh(look)
         body = mesh3d(mesh, np.full((len(mesh.vertices), 3), COLOR, np.uint8))
         archetypes: list[rr.AsComponents] = [body, rr.Mesh3D.from_fields(albedo_factor=faded(_OPACITY))]
-        if (actor.id, actor.since) in self._named:
+        if (actor.id, actor.spawned_at) in self._named:
             above = (look.center[0], look.center[1], look.center[2] + look.half_extents[2])
             name = f"B: {style.label_of(actor)}"
             archetypes.append(rr.Points3D([above], colors=[COLOR], radii=[0], labels=[name], show_labels=True))

@@ -10,7 +10,7 @@ from carla_recap.export.ahead import add_stop_points
 from carla_recap.export.rerun.blueprint import View, live_blueprint
 from carla_recap.export.rerun.rrd import send_blueprint
 from carla_recap.export.rerun.writer import SceneWriter, describe
-from carla_recap.model.records import ActorKind
+from carla_recap.model.actors import ROAD_USERS
 from carla_recap.rendering.looks import look_of_present
 from carla_recap.replay.follow import HERO, Follow
 from carla_recap.replay.player import LiveScenes
@@ -115,10 +115,7 @@ class LiveChoice:
     def _other(self, scene: Scene) -> int | None:
         if self._since is None:
             self._since = scene.time
-        movers: dict[int, list[int]] = {
-            kind: [id for id, actor in scene.actors.items() if actor.kind == kind]
-            for kind in (ActorKind.VEHICLE, ActorKind.WALKER)
-        }
+        movers = {kind: [id for id, actor in scene.actors.items() if actor.kind == kind] for kind in ROAD_USERS}
         here = {id: pose[LOCATION] for those in movers.values() for id in those if (pose := scene.pose_of(id)) is not None}
         before, self._before = self._before, here
         with np.errstate(invalid="ignore"):

@@ -15,7 +15,7 @@ from carla_recap.errors import RecapError, RecapWarning
 from carla_recap.export.ahead import stop_points
 from carla_recap.export.event_text import PlayedIncidents
 from carla_recap.export.rerun import paths
-from carla_recap.export.rerun.actors import MOVERS, ActorWriter
+from carla_recap.export.rerun.actors import ActorWriter
 from carla_recap.export.rerun.blueprint import View, blueprint, first_locations
 from carla_recap.export.rerun.events import EventWriter
 from carla_recap.export.rerun.followed import FollowedWriter
@@ -27,6 +27,7 @@ from carla_recap.export.rerun.rrd import piped, rbl
 from carla_recap.export.rerun.stream import Stream, TimeColumns
 from carla_recap.export.rerun.town import is_elsewhere, write_map, write_sky, write_town
 from carla_recap.formats.sources import unsigned
+from carla_recap.model.actors import ROAD_USERS
 from carla_recap.queries.actors import actors
 from carla_recap.recording import Recording
 from carla_recap.rendering.town import town_mesh_of
@@ -283,11 +284,10 @@ def export_rerun(
 
 def _filmed(player: Player) -> list[int]:
     """Return the vehicles and walkers that get a camera: the first ones of those present while the recording is played."""
-    kinds = {kind.name.lower() for kind in MOVERS}
     ids: dict[int, None] = {}  # in their order, each once
     for actor in actors(player.reader):
         gone = actor.destroyed_at is not None and actor.destroyed_at <= player.start
-        if actor.kind in kinds and actor.spawned_at <= player.stop and not gone:
+        if actor.kind in ROAD_USERS and actor.spawned_at <= player.stop and not gone:
             ids[actor.id] = None
     if len(ids) > MOST_CAMERAS:
         warnings.warn(

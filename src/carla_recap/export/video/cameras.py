@@ -18,8 +18,9 @@ if TYPE_CHECKING:
 
     from carla_recap.export.video.encoding import Size
     from carla_recap.export.video.followed import Subject
+    from carla_recap.model.actors import ActorLife
     from carla_recap.rendering.instances import Instances
-    from carla_recap.replay import Present, Scene
+    from carla_recap.replay import Scene
 
     Floats = NDArray[np.float64]
 
@@ -171,7 +172,7 @@ class _RecordedPath:
         return self._camera or _overview(_Lens.fitted(self._size), instances, pitch=-35.0)
 
 
-def camera_fov(actor: Present) -> float:
+def camera_fov(actor: ActorLife) -> float:
     """Return the recorded field of view of a camera sensor, in degrees."""
     fov = _number(actor.spawn.attribute("fov"))
     return fov if 1 <= fov <= 170 else 90.0

@@ -28,13 +28,14 @@ if TYPE_CHECKING:
 
     from carla_recap.export.video.cameras import VideoView
     from carla_recap.export.video.encoding import Picture, Size
+    from carla_recap.model.actors import ActorLife
     from carla_recap.queries.incidents import Incident
     from carla_recap.recording import Recording
     from carla_recap.rendering.camera import Camera
     from carla_recap.rendering.instances import Instances
     from carla_recap.rendering.process import RenderProcess
     from carla_recap.rendering.town import TownMesh
-    from carla_recap.replay import Follow, Player, Present, Scene
+    from carla_recap.replay import Follow, Player, Scene
 
     Town = TownMesh | Callable[[], TownMesh | None]
     Progress = Callable[[Iterable[Scene], Player], Iterable[Scene]]
@@ -152,7 +153,7 @@ class Film:
         )
 
 
-def _label(actor: Present) -> str:
+def _label(actor: ActorLife) -> str:
     """Return the name of the followed actor for the panel."""
     name = "hero" if actor.is_hero else readable_name(actor.type_id)
     return f"{name[:1].upper()}{name[1:]} ({actor.id})"

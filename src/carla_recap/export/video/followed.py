@@ -11,6 +11,7 @@ import numpy as np
 from carla_recap.export.ahead import NO_LIGHT, LightAheadFinder
 from carla_recap.export.style import box_of
 from carla_recap.export.video.overlay import LightAhead
+from carla_recap.model.motion import possible_step
 from carla_recap.replay import calm_heading, right_handed
 from carla_recap.replay.pose import LOCATION, rotations
 
@@ -24,7 +25,6 @@ if TYPE_CHECKING:
     Floats = NDArray[np.float64]
 
 _CALM_TURN: Final = 0.6  # s; the time constant of the heading of the camera
-_JUMP: Final = 5.0  # m; a longer step between two pictures, beyond what the speed explains, is a jump
 
 
 @dataclass(frozen=True, eq=False)
@@ -76,7 +76,7 @@ class FollowedActor:
         before, delta = self.subject, scene.time - self._time
         step = math.inf if before is None else float(np.linalg.norm(ground - before.ground))
         recorded = self._recorded_speed(scene)
-        jumped = step > max(_JUMP, 3 * (recorded or 40.0) * delta) or delta <= 0
+        jumped = delta <= 0 or step > possible_step(delta, math.nan if recorded is None else recorded)
         speed = recorded
         if speed is None and before is not None and not jumped:
             share = -math.expm1(-delta / 0.2)

@@ -216,9 +216,10 @@ def create_index(path: Path | str) -> RecordingIndex:
     path = Path(path)
     if not _is_file(path):
         prepare_file(path)
+        content = _empty()
         try:
             with WholeFile(path, force=False) as file:
-                file.write(_empty())
+                file.write(content)
         except RecapError:
             if not _is_file(path):  # else another process was faster
                 raise

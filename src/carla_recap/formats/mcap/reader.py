@@ -15,6 +15,7 @@ import numpy as np
 from mcap.opcode import Opcode
 
 from carla_recap.errors import FormatError, NotARecording, RecapWarning
+from carla_recap.formats.base import Reader
 from carla_recap.formats.mcap.codec import WireError, decode_records
 from carla_recap.formats.mcap.frames import MESSAGES_LIMIT, Channels, FrameAssembler, ReadSelection, channel_messages, parsed
 from carla_recap.formats.mcap.index import METADATA_LIMIT, open_chunk, parse_metadata, read_record, read_summary
@@ -40,7 +41,7 @@ from carla_recap.model.batch import Batch, within
 from carla_recap.model.frame import SAME_TIME, Extent, Frame, Header
 
 if TYPE_CHECKING:
-    from collections.abc import Collection, Iterable, Iterator
+    from collections.abc import Collection, Iterator
     from pathlib import Path
 
     from carla_recap.formats.mcap.index import ChunkIndex, Summary
@@ -58,7 +59,7 @@ _LARGE_BLOCK: Final = 4 << 20  # bytes
 _WORTH_A_THREAD: Final = 2 << 20  # bytes of a file from which on chunks are decompressed ahead
 
 
-class McapReader:
+class McapReader(Reader):
     """Reads a recording from MCAP.
 
     Args:
@@ -104,23 +105,13 @@ class McapReader:
         """What the file says of the recording as a whole, beyond the header; empty where it does not."""
         return self._read_metadata(EXTENT_METADATA) or {}
 
+    def check_open(self) -> None:
+        """Check that it is not closed; see `Reader.check_open`."""
+        self._source.check_open()
+
     def close(self) -> None:
         """Close the file."""
         self._source.close()
-
-    def frames(
-        self,
-        types: Collection[str] | None = None,
-        *,
-        sparse: bool = False,
-        start: float = -math.inf,
-        stop: float = math.inf,
-    ) -> Iterator[Frame]:
-        """Stream the frames; see `Reader.frames`. With `sparse`, durations are unknown (NaN)."""
-        for batch in self.batches(types, sparse=sparse, start=start, stop=stop):
-            for frame in batch:
-                yield frame
-                self._source.check_open()
 
     def batches(
         self,
@@ -130,7 +121,7 @@ class McapReader:
         start: float = -math.inf,
         stop: float = math.inf,
     ) -> Iterator[Batch]:
-        """Stream the frames in batches; see `Reader.batches`. With `sparse`, durations are unknown (NaN)."""
+        """Yield the frames in batches; see `Reader.batches`. With `sparse`, durations are unknown (NaN)."""
         self._source.check_open()
         start, stop = start - SAME_TIME, stop - SAME_TIME
         wanted = self._channels.wanted(types, frames=not sparse)
@@ -163,9 +154,6 @@ class McapReader:
             if frame.index == found.index:
                 return frame
         raise FormatError(self.location, None, f"frame {found.id} is in no chunk of its time: the index is wrong")
-
-    def frames_by_index(self, indexes: Iterable[int], types: Collection[str]) -> None:
-        """Return None: an MCAP file has an index by time."""
 
     def extent(self) -> Extent:
         """Return how far the recording goes."""

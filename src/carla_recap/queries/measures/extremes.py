@@ -9,12 +9,12 @@ from typing import TYPE_CHECKING, ClassVar, Final, Literal
 import numpy as np
 
 from carla_recap.errors import RecapError
-from carla_recap.model.actors import HERO, ActorLives, find_actor
+from carla_recap.model.actors import HERO, ROAD_USERS, ActorLives, find_actor
 from carla_recap.model.actors import TYPES as ACTOR_TYPES
 from carla_recap.model.contacts import Contacts
 from carla_recap.queries import Answer
 from carla_recap.queries.measures.encroachment import STEP, encroachments, path_of, refined
-from carla_recap.queries.measures.motion import KINDS, TYPES, MotionCollector
+from carla_recap.queries.measures.motion import TYPES, MotionCollector
 from carla_recap.queries.measures.near_misses import paths_meet
 from carla_recap.queries.measures.pairs import near_pairs
 from carla_recap.queries.measures.road import TYPES as ROAD_TYPES
@@ -251,7 +251,7 @@ def _subjects(source: Reader, recorded: ActorLives, wanted: Subjects) -> dict[in
     """
     movers: dict[int, ActorLife] = {}
     for actor in recorded:
-        if actor.kind in KINDS:
+        if actor.kind in ROAD_USERS:
             movers.setdefault(actor.id, actor)
     heroes = {id: actor for id, actor in movers.items() if actor.is_hero}
     if wanted is None:

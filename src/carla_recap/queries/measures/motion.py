@@ -8,8 +8,9 @@ from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
-from carla_recap.model.actors import BoundingBox
+from carla_recap.model.actors import ROAD_USERS, BoundingBox
 from carla_recap.model.blueprints import blueprint_sizes
+from carla_recap.model.motion import LONGEST_STEP, possible_step
 from carla_recap.model.records import CM
 from carla_recap.model.segment import SegmentBuffer, segments
 
@@ -27,8 +28,6 @@ if TYPE_CHECKING:
 
 TYPES: Final = ("transforms", "velocities")
 """The record types that motion is computed from."""
-KINDS: Final = ("vehicle", "walker")
-"""The kinds of actors that have a motion here."""
 MARGIN: Final = 3.0
 """The time before and after the frames of a block that it has, too, in s."""
 
@@ -38,11 +37,7 @@ _MARGIN_FRAMES: Final = 512  # of a margin, at most
 _VALUES: Final = 1 << 20  # poses of a block, at most, where it has several frames
 _FAR: Final = 1e6  # m; poses farther out do not count
 _FASTEST: Final = 150.0  # m/s; velocities above it do not count
-_JUMP: Final = 5.0  # m; a shorter step is no jump
-_TOP_SPEED: Final = 100.0  # m/s; a faster step is a jump where no velocity is recorded
-_SLACK: Final = 3.0  # a jump is longer than the recorded velocity explains by more than this factor
 _AROUND_JUMP: Final = 0.5  # s before and after a jump in which an actor does not count
-_LONGEST: Final = 1.0  # s; over a longer step, there is no velocity
 
 _SEDAN: Final = BoundingBox(0.0, 0.0, 0.75, 2.25, 0.95, 0.75)
 _TWO_WHEELS: Final = BoundingBox(0.0, 0.0, 0.8, 1.0, 0.4, 0.8)
@@ -119,7 +114,7 @@ class MotionCollector:
 
     def __init__(self, actors: ActorLives) -> None:
         self._actors = actors
-        self._known = np.array(sorted(actors.ids(*KINDS)), np.uint32)
+        self._known = np.array(sorted(actors.ids(*ROAD_USERS)), np.uint32)
         self._poses, self._velocities = SegmentBuffer(), SegmentBuffer()
         self._time = np.zeros(0)  # of the frames that these hold
         self._index = 0  # of the first of them in the recording
@@ -198,8 +193,8 @@ class MotionCollector:
         time = self._time[start:stop]
         middle = float(time[(first + last) // 2 - start])
         found = [self._actors.at(id, middle) for id in ids.tolist()]
-        kept = [actor is not None and actor.kind in KINDS for actor in found]
-        ids, actors = ids[kept], tuple(actor for actor in found if actor is not None and actor.kind in KINDS)
+        kept = [actor is not None and actor.kind in ROAD_USERS for actor in found]
+        ids, actors = ids[kept], tuple(actor for actor in found if actor is not None and actor.kind in ROAD_USERS)
         pose, velocity = (
             np.where(known, values, np.nan).astype(np.float64)
             for values, known in (
@@ -273,10 +268,8 @@ def _motion(time: Floats, pose: Floats, velocity: Floats) -> tuple[Floats, ...]:
         distance = np.hypot(dx, dy)
         speed = np.hypot(vx, vy)
         speed = np.fmax(speed[:, 1:], speed[:, :-1])
-        known = ~np.isnan(speed)
-        explained = np.where(known, np.maximum(_SLACK * speed * seconds, _JUMP), _TOP_SPEED * seconds)
-        ordered = (seconds > 0) & (seconds <= _LONGEST)
-        jumps = (distance > explained) & ordered
+        ordered = (seconds > 0) & (seconds <= LONGEST_STEP)
+        jumps = (distance > possible_step(seconds, speed, least=0.0)) & ordered
         if jumps.any():
             absent |= _around(jumps, time)
         if unknown.any():

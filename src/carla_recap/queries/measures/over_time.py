@@ -8,9 +8,9 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from carla_recap.model.actors import ActorLives, ActorName, find_actor
+from carla_recap.model.actors import ROAD_USERS, ActorLives, ActorName, find_actor
 from carla_recap.queries.actors import actors
-from carla_recap.queries.measures.motion import KINDS, TYPES, MotionCollector
+from carla_recap.queries.measures.motion import TYPES, MotionCollector
 from carla_recap.queries.measures.series import criticality
 from carla_recap.queries.measures.table import MeasureSeries, series_of
 
@@ -38,7 +38,7 @@ def time_series(
         FormatError: The file contradicts its format.
     """
     known = actors(source)
-    movers = [each for each in known if each.kind in KINDS]
+    movers = [each for each in known if each.kind in ROAD_USERS]
 
     def find(name: ActorName) -> int:
         return find_actor(source.location, movers, name, "vehicle or walker", "to measure").id

@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Final, NamedTuple
 import numpy as np
 
 from carla_recap.model.blueprints import blueprint_sizes
+from carla_recap.model.motion import possible_step
 from carla_recap.model.records import CM
 from carla_recap.queries.measures.table import Extreme
 from carla_recap.queries.measures.traffic_lights import LightHistory
@@ -55,8 +56,6 @@ SPEEDING_TIME: Final = 1.0
 _INTERVAL: Final = 0.1  # s between the samples of the motion
 _ROUNDING: Final = 1e-6  # s
 _LONGEST: Final = 2.5  # s from one sample to the next
-_FASTEST: Final = 100.0  # m/s; what is faster jumps
-_SHORT: Final = 1.0  # m; a shorter step is no jump
 _STILL: Final = 0.02  # m; after a shorter step, the position is the same
 _GAP: Final = 0.55  # s between runs that are one
 _BLOCK: Final = 200_000  # samples that are evaluated together
@@ -371,7 +370,7 @@ class _Motion:
         seconds, dx, dy = (np.diff(samples[name], prepend=np.nan) for name in ("time", "x", "y"))
         distance = np.hypot(dx, dy)
         self.continues = same & (seconds > 0) & (seconds <= _LONGEST)
-        self.continues &= distance <= np.maximum(_SHORT, _FASTEST * seconds)
+        self.continues &= distance <= possible_step(seconds)
         self.seconds, self.dx, self.dy, self.distance = (
             np.where(self.continues, values, np.nan) for values in (seconds, dx, dy, distance)
         )

@@ -17,7 +17,8 @@ from carla_recap.sim.replaying.substitutes import blueprint_for
 if TYPE_CHECKING:
     from collections.abc import Iterable, Mapping, Sequence
 
-    from carla_recap.replay import Present, Scene
+    from carla_recap.model.actors import ActorLife
+    from carla_recap.replay import Scene
     from carla_recap.sim.actors.actor import Actor
     from carla_recap.sim.interfaces import ReplayWorld
 
@@ -59,7 +60,7 @@ class ActorMapping:
         """The ids of replayed and released actors by the ids of the recording."""
         return MappingProxyType({id: actor.id for id, actor in (self.replayed | self.released).items()})
 
-    def add(self, actors: Iterable[Present], scene: Scene) -> None:
+    def add(self, actors: Iterable[ActorLife], scene: Scene) -> None:
         """Map recorded actors that appear.
 
         Args:
@@ -105,7 +106,7 @@ class ActorMapping:
         for id in list(self._spawned):
             self.remove(id)
 
-    def _counterpart(self, actor: Present, scene: Scene) -> Actor | None:
+    def _counterpart(self, actor: ActorLife, scene: Scene) -> Actor | None:
         if actor.type_id == _SPECTATOR:
             return self._world.spectator
         if actor.type_id.startswith(_SENSOR) and not self._replay_sensors:
@@ -115,7 +116,7 @@ class ActorMapping:
             return same_id
         return self._spawn(actor, scene)
 
-    def _spawn(self, actor: Present, scene: Scene) -> Actor | None:
+    def _spawn(self, actor: ActorLife, scene: Scene) -> Actor | None:
         blueprint, model = blueprint_for(actor, self._world.blueprints)
         possible = self.replayed | self.released
         parent = possible.get(actor.parent) if actor.attached and actor.parent is not None else None
@@ -130,7 +131,7 @@ class ActorMapping:
                 spawned.set_collisions(False)  # its shape is unknown
         return spawned
 
-    def _nearest(self, signs: Sequence[Present]) -> dict[int, Actor]:
+    def _nearest(self, signs: Sequence[ActorLife]) -> dict[int, Actor]:
         """Map recorded signs to the nearest ones of the town, the nearest pairs first."""
         taken = list(self.replayed.values())
         free = [actor for actor in self._world.actors.values() if isinstance(actor, Sign) and actor not in taken]

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
+from carla_recap.model.motion import possible_step
 from carla_recap.replay.pose import wrap
 from carla_recap.sim.actors.lights import Sign
 from carla_recap.sim.actors.moving import MovingActor
@@ -24,8 +25,6 @@ if TYPE_CHECKING:
     Floats = NDArray[np.float64]
     Rows = NDArray[np.intp]
 
-JUMP: Final = 100.0
-"""m/s; an actor that seems to be faster has jumped, and pushes none on its way."""
 _SHORTEST: Final = 1e-3  # s; velocities are not computed over less
 _PITCH_YAW_ROLL: Final = [4, 5, 3]
 """Their indices in a pose."""
@@ -99,9 +98,9 @@ class KinematicReplay:
         yaw_change = wrap(rotation - movers.rotation[rows])[:, 1]
         distance = np.linalg.norm(path, axis=1)
         if seconds >= _SHORTEST:
-            path[distance > JUMP * seconds] = 0
+            path[distance > possible_step(seconds, least=0.0)] = 0
             self._speeds |= zip(movers.id[rows].tolist(), (path / seconds).tolist(), strict=True)
-        pushing = distance <= JUMP * delta
+        pushing = distance <= possible_step(delta, least=0.0)  # an actor that jumps pushes none on its way
         for row, (x, y, z), (pitch, yaw, roll) in zip(rows[~pushing], position[~pushing], rotation[~pushing], strict=True):
             movers.place(int(row), (x, y, z), (pitch, yaw, roll))
         rate = 1 / delta if delta else 0.0

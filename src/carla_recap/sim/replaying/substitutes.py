@@ -12,15 +12,14 @@ from carla_recap.sim.geometry import Box, Location, Vector
 from carla_recap.util.text import readable
 
 if TYPE_CHECKING:
-    from carla_recap.model.actors import BoundingBox
-    from carla_recap.replay.events import Present
+    from carla_recap.model.actors import ActorLife, BoundingBox
     from carla_recap.sim.actors.blueprints import BlueprintLibrary
 
 _WHEELS: Final = "number_of_wheels"
 _DEFAULT_BOX: Final = Box(Location(0.0, 0.0, 0.5), Vector(0.5, 0.5, 0.5))
 
 
-def blueprint_for(actor: Present, library: BlueprintLibrary) -> tuple[Blueprint, str]:
+def blueprint_for(actor: ActorLife, library: BlueprintLibrary) -> tuple[Blueprint, str]:
     """Return the blueprint of a recorded actor, with the id and the attributes that were recorded.
 
     If the library does not have it, the rest is that of the most similar one: of the same kind, with as many wheels if
@@ -36,25 +35,27 @@ def blueprint_for(actor: Present, library: BlueprintLibrary) -> tuple[Blueprint,
         return Blueprint(actor.type_id, ActorKind.OTHER, attributes, _DEFAULT_BOX), ""
     if known:
         return replace(model, attributes={**model.attributes, **attributes}), model.id
-    box = model.box if actor.box is None else _box(actor.box)
+    box = model.box if actor.bounding_box is None else _box(actor.bounding_box)
     return replace(model, id=actor.type_id, attributes=attributes, box=box, uid=0), model.id
 
 
-def _most_similar(actor: Present, library: BlueprintLibrary) -> Blueprint | None:
+def _most_similar(actor: ActorLife, library: BlueprintLibrary) -> Blueprint | None:
     wheels = actor.spawn.attribute(_WHEELS)
 
     def difference(blueprint: Blueprint) -> tuple[bool, float]:
         similarity = SequenceMatcher(None, blueprint.id, actor.type_id, autojunk=False).ratio()
-        return blueprint.attributes.get(_WHEELS) != wheels, _size_difference(actor.box, blueprint.box) - similarity
+        return blueprint.attributes.get(_WHEELS) != wheels, _size_difference(actor.bounding_box, blueprint.box) - similarity
 
     kind = _kind(actor)
     return min((b for b in library if b.kind == kind), key=difference, default=None)
 
 
-def _kind(actor: Present) -> int:
+def _kind(actor: ActorLife) -> int:
     """Return the kind of an actor by its blueprint: older releases number the kinds differently."""
     family = actor.type_id.partition(".")[0]
-    return {"vehicle": ActorKind.VEHICLE, "walker": ActorKind.WALKER, "sensor": ActorKind.SENSOR}.get(family, actor.kind)
+    return {"vehicle": ActorKind.VEHICLE, "walker": ActorKind.WALKER, "sensor": ActorKind.SENSOR}.get(
+        family, actor.spawn.kind
+    )
 
 
 def _size_difference(box: BoundingBox | None, other: Box) -> float:

@@ -1,4 +1,4 @@
-"""An MCAP file of protobuf messages in chunks, which are compressed while the next messages are made.
+"""Writes MCAP files of protobuf messages in chunks, which are compressed while the next messages are made.
 
 Schemas and channels stand outside all chunks, before the first that needs them, and again in the summary: a damaged chunk
 costs only itself.
@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import struct
 import zlib
+from array import array
 from collections import Counter, deque
 from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import dataclass, field
@@ -16,20 +17,24 @@ from itertools import groupby
 from threading import local
 from typing import TYPE_CHECKING, Final
 
+import numpy as np
 import zstandard
 from mcap import records
 from mcap.data_stream import RecordBuilder
 from mcap.opcode import Opcode
 
-from carla_recap.formats.mcap.schema import CHUNK, FOOTER, MAGIC, MESSAGE_INDEX, RECORD, U64
+from carla_recap.formats.mcap.codec import encode_many
+from carla_recap.formats.mcap.schema import CHUNK, FOOTER, MAGIC, MESSAGE, MESSAGE_FIELDS, MESSAGE_INDEX, RECORD, U64
 from carla_recap.util.files import AtomicFile
 
 if TYPE_CHECKING:
-    from array import array
     from collections.abc import Callable, Mapping, Sequence
     from pathlib import Path
 
-    from carla_recap.formats.mcap.chunk import ChunkBuilder
+    from numpy.typing import NDArray
+
+    from carla_recap.model.layout import Buffer
+    from carla_recap.model.records import RecordType
 
 _COMPRESSION: Final = "zstd"
 _WORKERS: Final = 2
@@ -54,6 +59,95 @@ class Topic:
     message: str
     schema: Callable[[], bytes]
     metadata: Mapping[str, str] = field(default_factory=dict)
+
+
+class ChunkBuilder:
+    """A chunk being filled.
+
+    Attributes:
+        size: About how many bytes it will have.
+        start: First log time in ns.
+        end: Last log time in ns.
+    """
+
+    def __init__(self) -> None:
+        self.size = 0
+        self.start = self.end = 0
+        # Channel, sequence, log and publish time, head and body of each message that is to be encoded; and by type the
+        # indexes of those whose bodies are encoded together, with their payloads.
+        self._messages: list[tuple[int, int, int, int, bytes, bytes]] = []
+        self._waiting: dict[RecordType, tuple[list[int], list[Buffer]]] = {}
+        self._parts: list[Buffer] = []
+        self._index: dict[int, array[int]] = {}
+        self._end = 0  # of the parts, in bytes
+
+    @property
+    def is_empty(self) -> bool:
+        """Whether nothing was added so far."""
+        return not self._messages and not self._parts
+
+    def add(self, channel: int, sequence: int, times: tuple[int, int], head: bytes, body: bytes) -> None:
+        """Add a message."""
+        if self.is_empty:
+            self.start = times[0]
+        self.end = times[0]
+        self.size += MESSAGE.size + len(head) + len(body)
+        self._messages.append((channel, sequence, *times, head, body))
+
+    def encode_later(self, type: RecordType, payload: Buffer, size: int) -> None:
+        """Give the latest message a body of a known size, which is encoded together with others of its type."""
+        waiting = self._waiting.get(type)
+        if waiting is None:
+            waiting = self._waiting[type] = ([], [])
+        waiting[0].append(len(self._messages) - 1)
+        waiting[1].append(payload)
+        self.size += size
+
+    def add_records(self, records: Sequence[Buffer], index: Mapping[int, NDArray[np.uint64]], start: int, end: int) -> None:
+        """Add messages that are records already.
+
+        Args:
+            records: The records, some or all of them together.
+            index: By channel, the log time in ns and the offset in the records of each message, (messages, 2).
+            start: First log time in ns.
+            end: Last log time in ns.
+        """
+        if self.is_empty:
+            self.start = start
+        self.end = end
+        self._encode()
+        for channel, entries in index.items():
+            entries[:, 1] += np.uint64(self._end)
+            self._index.setdefault(channel, array("Q")).frombytes(entries.tobytes())
+        self._parts += records
+        size = sum(map(len, records))
+        self._end += size
+        self.size += size
+
+    def finish(self) -> tuple[bytes, dict[int, array[int]]]:
+        """Return the records, and by channel the log time and offset of each message."""
+        self._encode()
+        return b"".join(self._parts), self._index
+
+    def _encode(self) -> None:
+        """Turn the messages into records."""
+        bodies: dict[int, Buffer] = {}
+        for type, (indexes, payloads) in self._waiting.items():
+            bodies.update(zip(indexes, encode_many(type, payloads), strict=True))
+        parts, index, end, pack = self._parts, self._index, self._end, MESSAGE.pack
+        for number, (channel, sequence, log_time, publish_time, head, body) in enumerate(self._messages):
+            data = bodies.get(number, body)
+            length = MESSAGE_FIELDS + len(head) + len(data)
+            entries = index.get(channel)
+            if entries is None:
+                entries = index[channel] = array("Q")
+            entries.append(log_time)
+            entries.append(end)
+            parts += (pack(Opcode.MESSAGE, length, channel, sequence, log_time, publish_time), head, data)
+            end += RECORD.size + length
+        self._end = end
+        self._messages.clear()
+        self._waiting.clear()
 
 
 @dataclass(frozen=True)
@@ -138,9 +232,7 @@ class ChunkedFile(AtomicFile):
     def _add_chunk(self, chunk: ChunkBuilder, *, at_end: bool = False) -> None:
         """Send a chunk to be compressed; chunks that are ready are written.
 
-        Args:
-            chunk: The chunk.
-            at_end: Hold it back until `_write_held`, unless the file is live, or too much is held back already.
+        With `at_end`, it is held back until `_write_held`, unless the file is live, or too much is held back already.
         """
         data, index = chunk.finish()
         self._sealed.append(_Sealed(chunk.start, chunk.end, len(data), index, self._compressed(data), at_end))

@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 
 from carla_recap.formats import create_writer
 from carla_recap.formats.mcap import writer
-from carla_recap.formats.mcap.chunk import has_template
+from carla_recap.formats.mcap.writer import has_template
 from carla_recap.model.batch import Batch, ConstantColumn, RecordsColumn
 from carla_recap.model.frame import Frame, Header, Packet
 from carla_recap.model.layout import EMPTY_LIST, Framing
