@@ -37,10 +37,10 @@ if TYPE_CHECKING:
     from carla_recap.export.parquet import export_parquet
     from carla_recap.export.report import write_report
     from carla_recap.export.tracks import export_csv
+    from carla_recap.fleet.engine import map_recordings, open_recordings
     from carla_recap.fleet.index.database import RecordingIndex, open_index
     from carla_recap.fleet.index.writing import IndexSummary, write_index
     from carla_recap.fleet.outcomes import Outcome
-    from carla_recap.fleet.recordings import map_recordings, open_recordings
     from carla_recap.fleet.rules import Rule, RuleSet, Verdict, check, load_rules
     from carla_recap.fleet.sources import SourceFile
     from carla_recap.formats import create_writer
@@ -149,7 +149,7 @@ _get, __dir__ = lazily(
         "export.parquet": ("export_parquet",),
         "fleet.rules": ("Rule", "RuleSet", "Verdict", "check", "load_rules"),
         "fleet.outcomes": ("Outcome",),
-        "fleet.recordings": ("map_recordings", "open_recordings"),
+        "fleet.engine": ("map_recordings", "open_recordings"),
         "fleet.sources": ("SourceFile",),
         "model.frame": ("Frame", "Header"),
         "roads": ("RoadMap", "load_map"),

@@ -11,12 +11,12 @@ from typing import TYPE_CHECKING, Any, Final, NoReturn
 import click
 
 from carla_recap.cli import options
-from carla_recap.cli.many import client_of, watched
-from carla_recap.cli.output import BAD_INPUT, counted, fail, warn, wrote
+from carla_recap.cli.many import Messages, client_of, watched
+from carla_recap.cli.output import BAD_INPUT, counted, fail, wrote
 from carla_recap.util.text import visible
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Iterator, Sequence
+    from collections.abc import Iterator, Sequence
 
     from carla_recap.fleet.check import CheckedRecording
     from carla_recap.fleet.rules import RuleSet
@@ -82,13 +82,17 @@ def check(
             client = stack.enter_context(closing(client_of(dask))) if dask else None
             found, bar = watched(sources, "checking")
             with bar, closing(check_sources(found, rules, road_map=road_map, jobs=jobs, client=client)) as given:
+                messages = Messages(bar)
                 for each in given:
                     judged.append(each)
                     bar.advance()
-                    with bar.aside():
-                        _warn(each, each.warnings)
+                    messages.add(each.recording, each.warnings)
             is_judged = True
-            shown = judged if room is None else _write_pages(judged, rules, room, clips=clips, road_map=road_map, jobs=jobs)
+            shown = (
+                judged
+                if room is None
+                else _write_pages(judged, rules, room, messages, clips=clips, road_map=road_map, jobs=jobs)
+            )
         checked = shown
     except RecapError as error:
         if not is_judged:
@@ -114,6 +118,7 @@ def _write_pages(
     judged: Sequence[CheckedRecording],
     rules: RuleSet,
     room: Path,
+    messages: Messages,
     *,
     clips: bool,
     road_map: str | None,
@@ -126,7 +131,7 @@ def _write_pages(
     with closing(write_pages(judged, room, clips=clips, road_map=road_map, jobs=jobs)) as written:
         for each, warnings in written:
             checked.append(each)
-            _warn(each, warnings)
+            messages.add(each.recording, warnings)
     (room / "index.html").write_text(overview(checked, rules), "utf-8")
     return checked
 
@@ -142,11 +147,6 @@ def _folder_of_pages(path: str | None, *, force: bool) -> Iterator[Path | None]:
     check_folder(path, force=force)
     with new_folder(path) as room:
         yield room
-
-
-def _warn(checked: CheckedRecording, warnings: Iterable[str]) -> None:
-    for message in warnings:
-        warn(message if checked.recording in message else f"{checked.recording}: {message}")
 
 
 def summary(checked: Sequence[CheckedRecording]) -> str:

@@ -1,22 +1,28 @@
-"""One function for each of many recordings, in worker processes; answers come in the order of the recordings."""
+"""Many recordings: opened one after another, or a function for each, in worker processes; in the order of the sources."""
 
 from __future__ import annotations
 
 import os
+import warnings
+from functools import partial
 from time import monotonic
-from typing import TYPE_CHECKING, Final, TypeVar
+from typing import TYPE_CHECKING, Final, Literal, TypeVar
 
+from carla_recap.errors import RecapError, RecapWarning
 from carla_recap.fleet.outcomes import Outcome, outcome_of
+from carla_recap.fleet.sources import find_sources
+from carla_recap.recording import Recording, open_recording
 from carla_recap.util.log import log_info
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Iterator
+    from pathlib import Path
 
     from distributed import Client
 
     from carla_recap.fleet.sources import SourceFile
 
-__all__ = ["Outcome", "map_sources", "processors"]
+    Sources = str | Path | Iterable[str | Path]
 
 T = TypeVar("T")
 
@@ -72,3 +78,66 @@ def processors() -> int:
     if hasattr(os, "sched_getaffinity"):
         return len(os.sched_getaffinity(0))
     return os.cpu_count() or 1
+
+
+def open_recordings(sources: Sources, *, errors: Literal["raise", "warn"] = "raise") -> Iterator[Recording]:
+    """Yield the recordings that some sources mean, open; each is closed when the next one is asked for.
+
+    Args:
+        sources: Files, folders, globs and URLs of recordings, or one of them.
+        errors: What to do about a recording that cannot be opened, and about a source that means none: "raise" its error, or
+            "warn" of it, and go on with the next.
+
+    Warns:
+        RecapWarning: A recording cannot be opened.
+
+    Raises:
+        NotARecording: A file is not a recording.
+        FormatError: A file is damaged.
+        RecapError: A file cannot be read, or a folder or a glob means no recording.
+    """
+    for source in find_sources(_as_list(sources), errors="yield"):
+        try:
+            if source.error is not None:
+                raise RecapError(source.error)
+            recording = open_recording(source.location)
+        except RecapError as error:
+            if errors == "raise":
+                raise
+            warnings.warn(str(error), RecapWarning, stacklevel=2)
+            continue
+        with recording:
+            yield recording
+
+
+def map_recordings(
+    function: Callable[[Recording], T], sources: Sources, *, jobs: int | None = None, client: Client | None = None
+) -> Iterator[Outcome[T]]:
+    """Yield what a function returns for each of many recordings, or its error, in their order, as soon as it is known.
+
+    Recordings that are few and small are read in this process, others in worker processes: a script calls this function
+    below `if __name__ == "__main__":`. Memory does not grow with the number of recordings.
+
+    Args:
+        function: Is called with each recording, which is open: a method such as `Recording.collisions`, another function of
+            a module, or a `functools.partial` of one. What it returns must be picklable. Its `RecapError` is the outcome's
+            error, as are those of recordings that cannot be opened; others are raised.
+        sources: Files, folders, globs and URLs of recordings, or one of them.
+        jobs: The number of processes; 1: this process alone; None: as many as there are processors, if it is worthwhile.
+        client: Dask's client, whose cluster is used instead of processes of this machine. Its workers have to see the
+            recordings.
+
+    Raises:
+        RecapError: The worker processes do not start, or the cluster is gone.
+    """
+    found = find_sources(_as_list(sources), errors="yield")
+    return map_sources(partial(_call, function), found, jobs=jobs, client=client)
+
+
+def _as_list(sources: Sources) -> Iterable[str | Path]:
+    return [sources] if isinstance(sources, (str, os.PathLike)) else sources
+
+
+def _call(function: Callable[[Recording], T], source: SourceFile) -> T:
+    with open_recording(source.address) as recording:
+        return function(recording)

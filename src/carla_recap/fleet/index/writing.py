@@ -27,9 +27,9 @@ if TYPE_CHECKING:
     import pyarrow as pa
     from distributed import Client
 
-    from carla_recap.fleet.engine import Outcome
     from carla_recap.fleet.index.database import RecordingIndex
     from carla_recap.fleet.index.reading import Columns
+    from carla_recap.fleet.outcomes import Outcome
     from carla_recap.fleet.sources import SourceFile
 
     Reading = tuple[dict[str, Any], list[Columns]]
