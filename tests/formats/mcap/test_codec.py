@@ -452,3 +452,45 @@ def test_a_signalling_nan_keeps_its_bits():
     payload[7:11] = b"\x01\x00\x80\x7f"  # x of the first one
     message = encoded(type, bytes(payload))
     assert codec.decode(type, message) == payload
+
+
+WALKER = struct.pack("<I", 8) + listed(bone("crl_root", *range(6)), bone("crl_hips", *range(6)))
+
+
+@pytest.mark.parametrize(("name", "record"), [("transforms", bytes(28)), ("walker_bones", WALKER)])
+def test_the_head_of_a_message_is_checked(name, record):
+    type = UE4.named(name)
+    message = encoded(type, listed(record))
+    swapped = message[9:18] + message[:9] + message[18:]
+    broken = b"\x0b" + message[1:]  # the begin of a group
+    for _ in range(2):  # the second time with the template of the first
+        assert codec.decode(type, message) == codec.decode(type, swapped) == listed(record)
+        with pytest.raises(codec.WireError):
+            codec.decode(type, broken)
+    if type.fixed:
+        assert codec.records_codec(type).decode([message, message]) is not None
+        assert codec.records_codec(type).decode([message, swapped]) is None
+
+
+@pytest.mark.parametrize("tag", range(3))
+def test_heads_in_arrays_are_checked(tag):
+    heads = np.zeros(3, codec.FRAME_HEAD)
+    heads["frame_tag"], heads["elapsed_tag"], heads["duration_tag"] = 0x09, 0x11, 0x19
+    assert codec.have_heads(heads)
+    heads[("frame_tag", "elapsed_tag", "duration_tag")[tag]][1] += 1
+    assert not codec.have_heads(heads)
+
+
+def test_messages_of_one_structure_are_moved_together():
+    type = UE4.named("walker_bones")
+    payloads = np.stack([np.frombuffer(listed(WALKER), np.uint8)] * 3)
+    payloads[1, 2], payloads[2, 30] = 9, 1  # an id, and a byte of a number
+    bodies = codec.encode_rows(type, payloads)
+    assert [body.tobytes() for body in bodies] == [codec.encode(type, payload.tobytes()) for payload in payloads]
+    messages = np.stack([np.frombuffer(codec.head(n, 0.5) + bodies[n].tobytes(), np.uint8) for n in range(3)])
+    assert (codec.decode_rows(type, messages) == payloads).all()
+    other, text = payloads.copy(), payloads.tobytes().index(b"crl_hips")
+    other[1, text] += 1
+    assert codec.encode_rows(type, other) is None
+    messages[1, messages[0].tobytes().index(b"crl_hips")] += 1
+    assert codec.decode_rows(type, messages) is None
