@@ -244,15 +244,18 @@ def test_a_record_that_is_too_long_is_not_believed(tmp_path, opcode, size, follo
 
 @pytest.mark.parametrize("more", [0, 1])
 def test_how_much_is_read_for_what_is_no_chunk(tmp_path, more):
-    """16 MiB and four times the file: another false head in front of a chunk makes the scan go on behind what it claims."""
+    """16 MiB and four times the file: another false head in front of a chunk makes the scan go on behind what it claims.
+
+    What is read of a sound chunk does not count.
+    """
     length, distance, chunk = 2 * MIB, 100, packed(seal(messages(3)))
-    size = 2 * MIB + 4096
+    sound, size = packed(seal(messages(1, MIB), "")), 4 * MIB + 1000
     count = (16 * MIB + 4 * size) // length + more
     heads = b"".join(head_of_a_chunk(length, length - 44, 1000).ljust(distance, b"\0") for _ in range(count))
-    path = save(tmp_path / "x.mcap", (MAGIC + heads + chunk).ljust(size, b"\0"))
+    path = save(tmp_path / "x.mcap", (MAGIC + sound + heads + chunk).ljust(size, b"\0"))
     # The last head claims no more than there is.
-    assert len(MAGIC) + (count - 1) * distance + 9 + length < size
-    assert len(recovered(path)[0].chunks) == 1 - more
+    assert len(MAGIC + sound) + (count - 1) * distance + 9 + length < size
+    assert len(recovered(path)[0].chunks) == 2 - more
 
 
 def test_how_much_is_unpacked(tmp_path):
