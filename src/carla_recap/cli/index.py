@@ -148,8 +148,11 @@ def _limit_memory() -> None:
 
 
 def _needs_measures(query: str, *, found: int) -> bool:
+    from carla_recap.queries.kinds import KINDS
+
     words = query.lower()
-    return "measures" in words or "near miss" in words or ("incidents" in words and not found)
+    names = ("measures", *(name for name, kind in KINDS.items() if kind.every_frame))
+    return any(name in words for name in names) or ("incidents" in words and not found)
 
 
 def _without_measures(opened: RecordingIndex) -> int:

@@ -198,6 +198,7 @@ _COLUMNS: Final[dict[type, tuple[_Column, ...]]] = {
         _number("Stop (s)", lambda row: _seconds(row.stop), rank=2),
         _column("Incident", lambda row: row.kind, style=lambda kind: KINDS[kind].style),
         _column("What happens", lambda row: row.text, narrowed="words", brief=brief_actor),
+        _number("Value", lambda row: "" if math.isnan(row.value) else f"{row.value:.2f} {row.unit}", rank=3),
         _column("Place (m)", lambda row: ", ".join(f"{number:.1f}" for number in (row.x, row.y, row.z)), rank=1),
     ),
 }
