@@ -134,6 +134,17 @@ def test_the_name_of_a_file_as_destination_of_many_is_refused(runs):
     assert not Path("out.mcap").exists()
 
 
+def test_a_folder_that_cannot_be_made_is_named(runs):
+    (runs / "file").write_bytes(b"")
+    message = messages(run("convert", "runs/a.log", "runs/file/below/"))[0].removeprefix("carla-recap: ")
+    assert message == "runs/a.log: runs/file/below: cannot be written: Not a directory"
+
+
+@pytest.mark.parametrize("sources", [("runs/a.log",), ("runs/a.log", "runs/deep")])
+def test_an_empty_destination_is_refused(runs, sources):
+    assert "a path or a URL was expected" in error("convert", *sources, "")
+
+
 def test_a_web_server_takes_no_files(runs):
     expected = "https://host/x.mcap: a web server takes no files; a path or s3://BUCKET/KEY was expected"
     assert error("convert", "runs/a.log", "https://host/x.mcap") == expected

@@ -155,6 +155,8 @@ def writes(command: Callable[..., None]) -> Callable[..., None]:
         if not sources:
             ctx = click.get_current_context()
             raise click.MissingParameter(ctx=ctx, param_hint="'DST'", param_type="argument")
+        if not destination:
+            raise click.BadParameter("a path or a URL was expected.", param_hint="'DST'")
         command(WriteRequest(sources, destination, force, newer, jobs, dask), **given)
 
     return with_request

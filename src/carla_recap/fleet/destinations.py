@@ -221,12 +221,19 @@ def _write_one(write: Write, folder: DestinationFolder, source: SourceFile) -> W
     destination = folder.file_of(source)
     try:
         if not is_remote(destination):
-            Path(destination).parent.mkdir(parents=True, exist_ok=True)
+            _make_folder(Path(destination).parent)
         return write_file(write, source.address, destination, force=folder.force or folder.newer)
     except (RecapError, OSError, MemoryError):
         raise
     except Exception as error:  # whatever a recording causes, the others are written
         raise RecapError(one_line(error, source)) from error
+
+
+def _make_folder(folder: Path) -> None:
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise RecapError(f"{folder}: cannot be written: {error.strerror}") from None
 
 
 def _check_scheme(destination: str) -> None:
