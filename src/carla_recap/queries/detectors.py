@@ -166,7 +166,7 @@ class Detector(Protocol):
         ...
 
 
-class CollisionDetector:
+class ContactDetector:
     """Finds collisions: the contacts of actors, with the place and the speed at which they begin."""
 
     types: Collection[str] = ()

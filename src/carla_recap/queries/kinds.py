@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Final, Literal
 
 from carla_recap.errors import RecapError
 from carla_recap.queries.detectors import (
-    CollisionDetector,
+    ContactDetector,
     HardBrakingDetector,
     LongStopDetector,
     NearMisses,
@@ -73,7 +73,7 @@ KINDS: Final = _named(
             light="#cf2230",
             style="red",
             icon="M4.5 4.5l7 7m0-7l-7 7",
-            detector=CollisionDetector,
+            detector=ContactDetector,
         ),
         IncidentKind(
             name="red light",
